@@ -1,0 +1,35 @@
+"""Rotorcraft system identification in the time and frequency domains."""
+
+from casid.errors import ConvergenceError, DataWarning, ModelError
+from casid.files import read_csv, read_mat, write_csv
+from casid.fit import Certificate, Fit, ParameterEstimate
+from casid.frequency import FrequencyResponse
+from casid.linear import StateSpace
+from casid.model import Constraint, Model, Rows, Scalar, matrix, parameter
+from casid.nlp import Progress, SolverOptions
+from casid.pbsid import BlackBox
+from casid.record import Record
+
+__all__ = [
+    "BlackBox",
+    "Certificate",
+    "Constraint",
+    "ConvergenceError",
+    "DataWarning",
+    "Fit",
+    "FrequencyResponse",
+    "Model",
+    "ModelError",
+    "ParameterEstimate",
+    "Progress",
+    "Record",
+    "Rows",
+    "Scalar",
+    "SolverOptions",
+    "StateSpace",
+    "matrix",
+    "parameter",
+    "read_csv",
+    "read_mat",
+    "write_csv",
+]

@@ -1,0 +1,19 @@
+"""The typed failures of casid; a bad argument is a plain ``ValueError``."""
+
+from typing import Any
+
+
+class ModelError(ValueError):
+    """A model structure is wrong or cannot be identified; the message names the culprit."""
+
+
+class ConvergenceError(RuntimeError):
+    """A solver stopped early; ``best`` holds its last iterate (a `Fit` with ``success=False``)."""
+
+    def __init__(self, message: str, best: Any = None) -> None:  # noqa: ANN401 - Fit lives above
+        super().__init__(message)
+        self.best = best
+
+
+class DataWarning(UserWarning):
+    """The data make a result less trustworthy than it looks; the message says what to do."""

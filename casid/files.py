@@ -1,0 +1,265 @@
+"""The only file access and the only unit conversion: CSV and MAT in, CSV and JSON out."""
+
+import csv
+import json
+import os
+import tempfile
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import scipy.io
+
+from casid.arrays import Array
+from casid.record import Hold, Record
+
+SI = {  # what one of each unit is in SI
+    "1": 1.0, "-": 1.0, "%": 1.0,
+    "s": 1.0, "ms": 1e-3,
+    "rad": 1.0, "deg": np.pi / 180,
+    "rad/s": 1.0, "deg/s": np.pi / 180,
+    "m": 1.0, "ft": 0.3048, "in": 0.0254,
+    "m/s": 1.0, "ft/s": 0.3048, "kt": 1852 / 3600, "km/h": 1 / 3.6,
+    "m/s^2": 1.0, "ft/s^2": 0.3048, "g": 9.80665,
+}  # fmt: skip
+
+Detrend = Literal["first", "mean"] | Mapping[str, float] | None
+
+
+def read_csv(
+    path: str | Path,
+    *,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    time: str = "t",
+    units: Mapping[str, str] | None = None,
+    detrend: Detrend = None,
+    hold: Hold = "foh",
+    name: str | None = None,
+) -> Record:
+    """A record from a CSV file with a header line.
+
+    Parameters
+    ----------
+    path : path
+        Comma-separated values; an empty cell or ``nan`` is a missing sample.
+    inputs, outputs : sequence of str
+        The columns to take, in that order; others are left unread.
+    time : str
+        The column of instants.
+    units : mapping
+        Unit of each column that is not in SI already, ``{"p": "deg/s"}``; see `casid.files.SI`.
+        Stick units (%, normalised) are kept as they are.
+    detrend : {"first", "mean"}, mapping or None
+        See `Record.detrend`.
+    hold : {"foh", "zoh"}
+        What the inputs do between samples.
+    name : str
+        Name of the record; the file's stem unless given.
+
+    Raises
+    ------
+    ValueError
+        Not a table of numbers, an unknown column or unit, and all that `Record` refuses.
+    """
+    path = Path(path)
+    columns = _csv_columns(path)
+    wanted = [time, *inputs, *outputs]
+    values = _csv_values(path, [_find(name, columns, path) for name in wanted], wanted)
+    table = dict(zip(wanted, values.T, strict=True))
+    return _record(table, inputs, outputs, time, units, name or path.stem, hold).detrend(detrend)
+
+
+def read_mat(
+    path: str | Path,
+    *,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    time: str | None = "t",
+    dt: float | None = None,
+    columns: Mapping[str, tuple[str, int]] | None = None,
+    units: Mapping[str, str] | None = None,
+    detrend: Detrend = None,
+    hold: Hold = "foh",
+    name: str | None = None,
+) -> Record:
+    """A record from a MATLAB file (version 7 or older).
+
+    Parameters
+    ----------
+    columns : mapping
+        For channels that are columns of an array: ``{"lat": ("inr", 0)}``, counted from 0. A
+        channel not named here is a variable of its own name.
+    time, dt : str, float
+        The variable of instants, or None and the sampling interval [s].
+    path, inputs, outputs, units, detrend, hold, name
+        As in `read_csv`.
+    """
+    path = Path(path)
+    try:
+        variables = scipy.io.loadmat(str(path), appendmat=False)
+    except (OSError, ValueError, NotImplementedError, TypeError) as error:
+        raise ValueError(f"{path}: cannot read it as a MATLAB file ({error})") from error
+    places = dict(columns or {})
+    wanted = [*([time] if time else []), *inputs, *outputs]
+    table = {name: _mat_column(variables, places.get(name, (name, None)), path) for name in wanted}
+    if time is None:
+        if dt is None:
+            raise ValueError(f"{path}: no time variable named; pass time= or the interval dt=")
+        time = "t"
+        table[time] = dt * np.arange(len(table[inputs[0]]))
+    if len({len(column) for column in table.values()}) > 1:
+        lengths = ", ".join(f"{name} {len(column)}" for name, column in table.items())
+        raise ValueError(f"{path}: channels differ in length ({lengths})")
+    return _record(table, inputs, outputs, time, units, name or path.stem, hold).detrend(detrend)
+
+
+def write_csv(path: str | Path, record: Record) -> None:
+    """Write a record as CSV, SI units; what was subtracted as trim is added back."""
+    names = (*record.inputs, *record.outputs)
+    trim = np.array([record.trim.get(name, 0.0) for name in names])
+    rows = np.column_stack([record.t, np.hstack([record.u, record.y]) + trim])
+    lines = [",".join(("t", *names))]
+    lines += [",".join(f"{value:.10g}" for value in row) for row in rows]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file whole or not at all: a crash leaves the old file as it was."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
+    """Write JSON atomically; arrays become lists, NaN and infinities become null or strings."""
+    write_text(path, json.dumps(_plain(content), indent=1, allow_nan=False) + "\n")
+
+
+def read_json(path: str | Path) -> dict[str, Any]:
+    """Read what `write_json` wrote, as plain lists and numbers."""
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path}: cannot read it as JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: expected a JSON object, found {type(content).__name__}")  # noqa: TRY004
+    return content
+
+
+def number(value: float | str | None) -> float:
+    """The float that `write_json` stored: null is NaN, "inf" and "-inf" are themselves."""
+    return np.nan if value is None else float(value)
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None if np.isnan(value) else str(value)
+    return value
+
+
+def _record(
+    table: Mapping[str, Array],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    time: str,
+    units: Mapping[str, str] | None,
+    name: str,
+    hold: Hold,
+) -> Record:
+    factors = {channel: _factor(channel, unit, table) for channel, unit in (units or {}).items()}
+    scaled = {channel: column * factors.get(channel, 1.0) for channel, column in table.items()}
+    u = np.column_stack([scaled[channel] for channel in inputs])
+    y = np.column_stack([scaled[channel] for channel in outputs])
+    return Record(scaled[time], u, y, tuple(inputs), tuple(outputs), name, hold)
+
+
+def _factor(channel: str, unit: str, table: Mapping[str, Array]) -> float:
+    if channel not in table:
+        raise ValueError(
+            f"units name channel {channel!r}, which is not read; read are {', '.join(table)}"
+        )
+    if unit not in SI:
+        raise ValueError(f"channel {channel!r}: unknown unit {unit!r}; known are {', '.join(SI)}")
+    return SI[unit]
+
+
+def _csv_columns(path: Path) -> list[str]:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            header = next(csv.reader(file), None)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path}: cannot read it as CSV ({error})") from error
+    if not header:
+        raise ValueError(f"{path}: the file is empty; expected a header line with channel names")
+    return [column.strip() for column in header]
+
+
+def _csv_values(path: Path, positions: list[int], names: list[str]) -> Array:
+    def read(converter: Any) -> Array:  # noqa: ANN401 - NumPy's own type
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # an empty table is refused below
+            return np.loadtxt(
+                path, delimiter=",", skiprows=1, usecols=positions, ndmin=2, converters=converter,
+                encoding="utf-8-sig", comments=None,
+            )  # fmt: skip
+
+    try:
+        values = read(None)
+    except ValueError:  # slower, but knows empty cells
+        try:
+            values = read(lambda cell: float(cell) if cell.strip() else np.nan)
+        except (ValueError, IndexError) as error:
+            raise ValueError(f"{path}: not a table of numbers: {error}") from error
+    if not len(values):
+        raise ValueError(f"{path}: no samples below the header of {', '.join(names)}")
+    return values
+
+
+def _find(name: str, columns: list[str], path: Path) -> int:
+    if name not in columns:
+        raise ValueError(f"{path}: no column {name!r}; it has {', '.join(columns)}")
+    if columns.count(name) > 1:
+        raise ValueError(f"{path}: column {name!r} stands there {columns.count(name)} times")
+    return columns.index(name)
+
+
+def _mat_column(variables: Mapping[str, Any], place: tuple[str, int | None], path: Path) -> Array:
+    variable, column = place
+    if variable not in variables:
+        known = ", ".join(key for key in variables if not key.startswith("__"))
+        raise ValueError(f"{path}: no variable {variable!r}; it has {known}")
+    array = np.asarray(variables[variable])
+    if array.dtype.kind not in "fiub":
+        raise ValueError(f"{path}: variable {variable!r} holds {array.dtype}, expected numbers")
+    if column is None:
+        if array.ndim > 2 or max(array.shape, default=0) != array.size:
+            raise ValueError(
+                f"{path}: {variable!r} has shape {array.shape}, expected a vector; name its "
+                f'columns: columns={{"channel": ({variable!r}, 0), ...}}'
+            )
+        return np.asarray(array.ravel(), dtype=float)
+    if array.ndim != 2 or not 0 <= column < array.shape[1]:
+        raise ValueError(f"{path}: {variable!r} has shape {array.shape}, no column {column}")
+    return np.asarray(array[:, column], dtype=float)

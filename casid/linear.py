@@ -1,0 +1,220 @@
+"""Linear state-space models with input delays: response, simulation, discretisation.
+
+    dx/dt = A x + B u(t - τ)        y = C x + D u(t - τ)
+
+Continuous when ``dt`` is None.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.linalg
+
+from casid.arrays import Array, ComplexArray
+from casid.record import Hold
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """A state-space model; continuous when ``dt`` is None, else discrete with that interval [s].
+
+    Parameters
+    ----------
+    A, B, C, D : (nx, nx), (nx, nu), (ny, nx), (ny, nu) array
+        Model matrices.
+    dt : float or None
+        Sampling interval [s].
+    inputs, outputs, states : sequence of str
+        Names; numbered ones unless given.
+    delay : (nu,) array
+        Pure delay of each input [s], >= 0; zero unless given.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    dt: float | None = None
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    states: tuple[str, ...] = ()
+    delay: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        for letter in "ABCD":
+            object.__setattr__(self, letter, np.array(getattr(self, letter), dtype=float, ndmin=2))
+        nx, nu, ny = self.A.shape[0], self.D.shape[1], self.D.shape[0]
+        wanted = {"A": (nx, nx), "B": (nx, nu), "C": (ny, nx), "D": (ny, nu)}
+        for letter, shape in wanted.items():
+            if getattr(self, letter).shape != shape:
+                raise ValueError(
+                    f"{letter} has shape {getattr(self, letter).shape}, expected {shape}"
+                )
+        for attribute, n in (("inputs", nu), ("outputs", ny), ("states", nx)):
+            letter = {"inputs": "u", "outputs": "y", "states": "x"}[attribute]
+            names = tuple(getattr(self, attribute)) or tuple(f"{letter}{i + 1}" for i in range(n))
+            if len(names) != n:
+                raise ValueError(f"{len(names)} names for {n} {attribute}: {', '.join(names)}")
+            object.__setattr__(self, attribute, names)
+        delay = np.array(self.delay, dtype=float) if len(self.delay) else np.zeros(nu)
+        if delay.shape != (nu,) or not (delay >= 0).all():
+            raise ValueError(f"delay is {delay}, expected {nu} values >= 0 s")
+        object.__setattr__(self, "delay", delay)
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return int(self.A.shape[0])
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return int(self.D.shape[1])
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return int(self.D.shape[0])
+
+    def poles(self) -> ComplexArray:
+        """Eigenvalues of A, the fastest growing first."""
+        poles = np.linalg.eigvals(self.A).astype(complex)
+        return poles[np.lexsort((poles.imag, -poles.real))]
+
+    def response(self, omega: Array, shift: float = 0.0) -> ComplexArray:
+        """Frequency response on s = shift + jω, or on z = exp(jω dt) of a discrete model.
+
+        Parameters
+        ----------
+        omega : (K,) array
+            Frequencies [rad/s].
+        shift : float
+            Real part of s [1/s]; the σ of the shifted norm, paper (8)-(9).
+
+        Returns
+        -------
+        (K, ny, nu) complex array
+        """
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        line = shift + 1j * omega
+        s = line if self.dt is None else np.exp(line * self.dt)
+        resolvent = s[:, None, None] * np.eye(self.nx) - self.A
+        X = np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(s), self.nx, self.nu)))
+        G = self.C @ X + self.D
+        return np.asarray(G * np.exp(-line[:, None, None] * self.delay), dtype=complex)
+
+    def transform(self, T: Array) -> "StateSpace":
+        """The same model in the coordinates z = T x."""
+        T_inv = np.linalg.inv(T)
+        names = self.inputs, self.outputs, ()
+        return StateSpace(
+            T @ self.A @ T_inv, T @ self.B, self.C @ T_inv, self.D, self.dt, *names, self.delay
+        )
+
+    def simulate(self, t: Array, u: Array, x0: Array | None = None, hold: Hold = "foh") -> Array:
+        """Outputs (N, ny) at the instants t, exact for inputs held as said and then delayed.
+
+        Parameters
+        ----------
+        t : (N,) array
+            Increasing instants [s], any spacing; of a discrete model, samples ``dt`` apart.
+        u : (N, nu) array
+            Inputs; before the first sample they rest at their first value.
+        x0 : (nx,) array
+            Initial state; zero unless given.
+        hold : {"foh", "zoh"}
+            What the inputs do between samples.
+        """
+        x = np.zeros(self.nx) if x0 is None else np.asarray(x0, dtype=float)
+        if self.dt is not None:
+            return _simulate_discrete(self, u, x)
+        grid, samples = _break_points(t, self.delay)
+        left, right = _delayed_input(t, u, self.delay, grid, hold)
+        steps = np.diff(grid)
+        unique, which = np.unique(np.round(steps / steps.max(), 9), return_inverse=True)
+        maps = [foh_step(self.A, self.B, step * steps.max()) for step in unique]
+        states = np.empty((len(grid), self.nx))
+        states[0] = x
+        for k, i in enumerate(which):
+            Ad, B0, B1 = maps[i]
+            x = Ad @ x + B0 @ right[k] + B1 @ left[k + 1]
+            states[k + 1] = x
+        return np.asarray(states[samples] @ self.C.T + right[samples] @ self.D.T)
+
+
+def foh_step(A: Array, B: Array, h: float) -> tuple[Array, Array, Array]:
+    """Exact one-step map for an input that is linear over the step.
+
+    Returns A_d, B0, B1 of x(t + h) = A_d x(t) + B0 u(t) + B1 u(t + h), from one exponential of the
+    augmented matrix (Van Loan 1978).
+    """
+    nx, nu = B.shape
+    block = np.zeros((nx + 2 * nu, nx + 2 * nu))
+    block[:nx, :nx] = A * h
+    block[:nx, nx : nx + nu] = B * h
+    block[nx : nx + nu, nx + nu :] = np.eye(nu)
+    expm = scipy.linalg.expm(block)
+    Ad, G0, B1 = expm[:nx, :nx], expm[:nx, nx : nx + nu], expm[:nx, nx + nu :]
+    return Ad, G0 - B1, B1
+
+
+def from_zoh(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
+    """Continuous A, B whose zero-order-hold discretisation is the given pair.
+
+    Raises
+    ------
+    ValueError
+        An eigenvalue on the closed negative real axis: no real logarithm.
+    """
+    nx, nu = B.shape
+    poles = np.linalg.eigvals(A)
+    if np.any((np.abs(poles.imag) < 1e-12) & (poles.real <= 0)):
+        worst = poles[np.argmin(poles.real)].real
+        raise ValueError(
+            f"the discrete model has a pole at {worst:.3g}: it has no continuous equivalent under "
+            "zero-order hold; lower the order or sample faster"
+        )
+    block = np.zeros((nx + nu, nx + nu))
+    block[:nx, :nx], block[:nx, nx:], block[nx:, nx:] = A, B, np.eye(nu)
+    log = np.real(scipy.linalg.logm(block)) / dt
+    return log[:nx, :nx], log[:nx, nx:]
+
+
+def _simulate_discrete(system: StateSpace, u: Array, x: Array) -> Array:
+    y = np.empty((len(u), system.ny))
+    for k, uk in enumerate(u):
+        y[k] = system.C @ x + system.D @ uk
+        x = system.A @ x + system.B @ uk
+    return y
+
+
+def _break_points(t: Array, delay: Array) -> tuple[Array, np.ndarray]:
+    """Instants where some delayed input has a kink, and where the samples are among them."""
+    kinks = [t[(t + tau > t[0]) & (t + tau < t[-1])] + tau for tau in np.unique(delay) if tau > 0]
+    grid = np.unique(np.concatenate([t, *kinks]))
+    # A kink within rounding of its neighbour would make a step of length zero.
+    near = np.flatnonzero(np.diff(grid) < 1e-9 * np.diff(t).min())
+    grid = np.delete(grid, near + 1)
+    samples = np.searchsorted(grid, t)
+    samples = np.clip(samples, 0, len(grid) - 1)
+    closer = np.abs(grid[np.maximum(samples - 1, 0)] - t) < np.abs(grid[samples] - t)
+    return grid, samples - closer
+
+
+def _delayed_input(
+    t: Array, u: Array, delay: Array, grid: Array, hold: Hold
+) -> tuple[Array, Array]:
+    """Limits of u(t - τ) from the left and from the right at every point of the grid."""
+    left = np.empty((len(grid), u.shape[1]))
+    right = np.empty_like(left)
+    tiny = 1e-9 * np.diff(t).min()
+    for j, tau in enumerate(delay):
+        at = grid - tau
+        if hold == "foh":
+            left[:, j] = right[:, j] = np.interp(at, t, u[:, j])
+        else:
+            last = len(t) - 1
+            index = np.clip(np.searchsorted(t, at + tiny, side="right") - 1, 0, last)
+            before = np.clip(np.searchsorted(t, at - tiny, side="right") - 1, 0, last)
+            left[:, j], right[:, j] = u[before, j], u[index, j]
+    return left, right

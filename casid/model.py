@@ -1,0 +1,343 @@
+"""Model structures: classes of named, bounded parameters.
+
+    dx/dt = A(λ) x + B(λ) u(t - τ(λ))        y = C(λ) x + D(λ) u(t - τ(λ))
+
+A subclass names its states, inputs and outputs, declares each parameter with `parameter`, holds
+trim values as plain fields and writes the matrices as methods. The same methods run on numbers
+(an instance is one parameter set) and on CasADi symbols (`Model.matrices`).
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar, Self, TypeAlias, dataclass_transform
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+from casid.errors import ModelError
+from casid.linear import StateSpace
+
+Scalar: TypeAlias = float | ca.SX
+Rows: TypeAlias = Sequence[Sequence[Scalar]]
+
+Bounds: TypeAlias = Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class ParameterInfo:
+    """What a model file says of one parameter besides its guess."""
+
+    lower: float
+    upper: float
+    unit: str
+    scale: float | None
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """lower <= value <= upper for an expression of parameters; equal bounds make a tie."""
+
+    name: str
+    value: Scalar
+    lower: float = 0.0
+    upper: float = 0.0
+
+
+def parameter(
+    *,
+    default: float,
+    lower: float = -np.inf,
+    upper: float = np.inf,
+    unit: str,
+    scale: float | None = None,
+) -> Any:  # noqa: ANN401 - a field specifier, typed by the annotation beside it
+    """Declare one parameter of a `Model`.
+
+    Parameters
+    ----------
+    default : float
+        The guess.
+    lower, upper : float
+        Bounds; a value may lie on them.
+    unit : str
+        Its unit, SI and radians, "-" if it has none.
+    scale : float
+        Typical magnitude, for the solver; taken from guess and bounds unless given.
+
+    Raises
+    ------
+    ModelError
+        lower > upper, a guess outside the bounds, no unit, a scale that is not positive.
+    """
+    if not unit:
+        raise ModelError('a parameter needs a unit; write unit="-" if it has none')
+    _check_bounds("a parameter", default, lower, upper)
+    if scale is not None and not (np.isfinite(scale) and scale > 0):
+        raise ModelError(f"scale={scale}: expected a positive number")
+    info = ParameterInfo(float(lower), float(upper), unit, scale)
+    return field(default=float(default), metadata={"parameter": info})
+
+
+@dataclass(frozen=True, kw_only=True)
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(parameter,))
+class Model:
+    """Base of every structure; subclasses become frozen dataclasses with keyword arguments."""
+
+    states: ClassVar[tuple[str, ...]]
+    inputs: ClassVar[tuple[str, ...]]
+    outputs: ClassVar[tuple[str, ...]]
+
+    def __init_subclass__(cls) -> None:
+        for attribute in ("states", "inputs", "outputs"):
+            names = getattr(cls, attribute, None)
+            if not isinstance(names, tuple) or not names:
+                raise ModelError(
+                    f"{cls.__name__}.{attribute} is {names!r}, expected a tuple of names: "
+                    f'{attribute} = ("a", "b")'
+                )
+        dataclass(frozen=True, kw_only=True, eq=True)(cls)
+
+    # ---- what a structure writes ----------------------------------------------------------------
+
+    def A(self) -> Rows:
+        """State matrix, (nx, nx)."""
+        raise ModelError(f"{type(self).__name__} has no method A")
+
+    def B(self) -> Rows:
+        """Input matrix, (nx, nu)."""
+        raise ModelError(f"{type(self).__name__} has no method B")
+
+    def C(self) -> Rows:
+        """Output matrix, (ny, nx); unless written, the states of the outputs' names."""
+        if missing := [name for name in self.outputs if name not in self.states]:
+            raise ModelError(
+                f"{type(self).__name__} has no method C, and output {missing[0]!r} is no state"
+            )
+        return [[float(state == name) for state in self.states] for name in self.outputs]
+
+    def D(self) -> Rows:
+        """Direct matrix, (ny, nu); zero unless written."""
+        return [[0.0 for _ in self.inputs] for _ in self.outputs]
+
+    def delays(self) -> Mapping[str, Scalar]:
+        """Pure delay of each input named [s]; none unless written."""
+        return {}
+
+    def constraints(self) -> Sequence[Constraint]:
+        """Ties and inequalities between parameters; none unless written."""
+        return ()
+
+    # ---- what every structure can do ------------------------------------------------------------
+
+    @classmethod
+    def infos(cls) -> dict[str, ParameterInfo]:
+        """What the file says of each parameter, in the order of declaration."""
+        declared = [f for f in fields(cls) if "parameter" in f.metadata]
+        return {f.name: f.metadata["parameter"] for f in declared}
+
+    @classmethod
+    def parameter_names(cls) -> tuple[str, ...]:
+        """Names of λ, in the order of declaration."""
+        return tuple(cls.infos())
+
+    def vector(self) -> Array:
+        """Parameter values λ, (n_λ,)."""
+        return np.array([float(getattr(self, name)) for name in self.parameter_names()])
+
+    def with_vector(self, values: Any) -> Self:  # noqa: ANN401 - SX or array
+        """The same structure and trim with other parameter values: an (n_λ,) array or SX."""
+        names = self.parameter_names()
+        if isinstance(values, ca.SX):
+            return replace(self, **{name: values[i] for i, name in enumerate(names)})
+        if len(values) != len(names):
+            raise ModelError(f"{len(values)} values for {len(names)} parameters")
+        numbers = zip(names, np.asarray(values), strict=True)
+        return replace(self, **{name: float(value) for name, value in numbers})
+
+    def matrices(self) -> ca.Function:
+        """CasADi function λ -> (A, B, C, D, τ, c), with c the values of `constraints`.
+
+        Entries that are literally 0 are structural zeros.
+
+        Raises
+        ------
+        ModelError
+            A method that raises, matrices whose shapes disagree, a delay for no input.
+        """
+        lam = ca.SX.sym("lam", len(self.parameter_names()))
+        symbolic = self.with_vector(lam)
+        A, B, C, D, tau, c = _expressions(symbolic)
+        names = ["A", "B", "C", "D", "tau", "c"]
+        return ca.Function("matrices", [lam], [A, B, C, D, tau, c], ["lam"], names)
+
+    def system(self) -> StateSpace:
+        """The state-space model at the present parameter values."""
+        A, B, C, D, tau, _ = (matrix.full() for matrix in self.matrices()(self.vector()))
+        for letter, values in zip("ABCD", (A, B, C, D), strict=True):
+            if not np.isfinite(values).all():
+                i, j = np.argwhere(~np.isfinite(values))[0]
+                raise ModelError(
+                    f"{type(self).__name__}.{letter}[{i}][{j}] is {values[i, j]} at these "
+                    "parameter values; check the guess and the formula of that entry"
+                )
+        names = self.inputs, self.outputs, self.states
+        return StateSpace(A, B, C, D, None, *names, np.maximum(tau.ravel(), 0.0))
+
+
+def matrix(rows: Rows) -> ca.SX:
+    """Turn rows of numbers and symbols into an SX matrix; literal zeros become structural.
+
+    Raises
+    ------
+    ModelError
+        No rows, or rows of different length.
+    """
+    lengths = [len(row) for row in rows]
+    if not lengths or min(lengths) == 0:
+        raise ModelError("a matrix needs at least one row and one column")
+    if len(set(lengths)) > 1:
+        odd = next(i for i, length in enumerate(lengths) if length != lengths[0])
+        raise ModelError(f"row {odd} has {lengths[odd]} entries, row 0 has {lengths[0]}")
+    return ca.sparsify(ca.vertcat(*[ca.horzcat(*[ca.SX(entry) for entry in row]) for row in rows]))
+
+
+# ---- which parameters an estimator may move ----------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Free:
+    """The free parameters of one estimation; fixed ones are numbers and no variables.
+
+    Parameters
+    ----------
+    model : Model
+        The guess; fixed parameters keep its values.
+    index : (nf,) integer array
+        Positions of the free parameters in λ.
+    lower, upper : (n_λ,) array
+        Bounds of all parameters.
+    scale : (n_λ,) array
+        Typical magnitudes.
+    """
+
+    model: Model
+    index: np.ndarray
+    lower: Array
+    upper: Array
+    scale: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        names = self.model.parameter_names()
+        return tuple(names[i] for i in self.index)
+
+    @property
+    def guess(self) -> Array:
+        """Guess of the free parameters, (nf,), moved onto its bounds where it violates them."""
+        return np.asarray(np.clip(self.model.vector(), self.lower, self.upper)[self.index])
+
+    def full(self, free: Any) -> Any:  # noqa: ANN401 - MX, SX or array in, the same out
+        """λ (n_λ,) from the free values (nf,), numbers or symbols."""
+        fixed = self.model.vector()
+        if isinstance(free, np.ndarray):
+            fixed[self.index] = free
+            return fixed
+        entries = list(map(ca.DM, fixed))
+        for position, i in enumerate(self.index):
+            entries[i] = free[position]
+        return ca.vertcat(*entries)
+
+
+def free_parameters(
+    model: Model, fixed: Collection[str] = (), bounds: Bounds | None = None
+) -> Free:
+    """Which parameters are free, between which bounds.
+
+    Parameters
+    ----------
+    model : Model
+        Structure and guess.
+    fixed : collection of str
+        Parameters held at the model's values.
+    bounds : mapping
+        ``{name: (lower, upper)}``, instead of the model file's; equal bounds fix a parameter.
+
+    Raises
+    ------
+    ModelError
+        An unknown name, lower > upper, or nothing left to estimate.
+    """
+    infos = model.infos()
+    bounds = dict(bounds or {})
+    if isinstance(fixed, str):
+        raise ModelError(f"fixed={fixed!r}: expected a collection of names, ({fixed!r},)")
+    for name in (*fixed, *bounds):
+        if name not in infos:
+            raise ModelError(
+                f"{type(model).__name__} has no parameter {name!r}; it has {', '.join(infos)}"
+            )
+    limits = {name: bounds.get(name, (info.lower, info.upper)) for name, info in infos.items()}
+    for name, pair in limits.items():
+        _check_order(name, *pair)
+    lower, upper = (np.array([pair[i] for pair in limits.values()], dtype=float) for i in (0, 1))
+    held = np.array([name in fixed for name in infos])
+    guess = model.vector()
+    for i, name in enumerate(infos):  # equal bounds fix the value, whatever the guess says
+        if lower[i] == upper[i] and name not in fixed:
+            guess[i], held[i] = lower[i], True
+    index = np.flatnonzero(~held)
+    if not len(index):
+        raise ModelError("every parameter is fixed: nothing is left to estimate")
+    given = [info.scale for info in infos.values()]
+    widths = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
+    typical = np.maximum(np.abs(guess), 0.1 * widths)
+    scale = np.array(
+        [s or (value if value > 0 else 1.0) for s, value in zip(given, typical, strict=True)]
+    )
+    return Free(model.with_vector(guess), index, lower, upper, scale)
+
+
+def _check_order(name: str, lower: float, upper: float) -> None:
+    if not lower <= upper:  # also refuses NaN
+        raise ModelError(f"{name}: lower bound {lower} > upper bound {upper}; swap or correct them")
+
+
+def _check_bounds(name: str, default: float, lower: float, upper: float) -> None:
+    _check_order(name, lower, upper)
+    if not lower <= default <= upper:
+        raise ModelError(f"{name}: default {default} is outside its bounds [{lower}, {upper}]")
+
+
+def _expressions(symbolic: Model) -> tuple[ca.SX, ...]:
+    cls = type(symbolic)
+    built = {letter: _method(symbolic, letter) for letter in "ABCD"}
+    nx, nu, ny = len(cls.states), len(cls.inputs), len(cls.outputs)
+    wanted = {"A": (nx, nx), "B": (nx, nu), "C": (ny, nx), "D": (ny, nu)}
+    for letter, shape in wanted.items():
+        if built[letter].shape != shape:
+            raise ModelError(
+                f"{cls.__name__}.{letter} has shape {built[letter].shape}, expected {shape}: "
+                f"{nx} states, {nu} inputs, {ny} outputs"
+            )
+    delays = dict(symbolic.delays())
+    if unknown := [name for name in delays if name not in cls.inputs]:
+        raise ModelError(
+            f"{cls.__name__}.delays names {unknown[0]!r}, which is no input; "
+            f"inputs are {', '.join(cls.inputs)}"
+        )
+    tau = ca.vertcat(*[ca.SX(delays.get(name, 0.0)) for name in cls.inputs])
+    c = ca.vertcat(ca.SX(0, 1), *[ca.SX(item.value) for item in symbolic.constraints()])
+    return (*built.values(), tau, c)
+
+
+def _method(symbolic: Model, letter: str) -> ca.SX:
+    try:
+        return matrix(getattr(symbolic, letter)())
+    except ModelError as error:
+        raise ModelError(f"{type(symbolic).__name__}.{letter}: {error}") from error
+    except Exception as error:  # the user's own code may raise anything
+        raise ModelError(
+            f"{type(symbolic).__name__}.{letter} raised {type(error).__name__}: {error}"
+        ) from error

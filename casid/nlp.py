@@ -1,0 +1,245 @@
+"""Solve a nonlinear programme with IPOPT; the only call of ``casadi.nlpsol``."""
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+
+LOG = logging.getLogger("casid")
+
+STATUS = {  # IPOPT's word: (whether the iterate is a solution, what it means and what to do)
+    "Solve_Succeeded": (True, "solved"),
+    "Solved_To_Acceptable_Level": (True, "solved to IPOPT's acceptable level"),
+    "Maximum_Iterations_Exceeded": (
+        False,
+        "iteration limit reached; raise max_iterations or start nearer",
+    ),
+    "Maximum_CpuTime_Exceeded": (False, "time limit reached; raise max_seconds"),
+    "Maximum_WallTime_Exceeded": (False, "time limit reached; raise max_seconds"),
+    "Infeasible_Problem_Detected": (
+        False,
+        "no point satisfies the constraints near here; relax ties or bounds",
+    ),
+    "Restoration_Failed": (
+        False,
+        "no feasible step found; start nearer, or check the scale of the parameters",
+    ),
+    "Search_Direction_Becomes_Too_Small": (
+        False,
+        "no further progress at this precision; loosen tolerance",
+    ),
+    "Diverging_Iterates": (False, "the iterates diverge; bound the parameters"),
+    "Invalid_Number_Detected": (
+        False,
+        "the model gave NaN or infinity; check its formulas at the bounds",
+    ),
+    "User_Requested_Stop": (False, "stopped by the caller"),
+    "NonIpopt_Exception_Thrown": (False, "evaluating the model failed; see the log"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """One line of progress of a long computation."""
+
+    stage: str
+    iteration: int
+    cost: float
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverOptions:
+    """How hard to try.
+
+    Parameters
+    ----------
+    tolerance : float
+        Relative optimality tolerance.
+    max_iterations : int
+        Limit per solve.
+    max_seconds : float
+        Wall-clock limit per solve [s].
+    progress : callable
+        Called with a `Progress` after every iteration.
+    ipopt : mapping
+        Options passed to IPOPT unread, for those who know them.
+    """
+
+    tolerance: float = 1e-8
+    max_iterations: int = 500
+    max_seconds: float = 1e4
+    progress: Callable[[Progress], None] | None = None
+    ipopt: Mapping[str, float | str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Problem:
+    """min f(x) subject to lower_x <= x <= upper_x, lower_g <= g(x) <= upper_g.
+
+    ``x``, ``f``, ``g`` are SX or MX expressions. ``hessian``, if given, is a function of IPOPT's
+    (x, p, lam_f, lam_g) that replaces the exact Hessian of the Lagrangian (its upper triangle);
+    ``functions`` may replace others of CasADi's own ("nlp_f", "nlp_g", "nlp_grad_f", "nlp_jac_g").
+    """
+
+    x: Any
+    f: Any
+    g: Any
+    x0: Array
+    lower_x: Array
+    upper_x: Array
+    lower_g: Array
+    upper_g: Array
+    hessian: ca.Function | None = None
+    functions: Mapping[str, ca.Function] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Solution:
+    """What IPOPT found; ``multipliers`` are those of the bounds and of the constraints.
+
+    A positive multiplier presses on the upper bound, a negative one on the lower: at the solution
+    df/dx + multipliers_x + (dg/dx)ᵀ multipliers_g = 0.
+    """
+
+    x: Array
+    f: float
+    g: Array
+    multipliers_x: Array
+    multipliers_g: Array
+    success: bool
+    status: str
+    iterations: int
+    seconds: float
+
+
+def solve(
+    problem: Problem,
+    options: SolverOptions,
+    *,
+    stage: str,
+    warm: tuple[Array, Array] | None = None,
+) -> Solution:
+    """Solve one programme.
+
+    Parameters
+    ----------
+    problem : Problem
+        Scaled by the caller.
+    options : SolverOptions
+        Limits and tolerance.
+    stage : str
+        What progress and log lines call this solve.
+    warm : pair of arrays
+        Multipliers (of bounds, of constraints) of a solution nearby; switches the warm start on.
+
+    Returns
+    -------
+    Solution
+        With ``success`` False and the last iterate when IPOPT stopped early; never an exception
+        for that.
+    """
+    start = time.perf_counter()
+    watcher = _Watcher(problem, options, stage, start)
+    nlp: Any = {"x": problem.x, "f": problem.f, "g": problem.g}
+    solver = ca.nlpsol("solver", "ipopt", nlp, _settings(problem, options, watcher, warm))
+    arguments = {
+        "x0": problem.x0, "lbx": problem.lower_x, "ubx": problem.upper_x,
+        "lbg": problem.lower_g, "ubg": problem.upper_g,
+    }  # fmt: skip
+    if warm is not None:
+        arguments |= {"lam_x0": warm[0], "lam_g0": warm[1]}
+    found = solver(**arguments)
+    stats = solver.stats()
+    success, meaning = STATUS.get(stats["return_status"], (False, str(stats["return_status"])))
+    seconds = time.perf_counter() - start
+    x, g = found["x"].full().ravel(), found["g"].full().ravel()
+    LOG.info("%s: %s, %d iterations, cost %.6g, %.2f s", stage, meaning, stats["iter_count"],
+             float(found["f"]), seconds)  # fmt: skip
+    finite = bool(np.isfinite(x).all() and np.isfinite(float(found["f"])))
+    return Solution(
+        x=x,
+        f=float(found["f"]),
+        g=g,
+        multipliers_x=found["lam_x"].full().ravel(),
+        multipliers_g=found["lam_g"].full().ravel(),
+        success=success and finite,
+        status=meaning if finite else STATUS["Invalid_Number_Detected"][1],
+        iterations=int(stats["iter_count"]),
+        seconds=seconds,
+    )
+
+
+def _settings(
+    problem: Problem,
+    options: SolverOptions,
+    watcher: "_Watcher",
+    warm: tuple[Array, Array] | None,
+) -> dict[str, Any]:
+    ipopt: dict[str, Any] = {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": options.tolerance,
+        "max_iter": options.max_iterations,
+        "max_wall_time": options.max_seconds,
+    }
+    if warm is not None:
+        ipopt |= {"warm_start_init_point": "yes", "mu_init": 1e-4}
+    settings: dict[str, Any] = {"print_time": False, "ipopt": ipopt | dict(options.ipopt)}
+    if options.progress is not None:
+        settings["iteration_callback"] = watcher
+    if problem.hessian is not None:
+        settings["hess_lag"] = problem.hessian
+    for name, function in problem.functions.items():
+        settings[name.removeprefix("nlp_")] = function
+    return settings
+
+
+class _Watcher(ca.Callback):
+    """Tell the caller about every iteration of IPOPT."""
+
+    def __init__(self, problem: Problem, options: SolverOptions, stage: str, start: float) -> None:
+        ca.Callback.__init__(self)
+        self._sizes = (len(problem.x0), len(problem.lower_g))
+        self._options, self._stage, self._start = options, stage, start
+        self._iteration = 0
+        self.construct("watcher", {})
+
+    def get_n_in(self) -> int:
+        return ca.nlpsol_n_out()
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return ca.nlpsol_out(i)
+
+    def get_name_out(self, _: int) -> str:
+        return "stop"
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        name = ca.nlpsol_out(i)
+        n, m = self._sizes
+        if name == "f":
+            return ca.Sparsity.dense(1)
+        if name in ("x", "lam_x"):
+            return ca.Sparsity.dense(n)
+        if name in ("g", "lam_g"):
+            return ca.Sparsity.dense(m)
+        return ca.Sparsity(0, 0)
+
+    def eval(self, arguments: Any) -> list[int]:  # noqa: ANN401 - CasADi's own
+        if self._options.progress is not None:
+            cost = float(arguments[ca.nlpsol_out().index("f")])
+            seconds = time.perf_counter() - self._start
+            self._options.progress(
+                Progress(stage=self._stage, iteration=self._iteration, cost=cost, seconds=seconds)
+            )
+        self._iteration += 1
+        return [0]

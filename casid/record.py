@@ -1,0 +1,259 @@
+"""One manoeuvre: inputs and outputs at the instants they were measured."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from casid.arrays import Array
+
+Hold = Literal["foh", "zoh"]
+
+QUIET = 0.02  # share of an input's range that still counts as trim
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One manoeuvre, SI units and radians.
+
+    Parameters
+    ----------
+    t : (N,) array
+        Instants [s], strictly increasing, not necessarily equidistant.
+    u : (N, nu) array
+        Inputs, finite.
+    y : (N, ny) array
+        Outputs; NaN marks a missing sample.
+    inputs, outputs : sequence of str
+        Channel names, one a column.
+    name : str
+        What messages and tables call the manoeuvre.
+    hold : {"foh", "zoh"}
+        What the inputs do between samples: straight lines or steps.
+    trim : mapping
+        The value of each channel that was already subtracted.
+
+    Raises
+    ------
+    ValueError
+        Shapes that disagree, time that does not increase, NaN in an input.
+    """
+
+    t: Array
+    u: Array
+    y: Array
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    name: str = ""
+    hold: Hold = "foh"
+    trim: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for attribute in ("t", "u", "y"):
+            values = np.array(getattr(self, attribute), dtype=float)
+            values.setflags(write=False)
+            object.__setattr__(self, attribute, values)
+        object.__setattr__(self, "inputs", tuple(self.inputs))
+        object.__setattr__(self, "outputs", tuple(self.outputs))
+        _check_shapes(self)
+        _check_values(self)
+
+    @property
+    def N(self) -> int:
+        """Number of samples."""
+        return len(self.t)
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return len(self.inputs)
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.outputs)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first sample to the last [s]."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def dt(self) -> float:
+        """Median sampling interval [s]."""
+        return float(np.median(np.diff(self.t)))
+
+    @property
+    def equidistant(self) -> bool:
+        """Whether all sampling intervals agree to 1e-3 of their median."""
+        steps = np.diff(self.t)
+        return bool(np.all(np.abs(steps - self.dt) <= 1e-3 * self.dt))
+
+    def channel(self, name: str) -> Array:
+        """Samples of one channel, (N,)."""
+        if name in self.inputs:
+            return self.u[:, self.inputs.index(name)]
+        return self.y[:, _position(name, self.outputs, "channel", self.name)]
+
+    def select(
+        self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None
+    ) -> "Record":
+        """The same manoeuvre with the named channels, in that order."""
+        inputs = self.inputs if inputs is None else tuple(inputs)
+        outputs = self.outputs if outputs is None else tuple(outputs)
+        iu = [_position(name, self.inputs, "input", self.name) for name in inputs]
+        iy = [_position(name, self.outputs, "output", self.name) for name in outputs]
+        return replace(self, u=self.u[:, iu], y=self.y[:, iy], inputs=inputs, outputs=outputs)
+
+    def between(self, start: float, end: float) -> "Record":
+        """Return the samples with ``start <= t <= end`` [s]."""
+        keep = (self.t >= start) & (self.t <= end)
+        return replace(self, t=self.t[keep], u=self.u[keep], y=self.y[keep])
+
+    def decimate(self, step: int) -> "Record":
+        """Every ``step``-th sample, unfiltered; the hold then applies between these."""
+        return replace(self, t=self.t[::step], u=self.u[::step], y=self.y[::step])
+
+    def quiet_samples(self) -> int:
+        """Number of samples before the first input leaves its initial value.
+
+        An input has left when it is more than 2 % of its range away from its first sample.
+        """
+        away = np.abs(self.u - self.u[0]) > QUIET * np.maximum(np.ptp(self.u, axis=0), 1e-300)
+        moved = np.flatnonzero(away.any(axis=1))
+        return int(moved[0]) if len(moved) else self.N
+
+    def detrend(self, how: Literal["first", "mean"] | Mapping[str, float] | None) -> "Record":
+        """Subtract the trim from every channel and remember it.
+
+        Parameters
+        ----------
+        how : {"first", "mean"}, mapping or None
+            ``"first"``: the mean of the stretch before the first input moves; ``"mean"``: the mean
+            of the record; a mapping gives the trim of every channel (for a record that is excited
+            from its first sample: another record's ``trim``); None leaves it as it is.
+        """
+        if how is None:
+            return self
+        if how == "first":
+            trim = self._means(max(self.quiet_samples(), 1))
+        elif how == "mean":
+            trim = self._means(self.N)
+        elif isinstance(how, Mapping):
+            trim = dict(how)
+        else:
+            raise ValueError(f'detrend={how!r}: expected "first", "mean", a mapping or None')
+        names = (*self.inputs, *self.outputs)
+        if missing := [name for name in names if name not in trim]:
+            raise ValueError(f"record {self.name!r}: no trim value for channel {missing[0]!r}")
+        u = self.u - [trim[name] for name in self.inputs]
+        y = self.y - [trim[name] for name in self.outputs]
+        total = {name: self.trim.get(name, 0.0) + trim[name] for name in names}
+        return replace(self, u=u, y=y, trim=total)
+
+    def with_noise(self, std: Mapping[str, float], rng: np.random.Generator) -> "Record":
+        """White Gaussian measurement noise added to the named outputs (standard deviations)."""
+        for name in std:
+            _position(name, self.outputs, "output", self.name)
+        sigma = np.array([std.get(name, 0.0) for name in self.outputs])
+        return replace(self, y=self.y + sigma * rng.standard_normal(self.y.shape))
+
+    def _means(self, n: int) -> dict[str, float]:
+        means = {name: float(self.u[:n, i].mean()) for i, name in enumerate(self.inputs)}
+        for i, name in enumerate(self.outputs):
+            head = self.y[:n, i]
+            if np.isnan(head).all():
+                raise ValueError(
+                    f"record {self.name!r}: output {name!r} has no sample in its first {n}; "
+                    'pass detrend="mean" or the trim itself'
+                )
+            means[name] = float(np.nanmean(head))
+        return means
+
+
+def same_channels(records: Sequence[Record]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Inputs and outputs shared by all records.
+
+    Raises
+    ------
+    ValueError
+        No record, or records whose channels differ in name or order.
+    """
+    if isinstance(records, Record):
+        raise ValueError("expected a sequence of records, got one Record: pass [record]")  # noqa: TRY004
+    if not records:
+        raise ValueError("no records given; at least one is needed")
+    first = records[0]
+    for record in records[1:]:
+        if (record.inputs, record.outputs) != (first.inputs, first.outputs):
+            raise ValueError(
+                f"record {record.name!r} has channels {record.inputs} -> {record.outputs}, record "
+                f"{first.name!r} has {first.inputs} -> {first.outputs}; use Record.select"
+            )
+    return first.inputs, first.outputs
+
+
+def standard_deviations(records: Sequence[Record]) -> tuple[Array, Array]:
+    """Standard deviation of every input (nu,) and output (ny,) over all records.
+
+    The mean of all samples is removed first; missing samples are left out. A channel that never
+    moves has 1, so that dividing by it is harmless.
+    """
+    u = np.vstack([record.u for record in records])
+    y = np.vstack([record.y for record in records])
+    su, sy = np.std(u, axis=0), np.nanstd(y, axis=0)
+    return np.where(su > 0, su, 1.0), np.where(sy > 0, sy, 1.0)
+
+
+def _position(name: str, names: tuple[str, ...], kind: str, record: str) -> int:
+    if name not in names:
+        raise ValueError(f"record {record!r} has no {kind} {name!r}; it has {', '.join(names)}")
+    return names.index(name)
+
+
+def _check_shapes(record: Record) -> None:
+    t, u, y = record.t, record.u, record.y
+    if t.ndim != 1 or len(t) < 2:
+        raise ValueError(
+            f"record {record.name!r}: t has shape {t.shape}, expected (N,) with N >= 2"
+        )
+    for letter, values, names in (("u", u, record.inputs), ("y", y, record.outputs)):
+        if values.shape != (len(t), len(names)):
+            raise ValueError(
+                f"record {record.name!r}: {letter} has shape {values.shape}, expected "
+                f"(N, n{letter}) = ({len(t)}, {len(names)}) for {names}; arrays are time-first: "
+                f"pass {letter}.T if time runs along columns"
+            )
+    names = (*record.inputs, *record.outputs)
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ValueError(f"record {record.name!r}: channel {twice[0]!r} is named twice")
+    if record.hold not in get_args(Hold):
+        raise ValueError(f'record {record.name!r}: hold={record.hold!r}, expected "foh" or "zoh"')
+
+
+def _check_values(record: Record) -> None:
+    t = record.t
+    if not np.isfinite(t).all():
+        k = int(np.flatnonzero(~np.isfinite(t))[0])
+        raise ValueError(f"record {record.name!r}: t[{k}] = {t[k]}; time must be finite")
+    if (back := np.flatnonzero(np.diff(t) <= 0)).size:
+        k = int(back[0]) + 1
+        raise ValueError(
+            f"record {record.name!r}: time does not increase at sample {k} "
+            f"({t[k - 1]:g} s, then {t[k]:g} s); sort the samples and drop repeated ones"
+        )
+    bad = np.argwhere(~np.isfinite(record.u))
+    if len(bad):
+        k, i = bad[0]
+        raise ValueError(
+            f"record {record.name!r}: input {record.inputs[i]!r} is {record.u[k, i]} at sample {k} "
+            "(inputs must be known everywhere); cut the record there or repair the channel"
+        )
+    infinite = np.argwhere(np.isinf(record.y))
+    if len(infinite):
+        k, i = infinite[0]
+        raise ValueError(
+            f"record {record.name!r}: output {record.outputs[i]!r} is {record.y[k, i]} at sample "
+            f"{k}; mark a missing sample with NaN"
+        )
