@@ -16,7 +16,7 @@ from casid.arrays import Array
 from casid.record import Hold, Record
 
 SI = {  # what one of each unit is in SI
-    "1": 1.0, "-": 1.0, "%": 1.0,
+    "1": 1.0, "-": 1.0, "%": 0.01,
     "s": 1.0, "ms": 1e-3,
     "rad": 1.0, "deg": np.pi / 180,
     "rad/s": 1.0, "deg/s": np.pi / 180,
@@ -51,7 +51,7 @@ def read_csv(
         The column of instants.
     units : mapping
         Unit of each column that is not in SI already, ``{"p": "deg/s"}``; see `casid.files.SI`.
-        Stick units (%, normalised) are kept as they are.
+        A stick in ``"%"`` becomes a fraction of its full travel.
     detrend : {"first", "mean"}, mapping or None
         See `Record.detrend`.
     hold : {"foh", "zoh"}

@@ -6,8 +6,8 @@ delay of each control stands for rotor and actuator lags. Small-perturbation equ
 G. D. Padfield, Helicopter Flight Dynamics, 2nd ed., appendix 4A, here with trim rates P0, Q0, R0.
 
 What identifies it: 3-2-1-1 or sweep records of all four controls, 0.3-12 rad/s, with ax ay az p q r
-phi theta measured at (or moved to) the centre of gravity. The sticks may come in any unit; guesses
-and bounds are per unit of full travel (divide them by 100 for sticks in %).
+phi theta measured at (or moved to) the centre of gravity. Guesses and bounds are per full travel
+of a stick: read sticks recorded in % with ``units={"lat": "%"}``, which makes them fractions.
 """
 
 from collections.abc import Mapping
