@@ -198,6 +198,8 @@ def _settings(
         settings["hess_lag"] = problem.hessian
     for name, function in problem.functions.items():
         settings[name.removeprefix("nlp_")] = function
+    if problem.functions:  # CasADi would differentiate what the caller evaluates without it
+        settings["no_nlp_grad"] = True
     return settings
 
 
