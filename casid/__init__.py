@@ -9,6 +9,7 @@ from casid.model import Constraint, Model, Rows, Scalar, matrix, parameter
 from casid.nlp import Progress, SolverOptions
 from casid.pbsid import BlackBox
 from casid.record import Record
+from casid.validation import Validation, validate
 
 __all__ = [
     "BlackBox",
@@ -27,9 +28,11 @@ __all__ = [
     "Scalar",
     "SolverOptions",
     "StateSpace",
+    "Validation",
     "matrix",
     "parameter",
     "read_csv",
     "read_mat",
+    "validate",
     "write_csv",
 ]

@@ -125,21 +125,58 @@ class StateSpace:
         hold : {"foh", "zoh"}
             What the inputs do between samples.
         """
+        steps = self.steps(t, u, hold)
         x = np.zeros(self.nx) if x0 is None else np.asarray(x0, dtype=float)
+        if x.shape != (self.nx,):
+            raise ValueError(f"x0 has shape {x.shape}, expected ({self.nx},)")
+        states = np.empty((len(steps.which) + 1, self.nx))
+        states[0] = x
+        for k, i in enumerate(steps.which):
+            x = steps.maps[i] @ x + steps.forcing[k]
+            states[k + 1] = x
+        return np.asarray(states[steps.samples] @ self.C.T + steps.direct)
+
+    def steps(self, t: Array, u: Array, hold: Hold = "foh") -> "Steps":
+        """The simulation as a recursion, for those who want more of it than the outputs.
+
+        Parameters
+        ----------
+        t, u, hold
+            As in `simulate`.
+        """
+        t, u = np.asarray(t, dtype=float), np.asarray(u, dtype=float)
+        if u.shape != (len(t), self.nu):
+            raise ValueError(
+                f"u has shape {u.shape}, expected (N, nu) = ({len(t)}, {self.nu}) for "
+                f"{', '.join(self.inputs)}"
+            )
         if self.dt is not None:
-            return _simulate_discrete(self, u, x)
+            return _discrete_steps(self, t, u, self.dt)
         grid, samples = _break_points(t, self.delay)
         left, right = _delayed_input(t, u, self.delay, grid, hold)
-        steps = np.diff(grid)
-        unique, which = np.unique(np.round(steps / steps.max(), 9), return_inverse=True)
-        maps = [foh_step(self.A, self.B, step * steps.max()) for step in unique]
-        states = np.empty((len(grid), self.nx))
-        states[0] = x
-        for k, i in enumerate(which):
-            Ad, B0, B1 = maps[i]
-            x = Ad @ x + B0 @ right[k] + B1 @ left[k + 1]
-            states[k + 1] = x
-        return np.asarray(states[samples] @ self.C.T + right[samples] @ self.D.T)
+        widths = np.diff(grid)
+        unique, which = np.unique(np.round(widths / widths.max(), 9), return_inverse=True)
+        maps, forcing = [], np.empty((len(widths), self.nx))
+        for i, width in enumerate(unique * widths.max()):
+            Ad, B0, B1 = foh_step(self.A, self.B, width)
+            here = np.flatnonzero(which == i)
+            maps.append(Ad)
+            forcing[here] = right[here] @ B0.T + left[here + 1] @ B1.T
+        return Steps(tuple(maps), which, forcing, samples, right[samples] @ self.D.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """x[k + 1] = maps[which[k]] x[k] + forcing[k], and y = C x[samples] + direct.
+
+    There are more states than samples when a delayed input has kinks between samples.
+    """
+
+    maps: tuple[Array, ...]
+    which: np.ndarray
+    forcing: Array
+    samples: np.ndarray
+    direct: Array
 
 
 def foh_step(A: Array, B: Array, h: float) -> tuple[Array, Array, Array]:
@@ -180,12 +217,23 @@ def from_zoh(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
     return log[:nx, :nx], log[:nx, nx:]
 
 
-def _simulate_discrete(system: StateSpace, u: Array, x: Array) -> Array:
-    y = np.empty((len(u), system.ny))
-    for k, uk in enumerate(u):
-        y[k] = system.C @ x + system.D @ uk
-        x = system.A @ x + system.B @ uk
-    return y
+def _discrete_steps(system: StateSpace, t: Array, u: Array, dt: float) -> Steps:
+    if np.any(np.abs(np.diff(t) - dt) > 1e-3 * dt):
+        raise ValueError(
+            f"a discrete model of interval {dt:g} s cannot follow samples "
+            f"{np.diff(t).min():g} to {np.diff(t).max():g} s apart; convert it to continuous time"
+        )
+    lags = np.rint(system.delay / dt).astype(int)
+    if np.any(np.abs(system.delay - lags * dt) > 1e-6 * dt):
+        raise ValueError(
+            f"delays {system.delay} s are no multiples of the interval {dt:g} s of this discrete "
+            "model; convert it to continuous time"
+        )
+    rows = np.maximum(np.arange(len(t))[:, None] - lags, 0)
+    delayed = u[rows, np.arange(system.nu)]
+    which = np.zeros(len(t) - 1, dtype=int)
+    direct = delayed @ system.D.T
+    return Steps((system.A,), which, delayed[:-1] @ system.B.T, np.arange(len(t)), direct)
 
 
 def _break_points(t: Array, delay: Array) -> tuple[Array, np.ndarray]:

@@ -198,12 +198,19 @@ def standard_deviations(records: Sequence[Record]) -> tuple[Array, Array]:
     """Standard deviation of every input (nu,) and output (ny,) over all records.
 
     The mean of all samples is removed first; missing samples are left out. A channel that never
-    moves has 1, so that dividing by it is harmless.
+    moves (but for rounding) or has no sample has 1, so that dividing by it is harmless.
     """
-    u = np.vstack([record.u for record in records])
-    y = np.vstack([record.y for record in records])
-    su, sy = np.std(u, axis=0), np.nanstd(y, axis=0)
-    return np.where(su > 0, su, 1.0), np.where(sy > 0, sy, 1.0)
+    u, y = (np.vstack([getattr(record, letter) for record in records]) for letter in "uy")
+    return _spread(u), _spread(y)
+
+
+def _spread(values: Array) -> Array:
+    known = np.where(np.isnan(values), 0.0, values)
+    count = np.maximum((~np.isnan(values)).sum(axis=0), 1)
+    mean = known.sum(axis=0) / count
+    centred = np.where(np.isnan(values), 0.0, values - mean)
+    spread = np.sqrt((centred**2).sum(axis=0) / count)
+    return np.where(spread > 1e-12 * np.abs(mean), spread, 1.0)
 
 
 def _position(name: str, names: tuple[str, ...], kind: str, record: str) -> int:
