@@ -7,7 +7,7 @@ from casid.frequency import FrequencyResponse
 from casid.linear import StateSpace
 from casid.model import Constraint, Model, Rows, Scalar, matrix, parameter
 from casid.nlp import Progress, SolverOptions
-from casid.pbsid import BlackBox
+from casid.pbsid import BlackBox, pbsid
 from casid.record import Record
 from casid.validation import Validation, validate
 
@@ -31,6 +31,7 @@ __all__ = [
     "Validation",
     "matrix",
     "parameter",
+    "pbsid",
     "read_csv",
     "read_mat",
     "validate",

@@ -1,0 +1,209 @@
+"""Predictor-based subspace identification of data that are already regressors.
+
+The columns of a data set are stacked instants z(0), z(1), ..., z(p) of z = (u, y): Laguerre
+projections of one start instant, or successive samples. All that PBSIDopt needs of them is the
+triangular factor of their QR decomposition, accumulated block by block, so memory does not grow
+with the record. Source: A. Chiuso, "The role of vector autoregressive modeling in predictor-based
+subspace identification", Automatica 43 (2007); M. Bergamasco, M. Lovera, IET CTA 5 (2011).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from casid.arrays import Array, BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Triangular factor of all columns of a campaign.
+
+    Parameters
+    ----------
+    R : (p + 1) nz x (p + 1) nz array
+        Upper triangular; RᵀR is the Gram matrix of the columns (z(0), ..., z(p)).
+    nu, ny, past : int
+        Sizes; nz = nu + ny.
+    columns : int
+        How many columns went in.
+    """
+
+    R: Array
+    nu: int
+    ny: int
+    past: int
+    columns: int
+
+    @property
+    def nz(self) -> int:
+        """Number of channels."""
+        return self.nu + self.ny
+
+    @property
+    def Z(self) -> Array:
+        """z(0) ... z(p - 1)."""
+        return self.R[:, : self.past * self.nz]
+
+    @property
+    def Z_next(self) -> Array:
+        """z(1) ... z(p)."""
+        return self.R[:, self.nz :]
+
+    @property
+    def u(self) -> Array:
+        """Present input u(p)."""
+        return self.R[:, self.past * self.nz : self.past * self.nz + self.nu]
+
+    @property
+    def y(self) -> Array:
+        """Present output y(p)."""
+        return self.R[:, self.past * self.nz + self.nu :]
+
+
+def accumulate(blocks: Iterable[Array], *, constant: bool) -> tuple[Array, int]:
+    """Triangular factor of stacked blocks of columns (as rows), one after the other.
+
+    With ``constant`` a constant regressor is projected out of all of them together.
+    """
+    R: Array | None = None
+    count = 0
+    for block in blocks:
+        count += len(block)
+        rows = np.hstack([np.ones((len(block), 1)), block]) if constant else block
+        R = triangular(rows if R is None else np.vstack([R, rows]))
+    if R is None:
+        return np.zeros((0, 0)), 0
+    return (R[1:, 1:] if constant else R), count
+
+
+def triangular(rows: Array) -> Array:
+    """R of the QR decomposition, (n, n) for at least n rows."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def ridge(X: Array, Y: Array, regularisation: float) -> Array:
+    """Θ that minimises ‖Y - X Θ‖² + (regularisation ‖X‖₂)² ‖Θ‖²."""
+    U, s, Vt = np.linalg.svd(X, full_matrices=False)
+    floor = max(regularisation, 1e-13)
+    gain = s / (s**2 + (floor * s[0]) ** 2)
+    return np.asarray(Vt.T @ (gain[:, None] * (U.T @ Y)))
+
+
+@dataclass(frozen=True, eq=False)
+class Realisation:
+    """A discrete innovation model, x⁺ = A x + B u + K e, y = C x + D u + e, of scaled channels."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    K: Array
+    singular_values: Array
+    residual_covariance: Array
+
+
+def predictor_coefficients(
+    stack: Stack, feedthrough: BoolArray, regularisation: float, *, at_one: bool
+) -> tuple[Array, Array]:
+    """VARX coefficients Ξ (ny, p nz) and direct term D (ny, nu) of y(p) = Ξ z + D u(p) + e(p).
+
+    Parameters
+    ----------
+    stack : Stack
+        The data.
+    feedthrough : (ny, nu) bool array
+        Where the plant may have a direct term.
+    regularisation : float
+        Tikhonov factor relative to the largest singular value.
+    at_one : bool
+        False: the direct term of a masked entry is dropped, the condition on sampled data. True:
+        the plant's response at z = 1 (s = ∞) is zero there, the condition on projected data.
+        With M = I - Σ Ξ^y it reads M⁻¹(D + Σ Ξ^u) = 0, linear row by row in M⁻¹ y for a given M,
+        so the regression runs twice.
+    """
+    free = predictor_rows(stack, np.ones_like(feedthrough), stack.y, regularisation, at_one=at_one)
+    if feedthrough.all():
+        return free
+    if not at_one:
+        return predictor_rows(stack, feedthrough, stack.y, regularisation, at_one=False)
+    M = np.eye(stack.ny) - _output_sum(stack, free[0])
+    y = np.linalg.solve(M, stack.y.T).T
+    Xi, D = predictor_rows(stack, feedthrough, y, regularisation, at_one=True)
+    return M @ Xi, M @ D
+
+
+def predictor_rows(
+    stack: Stack, feedthrough: BoolArray, y: Array, regularisation: float, *, at_one: bool
+) -> tuple[Array, Array]:
+    """One regression per distinct row of the mask; see `predictor_coefficients`."""
+    p, nz, nu = stack.past, stack.nz, stack.nu
+    Xi, D = np.empty((stack.ny, p * nz)), np.zeros((stack.ny, nu))
+    for mask in np.unique(feedthrough, axis=0):
+        rows = np.flatnonzero((feedthrough == mask).all(axis=1))
+        Z = stack.Z.copy()
+        if at_one:
+            for j in np.flatnonzero(~mask):
+                Z[:, j::nz] -= stack.u[:, [j]]  # D_j = -Σ Ξ_j: regress on u(p - i) - u(p)
+        theta = ridge(np.hstack([Z, stack.u[:, mask]]), y[:, rows], regularisation)
+        Xi[rows] = theta[: p * nz].T
+        D[np.ix_(rows, mask)] = theta[p * nz :].T
+        if at_one:
+            for j in np.flatnonzero(~mask):
+                D[rows, j] = -Xi[rows][:, j::nz].sum(axis=1)
+    return Xi, D
+
+
+def realise(
+    stack: Stack, Xi: Array, *, order: int, future: int, feedthrough: BoolArray
+) -> Realisation:
+    """States from the predictor, then the matrices by least squares (PBSIDopt).
+
+    ``feedthrough`` drops the direct term of masked entries; pass all True for projected data.
+    """
+    ny, nz, p = stack.ny, stack.nz, stack.past
+    GammaK = np.zeros((future * ny, p * nz))  # predictions of y(p), y(p + 1), ... from z
+    for j in range(min(future, p)):
+        GammaK[j * ny : (j + 1) * ny, j * nz :] = Xi[:, : (p - j) * nz]
+    U, s, _ = np.linalg.svd(GammaK @ stack.Z.T, full_matrices=False)
+    to_state = (U[:, :order] / np.sqrt(s[:order])).T @ GammaK  # x = Σ^{1/2} Vᵀ = to_state z
+    x, x_next = stack.Z @ to_state.T, stack.Z_next @ to_state.T
+    C, D = np.empty((ny, order)), np.zeros((ny, stack.nu))
+    for mask in np.unique(feedthrough, axis=0):
+        rows = np.flatnonzero((feedthrough == mask).all(axis=1))
+        theta = ridge(np.hstack([x, stack.u[:, mask]]), stack.y[:, rows], 0.0)
+        C[rows] = theta[:order].T
+        D[np.ix_(rows, mask)] = theta[order:].T
+    e = stack.y - x @ C.T - stack.u @ D.T
+    ABK = ridge(np.hstack([x, stack.u, e]), x_next, 0.0).T
+    A, B, K = np.split(ABK, [order, order + stack.nu], axis=1)
+    w = x_next - x @ A.T - stack.u @ B.T
+    covariance = e.T @ e / max(stack.columns, 1)
+    K = stable_gain(A, C, K, w, e)
+    return Realisation(A, B, C, D, K, s, covariance)
+
+
+def stable_gain(A: Array, C: Array, K: Array, w: Array, e: Array) -> Array:
+    """K itself if A - KC is stable, else the stationary Kalman gain of the residuals w and e."""
+    if spectral_radius(A - K @ C) < 1:
+        return K
+    Q, S, R = w.T @ w, w.T @ e, e.T @ e
+    try:
+        P = scipy.linalg.solve_discrete_are(A.T, C.T, Q, R, s=S)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise ValueError(
+            f"no stable predictor of order {len(A)} exists for these data ({error}); "
+            "lower the order or add regularisation"
+        ) from error
+    return np.linalg.solve(C @ P @ C.T + R, C @ P @ A.T + S.T).T
+
+
+def spectral_radius(A: Array) -> float:
+    """Largest absolute eigenvalue."""
+    return float(np.abs(np.linalg.eigvals(A)).max())
+
+
+def _output_sum(stack: Stack, Xi: Array) -> Array:
+    blocks = Xi.reshape(stack.ny, stack.past, stack.nz)[:, :, stack.nu :]
+    return np.asarray(blocks.sum(axis=1))
