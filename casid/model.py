@@ -15,6 +15,15 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.declaration import (
+    check_lengths,
+    check_names,
+    check_order,
+    check_parameter,
+    check_rows,
+    entry,
+    written,
+)
 from casid.errors import ModelError
 from casid.linear import StateSpace
 
@@ -49,10 +58,10 @@ def parameter(
     default: float,
     lower: float = -np.inf,
     upper: float = np.inf,
-    unit: str,
+    unit: str = "",
     scale: float | None = None,
 ) -> Any:  # noqa: ANN401 - a field specifier, typed by the annotation beside it
-    """Declare one parameter of a `Model`.
+    """Declare one parameter of a `Model`; the class checks it, since it knows the name.
 
     Parameters
     ----------
@@ -61,20 +70,16 @@ def parameter(
     lower, upper : float
         Bounds; a value may lie on them.
     unit : str
-        Its unit, SI and radians, "-" if it has none.
+        Its unit, SI and radians, "-" if it has none; must be given.
     scale : float
         Typical magnitude, for the solver; taken from guess and bounds unless given.
 
     Raises
     ------
     ModelError
-        lower > upper, a guess outside the bounds, no unit, a scale that is not positive.
+        When the class is made: lower > upper, a guess outside the bounds, no unit, a scale that is
+        not positive.
     """
-    if not unit:
-        raise ModelError('a parameter needs a unit; write unit="-" if it has none')
-    _check_bounds("a parameter", default, lower, upper)
-    if scale is not None and not (np.isfinite(scale) and scale > 0):
-        raise ModelError(f"scale={scale}: expected a positive number")
     info = ParameterInfo(float(lower), float(upper), unit, scale)
     return field(default=float(default), metadata={"parameter": info})
 
@@ -90,12 +95,11 @@ class Model:
 
     def __init_subclass__(cls) -> None:
         for attribute in ("states", "inputs", "outputs"):
-            names = getattr(cls, attribute, None)
-            if not isinstance(names, tuple) or not names:
-                raise ModelError(
-                    f"{cls.__name__}.{attribute} is {names!r}, expected a tuple of names: "
-                    f'{attribute} = ("a", "b")'
-                )
+            check_names(cls, attribute, getattr(cls, attribute, None))
+        reserved = {*dir(Model), "states", "inputs", "outputs"}
+        for name, declared in vars(cls).items():
+            if "parameter" in getattr(declared, "metadata", {}):
+                check_parameter(cls, name, declared, reserved)
         dataclass(frozen=True, kw_only=True, eq=True)(cls)
 
     # ---- what a structure writes ----------------------------------------------------------------
@@ -193,13 +197,9 @@ def matrix(rows: Rows) -> ca.SX:
     ModelError
         No rows, or rows of different length.
     """
-    lengths = [len(row) for row in rows]
-    if not lengths or min(lengths) == 0:
-        raise ModelError("a matrix needs at least one row and one column")
-    if len(set(lengths)) > 1:
-        odd = next(i for i, length in enumerate(lengths) if length != lengths[0])
-        raise ModelError(f"row {odd} has {lengths[odd]} entries, row 0 has {lengths[0]}")
-    return ca.sparsify(ca.vertcat(*[ca.horzcat(*[ca.SX(entry) for entry in row]) for row in rows]))
+    check_lengths(rows)
+    entries = [[entry(value, i, j) for j, value in enumerate(row)] for i, row in enumerate(rows)]
+    return ca.sparsify(ca.vertcat(*[ca.horzcat(*row) for row in entries]))
 
 
 # ---- which parameters an estimator may move ----------------------------------------------------
@@ -280,7 +280,7 @@ def free_parameters(
             )
     limits = {name: bounds.get(name, (info.lower, info.upper)) for name, info in infos.items()}
     for name, pair in limits.items():
-        _check_order(name, *pair)
+        check_order(name, *pair)
     lower, upper = (np.array([pair[i] for pair in limits.values()], dtype=float) for i in (0, 1))
     held = np.array([name in fixed for name in infos])
     guess = model.vector()
@@ -299,20 +299,9 @@ def free_parameters(
     return Free(model.with_vector(guess), index, lower, upper, scale)
 
 
-def _check_order(name: str, lower: float, upper: float) -> None:
-    if not lower <= upper:  # also refuses NaN
-        raise ModelError(f"{name}: lower bound {lower} > upper bound {upper}; swap or correct them")
-
-
-def _check_bounds(name: str, default: float, lower: float, upper: float) -> None:
-    _check_order(name, lower, upper)
-    if not lower <= default <= upper:
-        raise ModelError(f"{name}: default {default} is outside its bounds [{lower}, {upper}]")
-
-
 def _expressions(symbolic: Model) -> tuple[ca.SX, ...]:
     cls = type(symbolic)
-    built = {letter: _method(symbolic, letter) for letter in "ABCD"}
+    built = {letter: written(symbolic, letter, matrix) for letter in "ABCD"}
     nx, nu, ny = len(cls.states), len(cls.inputs), len(cls.outputs)
     wanted = {"A": (nx, nx), "B": (nx, nu), "C": (ny, nx), "D": (ny, nu)}
     for letter, shape in wanted.items():
@@ -321,23 +310,14 @@ def _expressions(symbolic: Model) -> tuple[ca.SX, ...]:
                 f"{cls.__name__}.{letter} has shape {built[letter].shape}, expected {shape}: "
                 f"{nx} states, {nu} inputs, {ny} outputs"
             )
-    delays = dict(symbolic.delays())
+    check_rows(cls, built)
+    delays = written(symbolic, "delays", dict)
     if unknown := [name for name in delays if name not in cls.inputs]:
         raise ModelError(
             f"{cls.__name__}.delays names {unknown[0]!r}, which is no input; "
             f"inputs are {', '.join(cls.inputs)}"
         )
     tau = ca.vertcat(*[ca.SX(delays.get(name, 0.0)) for name in cls.inputs])
-    c = ca.vertcat(ca.SX(0, 1), *[ca.SX(item.value) for item in symbolic.constraints()])
+    constraints = written(symbolic, "constraints", tuple)
+    c = ca.vertcat(ca.SX(0, 1), *[ca.SX(item.value) for item in constraints])
     return (*built.values(), tau, c)
-
-
-def _method(symbolic: Model, letter: str) -> ca.SX:
-    try:
-        return matrix(getattr(symbolic, letter)())
-    except ModelError as error:
-        raise ModelError(f"{type(symbolic).__name__}.{letter}: {error}") from error
-    except Exception as error:  # the user's own code may raise anything
-        raise ModelError(
-            f"{type(symbolic).__name__}.{letter} raised {type(error).__name__}: {error}"
-        ) from error

@@ -1,0 +1,113 @@
+"""What can be wrong with a model file, told with the name of the culprit."""
+
+import difflib
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.errors import ModelError
+
+
+def check_names(cls: type, attribute: str, names: Any) -> None:  # noqa: ANN401 - unchecked
+    """Refuse what is not a tuple of different names."""
+    whole = isinstance(names, tuple) and bool(names)
+    if not whole or not all(isinstance(name, str) for name in names):
+        raise ModelError(
+            f"{cls.__name__}.{attribute} is {names!r}, expected a tuple of names: "
+            f'{attribute} = ("a", "b"), or ("a",) for one'
+        )
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ModelError(f"{cls.__name__}.{attribute} names {twice[0]!r} twice")
+
+
+def check_parameter(cls: type, name: str, declared: Any, reserved: Collection[str]) -> None:  # noqa: ANN401 - a Field
+    """Refuse a parameter without type or unit, of a taken name, or with impossible bounds."""
+    info, default = declared.metadata["parameter"], declared.default
+    where = f"{cls.__name__}.{name}"
+    if name not in cls.__annotations__:
+        raise ModelError(f"{where} has no type: write {name}: Scalar = parameter(...)")
+    if name in reserved:
+        raise ModelError(f"{where}: a parameter must not have the name of a part of Model")
+    if not info.unit:
+        raise ModelError(f'{where} has no unit; write unit="1/s", or unit="-" if it has none')
+    check_order(where, info.lower, info.upper)
+    if not info.lower <= default <= info.upper:
+        raise ModelError(
+            f"{where}: default {default:g} is outside its bounds [{info.lower:g}, {info.upper:g}]"
+        )
+    if info.scale is not None and not (np.isfinite(info.scale) and info.scale > 0):
+        raise ModelError(f"{where}: scale={info.scale}, expected a positive number")
+
+
+def check_order(name: str, lower: float, upper: float) -> None:
+    """Refuse bounds in the wrong order."""
+    if not lower <= upper:  # also refuses NaN
+        raise ModelError(f"{name}: lower bound {lower} > upper bound {upper}; swap or correct them")
+
+
+def check_rows(cls: Any, built: Mapping[str, ca.SX]) -> None:  # noqa: ANN401 - Model lives above
+    """A state nothing drives and an output nothing reaches are slips, not models."""
+    A, B, C, D = (built[letter] for letter in "ABCD")
+    for i, state in enumerate(cls.states):
+        if A[i, :].nnz() + B[i, :].nnz() == 0:
+            raise ModelError(
+                f"{cls.__name__}: state {state!r} has no dynamics: row {i} of A and of B is zero"
+            )
+    for i, output in enumerate(cls.outputs):
+        if C[i, :].nnz() + D[i, :].nnz() == 0:
+            raise ModelError(
+                f"{cls.__name__}: output {output!r} is always zero: row {i} of C and of D is zero; "
+                "write that row or drop the output"
+            )
+
+
+def written(symbolic: Any, method: str, convert: Callable[[Any], Any]) -> Any:  # noqa: ANN401
+    """What a method of the user's class gives; whatever it raises is told with its name."""
+    where = f"{type(symbolic).__name__}.{method}"
+    try:
+        return convert(getattr(symbolic, method)())
+    except ModelError as error:
+        raise ModelError(f"{where}: {error}") from error
+    except AttributeError as error:
+        known = [*type(symbolic).__dataclass_fields__, *dir(type(symbolic))]
+        near = difflib.get_close_matches(str(error.name), known, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ModelError(
+            f"{where} uses {error.name!r}, which {type(symbolic).__name__} does not declare{hint}"
+            if error.obj is symbolic
+            else f"{where} raised AttributeError: {error}"
+        ) from error
+    except Exception as error:  # the user's own code may raise anything
+        raise ModelError(f"{where} raised {type(error).__name__}: {error}") from error
+
+
+def check_lengths(rows: Any) -> None:  # noqa: ANN401 - whatever the user wrote
+    """Refuse what is not a sequence of rows of one length."""
+    if isinstance(rows, str) or not hasattr(rows, "__len__"):
+        raise ModelError(f"it is {rows!r}, expected a list of rows: [[a, b], [c, d]]")
+    for i, row in enumerate(rows):
+        if isinstance(row, str) or not hasattr(row, "__len__"):
+            raise ModelError(f"row {i} is {row!r}, expected a list of entries: [[a, b], [c, d]]")
+    lengths = [len(row) for row in rows]
+    if not lengths or min(lengths) == 0:
+        raise ModelError("a matrix needs at least one row and one column")
+    if len(set(lengths)) > 1:
+        usual = max(set(lengths), key=lengths.count)
+        odd = next(i for i, length in enumerate(lengths) if length != usual)
+        raise ModelError(f"row {odd} has {lengths[odd]} entries, the others have {usual}")
+
+
+def entry(value: Any, i: int, j: int) -> ca.SX:  # noqa: ANN401 - whatever the user wrote
+    """One entry of a matrix as an expression."""
+    try:
+        expression = ca.SX(value)
+    except (NotImplementedError, TypeError, RuntimeError):
+        expression = None
+    if expression is None or expression.shape != (1, 1):
+        hint = "; call it: add ()" if callable(value) else ""
+        raise ModelError(
+            f"entry [{i}][{j}] is {value!r}, expected a number or an expression of parameters{hint}"
+        )
+    return expression

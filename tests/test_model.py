@@ -1,0 +1,226 @@
+"""Model structures: one declaration for numbers and symbols, and slips told by name."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import FrozenInstanceError, replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from casid import Constraint, Model, ModelError, Rows, Scalar, matrix, parameter
+from casid.model import free_parameters
+
+
+class Roll(Model):
+    states = ("v", "p", "phi")
+    inputs = ("lat", "ped")
+    outputs = ("p", "phi")
+
+    Yv: Scalar = parameter(default=-0.1, lower=-1.0, upper=0.0, unit="1/s")
+    Lv: Scalar = parameter(default=-0.05, lower=-0.5, upper=0.5, unit="rad/(m s)")
+    Lp: Scalar = parameter(default=-3.0, lower=-9.0, upper=0.0, unit="1/s", scale=2.0)
+    Llat: Scalar = parameter(default=20.0, unit="rad/s^2")
+    tau: Scalar = parameter(default=0.05, lower=0.0, upper=0.2, unit="s")
+    g: float = 9.8
+
+    def A(self) -> Rows:
+        return [[self.Yv, 0, self.g], [self.Lv, self.Lp, 0], [0, 1, 0]]
+
+    def B(self) -> Rows:
+        return [[0, 0.5], [self.Llat, 0], [0, 0]]
+
+    def delays(self) -> Mapping[str, Scalar]:
+        return {"lat": self.tau}
+
+    def constraints(self) -> Sequence[Constraint]:
+        return [Constraint("damping", self.Lp + 10 * self.Yv, -20.0, 0.0)]
+
+
+def test_the_same_methods_run_on_numbers_and_on_symbols():
+    model = Roll(Lp=-4.0, g=9.81)
+    rows = np.array(model.A(), dtype=float)
+    A, B, C, D, tau, c = (m.full() for m in model.matrices()(model.vector()))
+    np.testing.assert_array_equal(A, rows)
+    np.testing.assert_array_equal(A, [[-0.1, 0, 9.81], [-0.05, -4, 0], [0, 1, 0]])
+    np.testing.assert_array_equal(B, [[0, 0.5], [20, 0], [0, 0]])
+    np.testing.assert_array_equal(C, [[0, 1, 0], [0, 0, 1]])  # outputs that are states
+    np.testing.assert_array_equal(D, np.zeros((2, 2)))
+    np.testing.assert_array_equal(tau, [[0.05], [0]])
+    np.testing.assert_array_equal(c, [[-5.0]])
+
+
+def test_literal_zeros_are_structural():
+    sparsity = Roll().matrices().sparsity_out("A")
+    assert sparsity.nnz() == 5
+    assert matrix([[0, ca.SX.sym("a")], [0.0, 1]]).nnz() == 2
+
+
+def test_an_instance_is_a_parameter_set_with_a_system():
+    system = Roll(tau=0.08).system()
+    assert (system.states, system.inputs, system.outputs) == (
+        Roll.states,
+        Roll.inputs,
+        Roll.outputs,
+    )
+    np.testing.assert_array_equal(system.delay, [0.08, 0.0])
+    assert system.dt is None
+
+
+def test_vectors_keep_the_order_of_declaration_and_the_trim():
+    model = Roll(g=1.6)
+    assert model.parameter_names() == ("Yv", "Lv", "Lp", "Llat", "tau")
+    again = model.with_vector(np.array([-0.2, 0.1, -5.0, 7.0, 0.01]))
+    assert again == Roll(Yv=-0.2, Lv=0.1, Lp=-5.0, Llat=7.0, tau=0.01, g=1.6)
+    np.testing.assert_array_equal(again.vector(), [-0.2, 0.1, -5.0, 7.0, 0.01])
+    with pytest.raises(ModelError, match="2 values for 5 parameters"):
+        model.with_vector(np.zeros(2))
+
+
+def test_models_are_frozen_and_varied_by_replace():
+    model = Roll()
+    with pytest.raises(FrozenInstanceError):
+        model.Lp = -1.0
+    assert replace(model, Lp=-1.0).Lp == -1.0
+    with pytest.raises(TypeError, match="Lq"):
+        Roll(Lq=1.0)
+
+
+def test_fixed_parameters_are_numbers_and_free_ones_variables():
+    free = free_parameters(Roll(Yv=-0.3), fixed=("Yv", "tau"), bounds={"Lv": (-0.1, 0.1)})
+    assert free.names == ("Lv", "Lp", "Llat")
+    np.testing.assert_array_equal(free.guess, [-0.05, -3.0, 20.0])
+    np.testing.assert_array_equal(free.lower[:3], [-1.0, -0.1, -9.0])
+    np.testing.assert_array_equal(free.full(np.array([0.01, -2.0, 5.0])), [-0.3, 0.01, -2, 5, 0.05])
+    symbols = ca.SX.sym("f", 3)
+    full = ca.Function("full", [symbols], [free.full(symbols)])
+    np.testing.assert_array_equal(full([0.01, -2, 5]).full().ravel(), [-0.3, 0.01, -2, 5, 0.05])
+
+
+def test_equal_bounds_fix_a_parameter_at_their_value():
+    free = free_parameters(Roll(), bounds={"Lp": (-4.0, -4.0)})
+    assert "Lp" not in free.names
+    assert free.full(free.guess)[2] == -4.0
+
+
+def test_a_guess_outside_narrowed_bounds_starts_on_them():
+    free = free_parameters(Roll(), bounds={"Lp": (-9.0, -4.0)})
+    assert free.guess[free.names.index("Lp")] == -4.0
+
+
+def test_scales_come_from_the_file_the_guess_or_the_bounds():
+    scale = dict(zip(Roll.parameter_names(), free_parameters(Roll(Lv=0.0)).scale, strict=True))
+    assert scale["Lp"] == 2.0  # the file's word
+    assert scale["Llat"] == 20.0  # the guess
+    assert scale["Lv"] == pytest.approx(0.1)  # a tenth of the width of its bounds
+    assert all(value > 0 for value in scale.values())
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ({"fixed": ("Lq",)}, "Roll has no parameter 'Lq'; it has Yv, Lv"),
+        ({"bounds": {"g": (0, 1)}}, "Roll has no parameter 'g'"),
+        ({"bounds": {"Lp": (0.0, -1.0)}}, "Lp: lower bound 0.0 > upper bound -1.0"),
+        ({"bounds": {"Lp": (np.nan, 0.0)}}, "Lp: lower bound nan"),
+        ({"fixed": "Lp"}, r"expected a collection of names, \('Lp',\)"),
+        ({"fixed": Roll.parameter_names()}, "every parameter is fixed"),
+    ],
+)
+def test_a_wrong_choice_of_free_parameters_is_told(choice, message):
+    with pytest.raises(ModelError, match=message):
+        free_parameters(Roll(), **choice)
+
+
+def structure(**parts):
+    """A lag with one part replaced by a faulty one."""
+    lag = {
+        "states": ("x",), "inputs": ("u",), "outputs": ("x",),
+        "__annotations__": {"a": Scalar}, "__module__": __name__,
+        "a": parameter(default=-1.0, unit="1/s"),
+        "A": lambda self: [[self.a]], "B": lambda _: [[1]],
+    }  # fmt: skip
+    return type("Lag", (Model,), lag | parts)
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"states": ["x"]}, r"Lag.states is \['x'\], expected a tuple of names"),
+        ({"inputs": ("u")}, r"Lag.inputs is 'u', expected .* or \(\"a\",\) for one"),
+        ({"outputs": ()}, r"Lag.outputs is \(\)"),
+        ({"states": ("x", "x")}, "Lag.states names 'x' twice"),
+        ({"a": parameter(default=-1.0)}, 'Lag.a has no unit; write unit="1/s"'),
+        ({"a": parameter(default=1.0, lower=2.0, upper=0.0, unit="-")}, "Lag.a: lower bound 2.0 >"),
+        (
+            {"a": parameter(default=1.0, upper=0.0, unit="-")},
+            r"Lag.a: default 1 is outside its bounds \[-inf, 0\]",
+        ),
+        ({"a": parameter(default=1.0, unit="-", scale=0.0)}, "Lag.a: scale=0.0, expected a pos"),
+        ({"__annotations__": {}}, "Lag.a has no type: write a: Scalar = parameter"),
+        (
+            {"D": parameter(default=0.0, unit="-"), "__annotations__": {"a": float, "D": float}},
+            "Lag.D: a parameter must not have the name of a part of Model",
+        ),
+    ],
+)
+def test_a_faulty_declaration_is_told_with_its_name(parts, message):
+    with pytest.raises(ModelError, match=message):
+        structure(**parts)
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"A": lambda self: [[self.aa]]}, "Lag.A uses 'aa', .* not declare; did you mean 'a'"),
+        ({"A": lambda self: [[self.zeta_7]]}, "uses 'zeta_7', which Lag does not declare$"),
+        ({"A": lambda _: [[ca.nonsense]]}, "Lag.A raised AttributeError: .*nonsense"),
+        ({"A": lambda _: [[1 / 0]]}, "Lag.A raised ZeroDivisionError"),
+        ({"A": lambda _: [[1], [1, 2]]}, "Lag.A: row 1 has 2 entries, the others have 1"),
+        ({"A": lambda _: [[1, 2], [1], [2, 3]]}, "Lag.A: row 1 has 1 entries, the others have 2"),
+        ({"A": lambda _: [1]}, r"Lag.A: row 0 is 1, expected a list of entries"),
+        ({"A": lambda self: self.a}, r"Lag.A: it is .*, expected a list of rows"),
+        ({"A": lambda _: []}, "Lag.A: a matrix needs at least one row"),
+        ({"A": lambda self: [[self.D]]}, r"Lag.A: entry \[0\]\[0\] is .*; call it: add \(\)"),
+        ({"A": lambda _: [["a"]]}, r"Lag.A: entry \[0\]\[0\] is 'a', expected a number"),
+        ({"B": lambda _: [[1, 2]]}, r"Lag.B has shape \(1, 2\), expected \(1, 1\): 1 states"),
+        ({"C": lambda _: [[1], [2]]}, r"Lag.C has shape \(2, 1\), expected \(1, 1\)"),
+        ({"D": lambda _: [[1, 0]]}, r"Lag.D has shape \(1, 2\)"),
+        ({"outputs": ("z",)}, "Lag.C: Lag has no method C, and output 'z' is no state"),
+        ({"A": lambda _: [[0]], "B": lambda _: [[0]]}, "Lag: state 'x' has no dynamics: row 0"),
+        ({"C": lambda _: [[0]]}, "Lag: output 'x' is always zero: row 0"),
+        ({"delays": lambda self: {"lat": self.a}}, "Lag.delays names 'lat', which is no input"),
+        ({"delays": lambda self: {"u": self.tau}}, "Lag.delays uses 'tau', which Lag does not"),
+        ({"constraints": lambda self: [self.b]}, "Lag.constraints uses 'b'"),
+    ],
+)
+def test_faulty_matrices_are_told_with_method_row_and_remedy(parts, message):
+    model = structure(**parts)()
+    with pytest.raises(ModelError, match=message):
+        model.matrices()
+
+
+def test_a_missing_method_is_told():
+    class Bare(Model):
+        states = ("x",)
+        inputs = ("u",)
+        outputs = ("x",)
+
+    with pytest.raises(ModelError, match="Bare has no method A"):
+        Bare().matrices()
+
+    class Half(Model):
+        states = ("x",)
+        inputs = ("u",)
+        outputs = ("x",)
+
+        def A(self) -> Rows:
+            return [[-1]]
+
+    with pytest.raises(ModelError, match="Half has no method B"):
+        Half().matrices()
+
+
+def test_a_guess_that_gives_nan_is_told_with_the_entry():
+    model = structure(A=lambda self: [[1 / self.a]])(a=0.0)
+    with pytest.raises(ModelError, match=r"Lag.A\[0\]\[0\] is inf at these parameter values"):
+        model.system()
