@@ -3,7 +3,7 @@
 from casid.errors import ConvergenceError, DataWarning, ModelError
 from casid.files import read_csv, read_mat, write_csv
 from casid.fit import Certificate, Fit, ParameterEstimate
-from casid.frequency import FrequencyResponse
+from casid.frequency import FrequencyResponse, frequency_response
 from casid.linear import StateSpace
 from casid.model import Constraint, Model, Rows, Scalar, matrix, parameter
 from casid.nlp import Progress, SolverOptions
@@ -29,6 +29,7 @@ __all__ = [
     "SolverOptions",
     "StateSpace",
     "Validation",
+    "frequency_response",
     "matrix",
     "parameter",
     "pbsid",

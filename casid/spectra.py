@@ -1,0 +1,313 @@
+"""Spectra of windowed stretches of records, on any grid of frequencies.
+
+M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd ed., chapters 7 to
+10 (*T&R* below): overlapped windows, averages over all windows of all records, conditioning of
+several inputs, composite of several window lengths.
+
+Departures: the transform is summed at the wanted frequencies themselves, which gives the values of
+the chirp z-transform and takes any spacing; one averaged input matrix serves all records at once,
+so that inputs which move together within each record (feedback) are separated by the records of the
+other axes; the composite weighs the errors of the cross-spectrum relative to its magnitude, so that
+it does not depend on where its phase happens to lie.
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.signal
+
+from casid.arrays import Array, BoolArray, ComplexArray
+from casid.record import Record
+
+# Condition number of the inputs' coherence matrix; two inputs with coherence γ² have (1+γ)/(1-γ).
+SUSPECT = 40.0  # γ² = 0.9: errors of one input's response spill into the other's
+MEANINGLESS = 1000.0  # γ² = 0.996: what separates the inputs is leakage and noise
+OVERLAP_FACTOR = np.sqrt(0.55)  # C_ε of T&R (7.35) for windows that overlap by half
+
+FIELDS = ("Gxx", "Gxy", "Gyy", "random_error", "multiple_coherence", "condition")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Spectra:
+    """Averaged one-sided spectral densities of R records, per rad/s.
+
+    ``Guu`` (R, K, nu, nu) holds the averages of conj(U_a) U_b, ``Guy`` (R, K, nu, ny) those of
+    conj(U_a) Y_i, ``Gyy`` (R, K, ny) those of |Y_i|²; ``averages`` (R,) counts the windows that
+    would fit without overlap, ``dropped`` is the share of windows left out for missing samples,
+    ``count`` the number used.
+    """
+
+    Guu: ComplexArray
+    Guy: ComplexArray
+    Gyy: Array
+    averages: Array
+    dropped: float
+    count: int
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Conditioned:
+    """What one window length says of every pair.
+
+    ``Gxx``, ``Gyy`` (K, ny, nu) and ``Gxy`` (K, ny, nu) are the spectra of each input and output
+    with the other inputs' parts removed, so that Gxy/Gxx is the response and |Gxy|²/(Gxx Gyy) the
+    partial coherence; ``random_error`` (K, ny, nu), ``multiple_coherence`` (K, ny), ``condition``
+    (K,) of the inputs' coherence matrix.
+    """
+
+    Gxx: Array
+    Gxy: ComplexArray
+    Gyy: Array
+    random_error: Array
+    multiple_coherence: Array
+    condition: Array
+
+    @property
+    def response(self) -> ComplexArray:
+        """Gxy/Gxx, (K, ny, nu)."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(self.Gxy / self.Gxx)
+
+    @property
+    def coherence(self) -> Array:
+        """Partial coherence, (K, ny, nu)."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.clip(np.abs(self.Gxy) ** 2 / (self.Gxx * self.Gyy), 0.0, 1.0)
+
+
+def record_spectra(records: Sequence[Record], omega: Array, length: float) -> Spectra:
+    """Spectra of each record, averaged over half-overlapped Hann windows of one length.
+
+    A record shorter than the window is left out, and so is a window with a missing output sample.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Equidistant.
+    omega : (K,) array
+        Frequencies [rad/s].
+    length : float
+        Window [s].
+    """
+    K, nu, ny = len(omega), records[0].nu, records[0].ny
+    sums = []
+    offered = used = 0
+    for record in records:
+        U, Y, n, all_ = _windowed(record, omega, length)
+        offered, used = offered + all_, used + n
+        scale = max(n, 1)
+        Guu = np.einsum("wka,wkb->kab", U.conj(), U) / scale
+        Guy = np.einsum("wka,wki->kai", U.conj(), Y) / scale
+        Gyy = np.einsum("wki,wki->ki", Y.conj(), Y).real / scale
+        # n half-overlapped windows cover (n + 1)/2 lengths.
+        sums.append((Guu, Guy, Gyy, (n + 1) / 2 if n else 0.0))
+    Guu, Guy, Gyy, averages = (np.array(column) for column in zip(*sums, strict=True))
+    shape = (len(records), K)
+    return Spectra(
+        Guu=Guu.reshape(*shape, nu, nu), Guy=Guy.reshape(*shape, nu, ny),
+        Gyy=Gyy.reshape(*shape, ny), averages=averages, count=used,
+        dropped=1 - used / max(offered, 1),
+    )  # fmt: skip
+
+
+def transform(x: Array, dt: float, omega: Array) -> ComplexArray:
+    """Fourier transforms ∫ x exp(-jωt) dt of stretches of samples, (windows, K, channels).
+
+    Parameters
+    ----------
+    x : (windows, M, channels) array
+        Samples, tapered.
+    dt : float
+        Sampling interval [s].
+    omega : (K,) array
+        Frequencies [rad/s], in any spacing.
+    """
+    W = dt * np.exp(-1j * np.outer(omega, dt * np.arange(x.shape[1])))  # (K, M)
+    return np.asarray(np.einsum("km,wmc->wkc", W, x, optimize=True))
+
+
+def _windowed(
+    record: Record, omega: Array, length: float
+) -> tuple[ComplexArray, ComplexArray, int, int]:
+    M = round(length / record.dt)
+    values = np.hstack([record.u, record.y])
+    starts = _starts(len(values), M)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a channel without any sample stays NaN
+        values = values - np.nanmean(values, axis=0)
+    stretches = np.array([values[i : i + M] for i in starts]).reshape(
+        len(starts), M, record.nu + record.ny
+    )
+    stretches = stretches[~np.isnan(stretches).any(axis=(1, 2))]
+    taper = scipy.signal.get_window("hann", M)
+    # Density: mean square per unit of frequency is 2 |X|² / (2π ∫ taper² dt), one-sided.
+    density = np.sqrt(1 / (np.pi * record.dt * np.sum(taper**2)))
+    Z = density * transform(stretches * taper[:, None], record.dt, omega)
+    return Z[..., : record.nu], Z[..., record.nu :], len(stretches), len(starts)
+
+
+def _starts(N: int, M: int) -> Array:
+    """First samples of half-overlapped windows, spread so that the last one ends the record."""
+    if M > N or M < 2:
+        return np.zeros(0, dtype=int)
+    n = int(np.ceil((N - M) / (M / 2))) + 1
+    return np.round(np.linspace(0, N - M, n)).astype(int)
+
+
+def condition(spectra: Spectra, *, conditioned: bool) -> Conditioned:
+    """Response, partial coherence and random error of every pair from one window length.
+
+    All records share one response: Hᵀ = solve(Guu, Guy) with the sums over records. Partial
+    coherence and the number of averages are those on the records that move the input: each record
+    counts by its share of the conditioned input's power. When one axis moves at a time these are
+    the figures of that axis's records, as in T&R; when all records are alike, those of all records.
+    """
+    n = spectra.averages / spectra.averages.sum()
+    Guu = np.einsum("r,rkab->kab", n, spectra.Guu)
+    Guy = np.einsum("r,rkai->kai", n, spectra.Guy)
+    Gyy = np.einsum("r,rki->ki", n, spectra.Gyy)
+    level = np.sqrt(np.einsum("kaa->ka", Guu).real)
+    safe = np.where(level > 0, level, 1.0)
+    scale = safe[:, :, None] * safe[:, None, :]
+    unit = Guu / scale  # ones on the diagonal: how correlated the inputs are, whatever their units
+    number = np.linalg.cond(unit)
+    if not conditioned:
+        unit = unit * np.eye(unit.shape[1])
+    wrong = np.linalg.cond(unit) > MEANINGLESS
+    unit[wrong] = np.eye(unit.shape[1])
+    P = np.linalg.inv(unit) / scale
+    H = np.einsum("kab,kbi->kia", P, Guy)  # (K, ny, nu)
+    w = P / np.einsum("kaa->ka", P)[:, :, None]  # row j: the part of input j the others do not give
+    power = np.einsum("kja,rkab,kjb->rkj", w, spectra.Guu, w.conj(), optimize=True).real
+    H[wrong] = np.nan
+    return _pairs(spectra, H, Gyy, np.maximum(power, 0.0), number, conditioned=conditioned)
+
+
+def _pairs(
+    spectra: Spectra,
+    H: ComplexArray,
+    Gyy: Array,
+    power: Array,
+    number: Array,
+    *,
+    conditioned: bool,
+) -> Conditioned:
+    total = spectra.averages.sum()
+    n = spectra.averages / total
+    N = _residual(spectra, H, conditioned=conditioned)  # (R, K, ny, nu)
+    share = n[:, None, None] * power
+    total_power = np.sum(share, axis=0)
+    share = share / np.where(
+        total_power > 0, total_power, 1.0
+    )  # (R, K, nu): how much each record says of an input
+    noise = np.maximum(np.einsum("rkj,rkij->kij", share, N), 0.0)
+    Gxx = np.einsum("rkj,rkj->kj", share, power)[:, None, :] * np.ones_like(noise)
+    output = np.abs(H) ** 2 * Gxx + noise
+    coherence = np.abs(H) ** 2 * Gxx / np.where(output == 0, 1.0, output)
+    used = n > 0
+    effective = total / np.sum(share[used] ** 2 / n[used, None, None], axis=0)
+    lost = (H.shape[2] - 1) / total if conditioned else 0.0
+    averages = np.maximum(effective * (1 - lost), 0.0)[:, None, :]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = OVERLAP_FACTOR * np.sqrt((1 - coherence) / (2 * averages * coherence))
+    everywhere = np.einsum("r,rkij->kij", n, N).min(axis=2)
+    return Conditioned(
+        Gxx=Gxx, Gxy=H * Gxx, Gyy=output, random_error=error,
+        multiple_coherence=np.clip(1 - everywhere / np.where(Gyy > 0, Gyy, 1.0), 0.0, 1.0),
+        condition=number,
+    )  # fmt: skip
+
+
+def _residual(spectra: Spectra, H: ComplexArray, *, conditioned: bool) -> Array:
+    """What the response leaves of each output's density in each record, (R, K, ny, nu)."""
+    Guu, Guy, Gyy = spectra.Guu, spectra.Guy, spectra.Gyy
+    if conditioned:
+        cross = np.einsum("kia,rkai->rki", H.conj(), Guy).real
+        own = np.einsum("kia,rkab,kib->rki", H.conj(), Guu, H, optimize=True).real
+        return np.asarray((Gyy - 2 * cross + own)[..., None] * np.ones(H.shape[2]))
+    cross = np.einsum("kia,rkai->rkia", H.conj(), Guy).real
+    own = np.abs(H) ** 2 * np.einsum("rkaa->rka", Guu).real[:, :, None, :]
+    return np.asarray(Gyy[..., None] - 2 * cross + own)
+
+
+def composite(parts: Sequence[Conditioned], usable: BoolArray, iterations: int = 8) -> Conditioned:
+    """One set of spectra that explains those of all window lengths best, T&R chapter 10.
+
+    Minimises per pair and frequency, by Gauss-Newton steps on all of them at once,
+
+        Σ_w W_w [(Gxx/Gxx_w - 1)² + (Gyy/Gyy_w - 1)² + |Gxy - Gxy_w|²/|Gxy_w|² + 5 (γ²/γ_w² - 1)²],
+
+    W_w = (ε_w / min ε)⁻⁴. NaN where no window may be used.
+
+    Parameters
+    ----------
+    parts : sequence of Conditioned
+        One a window length.
+    usable : (windows, K) bool array
+        Where each length may be used.
+    iterations : int
+        Gauss-Newton steps; the residuals are small and the start is their weighted mean.
+    """
+    stacked = {name: np.array([getattr(part, name) for part in parts]) for name in FIELDS}
+    W = _weights(stacked["random_error"], usable)  # (windows, K, ny, nu)
+    means = {name: _mean(W, stacked[name]) for name in ("Gxx", "Gyy", "Gxy", "random_error")}
+    # Relative to the weighted means: four unknowns of order one, the phase of the mean removed.
+    a, b, z = (_relative(W, stacked[name], means[name]) for name in ("Gxx", "Gyy", "Gxy"))
+    c = np.zeros((4, *W.shape[1:]))
+    c[:3] = 1.0
+    limits = np.array([0.1, 0.1, -9.0, -9.0])[:, None, None, None]
+    for _ in range(iterations):
+        c = np.clip(c - _step(c, np.sqrt(W), a, b, z), limits, 9.0)
+    none = ~np.asarray(usable.any(axis=0), dtype=bool)
+    lost = np.where(none, np.nan, 1.0)
+    multiple = _mean(W.mean(axis=3), stacked["multiple_coherence"])
+    G = {name: lost[:, None, None] * value for name, value in means.items()}
+    return Conditioned(
+        Gxx=c[0] * G["Gxx"], Gyy=c[1] * G["Gyy"], Gxy=(c[2] + 1j * c[3]) * G["Gxy"],
+        random_error=G["random_error"], multiple_coherence=lost[:, None] * multiple,
+        condition=np.max(stacked["condition"], axis=0),
+    )  # fmt: skip
+
+
+def _mean(W: Array, values: Any) -> Any:  # noqa: ANN401 - real or complex
+    """Mean over window lengths with weights that add up to one."""
+    return np.sum(np.where(W > 0, W * np.where(W > 0, values, 0), 0), axis=0)
+
+
+def _relative(W: Array, values: Any, mean: Any) -> Any:  # noqa: ANN401 - real or complex
+    """Values over their mean; one where they do not count."""
+    counts = (W > 0) & (np.abs(mean) > 0)
+    return np.where(counts, values, 1.0) / np.where(counts, mean, 1.0)
+
+
+def _weights(error: Array, usable: BoolArray) -> Array:
+    """W_w of every window length, adding up to one; zero where it may not be used."""
+    known = np.where(np.isfinite(error), np.maximum(error, 1e-6), 1e6)
+    trusted = np.where(usable[:, :, None, None], known, np.inf)
+    best = trusted.min(axis=0)
+    W = np.where(np.isfinite(trusted), (trusted / np.where(np.isfinite(best), best, 1)) ** -4.0, 0)
+    total = W.sum(axis=0)
+    return np.asarray(W / np.where(total > 0, total, 1.0))
+
+
+def _step(c: Array, sw: Array, a: Array, b: Array, z: ComplexArray) -> Array:
+    """Gauss-Newton step of the composite's four unknowns, (4, K, ny, nu)."""
+    size = np.maximum(np.abs(z), 1e-12)
+    gamma_w = np.maximum(size**2 / (a * b), 1e-12)
+    gamma = (c[2] ** 2 + c[3] ** 2) / (c[0] * c[1])
+    five = np.sqrt(5.0)
+    r = np.stack([c[0] / a - 1, c[1] / b - 1, (c[2] - z.real) / size, (c[3] - z.imag) / size,
+                  five * (gamma / gamma_w - 1)])  # fmt: skip
+    J = np.zeros((5, 4, *z.shape))
+    J[0, 0], J[1, 1], J[2, 2], J[3, 3] = 1 / a, 1 / b, 1 / size, 1 / size
+    modulus = c[0] * c[1] * gamma_w / five
+    J[4, 0], J[4, 1] = -five * gamma / gamma_w / c[0], -five * gamma / gamma_w / c[1]
+    J[4, 2], J[4, 3] = 2 * c[2] / modulus, 2 * c[3] / modulus
+    r, J = sw * r, sw * J
+    H = np.einsum("rawkij,rbwkij->kijab", J, J)
+    g = np.einsum("rawkij,rwkij->kija", J, r)
+    H[~sw.any(axis=0)] = np.eye(4)
+    return np.moveaxis(np.linalg.solve(H, g[..., None])[..., 0], -1, 0)
