@@ -13,9 +13,12 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.linalg import solve_continuous_are
+from scipy.optimize import linear_sum_assignment
 
 from casid.arrays import Array, BoolArray
 from casid.errors import DataWarning
+from casid.fourier import spectra
 from casid.laguerre import from_laguerre, project_blocks, support
 from casid.linear import StateSpace, from_zoh
 from casid.predictor import (
@@ -27,11 +30,15 @@ from casid.predictor import (
     triangular,
 )
 from casid.record import Record, same_channels, standard_deviations
+from casid.refinement import ResponseUncertainty
+from casid.refinement import refine as refine_black_box
 
 Transform = Literal["laguerre", "none"]
 Feedthrough = bool | Sequence[str] | BoolArray
 
 BLOCK = 4096  # columns held at once
+HIGHEST = 2.0  # of the Laguerre pole: frequencies above it are not refined on
+BAND_END = 1.5  # of the Laguerre pole: the model is not trusted above it
 LONG_GAP = 0.5  # of 1/a: missing samples over a longer time split a record
 
 
@@ -76,6 +83,8 @@ class BlackBox:
         Tikhonov factor of the regression, relative to its largest singular value.
     segments : tuple of Segment
         What was used of each record, and how many missing samples were interpolated.
+    uncertainty : ResponseUncertainty or None
+        Covariance of a refined black box; see `response_std`.
     """
 
     system: StateSpace
@@ -92,6 +101,25 @@ class BlackBox:
     records: tuple[str, ...]
     regularisation: float = 0.0
     segments: tuple[Segment, ...] = ()
+    uncertainty: ResponseUncertainty | None = None
+
+    def response_std(self, omega: Array) -> tuple[Array, Array]:
+        """Relative standard deviation of abs(G) and standard deviation of its phase [rad].
+
+        Both (K, ny, nu). They hold what noise, and whatever else the linear model cannot follow,
+        does to the estimate of a model of this order; not the error of a wrong order.
+
+        Raises
+        ------
+        ValueError
+            The black box was not refined (``refine=False`` or ``transform="none"``).
+        """
+        if self.uncertainty is None:
+            raise ValueError(
+                "this black box has no uncertainty: only a refined one has; "
+                'call pbsid with transform="laguerre" and refine=True'
+            )
+        return self.uncertainty.response_std(np.asarray(omega, dtype=float))
 
     @property
     def order(self) -> int:
@@ -128,6 +156,7 @@ def pbsid(
     feedthrough: Feedthrough = True,
     transform: Transform = "laguerre",
     regularisation: float = 1e-3,
+    refine: bool = True,
 ) -> BlackBox:
     """Identify a black box from the time histories of one or several manoeuvres.
 
@@ -151,6 +180,10 @@ def pbsid(
         (a discrete model; equidistant records).
     regularisation : float
         Tikhonov factor of the regression, relative to its largest singular value.
+    refine : bool
+        Move the continuous subspace model to the maximum likelihood of the records' Fourier
+        transforms (`casid.refinement`), with the direct term zero where it is masked. Without it a
+        masked direct term is only made small.
 
     Returns
     -------
@@ -177,9 +210,16 @@ def pbsid(
     discrete = realise(stack, Xi, order=order, future=future, feedthrough=dropped)
     dt = records[0].dt if transform == "none" else 1.0
     system, K = _unscaled(discrete, su, sy, dt, inputs, outputs)
+    uncertainty = None
     if transform == "laguerre":
         system, K = from_laguerre(system, K, a)
         _check_unstable(system, a)
+        if refine:
+            pieces = [piece for record in records for piece, _ in _pieces(record, a)]
+            data = spectra(pieces, su, sy, HIGHEST * a)
+            refined, uncertainty = refine_black_box(system, data, su, sy, mask)
+            K = carried_gain(system, K, refined, discrete.residual_covariance * np.outer(sy, sy))
+            system = refined
     return BlackBox(
         system=system,
         K=K,
@@ -191,10 +231,11 @@ def pbsid(
         feedthrough=mask,
         input_std=su,
         output_std=sy,
-        band=excited_band(records),
+        band=_band(records, a),
         records=tuple(record.name for record in records),
         regularisation=regularisation,
         segments=segments,
+        uncertainty=uncertainty,
     )
 
 
@@ -229,6 +270,38 @@ def excited_band(records: Sequence[Record]) -> tuple[float, float]:
         above = omega[power > 1e-4 * power.max()]
         highs.append(float(above.max()) if len(above) else low)
     return float(low), float(max(min(highs), 2 * low))
+
+
+def _band(records: Sequence[Record], a: float) -> tuple[float, float]:
+    low, high = excited_band(records)
+    return low, (high if np.isnan(a) else max(min(high, BAND_END * a), 2 * low))
+
+
+def carried_gain(system: StateSpace, K: Array, refined: StateSpace, R: Array) -> Array:
+    """Innovation gain of the refined model: the old one seen in its modes, made stabilising.
+
+    The old gain, carried over by the modes' order, gives the process-noise covariance K R Kᵀ; the
+    filter Riccati equation then returns the gain itself where A - KC is stable, and the stable one
+    of the same spectrum where it is not.
+    """
+    lam_old, V_old = np.linalg.eig(system.A)
+    lam, V = np.linalg.eig(refined.A)
+    modal_gain = np.linalg.solve(V_old, K.astype(complex))
+    size_old = np.linalg.norm(system.C @ V_old, axis=0)
+    order = linear_sum_assignment(np.abs(lam[:, None] - lam_old[None]))[1]
+    turned = np.sum((system.C @ V_old[:, order]).conj() * (refined.C @ V), axis=0)
+    scale = turned / np.abs(turned) * size_old[order] / np.linalg.norm(refined.C @ V, axis=0)
+    carried = np.real(V @ (scale.conj()[:, None] * modal_gain[order]))
+    return riccati_gain(refined.A, refined.C, carried, R)
+
+
+def riccati_gain(A: Array, C: Array, K: Array, R: Array) -> Array:
+    """Stabilising continuous gain of process noise K R Kᵀ, correlated with the residuals."""
+    R = R + 1e-9 * np.trace(R) / len(R) * np.eye(len(R))
+    S = K @ R
+    Q = K @ R @ K.T + 1e-9 * np.trace(K @ R @ K.T) / len(A) * np.eye(len(A))
+    P = solve_continuous_are(A.T, C.T, Q, R, s=S)
+    return np.asarray(np.linalg.solve(R, C @ P + S.T).T)
 
 
 # ---- gathering the columns ----------------------------------------------------------------------

@@ -1,0 +1,399 @@
+"""Maximum-likelihood refinement of a black box in the frequency domain.
+
+A subspace estimate is consistent but not efficient, and its direct term cannot be masked without
+harm. Here its poles, input and output matrices are moved by Gauss-Newton steps to maximise the
+likelihood of the records' Fourier transforms,
+
+    min Σ_records Σ_k Σ_o |Y_o - G_o(jω_k) U - C_o (jω_k I - A)⁻¹ δ|² / Φ_o(ω_k),
+
+with one transient δ per record (`casid.fourier`) and the residual spectrum Φ_o estimated from the
+residuals themselves, smoothed over log ω. What the linear model cannot follow (turbulence, the
+nonlinear response at low frequency) raises Φ there and counts less. Source: R. Pintelon,
+J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapters 9 and 12.
+
+In modal coordinates every derivative is a pole factor r = 1/(jω - λ) times a signal, and an output
+enters through its row of C alone: the normal equations of all outputs are assembled from one small
+Gram matrix each, instead of a tall Jacobian.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from casid.arrays import Array, BoolArray, ComplexArray
+from casid.fourier import Spectrum
+from casid.linear import StateSpace
+
+WIDTH = 0.35  # of the smoothing of residual spectra, in natural logarithms of ω
+ROUNDS = 2  # of estimating residual spectra
+STEPS = 6  # Gauss-Newton steps a round
+SETTLED = 1e-5  # relative decrease of the cost that ends a round
+
+
+@dataclass(frozen=True, eq=False)
+class Modal:
+    """A real model by its modes: one of each complex pair (Im λ > 0), and the real ones.
+
+    ``lam`` (nm,), ``B`` (nm, nu), ``C`` (ny, nm) complex, ``D`` (ny, nu); channels are scaled.
+    """
+
+    lam: ComplexArray
+    B: ComplexArray
+    C: ComplexArray
+    D: Array
+
+    @property
+    def real(self) -> BoolArray:
+        """Which modes are real."""
+        return np.asarray(self.lam.imag == 0)
+
+    def place(self, columns: int) -> tuple[np.ndarray, np.ndarray]:
+        """Positions of real and imaginary parts of ``columns`` numbers a mode, (nm, columns)."""
+        nm, nc = len(self.lam), int((~self.real).sum())
+        first = np.arange(nm * columns).reshape(nm, columns)
+        second = np.full((nm, columns), -1)
+        second[~self.real] = nm * columns + np.arange(nc * columns).reshape(nc, columns)
+        return first, second
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseUncertainty:
+    """Covariance of a refined black box, kept as a factor in modal coordinates.
+
+    ``factor`` (parameters, rank) times its transpose is the covariance of (λ, B, C, free D).
+    """
+
+    modal: Modal
+    free: np.ndarray
+    factor: Array
+    su: Array
+    sy: Array
+
+    def response_std(self, omega: Array) -> tuple[Array, Array]:
+        """Relative standard deviation of abs(G) and standard deviation of its phase [rad].
+
+        Both (K, ny, nu), from the derivative of log G with respect to the parameters.
+        """
+        G, dG = _response_derivative(self.modal, self.free, np.atleast_1d(omega))
+        spread = np.einsum("koip,pr->koir", dG, self.factor) / G[..., None]
+        return np.linalg.norm(spread.real, axis=-1), np.linalg.norm(spread.imag, axis=-1)
+
+
+def refine(
+    system: StateSpace,
+    data: Sequence[Spectrum],
+    su: Array,
+    sy: Array,
+    feedthrough: BoolArray,
+) -> tuple[StateSpace, ResponseUncertainty]:
+    """Refine a continuous black box on Fourier transforms of its records.
+
+    Parameters
+    ----------
+    system : StateSpace
+        The start, continuous.
+    data : sequence of Spectrum
+        Transforms scaled by the standard deviations.
+    su, sy : (nu,), (ny,) array
+        Standard deviations of the channels.
+    feedthrough : (ny, nu) bool array
+        Where the direct term is free; elsewhere it is zero.
+
+    Returns
+    -------
+    StateSpace
+        In real modal coordinates.
+    ResponseUncertainty
+        Its covariance under the estimated residual spectra.
+    """
+    free = np.argwhere(feedthrough)
+    modal = to_modal(system, su, sy, feedthrough)
+    weights: list[Array] = []
+    for _ in range(ROUNDS):
+        weights = noise_weights(modal, data)
+        modal = _gauss_newton(modal, data, weights, free)
+    H, _, _ = normal_equations(modal, data, weights, free)
+    rows = 2 * sum(len(s.omega) for s in data) * len(sy)
+    used = len(H) + len(data) * system.nx
+    inflate = rows / max(rows - used, 1)  # residuals are smaller than noise by what was fitted
+    factor = _covariance_factor(H) * np.sqrt(inflate / 2)  # Fisher = 2 Re Σ Jᴴ W J
+    refined = from_modal(modal, su, sy, system)
+    return refined, ResponseUncertainty(modal, free, factor, su, sy)
+
+
+def misfit(system: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array) -> Array:
+    """Mean squared residual of each output with the best transients, (spectra, ny), scaled."""
+    modal = to_modal(system, su, sy, np.ones((system.ny, system.nu), dtype=bool))
+    return np.array([np.mean(np.abs(E) ** 2, axis=0) for E in _residuals(modal, data)])
+
+
+# ---- modal coordinates --------------------------------------------------------------------------
+
+
+def to_modal(system: StateSpace, su: Array, sy: Array, feedthrough: BoolArray) -> Modal:
+    """Modes of a system with scaled channels, balanced between B and C."""
+    lam, V = np.linalg.eig(system.A)
+    C = (system.C / sy[:, None]) @ V
+    B = np.linalg.solve(V, (system.B * su).astype(complex))
+    keep = lam.imag >= 0
+    B, C = np.asarray(B[keep], dtype=complex), np.asarray(C[:, keep], dtype=complex)
+    lam = np.asarray(lam[keep], dtype=complex)
+    real = lam.imag == 0
+    phase = np.where(real & (np.abs(B.imag).max(axis=1) > np.abs(B.real).max(axis=1)), 1j, 1.0)
+    B, C = np.asarray(B / phase[:, None]), np.asarray(C * phase)
+    B[real], C[:, real] = B[real].real, C[:, real].real
+    nb, nc = np.linalg.norm(B, axis=1), np.linalg.norm(C, axis=0)
+    balance = np.sqrt(np.where((nb > 0) & (nc > 0), nc / np.where(nb > 0, nb, 1.0), 1.0))
+    D = np.where(feedthrough, system.D * su / sy[:, None], 0.0)
+    return Modal(lam, B * balance[:, None], C / balance, D)
+
+
+def from_modal(modal: Modal, su: Array, sy: Array, like: StateSpace) -> StateSpace:
+    """Real state-space model with physical channels; blocks of one or two states."""
+    blocks, rows, columns = [], [], []
+    for lam, b, c in zip(modal.lam, modal.B, modal.C.T, strict=True):
+        if lam.imag == 0:
+            blocks.append(np.array([[lam.real]]))
+            rows.append(b.real[None])
+            columns.append(c.real[None])
+        else:
+            blocks.append(np.array([[lam.real, -lam.imag], [lam.imag, lam.real]]))
+            rows.append(np.vstack([b.real, b.imag]))
+            columns.append(np.vstack([2 * c.real, -2 * c.imag]))
+    A = scipy.linalg.block_diag(*blocks)
+    B, C = np.vstack(rows) / su, np.vstack(columns).T * sy[:, None]
+    D = modal.D * sy[:, None] / su
+    return StateSpace(A, B, C, D, None, like.inputs, like.outputs)
+
+
+def _pole_factors(modal: Modal, omega: Array) -> tuple[ComplexArray, ComplexArray]:
+    """1/(jω - λ) and 1/(jω - λ*), the second zero for a real mode; (K, nm) each."""
+    r = 1 / (1j * omega[:, None] - modal.lam)
+    rc = np.where(modal.real, 0.0, 1 / (1j * omega[:, None] - modal.lam.conj()))
+    return r, rc
+
+
+def _states(
+    modal: Modal, U: ComplexArray, r: ComplexArray, rc: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Modal states of the forced response and those of the conjugate modes, (K, nm)."""
+    return r * (U @ modal.B.T), rc * (U @ modal.B.conj().T)
+
+
+def _pair(phi: ComplexArray, conjugate: ComplexArray, real: BoolArray) -> ComplexArray:
+    """Real basis of a modal signal (K, nm, c): sums of all modes, then differences of pairs."""
+    first = (phi + conjugate).reshape(len(phi), -1)
+    second = (1j * (phi - conjugate))[:, ~real].reshape(len(phi), -1)
+    return np.hstack([first, second])
+
+
+# ---- Gauss-Newton -------------------------------------------------------------------------------
+
+
+def _forced(modal: Modal, spectrum: Spectrum) -> tuple[ComplexArray, ComplexArray]:
+    """Output residual without transient (K, ny), and the transient's basis (K, n)."""
+    r, rc = _pole_factors(modal, spectrum.omega)
+    X, Xc = _states(modal, spectrum.U, r, rc)
+    E = spectrum.Y - X @ modal.C.T - Xc @ modal.C.conj().T - spectrum.U @ modal.D.T
+    return E, _pair(r[:, :, None], rc[:, :, None], modal.real)
+
+
+def _residuals(modal: Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
+    """Residuals (K, ny) of every spectrum with its best transient."""
+    mixes = [_mixing(modal, o, 1) for o in range(len(modal.C))]
+    found = []
+    for spectrum in data:
+        E, basis = _forced(modal, spectrum)
+        columns = [basis @ mix for mix in mixes]
+        P = np.vstack([*(c.real for c in columns), *(c.imag for c in columns)])
+        e = E.T.ravel()
+        target = np.concatenate([e.real, e.imag])
+        delta = np.linalg.lstsq(P, target, rcond=1e-10)[0]
+        left = (target - P @ delta).reshape(2, E.shape[1], -1)
+        found.append((left[0] + 1j * left[1]).T)
+    return found
+
+
+def noise_weights(modal: Modal, data: Sequence[Spectrum]) -> list[Array]:
+    """1/√Φ (K, ny) of every spectrum, Φ the residual spectrum smoothed over log ω."""
+    residuals = _residuals(modal, data)
+    omega = np.log(np.concatenate([s.omega for s in data]))
+    power = np.vstack([np.abs(E) ** 2 for E in residuals])
+    floor = 1e-20 * np.vstack([np.abs(s.Y) ** 2 for s in data]).mean(axis=0)
+    weights = []
+    for spectrum in data:
+        kernel = np.exp(-0.5 * ((np.log(spectrum.omega)[:, None] - omega) / WIDTH) ** 2)
+        smooth = (kernel @ power) / kernel.sum(axis=1)[:, None]
+        weights.append(1 / np.sqrt(smooth + floor))
+    return weights
+
+
+def _cost(modal: Modal, data: Sequence[Spectrum], weights: Sequence[Array]) -> float:
+    """Weighted squared residuals with the best transients."""
+    mixes = [_mixing(modal, o, 1) for o in range(len(modal.C))]
+    total = 0.0
+    for spectrum, w in zip(data, weights, strict=True):
+        E, basis = _forced(modal, spectrum)
+        G = np.zeros((len(mixes[0]) + 1, len(mixes[0]) + 1))
+        for o, mix in enumerate(mixes):
+            rows = w[:, [o]] * np.hstack([basis @ mix, E[:, [o]]])
+            G += rows.real.T @ rows.real + rows.imag.T @ rows.imag
+        total += float(_schur(G, len(mixes[0]))[0, 0])
+    return total
+
+
+def _gauss_newton(
+    modal: Modal, data: Sequence[Spectrum], weights: Sequence[Array], free: np.ndarray
+) -> Modal:
+    """Levenberg-Marquardt steps until the cost settles."""
+    damping, cost = 1e-3, _cost(modal, data, weights)
+    for _ in range(STEPS):
+        H, gradient, _ = normal_equations(modal, data, weights, free)
+        scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+        scaled, right = H / np.outer(scale, scale), gradient / scale
+        before = cost
+        for _ in range(8):
+            step = (
+                scipy.linalg.solve(scaled + damping * np.eye(len(H)), right, assume_a="pos") / scale
+            )
+            trial = _moved(modal, step, free)
+            trial_cost = _cost(trial, data, weights)
+            if trial_cost < cost:
+                modal, cost, damping = trial, trial_cost, max(damping / 5, 1e-9)
+                break
+            damping *= 10
+        if before - cost < SETTLED * before:
+            break
+    return modal
+
+
+def normal_equations(
+    modal: Modal, data: Sequence[Spectrum], weights: Sequence[Array], free: np.ndarray
+) -> tuple[Array, Array, float]:
+    """Re Σ Jᴴ W J, Re Σ Jᴴ W E and the cost, transients eliminated.
+
+    Parameters are λ, B, C by mode (real parts, then imaginary ones) and the free entries of D.
+    """
+    n = len(modal.lam) + int((~modal.real).sum())
+    ny, nu = modal.D.shape
+    size = n + n * nu + ny * n + len(free)
+    total = np.zeros((size + 1, size + 1))
+    for spectrum, w in zip(data, weights, strict=True):
+        G = np.zeros((n + size + 1, n + size + 1))
+        basis = _basis(modal, spectrum)
+        E, _ = _forced(modal, spectrum)
+        for o in range(ny):
+            S = _selection(modal, o, free, n, size)
+            rows = w[:, [o]] * np.hstack([basis, E[:, [o]]])
+            gram = rows.real.T @ rows.real + rows.imag.T @ rows.imag
+            G += S.T @ gram @ S
+        total += _schur(G, n)
+    return total[:-1, :-1], total[:-1, -1], float(total[-1, -1])
+
+
+def _schur(G: Array, n: int) -> Array:
+    """Eliminate the first n unknowns (the transient of one record)."""
+    head = G[:n, :n] + 1e-13 * np.trace(G[:n, :n]) / n * np.eye(n)
+    return np.asarray(G[n:, n:] - G[n:, :n] @ scipy.linalg.solve(head, G[:n, n:], assume_a="pos"))
+
+
+def _basis(modal: Modal, spectrum: Spectrum) -> ComplexArray:
+    """Signals that span all derivatives: of the transient, λ, B, then of C, then of D."""
+    r, rc = _pole_factors(modal, spectrum.omega)
+    X, Xc = _states(modal, spectrum.U, r, rc)
+    real, U = modal.real, spectrum.U
+    return np.hstack(
+        [
+            _pair(r[:, :, None], rc[:, :, None], real),
+            _pair((r * X)[:, :, None], (rc * Xc)[:, :, None], real),
+            _pair(r[:, :, None] * U[:, None], rc[:, :, None] * U[:, None], real),
+            _pair(X[:, :, None], Xc[:, :, None], real),
+            U,
+        ]
+    )
+
+
+def _mixing(modal: Modal, o: int, columns: int) -> Array:
+    """How a modal quantity enters output o: Re c on its own basis, Im c across the pair."""
+    first, second = modal.place(columns)
+    n = int(max(first.max(), second.max())) + 1
+    mix = np.zeros((n, n))
+    c = modal.C[o]
+    for m in range(len(c)):
+        one, two = first[m], second[m]
+        mix[one, one] = c[m].real
+        if not modal.real[m]:
+            mix[two, two] = c[m].real
+            mix[one, two], mix[two, one] = -c[m].imag, c[m].imag
+    return mix
+
+
+def _selection(modal: Modal, o: int, free: np.ndarray, n: int, size: int) -> Array:
+    """Map from (transient, parameters, 1) to the basis of output o with its residual last."""
+    nu = modal.B.shape[1]
+    one, per_input = _mixing(modal, o, 1), _mixing(modal, o, nu)
+    S = np.zeros((3 * n + n * nu + nu + 1, n + size + 1))
+    S[:n, :n] = one
+    S[n : 2 * n, n : 2 * n] = one
+    B = 2 * n + n * nu
+    S[2 * n : B, 2 * n : B] = per_input
+    S[B : B + n, B + o * n : B + (o + 1) * n] = np.eye(n)
+    D = B + len(modal.C) * n
+    for k, (i, j) in enumerate(free):
+        if i == o:
+            S[B + n + j, D + k] = 1.0
+    S[-1, -1] = 1.0
+    return S
+
+
+def _moved(modal: Modal, step: Array, free: np.ndarray) -> Modal:
+    """The model a step further; a complex pair stays one, a real mode stays real."""
+    ny, nu = modal.D.shape
+    n = len(modal.lam) + int((~modal.real).sum())
+    dlam = _complex(modal, step[:n], 1)[:, 0]
+    dB = _complex(modal, step[n : n + n * nu], nu)
+    start = n + n * nu
+    dC = [_complex(modal, step[start + o * n : start + (o + 1) * n], 1)[:, 0] for o in range(ny)]
+    D = modal.D.copy()
+    D[free[:, 0], free[:, 1]] += step[start + ny * n :]
+    lam = modal.lam + dlam
+    lam = np.where(modal.real, lam, lam.real + 1j * np.maximum(np.abs(lam.imag), 1e-6))
+    return Modal(lam, modal.B + dB, modal.C + np.array(dC), D)
+
+
+def _complex(modal: Modal, values: Array, columns: int) -> ComplexArray:
+    first, second = modal.place(columns)
+    imaginary = np.where(second >= 0, values[np.maximum(second, 0)], 0.0)
+    return np.asarray(values[first] + 1j * imaginary)
+
+
+def _covariance_factor(H: Array) -> Array:
+    """L with L Lᵀ = H⁺; the gauge of each mode (scale between B and C) is a null direction."""
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    s, V = np.linalg.eigh(H / np.outer(scale, scale))
+    keep = s > 1e-10 * s[-1]
+    return np.asarray(V[:, keep] / np.sqrt(s[keep]) / scale[:, None])
+
+
+def _response_derivative(
+    modal: Modal, free: np.ndarray, omega: Array
+) -> tuple[ComplexArray, ComplexArray]:
+    """G (K, ny, nu) of the scaled channels and its derivatives (K, ny, nu, parameters)."""
+    ny, nu = modal.D.shape
+    n = len(modal.lam) + int((~modal.real).sum())
+    size = n + n * nu + ny * n + len(free)
+    G = np.empty((len(omega), ny, nu), dtype=complex)
+    dG = np.empty((len(omega), ny, nu, size), dtype=complex)
+    for j in range(nu):
+        U = np.zeros((len(omega), nu), dtype=complex)
+        U[:, j] = 1.0
+        unit = Spectrum(omega, U, np.zeros((len(omega), ny), dtype=complex))
+        basis = _basis(modal, unit)
+        E, _ = _forced(modal, unit)
+        G[:, :, j] = -E
+        for o in range(ny):
+            S = _selection(modal, o, free, n, size)[:-1, n:-1]
+            dG[:, o, j] = basis @ S
+    return G, dG
