@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy.io
+from scipy.io.matlab import MatReadError
 
 from casid.arrays import Array
 from casid.record import Hold, Record
@@ -100,16 +101,18 @@ def read_mat(
     path = Path(path)
     try:
         variables = scipy.io.loadmat(str(path), appendmat=False)
-    except (OSError, ValueError, NotImplementedError, TypeError) as error:
+    except (OSError, ValueError, NotImplementedError, TypeError, MatReadError) as error:
         raise ValueError(f"{path}: cannot read it as a MATLAB file ({error})") from error
+    if time is None and not (dt is not None and dt > 0):
+        raise ValueError(
+            f"{path}: dt={dt}: expected a positive interval [s], since no time variable is named"
+        )
     places = dict(columns or {})
     wanted = [*([time] if time else []), *inputs, *outputs]
     table = {name: _mat_column(variables, places.get(name, (name, None)), path) for name in wanted}
     if time is None:
-        if dt is None:
-            raise ValueError(f"{path}: no time variable named; pass time= or the interval dt=")
         time = "t"
-        table[time] = dt * np.arange(len(table[inputs[0]]))
+        table[time] = float(dt or 0.0) * np.arange(len(next(iter(table.values()), [])))
     if len({len(column) for column in table.values()}) > 1:
         lengths = ", ".join(f"{name} {len(column)}" for name, column in table.items())
         raise ValueError(f"{path}: channels differ in length ({lengths})")
@@ -188,6 +191,8 @@ def _record(
     name: str,
     hold: Hold,
 ) -> Record:
+    if not inputs or not outputs:
+        raise ValueError(f"record {name!r}: name at least one input and one output to read")
     factors = {channel: _factor(channel, unit, table) for channel, unit in (units or {}).items()}
     scaled = {channel: column * factors.get(channel, 1.0) for channel, column in table.items()}
     u = np.column_stack([scaled[channel] for channel in inputs])

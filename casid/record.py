@@ -109,10 +109,17 @@ class Record:
     def between(self, start: float, end: float) -> "Record":
         """Return the samples with ``start <= t <= end`` [s]."""
         keep = (self.t >= start) & (self.t <= end)
+        if (n := int(keep.sum())) < 2:
+            raise ValueError(
+                f"record {self.name!r} has {n} sample{'s' * (n != 1)} between {start:g} s and "
+                f"{end:g} s; it lasts from {self.t[0]:g} s to {self.t[-1]:g} s"
+            )
         return replace(self, t=self.t[keep], u=self.u[keep], y=self.y[keep])
 
     def decimate(self, step: int) -> "Record":
         """Every ``step``-th sample, unfiltered; the hold then applies between these."""
+        if not 1 <= step < self.N:
+            raise ValueError(f"record {self.name!r}: step={step}, expected 1 to {self.N - 1}")
         return replace(self, t=self.t[::step], u=self.u[::step], y=self.y[::step])
 
     def quiet_samples(self) -> int:

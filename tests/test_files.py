@@ -1,0 +1,183 @@
+"""Files: units, missing cells, trim, and errors that name file and column."""
+
+import json
+
+import numpy as np
+import pytest
+import scipy.io
+
+from casid import Record, read_csv, read_mat, write_csv
+from casid.files import number, read_json, write_json, write_text
+
+CHANNELS = {"inputs": ["lat"], "outputs": ["p", "phi"]}
+
+
+def csv(path, text):
+    file = path / "roll.csv"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_columns_are_taken_by_name_in_any_order(tmp_path):
+    file = csv(tmp_path, "phi, extra,t,lat,p\n1,9,0,0.1,3\n2,9,0.5,0.2,4\n")
+    record = read_csv(file, **CHANNELS)
+    assert (record.name, record.inputs, record.outputs) == ("roll", ("lat",), ("p", "phi"))
+    np.testing.assert_array_equal(record.t, [0, 0.5])
+    np.testing.assert_array_equal(record.u, [[0.1], [0.2]])
+    np.testing.assert_array_equal(record.y, [[3, 1], [4, 2]])
+
+
+def test_units_become_si_and_percent_a_fraction_of_travel(tmp_path):
+    file = csv(tmp_path, "time,lat,p,phi\n0,50,180,1\n1000,100,90,2\n")
+    units = {"time": "ms", "lat": "%", "p": "deg/s", "phi": "deg"}
+    record = read_csv(file, **CHANNELS, time="time", units=units)
+    np.testing.assert_allclose(record.t, [0, 1])
+    np.testing.assert_allclose(record.u[:, 0], [0.5, 1.0])
+    np.testing.assert_allclose(record.y, [[np.pi, np.pi / 180], [np.pi / 2, np.pi / 90]])
+
+
+@pytest.mark.parametrize("cell", ["", " ", "nan", "NaN"])
+def test_an_empty_or_nan_cell_is_a_missing_sample(tmp_path, cell):
+    record = read_csv(csv(tmp_path, f"t,lat,p,phi\n0,1,{cell},1\n1,1,2,2\n"), **CHANNELS)
+    assert np.isnan(record.y[0, 0])
+    assert np.isfinite(record.y).sum() == 3
+
+
+def test_a_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path):
+    record = read_csv(csv(tmp_path, "\ufefft,lat,p,phi\r\n0,1,2,3\r\n1,1,2,3\r\n"), **CHANNELS)
+    np.testing.assert_array_equal(record.t, [0, 1])
+
+
+def test_trim_is_removed_on_reading_and_written_back(tmp_path):
+    rows = "".join(f"{0.1 * k},{30 + (k > 3)},{0.5 + k},{1 / 3}\n" for k in range(8))
+    file = csv(tmp_path, "t,lat,p,phi\n" + rows)
+    record = read_csv(file, **CHANNELS, detrend="first", hold="zoh", name="a")
+    assert (record.name, record.hold) == ("a", "zoh")
+    assert record.u[0, 0] == 0
+    write_csv(tmp_path / "again.csv", record)
+    again = read_csv(tmp_path / "again.csv", **CHANNELS)
+    np.testing.assert_allclose(again.y, read_csv(file, **CHANNELS).y, rtol=1e-9)  # ten digits
+    np.testing.assert_allclose(again.u, read_csv(file, **CHANNELS).u, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("t,lat,p\n0,1,2\n", {}, "roll.csv: no column 'phi'; it has t, lat, p"),
+        ("x,lat,p,phi\n0,1,2,3\n", {}, "no column 't'"),
+        ("t,lat,p,p,phi\n0,1,2,3,4\n", {}, "column 'p' stands there 2 times"),
+        ("t,lat,p,phi\n", {}, "no samples below the header of t, lat, p, phi"),
+        ("", {}, "the file is empty; expected a header"),
+        ("t,lat,p,phi\n0,1,two,3\n", {}, "not a table of numbers: .*two"),
+        ("t,lat,p,phi\n0,1,2\n", {}, "not a table of numbers"),
+        ("t,lat,p,phi\n0,1,2,3\n", {"units": {"q": "deg"}}, "units name channel 'q', which is not"),
+        (
+            "t,lat,p,phi\n0,1,2,3\n",
+            {"units": {"p": "rpm"}},
+            "'p': unknown unit 'rpm'; known are 1,",
+        ),
+        ("t,lat,p,phi\n0,1,2,3\n1,,2,3\n", {}, "input 'lat' is nan at sample 1"),
+        ("t,lat,p,phi\n1,1,2,3\n0,1,2,3\n", {}, "time does not increase at sample 1"),
+    ],
+)
+def test_an_unreadable_csv_is_told_with_file_and_column(tmp_path, text, options, message):
+    with pytest.raises(ValueError, match=message):
+        read_csv(csv(tmp_path, text), **CHANNELS, **options)
+
+
+def test_a_file_that_is_not_there_or_no_text_is_told(tmp_path):
+    with pytest.raises(ValueError, match=r"none\.csv: cannot read it as CSV"):
+        read_csv(tmp_path / "none.csv", **CHANNELS)
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(ValueError, match=r"binary\.csv: cannot read it as CSV"):
+        read_csv(tmp_path / "binary.csv", **CHANNELS)
+
+
+@pytest.fixture
+def mat(tmp_path):
+    file = tmp_path / "flight.mat"
+    y = np.column_stack([np.arange(4.0), 90 * np.ones(4)])
+    content = {"t": np.arange(4.0)[:, None], "lat": np.ones((1, 4)), "out": y, "text": "hello"}
+    scipy.io.savemat(file, content | {"short": np.ones(3)})
+    return file
+
+
+def test_mat_variables_and_columns_become_channels(mat):
+    columns = {"p": ("out", 0), "phi": ("out", 1)}
+    record = read_mat(mat, **CHANNELS, columns=columns, units={"phi": "deg"})
+    assert record.name == "flight"
+    np.testing.assert_array_equal(record.y[:, 0], np.arange(4))
+    np.testing.assert_allclose(record.y[:, 1], np.pi / 2)
+    paced = read_mat(mat, **CHANNELS, columns=columns, time=None, dt=0.5)
+    np.testing.assert_array_equal(paced.t, [0, 0.5, 1, 1.5])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, "flight.mat: no variable 'p'; it has t, lat, out, text, short"),
+        ({"columns": {"p": ("out", 2)}}, r"'out' has shape \(4, 2\), no column 2"),
+        ({"columns": {"p": ("out", -1)}}, "no column -1"),
+        ({"inputs": ["text"]}, "variable 'text' holds <U5, expected numbers"),
+        ({"inputs": ["out"]}, r"'out' has shape \(4, 2\), expected a vector; name its columns"),
+        ({"inputs": ["short"], "outputs": ["lat"]}, r"differ in length \(t 4, short 3, lat 4\)"),
+        (
+            {"time": None},
+            "dt=None: expected a positive interval .*, since no time variable is named",
+        ),
+        ({"time": None, "dt": -0.1, "outputs": ["t"]}, "dt=-0.1: expected a positive interval"),
+        ({"outputs": []}, "record 'flight': name at least one input and one output"),
+    ],
+)
+def test_an_unreadable_mat_is_told_with_file_and_variable(mat, options, message):
+    with pytest.raises(ValueError, match=message):
+        read_mat(mat, **(CHANNELS | options))
+
+
+def test_a_mat_file_that_is_none_is_told(tmp_path):
+    with pytest.raises(ValueError, match="cannot read it as a MATLAB file"):
+        read_mat(csv(tmp_path, "t,lat\n0,1\n"), **CHANNELS)
+    with pytest.raises(ValueError, match="cannot read it as a MATLAB file"):
+        read_mat(tmp_path / "none.mat", **CHANNELS)
+
+
+def test_json_is_plain_and_keeps_nan_and_infinity(tmp_path):
+    file = tmp_path / "new" / "a.json"
+    content = {"a": np.eye(2), "b": (np.nan, np.inf, -np.inf), "c": np.float64(2), "d": {3: None}}
+    write_json(file, content)
+    read = read_json(file)
+    assert read["a"] == [[1, 0], [0, 1]]
+    assert read["d"] == {"3": None}
+    np.testing.assert_array_equal([number(v) for v in read["b"]], [np.nan, np.inf, -np.inf])
+    assert number(read["c"]) == 2.0
+    json.loads(file.read_text())  # no NaN literals, which are not JSON
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
+    file = tmp_path / "a.json"
+    write_text(file, "old")
+    with pytest.raises(TypeError):
+        write_json(file, {"a": object()})
+    with pytest.raises(UnicodeEncodeError):
+        write_text(file, "\ud800")
+    assert file.read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_json_that_is_none_is_told(tmp_path):
+    (tmp_path / "a.json").write_text("{")
+    (tmp_path / "b.json").write_text("[1]")
+    for name, message in (
+        ("a", "cannot read it as JSON"),
+        ("b", "expected a JSON object, found list"),
+        ("c", "cannot read it as JSON"),
+    ):
+        with pytest.raises(ValueError, match=f"{name}.json: {message}"):
+            read_json(tmp_path / f"{name}.json")
+
+
+def test_missing_samples_survive_a_round_trip(tmp_path):
+    y = np.array([[1.0, np.nan], [2.0, 3.0]])
+    record = Record(np.array([0.0, 1.0]), np.ones((2, 1)), y, ("lat",), ("p", "phi"))
+    write_csv(tmp_path / "a.csv", record)
+    np.testing.assert_array_equal(read_csv(tmp_path / "a.csv", **CHANNELS).y, y)

@@ -1,0 +1,159 @@
+"""Records: what they refuse, and what becomes of samples, trim and noise."""
+
+import numpy as np
+import pytest
+
+from casid import Record
+from casid.record import same_channels, standard_deviations
+
+T = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+
+
+def record(**changes):
+    parts = {
+        "t": T, "u": np.column_stack([T, -T]), "y": np.column_stack([2 * T, T**2, 1 + T]),
+        "inputs": ("lat", "ped"), "outputs": ("p", "r", "phi"), "name": "roll",
+    }  # fmt: skip
+    return Record(**(parts | changes))
+
+
+def test_sizes_and_times_follow_from_the_arrays():
+    roll = record()
+    assert (roll.N, roll.nu, roll.ny) == (5, 2, 3)
+    assert roll.duration == pytest.approx(0.4)
+    assert roll.dt == pytest.approx(0.1)
+    assert roll.equidistant
+    assert not record(t=np.array([0, 0.1, 0.2, 0.3, 0.5])).equidistant
+
+
+def test_a_record_is_a_copy_that_cannot_be_written():
+    y = np.ones((5, 3))
+    roll = record(y=y)
+    y[:] = 7.0
+    assert roll.y.max() == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        roll.y[0, 0] = 2.0
+
+
+def test_missing_outputs_are_allowed():
+    y = np.ones((5, 3))
+    y[2, 1] = np.nan
+    assert np.isnan(record(y=y).y[2, 1])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"t": T[:1]}, r"record 'roll': t has shape \(1,\), expected \(N,\) with N >= 2"),
+        ({"t": T[:, None]}, r"t has shape \(5, 1\)"),
+        ({"u": np.zeros((2, 5))}, r"u has shape \(2, 5\), expected .* = \(5, 2\) .* pass u.T"),
+        ({"y": np.zeros(5)}, r"y has shape \(5,\), expected \(N, ny\) = \(5, 3\)"),
+        ({"inputs": ("lat", "p")}, "channel 'p' is named twice"),
+        ({"hold": "soh"}, 'hold=\'soh\', expected "foh" or "zoh"'),
+        ({"t": np.array([0, 0.1, np.nan, 0.3, 0.4])}, r"t\[2\] = nan; time must be finite"),
+        (
+            {"t": np.array([0, 0.1, 0.1, 0.3, 0.4])},
+            r"time does not increase at sample 2 \(0.1 s, then 0.1 s\); sort",
+        ),
+        ({"u": np.full((5, 2), np.nan)}, "input 'lat' is nan at sample 0"),
+        ({"y": np.full((5, 3), np.inf)}, "output 'p' is inf at sample 0; mark .* with NaN"),
+    ],
+)
+def test_what_is_no_record_is_refused_with_its_name(changes, message):
+    with pytest.raises(ValueError, match=message):
+        record(**changes)
+
+
+def test_channels_are_found_and_chosen_by_name():
+    roll = record()
+    np.testing.assert_array_equal(roll.channel("ped"), -T)
+    np.testing.assert_array_equal(roll.channel("r"), T**2)
+    chosen = roll.select(inputs=("ped",), outputs=("phi", "p"))
+    assert (chosen.inputs, chosen.outputs) == (("ped",), ("phi", "p"))
+    np.testing.assert_array_equal(chosen.y, np.column_stack([1 + T, 2 * T]))
+    for wrong in (lambda: roll.channel("q"), lambda: roll.select(outputs=("q",))):
+        with pytest.raises(ValueError, match=r"record 'roll' has no .* 'q'; it has p, r, phi"):
+            wrong()
+    with pytest.raises(ValueError, match="has no input 'p'; it has lat, ped"):
+        roll.select(inputs=("p",))
+
+
+def test_cuts_and_decimation_keep_the_samples_named():
+    np.testing.assert_array_equal(record().between(0.1, 0.3).t, T[1:4])
+    np.testing.assert_array_equal(record().decimate(2).y, record().y[::2])
+    with pytest.raises(ValueError, match=r"record 'roll' has 1 sample between 0.15 s and 0.25 s"):
+        record().between(0.15, 0.25)
+    with pytest.raises(ValueError, match="record 'roll': step=0"):
+        record().decimate(0)
+
+
+def test_the_quiet_stretch_ends_where_the_first_input_leaves_two_percent_of_its_range():
+    u = np.zeros((5, 2))
+    u[:, 0] = [0.5, 0.51, 0.49, 1.5, 0.5]  # noise of 1 % of the range
+    u[4, 1] = 3.0
+    assert record(u=u).quiet_samples() == 3
+    assert record(u=np.ones((5, 2))).quiet_samples() == 5
+
+
+def test_trim_is_subtracted_and_remembered():
+    u = np.array([[1, 2], [1, 2], [5, 2], [1, 9], [1, 2.0]])
+    y = np.ones((5, 3)) * [1, 2, 3]
+    y[0, 0] = np.nan
+    roll = record(u=u, y=y)
+    first = roll.detrend("first")
+    np.testing.assert_array_equal(first.u, u - [1, 2])
+    np.testing.assert_array_equal(first.y[1:], np.zeros((4, 3)))
+    assert first.trim == {"lat": 1, "ped": 2, "p": 1, "r": 2, "phi": 3}
+    mean = roll.detrend("mean")
+    np.testing.assert_allclose(mean.u.mean(axis=0), 0, atol=1e-15)
+    assert roll.detrend(None) is roll
+    twice = first.detrend(dict.fromkeys(first.trim, 0.5))
+    assert twice.trim["ped"] == 2.5
+    np.testing.assert_array_equal(twice.u, u - [1.5, 2.5])
+
+
+def test_trim_that_is_not_there_is_told():
+    with pytest.raises(ValueError, match="record 'roll': no trim value for channel 'ped'"):
+        record().detrend({"lat": 0.0})
+    with pytest.raises(ValueError, match='detrend=\'last\': expected "first", "mean"'):
+        record().detrend("last")
+    y = np.ones((5, 3))
+    y[:2, 1] = np.nan
+    u = np.zeros((5, 2))
+    u[2:] = 1.0
+    with pytest.raises(ValueError, match="output 'r' has no sample in its first 2"):
+        record(u=u, y=y).detrend("first")
+
+
+def test_noise_has_the_standard_deviation_asked_for_and_no_other_channel():
+    t = np.arange(20000) / 50
+    still = Record(t, np.zeros((20000, 1)), np.zeros((20000, 2)), ("lat",), ("p", "phi"))
+    noisy = still.with_noise({"phi": 0.3}, np.random.default_rng(0))
+    np.testing.assert_array_equal(noisy.y[:, 0], 0)
+    # The standard error of a standard deviation from N samples is 1/sqrt(2N) = 0.5 %; four of them.
+    assert noisy.y[:, 1].std() == pytest.approx(0.3, rel=0.02)
+    again = still.with_noise({"phi": 0.3}, np.random.default_rng(0))
+    np.testing.assert_array_equal(again.y, noisy.y)
+    with pytest.raises(ValueError, match="no output 'q'"):
+        still.with_noise({"q": 1.0}, np.random.default_rng(0))
+
+
+def test_records_of_one_campaign_share_their_channels():
+    assert same_channels([record(), record(name="other")]) == (("lat", "ped"), ("p", "r", "phi"))
+    with pytest.raises(ValueError, match="no records given"):
+        same_channels([])
+    with pytest.raises(ValueError, match=r"got one Record: pass \[record\]"):
+        same_channels(record())
+    with pytest.raises(ValueError, match=r"record 'b' has channels .* use Record.select"):
+        same_channels([record(), record(name="b", outputs=("p", "r", "psi"))])
+
+
+def test_standard_deviations_pool_all_samples_and_leave_still_channels_at_one():
+    y = np.ones((5, 3)) * [1.0, 2.0, 0.1]
+    y[:, 0], y[0, 0] = [9, 1, 2, 3, 4], np.nan
+    y[:, 2] += 1e-17 * T  # rounding is no motion
+    su, sy = standard_deviations([record(y=y), record(y=np.roll(y, 1, axis=0))])
+    assert su[0] == pytest.approx(np.std(np.tile(T, 2)))
+    np.testing.assert_allclose(sy, [np.std([1, 2, 3, 4]), 1.0, 1.0])
+    silent = record(y=np.full((5, 3), np.nan))
+    np.testing.assert_array_equal(standard_deviations([silent])[1], 1.0)
