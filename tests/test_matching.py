@@ -1,0 +1,191 @@
+import numpy as np
+import pytest
+
+from casid import (
+    BlackBox,
+    ConvergenceError,
+    Model,
+    ModelError,
+    Rows,
+    Scalar,
+    SolverOptions,
+    StateSpace,
+    parameter,
+)
+from casid.matching import match
+
+
+def black_box(system: StateSpace, band: tuple[float, float] = (0.1, 10.0), **settings) -> BlackBox:
+    """A black box that knows the truth."""
+    given = {"input_std": np.ones(system.nu), "output_std": np.ones(system.ny)} | settings
+    return BlackBox(
+        system=system,
+        K=np.zeros((system.nx, system.ny)),
+        singular_values=np.ones(system.nx),
+        pole=np.nan,
+        past=1,
+        future=1,
+        transform="laguerre",
+        feedthrough=np.ones((system.ny, system.nu), dtype=bool),
+        band=band,
+        records=(),
+        **given,
+    )
+
+
+class HoverRoll(Model):
+    """Roll and sway in hover with a delayed stick."""
+
+    states = ("v", "p", "phi")
+    inputs = ("lat",)
+    outputs = ("p", "phi")
+
+    Yv: Scalar = parameter(default=-0.1, lower=-2.0, upper=0.0, unit="1/s")
+    Lv: Scalar = parameter(default=0.0, lower=-1.0, upper=1.0, unit="rad/(m s)")
+    Lp: Scalar = parameter(default=-1.0, lower=-20.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=1.0, lower=0.0, upper=100.0, unit="rad/s^2")
+    tau: Scalar = parameter(default=0.0, lower=0.0, upper=0.3, unit="s")
+
+    def A(self) -> Rows:
+        return [[self.Yv, 0, 9.81], [self.Lv, self.Lp, 0], [0, 1, 0]]
+
+    def B(self) -> Rows:
+        return [[0], [self.Llat], [0]]
+
+    def delays(self):
+        return {"lat": self.tau}
+
+
+class Lag(Model):
+    """k / (s + a): two parameters, to be searched by brute force."""
+
+    states = ("x",)
+    inputs = ("u",)
+    outputs = ("x",)
+
+    a: Scalar = parameter(default=1.0, lower=0.01, upper=20.0, unit="1/s")
+    k: Scalar = parameter(default=1.0, lower=-20.0, upper=20.0, unit="-")
+
+    def A(self) -> Rows:
+        return [[-self.a]]
+
+    def B(self) -> Rows:
+        return [[self.k]]
+
+
+# Unstable, as a helicopter in hover is: a pair at 0.2 ± 0.6j.
+TRUTH = HoverRoll(Yv=-0.2, Lv=-0.3, Lp=-2.5, Llat=12.0, tau=0.07)
+
+
+@pytest.mark.parametrize("norm", ["quadratic", "hinf"])
+def test_match_recovers_an_unstable_delayed_structure_from_its_own_response(norm):
+    fit = match(HoverRoll(), black_box(TRUTH.system()), norm=norm)
+    np.testing.assert_allclose(fit.model.vector(), TRUTH.vector(), rtol=1e-6)
+    assert fit.success
+    assert fit.certificate.upper_bound < 1e-6
+    assert fit.certificate.shift > TRUTH.system().poles()[0].real
+
+
+# Second-order truth for the lag.
+SECOND = StateSpace([[-1.0, 1.0], [0.0, -3.0]], [[0.5], [2.0]], [[1.0, 0.2]], [[0.0]],
+                    inputs=("u",), outputs=("x",))  # fmt: skip
+
+
+def brute_force(omega, cost):
+    """Best (a, k) on grids that close in on the best point ten times."""
+    G = SECOND.response(omega)[:, 0, 0]
+    centre, width = np.array([2.0, 2.0]), np.array([1.9, 1.9])
+    for _ in range(12):
+        a, k = (np.linspace(c - w, c + w, 41) for c, w in zip(centre, width, strict=True))
+        error = k[None, :, None] / (1j * omega + a[:, None, None]) - G
+        values = cost(np.abs(error))
+        i, j = np.unravel_index(np.argmin(values), values.shape)
+        centre, width = np.array([a[i], k[j]]), width * 0.5
+    return values.min(), centre
+
+
+def test_hinf_optimum_is_that_of_brute_force():
+    omega = np.geomspace(0.1, 10.0, 40)
+    best, _ = brute_force(omega, lambda e: e.max(axis=2))
+    fit = match(Lag(), black_box(SECOND), norm="hinf", omega=omega)
+    # The peaks that match adds between the points can only raise the optimum, by less than 1 %
+    # of its gap; brute force stops within the width of its last grid, 1.9/2^11.
+    assert fit.cost == pytest.approx(best, rel=1e-3)
+
+
+def test_quadratic_optimum_is_that_of_brute_force():
+    omega = np.geomspace(0.1, 10.0, 40)
+    best, where = brute_force(omega, lambda e: (e**2).mean(axis=2))
+    fit = match(Lag(), black_box(SECOND), norm="quadratic", omega=omega)
+    assert fit.cost == pytest.approx(best, rel=1e-6)  # second order in the grid's width
+    np.testing.assert_allclose(fit.model.vector(), where, atol=2e-3)
+
+
+def test_certificate_bounds_the_norm_over_the_band():
+    fit = match(Lag(), black_box(SECOND), norm="hinf")
+    dense = np.geomspace(0.1, 10.0, 5000)
+    error = fit.model.system().response(dense) - SECOND.response(dense)
+    assert fit.certificate.grid_norm <= fit.certificate.upper_bound
+    assert np.abs(error).max() <= fit.certificate.upper_bound
+    assert fit.certificate.upper_bound <= 1.01 * fit.certificate.grid_norm
+
+
+def test_multiplier_is_the_price_of_the_bound():
+    def cost(upper):
+        omega, bounds = np.geomspace(0.1, 10.0, 200), {"a": (0.1, upper)}
+        return match(Lag(), black_box(SECOND), norm="hinf", bounds=bounds, omega=omega)
+
+    fit, step = cost(0.7), 1e-4
+    slope = (cost(0.7 + step).cost - cost(0.7 - step).cost) / (2 * step)
+    assert fit["a"].active
+    assert fit["a"].multiplier < 0
+    # Central differences of a smooth optimum: error of the order of the step, plus IPOPT's 1e-8.
+    assert fit["a"].multiplier == pytest.approx(slope, rel=1e-2)
+
+
+def test_channels_are_found_by_name():
+    system = TRUTH.system()
+    shuffled = StateSpace(
+        system.A,
+        np.hstack([np.ones((3, 1)), system.B]),
+        system.C[::-1],
+        np.zeros((2, 2)),
+        inputs=("ped", "lat"),
+        outputs=("phi", "p"),
+        delay=np.array([0.0, 0.07]),
+    )
+    fit = match(HoverRoll(), black_box(shuffled), norm="quadratic")
+    np.testing.assert_allclose(fit.model.vector(), TRUTH.vector(), rtol=1e-6)
+
+
+def test_missing_channel_is_named():
+    with pytest.raises(ValueError, match="input 'u' is no input of the target, which has lat"):
+        match(Lag(), black_box(TRUTH.system()))
+
+
+def test_shift_left_of_a_pole_is_refused():
+    with pytest.raises(ValueError, match="lies left of the black box's pole"):
+        match(HoverRoll(), black_box(TRUTH.system()), shift=0.01)
+
+
+def test_grid_outside_the_band_is_refused():
+    with pytest.raises(ValueError, match=r"means something in 0\.1 to 10 rad/s only"):
+        match(Lag(), black_box(SECOND), omega=np.array([1.0, 50.0]))
+
+
+def test_unknown_norm_and_parameter_are_named():
+    with pytest.raises(ValueError, match="norm='h2'"):
+        match(Lag(), black_box(SECOND), norm="h2")
+    with pytest.raises(ModelError, match="no parameter 'b'"):
+        match(Lag(), black_box(SECOND), fixed=("b",))
+
+
+def test_iteration_limit_leaves_the_best_iterate():
+    with pytest.raises(ConvergenceError, match="iteration limit") as caught:
+        match(HoverRoll(), black_box(SECOND_TWO), options=SolverOptions(max_iterations=1))
+    assert not caught.value.best.success
+    assert np.isfinite(caught.value.best.model.vector()).all()
+
+
+SECOND_TWO = StateSpace(SECOND.A, SECOND.B, np.eye(2), np.zeros((2, 1)),
+                        inputs=("lat",), outputs=("p", "phi"))  # fmt: skip
