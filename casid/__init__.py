@@ -5,6 +5,7 @@ from casid.files import read_csv, read_mat, write_csv
 from casid.fit import Certificate, Fit, ParameterEstimate
 from casid.frequency import FrequencyResponse, frequency_response
 from casid.linear import StateSpace
+from casid.matching import match
 from casid.model import Constraint, Model, Rows, Scalar, matrix, parameter
 from casid.nlp import Progress, SolverOptions
 from casid.pbsid import BlackBox, pbsid
@@ -30,6 +31,7 @@ __all__ = [
     "StateSpace",
     "Validation",
     "frequency_response",
+    "match",
     "matrix",
     "parameter",
     "pbsid",
