@@ -56,6 +56,8 @@ class StateSpace:
             if len(names) != n:
                 raise ValueError(f"{len(names)} names for {n} {attribute}: {', '.join(names)}")
             object.__setattr__(self, attribute, names)
+        if self.dt is not None and not self.dt > 0:
+            raise ValueError(f"dt={self.dt}: expected a positive interval [s], or None")
         delay = np.array(self.delay, dtype=float) if len(self.delay) else np.zeros(nu)
         if delay.shape != (nu,) or not (delay >= 0).all():
             raise ValueError(f"delay is {delay}, expected {nu} values >= 0 s")
