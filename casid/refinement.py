@@ -147,7 +147,7 @@ def to_modal(system: StateSpace, su: Array, sy: Array, feedthrough: BoolArray) -
     nb, nc = np.linalg.norm(B, axis=1), np.linalg.norm(C, axis=0)
     balance = np.sqrt(np.where((nb > 0) & (nc > 0), nc / np.where(nb > 0, nb, 1.0), 1.0))
     D = np.where(feedthrough, system.D * su / sy[:, None], 0.0)
-    return Modal(lam, B * balance[:, None], C / balance, D)
+    return Modal(lam, np.asarray(B * balance[:, None]), np.asarray(C / balance), D)
 
 
 def from_modal(modal: Modal, su: Array, sy: Array, like: StateSpace) -> StateSpace:
