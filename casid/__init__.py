@@ -1,5 +1,6 @@
 """Rotorcraft system identification in the time and frequency domains."""
 
+from casid.derivid import derivid
 from casid.errors import ConvergenceError, DataWarning, ModelError
 from casid.files import read_csv, read_mat, write_csv
 from casid.fit import Certificate, Fit, ParameterEstimate
@@ -30,6 +31,7 @@ __all__ = [
     "SolverOptions",
     "StateSpace",
     "Validation",
+    "derivid",
     "frequency_response",
     "match",
     "matrix",

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import scipy.interpolate
+from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.errors import DataWarning
@@ -113,10 +114,14 @@ class FrequencyResponse:
                 f"no point between {low:g} and {high:g} rad/s; the response spans "
                 f"{self.omega[0]:g} to {self.omega[-1]:g} rad/s"
             )
-        place = {int(old): new for new, old in enumerate(np.flatnonzero(keep))}
+        return self.take(np.flatnonzero(keep))
+
+    def take(self, index: Sequence[int] | NDArray[np.intp]) -> "FrequencyResponse":
+        """Return the points at these positions in ``omega``, in increasing order."""
+        place = {int(old): new for new, old in enumerate(index)}
         flags = {why: tuple(place[k] for k in at if k in place) for why, at in self.flags.items()}
         names = ("omega", "G", "coherence", "random_error", "multiple_coherence", "condition")
-        arrays = {name: getattr(self, name)[keep] for name in names}
+        arrays = {name: getattr(self, name)[list(place)] for name in names}
         return replace(self, **arrays, flags={why: at for why, at in flags.items() if at})
 
     def save(self, path: str | Path) -> None:

@@ -1,0 +1,471 @@
+"""Fit a structure to measured frequency responses in decibels and degrees.
+
+The frequency-domain baseline of rotorcraft identification: cost, coherence weighting, accuracy
+figures and guidelines are those of M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System
+Identification, 2nd ed. (*T&R*), chapters 12 and 13; the programmes are in `casid.magphase`.
+"""
+
+import logging
+import time
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from casid.arrays import Array, BoolArray, ComplexArray
+from casid.comparison import Comparison, Source
+from casid.errors import ConvergenceError, ModelError
+from casid.fit import Fit, parameter_table
+from casid.frequency import FrequencyResponse
+from casid.initial import starts as target_starts
+from casid.magphase import Programme, Sensitivity, Target, delay_parameters, programme
+from casid.mismatch import DB, DEG, GOOD, PHASE, pair_weights, residuals
+from casid.model import Bounds, Free, Model, free_parameters
+from casid.nlp import Solution, SolverOptions, solve
+
+LOG = logging.getLogger("casid")
+
+Pair: TypeAlias = tuple[str, str]
+Pairs: TypeAlias = Sequence[Pair] | Mapping[Pair, tuple[float, float] | None]
+
+CRAMER_RAO, INSENSITIVITY = 20.0, 10.0  # guidelines of T&R, % of the value
+FEWEST = 5  # points with coherence that make a pair worth fitting
+SAME = 1e-3  # relative difference of J of starts that ended in the same place
+
+
+def derivid(
+    model: Model,
+    frf: FrequencyResponse,
+    *,
+    pairs: Pairs | None = None,
+    coherence: float = 0.6,
+    n_omega: int = 20,
+    band: tuple[float, float] | None = None,
+    starts: int = 5,
+    seed: int = 0,
+    fixed: Collection[str] = (),
+    bounds: Bounds | None = None,
+    options: SolverOptions = SolverOptions(),  # noqa: B008 - frozen
+) -> Fit:
+    """The parameters with which a structure fits measured responses best in dB and degrees.
+
+    Parameters
+    ----------
+    model : Model
+        Structure and guess; its channels are found in the response by name.
+    frf : FrequencyResponse
+        What to fit.
+    pairs : sequence of (output, input), or mapping of these to (low, high) rad/s or None
+        The pairs to fit, at all measured points of their range whatever the coherence, which still
+        weighs them. Unless given: all pairs with five points of sufficient coherence, at those.
+    coherence : float
+        What is sufficient, in [0, 1).
+    n_omega : int
+        Number of frequencies: the measured ones nearest to this many log-spaced points.
+    band : (float, float)
+        Frequencies to fit [rad/s]; all that were measured unless given.
+    starts : int
+        Number of starting points: one computed from the measurement, the caller's guess, and
+        random ones about the first.
+    seed : int
+        Of the random ones.
+    fixed, bounds
+        Parameters held, and bounds {name: (lower, upper)} instead of the model file's. Delays are
+        kept at >= 0 in any case.
+    options : SolverOptions
+        Limits and tolerance of every solve.
+
+    Returns
+    -------
+    Fit
+        ``cost`` is the sum of J over pairs. ``std_error`` is √(H⁻¹)ᵢᵢ and ``insensitivity``
+        1/√Hᵢᵢ, H the Gauss-Newton Hessian of the cost; parameters on a bound count as known.
+        ``notes``: ``pairs`` (J, points and range of each), ``average`` (J), ``table`` (per
+        parameter Cramér-Rao figure 2 √(H⁻¹)ᵢᵢ and insensitivity in % of the value, as T&R define
+        them, which of the guidelines 20 % and 10 % it misses, and ``scatter``, the standard
+        deviation that the response's random errors cause), ``starts`` and ``guidelines``.
+
+    Raises
+    ------
+    ValueError
+        A pair that was not measured, an empty band, bad arguments.
+    ModelError
+        A parameter on which no pair depends, wrong bounds.
+    ConvergenceError
+        No start converged; ``best`` is the best iterate.
+    """
+    began = time.perf_counter()
+    if starts < 1 or n_omega < 2 or not 0 <= coherence < 1:
+        raise ValueError(
+            f"starts={starts}, n_omega={n_omega}, coherence={coherence}: expected at least 1, at "
+            "least 2 and a coherence in [0, 1)"
+        )
+    free = _nonnegative_delays(free_parameters(model, fixed, bounds))
+    measured = _thin(frf if band is None else frf.between(*band), n_omega)
+    target, used = select(model, measured, pairs, coherence)
+    search = _Search(free, target, options)
+    _check_influence(search)
+    for number, (name, values, X) in enumerate(_starting_points(free, target, starts, seed)):
+        search.run(f"{number + 1} ({name})", values, X)
+    fit = _result(search, model, measured, used, time.perf_counter() - began)
+    if not fit.success:
+        raise ConvergenceError(
+            f"derivid: none of {starts} starts converged ({fit.status}); the best iterate, with "
+            f"J = {fit.cost:.4g}, is in .best",
+            fit,
+        )
+    return fit
+
+
+def select(
+    model: Model, frf: FrequencyResponse, pairs: Pairs | None = None, coherence: float = 0.6
+) -> tuple[Target, BoolArray]:
+    """The response in the model's channels with the weights of the cost, and which points count.
+
+    Parameters
+    ----------
+    model, frf, pairs, coherence
+        As in `derivid`.
+
+    Returns
+    -------
+    Target, (K, ny, nu) bool array
+    """
+    shape = (len(frf.omega), len(model.outputs), len(model.inputs))
+    G, gamma = np.full(shape, np.nan, dtype=complex), np.zeros(shape)
+    for i, output in enumerate(model.outputs):
+        for j, name in enumerate(model.inputs):
+            if output in frf.outputs and name in frf.inputs:
+                at = frf.index(output, name)
+                G[:, i, j], gamma[:, i, j] = frf.G[:, *at], frf.coherence[:, *at]
+    known = np.isfinite(G) & (np.abs(G) > 0) & np.isfinite(gamma)
+    if pairs is None:
+        used = known & (gamma >= coherence)
+        used &= used.sum(axis=0) >= min(FEWEST, len(frf.omega))
+        if not used.any():
+            raise ValueError(
+                f"no pair has coherence >= {coherence:g} at {FEWEST} frequencies; lower the "
+                "threshold, name the pairs, or improve the response"
+            )
+    else:
+        used = known & _named(model, frf, pairs, known)
+    scale = [float(frf.input_std[frf.inputs.index(n)]) if n in frf.inputs else 1.0
+             for n in model.inputs]  # fmt: skip
+    target = Target(
+        omega=frf.omega, G=np.where(used, G, 1.0), weight=pair_weights(gamma, used),
+        input_scale=np.array(scale),
+    )  # fmt: skip
+    return target, used
+
+
+def _named(model: Model, frf: FrequencyResponse, pairs: Pairs, known: BoolArray) -> BoolArray:
+    """Where the caller's pairs are in their ranges."""
+    chosen = np.zeros(known.shape, dtype=bool)
+    ranges = pairs if isinstance(pairs, Mapping) else dict.fromkeys(map(tuple, pairs), None)
+    for (output, name), limits in ranges.items():
+        frf.index(output, name)
+        if output not in model.outputs or name not in model.inputs:
+            raise ValueError(
+                f"pair ({output!r}, {name!r}) is not in the model: outputs are "
+                f"{', '.join(model.outputs)}, inputs are {', '.join(model.inputs)}"
+            )
+        low, high = limits or (0.0, np.inf)
+        inside = (frf.omega >= low) & (frf.omega <= high)
+        i, j = model.outputs.index(output), model.inputs.index(name)
+        if not (inside & known[:, i, j]).any():
+            raise ValueError(
+                f"pair ({output!r}, {name!r}) was not measured between {low:g} and {high:g} "
+                "rad/s (no coherence there); leave it out or widen its range"
+            )
+        chosen[inside, i, j] = True
+    if not chosen.any():
+        raise ValueError("pairs is empty; name at least one (output, input), or leave it out")
+    return chosen
+
+
+def _thin(frf: FrequencyResponse, n_omega: int) -> FrequencyResponse:
+    """The points nearest to n_omega log-spaced ones."""
+    wanted = np.geomspace(frf.omega[0], frf.omega[-1], n_omega)
+    distance = np.abs(np.log(frf.omega[:, None] / wanted))
+    return frf.take(np.unique(np.argmin(distance, axis=0)))
+
+
+def _nonnegative_delays(free: Free) -> Free:
+    lower = free.lower.copy()
+    at = free.index[delay_parameters(free)[0]]
+    lower[at] = np.maximum(lower[at], 0.0)
+    if (bad := np.flatnonzero(lower > free.upper)).size:
+        name = free.model.parameter_names()[bad[0]]
+        raise ModelError(f"{name} is a delay with upper bound {free.upper[bad[0]]:g} < 0; raise it")
+    return replace(free, lower=lower)
+
+
+# ---- starting points ---------------------------------------------------------------------------
+
+
+def _starting_points(
+    free: Free, target: Target, count: int, seed: int
+) -> list[tuple[str, Array, ComplexArray | None]]:
+    """Names, free parameters and states' responses, most promising first."""
+    rng = np.random.default_rng(seed)
+    found: list[tuple[str, Array, ComplexArray | None]] = []
+    for start in target_starts(free, _comparison(target)):
+        X = start.X
+        if X is not None:  # the programme's states answer to inputs that are not delayed
+            tau = free.model.with_vector(free.full(start.values)).system().delay
+            X = X * np.exp(1j * target.omega[:, None, None] * tau)
+        found.append((start.name, start.values, X))
+    centre, scale = found[0][1], free.scale[free.index]
+    lower, upper = free.lower[free.index], free.upper[free.index]
+    while len(found) < count:
+        spread = np.hypot(0.5 * centre, 0.05 * scale)
+        drawn = centre + spread * rng.standard_normal(len(centre))
+        found.append(("random", np.clip(drawn, lower, upper), None))
+    return found[:count]
+
+
+def _comparison(target: Target) -> Comparison:
+    """The target as a relative complex error, which that in dB and degrees is to first order."""
+    W = np.sqrt(target.weight) / np.abs(target.G)
+    source = Source(
+        name="measured", omega=target.omega, shift=0.0, G=target.G * (W > 0), W=W, system=None,
+        nodes=target.omega, node_weights=W,
+    )  # fmt: skip
+    band = (float(target.omega[0]), float(target.omega[-1]))
+    return Comparison(
+        sources=(source,), input_scale=target.input_scale,
+        output_scale=np.ones(target.G.shape[1]), band=band, shift=0.0,
+    )  # fmt: skip
+
+
+# ---- search ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _State:
+    """Where one start ended."""
+
+    values: Array
+    multipliers: Array
+    cost: float
+    success: bool
+    status: str
+
+
+class _Search:
+    """Solves from many starts with the same two programmes, and remembers the best."""
+
+    def __init__(self, free: Free, target: Target, options: SolverOptions) -> None:
+        self.free, self.target, self.options = free, target, options
+        self.sensitivity = Sensitivity(free)
+        self.best = _State(
+            values=free.guess, multipliers=np.zeros(len(free.index)), cost=np.inf, success=False,
+            status="not started",
+        )  # fmt: skip
+        self.rows: list[dict[str, Any]] = []
+        self.iterations = 0
+        self._programmes: dict[bool, Programme] = {}
+
+    def run(self, name: str, values: Array, X: ComplexArray | None) -> None:
+        """Quadratic fit from a start, then the logarithmic one from there."""
+        began, iterations = time.perf_counter(), self.iterations
+        near, X, _ = self._solve(f"derivid, start {name}, relative", values, X, logarithmic=False)
+        values, _, solution = self._solve(f"derivid, start {name}", near, X, logarithmic=True)
+        state = self._state(values, solution)
+        self.rows.append({
+            "start": name, "J": state.cost, "success": state.success, "status": state.status,
+            "iterations": self.iterations - iterations, "seconds": time.perf_counter() - began,
+        })  # fmt: skip
+        if (not state.success, state.cost) < (not self.best.success, self.best.cost):
+            self.best = state
+
+    def _solve(
+        self, stage: str, values: Array, X: ComplexArray | None, *, logarithmic: bool
+    ) -> tuple[Array, ComplexArray, Solution]:
+        X = self._states(values) if X is None else X
+        built = self._programme(X, logarithmic=logarithmic)
+        problem = replace(built.problem, x0=built.pack(values, X))
+        solution = solve(problem, self.options, stage=stage)
+        self.iterations += solution.iterations
+        return *built.unpack(solution.x), solution
+
+    def cost(self, values: Array) -> Array:
+        """J of every pair, (ny, nu)."""
+        G = self.sensitivity(values, self.target.omega)[0]
+        return np.asarray(np.sum(residuals(G, self.target.G, self.target.weight) ** 2, axis=(0, 1)))
+
+    def _states(self, values: Array) -> ComplexArray:
+        system = self.free.model.with_vector(self.free.full(values)).system()
+        s = 1j * self.target.omega[:, None, None]
+        return np.asarray(
+            np.linalg.solve(s * np.eye(system.nx) - system.A, system.B * self.target.input_scale)
+        )
+
+    def _programme(self, X: ComplexArray, *, logarithmic: bool) -> Programme:
+        if logarithmic not in self._programmes:
+            size = np.sqrt(np.mean(np.abs(X) ** 2, axis=(0, 2)))
+            scale = np.maximum(size, 1e-6 * size.max() or 1.0)
+            self._programmes[logarithmic] = programme(
+                self.free, self.target, scale, logarithmic=logarithmic
+            )
+        return self._programmes[logarithmic]
+
+    def _state(self, values: Array, solution: Solution) -> _State:
+        """The cost is computed anew: what IPOPT calls a success is checked against it."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            cost = float(self.cost(values).sum())
+        held = np.isfinite(cost) and abs(cost - solution.f) <= 1e-4 * max(cost, 1e-6)
+        success = solution.success and bool(held)
+        status = solution.status
+        if solution.success and not held:
+            status = f"solved, but the model's own cost there is {cost:.6g}, not {solution.f:.6g}"
+        scale = self.free.scale[self.free.index]
+        multipliers = -solution.multipliers_x[: len(values)] / scale
+        return _State(
+            values=values, multipliers=multipliers, cost=cost if np.isfinite(cost) else np.inf,
+            success=success, status=status,
+        )  # fmt: skip
+
+
+def _check_influence(search: _Search) -> None:
+    """Every parameter must move some pair that is fitted, at the guess or near it."""
+    free, target = search.free, search.target
+    rng = np.random.default_rng(0)
+    scale = free.scale[free.index]
+    moves = np.zeros(len(scale), dtype=bool)
+    for _ in range(2):
+        values = free.guess + 0.1 * scale * rng.standard_normal(len(scale))
+        slope = search.sensitivity(values, target.omega)[1] * (target.weight > 0)[..., None]
+        moves |= np.abs(slope).max(axis=(0, 1, 2)) > 0
+    if not moves.all():
+        name = free.names[int(np.argmin(moves))]
+        raise ModelError(
+            f"no pair that is fitted depends on {name}; fix it (fixed={{{name!r}}}) or add a pair "
+            "that does"
+        )
+
+
+# ---- accuracy and report -----------------------------------------------------------------------
+
+
+def accuracy(jacobian: Array, active: BoolArray) -> tuple[Array, Array, Array]:
+    """√(H⁻¹)ᵢᵢ, 1/√Hᵢᵢ and H⁻¹ of the cost Σ r², H = 2 JᵀJ, T&R chapter 12.
+
+    Parameters
+    ----------
+    jacobian : (residuals, nf) array
+        dr/dλ.
+    active : (nf,) bool array
+        Parameters on a bound: known, and without uncertainty (NaN).
+
+    Returns
+    -------
+    (nf,), (nf,), (nf, nf) array
+        Infinite where the data do not tell parameters apart.
+    """
+    H = 2 * jacobian.T @ jacobian
+    size = np.sqrt(np.diag(H))
+    with np.errstate(divide="ignore"):
+        insensitivity = np.where(size > 0, 1 / size, np.inf)
+    inside = np.flatnonzero(~active & (size > 0))
+    covariance = np.full(H.shape, np.nan)
+    if len(inside):
+        unit = H[np.ix_(inside, inside)] / np.outer(size[inside], size[inside])
+        eigenvalues, V = np.linalg.eigh(unit)
+        lost = eigenvalues <= len(inside) * np.finfo(float).eps * eigenvalues[-1]
+        inverse = (V[:, ~lost] / eigenvalues[~lost]) @ V[:, ~lost].T
+        blind = (np.abs(V[:, lost]) > 1e-6).any(axis=1)
+        inverse[np.ix_(blind, blind)] += np.diag(np.full(int(blind.sum()), np.inf))
+        covariance[np.ix_(inside, inside)] = inverse / np.outer(size[inside], size[inside])
+    return np.sqrt(np.diag(covariance)), insensitivity, covariance
+
+
+def _result(
+    search: _Search, model: Model, frf: FrequencyResponse, used: BoolArray, seconds: float
+) -> Fit:
+    free, target, best = search.free, search.target, search.best
+    G, slope = search.sensitivity(best.values, target.omega)
+    root = np.sqrt(target.weight)[..., None]
+    relative = slope / np.where(G == 0, 1, G)[..., None] * root  # d ln G, weighted
+    rows = [part[used] for part in (DB * relative.real, np.sqrt(PHASE) * DEG * relative.imag)]
+    jacobian = np.vstack(rows)
+    table = parameter_table(free, best.values, best.multipliers, guess=model)
+    active = np.array([table[i].active for i in free.index])
+    std, insensitivity, covariance = accuracy(jacobian, active)
+    error = _random_errors(free.model, frf)
+    noise = np.concatenate([(factor * root[..., 0] * error)[used] for factor in
+                            (DB, np.sqrt(PHASE) * DEG)])  # fmt: skip
+    scatter = _scatter(jacobian, covariance, noise)
+    parameters = parameter_table(
+        free, best.values, best.multipliers, std_error=std, insensitivity=insensitivity, guess=model
+    )
+    pairs = _pair_rows(search, used, frf)
+    costs = np.array([row["J"] for row in pairs])
+    notes = {
+        "pairs": pairs,
+        "average": float(costs.mean()),
+        "table": [
+            _row(name, value, s, i, c)
+            for name, value, s, i, c in zip(
+                free.names, best.values, std, insensitivity, scatter, strict=True
+            )
+        ],
+        "starts": search.rows,
+        "guidelines": {
+            "J": GOOD, "cramer_rao_percent": CRAMER_RAO, "insensitivity_percent": INSENSITIVITY
+        },
+    }  # fmt: skip
+    return Fit(
+        model=free.model.with_vector(free.full(best.values)), parameters=parameters,
+        cost=best.cost, status=best.status, success=best.success, iterations=search.iterations,
+        seconds=seconds, method="derivid", covariance=covariance, free_names=free.names,
+        notes=notes,
+    )  # fmt: skip
+
+
+def _row(
+    name: str, value: float, std: float, insensitivity: float, scatter: float
+) -> dict[str, Any]:
+    """One row of the accuracy table; the Cramér-Rao figure is twice √(H⁻¹)ᵢᵢ, as T&R quote it."""
+    size = abs(value)
+    cr = 200 * std / size if size > 0 else np.inf
+    i = 100 * insensitivity / size if size > 0 else np.inf
+    misses = [word for word, bad in (("CR", cr > CRAMER_RAO), ("I", i > INSENSITIVITY)) if bad]
+    return {
+        "name": name, "value": float(value), "cramer_rao_percent": float(cr),
+        "insensitivity_percent": float(i), "scatter": float(scatter), "misses": misses,
+    }  # fmt: skip
+
+
+def _pair_rows(search: _Search, used: BoolArray, frf: FrequencyResponse) -> list[dict[str, Any]]:
+    J = search.cost(search.best.values)
+    rows = []
+    for i, output in enumerate(search.free.model.outputs):
+        for j, name in enumerate(search.free.model.inputs):
+            at = np.flatnonzero(used[:, i, j])
+            if len(at):
+                rows.append({
+                    "output": output, "input": name, "J": float(J[i, j]), "points": len(at),
+                    "band": (float(frf.omega[at[0]]), float(frf.omega[at[-1]])),
+                    "misses": ["J"] if J[i, j] > GOOD else [],
+                })  # fmt: skip
+    return rows
+
+
+def _random_errors(model: Model, frf: FrequencyResponse) -> Array:
+    """Random error of every pair in the model's channels, NaN where unknown, (K, ny, nu)."""
+    error = np.full((len(frf.omega), len(model.outputs), len(model.inputs)), np.nan)
+    for i, output in enumerate(model.outputs):
+        for j, name in enumerate(model.inputs):
+            if output in frf.outputs and name in frf.inputs:
+                error[:, i, j] = frf.random_error[:, *frf.index(output, name)]
+    return error
+
+
+def _scatter(jacobian: Array, covariance: Array, noise: Array) -> Array:
+    """Standard deviations of λ that independent errors of the residuals cause, (nf,)."""
+    known = np.nan_to_num(covariance, nan=0.0, posinf=0.0)
+    gain = 2 * known @ jacobian.T  # dλ = H⁻¹ 2Jᵀ dr
+    scatter = np.sqrt(np.sum((gain * noise) ** 2, axis=1))
+    return np.asarray(np.where(np.isfinite(np.diag(covariance)), scatter, np.nan))
