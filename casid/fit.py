@@ -1,7 +1,7 @@
 """The result of an estimation: the model with its estimates and what is known about them."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -115,8 +115,8 @@ class Fit:
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, whole or not at all."""
-        model = {name: getattr(self.model, name) for name in self.model.__dataclass_fields__}
-        content = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        model = {f.name: getattr(self.model, f.name) for f in fields(self.model)}
+        content = {f.name: getattr(self, f.name) for f in fields(self)}
         content["model"] = {"class": type(self.model).__name__, "values": model}
         content["parameters"] = [asdict(row) for row in self.parameters]
         content["certificate"] = None if self.certificate is None else asdict(self.certificate)
@@ -134,11 +134,13 @@ class Fit:
         content = read_json(path)
         if content.pop("casid", None) != "fit":
             raise ValueError(f"{path}: not a fit saved by casid")
-        content.pop("version", None)
+        names = [f.name for f in fields(cls)]
+        if missing := [name for name in names if name not in content]:
+            raise ValueError(f"{path}: the saved fit has no {missing[0]!r}; was the file edited?")
+        content = {name: content[name] for name in names}
         stored = content["model"]
-        if stored["class"] != model.__name__ or set(stored["values"]) != set(
-            model.__dataclass_fields__
-        ):
+        expected = {f.name for f in fields(model)}
+        if stored["class"] != model.__name__ or set(stored["values"]) != expected:
             raise ModelError(
                 f"{path} holds a fit of {stored['class']} with {', '.join(stored['values'])}; "
                 f"it cannot be read as {model.__name__}"

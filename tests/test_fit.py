@@ -1,0 +1,114 @@
+"""Fits: saved and read back alike, and a parameter table that says what pressed where."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from casid import Certificate, Fit, Model, ModelError, Rows, Scalar, parameter
+from casid.fit import parameter_table
+from casid.model import free_parameters
+
+
+class Lag(Model):
+    states = ("x",)
+    inputs = ("u",)
+    outputs = ("x",)
+    a: Scalar = parameter(default=-1.0, lower=-5.0, upper=0.0, unit="1/s")
+    b: Scalar = parameter(default=2.0, unit="-")
+    c: Scalar = parameter(default=0.5, lower=0.0, upper=1.0, unit="-")
+    U0: float = 40.0
+
+    def A(self) -> Rows:
+        return [[self.a]]
+
+    def B(self) -> Rows:
+        return [[self.b * self.c]]
+
+
+class Other(Lag):
+    U1: float = 0.0
+
+
+def table():
+    free = free_parameters(Lag(c=0.25), fixed=("c",))
+    return parameter_table(free, np.array([-5.0, 3.0]), np.array([0.7, 1e-9]), np.array([0.1, 0.2]))
+
+
+def fit(**changes):
+    parts = {
+        "model": Lag(a=-5.0, b=3.0, c=0.25, U0=41.0), "parameters": table(), "cost": 1.5,
+        "status": "solved", "success": True, "iterations": 7, "seconds": 0.25, "method": "test",
+        "certificate": Certificate(
+            grid_norm=0.1, upper_bound=np.inf, peak_omega=2.0, band=(0.5, 12.0), shift=0.2
+        ),
+        "covariance": np.array([[1.0, np.nan], [np.nan, 4.0]]), "free_names": ("a", "b"),
+        "R": np.eye(1), "initial_states": np.zeros((2, 1)), "biases": np.ones((2, 1)),
+        "interval": 1.0, "notes": {"costs": [3.0, 1.5]},
+    }  # fmt: skip
+    return Fit(**(parts | changes))
+
+
+def test_a_saved_fit_reads_back_the_same(tmp_path):
+    one = fit()
+    one.save(tmp_path / "fit.json")
+    two = Fit.load(tmp_path / "fit.json", model=Lag)
+    assert two.model == one.model
+    assert two.model.U0 == 41.0  # the trim too
+    for a, b in zip(one.parameters, two.parameters, strict=True):
+        np.testing.assert_equal(b.__dict__, a.__dict__)  # NaN equals NaN, infinity infinity
+    assert vars(two.certificate) == vars(one.certificate)
+    for name in ("covariance", "R", "initial_states", "biases"):
+        np.testing.assert_array_equal(getattr(two, name), getattr(one, name))
+    for name in ("cost", "status", "success", "iterations", "seconds", "method", "interval"):
+        assert getattr(two, name) == getattr(one, name)
+    assert two.free_names == ("a", "b")
+    assert two.notes == {"costs": [3.0, 1.5]}
+
+
+def test_what_a_fit_lacks_stays_absent(tmp_path):
+    fit(certificate=None, covariance=None, R=None, cost=np.nan).save(tmp_path / "fit.json")
+    again = Fit.load(tmp_path / "fit.json", model=Lag)
+    assert (again.certificate, again.covariance, again.R) == (None, None, None)
+    assert np.isnan(again.cost)
+
+
+def test_a_fit_of_another_structure_or_no_fit_is_refused(tmp_path):
+    file = tmp_path / "fit.json"
+    fit().save(file)
+    with pytest.raises(ModelError, match=r"holds a fit of Lag with a, b, c, U0; .* read as Other"):
+        Fit.load(file, model=Other)
+    content = json.loads(file.read_text())
+    del content["cost"]
+    file.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="the saved fit has no 'cost'"):
+        Fit.load(file, model=Lag)
+    file.write_text('{"casid": "study"}')
+    with pytest.raises(ValueError, match=r"fit\.json: not a fit saved by casid"):
+        Fit.load(file, model=Lag)
+
+
+def test_the_table_tells_bounds_fixed_parameters_and_the_guess():
+    a, b, c = table()
+    assert (a.name, a.value, a.guess, a.lower, a.upper, a.unit) == ("a", -5, -1, -5, 0, "1/s")
+    assert a.active
+    assert a.multiplier == 0.7
+    assert not b.active
+    assert b.multiplier == 0.0  # rounding off the bounds is no price
+    assert (b.std_error, b.fixed) == (0.2, False)
+    assert (c.value, c.fixed, c.active, c.std_error) == (0.25, True, False, 0.0)
+    assert all(np.isnan(row.insensitivity) for row in (a, b, c))
+
+
+def test_without_a_noise_model_standard_errors_are_nan():
+    rows = parameter_table(free_parameters(Lag()), np.zeros(3), np.zeros(3), guess=Lag(a=-2.0))
+    assert all(np.isnan(row.std_error) for row in rows)
+    assert rows[0].guess == -2.0
+
+
+def test_rows_are_found_by_name():
+    assert fit()["b"].value == 3.0
+    with pytest.raises(KeyError, match="no parameter 'q'; the model has a, b, c"):
+        fit()["q"]
+    assert replace(fit(), success=False).success is False
