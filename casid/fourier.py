@@ -1,12 +1,15 @@
 """Finite Fourier transforms of records, exact for linear models with free end states.
 
-Over a record of duration T, at ω_k = 2πk/T, a model dx/dt = A x + B u, y = C x + D u gives
+Of N equidistant samples, with z = exp(jω h) at the frequencies ω_k = 2πk/((N - 1) h), the first
+N - 1 obey, for a mode dx/dt = λ x + b u whose input is held between the samples,
 
-    Y(ω_k) = G(jω_k) U(ω_k) + C (jω_k I - A)⁻¹ δ,        δ = x(0) - x(T),
+    X(z) = ρ(z) b U(z) + z/(z - e^{λh}) δ        Y(z) = Σ c X(z) + D U(z)
 
-for any initial and final state, of a stable or an unstable model: the transient is one more linear
-unknown. Source: R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach,
-2nd ed., section 6.3.2.
+with ρ the hold-equivalent pole factor and δ, one number a mode, whatever the initial and the final
+state were: the transient is one more linear unknown, and an unstable model is no special case.
+Without equidistant samples the same holds in continuous time, ρ = 1/(jω - λ), with the integral
+of the held input and the outputs moved to equidistant instants by a cubic spline. Source:
+R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., section 6.3.
 """
 
 from collections.abc import Sequence
@@ -26,23 +29,34 @@ LONGEST = 120.0  # s; a longer record is cut, so that the work stays linear in s
 class Spectrum:
     """Transforms of one stretch, divided by √T and the channels' standard deviations.
 
-    ``omega`` is (K,) [rad/s], ``U`` (K, nu) and ``Y`` (K, ny) complex.
+    ``omega`` is (K,) [rad/s], ``U`` (K, nu) and ``Y`` (K, ny) complex, ``h`` the sampling interval
+    [s], None for the continuous form; ``hold`` is that of the inputs.
     """
 
     omega: Array
     U: ComplexArray
     Y: ComplexArray
+    h: float | None
+    hold: Hold
+
+    def pole_factors(self, lam: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Factor of the input, its derivative by λ, and factor of the transient; (K, nm) each."""
+        if self.h is None:
+            r = 1 / (1j * self.omega[:, None] - lam)
+            return r, r**2, r
+        z = np.exp(1j * self.omega * self.h)[:, None]
+        phi, dphi = _hold_weights(lam * self.h, self.hold)
+        E = np.exp(lam * self.h)
+        weight = self.h * (phi[0] + phi[1] * z)
+        slope = self.h**2 * (dphi[0] + dphi[1] * z)
+        r = weight / (z - E)
+        return r, (slope + r * self.h * E) / (z - E), z / (z - E) * self.h
 
 
 def spectra(
     records: Sequence[Record], su: Array, sy: Array, highest: float
 ) -> tuple[Spectrum, ...]:
-    """Transforms of every record up to ``highest`` [rad/s]; outputs must have no NaN.
-
-    The inputs' integrals are exact for their hold. The outputs' are trapezoidal sums, whose error
-    for equidistant samples of a smooth signal is that of its ends; other samples are first moved
-    to equidistant instants by a cubic spline.
-    """
+    """Transforms of every record up to ``highest`` [rad/s]; outputs must have no NaN."""
     found = []
     for record in records:
         pieces = max(int(np.ceil(record.duration / LONGEST)), 1)
@@ -55,39 +69,44 @@ def spectra(
 def _spectrum(record: Record, cut: slice, su: Array, sy: Array, highest: float) -> Spectrum:
     t = record.t[cut] - record.t[cut][0]
     u, y = record.u[cut] / su, record.y[cut] / sy
-    T, n = t[-1], len(t)
+    T, n = float(t[-1]), len(t)
     K = min(int(highest * T / (2 * np.pi)), (n - 1) // 2)
     omega = 2 * np.pi * np.arange(1, K + 1) / T
-    uniform = record.equidistant
-    U = _held_transform(omega, t, u, record.hold, uniform=uniform)
-    if not uniform:
-        y = CubicSpline(t, y)(np.linspace(0.0, T, n))
     h = T / (n - 1)
-    weighted = h * y
-    weighted[[0, -1]] /= 2
-    Y = _point_sum(omega, t, weighted, uniform=True)
-    return Spectrum(omega, U / np.sqrt(T), Y / np.sqrt(T))
+    if record.equidistant:
+        U = np.fft.fft(u[:-1], axis=0)[1 : K + 1] * (h / np.sqrt(T))
+        Y = np.fft.fft(y[:-1], axis=0)[1 : K + 1] * (h / np.sqrt(T))
+        return Spectrum(omega, U, Y, h, record.hold)
+    even = CubicSpline(t, y)(np.linspace(0.0, T, n))
+    even[0] = (even[0] + even[-1]) / 2  # both ends share one phase: the trapezoidal sum
+    Y = np.fft.fft(even[:-1], axis=0)[1 : K + 1] * (h / np.sqrt(T))
+    U = _held_transform(omega, t, u, record.hold) / np.sqrt(T)
+    return Spectrum(omega, U, Y, None, record.hold)
 
 
-def _held_transform(omega: Array, t: Array, u: Array, hold: Hold, *, uniform: bool) -> ComplexArray:
+def _hold_weights(x: ComplexArray, hold: Hold) -> tuple[ComplexArray, ComplexArray]:
+    """Weights of u(t) and u(t + h) in one step over h, and their derivatives by x = λh; (2, nm)."""
+    small = np.abs(x) < 0.01
+    safe = np.where(small, 1.0, x)
+    one = np.where(small, 1 + x / 2 + x**2 / 6 + x**3 / 24, np.expm1(safe) / safe)
+    two = np.where(small, 1 / 2 + x / 6 + x**2 / 24 + x**3 / 120, (np.expm1(safe) - safe) / safe**2)
+    done = np.where(small, 1 / 2 + x / 3 + x**2 / 8, (np.exp(safe) - one) / safe)
+    dtwo = np.where(small, 1 / 6 + x / 12 + x**2 / 40, (one - 2 * two) / safe)
+    if hold == "zoh":
+        return np.array([one, 0 * one]), np.array([done, 0 * done])
+    return np.array([one - two, two]), np.array([done - dtwo, dtwo])
+
+
+def _held_transform(omega: Array, t: Array, u: Array, hold: Hold) -> ComplexArray:
     """∫ u(t) exp(-jωt) dt, exact for steps or straight lines between the samples."""
     s = 1j * omega[:, None]
+    E = np.exp(-1j * np.outer(omega, t))
     if hold == "zoh":
-        return _point_sum(omega, t, _jumps(u[:-1]), uniform=uniform) / s
+        return np.asarray(E @ _jumps(u[:-1]) / s)
     slopes = np.diff(u, axis=0) / np.diff(t)[:, None]  # by parts: the derivative is made of steps
-    derivative = _point_sum(omega, t, _jumps(slopes), uniform=uniform) / s
-    return (derivative + u[0] - u[-1]) / s
+    return np.asarray((E @ _jumps(slopes) / s + u[0] - u[-1]) / s)
 
 
 def _jumps(steps: Array) -> Array:
     """Jumps at every sample of a signal that is a step per interval and zero outside."""
     return np.diff(steps, axis=0, prepend=0.0, append=0.0)
-
-
-def _point_sum(omega: Array, t: Array, c: Array, *, uniform: bool) -> ComplexArray:
-    """Σ c_k exp(-jω t_k); equidistant samples share a phase at both ends of the record."""
-    if not uniform:
-        return np.asarray(np.exp(-1j * np.outer(omega, t)) @ c)
-    folded = c[:-1].copy()
-    folded[0] += c[-1]
-    return np.asarray(np.fft.fft(folded, axis=0)[1 : len(omega) + 1])

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.linalg
 
 from casid.arrays import Array
-from casid.linear import StateSpace, foh_step
+from casid.linear import StateSpace, foh_step, step_groups
 from casid.record import Hold
 
 REACH = 2.0  # of `support`: beyond it a kernel has less than 1 % of its norm
@@ -32,9 +32,10 @@ def laguerre(a: float, n: int) -> tuple[Array, Array]:
 def support(a: float, k: int) -> float:
     """Time [s] within which the k-th function (from 0) has 99 % of its norm.
 
-    Its turning point (2k + 1)/a and twice the width of the Airy region behind it.
+    Its turning point (2k + 1)/a and twice the width of the Airy region behind it; the first few
+    functions, which have hardly a turning point, decay like exp(-a t).
     """
-    return float(((2 * k + 1) + REACH * (4 * k + 2) ** (1 / 3)) / a)
+    return float(max((2 * k + 1) + REACH * (4 * k + 2) ** (1 / 3), np.log(100.0)) / a)
 
 
 def project(t: Array, v: Array, a: float, n: int, hold: Hold = "foh") -> Array:
@@ -73,9 +74,8 @@ def project_blocks(
         The block holds the projections of the samples ``start`` to ``start + len(block) - 1``.
     """
     A_L, b = laguerre(a, n)
-    steps = np.diff(t)
-    unique, which = np.unique(np.round(steps / steps.max(), 9), return_inverse=True)
-    maps = [_backward_step(A_L, b, step * steps.max(), hold) for step in unique]
+    steps, which = step_groups(t)
+    maps = [_backward_step(A_L, b, step, hold) for step in steps]
     z = np.zeros((n, v.shape[1]))
     end = len(t)
     while end > 0:

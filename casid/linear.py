@@ -157,9 +157,9 @@ class StateSpace:
         grid, samples = _break_points(t, self.delay)
         left, right = _delayed_input(t, u, self.delay, grid, hold)
         widths = np.diff(grid)
-        unique, which = np.unique(np.round(widths / widths.max(), 9), return_inverse=True)
+        unique, which = step_groups(grid)
         maps, forcing = [], np.empty((len(widths), self.nx))
-        for i, width in enumerate(unique * widths.max()):
+        for i, width in enumerate(unique):
             Ad, B0, B1 = foh_step(self.A, self.B, width)
             here = np.flatnonzero(which == i)
             maps.append(Ad)
@@ -179,6 +179,20 @@ class Steps:
     forcing: Array
     samples: np.ndarray
     direct: Array
+
+
+def step_groups(t: Array) -> tuple[Array, np.ndarray]:
+    """Distinct sampling intervals [s], and which of them each interval is.
+
+    Intervals that differ by rounding of the instants alone count as one.
+    """
+    steps = np.diff(t)
+    rounding = 8 * np.finfo(float).eps * np.abs(t).max() / steps.max()
+    digits = int(-np.log10(np.clip(rounding, 1e-15, 1e-3)))
+    rounded, first, which = np.unique(
+        np.round(steps / steps.max(), digits), return_index=True, return_inverse=True
+    )
+    return (np.array([steps.mean()]) if len(rounded) == 1 else steps[first]), which
 
 
 def foh_step(A: Array, B: Array, h: float) -> tuple[Array, Array, Array]:

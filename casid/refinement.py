@@ -4,14 +4,14 @@ A subspace estimate is consistent but not efficient, and its direct term cannot 
 harm. Here its poles, input and output matrices are moved by Gauss-Newton steps to maximise the
 likelihood of the records' Fourier transforms,
 
-    min Σ_records Σ_k Σ_o |Y_o - G_o(jω_k) U - C_o (jω_k I - A)⁻¹ δ|² / Φ_o(ω_k),
+    min Σ_records Σ_k Σ_o |Y_o - Σ_m c_om (ρ_m b_m U + ζ_m δ_m) - D_o U|² / Φ_o(ω_k),
 
 with one transient δ per record (`casid.fourier`) and the residual spectrum Φ_o estimated from the
 residuals themselves, smoothed over log ω. What the linear model cannot follow (turbulence, the
 nonlinear response at low frequency) raises Φ there and counts less. Source: R. Pintelon,
 J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapters 9 and 12.
 
-In modal coordinates every derivative is a pole factor r = 1/(jω - λ) times a signal, and an output
+In modal coordinates every derivative is a pole factor times a signal, and an output
 enters through its row of C alone: the normal equations of all outputs are assembled from one small
 Gram matrix each, instead of a tall Jacobian.
 """
@@ -168,18 +168,23 @@ def from_modal(modal: Modal, su: Array, sy: Array, like: StateSpace) -> StateSpa
     return StateSpace(A, B, C, D, None, like.inputs, like.outputs)
 
 
-def _pole_factors(modal: Modal, omega: Array) -> tuple[ComplexArray, ComplexArray]:
-    """1/(jω - λ) and 1/(jω - λ*), the second zero for a real mode; (K, nm) each."""
-    r = 1 / (1j * omega[:, None] - modal.lam)
-    rc = np.where(modal.real, 0.0, 1 / (1j * omega[:, None] - modal.lam.conj()))
-    return r, rc
+@dataclass(frozen=True, eq=False)
+class _Factors:
+    """Pole factors of one spectrum for the modes and, zero for real ones, their conjugates."""
+
+    r: ComplexArray
+    rc: ComplexArray
+    slope: ComplexArray
+    slope_c: ComplexArray
+    transient: ComplexArray
+    transient_c: ComplexArray
 
 
-def _states(
-    modal: Modal, U: ComplexArray, r: ComplexArray, rc: ComplexArray
-) -> tuple[ComplexArray, ComplexArray]:
-    """Modal states of the forced response and those of the conjugate modes, (K, nm)."""
-    return r * (U @ modal.B.T), rc * (U @ modal.B.conj().T)
+def _factors(modal: Modal, spectrum: Spectrum) -> _Factors:
+    r, slope, transient = spectrum.pole_factors(modal.lam)
+    conjugates = spectrum.pole_factors(modal.lam.conj())
+    rc, slope_c, transient_c = (np.where(modal.real, 0.0, factor) for factor in conjugates)
+    return _Factors(r, rc, slope, slope_c, transient, transient_c)
 
 
 def _pair(phi: ComplexArray, conjugate: ComplexArray, real: BoolArray) -> ComplexArray:
@@ -194,10 +199,10 @@ def _pair(phi: ComplexArray, conjugate: ComplexArray, real: BoolArray) -> Comple
 
 def _forced(modal: Modal, spectrum: Spectrum) -> tuple[ComplexArray, ComplexArray]:
     """Output residual without transient (K, ny), and the transient's basis (K, n)."""
-    r, rc = _pole_factors(modal, spectrum.omega)
-    X, Xc = _states(modal, spectrum.U, r, rc)
-    E = spectrum.Y - X @ modal.C.T - Xc @ modal.C.conj().T - spectrum.U @ modal.D.T
-    return E, _pair(r[:, :, None], rc[:, :, None], modal.real)
+    f, U = _factors(modal, spectrum), spectrum.U
+    X, Xc = f.r * (U @ modal.B.T), f.rc * (U @ modal.B.conj().T)
+    E = spectrum.Y - X @ modal.C.T - Xc @ modal.C.conj().T - U @ modal.D.T
+    return E, _pair(f.transient[:, :, None], f.transient_c[:, :, None], modal.real)
 
 
 def _residuals(modal: Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
@@ -301,15 +306,14 @@ def _schur(G: Array, n: int) -> Array:
 
 def _basis(modal: Modal, spectrum: Spectrum) -> ComplexArray:
     """Signals that span all derivatives: of the transient, λ, B, then of C, then of D."""
-    r, rc = _pole_factors(modal, spectrum.omega)
-    X, Xc = _states(modal, spectrum.U, r, rc)
-    real, U = modal.real, spectrum.U
+    f, U, real = _factors(modal, spectrum), spectrum.U, modal.real
+    BU, BUc = U @ modal.B.T, U @ modal.B.conj().T
     return np.hstack(
         [
-            _pair(r[:, :, None], rc[:, :, None], real),
-            _pair((r * X)[:, :, None], (rc * Xc)[:, :, None], real),
-            _pair(r[:, :, None] * U[:, None], rc[:, :, None] * U[:, None], real),
-            _pair(X[:, :, None], Xc[:, :, None], real),
+            _pair(f.transient[:, :, None], f.transient_c[:, :, None], real),
+            _pair((f.slope * BU)[:, :, None], (f.slope_c * BUc)[:, :, None], real),
+            _pair(f.r[:, :, None] * U[:, None], f.rc[:, :, None] * U[:, None], real),
+            _pair((f.r * BU)[:, :, None], (f.rc * BUc)[:, :, None], real),
             U,
         ]
     )
@@ -389,7 +393,7 @@ def _response_derivative(
     for j in range(nu):
         U = np.zeros((len(omega), nu), dtype=complex)
         U[:, j] = 1.0
-        unit = Spectrum(omega, U, np.zeros((len(omega), ny), dtype=complex))
+        unit = Spectrum(omega, U, np.zeros((len(omega), ny), dtype=complex), None, "foh")
         basis = _basis(modal, unit)
         E, _ = _forced(modal, unit)
         G[:, :, j] = -E

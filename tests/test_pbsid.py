@@ -1,0 +1,199 @@
+import sys
+import warnings
+
+import numpy as np
+import pytest
+from truth import STABILISING, closed_loop_record, stepped_input, unstable_plant
+
+from casid import DataWarning, Record, StateSpace, pbsid
+from casid.pbsid import excited_band, feedthrough_mask, gather
+from casid.record import standard_deviations
+
+OMEGA = np.geomspace(0.3, 8.0, 25)
+
+
+def relative_error(system, truth, omega=OMEGA):
+    G, G_hat = truth.response(omega), system.response(omega)
+    return np.max(np.linalg.norm(G_hat - G, axis=(1, 2)) / np.linalg.norm(G, axis=(1, 2)))
+
+
+def campaign(noise=0.0, seed=0, records=2, **options):
+    rng = np.random.default_rng(seed)
+    plant = unstable_plant()
+    return [
+        closed_loop_record(plant, rng, noise=noise, gain=STABILISING, name=f"r{i}", **options)
+        for i in range(records)
+    ]
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_noise_free_unstable_plant_in_closed_loop_is_recovered(hold):
+    plant = unstable_plant()
+    box = pbsid(campaign(hold=hold), order=5, past=10, pole=6.0, feedthrough=["z"])
+    # The outputs between samples are not straight lines: 1e-3 is their interpolation error.
+    assert relative_error(box.system, plant) < 1e-3
+    found = box.system.poles()
+    for pole in plant.poles():
+        assert np.min(np.abs(found - pole)) < 1e-3 * max(abs(pole), 1)
+
+
+def test_masked_direct_term_is_zero_in_continuous_time_and_the_free_one_is_found():
+    box = pbsid(campaign(noise=0.01), order=5, past=10, pole=6.0, feedthrough=["z"])
+    np.testing.assert_array_equal(box.system.D[:2], 0.0)
+    assert box.system.D[2, 0] == pytest.approx(0.3, abs=0.02)
+
+
+def test_samples_themselves_give_the_discrete_model_exactly():
+    rng = np.random.default_rng(3)
+    A = np.array([[0.8, 0.3, 0], [-0.3, 0.8, 0.1], [0, 0, 0.5]])
+    B, C = np.array([[1.0], [0.5], [1.0]]), np.array([[1.0, 0, 0.3], [0, 1.0, 0]])
+    truth = StateSpace(A, B, C, np.zeros((2, 1)), 0.1)
+    t = 0.1 * np.arange(400)
+    u = stepped_input(400, 1, rng, hold=3)
+    record = Record(t, u, truth.simulate(t, u), ("u1",), ("y1", "y2"), hold="zoh")
+    box = pbsid([record], order=3, past=8, feedthrough=False, transform="none", regularisation=0.0)
+    assert box.system.dt == pytest.approx(0.1)
+    assert relative_error(box.system, truth, np.linspace(0.2, 25, 20)) < 1e-8
+    continuous = box.continuous()
+    assert continuous.system.dt is None
+    # The continuous model's zero-order-hold response at the samples is the discrete one's.
+    again = continuous.system.simulate(t, u, hold="zoh")
+    np.testing.assert_allclose(again, record.y, atol=1e-7)
+
+
+def test_all_records_count_not_only_the_last():
+    records = campaign(noise=0.05, records=4, duration=12.0)
+    plant = unstable_plant()
+    joint = pbsid(records, order=5, past=8, pole=6.0, feedthrough=["z"])
+    last = pbsid(records[-1:], order=5, past=8, pole=6.0, feedthrough=["z"])
+    median = lambda system: np.median(  # noqa: E731
+        np.abs(system.response(OMEGA) / plant.response(OMEGA) - 1)
+    )
+    assert median(joint.system) < median(last.system)
+    assert [segment.record for segment in joint.segments] == ["r0", "r1", "r2", "r3"]
+
+
+def test_order_of_records_does_not_matter():
+    records = campaign(noise=0.02, records=3, duration=12.0)
+    one = pbsid(records, order=5, past=8, pole=6.0)
+    other = pbsid(records[::-1], order=5, past=8, pole=6.0)
+    np.testing.assert_allclose(
+        one.system.response(OMEGA), other.system.response(OMEGA), rtol=1e-6, atol=1e-8
+    )
+
+
+def test_units_of_channels_do_not_matter():
+    records = campaign(noise=0.02)
+    scaled = [Record(r.t, 100 * r.u, 57.3 * r.y, r.inputs, r.outputs, r.name) for r in records]
+    one = pbsid(records, order=5, past=8, pole=6.0)
+    other = pbsid(scaled, order=5, past=8, pole=6.0)
+    np.testing.assert_allclose(
+        other.system.response(OMEGA), 0.573 * one.system.response(OMEGA), rtol=1e-6
+    )
+
+
+def test_gain_stabilises_the_predictor():
+    for refine in (False, True):
+        box = pbsid(campaign(noise=0.05), order=5, past=8, pole=6.0, refine=refine)
+        assert np.linalg.eigvals(box.system.A - box.K @ box.system.C).real.max() < 0
+
+
+def test_missing_samples_are_interpolated_over_short_gaps_and_split_long_ones():
+    records = campaign(noise=0.001, duration=40.0)
+    y = records[0].y.copy()
+    y[100, 0] = np.nan  # short
+    y[900:1000, 1] = np.nan  # 2 s
+    gappy = Record(records[0].t, records[0].u, y, records[0].inputs, records[0].outputs, "gappy")
+    box = pbsid([gappy, records[1]], order=5, past=8, pole=6.0, feedthrough=["z"])
+    parts = [segment for segment in box.segments if segment.record == "gappy"]
+    assert len(parts) == 2
+    assert sum(segment.interpolated for segment in parts) == 1
+    assert relative_error(box.system, unstable_plant()) < 0.02
+
+
+def test_random_sampling_instants_need_no_resampling():
+    plant, rng = unstable_plant(), np.random.default_rng(5)
+    stable = StateSpace(
+        plant.A - 0.6 * np.eye(5), plant.B, plant.C, plant.D, None, plant.inputs, plant.outputs
+    )
+    records = []
+    for i in range(3):
+        t = np.cumsum(rng.uniform(0.01, 0.03, 1000))
+        u = np.array([np.sin(t * w + i) for w in (0.7, 1.9, 4.1)]).sum(axis=0)
+        v = np.array([np.cos(t * w - i) for w in (0.5, 2.3, 5.3)]).sum(axis=0)
+        u = np.column_stack([u, v]) + stepped_input(1000, 2, rng, hold=40)
+        records.append(Record(t, u, stable.simulate(t, u), plant.inputs, plant.outputs, f"r{i}"))
+    box = pbsid(records, order=5, past=10, pole=6.0, feedthrough=["z"])
+    assert relative_error(box.system, stable) < 5e-3
+
+
+def test_stack_of_blocks_is_the_stack_of_all_columns(monkeypatch):
+    records = campaign(noise=0.02)
+    su, sy = standard_deviations(records)
+    whole, _ = gather(records, su, sy, 6, 6.0)
+    monkeypatch.setattr(sys.modules["casid.pbsid"], "BLOCK", 100)
+    parts, _ = gather(records, su, sy, 6, 6.0)
+    assert parts.columns == whole.columns
+    np.testing.assert_allclose(parts.R.T @ parts.R, whole.R.T @ whole.R, rtol=1e-9, atol=1e-8)
+
+
+def test_band_spans_what_every_input_excites():
+    t = np.arange(0, 60, 0.02)
+    fast, slow = np.sin(6.0 * t), np.sin(2.0 * t)
+    y = np.zeros((len(t), 1))
+    low, high = excited_band([Record(t, np.column_stack([fast, slow]), y, ("f", "s"), ("y",))])
+    assert low == pytest.approx(4 * np.pi / t[-1])
+    assert 2.0 <= high < 3.0
+
+
+def test_mask_is_built_from_every_accepted_form():
+    inputs, outputs = ("a", "b"), ("x", "y")
+    assert feedthrough_mask(True, inputs, outputs).all()
+    assert not feedthrough_mask(False, inputs, outputs).any()
+    np.testing.assert_array_equal(
+        feedthrough_mask(["y"], inputs, outputs), [[False, False], [True, True]]
+    )
+    with pytest.raises(ValueError, match="feedthrough names 'q', no output"):
+        feedthrough_mask(["q"], inputs, outputs)
+    with pytest.raises(ValueError, match="expected \\(2, 2\\)"):
+        feedthrough_mask(np.ones((1, 2), dtype=bool), inputs, outputs)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"order": 0}, "expected order >= 1"),
+        ({"order": 40, "past": 8}, "order 40 needs past and future of at least 14"),
+        ({"order": 5, "pole": -1.0}, "expected a Laguerre pole > 0"),
+        ({"order": 5, "transform": "fourier"}, 'expected "laguerre" or "none"'),
+    ],
+)
+def test_impossible_settings_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        pbsid(campaign(duration=5.0), **options)
+
+
+def test_a_record_shorter_than_the_kernels_is_refused_by_name():
+    with pytest.raises(ValueError, match=r"record 'r0' is too short.*raise the pole"):
+        pbsid(campaign(records=1, duration=2.0), order=5, past=10, pole=6.0)
+
+
+def test_uneven_samples_are_refused_without_a_transform():
+    record = campaign(records=1)[0]
+    t = record.t.copy()
+    t[5:] += 0.01
+    uneven = Record(t, record.u, record.y, record.inputs, record.outputs, "uneven")
+    with pytest.raises(ValueError, match="'uneven' is not equidistant"):
+        pbsid([uneven], order=5, transform="none")
+
+
+def test_an_unstable_pole_near_the_laguerre_pole_warns():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        records = campaign(records=2)
+    fast = StateSpace([[1.5]], [[1.0]], [[1.0]], [[0.0]])
+    rng = np.random.default_rng(0)
+    loops = [closed_loop_record(fast, rng, gain=np.array([[3.0]]), name=f"f{i}") for i in range(2)]
+    assert len(records) == 2
+    with pytest.warns(DataWarning, match="raise pole"):
+        pbsid(loops, order=1, past=4, pole=2.0)

@@ -1,0 +1,58 @@
+"""Systems with known answers, shared by the tests."""
+
+import numpy as np
+
+from casid import Record, StateSpace
+from casid.linear import foh_step
+
+
+def unstable_plant():
+    """Five states, two inputs, three outputs, an unstable pair 0.1 ± 0.5j and poles to -8."""
+    A = np.array(
+        [
+            [0.1, 0.5, 0.0, 0.0, 0.0],
+            [-0.5, 0.1, 1.0, 0.0, 0.0],
+            [0.0, 0.0, -1.5, 2.5, 0.0],
+            [0.0, 0.0, -2.5, -1.5, 1.0],
+            [0.0, 0.0, 0.0, 0.0, -8.0],
+        ]
+    )
+    B = np.array([[0.0, 0.5], [1.0, 0.0], [2.0, 0.5], [0.0, 1.5], [4.0, -2.0]])
+    C = np.array([[1.0, 0, 0, 0.2, 0], [0, 1.0, 0.5, 0, 0], [0, 0, 1.0, 0, 0.5]])
+    D = np.array([[0.0, 0.0], [0.0, 0.0], [0.3, 0.0]])
+    return StateSpace(A, B, C, D, None, ("a", "b"), ("x", "y", "z"))
+
+
+def stepped_input(N, nu, rng, hold=20):
+    """Random two-level input, (N, nu)."""
+    return np.repeat(rng.choice([-1.0, 1.0], size=(-(-N // hold), nu)), hold, axis=0)[:N]
+
+
+def closed_loop_record(
+    plant, rng, *, duration=20.0, dt=0.02, noise=0.0, gain=None, name="loop", lag=0.06, hold="foh"
+):
+    """A record of the plant under lagged output feedback, exact for first-order-hold inputs.
+
+    The command u follows r - gain y through a first-order lag, so that it is known one sample ahead
+    and the input between samples is the straight line the record says it is.
+    """
+    N = int(duration / dt) + 1
+    gain = np.zeros((plant.nu, plant.ny)) if gain is None else gain
+    reference = stepped_input(N, plant.nu, rng)
+    Ad, B0, B1 = foh_step(plant.A, plant.B, dt)
+    if hold == "zoh":
+        B0, B1 = B0 + B1, np.zeros_like(B1)
+    pole = np.exp(-dt / lag)
+    x, u = np.zeros(plant.nx), np.zeros(plant.nu)
+    us, ys = np.empty((N, plant.nu)), np.empty((N, plant.ny))
+    for k in range(N):
+        ys[k] = plant.C @ x + plant.D @ u + noise * rng.standard_normal(plant.ny)
+        us[k] = u
+        u_next = pole * u + (1 - pole) * (reference[k] - gain @ ys[k])
+        x = Ad @ x + B0 @ u + B1 @ u_next
+        u = u_next
+    t = dt * np.arange(N)
+    return Record(t, us, ys, plant.inputs, plant.outputs, name, hold)
+
+
+STABILISING = np.array([[0.5, 1.2, 0.3], [1.0, 0.0, 0.0]])
