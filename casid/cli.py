@@ -1,0 +1,216 @@
+"""The command line."""
+
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.live import Live
+from rich.spinner import Spinner
+from rich.table import Table
+from rich.text import Text
+
+from casid.errors import ConvergenceError
+from casid.fit import Fit
+from casid.nlp import Progress
+from casid.report import Timing
+from casid.runner import Outcome, run_study
+from casid.study import Study, read_records
+from casid.studyfile import read_study
+
+BAD_INPUT, NO_CONVERGENCE = 2, 3
+
+
+def _path(_: click.Context, __: click.Parameter, value: str | None) -> Path | None:
+    return None if value is None else Path(value)
+
+
+STUDY = click.argument("study", callback=_path, metavar="STUDY.toml")
+OUTPUT = click.option(
+    "--output",
+    "-o",
+    callback=_path,
+    metavar="FOLDER",
+    help="Folder of the results, instead of the one the study names.",
+)
+VERBOSE = click.option("--verbose", "-v", is_flag=True, help="Say what each stage does.")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(version("casid"))
+def main() -> None:
+    r"""Identify rotorcraft models from flight records, in the time and frequency domains.
+
+    A study file (TOML) names the model structure, the records by role, the units of their channels
+    and the options of each stage; paths in it are relative to the file.
+
+    \b
+    Exit codes: 0 success, 1 internal error, 2 bad input, 3 a solver did not converge.
+    """
+
+
+@main.command()
+@STUDY
+@OUTPUT
+@click.option("--fresh", is_flag=True, help="Compute every stage again, whatever was kept.")
+@VERBOSE
+def identify(study: Path, output: Path | None, fresh: bool, verbose: bool) -> None:
+    r"""Identify the structure a study names and write its report.
+
+    Stages: black box (pbsid), measured frequency response, quadratic match, H-infinity match,
+    output error, frequency-domain baseline, validation, report. Each result is kept when its stage
+    ends: an interrupted study goes on where it stopped, and a stage is computed again only
+    if something it depends on has changed.
+
+    \b
+    The output folder then holds
+      report.html      everything on one page, for screen and paper
+      fit.json         the identified model, for casid.Fit.load
+      parameters.csv   the parameter table
+      figures/         every figure as PNG and SVG
+      stages/          the result of each stage
+    """
+    console = Console(highlight=False)
+    with _exits(console), _logging(console, verbose), Monitor(console) as monitor:
+        outcome = run_study(read_study(study, output), fresh=fresh, watch=monitor)
+    _conclude(console, outcome)
+
+
+@main.command()
+@STUDY
+@VERBOSE
+def check(study: Path, verbose: bool) -> None:
+    """Check a study file, its model and its records without computing anything."""
+    console = Console(highlight=False)
+    with _exits(console), _logging(console, verbose):
+        read = read_study(study)
+        _describe(console, read)
+
+
+@contextmanager
+def _exits(console: Console) -> Iterator[None]:
+    """Turn the failures a user can do something about into messages and exit codes."""
+    try:
+        yield
+    except ConvergenceError as error:
+        _complain(console, "No convergence", error)
+        sys.exit(NO_CONVERGENCE)
+    except (ValueError, OSError) as error:
+        _complain(console, "Bad input", error)
+        sys.exit(BAD_INPUT)
+
+
+def _complain(console: Console, what: str, error: Exception) -> None:
+    loud = Console(stderr=True, highlight=False, width=console.width)
+    loud.print(Text(f"{what}: ", style="bold red").append(str(error), style="default"))
+
+
+@contextmanager
+def _logging(console: Console, verbose: bool) -> Iterator[None]:
+    logger = logging.getLogger("casid")
+    handler = _Lines(lambda line: console.print(Text(f"  {line}", style="dim")))
+    level = logger.level
+    if verbose:
+        logger.addHandler(handler)
+        logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+
+
+class _Lines(logging.Handler):
+    def __init__(self, write: Callable[[str], Any]) -> None:
+        super().__init__()
+        self._write = write
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._write(self.format(record))
+
+
+class Monitor:
+    """Shows the stage that runs (iteration, cost, seconds) and a line for each that has ended."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._live = Live(console=console, refresh_per_second=8, transient=True)
+        self._spinner = Spinner("dots")
+
+    def __enter__(self) -> "Monitor":
+        self._console.print(Text(f"{'stage':<14}{'iterations':>11}{'cost':>14}{'seconds':>10}",
+                                 style="bold"))  # fmt: skip
+        self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def begin(self, stage: str) -> None:
+        """Show that a stage runs."""
+        self._spinner.update(text=Text(stage))
+        self._live.update(self._spinner)
+
+    def progress(self, progress: Progress) -> None:
+        """Show the iteration it is at."""
+        text = _line(progress.stage, progress.iteration, progress.cost, progress.seconds)
+        self._spinner.update(text=Text(text))
+
+    def end(self, timing: Timing) -> None:
+        """Leave a line about it."""
+        self._live.update(Text(""))
+        line = _line(timing.stage, timing.iterations, timing.cost, timing.seconds)
+        self._console.print(Text(line + ("  kept" if timing.kept else "")))
+
+
+def _line(stage: str, iterations: int | None, cost: float | None, seconds: float) -> str:
+    steps = "" if iterations is None else str(iterations)
+    value = "" if cost is None else f"{cost:.6g}"
+    return f"{stage:<14}{steps:>11}{value:>14}{seconds:>10.2f}"
+
+
+def _conclude(console: Console, outcome: Outcome) -> None:
+    fresh = [timing.seconds for timing in outcome.timings if not timing.kept]
+    console.print(Text(f"{'total':<14}{'':>25}{sum(fresh):>10.2f}", style="bold"))
+    console.print(parameter_table(outcome.identification.output_error))
+    console.print(Text("Report: ").append(str(outcome.report.resolve()), style="bold"),
+                  soft_wrap=True)  # fmt: skip
+
+
+def parameter_table(fit: Fit) -> Table:
+    """Parameters of a fit for the terminal; * marks those on a bound."""
+    table = Table(title=f"Parameters after {fit.method}", title_justify="left")
+    table.add_column("name")
+    for heading in ("value", "std. error", "lower", "upper"):
+        table.add_column(heading, justify="right")
+    table.add_column("unit")
+    for row in fit.parameters:
+        error = "fixed" if row.fixed else f"{row.std_error:.2g}"
+        table.add_row(
+            row.name,
+            f"{row.value:.4g}{'*' if row.active else ' '}",
+            error,
+            f"{row.lower:g}",
+            f"{row.upper:g}",
+            Text(row.unit),
+            style="yellow" if row.active else None,
+        )
+    return table
+
+
+def _describe(console: Console, study: Study) -> None:
+    structure = type(study.model)
+    free = len(structure.parameter_names()) - len(study.fixed)
+    console.print(Text(f"{study.title}: structure {structure.__name__}, {free} free parameters"))
+    table = Table("role", "record", "samples", "seconds", "interval")
+    for role, records in read_records(study).items():
+        for record in records:
+            table.add_row(role, Text(record.name), str(record.N), f"{record.duration:g}",
+                          f"{record.dt:g}")  # fmt: skip
+    console.print(table)
+    console.print("The study is in order.")

@@ -1,0 +1,40 @@
+"""Figures and the report page; the only import of matplotlib and of the page's libraries."""
+
+from casid.report.content import BASELINE, BLACK_BOX, MATCH, OUTPUT_ERROR, Content, DataFile, Timing
+from casid.report.figures import (
+    plot_autocorrelation,
+    plot_coherence,
+    plot_history,
+    plot_input,
+    plot_magnitude,
+    plot_measured,
+    plot_phase,
+    plot_poles,
+    plot_rms,
+    plot_singular_values,
+)
+from casid.report.html import write_report
+from casid.report.modes import Mode, modes
+
+__all__ = [
+    "BASELINE",
+    "BLACK_BOX",
+    "MATCH",
+    "OUTPUT_ERROR",
+    "Content",
+    "DataFile",
+    "Mode",
+    "Timing",
+    "modes",
+    "plot_autocorrelation",
+    "plot_coherence",
+    "plot_history",
+    "plot_input",
+    "plot_magnitude",
+    "plot_measured",
+    "plot_phase",
+    "plot_poles",
+    "plot_rms",
+    "plot_singular_values",
+    "write_report",
+]

@@ -1,0 +1,335 @@
+"""The static figures of a report, put together from the ``plot_*`` functions."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from casid.arrays import Array
+from casid.linear import StateSpace
+from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Content
+from casid.report.figures import (
+    decibel,
+    frequency_axis,
+    groups,
+    input_pairs,
+    phase,
+    phase_axis,
+    plot_autocorrelation,
+    plot_coherence,
+    plot_history,
+    plot_input,
+    plot_magnitude,
+    plot_measured,
+    plot_phase,
+    plot_poles,
+    plot_rms,
+    plot_singular_values,
+)
+
+LOOK: dict[Any, Any] = {
+    "font.size": 8.0,
+    "axes.titlesize": 9.0,
+    "axes.grid": True,
+    "axes.grid.which": "both",
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "casid",
+    "path.simplify_threshold": 0.5,
+}
+WIDTH = 7.4  # inches: the printable width of A4
+POINTS = 200  # of a model's response
+LAGS = 100  # samples of the autocorrelation
+SLOW = 2.0  # rad/s, the reach of the enlarged plane of eigenvalues
+LEFT, RIGHT, TOP, BOTTOM, GAP = 0.62, 0.1, 0.42, 0.42, 0.1  # inches around and between axes
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Drawing:
+    """A figure with its place in the report: section, file name, caption."""
+
+    section: str
+    name: str
+    caption: str
+    figure: Figure
+
+
+def draw(content: Content) -> Iterator[Drawing]:
+    """All figures, one at a time."""
+    with rc_context(LOOK):
+        yield from _responses(content)
+        yield from _histories(content)
+        yield _rms(content)
+        yield from _whiteness(content)
+        yield _singular_values(content)
+        yield _poles(content)
+
+
+def save(drawing: Drawing, folder: str | Path) -> tuple[Path, Path]:
+    """Write a figure as PNG and as SVG; returns both paths."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    png, svg = folder / f"{drawing.name}.png", folder / f"{drawing.name}.svg"
+    with rc_context(LOOK):
+        drawing.figure.savefig(png, dpi=150, metadata={"Software": None})
+        drawing.figure.savefig(svg, metadata={"Date": None})
+    return png, svg
+
+
+# ---- frequency responses -----------------------------------------------------------------------
+
+
+def systems(content: Content) -> dict[str, StateSpace]:
+    """Every model by name; a discrete black box is left out of continuous figures."""
+    found = {name: fit.model.system() for name, fit in content.fits.items()}
+    black_box = content.black_box.system
+    return {BLACK_BOX: black_box, **found} if black_box.dt is None else found
+
+
+def band(content: Content) -> tuple[float, float]:
+    """Frequencies [rad/s] on which the match was made, or that the records excite."""
+    certificate = content.hinf.certificate
+    return content.black_box.band if certificate is None else certificate.band
+
+
+def with_states(system: StateSpace, states: Sequence[str]) -> StateSpace:
+    """The same system with some of its states as outputs."""
+    C = np.array([[float(name == state) for name in system.states] for state in states])
+    D = np.zeros((len(states), system.nu))
+    return replace(system, C=C, D=D, outputs=tuple(states))
+
+
+def _responses(content: Content) -> Iterator[Drawing]:
+    shown = systems(content)
+    structure = type(content.output_error.model)
+    hidden = tuple(name for name in structure.states if name not in structure.outputs)
+    omega = np.geomspace(*band(content), POINTS)
+    for outputs in groups(structure.outputs):
+        for inputs in input_pairs(structure.inputs):
+            yield _response(content, shown, omega, outputs, inputs)
+    inner = {name: with_states(s, hidden) for name, s in shown.items() if name in content.fits}
+    for outputs in groups(hidden):
+        for inputs in input_pairs(structure.inputs):
+            yield _response(content, inner, omega, outputs, inputs)
+
+
+def _response(
+    content: Content,
+    shown: Mapping[str, StateSpace],
+    omega: Array,
+    outputs: Sequence[str],
+    inputs: Sequence[str],
+) -> Drawing:
+    measured = content.frequency_response
+    if measured is not None and not set(outputs) <= set(measured.outputs):
+        measured = None
+    heights = [3, 2] if measured is None else [3, 2, 1.1]
+    rows = len(heights)
+    figure = Figure(figsize=(WIDTH, 0.45 + 0.42 * sum(heights) * len(outputs)))
+    axes = figure.subplots(
+        rows * len(outputs), len(inputs), sharex=True, squeeze=False,
+        height_ratios=heights * len(outputs),
+    )  # fmt: skip
+    for i, output in enumerate(outputs):
+        for j, channel in enumerate(inputs):
+            column = list(axes[rows * i : rows * (i + 1), j])
+            _pair(column, content, shown, omega, (output, channel))
+            column[0].set_title(f"{output} / {channel}", loc="left", fontweight="bold", pad=3)
+    for ax in axes[-1]:
+        ax.set_xlabel("ω [rad/s]")
+        frequency_axis(ax, omega[0], omega[-1])
+    for ax in axes[:, 1:].flat:
+        ax.set_ylabel("")
+    _legend(figure, axes[0, 0])
+    name = f"response_{'_'.join(outputs)}_from_{'_'.join(inputs)}"
+    caption = f"Frequency responses from {_list(inputs)} to {_list(outputs)}"
+    return Drawing(section="responses", name=name, caption=caption, figure=_tidy(figure, axes))
+
+
+def _pair(
+    column: Sequence[Axes],
+    content: Content,
+    shown: Mapping[str, StateSpace],
+    omega: Array,
+    pair: tuple[str, str],
+) -> None:
+    output, channel = pair
+    near: Array | None = None
+    measured = content.frequency_response
+    curves = {}
+    for name, system in shown.items():
+        i, j = system.outputs.index(output), system.inputs.index(channel)
+        curves[name] = system.response(omega)[:, i, j]
+        near = phase(curves[name]) if near is None else near
+    if len(column) == 3 and measured is not None and near is not None:
+        place = measured.outputs.index(output), measured.inputs.index(channel)
+        plot_measured(column[0], column[1], measured, place, near=(omega, near))
+        plot_coherence(column[2], measured, place)
+    for name, G in curves.items():
+        plot_magnitude(column[0], omega, G, name=name)
+        plot_phase(column[1], omega, G, name=name, near=near)
+    # The models set the limits: a band of two sigma has no lower end where coherence is lost.
+    low, high = _span([decibel(G) for G in curves.values()], least=20.0)
+    column[0].set_ylim(low - 3, high + 3)
+    phase_axis(column[1], *_span([phase(G, near) for G in curves.values()], least=60.0))
+
+
+def _span(curves: Sequence[Array], least: float) -> tuple[float, float]:
+    low, high = float(np.min(curves)), float(np.max(curves))
+    more = max(0.0, least - (high - low)) / 2
+    return low - more, high + more
+
+
+# ---- time --------------------------------------------------------------------------------------
+
+
+def _histories(content: Content) -> Iterator[Drawing]:
+    validation = content.validation
+    for k, record in enumerate(validation.measured):
+        outputs = record.outputs
+        half = (len(outputs) + 1) // 2
+        yield _inputs(content, k)
+        for part in (outputs[:half], outputs[half:]):
+            if part:
+                yield _history(content, k, part)
+
+
+def _inputs(content: Content, k: int) -> Drawing:
+    record = content.validation.measured[k]
+    figure = Figure(figsize=(WIDTH, 0.4 + 1.0 * record.nu))
+    axes = figure.subplots(record.nu, 1, sharex=True, squeeze=False)
+    for ax, channel in zip(axes[:, 0], record.inputs, strict=True):
+        plot_input(ax, record.t, record.channel(channel), channel=channel)
+    axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
+    return Drawing(
+        section="histories",
+        name=f"inputs_{_file(record.name)}",
+        caption=f"Inputs of {record.name}, deviations from trim",
+        figure=_tidy(figure, axes),
+    )
+
+
+def _history(content: Content, k: int, outputs: Sequence[str]) -> Drawing:
+    validation = content.validation
+    record = validation.measured[k]
+    figure = Figure(figsize=(WIDTH, 0.6 + 1.75 * len(outputs)))
+    axes = figure.subplots(len(outputs), 1, sharex=True, squeeze=False)
+    for ax, channel in zip(axes[:, 0], outputs, strict=True):
+        i = record.outputs.index(channel)
+        simulated = {name: y[k][:, i] for name, y in validation.simulated.items()}
+        plot_history(ax, record.t, record.y[:, i], simulated, channel=channel)
+    axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
+    _legend(figure, axes[0, 0])
+    return Drawing(
+        section="histories",
+        name=f"history_{_file(record.name)}_{'_'.join(outputs)}",
+        caption=f"Measured and simulated {_list(outputs)}, record {record.name}",
+        figure=_tidy(figure, axes),
+    )
+
+
+def _rms(content: Content) -> Drawing:
+    records = content.validation.records
+    figure = Figure(figsize=(WIDTH, 0.4 + 2.4 * len(records)))
+    axes = figure.subplots(len(records), 1, squeeze=False)
+    for k, ax in enumerate(axes[:, 0]):
+        plot_rms(ax, content.validation, record=k)
+        ax.grid(visible=False, axis="x")
+        if len(records) > 1:
+            ax.set_title(records[k], loc="left")
+    _legend(figure, axes[0, 0])
+    caption = "RMS simulation error of each model, divided by the largest among the models"
+    return Drawing(section="rms", name="rms", caption=caption, figure=_tidy(figure, axes))
+
+
+def _whiteness(content: Content) -> Iterator[Drawing]:
+    validation = content.validation
+    for k, record in enumerate(validation.measured):
+        rows = (record.ny + 1) // 2
+        figure = Figure(figsize=(WIDTH, 0.6 + 1.25 * rows))
+        axes = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
+        for ax in axes.flat[record.ny :]:
+            ax.set_visible(False)
+        for i, (ax, output) in enumerate(zip(axes.flat, record.outputs, strict=False)):
+            for name in (BLACK_BOX, OUTPUT_ERROR):
+                residual = record.y[:, i] - validation.simulated[name][k][:, i]
+                lags = min(LAGS, record.N // 2)
+                plot_autocorrelation(ax, residual, record.dt, name=name, lags=lags)
+            ax.set_title(output, loc="left", fontweight="bold", pad=3)
+        for ax in axes[:, 1]:
+            ax.set_ylabel("")
+        for ax in axes[-1]:
+            ax.set_xlabel("lag [s]")
+        _legend(figure, axes[0, 0])
+        yield Drawing(
+            section="whiteness",
+            name=f"whiteness_{_file(record.name)}",
+            caption=f"Autocorrelation of the residuals, record {record.name}; grey: the band that "
+            "holds 99 % of a white sequence's",
+            figure=_tidy(figure, axes),
+        )
+
+
+def _singular_values(content: Content) -> Drawing:
+    figure = Figure(figsize=(WIDTH * 0.6, 2.4))
+    axes = figure.subplots(1, 1, squeeze=False)
+    plot_singular_values(axes[0, 0], content.black_box)
+    caption = "Singular values of the predicted future; dotted: the order taken"
+    return Drawing(section="black_box", name="singular_values", caption=caption,
+                   figure=_tidy(figure, axes))  # fmt: skip
+
+
+def _poles(content: Content) -> Drawing:
+    figure = Figure(figsize=(WIDTH, 3.0))
+    axes = figure.subplots(1, 2, squeeze=False)
+    for ax in axes.flat:
+        plot_poles(ax, systems(content))
+    axes[0, 1].set(xlim=(-SLOW, 0.4 * SLOW), ylim=(-SLOW, SLOW))
+    _legend(figure, axes[0, 0])
+    caption = "Eigenvalues; right: the slow ones, enlarged"
+    return Drawing(section="modes", name="poles", caption=caption, figure=_tidy(figure, axes))
+
+
+# ---- shared ------------------------------------------------------------------------------------
+
+
+def _legend(figure: Figure, ax: Axes) -> None:
+    handles, labels = ax.get_legend_handles_labels()
+    order = sorted(range(len(labels)), key=lambda k: labels[k].endswith("σ"))
+    handles, labels = [handles[k] for k in order], [labels[k] for k in order]
+    figure.legend(handles, labels, loc="upper center", ncols=len(labels), borderaxespad=0.2)
+
+
+def _tidy(figure: Figure, axes: np.ndarray) -> Figure:
+    """Place axes by the inch; a layout engine takes longer than all the drawing."""
+    width, height = figure.get_size_inches()
+    rows, columns = axes.shape
+    gap = GAP + (0.14 if any(ax.get_title(loc="left") for ax in axes[1:].flat) else 0.0)
+    each = (height - TOP - BOTTOM - gap * (rows - 1)) / rows
+    between = LEFT + 0.05
+    wide = (width - LEFT - RIGHT - between * (columns - 1)) / columns
+    figure.subplots_adjust(
+        left=LEFT / width, right=1 - RIGHT / width, top=1 - TOP / height, bottom=BOTTOM / height,
+        hspace=gap / each, wspace=between / wide,
+    )  # fmt: skip
+    for ax in axes.flat:
+        ax.yaxis.set_label_coords(-0.47 / wide, 0.5)
+    return figure
+
+
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else names[0]
+
+
+def _file(name: str) -> str:
+    return "".join(c if c.isalnum() or c in "-_" else "_" for c in name)

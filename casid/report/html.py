@@ -1,0 +1,110 @@
+"""The report: one HTML page that needs nothing beside it."""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import jinja2
+import numpy as np
+
+from casid.files import write_text
+from casid.fit import ParameterEstimate
+from casid.report.content import UNITS, Content
+from casid.report.drawings import Drawing, draw, save
+from casid.report.modes import modes
+from casid.report.verdicts import cautions, verdicts
+
+SECTIONS = {
+    "responses": "Frequency responses",
+    "histories": "Time histories of unseen records",
+    "rms": "RMS errors",
+    "whiteness": "Residuals",
+    "black_box": "Black box",
+    "modes": "Modes",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A figure as the page holds it: caption, static picture, interactive one if there is any."""
+
+    name: str
+    caption: str
+    source: str
+
+
+def write_report(content: Content, folder: str | Path) -> Path:
+    """Write report.html and figures/*.png, *.svg; returns the path of the page."""
+    folder = Path(folder)
+    pictures: dict[str, list[Picture]] = {section: [] for section in SECTIONS}
+    for drawing in draw(content):
+        pictures[drawing.section].append(_picture(drawing, folder / "figures"))
+    page = folder / "report.html"
+    write_text(page, render(content, pictures))
+    return page
+
+
+def render(content: Content, pictures: dict[str, list[Picture]]) -> str:
+    """Return the page's text."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("casid.report"),
+        autoescape=True,  # names come from users' files
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"number": number, "percent": percent, "price": price}
+    model = content.output_error.model
+    return environment.get_template("report.html.j2").render(
+        content=content,
+        pictures=pictures,
+        verdicts=verdicts(content),
+        cautions=cautions(content),
+        modes={name: modes(fit.model.system()) for name, fit in content.fits.items()},
+        units=UNITS,
+        structure=type(model),
+        trim={
+            name: getattr(model, name)
+            for name in (f.name for f in fields(model))
+            if name not in type(model).infos()
+        },
+    )
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number as a reader wants it: four digits, no needless exponent, a dash for NaN."""
+    if value is None or np.isnan(value):
+        return "–"
+    if np.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    text = f"{value:.{digits}g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        text = f"{mantissa}·10^{int(exponent)}"
+    return text.replace("-", "−")
+
+
+def percent(row: ParameterEstimate) -> str:
+    """Standard error in percent of the value."""
+    if not np.isfinite(row.std_error) or row.value == 0 or row.fixed:
+        return "–"
+    share = 100 * row.std_error / abs(row.value)
+    return f"{share:.1f}" if share < 999.5 else "> 999"
+
+
+def price(row: ParameterEstimate) -> str:
+    """Price of the bound a parameter lies on."""
+    return number(row.multiplier, 3) if row.active else ""
+
+
+def _picture(drawing: Drawing, folder: Path) -> Picture:
+    _, svg = save(drawing, folder)
+    data = base64.b64encode(svg.read_bytes()).decode("ascii")
+    source = f"data:image/svg+xml;base64,{data}"
+    return Picture(name=drawing.name, caption=drawing.caption, source=source)
+
+
+def names(rows: Sequence[ParameterEstimate]) -> str:
+    """Names of parameters in a sentence."""
+    return ", ".join(row.name for row in rows)

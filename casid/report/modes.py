@@ -1,0 +1,112 @@
+"""Modes of a model, named where the states that take part say what they are.
+
+Names as in G. D. Padfield, Helicopter Flight Dynamics, 2nd ed., section 4.3. How much a state
+takes part in a mode is measured by participation factors |v_i w_i| (right and left eigenvector;
+Pérez-Arriaga, Verghese, Schweppe 1982), which do not depend on units.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.linear import StateSpace
+
+OSCILLATES = 1e-6  # imaginary part, relative to the modulus, that counts as an oscillation
+CLEAR = 0.6  # share of the states of one kind above which a mode is theirs
+
+LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mode:
+    """One real pole or one complex pair (the pole with positive imaginary part).
+
+    Parameters
+    ----------
+    name : str
+        "-" where no name fits.
+    pole : complex
+        Eigenvalue [rad/s].
+    frequency : float
+        Its modulus [rad/s].
+    damping : float
+        Damping ratio; ±1 for a real pole.
+    time_constant : float
+        1/|Re λ| [s].
+    period : float
+        2π/|Im λ| [s], inf for a real pole.
+    half : float
+        Time in which the amplitude halves [s]; negative: in which it doubles.
+    shares : mapping
+        Participation of every state, sum one.
+    """
+
+    name: str
+    pole: complex
+    frequency: float
+    damping: float
+    time_constant: float
+    period: float
+    half: float
+    shares: Mapping[str, float]
+
+
+def modes(system: StateSpace) -> tuple[Mode, ...]:
+    """Modes of a continuous model, slowest first; each name is given once, to the clearest case."""
+    poles, right = np.linalg.eig(system.A)
+    left = np.linalg.inv(right)
+    shares = np.abs(right * left.T)  # state i in mode k
+    shares = shares / shares.sum(axis=0)
+    kept = [k for k in range(len(poles)) if poles[k].imag >= -OSCILLATES * abs(poles[k])]
+    kept.sort(key=lambda k: abs(poles[k]))
+    columns = [dict(zip(system.states, shares[:, k].tolist(), strict=True)) for k in kept]
+    found = [_mode(complex(poles[k]), column) for k, column in zip(kept, columns, strict=True)]
+    return _once(found)
+
+
+def _mode(pole: complex, shares: Mapping[str, float]) -> Mode:
+    real, modulus = pole.real, abs(pole)
+    oscillates = abs(pole.imag) > OSCILLATES * modulus
+    return Mode(
+        name=_name(oscillates, shares)[0],
+        pole=pole,
+        frequency=modulus,
+        damping=-real / modulus if modulus else np.nan,
+        time_constant=1 / abs(real) if real else np.inf,
+        period=2 * np.pi / abs(pole.imag) if oscillates else np.inf,
+        half=-np.log(2) / real if real else np.inf,
+        shares=shares,
+    )
+
+
+def _name(oscillates: bool, shares: Mapping[str, float]) -> tuple[str, float]:
+    """Name of a mode and how clearly it is the one."""
+    long, lat = (sum(shares.get(x, 0.0) for x in group) for group in (LONGITUDINAL, LATERAL))
+    if max(long, lat) < CLEAR:
+        return "-", 0.0
+
+    def part(*states: str) -> float:
+        return sum(shares.get(x, 0.0) for x in states)
+
+    if long > lat:
+        slow, fast = part("u", "theta"), part("w", "q")
+        if oscillates:
+            return ("phugoid", slow) if slow > fast else ("short period", fast)
+        heave, pitch = part("w"), part("q", "theta")
+        return ("heave subsidence", heave) if heave > pitch else ("pitch subsidence", pitch)
+    if oscillates:
+        return "Dutch roll", lat
+    roll, spiral = part("p"), part("phi", "r")
+    return ("roll subsidence", roll) if roll > spiral else ("spiral", spiral)
+
+
+def _once(found: Sequence[Mode]) -> tuple[Mode, ...]:
+    claims = [_name(np.isfinite(mode.period), mode.shares)[1] for mode in found]
+    best: dict[str, float] = {}
+    for mode, claim in zip(found, claims, strict=True):
+        best[mode.name] = max(best.get(mode.name, 0.0), claim)
+    return tuple(
+        mode if claim == best[mode.name] else replace(mode, name="-")
+        for mode, claim in zip(found, claims, strict=True)
+    )

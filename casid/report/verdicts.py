@@ -1,0 +1,108 @@
+"""What a reader should know first: a verdict per output, and what to be careful about."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.fit import Fit
+from casid.report.content import OUTPUT_ERROR, UNITS, Content
+
+# R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
+# or 0.3 speaks for a good model. Below 0.1 residuals are a tenth of what is simulated.
+GOOD, FAIR = 0.1, 0.3
+GAP = 0.01  # of the certificate, relative
+NAMED = 12  # names in a warning before it says how many more
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """How well the refined model predicts one output of one unseen record."""
+
+    record: str
+    output: str
+    unit: str
+    rms: float
+    fit: float
+    theil: float
+    whiteness: float
+    word: str
+
+
+def verdicts(content: Content) -> tuple[Verdict, ...]:
+    """A verdict per record and output of the refined model."""
+    validation = content.validation
+    return tuple(
+        Verdict(
+            record=record,
+            output=output,
+            unit=UNITS.get(output, "-"),
+            rms=float(validation.rms[OUTPUT_ERROR][k, i]),
+            fit=float(validation.fit[OUTPUT_ERROR][k, i]),
+            theil=float(validation.theil[OUTPUT_ERROR][k, i]),
+            whiteness=float(validation.whiteness[OUTPUT_ERROR][k, i]),
+            word=word(float(validation.theil[OUTPUT_ERROR][k, i])),
+        )
+        for k, record in enumerate(validation.records)
+        for i, output in enumerate(validation.outputs)
+    )
+
+
+def word(theil: float) -> str:
+    """A word for Theil's inequality coefficient."""
+    if not np.isfinite(theil):
+        return "not judged"
+    if theil <= GOOD:
+        return "good"
+    return "fair" if theil <= FAIR else "poor"
+
+
+def cautions(content: Content) -> tuple[str, ...]:
+    """What makes the result less certain than it looks."""
+    said = [f"{fit.method}: {fit.status}" for fit in content.fits.values() if not fit.success]
+    said += _bounds(content.output_error)
+    said += _uncertain(content.output_error)
+    said += _certificate(content.hinf)
+    poor = [v for v in verdicts(content) if v.word in ("poor", "not judged")]
+    said += [f"Output {v.output} of record {v.record} is predicted poorly "
+             f"(Theil coefficient {v.theil:.2f})." for v in poor]  # fmt: skip
+    return (*said, *content.warnings)
+
+
+def _bounds(fit: Fit) -> list[str]:
+    active = [row.name for row in fit.parameters if row.active]
+    if not active:
+        return []
+    return [
+        f"{_count(len(active), 'parameter lies', 'parameters lie')} on a bound: {_names(active)}. "
+        "The data ask for a value beyond it: look at the price in the table, then at the bound."
+    ]
+
+
+def _uncertain(fit: Fit) -> list[str]:
+    rows = [row for row in fit.parameters if not row.fixed and not row.active]
+    unsure = [row.name for row in rows if row.std_error > abs(row.value)]
+    if not unsure:
+        return []
+    return [
+        f"The sign of {_count(len(unsure), 'parameter is', 'parameters is')} not determined "
+        f"(standard error above the value): {_names(unsure)}."
+    ]
+
+
+def _certificate(fit: Fit) -> list[str]:
+    certificate = fit.certificate
+    if certificate is None or certificate.upper_bound <= (1 + GAP) * certificate.grid_norm:
+        return []
+    return [
+        f"The H∞ norm is known to {certificate.upper_bound / certificate.grid_norm - 1:.1%} only: "
+        f"{certificate.grid_norm:.4g} on the grid, at most {certificate.upper_bound:.4g} between."
+    ]
+
+
+def _count(n: int, one: str, many: str) -> str:
+    return f"{n} {one if n == 1 else many}"
+
+
+def _names(names: list[str]) -> str:
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more
