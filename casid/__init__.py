@@ -11,6 +11,7 @@ from casid.model import Constraint, Model, Rows, Scalar, matrix, parameter
 from casid.nlp import Progress, SolverOptions
 from casid.pbsid import BlackBox, pbsid
 from casid.record import Record
+from casid.shooting import output_error
 from casid.validation import Validation, validate
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "frequency_response",
     "match",
     "matrix",
+    "output_error",
     "parameter",
     "pbsid",
     "read_csv",
