@@ -280,7 +280,7 @@ def _equidistant(record: Record, highest: float) -> Record:
             f"{record.dt:g} s), too long to interpolate up to {highest:g} rad/s; split the record "
             "there with between()"
         )
-    t = record.t[0] + record.dt * np.arange(int(record.duration / record.dt) + 1)
+    t = record.t[0] + record.dt * np.arange(int(record.duration / record.dt + 1e-6) + 1)
     u = scipy.interpolate.make_interp_spline(record.t, record.u, k=3)(t)
     missing = np.isnan(record.y)
     y = np.empty((len(t), record.ny))

@@ -1,0 +1,434 @@
+"""Frequency responses from records: closed forms, theory of their errors, the UH-60 sweeps."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+import scipy.optimize
+import scipy.signal
+import uh60
+
+from casid import DataWarning, FrequencyResponse, Record, StateSpace, frequency_response
+from casid.frequency import default_windows
+from casid.spectra import Conditioned, composite, condition, record_spectra, transform
+
+LAG = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], None, ("u",), ("y",))
+TWO = StateSpace(
+    [[-1.0, 2.0], [-2.0, -1.0]], np.eye(2), np.eye(2), np.zeros((2, 2)), None, ("a", "b"),
+    ("x", "y"),
+)  # fmt: skip
+DT = 0.05
+
+
+def white(system, rng, *, duration=400.0, noise=0.0, mix=None, name="white"):
+    """A record under white (linearly interpolated) inputs, correlated by ``mix``."""
+    t = DT * np.arange(round(duration / DT) + 1)
+    u = rng.standard_normal((len(t), system.nu))
+    u = u if mix is None else u @ np.asarray(mix).T
+    y = system.simulate(t, u)
+    return Record(
+        t, u, y + noise * rng.standard_normal(y.shape), system.inputs, system.outputs, name
+    )
+
+
+def relative(response, system):
+    return response.G / system.response(response.omega) - 1
+
+
+# ---- the transform -----------------------------------------------------------------------------
+
+
+def test_the_transform_gives_the_values_of_the_chirp_z_transform():
+    x = np.random.default_rng(1).standard_normal((3, 200, 2))
+    omega = np.linspace(0.5, 12.0, 23)
+    edges = omega[[0, -1]] / (2 * np.pi)
+    chirp = DT * scipy.signal.zoom_fft(x, edges, m=23, fs=1 / DT, endpoint=True, axis=1)
+    np.testing.assert_allclose(transform(x, DT, omega), chirp, rtol=0, atol=1e-12)
+
+
+def test_spectral_densities_add_up_to_the_variance():
+    rng = np.random.default_rng(2)
+    record = white(LAG, rng, duration=2000.0)
+    omega = np.linspace(0.5, 30.0, 60)
+    density = record_spectra([record], omega, 20.0).Guu[0, :, 0, 0].real
+    # White noise of variance 1 has π/dt rad/s to spread over; 200 averages of 60 points.
+    assert density.mean() == pytest.approx(DT / np.pi, rel=4 / np.sqrt(200 * 60))
+
+
+# ---- bias and random error ---------------------------------------------------------------------
+
+
+def test_bias_is_that_of_the_windows_bandwidth():
+    """A Hann window averages G over its bandwidth: the bias is G''/2 times 4π²/(3T²)."""
+    rng = np.random.default_rng(3)
+    omega, T = np.array([1.1, 1.5, 2.0]), 12.0
+    runs = [
+        frequency_response([white(LAG, rng, duration=1200.0)], omega=omega, windows=[T])
+        for _ in range(20)
+    ]
+    mean = np.mean([relative(run, LAG)[:, 0, 0] for run in runs], axis=0)
+    theory = -1 / (1 + 1j * omega) ** 2 * 4 * np.pi**2 / (3 * T**2)  # G''/(2G) of 1/(1 + jω)
+    # Leakage acts as noise at about 0.01 a run; the next term of the series is a tenth of this.
+    np.testing.assert_allclose(mean, theory, atol=4 * 0.01 / np.sqrt(20) + 0.1 * abs(theory[0]))
+
+
+def test_random_error_is_the_scatter_over_realisations():
+    rng = np.random.default_rng(4)
+    omega = np.geomspace(2.0, 12.0, 8)
+    runs = [
+        frequency_response([white(LAG, rng, noise=0.2)], omega=omega, windows=[10.0])
+        for _ in range(80)
+    ]
+    errors = np.array([relative(run, LAG)[:, 0, 0] for run in runs])
+    stated = np.mean([run.random_error[:, 0, 0] for run in runs], axis=0)
+    scatter = np.std(np.abs(1 + errors), axis=0)
+    phase = np.std(np.angle(1 + errors), axis=0)
+    # A standard deviation from 80 runs is known to 8 %, its mean over 8 frequencies to 3 %; Welch's
+    # exact factor for the Hann window is 0.528 where T&R have 0.55.
+    assert np.mean(scatter / stated) == pytest.approx(1.0, abs=0.1)
+    assert np.mean(phase / stated) == pytest.approx(1.0, abs=0.1)
+
+
+def test_coherence_is_the_share_of_the_output_that_the_input_explains():
+    rng = np.random.default_rng(5)
+    sigma = 0.3
+    omega = np.geomspace(2.0, 12.0, 8)
+    found = frequency_response(
+        [white(LAG, rng, duration=4000.0, noise=sigma)], omega=omega, windows=[10.0]
+    )
+    signal = np.abs(LAG.response(omega)[:, 0, 0]) ** 2  # per unit of white input density
+    # A linearly interpolated white sequence has the triangle's spectrum, sinc⁴; the samples of the
+    # output then hold sinc² of the input's samples.
+    theory = signal / (signal + sigma**2)
+    np.testing.assert_allclose(found.coherence[:, 0, 0], theory, atol=0.03)
+    np.testing.assert_allclose(found.multiple_coherence, found.coherence[:, :, 0], atol=1e-9)
+
+
+def test_errors_on_the_linear_helicopters_sweeps_are_those_stated():
+    rng = np.random.default_rng(6)
+    omega = np.geomspace(0.5, 12.0, 40)
+    clean = [uh60.linear_sweep(axis) for axis in uh60.INPUTS]
+    truth = uh60.oracle().response(omega)
+    scores = []
+    for _ in range(3):
+        records = [record.with_noise(uh60.NOISE, rng) for record in clean]
+        found = frequency_response(records, omega=omega)
+        score = np.abs(found.G / truth - 1) / found.random_error
+        scores.append(score[found.coherence >= 0.6])
+    scores = np.concatenate(scores)
+    # Real and imaginary part of one standard deviation each: the median of the modulus is 1.18,
+    # 98.9 % lie below 3. Bias below 1 rad/s and coherence from two averages add to the tail.
+    assert 0.8 < np.median(scores) / 1.18 < 1.25
+    assert np.mean(scores < 3) > 0.93
+
+
+def test_uh60_sweeps_agree_with_the_linearised_helicopter():
+    omega = np.geomspace(0.5, 12.0, 40)
+    began = time.perf_counter()
+    found = frequency_response(uh60.sweeps(seed=0), omega=omega)
+    assert time.perf_counter() - began < 3.0
+    ratio = found.G / uh60.oracle(delay=0.004).response(omega)
+    for output, name in uh60.ON_AXIS:
+        i, j = found.index(output, name)
+        seen = found.coherence[:, i, j] >= 0.8
+        assert seen.sum() > 30
+        assert np.median(np.abs(20 * np.log10(np.abs(ratio[seen, i, j])))) < 1.0
+        assert np.median(np.abs(np.degrees(np.angle(ratio[seen, i, j])))) < 7.0
+    assert not found.flags
+    assert found.condition.max() < 40
+
+
+# ---- several inputs ----------------------------------------------------------------------------
+
+
+def test_conditioning_separates_inputs_that_move_together():
+    rng = np.random.default_rng(7)
+    mix = [[1.0, 0.0], [0.7, 0.7]]  # coherence 0.5 between the inputs
+    record = white(TWO, rng, duration=2000.0, mix=mix)
+    omega = np.geomspace(4.0, 12.0, 10)
+    conditioned = frequency_response([record], omega=omega, windows=[20.0])
+    alone = frequency_response([record], omega=omega, windows=[20.0], conditioned=False)
+    # 100 averages; leakage is the only noise.
+    assert np.abs(relative(conditioned, TWO)).max() < 0.1
+    assert np.median(np.abs(relative(alone, TWO)[:, 1, 0])) > 0.3
+    np.testing.assert_allclose(
+        conditioned.condition, (1 + np.sqrt(0.5)) / (1 - np.sqrt(0.5)), rtol=0.35
+    )
+
+
+def test_partial_coherence_is_that_of_the_textbook():
+    """Of two inputs, from the conditioned spectra written out, T&R (9.22)."""
+    record = white(TWO, np.random.default_rng(8), noise=0.3, mix=[[1.0, 0.0], [0.5, 1.0]])
+    omega = np.geomspace(1.0, 8.0, 5)
+    spectra = record_spectra([record], omega, 20.0)
+    found = condition(spectra, conditioned=True)
+    Guu, Guy, Gyy = spectra.Guu[0], spectra.Guy[0], spectra.Gyy[0]
+    a, b = 0, 1
+    between = np.abs(Guu[:, a, b]) ** 2 / (Guu[:, a, a] * Guu[:, b, b]).real
+    for i in range(2):
+        other = np.abs(Guy[:, b, i]) ** 2 / (Guu[:, b, b].real * Gyy[:, i])
+        cross = Guy[:, a, i] - Guu[:, a, b] * Guy[:, b, i] / Guu[:, b, b]
+        partial = np.abs(cross) ** 2 / (Guu[:, a, a].real * Gyy[:, i] * (1 - between) * (1 - other))
+        np.testing.assert_allclose(found.coherence[:, i, a], partial, rtol=1e-9)
+
+
+def test_one_axis_at_a_time_gives_the_figures_of_that_axis_records():
+    rng = np.random.default_rng(9)
+    first = white(TWO, rng, noise=0.5, mix=[[1.0, 0.0], [0.0, 0.0]], name="a")
+    second = white(TWO, rng, noise=0.5, mix=[[0.0, 0.0], [0.0, 1.0]], name="b")
+    omega = np.geomspace(3.0, 10.0, 6)
+    both = condition(record_spectra([first, second], omega, 20.0), conditioned=True)
+    alone = condition(record_spectra([first.select(inputs=["a"])], omega, 20.0), conditioned=True)
+    np.testing.assert_allclose(both.Gxy[:, :, 0] / both.Gxx[:, :, 0], alone.response[:, :, 0])
+    np.testing.assert_allclose(both.coherence[:, :, 0], alone.coherence[:, :, 0])
+    # Conditioning costs one of all averages, here of 40.
+    np.testing.assert_allclose(both.random_error[:, :, 0], alone.random_error[:, :, 0], rtol=1 / 40)
+
+
+def test_inputs_nobody_can_separate_are_refused_by_name():
+    rng = np.random.default_rng(10)
+    record = white(TWO, rng, mix=[[1.0, 0.0], [0.999, 0.0001]])
+    with pytest.warns(DataWarning, match=r"condition number above 1000.*they are NaN"):
+        found = frequency_response([record], omega=np.geomspace(4, 10, 5), windows=[20.0])
+    assert np.isnan(found.G).all()
+    assert (found.condition > 1000).all()
+    assert any("nothing separates them" in reason for reason in found.flags)
+
+
+def test_inputs_hard_to_separate_are_flagged():
+    record = white(TWO, np.random.default_rng(11), mix=[[1.0, 0.0], [1.0, 0.15]])
+    with pytest.warns(DataWarning, match=r"condition number above 40 \(up to \d"):
+        found = frequency_response([record], omega=np.geomspace(4, 10, 5), windows=[20.0])
+    assert np.isfinite(found.G).all()
+    assert list(found.flags.values()) == [(0, 1, 2, 3, 4)]
+
+
+def test_an_input_that_never_moves_has_no_response():
+    record = white(TWO, np.random.default_rng(12), mix=[[1.0, 0.0], [0.0, 0.0]])
+    with pytest.warns(DataWarning, match="input 'b' never moves"):
+        found = frequency_response([record], omega=np.geomspace(4, 10, 5))
+    assert np.isnan(found.G[:, :, 1]).all()
+    assert np.isfinite(found.G[:, :, 0]).all()
+
+
+# ---- composite ---------------------------------------------------------------------------------
+
+
+def test_the_composite_minimises_its_cost():
+    rng = np.random.default_rng(13)
+    parts = []
+    for _ in range(3):
+        Gxx, Gyy = 1 + 0.2 * rng.standard_normal(), 2 + 0.3 * rng.standard_normal()
+        Gxy = 1.1 * np.exp(0.5j) + 0.1 * rng.standard_normal() + 0.1j * rng.standard_normal()
+        values = {"Gxx": Gxx, "Gxy": Gxy, "Gyy": Gyy, "random_error": 0.1 + 0.05 * rng.random()}
+        pair = {name: np.full((1, 1, 1), value) for name, value in values.items()}
+        parts.append(Conditioned(**pair, multiple_coherence=np.ones((1, 1)), condition=np.ones(1)))
+    error = np.array([part.random_error.item() for part in parts])
+    W = (error / error.min()) ** -4
+
+    def cost(c):
+        total, gamma = 0.0, (c[2] ** 2 + c[3] ** 2) / (c[0] * c[1])
+        for weight, part in zip(W, parts, strict=True):
+            z, own = part.Gxy.item(), part.coherence.item()
+            total += weight * (
+                (c[0] / part.Gxx.item() - 1) ** 2
+                + (c[1] / part.Gyy.item() - 1) ** 2
+                + abs(c[2] + 1j * c[3] - z) ** 2 / abs(z) ** 2
+                + 5 * (gamma / own - 1) ** 2
+            )
+        return total
+
+    best = scipy.optimize.minimize(cost, [1, 2, 1, 0.5], method="BFGS", options={"gtol": 1e-9})
+    merged = composite(parts, np.ones((3, 1), dtype=bool))
+    found = [merged.Gxx.item(), merged.Gyy.item(), merged.Gxy.item().real, merged.Gxy.item().imag]
+    # Gauss-Newton on a small-residual problem: digits a step, BFGS stops at about 1e-6.
+    np.testing.assert_allclose(found, best.x, rtol=1e-4)
+
+
+def test_the_composite_of_one_window_is_that_window():
+    record = white(TWO, np.random.default_rng(14), noise=0.3)
+    part = condition(record_spectra([record], np.array([2.0, 5.0]), 20.0), conditioned=True)
+    merged = composite([part], np.ones((1, 2), dtype=bool))
+    for name in ("Gxx", "Gxy", "Gyy", "random_error", "multiple_coherence"):
+        np.testing.assert_allclose(getattr(merged, name), getattr(part, name), rtol=1e-9)
+
+
+def test_several_windows_are_nearer_over_the_whole_band_than_any_one():
+    omega = np.geomspace(0.7, 12.0, 40)
+    truth = uh60.oracle().response(omega)
+    clean = [uh60.linear_sweep(axis) for axis in uh60.INPUTS]
+
+    def error(windows):
+        total = []
+        for seed in range(4):
+            rng = np.random.default_rng(seed)
+            records = [record.with_noise(uh60.NOISE, rng) for record in clean]
+            found = frequency_response(records, omega=omega, windows=windows)
+            seen = found.coherence >= 0.6
+            total.append(np.sqrt(np.mean(np.log(np.abs(found.G / truth)[seen]) ** 2)))
+        return np.mean(total)
+
+    assert error(None) < min(error([19.14]), error([35.0]))
+
+
+# ---- records and grids -------------------------------------------------------------------------
+
+
+def test_window_lengths_follow_the_rules():
+    records = uh60.sweeps()
+    windows = default_windows(records, np.geomspace(0.5, 12, 40))
+    assert windows[0] == pytest.approx(20 * 2 * np.pi / 12)
+    assert windows[-1] == pytest.approx(35.0)  # half a sweep; a fifth of all is 56 s
+    assert len(windows) == 5
+    assert default_windows(records[:1], np.array([12.0]))[-1] == pytest.approx(14.0)
+
+
+def test_jittered_sampling_is_interpolated():
+    rng = np.random.default_rng(15)
+    even = DT * np.arange(8001)
+    odd = even.copy()
+    odd[10:-10:7] += 0.4 * DT * rng.uniform(-1, 1, len(odd[10:-10:7]))  # the median stays DT
+    knots = np.arange(0.0, 400.5, 0.5)
+    smooth = scipy.interpolate.make_interp_spline(knots, rng.standard_normal(len(knots)), k=5)
+    found = []
+    for t in (even, odd):
+        u = smooth(t)[:, None]
+        record = Record(t, u, LAG.simulate(t, u), ("u",), ("y",))
+        found.append(frequency_response([record], omega=np.array([0.5, 1.0, 2.0]), windows=[40.0]))
+    # Inputs between samples are straight lines: (dt/0.5)²/12 of a knot's curvature, 1e-3.
+    np.testing.assert_allclose(found[1].G, found[0].G, rtol=2e-3)
+
+
+def test_a_gap_in_time_is_refused_with_its_place():
+    record = white(LAG, np.random.default_rng(16))
+    keep = (record.t < 100) | (record.t > 101)
+    broken = Record(record.t[keep], record.u[keep], record.y[keep], ("u",), ("y",), "gap")
+    with pytest.raises(ValueError, match=r"'gap' has a gap of 1.* s at t = 99.95 s.*between\(\)"):
+        frequency_response([broken], omega=np.array([1.0, 2.0]))
+
+
+def test_windows_with_missing_samples_are_left_out_and_said_so():
+    record = white(LAG, np.random.default_rng(17), duration=1000.0)
+    y = record.y.copy()
+    y[5000:5010] = np.nan
+    holed = Record(record.t, record.u, y, ("u",), ("y",), "holed")
+    with pytest.warns(DataWarning, match="of the windows hold missing output samples"):
+        found = frequency_response([holed], omega=np.array([2.0, 4.0]), windows=[20.0])
+    assert np.abs(relative(found, LAG)).max() < 0.1
+    y[::100] = np.nan
+    with pytest.raises(ValueError, match=r"missing samples \(NaN\) in 'y'"):
+        frequency_response(
+            [Record(record.t, record.u, y, ("u",), ("y",))], omega=np.array([2.0]), windows=[20.0]
+        )
+
+
+def test_a_jittered_record_keeps_its_missing_samples_missing():
+    rng = np.random.default_rng(18)
+    record = white(LAG, rng, duration=1000.0)
+    t = record.t + 0.1 * DT * rng.uniform(-1, 1, record.N)
+    y = LAG.simulate(t, record.u)
+    y[7000:7100] = np.nan
+    with pytest.warns(DataWarning, match="missing output samples"):
+        found = frequency_response(
+            [Record(t, record.u, y, ("u",), ("y",))], omega=np.array([2.0]), windows=[20.0]
+        )
+    assert np.isfinite(found.G).all()
+
+
+@pytest.mark.parametrize(
+    ("omega", "message"),
+    [
+        ([1.0, 70.0], r"omega reaches 70 rad/s.*below Nyquist's 62.8"),
+        ([2.0, 1.0], "increasing frequencies above 0"),
+        ([0.0, 1.0], "increasing frequencies above 0"),
+        ([0.001], "does not hold one period"),
+    ],
+)
+def test_a_grid_that_cannot_be_had_is_refused(omega, message):
+    with pytest.raises(ValueError, match=message):
+        frequency_response([white(LAG, np.random.default_rng(19))], omega=np.array(omega))
+
+
+def test_a_grid_finer_than_the_record_is_warned_of():
+    record = white(LAG, np.random.default_rng(20), duration=100.0)
+    with pytest.warns(DataWarning, match="finer than a record of 100 s allows"):
+        frequency_response([record], omega=np.linspace(1, 2, 50), windows=[20.0])
+
+
+def test_frequencies_below_the_longest_window_are_flagged():
+    record = white(LAG, np.random.default_rng(21))
+    with pytest.warns(DataWarning) as caught:
+        found = frequency_response([record], omega=np.array([0.2, 0.5, 2.0]), windows=[20.0])
+    assert np.isnan(found.G[0]).all()
+    assert np.isfinite(found.G[1:]).all()
+    assert sorted(found.flags.values()) == [(0,), (1,)]
+    assert len(caught) == 2
+
+
+@pytest.mark.parametrize("windows", [[], [0.0], [500.0]])
+def test_window_lengths_must_fit(windows):
+    with pytest.raises(ValueError, match="expected lengths between 0 and 400"):
+        frequency_response(
+            [white(LAG, np.random.default_rng(22))], omega=np.array([1.0]), windows=windows
+        )
+
+
+def test_records_in_which_nothing_moves_are_refused():
+    t = DT * np.arange(1000)
+    still = Record(t, np.zeros((1000, 1)), np.zeros((1000, 1)), ("u",), ("y",))
+    with pytest.raises(ValueError, match="no input moves"):
+        frequency_response([still], omega=np.array([1.0]))
+
+
+# ---- the value ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def measured():
+    return frequency_response(uh60.sweeps(seed=1), omega=np.geomspace(0.5, 12, 30))
+
+
+def test_a_saved_response_reads_back_the_same(measured, tmp_path):
+    path = tmp_path / "response.json"
+    measured.G[0, 0, 0] = np.nan
+    measured.save(path)
+    again = FrequencyResponse.load(path)
+    for name in measured.__dataclass_fields__:
+        was, now = getattr(measured, name), getattr(again, name)
+        if isinstance(was, np.ndarray):
+            np.testing.assert_array_equal(now, was)
+        else:
+            assert now == was
+    path.write_text(json.dumps({"casid": "fit"}))
+    with pytest.raises(ValueError, match="not a frequency response"):
+        FrequencyResponse.load(path)
+
+
+def test_python_control_reads_the_response(measured):
+    there = measured.to_control()
+    assert there.input_labels == list(measured.inputs)
+    np.testing.assert_array_equal(there.omega, measured.omega)
+    np.testing.assert_array_equal(np.moveaxis(there.frdata, 2, 0)[1:], measured.G[1:])
+
+
+def test_a_band_keeps_its_flags_in_place():
+    record = white(LAG, np.random.default_rng(23))
+    with pytest.warns(DataWarning):
+        found = frequency_response([record], omega=np.array([0.2, 0.5, 2.0, 3.0]), windows=[20.0])
+    part = found.between(0.5, 2.0)
+    np.testing.assert_array_equal(part.G, found.G[1:3])
+    assert list(part.flags.values()) == [(0,)]
+    with pytest.raises(ValueError, match="no point between 5 and 6"):
+        found.between(5, 6)
+
+
+def test_shapes_are_checked(measured):
+    with pytest.raises(ValueError, match=r"coherence has shape \(2,\)"):
+        FrequencyResponse(
+            omega=[1.0], G=np.ones((1, 1, 1)), coherence=np.ones(2),
+            random_error=np.ones((1, 1, 1)),
+            inputs=("u",), outputs=("y",), input_std=np.ones(1), output_std=np.ones(1),
+        )  # fmt: skip
+    with pytest.raises(ValueError, match="no pair"):
+        measured.index("ax", "nothing")
