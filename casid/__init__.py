@@ -5,7 +5,9 @@ from casid.errors import ConvergenceError, DataWarning, ModelError
 from casid.files import read_csv, read_mat, write_csv
 from casid.fit import Certificate, Fit, ParameterEstimate
 from casid.frequency import FrequencyResponse, frequency_response
+from casid.handling import HandlingQualities, handling_qualities
 from casid.linear import StateSpace
+from casid.loes import TransferFunction, transfer_function
 from casid.matching import match
 from casid.model import Constraint, Model, Rows, Scalar, matrix, parameter
 from casid.nlp import Progress, SolverOptions
@@ -22,6 +24,7 @@ __all__ = [
     "DataWarning",
     "Fit",
     "FrequencyResponse",
+    "HandlingQualities",
     "Model",
     "ModelError",
     "ParameterEstimate",
@@ -31,9 +34,11 @@ __all__ = [
     "Scalar",
     "SolverOptions",
     "StateSpace",
+    "TransferFunction",
     "Validation",
     "derivid",
     "frequency_response",
+    "handling_qualities",
     "match",
     "matrix",
     "output_error",
@@ -41,6 +46,7 @@ __all__ = [
     "pbsid",
     "read_csv",
     "read_mat",
+    "transfer_function",
     "validate",
     "write_csv",
 ]

@@ -1,0 +1,125 @@
+"""Bandwidth, phase delay and margins against closed forms and python-control."""
+
+import control
+import numpy as np
+import pytest
+import scipy.optimize
+
+from casid import FrequencyResponse
+from casid.handling import handling_qualities
+
+OMEGA = np.geomspace(0.1, 40.0, 800)
+
+
+def response(function, omega=OMEGA, coherence=1.0, name="phi"):
+    G = np.asarray(function(1j * omega), dtype=complex)[:, None, None]
+    return FrequencyResponse(
+        omega=omega, G=G, coherence=np.full(G.shape, coherence), random_error=np.zeros(G.shape),
+        inputs=("lat",), outputs=(name,), input_std=np.ones(1), output_std=np.ones(1),
+    )  # fmt: skip
+
+
+def roll(s, lag=0.3, delay=0.1):
+    return 5 * np.exp(-delay * s) / (s * (lag * s + 1))
+
+
+def at_phase(degrees, lag=0.3, delay=0.1):
+    def excess(w):
+        return -90 - np.degrees(np.arctan(lag * w) + delay * w) - degrees
+
+    return scipy.optimize.brentq(excess, 0.01, 100)
+
+
+def test_bandwidth_and_phase_delay_are_those_of_the_closed_form():
+    read = handling_qualities(response(roll), ("phi", "lat"))
+    w180 = at_phase(-180)
+    target = 2 * np.abs(roll(1j * w180))
+
+    def excess(w):
+        return np.abs(roll(1j * w)) - 10 ** (6 / 20) / 2 * target
+
+    lost = -180 + 90 + np.degrees(np.arctan(0.3 * 2 * w180) + 0.1 * 2 * w180)
+    # 800 points over 2.6 decades: linear interpolation in log ω is good to (0.0075)²/8 of a turn.
+    assert read.omega_180 == pytest.approx(w180, rel=1e-4)
+    assert read.bandwidth_phase == pytest.approx(at_phase(-135), rel=1e-4)
+    assert read.bandwidth_gain == pytest.approx(scipy.optimize.brentq(excess, 0.1, w180), rel=1e-4)
+    assert read.bandwidth == min(read.bandwidth_phase, read.bandwidth_gain)
+    assert read.phase_delay == pytest.approx(lost / (np.degrees(1) * 2 * w180), rel=1e-3)
+    assert read.phase_delay_line == pytest.approx(read.phase_delay, rel=0.1)
+    assert read.satisfactory is None
+    assert not read.remarks
+
+
+def test_a_rate_is_integrated_and_a_reversed_stick_turned_round():
+    attitude = handling_qualities(response(roll), ("phi", "lat"))
+    rate = handling_qualities(response(lambda s: -s * roll(s), name="p"), ("p", "lat"),
+                              kind="rate", sign=-1)  # fmt: skip
+    for name in ("omega_180", "bandwidth", "phase_delay"):
+        assert getattr(rate, name) == pytest.approx(getattr(attitude, name), rel=1e-12)
+
+
+def test_an_attitude_command_is_judged_by_phase_alone():
+    def command(s):
+        return np.exp(-0.1 * s) / (s**2 / 9 + 1.4 * s / 3 + 1)
+
+    free = handling_qualities(response(command), ("phi", "lat"))
+    held = handling_qualities(response(command), ("phi", "lat"), attitude_command=True)
+    assert held.bandwidth == held.bandwidth_phase == free.bandwidth_phase
+    assert free.bandwidth == min(free.bandwidth_gain, free.bandwidth_phase)
+
+
+def test_whole_turns_of_an_unstable_phugoid_do_not_matter():
+    def pitch(s):  # the unstable pair adds 180° where the stable one would take it
+        return roll(s) * s**2 / (s**2 - 0.06 * s + 0.09)
+
+    read = handling_qualities(response(pitch), ("phi", "lat"))
+    assert read.bandwidth_phase == pytest.approx(at_phase(-135), rel=0.05)
+
+
+def test_margins_are_those_of_python_control():
+    system = control.tf([8], [0.05, 0.55, 1.5, 1, 0])
+    read = handling_qualities(response(system), ("phi", "lat"), kind="loop")
+    gain_margin, phase_margin, omega_180, crossover = control.margin(system)
+    assert read.gain_margin == pytest.approx(20 * np.log10(gain_margin), abs=0.01)
+    assert read.phase_margin == pytest.approx(phase_margin, abs=0.05)
+    assert read.omega_180 == pytest.approx(omega_180, rel=1e-3)
+    assert read.crossover == pytest.approx(crossover, rel=1e-3)
+    assert read.satisfactory is False
+
+
+def test_a_loop_with_both_margins_is_satisfactory():
+    read = handling_qualities(response(lambda s: 1 / (s * (0.1 * s + 1) * (0.05 * s + 1))),
+                              ("phi", "lat"), kind="loop")  # fmt: skip
+    assert read.satisfactory is True
+    assert read.phase_margin > 45
+    assert read.gain_margin > 6
+
+
+def test_what_lies_outside_the_band_is_said():
+    low = response(roll, np.geomspace(0.1, 7.0, 300))
+    read = handling_qualities(low, ("phi", "lat"))
+    assert np.isnan(read.phase_delay)
+    assert any("beyond the grid" in remark for remark in read.remarks)
+    with pytest.raises(ValueError, match="does not pass -180°"):
+        handling_qualities(response(roll, np.geomspace(0.1, 2.0, 50)), ("phi", "lat"))
+    loop = handling_qualities(response(lambda s: 0.1 / (s + 1)), ("phi", "lat"), kind="loop")
+    assert loop.satisfactory is None
+    assert len(loop.remarks) == 2
+
+
+def test_poor_coherence_is_said():
+    read = handling_qualities(response(roll, coherence=0.4), ("phi", "lat"))
+    assert any("coherence falls to 0.40" in remark for remark in read.remarks)
+
+
+@pytest.mark.parametrize("choice", [{"kind": "yaw"}, {"sign": 2}])
+def test_choices_are_checked(choice):
+    with pytest.raises(ValueError, match="expected"):
+        handling_qualities(response(roll), ("phi", "lat"), **choice)
+
+
+def test_an_unmeasured_pair_is_refused():
+    frf = response(roll)
+    frf.G[:] = np.nan
+    with pytest.raises(ValueError, match="measured at 0 frequencies"):
+        handling_qualities(frf, ("phi", "lat"))
