@@ -44,14 +44,14 @@ VERBOSE = click.option("--verbose", "-v", is_flag=True, help="Say what each stag
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(version("casid"))
 def main() -> None:
-    r"""Identify rotorcraft models from flight records, in the time and frequency domains.
+    """Identify rotorcraft models from flight records, in the time and frequency domains.
 
     A study file (TOML) names the model structure, the records by role, the units of their channels
     and the options of each stage; paths in it are relative to the file.
 
     \b
     Exit codes: 0 success, 1 internal error, 2 bad input, 3 a solver did not converge.
-    """
+    """  # noqa: D301 - click's own mark for a paragraph left as it is
 
 
 @main.command()
@@ -60,7 +60,7 @@ def main() -> None:
 @click.option("--fresh", is_flag=True, help="Compute every stage again, whatever was kept.")
 @VERBOSE
 def identify(study: Path, output: Path | None, fresh: bool, verbose: bool) -> None:
-    r"""Identify the structure a study names and write its report.
+    """Identify the structure a study names and write its report.
 
     Stages: black box (pbsid), measured frequency response, quadratic match, H-infinity match,
     output error, frequency-domain baseline, validation, report. Each result is kept when its stage
@@ -74,14 +74,14 @@ def identify(study: Path, output: Path | None, fresh: bool, verbose: bool) -> No
       parameters.csv   the parameter table
       figures/         every figure as PNG and SVG
       stages/          the result of each stage
-    """
+    """  # noqa: D301
     console = Console(highlight=False)
     with _exits(console), _logging(console, verbose), Monitor(console) as monitor:
         outcome = run_study(read_study(study, output), fresh=fresh, watch=monitor)
     _conclude(console, outcome)
 
 
-@main.command()
+@main.command(short_help="Check a study, its model and its records; compute nothing.")
 @STUDY
 @VERBOSE
 def check(study: Path, verbose: bool) -> None:

@@ -1,0 +1,39 @@
+# make study   identify the helicopter of examples/uh60; results in out/uh60
+# make test    the tests that take minutes at most
+# make slow    the long tests
+# make lint    formatting, rules, types and import layers
+# Needs Python 3.11 or newer; everything else goes into .venv, pinned by constraints.txt.
+
+PYTHON ?= python3
+VENV ?= .venv
+STAMP := $(VENV)/.installed
+
+.PHONY: study test slow lint install clean
+
+study: install
+	$(VENV)/bin/casid identify examples/uh60/study.toml
+
+test: install
+	$(VENV)/bin/pytest -m "not campaign"
+
+slow: install
+	$(VENV)/bin/pytest -m campaign
+
+lint: install
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
+	$(VENV)/bin/lint-imports
+
+install: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "casid needs Python 3.11 or newer: make PYTHON=python3.12"; exit 1; }
+	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check \
+		-c constraints.txt -e ".[dev]"
+	touch $(STAMP)
+
+clean:
+	rm -rf out build dist

@@ -1,0 +1,226 @@
+"""The command line: what it prints, what it leaves behind, what its exit codes say."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+from small_study import write_study
+
+from casid import Fit
+from casid.cli import main
+from casid.modelfile import load_model
+
+
+def casid(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("roll")
+    return folder, casid("identify", write_study(folder))
+
+
+# ---- success -----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_study_ends_with_report_table_and_code_zero(identified):
+    folder, result = identified
+    assert result.exit_code == 0, result.output
+    for file in ("report.html", "fit.json", "parameters.csv", "figures/rms.png"):
+        assert (folder / "out" / file).stat().st_size > 0
+    assert "Llat" in result.output
+    assert str(folder / "out" / "report.html") in result.output
+
+
+@pytest.mark.slow
+def test_each_stage_leaves_a_line_of_iterations_cost_and_seconds(identified):
+    _, result = identified
+    line = next(line for line in result.output.splitlines() if line.startswith("hinf"))
+    stage, iterations, cost, seconds = line.split()
+    assert (stage, int(iterations) > 0, float(cost) > 0, float(seconds) > 0) == (
+        "hinf", True, True, True,
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_saved_fit_is_the_truth_within_its_standard_errors(identified):
+    folder, _ = identified
+    fit = Fit.load(folder / "out" / "fit.json", model=load_model("roll.py:Roll", folder))
+    truth = {"Yv": -0.12, "Lv": -0.06, "Lp": -2.2, "Llat": 10.0}
+    for name, value in truth.items():  # four sigma: one false alarm in 4000 studies
+        assert abs(fit[name].value - value) < 4 * fit[name].std_error
+
+
+@pytest.mark.slow
+def test_parameters_csv_has_a_row_for_each_parameter(identified):
+    folder, _ = identified
+    header, *rows = (folder / "out" / "parameters.csv").read_text().splitlines()
+    assert header.startswith("name,value,guess,lower,upper,active,multiplier,std_error")
+    assert [row.split(",")[0] for row in rows] == ["Yv", "Lv", "Lp", "Llat"]
+
+
+@pytest.mark.slow
+def test_a_second_run_takes_what_was_kept(identified):
+    folder, _ = identified
+    stamp = (folder / "out/stages/output_error.json").stat().st_mtime_ns
+    result = casid("identify", folder / "study.toml")
+    assert result.exit_code == 0
+    kept = [line.split()[0] for line in result.output.splitlines() if line.endswith("kept")]
+    assert kept == ["pbsid", "quadratic", "hinf", "output_error"]
+    assert (folder / "out/stages/output_error.json").stat().st_mtime_ns == stamp
+
+
+def test_help_names_the_subcommands_and_the_exit_codes():
+    result = casid("--help")
+    assert result.exit_code == 0
+    for word in ("identify", "check", "2 bad input", "3 a solver did not converge"):
+        assert word in result.output
+
+
+@pytest.mark.parametrize("command", ["identify", "check"])
+def test_each_subcommand_explains_itself(command):
+    result = casid(command, "--help")
+    assert result.exit_code == 0
+    assert "STUDY.toml" in result.output
+
+
+def test_check_lists_the_records_and_computes_nothing(tmp_path):
+    result = casid("check", write_study(tmp_path))
+    assert result.exit_code == 0
+    for name in ("3211", "sweep", "random"):
+        assert name in result.output
+    assert not (tmp_path / "out").exists()
+
+
+# ---- no convergence ----------------------------------------------------------------------------
+
+
+def test_a_solver_that_stops_early_gives_code_three_and_keeps_what_there_was(tmp_path):
+    limit = ("[match]\n", "[match]\nsolver = { max_iterations = 2 }\n")
+    result = casid("identify", write_study(tmp_path, limit))
+    assert result.exit_code == 3
+    assert "No convergence" in result.stderr
+    assert "max_iterations" in result.stderr
+    stages = {path.name for path in (tmp_path / "out/stages").iterdir()}
+    assert stages == {"pbsid.json", "quadratic_best.json", "index.json"}
+    best = json.loads((tmp_path / "out/stages/quadratic_best.json").read_text())
+    assert best["success"] is False
+
+
+# ---- bad input ---------------------------------------------------------------------------------
+
+STUDY_MISTAKES = {
+    "an unknown channel": (('lat = "%"', 'latt = "%"'), ("latt",)),
+    "an unknown unit": (('lat = "%"', 'lat = "furlong"'), ("lat", "furlong", "deg/s")),
+    "an unknown key": (("order = 3", "ordre = 3"), ("[pbsid]", "ordre", "order")),
+    "an unknown table": (("[pbsid]", "[pbsidd]"), ("pbsidd", "pbsid")),
+    "a value of the wrong kind": (('title = "Roll near hover"', "title = 3"), ("title", "str")),
+    "an empty role": (('files = ["random.csv"]', "files = []"), ("validation", "empty")),
+    "a role without files": (('["random.csv"]', '["nothing*.csv"]'), ("nothing*.csv",)),
+    "a missing role": (("[records.validation]", "[records.frequency]"), ("validation", "missing")),
+    "a missing model": (('file = "roll.py:Roll"', ""), ("[model]", "file")),
+    "no such model file": (("roll.py:Roll", "rool.py:Roll"), ("rool.py",)),
+    "no such class": (("roll.py:Roll", "roll.py:Rol"), ("Rol", "Roll")),
+    "a reference without class": (("roll.py:Roll", "roll.py"), ("file.py:ClassName",)),
+    "lower > upper": (("[channels.units]", "[model.bounds]\nLp = [0, -9]\n[channels.units]"),
+                      ("Lp", "lower", "upper")),
+    "a bound of no parameter": (("[channels.units]", "[model.bounds]\nLq = [0, 1]\n"
+                                 "[channels.units]"), ("Lq", "Lp")),
+    "a value of no parameter": (("[channels.units]", "[model.values]\ng = 9\n[channels.units]"),
+                                ("'g'", "Lp")),
+    "noise without a seed": (("seed = 1", ""), ("[noise]", "seed")),
+    "noise on no output": (("phi = 0.002", "psi = 0.002"), ("psi", "phi")),
+    "a trim from nowhere": (('detrend = "identification"', 'detrend = "frequency"'),
+                            ("trim", "frequency")),
+    "a grid backwards": (("from = 0.5, to = 5", "from = 5, to = 0.5"), ("omega", "from < to")),
+    "not TOML": (("[study]", "[study"), ("not TOML",)),
+    "a record shorter than the kernels": (("past = 6", "past = 200"), ("record", "kernel")),
+    "a stage's own refusal": (("order = 3", "order = 0"), ("order",)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", STUDY_MISTAKES, ids=lambda name: name.replace(" ", "-"))
+def test_a_mistake_in_the_study_gives_code_two_and_names_the_culprit(mistake, tmp_path):
+    change, words = STUDY_MISTAKES[mistake]
+    result = casid("identify", write_study(tmp_path, change))
+    assert result.exit_code == 2, result.output
+    said = " ".join(result.stderr.split())
+    assert said.startswith("Bad input:")
+    for word in words:
+        assert word in said
+
+
+def _line(path, number, change):
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines[number] = change(lines[number])
+    path.write_text("\n".join(lines), encoding="utf-8")
+
+
+DATA_MISTAKES = {
+    "NaN in an input": (lambda row: _cell(row, 1, "nan"), ("lat", "nan", "sample 99")),
+    "an empty cell in an input": (lambda row: _cell(row, 1, ""), ("lat", "nan", "sample 99")),
+    "time not increasing": (lambda row: _cell(row, 0, "0"), ("time does not increase", "99")),
+    "text in a column": (lambda row: _cell(row, 2, "fast"), ("not a table of numbers", "fast")),
+}
+
+
+def _cell(row, position, value):
+    cells = row.split(",")
+    cells[position] = value
+    return ",".join(cells)
+
+
+@pytest.mark.parametrize("mistake", DATA_MISTAKES, ids=lambda name: name.replace(" ", "-"))
+def test_a_mistake_in_the_data_gives_code_two_and_names_the_culprit(mistake, tmp_path):
+    change, words = DATA_MISTAKES[mistake]
+    study = write_study(tmp_path)
+    _line(tmp_path / "sweep.csv", 100, change)
+    result = casid("identify", study)
+    assert result.exit_code == 2, result.output
+    said = " ".join(result.stderr.split())
+    assert "sweep" in said
+    for word in words:
+        assert word in said
+
+
+def test_a_missing_column_is_named_with_those_there_are(tmp_path):
+    study = write_study(tmp_path)
+    _line(tmp_path / "3211.csv", 0, lambda _: "t,lat,p,bank")
+    result = casid("check", study)
+    assert result.exit_code == 2
+    said = " ".join(result.stderr.split())
+    assert "no column 'phi'; it has t, lat, p, bank" in said
+
+
+MODEL_MISTAKES = {
+    "does not parse": ("def A(self)", "def A(self", ("roll.py, line", "SyntaxError")),
+    "does not import": ("class Roll", "import nothing_there\n\n\nclass Roll",
+                        ("roll.py, line 7", "nothing_there")),
+    "shapes disagree": ("[[0], [self.Llat], [0]]", "[[0], [self.Llat]]",
+                        ("Roll.B", "(2, 1)", "(3, 1)")),
+    "a name misspelt": ("self.Yv, 0", "self.Yw, 0", ("Roll.A", "Yw")),
+    "lower > upper": ("lower=-10.0, upper=0.0", "lower=0.0, upper=-10.0",
+                      ("Lp", "lower", "upper")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", MODEL_MISTAKES, ids=lambda name: name.replace(" ", "-"))
+def test_a_mistake_in_the_model_file_gives_code_two_and_names_the_culprit(mistake, tmp_path):
+    old, new, words = MODEL_MISTAKES[mistake]
+    study = write_study(tmp_path)
+    model = tmp_path / "roll.py"
+    assert old in model.read_text(encoding="utf-8")
+    model.write_text(model.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    result = casid("check", study)
+    assert result.exit_code == 2, result.output
+    said = " ".join(result.stderr.split())
+    for word in words:
+        assert word in said
+
+
+def test_a_study_that_is_not_there_gives_code_two(tmp_path):
+    result = casid("identify", tmp_path / "nothing.toml")
+    assert result.exit_code == 2
+    assert "nothing.toml" in " ".join(result.stderr.split())
