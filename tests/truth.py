@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from casid import Record, StateSpace
+from casid import BlackBox, Record, StateSpace
 from casid.linear import foh_step
 
 
@@ -56,3 +56,19 @@ def closed_loop_record(
 
 
 STABILISING = np.array([[0.5, 1.2, 0.3], [1.0, 0.0, 0.0]])
+
+
+def known_black_box(system, band=(0.1, 10.0)):
+    """A black box that is the truth itself."""
+    return BlackBox(
+        system=system, K=np.zeros((system.nx, system.ny)), singular_values=np.ones(system.nx),
+        pole=np.nan, past=1, future=1, transform="laguerre",
+        feedthrough=np.ones((system.ny, system.nu), dtype=bool), input_std=np.ones(system.nu),
+        output_std=response_size(system, band), band=band, records=(),
+    )  # fmt: skip
+
+
+def response_size(system, band):
+    """Root mean square of each output's response over a band, for outputs of different units."""
+    G = system.response(np.geomspace(*band, 20))
+    return np.sqrt(np.mean(np.abs(G) ** 2, axis=(0, 2)))
