@@ -31,7 +31,9 @@ Pairs: TypeAlias = Sequence[Pair] | Mapping[Pair, tuple[float, float] | None]
 
 CRAMER_RAO, INSENSITIVITY = 20.0, 10.0  # guidelines of T&R, % of the value
 FEWEST = 5  # points with coherence that make a pair worth fitting
-SAME = 1e-3  # relative difference of J of starts that ended in the same place
+ROUGH = 1e-5  # tolerance of the relative fit
+SAME = 1e-2  # relative difference of the parameters of relative fits that are the same
+AGREES = 1e-4  # between J as IPOPT has it and J of the model found, relative to 1 + J
 
 
 def derivid(
@@ -265,14 +267,18 @@ class _Search:
         )  # fmt: skip
         self.rows: list[dict[str, Any]] = []
         self.iterations = 0
+        self._visited: list[tuple[Array, _State]] = []
         self._programmes: dict[bool, Programme] = {}
 
     def run(self, name: str, values: Array, X: ComplexArray | None) -> None:
-        """Quadratic fit from a start, then the logarithmic one from there."""
+        """Relative fit from a start, then that in dB and degrees from there, if it is a new one."""
         began, iterations = time.perf_counter(), self.iterations
         near, X, _ = self._solve(f"derivid, start {name}, relative", values, X, logarithmic=False)
-        values, _, solution = self._solve(f"derivid, start {name}", near, X, logarithmic=True)
-        state = self._state(values, solution)
+        state = self._known(near)
+        if state is None:
+            values, _, solution = self._solve(f"derivid, start {name}", near, X, logarithmic=True)
+            state = self._state(values, solution)
+            self._visited.append((near, state))
         self.rows.append({
             "start": name, "J": state.cost, "success": state.success, "status": state.status,
             "iterations": self.iterations - iterations, "seconds": time.perf_counter() - began,
@@ -280,13 +286,24 @@ class _Search:
         if (not state.success, state.cost) < (not self.best.success, self.best.cost):
             self.best = state
 
+    def _known(self, near: Array) -> _State | None:
+        """Where an earlier start ended whose relative fit was this one."""
+        scale = np.maximum(np.abs(near), 1e-3 * self.free.scale[self.free.index])
+        for there, state in self._visited:
+            if state.success and (np.abs(near - there) <= SAME * scale).all():
+                return state
+        return None
+
     def _solve(
         self, stage: str, values: Array, X: ComplexArray | None, *, logarithmic: bool
     ) -> tuple[Array, ComplexArray, Solution]:
         X = self._states(values) if X is None else X
         built = self._programme(X, logarithmic=logarithmic)
         problem = replace(built.problem, x0=built.pack(values, X))
-        solution = solve(problem, self.options, stage=stage)
+        options = self.options
+        if not logarithmic:  # a start for what follows need not be exact
+            options = replace(options, tolerance=max(options.tolerance, ROUGH))
+        solution = solve(problem, options, stage=stage)
         self.iterations += solution.iterations
         return *built.unpack(solution.x), solution
 
@@ -315,7 +332,7 @@ class _Search:
         """The cost is computed anew: what IPOPT calls a success is checked against it."""
         with np.errstate(over="ignore", invalid="ignore"):
             cost = float(self.cost(values).sum())
-        held = np.isfinite(cost) and abs(cost - solution.f) <= 1e-4 * max(cost, 1e-6)
+        held = np.isfinite(cost) and abs(cost - solution.f) <= AGREES * (1 + cost)
         success = solution.success and bool(held)
         status = solution.status
         if solution.success and not held:

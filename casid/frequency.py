@@ -170,9 +170,10 @@ def frequency_response(
 ) -> FrequencyResponse:
     """Frequency response of all outputs to all inputs, with coherence and random error.
 
-    Spectra are averaged over half-overlapped Hann windows of all records; the inputs are separated
-    by ``solve(Guu, Guy)`` at every frequency (conditioning on the other inputs); window lengths are
-    merged point by point into a composite that trusts each where its random error is small.
+    Spectra are averaged over Hann windows of all records, overlapped by two thirds; the inputs are
+    separated by ``solve(Guu, Guy)`` at every frequency (conditioning on the other inputs); window
+    lengths are merged point by point into a composite that trusts each where its random error is
+    small.
 
     Parameters
     ----------

