@@ -1,8 +1,11 @@
 """The multiple-shooting programme: Gram blocks of the intervals in, an IPOPT problem out.
 
-    min  ½ Σ rᵀ R⁻¹ r / n     over  λ, biases and nodes,
+    min  ℓ(λ, biases, nodes; R) / n
     subject to  x_end(λ, x_j) - x_{j+1} = 0  within every record,  and the model's own constraints
 
+with the negative log-likelihood ℓ of `casid.likelihood`. If R is estimated it is the most likely
+one at every iterate, so that ℓ is the concentrated likelihood: its gradient is that of ½ Σ rᵀR⁻¹r
+with R held (the envelope theorem).
 The Hessian is the generalised Gauss-Newton one (Bock 1987): the Gram matrix of the residuals, with
 the nodes kept as variables. IPOPT's callbacks run in NumPy on the blocks of all intervals.
 """
@@ -15,9 +18,10 @@ import numpy as np
 import scipy.sparse
 
 from casid.arrays import Array
+from casid.likelihood import Noise, moments_of
 from casid.model import Free
 from casid.nlp import Problem
-from casid.sensitivity import Evaluator, Point
+from casid.sensitivity import Evaluator, Point, whiteners
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +33,6 @@ class Blocks:
     and their derivatives.
     """
 
-    cost: float
     Hll: Array
     Hlb: Array
     Hbb: Array
@@ -43,6 +46,15 @@ class Blocks:
     slope_l: Array
     slope_n: Array
     c_lam: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Cost per observation, constraints, and the R that goes with them."""
+
+    cost: float
+    g: Array
+    R: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,25 +77,24 @@ class Programme:
         Parameters and bounds.
     scales : Scales
         Units of the variables.
-    W : (n_patterns, ny, ny) array
-        Whitening matrices, see `whiteners`.
+    noise : Noise
+        R, or how it is estimated.
     biases : bool
         Whether biases are variables.
     """
 
     def __init__(
-        self, evaluator: Evaluator, free: Free, scales: Scales, W: Array, biases: bool
+        self, evaluator: Evaluator, free: Free, scales: Scales, noise: Noise, biases: bool
     ) -> None:
         layout = evaluator.layout
-        self.evaluator, self.free, self.scales, self.W, self.biases = (
-            evaluator, free, scales, W, biases,
-        )  # fmt: skip
+        self.evaluator, self.free, self.scales = evaluator, free, scales
+        self.noise, self.biases = noise, biases
         self.records, self.J = len(layout.records), len(layout.count)
         back = np.argsort(layout.node)
         self.record = layout.record[back]
         self.links = np.flatnonzero(~layout.last[back])  # nodes with a successor
         self.n = max(layout.observations, 1)
-        self._seen: tuple[bytes, tuple[float, Array]] | None = None
+        self._seen: tuple[bytes, Values] | None = None
         self._blocks: tuple[bytes, Blocks] | None = None
         self._callbacks: list[ca.Function] = []
         self._hessian_pattern = _Pattern(*self._hessian_entries(), size=self.size)
@@ -120,32 +131,39 @@ class Programme:
 
     # ---- values and blocks ----------------------------------------------------------------------
 
-    def values(self, x: Array) -> tuple[float, Array]:
-        """Cost ½ Σ rᵀR⁻¹r / n and constraint values."""
+    def values(self, x: Array) -> "Values":
+        """Cost, constraints and R at scaled variables."""
         key = x.tobytes()
         if self._seen is None or self._seen[0] != key:
-            self._seen = key, self._values(self.unpack(x))
+            with np.errstate(over="ignore", invalid="ignore"):
+                self._seen = key, self._values(self.unpack(x))
         return self._seen[1]
 
-    def _values(self, point: Point) -> tuple[float, Array]:
+    def _values(self, point: Point) -> "Values":
         layout = self.evaluator.layout
-        with np.errstate(over="ignore", invalid="ignore"):
-            r, ends = self.evaluator.simulate(point)
-            cost = 0.0
-            for p, W in enumerate(self.W):
-                cost += 0.5 * float(np.sum((r[layout.pattern == p] @ W.T) ** 2))
-            ends = ends[np.argsort(layout.node)]
-            gaps = (ends[self.links] - point.nodes[self.links + 1]) / self.scales.state
-            c = self.evaluator.structure(point.lam).c
-        return cost / self.n, np.concatenate([gaps.ravel(), c])
+        r, ends = self.evaluator.simulate(point)
+        moments = moments_of(r, layout.pattern, len(layout.patterns))
+        ends = ends[np.argsort(layout.node)]
+        gaps = (ends[self.links] - point.nodes[self.links + 1]) / self.scales.state
+        c = self.evaluator.structure(point.lam).c
+        g = np.concatenate([gaps.ravel(), c])
+        if not np.isfinite(moments).all():
+            return Values(np.nan, g, np.eye(self.evaluator.ny))
+        R = self.noise.covariance(moments)
+        return Values(self.noise.cost(R, moments) / self.n, g, R)
 
     def blocks(self, x: Array) -> Blocks:
         """Gauss-Newton blocks at scaled variables."""
         key = x.tobytes()
         if self._blocks is None or self._blocks[0] != key:
             with np.errstate(over="ignore", invalid="ignore"):
-                self._blocks = key, self._sum(self.unpack(x))
+                W = whiteners(self.values(x).R, self.evaluator.layout)
+                self._blocks = key, self._sum(self.unpack(x), W)
         return self._blocks[1]
+
+    def rescaled(self, scales: Scales) -> "Programme":
+        """The same problem in other units."""
+        return Programme(self.evaluator, self.free, scales, self.noise, self.biases)
 
     def balanced(self, point: Point) -> Scales:
         """Scales that make the curvature per observation one, at most the present ones.
@@ -157,13 +175,13 @@ class Programme:
         unit = [1 / np.sqrt(np.maximum(h / self.n, 1.0)) for h in H]
         return Scales(s.lam * unit[0], s.bias * unit[1], s.state * unit[2])
 
-    def _sum(self, point: Point) -> Blocks:
+    def _sum(self, point: Point, W: Array) -> Blocks:
         e, s = self.evaluator, self.scales
         nf, nx = e.nf, e.nx
         unit = np.concatenate([s.lam, s.state, s.bias, [1.0]])
         G = np.empty((self.J, len(unit), len(unit)))
         ends, slopes = np.empty((self.J, nx)), np.empty((self.J, nx, nf + nx))
-        for batch in e.batches(point, self.W):
+        for batch in e.batches(point, W):
             nodes = e.layout.node[batch.index]
             ends[nodes], slopes[nodes] = batch.ends, batch.slopes
             for rows, j in zip(batch.rows, nodes, strict=True):
@@ -176,13 +194,20 @@ class Programme:
         np.add.at(per_record, self.record, G)
         total = per_record.sum(axis=0)
         return Blocks(
-            cost=0.5 * float(total[-1, -1]),
             Hll=total[l, l], Hlb=per_record[:, l, b], Hbb=per_record[:, b, b],
             Hln=G[:, l, n], Hbn=G[:, b, n], Hnn=G[:, n, n],
             gl=total[l, -1], gb=per_record[:, b, -1], gn=G[:, n, -1],
             ends=ends, slope_l=slopes[:, :, l], slope_n=slopes[:, :, n],
             c_lam=e.structure(point.lam).c_lam * s.lam,
         )  # fmt: skip
+
+    def units(self) -> tuple[Array, Array]:
+        """Physical size of one of each variable, and of each constraint."""
+        s = self.scales
+        bias = [np.tile(s.bias, self.records)] if self.biases else []
+        c = np.ones(len(self.free.model.constraints()))
+        x = np.concatenate([s.lam, *bias, np.tile(s.state, self.J)])
+        return x, np.concatenate([np.tile(s.state, len(self.links)), c])
 
     # ---- sparse assembly ------------------------------------------------------------------------
 
@@ -246,12 +271,12 @@ class Programme:
         n, m = self.size, self._jacobian_pattern.rows
         x, p, one, g = (ca.Sparsity.dense(k, 1) if k else ca.Sparsity(0, 0) for k in (n, 0, 1, m))
         H, Jg = self._hessian_pattern.sparsity, self._jacobian_pattern.sparsity
-        f_of = _NumPy("f", [x], [one], lambda x: [self.values(x)[0]])
-        g_of = _NumPy("g", [x], [g], lambda x: [self.values(x)[1]])
+        f_of = _NumPy("f", [x], [one], lambda x: [self.values(x).cost])
+        g_of = _NumPy("g", [x], [g], lambda x: [self.values(x).g])
         grad = _NumPy("nlp_grad_f", [x, p], [one, x],
-                      lambda x, _: [self.values(x)[0], self.gradient(x)])  # fmt: skip
+                      lambda x, _: [self.values(x).cost, self.gradient(x)])  # fmt: skip
         jac = _NumPy("nlp_jac_g", [x, p], [g, Jg],
-                     lambda x, _: [self.values(x)[1], self.jacobian(x)])  # fmt: skip
+                     lambda x, _: [self.values(x).g, self.jacobian(x)])  # fmt: skip
         hess = _NumPy("nlp_hess_l", [x, p, one, g], [H],
                       lambda x, _p, f, _g: [f * self.hessian(x)])  # fmt: skip
         self._callbacks = [f_of, g_of, grad, jac, hess]  # CasADi does not keep them alive

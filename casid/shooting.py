@@ -13,6 +13,7 @@ import logging
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 import scipy.linalg
@@ -23,27 +24,32 @@ from casid.arrays import Array
 from casid.errors import ConvergenceError
 from casid.fit import Fit, parameter_table
 from casid.intervals import lay_out
+from casid.likelihood import CovarianceKind, Noise
 from casid.model import Bounds, Free, Model, free_parameters
 from casid.nlp import Solution, SolverOptions, solve
 from casid.programme import Programme, Scales
 from casid.record import Record
-from casid.sensitivity import Evaluator, Point, whiteners
+from casid.sensitivity import Evaluator, Point
 from casid.uncertainty import eliminate
 
 LOG = logging.getLogger("casid")
 
-ROUNDS = 30  # re-estimations of R
-SETTLED = 1e-4  # relative change of R that counts as none
+ROUNDS = 12  # of solves
+ROUGH = 1e-4  # tolerance of the first, whose R is that of the start
+SETTLED = 4.0  # factor by which a variance may fall in the last round: the scales still fit
 FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's
 GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
 LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
 SURPRISE = 0.5  # share of the input's effect that the starting model is trusted to miss
 
-IPOPT: dict[
-    str, float | str
-] = {  # the problem comes scaled; a warm round must stay where it starts
-    "nlp_scaling_method": "none",
-    "mu_strategy": "monotone",
+IPOPT: dict[str, float | str] = {"nlp_scaling_method": "none", "mu_strategy": "monotone"}
+WARM: dict[str, float | str] = {  # a warm round stays where it starts
+    "mu_init": 1e-6,
+    "warm_start_bound_push": 1e-9,
+    "warm_start_bound_frac": 1e-9,
+    "warm_start_slack_bound_push": 1e-9,
+    "warm_start_slack_bound_frac": 1e-9,
+    "warm_start_mult_bound_push": 1e-9,
 }
 
 
@@ -52,7 +58,7 @@ def output_error(
     records: Sequence[Record],
     *,
     interval: float | None = None,
-    R: Array | None = None,
+    R: Array | CovarianceKind | None = None,
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     biases: bool = True,
@@ -68,8 +74,9 @@ def output_error(
         With at least the model's channels, by name; NaN in y and any sampling are welcome.
     interval : float
         Length of the shooting intervals [s]; from the model's fastest growing mode unless given.
-    R : (ny, ny) array
-        Covariance of the measurement noise; re-estimated (diagonal) unless given.
+    R : (ny, ny) array, "diagonal" or "full"
+        Covariance of the measurement noise, or the structure in which it is estimated; None is
+        "diagonal".
     fixed : collection of str
         Parameters held at the model's values.
     bounds : mapping
@@ -100,7 +107,7 @@ def output_error(
     length = choose_interval(free, chosen) if interval is None else float(interval)
     evaluator = Evaluator(free, lay_out(chosen, length))
     search = _Search(evaluator, free, biases, options)
-    outcome = search.run(None if R is None else _checked_covariance(R, evaluator.ny))
+    outcome = search.run(_checked_covariance(R, evaluator.ny))
     return _result(search, outcome, length, time.perf_counter() - begin)
 
 
@@ -164,72 +171,89 @@ def simulate(
 
 @dataclass(frozen=True, eq=False)
 class _Outcome:
-    """Where the rounds of solving and re-estimating R ended."""
+    """Where the rounds of solves ended."""
 
     programme: Programme
     solution: Solution
-    point: Point
-    R: Array
     iterations: int
     rounds: int
     settled: bool
 
 
 class _Search:
-    """Solve, re-estimate R, and again until it settles."""
+    """Solve with R held at the start's, then for the likelihood with R concentrated out."""
 
     def __init__(
         self, evaluator: Evaluator, free: Free, biases: bool, options: SolverOptions
     ) -> None:
         self.evaluator, self.free, self.biases, self.options = evaluator, free, biases, options
         layout = evaluator.layout
-        seen = layout.patterns[layout.pattern]
-        if empty := [name for name, any_ in zip(free.model.outputs, seen.any(axis=0), strict=True)
-                     if not any_]:  # fmt: skip
-            raise ValueError(f"output {empty[0]!r} is missing in every sample of every record")
-        spread = np.sqrt(np.sum(layout.y**2, axis=0) / seen.sum(axis=0))
+        seen = layout.patterns[layout.pattern].sum(axis=0)
+        if not seen.all():
+            name = free.model.outputs[int(np.argmin(seen))]
+            raise ValueError(f"output {name!r} is missing in every sample of every record")
+        spread = np.sqrt(np.sum(layout.y**2, axis=0) / seen)
         self.spread = np.where(spread > 0, spread, 1.0)
 
-    def run(self, R: Array | None) -> _Outcome:
-        point, scales = self._start(R)
-        given = R is not None
-        R = self.covariance(point) if R is None else R
-        iterations = rounds = 0
-        while True:
-            rounds += 1
-            programme = self._programme(scales, R)
-            programme = self._programme(programme.balanced(point), R)
-            problem = programme.problem(programme.pack(point))
-            stage = f"output error, round {rounds}"
-            solution = solve(problem, self.options, stage=stage)
-            point = programme.unpack(solution.x)
-            iterations += solution.iterations
-            new = R if given else self.covariance(point)
-            settled = _distance(new, R) <= SETTLED or self._exact(new)
-            R = new
-            if settled or not solution.success or rounds == ROUNDS:
-                break
-        return _Outcome(
-            self._programme(programme.scales, R), solution, point, R, iterations, rounds, settled
-        )
-
-    def _programme(self, scales: Scales, R: Array) -> Programme:
-        W = whiteners(R, self.evaluator.layout)
-        return Programme(self.evaluator, self.free, scales, W, self.biases)
-
-    def covariance(self, point: Point) -> Array:
-        """Residual covariance (diagonal) of the measured samples."""
+    def noise(self, given: Array | None, kind: CovarianceKind) -> Noise:
+        """Noise model of these records, R held at ``given`` unless that is None."""
         layout = self.evaluator.layout
-        r, _ = self.evaluator.simulate(point)
-        count = layout.patterns[layout.pattern].sum(axis=0)
-        variance = np.sum(r**2, axis=0) / count
-        return np.diag(np.maximum(variance, (FLOOR * self.spread) ** 2))
+        counts = np.bincount(layout.pattern, minlength=len(layout.patterns))
+        return Noise(layout.patterns, counts, FLOOR * self.spread, kind, given)
 
-    def _exact(self, R: Array) -> bool:
-        """Whether every channel is fitted to the floor: noise-free data, nothing to estimate."""
-        return bool((np.sqrt(np.diag(R)) <= 1.001 * FLOOR * self.spread).all())
+    def run(self, R: Array | CovarianceKind | None) -> _Outcome:
+        """Estimate; R is held if it is an array."""
+        kind: CovarianceKind = R if isinstance(R, str) else "diagonal"
+        if isinstance(R, np.ndarray):
+            point, scales = self._start(self.noise(R, kind))
+            programme = Programme(
+                self.evaluator, self.free, scales, self.noise(R, kind), self.biases
+            )
+            programme = programme.rescaled(programme.balanced(point))
+            solution = self._solve(programme, programme.pack(point), None, 1)
+            return _Outcome(programme, solution, solution.iterations, 1, True)
+        return self._relaxed(kind)
 
-    def _start(self, R: Array | None) -> tuple[Point, Scales]:
+    def _relaxed(self, kind: CovarianceKind) -> _Outcome:
+        coarse = self.noise(np.diag((0.1 * self.spread) ** 2), kind)
+        point, scales = self._start(coarse)
+        first = Programme(self.evaluator, self.free, scales, self.noise(None, kind), self.biases)
+        held = self.noise(first.values(first.pack(point)).R, kind)
+        programme = Programme(self.evaluator, self.free, scales, held, self.biases)
+        programme = programme.rescaled(programme.balanced(point))
+        rough = replace(self.options, tolerance=max(ROUGH, self.options.tolerance))
+        solution = self._solve(programme, programme.pack(point), None, 1, rough)
+        iterations, R = solution.iterations, held.given
+        for rounds in range(2, ROUNDS + 1):
+            if not solution.success:
+                return _Outcome(programme, solution, iterations, rounds - 1, False)
+            last, point = programme, programme.unpack(solution.x)
+            programme = Programme(self.evaluator, self.free, last.scales, first.noise, self.biases)
+            programme = programme.rescaled(programme.balanced(point))
+            warm = _carried(solution, last, programme)
+            solution = self._solve(programme, programme.pack(point), warm, rounds)
+            iterations += solution.iterations
+            R, before = programme.values(solution.x).R, programme.values(programme.pack(point)).R
+            change = np.diag(R) / np.diag(before)
+            if solution.success and (first.noise.exact(R) or (change > 1 / SETTLED).all()):
+                return _Outcome(programme, solution, iterations, rounds, True)
+        return _Outcome(programme, solution, iterations, ROUNDS, False)
+
+    def _solve(
+        self,
+        programme: Programme,
+        x: Array,
+        warm: tuple[Array, Array] | None,
+        number: int,
+        options: SolverOptions | None = None,
+    ) -> Solution:
+        options = options or self.options
+        if warm is not None:
+            options = replace(options, ipopt=WARM | dict(options.ipopt))
+        stage = f"output error, round {number}"
+        return solve(programme.problem(x), options, stage=stage, warm=warm)
+
+    def _start(self, noise: Noise) -> tuple[Point, Scales]:
         """Nodes that follow the data: the starting model's states, smoothed over the records.
 
         The model is trusted up to a share of its inputs' effect, so a poor one does not run away.
@@ -241,8 +265,7 @@ class _Search:
             nodes=np.zeros((len(layout.count), e.nx)),
         )
         ones = Scales(np.ones(e.nf), np.ones(e.ny), np.ones(e.nx))
-        noise = np.diag((0.1 * self.spread) ** 2) if R is None else R
-        programme = Programme(e, free, ones, whiteners(noise, layout), biases=False)
+        programme = Programme(e, free, ones, noise, biases=False)
         blocks = programme.blocks(programme.pack(point))
         drift = self._drift()
         nodes = _smooth(blocks.Hnn, blocks.gn, blocks.slope_n, blocks.ends, programme.links, drift)
@@ -300,29 +323,25 @@ def _smooth(
     return np.asarray(scipy.sparse.linalg.splu(K).solve(right.ravel()).reshape(J, nx))
 
 
-def _distance(new: Array, old: Array) -> float:
-    """Largest relative change of the standard deviations and correlations."""
-    scale = np.sqrt(np.diag(old))
-    return float(np.max(np.abs(new - old) / np.outer(scale, scale)))
+def _carried(solution: Solution, last: Programme, programme: Programme) -> tuple[Array, Array]:
+    """Multipliers of one programme in the units of another."""
+    (x, g), (new_x, new_g) = last.units(), programme.units()
+    return solution.multipliers_x * new_x / x, solution.multipliers_g * new_g / g
 
 
-def _checked_covariance(R: Array, ny: int) -> Array:
+def _checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | CovarianceKind | None:
+    if R is None:
+        return R
+    if isinstance(R, str):
+        if R not in get_args(CovarianceKind):
+            raise ValueError(f'R={R!r}: expected "diagonal", "full" or an (ny, ny) array')
+        return R
     R = np.asarray(R, dtype=float)
     if R.shape != (ny, ny):
         raise ValueError(f"R has shape {R.shape}, expected (ny, ny) = ({ny}, {ny})")
     if not np.allclose(R, R.T) or np.linalg.eigvalsh(R).min() <= 0:
         raise ValueError("R is not symmetric positive definite: it is a covariance, squared units")
     return R
-
-
-def _negative_log_likelihood(outcome: _Outcome) -> float:
-    layout = outcome.programme.evaluator.layout
-    cost = outcome.programme.n * outcome.programme.values(outcome.solution.x)[0]
-    for p, seen in enumerate(layout.patterns):
-        if seen.any():
-            block = outcome.R[np.ix_(seen, seen)]
-            cost += 0.5 * int((layout.pattern == p).sum()) * np.linalg.slogdet(block)[1]
-    return float(cost)
 
 
 def _information(programme: Programme, x: Array) -> Array:
@@ -350,23 +369,22 @@ def _constraints(programme: Programme, x: Array) -> scipy.sparse.csc_array:
 def _result(search: _Search, outcome: _Outcome, interval: float, seconds: float) -> Fit:
     free, programme, solution = search.free, outcome.programme, outcome.solution
     scale, nf = programme.scales.lam, len(free.index)
+    point, final = programme.unpack(solution.x), programme.values(solution.x)
     F = _information(programme, solution.x)
     covariance = np.linalg.pinv(F, hermitian=True) * np.outer(scale, scale)
     std = np.sqrt(np.diag(covariance))
     insensitivity = scale / np.sqrt(np.maximum(np.diag(F), 1e-300))
-    lam = np.clip(outcome.point.lam, free.lower[free.index], free.upper[free.index])
+    lam = np.clip(point.lam, free.lower[free.index], free.upper[free.index])
     multipliers = -programme.n * solution.multipliers_x[:nf] / scale
     success = solution.success and outcome.settled
     status = solution.status if outcome.settled or not solution.success else (
         f"R has not settled after {outcome.rounds} rounds; give R"
     )  # fmt: skip
-    layout = search.evaluator.layout
-    chronological = np.argsort(layout.node)
-    firsts = np.searchsorted(layout.record[chronological], np.arange(len(layout.records)))
+    firsts = np.searchsorted(programme.record, np.arange(programme.records))
     fit = Fit(
         model=free.model.with_vector(free.full(lam)),
         parameters=parameter_table(free, lam, multipliers, std, insensitivity),
-        cost=_negative_log_likelihood(outcome),
+        cost=programme.n * final.cost,
         status=status,
         success=success,
         iterations=outcome.iterations,
@@ -374,11 +392,11 @@ def _result(search: _Search, outcome: _Outcome, interval: float, seconds: float)
         method="output error",
         covariance=covariance,
         free_names=free.names,
-        R=outcome.R,
-        initial_states=outcome.point.nodes[firsts],
-        biases=outcome.point.bias,
+        R=final.R,
+        initial_states=point.nodes[firsts],
+        biases=point.bias,
         interval=interval,
-        notes={"rounds": outcome.rounds, "nodes": len(layout.count)},
+        notes={"rounds": outcome.rounds, "nodes": programme.J},
     )
     if not success:
         raise ConvergenceError(f"output error: {status}", fit)
