@@ -13,6 +13,7 @@ from casid.model import Constraint, Model, Rows, Scalar, matrix, parameter
 from casid.nlp import Progress, SolverOptions
 from casid.pbsid import BlackBox, pbsid
 from casid.record import Record
+from casid.settings import OrderSelection, select_order
 from casid.shooting import output_error
 from casid.validation import Validation, validate
 
@@ -27,6 +28,7 @@ __all__ = [
     "HandlingQualities",
     "Model",
     "ModelError",
+    "OrderSelection",
     "ParameterEstimate",
     "Progress",
     "Record",
@@ -46,6 +48,7 @@ __all__ = [
     "pbsid",
     "read_csv",
     "read_mat",
+    "select_order",
     "transfer_function",
     "validate",
     "write_csv",

@@ -7,50 +7,38 @@ constant per record is projected out (residual trim), and the direct term may be
 """
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import solve_continuous_are
 from scipy.optimize import linear_sum_assignment
 
 from casid.arrays import Array, BoolArray
+from casid.columns import (
+    Feedthrough,
+    Segment,
+    excited_band,
+    feedthrough_mask,
+    gather,
+    pieces_of,
+)
 from casid.errors import DataWarning
 from casid.fourier import spectra
-from casid.laguerre import from_laguerre, project_blocks, support
+from casid.laguerre import support
 from casid.linear import StateSpace, from_zoh
-from casid.predictor import (
-    Realisation,
-    Stack,
-    accumulate,
-    predictor_coefficients,
-    realise,
-    triangular,
-)
+from casid.predictor import Stack
 from casid.record import Record, same_channels, standard_deviations
 from casid.refinement import ResponseUncertainty
 from casid.refinement import refine as refine_black_box
+from casid.settings import HIGHEST, OrderSelection, select_order
+from casid.subspace import subspace_model
 
 Transform = Literal["laguerre", "none"]
-Feedthrough = bool | Sequence[str] | BoolArray
 
-BLOCK = 4096  # columns held at once
-HIGHEST = 2.0  # of the Laguerre pole: frequencies above it are not refined on
+PAST = 10  # samples at least, for the samples themselves
 BAND_END = 1.5  # of the Laguerre pole: the model is not trusted above it
-LONG_GAP = 0.5  # of 1/a: missing samples over a longer time split a record
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Segment:
-    """What one stretch of a record gave: ``used`` of its ``duration`` [s] became columns."""
-
-    record: str
-    start: float
-    duration: float
-    used: float
-    interpolated: int
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -85,6 +73,8 @@ class BlackBox:
         What was used of each record, and how many missing samples were interpolated.
     uncertainty : ResponseUncertainty or None
         Covariance of a refined black box; see `response_std`.
+    selection : OrderSelection or None
+        How the settings were chosen from data, if they were.
     """
 
     system: StateSpace
@@ -102,6 +92,7 @@ class BlackBox:
     regularisation: float = 0.0
     segments: tuple[Segment, ...] = ()
     uncertainty: ResponseUncertainty | None = None
+    selection: OrderSelection | None = None
 
     def response_std(self, omega: Array) -> tuple[Array, Array]:
         """Relative standard deviation of abs(G) and standard deviation of its phase [rad].
@@ -149,13 +140,13 @@ class BlackBox:
 def pbsid(
     records: Sequence[Record],
     *,
-    order: int,
+    order: int | None = None,
     past: int | None = None,
     future: int | None = None,
     pole: float | None = None,
     feedthrough: Feedthrough = True,
     transform: Transform = "laguerre",
-    regularisation: float = 1e-3,
+    regularisation: float | None = None,
     refine: bool = True,
 ) -> BlackBox:
     """Identify a black box from the time histories of one or several manoeuvres.
@@ -166,12 +157,13 @@ def pbsid(
         Same channels; lengths and sampling may differ. Missing outputs (NaN) are interpolated
         linearly over short gaps and split the record at long ones; the result counts both.
     order : int
-        Number of states.
+        Number of states. Chosen by `select_order` unless given, like ``past``, ``pole`` and
+        ``regularisation``; with ``transform="none"`` it must be given.
     past, future : int
-        Window lengths: Laguerre functions or samples. The past is 10 functions (2 order/ny, at
-        least 10, samples) and the future the same unless given.
+        Window lengths: Laguerre functions or samples; the future is as long as the past unless
+        given. On samples the past is 10 or 2 order/ny, whichever is larger, unless given.
     pole : float
-        Laguerre pole a [rad/s], faster than any unstable pole; 10 rad/s unless given.
+        Laguerre pole a [rad/s], faster than any unstable pole.
     feedthrough : bool, (ny, nu) bool array or sequence of output names
         Where a direct term is allowed. On samples a masked entry is left out of the regressions;
         on projected data the response at infinite frequency is made zero there.
@@ -198,78 +190,96 @@ def pbsid(
     if transform not in get_args(Transform):
         raise ValueError(f'transform={transform!r}, expected "laguerre" or "none"')
     mask = feedthrough_mask(feedthrough, inputs, outputs)
+    if transform == "none":
+        settings = _sample_settings(order, past, regularisation, len(outputs))
+    else:
+        settings = _chosen(records, order, past, pole, regularisation, feedthrough)
+    future = settings.past if future is None else future
+    _check_windows(settings.order, settings.past, future, len(outputs))
     su, sy = standard_deviations(records)
-    a = np.nan if transform == "none" else _check_pole(10.0 if pole is None else pole)
-    past = max(10, -(-2 * order // len(outputs))) if past is None else past
-    future = past if future is None else future
-    _check_windows(order, past, future, len(outputs))
-    stack, segments = gather(records, su, sy, past, a)
-    _check_columns(stack, segments, records, a)
-    Xi, _ = predictor_coefficients(stack, mask, regularisation, at_one=transform == "laguerre")
-    dropped = mask if transform == "none" else np.ones_like(mask)
-    discrete = realise(stack, Xi, order=order, future=future, feedthrough=dropped)
-    dt = records[0].dt if transform == "none" else 1.0
-    system, K = _unscaled(discrete, su, sy, dt, inputs, outputs)
-    uncertainty = None
+    stack, segments = gather(records, su, sy, settings.past, settings.pole)
+    _check_columns(stack, segments, records, settings.pole)
+    found = subspace_model(
+        stack, su, sy, settings.pole, order=settings.order, future=future, feedthrough=mask,
+        regularisation=settings.regularisation, dt=records[0].dt,
+    )  # fmt: skip
+    system = replace(found.system, inputs=inputs, outputs=outputs)
+    K, uncertainty = found.K, None
     if transform == "laguerre":
-        system, K = from_laguerre(system, K, a)
-        _check_unstable(system, a)
+        _check_unstable(system, settings.pole)
         if refine:
-            pieces = [piece for record in records for piece, _ in _pieces(record, a)]
-            data = spectra(pieces, su, sy, HIGHEST * a)
-            refined, uncertainty = refine_black_box(system, data, su, sy, mask)
-            K = carried_gain(system, K, refined, discrete.residual_covariance * np.outer(sy, sy))
+            pieces = [piece for r in records for piece, _ in pieces_of(r, settings.pole)]
+            data = spectra(pieces, su, sy, HIGHEST * settings.pole)
+            refined, uncertainty = refine_black_box(system, data, su, sy, mask, settings.pole)
+            K = carried_gain(system, K, refined, found.residual_covariance)
             system = refined
     return BlackBox(
         system=system,
         K=K,
-        singular_values=discrete.singular_values,
-        pole=a,
-        past=past,
+        singular_values=found.singular_values,
+        pole=settings.pole,
+        past=settings.past,
         future=future,
         transform=transform,
         feedthrough=mask,
         input_std=su,
         output_std=sy,
-        band=_band(records, a),
+        band=_band(records, settings.pole),
         records=tuple(record.name for record in records),
-        regularisation=regularisation,
+        regularisation=settings.regularisation,
         segments=segments,
         uncertainty=uncertainty,
+        selection=settings.selection,
     )
 
 
-def feedthrough_mask(
-    feedthrough: Feedthrough, inputs: Sequence[str], outputs: Sequence[str]
-) -> BoolArray:
-    """(ny, nu) mask from True, False, the names of outputs with a direct term, or the mask."""
-    shape = (len(outputs), len(inputs))
-    if isinstance(feedthrough, bool):
-        return np.full(shape, feedthrough)
-    if isinstance(feedthrough, np.ndarray):
-        if feedthrough.shape != shape:
-            raise ValueError(f"feedthrough has shape {feedthrough.shape}, expected {shape}")
-        return feedthrough.astype(bool)
-    for name in feedthrough:
-        if name not in outputs:
-            raise ValueError(f"feedthrough names {name!r}, no output; they are {outputs}")
-    return np.array([[name in feedthrough] * len(inputs) for name in outputs])
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Settings:
+    order: int
+    past: int
+    pole: float
+    regularisation: float
+    selection: OrderSelection | None = None
 
 
-def excited_band(records: Sequence[Record]) -> tuple[float, float]:
-    """Frequencies [rad/s] where every input is excited in one record at least.
+def _sample_settings(
+    order: int | None, past: int | None, regularisation: float | None, ny: int
+) -> _Settings:
+    if order is None:
+        raise ValueError('transform="none" needs an order; the choice from data is for projections')
+    past = max(PAST, -(-2 * order // ny)) if past is None else past
+    return _Settings(order=order, past=past, pole=np.nan, regularisation=regularisation or 0.0)
 
-    From two periods in the longest record to the frequency above which the input's spectrum (the
-    largest over the records) stays 40 dB below its peak.
-    """
-    low = 2 * 2 * np.pi / max(record.duration for record in records)
-    highs = []
-    for j in range(records[0].nu):
-        best = max(records, key=lambda record: float(np.std(record.u[:, j])))
-        omega, power = _spectrum(best, j)
-        above = omega[power > 1e-4 * power.max()]
-        highs.append(float(above.max()) if len(above) else low)
-    return float(low), float(max(min(highs), 2 * low))
+
+def _chosen(
+    records: Sequence[Record],
+    order: int | None,
+    past: int | None,
+    pole: float | None,
+    regularisation: float | None,
+    feedthrough: Feedthrough,
+) -> _Settings:
+    """What the user said, and the choice from data for the rest."""
+    if pole is not None and not (np.isfinite(pole) and pole > 0):
+        raise ValueError(f"pole={pole}: expected a Laguerre pole > 0 rad/s")
+    if order is not None and past is not None and pole is not None:
+        return _Settings(
+            order=order, past=past, pole=float(pole),
+            regularisation=1e-3 if regularisation is None else regularisation,
+        )  # fmt: skip
+    selection = select_order(
+        records,
+        orders=None if order is None else [order],
+        pasts=None if past is None else [past],
+        poles=None if pole is None else [pole],
+        regularisations=None if regularisation is None else [regularisation],
+        feedthrough=feedthrough,
+    )
+    best = selection.chosen
+    return _Settings(
+        order=best.order, past=best.past, pole=best.pole, regularisation=best.regularisation,
+        selection=selection,
+    )  # fmt: skip
 
 
 def _band(records: Sequence[Record], a: float) -> tuple[float, float]:
@@ -304,135 +314,7 @@ def riccati_gain(A: Array, C: Array, K: Array, R: Array) -> Array:
     return np.asarray(np.linalg.solve(R, C @ P + S.T).T)
 
 
-# ---- gathering the columns ----------------------------------------------------------------------
-
-
-def gather(
-    records: Sequence[Record], su: Array, sy: Array, past: int, a: float
-) -> tuple[Stack, tuple[Segment, ...]]:
-    """Triangular factor of the columns of all records; a constant per segment projected out.
-
-    ``a`` is the Laguerre pole, NaN for the samples themselves.
-    """
-    nz = len(su) + len(sy)
-    R: Array = np.zeros((0, (past + 1) * nz))
-    count, segments = 0, []
-    for record in records:
-        for piece, interpolated in _pieces(record, a):
-            blocks = (
-                _sample_blocks(piece, su, sy, past)
-                if np.isnan(a)
-                else _laguerre_blocks(piece, su, sy, past, a)
-            )
-            part, n = accumulate(blocks, constant=True)
-            used = n * piece.dt
-            segments.append(
-                Segment(
-                    record=record.name, start=float(piece.t[0]), duration=piece.duration,
-                    used=used, interpolated=interpolated,
-                )
-            )  # fmt: skip
-            if n:
-                R = triangular(np.vstack([R, part]))
-                count += n
-    return Stack(R, len(su), len(sy), past, count), tuple(segments)
-
-
-def _laguerre_blocks(record: Record, su: Array, sy: Array, past: int, a: float) -> Iterator[Array]:
-    v = np.hstack([record.u / su, record.y / sy])
-    usable = int(np.searchsorted(record.t, record.t[-1] - support(a, past), side="right"))
-    for start, block in project_blocks(record.t, v, a, past + 1, record.hold, BLOCK):
-        if start < usable:
-            rows = block[: usable - start]
-            yield rows.reshape(len(rows), -1)
-
-
-def _sample_blocks(record: Record, su: Array, sy: Array, past: int) -> Iterator[Array]:
-    v = np.hstack([record.u / su, record.y / sy])
-    windows = sliding_window_view(v, past + 1, axis=0) if len(v) > past else np.zeros((0, 1, 1))
-    for start in range(0, len(windows), BLOCK):
-        rows = (
-            windows[start : start + BLOCK].transpose(0, 2, 1).reshape(-1, (past + 1) * v.shape[1])
-        )
-        yield rows[np.isfinite(rows).all(axis=1)]
-
-
-def _pieces(record: Record, a: float) -> Iterator[tuple[Record, int]]:
-    """Stretches of a record without long gaps, and how many samples were interpolated in each.
-
-    On samples nothing is interpolated: columns that touch a missing sample are left out.
-    """
-    missing = np.isnan(record.y)
-    if np.isnan(a):
-        if not record.equidistant:
-            raise ValueError(
-                f'record {record.name!r} is not equidistant: transform="none" works on samples; '
-                'use transform="laguerre" or resample the record'
-            )
-        yield record, 0
-        return
-    if not missing.any():
-        yield record, 0
-        return
-    bad = _in_long_gap(record.t, missing, LONG_GAP / a)
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], bad, [True]]).astype(int)))
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
-        if end - start > 1:
-            cut = slice(start, end)
-            y = _interpolated(record.t[cut], record.y[cut])
-            piece = replace(record, t=record.t[cut], u=record.u[cut], y=y)
-            yield piece, int(missing[cut].sum())
-
-
-def _in_long_gap(t: Array, missing: BoolArray, longest: float) -> BoolArray:
-    """Samples in a gap of some channel that is longer than allowed, or at a record's end."""
-    bad = np.zeros(len(t), dtype=bool)
-    for column in missing.T:
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], column, [False]]).astype(int)))
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
-            open_end = start == 0 or end == len(t)
-            if open_end or t[end] - t[start - 1] > longest:
-                bad[start:end] = True
-    return bad
-
-
-def _interpolated(t: Array, y: Array) -> Array:
-    filled = y.copy()
-    for column in filled.T:
-        gap = np.isnan(column)
-        if gap.any():
-            column[gap] = np.interp(t[gap], t[~gap], column[~gap])
-    return filled
-
-
-def _spectrum(record: Record, j: int) -> tuple[Array, Array]:
-    t = np.linspace(record.t[0], record.t[-1], record.N)
-    u = np.interp(t, record.t, record.u[:, j])
-    u = (u - u.mean()) * np.hanning(len(u))
-    power = np.abs(np.fft.rfft(u)) ** 2
-    omega = 2 * np.pi * np.fft.rfftfreq(len(u), t[1] - t[0])
-    return omega[1:], power[1:]
-
-
 # ---- checks -------------------------------------------------------------------------------------
-
-
-def _unscaled(
-    model: Realisation,
-    su: Array,
-    sy: Array,
-    dt: float,
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
-) -> tuple[StateSpace, Array]:
-    C, D = sy[:, None] * model.C, sy[:, None] * model.D / su
-    return StateSpace(model.A, model.B / su, C, D, dt, inputs, outputs), model.K / sy
-
-
-def _check_pole(a: float) -> float:
-    if not (np.isfinite(a) and a > 0):
-        raise ValueError(f"pole={a}: expected a Laguerre pole > 0 rad/s")
-    return float(a)
 
 
 def _check_windows(order: int, past: int, future: int, ny: int) -> None:

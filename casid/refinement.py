@@ -17,7 +17,7 @@ Gram matrix each, instead of a tall Jacobian.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -29,6 +29,7 @@ from casid.linear import StateSpace
 WIDTH = 0.35  # of the smoothing of residual spectra, in natural logarithms of ω
 ROUNDS = 2  # of estimating residual spectra
 STEPS = 6  # Gauss-Newton steps a round
+LEAST_DAMPING = 0.02  # of modes too fast for the data to show them unstable
 SETTLED = 1e-5  # relative decrease of the cost that ends a round
 
 
@@ -87,6 +88,7 @@ def refine(
     su: Array,
     sy: Array,
     feedthrough: BoolArray,
+    fastest: float = np.inf,
 ) -> tuple[StateSpace, ResponseUncertainty]:
     """Refine a continuous black box on Fourier transforms of its records.
 
@@ -100,6 +102,9 @@ def refine(
         Standard deviations of the channels.
     feedthrough : (ny, nu) bool array
         Where the direct term is free; elsewhere it is zero.
+    fastest : float
+        No mode with abs(λ) above this [rad/s] may be unstable: data and Laguerre pole cannot show
+        such a mode, and a spurious one would spoil every use of the model.
 
     Returns
     -------
@@ -110,10 +115,11 @@ def refine(
     """
     free = np.argwhere(feedthrough)
     modal = to_modal(system, su, sy, feedthrough)
+    modal = replace(modal, lam=_damped(modal.lam, fastest))
     weights: list[Array] = []
     for _ in range(ROUNDS):
         weights = noise_weights(modal, data)
-        modal = _gauss_newton(modal, data, weights, free)
+        modal = _gauss_newton(modal, data, weights, free, fastest)
     H, _, _ = normal_equations(modal, data, weights, free)
     rows = 2 * sum(len(s.omega) for s in data) * len(sy)
     used = len(H) + len(data) * system.nx
@@ -123,10 +129,31 @@ def refine(
     return refined, ResponseUncertainty(modal, free, factor, su, sy)
 
 
-def misfit(system: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array) -> Array:
-    """Mean squared residual of each output with the best transients, (spectra, ny), scaled."""
+def residual_powers(
+    system: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array
+) -> tuple[Array, Array]:
+    """Frequencies (K,) and squared residuals (K, ny) of all spectra with their best transients."""
     modal = to_modal(system, su, sy, np.ones((system.ny, system.nu), dtype=bool))
-    return np.array([np.mean(np.abs(E) ** 2, axis=0) for E in _residuals(modal, data)])
+    omega = np.concatenate([spectrum.omega for spectrum in data])
+    return omega, np.vstack([np.abs(E) ** 2 for E in _residuals(modal, data)])
+
+
+def information_criterion(
+    system: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array, direct: int
+) -> float:
+    """Corrected Akaike criterion per real observation, residual spectra estimated.
+
+    ``direct`` is the number of free direct terms; a model of order n has n (nu + ny) further
+    parameters beside them, and one transient of n for each spectrum.
+    """
+    omega, power = residual_powers(system, data, su, sy)
+    smooth = _smoothed(np.log(omega), np.log(omega), power)
+    deviance = 2 * float(np.sum(np.log(smooth) + power / smooth))
+    n, N = system.nx, 2 * power.size
+    k = n * (len(su) + len(sy)) + direct + n * len(data)
+    if k + 1 >= N:
+        return np.inf
+    return (deviance + 2 * k * N / (N - k - 1)) / N
 
 
 # ---- modal coordinates --------------------------------------------------------------------------
@@ -207,11 +234,10 @@ def _forced(modal: Modal, spectrum: Spectrum) -> tuple[ComplexArray, ComplexArra
 
 def _residuals(modal: Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
     """Residuals (K, ny) of every spectrum with its best transient."""
-    mixes = [_mixing(modal, o, 1) for o in range(len(modal.C))]
     found = []
     for spectrum in data:
         E, basis = _forced(modal, spectrum)
-        columns = [basis @ mix for mix in mixes]
+        columns = [_mixed(basis, modal, o, 1) for o in range(len(modal.C))]
         P = np.vstack([*(c.real for c in columns), *(c.imag for c in columns)])
         e = E.T.ravel()
         target = np.concatenate([e.real, e.imag])
@@ -227,30 +253,35 @@ def noise_weights(modal: Modal, data: Sequence[Spectrum]) -> list[Array]:
     omega = np.log(np.concatenate([s.omega for s in data]))
     power = np.vstack([np.abs(E) ** 2 for E in residuals])
     floor = 1e-20 * np.vstack([np.abs(s.Y) ** 2 for s in data]).mean(axis=0)
-    weights = []
-    for spectrum in data:
-        kernel = np.exp(-0.5 * ((np.log(spectrum.omega)[:, None] - omega) / WIDTH) ** 2)
-        smooth = (kernel @ power) / kernel.sum(axis=1)[:, None]
-        weights.append(1 / np.sqrt(smooth + floor))
-    return weights
+    smooth = [_smoothed(np.log(spectrum.omega), omega, power) for spectrum in data]
+    return [1 / np.sqrt(level + floor) for level in smooth]
+
+
+def _smoothed(at: Array, omega: Array, power: Array) -> Array:
+    """Local mean of power (K, ny) over logarithms of frequency, at those asked for."""
+    kernel = np.exp(-0.5 * ((at[:, None] - omega) / WIDTH) ** 2)
+    return np.asarray(kernel @ power / kernel.sum(axis=1)[:, None])
 
 
 def _cost(modal: Modal, data: Sequence[Spectrum], weights: Sequence[Array]) -> float:
     """Weighted squared residuals with the best transients."""
-    mixes = [_mixing(modal, o, 1) for o in range(len(modal.C))]
     total = 0.0
     for spectrum, w in zip(data, weights, strict=True):
         E, basis = _forced(modal, spectrum)
-        G = np.zeros((len(mixes[0]) + 1, len(mixes[0]) + 1))
-        for o, mix in enumerate(mixes):
-            rows = w[:, [o]] * np.hstack([basis @ mix, E[:, [o]]])
-            G += rows.real.T @ rows.real + rows.imag.T @ rows.imag
-        total += float(_schur(G, len(mixes[0]))[0, 0])
+        n = basis.shape[1]
+        G = np.zeros((n + 1, n + 1))
+        for o in range(len(modal.C)):
+            G += _gram(w[:, [o]] * np.hstack([_mixed(basis, modal, o, 1), E[:, [o]]]))
+        total += float(_schur(G, n)[0, 0])
     return total
 
 
 def _gauss_newton(
-    modal: Modal, data: Sequence[Spectrum], weights: Sequence[Array], free: np.ndarray
+    modal: Modal,
+    data: Sequence[Spectrum],
+    weights: Sequence[Array],
+    free: np.ndarray,
+    fastest: float,
 ) -> Modal:
     """Levenberg-Marquardt steps until the cost settles."""
     damping, cost = 1e-3, _cost(modal, data, weights)
@@ -263,7 +294,7 @@ def _gauss_newton(
             step = (
                 scipy.linalg.solve(scaled + damping * np.eye(len(H)), right, assume_a="pos") / scale
             )
-            trial = _moved(modal, step, free)
+            trial = _moved(modal, step, free, fastest)
             trial_cost = _cost(trial, data, weights)
             if trial_cost < cost:
                 modal, cost, damping = trial, trial_cost, max(damping / 5, 1e-9)
@@ -290,10 +321,9 @@ def normal_equations(
         basis = _basis(modal, spectrum)
         E, _ = _forced(modal, spectrum)
         for o in range(ny):
-            S = _selection(modal, o, free, n, size)
-            rows = w[:, [o]] * np.hstack([basis, E[:, [o]]])
-            gram = rows.real.T @ rows.real + rows.imag.T @ rows.imag
-            G += S.T @ gram @ S
+            J, where = _output_derivative(basis, modal, o, free)
+            where = np.append(where, n + size)
+            G[np.ix_(where, where)] += _gram(w[:, [o]] * np.hstack([J, E[:, [o]]]))
         total += _schur(G, n)
     return total[:-1, :-1], total[:-1, -1], float(total[-1, -1])
 
@@ -319,40 +349,41 @@ def _basis(modal: Modal, spectrum: Spectrum) -> ComplexArray:
     )
 
 
-def _mixing(modal: Modal, o: int, columns: int) -> Array:
-    """How a modal quantity enters output o: Re c on its own basis, Im c across the pair."""
-    first, second = modal.place(columns)
-    n = int(max(first.max(), second.max())) + 1
-    mix = np.zeros((n, n))
-    c = modal.C[o]
-    for m in range(len(c)):
-        one, two = first[m], second[m]
-        mix[one, one] = c[m].real
-        if not modal.real[m]:
-            mix[two, two] = c[m].real
-            mix[one, two], mix[two, one] = -c[m].imag, c[m].imag
-    return mix
+def _mixed(piece: ComplexArray, modal: Modal, o: int, columns: int) -> ComplexArray:
+    """A modal quantity as output o sees it: Re c on its own basis, Im c across the pair."""
+    pairs = np.repeat(~modal.real, columns)
+    c = np.repeat(modal.C[o], columns)
+    first, second = piece[:, : len(c)], piece[:, len(c) :]
+    own = first * c.real
+    own[:, pairs] += second * c.imag[pairs]
+    return np.hstack([own, second * c.real[pairs] - first[:, pairs] * c.imag[pairs]])
 
 
-def _selection(modal: Modal, o: int, free: np.ndarray, n: int, size: int) -> Array:
-    """Map from (transient, parameters, 1) to the basis of output o with its residual last."""
-    nu = modal.B.shape[1]
-    one, per_input = _mixing(modal, o, 1), _mixing(modal, o, nu)
-    S = np.zeros((3 * n + n * nu + nu + 1, n + size + 1))
-    S[:n, :n] = one
-    S[n : 2 * n, n : 2 * n] = one
-    B = 2 * n + n * nu
-    S[2 * n : B, 2 * n : B] = per_input
-    S[B : B + n, B + o * n : B + (o + 1) * n] = np.eye(n)
-    D = B + len(modal.C) * n
-    for k, (i, j) in enumerate(free):
-        if i == o:
-            S[B + n + j, D + k] = 1.0
-    S[-1, -1] = 1.0
-    return S
+def _output_derivative(
+    basis: ComplexArray, modal: Modal, o: int, free: np.ndarray
+) -> tuple[ComplexArray, np.ndarray]:
+    """Derivatives of output o by the transient and the parameters it depends on, and which."""
+    ny, nu = modal.D.shape
+    n = len(modal.lam) + int((~modal.real).sum())
+    B, C = 2 * n, 2 * n + n * nu
+    direct = np.flatnonzero(free[:, 0] == o)
+    J = [
+        _mixed(basis[:, :n], modal, o, 1),
+        _mixed(basis[:, n:B], modal, o, 1),
+        _mixed(basis[:, B:C], modal, o, nu),
+        basis[:, C : C + n],
+        basis[:, C + n + free[direct, 1]],
+    ]
+    where = [np.arange(C), C + o * n + np.arange(n), C + ny * n + direct]
+    return np.hstack(J), np.concatenate(where)
 
 
-def _moved(modal: Modal, step: Array, free: np.ndarray) -> Modal:
+def _gram(rows: Array | ComplexArray) -> Array:
+    """Re(rowsᴴ rows)."""
+    return np.asarray(rows.real.T @ rows.real + rows.imag.T @ rows.imag)
+
+
+def _moved(modal: Modal, step: Array, free: np.ndarray, fastest: float) -> Modal:
     """The model a step further; a complex pair stays one, a real mode stays real."""
     ny, nu = modal.D.shape
     n = len(modal.lam) + int((~modal.real).sum())
@@ -364,7 +395,14 @@ def _moved(modal: Modal, step: Array, free: np.ndarray) -> Modal:
     D[free[:, 0], free[:, 1]] += step[start + ny * n :]
     lam = modal.lam + dlam
     lam = np.where(modal.real, lam, lam.real + 1j * np.maximum(np.abs(lam.imag), 1e-6))
-    return Modal(lam, modal.B + dB, modal.C + np.array(dC), D)
+    return Modal(_damped(lam, fastest), modal.B + dB, modal.C + np.array(dC), D)
+
+
+def _damped(lam: ComplexArray, fastest: float) -> ComplexArray:
+    """Poles with those above ``fastest`` kept left of a damping ratio of LEAST_DAMPING."""
+    wild = (np.abs(lam) > fastest) & (lam.real > -LEAST_DAMPING * np.abs(lam))
+    left = -np.maximum(np.abs(lam.real), LEAST_DAMPING * np.abs(lam)) + 1j * lam.imag
+    return np.asarray(np.where(wild, left, lam))
 
 
 def _complex(modal: Modal, values: Array, columns: int) -> ComplexArray:
@@ -389,7 +427,7 @@ def _response_derivative(
     n = len(modal.lam) + int((~modal.real).sum())
     size = n + n * nu + ny * n + len(free)
     G = np.empty((len(omega), ny, nu), dtype=complex)
-    dG = np.empty((len(omega), ny, nu, size), dtype=complex)
+    dG = np.zeros((len(omega), ny, nu, size), dtype=complex)
     for j in range(nu):
         U = np.zeros((len(omega), nu), dtype=complex)
         U[:, j] = 1.0
@@ -398,6 +436,6 @@ def _response_derivative(
         E, _ = _forced(modal, unit)
         G[:, :, j] = -E
         for o in range(ny):
-            S = _selection(modal, o, free, n, size)[:-1, n:-1]
-            dG[:, o, j] = basis @ S
+            J, where = _output_derivative(basis, modal, o, free)
+            dG[:, o, j, where[n:] - n] = J[:, n:]
     return G, dG
