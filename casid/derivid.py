@@ -14,11 +14,10 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
-from casid.comparison import Comparison, Source
+from casid.equations import equation_start
 from casid.errors import ConvergenceError, ModelError
 from casid.fit import Fit, parameter_table
 from casid.frequency import FrequencyResponse
-from casid.initial import starts as target_starts
 from casid.magphase import Programme, Sensitivity, Target, delay_parameters, programme
 from casid.mismatch import DB, DEG, GOOD, PHASE, pair_weights, residuals
 from casid.model import Bounds, Free, Model, free_parameters
@@ -108,7 +107,7 @@ def derivid(
     target, used = select(model, measured, pairs, coherence)
     search = _Search(free, target, options)
     _check_influence(search)
-    for number, (name, values, X) in enumerate(_starting_points(free, target, starts, seed)):
+    for number, (name, values, X) in enumerate(_starting_points(search, starts, seed)):
         search.run(f"{number + 1} ({name})", values, X)
     fit = _result(search, model, measured, used, time.perf_counter() - began)
     if not fit.success:
@@ -207,17 +206,15 @@ def _nonnegative_delays(free: Free) -> Free:
 
 
 def _starting_points(
-    free: Free, target: Target, count: int, seed: int
+    search: "_Search", count: int, seed: int
 ) -> list[tuple[str, Array, ComplexArray | None]]:
     """Names, free parameters and states' responses, most promising first."""
+    free, target = search.free, search.target
     rng = np.random.default_rng(seed)
-    found: list[tuple[str, Array, ComplexArray | None]] = []
-    for start in target_starts(free, _comparison(target)):
-        X = start.X
-        if X is not None:  # the programme's states answer to inputs that are not delayed
-            tau = free.model.with_vector(free.full(start.values)).system().delay
-            X = X * np.exp(1j * target.omega[:, None, None] * tau)
-        found.append((start.name, start.values, X))
+    found: list[tuple[str, Array, ComplexArray | None]] = [("guess", free.guess, None)]
+    start = equation_start(free, target, search.sensitivity.structure)
+    if start is not None:
+        found.insert(0, ("equations", *start))
     centre, scale = found[0][1], free.scale[free.index]
     lower, upper = free.lower[free.index], free.upper[free.index]
     while len(found) < count:
@@ -225,20 +222,6 @@ def _starting_points(
         drawn = centre + spread * rng.standard_normal(len(centre))
         found.append(("random", np.clip(drawn, lower, upper), None))
     return found[:count]
-
-
-def _comparison(target: Target) -> Comparison:
-    """The target as a relative complex error, which that in dB and degrees is to first order."""
-    W = np.sqrt(target.weight) / np.abs(target.G)
-    source = Source(
-        name="measured", omega=target.omega, shift=0.0, G=target.G * (W > 0), W=W, system=None,
-        nodes=target.omega, node_weights=W,
-    )  # fmt: skip
-    band = (float(target.omega[0]), float(target.omega[-1]))
-    return Comparison(
-        sources=(source,), input_scale=target.input_scale,
-        output_scale=np.ones(target.G.shape[1]), band=band, shift=0.0,
-    )  # fmt: skip
 
 
 # ---- search ------------------------------------------------------------------------------------

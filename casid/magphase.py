@@ -183,6 +183,12 @@ class Sensitivity:
         self._function = ca.Function("N", [lam], [N, ca.densify(tau), *slopes])
         self._nx, self._shape = A.shape[0], N.shape
 
+    def structure(self, values: Array) -> tuple[Array, Array, Array]:
+        """[A B; C D], its derivatives (nf, rows, columns) and the delays τ (nu,)."""
+        N, tau, dN, _ = (part.full() for part in self._function(values))
+        rows, columns = self._shape
+        return N, dN.reshape(columns, rows, -1).transpose(2, 1, 0), tau.ravel()
+
     def __call__(self, values: Array, omega: Array) -> tuple[ComplexArray, ComplexArray]:
         """G (K, ny, nu) and dG/dλ (K, ny, nu, nf) at parameter values (nf,)."""
         nx, (rows, columns) = self._nx, self._shape

@@ -20,8 +20,11 @@ from casid import (
     frequency_response,
     parameter,
 )
-from casid.derivid import accuracy
+from casid.derivid import accuracy, select
+from casid.equations import equation_start
+from casid.magphase import Sensitivity
 from casid.mismatch import coherence_weight, pair_weights, residuals
+from casid.model import free_parameters
 
 OMEGA = np.geomspace(0.3, 12.0, 20)
 
@@ -68,6 +71,31 @@ def test_a_structure_is_recovered_from_its_own_response():
     np.testing.assert_allclose(fit.model.vector(), TRUTH.vector(), rtol=1e-6)
     assert fit.cost < 1e-9
     assert fit.success
+
+
+def test_equations_give_the_truth_where_states_and_delay_are_known():
+    class Seen(Model):
+        states, inputs, outputs = ("v", "p", "phi"), ("lat",), ("ay", "p", "phi")
+        Yv: float = parameter(default=-0.15, lower=-1.0, upper=0.0, unit="1/s")
+        Lv: float = parameter(default=-0.05, lower=-0.5, upper=0.5, unit="rad/(m s)")
+        Lp: float = parameter(default=-3.0, lower=-10.0, upper=0.0, unit="1/s")
+        Llat: float = parameter(default=8.0, lower=0.0, upper=50.0, unit="rad/s^2")
+
+        def A(self):
+            return [[self.Yv, 0, 9.81], [self.Lv, self.Lp, 0], [0, 1, 0]]
+
+        def B(self):
+            return [[0], [self.Llat], [0]]
+
+        def C(self):
+            return [[self.Yv, 0, 0], [0, 1, 0], [0, 0, 1]]
+
+    truth = Seen(Yv=-0.2, Lv=-0.08, Lp=-2.5, Llat=11.0)
+    free = free_parameters(Seen())
+    target, _ = select(Seen(), response(truth))
+    values, _ = equation_start(free, target, Sensitivity(free).structure)
+    # The guess, 30 % off, keeps a weight of 1e-3; Yv v is a twentieth of the other terms in v'.
+    np.testing.assert_allclose(values, truth.vector(), rtol=0.05)
 
 
 def test_six_degrees_of_freedom_with_64_parameters_are_recovered():
