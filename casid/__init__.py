@@ -13,6 +13,7 @@ from casid.model import Constraint, Model, Rows, Scalar, matrix, parameter
 from casid.nlp import Progress, SolverOptions
 from casid.pbsid import BlackBox, pbsid
 from casid.record import Record
+from casid.responses import merge_responses, read_frequency_csv
 from casid.settings import OrderSelection, select_order
 from casid.shooting import output_error
 from casid.validation import Validation, validate
@@ -43,10 +44,12 @@ __all__ = [
     "handling_qualities",
     "match",
     "matrix",
+    "merge_responses",
     "output_error",
     "parameter",
     "pbsid",
     "read_csv",
+    "read_frequency_csv",
     "read_mat",
     "select_order",
     "transfer_function",

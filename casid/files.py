@@ -73,6 +73,20 @@ def read_csv(
     return _record(table, inputs, outputs, time, units, name or path.stem, hold).detrend(detrend)
 
 
+def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, Array]:
+    """Named columns of a CSV file with a header line, as they stand there.
+
+    Raises
+    ------
+    ValueError
+        Not a table of numbers, or an unknown column.
+    """
+    path = Path(path)
+    columns = _csv_columns(path)
+    values = _csv_values(path, [_find(name, columns, path) for name in names], list(names))
+    return dict(zip(names, values.T, strict=True))
+
+
 def read_mat(
     path: str | Path,
     *,

@@ -1,0 +1,88 @@
+"""Frequency responses of other tools."""
+
+import numpy as np
+import pytest
+
+from casid.responses import merge_responses, read_frequency_csv
+
+OMEGA = np.array([0.5, 1.0, 2.0])
+G = np.array([1 - 1j, -0.5j, -0.2 + 0.1j])
+
+
+def write(path, columns):
+    rows = np.column_stack(list(columns.values()))
+    lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows.tolist())]
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("form", "first", "second"),
+    [
+        ("dB deg", 20 * np.log10(np.abs(G)), np.degrees(np.angle(G)) - 360),
+        ("dB rad", 20 * np.log10(np.abs(G)), np.angle(G)),
+        ("abs deg", np.abs(G), np.degrees(np.angle(G))),
+        ("abs rad", np.abs(G), np.angle(G)),
+        ("re im", G.real, G.imag),
+    ],
+)
+def test_every_form_reads_as_the_same_response(tmp_path, form, first, second):
+    path = write(tmp_path / "p_lat.csv", {"w": OMEGA, "a": first, "b": second})
+    found = read_frequency_csv(path, pairs={("p", "lat"): ("a", "b")}, omega="w", form=form)
+    np.testing.assert_allclose(found.G[:, 0, 0], G, rtol=1e-12)
+    assert (found.coherence == 1).all()
+    assert np.isnan(found.random_error).all()
+    assert (found.outputs, found.inputs, found.records) == (("p",), ("lat",), ("p_lat",))
+
+
+def test_hertz_become_radians_and_quality_is_read(tmp_path):
+    path = write(tmp_path / "r.csv", {"f": OMEGA / (2 * np.pi), "a": G.real, "b": G.imag,
+                                      "c": [0.9, 0.8, 0.7], "e": [0.1, 0.2, 0.3]})  # fmt: skip
+    found = read_frequency_csv(
+        path, pairs={("p", "lat"): ("a", "b", "c", "e")}, omega="f", form="re im", hertz=True,
+        input_std={"lat": 0.02}, output_std={"p": 0.1},
+    )  # fmt: skip
+    np.testing.assert_allclose(found.omega, OMEGA)
+    np.testing.assert_array_equal(found.coherence[:, 0, 0], [0.9, 0.8, 0.7])
+    np.testing.assert_array_equal(found.random_error[:, 0, 0], [0.1, 0.2, 0.3])
+    assert (found.input_std.item(), found.output_std.item()) == (0.02, 0.1)
+
+
+def test_pairs_from_several_files_are_put_together(tmp_path):
+    one = write(tmp_path / "one.csv", {"omega": OMEGA, "a": G.real, "b": G.imag})
+    two = write(tmp_path / "two.csv", {"omega": OMEGA, "a": [1.0, np.nan, 3.0], "b": [0.0] * 3})
+    parts = [
+        read_frequency_csv(one, pairs={("p", "lat"): ("a", "b")}, form="re im"),
+        read_frequency_csv(two, pairs={("q", "lon"): ("a", "b")}, form="re im",
+                           input_std={"lon": 0.5}),
+    ]  # fmt: skip
+    both = merge_responses(parts)
+    assert (both.outputs, both.inputs) == (("p", "q"), ("lat", "lon"))
+    np.testing.assert_array_equal(both.G[:, 0, 0], G)
+    assert np.isnan(both.G[:, 0, 1]).all()
+    np.testing.assert_array_equal(np.isnan(both.G[:, 1, 1]), [False, True, False])
+    np.testing.assert_array_equal(np.isnan(both.coherence), np.isnan(both.G))
+    np.testing.assert_array_equal(both.input_std, [1.0, 0.5])
+    again = merge_responses([parts[0], both])
+    np.testing.assert_array_equal(again.G, both.G)
+
+
+def test_bad_files_are_refused(tmp_path):
+    path = write(tmp_path / "r.csv", {"omega": OMEGA, "a": G.real, "b": G.imag, "c": [1, 2, 0]})
+    with pytest.raises(ValueError, match="c is 2 in row 2; coherence is in"):
+        read_frequency_csv(path, pairs={("p", "lat"): ("a", "b", "c")})
+    with pytest.raises(ValueError, match="no column 'gain'"):
+        read_frequency_csv(path, pairs={("p", "lat"): ("gain", "b")})
+    with pytest.raises(ValueError, match="form='polar'"):
+        read_frequency_csv(path, pairs={("p", "lat"): ("a", "b")}, form="polar")
+    with pytest.raises(ValueError, match="names 1 columns"):
+        read_frequency_csv(path, pairs={("p", "lat"): ("a",)})
+    with pytest.raises(ValueError, match="pairs is empty"):
+        read_frequency_csv(path, pairs={})
+    with pytest.raises(ValueError, match="increasing frequencies"):
+        read_frequency_csv(path, pairs={("p", "lat"): ("a", "b")}, omega="c")
+    with pytest.raises(ValueError, match="no responses given"):
+        merge_responses([])
+    good = read_frequency_csv(path, pairs={("p", "lat"): ("a", "b")})
+    with pytest.raises(ValueError, match="one grid"):
+        merge_responses([good, good.between(0.4, 1.1)])
