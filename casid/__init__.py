@@ -6,6 +6,7 @@ from casid.files import read_csv, read_mat, write_csv
 from casid.fit import Certificate, Fit, ParameterEstimate
 from casid.frequency import FrequencyResponse, frequency_response
 from casid.handling import HandlingQualities, handling_qualities
+from casid.identifiability import Identifiability, identifiability
 from casid.linear import StateSpace
 from casid.loes import TransferFunction, transfer_function
 from casid.matching import match
@@ -27,6 +28,7 @@ __all__ = [
     "Fit",
     "FrequencyResponse",
     "HandlingQualities",
+    "Identifiability",
     "Model",
     "ModelError",
     "OrderSelection",
@@ -42,6 +44,7 @@ __all__ = [
     "derivid",
     "frequency_response",
     "handling_qualities",
+    "identifiability",
     "match",
     "matrix",
     "merge_responses",
