@@ -1,0 +1,71 @@
+"""What the README and the examples say is so."""
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+SCRIPT, STRUCTURE = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+
+
+def test_the_readme_opens_with_two_commands_that_the_makefile_has():
+    opening = README[: README.index("## ")]
+    commands = re.findall(r"^    make (\w+)", opening, flags=re.MULTILINE)
+    assert commands == ["study", "test"]
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for command in commands:
+        assert re.search(rf"^{command}:", makefile, flags=re.MULTILINE)
+
+
+def test_the_readme_says_what_the_makefile_does_for_those_without_make():
+    assert "pip install -c constraints.txt .\n" in README
+    assert "casid identify examples/uh60/study.toml\n" in README
+
+
+@pytest.mark.slow
+def test_the_script_of_the_readme_identifies_the_helicopter(monkeypatch, tmp_path):
+    assert len([line for line in SCRIPT.splitlines() if line.strip()]) <= 15
+    monkeypatch.chdir(ROOT)
+    values = {}
+    exec(compile(SCRIPT.replace("out/", f"{tmp_path}/"), "README.md", "exec"), values)  # noqa: S102
+    fit, black_box = values["fit"], values["black_box"]
+    assert fit.success
+    assert (tmp_path / "six_dof.json").exists()
+    # The aircraft's phugoid is 0.11 ± 0.43j rad/s (examples/uh60/data); the quasi-steady structure
+    # and 16 s records leave it to within a tenth.
+    phugoid = min(fit.model.system().poles(), key=lambda pole: abs(pole - (0.11 + 0.43j)))
+    assert abs(phugoid - (0.11 + 0.43j)) < 0.1
+    assert black_box.records == tuple(values["names"])
+
+
+def test_the_structure_of_the_readme_has_the_poles_of_its_matrix(capsys):
+    values = {}
+    exec(compile(STRUCTURE, "README.md", "exec"), values)  # noqa: S102
+    assert values["Roll"](Lp=-3.0).system().nx == 3
+    assert "j" in capsys.readouterr().out
+
+
+SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_an_example_runs_and_checks_itself(script, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    runpy.run_path(str(script), run_name="__main__")
+
+
+def test_the_study_of_the_uh60_reads_and_its_records_stay_in_their_roles():
+    from casid.study import read_records
+    from casid.studyfile import read_study
+
+    study = read_study(ROOT / "examples/uh60/study.toml")
+    records = read_records(study)
+    assert [record.name for record in records["validation"]] == ["validation_random"]
+    for role in ("identification", "frequency", "refinement"):
+        assert all(record.name != "validation_random" for record in records[role])
+        assert study.roles[role].noise
+    assert not study.roles["validation"].noise
