@@ -93,6 +93,17 @@ class Comparison:
     shift: float
 
     @property
+    def line(self) -> float | None:
+        """σ of the line on which black boxes are compared; None without a black box."""
+        return self.shift if any(source.system for source in self.sources) else None
+
+    def shifted(self, shift: float) -> "Comparison":
+        """The black boxes alone, on another line."""
+        boxes = [source for source in self.sources if source.system is not None]
+        moved = tuple(replace(source, shift=shift).at(source.omega) for source in boxes)
+        return replace(self, shift=shift, sources=moved)
+
+    @property
     def s(self) -> ComplexArray:
         """Points of all sources, (K,)."""
         return np.concatenate([source.s for source in self.sources])
@@ -262,8 +273,8 @@ def _checked_weight(weight: Array, shape: tuple[int, ...]) -> Array:
 
 def _grid(omega: Array) -> Array:
     grid = np.unique(np.atleast_1d(np.asarray(omega, dtype=float)))
-    if grid.ndim != 1 or not len(grid) or not np.isfinite(grid).all() or grid[0] < 0:
-        raise ValueError("omega: expected finite frequencies >= 0 rad/s in one dimension")
+    if grid.ndim != 1 or not len(grid) or not np.isfinite(grid).all() or grid[0] <= 0:
+        raise ValueError("omega: expected finite frequencies above 0 rad/s in one dimension")
     return grid
 
 

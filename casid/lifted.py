@@ -82,7 +82,6 @@ def lift(
     comparison: Comparison,
     norm: str,
     values: Array,
-    X: ComplexArray | None = None,
     *,
     stable: bool = False,
 ) -> Lifted:
@@ -98,16 +97,13 @@ def lift(
         What to minimise.
     values : (nf,) array
         Free parameters to start from, in physical units.
-    X : (K, nx, nu) complex array
-        The states' responses to scaled inputs to start from; those of the start unless given.
     stable : bool
         Keep A(λ) − σ I Hurwitz by a lifted Lyapunov equation.
     """
     nf = len(free.index)
     shared = nf + (norm == "hinf")
     system = free.model.with_vector(free.full(values)).system()
-    if X is None:
-        X = state_responses(system, comparison)
+    X = state_responses(system, comparison)
     E = lifted_errors(system, X, comparison)
     unit = _largest(E) if norm == "hinf" else 0.0
     unit = unit or _largest(comparison.W * comparison.G) or 1.0

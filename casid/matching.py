@@ -20,7 +20,7 @@ from casid.comparison import Comparison, Source, Target, Weight, compare
 from casid.errors import ConvergenceError
 from casid.fit import Certificate, Fit, parameter_table
 from casid.frequency import FrequencyResponse
-from casid.initial import Start, starts
+from casid.initial import starts
 from casid.lifted import Lifted, lift
 from casid.linear import StateSpace
 from casid.model import Bounds, Free, Model, free_parameters
@@ -31,9 +31,14 @@ LOG = logging.getLogger("casid")
 
 NORMS = ("quadratic", "hinf")
 GAP = 0.01  # between grid value and bound over the band
+HIGH = 0.5  # of the highest peak of the quadratic fit: what is added before the first solve
 ROUNDS = 12  # of adding peaks to the grid
-LARGE = 2500  # variables of a quadratic programme above which a good first start is enough
-POOR = 0.3  # error of a fit, relative to the response, that calls for another start
+# A quadratic programme starts next to its solution, which its barrier must not blur.
+NEAR: dict[str, dict[str, float | str]] = {
+    "quadratic": {"mu_init": 1e-7, "bound_push": 1e-8, "bound_frac": 1e-8, "tol": 1e-11,
+                  "acceptable_tol": 1e-8, "acceptable_iter": 3},
+    "hinf": {"mu_init": 1e-2, "bound_mult_init_method": "mu-based"},
+}  # fmt: skip
 EXACT = 1e-8  # error, relative to the response, that is rounding
 
 
@@ -145,28 +150,21 @@ class _Matcher:
         return self.free.model.with_vector(self.free.full(values)).system()
 
     def quadratic(self) -> _State:
-        """The best quadratic fit over all starts."""
+        """The quadratic fit from the best start whose programme converges."""
         found: list[_State] = []
         for start in starts(self.free, self.comparison):
-            state = self._solve("quadratic", start, self.comparison)
-            found.append(state)
-            if self._large() and state.success and state.cost < (POOR * self.size) ** 2:
+            found.append(self._solve("quadratic", start.name, start.values, self.comparison))
+            if found[-1].success:
                 break
         return min(found, key=lambda state: (not state.success, state.cost))
 
-    def _large(self) -> bool:
-        """Whether a second start costs seconds."""
-        K, ny, nu = self.comparison.G.shape
-        size: int = 2 * K * nu * (ny + len(self.free.model.states))
-        return size > LARGE
-
     def hinf(self, state: _State) -> _State:
         """The H-infinity fit from a quadratic one, certified over the band."""
-        grown = self.comparison
+        bands = self._bands(self.system(state.values), self.comparison)
+        grown = _with_peaks(self.comparison, bands, HIGH * _upper(bands))
         for _ in range(ROUNDS):
             if grown.norm(self.system(state.values)) > self.negligible:
-                start = Start(name=state.start, values=state.values, X=None)
-                state = self._solve("hinf", start, grown)
+                state = self._solve("hinf", state.start, state.values, grown)
             state = self._certified(state, grown)
             if not state.success or _upper(state.bands) <= self._enough(state):
                 return state
@@ -189,13 +187,12 @@ class _Matcher:
             band_norm(system, source, negligible=self.negligible) for source in comparison.sources
         )
 
-    def _solve(self, norm: str, start: Start, comparison: Comparison) -> _State:
+    def _solve(self, norm: str, start: str, values: Array, comparison: Comparison) -> _State:
         """One programme; once more with the stability constraint if its solution needs it."""
-        lifted, solution = self._programme(norm, start, comparison, stable=False)
-        if self.stable and self._unstable(lifted, solution):
+        lifted, solution = self._programme(norm, values, comparison, stable=False)
+        if self._unstable(lifted, solution):
             values = lifted.parameters(solution.x)
-            again = Start(name=start.name, values=values, X=None)
-            lifted, solution = self._programme(norm, again, comparison, stable=True)
+            lifted, solution = self._programme(norm, values, comparison, stable=True)
         scale = self.free.scale[self.free.index]
         unit = lifted.unit**2
         # From squared errors to the cost that is reported: itself, or the norm √t.
@@ -208,23 +205,25 @@ class _Matcher:
             cost=solution.f * unit,
             success=solution.success,
             status=solution.status,
-            start=start.name,
+            start=start,
             comparison=comparison,
         )
 
     def _programme(
-        self, norm: str, start: Start, comparison: Comparison, *, stable: bool
+        self, norm: str, values: Array, comparison: Comparison, *, stable: bool
     ) -> tuple[Lifted, Solution]:
-        lifted = lift(self.free, comparison, norm, start.values, start.X, stable=stable)
-        options = _sharpened(self.options) if norm == "quadratic" else self.options
+        lifted = lift(self.free, comparison, norm, values, stable=stable)
+        options = replace(self.options, ipopt=NEAR[norm] | dict(self.options.ipopt))
         solution = solve(lifted.problem, options, stage=f"match {norm}")
         self.iterations += solution.iterations
         return lifted, solution
 
     def _unstable(self, lifted: Lifted, solution: Solution) -> bool:
+        line = self.comparison.line
+        if not self.stable or line is None:
+            return False
         poles = self.system(lifted.parameters(solution.x)).poles()
-        line = self.comparison.shift
-        return bool(len(poles) and poles.real.max() > line + 1e-6 * (1 + line))
+        return bool(poles.real.max() > line + 1e-6 * (1 + line))
 
     def fit(self, state: _State, norm: str, guess: Model, seconds: float) -> Fit:
         """The result, its certificate and its tables."""
@@ -251,16 +250,6 @@ class _Matcher:
             free_names=self.free.names,
             notes=_notes(system, state, bands, sources),
         )
-
-
-def _sharpened(options: SolverOptions) -> SolverOptions:
-    """Options with which IPOPT's barrier leaves no trace at the caller's tolerance."""
-    ipopt: dict[str, float | str] = {
-        "tol": 1e-3 * options.tolerance,
-        "acceptable_tol": options.tolerance,
-        "acceptable_iter": 3,
-    }
-    return replace(options, ipopt=ipopt | dict(options.ipopt))
 
 
 def _upper(bands: Sequence[Band]) -> float:
