@@ -45,6 +45,7 @@ class Blocks:
     ends: Array
     slope_l: Array
     slope_n: Array
+    slope_b: Array
     c_lam: Array
 
 
@@ -111,6 +112,10 @@ class Programme:
     @property
     def _first_node(self) -> int:
         return self.evaluator.nf + self.biases * self.records * self.evaluator.ny
+
+    @property
+    def _bias_moves_states(self) -> bool:
+        return self.biases and self.evaluator.filtering
 
     def pack(self, point: Point) -> Array:
         """Scaled variables of a point."""
@@ -180,24 +185,21 @@ class Programme:
         nf, nx = e.nf, e.nx
         unit = np.concatenate([s.lam, s.state, s.bias, [1.0]])
         G = np.empty((self.J, len(unit), len(unit)))
-        ends, slopes = np.empty((self.J, nx)), np.empty((self.J, nx, nf + nx))
+        ends, slopes = np.empty((self.J, nx)), np.empty((self.J, nx, len(unit) - 1))
         for batch in e.batches(point, W):
             nodes = e.layout.node[batch.index]
-            ends[nodes], slopes[nodes] = batch.ends, batch.slopes
-            for rows, j in zip(batch.rows, nodes, strict=True):
-                flat = rows.reshape(-1, len(unit))
-                G[j] = flat.T @ flat
+            G[nodes], ends[nodes], slopes[nodes] = batch.gram, batch.ends, batch.slopes
         G *= unit[:, None] * unit
-        slopes *= unit[: nf + nx] / s.state[:, None]
+        slopes *= unit[:-1] / s.state[:, None]
         l, n, b = slice(0, nf), slice(nf, nf + nx), slice(nf + nx, -1)
-        per_record = np.zeros((self.records, *G.shape[1:]))
-        np.add.at(per_record, self.record, G)
+        firsts = np.searchsorted(self.record, np.arange(self.records))
+        per_record = np.add.reduceat(G, firsts, axis=0)
         total = per_record.sum(axis=0)
         return Blocks(
             Hll=total[l, l], Hlb=per_record[:, l, b], Hbb=per_record[:, b, b],
             Hln=G[:, l, n], Hbn=G[:, b, n], Hnn=G[:, n, n],
             gl=total[l, -1], gb=per_record[:, b, -1], gn=G[:, n, -1],
-            ends=ends, slope_l=slopes[:, :, l], slope_n=slopes[:, :, n],
+            ends=ends, slope_l=slopes[:, :, l], slope_n=slopes[:, :, n], slope_b=slopes[:, :, b],
             c_lam=e.structure(point.lam).c_lam * s.lam,
         )  # fmt: skip
 
@@ -242,7 +244,7 @@ class Programme:
         return np.concatenate([blocks.gl, *bias, blocks.gn.ravel()]) / self.n
 
     def _jacobian_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        l, _, n = self._places()
+        l, b, n = self._places()
         nx, ties = self.evaluator.nx, len(self.free.model.constraints())
         links = np.arange(len(self.links) * nx).reshape(-1, nx)
         grids = [
@@ -251,6 +253,8 @@ class Programme:
             (links.ravel(), n[self.links + 1].ravel()),
             _grid(links.size + np.arange(ties)[None], l[None]),
         ]
+        if self._bias_moves_states:
+            grids.append(_grid(links, b[self.record[self.links]]))
         return _stack(grids)
 
     def jacobian(self, x: Array) -> Array:
@@ -262,6 +266,8 @@ class Programme:
             -np.ones(len(self.links) * self.evaluator.nx),
             blocks.c_lam.ravel(),
         ]
+        if self._bias_moves_states:
+            parts.append(blocks.slope_b[self.links].ravel())
         return self._jacobian_pattern.order(np.concatenate(parts))
 
     # ---- for IPOPT ------------------------------------------------------------------------------
@@ -283,8 +289,9 @@ class Programme:
         symbol = ca.MX.sym("x", n)
         lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
         free = self.free
-        lower[: len(free.index)] = free.lower[free.index] / self.scales.lam
-        upper[: len(free.index)] = free.upper[free.index] / self.scales.lam
+        count = len(free.index)
+        lower[:count] = free.lower[free.index] / self.scales.lam[:count]
+        upper[:count] = free.upper[free.index] / self.scales.lam[:count]
         ties = free.model.constraints()
         closed = np.zeros(m - len(ties))
         return Problem(

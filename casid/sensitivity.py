@@ -2,32 +2,36 @@
 
 Over one interval, from the node x_0 and with the delayed inputs u,
 
-    x_{k+1} = A_d x_k + B0 u_k + B1 u_{k+1}        r_k = W (C x_k + D u_k + b - y_k),   WᵀW = R⁻¹
+    r_k = C x_k + D u_k + b - y_k          x_{k+1} = A_d x_k + B0 u_k + B1 u_{k+1} - K_d r_k
 
-and the columns of S_k = ∂x_k/∂(λ, x_0) obey the same recursion, driven by the derivatives of the
-maps. All intervals advance together, one dense product a step; the Gram matrix [J r]ᵀ[J r] of each
-interval holds gradient and Gauss-Newton Hessian at once. Memory is bounded by working on batches
-of intervals.
+with K_d = 0 for output error (process noise: K_d = ∫ e^{As} ds K over the step, missing channels
+left out). The columns of ∂x_k/∂(λ, x_0, b) obey the same recursion, driven by the derivatives of
+the maps. All intervals advance together, one dense product a step; the Gram matrix
+[J r]ᵀ R⁻¹ [J r] of each interval holds gradient and Gauss-Newton Hessian at once. It is summed up
+over blocks of samples, so memory does not grow with the length of an interval.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casid.arrays import Array
-from casid.integrate import StepMap, step_map
+from casid.arrays import Array, BoolArray
+from casid.integrate import step_map, step_slopes
 from casid.intervals import Layout
 from casid.model import Free
+from casid.record import Hold
 from casid.spline import DelayedInput
 
-BATCH_BYTES = 3e7  # of Jacobian rows held at once
+BLOCK = 32  # samples of every interval whose Jacobian rows are held at once
+BATCH_BYTES = 8e6  # of Jacobian rows held at once: they stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """Model matrices and their derivatives by the free parameters (last axis, nf)."""
+    """Model matrices and their derivatives by the unknowns (last axis, nf); K may be None."""
 
     A: Array
     B: Array
@@ -35,12 +39,19 @@ class Numbers:
     D: Array
     tau: Array
     c: Array
+    K: Array
     A_lam: Array
     B_lam: Array
     C_lam: Array
     D_lam: Array
     tau_lam: Array
     c_lam: Array
+    K_lam: Array
+
+    @property
+    def delaying(self) -> np.ndarray:
+        """Which unknowns move a delay."""
+        return np.flatnonzero(self.tau_lam.any(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,43 +75,48 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """What one batch of intervals has to say; ``index`` are rows of the layout.
+    """What a batch of intervals has to say; ``index`` are rows of the layout.
 
     Parameters
     ----------
-    rows : (n, M, ny, nf + nx + ny + 1) array
-        Whitened Jacobian by λ, node and bias, and the residual; zero past an interval's end.
+    gram : (n, nc, nc) array
+        [J r]ᵀ R⁻¹ [J r]; columns are λ (nf), the node (nx), the biases (ny) and the residual.
     ends : (n, nx) array
         State one step after the last sample.
-    slopes : (n, nx, nf + nx) array
-        Its derivative by λ and node.
+    slopes : (n, nx, nf + nx + ny) array
+        Its derivative by λ, node and biases.
     """
 
     index: np.ndarray
-    rows: Array
+    gram: Array
     ends: Array
     slopes: Array
 
 
 class Structure:
-    """The matrices of a model as functions of its free parameters."""
+    """The matrices of a model as functions of the unknowns: free λ, then K by rows if free."""
 
-    def __init__(self, free: Free) -> None:
+    def __init__(self, free: Free, gain: Array | None, gain_free: bool) -> None:
+        nx, ny = len(free.model.states), len(free.model.outputs)
         lam = ca.SX.sym("lam", len(free.index))
+        entries = ca.SX.sym("K", ny, nx if gain_free else 0)
+        K = np.zeros((nx, ny)) if gain is None else gain
         dense = [ca.densify(m) for m in free.model.matrices()(free.full(lam))]
-        slopes = [ca.densify(ca.jacobian(ca.vec(m), lam)) for m in dense]
-        self._function = ca.Function("structure", [lam], [*dense, *slopes])
+        dense.append(entries.T if gain_free else ca.densify(ca.SX(K)))
+        unknown = ca.vertcat(lam, ca.vec(entries))
+        slopes = [ca.densify(ca.jacobian(ca.vec(m), unknown)) for m in dense]
+        self._function = ca.Function("structure", [unknown], [*dense, *slopes])
 
     def __call__(self, lam: Array) -> Numbers:
-        """Matrices and derivatives at the free values (nf,)."""
+        """Matrices and derivatives at the unknowns (nf,)."""
         found = [m.full() for m in self._function(lam)]
-        values, slopes = found[:6], found[6:]
+        values, slopes = found[:7], found[7:]
         shaped = [
             slope.reshape((*value.shape, len(lam)), order="F")
             for value, slope in zip(values, slopes, strict=True)
         ]
-        values[4], values[5] = values[4].ravel(), values[5].ravel()
-        shaped[4], shaped[5] = shaped[4][:, 0], shaped[5][:, 0]
+        for vector in (4, 5):
+            values[vector], shaped[vector] = values[vector].ravel(), shaped[vector][:, 0]
         return Numbers(*values, *shaped)
 
 
@@ -116,14 +132,29 @@ def whiteners(R: Array, layout: Layout) -> Array:
 
 
 class Evaluator:
-    """Residuals and Gauss-Newton blocks of one model over one layout."""
+    """Residuals and Gauss-Newton blocks of one model over one layout.
 
-    def __init__(self, free: Free, layout: Layout) -> None:
-        self.layout = layout
-        self.structure = Structure(free)
+    Parameters
+    ----------
+    free : Free
+        Structure and free parameters.
+    layout : Layout
+        Records and intervals.
+    gain : (nx, ny) array or None
+        Innovation gain K [state/s per output]; None is output error.
+    gain_free : bool
+        Whether K's entries are unknowns, ``gain`` being their start.
+    """
+
+    def __init__(
+        self, free: Free, layout: Layout, gain: Array | None = None, gain_free: bool = False
+    ) -> None:
+        self.layout, self.gain = layout, gain
+        self.filtering = gain is not None
+        self.structure = Structure(free, gain, gain_free)
         model = free.model
         self.nx, self.nu, self.ny = len(model.states), len(model.inputs), len(model.outputs)
-        self.nf = len(free.index)
+        self.nf = len(free.index) + gain_free * self.nx * self.ny
         self._inputs = [DelayedInput(record, _longest(free)) for record in layout.records]
 
     def delayed(self, tau: Array) -> tuple[Array, Array]:
@@ -137,99 +168,209 @@ class Evaluator:
         End states are in the order of the layout; those of a record's last interval mean nothing.
         """
         layout, numbers = self.layout, self.structure(point.lam)
-        maps = [step_map(numbers.A, numbers.B, h, hold) for h, hold in layout.classes]
         u, _ = self.delayed(numbers.tau)
+        maps = [
+            _Map.of(numbers, h, hold, self.filtering, slopes=False) for h, hold in layout.classes
+        ]
+        CD = _output_map(numbers)
+        seen = layout.patterns[layout.pattern]
         r = np.empty_like(layout.y)
         ends = np.empty((len(layout.count), self.nx))
-        x = point.nodes[layout.node]
-        bias = point.bias[layout.record]
+        bias, x = point.bias[layout.record], point.nodes[layout.node]
         for k in range(int(layout.count[0])):
             n = int(np.searchsorted(-layout.count, -k))  # intervals with more than k samples
-            x, at = x[:n], layout.start[:n] + k
+            at = layout.start[:n] + k
             after = np.minimum(at + 1, len(u) - 1)
-            r[at] = x @ numbers.C.T + u[at] @ numbers.D.T + bias[:n] - layout.y[at]
-            x = self._advance(maps, layout.step[at], x, u[at], u[after])
+            V = np.hstack([x[:n], u[at], u[after]])
+            r[at] = (V @ CD.T + bias[:n] - layout.y[at]) * seen[at]
+            x = self._advance(maps, layout.step[at], V, r[at])
             done = layout.count[:n] == k + 1
             ends[:n][done] = x[done]
-        return np.where(layout.patterns[layout.pattern], r, 0.0), ends
+        return r, ends
 
     def batches(self, point: Point, W: Array) -> Iterator[Batch]:
-        """Jacobian rows of all intervals, a bounded number at a time."""
+        """Gram matrices of all intervals, a bounded number of rows at a time."""
         layout, numbers = self.layout, self.structure(point.lam)
         maps = [
-            step_map(numbers.A, numbers.B, h, hold, numbers.A_lam, numbers.B_lam)
-            for h, hold in layout.classes
+            _Map.of(numbers, h, hold, self.filtering, slopes=True) for h, hold in layout.classes
         ]
-        drives = [_state_drive(m, numbers.tau_lam) for m in maps]
         inputs = self.delayed(numbers.tau)
         columns = self.nf + self.nx + self.ny + 1
-        size = max(1, int(BATCH_BYTES / (8 * layout.count[0] * self.ny * columns)))
+        size = max(1, int(BATCH_BYTES / (8 * BLOCK * self.ny * columns)))
         for first in range(0, len(layout.count), size):
             index = np.arange(first, min(first + size, len(layout.count)))
-            yield self._batch(index, point, numbers, W, maps, drives, inputs)
+            yield _Sweep(self, numbers, maps, inputs, point, W, index).run()
 
-    def _batch(
-        self,
-        index: np.ndarray,
-        point: Point,
-        numbers: Numbers,
-        W: Array,
-        maps: list[StepMap],
-        drives: list[Array],
-        inputs: tuple[Array, Array],
-    ) -> Batch:
-        layout, nf, nx, ny = self.layout, self.nf, self.nx, self.ny
-        (u, du), ns = inputs, nf + nx
-        start, count = layout.start[index], layout.count[index]
-        x, bias = point.nodes[layout.node[index]], point.bias[layout.record[index]]
-        WC, W0 = W[0] @ numbers.C, W[0]
-        drive = _output_drive(numbers, W0)
-        S: Array = np.zeros((nx, len(index), ns))
-        S[:, :, nf:] = np.eye(nx)[:, None, :]
-        rows = np.zeros((len(index), int(count[0]), ny, ns + ny + 1))
-        ends, slopes = np.empty((len(index), nx)), np.empty((len(index), nx, ns))
-        for k in range(int(count[0])):
-            n = int(np.searchsorted(-count, -k))
-            x, S, at = x[:n], S[:, :n], start[:n] + k
-            after = np.minimum(at + 1, len(u) - 1)
-            out = np.empty((ny, n, ns + ny + 1))
-            out[:, :, :ns] = (WC @ S.reshape(nx, -1)).reshape(ny, n, ns)
-            out[:, :, :nf] += np.hstack([x, u[at], du[at]]) @ drive
-            out[:, :, ns:-1] = W0[:, None, :]
-            raw = x @ numbers.C.T + u[at] @ numbers.D.T + bias[:n] - layout.y[at]
-            out[:, :, -1] = W0 @ raw.T
-            _blank_missing(out, layout.pattern[at], W)
-            rows[:n, k] = out.transpose(1, 0, 2)
-            V = np.hstack([x, u[at], u[after], du[at], du[after]])
-            S = self._push(maps, drives, layout.step[at], S, V)
-            x = self._advance(maps, layout.step[at], x, u[at], u[after])
-            done = count[:n] == k + 1
-            ends[:n][done], slopes[:n][done] = x[done], S[:, done].transpose(1, 0, 2)
-        return Batch(index, rows, ends, slopes)
-
-    def _advance(
-        self, maps: list[StepMap], step: np.ndarray, x: Array, u: Array, u1: Array
-    ) -> Array:
-        """States one step on; ``step`` names the map of each row."""
-        new = np.empty_like(x)
-        for i in np.unique(step):
-            mine = slice(None) if (step == i).all() else np.flatnonzero(step == i)
-            m = maps[i]
-            new[mine] = x[mine] @ m.Ad.T + u[mine] @ m.B0.T + u1[mine] @ m.B1.T
+    def _advance(self, maps: "list[_Map]", step: np.ndarray, V: Array, r: Array) -> Array:
+        """States one step on, from (x, u_k, u_k+1) and residuals; ``step`` names each row's map."""
+        new = np.empty((len(V), self.nx))
+        for i, mine in _groups(step, len(maps)):
+            new[mine] = V[mine] @ maps[i].now.T
+            if self.filtering:
+                new[mine] -= r[mine] @ maps[i].gain.T
         return new
+
+
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """One class of steps: how states and their derivatives move.
+
+    ``now`` is (A_d, B0, B1), against (x, u_k, u_k+1); ``drive`` (nx, nx + 2 nu, nf) its derivative,
+    ``delay`` (nx, 2 nu, nd) against the delay-derivatives of u_k, u_k+1; ``gain`` is K_d and
+    ``gain_drive`` (nx, ny, nf) its derivative.
+    """
+
+    Ad: Array
+    now: Array
+    gain: Array
+    drive: Array
+    delay: Array
+    gain_drive: Array
+
+    @classmethod
+    def of(cls, numbers: Numbers, h: float, hold: Hold, filtering: bool, slopes: bool) -> "_Map":
+        """Map of steps of length h, with what moves its derivatives if ``slopes``."""
+        ny = numbers.K.shape[1] if filtering else 0
+        A, B, K = numbers.A, numbers.B, numbers.K[:, :ny]
+        m = step_map(A, B, K, h, hold)
+        now = np.hstack([m.Ad, m.B0, m.B1])
+        if not slopes:
+            none = np.zeros((0, 0, 0))
+            return cls(m.Ad, now, m.Kd, none, none, none)
+        given = numbers.A_lam, numbers.B_lam, numbers.K_lam[:, :ny]
+        d = step_slopes(A, B, K, h, hold, given)
+        drive = np.ascontiguousarray(np.concatenate([d.Ad, d.B0, d.B1], axis=1))
+        moving = numbers.tau_lam[:, numbers.delaying]
+        delay = np.concatenate([m.B0[:, :, None] * moving, m.B1[:, :, None] * moving], axis=1)
+        return cls(m.Ad, now, m.Kd, drive, delay, np.ascontiguousarray(d.Kd))
+
+
+class _Sweep:
+    """One pass over a batch of intervals: states, sensitivities and Gram matrices together."""
+
+    def __init__(
+        self,
+        evaluator: Evaluator,
+        numbers: Numbers,
+        maps: list[_Map],
+        inputs: tuple[Array, Array],
+        point: Point,
+        W: Array,
+        index: np.ndarray,
+    ) -> None:
+        layout = evaluator.layout
+        self.e, self.numbers, self.maps, self.inputs = evaluator, numbers, maps, inputs
+        self.W, self.index = W, index
+        self.start, self.count = layout.start[index], layout.count[index]
+        self.bias = point.bias[layout.record[index]]
+        self.x = point.nodes[layout.node[index]]
+        nf, nx, ny, n = evaluator.nf, evaluator.nx, evaluator.ny, len(index)
+        self.ns = nf + nx + (ny if evaluator.filtering else 0)
+        self.nc = nf + nx + ny + 1
+        self.S: Array = np.zeros((nx, n, self.ns))
+        self.S[:, :, nf : nf + nx] = np.eye(nx)[:, None, :]
+        self.rows = np.empty((n, min(BLOCK, int(self.count[0])), ny, self.nc))
+        self.gram = np.zeros((n, self.nc, self.nc))
+        self.CD = _output_map(numbers)
+        self.drive = np.concatenate([numbers.C_lam, numbers.D_lam], axis=1)
+        self.live = np.flatnonzero(self.drive.any(axis=(1, 2)))
+        self.delay = numbers.D[:, :, None] * numbers.tau_lam[:, numbers.delaying]
+
+    def run(self) -> Batch:
+        """All samples of the batch."""
+        n, nx, last = len(self.index), self.e.nx, int(self.count[0]) - 1
+        ends, slopes = np.empty((n, nx)), np.zeros((n, nx, self.nc - 1))
+        for k in range(last + 1):
+            active = int(np.searchsorted(-self.count, -k))
+            self.x, self.S = self._step(k, active)
+            done = self.count[:active] == k + 1
+            if done.any():
+                ends[:active][done] = self.x[done]
+                slopes[:active, :, : self.ns][done] = self.S[:, done].transpose(1, 0, 2)
+            if (k + 1) % BLOCK == 0 or k == last:
+                self._sum_up(k - k % BLOCK)
+        return Batch(self.index, self.gram, ends, slopes)
+
+    def _step(self, k: int, n: int) -> tuple[Array, Array]:
+        """Rows of sample k of the first n intervals, then states and sensitivities one step on."""
+        layout, (u, du) = self.e.layout, self.inputs
+        at = self.start[:n] + k
+        after = np.minimum(at + 1, len(u) - 1)
+        V = np.hstack([self.x[:n], u[at], u[after]])
+        dV = np.hstack([du[at], du[after]])
+        seen = layout.patterns[layout.pattern[at]]
+        r = (V @ self.CD.T + self.bias[:n] - layout.y[at]) * seen
+        out = self._outputs(self.S[:, :n], V, dV, r)
+        self._store(out, layout.pattern[at], k % BLOCK)
+        S = self._push(layout.step[at], V, dV, r, out, seen, n)
+        return self.e._advance(self.maps, layout.step[at], V, r), S
+
+    def _outputs(self, S: Array, V: Array, dV: Array, r: Array) -> Array:
+        """Derivatives of the outputs by all columns, and the residuals: (ny, n, nc)."""
+        nf, nx, ny, ns, nu = self.e.nf, self.e.nx, self.e.ny, self.ns, self.e.nu
+        out = np.zeros((ny, S.shape[1], self.nc))
+        out[:, :, :ns] = (self.numbers.C @ S.reshape(nx, -1)).reshape(ny, -1, ns)
+        for a in self.live:
+            out[a, :, :nf] += V[:, : nx + nu] @ self.drive[a]
+        if len(self.numbers.delaying):
+            out[:, :, self.numbers.delaying] += dV[:, :nu] @ self.delay
+        out[:, :, nf + nx : -1] += np.eye(ny)[:, None, :]
+        out[:, :, -1] = r.T
+        return out
+
+    def _store(self, out: Array, pattern: np.ndarray, place: int) -> None:
+        ny, n, nc = out.shape
+        for p, mine in _groups(pattern, len(self.W)):
+            part = (self.W[p] @ out[:, mine].reshape(ny, -1)).reshape(ny, -1, nc)
+            self.rows[:n, place][mine] = part.transpose(1, 0, 2)
 
     def _push(
-        self, maps: list[StepMap], drives: list[Array], step: np.ndarray, S: Array, V: Array
+        self,
+        step: np.ndarray,
+        V: Array,
+        dV: Array,
+        r: Array,
+        out: Array,
+        seen: BoolArray,
+        n: int,
     ) -> Array:
-        """Sensitivities (nx, n, ns) one step on."""
-        new = np.empty_like(S)
-        nx, _, ns = S.shape
-        for i in np.unique(step):
-            mine = slice(None) if (step == i).all() else np.flatnonzero(step == i)
-            part = (maps[i].Ad @ S[:, mine].reshape(nx, -1)).reshape(nx, -1, ns)
-            part[:, :, : self.nf] += V[mine] @ drives[i]
+        """Sensitivities of the first n intervals one step on, (nx, n, ns)."""
+        nf, nx, ns = self.e.nf, self.e.nx, self.ns
+        new = np.empty((nx, n, ns))
+        for i, mine in _groups(step, len(self.maps)):
+            m = self.maps[i]
+            part = (m.Ad @ self.S[:, :n][:, mine].reshape(nx, -1)).reshape(nx, -1, ns)
+            part[:, :, :nf] += V[mine] @ m.drive
+            if len(self.numbers.delaying):
+                part[:, :, self.numbers.delaying] += dV[mine] @ m.delay
+            if self.e.filtering:
+                heard = out[:, mine, :ns] * seen[mine].T[:, :, None]
+                part -= (m.gain @ heard.reshape(len(out), -1)).reshape(part.shape)
+                part[:, :, :nf] -= r[mine] @ m.gain_drive
             new[:, mine] = part
         return new
+
+    def _sum_up(self, first: int) -> None:
+        """Add the rows held, from sample ``first`` on, to the Gram matrices."""
+        for j, count in enumerate(self.count):
+            valid = min(int(count) - first, BLOCK)
+            if valid > 0:
+                flat = self.rows[j, :valid].reshape(-1, self.nc)
+                self.gram[j] += flat.T @ flat
+
+
+def _groups(number: np.ndarray, kinds: int) -> Iterator[tuple[int, Any]]:
+    """Each number that occurs, with where it does."""
+    if kinds == 1 or (number == number[0]).all():
+        yield int(number[0]), slice(None)
+    else:
+        for i in np.unique(number):
+            yield int(i), np.flatnonzero(number == i)
+
+
+def _output_map(numbers: Numbers) -> Array:
+    """(C, D, 0), against (x, u_k, u_k+1)."""
+    return np.hstack([numbers.C, numbers.D, np.zeros_like(numbers.D)])
 
 
 def _longest(free: Free) -> float:
@@ -238,25 +379,3 @@ def _longest(free: Free) -> float:
     guess = free.model.vector()
     corners = [np.where(np.isfinite(side), side, guess) for side in (free.lower, free.upper)]
     return float(max(np.max(delays(lam)[4].full(), initial=0.0) for lam in (guess, *corners)))
-
-
-def _state_drive(m: StepMap, tau_lam: Array) -> Array:
-    """What drives ∂x/∂λ: (nx, nx + 4 nu, nf), against (x, u_k, u_k+1, u'_k, u'_k+1)."""
-    delay = [B[:, :, None] * tau_lam for B in (m.B0, m.B1)]
-    return np.ascontiguousarray(np.concatenate([m.Ad_lam, m.B0_lam, m.B1_lam, *delay], axis=1))
-
-
-def _output_drive(numbers: Numbers, W: Array) -> Array:
-    """What enters ∂y/∂λ directly: (ny, nx + 2 nu, nf), against (x, u_k, u'_k), whitened."""
-    parts = [numbers.C_lam, numbers.D_lam, numbers.D[:, :, None] * numbers.tau_lam]
-    drive = np.concatenate(parts, axis=1)
-    return np.ascontiguousarray(np.tensordot(W, drive, axes=1))
-
-
-def _blank_missing(out: Array, pattern: np.ndarray, W: Array) -> None:
-    """Turn rows whitened as complete samples into those of samples with missing channels."""
-    for p in np.unique(pattern):
-        if p > 0:
-            mine = np.flatnonzero(pattern == p)
-            change = W[p] @ np.linalg.inv(W[0])
-            out[:, mine] = np.tensordot(change, out[:, mine], axes=1)

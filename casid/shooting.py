@@ -16,20 +16,19 @@ from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse
-import scipy.sparse.linalg
 
 from casid.arrays import Array
 from casid.errors import ConvergenceError
 from casid.fit import Fit, parameter_table
 from casid.intervals import lay_out
-from casid.likelihood import CovarianceKind, Noise
+from casid.likelihood import CovarianceKind
 from casid.model import Bounds, Free, Model, free_parameters
 from casid.nlp import Solution, SolverOptions, solve
-from casid.programme import Programme, Scales
+from casid.programme import Programme
 from casid.record import Record
 from casid.sensitivity import Evaluator, Point
+from casid.starting import noise_of, starting_programme
 from casid.uncertainty import eliminate
 
 LOG = logging.getLogger("casid")
@@ -37,10 +36,8 @@ LOG = logging.getLogger("casid")
 ROUNDS = 12  # of solves
 ROUGH = 1e-4  # tolerance of the first, whose R is that of the start
 SETTLED = 4.0  # factor by which a variance may fall in the last round: the scales still fit
-FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's
 GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
 LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
-SURPRISE = 0.5  # share of the input's effect that the starting model is trusted to miss
 
 IPOPT: dict[str, float | str] = {"nlp_scaling_method": "none", "mu_strategy": "monotone"}
 WARM: dict[str, float | str] = {  # a warm round stays where it starts
@@ -103,27 +100,39 @@ def output_error(
     options = options or SolverOptions()
     options = replace(options, ipopt=IPOPT | dict(options.ipopt))
     free = free_parameters(model, fixed, bounds)
-    chosen = select_records(model, records)
+    chosen = select_records(model, records, biases)
     length = choose_interval(free, chosen) if interval is None else float(interval)
     evaluator = Evaluator(free, lay_out(chosen, length))
-    search = _Search(evaluator, free, biases, options)
-    outcome = search.run(_checked_covariance(R, evaluator.ny))
-    return _result(search, outcome, length, time.perf_counter() - begin)
+    R = checked_covariance(R, evaluator.ny)
+    programme, point = starting_programme(evaluator, free, R, biases)
+    outcome = _Search(free, options).run(programme, point, R)
+    return _result(free, outcome, length, time.perf_counter() - begin)
 
 
-def select_records(model: Model, records: Sequence[Record]) -> list[Record]:
+def select_records(model: Model, records: Sequence[Record], biases: bool) -> list[Record]:
     """Records with the model's channels, in the model's order.
 
     Raises
     ------
     ValueError
-        No records, a channel missing, a record with fewer than two samples.
+        No records, a channel missing, a record too short for its own initial state and biases.
     """
     if isinstance(records, Record):
         records = [records]
     if not records:
         raise ValueError("no records: output error needs at least one")
-    return [record.select(model.inputs, model.outputs) for record in records]
+    chosen = [record.select(model.inputs, model.outputs) for record in records]
+    needed = len(model.states) + biases * len(model.outputs)
+    for record in chosen:
+        if np.isfinite(record.y).sum() < needed:
+            raise ValueError(
+                f"record {record.name!r} has {np.isfinite(record.y).sum()} measurements; its "
+                f"initial state and biases alone need {needed}: leave it out"
+            )
+    for i, name in enumerate(model.outputs):
+        if not any(np.isfinite(record.y[:, i]).any() for record in chosen):
+            raise ValueError(f"output {name!r} is missing in every sample of every record")
+    return chosen
 
 
 def choose_interval(free: Free, records: Sequence[Record]) -> float:
@@ -183,144 +192,46 @@ class _Outcome:
 class _Search:
     """Solve with R held at the start's, then for the likelihood with R concentrated out."""
 
-    def __init__(
-        self, evaluator: Evaluator, free: Free, biases: bool, options: SolverOptions
-    ) -> None:
-        self.evaluator, self.free, self.biases, self.options = evaluator, free, biases, options
-        layout = evaluator.layout
-        seen = layout.patterns[layout.pattern].sum(axis=0)
-        if not seen.all():
-            name = free.model.outputs[int(np.argmin(seen))]
-            raise ValueError(f"output {name!r} is missing in every sample of every record")
-        spread = np.sqrt(np.sum(layout.y**2, axis=0) / seen)
-        self.spread = np.where(spread > 0, spread, 1.0)
+    def __init__(self, free: Free, options: SolverOptions) -> None:
+        self.free, self.options = free, options
 
-    def noise(self, given: Array | None, kind: CovarianceKind) -> Noise:
-        """Noise model of these records, R held at ``given`` unless that is None."""
-        layout = self.evaluator.layout
-        counts = np.bincount(layout.pattern, minlength=len(layout.patterns))
-        return Noise(layout.patterns, counts, FLOOR * self.spread, kind, given)
-
-    def run(self, R: Array | CovarianceKind | None) -> _Outcome:
+    def run(self, programme: Programme, point: Point, R: Array | CovarianceKind) -> _Outcome:
         """Estimate; R is held if it is an array."""
-        kind: CovarianceKind = R if isinstance(R, str) else "diagonal"
         if isinstance(R, np.ndarray):
-            point, scales = self._start(self.noise(R, kind))
-            programme = Programme(
-                self.evaluator, self.free, scales, self.noise(R, kind), self.biases
-            )
-            programme = programme.rescaled(programme.balanced(point))
-            solution = self._solve(programme, programme.pack(point), None, 1)
+            solution = self._solve(programme, point, None, 1, self.options)
             return _Outcome(programme, solution, solution.iterations, 1, True)
-        return self._relaxed(kind)
-
-    def _relaxed(self, kind: CovarianceKind) -> _Outcome:
-        coarse = self.noise(np.diag((0.1 * self.spread) ** 2), kind)
-        point, scales = self._start(coarse)
-        first = Programme(self.evaluator, self.free, scales, self.noise(None, kind), self.biases)
-        held = self.noise(first.values(first.pack(point)).R, kind)
-        programme = Programme(self.evaluator, self.free, scales, held, self.biases)
-        programme = programme.rescaled(programme.balanced(point))
         rough = replace(self.options, tolerance=max(ROUGH, self.options.tolerance))
-        solution = self._solve(programme, programme.pack(point), None, 1, rough)
-        iterations, R = solution.iterations, held.given
+        solution = self._solve(programme, point, None, 1, rough)
+        iterations, evaluator = solution.iterations, programme.evaluator
+        noise = noise_of(evaluator, None, R)
         for rounds in range(2, ROUNDS + 1):
             if not solution.success:
                 return _Outcome(programme, solution, iterations, rounds - 1, False)
             last, point = programme, programme.unpack(solution.x)
-            programme = Programme(self.evaluator, self.free, last.scales, first.noise, self.biases)
-            programme = programme.rescaled(programme.balanced(point))
+            loose = Programme(evaluator, self.free, last.scales, noise, last.biases)
+            programme = loose.rescaled(loose.balanced(point))
+            before = programme.values(programme.pack(point)).R
             warm = _carried(solution, last, programme)
-            solution = self._solve(programme, programme.pack(point), warm, rounds)
+            solution = self._solve(programme, point, warm, rounds, self.options)
             iterations += solution.iterations
-            R, before = programme.values(solution.x).R, programme.values(programme.pack(point)).R
-            change = np.diag(R) / np.diag(before)
-            if solution.success and (first.noise.exact(R) or (change > 1 / SETTLED).all()):
+            now = programme.values(solution.x).R
+            kept = np.diag(now) > np.diag(before) / SETTLED
+            if solution.success and (noise.exact(now) or kept.all()):
                 return _Outcome(programme, solution, iterations, rounds, True)
         return _Outcome(programme, solution, iterations, ROUNDS, False)
 
+    @staticmethod
     def _solve(
-        self,
         programme: Programme,
-        x: Array,
+        point: Point,
         warm: tuple[Array, Array] | None,
         number: int,
-        options: SolverOptions | None = None,
+        options: SolverOptions,
     ) -> Solution:
-        options = options or self.options
         if warm is not None:
             options = replace(options, ipopt=WARM | dict(options.ipopt))
-        stage = f"output error, round {number}"
-        return solve(programme.problem(x), options, stage=stage, warm=warm)
-
-    def _start(self, noise: Noise) -> tuple[Point, Scales]:
-        """Nodes that follow the data: the starting model's states, smoothed over the records.
-
-        The model is trusted up to a share of its inputs' effect, so a poor one does not run away.
-        """
-        e, layout, free = self.evaluator, self.evaluator.layout, self.free
-        point = Point(
-            lam=free.guess,
-            bias=np.zeros((len(layout.records), e.ny)),
-            nodes=np.zeros((len(layout.count), e.nx)),
-        )
-        ones = Scales(np.ones(e.nf), np.ones(e.ny), np.ones(e.nx))
-        programme = Programme(e, free, ones, noise, biases=False)
-        blocks = programme.blocks(programme.pack(point))
-        drift = self._drift()
-        nodes = _smooth(blocks.Hnn, blocks.gn, blocks.slope_n, blocks.ends, programme.links, drift)
-        if not np.isfinite(nodes).all():
-            raise ConvergenceError(
-                "the starting model's simulation overflows within one interval; give a shorter "
-                "interval or a start nearer the data"
-            )
-        size = np.sqrt(np.mean(nodes**2, axis=0))
-        state = np.maximum(size, np.sqrt(np.diag(drift)))
-        scales = Scales(free.scale[free.index], self.spread, np.where(state > 0, state, 1.0))
-        return replace(point, nodes=nodes), scales
-
-    def _drift(self) -> Array:
-        """Covariance of what a start may miss in the states over one interval, (nx, nx)."""
-        layout, free = self.evaluator.layout, self.free
-        numbers = self.evaluator.structure(free.guess)
-        u = np.concatenate([record.u for record in layout.records])
-        dt = float(np.median([record.dt for record in layout.records]))
-        T = float(np.median(layout.count)) * dt
-        Q = SURPRISE**2 * (numbers.B * np.mean(u**2, axis=0)) @ numbers.B.T
-        nx = len(Q)
-        block = np.zeros((2 * nx, 2 * nx))
-        block[:nx, :nx], block[:nx, nx:], block[nx:, nx:] = -numbers.A, Q, numbers.A.T
-        expm = scipy.linalg.expm(block * T)  # Van Loan: ∫ e^{As} Q e^{Aᵀs} ds
-        drift = expm[nx:, nx:].T @ expm[:nx, nx:]
-        scale = np.trace(drift) / nx
-        floor = 1e-6 * (np.diag(drift) + (scale if scale > 0 else 1.0) * 1e-3)
-        return np.asarray((drift + drift.T) / 2 + np.diag(floor))
-
-
-def _smooth(
-    H: Array, g: Array, slope: Array, ends: Array, links: np.ndarray, drift: Array
-) -> Array:
-    """Nodes minimising the residuals and, weighted by drift⁻¹, the gaps between intervals."""
-    J, nx = g.shape
-    P = np.linalg.inv(drift)
-    diagonal, right = H.copy(), -g
-    above: dict[int, Array] = {}
-    for j in links:
-        diagonal[j] += slope[j].T @ P @ slope[j]
-        diagonal[j + 1] += P
-        above[j] = -slope[j].T @ P
-        right[j] -= slope[j].T @ P @ ends[j]
-        right[j + 1] += P @ ends[j]
-    ridge = 1e-12 * float(np.abs(diagonal).max()) * np.eye(nx)
-    grid: dict[tuple[int, int], Array] = {(j, j): diagonal[j] + ridge for j in range(J)}
-    grid |= {(j, j + 1): block for j, block in above.items()}
-    grid |= {(j + 1, j): block.T for j, block in above.items()}
-    i, k = np.divmod(np.arange(nx * nx), nx)
-    row = np.concatenate([j * nx + i for j, _ in grid])
-    col = np.concatenate([j * nx + k for _, j in grid])
-    values = np.concatenate([block.ravel() for block in grid.values()])
-    K = scipy.sparse.csc_array((values, (row, col)), (J * nx, J * nx))
-    return np.asarray(scipy.sparse.linalg.splu(K).solve(right.ravel()).reshape(J, nx))
+        problem = programme.problem(programme.pack(point))
+        return solve(problem, options, stage=f"output error, round {number}", warm=warm)
 
 
 def _carried(solution: Solution, last: Programme, programme: Programme) -> tuple[Array, Array]:
@@ -329,9 +240,10 @@ def _carried(solution: Solution, last: Programme, programme: Programme) -> tuple
     return solution.multipliers_x * new_x / x, solution.multipliers_g * new_g / g
 
 
-def _checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | CovarianceKind | None:
+def checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | CovarianceKind:
+    """R as an array, or the structure in which to estimate it."""
     if R is None:
-        return R
+        return "diagonal"
     if isinstance(R, str):
         if R not in get_args(CovarianceKind):
             raise ValueError(f'R={R!r}: expected "diagonal", "full" or an (ny, ny) array')
@@ -366,8 +278,8 @@ def _constraints(programme: Programme, x: Array) -> scipy.sparse.csc_array:
     return programme._jacobian_pattern.matrix(programme.jacobian(x))[:links]
 
 
-def _result(search: _Search, outcome: _Outcome, interval: float, seconds: float) -> Fit:
-    free, programme, solution = search.free, outcome.programme, outcome.solution
+def _result(free: Free, outcome: _Outcome, interval: float, seconds: float) -> Fit:
+    programme, solution = outcome.programme, outcome.solution
     scale, nf = programme.scales.lam, len(free.index)
     point, final = programme.unpack(solution.x), programme.values(solution.x)
     F = _information(programme, solution.x)

@@ -1,0 +1,250 @@
+"""Output error: casid against the textbook multiple-shooting programme, in one process.
+
+The textbook writes every sample as a CasADi expression, lets `casadi.jacobian` differentiate the
+residuals, and gives IPOPT the Gauss-Newton Hessian JᵀJ. Three ways to build it are timed on a part
+of the records, and the fastest of them solves all: intervals unrolled sample by sample, an interval
+as a function mapped over all intervals, and a mapped interval that is itself a mapped accumulation
+(``mapaccum``). Both sides have the same records (eight UH-60 manoeuvres at 50 Hz), 64 parameters,
+intervals, R, delay model (an interpolating cubic spline), start, scaling, tolerance and linear
+solver; the ratio is of build plus solve, in processor time of this one process (other work on the
+machine moves it little). Run with one BLAS thread:
+
+    OMP_NUM_THREADS=1 PYTHONPATH=. python benchmarks/output_error.py
+"""
+
+import argparse
+import time
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import scipy.linalg
+from uh60 import DATA, INPUTS, NOISE, OUTPUTS, STEPS, SWEEPS
+
+from casid import Model, Record, SolverOptions, match, pbsid, read_csv
+from casid.intervals import Layout, lay_out
+from casid.model import Free, free_parameters
+from casid.nlp import Problem, solve
+from casid.programme import Programme
+from casid.sensitivity import Evaluator, whiteners
+from casid.shooting import IPOPT
+from casid.spline import PAD
+from casid.starting import starting_programme
+from models.six_dof import SixDof
+
+TAYLOR = 20  # terms of the matrix exponential; |A h| < 1, so the rest is below rounding
+
+
+def spline_taps(record: Record, longest: float) -> tuple[np.ndarray, int]:
+    """Coefficients (N, taps, nu) such that u(t_k - τ) = Σ_i c[k, i] B3(i - 1 - τ/h)."""
+    pad = int(np.ceil(longest / record.dt)) + PAD
+    u = np.vstack([np.repeat(record.u[:1], pad, axis=0), record.u])
+    n = len(u)
+    bands = np.zeros((3, n))
+    bands[0, 1:], bands[1], bands[2, :-1] = 1 / 6, 4 / 6, 1 / 6
+    bands[1, [0, -1]], bands[0, 1], bands[2, -2] = 1.0, 0.0, 0.0  # natural: c at the ends is u
+    c = scipy.linalg.solve_banded((1, 1), bands, u)
+    c = np.vstack([c, 2 * c[-1] - c[-2]])  # the natural end's coefficient past the record
+    taps = int(np.floor(longest / record.dt)) + 4
+    k = np.arange(pad, n)
+    return np.stack([c[k - i] for i in range(-1, taps - 1)], axis=1), taps
+
+
+def spline_weights(tau: ca.MX, h: float, taps: int) -> ca.MX:
+    """B3(i - τ/h) of every tap, i from -1."""
+    distance = ca.fabs(ca.DM(list(range(-1, taps - 1))) - tau / h)
+    inner = 2 / 3 - distance**2 + distance**3 / 2
+    outer = (2 - distance) ** 3 / 6
+    return ca.if_else(distance < 1, inner, ca.if_else(distance < 2, outer, 0))
+
+
+def one_step(A: ca.MX, B: ca.MX, h: float) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """First-order-hold map by the Taylor series of the exponential and its integrals."""
+    Ad, G0, G1 = ca.MX.eye(A.shape[0]), ca.MX.zeros(*A.shape), ca.MX.zeros(*A.shape)
+    power, factor = ca.MX.eye(A.shape[0]), 1.0
+    for k in range(1, TAYLOR + 1):
+        factor *= h / k
+        G0 += power * factor
+        G1 += power * factor / (k + 1)
+        power = ca.mtimes(power, A)
+        Ad += power * factor
+    return Ad, ca.mtimes(G0 - G1, B), ca.mtimes(G1, B)
+
+
+def sample_function(W: np.ndarray, nx: int, nu: int, ny: int) -> ca.Function:
+    """(x, parameters, bias, u, u+, y) -> (x+, whitened residual) of one sample."""
+    x, u, u1 = ca.MX.sym("x", nx), ca.MX.sym("u", nu), ca.MX.sym("u1", nu)
+    b, y = ca.MX.sym("b", ny), ca.MX.sym("y", ny)
+    step, out = ca.MX.sym("step", nx, nx + 2 * nu), ca.MX.sym("out", ny, nx + nu)
+    after = ca.mtimes(step, ca.vertcat(x, u, u1))
+    r = ca.mtimes(ca.DM(W), ca.mtimes(out, ca.vertcat(x, u)) + b - y)
+    return ca.Function("sample", [x, step, out, b, u, u1, y], [after, r]).expand()
+
+
+def residuals(
+    build: str, sample: ca.Function, M: int, nodes: ca.MX, step: ca.MX, out: ca.MX,
+    bias: ca.MX, u: ca.MX, u1: ca.MX, y: ca.DM,
+) -> tuple[ca.MX, ca.MX]:  # fmt: skip
+    """Residuals of all samples and end states of all intervals, built in one of three ways."""
+    J = nodes.shape[1]
+    if build == "unrolled":
+        ends, rows = [], []
+        for j in range(J):
+            x = nodes[:, j]
+            for k in range(j * M, (j + 1) * M):
+                x, r = sample(x, step, out, bias[:, j], u[:, k], u1[:, k], y[:, k])
+                rows.append(r)
+            ends.append(x)
+        return ca.vertcat(*rows), ca.horzcat(*ends)
+    nx, nu, ny = nodes.shape[0], u.shape[0], y.shape[0]
+    x, b = ca.MX.sym("x", nx), ca.MX.sym("b", ny)
+    P, Q = ca.MX.sym("P", *step.shape), ca.MX.sym("Q", *out.shape)
+    U, U1, Y = ca.MX.sym("U", nu, M), ca.MX.sym("U1", nu, M), ca.MX.sym("Y", ny, M)
+    if build == "mapaccum":
+        states, R = sample.mapaccum(M)(
+            x, ca.repmat(P, 1, M), ca.repmat(Q, 1, M), ca.repmat(b, 1, M), U, U1, Y
+        )
+        end = states[:, -1]
+    else:
+        end, parts = x, []
+        for k in range(M):
+            end, r = sample(end, P, Q, b, U[:, k], U1[:, k], Y[:, k])
+            parts.append(r)
+        R = ca.horzcat(*parts)
+    interval = ca.Function("interval", [x, P, Q, b, U, U1, Y], [end, R])
+    ends, R = interval.map(J)(nodes, ca.repmat(step, 1, J), ca.repmat(out, 1, J), bias, u, u1, y)
+    return ca.vec(R), ends
+
+
+def longest_delay(free: Free) -> float:
+    upper = np.where(np.isfinite(free.upper), free.upper, 0)
+    return float(np.max(free.model.matrices()(upper)[4].full()))
+
+
+def delayed_inputs(layout: Layout, tau: ca.MX, longest: float, h: float) -> tuple[ca.MX, ca.MX]:
+    """Delayed inputs of all samples, and those of the samples after them, (nu, N)."""
+    inputs = []
+    for record in layout.records:
+        taps, count = spline_taps(record, longest)
+        rows = [
+            ca.mtimes(ca.DM(taps[:, :, j]), spline_weights(tau[j], h, count)).T
+            for j in range(record.nu)
+        ]
+        inputs.append(ca.vertcat(*rows))
+    after = [ca.horzcat(v[:, 1:], v[:, -1]) for v in inputs]
+    return ca.horzcat(*inputs), ca.horzcat(*after)
+
+
+def textbook(programme: Programme, start: np.ndarray, build: str) -> Problem:
+    """The same problem as the programme's, from expressions."""
+    e, s, free = programme.evaluator, programme.scales, programme.free
+    layout, (nx, nu, ny) = e.layout, (e.nx, e.nu, e.ny)
+    M, J = int(layout.count[0]), programme.J
+    if not (layout.count == M).all() or len(layout.classes) > 1:
+        raise ValueError("the textbook here needs intervals of one length and one spacing")
+    ((h, _),) = layout.classes
+    w = ca.MX.sym("w", programme.size)
+    nf, nb = e.nf, programme.records * ny
+    lam = w[:nf] * s.lam
+    bias = ca.reshape(w[nf : nf + nb], ny, -1) * s.bias
+    nodes = ca.reshape(w[nf + nb :], nx, J) * s.state
+    matrices = free.model.matrices()
+    A, B, C, D, tau, c = matrices(free.full(lam))
+    step, out = ca.horzcat(*one_step(A, B, h)), ca.horzcat(C, D)
+    u, u1 = delayed_inputs(layout, tau, longest_delay(free), h)
+    W = whiteners(programme.noise.given, layout)[0]
+    R, ends = residuals(
+        build, sample_function(W, nx, nu, ny), M, nodes, step, out,
+        bias[:, programme.record.tolist()], u, u1, ca.DM(layout.y.T),
+    )  # fmt: skip
+    R = R / np.sqrt(programme.n)
+    links = programme.links.tolist()
+    gaps = (ends[:, links] - nodes[:, [j + 1 for j in links]]) / s.state
+    Jr = ca.jacobian(R, w)
+    f = ca.dot(R, R) / 2
+    p, lam_f, lam_g = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", gaps.numel())
+    hessian = ca.Function(
+        "nlp_hess_l", [w, p, lam_f, lam_g], [ca.triu(lam_f * ca.mtimes(Jr.T, Jr))]
+    )
+    like = programme.problem(start)
+    return replace(like, x=w, f=f, g=ca.vertcat(ca.vec(gaps), c), hessian=hessian, functions={})
+
+
+def timed_textbook(programme, start, options, build):
+    begin = time.process_time()
+    problem = textbook(programme, start, build)
+    built = time.process_time() - begin
+    solution = solve(problem, options, stage=f"textbook, {build}")
+    return solution, built, time.process_time() - begin
+
+
+def timed_casid(model, records, R, interval, options):
+    begin = time.process_time()
+    evaluator = Evaluator(free_parameters(model), lay_out(records, interval))
+    programme, point = starting_programme(evaluator, free_parameters(model), R, biases=True)
+    start = programme.pack(point)
+    problem = programme.problem(start)
+    built = time.process_time() - begin
+    solution = solve(problem, options, stage="casid")
+    return programme, start, solution, built, time.process_time() - begin
+
+
+def compare(model: Model, records: list[Record], R, interval, options, builds):
+    """Rows of (name, seconds to build, seconds in all, solution)."""
+    programme, start, ours, built, total = timed_casid(model, records, R, interval, options)
+    constant = programme.noise.cost(R, np.zeros((1, len(R), len(R)))) / programme.n  # log det R
+    rows = [("casid", built, total, replace(ours, f=ours.f - constant))]
+    for build in builds:
+        solution, built, total = timed_textbook(programme, start, options, build)
+        rows.append((build, built, total, solution))
+    for name, built, total, solution in rows:
+        print(f"  {name:10s} build {built:7.2f} s   build and solve {total:8.2f} s   "
+              f"{solution.iterations} iterations   cost {solution.f:.12g}   {solution.status}",
+              flush=True)  # fmt: skip
+    return programme, rows
+
+
+def noisy_records() -> list[Record]:
+    """The eight records, sticks as fractions of full travel, the last sample left out."""
+    rng = np.random.default_rng(20130)
+    percent = dict.fromkeys(INPUTS, "%")
+    return [
+        read_csv(DATA / f"{name}.csv", inputs=INPUTS, outputs=OUTPUTS, units=percent,
+                 detrend="first").between(0.0, end).with_noise(NOISE, rng)
+        for names, end in ((STEPS, 15.99), (SWEEPS, 69.99)) for name in names
+    ]  # fmt: skip
+
+
+def start_of(records: list[Record]) -> Model:
+    """What the chain hands to output error: black box, then the quadratic match."""
+    trim = {"U0": 40.922, "V0": 2.811, "W0": 2.054, "P0": -0.0002, "Q0": -0.0001, "R0": 0.0057,
+            "phi0": 0.0213, "theta0": 0.0531}  # fmt: skip
+    black_box = pbsid(records, order=16, feedthrough=["ax", "ay", "az"])
+    return match(SixDof(**trim), black_box, norm="quadratic").model
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--interval", type=float, default=2.0, help="shooting interval [s]")
+    parser.add_argument("--build", choices=["unrolled", "map", "mapaccum"], help="skip the trial")
+    chosen = parser.parse_args()
+    R, interval = np.diag(np.array(list(NOISE.values())) ** 2), chosen.interval
+    records = noisy_records()
+    model = start_of(records)
+    options = SolverOptions(ipopt=IPOPT)
+
+    builds = [chosen.build] if chosen.build else ["unrolled", "map", "mapaccum"]
+    if len(builds) > 1:
+        print("the four 3-2-1-1 records:")
+        _, rows = compare(model, records[:4], R, interval, options, builds)
+        builds = [min(rows[1:], key=lambda row: row[2])[0]]
+    print(f"all eight records, {sum(r.N for r in records)} samples:")
+    programme, (ours, theirs) = compare(model, records, R, interval, options, builds)
+    x, y = (programme.unpack(row[3].x).lam for row in (ours, theirs))
+    apart = np.max(np.abs(x - y) / np.maximum(np.abs(y), programme.scales.lam))
+    print(f"estimates agree to {apart:.1e}, costs to {abs(ours[3].f / theirs[3].f - 1):.1e}")
+    print(f"build and solve: {theirs[2] / ours[2]:.1f} x")
+
+
+if __name__ == "__main__":
+    main()
