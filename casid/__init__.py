@@ -1,5 +1,6 @@
 """Rotorcraft system identification in the time and frequency domains."""
 
+from casid.chain import Identification, identify
 from casid.derivid import derivid
 from casid.errors import ConvergenceError, DataWarning, ModelError
 from casid.files import read_csv, read_mat, write_csv
@@ -29,6 +30,7 @@ __all__ = [
     "FrequencyResponse",
     "HandlingQualities",
     "Identifiability",
+    "Identification",
     "Model",
     "ModelError",
     "OrderSelection",
@@ -45,6 +47,7 @@ __all__ = [
     "frequency_response",
     "handling_qualities",
     "identifiability",
+    "identify",
     "match",
     "matrix",
     "merge_responses",

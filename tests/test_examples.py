@@ -6,6 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from casid.study import read_records
+from casid.studyfile import read_study
+
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 SCRIPT, STRUCTURE = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
@@ -30,7 +33,7 @@ def test_the_script_of_the_readme_identifies_the_helicopter(monkeypatch, tmp_pat
     assert len([line for line in SCRIPT.splitlines() if line.strip()]) <= 15
     monkeypatch.chdir(ROOT)
     values = {}
-    exec(compile(SCRIPT.replace("out/", f"{tmp_path}/"), "README.md", "exec"), values)  # noqa: S102
+    exec(compile(SCRIPT.replace("out/", f"{tmp_path}/"), "README.md", "exec"), values)
     fit, black_box = values["fit"], values["black_box"]
     assert fit.success
     assert (tmp_path / "six_dof.json").exists()
@@ -43,7 +46,7 @@ def test_the_script_of_the_readme_identifies_the_helicopter(monkeypatch, tmp_pat
 
 def test_the_structure_of_the_readme_has_the_poles_of_its_matrix(capsys):
     values = {}
-    exec(compile(STRUCTURE, "README.md", "exec"), values)  # noqa: S102
+    exec(compile(STRUCTURE, "README.md", "exec"), values)
     assert values["Roll"](Lp=-3.0).system().nx == 3
     assert "j" in capsys.readouterr().out
 
@@ -59,9 +62,6 @@ def test_an_example_runs_and_checks_itself(script, monkeypatch):
 
 
 def test_the_study_of_the_uh60_reads_and_its_records_stay_in_their_roles():
-    from casid.study import read_records
-    from casid.studyfile import read_study
-
     study = read_study(ROOT / "examples/uh60/study.toml")
     records = read_records(study)
     assert [record.name for record in records["validation"]] == ["validation_random"]
