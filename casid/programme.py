@@ -107,10 +107,11 @@ class Programme:
     @property
     def size(self) -> int:
         """Number of variables."""
-        return self._first_node + self.J * self.evaluator.nx
+        return self.first_node + self.J * self.evaluator.nx
 
     @property
-    def _first_node(self) -> int:
+    def first_node(self) -> int:
+        """Position of the first node among the variables: behind λ and the biases."""
         return self.evaluator.nf + self.biases * self.records * self.evaluator.ny
 
     @property
@@ -127,11 +128,11 @@ class Programme:
     def unpack(self, x: Array) -> Point:
         """Point of scaled variables."""
         nf, ny, nx = self.evaluator.nf, self.evaluator.ny, self.evaluator.nx
-        bias = x[nf : self._first_node].reshape(-1, ny) if self.biases else None
+        bias = x[nf : self.first_node].reshape(-1, ny) if self.biases else None
         return Point(
             lam=x[:nf] * self.scales.lam,
             bias=np.zeros((self.records, ny)) if bias is None else bias * self.scales.bias,
-            nodes=x[self._first_node :].reshape(-1, nx) * self.scales.state,
+            nodes=x[self.first_node :].reshape(-1, nx) * self.scales.state,
         )
 
     # ---- values and blocks ----------------------------------------------------------------------
@@ -217,7 +218,7 @@ class Programme:
         """Positions of λ (nf,), biases (records, ny) and nodes (J, nx) among the variables."""
         e = self.evaluator
         bias = e.nf + np.arange(self.biases * self.records * e.ny).reshape(-1, e.ny)
-        return np.arange(e.nf), bias, self._first_node + np.arange(self.J * e.nx).reshape(-1, e.nx)
+        return np.arange(e.nf), bias, self.first_node + np.arange(self.J * e.nx).reshape(-1, e.nx)
 
     def _hessian_entries(self) -> tuple[np.ndarray, np.ndarray]:
         l, b, n = self._places()
@@ -269,6 +270,15 @@ class Programme:
         if self._bias_moves_states:
             parts.append(blocks.slope_b[self.links].ravel())
         return self._jacobian_pattern.order(np.concatenate(parts))
+
+    def hessian_matrix(self, x: Array) -> scipy.sparse.csc_array:
+        """Upper triangle of the Gauss-Newton Hessian of the whole cost."""
+        return self._hessian_pattern.matrix(self.hessian(x) * self.n)
+
+    def continuity_matrix(self, x: Array) -> scipy.sparse.csc_array:
+        """Jacobian of the continuity constraints."""
+        links = len(self.links) * self.evaluator.nx
+        return self._jacobian_pattern.matrix(self.jacobian(x))[:links]
 
     # ---- for IPOPT ------------------------------------------------------------------------------
 

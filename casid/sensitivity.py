@@ -11,7 +11,7 @@ the maps. All intervals advance together, one dense product a step; the Gram mat
 over blocks of samples, so memory does not grow with the length of an interval.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -201,6 +201,27 @@ class Evaluator:
             index = np.arange(first, min(first + size, len(layout.count)))
             yield _Sweep(self, numbers, maps, inputs, point, W, index).run()
 
+    def influence(self, point: Point, W: Array, record: int, follow: Array) -> Array:
+        """Total derivative by λ of one record's whitened residuals, (N, ny, nf).
+
+        ``follow`` (J, nf + nx + ny, nf) says how λ, node and biases of every interval (rows of the
+        layout) move with λ.
+        """
+        layout, numbers = self.layout, self.structure(point.lam)
+        maps = [
+            _Map.of(numbers, h, hold, self.filtering, slopes=True) for h, hold in layout.classes
+        ]
+        index = np.flatnonzero(layout.record == record)
+        first = layout.start[index].min()
+        slope = np.empty((int(layout.count[index].sum()), self.ny, follow.shape[2]))
+
+        def keep(j: int, k: int, rows: Array) -> None:
+            at = layout.start[index[j]] - first + k
+            slope[at : at + len(rows)] = rows[:, :, :-1] @ follow[index[j]]
+
+        _Sweep(self, numbers, maps, self.delayed(numbers.tau), point, W, index).run(keep)
+        return slope
+
     def _advance(self, maps: "list[_Map]", step: np.ndarray, V: Array, r: Array) -> Array:
         """States one step on, from (x, u_k, u_k+1) and residuals; ``step`` names each row's map."""
         new = np.empty((len(V), self.nx))
@@ -276,8 +297,8 @@ class _Sweep:
         self.live = np.flatnonzero(self.drive.any(axis=(1, 2)))
         self.delay = numbers.D[:, :, None] * numbers.tau_lam[:, numbers.delaying]
 
-    def run(self) -> Batch:
-        """All samples of the batch."""
+    def run(self, keep: Callable[[int, int, Array], None] | None = None) -> Batch:
+        """All samples of the batch; ``keep`` is given (interval, sample, rows) as they come."""
         n, nx, last = len(self.index), self.e.nx, int(self.count[0]) - 1
         ends, slopes = np.empty((n, nx)), np.zeros((n, nx, self.nc - 1))
         for k in range(last + 1):
@@ -288,7 +309,7 @@ class _Sweep:
                 ends[:active][done] = self.x[done]
                 slopes[:active, :, : self.ns][done] = self.S[:, done].transpose(1, 0, 2)
             if (k + 1) % BLOCK == 0 or k == last:
-                self._sum_up(k - k % BLOCK)
+                self._sum_up(k - k % BLOCK, keep)
         return Batch(self.index, self.gram, ends, slopes)
 
     def _step(self, k: int, n: int) -> tuple[Array, Array]:
@@ -350,13 +371,17 @@ class _Sweep:
             new[:, mine] = part
         return new
 
-    def _sum_up(self, first: int) -> None:
+    def _sum_up(self, first: int, keep: Callable[[int, int, Array], None] | None) -> None:
         """Add the rows held, from sample ``first`` on, to the Gram matrices."""
         for j, count in enumerate(self.count):
             valid = min(int(count) - first, BLOCK)
-            if valid > 0:
+            if valid <= 0:
+                continue
+            if keep is None:
                 flat = self.rows[j, :valid].reshape(-1, self.nc)
                 self.gram[j] += flat.T @ flat
+            else:
+                keep(j, first, self.rows[j, :valid])
 
 
 def _groups(number: np.ndarray, kinds: int) -> Iterator[tuple[int, Any]]:

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
-import scipy.sparse
 
 from casid.arrays import Array
 from casid.errors import ConvergenceError
@@ -25,11 +24,11 @@ from casid.intervals import lay_out
 from casid.likelihood import CovarianceKind
 from casid.model import Bounds, Free, Model, free_parameters
 from casid.nlp import Solution, SolverOptions, solve
+from casid.precision import Precision, precision
 from casid.programme import Programme
 from casid.record import Record
 from casid.sensitivity import Evaluator, Point
 from casid.starting import noise_of, starting_programme
-from casid.uncertainty import eliminate
 
 LOG = logging.getLogger("casid")
 
@@ -256,59 +255,46 @@ def checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | Cov
     return R
 
 
-def _information(programme: Programme, x: Array) -> Array:
-    """Fisher information of the scaled λ, nodes and biases eliminated."""
-    upper = _matrix(programme, x)
-    H = scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
-    G = _constraints(programme, x)
-    nf = programme.evaluator.nf
-    F, _ = eliminate(
-        H[:nf, :nf].toarray(), H[nf:, nf:], H[nf:, :nf].toarray(), G[:, nf:], G[:, :nf].toarray()
-    )
-    return F
-
-
-def _matrix(programme: Programme, x: Array) -> scipy.sparse.csc_array:
-    pattern = programme._hessian_pattern
-    return pattern.matrix(programme.hessian(x) * programme.n)
-
-
-def _constraints(programme: Programme, x: Array) -> scipy.sparse.csc_array:
-    links = len(programme.links) * programme.evaluator.nx
-    return programme._jacobian_pattern.matrix(programme.jacobian(x))[:links]
+def _verdict(outcome: _Outcome, found: Precision) -> tuple[bool, str]:
+    """Whether this is a solution, and in words."""
+    if not outcome.solution.success:
+        return False, outcome.solution.status
+    if not outcome.settled:
+        return False, f"R has not settled after {outcome.rounds} rounds; give R"
+    if found.undetermined:
+        return False, (
+            f"the records do not determine {', '.join(found.undetermined)} (singular information "
+            "matrix): fix or tie some of them, or add a manoeuvre that excites them"
+        )
+    return True, outcome.solution.status
 
 
 def _result(free: Free, outcome: _Outcome, interval: float, seconds: float) -> Fit:
     programme, solution = outcome.programme, outcome.solution
-    scale, nf = programme.scales.lam, len(free.index)
     point, final = programme.unpack(solution.x), programme.values(solution.x)
-    F = _information(programme, solution.x)
-    covariance = np.linalg.pinv(F, hermitian=True) * np.outer(scale, scale)
-    std = np.sqrt(np.diag(covariance))
-    insensitivity = scale / np.sqrt(np.maximum(np.diag(F), 1e-300))
-    lam = np.clip(point.lam, free.lower[free.index], free.upper[free.index])
-    multipliers = -programme.n * solution.multipliers_x[:nf] / scale
-    success = solution.success and outcome.settled
-    status = solution.status if outcome.settled or not solution.success else (
-        f"R has not settled after {outcome.rounds} rounds; give R"
-    )  # fmt: skip
+    n = len(free.index)
+    found = precision(programme, solution.x)
+    lam = np.clip(point.lam[:n], free.lower[free.index], free.upper[free.index])
+    multipliers = -programme.n * solution.multipliers_x[:n] / programme.scales.lam[:n]
+    std = np.sqrt(np.diag(found.covariance))
+    success, status = _verdict(outcome, found)
     firsts = np.searchsorted(programme.record, np.arange(programme.records))
     fit = Fit(
         model=free.model.with_vector(free.full(lam)),
-        parameters=parameter_table(free, lam, multipliers, std, insensitivity),
+        parameters=parameter_table(free, lam, multipliers, std, found.insensitivity),
         cost=programme.n * final.cost,
         status=status,
         success=success,
         iterations=outcome.iterations,
         seconds=seconds,
         method="output error",
-        covariance=covariance,
+        covariance=found.covariance,
         free_names=free.names,
         R=final.R,
         initial_states=point.nodes[firsts],
         biases=point.bias,
         interval=interval,
-        notes={"rounds": outcome.rounds, "nodes": programme.J},
+        notes={"rounds": outcome.rounds, "nodes": programme.J, **found.notes()},
     )
     if not success:
         raise ConvergenceError(f"output error: {status}", fit)

@@ -84,14 +84,29 @@ def _drift(e: Evaluator, lam: Array) -> Array:
     dt = float(np.median([record.dt for record in e.layout.records]))
     T = float(np.median(e.layout.count)) * dt
     Q = SURPRISE**2 * (numbers.B * np.mean(u**2, axis=0)) @ numbers.B.T
-    nx = len(Q)
-    block = np.zeros((2 * nx, 2 * nx))
-    block[:nx, :nx], block[:nx, nx:], block[nx:, nx:] = -numbers.A, Q, numbers.A.T
-    expm = scipy.linalg.expm(block * T)  # Van Loan: ∫ e^{As} Q e^{Aᵀs} ds
-    drift = expm[nx:, nx:].T @ expm[:nx, nx:]
+    drift, nx = _accumulated(numbers.A, Q, T), len(Q)
     scale = np.trace(drift) / nx
     floor = 1e-6 * (np.diag(drift) + (scale if scale > 0 else 1.0) * 1e-3)
     return np.asarray((drift + drift.T) / 2 + np.diag(floor))
+
+
+def _accumulated(A: Array, Q: Array, T: float) -> Array:
+    """∫ e^{As} Q e^{Aᵀs} ds over [0, T], (nx, nx), positive semidefinite however stiff A is.
+
+    Over a step with ‖A‖ h <= 1 by Van Loan's exponential, whose growing half would swamp the
+    other over longer ones, and from there by doubling.
+    """
+    nx = len(Q)
+    doublings = max(0, int(np.ceil(np.log2(max(float(np.linalg.norm(A, 2)) * T, 1e-300)))))
+    block = np.zeros((2 * nx, 2 * nx))
+    block[:nx, :nx], block[:nx, nx:], block[nx:, nx:] = -A, Q, A.T
+    expm = scipy.linalg.expm(block * (T / 2**doublings))
+    step = expm[nx:, nx:].T
+    total = step @ expm[:nx, nx:]
+    for _ in range(doublings):
+        total = total + step @ total @ step.T
+        step = step @ step
+    return np.asarray(total)
 
 
 def _smooth(

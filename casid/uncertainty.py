@@ -1,12 +1,38 @@
-"""Fisher information and Cramér-Rao bounds of an output-error fit."""
+"""How well parameters are determined: Fisher information, Cramér-Rao bounds and what spoils them.
+
+V. Klein, E. A. Morelli, Aircraft System Identification: Theory and Practice, AIAA 2006, sections
+6.1.2 (information and bounds), 6.1.3 and 5.2.3 (coloured residuals), 5.5 (collinearity).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import scipy.fft
+import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
 
 from casid.arrays import Array
 
-RIDGE = 1e-12  # on nuisance blocks, relative; an unobservable nuisance must not stop the rest
+RIDGE = 1e-13  # on nuisance blocks, relative; an unobservable nuisance must not stop the rest
+SINGULAR = 1e-11  # eigenvalue of the information scaled to unit diagonal that counts as zero
+CONDITION = 30.0  # condition index above which parameters are collinear (Belsley 1991)
+SHARE = 0.5  # of a parameter's variance, for it to be named
+LAGS = 0.2  # longest lag of the residuals' correlation, of the record (Klein & Morelli)
+
+
+@dataclass(frozen=True)
+class Collinearity:
+    """Parameters that the data determine only in combination.
+
+    ``names`` share a direction whose condition index is ``condition`` (infinite: not determined at
+    all); ``shares`` says how much of each parameter's variance comes from it.
+    """
+
+    names: tuple[str, ...]
+    condition: float
+    shares: tuple[float, ...]
 
 
 def eliminate(
@@ -26,6 +52,10 @@ def eliminate(
     H_nuisance : (nn, nn) sparse
     H_cross : (nn, nf) array
     G, G_cross : (m, nn) sparse, (m, nf) array
+
+    Returns
+    -------
+    (nf, nf), (nn, nf) array
     """
     nn, m = H_nuisance.shape[0], G.shape[0]
     ridge = RIDGE * max(float(H_nuisance.diagonal().max()), 1e-300)
@@ -36,3 +66,132 @@ def eliminate(
     solved = scipy.sparse.linalg.splu(K).solve(np.ascontiguousarray(cross))
     F = H - cross.T @ solved
     return (F + F.T) / 2, -solved[:nn]
+
+
+def bound(F: Array, ties: Array) -> Array:
+    """Cramér-Rao bound of the covariance, (nf, nf), on the tangent space of the ties.
+
+    Parameters
+    ----------
+    F : (nf, nf) array
+        Fisher information.
+    ties : (m, nf) array
+        Gradients of equality constraints that hold between the parameters.
+
+    Directions without information have infinite variance: the rows of the parameters in them are
+    infinite on the diagonal and NaN elsewhere.
+    """
+    unit, scaled, Z = _scaled(F, ties)
+    values, vectors = np.linalg.eigh(Z.T @ scaled @ Z)
+    lost = values <= SINGULAR * len(F)
+    root = Z @ vectors[:, ~lost] / np.sqrt(values[~lost])
+    covariance = root @ root.T * np.outer(unit, unit)
+    unknown = np.flatnonzero((np.abs(Z @ vectors[:, lost]) > 1e-3).any(axis=1))
+    covariance[unknown], covariance[:, unknown] = np.nan, np.nan
+    covariance[unknown, unknown] = np.inf
+    return np.asarray(covariance)
+
+
+def correlation(covariance: Array) -> Array:
+    """Correlation matrix of a covariance; NaN where a variance is infinite or zero."""
+    std = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(covariance / np.outer(std, std))
+
+
+def collinearities(F: Array, ties: Array, names: Sequence[str]) -> tuple[Collinearity, ...]:
+    """Which parameters are determined only in combination, the worst combination first.
+
+    Condition indices and variance shares of the information scaled to unit diagonal (Belsley,
+    Conditioning Diagnostics, 1991): an index over 30 with two or more shares over a half, or a
+    direction with no information at all.
+    """
+    _, scaled, Z = _scaled(F, ties)
+    values, vectors = np.linalg.eigh(Z.T @ scaled @ Z)
+    directions = Z @ vectors
+    lost = values <= SINGULAR * len(F)
+    floor = np.where(lost, SINGULAR * values.max() * 1e-3, values)
+    parts = directions**2 / floor
+    shares = parts / np.maximum(parts.sum(axis=1, keepdims=True), 1e-300)
+    found = []
+    for k, value in enumerate(values):
+        condition = np.inf if lost[k] else float(np.sqrt(values.max() / value))
+        named = np.flatnonzero((shares[:, k] > SHARE) & (np.abs(directions[:, k]) > 1e-3))
+        if condition > CONDITION and (len(named) > 1 or (lost[k] and len(named))):
+            order = named[np.argsort(-shares[named, k])]
+            found.append(
+                Collinearity(
+                    tuple(names[i] for i in order),
+                    condition,
+                    tuple(float(shares[i, k]) for i in order),
+                )
+            )
+    return tuple(found)
+
+
+def _scaled(F: Array, ties: Array) -> tuple[Array, Array, Array]:
+    """Units that give F unit diagonal, F in them, and a basis of the ties' tangent space."""
+    diagonal = np.diag(F)
+    unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scaled = F * np.outer(unit, unit)
+    Z = scipy.linalg.null_space(ties * unit) if len(ties) else np.eye(len(F))
+    return unit, scaled, Z
+
+
+def coloured_covariance(
+    covariance: Array, residuals: Sequence[Array], slopes: Iterable[Array]
+) -> Array:
+    """Covariance of the estimates under the correlation the residuals really have.
+
+        P [ Σ_i Σ_j s_iᵀ C(j - i) s_j ] P,    s = W ∂y/∂λ,   C(m) = mean of r̃_i r̃_{i+m}ᵀ
+
+    with P the white-noise covariance (Klein & Morelli, section 6.1.3; E. A. Morelli, V. Klein,
+    J. Aircraft 34(2), 1997) and r̃ the whitened residuals. C is pooled over the records, tapered
+    linearly to zero at a fifth of the longest, and the double sum is taken over the spectrum.
+
+    Parameters
+    ----------
+    covariance : (nf, nf) array
+        Cramér-Rao bound for white residuals.
+    residuals : sequence of (N, ny) array
+        Whitened residuals of every record, 0 where missing.
+    slopes : iterable of (N, ny, nf) array
+        Their total derivatives by λ, in the same order.
+    """
+    C = _autocovariance(residuals)
+    middle = np.zeros_like(covariance)
+    lags = len(C) - 1
+    for s in slopes:
+        n = scipy.fft.next_fast_len(len(s) + lags + 1, real=True)
+        spectrum = _spectrum(C, n).conj()
+        S = scipy.fft.rfft(s, n, axis=0)
+        weight = np.full(len(S), 2.0 / n)
+        weight[0] /= 2
+        if n % 2 == 0:
+            weight[-1] /= 2
+        middle += np.real(np.einsum("kai,kab,kbj->ij", S.conj() * weight[:, None, None],
+                                    spectrum, S, optimize=True))  # fmt: skip
+    return np.asarray(covariance @ ((middle + middle.T) / 2) @ covariance)
+
+
+def _autocovariance(residuals: Sequence[Array]) -> Array:
+    """C(m), m = 0 .. lags, tapered: (lags + 1, ny, ny), C(m)[a, b] = mean of r_a(i) r_b(i + m)."""
+    longest = max(len(r) for r in residuals)
+    lags = max(1, int(LAGS * longest))
+    ny = residuals[0].shape[1]
+    C, count = np.zeros((lags + 1, ny, ny)), 0
+    for r in residuals:
+        n = scipy.fft.next_fast_len(len(r) + lags + 1, real=True)
+        R = scipy.fft.rfft(r, n, axis=0)
+        full = scipy.fft.irfft(R.conj()[:, :, None] * R[:, None, :], n, axis=0)
+        C += full[: lags + 1]
+        count += len(r)
+    return C / count * (1 - np.arange(lags + 1) / (lags + 1))[:, None, None]
+
+
+def _spectrum(C: Array, n: int) -> Array:
+    """Σ_m C(m) e^{-jωm} over both signs of m, on the grid of rfft(n): (n // 2 + 1, ny, ny)."""
+    padded = np.zeros((n, *C.shape[1:]))
+    padded[: len(C)] = C
+    padded[n - len(C) + 1 :] += np.transpose(C[:0:-1], (0, 2, 1))
+    return np.asarray(scipy.fft.rfft(padded, n, axis=0))

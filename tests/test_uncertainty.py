@@ -1,0 +1,110 @@
+"""Bounds, collinearity and coloured residuals against closed forms and brute force."""
+
+import numpy as np
+import scipy.sparse
+
+from casid.uncertainty import (
+    bound,
+    collinearities,
+    coloured_covariance,
+    correlation,
+    eliminate,
+)
+
+RNG = np.random.default_rng(8)
+NONE = np.zeros((0, 3))
+
+
+def test_eliminating_nuisances_is_least_squares_with_them_projected_out():
+    # Residuals J_l λ + J_n ν with ν_2 = ν_1 + λ_1: substitute and project by hand.
+    J_l, J_n = RNG.standard_normal((40, 3)), RNG.standard_normal((40, 2))
+    G, G_cross = np.array([[1.0, -1.0]]), np.array([[1.0, 0.0, 0.0]])
+    F, follow = eliminate(
+        J_l.T @ J_l,
+        scipy.sparse.csc_array(J_n.T @ J_n),
+        J_n.T @ J_l,
+        scipy.sparse.csc_array(G),
+        G_cross,
+    )
+    S = J_l + np.outer(J_n[:, 1], [1.0, 0.0, 0.0])
+    n = J_n.sum(axis=1)
+    projected = S - np.outer(n, n @ S) / (n @ n)
+    np.testing.assert_allclose(F, projected.T @ projected, rtol=1e-9)
+    np.testing.assert_allclose(J_l + J_n @ follow, projected, atol=1e-9)
+
+
+def test_the_bound_is_the_inverse_of_the_information():
+    J, unit = RNG.standard_normal((50, 3)), np.array([1.0, 1e-4, 1e5])
+    expected = np.linalg.inv(J.T @ J) / np.outer(unit, unit)
+    scaled = J * unit
+    np.testing.assert_allclose(bound(scaled.T @ scaled, NONE), expected, rtol=1e-9)
+
+
+def test_a_tie_takes_its_direction_out_of_the_bound():
+    # λ_2 = 2 λ_1: one parameter with the gradient (1, 2, 0) and one of its own.
+    J = RNG.standard_normal((50, 3))
+    T = np.array([[1.0, 0.0], [2.0, 0.0], [0.0, 1.0]])
+    expected = T @ np.linalg.inv(T.T @ J.T @ J @ T) @ T.T
+    np.testing.assert_allclose(bound(J.T @ J, np.array([[2.0, -1.0, 0.0]])), expected, rtol=1e-9)
+
+
+def test_what_the_data_do_not_show_is_named_and_has_no_bound():
+    J = RNG.standard_normal((60, 4))
+    J[:, 2] = 0.0  # no effect
+    J[:, 3] = -2 * J[:, 1]  # only the combination shows
+    F = J.T @ J
+    variance = np.diag(bound(F, np.zeros((0, 4))))
+    np.testing.assert_array_equal(np.isinf(variance), [False, True, True, True])
+    assert np.isfinite(variance[0])
+    found = collinearities(F, np.zeros((0, 4)), ("a", "b", "c", "d"))
+    assert all(np.isinf(c.condition) for c in found)
+    assert {name for c in found for name in c.names} == {"b", "c", "d"}
+
+
+def test_near_collinear_parameters_are_named_with_their_condition_index():
+    J = RNG.standard_normal((500, 3))
+    J[:, 2] = J[:, 0] + 0.01 * J[:, 2]
+    (found,) = collinearities(J.T @ J, NONE, ("Lp", "Lq", "Llat"))
+    assert set(found.names) == {"Lp", "Llat"}
+    # Two unit columns 0.01 apart: eigenvalues 2 and ½·0.01², condition √(2/0.5e-4) = 200.
+    np.testing.assert_allclose(found.condition, 200, rtol=0.15)
+    rho = correlation(bound(J.T @ J, NONE))
+    assert abs(rho[0, 2]) > 0.999
+
+
+def test_orthogonal_parameters_are_not_collinear():
+    assert collinearities(np.diag([1.0, 1e6, 1e-6]), NONE, ("a", "b", "c")) == ()
+
+
+def test_coloured_covariance_is_the_double_sum():
+    ny, nf = 2, 3
+    residuals = [RNG.standard_normal((n, ny)).cumsum(axis=0) for n in (31, 20)]
+    slopes = [RNG.standard_normal((len(r), ny, nf)) for r in residuals]
+    covariance = np.diag([1.0, 2.0, 3.0])
+    lags = int(0.2 * 31)
+    count = sum(len(r) for r in residuals)
+    middle = np.zeros((nf, nf))
+    C = {}
+    for m in range(-lags, lags + 1):
+        products = [
+            np.outer(r[i], r[i + m])
+            for r in residuals
+            for i in range(max(0, -m), min(len(r), len(r) - m))
+        ]
+        C[m] = sum(products) / count * (1 - abs(m) / (lags + 1))
+    for s in slopes:
+        for i in range(len(s)):
+            for j in range(max(0, i - lags), min(len(s), i + lags + 1)):
+                middle += s[i].T @ C[j - i] @ s[j]
+    found = coloured_covariance(covariance, residuals, slopes)
+    np.testing.assert_allclose(found, covariance @ middle @ covariance, rtol=1e-9)
+
+
+def test_white_residuals_need_no_correction():
+    n, nf = 20000, 2
+    s = RNG.standard_normal((n, 1, nf))
+    covariance = np.linalg.inv(np.einsum("nai,naj->ij", s, s))
+    found = coloured_covariance(covariance, [RNG.standard_normal((n, 1))], [s])
+    # A sum over 2·4000 tapered lags of independent terms of 1/√n each: √(2·4000/3/n) = 37 % of a
+    # product of slopes that is itself uncorrelated, 1/√n: under 1 %, and C(0) to 1 %.
+    np.testing.assert_allclose(np.diag(found), np.diag(covariance), rtol=0.05)
