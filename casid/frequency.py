@@ -180,7 +180,8 @@ def frequency_response(
     records : sequence of Record
         Sweeps or other manoeuvres, best one axis at a time, several of each; trim removed or not.
         Non-equidistant records are interpolated (cubic spline) onto their median interval. Windows
-        with a missing output sample are left out, with a `DataWarning`.
+        with a missing output sample are left out, with a `DataWarning`. Inputs held by steps
+        ("zoh") are taken as steps, others as smooth.
     omega : (K,) array
         Frequencies [rad/s], increasing, in any spacing.
     windows : sequence of float
@@ -282,7 +283,10 @@ def _equidistant(record: Record, highest: float) -> Record:
             "there with between()"
         )
     t = record.t[0] + record.dt * np.arange(int(record.duration / record.dt + 1e-6) + 1)
-    u = scipy.interpolate.make_interp_spline(record.t, record.u, k=3)(t)
+    if record.hold == "zoh":
+        u = record.u[np.searchsorted(record.t, t + 1e-9 * record.dt, side="right") - 1]
+    else:
+        u = scipy.interpolate.make_interp_spline(record.t, record.u, k=3)(t)
     missing = np.isnan(record.y)
     y = np.empty((len(t), record.ny))
     for i in range(record.ny):

@@ -149,6 +149,9 @@ def _windowed(
     # Density: mean square per unit of frequency is 2 |X|² / (2π ∫ taper² dt), one-sided.
     density = np.sqrt(1 / (np.pi * record.dt * np.sum(taper**2)))
     Z = density * transform(stretches * taper[:, None], record.dt, omega)
+    if record.hold == "zoh":  # the spectrum of the steps, not of a smooth input through the samples
+        jh = 1j * omega * record.dt
+        Z[..., : record.nu] *= ((1 - np.exp(-jh)) / jh)[:, None]
     return Z[..., : record.nu], Z[..., record.nu :], len(stretches), len(starts)
 
 
