@@ -6,6 +6,7 @@ Bounds are kept by projection, and no step is taken that moves a pole across the
 or further beyond it, since from there no descent leads back.
 """
 
+import contextlib
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from casid.arrays import Array, ComplexArray
 from casid.comparison import Comparison
 from casid.model import Free
 
+GUARD = 0.02  # distance from the line, in units of the band's middle, that guarded poles keep
 PENALTY = 3.0  # of a violated constraint of the structure, in units of the response's size
 DAMPING = (1e-2, 1e-9, 1e12)  # first, least and largest of Levenberg and Marquardt
 
@@ -82,12 +84,31 @@ class Condensed:
         self._c = np.array([[item.lower, item.upper] for item in items], dtype=float).reshape(-1, 2)
         size = np.linalg.norm(comparison.W * comparison.G) / np.sqrt(len(comparison.s))
         self._penalty = PENALTY * float(size)
+        self._rate = float(np.sqrt(comparison.band[0] * comparison.band[1]))
+        self._guarded = False
 
     def on(self, comparison: Comparison) -> "Condensed":
         """The same structure compared elsewhere."""
         other = object.__new__(Condensed)
         other.__dict__.update(self.__dict__, comparison=comparison)
         return other
+
+    def guarded(self) -> "Condensed":
+        """The same with a penalty on poles right of the line, which drives them back."""
+        other = self.on(self.comparison)
+        other._guarded = self.comparison.line is not None
+        return other
+
+    def idle(self) -> np.ndarray:
+        """Positions of the parameters that move no residual, at any of three random points."""
+        rng = np.random.default_rng(0)
+        middle = self.clip(np.zeros(len(self.scale)))
+        size = np.zeros(len(self.scale))
+        for _ in range(3):
+            x = self.clip(middle + rng.uniform(-1.0, 1.0, len(middle)))
+            with contextlib.suppress(np.linalg.LinAlgError):
+                size = np.maximum(size, np.abs(self.jacobian(x)[1]).max(axis=1))
+        return np.flatnonzero(size <= 1e-14 * size.max())
 
     def clip(self, x: Array) -> Array:
         """Scaled parameters moved onto their bounds."""
@@ -97,7 +118,8 @@ class Condensed:
         """Residuals, whose sum of squares is the cost, and the rightmost pole's real part."""
         numbers = self.structure.at(x * self.scale)
         r, abscissa, _ = self._response(numbers)
-        return np.concatenate([_real(r.ravel()), self._violation(numbers)[0]]), abscissa
+        poles = self._beyond(numbers)[0]
+        return np.concatenate([_real(r.ravel()), self._violation(numbers)[0], poles]), abscissa
 
     def jacobian(self, x: Array) -> tuple[Array, Array]:
         """Residuals (n,) and their derivatives (nf, n)."""
@@ -110,10 +132,11 @@ class Condensed:
         J = np.asarray(numbers.dN[:, used] @ terms.reshape(len(used), r.size)).reshape(-1, *r.shape)
         J = J - numbers.dtau[:, None, None, :] * self.comparison.s[:, None, None] * G
         J = (J * W).reshape(len(x), -1) * self.scale[:, None]
-        violation, slope = self._violation(numbers)
+        more = [self._violation(numbers), self._beyond(numbers)]
+        slopes = [slope * self.scale[:, None] for _, slope in more]
         return (
-            np.concatenate([_real(r.ravel()), violation]),
-            np.concatenate([_real(J), slope * self.scale[:, None]], axis=1),
+            np.concatenate([_real(r.ravel()), *(value for value, _ in more)]),
+            np.concatenate([_real(J), *slopes], axis=1),
         )
 
     def _response(
@@ -139,6 +162,21 @@ class Condensed:
         factor = self._penalty / np.where(size > 0, size, 1.0)
         off = numbers.c - np.clip(numbers.c, self._c[:, 0], self._c[:, 1])
         return off * factor, numbers.dc * np.where(off != 0, factor, 0.0)
+
+    def _beyond(self, numbers: Numbers) -> tuple[Array, Array]:
+        """Penalised distance of poles right of the line (nx,), and its derivative (nf, nx)."""
+        nx, line = self.structure.nx, self.comparison.line
+        if not self._guarded or line is None:
+            return np.zeros(0), np.zeros((self.structure.nf, 0))
+        poles, right = np.linalg.eig(numbers.N[:nx, :nx])
+        left = np.linalg.inv(right)
+        off = poles.real - line + GUARD * self._rate
+        # d pole = (left row) dA (right column)
+        outer = np.zeros((*numbers.N.shape, nx), dtype=complex)
+        outer[:nx, :nx] = np.einsum("ir,ci->rci", left, right)
+        slope = np.asarray(numbers.dN @ outer.reshape(-1, nx)).real
+        factor = self._penalty / self._rate
+        return factor * np.maximum(off, 0.0), np.where(off > 0, factor * slope, 0.0)
 
 
 def descend(problem: Condensed, values: Array, *, steps: int, tolerance: float) -> Descent:

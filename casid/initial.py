@@ -22,7 +22,7 @@ import scipy.optimize
 
 from casid.arrays import Array, ComplexArray
 from casid.comparison import Comparison
-from casid.descent import Condensed, Descent, Numbers, descend
+from casid.descent import Condensed, Numbers, descend
 from casid.lifted import state_responses
 from casid.model import Free
 
@@ -33,7 +33,6 @@ NEWTON = 6  # Gauss-Newton steps for the parameters
 FARTHEST = 0.4  # of the band's upper end: where the line begins
 STRIDE = 1.7  # from one line to the next
 GOOD = 0.3  # error of a fit, relative to the response, that calls for another start
-LARGE = 2500  # numbers a response and its states hold, above which one good start is enough
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,13 +44,11 @@ class Start:
     cost: float
 
 
-def starts(free: Free, comparison: Comparison) -> tuple[Start, ...]:
-    """Starting points of the quadratic programme, the best first."""
-    problem = Condensed(free, comparison)
+def starts(free: Free, problem: Condensed, *, large: bool) -> tuple[Start, ...]:
+    """Starting points of the quadratic programme, the best first; of a large one as few as do."""
+    comparison = problem.comparison
     size = np.linalg.norm(comparison.W * comparison.G) ** 2 / len(comparison.s)
     found = [_follow(problem, "guess", free.guess)]
-    K, ny, nu = comparison.G.shape
-    large = 2 * K * nu * (ny + problem.structure.nx) > LARGE
     if not (large and found[0].cost < GOOD**2 * size):
         values = _least_squares(free, problem)
         if values is not None:
@@ -68,7 +65,7 @@ def _follow(problem: Condensed, name: str, values: Array) -> Start:
         for line in lines:
             there = problem.on(comparison.shifted(line))
             values = descend(there, values, steps=15, tolerance=1e-4).values
-    last: Descent = descend(problem, values, steps=100, tolerance=1e-6)
+    last = descend(problem, values, steps=100, tolerance=1e-6)
     return Start(name=name, values=last.values, cost=last.cost)
 
 

@@ -26,7 +26,7 @@ from casid.model import Free
 from casid.nlp import Problem
 
 START = 1.05  # t at the start, in units of the largest squared error there
-LYAPUNOV_LIMIT = 1e3  # largest entry of the Lyapunov factor: how near to the line a pole may come
+LYAPUNOV_LIMIT = 1e2  # largest entry of the Lyapunov factor: how near to the line a pole may come
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

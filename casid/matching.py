@@ -10,15 +10,15 @@ import logging
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from casid.appraisal import EXACT, Appraisal, appraise, doubts, response_size
 from casid.arrays import Array
-from casid.certificate import Band, band_norm, peaks
-from casid.comparison import Comparison, Source, Target, Weight, compare
-from casid.errors import ConvergenceError
-from casid.fit import Certificate, Fit, parameter_table
+from casid.comparison import Comparison, Target, Weight, compare
+from casid.descent import Condensed, descend
+from casid.errors import ConvergenceError, ModelError
+from casid.fit import Fit, parameter_table
 from casid.frequency import FrequencyResponse
 from casid.initial import starts
 from casid.lifted import Lifted, lift
@@ -39,7 +39,7 @@ NEAR: dict[str, dict[str, float | str]] = {
                   "acceptable_tol": 1e-8, "acceptable_iter": 3},
     "hinf": {"mu_init": 1e-2, "bound_mult_init_method": "mu-based"},
 }  # fmt: skip
-EXACT = 1e-8  # error, relative to the response, that is rounding
+LARGE = 2500  # numbers a response and its states hold, above which one good start is enough
 
 
 def match(
@@ -109,9 +109,8 @@ def match(
         model, targets, omega=omega, shift=shift, weight=weight, source_weight=source_weight
     )
     matcher = _Matcher(free, comparison, stable_shift, options)
-    state = matcher.quadratic()
-    if norm == "hinf":
-        state = matcher.hinf(state)
+    fits = matcher.quadratic()
+    state = matcher.hinf(fits) if norm == "hinf" else fits[0]
     fit = matcher.fit(state, norm, model, time.perf_counter() - begin)
     LOG.info("%s: cost %.6g, %d iterations, %.2f s", fit.method, fit.cost, fit.iterations,
              fit.seconds)  # fmt: skip
@@ -130,8 +129,7 @@ class _State:
     success: bool
     status: str
     start: str
-    comparison: Comparison
-    bands: tuple[Band, ...] = ()
+    appraisal: Appraisal
 
 
 class _Matcher:
@@ -142,71 +140,78 @@ class _Matcher:
     ) -> None:
         self.free, self.comparison, self.stable, self.options = free, comparison, stable, options
         self.iterations = 0
-        self.size = float(np.linalg.norm(comparison.W * comparison.G, 2, axis=(1, 2)).max())
-        self.negligible = EXACT * self.size
+        self.negligible = EXACT * response_size(comparison)
+        K, ny, nu = comparison.G.shape
+        self.large = 2 * K * nu * (ny + len(free.model.states)) > LARGE
 
-    def system(self, values: Array) -> StateSpace:
-        """The structure at the free values."""
-        return self.free.model.with_vector(self.free.full(values)).system()
-
-    def quadratic(self) -> _State:
-        """The quadratic fit from the best start whose programme converges."""
+    def quadratic(self) -> list[_State]:
+        """Quadratic fits from all starts, best first; of a large one the first that converges."""
         found: list[_State] = []
-        for start in starts(self.free, self.comparison):
+        problem = Condensed(self.free, self.comparison)
+        _check_effects(problem, self.free)
+        problem = problem.guarded() if self.stable else problem
+        for start in starts(self.free, problem, large=self.large):
             found.append(self._solve("quadratic", start.name, start.values, self.comparison))
-            if found[-1].success:
+            if self.large and found[-1].success:
                 break
-        return min(found, key=lambda state: (not state.success, state.cost))
+        return sorted(found, key=lambda state: (not state.success, state.cost))
 
-    def hinf(self, state: _State) -> _State:
-        """The H-infinity fit from a quadratic one, certified over the band."""
-        bands = self._bands(self.system(state.values), self.comparison)
-        grown = _with_peaks(self.comparison, bands, HIGH * _upper(bands))
+    def hinf(self, fits: Sequence[_State]) -> _State:
+        """The H-infinity fit from quadratic ones, certified over the band."""
+        found: list[_State] = []
+        for k, fit in enumerate(fits):
+            if not any(np.isclose(fit.cost, other.cost, rtol=1e-6) for other in fits[:k]):
+                grid = fit.appraisal.with_peaks(HIGH * fit.appraisal.upper)
+                found.append(self._improve(fit, grid))
+        return self._certify(min(found, key=lambda state: (not state.success, state.cost)))
+
+    def _certify(self, state: _State) -> _State:
+        """Add the peaks between the points and solve again until the bound is near the grid."""
         for _ in range(ROUNDS):
-            if grown.norm(self.system(state.values)) > self.negligible:
-                state = self._solve("hinf", state.start, state.values, grown)
-            state = self._certified(state, grown)
-            if not state.success or _upper(state.bands) <= self._enough(state):
+            upper, norm = state.appraisal.upper, state.appraisal.grid_norm
+            if not state.success or upper <= max(norm * (1 + GAP), self.negligible):
                 return state
-            grown = _with_peaks(grown, state.bands, state.cost)
-        gap = f"{_upper(state.bands) / state.cost - 1:.1%}"
+            state = self._improve(state, state.appraisal.with_peaks(norm * (1 + 1e-3)))
+        gap = f"{state.appraisal.upper / state.appraisal.grid_norm - 1:.1%}"
         status = f"the bound over the band stays {gap} above the grid; pass a finer omega"
         return replace(state, success=False, status=status)
 
-    def _certified(self, state: _State, comparison: Comparison) -> _State:
+    def _improve(self, state: _State, comparison: Comparison) -> _State:
+        """The H-infinity fit on a grid; an error that is rounding cannot be improved."""
         system = self.system(state.values)
-        cost, bands = comparison.norm(system), self._bands(system, comparison)
-        return replace(state, cost=cost, comparison=comparison, bands=bands)
-
-    def _enough(self, state: _State) -> float:
-        """Bound over the band that certifies the optimum on the grid."""
-        return max(state.cost * (1 + GAP), self.negligible)
-
-    def _bands(self, system: StateSpace, comparison: Comparison) -> tuple[Band, ...]:
-        return tuple(
-            band_norm(system, source, negligible=self.negligible) for source in comparison.sources
+        if comparison.norm(system) > self.negligible:
+            return self._solve("hinf", state.start, state.values, comparison)
+        appraisal = appraise(system, comparison)
+        return replace(
+            state,
+            cost=appraisal.grid_norm,
+            appraisal=appraisal,
+            multipliers=np.zeros_like(state.multipliers),
         )
 
     def _solve(self, norm: str, start: str, values: Array, comparison: Comparison) -> _State:
         """One programme; once more with the stability constraint if its solution needs it."""
         lifted, solution = self._programme(norm, values, comparison, stable=False)
-        if self._unstable(lifted, solution):
-            values = lifted.parameters(solution.x)
-            lifted, solution = self._programme(norm, values, comparison, stable=True)
-        scale = self.free.scale[self.free.index]
-        unit = lifted.unit**2
-        # From squared errors to the cost that is reported: itself, or the norm √t.
-        slope = (
-            unit if norm == "quadratic" else unit / (2 * np.sqrt(max(solution.f * unit, 1e-300)))
-        )
+        found = lifted.parameters(solution.x)
+        if self._unstable(found):
+            stable = self._stabilised(comparison, found) if self._unstable(values) else values
+            lifted, solution = self._programme(norm, stable, comparison, stable=True)
+            found = lifted.parameters(solution.x)
+        scale, unit = self.free.scale[self.free.index], lifted.unit**2
+        appraisal = appraise(self.system(found), comparison)
+        doubt = doubts(self.free, found, self.free.guess, appraisal, stable=self.stable)
+        cost = solution.f * unit
+        if norm == "hinf":  # the programme minimises t, the cost is √t
+            cost = appraisal.grid_norm
+            unit /= 2 * max(cost, self.negligible, 1e-300)
         return _State(
-            values=lifted.parameters(solution.x),
-            multipliers=-solution.multipliers_x[: len(scale)] / scale * slope,
-            cost=solution.f * unit,
-            success=solution.success,
-            status=solution.status,
+            values=found,
+            multipliers=-solution.multipliers_x[: len(scale)] / scale * unit,
+            cost=cost,
+            success=solution.success and doubt is None,
+            status=solution.status if doubt is None or not solution.success else doubt,
             start=start,
-            comparison=comparison,
+            appraisal=appraisal,
         )
 
     def _programme(
@@ -218,19 +223,23 @@ class _Matcher:
         self.iterations += solution.iterations
         return lifted, solution
 
-    def _unstable(self, lifted: Lifted, solution: Solution) -> bool:
+    def system(self, values: Array) -> StateSpace:
+        """The structure at the free values."""
+        return self.free.model.with_vector(self.free.full(values)).system()
+
+    def _unstable(self, values: Array) -> bool:
         line = self.comparison.line
         if not self.stable or line is None:
             return False
-        poles = self.system(lifted.parameters(solution.x)).poles()
-        return bool(poles.real.max() > line + 1e-6 * (1 + line))
+        return bool(self.system(values).poles().real.max() > line + 1e-6 * (1 + line))
+
+    def _stabilised(self, comparison: Comparison, values: Array) -> Array:
+        """Values near the given ones with all poles left of the line, if some are found."""
+        problem = Condensed(self.free, comparison).guarded()
+        return descend(problem, values, steps=100, tolerance=1e-4).values
 
     def fit(self, state: _State, norm: str, guess: Model, seconds: float) -> Fit:
         """The result, its certificate and its tables."""
-        system = self.system(state.values)
-        bands = state.bands or self._bands(system, state.comparison)
-        sources = state.comparison.sources
-        top = max(bands, key=lambda band: band.lower)
         return Fit(
             model=self.free.model.with_vector(self.free.full(state.values)),
             parameters=parameter_table(self.free, state.values, state.multipliers, guess=guess),
@@ -240,66 +249,16 @@ class _Matcher:
             iterations=self.iterations,
             seconds=seconds,
             method=f"match {norm}",
-            certificate=Certificate(
-                grid_norm=state.comparison.norm(system),
-                upper_bound=_upper(bands),
-                peak_omega=top.peak_omega,
-                band=state.comparison.band,
-                shift=state.comparison.shift,
-            ),
+            certificate=state.appraisal.certificate(),
             free_names=self.free.names,
-            notes=_notes(system, state, bands, sources),
+            notes={"start": state.start} | state.appraisal.notes(),
         )
 
 
-def _upper(bands: Sequence[Band]) -> float:
-    return max(band.upper for band in bands)
-
-
-def _with_peaks(comparison: Comparison, bands: Sequence[Band], above: float) -> Comparison:
-    """The comparison with the peaks between its points added to its grids."""
-    sources = []
-    for source, band in zip(comparison.sources, bands, strict=True):
-        if source.system is not None:
-            added = peaks(band, above * (1 + 1e-3), 0.01)
-            source = source.at(np.unique(np.concatenate([source.omega, added])))  # noqa: PLW2901
-        sources.append(source)
-    return replace(comparison, sources=tuple(sources))
-
-
-def _notes(
-    system: StateSpace, state: _State, bands: Sequence[Band], sources: Sequence[Source]
-) -> dict[str, Any]:
-    """Numbers for the report, plain lists."""
-    number = max(range(len(bands)), key=lambda i: bands[i].lower)
-    band, source = bands[number], sources[number]
-    omega = np.array([band.peak_omega])
-    k = int(np.argmin(np.abs(source.omega - omega)))
-    at_peak = source.at(omega).error(system)[0] if source.system else source.error(system)[k]
-    i, j = np.unravel_index(int(np.argmax(np.abs(at_peak))), at_peak.shape)
-    return {
-        "start": state.start,
-        "peak": {
-            "source": source.name,
-            "omega": float(band.peak_omega),
-            "output": system.outputs[int(i)],
-            "input": system.inputs[int(j)],
-        },
-        "band": [
-            {"source": s.name, "omega": b.omega.tolist(), "sigma": b.sigma.tolist()}
-            for s, b in zip(sources, bands, strict=True)
-        ],
-        "grid": [{"source": s.name, "omega": s.omega.tolist()} for s in sources],
-        "sources": [_contribution(system, s) for s in sources],
-    }
-
-
-def _contribution(system: StateSpace, source: Source) -> dict[str, Any]:
-    E = source.error(system)
-    return {
-        "source": source.name,
-        "points": len(source.omega),
-        "entries": int((source.W > 0).sum()),
-        "norm": float(np.linalg.norm(E, 2, axis=(1, 2)).max()),
-        "sum_of_squares": float(np.sum(np.abs(E) ** 2)),
-    }
+def _check_effects(problem: Condensed, free: Free) -> None:
+    idle = problem.idle()
+    if len(idle):
+        raise ModelError(
+            f"{free.names[idle[0]]} has no effect on any weighted response: the target cannot "
+            "identify it; fix it, or weigh an output that depends on it"
+        )

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
+from matched import SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import (
-    BlackBox,
     ConvergenceError,
     Model,
     ModelError,
@@ -10,71 +10,9 @@ from casid import (
     Scalar,
     SolverOptions,
     StateSpace,
+    match,
     parameter,
 )
-from casid.matching import match
-
-
-def black_box(system: StateSpace, band: tuple[float, float] = (0.1, 10.0), **settings) -> BlackBox:
-    """A black box that knows the truth."""
-    given = {"input_std": np.ones(system.nu), "output_std": np.ones(system.ny)} | settings
-    return BlackBox(
-        system=system,
-        K=np.zeros((system.nx, system.ny)),
-        singular_values=np.ones(system.nx),
-        pole=np.nan,
-        past=1,
-        future=1,
-        transform="laguerre",
-        feedthrough=np.ones((system.ny, system.nu), dtype=bool),
-        band=band,
-        records=(),
-        **given,
-    )
-
-
-class HoverRoll(Model):
-    """Roll and sway in hover with a delayed stick."""
-
-    states = ("v", "p", "phi")
-    inputs = ("lat",)
-    outputs = ("p", "phi")
-
-    Yv: Scalar = parameter(default=-0.1, lower=-2.0, upper=0.0, unit="1/s")
-    Lv: Scalar = parameter(default=0.0, lower=-1.0, upper=1.0, unit="rad/(m s)")
-    Lp: Scalar = parameter(default=-1.0, lower=-20.0, upper=0.0, unit="1/s")
-    Llat: Scalar = parameter(default=1.0, lower=0.0, upper=100.0, unit="rad/s^2")
-    tau: Scalar = parameter(default=0.0, lower=0.0, upper=0.3, unit="s")
-
-    def A(self) -> Rows:
-        return [[self.Yv, 0, 9.81], [self.Lv, self.Lp, 0], [0, 1, 0]]
-
-    def B(self) -> Rows:
-        return [[0], [self.Llat], [0]]
-
-    def delays(self):
-        return {"lat": self.tau}
-
-
-class Lag(Model):
-    """k / (s + a): two parameters, to be searched by brute force."""
-
-    states = ("x",)
-    inputs = ("u",)
-    outputs = ("x",)
-
-    a: Scalar = parameter(default=1.0, lower=0.01, upper=20.0, unit="1/s")
-    k: Scalar = parameter(default=1.0, lower=-20.0, upper=20.0, unit="-")
-
-    def A(self) -> Rows:
-        return [[-self.a]]
-
-    def B(self) -> Rows:
-        return [[self.k]]
-
-
-# Unstable, as a helicopter in hover is: a pair at 0.2 ± 0.6j.
-TRUTH = HoverRoll(Yv=-0.2, Lv=-0.3, Lp=-2.5, Llat=12.0, tau=0.07)
 
 
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
@@ -84,11 +22,6 @@ def test_match_recovers_an_unstable_delayed_structure_from_its_own_response(norm
     assert fit.success
     assert fit.certificate.upper_bound < 1e-6
     assert fit.certificate.shift > TRUTH.system().poles()[0].real
-
-
-# Second-order truth for the lag.
-SECOND = StateSpace([[-1.0, 1.0], [0.0, -3.0]], [[0.5], [2.0]], [[1.0, 0.2]], [[0.0]],
-                    inputs=("u",), outputs=("x",))  # fmt: skip
 
 
 def brute_force(omega, cost):
@@ -189,3 +122,72 @@ def test_iteration_limit_leaves_the_best_iterate():
 
 SECOND_TWO = StateSpace(SECOND.A, SECOND.B, np.eye(2), np.zeros((2, 1)),
                         inputs=("lat",), outputs=("p", "phi"))  # fmt: skip
+
+
+class Runaway(Lag):
+    """A lag without bounds: the nearest to a constant gain is infinitely fast."""
+
+    a: Scalar = parameter(default=1.0, unit="1/s")
+    k: Scalar = parameter(default=1.0, unit="-")
+
+
+def test_optimum_at_infinity_is_not_believed():
+    gain = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]],
+                      inputs=("u",), outputs=("x",))  # fmt: skip
+    with pytest.raises(ConvergenceError, match="runs away: the optimum is at infinity") as caught:
+        match(Runaway(), black_box(gain))
+    assert not caught.value.best.success
+
+
+class Deaf(Model):
+    """An output that the input does not reach."""
+
+    states = ("x", "y")
+    inputs = ("u",)
+    outputs = ("y",)
+
+    a: Scalar = parameter(default=1.0, lower=0.1, upper=10.0, unit="1/s")
+    k: Scalar = parameter(default=1.0, lower=0.1, upper=10.0, unit="-")
+
+    def A(self) -> Rows:
+        return [[-self.a, 0], [0, -1]]
+
+    def B(self) -> Rows:
+        return [[self.k], [0]]
+
+
+def test_parameter_without_effect_is_named():
+    target = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=("u",), outputs=("y",))
+    with pytest.raises(ModelError, match="a has no effect on any weighted response"):
+        match(Deaf(), black_box(target))
+
+
+def test_structure_that_explains_nothing_is_refused():
+    against = StateSpace([[-1.0]], [[-1.0]], [[1.0]], [[0.0]], inputs=("u",), outputs=("x",))
+    with pytest.raises(ConvergenceError, match="explains nothing of the target; its worst pair"):
+        match(Lag(), black_box(against), bounds={"k": (0.0, 5.0)}, norm="quadratic")
+
+
+# Phase that rises with frequency, as only a pole right of the line can follow.
+LEAD = StateSpace([[-100.0, -2500.0], [1.0, 0.0]], [[1.0], [0.0]], [[-2500.0, -2500.0]], [[0.0]],
+                  inputs=("u",), outputs=("x",))  # fmt: skip
+
+
+@pytest.mark.parametrize("norm", ["quadratic", "hinf"])
+def test_poles_stay_left_of_the_line_by_constraint(norm):
+    bounds = {"a": (-20.0, 20.0)}
+    given = {"norm": norm, "bounds": bounds, "shift": 0.0}
+    free = match(Lag(), black_box(LEAD, (0.3, 3.0)), stable_shift=False, **given)
+    kept = match(Lag(), black_box(LEAD, (0.3, 3.0)), **given)
+    assert free["a"].value < 0 < kept["a"].value
+    assert free.cost < kept.cost
+
+
+def test_notes_tell_what_holds_the_optimum():
+    fit = match(Lag(), black_box(SECOND))
+    band = fit.notes["band"][0]
+    at = np.argmax(np.array(band["sigma"])[:, 0])
+    assert band["omega"][at] == fit.notes["peak"]["omega"] == fit.certificate.peak_omega
+    assert (fit.notes["peak"]["output"], fit.notes["peak"]["input"]) == ("x", "u")
+    assert max(map(max, band["sigma"])) <= fit.certificate.upper_bound
+    assert fit.notes["sources"][0]["share"] == 1.0

@@ -1,0 +1,71 @@
+"""Black boxes that know the truth and small structures, for the tests of matching."""
+
+import numpy as np
+
+from casid import BlackBox, Model, Rows, Scalar, StateSpace, parameter
+
+
+def black_box(system: StateSpace, band: tuple[float, float] = (0.1, 10.0), **settings) -> BlackBox:
+    """A black box that is the system itself."""
+    given = {"input_std": np.ones(system.nu), "output_std": np.ones(system.ny)} | settings
+    return BlackBox(
+        system=system,
+        K=np.zeros((system.nx, system.ny)),
+        singular_values=np.ones(system.nx),
+        pole=np.nan,
+        past=1,
+        future=1,
+        transform="laguerre",
+        feedthrough=np.ones((system.ny, system.nu), dtype=bool),
+        band=band,
+        records=(),
+        **given,
+    )
+
+
+class HoverRoll(Model):
+    """Roll and sway in hover with a delayed stick."""
+
+    states = ("v", "p", "phi")
+    inputs = ("lat",)
+    outputs = ("p", "phi")
+
+    Yv: Scalar = parameter(default=-0.1, lower=-2.0, upper=0.0, unit="1/s")
+    Lv: Scalar = parameter(default=0.0, lower=-1.0, upper=1.0, unit="rad/(m s)")
+    Lp: Scalar = parameter(default=-1.0, lower=-20.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=1.0, lower=0.0, upper=100.0, unit="rad/s^2")
+    tau: Scalar = parameter(default=0.0, lower=0.0, upper=0.3, unit="s")
+
+    def A(self) -> Rows:
+        return [[self.Yv, 0, 9.81], [self.Lv, self.Lp, 0], [0, 1, 0]]
+
+    def B(self) -> Rows:
+        return [[0], [self.Llat], [0]]
+
+    def delays(self):
+        return {"lat": self.tau}
+
+
+class Lag(Model):
+    """k / (s + a): two parameters, to be searched by brute force."""
+
+    states = ("x",)
+    inputs = ("u",)
+    outputs = ("x",)
+
+    a: Scalar = parameter(default=1.0, lower=0.01, upper=20.0, unit="1/s")
+    k: Scalar = parameter(default=1.0, lower=-20.0, upper=20.0, unit="-")
+
+    def A(self) -> Rows:
+        return [[-self.a]]
+
+    def B(self) -> Rows:
+        return [[self.k]]
+
+
+# Unstable, as a helicopter in hover is: a pair at 0.09 ± 1.0j.
+TRUTH = HoverRoll(Yv=-0.2, Lv=-0.3, Lp=-2.5, Llat=12.0, tau=0.07)
+
+# More than a lag can follow.
+SECOND = StateSpace([[-1.0, 1.0], [0.0, -3.0]], [[0.5], [2.0]], [[1.0, 0.2]], [[0.0]],
+                    inputs=("u",), outputs=("x",))  # fmt: skip
