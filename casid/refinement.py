@@ -115,11 +115,12 @@ def refine(
     """
     free = np.argwhere(feedthrough)
     modal = to_modal(system, su, sy, feedthrough)
-    modal = replace(modal, lam=_damped(modal.lam, fastest))
+    ceiling = _ceiling(modal, data, fastest)
+    modal = replace(modal, lam=_capped(modal.lam, ceiling, fastest))
     weights: list[Array] = []
     for _ in range(ROUNDS):
         weights = noise_weights(modal, data)
-        modal = _gauss_newton(modal, data, weights, free, fastest)
+        modal = _gauss_newton(modal, data, weights, free, ceiling, fastest)
     H, _, _ = normal_equations(modal, data, weights, free)
     rows = 2 * sum(len(s.omega) for s in data) * len(sy)
     used = len(H) + len(data) * system.nx
@@ -281,6 +282,7 @@ def _gauss_newton(
     data: Sequence[Spectrum],
     weights: Sequence[Array],
     free: np.ndarray,
+    ceiling: Array,
     fastest: float,
 ) -> Modal:
     """Levenberg-Marquardt steps until the cost settles."""
@@ -294,7 +296,8 @@ def _gauss_newton(
             step = (
                 scipy.linalg.solve(scaled + damping * np.eye(len(H)), right, assume_a="pos") / scale
             )
-            trial = _moved(modal, step, free, fastest)
+            trial = _moved(modal, step, free)
+            trial = replace(trial, lam=_capped(trial.lam, ceiling, fastest))
             trial_cost = _cost(trial, data, weights)
             if trial_cost < cost:
                 modal, cost, damping = trial, trial_cost, max(damping / 5, 1e-9)
@@ -383,7 +386,7 @@ def _gram(rows: Array | ComplexArray) -> Array:
     return np.asarray(rows.real.T @ rows.real + rows.imag.T @ rows.imag)
 
 
-def _moved(modal: Modal, step: Array, free: np.ndarray, fastest: float) -> Modal:
+def _moved(modal: Modal, step: Array, free: np.ndarray) -> Modal:
     """The model a step further; a complex pair stays one, a real mode stays real."""
     ny, nu = modal.D.shape
     n = len(modal.lam) + int((~modal.real).sum())
@@ -395,14 +398,26 @@ def _moved(modal: Modal, step: Array, free: np.ndarray, fastest: float) -> Modal
     D[free[:, 0], free[:, 1]] += step[start + ny * n :]
     lam = modal.lam + dlam
     lam = np.where(modal.real, lam, lam.real + 1j * np.maximum(np.abs(lam.imag), 1e-6))
-    return Modal(_damped(lam, fastest), modal.B + dB, modal.C + np.array(dC), D)
+    return Modal(lam, modal.B + dB, modal.C + np.array(dC), D)
 
 
-def _damped(lam: ComplexArray, fastest: float) -> ComplexArray:
-    """Poles with those above ``fastest`` kept left of a damping ratio of LEAST_DAMPING."""
-    wild = (np.abs(lam) > fastest) & (lam.real > -LEAST_DAMPING * np.abs(lam))
-    left = -np.maximum(np.abs(lam.real), LEAST_DAMPING * np.abs(lam)) + 1j * lam.imag
-    return np.asarray(np.where(wild, left, lam))
+def _ceiling(modal: Modal, data: Sequence[Spectrum], fastest: float) -> Array:
+    """Largest real part each mode may take, (nm,).
+
+    With free end states a growing mode explains as much as a decaying one: it is the start, found
+    by causal prediction, that knows which is which. A mode that starts stable may at most grow by
+    exp(2) over the longest record, which the transient hides.
+    """
+    longest = max(2 * np.pi / spectrum.omega[0] for spectrum in data)
+    slow = np.where(modal.lam.real > 0, np.inf, 2 / longest)
+    size = np.abs(modal.lam)
+    return np.asarray(np.where(size > fastest, -LEAST_DAMPING * size, slow))
+
+
+def _capped(lam: ComplexArray, ceiling: Array, fastest: float) -> ComplexArray:
+    """Poles with their real parts below the ceilings, and none above ``fastest`` unstable."""
+    top = np.where(np.abs(lam) > fastest, -LEAST_DAMPING * np.abs(lam), ceiling)
+    return np.asarray(np.minimum(lam.real, top) + 1j * lam.imag)
 
 
 def _complex(modal: Modal, values: Array, columns: int) -> ComplexArray:

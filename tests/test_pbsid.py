@@ -7,7 +7,9 @@ from truth import STABILISING, closed_loop_record, stepped_input, unstable_plant
 
 from casid import DataWarning, Record, StateSpace, pbsid
 from casid.columns import excited_band, feedthrough_mask, gather
+from casid.fourier import spectra
 from casid.record import standard_deviations
+from casid.refinement import refine
 
 OMEGA = np.geomspace(0.3, 8.0, 25)
 
@@ -200,3 +202,14 @@ def test_an_unstable_pole_near_the_laguerre_pole_warns():
     assert len(records) == 2
     with pytest.warns(DataWarning, match="raise pole"):
         pbsid(loops, order=1, past=4, pole=2.0)
+
+
+def test_refinement_does_not_turn_a_decaying_mode_into_a_growing_one():
+    # With free end states a pole at +0.5 explains these data; the start says the mode decays.
+    plant = StateSpace([[0.5, 0.0], [0.0, -3.0]], [[1.0], [3.0]], [[1.0, 1.0]], [[0.0]])
+    rng = np.random.default_rng(2)
+    record = closed_loop_record(plant, rng, duration=20.0, noise=0.01, gain=np.array([[2.0]]))
+    su, sy = standard_deviations([record])
+    start = StateSpace([[-0.5, 0.0], [0.0, -3.0]], plant.B, plant.C, plant.D)
+    refined, _ = refine(start, spectra([record], su, sy, 15.0), su, sy, np.zeros((1, 1), bool))
+    assert refined.poles().real.max() <= 2 / record.duration + 1e-9
