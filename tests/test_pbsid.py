@@ -95,8 +95,8 @@ def test_units_of_channels_do_not_matter():
 
 
 def test_gain_stabilises_the_predictor():
-    for refine in (False, True):
-        box = pbsid(campaign(noise=0.05), order=5, past=8, pole=6.0, refine=refine)
+    for refined in (False, True):
+        box = pbsid(campaign(noise=0.05), order=5, past=8, pole=6.0, refine=refined)
         assert np.linalg.eigvals(box.system.A - box.K @ box.system.C).real.max() < 0
 
 
