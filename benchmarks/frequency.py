@@ -32,10 +32,10 @@ from uh60 import (
 )
 
 from casid import DataWarning, derivid, frequency_response
-from casid.derivid import select
 from casid.magphase import Sensitivity
 from casid.mismatch import DB, DEG, PHASE, residuals
 from casid.model import free_parameters
+from casid.pairs import select
 from models.six_dof import SixDof
 
 

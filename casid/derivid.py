@@ -7,29 +7,26 @@ Identification, 2nd ed. (*T&R*), chapters 12 and 13; the programmes are in `casi
 
 import logging
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
+from casid.accuracy import CRAMER_RAO, INSENSITIVITY, accuracy, accuracy_row, scatter
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.equations import equation_start
 from casid.errors import ConvergenceError, ModelError
 from casid.fit import Fit, parameter_table
 from casid.frequency import FrequencyResponse
 from casid.magphase import Programme, Sensitivity, Target, delay_parameters, programme
-from casid.mismatch import DB, DEG, GOOD, PHASE, pair_weights, residuals
+from casid.mismatch import DB, DEG, GOOD, PHASE, residuals
 from casid.model import Bounds, Free, Model, free_parameters
 from casid.nlp import Solution, SolverOptions, solve
+from casid.pairs import Pairs, select, thin
 
 LOG = logging.getLogger("casid")
 
-Pair: TypeAlias = tuple[str, str]
-Pairs: TypeAlias = Sequence[Pair] | Mapping[Pair, tuple[float, float] | None]
-
-CRAMER_RAO, INSENSITIVITY = 20.0, 10.0  # guidelines of T&R, % of the value
-FEWEST = 5  # points with coherence that make a pair worth fitting
 ROUGH = 1e-5  # tolerance of the relative fit
 SAME = 1e-2  # relative difference of the parameters of relative fits that are the same
 AGREES = 1e-4  # between J as IPOPT has it and J of the model found, relative to 1 + J
@@ -103,7 +100,7 @@ def derivid(
             "least 2 and a coherence in [0, 1)"
         )
     free = _nonnegative_delays(free_parameters(model, fixed, bounds))
-    measured = _thin(frf if band is None else frf.between(*band), n_omega)
+    measured = thin(frf if band is None else frf.between(*band), n_omega)
     target, used = select(model, measured, pairs, coherence)
     search = _Search(free, target, options)
     _check_influence(search)
@@ -117,79 +114,6 @@ def derivid(
             fit,
         )
     return fit
-
-
-def select(
-    model: Model, frf: FrequencyResponse, pairs: Pairs | None = None, coherence: float = 0.6
-) -> tuple[Target, BoolArray]:
-    """The response in the model's channels with the weights of the cost, and which points count.
-
-    Parameters
-    ----------
-    model, frf, pairs, coherence
-        As in `derivid`.
-
-    Returns
-    -------
-    Target, (K, ny, nu) bool array
-    """
-    shape = (len(frf.omega), len(model.outputs), len(model.inputs))
-    G, gamma = np.full(shape, np.nan, dtype=complex), np.zeros(shape)
-    for i, output in enumerate(model.outputs):
-        for j, name in enumerate(model.inputs):
-            if output in frf.outputs and name in frf.inputs:
-                at = frf.index(output, name)
-                G[:, i, j], gamma[:, i, j] = frf.G[:, *at], frf.coherence[:, *at]
-    known = np.isfinite(G) & (np.abs(G) > 0) & np.isfinite(gamma)
-    if pairs is None:
-        used = known & (gamma >= coherence)
-        used &= used.sum(axis=0) >= min(FEWEST, len(frf.omega))
-        if not used.any():
-            raise ValueError(
-                f"no pair has coherence >= {coherence:g} at {FEWEST} frequencies; lower the "
-                "threshold, name the pairs, or improve the response"
-            )
-    else:
-        used = known & _named(model, frf, pairs, known)
-    scale = [float(frf.input_std[frf.inputs.index(n)]) if n in frf.inputs else 1.0
-             for n in model.inputs]  # fmt: skip
-    target = Target(
-        omega=frf.omega, G=np.where(used, G, 1.0), weight=pair_weights(gamma, used),
-        input_scale=np.array(scale),
-    )  # fmt: skip
-    return target, used
-
-
-def _named(model: Model, frf: FrequencyResponse, pairs: Pairs, known: BoolArray) -> BoolArray:
-    """Where the caller's pairs are in their ranges."""
-    chosen = np.zeros(known.shape, dtype=bool)
-    ranges = pairs if isinstance(pairs, Mapping) else dict.fromkeys(map(tuple, pairs), None)
-    for (output, name), limits in ranges.items():
-        frf.index(output, name)
-        if output not in model.outputs or name not in model.inputs:
-            raise ValueError(
-                f"pair ({output!r}, {name!r}) is not in the model: outputs are "
-                f"{', '.join(model.outputs)}, inputs are {', '.join(model.inputs)}"
-            )
-        low, high = limits or (0.0, np.inf)
-        inside = (frf.omega >= low) & (frf.omega <= high)
-        i, j = model.outputs.index(output), model.inputs.index(name)
-        if not (inside & known[:, i, j]).any():
-            raise ValueError(
-                f"pair ({output!r}, {name!r}) was not measured between {low:g} and {high:g} "
-                "rad/s (no coherence there); leave it out or widen its range"
-            )
-        chosen[inside, i, j] = True
-    if not chosen.any():
-        raise ValueError("pairs is empty; name at least one (output, input), or leave it out")
-    return chosen
-
-
-def _thin(frf: FrequencyResponse, n_omega: int) -> FrequencyResponse:
-    """The points nearest to n_omega log-spaced ones."""
-    wanted = np.geomspace(frf.omega[0], frf.omega[-1], n_omega)
-    distance = np.abs(np.log(frf.omega[:, None] / wanted))
-    return frf.take(np.unique(np.argmin(distance, axis=0)))
 
 
 def _nonnegative_delays(free: Free) -> Free:
@@ -349,54 +273,15 @@ def _check_influence(search: _Search) -> None:
 # ---- accuracy and report -----------------------------------------------------------------------
 
 
-def accuracy(jacobian: Array, active: BoolArray) -> tuple[Array, Array, Array]:
-    """√(H⁻¹)ᵢᵢ, 1/√Hᵢᵢ and H⁻¹ of the cost Σ r², H = 2 JᵀJ, T&R chapter 12.
-
-    Parameters
-    ----------
-    jacobian : (residuals, nf) array
-        dr/dλ.
-    active : (nf,) bool array
-        Parameters on a bound: known, and without uncertainty (NaN).
-
-    Returns
-    -------
-    (nf,), (nf,), (nf, nf) array
-        Infinite where the data do not tell parameters apart.
-    """
-    H = 2 * jacobian.T @ jacobian
-    size = np.sqrt(np.diag(H))
-    with np.errstate(divide="ignore"):
-        insensitivity = np.where(size > 0, 1 / size, np.inf)
-    inside = np.flatnonzero(~active & (size > 0))
-    covariance = np.full(H.shape, np.nan)
-    if len(inside):
-        unit = H[np.ix_(inside, inside)] / np.outer(size[inside], size[inside])
-        eigenvalues, V = np.linalg.eigh(unit)
-        lost = eigenvalues <= len(inside) * np.finfo(float).eps * eigenvalues[-1]
-        inverse = (V[:, ~lost] / eigenvalues[~lost]) @ V[:, ~lost].T
-        blind = (np.abs(V[:, lost]) > 1e-6).any(axis=1)
-        inverse[np.ix_(blind, blind)] += np.diag(np.full(int(blind.sum()), np.inf))
-        covariance[np.ix_(inside, inside)] = inverse / np.outer(size[inside], size[inside])
-    return np.sqrt(np.diag(covariance)), insensitivity, covariance
-
-
 def _result(
     search: _Search, model: Model, frf: FrequencyResponse, used: BoolArray, seconds: float
 ) -> Fit:
-    free, target, best = search.free, search.target, search.best
-    G, slope = search.sensitivity(best.values, target.omega)
-    root = np.sqrt(target.weight)[..., None]
-    relative = slope / np.where(G == 0, 1, G)[..., None] * root  # d ln G, weighted
-    rows = [part[used] for part in (DB * relative.real, np.sqrt(PHASE) * DEG * relative.imag)]
-    jacobian = np.vstack(rows)
+    free, best = search.free, search.best
     table = parameter_table(free, best.values, best.multipliers, guess=model)
     active = np.array([table[i].active for i in free.index])
+    jacobian, noise = _residual_slopes(search, frf, used)
     std, insensitivity, covariance = accuracy(jacobian, active)
-    error = _random_errors(free.model, frf)
-    noise = np.concatenate([(factor * root[..., 0] * error)[used] for factor in
-                            (DB, np.sqrt(PHASE) * DEG)])  # fmt: skip
-    scatter = _scatter(jacobian, covariance, noise)
+    spread = scatter(jacobian, covariance, noise)
     parameters = parameter_table(
         free, best.values, best.multipliers, std_error=std, insensitivity=insensitivity, guess=model
     )
@@ -406,9 +291,9 @@ def _result(
         "pairs": pairs,
         "average": float(costs.mean()),
         "table": [
-            _row(name, value, s, i, c)
+            accuracy_row(name, value, s, i, c)
             for name, value, s, i, c in zip(
-                free.names, best.values, std, insensitivity, scatter, strict=True
+                free.names, best.values, std, insensitivity, spread, strict=True
             )
         ],
         "starts": search.rows,
@@ -424,18 +309,20 @@ def _result(
     )  # fmt: skip
 
 
-def _row(
-    name: str, value: float, std: float, insensitivity: float, scatter: float
-) -> dict[str, Any]:
-    """One row of the accuracy table; the Cramér-Rao figure is twice √(H⁻¹)ᵢᵢ, as T&R quote it."""
-    size = abs(value)
-    cr = 200 * std / size if size > 0 else np.inf
-    i = 100 * insensitivity / size if size > 0 else np.inf
-    misses = [word for word, bad in (("CR", cr > CRAMER_RAO), ("I", i > INSENSITIVITY)) if bad]
-    return {
-        "name": name, "value": float(value), "cramer_rao_percent": float(cr),
-        "insensitivity_percent": float(i), "scatter": float(scatter), "misses": misses,
-    }  # fmt: skip
+def _residual_slopes(
+    search: _Search, frf: FrequencyResponse, used: BoolArray
+) -> tuple[Array, Array]:
+    """dr/dλ of the cost Σ r² at the best parameters, and the residuals' own random errors."""
+    target = search.target
+    G, slope = search.sensitivity(search.best.values, target.omega)
+    root = np.sqrt(target.weight)
+    relative = slope / np.where(G == 0, 1, G)[..., None] * root[..., None]  # of ln G, weighted
+    error = root * _random_errors(search.free.model, frf)
+    units = (DB, np.sqrt(PHASE) * DEG)
+    rows = [
+        unit * part[used] for unit, part in zip(units, (relative.real, relative.imag), strict=True)
+    ]
+    return np.vstack(rows), np.concatenate([unit * error[used] for unit in units])
 
 
 def _pair_rows(search: _Search, used: BoolArray, frf: FrequencyResponse) -> list[dict[str, Any]]:
@@ -461,11 +348,3 @@ def _random_errors(model: Model, frf: FrequencyResponse) -> Array:
             if output in frf.outputs and name in frf.inputs:
                 error[:, i, j] = frf.random_error[:, *frf.index(output, name)]
     return error
-
-
-def _scatter(jacobian: Array, covariance: Array, noise: Array) -> Array:
-    """Standard deviations of λ that independent errors of the residuals cause, (nf,)."""
-    known = np.nan_to_num(covariance, nan=0.0, posinf=0.0)
-    gain = 2 * known @ jacobian.T  # dλ = H⁻¹ 2Jᵀ dr
-    scatter = np.sqrt(np.sum((gain * noise) ** 2, axis=1))
-    return np.asarray(np.where(np.isfinite(np.diag(covariance)), scatter, np.nan))

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.interpolate
 from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.errors import DataWarning
 from casid.files import read_json, write_json
 from casid.record import Record, same_channels, standard_deviations
+from casid.sampling import checked_grid, checked_windows, equidistant
 from casid.spectra import (
     MEANINGLESS,
     SUSPECT,
@@ -28,7 +28,6 @@ from casid.spectra import (
     record_spectra,
 )
 
-LONGEST_GAP = 5.0  # median sampling intervals over which a record may be interpolated
 FEW_PERIODS = 2.0  # periods a window must hold to be trusted, T&R (7.41)
 
 
@@ -203,9 +202,9 @@ def frequency_response(
         without missing samples.
     """
     inputs, outputs = same_channels(records)
-    omega = _checked_grid(omega, records)
-    records = [_equidistant(record, omega[-1]) for record in records]
-    lengths = _checked_windows(windows, records, omega)
+    omega = checked_grid(omega, records)
+    records = [equidistant(record, omega[-1]) for record in records]
+    lengths = checked_windows(windows, records, omega)
     active = [i for i, name in enumerate(inputs) if any(np.ptp(r.channel(name)) for r in records)]
     if not active:
         raise ValueError(f"no input moves in any record ({', '.join(inputs)}): nothing excites")
@@ -233,98 +232,6 @@ def _columns(values: Any, active: Sequence[int], nu: int) -> Any:  # noqa: ANN40
     full = np.full((*values.shape[:2], nu), np.nan, dtype=values.dtype)
     full[:, :, active] = values
     return full
-
-
-def default_windows(records: Sequence[Record], omega: Array, count: int = 5) -> tuple[float, ...]:
-    """Window lengths [s] by the rules of T&R section 10.3.
-
-    From 20 periods of the highest frequency to min(half the longest record, a fifth of all records
-    together, so that at least five windows are averaged), in equal ratios and over a factor of two
-    at least.
-    """
-    total = sum(record.duration for record in records)
-    longest = min(max(record.duration for record in records) / 2, total / 5)
-    shortest = min(20 * 2 * np.pi / omega[-1], longest / 2)
-    return tuple(float(length) for length in np.geomspace(shortest, longest, count))
-
-
-def _checked_grid(omega: Array, records: Sequence[Record]) -> Array:
-    omega = np.atleast_1d(np.asarray(omega, dtype=float))
-    if omega.ndim != 1 or not (omega > 0).all() or (np.diff(omega) <= 0).any():
-        raise ValueError("omega: expected increasing frequencies above 0 rad/s, (K,)")
-    slowest = max(records, key=lambda record: record.dt)
-    if omega[-1] >= np.pi / slowest.dt:
-        raise ValueError(
-            f"omega reaches {omega[-1]:g} rad/s, but record {slowest.name!r} is sampled every "
-            f"{slowest.dt:g} s: end the grid below Nyquist's {np.pi / slowest.dt:g} rad/s"
-        )
-    longest = max(record.duration for record in records)
-    apart = 1 + (omega[-1] - omega[0]) * longest / (2 * np.pi)
-    if len(omega) > apart:
-        warnings.warn(
-            f"{len(omega)} frequencies between {omega[0]:g} and {omega[-1]:g} rad/s are finer than "
-            f"a record of {longest:g} s allows (about {apart:.0f}): neighbours repeat each other",
-            DataWarning,
-            stacklevel=3,
-        )
-    return omega
-
-
-def _equidistant(record: Record, highest: float) -> Record:
-    """The record on equidistant instants, by a cubic spline where it is not so already."""
-    if record.equidistant:
-        return record
-    gap = float(np.diff(record.t).max())
-    if gap > LONGEST_GAP * record.dt or highest >= np.pi / gap:
-        at = float(record.t[np.argmax(np.diff(record.t))])
-        raise ValueError(
-            f"record {record.name!r} has a gap of {gap:g} s at t = {at:g} s (median interval "
-            f"{record.dt:g} s), too long to interpolate up to {highest:g} rad/s; split the record "
-            "there with between()"
-        )
-    t = record.t[0] + record.dt * np.arange(int(record.duration / record.dt + 1e-6) + 1)
-    if record.hold == "zoh":
-        u = record.u[np.searchsorted(record.t, t + 1e-9 * record.dt, side="right") - 1]
-    else:
-        u = scipy.interpolate.make_interp_spline(record.t, record.u, k=3)(t)
-    missing = np.isnan(record.y)
-    y = np.empty((len(t), record.ny))
-    for i in range(record.ny):
-        known = ~missing[:, i]
-        if known.sum() < 4:
-            y[:, i] = np.nan
-            continue
-        y[:, i] = scipy.interpolate.make_interp_spline(record.t[known], record.y[known, i], k=3)(t)
-        y[_near(t, record.t[missing[:, i]], record.dt), i] = np.nan
-    return replace(record, t=t, u=u, y=y)
-
-
-def _near(t: Array, missing: Array, dt: float) -> BoolArray:
-    """Where an instant lies within one interval of a missing sample."""
-    if not len(missing):
-        return np.zeros(len(t), dtype=bool)
-    after = np.clip(np.searchsorted(missing, t), 0, len(missing) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.asarray(
-        np.minimum(np.abs(missing[after] - t), np.abs(missing[before] - t)) < dt, dtype=bool
-    )
-
-
-def _checked_windows(
-    windows: Sequence[float] | None, records: Sequence[Record], omega: Array
-) -> list[float]:
-    lengths = sorted(default_windows(records, omega) if windows is None else map(float, windows))
-    longest = max(record.N * record.dt for record in records)
-    if not lengths or not all(0 < length <= longest * (1 + 1e-9) for length in lengths):
-        raise ValueError(
-            f"windows={windows}: expected lengths between 0 and {longest:g} s, the longest record"
-        )
-    if omega[-1] < 2 * np.pi / lengths[-1]:
-        raise ValueError(
-            f"the longest window, {lengths[-1]:g} s, does not hold one period of the highest "
-            f"frequency, {omega[-1]:g} rad/s; ask for higher frequencies or give longer records"
-        )
-    return lengths
 
 
 def _parts(
