@@ -1,0 +1,48 @@
+"""The report's section on the frequency-domain fit."""
+
+import re
+from types import SimpleNamespace
+
+import jinja2
+import numpy as np
+import pytest
+import uh60
+
+from casid import Fit, derivid, frequency_response
+from casid.report.html import number
+
+
+@pytest.fixture(scope="module")
+def fit():
+    frf = frequency_response(uh60.sweeps(seed=0), omega=np.geomspace(0.4, 12, 20))
+    return derivid(uh60.structure(), frf, starts=1)
+
+
+def render(fit):
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("casid.report"), autoescape=True,
+        undefined=jinja2.StrictUndefined,
+    )  # fmt: skip
+    environment.filters["number"] = number
+    return environment.get_template("baseline.html.j2").render(
+        content=SimpleNamespace(baseline=fit)
+    )
+
+
+def test_every_pair_and_parameter_stands_in_the_report(fit):
+    page = render(fit)
+    for row in fit.notes["table"]:
+        assert f"<td>{row['name']}</td>" in page
+    for row in fit.notes["pairs"]:
+        assert number(row["J"], 3) in page
+    missed = [row for row in fit.notes["table"] if row["misses"]]
+    assert missed
+    assert len(re.findall('class="left poor"', page)) == len(missed)
+
+
+def test_a_fit_read_back_makes_the_same_section(fit, tmp_path):
+    fit.save(tmp_path / "fit.json")
+    again = Fit.load(tmp_path / "fit.json", model=type(fit.model))
+    assert re.sub('data-value="[^"]*"', "", render(again)) == re.sub(
+        'data-value="[^"]*"', "", render(fit)
+    )
