@@ -1,4 +1,5 @@
 # make study   identify the helicopter of examples/uh60; results in out/uh60
+# make paper   the paper's comparison on two helicopters; results in out/paper
 # make test    the tests that take minutes at most
 # make slow    the long tests
 # make lint    formatting, rules, types and import layers
@@ -8,10 +9,13 @@ PYTHON ?= python3
 VENV ?= .venv
 STAMP := $(VENV)/.installed
 
-.PHONY: study test slow lint install clean
+.PHONY: study paper test slow lint install clean
 
 study: install
 	$(VENV)/bin/casid identify examples/uh60/study.toml
+
+paper: install
+	$(VENV)/bin/python examples/paper.py
 
 test: install
 	$(VENV)/bin/pytest -m "not campaign"
