@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matched import SECOND, TRUTH, HoverRoll, Lag, black_box
+
+from casid import StateSpace
+from casid.certificate import band_norm, peaks
+from casid.comparison import compare
+
+
+def random_system(rng, nx, ny, nu, delay):
+    A = rng.standard_normal((nx, nx))
+    A -= (np.linalg.eigvals(A).real.max() + rng.uniform(0.01, 1.0)) * np.eye(nx)
+    names = tuple(f"u{j}" for j in range(nu)), tuple(f"y{i}" for i in range(ny))
+    return StateSpace(
+        A, rng.standard_normal((nx, nu)), rng.standard_normal((ny, nx)),
+        rng.standard_normal((ny, nu)), None, *names, delay=delay * rng.uniform(0, 0.3, nu),
+    )  # fmt: skip
+
+
+class Channels:
+    """Enough of a model for a comparison: the names."""
+
+    def __init__(self, system):
+        self.inputs, self.outputs = system.inputs, system.outputs
+
+
+@given(
+    st.integers(0, 10_000), st.integers(1, 6), st.integers(1, 3), st.integers(1, 3), st.booleans()
+)
+def test_bounds_enclose_a_dense_search(seed, nx, ny, nu, relative):
+    rng = np.random.default_rng(seed)
+    system = random_system(rng, nx, ny, nu, delay=1.0)
+    box = random_system(rng, nx + 1, ny, nu, delay=0.0)
+    comparison = compare(
+        Channels(system), [black_box(box)], weight="relative" if relative else None,
+        omega=np.geomspace(0.1, 10.0, 7),
+    )  # fmt: skip
+    source = comparison.sources[0]
+    band = band_norm(system, source, tolerance=1e-3)
+    dense = source.at(np.geomspace(0.1, 10.0, 3000))
+    found = np.linalg.norm(dense.error(system), 2, axis=(1, 2)).max()
+    assert found <= band.upper * (1 + 1e-12)
+    assert band.lower <= band.upper <= band.lower * (1 + 1e-3) * (1 + 1e-12)
+
+
+def test_a_resonance_between_the_points_is_found():
+    # Damping ratio 1e-4: a peak of width 1e-3 rad/s between points 0.5 rad/s apart.
+    box = StateSpace([[0.0, 1.0], [-9.0, -6e-4]], [[0.0], [1.0]], [[9.0, 0.0]], [[0.0]],
+                     inputs=("u",), outputs=("x",))  # fmt: skip
+    comparison = compare(Lag(), [black_box(box)], omega=np.arange(0.25, 9.5, 0.5), shift=0.0)
+    band = band_norm(Lag(a=1.0, k=0.0).system(), comparison.sources[0])
+    assert band.lower == pytest.approx(1 / (2 * 1e-4), rel=1e-3)
+    assert band.peak_omega == pytest.approx(3.0, abs=1e-3)
+    added = peaks(band, 0.5 * band.lower, 0.01)
+    assert len(added) == 1
+    assert added[0] == pytest.approx(3.0, abs=1e-3)
+
+
+def test_an_exact_match_has_no_gap_to_close():
+    comparison = compare(HoverRoll(), [black_box(TRUTH.system())])
+    band = band_norm(TRUTH.system(), comparison.sources[0], negligible=1e-6)
+    assert band.upper < 1e-6
+    assert len(band.omega) < 2000
+
+
+def test_measured_points_are_their_own_band():
+    comparison = compare(Lag(), [black_box(SECOND)], omega=np.array([1.0]))
+    band = band_norm(Lag().system(), comparison.sources[0])
+    assert band.lower == band.upper
