@@ -140,8 +140,9 @@ def quasi_steady() -> StateSpace:
     """Eight-state linearisation of the AH-1S, valid below about 3 rad/s; velocities as outputs."""
     content = json.loads((HERE / "ah1s" / "ah1s_jsbsim_080kt.json").read_text())
     A, B = np.array(content["A"]), np.array(content["B"])[:, [0, 2, 1, 3]]  # stored col, lon, lat
-    rows = [content["states"].index(f"{name} {unit}") for name, unit in
-            zip(SixDof.states, ("m/s",) * 3 + ("rad/s",) * 3 + ("rad",) * 2, strict=True)]  # fmt: skip
+    units = dict.fromkeys(SPEEDS, "m/s") | dict.fromkeys(RATES, "rad/s")
+    stored = [f"{name} {units.get(name, 'rad')}" for name in SixDof.states]
+    rows = [content["states"].index(name) for name in stored]
     A, B = A[np.ix_(rows, rows)], B[rows]
     C = np.eye(8)[[3, 4, 5, 6, 7]]
     outputs = (*RATES, *ANGLES)
