@@ -113,14 +113,18 @@ class Fit:
         known = ", ".join(row.name for row in self.parameters)
         raise KeyError(f"no parameter {name!r}; the model has {known}")
 
-    def save(self, path: str | Path) -> None:
-        """Write the fit as JSON, whole or not at all."""
+    def content(self) -> dict[str, Any]:
+        """All of it as plain values and arrays, without the structure's class."""
         model = {f.name: getattr(self.model, f.name) for f in fields(self.model)}
         content = {f.name: getattr(self, f.name) for f in fields(self)}
         content["model"] = {"class": type(self.model).__name__, "values": model}
         content["parameters"] = [asdict(row) for row in self.parameters]
         content["certificate"] = None if self.certificate is None else asdict(self.certificate)
-        write_json(path, {"casid": "fit", "version": 1} | content)
+        return content
+
+    def save(self, path: str | Path) -> None:
+        """Write the fit as JSON, whole or not at all."""
+        write_json(path, {"casid": "fit", "version": 1} | self.content())
 
     @classmethod
     def load(cls, path: str | Path, *, model: type[Model]) -> "Fit":
@@ -134,21 +138,28 @@ class Fit:
         content = read_json(path)
         if content.pop("casid", None) != "fit":
             raise ValueError(f"{path}: not a fit saved by casid")
+        return cls.from_content(content, model=model, place=path)
+
+    @classmethod
+    def from_content(
+        cls, content: Mapping[str, Any], *, model: type[Model], place: str | Path = "content"
+    ) -> "Fit":
+        """The fit whose `content` this is, or the JSON of it; ``place`` is named in messages."""
         names = [f.name for f in fields(cls)]
         if missing := [name for name in names if name not in content]:
-            raise ValueError(f"{path}: the saved fit has no {missing[0]!r}; was the file edited?")
+            raise ValueError(f"{place}: the saved fit has no {missing[0]!r}; was the file edited?")
         content = {name: content[name] for name in names}
         stored = content["model"]
         expected = {f.name for f in fields(model)}
         if stored["class"] != model.__name__ or set(stored["values"]) != expected:
             raise ModelError(
-                f"{path} holds a fit of {stored['class']} with {', '.join(stored['values'])}; "
+                f"{place} holds a fit of {stored['class']} with {', '.join(stored['values'])}; "
                 f"it cannot be read as {model.__name__}"
             )
         content["model"] = model(**stored["values"])
         content["parameters"] = tuple(_row(row) for row in content["parameters"])
         if content["certificate"] is not None:
-            certificate = content["certificate"]
+            certificate = dict(content["certificate"])
             certificate["band"] = tuple(certificate["band"])
             numbers: dict[str, Any] = {
                 k: v if k == "band" else number(v) for k, v in certificate.items()
