@@ -147,8 +147,8 @@ class FrequencyResponse:
         for name in ("inputs", "outputs", "windows", "records"):
             content[name] = tuple(content[name])
         content["flags"] = {why: tuple(at) for why, at in content["flags"].items()}
-        arrays = {k: np.array(v, dtype=float) for k, v in content.items() if isinstance(v, list)}
-        return cls(G=G, **(content | arrays))
+        content |= {k: np.array(v, dtype=float) for k, v in content.items() if isinstance(v, list)}
+        return cls(G=G, **content)
 
     def to_control(self) -> Any:  # noqa: ANN401 - python-control has no types
         """The response as a `control.FrequencyResponseData`, without its quality."""

@@ -152,7 +152,7 @@ def _pair(frf: FrequencyResponse, pair: tuple[str, str] | None) -> tuple[str, st
             f"the response has outputs {', '.join(frf.outputs)} and inputs "
             f"{', '.join(frf.inputs)}: name one pair=(output, input)"
         )
-    return frf.outputs[0], frf.inputs[0]
+    return next(iter(frf.outputs)), next(iter(frf.inputs))
 
 
 class _Problem:

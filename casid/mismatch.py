@@ -42,7 +42,8 @@ def residuals(G: ComplexArray, measured: ComplexArray, weight: Array) -> Array:
         W_γ 20/n_ω; zero leaves a point out.
     """
     used = weight > 0
-    difference = np.where(used, log_ratio(np.where(used, G, 1), np.where(used, measured, 1)), 0)
+    ratio = np.where(used, G, 1) / np.where(used, measured, 1)
+    difference = log_ratio(ratio.astype(complex), np.ones_like(ratio))
     root = np.sqrt(weight)
     return np.stack([
         root * DB * difference.real, root * np.sqrt(PHASE) * DEG * difference.imag

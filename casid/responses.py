@@ -123,7 +123,7 @@ def merge_responses(responses: Sequence[FrequencyResponse]) -> FrequencyResponse
 
 def _complex(first: Array, second: Array, form: Form) -> ComplexArray:
     if form == "re im":
-        return np.asarray(first + 1j * second)
+        return np.asarray(first + 1j * second, dtype=complex)
     gain, phase = form.split()
     modulus = 10 ** (first / 20) if gain == "dB" else first
     angle = np.radians(second) if phase == "deg" else second
