@@ -43,7 +43,7 @@ def residuals(G: ComplexArray, measured: ComplexArray, weight: Array) -> Array:
     """
     used = weight > 0
     ratio = np.where(used, G, 1) / np.where(used, measured, 1)
-    difference = log_ratio(ratio.astype(complex), np.ones_like(ratio))
+    difference = log_ratio(ratio.astype(complex), np.ones(ratio.shape, dtype=complex))
     root = np.sqrt(weight)
     return np.stack([
         root * DB * difference.real, root * np.sqrt(PHASE) * DEG * difference.imag

@@ -123,11 +123,11 @@ def merge_responses(responses: Sequence[FrequencyResponse]) -> FrequencyResponse
 
 def _complex(first: Array, second: Array, form: Form) -> ComplexArray:
     if form == "re im":
-        return np.asarray(first + 1j * second, dtype=complex)
+        return np.asarray(first.astype(complex) + 1j * second)
     gain, phase = form.split()
     modulus = 10 ** (first / 20) if gain == "dB" else first
     angle = np.radians(second) if phase == "deg" else second
-    return np.asarray(modulus * np.exp(1j * angle))
+    return np.asarray(modulus * np.exp(1j * angle), dtype=complex)
 
 
 def _coherence(values: Array, where: str) -> Array:
