@@ -8,13 +8,16 @@ chapter 12: Cramér-Rao figures 2 √(H⁻¹)ᵢᵢ up to 20 % of the value and 
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 
 from casid.arrays import Array, BoolArray
 
 CRAMER_RAO, INSENSITIVITY = 20.0, 10.0  # guidelines, % of the value
 
 
-def accuracy(jacobian: Array, active: BoolArray) -> tuple[Array, Array, Array]:
+def accuracy(
+    jacobian: Array, active: BoolArray, ties: Array | None = None
+) -> tuple[Array, Array, Array]:
     """√(H⁻¹)ᵢᵢ, 1/√Hᵢᵢ and H⁻¹ of the cost Σ r², H = 2 JᵀJ, T&R chapter 12.
 
     Parameters
@@ -23,6 +26,8 @@ def accuracy(jacobian: Array, active: BoolArray) -> tuple[Array, Array, Array]:
         dr/dλ.
     active : (nf,) bool array
         Parameters on a bound: known, and without uncertainty (NaN).
+    ties : (m, nf) array
+        Gradients of relations that hold between the parameters.
 
     Returns
     -------
@@ -37,8 +42,12 @@ def accuracy(jacobian: Array, active: BoolArray) -> tuple[Array, Array, Array]:
     covariance = np.full(H.shape, np.nan)
     if len(inside):
         unit = H[np.ix_(inside, inside)] / np.outer(size[inside], size[inside])
-        eigenvalues, V = np.linalg.eigh(unit)
+        Z = np.eye(len(inside))
+        if ties is not None and len(ties):
+            Z = scipy.linalg.null_space(ties[:, inside] / size[inside])
+        eigenvalues, V = np.linalg.eigh(Z.T @ unit @ Z)
         lost = eigenvalues <= len(inside) * np.finfo(float).eps * eigenvalues[-1]
+        V = Z @ V
         inverse = (V[:, ~lost] / eigenvalues[~lost]) @ V[:, ~lost].T
         blind = (np.abs(V[:, lost]) > 1e-6).any(axis=1)
         inverse[np.ix_(blind, blind)] += np.diag(np.full(int(blind.sum()), np.inf))

@@ -17,9 +17,16 @@ from casid.accuracy import CRAMER_RAO, INSENSITIVITY, accuracy, accuracy_row, sc
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.equations import equation_start
 from casid.errors import ConvergenceError, ModelError
-from casid.fit import Fit, parameter_table
+from casid.fit import Fit, constraint_table, holding, parameter_table
 from casid.frequency import FrequencyResponse
-from casid.magphase import Programme, Sensitivity, Target, delay_parameters, programme
+from casid.magphase import (
+    Programme,
+    Sensitivity,
+    Target,
+    delay_parameters,
+    programme,
+    tie_multipliers,
+)
 from casid.mismatch import DB, DEG, GOOD, PHASE, residuals
 from casid.model import Bounds, Free, Model, free_parameters
 from casid.nlp import Solution, SolverOptions, solve
@@ -157,6 +164,7 @@ class _State:
 
     values: Array
     multipliers: Array
+    prices: Array
     cost: float
     success: bool
     status: str
@@ -170,7 +178,7 @@ class _Search:
         self.sensitivity = Sensitivity(free)
         self.best = _State(
             values=free.guess, multipliers=np.zeros(len(free.index)), cost=np.inf, success=False,
-            status="not started",
+            status="not started", prices=np.zeros(len(free.model.constraints())),
         )  # fmt: skip
         self.rows: list[dict[str, Any]] = []
         self.iterations = 0
@@ -248,7 +256,7 @@ class _Search:
         multipliers = -solution.multipliers_x[: len(values)] / scale
         return _State(
             values=values, multipliers=multipliers, cost=cost if np.isfinite(cost) else np.inf,
-            success=success, status=status,
+            success=success, status=status, prices=-tie_multipliers(self.free, solution),
         )  # fmt: skip
 
 
@@ -277,10 +285,12 @@ def _result(
     search: _Search, model: Model, frf: FrequencyResponse, used: BoolArray, seconds: float
 ) -> Fit:
     free, best = search.free, search.best
+    solved = free.model.with_vector(free.full(best.values))
     table = parameter_table(free, best.values, best.multipliers, guess=model)
     active = np.array([table[i].active for i in free.index])
     jacobian, noise = _residual_slopes(search, frf, used)
-    std, insensitivity, covariance = accuracy(jacobian, active)
+    held = holding(free, best.values, np.zeros_like(active))
+    std, insensitivity, covariance = accuracy(jacobian, active, held)
     spread = scatter(jacobian, covariance, noise)
     parameters = parameter_table(
         free, best.values, best.multipliers, std_error=std, insensitivity=insensitivity, guess=model
@@ -297,12 +307,13 @@ def _result(
             )
         ],
         "starts": search.rows,
+        "constraints": constraint_table(solved, best.prices),
         "guidelines": {
             "J": GOOD, "cramer_rao_percent": CRAMER_RAO, "insensitivity_percent": INSENSITIVITY
         },
     }  # fmt: skip
     return Fit(
-        model=free.model.with_vector(free.full(best.values)), parameters=parameters,
+        model=solved, parameters=parameters,
         cost=best.cost, status=best.status, success=best.success, iterations=search.iterations,
         seconds=seconds, method="derivid", covariance=covariance, free_names=free.names,
         notes=notes,

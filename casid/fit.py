@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.errors import ModelError
 from casid.files import number, read_json, write_json
 from casid.model import Free, Model
@@ -22,7 +22,8 @@ class ParameterEstimate:
     ``multiplier`` is the price of the bound: the derivative of the estimator's optimal cost with
     respect to the position of the bound, per unit of the parameter. It is >= 0 on a lower bound,
     <= 0 on an upper one and 0 for a parameter inside its bounds. ``std_error`` is one standard
-    deviation, NaN where the estimator has no noise model; ``insensitivity`` is 1/sqrt(F_ii).
+    deviation, others on their bounds held there; NaN on a bound, and where the estimator has no
+    noise model. ``insensitivity`` is 1/sqrt(F_ii).
     """
 
     name: str
@@ -216,13 +217,50 @@ def parameter_table(
                 upper=float(free.upper[i]),
                 active=active,
                 multiplier=pick(multipliers, i, 0.0) if active else 0.0,
-                std_error=pick(std_error, i, 0.0),
+                std_error=np.nan if active else pick(std_error, i, 0.0),
                 insensitivity=pick(insensitivity, i, np.nan),
                 unit=info.unit,
                 fixed=i not in position,
             )
         )
     return tuple(rows)
+
+
+def constraint_table(model: Model, prices: Array) -> list[dict[str, Any]]:
+    """What became of the model's constraints, for ``Fit.notes["constraints"]``.
+
+    Parameters
+    ----------
+    model : Model
+        At the estimates.
+    prices : (m,) array
+        Derivative of the optimal cost by the position of each constraint, per unit of its value.
+    """
+    values = model.matrices()(model.vector())[5].full().ravel()
+    rows = []
+    for item, value, price in zip(model.constraints(), values, prices, strict=True):
+        gap = min(value - item.lower, item.upper - value)
+        active = bool(item.lower == item.upper or gap <= ACTIVE)
+        rows.append({
+            "name": item.name, "value": float(value), "lower": float(item.lower),
+            "upper": float(item.upper), "active": active,
+            "multiplier": float(price) if active else 0.0,
+        })  # fmt: skip
+    return rows
+
+
+def holding(free: Free, values: Array, active: BoolArray) -> Array:
+    """Gradients by the free parameters of all that holds them at these values, (m, nf).
+
+    First the bounds of those ``active`` (nf,), then ties and inequalities with no room left.
+    """
+    bounds = np.eye(len(free.index))[active]
+    if not free.model.constraints():
+        return bounds
+    model = free.model.with_vector(free.full(values))
+    rows = constraint_table(model, np.zeros(len(model.constraints())))
+    held = np.array([row["active"] for row in rows])
+    return np.vstack([bounds, free.constraint_slopes(values)[held]])
 
 
 def _row(stored: Mapping[str, Any]) -> ParameterEstimate:

@@ -49,6 +49,8 @@ class Lifted:
         K, nx, nu.
     local : int
         Number of variables a point.
+    ties : slice
+        Where the structure's own constraints are among the programme's.
     """
 
     problem: Problem
@@ -60,6 +62,7 @@ class Lifted:
     states: int
     inputs: int
     local: int
+    ties: slice
 
     def parameters(self, x: Array) -> Array:
         """Free parameters (nf,) in physical units, on or inside their bounds."""
@@ -115,6 +118,7 @@ def lift(
     z, lower_z = _local_start(norm, X / state_scale[:, None], E / unit)
     parts.append((z.ravel(), lower_z.ravel(), np.full(z.size, np.inf)))
     blocks = [_points_block(free, comparison, norm, state_scale, unit)]
+    ties = blocks[0].g.numel() * blocks[0].count
     if free.model.constraints():
         blocks.append(_constraint_block(free))
     if stable:
@@ -126,7 +130,7 @@ def lift(
     return Lifted(
         problem=assemble(blocks, x0, lower, upper), free=free, norm=norm, unit=unit,
         state_scale=state_scale, points=len(z), states=system.nx, inputs=system.nu,
-        local=z.shape[1],
+        local=z.shape[1], ties=slice(ties, ties + len(free.model.constraints())),
     )  # fmt: skip
 
 

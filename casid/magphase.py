@@ -19,7 +19,7 @@ from casid.arrays import Array, ComplexArray
 from casid.blocks import Block, assemble
 from casid.mismatch import DB, DEG, PHASE
 from casid.model import Free
-from casid.nlp import Problem
+from casid.nlp import Problem, Solution
 
 TINY = 1e-12  # of |z|², keeps its logarithm finite where a model's response vanishes
 
@@ -170,6 +170,12 @@ def _ties(free: Free) -> Block | None:
         lower=np.array([*(item.lower for item in items), *(0.0 for _ in composed)]),
         upper=np.array([*(item.upper for item in items), *(np.inf for _ in composed)]),
     )  # fmt: skip
+
+
+def tie_multipliers(free: Free, solution: Solution) -> Array:
+    """IPOPT's multipliers of the structure's own constraints, (m,)."""
+    first = len(solution.multipliers_g) - len(delay_parameters(free)[1])
+    return solution.multipliers_g[first - len(free.model.constraints()) : first]
 
 
 class Sensitivity:

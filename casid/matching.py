@@ -18,7 +18,7 @@ from casid.arrays import Array
 from casid.comparison import Comparison, Target, Weight, compare
 from casid.descent import Condensed, descend
 from casid.errors import ConvergenceError, ModelError
-from casid.fit import Fit, parameter_table
+from casid.fit import Fit, constraint_table, parameter_table
 from casid.frequency import FrequencyResponse
 from casid.initial import starts
 from casid.lifted import Lifted, lift
@@ -121,10 +121,11 @@ def match(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _State:
-    """Where a match stands: values (nf,), their multipliers, and how they were found."""
+    """Where a match stands: values (nf,), prices of bounds and constraints, how it got there."""
 
     values: Array
     multipliers: Array
+    prices: Array
     cost: float
     success: bool
     status: str
@@ -187,6 +188,7 @@ class _Matcher:
             cost=appraisal.grid_norm,
             appraisal=appraisal,
             multipliers=np.zeros_like(state.multipliers),
+            prices=np.zeros_like(state.prices),
         )
 
     def _solve(self, norm: str, start: str, values: Array, comparison: Comparison) -> _State:
@@ -207,6 +209,7 @@ class _Matcher:
         return _State(
             values=found,
             multipliers=-solution.multipliers_x[: len(scale)] / scale * unit,
+            prices=-solution.multipliers_g[lifted.ties] * unit,
             cost=cost,
             success=solution.success and doubt is None,
             status=solution.status if doubt is None or not solution.success else doubt,
@@ -240,8 +243,9 @@ class _Matcher:
 
     def fit(self, state: _State, norm: str, guess: Model, seconds: float) -> Fit:
         """The result, its certificate and its tables."""
+        model = self.free.model.with_vector(self.free.full(state.values))
         return Fit(
-            model=self.free.model.with_vector(self.free.full(state.values)),
+            model=model,
             parameters=parameter_table(self.free, state.values, state.multipliers, guess=guess),
             cost=state.cost,
             status=state.status,
@@ -251,7 +255,8 @@ class _Matcher:
             method=f"match {norm}",
             certificate=state.appraisal.certificate(),
             free_names=self.free.names,
-            notes={"start": state.start} | state.appraisal.notes(),
+            notes={"start": state.start, "constraints": constraint_table(model, state.prices)}
+            | state.appraisal.notes(),
         )
 
 

@@ -238,6 +238,13 @@ class Free:
         """Guess of the free parameters, (nf,), moved onto its bounds where it violates them."""
         return np.asarray(np.clip(self.model.vector(), self.lower, self.upper)[self.index])
 
+    def constraint_slopes(self, values: Array) -> Array:
+        """Derivatives of the model's constraints by the free parameters at free values, (m, nf)."""
+        lam = ca.SX.sym("lam", len(self.index))
+        c = self.model.matrices()(self.full(lam))[5]
+        slopes = ca.Function("slopes", [lam], [ca.jacobian(c, lam)])
+        return np.asarray(slopes(values).full())
+
     def full(self, free: Any) -> Any:  # noqa: ANN401 - MX, SX or array in, the same out
         """λ (n_λ,) from the free values (nf,), numbers or symbols."""
         fixed = self.model.vector()

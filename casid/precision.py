@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse
 
 from casid.arrays import Array
+from casid.fit import ACTIVE, holding
 from casid.programme import Programme
 from casid.sensitivity import whiteners
 from casid.uncertainty import (
@@ -62,7 +63,7 @@ def precision(programme: Programme, x: Array) -> Precision:
     """Precision of the free parameters at scaled variables x."""
     names = unknown_names(programme)
     F, follow = information(programme, x)
-    ties = equalities(programme, x)
+    ties = held(programme, x)
     scaled = bound(F, ties)
     lost = tuple(name for name, v in zip(names, np.diag(scaled), strict=True) if np.isinf(v))
     coloured = np.full_like(scaled, np.nan) if lost else _coloured(programme, x, scaled, follow)
@@ -87,10 +88,18 @@ def unknown_names(programme: Programme) -> tuple[str, ...]:
     return (*free.names, *gains)[: e.nf]
 
 
-def equalities(programme: Programme, x: Array) -> Array:
-    """Gradients of the model's ties by the scaled unknowns, (m, nf)."""
-    tied = [c.lower == c.upper for c in programme.free.model.constraints()]
-    return np.asarray(programme.blocks(x).c_lam[np.array(tied, dtype=bool)])
+def held(programme: Programme, x: Array) -> Array:
+    """Gradients by the scaled unknowns of what holds them, (m, nf).
+
+    Parameters on a bound do not move, nor do ties and inequalities with no room left.
+    """
+    free = programme.free
+    n = len(free.index)
+    values, span = programme.unpack(x).lam[:n], free.scale[free.index]
+    lower, upper = free.lower[free.index], free.upper[free.index]
+    active = np.minimum(values - lower, upper - values) <= ACTIVE * span
+    rows = holding(free, values, active) * programme.scales.lam[:n]
+    return np.hstack([rows, np.zeros((len(rows), programme.evaluator.nf - n))])
 
 
 def information(programme: Programme, x: Array) -> tuple[Array, Array]:
