@@ -1,5 +1,6 @@
 """Run a study: every stage in turn, each result kept as soon as it is there, then the report."""
 
+import os
 import platform
 import time
 import warnings
@@ -30,7 +31,7 @@ from casid.report import (
     Timing,
     write_report,
 )
-from casid.store import Entry, Result, Store, digest, record_digest
+from casid.store import Entry, Result, Store, digest, record_digest, source_digest
 from casid.study import Role, Study, read_records
 from casid.validation import AnyModel, Validation, validate
 
@@ -178,6 +179,7 @@ class _Stages:
         self.warnings: list[str] = []
         self._store = Store(study.output / "stages", type(study.model))
         self._keys: dict[str, str] = {}
+        self._source = source_digest()
 
     def __call__(self, name: str, compute: Callable[[], T]) -> T:
         """Return the kept result of a stage, or compute and keep it."""
@@ -228,7 +230,7 @@ class _Stages:
         before, role, table = NEEDS[name]
         if role == "refinement" and role not in self._records:
             role = "identification"
-        parts: list[Any] = [version("casid"), [self._keys.get(stage, "") for stage in before]]
+        parts: list[Any] = [self._source, [self._keys.get(stage, "") for stage in before]]
         parts += [study.options.get(table, {}), study.solver.get(table, {})]
         if role is not None:
             parts.append(record_digest(self._records[role]))
@@ -286,7 +288,7 @@ def _content(
         hinf=found.hinf,
         output_error=found.output_error,
         validation=validation,
-        model_file=study.model_file,
+        model_file=Path(os.path.relpath(study.model_file, study.path.parent)),
         model_digest=sha256(study.model_file.read_bytes()).hexdigest(),
         baseline=baseline,
         frequency_response=found.frequency_response,
@@ -303,7 +305,7 @@ def _data(study: Study, records: Mapping[Role, Sequence[Record]]) -> tuple[DataF
         DataFile(
             role=role,
             name=record.name,
-            path=str(file.resolve()),
+            path=os.path.relpath(file, study.path.parent),
             sha256=sha256(file.read_bytes()).hexdigest(),
             samples=record.N,
             seconds=record.duration,
@@ -315,7 +317,7 @@ def _data(study: Study, records: Mapping[Role, Sequence[Record]]) -> tuple[DataF
 
 
 def _settings(study: Study) -> dict[str, str]:
-    said: dict[str, str] = {"study file": str(study.path.resolve())}
+    said: dict[str, str] = {"study file": study.path.name}
     if study.noise is not None:
         std = ", ".join(f"{name} {value:g}" for name, value in study.noise.std.items())
         said["noise"] = f"seed {study.noise.seed}; standard deviations {std}"
@@ -334,6 +336,8 @@ def _settings(study: Study) -> dict[str, str]:
 
 
 def _shown(value: object) -> str:
+    if isinstance(value, np.ndarray) and value.ndim == 1 and len(value) > 6:
+        return f"{len(value)} values, {value[0]:g} to {value[-1]:g}"
     if isinstance(value, np.ndarray):
         return np.array2string(value, precision=4, threshold=1000, separator=", ")
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)

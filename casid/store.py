@@ -22,6 +22,8 @@ from casid.model import Model
 from casid.pbsid import BlackBox
 from casid.record import Record
 
+SHOWING = ("__init__", "cli", "runner", "store")  # code that changes no result of a stage
+
 Result = Fit | BlackBox | FrequencyResponse
 
 
@@ -95,6 +97,16 @@ def digest(*parts: Any) -> str:  # noqa: ANN401 - anything the encoder knows
     sha = hashlib.sha256()
     for part in parts:
         sha.update(json.dumps(encode(part), sort_keys=True, default=repr).encode())
+    return sha.hexdigest()
+
+
+def source_digest() -> str:
+    """Digest of the code that computes results: a result of another version is not taken."""
+    folder = Path(__file__).parent
+    sha = hashlib.sha256()
+    for file in sorted(folder.glob("*.py")):
+        if file.stem not in SHOWING:
+            sha.update(file.name.encode() + file.read_bytes())
     return sha.hexdigest()
 
 

@@ -33,6 +33,7 @@ from casid.report.figures import (
 )
 
 LOOK: dict[Any, Any] = {
+    "font.family": ["DejaVu Sans"],  # comes with matplotlib
     "font.size": 8.0,
     "axes.titlesize": 9.0,
     "axes.grid": True,
@@ -48,7 +49,7 @@ LOOK: dict[Any, Any] = {
     "path.simplify_threshold": 0.5,
 }
 WIDTH = 7.4  # inches: the printable width of A4
-POINTS = 200  # of a model's response
+POINTS = 160  # of a model's response; matplotlib simplifies curves of 128 or more
 LAGS = 100  # samples of the autocorrelation
 SLOW = 2.0  # rad/s, the reach of the enlarged plane of eigenvalues
 LEFT, RIGHT, TOP, BOTTOM, GAP = 0.62, 0.1, 0.42, 0.42, 0.1  # inches around and between axes
@@ -56,12 +57,13 @@ LEFT, RIGHT, TOP, BOTTOM, GAP = 0.62, 0.1, 0.42, 0.42, 0.1  # inches around and 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Drawing:
-    """A figure with its place in the report: section, file name, caption."""
+    """A figure with its place in the report; ``interactive`` says that zooming into it helps."""
 
     section: str
     name: str
     caption: str
     figure: Figure
+    interactive: bool = True
 
 
 def draw(content: Content) -> Iterator[Drawing]:
@@ -285,7 +287,7 @@ def _singular_values(content: Content) -> Drawing:
     axes = figure.subplots(1, 1, squeeze=False)
     plot_singular_values(axes[0, 0], content.black_box)
     caption = "Singular values of the predicted future; dotted: the order taken"
-    return Drawing(section="black_box", name="singular_values", caption=caption,
+    return Drawing(section="black_box", name="singular_values", caption=caption, interactive=False,
                    figure=_tidy(figure, axes))  # fmt: skip
 
 

@@ -1,19 +1,25 @@
 """The report: one HTML page that needs nothing beside it."""
 
 import base64
-from collections.abc import Sequence
+import gzip
+import re
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import jinja2
 import numpy as np
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
 
 from casid.files import write_text
 from casid.fit import ParameterEstimate
 from casid.report.content import UNITS, Content
 from casid.report.drawings import Drawing, draw, save
+from casid.report.interactive import interactive
 from casid.report.modes import modes
 from casid.report.verdicts import cautions, verdicts
+
+LONG_DECIMALS = re.compile(r"(\d\d\.\d)\d+")  # a tenth of a point is enough for a picture
 
 SECTIONS = {
     "responses": "Frequency responses",
@@ -32,6 +38,7 @@ class Picture:
     name: str
     caption: str
     source: str
+    plot: Markup | None = None
 
 
 def write_report(content: Content, folder: str | Path) -> Path:
@@ -61,6 +68,7 @@ def render(content: Content, pictures: dict[str, list[Picture]]) -> str:
         pictures=pictures,
         verdicts=verdicts(content),
         cautions=cautions(content),
+        plotly=_compressed(get_plotlyjs()),
         modes={name: modes(fit.model.system()) for name, fit in content.fits.items()},
         units=UNITS,
         structure=type(model),
@@ -81,7 +89,7 @@ def number(value: float | None, digits: int = 4) -> str:
     text = f"{value:.{digits}g}"
     if "e" in text:
         mantissa, exponent = text.split("e")
-        text = f"{mantissa}·10^{int(exponent)}"
+        text = f"{mantissa}e{int(exponent)}"
     return text.replace("-", "−")
 
 
@@ -98,13 +106,18 @@ def price(row: ParameterEstimate) -> str:
     return number(row.multiplier, 3) if row.active else ""
 
 
+def _compressed(text: str) -> str:
+    """Text as gzip in base64: the plotting library shrinks to four tenths."""
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode("ascii")
+
+
 def _picture(drawing: Drawing, folder: Path) -> Picture:
     _, svg = save(drawing, folder)
-    data = base64.b64encode(svg.read_bytes()).decode("ascii")
+    text = LONG_DECIMALS.sub(r"\1", " ".join(svg.read_text(encoding="utf-8").split()))
+    data = base64.b64encode(text.encode()).decode("ascii")
     source = f"data:image/svg+xml;base64,{data}"
-    return Picture(name=drawing.name, caption=drawing.caption, source=source)
-
-
-def names(rows: Sequence[ParameterEstimate]) -> str:
-    """Names of parameters in a sentence."""
-    return ", ".join(row.name for row in rows)
+    plot = None
+    if drawing.interactive:
+        # A closing tag within the data must not end the element that holds them.
+        plot = Markup(interactive(drawing.figure).replace("<", "\\u003c"))
+    return Picture(name=drawing.name, caption=drawing.caption, source=source, plot=plot)

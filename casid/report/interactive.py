@@ -1,0 +1,244 @@
+"""The figures of a report as interactive plots: the same artists, handed on to plotly.
+
+One conversion for every figure, so that the static picture and the interactive plot cannot differ.
+Lines keep the style that goes with their label, axes their place, scale, limits and ticks.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgba
+from matplotlib.container import BarContainer
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator, MultipleLocator
+
+from casid.arrays import Array
+
+PIXELS = 104  # per inch of figure
+FONT = {"family": "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif", "size": 12}
+MARKS = {"o": "circle-open", "s": "square-open", "D": "diamond-open", "^": "triangle-up-open",
+         "v": "triangle-down-open"}  # fmt: skip
+PATTERNS = {"": "", "///": "/", "...": ".", "xxx": "x", "\\\\\\": "\\"}
+
+
+def interactive(figure: Figure) -> str:
+    """JSON of the plotly figure that shows what a matplotlib figure shows."""
+    plot = go.Figure()
+    named: set[str] = set()
+    shown = [ax for ax in figure.axes if ax.get_visible()]
+    leaders: dict[int, int] = {}
+    for k, ax in enumerate(shown, start=1):
+        x, y = _reference("x", k), _reference("y", k)
+        for trace in _traces(ax):
+            label = trace.name
+            trace.update(xaxis=x, yaxis=y, legendgroup=label,
+                         showlegend=bool(label) and label not in named)  # fmt: skip
+            named.add(label)
+            plot.add_trace(trace)
+        plot.update_layout({_key("x", k): _axis(ax, "x", y), _key("y", k): _axis(ax, "y", x)})
+        _share(plot, ax, shown, leaders, k)
+        _decorate(plot, ax, x, y)
+    plot.update_layout(
+        height=round(float(figure.get_size_inches()[1]) * PIXELS),
+        margin={"l": 0, "r": 0, "t": 0, "b": 0},
+        font=FONT,
+        plot_bgcolor="#ffffff",
+        hovermode="x",
+        barmode="overlay",
+        template="none",
+        legend={"orientation": "h", "x": 0.04, "xanchor": "left", "y": 1.0, "yanchor": "top"},
+    )
+    return str(plot.to_json())
+
+
+# ---- curves ------------------------------------------------------------------------------------
+
+
+def _traces(ax: Axes) -> Iterator[Any]:
+    for collection in ax.collections:
+        if isinstance(collection, PolyCollection):
+            yield _band(collection)
+    for container in ax.containers:
+        if isinstance(container, BarContainer):
+            yield _bars(ax, container)
+    for line in ax.lines:
+        if line.get_transform().contains_branch(ax.transData) and _size(line) > 2:
+            yield _curve(line)
+
+
+def _label(artist: Any) -> str:  # noqa: ANN401 - any artist has one
+    label = str(artist.get_label())
+    return "" if label.startswith("_") else label
+
+
+def _curve(line: Line2D) -> Any:  # noqa: ANN401 - plotly has no types
+    x, y = (np.asarray(values, dtype=float) for values in line.get_data())
+    steps = np.diff(x)
+    even = bool(np.all(np.abs(steps - steps[0]) < 1e-6 * np.abs(steps[0]))) and steps[0] > 0
+    along: dict[str, Any] = {"x0": x[0], "dx": steps.mean()} if even else {"x": _short(x)}
+    color = _color(line.get_color())
+    marker = str(line.get_marker())
+    look: dict[str, Any] = {"mode": "lines", "line": _line(line, color)}
+    if marker not in ("None", "", " "):
+        size = 1.5 * line.get_markersize()
+        symbol = MARKS.get(marker, "circle")
+        look = {"mode": "markers", "marker": {"symbol": symbol, "color": color, "size": size}}
+    return go.Scatter(y=_short(y), name=_label(line), hovertemplate="%{y:.4g}", **along, **look)
+
+
+def _size(line: Line2D) -> int:
+    return int(np.size(line.get_xdata()))
+
+
+def _line(line: Line2D, color: str) -> dict[str, Any]:
+    width = line.get_linewidth()
+    # The pattern as drawn: matplotlib keeps it in units of the line's width.
+    _, pattern = line._unscaled_dash_pattern  # type: ignore[attr-defined]
+    dash = ",".join(f"{1.4 * width * part:.1f}px" for part in pattern) if pattern else "solid"
+    return {"color": color, "width": 1.2 * width, "dash": dash}
+
+
+def _band(collection: PolyCollection) -> Any:  # noqa: ANN401
+    corners = np.vstack([*(path.vertices for path in collection.get_paths())])
+    return go.Scatter(
+        x=_short(corners[:, 0]),
+        y=_short(corners[:, 1]),
+        mode="lines",
+        line={"width": 0},
+        fill="toself",
+        fillcolor=_color(collection.get_facecolor()[0]),
+        name=_label(collection),
+        hoverinfo="skip",
+    )
+
+
+def _bars(ax: Axes, container: BarContainer) -> Any:  # noqa: ANN401
+    names = [text.get_text() for text in ax.get_xticklabels()]
+    bars = list(container.patches)
+    hatch = PATTERNS.get(bars[0].get_hatch() or "", "")
+    return go.Bar(
+        x=[bar.get_x() for bar in bars],
+        y=[bar.get_height() for bar in bars],
+        width=[bar.get_width() for bar in bars],
+        offset=0,
+        name=_label(container),
+        customdata=names,
+        hovertemplate="%{customdata}: %{y:.3f}",
+        marker={
+            "color": _color(bars[0].get_facecolor()),
+            "pattern": {"shape": hatch, "fgcolor": "#ffffff", "size": 6, "fillmode": "overlay"},
+        },
+    )
+
+
+# ---- axes --------------------------------------------------------------------------------------
+
+
+def _axis(ax: Axes, letter: str, anchor: str) -> dict[str, Any]:
+    box = ax.get_position()
+    axis, (low, high) = (ax.xaxis, ax.get_xlim()) if letter == "x" else (ax.yaxis, ax.get_ylim())
+    domain = [box.x0, box.x1] if letter == "x" else [box.y0, box.y1]
+    log = axis.get_scale() == "log"
+    limits = [np.log10(low), np.log10(high)] if log else [low, high]
+    look = {
+        "domain": [round(float(edge), 5) for edge in domain],
+        "anchor": anchor,
+        "type": "log" if log else "linear",
+        "range": [float(limit) for limit in limits],
+        "title": {"text": axis.get_label_text(), "standoff": 4, "font": {"size": 12}},
+        "showline": True,
+        "linecolor": "#444444",
+        "ticks": "outside",
+        "ticklen": 4,
+        "gridcolor": "#e4e4e4",
+        "zeroline": False,
+        "tickfont": {"size": 11},
+    }
+    return look | _ticks(axis, letter)
+
+
+def _ticks(axis: Axis, letter: str) -> dict[str, Any]:
+    locator = axis.get_major_locator()
+    look: dict[str, Any] = {"nticks": 6}
+    if isinstance(locator, FixedLocator):
+        labels = [text.get_text() for text in axis.get_ticklabels()]
+        places = [float(place) for place in locator.tick_values(0, 0)]
+        look = {"tickvals": places, "ticktext": labels}
+    elif isinstance(locator, MultipleLocator):
+        first, second = list(locator.tick_values(*axis.get_view_interval()))[:2]
+        look = {"tick0": 0, "dtick": float(second - first)}
+    params = axis.get_tick_params()
+    hidden = letter == "x" and not params.get("labelbottom", True)
+    return look | {"showticklabels": not hidden}
+
+
+def _share(
+    plot: Any,  # noqa: ANN401
+    ax: Axes,
+    shown: list[Axes],
+    leaders: dict[int, int],
+    k: int,
+) -> None:
+    """Zooming one of several axes that share x moves them all."""
+    group = ax.get_shared_x_axes().get_siblings(ax)
+    first = min(shown.index(other) for other in group if other in shown) + 1
+    if first != k:
+        plot.update_layout({_key("x", k): {"matches": _reference("x", first)}})
+    leaders[k] = first
+
+
+def _decorate(plot: Any, ax: Axes, x: str, y: str) -> None:  # noqa: ANN401
+    """Titles, and the lines and bands that mark a value across the axes."""
+    if title := ax.get_title(loc="left"):
+        plot.add_annotation(
+            text=f"<b>{_escape(title)}</b>", x=0, y=1, xref=f"{x} domain", yref=f"{y} domain",
+            xanchor="left", yanchor="bottom", showarrow=False, font={"size": 12},
+        )  # fmt: skip
+    for band in (patch for patch in ax.patches if patch not in _bar_patches(ax)):
+        (_, y0), (_, y1) = np.asarray(band.get_extents().transformed(ax.transData.inverted()))
+        plot.add_shape(
+            type="rect", x0=0, x1=1, y0=y0, y1=y1, xref=f"{x} domain", yref=y, layer="below",
+            fillcolor=_color(band.get_facecolor()), line={"width": 0},
+        )  # fmt: skip
+    for line in ax.lines:
+        if _size(line) == 2:
+            (x0, x1), (y0, y1) = (np.asarray(v, dtype=float).tolist() for v in line.get_data())
+            level = y0 == y1
+            plot.add_shape(
+                type="line", x0=x0, x1=x1, y0=y0, y1=y1,
+                xref=f"{x} domain" if level else x, yref=y if level else f"{y} domain",
+                line={"color": _color(line.get_color()), "width": 1,
+                      "dash": "dot" if line.get_linestyle() == ":" else "solid"},
+            )  # fmt: skip
+
+
+def _bar_patches(ax: Axes) -> list[Any]:
+    bars = [container for container in ax.containers if isinstance(container, BarContainer)]
+    return [patch for container in bars for patch in container.patches]
+
+
+def _key(letter: str, k: int) -> str:
+    return f"{letter}axis{'' if k == 1 else k}"
+
+
+def _reference(letter: str, k: int) -> str:
+    return f"{letter}{'' if k == 1 else k}"
+
+
+def _short(values: Array) -> Any:  # noqa: ANN401 - an array of four bytes a number
+    return np.asarray(values, dtype=np.float32)
+
+
+def _color(color: Any) -> str:  # noqa: ANN401 - any of matplotlib's
+    red, green, blue, alpha = to_rgba(color)
+    return f"rgba({255 * red:.0f},{255 * green:.0f},{255 * blue:.0f},{alpha:.2f})"
+
+
+def _escape(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
