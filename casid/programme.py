@@ -192,7 +192,7 @@ class Programme:
             G[nodes], ends[nodes], slopes[nodes] = batch.gram, batch.ends, batch.slopes
         G *= unit[:, None] * unit
         slopes *= unit[:-1] / s.state[:, None]
-        l, n, b = slice(0, nf), slice(nf, nf + nx), slice(nf + nx, -1)
+        l, n, b = slice(0, nf), slice(nf, nf + nx), slice(nf + nx, len(unit) - 1)
         firsts = np.searchsorted(self.record, np.arange(self.records))
         per_record = np.add.reduceat(G, firsts, axis=0)
         total = per_record.sum(axis=0)

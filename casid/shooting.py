@@ -20,10 +20,12 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import ConvergenceError
 from casid.fit import Fit, parameter_table
+from casid.innovation import starting_gain
 from casid.intervals import lay_out
 from casid.likelihood import CovarianceKind
 from casid.model import Bounds, Free, Model, free_parameters
 from casid.nlp import Solution, SolverOptions, solve
+from casid.pbsid import BlackBox
 from casid.precision import Precision, precision
 from casid.programme import Programme
 from casid.record import Record
@@ -58,6 +60,7 @@ def output_error(
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     biases: bool = True,
+    process_noise: bool | Array | BlackBox = False,
     options: SolverOptions | None = None,
 ) -> Fit:
     """Maximum-likelihood estimate of a model from time histories.
@@ -79,6 +82,11 @@ def output_error(
         ``{name: (lower, upper)}`` instead of the model file's.
     biases : bool
         Whether every record has a bias on each output.
+    process_noise : bool, (nx, ny) array or BlackBox
+        For flight in turbulence: True estimates the filter-error model, the innovations driving
+        the states through a free gain K; a black box gives the gain to start from, in the model's
+        states; an array holds it. K [1/s times state per output] acts on an innovation held over
+        the sampling interval. It comes out in ``Fit.notes["K"]``.
     options : SolverOptions
         Limits and tolerance of each solve.
 
@@ -100,8 +108,11 @@ def output_error(
     options = replace(options, ipopt=IPOPT | dict(options.ipopt))
     free = free_parameters(model, fixed, bounds)
     chosen = select_records(model, records, biases)
-    length = choose_interval(free, chosen) if interval is None else float(interval)
-    evaluator = Evaluator(free, lay_out(chosen, length))
+    gain, gain_free = starting_gain(free, chosen, process_noise)
+    length = (
+        choose_interval(free, chosen, gain is not None) if interval is None else float(interval)
+    )
+    evaluator = Evaluator(free, lay_out(chosen, length), gain, gain_free)
     R = checked_covariance(R, evaluator.ny)
     programme, point = starting_programme(evaluator, free, R, biases)
     outcome = _Search(free, options).run(programme, point, R)
@@ -134,15 +145,19 @@ def select_records(model: Model, records: Sequence[Record], biases: bool) -> lis
     return chosen
 
 
-def choose_interval(free: Free, records: Sequence[Record]) -> float:
+def choose_interval(free: Free, records: Sequence[Record], filtering: bool = False) -> float:
     """Length of the shooting intervals [s].
 
     As long as the starting model's fastest growing mode grows no more than e-fold over it, within
-    0.5 s and 5 s: fewer nodes are quicker, shorter intervals forgive a worse start.
+    0.5 s and 5 s: fewer nodes are quicker, shorter intervals forgive a worse start. With an
+    innovation gain the longest: the predictor is stable, and short intervals would let nodes fit
+    the noise that the gain is estimated from.
     """
+    shortest = max(SHORTEST, 4 * max(record.dt for record in records))
+    if filtering:
+        return max(LONGEST, shortest)
     growth = float(free.model.with_vector(free.full(free.guess)).system().poles()[0].real)
     length = LONGEST if growth <= 0 else GROWTH / growth
-    shortest = max(SHORTEST, 4 * max(record.dt for record in records))
     return float(np.clip(length, shortest, max(LONGEST, shortest)))
 
 
@@ -278,6 +293,9 @@ def _result(free: Free, outcome: _Outcome, interval: float, seconds: float) -> F
     multipliers = -programme.n * solution.multipliers_x[:n] / programme.scales.lam[:n]
     std = np.sqrt(np.diag(found.covariance))
     success, status = _verdict(outcome, found)
+    notes = {"rounds": outcome.rounds, "nodes": programme.J, **found.notes()}
+    if programme.evaluator.filtering:
+        notes["K"] = programme.evaluator.structure(point.lam).K.tolist()
     firsts = np.searchsorted(programme.record, np.arange(programme.records))
     fit = Fit(
         model=free.model.with_vector(free.full(lam)),
@@ -287,14 +305,14 @@ def _result(free: Free, outcome: _Outcome, interval: float, seconds: float) -> F
         success=success,
         iterations=outcome.iterations,
         seconds=seconds,
-        method="output error",
+        method="filter error" if programme.evaluator.filtering else "output error",
         covariance=found.covariance,
         free_names=free.names,
         R=final.R,
         initial_states=point.nodes[firsts],
         biases=point.bias,
         interval=interval,
-        notes={"rounds": outcome.rounds, "nodes": programme.J, **found.notes()},
+        notes=notes,
     )
     if not success:
         raise ConvergenceError(f"output error: {status}", fit)
