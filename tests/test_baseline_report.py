@@ -1,6 +1,7 @@
 """The report's section on the frequency-domain fit."""
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jinja2
@@ -46,3 +47,10 @@ def test_a_fit_read_back_makes_the_same_section(fit, tmp_path):
     assert re.sub('data-value="[^"]*"', "", render(again)) == re.sub(
         'data-value="[^"]*"', "", render(fit)
     )
+
+
+def test_a_pair_without_enough_coherence_is_a_dash(fit):
+    first, *rest = fit.notes["pairs"]
+    page = render(replace(fit, notes=fit.notes | {"pairs": rest}))
+    assert page.count(">–</td>") == render(fit).count(">–</td>") + 1
+    assert number(first["J"], 3) not in re.findall("<td>([^<]*)</td>", page)
