@@ -13,45 +13,18 @@ over blocks of samples, so memory does not grow with the length of an interval.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from casid.arrays import Array, BoolArray
-from casid.integrate import step_map, step_slopes
+from casid.arrays import Array
 from casid.intervals import Layout
 from casid.model import Free
-from casid.record import Hold
 from casid.spline import DelayedInput
+from casid.stepping import Steps, groups
+from casid.unknowns import Numbers, Structure
 
 BLOCK = 32  # samples of every interval whose Jacobian rows are held at once
 BATCH_BYTES = 8e6  # of Jacobian rows held at once: they stay in the cache
-
-
-@dataclass(frozen=True, eq=False)
-class Numbers:
-    """Model matrices and their derivatives by the unknowns (last axis, nf); K may be None."""
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    tau: Array
-    c: Array
-    K: Array
-    A_lam: Array
-    B_lam: Array
-    C_lam: Array
-    D_lam: Array
-    tau_lam: Array
-    c_lam: Array
-    K_lam: Array
-
-    @property
-    def delaying(self) -> np.ndarray:
-        """Which unknowns move a delay."""
-        return np.flatnonzero(self.tau_lam.any(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,33 +64,6 @@ class Batch:
     gram: Array
     ends: Array
     slopes: Array
-
-
-class Structure:
-    """The matrices of a model as functions of the unknowns: free λ, then K by rows if free."""
-
-    def __init__(self, free: Free, gain: Array | None, gain_free: bool) -> None:
-        nx, ny = len(free.model.states), len(free.model.outputs)
-        lam = ca.SX.sym("lam", len(free.index))
-        entries = ca.SX.sym("K", ny, nx if gain_free else 0)
-        K = np.zeros((nx, ny)) if gain is None else gain
-        dense = [ca.densify(m) for m in free.model.matrices()(free.full(lam))]
-        dense.append(entries.T if gain_free else ca.densify(ca.SX(K)))
-        unknown = ca.vertcat(lam, ca.vec(entries))
-        slopes = [ca.densify(ca.jacobian(ca.vec(m), unknown)) for m in dense]
-        self._function = ca.Function("structure", [unknown], [*dense, *slopes])
-
-    def __call__(self, lam: Array) -> Numbers:
-        """Matrices and derivatives at the unknowns (nf,)."""
-        found = [m.full() for m in self._function(lam)]
-        values, slopes = found[:7], found[7:]
-        shaped = [
-            slope.reshape((*value.shape, len(lam)), order="F")
-            for value, slope in zip(values, slopes, strict=True)
-        ]
-        for vector in (4, 5):
-            values[vector], shaped[vector] = values[vector].ravel(), shaped[vector][:, 0]
-        return Numbers(*values, *shaped)
 
 
 def whiteners(R: Array, layout: Layout) -> Array:
@@ -169,9 +115,7 @@ class Evaluator:
         """
         layout, numbers = self.layout, self.structure(point.lam)
         u, _ = self.delayed(numbers.tau)
-        maps = [
-            _Map.of(numbers, h, hold, self.filtering, slopes=False) for h, hold in layout.classes
-        ]
+        steps = Steps(numbers, layout.classes, self.filtering, slopes=False)
         CD = _output_map(numbers)
         seen = layout.patterns[layout.pattern]
         r = np.empty_like(layout.y)
@@ -183,7 +127,7 @@ class Evaluator:
             after = np.minimum(at + 1, len(u) - 1)
             V = np.hstack([x[:n], u[at], u[after]])
             r[at] = (V @ CD.T + bias[:n] - layout.y[at]) * seen[at]
-            x = self._advance(maps, layout.step[at], V, r[at])
+            x = steps.state(layout.step[at], V, r[at])
             done = layout.count[:n] == k + 1
             ends[:n][done] = x[done]
         return r, ends
@@ -191,15 +135,13 @@ class Evaluator:
     def batches(self, point: Point, W: Array) -> Iterator[Batch]:
         """Gram matrices of all intervals, a bounded number of rows at a time."""
         layout, numbers = self.layout, self.structure(point.lam)
-        maps = [
-            _Map.of(numbers, h, hold, self.filtering, slopes=True) for h, hold in layout.classes
-        ]
+        steps = Steps(numbers, layout.classes, self.filtering, slopes=True)
         inputs = self.delayed(numbers.tau)
         columns = self.nf + self.nx + self.ny + 1
         size = max(1, int(BATCH_BYTES / (8 * BLOCK * self.ny * columns)))
         for first in range(0, len(layout.count), size):
             index = np.arange(first, min(first + size, len(layout.count)))
-            yield _Sweep(self, numbers, maps, inputs, point, W, index).run()
+            yield _Sweep(self, numbers, steps, inputs, point, W, index).run()
 
     def influence(self, point: Point, W: Array, record: int, follow: Array) -> Array:
         """Total derivative by λ of one record's whitened residuals, (N, ny, nf).
@@ -208,9 +150,7 @@ class Evaluator:
         layout) move with λ.
         """
         layout, numbers = self.layout, self.structure(point.lam)
-        maps = [
-            _Map.of(numbers, h, hold, self.filtering, slopes=True) for h, hold in layout.classes
-        ]
+        steps = Steps(numbers, layout.classes, self.filtering, slopes=True)
         index = np.flatnonzero(layout.record == record)
         first = layout.start[index].min()
         slope = np.empty((int(layout.count[index].sum()), self.ny, follow.shape[2]))
@@ -219,51 +159,8 @@ class Evaluator:
             at = layout.start[index[j]] - first + k
             slope[at : at + len(rows)] = rows[:, :, :-1] @ follow[index[j]]
 
-        _Sweep(self, numbers, maps, self.delayed(numbers.tau), point, W, index).run(keep)
+        _Sweep(self, numbers, steps, self.delayed(numbers.tau), point, W, index).run(keep)
         return slope
-
-    def _advance(self, maps: "list[_Map]", step: np.ndarray, V: Array, r: Array) -> Array:
-        """States one step on, from (x, u_k, u_k+1) and residuals; ``step`` names each row's map."""
-        new = np.empty((len(V), self.nx))
-        for i, mine in _groups(step, len(maps)):
-            new[mine] = V[mine] @ maps[i].now.T
-            if self.filtering:
-                new[mine] -= r[mine] @ maps[i].gain.T
-        return new
-
-
-@dataclass(frozen=True, eq=False)
-class _Map:
-    """One class of steps: how states and their derivatives move.
-
-    ``now`` is (A_d, B0, B1), against (x, u_k, u_k+1); ``drive`` (nx, nx + 2 nu, nf) its derivative,
-    ``delay`` (nx, 2 nu, nd) against the delay-derivatives of u_k, u_k+1; ``gain`` is K_d and
-    ``gain_drive`` (nx, ny, nf) its derivative.
-    """
-
-    Ad: Array
-    now: Array
-    gain: Array
-    drive: Array
-    delay: Array
-    gain_drive: Array
-
-    @classmethod
-    def of(cls, numbers: Numbers, h: float, hold: Hold, filtering: bool, slopes: bool) -> "_Map":
-        """Map of steps of length h, with what moves its derivatives if ``slopes``."""
-        ny = numbers.K.shape[1] if filtering else 0
-        A, B, K = numbers.A, numbers.B, numbers.K[:, :ny]
-        m = step_map(A, B, K, h, hold)
-        now = np.hstack([m.Ad, m.B0, m.B1])
-        if not slopes:
-            none = np.zeros((0, 0, 0))
-            return cls(m.Ad, now, m.Kd, none, none, none)
-        given = numbers.A_lam, numbers.B_lam, numbers.K_lam[:, :ny]
-        d = step_slopes(A, B, K, h, hold, given)
-        drive = np.ascontiguousarray(np.concatenate([d.Ad, d.B0, d.B1], axis=1))
-        moving = numbers.tau_lam[:, numbers.delaying]
-        delay = np.concatenate([m.B0[:, :, None] * moving, m.B1[:, :, None] * moving], axis=1)
-        return cls(m.Ad, now, m.Kd, drive, delay, np.ascontiguousarray(d.Kd))
 
 
 class _Sweep:
@@ -273,14 +170,14 @@ class _Sweep:
         self,
         evaluator: Evaluator,
         numbers: Numbers,
-        maps: list[_Map],
+        steps: Steps,
         inputs: tuple[Array, Array],
         point: Point,
         W: Array,
         index: np.ndarray,
     ) -> None:
         layout = evaluator.layout
-        self.e, self.numbers, self.maps, self.inputs = evaluator, numbers, maps, inputs
+        self.e, self.numbers, self.steps, self.inputs = evaluator, numbers, steps, inputs
         self.W, self.index = W, index
         self.start, self.count = layout.start[index], layout.count[index]
         self.bias = point.bias[layout.record[index]]
@@ -323,8 +220,11 @@ class _Sweep:
         r = (V @ self.CD.T + self.bias[:n] - layout.y[at]) * seen
         out = self._outputs(self.S[:, :n], V, dV, r)
         self._store(out, layout.pattern[at], k % BLOCK)
-        S = self._push(layout.step[at], V, dV, r, out, seen, n)
-        return self.e._advance(self.maps, layout.step[at], V, r), S
+        heard = None
+        if self.e.filtering:
+            heard = out[:, :, : self.ns] * seen.T[:, :, None]
+        S = self.steps.slope(layout.step[at], self.S[:, :n], V, dV, r, heard)
+        return self.steps.state(layout.step[at], V, r), S
 
     def _outputs(self, S: Array, V: Array, dV: Array, r: Array) -> Array:
         """Derivatives of the outputs by all columns, and the residuals: (ny, n, nc)."""
@@ -341,35 +241,9 @@ class _Sweep:
 
     def _store(self, out: Array, pattern: np.ndarray, place: int) -> None:
         ny, n, nc = out.shape
-        for p, mine in _groups(pattern, len(self.W)):
+        for p, mine in groups(pattern, len(self.W)):
             part = (self.W[p] @ out[:, mine].reshape(ny, -1)).reshape(ny, -1, nc)
             self.rows[:n, place][mine] = part.transpose(1, 0, 2)
-
-    def _push(
-        self,
-        step: np.ndarray,
-        V: Array,
-        dV: Array,
-        r: Array,
-        out: Array,
-        seen: BoolArray,
-        n: int,
-    ) -> Array:
-        """Sensitivities of the first n intervals one step on, (nx, n, ns)."""
-        nf, nx, ns = self.e.nf, self.e.nx, self.ns
-        new = np.empty((nx, n, ns))
-        for i, mine in _groups(step, len(self.maps)):
-            m = self.maps[i]
-            part = (m.Ad @ self.S[:, :n][:, mine].reshape(nx, -1)).reshape(nx, -1, ns)
-            part[:, :, :nf] += V[mine] @ m.drive
-            if len(self.numbers.delaying):
-                part[:, :, self.numbers.delaying] += dV[mine] @ m.delay
-            if self.e.filtering:
-                heard = out[:, mine, :ns] * seen[mine].T[:, :, None]
-                part -= (m.gain @ heard.reshape(len(out), -1)).reshape(part.shape)
-                part[:, :, :nf] -= r[mine] @ m.gain_drive
-            new[:, mine] = part
-        return new
 
     def _sum_up(self, first: int, keep: Callable[[int, int, Array], None] | None) -> None:
         """Add the rows held, from sample ``first`` on, to the Gram matrices."""
@@ -382,15 +256,6 @@ class _Sweep:
                 self.gram[j] += flat.T @ flat
             else:
                 keep(j, first, self.rows[j, :valid])
-
-
-def _groups(number: np.ndarray, kinds: int) -> Iterator[tuple[int, Any]]:
-    """Each number that occurs, with where it does."""
-    if kinds == 1 or (number == number[0]).all():
-        yield int(number[0]), slice(None)
-    else:
-        for i in np.unique(number):
-            yield int(i), np.flatnonzero(number == i)
 
 
 def _output_map(numbers: Numbers) -> Array:
