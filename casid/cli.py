@@ -16,10 +16,13 @@ from rich.table import Table
 from rich.text import Text
 
 from casid.errors import ConvergenceError
+from casid.files import read_csv
 from casid.fit import Fit
+from casid.modelfile import load_model
 from casid.nlp import Progress
 from casid.report import Timing
 from casid.runner import Outcome, run_study
+from casid.structure import describe
 from casid.study import Study, read_records
 from casid.studyfile import read_study
 
@@ -81,15 +84,35 @@ def identify(study: Path, output: Path | None, fresh: bool, verbose: bool) -> No
     _conclude(console, outcome)
 
 
-@main.command(short_help="Check a study, its model and its records; compute nothing.")
-@STUDY
+@main.command(short_help="Check a study or a model file; estimate nothing.")
+@click.argument("what", metavar="STUDY.toml|MODEL.py:CLASS")
+@click.option(
+    "--record",
+    "flights",
+    multiple=True,
+    metavar="CSV",
+    help="With a model: judge identifiability for this flight (t and the model's channels).",
+)
+@click.option("--fixed", multiple=True, metavar="NAME", help="With a model: hold this parameter.")
 @VERBOSE
-def check(study: Path, verbose: bool) -> None:
-    """Check a study file, its model and its records without computing anything."""
+def check(what: str, flights: tuple[str, ...], fixed: tuple[str, ...], verbose: bool) -> None:
+    """Check a study file, its model and its records, or a model file, without estimating anything.
+
+    Of a model (models/six_dof.py:SixDof) this prints the matrices with names and with numbers at
+    the guess, the parameters, the eigenvalues, what the outputs do not see, and which parameters
+    the excitation cannot tell apart: one 3-2-1-1 a control, or the records given.
+    """
     console = Console(highlight=False)
     with _exits(console), _logging(console, verbose):
-        read = read_study(study)
-        _describe(console, read)
+        if what.endswith(".toml"):
+            _describe(console, read_study(Path(what)))
+        else:
+            model = load_model(what)()
+            records = [read_csv(f, inputs=model.inputs, outputs=model.outputs) for f in flights]
+            console.print(
+                Text(str(describe(model, records or None, fixed=fixed))),
+                no_wrap=True, overflow="ignore", crop=False,
+            )  # fmt: skip
 
 
 @contextmanager

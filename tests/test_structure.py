@@ -1,0 +1,163 @@
+"""A structure laid open, and the command that prints it."""
+
+from collections.abc import Mapping
+
+import click.testing
+import numpy as np
+import pytest
+
+from casid import Constraint, Model, Rows, Scalar, StateSpace, parameter, write_csv
+from casid.cli import main
+from casid.structure import describe, excitation, modes
+from models.short_period import ShortPeriod
+from models.six_dof import SixDof
+
+
+class Tied(Model):
+    """Two lags, of which nothing shows the second, and nothing moves the third."""
+
+    states = ("x", "hidden", "idle")
+    inputs = ("u",)
+    outputs = ("x",)
+    a: Scalar = parameter(default=2.0, lower=0.0, upper=9.0, unit="1/s")
+    b: Scalar = parameter(default=3.0, lower=-9.0, upper=9.0, unit="-")
+    tau: Scalar = parameter(default=0.1, lower=0.0, upper=0.2, unit="s")
+    trim: float = 1.5
+
+    def A(self) -> Rows:
+        return [[-self.a, 0, self.trim], [1, -4, 0], [0, 0, -7]]
+
+    def B(self) -> Rows:
+        return [[self.b + 2 * self.trim], [0], [0]]
+
+    def delays(self) -> Mapping[str, Scalar]:
+        return {"u": self.tau}
+
+    def constraints(self) -> list[Constraint]:
+        return [Constraint("b - a", self.b - self.a, 0.0, 5.0)]
+
+
+def test_entries_are_formulas_of_names_and_trim_and_structural_zeros():
+    found = describe(Tied())
+    assert found.entries["A"] == [["-a", ".", "1.5"], ["1", "-4", "."], [".", ".", "-7"]]
+    assert found.entries["B"] == [["b+3"], ["."], ["."]]
+    assert found.entries["C"] == [["1", ".", "."]]
+    np.testing.assert_array_equal(found.system.A[0], [-2, 0, 1.5])
+
+
+def test_text_holds_parameters_delays_constraints_and_identifiability():
+    text = str(describe(Tied(), fixed=("b",)))
+    assert "Tied: 3 states, 1 inputs, 1 outputs, 2 free parameters" in text
+    lines = [line.split() for line in text.splitlines()]
+    assert ["a", "2", "0", "9", "1/s", "free"] in lines
+    assert ["b", "3", "-9", "9", "-", "fixed"] in lines
+    assert "delays at the guess: u 0.1 s" in text
+    assert "0 <= b - a = 1 <= 5" in text
+    assert "identifiability from one 3-2-1-1 a control" in text
+    assert "rank 2 of 2" in text
+
+
+def test_modes_that_nothing_shows_or_moves_are_marked():
+    x, hidden, idle = describe(Tied()).modes
+    assert (x.eigenvalue, x.states[0]) == (-2, "x")
+    assert x.observable
+    assert x.controllable
+    assert (hidden.eigenvalue, hidden.observable, hidden.controllable) == (-4, False, True)
+    assert (idle.eigenvalue, idle.observable, idle.controllable) == (-7, True, False)
+    text = str(describe(Tied()))
+    assert "hidden  NOT OBSERVABLE" in text
+    assert "NOT CONTROLLABLE" in text
+
+
+@pytest.mark.parametrize(
+    ("A", "words"),
+    [
+        ([[0.0]], "integrator"),
+        ([[-4.0]], "time constant 0.25 s"),
+        ([[0.5]], "grows e-fold in 2 s"),
+        ([[-0.3, 0.4], [-0.4, -0.3]], "0.5 rad/s, damping +0.60"),
+        ([[0.3, 0.4], [-0.4, 0.3]], "0.5 rad/s, damping -0.60"),
+    ],
+)
+def test_a_mode_is_told_in_the_words_of_flight_dynamics(A, words):
+    n = len(A)
+    (mode,) = modes(StateSpace(A, np.ones((n, 1)), np.ones((1, n)), [[0.0]]))
+    assert mode.words == words
+
+
+def test_the_phugoid_and_dutch_roll_of_six_degrees_of_freedom_are_observable():
+    found = describe(SixDof())
+    assert all(mode.observable and mode.controllable for mode in found.modes)
+    assert found.identifiability.identifiable
+
+
+def test_the_excitation_is_a_3_2_1_1_of_seven_units():
+    (record,) = excitation(ShortPeriod().system())
+    values, counts = np.unique(record.u, return_counts=True)
+    np.testing.assert_allclose(values, [-0.05, 0, 0.05])
+    # 3 + 1 units up, 2 + 1 down, each of 0.7 s at 50 Hz; edges fall between samples.
+    np.testing.assert_allclose(counts[[2, 0]], [140, 105], atol=2)
+
+
+def run(*arguments):
+    return click.testing.CliRunner().invoke(main, ["check", *map(str, arguments)])
+
+
+def test_check_prints_the_structure_of_a_model_file():
+    result = run("models/short_period.py:ShortPeriod", "--fixed", "Zq")
+    assert result.exit_code == 0
+    for text in ("A at the guess", "Zq+41.15", "damping +0.80", "rank 6 of 6"):
+        assert text in result.output
+
+
+def test_check_judges_a_flight(tmp_path):
+    (record,) = excitation(ShortPeriod().system())
+    write_csv(tmp_path / "flight.csv", record)
+    result = run("models/short_period.py:ShortPeriod", "--record", tmp_path / "flight.csv")
+    assert result.exit_code == 0
+    assert "identifiability from flight" in result.output
+    missing = run("models/six_dof.py:SixDof", "--record", tmp_path / "flight.csv")
+    assert missing.exit_code == 2
+
+
+GOOD = """
+from casid import Model, Rows, Scalar, parameter
+
+class Lag(Model):
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a: Scalar = parameter(default=-1.0, unit="1/s")
+
+    def A(self) -> Rows:
+        return [[self.a]]
+
+    def B(self) -> Rows:
+        return [[1]]
+"""
+
+
+@pytest.mark.parametrize(
+    ("good", "bad", "message"),
+    [
+        ("[[self.a]]", "[[self.aa]]", "Lag.A uses 'aa', which Lag does not declare; did you mean"),
+        ("[[self.a]]", "[[self.a], [1, 2]]", "Lag.A: row 1 has 2 entries, the others have 1"),
+        ("[[self.a]]", "[[0]]\n    def B(self): return [[0]]", "state 'x' has no dynamics"),
+        ('outputs = ("x",), ("u",), ("x",)', 'outputs = ("x",), ("u",), ("y",)', "'y' is no state"),
+        ("    def A", "    def C(self): return [[0]]\n    def A", "output 'x' is always zero"),
+        (', unit="1/s"', "", "Lag.a has no unit"),
+        (
+            "    def A",
+            '    def delays(self): return {"v": 1}\n    def A',
+            "names 'v', which is no in",
+        ),
+        ("(default=-1.0", "(default=-1.0, lower=2, upper=1", "Lag.a: lower bound 2.0 > upper"),
+        ("import Model, Rows", "import Modell, Rows", "does not import: ImportError"),
+    ],
+)
+def test_check_tells_what_is_wrong_with_a_model_file(tmp_path, good, bad, message):
+    file = tmp_path / "lag.py"
+    file.write_text(GOOD.replace("    def B", "    def B0") if "def B" in bad else GOOD)
+    assert good in file.read_text()
+    file.write_text(file.read_text().replace(good, bad, 1))
+    result = run(f"{file}:Lag")
+    assert result.exit_code == 2
+    assert message in " ".join(result.stderr.split())
