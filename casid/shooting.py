@@ -19,7 +19,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ConvergenceError
-from casid.fit import Fit, parameter_table
+from casid.fit import Fit, constraint_table, parameter_table
 from casid.innovation import starting_gain
 from casid.intervals import lay_out
 from casid.likelihood import CovarianceKind
@@ -41,6 +41,7 @@ GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
 LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
 
 IPOPT: dict[str, float | str] = {"nlp_scaling_method": "none", "mu_strategy": "monotone"}
+NEAR: dict[str, float | str] = {"bound_push": 1e-9, "bound_frac": 1e-9}
 WARM: dict[str, float | str] = {  # a warm round stays where it starts
     "mu_init": 1e-6,
     "warm_start_bound_push": 1e-9,
@@ -61,6 +62,7 @@ def output_error(
     bounds: Bounds | None = None,
     biases: bool = True,
     process_noise: bool | Array | BlackBox = False,
+    near: Fit | None = None,
     options: SolverOptions | None = None,
 ) -> Fit:
     """Maximum-likelihood estimate of a model from time histories.
@@ -87,6 +89,9 @@ def output_error(
         the states through a free gain K; a black box gives the gain to start from, in the model's
         states; an array holds it. K [1/s times state per output] acts on an innovation held over
         the sampling interval. It comes out in ``Fit.notes["K"]``.
+    near : Fit
+        Of the same records, with parameters near the start's, e.g. under other bounds: its noise
+        covariance and biases make the first rounds unnecessary. If that fails, all rounds follow.
     options : SolverOptions
         Limits and tolerance of each solve.
 
@@ -114,8 +119,11 @@ def output_error(
     )
     evaluator = Evaluator(free, lay_out(chosen, length), gain, gain_free)
     R = checked_covariance(R, evaluator.ny)
-    programme, point = starting_programme(evaluator, free, R, biases)
-    outcome = _Search(free, options).run(programme, point, R)
+    search = _Search(free, options)
+    outcome = None if near is None else search.beside(near, evaluator, R, biases)
+    if outcome is None:
+        programme, point = starting_programme(evaluator, free, R, biases)
+        outcome = search.run(programme, point, R)
     return _result(free, outcome, length, time.perf_counter() - begin)
 
 
@@ -209,6 +217,29 @@ class _Search:
     def __init__(self, free: Free, options: SolverOptions) -> None:
         self.free, self.options = free, options
 
+    def beside(
+        self, near: Fit, evaluator: Evaluator, R: Array | CovarianceKind, biases: bool
+    ) -> _Outcome | None:
+        """Estimate in one round from what a fit nearby found; None if that does not succeed."""
+        shape = (len(evaluator.layout.records), evaluator.ny)
+        if evaluator.filtering or near.R is None or near.biases is None:
+            return None
+        if near.biases.shape != shape:
+            return None
+        start = R if isinstance(R, np.ndarray) else near.R
+        first, point = starting_programme(evaluator, self.free, start, biases, near.biases)
+        if not isinstance(R, np.ndarray):
+            noise = noise_of(evaluator, None, R)
+            first = Programme(evaluator, self.free, first.scales, noise, biases)
+            first = first.rescaled(first.balanced(point))
+        options = replace(
+            self.options, ipopt=NEAR | {"mu_init": self.options.tolerance / 10}
+            | dict(self.options.ipopt),
+        )  # fmt: skip
+        solution = self._solve(first, point, None, 1, options)
+        outcome = _Outcome(first, solution, solution.iterations, 1, True)
+        return outcome if solution.success else None
+
     def run(self, programme: Programme, point: Point, R: Array | CovarianceKind) -> _Outcome:
         """Estimate; R is held if it is an array."""
         if isinstance(R, np.ndarray):
@@ -290,15 +321,22 @@ def _result(free: Free, outcome: _Outcome, interval: float, seconds: float) -> F
     n = len(free.index)
     found = precision(programme, solution.x)
     lam = np.clip(point.lam[:n], free.lower[free.index], free.upper[free.index])
+    model, ties = free.model.with_vector(free.full(lam)), free.model.constraints()
     multipliers = -programme.n * solution.multipliers_x[:n] / programme.scales.lam[:n]
     std = np.sqrt(np.diag(found.covariance))
     success, status = _verdict(outcome, found)
-    notes = {"rounds": outcome.rounds, "nodes": programme.J, **found.notes()}
+    prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :]
+    notes = {
+        "rounds": outcome.rounds,
+        "nodes": programme.J,
+        "constraints": constraint_table(model, prices),
+        **found.notes(),
+    }
     if programme.evaluator.filtering:
         notes["K"] = programme.evaluator.structure(point.lam).K.tolist()
     firsts = np.searchsorted(programme.record, np.arange(programme.records))
     fit = Fit(
-        model=free.model.with_vector(free.full(lam)),
+        model=model,
         parameters=parameter_table(free, lam, multipliers, std, found.insensitivity),
         cost=programme.n * final.cost,
         status=status,

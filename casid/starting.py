@@ -39,15 +39,20 @@ def noise_of(evaluator: Evaluator, given: Array | None, kind: CovarianceKind) ->
 
 
 def starting_programme(
-    evaluator: Evaluator, free: Free, R: Array | CovarianceKind, biases: bool
+    evaluator: Evaluator,
+    free: Free,
+    R: Array | CovarianceKind,
+    biases: bool,
+    known: Array | None = None,
 ) -> tuple[Programme, Point]:
     """The first programme, and the point to start it from.
 
-    Its R is held: as given, or that of the starting residuals in the structure named.
+    Its R is held: as given, or that of the starting residuals in the structure named. ``known``
+    biases (records, ny) are taken off while the nodes are found.
     """
     if isinstance(R, np.ndarray):
         noise = noise_of(evaluator, R, "diagonal")
-        point, scales = _smoothed(evaluator, free, noise)
+        point, scales = _smoothed(evaluator, free, noise, known)
     else:
         coarse = np.diag((0.1 * channel_size(evaluator)) ** 2)
         point, scales = _smoothed(evaluator, free, noise_of(evaluator, coarse, R))
@@ -57,16 +62,18 @@ def starting_programme(
     return programme.rescaled(programme.balanced(point)), point
 
 
-def _smoothed(evaluator: Evaluator, free: Free, noise: Noise) -> tuple[Point, Scales]:
+def _smoothed(
+    evaluator: Evaluator, free: Free, noise: Noise, known: Array | None = None
+) -> tuple[Point, Scales]:
     e, layout = evaluator, evaluator.layout
     gain = np.zeros(e.nf - len(free.index)) if e.gain is None else e.gain.ravel()
     point = Point(
         lam=np.concatenate([free.guess, gain])[: e.nf],
-        bias=np.zeros((len(layout.records), e.ny)),
+        bias=np.zeros((len(layout.records), e.ny)) if known is None else known,
         nodes=np.zeros((len(layout.count), e.nx)),
     )
     ones = Scales(np.ones(e.nf), np.ones(e.ny), np.ones(e.nx))
-    programme = Programme(e, free, ones, noise, biases=False)
+    programme = Programme(e, free, ones, noise, biases=known is not None)
     blocks = programme.blocks(programme.pack(point))
     drift = _drift(e, point.lam)
     nodes = _smooth(blocks.Hnn, blocks.gn, blocks.slope_n, blocks.ends, programme.links, drift)
