@@ -115,7 +115,8 @@ def information(programme: Programme, x: Array) -> tuple[Array, Array]:
 
 def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) -> Array:
     e, s, layout = programme.evaluator, programme.scales, programme.evaluator.layout
-    point, W = programme.unpack(x), whiteners(programme.values(x).R, e.layout)
+    point, values = programme.unpack(x), programme.values(x)
+    W, motion = whiteners(values.R, layout), values.motion
     nf, nx, ny, first = e.nf, e.nx, e.ny, programme.first_node
     move = np.zeros((programme.J, nf + nx + ny, nf))  # chronological
     move[:, :nf] = np.diag(s.lam)
@@ -123,12 +124,11 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) 
     if programme.biases:
         bias = follow[: first - nf].reshape(-1, ny, nf) * s.bias[:, None]
         move[:, nf + nx :] = bias[programme.record]
-    raw, _ = e.simulate(point)
-    white = np.einsum("nab,nb->na", W[layout.pattern], raw)
+    white = np.einsum("nab,nb->na", W[layout.pattern], motion.residuals)
     edges = np.cumsum([0, *(record.N for record in layout.records)])
     residuals = [white[a:b] for a, b in itertools.pairwise(edges)]
     slopes = (
-        e.influence(point, W, record, move[layout.node])
+        e.influence(point, motion, W, record, move[layout.node])
         for record in range(len(layout.records))
     )  # fmt: skip
     return coloured_covariance(covariance, residuals, slopes)

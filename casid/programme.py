@@ -21,7 +21,7 @@ from casid.arrays import Array
 from casid.likelihood import Noise, moments_of
 from casid.model import Free
 from casid.nlp import Problem
-from casid.sensitivity import Evaluator, Point, whiteners
+from casid.sensitivity import Evaluator, Motion, Point, whiteners
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +51,12 @@ class Blocks:
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Cost per observation, constraints, and the R that goes with them."""
+    """Cost per observation, constraints, and the R and the motion that go with them."""
 
     cost: float
     g: Array
     R: Array
+    motion: Motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,24 +148,23 @@ class Programme:
 
     def _values(self, point: Point) -> "Values":
         layout = self.evaluator.layout
-        r, ends = self.evaluator.simulate(point)
-        moments = moments_of(r, layout.pattern, len(layout.patterns))
-        ends = ends[np.argsort(layout.node)]
+        motion = self.evaluator.simulate(point)
+        moments = moments_of(motion.residuals, layout.pattern, len(layout.patterns))
+        ends = motion.ends[np.argsort(layout.node)]
         gaps = (ends[self.links] - point.nodes[self.links + 1]) / self.scales.state
         c = self.evaluator.structure(point.lam).c
         g = np.concatenate([gaps.ravel(), c])
         if not np.isfinite(moments).all():
-            return Values(np.nan, g, np.eye(self.evaluator.ny))
+            return Values(np.nan, g, np.eye(self.evaluator.ny), motion)
         R = self.noise.covariance(moments)
-        return Values(self.noise.cost(R, moments) / self.n, g, R)
+        return Values(self.noise.cost(R, moments) / self.n, g, R, motion)
 
     def blocks(self, x: Array) -> Blocks:
         """Gauss-Newton blocks at scaled variables."""
         key = x.tobytes()
         if self._blocks is None or self._blocks[0] != key:
             with np.errstate(over="ignore", invalid="ignore"):
-                W = whiteners(self.values(x).R, self.evaluator.layout)
-                self._blocks = key, self._sum(self.unpack(x), W)
+                self._blocks = key, self._sum(self.unpack(x), self.values(x))
         return self._blocks[1]
 
     def rescaled(self, scales: Scales) -> "Programme":
@@ -181,13 +181,14 @@ class Programme:
         unit = [1 / np.sqrt(np.maximum(h / self.n, 1.0)) for h in H]
         return Scales(s.lam * unit[0], s.bias * unit[1], s.state * unit[2])
 
-    def _sum(self, point: Point, W: Array) -> Blocks:
+    def _sum(self, point: Point, values: "Values") -> Blocks:
         e, s = self.evaluator, self.scales
+        W = whiteners(values.R, e.layout)
         nf, nx = e.nf, e.nx
         unit = np.concatenate([s.lam, s.state, s.bias, [1.0]])
         G = np.empty((self.J, len(unit), len(unit)))
         ends, slopes = np.empty((self.J, nx)), np.empty((self.J, nx, len(unit) - 1))
-        for batch in e.batches(point, W):
+        for batch in e.batches(point, values.motion, W):
             nodes = e.layout.node[batch.index]
             G[nodes], ends[nodes], slopes[nodes] = batch.gram, batch.ends, batch.slopes
         G *= unit[:, None] * unit
@@ -275,10 +276,14 @@ class Programme:
         """Upper triangle of the Gauss-Newton Hessian of the whole cost."""
         return self._hessian_pattern.matrix(self.hessian(x) * self.n)
 
+    def constraint_matrix(self, x: Array) -> scipy.sparse.csc_array:
+        """Jacobian of all constraints."""
+        return self._jacobian_pattern.matrix(self.jacobian(x))
+
     def continuity_matrix(self, x: Array) -> scipy.sparse.csc_array:
         """Jacobian of the continuity constraints."""
         links = len(self.links) * self.evaluator.nx
-        return self._jacobian_pattern.matrix(self.jacobian(x))[:links]
+        return self.constraint_matrix(x)[:links]
 
     # ---- for IPOPT ------------------------------------------------------------------------------
 

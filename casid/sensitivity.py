@@ -21,9 +21,9 @@ from casid.intervals import Layout
 from casid.model import Free
 from casid.spline import DelayedInput
 from casid.stepping import Steps, groups
-from casid.unknowns import Numbers, Structure
+from casid.unknowns import Structure
 
-BLOCK = 32  # samples of every interval whose Jacobian rows are held at once
+BLOCK = 16  # samples of every interval whose Jacobian rows are held at once
 BATCH_BYTES = 8e6  # of Jacobian rows held at once: they stay in the cache
 
 
@@ -44,6 +44,26 @@ class Point:
     lam: Array
     bias: Array
     nodes: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a simulation of all intervals gives.
+
+    Parameters
+    ----------
+    states : (N, nx) array
+        At every sample.
+    residuals : (N, ny) array
+        C x + D u + b - y, 0 where a channel is missing.
+    ends : (J, nx) array
+        One step after each interval's last sample, in the order of the layout; those of a record's
+        last interval mean nothing.
+    """
+
+    states: Array
+    residuals: Array
+    ends: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,49 +128,53 @@ class Evaluator:
         pairs = [source.at(tau) for source in self._inputs]
         return np.concatenate([u for u, _ in pairs]), np.concatenate([du for _, du in pairs])
 
-    def simulate(self, point: Point) -> tuple[Array, Array]:
-        """Residuals C x + D u + b - y (N, ny), 0 where missing, and end states (J, nx).
-
-        End states are in the order of the layout; those of a record's last interval mean nothing.
-        """
+    def simulate(self, point: Point) -> Motion:
+        """States and residuals over all intervals."""
         layout, numbers = self.layout, self.structure(point.lam)
-        u, _ = self.delayed(numbers.tau)
         steps = Steps(numbers, layout.classes, self.filtering, slopes=False)
-        CD = _output_map(numbers)
+        inputs = _with_next(self.delayed(numbers.tau)[0])
+        CD = np.hstack([numbers.C, numbers.D]).T
         seen = layout.patterns[layout.pattern]
-        r = np.empty_like(layout.y)
+        r, states = np.empty_like(layout.y), np.empty((len(layout.y), self.nx))
         ends = np.empty((len(layout.count), self.nx))
         bias, x = point.bias[layout.record], point.nodes[layout.node]
-        for k in range(int(layout.count[0])):
-            n = int(np.searchsorted(-layout.count, -k))  # intervals with more than k samples
+        active = _active(layout.count)
+        for k, n in enumerate(active):
             at = layout.start[:n] + k
-            after = np.minimum(at + 1, len(u) - 1)
-            V = np.hstack([x[:n], u[at], u[after]])
-            r[at] = (V @ CD.T + bias[:n] - layout.y[at]) * seen[at]
+            V = np.concatenate([x[:n], inputs[at]], axis=1)
+            r[at] = (V[:, : len(CD)] @ CD + bias[:n] - layout.y[at]) * seen[at]
+            states[at] = x[:n]
             x = steps.state(layout.step[at], V, r[at])
-            done = layout.count[:n] == k + 1
-            ends[:n][done] = x[done]
-        return r, ends
+            if k + 1 == len(active) or active[k + 1] < n:
+                done = layout.count[:n] == k + 1
+                ends[:n][done] = x[done]
+        return Motion(states, r, ends)
 
-    def batches(self, point: Point, W: Array) -> Iterator[Batch]:
+    def batches(self, point: Point, motion: Motion, W: Array) -> Iterator[Batch]:
         """Gram matrices of all intervals, a bounded number of rows at a time."""
-        layout, numbers = self.layout, self.structure(point.lam)
-        steps = Steps(numbers, layout.classes, self.filtering, slopes=True)
-        inputs = self.delayed(numbers.tau)
+        sweep = _Sweep(self, point, motion, W)
         columns = self.nf + self.nx + self.ny + 1
         size = max(1, int(BATCH_BYTES / (8 * BLOCK * self.ny * columns)))
-        for first in range(0, len(layout.count), size):
-            index = np.arange(first, min(first + size, len(layout.count)))
-            yield _Sweep(self, numbers, steps, inputs, point, W, index).run()
+        for first in range(0, len(self.layout.count), size):
+            index = np.arange(first, min(first + size, len(self.layout.count)))
+            gram = np.zeros((len(index), columns, columns))
 
-    def influence(self, point: Point, W: Array, record: int, follow: Array) -> Array:
+            def add(j: int, _: int, rows: Array, gram: Array = gram) -> None:
+                flat = rows.reshape(-1, rows.shape[-1])
+                gram[j] += flat.T @ flat
+
+            slopes = sweep.run(index, add)
+            yield Batch(index, gram, motion.ends[index], slopes)
+
+    def influence(
+        self, point: Point, motion: Motion, W: Array, record: int, follow: Array
+    ) -> Array:
         """Total derivative by λ of one record's whitened residuals, (N, ny, nf).
 
         ``follow`` (J, nf + nx + ny, nf) says how λ, node and biases of every interval (rows of the
         layout) move with λ.
         """
-        layout, numbers = self.layout, self.structure(point.lam)
-        steps = Steps(numbers, layout.classes, self.filtering, slopes=True)
+        layout = self.layout
         index = np.flatnonzero(layout.record == record)
         first = layout.start[index].min()
         slope = np.empty((int(layout.count[index].sum()), self.ny, follow.shape[2]))
@@ -159,108 +183,113 @@ class Evaluator:
             at = layout.start[index[j]] - first + k
             slope[at : at + len(rows)] = rows[:, :, :-1] @ follow[index[j]]
 
-        _Sweep(self, numbers, steps, self.delayed(numbers.tau), point, W, index).run(keep)
+        _Sweep(self, point, motion, W).run(index, keep)
         return slope
 
 
 class _Sweep:
-    """One pass over a batch of intervals: states, sensitivities and Gram matrices together."""
+    """Passes over batches of intervals that turn states into rows of the Jacobian.
 
-    def __init__(
-        self,
-        evaluator: Evaluator,
-        numbers: Numbers,
-        steps: Steps,
-        inputs: tuple[Array, Array],
-        point: Point,
-        W: Array,
-        index: np.ndarray,
-    ) -> None:
+    The states being known, all that drives the sensitivities over a block of samples is one dense
+    product; only S⁺ = A_d S + F goes sample by sample.
+    """
+
+    def __init__(self, evaluator: Evaluator, point: Point, motion: Motion, W: Array) -> None:
         layout = evaluator.layout
-        self.e, self.numbers, self.steps, self.inputs = evaluator, numbers, steps, inputs
-        self.W, self.index = W, index
-        self.start, self.count = layout.start[index], layout.count[index]
-        self.bias = point.bias[layout.record[index]]
-        self.x = point.nodes[layout.node[index]]
-        nf, nx, ny, n = evaluator.nf, evaluator.nx, evaluator.ny, len(index)
-        self.ns = nf + nx + (ny if evaluator.filtering else 0)
-        self.nc = nf + nx + ny + 1
-        self.S: Array = np.zeros((nx, n, self.ns))
-        self.S[:, :, nf : nf + nx] = np.eye(nx)[:, None, :]
-        self.rows = np.empty((n, min(BLOCK, int(self.count[0])), ny, self.nc))
-        self.gram = np.zeros((n, self.nc, self.nc))
-        self.CD = _output_map(numbers)
-        self.drive = np.concatenate([numbers.C_lam, numbers.D_lam], axis=1)
+        self.e, self.layout, self.motion, self.W = evaluator, layout, motion, W
+        self.numbers = evaluator.structure(point.lam)
+        self.steps = Steps(self.numbers, layout.classes, evaluator.filtering, slopes=True)
+        u, du = evaluator.delayed(self.numbers.tau)
+        self.inputs, self.moved = _with_next(u), _with_next(du)
+        self.ns = evaluator.nf + evaluator.nx + (evaluator.ny if evaluator.filtering else 0)
+        self.drive = np.concatenate([self.numbers.C_lam, self.numbers.D_lam], axis=1)
         self.live = np.flatnonzero(self.drive.any(axis=(1, 2)))
-        self.delay = numbers.D[:, :, None] * numbers.tau_lam[:, numbers.delaying]
+        self.delay = self.numbers.D[:, :, None] * self.numbers.tau_lam[:, self.numbers.delaying]
 
-    def run(self, keep: Callable[[int, int, Array], None] | None = None) -> Batch:
-        """All samples of the batch; ``keep`` is given (interval, sample, rows) as they come."""
-        n, nx, last = len(self.index), self.e.nx, int(self.count[0]) - 1
-        ends, slopes = np.empty((n, nx)), np.zeros((n, nx, self.nc - 1))
-        for k in range(last + 1):
-            active = int(np.searchsorted(-self.count, -k))
-            self.x, self.S = self._step(k, active)
-            done = self.count[:active] == k + 1
-            if done.any():
-                ends[:active][done] = self.x[done]
-                slopes[:active, :, : self.ns][done] = self.S[:, done].transpose(1, 0, 2)
-            if (k + 1) % BLOCK == 0 or k == last:
-                self._sum_up(k - k % BLOCK, keep)
-        return Batch(self.index, self.gram, ends, slopes)
+    def run(self, index: np.ndarray, take: Callable[[int, int, Array], None]) -> Array:
+        """Derivatives (n, nx, nf + nx + ny) of the end states of some intervals, longest first.
 
-    def _step(self, k: int, n: int) -> tuple[Array, Array]:
-        """Rows of sample k of the first n intervals, then states and sensitivities one step on."""
-        layout, (u, du) = self.e.layout, self.inputs
-        at = self.start[:n] + k
-        after = np.minimum(at + 1, len(u) - 1)
-        V = np.hstack([self.x[:n], u[at], u[after]])
-        dV = np.hstack([du[at], du[after]])
-        seen = layout.patterns[layout.pattern[at]]
-        r = (V @ self.CD.T + self.bias[:n] - layout.y[at]) * seen
-        out = self._outputs(self.S[:, :n], V, dV, r)
-        self._store(out, layout.pattern[at], k % BLOCK)
-        heard = None
-        if self.e.filtering:
-            heard = out[:, :, : self.ns] * seen.T[:, :, None]
-        S = self.steps.slope(layout.step[at], self.S[:, :n], V, dV, r, heard)
-        return self.steps.state(layout.step[at], V, r), S
+        ``take`` is given (position in the batch, first sample, rows) block by block.
+        """
+        e, start, count = self.e, self.layout.start[index], self.layout.count[index]
+        slopes = np.zeros((len(index), e.nx, e.nf + e.nx + e.ny))
+        S: Array = np.zeros((e.nx, len(index), self.ns))
+        S[:, :, e.nf : e.nf + e.nx] = np.eye(e.nx)[:, None, :]
+        for first in range(0, int(count[0]), BLOCK):
+            n = int((count > first).sum())
+            length = min(BLOCK, int(count[0]) - first)
+            k = np.minimum(first + np.arange(length)[:, None], count[:n] - 1)
+            trail = self._block(start[:n] + k, S[:, :n])
+            rows = self._rows(start[:n] + k, trail[:-1])
+            for j in range(n):
+                valid = min(int(count[j]) - first, length)
+                take(j, first, rows[j, :valid])
+                if count[j] - first <= length:
+                    slopes[j, :, : self.ns] = trail[valid][:, j]
+            S = trail[-1]
+        return slopes
 
-    def _outputs(self, S: Array, V: Array, dV: Array, r: Array) -> Array:
-        """Derivatives of the outputs by all columns, and the residuals: (ny, n, nc)."""
-        nf, nx, ny, ns, nu = self.e.nf, self.e.nx, self.e.ny, self.ns, self.e.nu
-        out = np.zeros((ny, S.shape[1], self.nc))
-        out[:, :, :ns] = (self.numbers.C @ S.reshape(nx, -1)).reshape(ny, -1, ns)
+    def _block(self, at: np.ndarray, S: Array) -> Array:
+        """Sensitivities before each of K samples and after the last, (K + 1, nx, n, ns)."""
+        K, n = at.shape
+        flat, nf = at.ravel(), self.e.nf
+        V = np.concatenate([self.motion.states[flat], self.inputs[flat]], axis=1)
+        step, r = self.layout.step[flat], self.motion.residuals[flat]
+        force = self.steps.force(step, V, self.moved[flat], r).reshape(self.e.nx, K, n, nf)
+        trail = np.empty((K + 1, *S.shape))
+        trail[0] = S
+        for k in range(K):
+            heard = self._heard(at[k], trail[k]) if self.e.filtering else None
+            trail[k + 1] = self.steps.carry(self.layout.step[at[k]], trail[k], heard)
+            trail[k + 1][:, :, :nf] += force[:, k]
+        return trail
+
+    def _heard(self, at: np.ndarray, S: Array) -> Array:
+        """Derivatives of the measured residuals of one sample, 0 where missing, (ny, n, ns)."""
+        through = (self.numbers.C @ S.reshape(len(S), -1)).reshape(-1, *S.shape[1:])
+        seen = self.layout.patterns[self.layout.pattern[at]]
+        return np.asarray((through + self._direct(at)) * seen.T[:, :, None])
+
+    def _direct(self, flat: np.ndarray) -> Array:
+        """Derivatives of the outputs not through the states, (ny, rows, ns)."""
+        nf, nx, nu = self.e.nf, self.e.nx, self.e.nu
+        out = np.zeros((self.e.ny, len(flat), self.ns))
+        V = np.concatenate([self.motion.states[flat], self.inputs[flat][:, :nu]], axis=1)
         for a in self.live:
-            out[a, :, :nf] += V[:, : nx + nu] @ self.drive[a]
+            out[a, :, :nf] = V @ self.drive[a]
         if len(self.numbers.delaying):
-            out[:, :, self.numbers.delaying] += dV[:, :nu] @ self.delay
-        out[:, :, nf + nx : -1] += np.eye(ny)[:, None, :]
-        out[:, :, -1] = r.T
+            out[:, :, self.numbers.delaying] += self.moved[flat][:, :nu] @ self.delay
+        if self.e.filtering:
+            out[:, :, nf + nx :] = np.eye(self.e.ny)[:, None, :]
         return out
 
-    def _store(self, out: Array, pattern: np.ndarray, place: int) -> None:
-        ny, n, nc = out.shape
-        for p, mine in groups(pattern, len(self.W)):
-            part = (self.W[p] @ out[:, mine].reshape(ny, -1)).reshape(ny, -1, nc)
-            self.rows[:n, place][mine] = part.transpose(1, 0, 2)
+    def _rows(self, at: np.ndarray, S: Array) -> Array:
+        """Whitened Jacobian rows and residuals of K samples, (n, K, ny, nc)."""
+        e, ns, (K, n) = self.e, self.ns, at.shape
+        flat = at.ravel()
+        out = np.empty((e.ny, K, n, e.nf + e.nx + e.ny + 1))
+        through = (self.numbers.C @ S.reshape(K, e.nx, -1)).reshape(K, e.ny, n, ns)
+        direct = self._direct(flat).reshape(e.ny, K, n, ns)
+        out[:, :, :, e.nf + e.nx : -1] = np.eye(e.ny)[:, None, None, :]
+        np.add(through.transpose(1, 0, 2, 3), direct, out=out[:, :, :, :ns])
+        out[:, :, :, -1] = self.motion.residuals[flat].T.reshape(e.ny, K, n)
+        flat_out = out.reshape(e.ny, K * n, -1)
+        white = np.empty_like(flat_out)
+        for p, mine in groups(self.layout.pattern[flat], len(self.W)):
+            part = flat_out[:, mine]
+            white[:, mine] = (self.W[p] @ part.reshape(e.ny, -1)).reshape(part.shape)
+        return white.reshape(out.shape).transpose(2, 1, 0, 3).copy()
 
-    def _sum_up(self, first: int, keep: Callable[[int, int, Array], None] | None) -> None:
-        """Add the rows held, from sample ``first`` on, to the Gram matrices."""
-        for j, count in enumerate(self.count):
-            valid = min(int(count) - first, BLOCK)
-            if valid <= 0:
-                continue
-            if keep is None:
-                flat = self.rows[j, :valid].reshape(-1, self.nc)
-                self.gram[j] += flat.T @ flat
-            else:
-                keep(j, first, self.rows[j, :valid])
+
+def _active(count: np.ndarray) -> list[int]:
+    """How many intervals (longest first) have more than k samples, k = 0, 1, ..."""
+    k = np.arange(int(count[0]))
+    return [int(n) for n in np.searchsorted(-count, -k)]
 
 
-def _output_map(numbers: Numbers) -> Array:
-    """(C, D, 0), against (x, u_k, u_k+1)."""
-    return np.hstack([numbers.C, numbers.D, np.zeros_like(numbers.D)])
+def _with_next(u: Array) -> Array:
+    """Each sample beside the one after it; the last beside itself."""
+    return np.hstack([u, np.vstack([u[1:], u[-1:]])])
 
 
 def _longest(free: Free) -> float:

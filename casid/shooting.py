@@ -197,7 +197,7 @@ def simulate(
         bias=np.zeros((1, ny)) if bias is None else np.reshape(bias, (1, ny)).astype(float),
         nodes=np.zeros((1, nx)) if x0 is None else np.reshape(x0, (1, nx)).astype(float),
     )
-    return evaluator.simulate(point)[0]
+    return evaluator.simulate(point).residuals
 
 
 @dataclass(frozen=True, eq=False)

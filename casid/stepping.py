@@ -96,25 +96,43 @@ class Steps:
                 new[mine] -= group.apply(group.gain, r[mine], step[mine])
         return new
 
-    def slope(
-        self, step: np.ndarray, S: Array, V: Array, dV: Array, r: Array, heard: Array | None
-    ) -> Array:
-        """Sensitivities (nx, n, ns) one step on.
+    def force(self, step: np.ndarray, V: Array, dV: Array, r: Array) -> Array:
+        """What drives the derivatives of the states over each step, (nx, rows, nf).
 
-        ``dV`` are the delay-derivatives of (u_k, u_k+1); ``heard`` (ny, n, ns) those of the
-        residuals that were measured, of a filter.
+        From (x, u_k, u_k+1), the delay-derivatives of (u_k, u_k+1), and the residuals.
         """
-        new = np.empty_like(S)
+        parts: list[tuple[Any, Array]] = []
+        for g, mine in groups(self._group_of[step], len(self._groups)):
+            group, kind = self._groups[g], step[mine]
+            part = group.spread(group.drive, V[mine], kind)
+            if len(self.delaying):
+                part[:, :, self.delaying] += group.spread(group.delay, dV[mine], kind)
+            if self.filtering:
+                part -= group.spread(group.gain_drive, r[mine], kind)
+            parts.append((mine, part))
+        if len(parts) == 1:
+            return parts[0][1]
+        new = np.empty((self.nx, len(step), parts[0][1].shape[2]))
+        for mine, part in parts:
+            new[:, mine] = part
+        return new
+
+    def carry(self, step: np.ndarray, S: Array, heard: Array | None) -> Array:
+        """Derivatives (nx, n, ns) of the states one step on, but for what drives them.
+
+        ``heard`` (ny, n, ns) are those of the residuals that were measured, of a filter.
+        """
+        parts: list[tuple[Any, Array]] = []
         for g, mine in groups(self._group_of[step], len(self._groups)):
             group, kind = self._groups[g], step[mine]
             part = group.carry(group.Ad, S[:, mine], kind)
-            nf = group.drive.shape[-1]
-            part[:, :, :nf] += group.spread(group.drive, V[mine], kind)
-            if len(self.delaying):
-                part[:, :, self.delaying] += group.spread(group.delay, dV[mine], kind)
             if heard is not None:
                 part -= group.carry(group.gain, heard[:, mine], kind)
-                part[:, :, :nf] -= group.spread(group.gain_drive, r[mine], kind)
+            parts.append((mine, part))
+        if len(parts) == 1:
+            return parts[0][1]
+        new = np.empty_like(S)
+        for mine, part in parts:
             new[:, mine] = part
         return new
 

@@ -1,6 +1,7 @@
 """The matrices of a model as functions of the unknowns, with their derivatives, in numbers."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -28,7 +29,7 @@ class Numbers:
     c_lam: Array
     K_lam: Array
 
-    @property
+    @cached_property
     def delaying(self) -> np.ndarray:
         """Which unknowns move a delay."""
         return np.flatnonzero(self.tau_lam.any(axis=0))

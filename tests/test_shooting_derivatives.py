@@ -1,0 +1,93 @@
+"""Gradient and Jacobian against finite differences, simulation against the exact one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_shooting import TRUTH, flown
+
+from casid import Constraint, Record
+from casid.intervals import lay_out
+from casid.model import free_parameters
+from casid.programme import Programme
+from casid.sensitivity import Evaluator
+from casid.shooting import simulate
+from casid.starting import noise_of, starting_programme
+
+GAIN = np.array([[0.1, 1.0, 0.5], [0.0, 2.0, 0.3], [0.02, 0.1, 1.0]])
+
+
+def jittered(record: Record, share=0.4):
+    """The same manoeuvre at instants moved by up to a share of the sampling interval."""
+    rng = np.random.default_rng(1)
+    t = record.t + share * record.dt * rng.uniform(-1, 1, record.N)
+    u = np.column_stack([np.interp(t, record.t, column) for column in record.u.T])
+    return replace(record, t=t, u=u)
+
+
+def with_holes(record: Record):
+    """Samples missing one by one, a channel for a while, and whole samples."""
+    y = record.y.copy()
+    y[np.random.default_rng(2).random(y.shape) < 0.1] = np.nan
+    y[20:40, 1] = np.nan
+    y[60:65] = np.nan
+    return replace(record, y=y)
+
+
+class Tied(type(TRUTH)):
+    """Roll with a tie and an inequality."""
+
+    def constraints(self):
+        return (
+            Constraint("tie", self.Ylat - 0.2 * self.Llat),
+            Constraint("slow", self.Lp * self.Lp, 0.0, 9.0),
+        )
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+@pytest.mark.parametrize("gain", [None, GAIN], ids=["output error", "filter error"])
+@pytest.mark.parametrize("kind", ["given", "diagonal", "full"])
+def test_gradient_and_jacobian_agree_with_central_differences(gain, kind, hold):
+    records = [jittered(with_holes(flown(seed=1).between(0, 4))), flown(seed=2).between(0, 3)]
+    records = [replace(record, hold=hold) for record in records]
+    free = free_parameters(Tied(), fixed=("Lped",))
+    evaluator = Evaluator(free, lay_out(records, 1.0), gain, gain is not None)
+    programme, point = starting_programme(evaluator, free, np.diag([0.1, 0.01, 0.01]), True)
+    if kind != "given":
+        noise = noise_of(evaluator, None, kind)
+        programme = Programme(evaluator, free, programme.scales, noise, True)
+    rng = np.random.default_rng(3)
+    x = programme.pack(point) + 0.01 * rng.standard_normal(programme.size)
+    v, eps = rng.standard_normal(programme.size), 1e-6
+    up, down = programme.values(x + eps * v), programme.values(x - eps * v)
+    slope = (up.cost - down.cost) / (2 * eps)
+    # Rounding 1e-16 of costs of order one over 1e-6, truncation eps² times third derivatives.
+    np.testing.assert_allclose(programme.gradient(x) @ v, slope, rtol=1e-6, atol=1e-8)
+    difference = (up.g - down.g) / (2 * eps)
+    scale = np.abs(difference).max()
+    np.testing.assert_allclose(
+        programme.constraint_matrix(x) @ v, difference, rtol=1e-6, atol=1e-7 * scale
+    )
+
+
+def test_irregular_sampling_is_simulated_exactly():
+    # More distinct intervals than are tabulated, one of them long: maps are interpolated.
+    model = replace(TRUTH, tau=0.0)
+    record = jittered(flown(seed=3))
+    record = replace(record, t=record.t + 0.5 * (np.arange(record.N) > 300))
+    expected = model.system().simulate(record.t, record.u, np.array([0.1, 0.2, 0.3]))
+    y = simulate(model, record, np.array([0.1, 0.2, 0.3]))
+    # Sampling intervals are told apart to 1e-9 of their length.
+    np.testing.assert_allclose(y, expected, rtol=1e-7, atol=1e-8 * np.abs(expected).max())
+
+
+def test_intervals_cover_every_sample_once():
+    records = [flown(seed=1), with_holes(flown(seed=2).between(0, 5)), flown(seed=3)]
+    layout = lay_out(records, 0.7)
+    covered = np.concatenate(
+        [np.arange(a, a + n) for a, n in zip(layout.start, layout.count, strict=True)]
+    )
+    np.testing.assert_array_equal(np.sort(covered), np.arange(sum(r.N for r in records)))
+    assert (np.diff(layout.count) <= 0).all()
+    assert layout.last.sum() == len(records)
+    assert layout.observations == sum(int(np.isfinite(r.y).sum()) for r in records)
