@@ -45,10 +45,6 @@ class Lifted:
         Unit of the weighted error.
     state_scale : (nx,) array
         Unit of the states for scaled inputs.
-    points, states, inputs : int
-        K, nx, nu.
-    local : int
-        Number of variables a point.
     ties : slice
         Where the structure's own constraints are among the programme's.
     """
@@ -58,10 +54,6 @@ class Lifted:
     norm: str
     unit: float
     state_scale: Array
-    points: int
-    states: int
-    inputs: int
-    local: int
     ties: slice
 
     def parameters(self, x: Array) -> Array:
@@ -69,15 +61,6 @@ class Lifted:
         free = self.free
         values = x[: len(free.index)] * free.scale[free.index]
         return np.asarray(np.clip(values, free.lower[free.index], free.upper[free.index]))
-
-    def responses(self, x: Array) -> ComplexArray:
-        """The states' responses X_k to scaled inputs in a vector of the programme, (K, nx, nu)."""
-        n, size = len(self.free.index) + (self.norm == "hinf"), self.states * self.inputs
-        z = x[n : n + self.points * self.local].reshape(self.points, self.local)
-        parts = (z[:, :size], z[:, size : 2 * size])
-        shape = (self.points, self.inputs, self.states)
-        real, imaginary = (part.reshape(shape).transpose(0, 2, 1) for part in parts)
-        return np.asarray((real + 1j * imaginary) * self.state_scale[:, None])
 
 
 def lift(
@@ -129,8 +112,7 @@ def lift(
     x0, lower, upper = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Lifted(
         problem=assemble(blocks, x0, lower, upper), free=free, norm=norm, unit=unit,
-        state_scale=state_scale, points=len(z), states=system.nx, inputs=system.nu,
-        local=z.shape[1], ties=slice(ties, ties + len(free.model.constraints())),
+        state_scale=state_scale, ties=slice(ties, ties + len(free.model.constraints())),
     )  # fmt: skip
 
 

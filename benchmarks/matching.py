@@ -1,0 +1,274 @@
+"""Matching: starts, speed, growth, and a Monte-Carlo run; prints Markdown tables.
+
+    python -m benchmarks.matching starts [N]    against N random starts (50) on three helicopters
+    python -m benchmarks.matching speed         time and growth, lifted against condensed
+    python -m benchmarks.matching bo105 [N]     spread and bias of λ over N noise seeds (20)
+
+Seconds are processor time of one core: other work on the machine does not count.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from benchmarks import bo105
+from benchmarks.tables import table
+from casid import BlackBox, Model, SolverOptions, StateSpace, match, parameter, pbsid, read_csv
+from casid.comparison import Comparison, compare
+from casid.descent import Condensed, descend
+from casid.initial import starts
+from casid.lifted import lift
+from casid.model import Free, free_parameters
+from casid.nlp import solve
+from models.six_dof import SixDof
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+FACTOR = 3.0  # within which random starts lie of the solution
+LIMITS = SolverOptions(max_iterations=200, max_seconds=120.0)
+
+
+def helicopters() -> dict[str, tuple[SixDof, BlackBox, dict[str, tuple[float, float]]]]:
+    """Structure with its file's guesses, black box and bounds of each."""
+    found = {}
+    for name, units in (("UH-60", "%"), ("AH-1S", "-")):
+        folder = EXAMPLES / name.lower().replace("-", "") / "data"
+        files = sorted([*folder.glob("3211_???.csv"), *folder.glob("sweep_*.csv")])
+        given = {"inputs": SixDof.inputs, "units": dict.fromkeys(SixDof.inputs, units)}
+        rng = np.random.default_rng(20130)
+        records = [
+            read_csv(file, outputs=SixDof.outputs, detrend="first", **given).with_noise(
+                bo105.NOISE, rng
+            )
+            for file in files
+        ]
+        trim = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+        still = [read_csv(file, outputs=trim, **given).y[:100].mean(axis=0) for file in files]
+        fields = ("U0", "V0", "W0", "P0", "Q0", "R0", "phi0", "theta0")
+        values = dict(zip(fields, map(float, np.mean(still, axis=0)), strict=True))
+        box = pbsid(records, order=18, feedthrough=["ax", "ay", "az"])
+        found[name] = (SixDof(**values), box, {})
+    box = pbsid(bo105.records(1), order=12, feedthrough=["ax", "ay", "az"])
+    found["Bo105"] = (bo105.structure(), box, bo105.BOUNDS)
+    return found
+
+
+# ---- starts -------------------------------------------------------------------------------------
+
+
+def compare_starts(count: int) -> None:
+    """The cost from the black box alone against the best of many random starts."""
+    rows = []
+    for name, (model, box, bounds) in helicopters().items():
+        for norm in ("quadratic", "hinf"):
+            begin = time.process_time()
+            fit = match(model, box, norm=norm, bounds=bounds)
+            seconds = time.process_time() - begin
+            grid = np.array(fit.notes["grid"][0]["omega"])
+            free = free_parameters(fit.model, (), bounds)
+            comparison = compare(model, [box], omega=grid)
+            costs = [random_start(free, comparison, norm, seed) for seed in range(count)]
+            best = min(*costs, fit.cost)
+            near = sum(cost <= 1.01 * best for cost in costs)
+            solved = sum(np.isfinite(costs))
+            rows.append((name, norm, fit.cost, seconds, best, 100 * (fit.cost / best - 1),
+                         f"{near} of {count}", f"{solved} of {count}"))  # fmt: skip
+            print(*rows[-1], file=sys.stderr, flush=True)
+    header = ("helicopter", "norm", "cost", "s", "best of all", "above best, %",
+              "random starts within 1 %", "solved and stable")  # fmt: skip
+    print(table(header, rows))
+
+
+def random_start(free: Free, comparison: Comparison, norm: str, seed: int) -> float:
+    """Cost reached by the lifted programmes from within a factor of the solution."""
+    rng = np.random.default_rng(seed)
+    values = free.guess * FACTOR ** rng.uniform(-1, 1, len(free.index))
+    values = np.clip(values, free.lower[free.index], free.upper[free.index])
+    cost = np.inf
+    for stage in ("quadratic", "hinf")[: 1 + (norm == "hinf")]:
+        lifted = lift(free, comparison, stage, values)
+        solution = solve(lifted.problem, LIMITS, stage=f"{stage} {seed}")
+        values = lifted.parameters(solution.x)
+        system = free.model.with_vector(free.full(values)).system()
+        if not solution.success or system.poles()[0].real > comparison.shift + 1e-6:
+            return np.inf
+        cost = solution.f * lifted.unit**2 if stage == "quadratic" else comparison.norm(system)
+    return cost
+
+
+# ---- speed --------------------------------------------------------------------------------------
+
+
+def condensed_programme(free: Free, comparison: Comparison) -> tuple[float, int, float]:
+    """Seconds, iterations and cost of IPOPT with the states eliminated inside CasADi."""
+    begin = time.process_time()
+    scale = free.scale[free.index]
+    lam, d = ca.SX.sym("lam", len(free.index)), ca.SX.sym("d", 2)
+    A, B, C, D, tau, _ = free.model.matrices()(free.full(lam * scale))
+    nx = B.shape[0]
+    s = (d[0] * ca.SX.eye(nx) - A, d[1] * ca.SX.eye(nx))
+    R = ca.inv(s[0] + s[1] @ ca.solve(s[0], s[1]))  # real part of the resolvent's inverse
+    real, imaginary = R, -ca.solve(s[0], s[1] @ R)
+    decay = ca.exp(-d[0] * tau)
+    turn = ca.diag(decay * ca.cos(d[1] * tau)), -ca.diag(decay * ca.sin(d[1] * tau))
+    H = C @ real @ B + D, C @ imaginary @ B
+    G = H[0] @ turn[0] - H[1] @ turn[1], H[0] @ turn[1] + H[1] @ turn[0]
+    shape = comparison.G.shape[1:]
+    target = ca.SX.sym("re", *shape), ca.SX.sym("im", *shape)
+    W = ca.SX.sym("W", *shape)
+    cost = sum(ca.sumsqr(W * (G[i] - target[i])) for i in range(2)) / len(comparison.s)
+    point = ca.Function("point", [lam, ca.vertcat(d, *map(ca.vec, (*target, W)))], [cost])
+    K = len(comparison.s)
+    columns = [part.transpose(0, 2, 1).reshape(K, -1) for part in
+               (comparison.G.real, comparison.G.imag, comparison.W)]  # fmt: skip
+    data = np.column_stack([comparison.s.real, comparison.s.imag, *columns]).T
+    x = ca.MX.sym("x", len(free.index))
+    f = ca.sum2(point.map("all", "serial", K, [0], [])(x, data))
+    limits = {"lbx": free.lower[free.index] / scale, "ubx": free.upper[free.index] / scale}
+    options = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 200}}
+    solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": f}, options)
+    found = solver(x0=free.guess / scale, **limits)
+    iterations = solver.stats()["iter_count"]
+    return time.process_time() - begin, iterations, float(found["f"])
+
+
+class Ring:
+    """A ring of coupled first-order states, all measured: as many parameters as wanted."""
+
+    def __init__(self, nx: int, nu: int, reach: int) -> None:
+        near = {(i, (i + k) % nx) for i in range(nx) for k in range(reach)}
+        rng = np.random.default_rng(nx)
+        A = np.zeros((nx, nx))
+        for i, j in near:
+            A[i, j] = 0.4 * rng.standard_normal()
+        A -= np.diag(np.linspace(0.5, 8.0, nx))
+        B = rng.standard_normal((nx, nu))
+        extra = rng.standard_normal((nx, 2))
+        slow = np.block([[A, extra], [np.zeros((2, nx)), -20.0 * np.eye(2)]])
+        fast = np.vstack([B, rng.standard_normal((2, nu))])
+        C = np.hstack([np.eye(nx), np.zeros((nx, 2))])
+        self.truth = StateSpace(slow, fast, C, np.zeros((nx, nu)))
+        names = self.truth.inputs, self.truth.outputs
+        self.model = _ring_model(near, nx, nu, *names)
+
+    def box(self) -> BlackBox:
+        """A black box two states larger than the structure."""
+        nu, ny = self.truth.nu, self.truth.ny
+        return BlackBox(
+            system=self.truth, K=np.zeros((self.truth.nx, ny)), singular_values=np.ones(1),
+            pole=np.nan, past=1, future=1, transform="laguerre",
+            feedthrough=np.ones((ny, nu), dtype=bool), input_std=np.ones(nu),
+            output_std=np.ones(ny), band=(0.1, 20.0), records=(),
+        )  # fmt: skip
+
+
+def _ring_model(near, nx, nu, inputs, outputs) -> Model:
+    names = [f"a{i}_{j}" for i, j in sorted(near)] + [
+        f"b{i}_{j}" for i in range(nx) for j in range(nu)
+    ]
+    body = {name: parameter(default=0.0, lower=-30.0, upper=30.0, unit="-", scale=1.0)
+            for name in names}  # fmt: skip
+    body |= {f"a{i}_{i}": parameter(default=-1.0, lower=-30.0, upper=0.0, unit="-", scale=1.0)
+             for i in range(nx)}  # fmt: skip
+    body |= {
+        "states": outputs, "inputs": inputs, "outputs": outputs,
+        "__annotations__": dict.fromkeys(names, float), "__module__": __name__,
+        "A": lambda self: [[getattr(self, f"a{i}_{j}") if (i, j) in near else 0.0
+                            for j in range(nx)] for i in range(nx)],
+        "B": lambda self: [[getattr(self, f"b{i}_{j}") for j in range(nu)] for i in range(nx)],
+    }  # fmt: skip
+    return type("RingModel", (Model,), body)()
+
+
+def timed(model: Model, box: BlackBox, norm: str, points: int) -> tuple[float, int, float]:
+    """Seconds, iterations and cost of a whole match."""
+    begin = time.process_time()
+    fit = match(model, box, norm=norm, omega=np.geomspace(*box.band, points))
+    return time.process_time() - begin, fit.iterations, fit.cost
+
+
+def measure_speed() -> None:
+    """Whole matches; then the ways to the quadratic fit from the same guess."""
+    heli, box, _ = helicopters()["UH-60"]
+    small, large = Ring(10, 4, 8), Ring(12, 4, 8)
+    rows = []
+    for label, model, target, points in (
+        ("UH-60, 64 parameters, 40 frequencies", heli, box, 40),
+        ("UH-60, 64 parameters, 80 frequencies", heli, box, 80),
+        ("ring of 10, 120 parameters, 40 frequencies", small.model, small.box(), 40),
+        ("ring of 10, 120 parameters, 100 frequencies", small.model, small.box(), 100),
+        ("ring of 12, 144 parameters, 100 frequencies", large.model, large.box(), 100),
+    ):
+        for norm in ("quadratic", "hinf"):
+            rows.append((label, norm, *timed(model, target, norm, points)))
+            print(*rows[-1], file=sys.stderr, flush=True)
+    print(table(("match", "norm", "s", "iterations", "cost"), rows))
+    compare_ways(heli, box)
+
+
+def compare_ways(model: Model, box: BlackBox) -> None:
+    """Lifted and condensed programmes, and the descent that starts a match, from one guess."""
+    free = free_parameters(model)
+    comparison = compare(model, [box], omega=np.geomspace(*box.band, 40))
+    rows = []
+    begin = time.process_time()
+    lifted = lift(free, comparison, "quadratic", free.guess)
+    solution = solve(lifted.problem, LIMITS, stage="lifted")
+    rows.append(("lifted, IPOPT, exact Hessian", time.process_time() - begin,
+                 solution.iterations, solution.f * lifted.unit**2))  # fmt: skip
+    rows.append(("condensed, IPOPT, exact Hessian", *condensed_programme(free, comparison)))
+    problem = Condensed(free, comparison)
+    begin = time.process_time()
+    down = descend(problem, free.guess, steps=100, tolerance=1e-6)
+    rows.append(("condensed, Levenberg-Marquardt on the line itself", time.process_time() - begin,
+                 "-", down.cost))  # fmt: skip
+    begin = time.process_time()
+    best = starts(free, problem.guarded(), large=True)[0]
+    rows.append(("condensed, Levenberg-Marquardt from the right", time.process_time() - begin,
+                 "-", best.cost))  # fmt: skip
+    print()
+    print(table(("quadratic fit from the guess, UH-60", "s", "iterations", "cost"), rows))
+
+
+# ---- Monte Carlo --------------------------------------------------------------------------------
+
+
+def spread(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Truth (64,) and estimates (2, count, 64) of the quadratic and the H-infinity match."""
+    found = np.empty((2, count, 64))
+    for seed in range(count):
+        box = pbsid(bo105.records(100 + seed), order=12, feedthrough=["ax", "ay", "az"])
+        for k, norm in enumerate(("quadratic", "hinf")):
+            fit = match(bo105.structure(), box, norm=norm, bounds=bo105.BOUNDS)
+            found[k, seed] = fit.model.vector()
+    return bo105.truth().vector(), found
+
+
+def monte_carlo(count: int) -> None:
+    """How far the estimates lie from the truth in units of their own spread."""
+    truth, found = spread(count)
+    rows = []
+    for k, norm in enumerate(("quadratic", "hinf")):
+        sigma = found[k].std(axis=0, ddof=1)
+        each = np.abs(found[k] - truth) / sigma
+        mean = np.abs(found[k].mean(axis=0) - truth) / sigma
+        worst = SixDof.parameter_names()[int(np.argmax(mean))]
+        relative = np.median(sigma / np.maximum(abs(truth), 1e-3))
+        rows.append((norm, f"{(mean <= 3).sum()} of 64", mean.max(), worst,
+                     100 * (each <= 3).mean(), relative))  # fmt: skip
+    header = ("norm", "mean within 3 sigma", "farthest mean, sigma", "of",
+              "single runs within 3 sigma, %", "median relative sigma")  # fmt: skip
+    print(table(header, rows))
+
+
+if __name__ == "__main__":
+    what = sys.argv[1] if len(sys.argv) > 1 else "speed"
+    number = int(sys.argv[2]) if len(sys.argv) > 2 else None
+    if what == "starts":
+        compare_starts(number or 50)
+    elif what == "bo105":
+        monte_carlo(number or 20)
+    else:
+        measure_speed()
