@@ -7,7 +7,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid import limits
 from casid.errors import ModelError
+from casid.limits import OutOfTimeError, time_limit
+
+WIDEST = 1e12  # of a finite bound
 
 
 def check_names(cls: type, attribute: str, names: Any) -> None:  # noqa: ANN401 - unchecked
@@ -20,6 +24,12 @@ def check_names(cls: type, attribute: str, names: Any) -> None:  # noqa: ANN401 
         )
     if twice := [name for name in names if names.count(name) > 1]:
         raise ModelError(f"{cls.__name__}.{attribute} names {twice[0]!r} twice")
+    for name in names:
+        if not name.isprintable() or not name.strip() or set(name) & set("/\\"):
+            raise ModelError(
+                f"{cls.__name__}.{attribute} names {name!r}; names become parts of file names and "
+                "tables: use letters, digits and underscores"
+            )
 
 
 def check_parameter(cls: type, name: str, declared: Any, reserved: Collection[str]) -> None:  # noqa: ANN401 - a Field
@@ -45,6 +55,12 @@ def check_order(name: str, lower: float, upper: float) -> None:
     """Refuse bounds in the wrong order."""
     if not lower <= upper:  # also refuses NaN
         raise ModelError(f"{name}: lower bound {lower} > upper bound {upper}; swap or correct them")
+    for bound in (lower, upper):
+        if np.isfinite(bound) and abs(bound) > WIDEST:
+            raise ModelError(
+                f"{name}: a bound of {bound:g} bounds nothing physical and spoils the scale of the "
+                "solver; narrow it, or leave it out"
+            )
 
 
 def check_rows(cls: Any, built: Mapping[str, ca.SX]) -> None:  # noqa: ANN401 - Model lives above
@@ -67,7 +83,8 @@ def written(symbolic: Any, method: str, convert: Callable[[Any], Any]) -> Any:  
     """What a method of the user's class gives; whatever it raises is told with its name."""
     where = f"{type(symbolic).__name__}.{method}"
     try:
-        return convert(getattr(symbolic, method)())
+        with time_limit(limits.USER_SECONDS):
+            return convert(getattr(symbolic, method)())
     except ModelError as error:
         raise ModelError(f"{where}: {error}") from error
     except AttributeError as error:
@@ -79,7 +96,9 @@ def written(symbolic: Any, method: str, convert: Callable[[Any], Any]) -> Any:  
             if error.obj is symbolic
             else f"{where} raised AttributeError: {error}"
         ) from error
-    except Exception as error:  # the user's own code may raise anything
+    except OutOfTimeError as error:
+        raise ModelError(f"{where}: {error}; does a loop never end?") from error
+    except (Exception, SystemExit) as error:  # the user's own code may raise anything
         raise ModelError(f"{where} raised {type(error).__name__}: {error}") from error
 
 

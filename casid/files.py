@@ -11,9 +11,10 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy.io
-from scipy.io.matlab import MatReadError
 
 from casid.arrays import Array
+from casid.hdf import is_hdf, read_hdf
+from casid.limits import JSON_BYTES, TABLE_BYTES, check_file, check_size
 from casid.record import Hold, Record
 
 SI = {  # what one of each unit is in SI
@@ -25,6 +26,11 @@ SI = {  # what one of each unit is in SI
     "m/s": 1.0, "ft/s": 0.3048, "kt": 1852 / 3600, "km/h": 1 / 3.6,
     "m/s^2": 1.0, "ft/s^2": 0.3048, "g": 9.80665,
 }  # fmt: skip
+
+SHOWN = 40  # names of columns that a message lists
+HEADER_CHARACTERS = 2**20  # a longer first line is no header
+
+LARGEST, SMALLEST = 1e30, 1e-30  # magnitudes of a channel that still measure something
 
 Detrend = Literal["first", "mean"] | Mapping[str, float] | None
 
@@ -100,7 +106,7 @@ def read_mat(
     hold: Hold = "foh",
     name: str | None = None,
 ) -> Record:
-    """A record from a MATLAB file (version 7 or older).
+    """A record from a MATLAB file; version 7.3 needs h5py.
 
     Parameters
     ----------
@@ -113,10 +119,7 @@ def read_mat(
         As in `read_csv`.
     """
     path = Path(path)
-    try:
-        variables = scipy.io.loadmat(str(path), appendmat=False)
-    except (OSError, ValueError, NotImplementedError, TypeError, MatReadError) as error:
-        raise ValueError(f"{path}: cannot read it as a MATLAB file ({error})") from error
+    variables = read_variables(path)
     if time is None and not (dt is not None and dt > 0):
         raise ValueError(
             f"{path}: dt={dt}: expected a positive interval [s], since no time variable is named"
@@ -131,6 +134,28 @@ def read_mat(
         lengths = ", ".join(f"{name} {len(column)}" for name, column in table.items())
         raise ValueError(f"{path}: channels differ in length ({lengths})")
     return _record(table, inputs, outputs, time, units, name or path.stem, hold).detrend(detrend)
+
+
+def read_variables(path: str | Path) -> dict[str, Any]:
+    """All variables of a MATLAB file by name; version 7.3 needs h5py.
+
+    Raises
+    ------
+    ValueError
+        Not a MATLAB file, or more numbers in it than are read.
+    """
+    path = Path(path)
+    check_file(path, TABLE_BYTES, "a MATLAB file")
+    if is_hdf(path):
+        return read_hdf(path)
+    try:
+        sizes = [8.0 * np.prod(shape, dtype=float) for _, shape, _ in scipy.io.whosmat(str(path))]
+        check_size(path, sum(sizes), TABLE_BYTES, "a MATLAB file")
+        return dict(scipy.io.loadmat(str(path), appendmat=False))
+    except Exception as error:  # damaged bytes raise anything in SciPy
+        raise ValueError(
+            f"{path}: cannot read it as a MATLAB file ({error}); save it again, as version 7"
+        ) from error
 
 
 def write_csv(path: str | Path, record: Record) -> None:
@@ -168,10 +193,11 @@ def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
 def read_json(path: str | Path) -> dict[str, Any]:
     """Read what `write_json` wrote, as plain lists and numbers."""
     path = Path(path)
+    check_file(path, JSON_BYTES, "JSON")
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{path}: cannot read it as JSON ({error})") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: cannot read it as JSON ({error}); write it again") from error
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected a JSON object, found {type(content).__name__}")  # noqa: TRY004
     return content
@@ -208,10 +234,30 @@ def _record(
     if not inputs or not outputs:
         raise ValueError(f"record {name!r}: name at least one input and one output to read")
     factors = {channel: _factor(channel, unit, table) for channel, unit in (units or {}).items()}
+    if time in (taken := (*inputs, *outputs)):
+        raise ValueError(
+            f"record {name!r}: channel {time!r} is the time and cannot be an input or output too"
+        )
     scaled = {channel: column * factors.get(channel, 1.0) for channel, column in table.items()}
+    for channel in (time, *taken):
+        _check_magnitude(name, channel, scaled[channel])
     u = np.column_stack([scaled[channel] for channel in inputs])
     y = np.column_stack([scaled[channel] for channel in outputs])
     return Record(scaled[time], u, y, tuple(inputs), tuple(outputs), name, hold)
+
+
+def _check_magnitude(record: str, channel: str, values: Array) -> None:
+    largest = np.max(np.abs(values[np.isfinite(values)]), initial=0.0)
+    if largest > LARGEST:
+        raise ValueError(
+            f"record {record!r}: channel {channel!r} reaches {largest:g}, which no instrument "
+            "measures; mark missing samples with an empty cell or nan"
+        )
+    if 0 < largest < SMALLEST:
+        raise ValueError(
+            f"record {record!r}: channel {channel!r} never exceeds {largest:g}: it carries no "
+            "signal; write zeros or leave the channel out"
+        )
 
 
 def _factor(channel: str, unit: str, table: Mapping[str, Array]) -> float:
@@ -225,14 +271,20 @@ def _factor(channel: str, unit: str, table: Mapping[str, Array]) -> float:
 
 
 def _csv_columns(path: Path) -> list[str]:
+    check_file(path, TABLE_BYTES, "CSV")
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            header = next(csv.reader(file), None)
+            header = next(csv.reader([file.readline(HEADER_CHARACTERS)]), None)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{path}: cannot read it as CSV ({error})") from error
-    if not header:
+        raise ValueError(
+            f"{path}: cannot read it as CSV ({error}); save it as comma-separated text in UTF-8"
+        ) from error
+    columns = [column.strip() for column in header or []]
+    if not any(columns):
         raise ValueError(f"{path}: the file is empty; expected a header line with channel names")
-    return [column.strip() for column in header]
+    if "\0" in "".join(columns):
+        raise ValueError(f"{path}: it is no text; save it as comma-separated text in UTF-8")
+    return columns
 
 
 def _csv_values(path: Path, positions: list[int], names: list[str]) -> Array:
@@ -249,8 +301,10 @@ def _csv_values(path: Path, positions: list[int], names: list[str]) -> Array:
     except ValueError:  # slower, but knows empty cells
         try:
             values = read(lambda cell: float(cell) if cell.strip() else np.nan)
-        except (ValueError, IndexError) as error:
-            raise ValueError(f"{path}: not a table of numbers: {error}") from error
+        except (ValueError, IndexError, OverflowError) as error:
+            raise ValueError(
+                f"{path}: not a table of numbers: {error}; leave the cell of a missing sample empty"
+            ) from error
     if not len(values):
         raise ValueError(f"{path}: no samples below the header of {', '.join(names)}")
     return values
@@ -258,10 +312,31 @@ def _csv_values(path: Path, positions: list[int], names: list[str]) -> Array:
 
 def _find(name: str, columns: list[str], path: Path) -> int:
     if name not in columns:
-        raise ValueError(f"{path}: no column {name!r}; it has {', '.join(columns)}")
+        shown = ", ".join(columns[:SHOWN]) + ", ..." * (len(columns) > SHOWN)
+        raise ValueError(
+            f"{path}: no column {name!r}; it has {shown[:2000]}{_header_hint(columns)}"
+        )
     if columns.count(name) > 1:
-        raise ValueError(f"{path}: column {name!r} stands there {columns.count(name)} times")
+        raise ValueError(
+            f"{path}: column {name!r} stands there {columns.count(name)} times; rename one"
+        )
     return columns.index(name)
+
+
+def _header_hint(columns: list[str]) -> str:
+    if len(columns) == 1 and (other := [mark for mark in ";\t|" if mark in columns[0]]):
+        return f". Its cells are separated by {other[0]!r}; separate them by commas"
+    if all(_is_number(column) for column in columns):
+        return ". It begins with numbers; write the channel names in its first line"
+    return ""
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _mat_column(variables: Mapping[str, Any], place: tuple[str, int | None], path: Path) -> Array:

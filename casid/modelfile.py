@@ -6,7 +6,9 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+from casid import limits
 from casid.errors import ModelError
+from casid.limits import TEXT_BYTES, OutOfTimeError, check_file, time_limit
 from casid.model import Model
 
 
@@ -45,9 +47,13 @@ def locate_model(reference: str, folder: str | Path = ".") -> tuple[Path, str]:
     file, colon, name = reference.rpartition(":")
     if not colon or not file.endswith(".py") or not name.isidentifier():
         raise ModelError(f'model reference {reference!r}: expected "path/to/file.py:ClassName"')
-    path = (Path(folder) / file).resolve()
-    if not path.is_file():
-        raise ModelError(f"model reference {reference!r}: there is no file {path}")
+    try:
+        path = (Path(folder) / file).resolve()
+        check_file(path, TEXT_BYTES, "a model file")
+    except ValueError as error:
+        raise ModelError(
+            f"model reference {reference!r}: there is no file {file!r} ({error})"
+        ) from error
     return path, name
 
 
@@ -61,8 +67,15 @@ def _execute(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:  # the user's file may raise anything
+        with time_limit(limits.USER_SECONDS):
+            spec.loader.exec_module(module)
+    except OutOfTimeError as error:
+        del sys.modules[name]
+        raise ModelError(
+            f"model file {path}{_line(error, path)} does not import: {error}; "
+            "does a loop never end? A model file only declares"
+        ) from error
+    except (Exception, SystemExit) as error:  # the user's file may raise anything
         del sys.modules[name]
         line = _line(error, path)
         raise ModelError(
@@ -71,7 +84,7 @@ def _execute(path: Path) -> ModuleType:
     return module
 
 
-def _line(error: Exception, path: Path) -> str:
+def _line(error: BaseException, path: Path) -> str:
     if isinstance(error, SyntaxError):
         return f", line {error.lineno}"
     lines = []

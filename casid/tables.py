@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from casid.limits import TEXT_BYTES, check_file
+
 
 @dataclass(frozen=True)
 class Table:
@@ -60,9 +62,14 @@ class Table:
 
 def read_toml(path: Path) -> Table:
     """Return the top table of a file."""
+    check_file(path, TEXT_BYTES, "a study file")
     try:
         return Table(tomllib.loads(path.read_text(encoding="utf-8")), f"{path}:")
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise ValueError(
+            f"{path}: cannot read the study file ({error}); save it as text in UTF-8"
+        ) from error
+    except OSError as error:
         raise ValueError(f"{path}: cannot read the study file ({error})") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not TOML: {error}") from error

@@ -1,0 +1,89 @@
+"""Limits on what comes from outside: size of files, time in the user's code."""
+
+import signal
+import stat
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+MIB = 2**20
+TABLE_BYTES = 2048 * MIB  # of a file of samples, and of the numbers in it
+JSON_BYTES = 1024 * MIB
+USER_SECONDS = 60.0  # that importing a model file or one method of a model may take
+TEXT_BYTES = 4 * MIB  # of a study file or a model file
+
+
+def check_file(path: Path, limit: int, what: str) -> None:
+    """Refuse what is no ordinary file, and one too large to be what it is taken for.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    limit : int
+        Largest size [bytes].
+    what : str
+        What the file is read as, for the message.
+
+    Raises
+    ------
+    ValueError
+        No such file, a folder or device, or a file above the limit.
+    """
+    try:
+        found = path.stat()
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        reason = getattr(error, "strerror", None) or str(error)
+        printable = str(path).replace("\0", "\\0")
+        raise ValueError(
+            f"{printable}: cannot read it as {what} ({reason}); check the path"
+        ) from error
+    if not stat.S_ISREG(found.st_mode):
+        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "no ordinary file"
+        raise ValueError(f"{path}: cannot read it as {what}: it is {kind}; name a file")
+    check_size(path, found.st_size, limit, what)
+
+
+def check_size(path: Path, size: float, limit: int, what: str) -> None:
+    """Refuse a size above its limit [bytes]."""
+    if size > limit:
+        raise ValueError(
+            f"{path}: {size / MIB:.0f} MiB, more than the {limit / MIB:.0f} MiB that are read as "
+            f"{what}; is it the right file? Split or decimate a long recording"
+        )
+
+
+class OutOfTimeError(Exception):
+    """The user's code took longer than it may; never leaves casid."""
+
+
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Interrupt Python code that takes longer.
+
+    Only the main thread of a POSIX system can be interrupted; elsewhere there is no limit.
+
+    Raises
+    ------
+    OutOfTimeError
+        The time is over.
+    """
+    if (
+        not hasattr(signal, "setitimer")
+        or threading.current_thread() is not threading.main_thread()
+    ):
+        yield
+        return
+
+    def stop(_: int, __: FrameType | None) -> None:
+        raise OutOfTimeError(f"it took longer than {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    outer, _ = signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_REAL, outer)  # what was left of a limit around this one
