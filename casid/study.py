@@ -11,6 +11,7 @@ import numpy as np
 from casid.files import read_csv, read_mat
 from casid.model import Model
 from casid.nlp import SolverOptions
+from casid.plausibility import check_plausible
 from casid.record import Hold, Record
 
 Role = Literal["identification", "frequency", "refinement", "validation"]
@@ -107,7 +108,7 @@ def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
     Raises
     ------
     ValueError
-        All that `read_csv`, `read_mat` and `Record.detrend` refuse.
+        All that `read_csv`, `read_mat`, `Record.detrend` and `check_plausible` refuse.
     """
     raw = {role: tuple(_read(study, each, file) for file in each.files)
            for role, each in study.roles.items()}  # fmt: skip
@@ -119,6 +120,9 @@ def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
         elif how == "none":
             how = None
         done[role] = tuple(record.detrend(how) for record in raw[role])
+    every = {record.name: record for records in done.values() for record in records}
+    channels = study.channels
+    check_plausible(done["identification"], tuple(every.values()), channels.units, channels.time)
     return {role: done[role] for role in ROLES if role in done}
 
 
