@@ -2,6 +2,7 @@
 
 import logging
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.spinner import Spinner
 from rich.table import Table
@@ -26,7 +27,8 @@ from casid.structure import describe
 from casid.study import Study, read_records
 from casid.studyfile import read_study
 
-BAD_INPUT, NO_CONVERGENCE = 2, 3
+BAD_INPUT, NO_CONVERGENCE, INTERRUPTED = 2, 3, 130
+WIDE = 24  # column of stages
 
 
 def _path(_: click.Context, __: click.Parameter, value: str | None) -> Path | None:
@@ -126,6 +128,9 @@ def _exits(console: Console) -> Iterator[None]:
     except (ValueError, OSError) as error:
         _complain(console, "Bad input", error)
         sys.exit(BAD_INPUT)
+    except KeyboardInterrupt:
+        console.print("Interrupted; stages that had ended are kept, the same command goes on.")
+        sys.exit(INTERRUPTED)
 
 
 def _complain(console: Console, what: str, error: Exception) -> None:
@@ -162,44 +167,57 @@ class Monitor:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._live = Live(console=console, refresh_per_second=8, transient=True)
         self._spinner = Spinner("dots")
+        self._stage, self._since = "", 0.0
+        self._last: Progress | None = None
+        self._live = Live(
+            console=console, refresh_per_second=8, transient=True, get_renderable=self._now
+        )
 
     def __enter__(self) -> "Monitor":
-        self._console.print(Text(f"{'stage':<14}{'iterations':>11}{'cost':>14}{'seconds':>10}",
-                                 style="bold"))  # fmt: skip
+        heading = f"{'stage':<{WIDE}}{'iterations':>11}{'cost':>14}{'seconds':>10}"
+        self._console.print(Text(heading, style="bold"))
         self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._stage = ""
         self._live.stop()
 
     def begin(self, stage: str) -> None:
         """Show that a stage runs."""
-        self._spinner.update(text=Text(stage))
-        self._live.update(self._spinner)
+        self._stage, self._since, self._last = stage, time.perf_counter(), None
 
     def progress(self, progress: Progress) -> None:
         """Show the iteration it is at."""
-        text = _line(progress.stage, progress.iteration, progress.cost, progress.seconds)
-        self._spinner.update(text=Text(text))
+        self._last = progress
 
     def end(self, timing: Timing) -> None:
         """Leave a line about it."""
-        self._live.update(Text(""))
+        self._stage = ""
         line = _line(timing.stage, timing.iterations, timing.cost, timing.seconds)
         self._console.print(Text(line + ("  kept" if timing.kept else "")))
+
+    def _now(self) -> RenderableType:
+        if not self._stage:
+            return Text("")
+        seconds, last = time.perf_counter() - self._since, self._last
+        line = _line(self._stage, None, None, seconds)
+        if last is not None:
+            line = _line(last.stage, last.iteration, last.cost, seconds)
+        self._spinner.update(text=Text(line))
+        return self._spinner
 
 
 def _line(stage: str, iterations: int | None, cost: float | None, seconds: float) -> str:
     steps = "" if iterations is None else str(iterations)
     value = "" if cost is None else f"{cost:.6g}"
-    return f"{stage:<14}{steps:>11}{value:>14}{seconds:>10.2f}"
+    return f"{stage:<{WIDE}}{steps:>11}{value:>14}{seconds:>10.2f}"
 
 
 def _conclude(console: Console, outcome: Outcome) -> None:
     fresh = [timing.seconds for timing in outcome.timings if not timing.kept]
-    console.print(Text(f"{'total':<14}{'':>25}{sum(fresh):>10.2f}", style="bold"))
+    console.print(Text(_line("total", None, None, sum(fresh)), style="bold"))
     console.print(parameter_table(outcome.identification.output_error))
     console.print(Text("Report: ").append(str(outcome.report.resolve()), style="bold"),
                   soft_wrap=True)  # fmt: skip

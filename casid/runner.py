@@ -296,8 +296,20 @@ def _content(
         settings=_settings(study),
         versions=_versions(),
         timings=tuple(stages.clock),
-        warnings=tuple(dict.fromkeys(stages.warnings)),
+        warnings=tuple(dict.fromkeys([*_seen(study), *stages.warnings])),
     )
+
+
+def _seen(study: Study) -> list[str]:
+    """Warnings of validation records that an estimation has seen."""
+    used = {file.resolve() for role, each in study.roles.items() if role != "validation"
+            for file in each.files}  # fmt: skip
+    return [
+        f"Record {file.stem} is for validation, but an estimation has seen it: its verdict is no "
+        "proof."
+        for file in study.roles["validation"].files
+        if file.resolve() in used
+    ]
 
 
 def _data(study: Study, records: Mapping[Role, Sequence[Record]]) -> tuple[DataFile, ...]:

@@ -109,6 +109,18 @@ def test_a_solver_that_stops_early_gives_code_three_and_keeps_what_there_was(tmp
     assert best["success"] is False
 
 
+@pytest.mark.slow
+def test_an_interrupted_study_says_that_the_same_command_goes_on(tmp_path, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("casid.chain.match", interrupted)
+    result = casid("identify", write_study(tmp_path))
+    assert result.exit_code == 130
+    assert "the same command goes on" in result.output
+    assert (tmp_path / "out/stages/pbsid.json").exists()
+
+
 # ---- bad input ---------------------------------------------------------------------------------
 
 STUDY_MISTAKES = {

@@ -186,6 +186,13 @@ def test_what_a_stage_warns_of_is_in_the_report_of_a_later_run_too(tmp_path, mon
 
 
 @pytest.mark.slow
+def test_a_validation_record_that_an_estimation_has_seen_is_told(tmp_path):
+    study = read_study(write_study(tmp_path, ('["random.csv"]', '["sweep.csv"]')))
+    text = run_study(study).report.read_text(encoding="utf-8")
+    assert "Record sweep is for validation, but an estimation has seen it" in text
+
+
+@pytest.mark.slow
 def test_the_structure_can_be_matched_to_the_measured_response_as_well(tmp_path):
     study = read_study(
         write_study(
