@@ -15,6 +15,7 @@ R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -23,6 +24,21 @@ from casid.arrays import Array, ComplexArray
 from casid.record import Hold, Record
 
 LONGEST = 120.0  # s; a longer record is cut, so that the work stays linear in samples
+
+
+class Lines(Protocol):
+    """Transforms of inputs and outputs, and what a mode makes of them."""
+
+    @property
+    def U(self) -> ComplexArray:
+        """Inputs, (K, nu)."""
+
+    @property
+    def Y(self) -> ComplexArray:
+        """Outputs, (K, ny)."""
+
+    def pole_factors(self, lam: ComplexArray) -> tuple[ComplexArray, ...]:
+        """Factors of the input and of the transient, each with its derivative by λ; (K, nm)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,18 +55,19 @@ class Spectrum:
     h: float | None
     hold: Hold
 
-    def pole_factors(self, lam: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Factor of the input, its derivative by λ, and factor of the transient; (K, nm) each."""
+    def pole_factors(self, lam: ComplexArray) -> tuple[ComplexArray, ...]:
+        """Factors of the input and of the transient, each with its derivative by λ; (K, nm)."""
         if self.h is None:
             r = 1 / (1j * self.omega[:, None] - lam)
-            return r, r**2, r
+            return r, r**2, r, r**2
         z = np.exp(1j * self.omega * self.h)[:, None]
         phi, dphi = _hold_weights(lam * self.h, self.hold)
         E = np.exp(lam * self.h)
         weight = self.h * (phi[0] + phi[1] * z)
         slope = self.h**2 * (dphi[0] + dphi[1] * z)
-        r = weight / (z - E)
-        return r, (slope + r * self.h * E) / (z - E), z / (z - E) * self.h
+        r, transient = weight / (z - E), z / (z - E) * self.h
+        grow = self.h * E / (z - E)
+        return r, slope / (z - E) + r * grow, transient, transient * grow
 
 
 def spectra(

@@ -28,6 +28,7 @@ from casid.errors import DataWarning
 from casid.fourier import spectra
 from casid.laguerre import support
 from casid.linear import StateSpace, from_zoh
+from casid.prediction import SampledUncertainty, refine_samples
 from casid.predictor import Stack
 from casid.record import Record, same_channels, standard_deviations
 from casid.refinement import ResponseUncertainty
@@ -71,7 +72,7 @@ class BlackBox:
         Tikhonov factor of the regression, relative to its largest singular value.
     segments : tuple of Segment
         What was used of each record, and how many missing samples were interpolated.
-    uncertainty : ResponseUncertainty or None
+    uncertainty : ResponseUncertainty, SampledUncertainty or None
         Covariance of a refined black box; see `response_std`.
     selection : OrderSelection or None
         How the settings were chosen from data, if they were.
@@ -91,7 +92,7 @@ class BlackBox:
     records: tuple[str, ...]
     regularisation: float = 0.0
     segments: tuple[Segment, ...] = ()
-    uncertainty: ResponseUncertainty | None = None
+    uncertainty: ResponseUncertainty | SampledUncertainty | None = None
     selection: OrderSelection | None = None
 
     def response_std(self, omega: Array) -> tuple[Array, Array]:
@@ -204,8 +205,11 @@ def pbsid(
         regularisation=settings.regularisation, dt=records[0].dt,
     )  # fmt: skip
     system = replace(found.system, inputs=inputs, outputs=outputs)
-    K, uncertainty = found.K, None
-    if transform == "laguerre":
+    K: Array = found.K
+    uncertainty: ResponseUncertainty | SampledUncertainty | None = None
+    if transform == "none" and refine:
+        system, K, uncertainty = refine_samples(system, K, records, su, sy, mask)
+    elif transform == "laguerre":
         _check_unstable(system, settings.pole)
         if refine:
             pieces = [piece for r in records for piece, _ in pieces_of(r, settings.pole)]
