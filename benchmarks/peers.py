@@ -1,7 +1,7 @@
 """Other open implementations, in an environment of their own, on the same data in the same run.
 
-They are SIPPY (`sippy_unipi`: N4SID, MOESP, CVA, PARSIM-K, -S, -P) and `nfoursid`. CASID_PEERS names
-a Python that has them; otherwise the first call builds one in `benchmarks/.peers` from PyPI.
+They are SIPPY (`sippy_unipi`: N4SID, MOESP, CVA, PARSIM-K, -S, -P) and `nfoursid`. CASID_PEERS
+names a Python that has them; otherwise the first call builds one in `benchmarks/.peers` from PyPI.
 """
 
 import os
