@@ -38,6 +38,14 @@ ATTEMPTS = 2  # of a job whose process dies
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
+class UnfinishedError(RuntimeError):
+    """A job failed, but has something to show; ``result`` is not taken as a start of others."""
+
+    def __init__(self, message: str, result: Any = None) -> None:  # noqa: ANN401 - any result
+        super().__init__(message)
+        self.result = result
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Job:
     """One job of a campaign.
@@ -62,7 +70,7 @@ class Job:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Done:
-    """What became of a job: a result, or the reason why there is none."""
+    """What became of a job; ``reason`` says why it failed, and is empty if it did not."""
 
     result: Any
     reason: str = ""
@@ -94,21 +102,14 @@ class Advance:
         )
 
 
-class Codec(Protocol):
-    """How results become JSON."""
-
-    def encode(self, result: Any) -> Any:  # noqa: ANN401 - any result
-        """Return plain JSON."""
-
-    def decode(self, content: Any) -> Any:  # noqa: ANN401 - any result
-        """Return the result again; ValueError, TypeError or LookupError if it is none."""
-
-
 class Shelf:
-    """Finished jobs of one study in one folder, a file each; without a folder none is kept."""
+    """Finished jobs of one study in one folder, a file each; without a folder none is kept.
 
-    def __init__(self, folder: str | Path | None, codec: Codec) -> None:
-        self.folder, self._codec = None if folder is None else Path(folder), codec
+    Results must be plain values and arrays.
+    """
+
+    def __init__(self, folder: str | Path | None) -> None:
+        self.folder = None if folder is None else Path(folder)
 
     def path(self, name: str) -> Path:
         """File of a job."""
@@ -124,11 +125,9 @@ class Shelf:
             content = read_json(self.path(name))
             if content["casid"] != "job" or content["key"] != key:
                 return None
-            result = content["result"]
             return Done(
-                result=None if result is None else self._codec.decode(result),
-                reason=content["reason"], seconds=content["seconds"], kept=True,
-                warnings=tuple(content["warnings"]), source=content["source"],
+                result=content["result"], reason=content["reason"], seconds=content["seconds"],
+                warnings=tuple(content["warnings"]), source=content["source"], kept=True,
             )  # fmt: skip
         except (ValueError, TypeError, LookupError):  # another version's file: compute it again
             return None
@@ -137,10 +136,9 @@ class Shelf:
         """Keep a finished job."""
         if self.folder is None:
             return
-        result = None if done.result is None else self._codec.encode(done.result)
         content = {"casid": "job", "name": name, "key": key, "reason": done.reason,
                    "seconds": done.seconds, "warnings": list(done.warnings),
-                   "source": done.source, "result": result}  # fmt: skip
+                   "source": done.source, "result": done.result}  # fmt: skip
         write_json(self.path(name), content)
 
 
@@ -151,6 +149,7 @@ def run_jobs(
     shelf: Shelf,
     executor: Executor | None = None,
     progress: Callable[[Advance], None] | None = None,
+    here: bool = False,
 ) -> dict[str, Done]:
     """Do all jobs; one that fails leaves its reason.
 
@@ -168,6 +167,8 @@ def run_jobs(
         them in one process per processor.
     progress : callable
         Called with an `Advance` after every job.
+    here : bool
+        Without an executor, stay in this process however many the jobs.
 
     Returns
     -------
@@ -179,7 +180,7 @@ def run_jobs(
     if len(done) < len(jobs):
         if executor is not None:
             campaign.run(_Borrowed(executor))
-        elif len(jobs) <= FEW:
+        elif here or len(jobs) <= FEW:
             campaign.run(_Here())
         else:
             with _Own(min(processors(), len(jobs) - len(done))) as pool:
@@ -244,7 +245,7 @@ class _Campaign:
 
     def _start(self, job: Job) -> tuple[Any, str]:
         for name in job.after:
-            if self.done[name].result is not None:
+            if not self.done[name].reason:
                 return self.done[name].result, name
         return None, ""
 
@@ -268,7 +269,7 @@ class _Campaign:
         left, fresh = len(self.jobs) - len(self.done), len(self.done) - self.kept
         advance = Advance(
             name=job.name, done=len(self.done), total=len(self.jobs), seconds=done.seconds,
-            failed=sum(1 for each in self.done.values() if each.result is None),
+            failed=sum(1 for each in self.done.values() if each.reason),
             elapsed=elapsed, remaining=elapsed / fresh * left,
         )  # fmt: skip
         LOG.info("%s%s", advance, f"; failed: {done.reason}" if done.reason else "")
@@ -284,6 +285,8 @@ def _attempt(work: Callable[[Any, Any], Any], job: Job, start: Any, source: str)
         warnings.simplefilter("always", DataWarning)
         try:
             result = work(job.payload, start)
+        except UnfinishedError as error:
+            result, reason = error.result, str(error)
         except Exception as error:  # noqa: BLE001 - the reason stands in the table
             reason = f"{type(error).__name__}: {error}"
     said = tuple(dict.fromkeys(str(each.message) for each in caught))
