@@ -127,8 +127,5 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) 
     white = np.einsum("nab,nb->na", W[layout.pattern], motion.residuals)
     edges = np.cumsum([0, *(record.N for record in layout.records)])
     residuals = [white[a:b] for a, b in itertools.pairwise(edges)]
-    slopes = (
-        e.influence(point, motion, W, record, move[layout.node])
-        for record in range(len(layout.records))
-    )  # fmt: skip
+    slopes = e.influence(point, motion, W, move[layout.node])
     return coloured_covariance(covariance, residuals, slopes)

@@ -25,6 +25,7 @@ from casid.unknowns import Structure
 
 BLOCK = 16  # samples of every interval whose Jacobian rows are held at once
 BATCH_BYTES = 8e6  # of Jacobian rows held at once: they stay in the cache
+PIECE_BYTES = 64e6  # of a record's total derivatives held at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,24 +168,15 @@ class Evaluator:
             yield Batch(index, gram, motion.ends[index], slopes)
 
     def influence(
-        self, point: Point, motion: Motion, W: Array, record: int, follow: Array
-    ) -> Array:
-        """Total derivative by λ of one record's whitened residuals, (N, ny, nf).
+        self, point: Point, motion: Motion, W: Array, follow: Array
+    ) -> Iterator[Iterator[Array]]:
+        """Total derivative by λ of every record's whitened residuals, (N, ny, nf) in pieces of N.
 
         ``follow`` (J, nf + nx + ny, nf) says how λ, node and biases of every interval (rows of the
         layout) move with λ.
         """
-        layout = self.layout
-        index = np.flatnonzero(layout.record == record)
-        first = layout.start[index].min()
-        slope = np.empty((int(layout.count[index].sum()), self.ny, follow.shape[2]))
-
-        def keep(j: int, k: int, rows: Array) -> None:
-            at = layout.start[index[j]] - first + k
-            slope[at : at + len(rows)] = rows[:, :, :-1] @ follow[index[j]]
-
-        _Sweep(self, point, motion, W).run(index, keep)
-        return slope
+        sweep = _Sweep(self, point, motion, W)
+        return (sweep.totals(record, follow) for record in range(len(self.layout.records)))
 
 
 class _Sweep:
@@ -228,6 +220,28 @@ class _Sweep:
                     slopes[j, :, : self.ns] = trail[valid][:, j]
             S = trail[-1]
         return slopes
+
+    def totals(self, record: int, follow: Array) -> Iterator[Array]:
+        """Total derivatives of one record's whitened residuals; see `Evaluator.influence`."""
+        start, count = self.layout.start, self.layout.count
+        mine = np.flatnonzero(self.layout.record == record)
+        mine = mine[np.argsort(start[mine])]
+        rows = PIECE_BYTES / (8 * self.e.ny * follow.shape[2])
+        size = max(1, int(rows / count[mine].max()))
+        for k in range(0, len(mine), size):
+            index = np.sort(mine[k : k + size])  # rows of the layout: the longest first
+            place = start[index] - start[index].min()
+            slope = np.empty((int(count[index].sum()), self.e.ny, follow.shape[2]))
+            moves = follow[index]
+
+            def keep(
+                j: int, k: int, rows: Array,
+                slope: Array = slope, place: np.ndarray = place, moves: Array = moves,
+            ) -> None:  # fmt: skip
+                slope[place[j] + k : place[j] + k + len(rows)] = rows[:, :, :-1] @ moves[j]
+
+            self.run(index, keep)
+            yield slope
 
     def _block(self, at: np.ndarray, S: Array) -> Array:
         """Sensitivities before each of K samples and after the last, (K + 1, nx, n, ns)."""

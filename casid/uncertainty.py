@@ -20,6 +20,7 @@ SINGULAR = 1e-11  # eigenvalue of the information scaled to unit diagonal that c
 CONDITION = 30.0  # condition index above which parameters are collinear (Belsley 1991)
 SHARE = 0.5  # of a parameter's variance, for it to be named
 LAGS = 0.2  # longest lag of the residuals' correlation, of the record (Klein & Morelli)
+MOST_LAGS = 5000  # samples; at 50 Hz the correlation of residuals is over long before
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ def _scaled(F: Array, ties: Array) -> tuple[Array, Array, Array]:
 
 
 def coloured_covariance(
-    covariance: Array, residuals: Sequence[Array], slopes: Iterable[Array]
+    covariance: Array, residuals: Sequence[Array], slopes: Iterable[Iterable[Array]]
 ) -> Array:
     """Covariance of the estimates under the correlation the residuals really have.
 
@@ -147,7 +148,8 @@ def coloured_covariance(
 
     with P the white-noise covariance (Klein & Morelli, section 6.1.3; E. A. Morelli, V. Klein,
     J. Aircraft 34(2), 1997) and r̃ the whitened residuals. C is pooled over the records, tapered
-    linearly to zero at a fifth of the longest, and the double sum is taken over the spectrum.
+    linearly to zero at a fifth of the longest (at most `MOST_LAGS` samples), and the double sum is
+    taken over the spectrum, piece by piece: memory does not grow with the records.
 
     Parameters
     ----------
@@ -155,36 +157,47 @@ def coloured_covariance(
         Cramér-Rao bound for white residuals.
     residuals : sequence of (N, ny) array
         Whitened residuals of every record, 0 where missing.
-    slopes : iterable of (N, ny, nf) array
-        Their total derivatives by λ, in the same order.
+    slopes : iterable of iterables of (n, ny, nf) array
+        Their total derivatives by λ, in the same order: of every record, one piece after another.
     """
     C = _autocovariance(residuals)
     middle = np.zeros_like(covariance)
     lags = len(C) - 1
-    for s in slopes:
-        n = scipy.fft.next_fast_len(len(s) + lags + 1, real=True)
-        spectrum = _spectrum(C, n).conj()
-        S = scipy.fft.rfft(s, n, axis=0)
-        weight = np.full(len(S), 2.0 / n)
-        weight[0] /= 2
-        if n % 2 == 0:
-            weight[-1] /= 2
-        middle += np.real(np.einsum("kai,kab,kbj->ij", S.conj() * weight[:, None, None],
-                                    spectrum, S, optimize=True))  # fmt: skip
+    for pieces in slopes:
+        past = np.zeros((0, C.shape[1], len(covariance)))
+        for piece in pieces:
+            s = np.concatenate([past, piece])
+            middle += _double_sum(C, s) - _double_sum(C, past)
+            past = s[-lags:]
     return np.asarray(covariance @ ((middle + middle.T) / 2) @ covariance)
+
+
+def _double_sum(C: Array, s: Array) -> Array:
+    """Σ_i Σ_j s_iᵀ C(j - i) s_j over all samples of s (N, ny, nf)."""
+    if not len(s):
+        return np.zeros((s.shape[2], s.shape[2]))
+    n = scipy.fft.next_fast_len(len(s) + len(C), real=True)
+    spectrum = _spectrum(C, n).conj()
+    S = scipy.fft.rfft(s, n, axis=0)
+    weight = np.full(len(S), 2.0 / n)
+    weight[0] /= 2
+    if n % 2 == 0:
+        weight[-1] /= 2
+    return np.real(np.einsum("kai,kab,kbj->ij", S.conj() * weight[:, None, None],
+                             spectrum, S, optimize=True))  # fmt: skip
 
 
 def _autocovariance(residuals: Sequence[Array]) -> Array:
     """C(m), m = 0 .. lags, tapered: (lags + 1, ny, ny), C(m)[a, b] = mean of r_a(i) r_b(i + m)."""
     longest = max(len(r) for r in residuals)
-    lags = max(1, int(LAGS * longest))
+    lags = min(max(1, int(LAGS * longest)), MOST_LAGS)
     ny = residuals[0].shape[1]
     C, count = np.zeros((lags + 1, ny, ny)), 0
     for r in residuals:
         n = scipy.fft.next_fast_len(len(r) + lags + 1, real=True)
         R = scipy.fft.rfft(r, n, axis=0)
-        full = scipy.fft.irfft(R.conj()[:, :, None] * R[:, None, :], n, axis=0)
-        C += full[: lags + 1]
+        for a in range(ny):
+            C[:, a] += scipy.fft.irfft(R[:, [a]].conj() * R, n, axis=0)[: lags + 1]
         count += len(r)
     return C / count * (1 - np.arange(lags + 1) / (lags + 1))[:, None, None]
 

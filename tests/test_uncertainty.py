@@ -96,15 +96,18 @@ def test_coloured_covariance_is_the_double_sum():
         for i in range(len(s)):
             for j in range(max(0, i - lags), min(len(s), i + lags + 1)):
                 middle += s[i].T @ C[j - i] @ s[j]
-    found = coloured_covariance(covariance, residuals, slopes)
-    np.testing.assert_allclose(found, covariance @ middle @ covariance, rtol=1e-9)
+    expected = covariance @ middle @ covariance
+    for pieces in (1, 3, 12):  # the last: shorter than the longest lag
+        parts = [np.array_split(s, pieces) for s in slopes]
+        found = coloured_covariance(covariance, residuals, parts)
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 def test_white_residuals_need_no_correction():
     n, nf = 20000, 2
     s = RNG.standard_normal((n, 1, nf))
     covariance = np.linalg.inv(np.einsum("nai,naj->ij", s, s))
-    found = coloured_covariance(covariance, [RNG.standard_normal((n, 1))], [s])
+    found = coloured_covariance(covariance, [RNG.standard_normal((n, 1))], [[s]])
     # A sum over 2·4000 tapered lags of independent terms of 1/√n each: √(2·4000/3/n) = 37 % of a
     # product of slopes that is itself uncorrelated, 1/√n: under 1 %, and C(0) to 1 %.
     np.testing.assert_allclose(np.diag(found), np.diag(covariance), rtol=0.05)
