@@ -9,7 +9,7 @@ intervals, R, delay model (an interpolating cubic spline), start, scaling, toler
 solver; the ratio is of build plus solve, in processor time of this one process (other work on the
 machine moves it little). Run with one BLAS thread:
 
-    OMP_NUM_THREADS=1 PYTHONPATH=. python benchmarks/output_error.py
+    OMP_NUM_THREADS=1 python -m benchmarks.output_error
 """
 
 import argparse
@@ -19,8 +19,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import scipy.linalg
-from uh60 import DATA, INPUTS, NOISE, OUTPUTS, STEPS, SWEEPS
 
+from benchmarks.uh60 import DATA, INPUTS, NOISE, OUTPUTS, STEPS, SWEEPS
 from casid import Model, Record, SolverOptions, match, pbsid, read_csv
 from casid.intervals import Layout, lay_out
 from casid.model import Free, free_parameters

@@ -1,0 +1,172 @@
+"""What estimates do on the average: efficiency, coverage, colour and turbulence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_shooting import TRUTH, excitation
+
+from casid import Model, Record, Rows, Scalar, StateSpace, parameter
+from casid.linear import foh_step
+from casid.shooting import output_error, simulate
+
+SIGMA = np.array([0.05, 0.005, 0.005])  # m/s^2, rad/s, rad
+H = 0.02  # s
+
+
+def noisy_loop(plant: StateSpace, seed: int, rng, N=400, late=4):
+    """Sticks (N, 2) of a pilot who flies by what the noisy instruments show, and their noise.
+
+    The loop's plant hears the sticks ``late`` samples late.
+    """
+    t = H * np.arange(N)
+    reference, noise = excitation(t, seed), SIGMA * rng.standard_normal((N, 3))
+    Ad, B0, B1 = foh_step(plant.A, plant.B, H)
+    keep = np.exp(-H / 0.1)
+    x, felt, u = np.zeros(plant.nx), 0.0, np.zeros((N + 1, 2))
+    for k in range(N):
+        now, after = u[max(k - late, 0)], u[max(k + 1 - late, 0)]
+        y = plant.C @ x + plant.D @ now + noise[k]
+        felt = keep * felt + (1 - keep) * (0.03 * y[2] + 0.01 * y[1])
+        u[k + 1] = reference[min(k + 1, N - 1)] - [felt, 0.0]
+        x = Ad @ x + B0 @ now + B1 @ after
+    return t, u[:N], noise
+
+
+def flight(seed, rng):
+    """One record whose truth is in the model class, noise fed back by the loop."""
+    plant = replace(TRUTH, tau=0.0).system()
+    t, u, noise = noisy_loop(plant, seed, rng)
+    record = Record(t, u, np.zeros((len(t), 3)), TRUTH.inputs, TRUTH.outputs, f"flight {seed}")
+    y = simulate(TRUTH, record, np.array([0.3, -0.02, 0.01]), np.array([0.1, 0.01, -0.02]))
+    return replace(record, y=y + noise)
+
+
+def scatter(fits, truth):
+    """Errors (runs, parameters) and their claimed standard deviations."""
+    errors = np.array([fit.model.vector() for fit in fits]) - truth
+    return errors, np.array([[row.std_error for row in fit.parameters] for fit in fits])
+
+
+def efficiency(errors, std):
+    """Root mean square error over the Cramér-Rao bound, averaged over the parameters."""
+    return np.mean(np.sqrt(np.mean(errors**2, axis=0) / np.mean(std**2, axis=0)))
+
+
+def coverage(errors, std):
+    """Share of 95 % intervals that hold the truth."""
+    return np.mean(np.abs(errors) < 1.96 * std)
+
+
+def rotor(plant: Model) -> StateSpace:
+    """The plant behind a rotor: its stick and rate moments come by a flapping lag of 60 ms.
+
+        T da/dt = -a + Lp p + Llat lat,    dp/dt = Lv v + a + Lped ped
+
+    For slow motions the same derivatives; the structure has no state for the flapping a.
+    """
+    m, lag = plant, 0.06
+    A = [[m.Yv, 0, 9.81, 0], [m.Lv, 0, 0, 1], [0, 1, 0, 0], [0, m.Lp / lag, 0, -1 / lag]]
+    B = [[m.Ylat, 0], [0, m.Lped], [0, 0], [m.Llat / lag, 0]]
+    C = [[m.Yv, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
+    return StateSpace(A, B, C, [[m.Ylat, 0], [0, 0], [0, 0]], None, m.inputs, m.outputs)
+
+
+def rotor_flight(seed, rng, N=400):
+    """A record of the plant with rotor, other sticks for every seed."""
+    plant = rotor(TRUTH)
+    t, u, noise = noisy_loop(plant, seed, rng, N, late=0)
+    y = plant.simulate(t, u, np.zeros(4)) + noise
+    return Record(t, u, y, TRUTH.inputs, TRUTH.outputs, f"rotor {seed}")
+
+
+class Bank(Model):
+    """Roll rate and bank of an unstable rotorcraft: 0.42 and -1.92 1/s."""
+
+    states = ("p", "phi")
+    inputs = ("lat",)
+    outputs = ("p", "phi")
+
+    Lphi: Scalar = parameter(default=0.8, lower=-5.0, upper=5.0, unit="1/s^2")
+    Lp: Scalar = parameter(default=-1.5, lower=-20.0, upper=5.0, unit="1/s")
+    Llat: Scalar = parameter(default=6.0, lower=-20.0, upper=40.0, unit="rad/s^2")
+
+    def A(self) -> Rows:
+        return [[self.Lp, self.Lphi], [1, 0]]
+
+    def B(self) -> Rows:
+        return [[self.Llat], [0]]
+
+
+def turbulent_flight(rng, N=1000, h=0.04, gust=0.3):
+    """Forty seconds in turbulence: white rolling accelerations of 0.3 rad/s^1.5, held straight.
+
+    Sampled, they are white disturbances of the state; with white measurement noise the predictor
+    is a Kalman filter whose gain the structure with K holds exactly.
+    """
+    model = Bank()
+    system = model.system()
+    Ad, B0, B1 = foh_step(system.A, system.B, h)
+    reference = np.repeat(rng.choice([-0.1, 0.1], size=N // 12 + 1), 12)[:N]
+    reference[:25] = 0.0
+    x, u, y = np.zeros(2), np.zeros(N), np.zeros((N, 2))
+    for k in range(N):
+        y[k] = x + np.array([0.02, 0.01]) * rng.standard_normal(2)
+        if k + 1 < N:
+            u[k + 1] = reference[k + 1] - 0.5 * y[k, 1] - 0.15 * y[k, 0]
+            x = Ad @ x + (B0 * u[k] + B1 * u[k + 1])[:, 0]
+            x[0] += np.sqrt(h) * gust * rng.standard_normal()
+    return Record(h * np.arange(N), u[:, None], y, model.inputs, model.outputs, "gusts")
+
+
+@pytest.mark.slow
+def test_error_is_the_bound_and_intervals_cover_what_they_claim():
+    fits = []
+    for run in range(150):
+        rng = np.random.default_rng([7, run])
+        fits.append(output_error(TRUTH, [flight(seed, rng) for seed in (1, 2)], interval=0.5))
+    errors, std = scatter(fits, TRUTH.vector())
+    # 150 runs of seven parameters, hardly correlated: the mean ratio scatters by
+    # 1/√(2·150·7) = 2 %, the coverage by √(0.05·0.95/1050) = 0.7 %.
+    assert 0.95 < efficiency(errors, std) < 1.10
+    assert 0.92 < coverage(errors, std) < 0.98
+
+
+@pytest.mark.slow
+def test_corrected_intervals_cover_what_unmodelled_rotor_dynamics_leave():
+    # What the structure can know is its best parameters for such flights: those of forty.
+    many = [rotor_flight(1000 + seed, np.random.default_rng([9, seed])) for seed in range(40)]
+    best = output_error(TRUTH, many, interval=0.5).model.vector()
+    fits = []
+    for run in range(60):
+        rng = np.random.default_rng([8, run])
+        flights = [rotor_flight(100 * run + seed, rng) for seed in range(2)]
+        fits.append(output_error(TRUTH, flights, interval=0.5))
+    errors, std = scatter(fits, best)
+    corrected = np.array([fit.notes["std_error_coloured"] for fit in fits])
+    assert coverage(errors, std) < 0.80  # white noise is not what these residuals are
+    assert coverage(errors, corrected) >= 0.85
+
+
+@pytest.mark.slow
+def test_turbulence_biases_output_error_but_not_the_filter():
+    def deviations(process_noise):
+        """Mean error over its own standard deviation, of every parameter."""
+        fits = [
+            output_error(
+                Bank(), [turbulent_flight(np.random.default_rng(seed))], biases=False, R="full",
+                process_noise=process_noise,
+            )
+            for seed in range(30)
+        ]  # fmt: skip
+        errors, std = scatter(fits, Bank().vector())
+        sem = errors.std(axis=0, ddof=1) / np.sqrt(len(errors))
+        return errors.mean(axis=0) / sem, efficiency(errors, std)
+
+    plain, _ = deviations(process_noise=False)
+    filtered, ratio = deviations(process_noise=True)
+    # Student's t of 29 degrees of freedom: 3.4 has probability 0.2 % a parameter.
+    assert np.abs(plain).max() > 6
+    assert np.abs(filtered).max() < 3.4
+    # 30 runs of three parameters: the mean ratio scatters by 1/√(2·30·3) = 7 %.
+    assert 0.8 < ratio < 1.2
