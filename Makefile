@@ -2,6 +2,8 @@
 # make paper   the paper's comparison on two helicopters; results in out/paper
 # make test    the tests that take minutes at most
 # make slow    the long tests
+# make docs    the documentation, site/index.html
+# make picture the picture of README and documentation
 # make lint    formatting, rules, types and import layers
 # Needs Python 3.11 or newer; everything else goes into .venv, pinned by constraints.txt.
 
@@ -9,7 +11,7 @@ PYTHON ?= python3
 VENV ?= .venv
 STAMP := $(VENV)/.installed
 
-.PHONY: study paper test slow lint install clean
+.PHONY: study paper test slow docs picture lint install clean
 
 study: install
 	$(VENV)/bin/casid identify examples/uh60/study.toml
@@ -22,6 +24,13 @@ test: install
 
 slow: install
 	$(VENV)/bin/pytest -m campaign
+
+docs: install
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
+
+picture: install
+	$(VENV)/bin/casid identify examples/ah1s/study.toml
+	cp out/ah1s/figures/response_p_q_r_from_ped_lon.png docs/images/responses.png
 
 lint: install
 	$(VENV)/bin/ruff check .
@@ -40,4 +49,4 @@ $(STAMP): pyproject.toml constraints.txt
 	touch $(STAMP)
 
 clean:
-	rm -rf out build dist
+	rm -rf out build dist site
