@@ -188,25 +188,6 @@ def alike(shown, printed):
     return all(abs(a - b) <= TOLERANCE * max(abs(a), abs(b)) + 1e-12 for a, b in pairs)
 
 
-@pytest.mark.slow
-def test_the_site_builds_without_a_warning(tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "mkdocs",
-        "build",
-        "--strict",
-    ]  # --quiet would hide warnings from --strict
-    command += ["--config-file", str(ROOT / "mkdocs.yml"), "--site-dir", str(tmp_path)]
-    run = subprocess.run(
-        command, capture_output=True, text=True, check=False, cwd=ROOT,
-        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},  # an advertisement
-    )  # fmt: skip
-    assert run.returncode == 0, run.stdout + run.stderr
-    assert "WARNING" not in run.stderr
-    assert (tmp_path / "tutorial.html").exists()
-
-
 def test_every_page_stands_in_the_table_of_contents():
     nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[2]
     for page in (ROOT / "docs").rglob("*.md"):
