@@ -13,9 +13,10 @@ import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 
 RIDGE = 1e-13  # on nuisance blocks, relative; an unobservable nuisance must not stop the rest
+MANY = 500  # neighbours of a nuisance variable (the bias of a long record) that would fill factors
 SINGULAR = 1e-11  # eigenvalue of the information scaled to unit diagonal that counts as zero
 CONDITION = 30.0  # condition index above which parameters are collinear (Belsley 1991)
 SHARE = 0.5  # of a parameter's variance, for it to be named
@@ -58,6 +59,9 @@ def eliminate(
     -------
     (nf, nf), (nn, nf) array
     """
+    many = np.diff(H_nuisance.indptr) > MANY
+    if many.any():
+        return _in_two_steps(H, H_nuisance, H_cross, G, G_cross, many)
     nn, m = H_nuisance.shape[0], G.shape[0]
     ridge = RIDGE * max(float(H_nuisance.diagonal().max()), 1e-300)
     top = scipy.sparse.hstack([H_nuisance + ridge * scipy.sparse.eye_array(nn), G.T])
@@ -67,6 +71,28 @@ def eliminate(
     solved = scipy.sparse.linalg.splu(K).solve(np.ascontiguousarray(cross))
     F = H - cross.T @ solved
     return (F + F.T) / 2, -solved[:nn]
+
+
+def _in_two_steps(
+    H: Array, H_nuisance: scipy.sparse.csc_array, H_cross: Array, G: scipy.sparse.csc_array,
+    G_cross: Array, late: BoolArray,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Eliminate the other nuisance variables first, then the ``late`` ones among themselves."""
+    nf = len(H)
+    inner, early = H_nuisance[late][:, late].toarray(), ~late
+    F, follow = eliminate(
+        np.block([[H, H_cross[late].T], [H_cross[late], inner]]),
+        H_nuisance[early][:, early],
+        np.hstack([H_cross[early], H_nuisance[early][:, late].toarray()]),
+        G[:, early],
+        np.hstack([G_cross, G[:, late].toarray()]),
+    )
+    ridge = RIDGE * float(inner.diagonal().max()) * np.eye(len(inner))
+    gain = -scipy.linalg.solve(F[nf:, nf:] + ridge, F[nf:, :nf], assume_a="sym")
+    total = np.empty_like(H_cross)
+    total[late], total[early] = gain, follow[:, :nf] + follow[:, nf:] @ gain
+    F = F[:nf, :nf] + F[:nf, nf:] @ gain
+    return (F + F.T) / 2, total
 
 
 def bound(F: Array, ties: Array) -> Array:

@@ -33,6 +33,22 @@ def test_eliminating_nuisances_is_least_squares_with_them_projected_out():
     np.testing.assert_allclose(J_l + J_n @ follow, projected, atol=1e-9)
 
 
+def test_a_nuisance_with_many_neighbours_is_eliminated_as_any_other(monkeypatch):
+    # A bias beside a chain of nodes: the bias alone has more than three neighbours.
+    nodes, nf = 12, 2
+    J_l, J_b = RNG.standard_normal((60, nf)), RNG.standard_normal((60, 1))
+    J_n = np.kron(np.eye(nodes), np.ones((5, 1))) * RNG.standard_normal((60, 1))
+    J = np.hstack([J_b, J_n])
+    G = np.hstack([np.zeros((nodes - 1, 1)), np.eye(nodes)[1:] - 0.9 * np.eye(nodes)[:-1]])
+    G_cross = RNG.standard_normal((nodes - 1, nf))
+    parts = (J_l.T @ J_l, scipy.sparse.csc_array(J.T @ J), J.T @ J_l, scipy.sparse.csc_array(G),
+             G_cross)  # fmt: skip
+    together = eliminate(*parts)
+    monkeypatch.setattr("casid.uncertainty.MANY", 3)
+    for one, two in zip(together, eliminate(*parts), strict=True):
+        np.testing.assert_allclose(two, one, rtol=1e-8, atol=1e-8)  # ridge 1e-13 of the largest
+
+
 def test_the_bound_is_the_inverse_of_the_information():
     J, unit = RNG.standard_normal((50, 3)), np.array([1.0, 1e-4, 1e5])
     expected = np.linalg.inv(J.T @ J) / np.outer(unit, unit)
