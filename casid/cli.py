@@ -125,15 +125,19 @@ def _exits(console: Console) -> Iterator[None]:
     except ConvergenceError as error:
         _complain(console, "No convergence", error)
         sys.exit(NO_CONVERGENCE)
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         _complain(console, "Bad input", error)
+        sys.exit(BAD_INPUT)
+    except OSError as error:  # disk full, or a file that is no longer there or ours
+        remedy = "earlier results are kept; make room or see to the file, then run the same again"
+        _complain(console, "Cannot read or write", f"{error}; {remedy}")
         sys.exit(BAD_INPUT)
     except KeyboardInterrupt:
         console.print("Interrupted; stages that had ended are kept, the same command goes on.")
         sys.exit(INTERRUPTED)
 
 
-def _complain(console: Console, what: str, error: Exception) -> None:
+def _complain(console: Console, what: str, error: Exception | str) -> None:
     loud = Console(stderr=True, highlight=False, width=console.width)
     loud.print(Text(f"{what}: ", style="bold red").append(str(error), style="default"))
 

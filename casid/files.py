@@ -2,8 +2,6 @@
 
 import csv
 import json
-import os
-import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 import scipy.io
 
 from casid.arrays import Array
+from casid.folder import replacing
 from casid.hdf import is_hdf, read_hdf
 from casid.limits import JSON_BYTES, TABLE_BYTES, check_file, check_size
 from casid.record import Hold, Record
@@ -28,7 +27,7 @@ SI = {  # what one of each unit is in SI
 }  # fmt: skip
 
 SHOWN = 40  # names of columns that a message lists
-HEADER_CHARACTERS = 2**20  # a longer first line is no header
+HEADER_CHARACTERS = 2**17  # a longer first line is no header
 
 LARGEST, SMALLEST = 1e30, 1e-30  # magnitudes of a channel that still measure something
 
@@ -132,7 +131,9 @@ def read_mat(
         table[time] = float(dt or 0.0) * np.arange(len(next(iter(table.values()), [])))
     if len({len(column) for column in table.values()}) > 1:
         lengths = ", ".join(f"{name} {len(column)}" for name, column in table.items())
-        raise ValueError(f"{path}: channels differ in length ({lengths})")
+        raise ValueError(
+            f"{path}: channels differ in length ({lengths}); those of one record have one length"
+        )
     return _record(table, inputs, outputs, time, units, name or path.stem, hold).detrend(detrend)
 
 
@@ -170,19 +171,8 @@ def write_csv(path: str | Path, record: Record) -> None:
 
 def write_text(path: str | Path, text: str) -> None:
     """Write a text file whole or not at all: a crash leaves the old file as it was."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="")
 
 
 def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
@@ -236,7 +226,8 @@ def _record(
     factors = {channel: _factor(channel, unit, table) for channel, unit in (units or {}).items()}
     if time in (taken := (*inputs, *outputs)):
         raise ValueError(
-            f"record {name!r}: channel {time!r} is the time and cannot be an input or output too"
+            f"record {name!r}: channel {time!r} is the time and cannot be an input or output "
+            "too; name another column as time"
         )
     scaled = {channel: column * factors.get(channel, 1.0) for channel, column in table.items()}
     for channel in (time, *taken):
@@ -274,7 +265,10 @@ def _csv_columns(path: Path) -> list[str]:
     check_file(path, TABLE_BYTES, "CSV")
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            header = next(csv.reader([file.readline(HEADER_CHARACTERS)]), None)
+            line = file.readline(HEADER_CHARACTERS + 1)
+        if len(line) > HEADER_CHARACTERS:
+            raise csv.Error(f"its first line is longer than {HEADER_CHARACTERS} characters")  # noqa: TRY301
+        header = next(csv.reader([line]), None)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ValueError(
             f"{path}: cannot read it as CSV ({error}); save it as comma-separated text in UTF-8"
@@ -306,7 +300,9 @@ def _csv_values(path: Path, positions: list[int], names: list[str]) -> Array:
                 f"{path}: not a table of numbers: {error}; leave the cell of a missing sample empty"
             ) from error
     if not len(values):
-        raise ValueError(f"{path}: no samples below the header of {', '.join(names)}")
+        raise ValueError(
+            f"{path}: no samples below the header of {', '.join(names)}; record it again"
+        )
     return values
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.folder import replacing
 from casid.limits import TABLE_BYTES, check_size
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -57,10 +58,11 @@ def write_hdf(path: Path, variables: dict[str, Any]) -> None:
         h5py = importlib.import_module("h5py")
     except ImportError as error:
         raise ValueError(f"{path}: version 7.3 needs h5py: pip install h5py") from error
-    with h5py.File(path, "w", userblock_size=512) as file:
-        for name, values in variables.items():
-            data = file.create_dataset(name, data=np.atleast_2d(values).T)
-            data.attrs["MATLAB_class"] = np.bytes_("double")
-    with path.open("r+b") as raw:
-        text = b"MATLAB 7.3 MAT-file, written by casid".ljust(116)
-        raw.write(text + bytes(8) + b"\x00\x02IM")
+    with replacing(path) as temporary:
+        with h5py.File(temporary, "w", userblock_size=512) as file:
+            for name, values in variables.items():
+                data = file.create_dataset(name, data=np.atleast_2d(values).T)
+                data.attrs["MATLAB_class"] = np.bytes_("double")
+        with temporary.open("r+b") as raw:
+            text = b"MATLAB 7.3 MAT-file, written by casid".ljust(116)
+            raw.write(text + bytes(8) + b"\x00\x02IM")

@@ -19,6 +19,7 @@ from casid.derivid import derivid
 from casid.errors import ConvergenceError, DataWarning
 from casid.files import write_text
 from casid.fit import Fit, ParameterEstimate
+from casid.folder import claimed
 from casid.nlp import Progress
 from casid.record import Record
 from casid.report import (
@@ -116,7 +117,13 @@ def run_study(study: Study, *, fresh: bool = False, watch: Watch | None = None) 
     records = read_records(study)
     clock = [Timing(stage="records", seconds=time.perf_counter() - started)]
     watch.end(clock[0])
-    stages = _Stages(study, records, fresh, watch, clock)
+    with claimed(study.output):
+        return _run(study, records, _Stages(study, records, fresh, watch, clock), watch)
+
+
+def _run(
+    study: Study, records: Mapping[Role, Sequence[Record]], stages: "_Stages", watch: Watch
+) -> Outcome:
     found = identify(
         study.model,
         records["identification"],
@@ -144,7 +151,9 @@ def run_study(study: Study, *, fresh: bool = False, watch: Watch | None = None) 
             _content(study, records, found, baseline, validation, stages), study.output
         ),
     )
-    return Outcome(identification=found, validation=validation, timings=tuple(clock), report=report)
+    return Outcome(
+        identification=found, validation=validation, timings=tuple(stages.clock), report=report
+    )
 
 
 def write_parameters(path: str | Path, fit: Fit) -> None:
@@ -206,9 +215,14 @@ class _Stages:
         try:
             return compute()
         except ConvergenceError as error:
-            if isinstance(error.best, Fit):
-                error.best.save(self._store.path(f"{name}_best"))
-            raise
+            if not isinstance(error.best, Fit):
+                raise
+            best = self._store.path(f"{name}_best")
+            error.best.save(best)
+            raise ConvergenceError(
+                f"{error}\nThe best iterate is kept in {best} (Fit.load reads it, and its values "
+                "may serve as [model.values]), and so is every stage before.", error.best
+            ) from error  # fmt: skip
 
     def timed(self, name: str, compute: Callable[[], T]) -> T:
         """Compute a step that is not kept."""

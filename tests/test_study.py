@@ -223,4 +223,4 @@ def test_output_error_that_stops_early_leaves_its_best_iterate(tmp_path):
     with pytest.raises(ConvergenceError, match="iteration limit"):
         run_study(study)
     assert (study.output / "stages" / "output_error_best.json").exists()
-    assert [path.name for path in study.output.iterdir()] == ["stages"]
+    assert {path.name for path in study.output.iterdir()} == {"stages", ".lock"}

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from casid.arrays import Array
+from casid.folder import replacing
 from casid.linear import StateSpace
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Content
 from casid.report.figures import (
@@ -80,11 +81,12 @@ def draw(content: Content) -> Iterator[Drawing]:
 def save(drawing: Drawing, folder: str | Path) -> tuple[Path, Path]:
     """Write a figure as PNG and as SVG; returns both paths."""
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     png, svg = folder / f"{drawing.name}.png", folder / f"{drawing.name}.svg"
     with rc_context(LOOK):
-        drawing.figure.savefig(png, dpi=150, metadata={"Software": None})
-        drawing.figure.savefig(svg, metadata={"Date": None})
+        with replacing(png) as file:
+            drawing.figure.savefig(file, format="png", dpi=150, metadata={"Software": None})
+        with replacing(svg) as file:
+            drawing.figure.savefig(file, format="svg", metadata={"Date": None})
     return png, svg
 
 

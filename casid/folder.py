@@ -1,0 +1,98 @@
+"""Files written whole or not at all, and folders that one run at a time writes to."""
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+LOCK = ".lock"  # kept when a run ends: the lock is the system's, and ends with the process
+PARTIAL = ".partial"
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """A temporary file beside a path, which takes its place when the block ends without an error.
+
+    Whatever ends the process earlier leaves the old file as it was.
+
+    Raises
+    ------
+    OSError
+        Naming the path, not the temporary file.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor, name = tempfile.mkstemp(
+        dir=path.parent, prefix=f".{path.name[:200]}.", suffix=PARTIAL
+    )
+    os.close(descriptor)
+    temporary = Path(name)
+    try:
+        yield temporary
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def claimed(folder: str | Path) -> Iterator[Path]:
+    """A folder made if need be and held against other runs; what a killed run left is cleared.
+
+    The lock is released by the system however the process ends. Windows has none: there, two runs
+    in one folder replace each other's files, each of them whole.
+
+    Raises
+    ------
+    ValueError
+        The folder cannot be made or written to, or another run holds it.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / LOCK).open("a+", encoding="ascii")
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        reason = getattr(error, "strerror", None) or str(error)
+        printable = str(folder).replace("\0", "\\0")
+        raise ValueError(
+            f"output {printable}: cannot write results there ({reason}); name a folder that can "
+            "be written to, in the study or by --output"
+        ) from error
+    with lock:
+        if not _taken(lock):
+            raise ValueError(
+                f"output {folder}: another run is writing there ({_holder(lock)}); wait for its "
+                "end, or name another folder by --output"
+            )
+        for left in [*folder.glob(f".*{PARTIAL}"), *folder.glob(f"*/.*{PARTIAL}")]:
+            left.unlink(missing_ok=True)
+        yield folder
+
+
+def _taken(lock: IO[str]) -> bool:
+    if sys.platform == "win32":
+        return True
+    import fcntl  # noqa: PLC0415 - not on Windows
+
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    lock.truncate(0)
+    lock.write(f"process {os.getpid()}")
+    lock.flush()
+    return True
+
+
+def _holder(lock: IO[str]) -> str:
+    lock.seek(0)
+    return lock.read(100) or "process unknown"
