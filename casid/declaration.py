@@ -23,7 +23,7 @@ def check_names(cls: type, attribute: str, names: Any) -> None:  # noqa: ANN401 
             f'{attribute} = ("a", "b"), or ("a",) for one'
         )
     if twice := [name for name in names if names.count(name) > 1]:
-        raise ModelError(f"{cls.__name__}.{attribute} names {twice[0]!r} twice")
+        raise ModelError(f"{cls.__name__}.{attribute} names {twice[0]!r} twice; rename one")
     for name in names:
         if not name.isprintable() or not name.strip() or set(name) & set("/\\"):
             raise ModelError(
@@ -39,13 +39,16 @@ def check_parameter(cls: type, name: str, declared: Any, reserved: Collection[st
     if name not in cls.__annotations__:
         raise ModelError(f"{where} has no type: write {name}: Scalar = parameter(...)")
     if name in reserved:
-        raise ModelError(f"{where}: a parameter must not have the name of a part of Model")
+        raise ModelError(
+            f"{where}: a parameter must not have the name of a part of Model; rename it"
+        )
     if not info.unit:
         raise ModelError(f'{where} has no unit; write unit="1/s", or unit="-" if it has none')
     check_order(where, info.lower, info.upper)
     if not info.lower <= default <= info.upper:
         raise ModelError(
-            f"{where}: default {default:g} is outside its bounds [{info.lower:g}, {info.upper:g}]"
+            f"{where}: default {default:g} is outside its bounds [{info.lower:g}, {info.upper:g}]; "
+            "move the guess or the bound"
         )
     if info.scale is not None and not (np.isfinite(info.scale) and info.scale > 0):
         raise ModelError(f"{where}: scale={info.scale}, expected a positive number")

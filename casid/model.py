@@ -185,6 +185,12 @@ class Model:
                     f"{type(self).__name__}.{letter}[{i}][{j}] is {values[i, j]} at these "
                     "parameter values; check the guess and the formula of that entry"
                 )
+        for name, delay in zip(self.inputs, tau.ravel(), strict=True):
+            if not delay >= -1e-6:  # rounding of a delay on its bound
+                raise ModelError(
+                    f"{type(self).__name__}.delays: that of {name!r} is {delay} s, expected 0 "
+                    "or more"
+                )
         names = self.inputs, self.outputs, self.states
         return StateSpace(A, B, C, D, None, *names, np.maximum(tau.ravel(), 0.0))
 
@@ -296,7 +302,7 @@ def free_parameters(
             guess[i], held[i] = lower[i], True
     index = np.flatnonzero(~held)
     if not len(index):
-        raise ModelError("every parameter is fixed: nothing is left to estimate")
+        raise ModelError("every parameter is fixed: nothing is left to estimate; free one")
     given = [info.scale for info in infos.values()]
     widths = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
     typical = np.maximum(np.abs(guess), 0.1 * widths)

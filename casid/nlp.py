@@ -148,7 +148,15 @@ def solve(
     start = time.perf_counter()
     watcher = _Watcher(problem, options, stage, start)
     nlp: Any = {"x": problem.x, "f": problem.f, "g": problem.g}
-    solver = ca.nlpsol("solver", "ipopt", nlp, _settings(problem, options, watcher, warm))
+    try:
+        solver = ca.nlpsol("solver", "ipopt", nlp, _settings(problem, options, watcher, warm))
+    except RuntimeError as error:
+        if not options.ipopt or "IPOPT option" not in str(error):
+            raise
+        reason = str(error).splitlines()[-1].partition(": ")[2]
+        raise ValueError(
+            f"IPOPT refuses the options {dict(options.ipopt)}: {reason}; its own list has them all"
+        ) from error
     arguments = {
         "x0": problem.x0, "lbx": problem.lower_x, "ubx": problem.upper_x,
         "lbg": problem.lower_g, "ubg": problem.upper_g,

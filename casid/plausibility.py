@@ -1,13 +1,12 @@
 """Whether the records of a study can be what they are said to be: units, time, dead channels."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from casid.errors import DataWarning
 from casid.record import Record
 
+FEWEST = 16  # samples of a record
 SLOW = 1.0  # sampling interval [s] no manoeuvre of a rotorcraft is recorded with
 FULL_TURN = {"phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi + 0.1}  # rad
 TUMBLING = 6.0  # rad/s, a full turn a second
@@ -20,7 +19,7 @@ def check_plausible(
     units: Mapping[str, str],
     time: str = "t",
 ) -> None:
-    """Refuse records that cannot be identified, warn of units that seem to be others.
+    """Refuse records that nothing can be learnt from, and units that must be others.
 
     Parameters
     ----------
@@ -36,13 +35,9 @@ def check_plausible(
     Raises
     ------
     ValueError
-        A sampling interval of a second or more whose unit nobody stated; an input or output that
-        is constant in every record of identification.
-
-    Warns
-    -----
-    DataWarning
-        Angles and rates too large for radians.
+        A sampling interval of a second or more, or angles and rates too large for radians, whose
+        unit nobody stated; a record of a few samples; an input or output that is constant in every
+        record of identification.
     """
     for record in records:
         if record.dt >= SLOW and time not in units:
@@ -50,7 +45,12 @@ def check_plausible(
                 f"record {record.name!r}: the time column {time!r} advances {record.dt:g} s a "
                 f'sample; is it in ms? State its unit: [channels.units] {time} = "ms", or "s"'
             )
-        _warn_of_degrees(record, units)
+        _check_radians(record, units)
+        if record.N < FEWEST:
+            raise ValueError(
+                f"record {record.name!r} has {record.N} samples, at least {FEWEST} are wanted; "
+                "is it cut off? Take it out of the study, or decimate less"
+            )
     _check_movement(identification)
 
 
@@ -72,18 +72,16 @@ def _moves(record: Record, name: str) -> bool:
     return bool(values.size and np.ptp(values) > 1e-12 * size)
 
 
-def _warn_of_degrees(record: Record, units: Mapping[str, str]) -> None:
+def _check_radians(record: Record, units: Mapping[str, str]) -> None:
     for name in record.outputs:
         limit = TUMBLING if name in RATES else FULL_TURN.get(name, np.inf)
         values = record.channel(name) + record.trim.get(name, 0.0)
         largest = np.max(np.abs(values[np.isfinite(values)]), initial=0.0)
         if largest > limit and name not in units:
             kind = ("rad/s", "deg/s") if name in RATES else ("rad", "deg")
-            warnings.warn(
+            raise ValueError(
                 f"record {record.name!r}: {name!r} reaches {largest:.3g} {kind[0]}; is it in "
-                f'{kind[1]}? State its unit: [channels.units] {name} = "{kind[1]}"',
-                DataWarning,
-                stacklevel=2,
+                f'{kind[1]}? State its unit: [channels.units] {name} = "{kind[1]}", or "{kind[0]}"'
             )
 
 

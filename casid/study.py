@@ -122,8 +122,20 @@ def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
         done[role] = tuple(record.detrend(how) for record in raw[role])
     every = {record.name: record for records in done.values() for record in records}
     channels = study.channels
+    _check_names(study)
     check_plausible(done["identification"], tuple(every.values()), channels.units, channels.time)
     return {role: done[role] for role in ROLES if role in done}
+
+
+def _check_names(study: Study) -> None:
+    """Refuse two files of one name: the name is what figures, tables and noise go by."""
+    seen: dict[str, Path] = {}
+    for file in (file for each in study.roles.values() for file in each.files):
+        other = seen.setdefault(file.stem, file)
+        if other.resolve() != file.resolve():
+            raise ValueError(
+                f"two records are called {file.stem!r}: {other} and {file}; rename one of them"
+            )
 
 
 def _read(study: Study, role: RecordSet, file: Path) -> Record:

@@ -10,7 +10,8 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, cast, get_args
+from types import NoneType
+from typing import Any, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -38,6 +39,7 @@ STAGES: Mapping[str, Callable[..., Any]] = {
 }
 # What the study itself gives to a stage is no option of it.
 GIVEN = {"model", "records", "target", "norm", "frf", "fixed", "bounds", "options"}
+MOST_POINTS = 10_000  # of a grid: a matching problem of millions of unknowns
 TARGETS = ("black box", "frequency response")
 SOLVER = ("tolerance", "max_iterations", "max_seconds", "ipopt")
 
@@ -99,10 +101,20 @@ def _model(
     plain = [f.name for f in fields(structure) if f.name not in infos]
     Table(trim, f"{table.place} trim:").only(plain)
     Table(values, f"{table.place} values:").only(infos)
+    for name, value in (trim | values).items():
+        if not np.isfinite(value):
+            raise ValueError(f"{table.place} {name} = {value}, expected a finite number")
     limits = table.table("bounds")
     limits.only(infos)
     bounds = {name: _pair(limits, name) for name in limits.content}
     fixed = table.names("fixed")
+    for name, value in values.items():
+        low, high = bounds.get(name, (infos[name].lower, infos[name].upper))
+        if not low <= value <= high:
+            raise ValueError(
+                f"{table.place} {name} = {value:g} lies outside its bounds [{low:g}, {high:g}]; "
+                "move the value or the bound"
+            )
     model = replace(structure(), **trim, **values)
     try:
         model.system()
@@ -203,8 +215,11 @@ def _noise(table: Table, structure: type[Model]) -> Noise:
         raise ValueError(f"{table.place} seed = {seed}, expected an integer >= 0")
     std = table.numbers("std")
     table.table("std").only(structure.outputs)
-    if negative := [name for name, value in std.items() if not value >= 0]:
-        raise ValueError(f"{table.place} std of {negative[0]} is negative")
+    if wrong := [name for name, value in std.items() if not 0 <= value < np.inf]:
+        raise ValueError(
+            f"{table.place} std of {wrong[0]} is {std[wrong[0]]:g}, expected a finite number, "
+            "0 or more"
+        )
     return Noise(seed=seed, std=std)
 
 
@@ -240,18 +255,37 @@ def _options(top: Table) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str,
         solves = "options" in (p.name for p in parameters)
         own = (*(("solver",) if solves else ()), *(("targets",) if stage == "match" else ()))
         table.only((*keywords, *own))
-        options[stage] = {name: _value(table, name) for name in table.content if name not in own}
+        hints = get_type_hints(function)
+        options[stage] = {
+            name: _value(table, name, hints[name]) for name in table.content if name not in own
+        }
         if "solver" in table.content:
-            table.table("solver").only(SOLVER)
-            solver[stage] = dict(table.content["solver"])
+            solver[stage] = _solver(table.table("solver"))
     return options, solver
 
 
-def _value(table: Table, name: str) -> Any:  # noqa: ANN401 - whatever the stage takes
-    value = table.content[name]
+def _solver(table: Table) -> dict[str, Any]:
+    table.only(SOLVER)
+    for name, kind, least in (
+        ("tolerance", (int, float), 1e-15),
+        ("max_iterations", int, 1),
+        ("max_seconds", (int, float), 1e-3),
+    ):
+        value = table.take(name, kind, least)
+        if not least <= value < np.inf:
+            raise ValueError(f"{table.place} {name} = {value}, expected at least {least:g}")
+    table.table("ipopt")
+    return dict(table.content)
+
+
+def _value(table: Table, name: str, hint: Any) -> Any:  # noqa: ANN401 - whatever the stage takes
     if name == "omega":
-        return _grid(table, value)
-    return _frozen(value)
+        return _grid(table, table.content[name])
+    kinds = {get_origin(kind) or kind for kind in (get_args(hint) or (hint,))}
+    if kinds <= {int, float, bool, NoneType}:  # what is no plain number, the stage checks
+        wanted = kinds - {NoneType} | ({int} if float in kinds else set())
+        table.take(name, tuple(sorted(wanted, key=str)))
+    return _frozen(table.content[name])
 
 
 def _frozen(value: Any) -> Any:  # noqa: ANN401
@@ -271,11 +305,14 @@ def _grid(table: Table, value: Any) -> Array:  # noqa: ANN401
         inner.only(("from", "to", "points"))
         low, high = (inner.take(key, (int, float)) for key in ("from", "to"))
         points = inner.take("points", int, 40)
-        if low is None or high is None or not 0 < low < high or points < 2:
-            raise ValueError(f"{table.place} omega = {value!r}, expected 0 < from < to, points > 1")
+        if low is None or high is None or not 0 < low < high < np.inf:
+            raise ValueError(f"{table.place} omega = {value!r}, expected 0 < from < to")
+        if not 2 <= points <= MOST_POINTS:
+            raise ValueError(f"{table.place} points = {points}, expected 2, at most {MOST_POINTS}")
         return np.geomspace(low, high, points)
-    grid = np.asarray(value if isinstance(value, list) else [], dtype=float)
-    if grid.ndim != 1 or not len(grid) or not (grid > 0).all():
+    numeric = isinstance(value, list) and all(isinstance(x, int | float) for x in value)
+    grid = np.asarray(value if numeric else [], dtype=float)
+    if not len(grid) or not ((grid > 0) & np.isfinite(grid)).all():
         raise ValueError(
             f"{table.place} omega = {value!r}, expected frequencies > 0 in a list or "
             "{from = 0.5, to = 12, points = 40}"
