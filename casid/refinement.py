@@ -138,22 +138,26 @@ def residual_powers(
     return omega, np.vstack([np.abs(E) ** 2 for E in _residuals(modal, data)])
 
 
-def information_criterion(
-    system: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array, direct: int
-) -> float:
+def information_criteria(
+    system: StateSpace, data: Sequence[Sequence[Spectrum]], su: Array, sy: Array, direct: int
+) -> Array:
     """Corrected Akaike criterion per real observation, residual spectra estimated.
 
-    ``direct`` is the number of free direct terms; a model of order n has n (nu + ny) further
-    parameters beside them, and one transient of n for each spectrum.
+    The records' shares, one for each entry of ``data``; their mean is the criterion. ``direct`` is
+    the number of free direct terms; a model of order n has n (nu + ny) further parameters beside
+    them, and one transient of n for each spectrum.
     """
-    omega, power = residual_powers(system, data, su, sy)
+    lines = [spectrum for record in data for spectrum in record]
+    omega, power = residual_powers(system, lines, su, sy)
     smooth = _smoothed(np.log(omega), np.log(omega), power)
-    deviance = 2 * float(np.sum(np.log(smooth) + power / smooth))
+    deviance = 2 * (np.log(smooth) + power / smooth).sum(axis=1)
     n, N = system.nx, 2 * power.size
-    k = n * (len(su) + len(sy)) + direct + n * len(data)
+    k = n * (len(su) + len(sy)) + direct + n * len(lines)
     if k + 1 >= N:
-        return np.inf
-    return (deviance + 2 * k * N / (N - k - 1)) / N
+        return np.full(len(data), np.inf)
+    ends = np.cumsum([sum(len(spectrum.omega) for spectrum in record) for record in data])
+    shares = np.array([part.sum() for part in np.split(deviance, ends[:-1])])
+    return np.asarray(len(data) * shares / N + 2 * k / (N - k - 1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,8 @@ score is within one standard error of the best.
 
 Where records are too few for that, holding out stretches of them leaves too little to learn from,
 and the score is the corrected Akaike criterion of the refined model, the large-sample equivalent of
-leaving out one Fourier line after the other (M. Stone, J. R. Stat. Soc. B 39 (1977) 44-47).
+leaving out one Fourier line after the other (M. Stone, J. R. Stat. Soc. B 39 (1977) 44-47). At
+every order the criterion before the refinement says which poles and windows are worth refining.
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,7 +25,7 @@ from casid.laguerre import support
 from casid.linear import StateSpace
 from casid.predictor import Stack, triangular
 from casid.record import Record, same_channels, standard_deviations
-from casid.refinement import information_criterion, refine, residual_powers
+from casid.refinement import information_criteria, refine, residual_powers
 from casid.subspace import subspace_model
 
 HIGHEST = 2.0  # of the Laguerre pole: frequencies above it are not looked at
@@ -34,6 +35,7 @@ REGULARISATIONS = (1e-3, 1e-2)
 COST = 0.25  # of the longest record: what kernels past its end may cost
 FOLDS = 8
 BINS = 8
+STARTS = 2  # poles and windows refined at every order where nothing is held out
 EXCITED = 0.3  # of the largest standard deviation: what counts as exciting an input
 
 
@@ -41,8 +43,8 @@ EXCITED = 0.3  # of the largest standard deviation: what counts as exciting an i
 class Candidate:
     """One choice of settings and its score, the lower the better.
 
-    ``folds`` are the scores of the held-out records, ``error`` the standard error of their mean's
-    distance from the best candidate.
+    ``folds`` are the scores record by record (of those held out, or of all), ``error`` the standard
+    error of their mean's distance from the best candidate.
     """
 
     order: int
@@ -106,8 +108,9 @@ def select_order(
     records : sequence of Record
         The campaign.
     orders, pasts, poles, regularisations : sequence
-        What to choose from; one entry fixes that setting. The order is searched for every pole at
-        one window length, then window and regularisation at the best of these.
+        What to choose from; one entry fixes that setting. With records held out the order is
+        searched for every pole at one window length, then the window and the regularisation at the
+        best of these.
     feedthrough : bool, mask or output names
         As in `pbsid`.
 
@@ -121,19 +124,13 @@ def select_order(
     mask = feedthrough_mask(feedthrough, inputs, outputs)
     campaign = _Campaign(tuple(records), su, sy, mask)
     held_out = held_out_suffices(records)
-    scores = _held_out_scores if held_out else _akaike_scores
     a_grid = _usable_poles(records, poles)
     p_grid = list(PASTS if pasts is None else pasts)
     r_grid = list(REGULARISATIONS if regularisations is None else regularisations)
-    first = sorted(p_grid)[len(p_grid) // 2]
-    o_grid = _default_orders(len(outputs), first) if orders is None else list(orders)
-    tried = scores(campaign, o_grid, [first], a_grid, r_grid[:1])
-    best = _best(tried)
-    rest = [p for p in p_grid if p != first]
-    near = [order for order in o_grid if abs(order - best.order) <= 2] or [best.order]
-    tried += scores(campaign, near, rest, [best.pole], r_grid[:1])
-    best = _best(tried)
-    tried += scores(campaign, [best.order], [best.past], [best.pole], r_grid[1:])
+    highest = sorted(p_grid)[len(p_grid) // 2] * len(outputs)
+    o_grid = _default_orders(len(outputs), highest) if orders is None else list(orders)
+    search = _held_out_search if held_out else _akaike_search
+    tried = search(campaign, o_grid, p_grid, a_grid, r_grid)
     if not tried:
         raise ValueError(
             f"no settings can be identified from {len(records)} record(s), the longest of "
@@ -177,6 +174,11 @@ class _Campaign:
             regularisation=regularisation, dt=1.0,
         ).system  # fmt: skip
 
+    def criteria(self, model: StateSpace, data: Sequence[Sequence[Spectrum]]) -> Array:
+        """Corrected Akaike criterion record by record."""
+        direct = int(self.mask.sum())
+        return information_criteria(model, data, self.su, self.sy, direct)
+
     def windows(self, poles: Sequence[float], pasts: Sequence[int]) -> list[tuple[float, int]]:
         """Poles and windows whose kernels cost at most a quarter of the longest record.
 
@@ -193,60 +195,112 @@ class _Campaign:
         return spectra(pieces, self.su, self.sy, HIGHEST * max(POLES))
 
 
-def _held_out_scores(
+def _held_out_search(
     campaign: _Campaign,
     orders: Sequence[int],
     pasts: Sequence[int],
     poles: Sequence[float],
     regularisations: Sequence[float],
 ) -> list[Candidate]:
-    """Scores by leaving out whole records; one Candidate per combination that can be identified."""
-    found = []
+    """Candidates by leaving out whole records, settings one after the other."""
     data = [campaign.transforms([record], min(poles)) for record in campaign.records]
+    first = sorted(pasts)[len(pasts) // 2]
+    tried = _held_out_scores(campaign, data, orders, [first], poles, regularisations[0])
+    best = _best(tried)
+    near = [order for order in orders if abs(order - best.order) <= 2]
+    rest = [past for past in pasts if past != first]
+    tried += _held_out_scores(campaign, data, near, rest, [best.pole], regularisations[0])
+    best = _best(tried)
+    for other in regularisations[1:]:
+        tried += _held_out_scores(campaign, data, [best.order], [best.past], [best.pole], other)
+    return tried
+
+
+def _held_out_scores(
+    campaign: _Campaign,
+    data: Sequence[Sequence[Spectrum]],
+    orders: Sequence[int],
+    pasts: Sequence[int],
+    poles: Sequence[float],
+    regularisation: float,
+) -> list[Candidate]:
+    """One Candidate per combination that can be identified; ``data`` are spectra by record."""
+    found = []
     folds = [range(i, len(data), FOLDS) for i in range(min(FOLDS, len(data)))]
     for a, past in campaign.windows(poles, pasts):
         stacks = [gather([r], campaign.su, campaign.sy, past, a)[0] for r in campaign.records]
-        for order, regularisation in product(orders, regularisations):
+        kept = [
+            _joined([stack for i, stack in enumerate(stacks) if i not in fold]) for fold in folds
+        ]
+        for order in orders:
             try:
-                values = []
-                for fold in folds:
-                    kept = _joined([stack for i, stack in enumerate(stacks) if i not in fold])
-                    model = campaign.model(kept, a, order, regularisation)
-                    out = [spectrum for i in fold for spectrum in data[i]]
-                    values.append(_log_power(model, out, campaign))
+                models = [campaign.model(stack, a, order, regularisation) for stack in kept]
             except (ValueError, np.linalg.LinAlgError):
                 continue
+            values = [
+                _log_power(model, [spectrum for i in fold for spectrum in data[i]], campaign)
+                for model, fold in zip(models, folds, strict=True)
+            ]
             found.append(_candidate(order, past, a, regularisation, values))
     return found
 
 
-def _akaike_scores(
+def _akaike_search(
     campaign: _Campaign,
     orders: Sequence[int],
     pasts: Sequence[int],
     poles: Sequence[float],
     regularisations: Sequence[float],
 ) -> list[Candidate]:
-    """Scores by the corrected Akaike criterion of the refined model."""
-    found = []
-    data = campaign.transforms(campaign.records, min(poles))
+    """Candidates by the corrected Akaike criterion of refined models, `STARTS` an order."""
+    data = [campaign.transforms([record], min(poles)) for record in campaign.records]
+    starts: dict[int, list[tuple[Candidate, StateSpace]]] = {order: [] for order in orders}
     for a, past in campaign.windows(poles, pasts):
         stack, _ = gather(campaign.records, campaign.su, campaign.sy, past, a)
-        for order, regularisation in product(orders, regularisations):
-            try:
-                start = campaign.model(stack, a, order, regularisation)
-                model, _ = refine(start, data, campaign.su, campaign.sy, campaign.mask, a)
-            except (ValueError, np.linalg.LinAlgError):
-                continue
-            value = information_criterion(
-                model, data, campaign.su, campaign.sy, int(campaign.mask.sum())
-            )
-            found.append(_candidate(order, past, a, regularisation, [value]))
-    return found
+        for order in orders:
+            start = _start(campaign, stack, a, order, regularisations[0])
+            if start is not None:
+                values = campaign.criteria(start, data)
+                candidate = _candidate(order, past, a, regularisations[0], values)
+                starts[order].append((candidate, start))
+    tried = []
+    for found in starts.values():
+        for like, start in sorted(found, key=lambda pair: pair[0].score)[:STARTS]:
+            tried += _refined(campaign, start, like, data)
+    best = _best(tried)
+    for other in regularisations[1:] if tried else []:
+        stack, _ = gather(campaign.records, campaign.su, campaign.sy, best.past, best.pole)
+        start = _start(campaign, stack, best.pole, best.order, other)
+        if start is not None:
+            tried += _refined(campaign, start, replace(best, regularisation=other), data)
+    return tried
+
+
+def _start(
+    campaign: _Campaign, stack: Stack, a: float, order: int, regularisation: float
+) -> StateSpace | None:
+    """Subspace model, None where there is none of these settings."""
+    try:
+        return campaign.model(stack, a, order, regularisation)
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+
+
+def _refined(
+    campaign: _Campaign, start: StateSpace, like: Candidate, data: Sequence[Sequence[Spectrum]]
+) -> list[Candidate]:
+    """The candidate with the criterion of its refined model; none where that fails."""
+    lines = [spectrum for record in data for spectrum in record]
+    try:
+        model, _ = refine(start, lines, campaign.su, campaign.sy, campaign.mask, like.pole)
+    except np.linalg.LinAlgError:
+        return []
+    values = campaign.criteria(model, data)
+    return [_candidate(like.order, like.past, like.pole, like.regularisation, values)]
 
 
 def _candidate(
-    order: int, past: int, a: float, regularisation: float, values: Sequence[float]
+    order: int, past: int, a: float, regularisation: float, values: Sequence[float] | Array
 ) -> Candidate:
     return Candidate(
         order=order, past=past, pole=a, regularisation=regularisation,
@@ -298,9 +352,9 @@ def _parsimonious(tried: Sequence[Candidate]) -> Candidate:
     return min((c for c in fair if c.order == lowest), key=lambda c: c.score)
 
 
-def _default_orders(ny: int, past: int) -> list[int]:
+def _default_orders(ny: int, possible: int) -> list[int]:
     """Orders up to three states an output, in steps of two when there are many."""
-    highest = min(max(3 * ny, 6), past * ny)
+    highest = min(max(3 * ny, 6), possible)
     return list(range(1, highest + 1)) if highest <= 8 else list(range(4, highest + 1, 2))
 
 
