@@ -1,5 +1,6 @@
 """Rotorcraft system identification in the time and frequency domains."""
 
+from casid.bounds import BoundsComparison, compare_bounds
 from casid.chain import Identification, identify
 from casid.derivid import derivid
 from casid.errors import ConvergenceError, DataWarning, ModelError
@@ -22,6 +23,7 @@ from casid.validation import Validation, validate
 
 __all__ = [
     "BlackBox",
+    "BoundsComparison",
     "Certificate",
     "Constraint",
     "ConvergenceError",
@@ -43,6 +45,7 @@ __all__ = [
     "StateSpace",
     "TransferFunction",
     "Validation",
+    "compare_bounds",
     "derivid",
     "frequency_response",
     "handling_qualities",

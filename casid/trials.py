@@ -246,3 +246,23 @@ ESTIMATORS: Mapping[str, Callable[[Model, tuple[Any, ...], Fit | None, Mapping[s
     "output_error": _output_error,
     "derivid": _derivid,
 }
+
+
+# ---- what a fit says about its likelihood --------------------------------------------------------
+
+
+def aicc(fit: Fit, records: Sequence[Record]) -> float:
+    """Corrected Akaike criterion of a fit to records; NaN unless its cost is a likelihood.
+
+        AICc = 2 J + 2 k n / (n - k - 1)
+
+    n counts the measurements; k the directions in which parameters are free, the initial states and
+    biases of every record and the noise variances (N. Sugiura, Commun. Stat. A7, 1978).
+    """
+    if fit.R is None or fit.initial_states is None or fit.biases is None:
+        return np.nan
+    outputs = type(fit.model).outputs
+    n = sum(int(np.isfinite(record.channel(name)).sum()) for record in records for name in outputs)
+    k = len(fit.free_names) - fit.notes["held"]
+    k += fit.initial_states.size + fit.biases.size + len(fit.R)
+    return 2 * fit.cost + 2 * k * n / (n - k - 1) if n > k + 1 else np.inf

@@ -1,0 +1,269 @@
+"""Comparisons of bounds against closed-form constrained optima."""
+
+import csv
+
+import numpy as np
+import pytest
+from matched import black_box
+
+from casid import Model, Record, Rows, Scalar, StateSpace, compare_bounds, parameter
+
+OMEGA = np.geomspace(0.2, 8.0, 25)
+
+
+class Mixture(Model):
+    """Two known lags, unknown gains: the response is linear in the parameters."""
+
+    states = ("fast", "slow")
+    inputs = ("u",)
+    outputs = ("y",)
+
+    a: Scalar = parameter(default=0.5, lower=-9.0, upper=9.0, unit="-")
+    b: Scalar = parameter(default=0.5, lower=-9.0, upper=9.0, unit="-")
+    d: Scalar = parameter(default=0.1, lower=-9.0, upper=9.0, unit="-")
+
+    def A(self) -> Rows:
+        return [[-3, 0], [0, -1]]
+
+    def B(self) -> Rows:
+        return [[1], [1]]
+
+    def C(self) -> Rows:
+        return [[self.a, self.b]]
+
+    def D(self) -> Rows:
+        return [[self.d]]
+
+
+TRUTH = StateSpace([[-2.0, 1.0], [0.0, -0.7]], [[1.0], [1.0]], [[1.5, 0.4]], [[0.05]],
+                   inputs=("u",), outputs=("y",))  # fmt: skip
+TARGET = black_box(TRUTH, (0.2, 8.0))
+MATCHED = {"estimator": "match", "norm": "quadratic", "omega": OMEGA, "shift": 0.0}
+
+
+S = 1j * OMEGA
+PHI = np.column_stack([1 / (S + 3), 1 / (S + 1), np.ones_like(S)]) / np.sqrt(len(S))
+G = TRUTH.response(OMEGA)[:, 0, 0] / np.sqrt(len(S))
+
+
+def minimum(rows, right):
+    """Least mean |G(λ) - Ĝ|² under rows @ λ = right, and its derivative by right."""
+    H, g = 2 * (PHI.conj().T @ PHI).real, 2 * (PHI.conj().T @ G).real
+    E = np.atleast_2d(rows)
+    K = np.block([[H, E.T], [E, np.zeros((len(E), len(E)))]])
+    found = np.linalg.solve(K, np.concatenate([g, right]))
+    return float(np.sum(np.abs(PHI @ found[:3] - G) ** 2)), -found[3:]
+
+
+CASES = {
+    "free": {},
+    "bound": {"a": "< -2"},
+    "fixed": {"a": -2},
+    "tie": ["b = -2 a"],
+    "side": ["a + b <= 1"],
+    "room": ["a + b <= 2"],
+    "both": {"d": "> 0.2", "constraints": ["a + b = 1"]},
+}
+CLOSED = {  # rows and right-hand sides of what holds the optimum
+    "bound": ([[1, 0, 0]], [-2.0]),
+    "fixed": ([[1, 0, 0]], [-2.0]),
+    "tie": ([[2, 1, 0]], [0.0]),
+    "side": ([[1, 1, 0]], [1.0]),
+    "both": ([[0, 0, 1], [1, 1, 0]], [0.2, 1.0]),
+}
+
+
+@pytest.fixture(scope="module")
+def matched():
+    return compare_bounds(Mixture(), TARGET, cases=CASES, **MATCHED)
+
+
+def multipliers(case):
+    rows = [row.multiplier for row in case.parameters if row.active]
+    return [*rows, *(row.multiplier for row in case.relations if row.active)]
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_multipliers_are_the_derivatives_of_the_closed_form_cost(matched, name):
+    cost, prices = minimum(*map(np.array, CLOSED[name]))
+    assert matched[name].cost == pytest.approx(cost, rel=1e-7)  # the solver's tolerance is 1e-8
+    np.testing.assert_allclose(multipliers(matched[name]), prices, rtol=1e-4)
+    rows, right = map(np.array, CLOSED[name])
+    for k in range(len(right)):  # and these are the slope of the optimal cost
+        step = np.eye(len(right))[k] * 1e-4
+        slope = (minimum(rows, right + step)[0] - minimum(rows, right - step)[0]) / 2e-4
+        assert multipliers(matched[name])[k] == pytest.approx(slope, rel=1e-4)
+
+
+def test_the_increase_predicted_is_exact_where_the_cost_is_quadratic(matched):
+    for name in CLOSED:
+        case = matched[name]
+        assert case.increase == pytest.approx(minimum(*CLOSED[name])[0] - matched["free"].cost)
+        assert case.predicted == pytest.approx(case.increase, rel=1e-4)
+
+
+def test_an_inequality_with_room_costs_nothing(matched):
+    (room,), (side,) = matched["room"].relations, matched["side"].relations
+    assert not room.active
+    assert room.multiplier == 0
+    assert matched["room"].increase == pytest.approx(0, abs=1e-9 * matched["free"].cost)
+    assert side.active
+    assert side.multiplier < 0  # an upper side: moving it up lowers the cost
+
+
+def test_held_directions_are_counted(matched):
+    assert {name: matched[name].held for name in CASES} == {
+        "free": 0, "bound": 1, "fixed": 1, "tie": 1, "side": 1, "room": 0, "both": 2,
+    }  # fmt: skip
+    assert matched.freest == "free"
+
+
+def test_what_holds_a_parameter_is_told_row_by_row(matched):
+    bound, fixed = (next(r for r in matched[n].parameters if r.name == "a") for n in CLOSED_A)
+    assert bound.active
+    assert bound.upper == -2
+    assert fixed.lower == fixed.upper == fixed.value == -2
+    assert fixed.multiplier == pytest.approx(bound.multiplier, rel=1e-4)
+    assert np.isnan(fixed.std_error)
+
+
+CLOSED_A = ("bound", "fixed")
+
+
+# ---- output error --------------------------------------------------------------------------------
+
+
+def record(seed=0, noise=0.02):
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, 20, 0.05)
+    u = np.repeat(rng.choice([-1.0, 1.0], 20), 20)[:, None]
+    y = Mixture(a=1.0, b=0.6, d=0.05).system().simulate(t, u)
+    return Record(t, u, y + noise * rng.standard_normal(y.shape), ("u",), ("y",), "steps")
+
+
+KNOWN = {"estimator": "output_error", "R": np.array([[4e-4]])}
+FLOWN = {"free": {}, "bound": {"a": "< 0.97"}, "tie": ["a = 2 b"], "signs": {"d": "> 0"}}
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return compare_bounds(Mixture(), [record()], cases=FLOWN, validation=[record(1)], **KNOWN)
+
+
+def regression():
+    """Columns of y by a, b, d, initial states and bias, and y: output error as least squares."""
+    r = record()
+    unit = {"a": 0.0, "b": 0.0, "d": 0.0}
+    forced = [Mixture(**{**unit, n: 1.0}).system().simulate(r.t, r.u)[:, 0] for n in unit]
+    return forced, r
+
+
+def test_output_error_prices_are_those_of_constrained_least_squares(flown):
+    # The decays C exp(A t) x0 are weighed by a and b; as columns they span the same space.
+    forced, r = regression()
+    X = np.column_stack([*forced, np.exp(-3 * r.t), np.exp(-r.t), np.ones_like(r.t)]) / 0.02
+    y = r.y[:, 0] / 0.02
+    free = np.linalg.lstsq(X, y)[0]
+    J = 0.5 * np.sum((X @ free - y) ** 2)
+    covariance = np.linalg.inv(X.T @ X)
+    for name, row, right in (("bound", [1, 0, 0, 0, 0, 0], 0.97), ("tie", [1, -2, 0, 0, 0, 0], 0)):
+        e = np.array(row, dtype=float)
+        gap, spread = e @ free - right, e @ covariance @ e
+        case = flown[name]
+        assert case.increase == pytest.approx(0.5 * gap**2 / spread, rel=1e-4)
+        assert case.predicted == pytest.approx(case.increase, rel=1e-4)
+        assert multipliers(case)[0] == pytest.approx(-gap / spread, rel=1e-4)
+        held = covariance - np.outer(covariance @ e, covariance @ e) / spread
+        errors = np.array([row.std_error for row in case.parameters])
+        inside = ~np.isnan(errors)
+        assert inside.sum() == (2 if name == "bound" else 3)
+        np.testing.assert_allclose(errors[inside], np.sqrt(np.diag(held)[:3])[inside], rtol=1e-4)
+    free_errors = [row.std_error for row in flown["free"].parameters]
+    np.testing.assert_allclose(free_errors, np.sqrt(np.diag(covariance)[:3]), rtol=1e-4)
+    assert np.isfinite(J)
+
+
+def test_the_likelihood_ratio_is_twice_the_increase(flown):
+    case = flown["tie"]
+    assert case.statistic == pytest.approx(2 * case.increase)
+    assert case.freedom == 1
+    assert 0 <= case.p_value <= 1
+    assert flown["signs"].freedom == 0  # nothing is held beside the freest case
+    assert flown["signs"].p_value == 1.0
+
+
+def test_aicc_counts_what_is_free(flown):
+    r = record()
+    n, nuisance = r.N, 2 + 1 + 1  # initial states, bias, noise variance
+    for name, free in (("free", 3), ("tie", 2), ("bound", 2)):
+        k = free + nuisance
+        expected = 2 * flown[name].cost + 2 * k * n / (n - k - 1)
+        assert flown[name].aicc == pytest.approx(expected, rel=1e-12)
+
+
+def test_eigenvalues_and_unseen_records_are_told(flown):
+    np.testing.assert_allclose(flown["free"].eigenvalues, [-1, -3])
+    sigma = 0.02 / np.std(record(1).y)
+    # noise of 400 samples, less six unknowns
+    assert flown["free"].rms == pytest.approx(sigma, rel=0.1)
+
+
+def test_the_prediction_is_right_to_first_order():
+    # Noise variances concentrated out: the cost is no longer quadratic.
+    free = compare_bounds(Mixture(), [record()], cases={"free": {}})["free"].parameters[0]
+    steps = (8.0, 4.0, 2.0)
+    cases = {"free": {}} | {f"{k}": {"a": free.value - k * free.std_error} for k in steps}
+    found = compare_bounds(Mixture(), [record()], cases=cases)
+    off = [abs(found[f"{k}"].predicted / found[f"{k}"].increase - 1) for k in steps]
+    assert off[-1] < 0.01
+    assert off[0] / off[1] > 1.8  # halving the step halves the error at least
+    assert off[1] / off[2] > 1.8
+
+
+# ---- rows and tables -----------------------------------------------------------------------------
+
+
+def test_tables_are_the_same_every_time_and_in_any_process(tmp_path):
+    cases = {f"a < {k}": {"a": f"< {k}"} for k in (0.99, 0.98, 0.97, 0.96)}
+    texts = []
+    for name, here in (("one", {"free": {}} | cases), ("two", {"free": {}} | cases)):
+        found = compare_bounds(Mixture(), [record()], cases=here)  # five: in processes
+        found.to_csv(tmp_path / f"{name}.csv")
+        files = (f"{name}.csv", f"{name}_cases.csv")
+        texts.append([(tmp_path / file).read_text() for file in files] + [found.to_markdown()])
+    assert texts[0] == texts[1]
+
+
+def test_the_csv_holds_every_case_and_parameter(flown, tmp_path):
+    flown.to_csv(tmp_path / "bounds.csv")
+    with (tmp_path / "bounds.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 4 * 3 + 1  # one relation
+    row = next(r for r in rows if (r["case"], r["name"]) == ("bound", "a"))
+    assert row["active"] == "true"
+    assert float(row["multiplier"]) == pytest.approx(multipliers(flown["bound"])[0], rel=1e-9)
+    with (tmp_path / "bounds_cases.csv").open() as file:
+        cases = {r["case"]: r for r in csv.DictReader(file)}
+    assert float(cases["tie"]["increase"]) == pytest.approx(flown["tie"].increase, rel=1e-9)
+
+
+def test_parameters_are_sorted_by_price(flown):
+    names = flown.ranked()
+    price = [max(case.shares.get(name, 0.0) for case in flown.cases) for name in names]
+    assert price == sorted(price, reverse=True)
+    assert names[0] == "a"
+
+
+def test_a_failed_case_is_a_row_with_its_reason():
+    cases = {"free": {}, "impossible": ["a + b <= -1", "a >= 0", "b >= 0"]}
+    found = compare_bounds(Mixture(), [record()], cases=cases)
+    assert found["free"].reason == ""
+    assert found["impossible"].reason
+    assert "failed" in found.to_markdown()
+
+
+def test_a_wrong_estimator_or_case_is_refused_at_once():
+    with pytest.raises(ValueError, match="expected one of 'chain'"):
+        compare_bounds(Mixture(), [record()], cases={"free": {}}, estimator="guess")
+    with pytest.raises(ValueError, match="no parameter 'z'"):
+        compare_bounds(Mixture(), [record()], cases={"free": {"z": 1.0}})
