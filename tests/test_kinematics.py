@@ -1,0 +1,199 @@
+"""Kinematic consistency: known instrument errors are found, and none where there are none."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flown import FORCES, NOISE, RATES, STATES, flight
+
+from casid import read_csv
+from casid.kinematics import kinematic_check
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+INPUTS = ("col", "lat", "lon", "ped")
+OUTPUTS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta")
+ATTITUDES = (*RATES, "phi", "theta")
+WHOLE = (*RATES, *FORCES, *STATES)
+ERRORS = {  # scale, bias, skew
+    "p": (0.08, 0.01, 0.06), "q": (-0.05, -0.004, -0.03), "r": (0.10, 0.006, 0.04),
+    "ax": (0.05, 0.2, 0.03), "ay": (-0.06, 0.1, -0.04), "az": (0.04, 0.1, 0.02),
+}  # fmt: skip
+FLOWN = dict(zip(OUTPUTS, (0.05, 0.05, 0.1, *[0.003] * 5), strict=True))
+
+
+def scores(check):
+    """Errors of the estimates in units of their standard errors, (channels, 3)."""
+    rows = []
+    for each in check.channels:
+        scale, bias, skew = ERRORS[each.channel]
+        rows.append([
+            (each.scale - scale) / each.scale_error, (each.bias - bias) / each.bias_error,
+            (each.skew - skew) / each.skew_error,
+        ])  # fmt: skip
+    return np.array(rows)
+
+
+def times(record, name, factor):
+    return replace(
+        record, y=np.where(np.array(record.outputs) == name, factor * record.y, record.y)
+    )
+
+
+def uh60(which="3211_*.csv", outputs=OUTPUTS):
+    files = sorted((EXAMPLES / "uh60/data").glob(which))
+    return [read_csv(file, inputs=INPUTS, outputs=outputs) for file in files]
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    rng = np.random.default_rng(7)
+    return [record.with_noise(FLOWN, rng) for record in uh60()]
+
+
+# ---- truth known -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("outputs", [WHOLE, ATTITUDES, (*ATTITUDES, "psi")], ids=len)
+def test_scale_bias_and_skew_are_found_within_three_sigma(outputs):
+    check = kinematic_check([flight(0, ERRORS, NOISE, outputs)])
+    assert {each.channel for each in check.channels} == {*RATES, *FORCES} & set(outputs)
+    assert np.abs(scores(check)).max() < 3
+
+
+def test_without_noise_the_errors_are_found_almost_exactly():
+    check = kinematic_check([flight(0, ERRORS)])
+    for each in check.channels:
+        scale, bias, skew = ERRORS[each.channel]
+        # The skew of r enters the products with attitudes by interpolation: 1e-4 of a scale.
+        np.testing.assert_allclose([each.scale, each.skew], [scale, skew], atol=3e-4)
+        assert abs(each.bias - bias) < 1e-3
+
+
+def test_each_error_is_put_into_words():
+    check = kinematic_check([flight(0, {"p": (0.08, 0.0, 0.06)}, NOISE)])
+    scale, skew = check.remarks
+    assert scale.startswith("p is 1.08")
+    assert "times what phi implies" in scale
+    assert "s late against phi" in skew
+    assert not check.consistent
+
+
+@pytest.mark.parametrize("outputs", [WHOLE, ATTITUDES], ids=len)
+@pytest.mark.parametrize("seed", range(3))
+def test_good_instruments_give_no_alarm(seed, outputs):
+    check = kinematic_check([flight(seed, None, NOISE, outputs)])
+    assert check.remarks == ()
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("outputs", [WHOLE, ATTITUDES, (*ATTITUDES, "psi")], ids=len)
+def test_standard_errors_are_those_of_thirty_flights(outputs):
+    z = np.array([scores(kinematic_check([flight(seed, ERRORS, NOISE, outputs)]))
+                  for seed in range(30)])  # fmt: skip
+    # 90 or 180 normal values a column: their rms lies within 0.75 and 1.25 with p > 0.999 if the
+    # errors are right, and none exceeds 4.
+    rms = np.sqrt(np.mean(z**2, axis=(0, 1)))
+    assert (rms > 0.7).all()
+    assert (rms < 1.25).all()
+    assert np.abs(z).max() < 4
+
+
+def test_alpha_beta_and_speed_serve_as_velocities():
+    record = flight(0, {"az": (0.1, 0.0, 0.0)}, NOISE)
+    u, v, w = (record.channel(name) for name in ("u", "v", "w"))
+    V = np.sqrt(u**2 + v**2 + w**2)
+    air = np.column_stack([V, np.arctan2(w, u), np.arcsin(v / V)])
+    rates = record.select(outputs=[name for name in record.outputs if name not in {"u", "v", "w"}])
+    seen = replace(rates, y=np.hstack([rates.y, air]),
+                   outputs=(*rates.outputs, "V", "alpha", "beta"))  # fmt: skip
+    az = next(each for each in kinematic_check([seen]).channels if each.channel == "az")
+    assert abs(az.scale - 0.1) < 3 * az.scale_error
+
+
+def test_missing_samples_and_irregular_instants_do_not_matter():
+    record = flight(0, ERRORS, NOISE, ATTITUDES)
+    rng = np.random.default_rng(3)
+    kept = np.sort(rng.choice(record.N, round(0.98 * record.N), replace=False))
+    y = np.where(rng.random(record.y.shape) < 0.01, np.nan, record.y)
+    thinned = replace(record, t=record.t[kept], u=record.u[kept], y=y[kept])
+    found = {each.channel: each for each in kinematic_check([thinned]).channels}
+    assert abs(found["p"].scale - 0.08) < 3 * found["p"].scale_error + 0.005
+    assert abs(found["p"].skew - 0.06) < 3 * found["p"].skew_error + 0.002
+
+
+# ---- example records ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("aircraft", ["uh60", "ah1s"])
+def test_the_simulated_helicopters_obey_kinematics(aircraft):
+    files = sorted((EXAMPLES / aircraft / "data").glob("3211_???.csv"))
+    outputs = (*OUTPUTS, "u", "v", "w")
+    check = kinematic_check([read_csv(file, inputs=INPUTS, outputs=outputs) for file in files])
+    assert check.remarks == ()
+    assert len(check.channels) == 6
+    for each in check.channels:  # noise-free records: integration steps of the simulations remain
+        assert abs(each.scale) < 0.01
+        assert abs(each.skew) < 0.006
+
+
+def test_records_with_trim_removed_are_checked_with_it(noisy):
+    whole, rest = kinematic_check(noisy), kinematic_check([r.detrend("first") for r in noisy])
+    for a, b in zip(whole.channels, rest.channels, strict=True):
+        np.testing.assert_allclose([a.scale, a.skew], [b.scale, b.skew], rtol=1e-6)
+
+
+def test_noise_of_good_instruments_gives_no_alarm(noisy):
+    check = kinematic_check(noisy)
+    assert check.remarks == ()
+    assert check.notes[0].startswith("specific forces were checked against gravity in trim only")
+
+
+MISTAKES = {
+    "p upside down": ("p", -1.0, "p is -", "opposite sign"),
+    "q in degrees": ("q", 180 / np.pi, "q is 57", "in degrees"),
+    "phi in degrees": ("phi", 180 / np.pi, "phi reaches", "degrees"),
+    "az up": ("az", -1.0, "az is 9.7", "opposite sign"),
+    "az in g": ("az", 1 / 9.80665, "az is -0.99", "in g"),
+    "theta upside down": ("theta", -1.0, "q is -1", "opposite sign"),
+    "p ten per cent too large": ("p", 1.1, "p is 1.1", "scale factors"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda name: name.replace(" ", "-"))
+def test_a_mistake_in_signs_or_units_is_named(mistake, noisy):
+    name, factor, begin, word = MISTAKES[mistake]
+    remarks = kinematic_check([times(record, name, factor) for record in noisy]).remarks
+    # The scale of a noisy rate has a standard error of half a per cent.
+    assert any(said.startswith(begin[:-1]) and word in said for said in remarks), remarks
+
+
+def test_a_velocity_upside_down_follows_from_nothing():
+    check = kinematic_check([times(flight(0, None, NOISE), "w", -1.0)])
+    assert any(said.startswith("w does not follow") for said in check.remarks)
+
+
+# ---- what cannot be checked --------------------------------------------------------------------
+
+
+def test_perturbations_are_recognised_by_the_gravity_they_lack(noisy):
+    bare = [replace(record.detrend("first"), trim={}) for record in noisy]
+    check = kinematic_check(bare)
+    assert any("the records are perturbations" in note for note in check.notes)
+    assert check.consistent
+    whole = kinematic_check(bare, trim=noisy[0].detrend("first").trim)
+    assert not any("perturbations" in note for note in whole.notes)
+
+
+def test_a_channel_that_hardly_moves_is_not_judged(noisy):
+    check = kinematic_check([record for record in noisy if "lon" in record.name])
+    r = next(each for each in check.channels if each.channel == "r")
+    assert not r.determined
+    assert any("do not tell about r" in note for note in check.notes)
+
+
+def test_records_without_a_pair_of_channels_leave_a_note_and_no_result():
+    check = kinematic_check([flight(0, outputs=("p", "q", "ax"))])
+    assert check.channels == ()
+    assert "p was not checked: there is no phi" in check.notes
+    assert kinematic_check([flight(0, outputs=("ax",))]).consistent
