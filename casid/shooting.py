@@ -40,7 +40,11 @@ SETTLED = 4.0  # factor by which a variance may fall in the last round: the scal
 GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
 LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
 
-IPOPT: dict[str, float | str] = {"nlp_scaling_method": "none", "mu_strategy": "monotone"}
+IPOPT: dict[str, float | str] = {
+    "nlp_scaling_method": "none",
+    "mu_strategy": "monotone",
+    "compl_inf_tol": 1e-10,  # the cost is a mean: cheap bounds are reached as well as dear ones
+}
 NEAR: dict[str, float | str] = {"bound_push": 1e-9, "bound_frac": 1e-9}
 WARM: dict[str, float | str] = {  # a warm round stays where it starts
     "mu_init": 1e-6,
@@ -112,41 +116,58 @@ def output_error(
     options = options or SolverOptions()
     options = replace(options, ipopt=IPOPT | dict(options.ipopt))
     free = free_parameters(model, fixed, bounds)
-    chosen = select_records(model, records, biases)
+    chosen = select_records(free, records, biases)
     gain, gain_free = starting_gain(free, chosen, process_noise)
-    length = (
-        choose_interval(free, chosen, gain is not None) if interval is None else float(interval)
-    )
+    if interval is None:
+        interval = choose_interval(free, chosen, gain is not None)
+    if not 0 < interval < np.inf:
+        raise ValueError(
+            f"interval={interval}: expected seconds above 0, or None to have it chosen"
+        )
+    length = float(interval)
     evaluator = Evaluator(free, lay_out(chosen, length), gain, gain_free)
     R = checked_covariance(R, evaluator.ny)
     search = _Search(free, options)
     outcome = None if near is None else search.beside(near, evaluator, R, biases)
     if outcome is None:
-        programme, point = starting_programme(evaluator, free, R, biases)
+        try:
+            programme, point = starting_programme(evaluator, free, R, biases)
+        except ConvergenceError as error:
+            status = str(error)
+            raise ConvergenceError(f"output error: {status}", _unmoved(free, status)) from error
         outcome = search.run(programme, point, R)
     return _result(free, outcome, length, time.perf_counter() - begin)
 
 
-def select_records(model: Model, records: Sequence[Record], biases: bool) -> list[Record]:
+def select_records(free: Free, records: Sequence[Record], biases: bool) -> list[Record]:
     """Records with the model's channels, in the model's order.
 
     Raises
     ------
     ValueError
-        No records, a channel missing, a record too short for its own initial state and biases.
+        No records, a channel missing, a record too short for its own initial state and biases,
+        fewer measurements in all than unknowns.
     """
+    model = free.model
     if isinstance(records, Record):
         records = [records]
     if not records:
         raise ValueError("no records: output error needs at least one")
     chosen = [record.select(model.inputs, model.outputs) for record in records]
     needed = len(model.states) + biases * len(model.outputs)
-    for record in chosen:
-        if np.isfinite(record.y).sum() < needed:
+    counts = [int(np.isfinite(record.y).sum()) for record in chosen]
+    for record, count in zip(chosen, counts, strict=True):
+        if count < needed:
             raise ValueError(
-                f"record {record.name!r} has {np.isfinite(record.y).sum()} measurements; its "
-                f"initial state and biases alone need {needed}: leave it out"
+                f"record {record.name!r} has {count} measurements; its initial state and biases "
+                f"alone need {needed}: leave it out"
             )
+    unknowns = len(free.index) + needed * len(chosen)
+    if sum(counts) <= unknowns:
+        raise ValueError(
+            f"the records have {sum(counts)} measurements for {unknowns} unknowns (parameters, "
+            "initial states, biases): add records, or fix parameters"
+        )
     for i, name in enumerate(model.outputs):
         if not any(np.isfinite(record.y[:, i]).any() for record in chosen):
             raise ValueError(f"output {name!r} is missing in every sample of every record")
@@ -303,16 +324,28 @@ def checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | Cov
 
 def _verdict(outcome: _Outcome, found: Precision) -> tuple[bool, str]:
     """Whether this is a solution, and in words."""
+    reasons = []
     if not outcome.solution.success:
-        return False, outcome.solution.status
-    if not outcome.settled:
-        return False, f"R has not settled after {outcome.rounds} rounds; give R"
-    if found.undetermined:
-        return False, (
+        reasons.append(outcome.solution.status)
+    elif not outcome.settled:
+        reasons.append(f"R has not settled after {outcome.rounds} rounds; give R")
+    lost = len(found.undetermined)
+    if lost and (outcome.solution.success or lost < outcome.programme.evaluator.nf):
+        reasons.append(
             f"the records do not determine {', '.join(found.undetermined)} (singular information "
             "matrix): fix or tie some of them, or add a manoeuvre that excites them"
         )
-    return True, outcome.solution.status
+    return not reasons, "; ".join(reasons) or outcome.solution.status
+
+
+def _unmoved(free: Free, status: str) -> Fit:
+    """The start as a failed fit."""
+    return Fit(
+        model=free.model.with_vector(free.full(free.guess)),
+        parameters=parameter_table(free, free.guess, np.zeros(len(free.index))),
+        cost=np.nan, status=status, success=False, iterations=0, seconds=0.0,
+        method="output error", free_names=free.names,
+    )  # fmt: skip
 
 
 def _result(free: Free, outcome: _Outcome, interval: float, seconds: float) -> Fit:

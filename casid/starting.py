@@ -75,7 +75,8 @@ def _smoothed(
     ones = Scales(np.ones(e.nf), np.ones(e.ny), np.ones(e.nx))
     programme = Programme(e, free, ones, noise, biases=known is not None)
     blocks = programme.blocks(programme.pack(point))
-    drift = _drift(e, point.lam)
+    with np.errstate(over="ignore", invalid="ignore"):
+        drift = _drift(e, point.lam)
     nodes = _smooth(blocks.Hnn, blocks.gn, blocks.slope_n, blocks.ends, programme.links, drift)
     size = np.maximum(np.sqrt(np.mean(nodes**2, axis=0)), np.sqrt(np.diag(drift)))
     state, spread = np.where(size > 0, size, 1.0), channel_size(e)
@@ -121,7 +122,7 @@ def _smooth(
 ) -> Array:
     """Nodes minimising the residuals and, weighted by drift⁻¹, the gaps between intervals."""
     J, nx = g.shape
-    if not all(np.isfinite(part).all() for part in (H, g, slope, ends)):
+    if not all(np.isfinite(part).all() for part in (H, g, slope, ends, drift)):
         raise ConvergenceError(
             "the starting model's simulation overflows within one interval; give a shorter "
             "interval or a start nearer the data"
