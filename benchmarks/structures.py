@@ -40,10 +40,7 @@ SEED = 20130
 
 # Trim of the 32-state model and of the records, SI units.
 EXACT_TRIM = {"U0": 41.017, "V0": 2.7046, "W0": 2.1073, "theta0": 0.05133}
-TRIM = {
-    "U0": 40.922, "V0": 2.811, "W0": 2.054, "P0": -0.0002, "Q0": -0.0001, "R0": 0.0057,
-    "phi0": 0.0213, "theta0": 0.0531,
-}  # fmt: skip
+TRIM = {"U0": 40.922, "V0": 2.811, "W0": 2.054, "phi0": 0.0213, "theta0": 0.0531}
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ of a stick: read sticks recorded in % with ``units={"lat": "%"}``, which makes t
 """
 
 from collections.abc import Mapping
-from math import cos, sin, tan
+from math import cos, sin
 
 from casid import Model, Rows, Scalar, parameter
 
@@ -106,74 +106,43 @@ class SixDof(Model):
     theta0: float = 0.0
     g: float = 9.80665
 
-    def forces(self) -> list[list[Scalar]]:
-        """Specific aerodynamic forces per state (u v w p q r phi theta), rows X, Y, Z."""
-        return [
-            [self.Xu, self.Xv, self.Xw, self.Xp, self.Xq, self.Xr, 0, 0],
-            [self.Yu, self.Yv, self.Yw, self.Yp, self.Yq, self.Yr, 0, 0],
-            [self.Zu, self.Zv, self.Zw, self.Zp, self.Zq, self.Zr, 0, 0],
-        ]
-
-    def controls(self) -> list[list[Scalar]]:
-        """Specific forces per control (col lat lon ped), rows X, Y, Z."""
-        return [
-            [self.Xcol, self.Xlat, self.Xlon, self.Xped],
-            [self.Ycol, self.Ylat, self.Ylon, self.Yped],
-            [self.Zcol, self.Zlat, self.Zlon, self.Zped],
-        ]
-
     def A(self) -> Rows:
-        U0, V0, W0, P0, Q0, R0 = self.U0, self.V0, self.W0, self.P0, self.Q0, self.R0
-        sphi, cphi = sin(self.phi0), cos(self.phi0)
-        sth, cth, tth = sin(self.theta0), cos(self.theta0), tan(self.theta0)
-        g = self.g
-        inertial: Rows = [
-            # u    v    w    p    q    r    phi            theta
-            [0, R0, -Q0, 0, -W0, V0, 0, -g * cth],
-            [-R0, 0, P0, W0, 0, -U0, g * cphi * cth, -g * sphi * sth],
-            [Q0, -P0, 0, -V0, U0, 0, -g * sphi * cth, -g * cphi * sth],
-        ]
-        turn = Q0 * sphi + R0 * cphi
-        bank = Q0 * cphi - R0 * sphi
+        s, U0, V0, W0, P0, Q0, R0 = self, self.U0, self.V0, self.W0, self.P0, self.Q0, self.R0
+        sphi, cphi, sth, cth = sin(s.phi0), cos(s.phi0), sin(s.theta0), cos(s.theta0)
+        gx, gy, gz = -s.g * cth, s.g * cphi * cth, -s.g * sphi * cth
+        turn, bank, tth = Q0 * sphi + R0 * cphi, Q0 * cphi - R0 * sphi, sth / cth
         return [
-            *(
-                [a + f for a, f in zip(*rows, strict=True)]
-                for rows in zip(inertial, self.forces(), strict=True)
-            ),
-            [self.Lu, self.Lv, self.Lw, self.Lp, self.Lq, self.Lr, 0, 0],
-            [self.Mu, self.Mv, self.Mw, self.Mp, self.Mq, self.Mr, 0, 0],
-            [self.Nu, self.Nv, self.Nw, self.Np, self.Nq, self.Nr, 0, 0],
+            [s.Xu, s.Xv + R0, s.Xw - Q0, s.Xp, s.Xq - W0, s.Xr + V0, 0, gx],
+            [s.Yu - R0, s.Yv, s.Yw + P0, s.Yp + W0, s.Yq, s.Yr - U0, gy, -s.g * sphi * sth],
+            [s.Zu + Q0, s.Zv - P0, s.Zw, s.Zp - V0, s.Zq + U0, s.Zr, gz, -s.g * cphi * sth],
+            [s.Lu, s.Lv, s.Lw, s.Lp, s.Lq, s.Lr, 0, 0],
+            [s.Mu, s.Mv, s.Mw, s.Mp, s.Mq, s.Mr, 0, 0],
+            [s.Nu, s.Nv, s.Nw, s.Np, s.Nq, s.Nr, 0, 0],
             [0, 0, 0, 1, sphi * tth, cphi * tth, bank * tth, turn / cth**2],
             [0, 0, 0, 0, cphi, -sphi, -turn, 0],
         ]
 
     def B(self) -> Rows:
         return [
-            *self.controls(),
+            [self.Xcol, self.Xlat, self.Xlon, self.Xped],
+            [self.Ycol, self.Ylat, self.Ylon, self.Yped],
+            [self.Zcol, self.Zlat, self.Zlon, self.Zped],
             [self.Lcol, self.Llat, self.Llon, self.Lped],
             [self.Mcol, self.Mlat, self.Mlon, self.Mped],
             [self.Ncol, self.Nlat, self.Nlon, self.Nped],
-            [0, 0, 0, 0],
-            [0, 0, 0, 0],
+            *[[0] * 4] * 2,
         ]
 
     def C(self) -> Rows:
         return [
-            *self.forces(),
-            [0, 0, 0, 1, 0, 0, 0, 0],
-            [0, 0, 0, 0, 1, 0, 0, 0],
-            [0, 0, 0, 0, 0, 1, 0, 0],
-            [0, 0, 0, 0, 0, 0, 1, 0],
-            [0, 0, 0, 0, 0, 0, 0, 1],
+            [self.Xu, self.Xv, self.Xw, self.Xp, self.Xq, self.Xr, 0, 0],
+            [self.Yu, self.Yv, self.Yw, self.Yp, self.Yq, self.Yr, 0, 0],
+            [self.Zu, self.Zv, self.Zw, self.Zp, self.Zq, self.Zr, 0, 0],
+            *([float(i == j) for j in range(8)] for i in range(3, 8)),  # p q r phi theta
         ]
 
     def D(self) -> Rows:
-        return [*self.controls(), *([0, 0, 0, 0] for _ in range(5))]
+        return [*self.B()[:3], *[[0] * 4] * 5]
 
     def delays(self) -> Mapping[str, Scalar]:
-        return {
-            "col": self.tau_col,
-            "lat": self.tau_lat,
-            "lon": self.tau_lon,
-            "ped": self.tau_ped,
-        }
+        return {"col": self.tau_col, "lat": self.tau_lat, "lon": self.tau_lon, "ped": self.tau_ped}
