@@ -1,13 +1,8 @@
 """The command line."""
 
-import logging
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import click
 from rich.console import Console, RenderableType
@@ -16,7 +11,6 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from casid.errors import ConvergenceError
 from casid.files import read_csv
 from casid.fit import Fit
 from casid.modelfile import load_model
@@ -26,8 +20,8 @@ from casid.runner import Outcome, run_study
 from casid.structure import describe
 from casid.study import Study, read_records
 from casid.studyfile import read_study
+from casid.terminal import exits, logged
 
-BAD_INPUT, NO_CONVERGENCE, INTERRUPTED = 2, 3, 130
 WIDE = 24  # column of stages
 
 
@@ -81,7 +75,7 @@ def identify(study: Path, output: Path | None, fresh: bool, verbose: bool) -> No
       stages/          the result of each stage
     """  # noqa: D301
     console = Console(highlight=False)
-    with _exits(console), _logging(console, verbose), Monitor(console) as monitor:
+    with exits(console), logged(console, verbose), Monitor(console) as monitor:
         outcome = run_study(read_study(study, output), fresh=fresh, watch=monitor)
     _conclude(console, outcome)
 
@@ -105,7 +99,7 @@ def check(what: str, flights: tuple[str, ...], fixed: tuple[str, ...], verbose: 
     the excitation cannot tell apart: one 3-2-1-1 a control, or the records given.
     """
     console = Console(highlight=False)
-    with _exits(console), _logging(console, verbose):
+    with exits(console), logged(console, verbose):
         if what.endswith(".toml"):
             _describe(console, read_study(Path(what)))
         else:
@@ -115,55 +109,6 @@ def check(what: str, flights: tuple[str, ...], fixed: tuple[str, ...], verbose: 
                 Text(str(describe(model, records or None, fixed=fixed))),
                 no_wrap=True, overflow="ignore", crop=False,
             )  # fmt: skip
-
-
-@contextmanager
-def _exits(console: Console) -> Iterator[None]:
-    """Turn the failures a user can do something about into messages and exit codes."""
-    try:
-        yield
-    except ConvergenceError as error:
-        _complain(console, "No convergence", error)
-        sys.exit(NO_CONVERGENCE)
-    except ValueError as error:
-        _complain(console, "Bad input", error)
-        sys.exit(BAD_INPUT)
-    except OSError as error:  # disk full, or a file that is no longer there or ours
-        remedy = "earlier results are kept; make room or see to the file, then run the same again"
-        _complain(console, "Cannot read or write", f"{error}; {remedy}")
-        sys.exit(BAD_INPUT)
-    except KeyboardInterrupt:
-        console.print("Interrupted; stages that had ended are kept, the same command goes on.")
-        sys.exit(INTERRUPTED)
-
-
-def _complain(console: Console, what: str, error: Exception | str) -> None:
-    loud = Console(stderr=True, highlight=False, width=console.width)
-    loud.print(Text(f"{what}: ", style="bold red").append(str(error), style="default"))
-
-
-@contextmanager
-def _logging(console: Console, verbose: bool) -> Iterator[None]:
-    logger = logging.getLogger("casid")
-    handler = _Lines(lambda line: console.print(Text(f"  {line}", style="dim")))
-    level = logger.level
-    if verbose:
-        logger.addHandler(handler)
-        logger.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(level)
-
-
-class _Lines(logging.Handler):
-    def __init__(self, write: Callable[[str], Any]) -> None:
-        super().__init__()
-        self._write = write
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._write(self.format(record))
 
 
 class Monitor:

@@ -1,0 +1,65 @@
+"""What every command does alike: messages, exit codes, the log."""
+
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+
+from casid.errors import ConvergenceError
+
+BAD_INPUT, NO_CONVERGENCE, INTERRUPTED = 2, 3, 130
+
+
+@contextmanager
+def exits(console: Console) -> Iterator[None]:
+    """Turn the failures a user can do something about into messages and exit codes."""
+    try:
+        yield
+    except ConvergenceError as error:
+        complain(console, "No convergence", error)
+        sys.exit(NO_CONVERGENCE)
+    except ValueError as error:
+        complain(console, "Bad input", error)
+        sys.exit(BAD_INPUT)
+    except OSError as error:  # disk full, or a file that is no longer there or ours
+        remedy = "earlier results are kept; make room or see to the file, then run the same again"
+        complain(console, "Cannot read or write", f"{error}; {remedy}")
+        sys.exit(BAD_INPUT)
+    except KeyboardInterrupt:
+        console.print("Interrupted; stages that had ended are kept, the same command goes on.")
+        sys.exit(INTERRUPTED)
+
+
+def complain(console: Console, what: str, error: Exception | str) -> None:
+    """Say on standard error what is wrong."""
+    loud = Console(stderr=True, highlight=False, width=console.width)
+    loud.print(Text(f"{what}: ", style="bold red").append(str(error), style="default"))
+
+
+@contextmanager
+def logged(console: Console, verbose: bool) -> Iterator[None]:
+    """Show what casid logs, if that is wanted."""
+    logger = logging.getLogger("casid")
+    handler = _Lines(lambda line: console.print(Text(f"  {line}", style="dim")))
+    level = logger.level
+    if verbose:
+        logger.addHandler(handler)
+        logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+
+
+class _Lines(logging.Handler):
+    def __init__(self, write: Callable[[str], Any]) -> None:
+        super().__init__()
+        self._write = write
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._write(self.format(record))
