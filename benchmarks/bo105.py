@@ -74,8 +74,12 @@ BOUNDS = {"Lp": (-40.0, 0.0), "Llat": (0.0, 100.0)}  # a hingeless rotor is stif
 def records(seed: int, *, dt: float = 0.02, duration: float = 30.0) -> list[Record]:
     """One 3-2-1-1 per control and sign, flown in closed loop, with noise of that seed."""
     rng = np.random.default_rng(seed)
-    flown = [_fly(stick, sign, dt, duration) for stick in SixDof.inputs for sign in (1.0, -1.0)]
-    return [record.with_noise(NOISE, rng) for record in flown]
+    return [record.with_noise(NOISE, rng) for record in clean_records(dt=dt, duration=duration)]
+
+
+def clean_records(*, dt: float = 0.02, duration: float = 30.0) -> list[Record]:
+    """The same manoeuvres without noise."""
+    return [_fly(stick, sign, dt, duration) for stick in SixDof.inputs for sign in (1.0, -1.0)]
 
 
 def _fly(stick: str, sign: float, dt: float, duration: float) -> Record:

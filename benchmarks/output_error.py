@@ -10,9 +10,16 @@ solver; the ratio is of build plus solve, in processor time of this one process 
 machine moves it little). Run with one BLAS thread:
 
     OMP_NUM_THREADS=1 python -m benchmarks.output_error
+
+Two more questions, of casid alone:
+
+    python -m benchmarks.output_error growth           time and memory with records and intervals
+    python -m benchmarks.output_error monte-carlo [N]  error against bound, coverage: 64 parameters
 """
 
 import argparse
+import resource
+import sys
 import time
 from dataclasses import replace
 
@@ -20,8 +27,10 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 
+from benchmarks import bo105
+from benchmarks.tables import table
 from benchmarks.uh60 import DATA, INPUTS, NOISE, OUTPUTS, STEPS, SWEEPS
-from casid import Model, Record, SolverOptions, match, pbsid, read_csv
+from casid import Model, Record, SolverOptions, match, output_error, pbsid, read_csv
 from casid.intervals import Layout, lay_out
 from casid.model import Free, free_parameters
 from casid.nlp import Problem, solve
@@ -32,6 +41,7 @@ from casid.spline import PAD
 from casid.starting import starting_programme
 from models.six_dof import SixDof
 
+R_TRUE = np.diag(np.array(list(NOISE.values())) ** 2)
 TAYLOR = 20  # terms of the matrix exponential; |A h| < 1, so the rest is below rounding
 
 
@@ -204,9 +214,9 @@ def compare(model: Model, records: list[Record], R, interval, options, builds):
     return programme, rows
 
 
-def noisy_records() -> list[Record]:
+def noisy_records(seed: int = 20130) -> list[Record]:
     """The eight records, sticks as fractions of full travel, the last sample left out."""
-    rng = np.random.default_rng(20130)
+    rng = np.random.default_rng(seed)
     percent = dict.fromkeys(INPUTS, "%")
     return [
         read_csv(DATA / f"{name}.csv", inputs=INPUTS, outputs=OUTPUTS, units=percent,
@@ -223,17 +233,87 @@ def start_of(records: list[Record]) -> Model:
     return match(SixDof(**trim), black_box, norm="quadratic").model
 
 
+# ---- growth -------------------------------------------------------------------------------------
+
+
+def measure_growth() -> None:
+    """Build and solve with more records, and with longer intervals; resident memory so far."""
+    options = SolverOptions(ipopt=IPOPT)
+    model, rows = start_of(noisy_records()), []
+    for copies, interval in ((1, 2.0), (2, 2.0), (4, 2.0), (1, 1.0), (1, 5.0), (1, 10.0)):
+        records = [record for seed in range(copies) for record in noisy_records(20130 + seed)]
+        programme, _, solution, _, total = timed_casid(model, records, R_TRUE, interval, options)
+        samples = sum(record.N for record in records)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        rows.append((f"{samples}", interval, f"{programme.J}", total, f"{solution.iterations}",
+                     1e6 * total / solution.iterations / samples, f"{peak:.0f}"))  # fmt: skip
+        print(rows[-1], file=sys.stderr, flush=True)
+    print(table(("samples", "interval, s", "intervals", "s", "iterations",
+                 "µs per sample and iteration", "peak memory so far, MB"), rows))  # fmt: skip
+
+
+# ---- Monte Carlo --------------------------------------------------------------------------------
+
+
+def bo105_estimates(runs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors (runs, 64) of the Bo105's parameters, and their plain and corrected standard errors.
+
+    The structure is the truth's, flown in closed loop; noise is white and new in every run. Bounds
+    are out of reach, since a bound would do better than the bound of Cramér and Rao.
+    """
+    truth = bo105.truth()
+    clean = bo105.clean_records(dt=0.04, duration=20.0)
+    bounds = {name: (-1e3, 1e3) for name in truth.parameter_names() if name[:3] != "tau"}
+    found = np.empty((3, runs, len(truth.vector())))
+    for run in range(runs):
+        rng = np.random.default_rng([105, run])
+        records = [record.with_noise(bo105.NOISE, rng) for record in clean]
+        fit = output_error(truth, records, interval=1.0, bounds=bounds)
+        found[0, run] = fit.model.vector() - truth.vector()
+        found[1, run] = [row.std_error for row in fit.parameters]
+        found[2, run] = fit.notes["std_error_coloured"]
+    return found[0], found[1], found[2]
+
+
+def monte_carlo(runs: int) -> None:
+    """Error over bound and coverage of 95 % intervals, over all parameters."""
+    errors, plain, corrected = bo105_estimates(runs)
+    ratio = np.sqrt(np.mean(errors**2, axis=0) / np.mean(plain**2, axis=0))
+    covered = [100 * np.mean(np.abs(errors) < 1.96 * std) for std in (plain, corrected)]
+    names = bo105.truth().parameter_names()
+    low, high = (names[int(pick(ratio))] for pick in (np.argmin, np.argmax))
+    print(table(
+        ("runs", "RMSE / Cramér-Rao, mean", "least", "largest", "covered, %",
+         "covered by corrected intervals, %"),
+        [(f"{runs}", ratio.mean(), f"{ratio.min():.3g} ({low})", f"{ratio.max():.3g} ({high})",
+          *covered)],
+    ))  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", nargs="?", default="textbook",
+                        choices=["textbook", "growth", "monte-carlo"])  # fmt: skip
+    parser.add_argument("runs", nargs="?", type=int, default=100)
     parser.add_argument("--interval", type=float, default=2.0, help="shooting interval [s]")
     parser.add_argument("--build", choices=["unrolled", "map", "mapaccum"], help="skip the trial")
     chosen = parser.parse_args()
-    R, interval = np.diag(np.array(list(NOISE.values())) ** 2), chosen.interval
+    if chosen.what == "growth":
+        measure_growth()
+    elif chosen.what == "monte-carlo":
+        monte_carlo(chosen.runs)
+    else:
+        race(chosen.interval, chosen.build)
+
+
+def race(interval: float, build: str | None) -> None:
+    """casid against the fastest textbook programme."""
+    R = R_TRUE
     records = noisy_records()
     model = start_of(records)
     options = SolverOptions(ipopt=IPOPT)
 
-    builds = [chosen.build] if chosen.build else ["unrolled", "map", "mapaccum"]
+    builds = [build] if build else ["unrolled", "map", "mapaccum"]
     if len(builds) > 1:
         print("the four 3-2-1-1 records:")
         _, rows = compare(model, records[:4], R, interval, options, builds)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from test_shooting import TRUTH, excitation
 
+from benchmarks.output_error import bo105_estimates
 from casid import Model, Record, Rows, Scalar, StateSpace, parameter
 from casid.linear import foh_step
 from casid.shooting import output_error, simulate
@@ -170,3 +171,13 @@ def test_turbulence_biases_output_error_but_not_the_filter():
     assert np.abs(filtered).max() < 3.4
     # 30 runs of three parameters: the mean ratio scatters by 1/√(2·30·3) = 7 %.
     assert 0.8 < ratio < 1.2
+
+
+@pytest.mark.campaign
+def test_error_is_the_bound_with_64_parameters():
+    errors, std, corrected = bo105_estimates(100)
+    # 100 runs: a ratio scatters by 1/√(2·100) = 7 %, their mean over 64 parameters, of which the
+    # spectrum of the correlation matrix leaves about 20 independent, by 1.6 %.
+    assert 0.95 < efficiency(errors, std) < 1.10
+    assert 0.92 < coverage(errors, std) < 0.98
+    assert 0.92 < coverage(errors, corrected) < 0.98  # white residuals need no correction
