@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.linalg import solve_continuous_are
-from scipy.optimize import linear_sum_assignment
 
 from casid.arrays import Array, BoolArray
 from casid.columns import (
@@ -25,10 +23,12 @@ from casid.columns import (
     pieces_of,
 )
 from casid.errors import DataWarning
+from casid.feedback import direct_term_is_ambiguous, fed_back_noise
 from casid.fourier import spectra
+from casid.gain import carried_gain, riccati_gain
 from casid.laguerre import support
 from casid.linear import StateSpace, from_zoh
-from casid.prediction import SampledUncertainty, refine_samples
+from casid.prediction import SampledUncertainty, refine_held, refine_samples
 from casid.predictor import Stack
 from casid.record import Record, same_channels, standard_deviations
 from casid.refinement import ResponseUncertainty
@@ -39,6 +39,7 @@ from casid.subspace import subspace_model
 Transform = Literal["laguerre", "none"]
 
 PAST = 10  # samples at least, for the samples themselves
+FED_BACK = 0.2  # bound on the relative bias from noise fed back, above which it is dealt with
 BAND_END = 1.5  # of the Laguerre pole: the model is not trusted above it
 
 
@@ -104,12 +105,12 @@ class BlackBox:
         Raises
         ------
         ValueError
-            The black box was not refined (``refine=False`` or ``transform="none"``).
+            The black box was not refined (``refine=False``).
         """
         if self.uncertainty is None:
             raise ValueError(
                 "this black box has no uncertainty: only a refined one has; "
-                'call pbsid with transform="laguerre" and refine=True'
+                "call pbsid with refine=True"
             )
         return self.uncertainty.response_std(np.asarray(omega, dtype=float))
 
@@ -174,9 +175,11 @@ def pbsid(
     regularisation : float
         Tikhonov factor of the regression, relative to its largest singular value.
     refine : bool
-        Move the continuous subspace model to the maximum likelihood of the records' Fourier
-        transforms (`casid.refinement`), with the direct term zero where it is masked. Without it a
-        masked direct term is only made small.
+        Move the subspace model to the maximum likelihood: on samples of the prediction errors
+        (`casid.prediction`), on projections of the records' Fourier transforms
+        (`casid.refinement`), with the direct term zero where it is masked; without it a masked
+        direct term is only made small. Where a controller feeds so much noise back into the inputs
+        that their transforms would be biased (`casid.feedback`), prediction errors follow.
 
     Returns
     -------
@@ -204,19 +207,15 @@ def pbsid(
         stack, su, sy, settings.pole, order=settings.order, future=future, feedthrough=mask,
         regularisation=settings.regularisation, dt=records[0].dt,
     )  # fmt: skip
-    system = replace(found.system, inputs=inputs, outputs=outputs)
-    K: Array = found.K
-    uncertainty: ResponseUncertainty | SampledUncertainty | None = None
-    if transform == "none" and refine:
-        system, K, uncertainty = refine_samples(system, K, records, su, sy, mask)
-    elif transform == "laguerre":
-        _check_unstable(system, settings.pole)
-        if refine:
-            pieces = [piece for r in records for piece, _ in pieces_of(r, settings.pole)]
-            data = spectra(pieces, su, sy, HIGHEST * settings.pole)
-            refined, uncertainty = refine_black_box(system, data, su, sy, mask, settings.pole)
-            K = carried_gain(system, K, refined, found.residual_covariance)
-            system = refined
+    start = replace(found.system, inputs=inputs, outputs=outputs)
+    task = _Refinement(records, su, sy, mask, settings.pole, found.residual_covariance)
+    if transform == "none":
+        if mask.any() and direct_term_is_ambiguous(stack):
+            _warn_direct_term(np.array(outputs)[mask.any(axis=1)])
+        system, K, uncertainty = task.samples(start, found.K, refine)
+    else:
+        _check_unstable(start, settings.pole)
+        system, K, uncertainty = task.projections(start, found.K, refine)
     return BlackBox(
         system=system,
         K=K,
@@ -235,6 +234,49 @@ def pbsid(
         uncertainty=uncertainty,
         selection=settings.selection,
     )
+
+
+Estimate = tuple[StateSpace, Array, ResponseUncertainty | SampledUncertainty | None]
+
+
+@dataclass(frozen=True, eq=False)
+class _Refinement:
+    """What follows the subspace estimate, by transform."""
+
+    records: Sequence[Record]
+    su: Array
+    sy: Array
+    mask: BoolArray
+    pole: float
+    R: Array  # residual covariance of the subspace estimate
+
+    def samples(self, system: StateSpace, K: Array, refine: bool) -> Estimate:
+        if not refine:
+            return system, K, None
+        return refine_samples(system, K, self.records, self.su, self.sy, self.mask)
+
+    def projections(self, system: StateSpace, K: Array, refine: bool) -> Estimate:
+        """By Fourier transforms; by prediction errors where a controller would bias those."""
+        pieces = [piece for r in self.records for piece, _ in pieces_of(r, self.pole)]
+        if not refine:
+            if fed_back_noise(system, K, pieces, self.su, self.sy) > FED_BACK:
+                _warn_fed_back("refine=True removes that")
+            return system, K, None
+        data = spectra(pieces, self.su, self.sy, HIGHEST * self.pole)
+        uncertainty: ResponseUncertainty | SampledUncertainty
+        refined, uncertainty = refine_black_box(
+            system, data, self.su, self.sy, self.mask, self.pole
+        )
+        K = carried_gain(system, K, refined, self.R)
+        if fed_back_noise(refined, K, pieces, self.su, self.sy) > FED_BACK:
+            try:
+                refined, K, uncertainty = refine_held(
+                    refined, K, pieces, self.su, self.sy, self.mask
+                )
+                K = riccati_gain(refined.A, refined.C, K, self.R)
+            except ValueError as error:
+                _warn_fed_back(f"prediction errors would remove that, but: {error}")
+        return refined, K, uncertainty
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -291,33 +333,6 @@ def _band(records: Sequence[Record], a: float) -> tuple[float, float]:
     return low, (high if np.isnan(a) else max(min(high, BAND_END * a), 2 * low))
 
 
-def carried_gain(system: StateSpace, K: Array, refined: StateSpace, R: Array) -> Array:
-    """Innovation gain of the refined model: the old one seen in its modes, made stabilising.
-
-    The old gain, carried over by the modes' order, gives the process-noise covariance K R Kᵀ; the
-    filter Riccati equation then returns the gain itself where A - KC is stable, and the stable one
-    of the same spectrum where it is not.
-    """
-    lam_old, V_old = np.linalg.eig(system.A)
-    lam, V = np.linalg.eig(refined.A)
-    modal_gain = np.linalg.solve(V_old, K.astype(complex))
-    size_old = np.linalg.norm(system.C @ V_old, axis=0)
-    order = linear_sum_assignment(np.abs(lam[:, None] - lam_old[None]))[1]
-    turned = np.sum((system.C @ V_old[:, order]).conj() * (refined.C @ V), axis=0)
-    scale = turned / np.abs(turned) * size_old[order] / np.linalg.norm(refined.C @ V, axis=0)
-    carried = np.real(V @ (scale.conj()[:, None] * modal_gain[order]))
-    return riccati_gain(refined.A, refined.C, carried, R)
-
-
-def riccati_gain(A: Array, C: Array, K: Array, R: Array) -> Array:
-    """Stabilising continuous gain of process noise K R Kᵀ, correlated with the residuals."""
-    R = R + 1e-9 * np.trace(R) / len(R) * np.eye(len(R))
-    S = K @ R
-    Q = K @ R @ K.T + 1e-9 * np.trace(K @ R @ K.T) / len(A) * np.eye(len(A))
-    P = solve_continuous_are(A.T, C.T, Q, R, s=S)
-    return np.asarray(np.linalg.solve(R, C @ P + S.T).T)
-
-
 # ---- checks -------------------------------------------------------------------------------------
 
 
@@ -361,3 +376,22 @@ def _check_unstable(system: StateSpace, a: float) -> None:
             DataWarning,
             stacklevel=3,
         )
+
+
+def _warn_fed_back(remedy: str) -> None:
+    warnings.warn(
+        "the controller feeds so much of the outputs' noise back into the inputs that the black "
+        f"box is biased; {remedy}; a smaller pole or less feedback helps too",
+        DataWarning,
+        stacklevel=4,
+    )
+
+
+def _warn_direct_term(outputs: Array) -> None:
+    warnings.warn(
+        "the records show feedback, and present inputs that go with present outputs: a direct term "
+        f"of {', '.join(outputs)} cannot be told from one of the controller and may be badly "
+        "biased; if the aircraft has none, say so (feedthrough=False or the outputs that have one)",
+        DataWarning,
+        stacklevel=3,
+    )

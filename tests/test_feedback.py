@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+from truth import STABILISING, closed_loop_record, stepped_input, unstable_plant
+
+from casid import Record, StateSpace, pbsid
+from casid.columns import gather
+from casid.feedback import direct_term_is_ambiguous, fed_back_noise, prediction_errors
+from casid.record import standard_deviations
+
+
+def sampled_loop(D, gain, delay, N=2000, noise=1.0):
+    """x⁺ = 0.9 x + u + e/2, y = x + D u + e, u = r - gain times y, or the y one sample before."""
+    rng = np.random.default_rng(0)
+    r, e = rng.standard_normal(N), noise * rng.standard_normal(N)
+    x, last, u, y = 0.0, 0.0, np.empty(N), np.empty(N)
+    for k in range(N):
+        now = (r[k] - gain * (x + e[k])) / (1 + gain * D)  # the algebraic loop, solved
+        u[k] = r[k] - gain * last if delay else now
+        y[k] = last = x + D * u[k] + e[k]
+        x = 0.9 * x + u[k] + 0.5 * e[k]
+    return Record(np.arange(N, dtype=float), u[:, None], y[:, None], ("u",), ("y",), hold="zoh")
+
+
+@pytest.mark.parametrize(
+    ("D", "gain", "delay", "ambiguous"),
+    [
+        (0.0, 0.0, False, False),  # open loop
+        (0.5, 0.0, False, False),  # open loop with a direct term: nothing to mistake it for
+        (0.0, 0.3, True, False),  # the delay leaves present inputs and outputs unrelated
+        (0.0, 0.3, False, True),
+        (0.5, 0.3, True, True),  # cannot be told from the row above
+    ],
+)
+def test_a_direct_term_is_ambiguous_where_a_controller_could_have_made_it(
+    D, gain, delay, ambiguous
+):
+    record = sampled_loop(D, gain, delay)
+    su, sy = standard_deviations([record])
+    stack, _ = gather([record], su, sy, 10, np.nan)
+    assert direct_term_is_ambiguous(stack) is ambiguous
+
+
+def fast_noisy_loop(noise, seed=0):
+    """A plant with a pole at +0.5 under a gain three times what stabilises it."""
+    plant = StateSpace([[0.5, 1.0], [0.0, -3.0]], [[0.0], [3.0]], [[1.0, 0.5]], [[0.0]])
+    rng = np.random.default_rng(seed)
+    options = {"duration": 40.0, "noise": noise, "gain": np.array([[4.5]])}
+    return plant, [closed_loop_record(plant, rng, name=f"r{i}", **options) for i in range(2)]
+
+
+def test_prediction_errors_of_the_truth_are_the_noise():
+    plant, records = fast_noisy_loop(0.1)
+    K = np.array([[1.5], [0.3]])  # any stable predictor: after its transient the errors are small
+    quiet = prediction_errors(plant, K, fast_noisy_loop(0.0)[1][0])
+    # The predictor's slowest transient, exp(-0.8 t), is over after 10 s; y is not a straight line
+    # between samples, but bends by at most h²/8 abs(ÿ) = 3e-4.
+    np.testing.assert_allclose(quiet[500:], 0.0, atol=3e-4)
+    assert np.std(prediction_errors(plant, K, records[0])[500:]) == pytest.approx(0.1, rel=0.2)
+
+
+def test_noise_fed_back_is_seen_in_a_fast_loop_and_not_in_an_open_one():
+    plant, records = fast_noisy_loop(0.3)
+    su, sy = standard_deviations(records)
+    K = np.array([[1.5], [0.3]])
+    assert fed_back_noise(plant, K, records, su, sy) > 0.2
+    rng = np.random.default_rng(1)
+    stable = StateSpace([[-0.5, 1.0], [0.0, -3.0]], plant.B, plant.C, plant.D)
+    t, u = 0.02 * np.arange(2000), stepped_input(2000, 1, rng)
+    y = stable.simulate(t, u) + 0.3 * rng.standard_normal((2000, 1))
+    record = Record(t, u, y, plant.inputs, plant.outputs)
+    # R² of 25 useless regressors among 2000 is 1 % with a standard error below that.
+    assert fed_back_noise(stable, K, [record], *standard_deviations([record])) < 0.15
+
+
+def test_default_has_no_bias_where_the_projection_alone_is_biased_and_says_so():
+    omega = np.geomspace(0.3, 8.0, 25)
+    found = {True: [], False: []}
+    for seed in range(6):
+        plant, records = fast_noisy_loop(0.3, seed)
+        settings = {"order": 2, "past": 10, "pole": 6.0, "feedthrough": False}
+        found[True].append(pbsid(records, **settings).system.response(omega)[:, 0, 0])
+        with pytest.warns(UserWarning, match="refine=True removes that"):
+            box = pbsid(records, **settings, refine=False)
+        found[False].append(box.system.response(omega)[:, 0, 0])
+    G = plant.response(omega)[:, 0, 0]
+    bias = {key: np.median(np.abs(np.mean(v, axis=0) / G - 1)) for key, v in found.items()}
+    std = np.median(np.std(found[True], axis=0) / np.abs(G))
+    assert bias[False] > 0.15  # 23 % over many seeds
+    assert bias[True] < 2 * std / np.sqrt(6) + 0.01  # the mean's own error; 1 % is the model's
+
+
+def test_a_noisy_loop_with_slow_feedback_raises_no_warning():
+    rng = np.random.default_rng(0)
+    plant = unstable_plant()
+    records = [closed_loop_record(plant, rng, noise=0.1, gain=STABILISING) for _ in range(2)]
+    pbsid(records, order=5, past=10, pole=6.0, feedthrough=["z"], refine=False)
