@@ -113,7 +113,7 @@ def validate(models: Mapping[str, AnyModel], records: Sequence[Record]) -> Valid
         for name, model in models.items()
     }
     simulated = {name: tuple(p.y for p in ps) for name, ps in predictions.items()}
-    rms = {name: _each(_rms, records, ys) for name, ys in simulated.items()}
+    rms = {name: _each(rms_error, records, ys) for name, ys in simulated.items()}
     worst = np.fmax.reduce([np.zeros((len(records), len(outputs))), *rms.values()])
     worst[worst == 0] = 1.0
     return Validation(
@@ -123,8 +123,8 @@ def validate(models: Mapping[str, AnyModel], records: Sequence[Record]) -> Valid
         outputs=outputs,
         rms=rms,
         normalised={name: values / worst for name, values in rms.items()},
-        fit={name: _each(_fit_percent, records, ys) for name, ys in simulated.items()},
-        theil={name: _each(_theil, records, ys) for name, ys in simulated.items()},
+        fit={name: _each(fit_percent, records, ys) for name, ys in simulated.items()},
+        theil={name: _each(theil_coefficient, records, ys) for name, ys in simulated.items()},
         whiteness={name: _each(_whiteness, records, ys) for name, ys in simulated.items()},
         measured=tuple(records),
         simulated=simulated,
@@ -272,18 +272,21 @@ def _each(
     return table
 
 
-def _rms(y: Array, y_model: Array) -> float:
+def rms_error(y: Array, y_model: Array) -> float:
+    """Root of the mean squared error."""
     return float(np.sqrt(np.mean((y - y_model) ** 2)))
 
 
-def _fit_percent(y: Array, y_model: Array) -> float:
+def fit_percent(y: Array, y_model: Array) -> float:
+    """100 (1 - ‖y - ŷ‖/‖y - mean y‖); NaN for an output that does not move."""
     spread = float(np.linalg.norm(y - y.mean()))
     return 100 * (1 - float(np.linalg.norm(y - y_model)) / spread) if spread > 0 else np.nan
 
 
-def _theil(y: Array, y_model: Array) -> float:
+def theil_coefficient(y: Array, y_model: Array) -> float:
+    """RMS error over the sum of both RMS values; NaN for an output that is zero."""
     size = float(np.sqrt(np.mean(y**2)) + np.sqrt(np.mean(y_model**2)))
-    return _rms(y, y_model) / size if size > 0 else np.nan
+    return rms_error(y, y_model) / size if size > 0 else np.nan
 
 
 def _whiteness(y: Array, y_model: Array) -> float:

@@ -273,7 +273,26 @@ def test_the_summary_warns_of_bounds_signs_and_wide_certificates(content):
         "known to 50.0% only", "a record was short",
     ):  # fmt: skip
         assert words in said
-    assert {verdict.output for verdict in verdicts(content)} == {"p", "phi"}
+
+
+@pytest.mark.slow
+def test_a_verdict_is_of_all_unseen_records_together(content):
+    validation = content.validation
+    twice = dataclasses.replace(
+        validation,
+        records=validation.records * 2,
+        measured=validation.measured * 2,
+        simulated={name: ys * 2 for name, ys in validation.simulated.items()},
+        theil={name: np.vstack([values, values]) for name, values in validation.theil.items()},
+    )
+    for found in (verdicts(content), verdicts(dataclasses.replace(content, validation=twice))):
+        assert [verdict.output for verdict in found] == ["p", "phi"]
+        for name in ("rms", "fit", "theil"):  # the same record twice is no news
+            np.testing.assert_allclose(
+                [getattr(verdict, name) for verdict in found],
+                getattr(validation, name)[OUTPUT_ERROR][0],
+            )
+    assert all(len(set(verdict.records)) == 1 < len(verdict.records) for verdict in found)
 
 
 # ---- the page ----------------------------------------------------------------------------------

@@ -4,18 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from casid import channels
 from casid.fit import Fit
 from casid.frequency import FrequencyResponse
 from casid.pbsid import BlackBox
 from casid.validation import Validation
 
-UNITS = {
-    "ax": "m/s²", "ay": "m/s²", "az": "m/s²",
-    "p": "rad/s", "q": "rad/s", "r": "rad/s",
-    "phi": "rad", "theta": "rad", "psi": "rad",
-    "u": "m/s", "v": "m/s", "w": "m/s",
-    "col": "travel", "lat": "travel", "lon": "travel", "ped": "travel",
-}  # fmt: skip
+UNITS = channels.UNITS
 
 BLACK_BOX, MATCH, OUTPUT_ERROR, BASELINE = (
     "black box",

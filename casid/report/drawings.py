@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from casid.arrays import Array
 from casid.folder import replacing
 from casid.linear import StateSpace
+from casid.record import Record
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Content
 from casid.report.figures import (
     decibel,
@@ -26,6 +27,7 @@ from casid.report.figures import (
     plot_history,
     plot_input,
     plot_magnitude,
+    plot_match_error,
     plot_measured,
     plot_phase,
     plot_poles,
@@ -51,6 +53,7 @@ LOOK: dict[Any, Any] = {
 }
 WIDTH = 7.4  # inches: the printable width of A4
 POINTS = 160  # of a model's response; matplotlib simplifies curves of 128 or more
+PER_PAGE = 8  # outputs in a figure of time histories
 LAGS = 100  # samples of the autocorrelation
 SLOW = 2.0  # rad/s, the reach of the enlarged plane of eigenvalues
 LEFT, RIGHT, TOP, BOTTOM, GAP = 0.62, 0.1, 0.42, 0.42, 0.1  # inches around and between axes
@@ -74,6 +77,8 @@ def draw(content: Content) -> Iterator[Drawing]:
         yield from _histories(content)
         yield _rms(content)
         yield from _whiteness(content)
+        if content.hinf.certificate is not None:
+            yield _match_error(content)
         yield _singular_values(content)
         yield _poles(content)
 
@@ -198,54 +203,47 @@ def _span(curves: Sequence[Array], least: float) -> tuple[float, float]:
 
 
 def _histories(content: Content) -> Iterator[Drawing]:
-    validation = content.validation
-    for k, record in enumerate(validation.measured):
-        outputs = record.outputs
-        half = (len(outputs) + 1) // 2
-        yield _inputs(content, k)
-        for part in (outputs[:half], outputs[half:]):
-            if part:
-                yield _history(content, k, part)
-
-
-def _inputs(content: Content, k: int) -> Drawing:
-    record = content.validation.measured[k]
-    figure = Figure(figsize=(WIDTH, 0.4 + 1.0 * record.nu))
-    axes = figure.subplots(record.nu, 1, sharex=True, squeeze=False)
-    for ax, channel in zip(axes[:, 0], record.inputs, strict=True):
-        plot_input(ax, record.t, record.channel(channel), channel=channel)
-    axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
-    return Drawing(
-        section="histories",
-        name=f"inputs_{_file(record.name)}",
-        caption=f"Inputs of {record.name}, deviations from trim",
-        figure=_tidy(figure, axes),
-    )
+    for k, record in enumerate(content.validation.measured):
+        for first in range(0, record.ny, PER_PAGE):
+            yield _history(content, k, record.outputs[first : first + PER_PAGE])
 
 
 def _history(content: Content, k: int, outputs: Sequence[str]) -> Drawing:
+    """Inputs and outputs of a record on one sheet of paper."""
     validation = content.validation
     record = validation.measured[k]
-    figure = Figure(figsize=(WIDTH, 0.6 + 1.75 * len(outputs)))
-    axes = figure.subplots(len(outputs), 1, sharex=True, squeeze=False)
-    for ax, channel in zip(axes[:, 0], outputs, strict=True):
+    heights = [0.46] * record.nu + [0.84] * len(outputs)
+    figure = Figure(figsize=(WIDTH, 0.7 + sum(heights)))
+    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
+    _inputs(list(axes[: record.nu, 0]), record)
+    for ax, channel in zip(axes[record.nu :, 0], outputs, strict=True):
         i = record.outputs.index(channel)
         simulated = {name: y[k][:, i] for name, y in validation.simulated.items()}
         plot_history(ax, record.t, record.y[:, i], simulated, channel=channel)
     axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
-    _legend(figure, axes[0, 0])
+    _legend(figure, axes[-1, 0])
     return Drawing(
         section="histories",
         name=f"history_{_file(record.name)}_{'_'.join(outputs)}",
-        caption=f"Measured and simulated {_list(outputs)}, record {record.name}",
+        caption=f"{record.name}: inputs (deviations from trim), {_list(outputs)}",
         figure=_tidy(figure, axes),
     )
 
 
+def _inputs(axes: Sequence[Axes], record: Record) -> None:
+    """Every input; one that rests is a straight line, whatever its last digits do."""
+    largest = float(np.ptp(record.u, axis=0).max())
+    for ax, channel in zip(axes, record.inputs, strict=True):
+        u = record.channel(channel)
+        plot_input(ax, record.t, u, channel=channel)
+        ax.set_ylim(_span([u], least=0.2 * largest or 1.0))
+        ax.yaxis.label.set_size(6)
+
+
 def _rms(content: Content) -> Drawing:
     records = content.validation.records
-    figure = Figure(figsize=(WIDTH, 0.4 + 2.4 * len(records)))
-    axes = figure.subplots(len(records), 1, squeeze=False)
+    figure = Figure(figsize=(WIDTH, 0.6 + 1.8 * len(records)))
+    axes = figure.subplots(len(records), 1, sharex=True, squeeze=False)
     for k, ax in enumerate(axes[:, 0]):
         plot_rms(ax, content.validation, record=k)
         ax.grid(visible=False, axis="x")
@@ -282,6 +280,16 @@ def _whiteness(content: Content) -> Iterator[Drawing]:
             "holds 99 % of a white sequence's",
             figure=_tidy(figure, axes),
         )
+
+
+def _match_error(content: Content) -> Drawing:
+    figure = Figure(figsize=(WIDTH * 0.8, 2.6))
+    axes = figure.subplots(1, 1, squeeze=False)
+    plot_match_error(axes[0, 0], content.hinf)
+    _legend(figure, axes[0, 0])
+    caption = "Singular values of the weighted error over the band; dots: the points matched"
+    return Drawing(section="match", name="match_error", caption=caption,
+                   figure=_tidy(figure, axes))  # fmt: skip
 
 
 def _singular_values(content: Content) -> Drawing:

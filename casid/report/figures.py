@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, MaxNLocator, MultipleLocator, NullLocator
 
 from casid.arrays import Array, ComplexArray
+from casid.fit import Fit
 from casid.frequency import FrequencyResponse
 from casid.linear import StateSpace
 from casid.pbsid import BlackBox
@@ -200,6 +201,30 @@ def plot_singular_values(ax: Axes, black_box: BlackBox) -> Axes:
     ax.axvline(black_box.system.nx + 0.5, color="#777777", linestyle=":", linewidth=1)
     ax.set(xlabel="index [-]", ylabel="singular value [-]")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    return ax
+
+
+def plot_match_error(ax: Axes, fit: Fit) -> Axes:
+    """Draw the singular values of the weighted matching error against the certificate.
+
+    Of every source over its band, the largest in full and the others thin; the points that were
+    matched, the bound over the band, and the frequency that holds the optimum.
+    """
+    certificate = fit.certificate
+    if certificate is None:
+        raise ValueError(f"a fit by {fit.method} has no certificate: draw that of a match")
+    color = style(MATCH)["color"]
+    for source, grid in zip(fit.notes["band"], fit.notes["grid"], strict=True):
+        omega, sigma = np.array(source["omega"]), np.array(source["sigma"])
+        ax.semilogx(omega, sigma[:, 1:], color=color, linewidth=0.6, alpha=0.7)
+        ax.semilogx(omega, sigma[:, 0], color=color, linewidth=1.6, label=source["source"])
+        matched = np.interp(grid["omega"], omega, sigma[:, 0])
+        ax.plot(grid["omega"], matched, "o", color=color, markersize=2.5)
+    ax.axhline(certificate.upper_bound, color="#000000", linestyle="--", linewidth=1, label="bound")
+    peak = fit.notes["peak"]
+    ax.axvline(peak["omega"], color="#777777", linestyle=":", linewidth=1,
+               label=f"{peak['output']} from {peak['input']}")  # fmt: skip
+    ax.set(xlabel="ω [rad/s]", ylabel="singular value [-]", ylim=(0, 1.1 * certificate.upper_bound))
     return ax
 
 

@@ -17,7 +17,7 @@ from casid.report.content import UNITS, Content
 from casid.report.drawings import Drawing, draw, save
 from casid.report.interactive import interactive
 from casid.report.modes import modes
-from casid.report.verdicts import cautions, verdicts
+from casid.report.verdicts import cautions, verdicts, word
 
 LONG_DECIMALS = re.compile(r"(\d\d\.\d)\d+")  # a tenth of a point is enough for a picture
 
@@ -61,7 +61,7 @@ def render(content: Content, pictures: dict[str, list[Picture]]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"number": number, "percent": percent, "price": price}
+    environment.filters |= {"number": number, "percent": percent, "price": price, "word": word}
     model = content.output_error.model
     return environment.get_template("report.html.j2").render(
         content=content,

@@ -1,14 +1,17 @@
 """The figures of a report as interactive plots: the same artists, handed on to plotly.
 
 One conversion for every figure, so that the static picture and the interactive plot cannot differ.
+Plain dictionaries in the words of plotly.js: the Python package's own objects take longer to check
+every attribute than matplotlib takes to draw.
 Lines keep the style that goes with their label, axes their place, scale, limits and ticks.
 """
 
+import base64
+import json
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import PolyCollection
@@ -24,43 +27,44 @@ PIXELS = 104  # per inch of figure
 FONT = {"family": "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif", "size": 12}
 MARKS = {"o": "circle-open", "s": "square-open", "D": "diamond-open", "^": "triangle-up-open",
          "v": "triangle-down-open"}  # fmt: skip
+Trace = dict[str, Any]
 PATTERNS = {"": "", "///": "/", "...": ".", "xxx": "x", "\\\\\\": "\\"}
 
 
 def interactive(figure: Figure) -> str:
     """JSON of the plotly figure that shows what a matplotlib figure shows."""
-    plot = go.Figure()
-    named: set[str] = set()
+    data: list[Trace] = []
+    layout: dict[str, Any] = {"annotations": [], "shapes": []}
     shown = [ax for ax in figure.axes if ax.get_visible()]
-    leaders: dict[int, int] = {}
     for k, ax in enumerate(shown, start=1):
         x, y = _reference("x", k), _reference("y", k)
         for trace in _traces(ax):
-            label = trace.name
-            trace.update(xaxis=x, yaxis=y, legendgroup=label,
-                         showlegend=bool(label) and label not in named)  # fmt: skip
-            named.add(label)
-            plot.add_trace(trace)
-        plot.update_layout({_key("x", k): _axis(ax, "x", y), _key("y", k): _axis(ax, "y", x)})
-        _share(plot, ax, shown, leaders, k)
-        _decorate(plot, ax, x, y)
-    plot.update_layout(
-        height=round(float(figure.get_size_inches()[1]) * PIXELS),
-        margin={"l": 0, "r": 0, "t": 0, "b": 0},
-        font=FONT,
-        plot_bgcolor="#ffffff",
-        hovermode="x",
-        barmode="overlay",
-        template="none",
-        legend={"orientation": "h", "x": 0.04, "xanchor": "left", "y": 1.0, "yanchor": "top"},
-    )
-    return str(plot.to_json())
+            label = trace["name"]
+            named = not label or any(other["name"] == label for other in data)
+            data.append(trace | {"xaxis": x, "yaxis": y, "legendgroup": label,
+                                 "showlegend": not named})  # fmt: skip
+        first = _leader(ax, shown)
+        follows = {} if first == k else {"matches": _reference("x", first)}
+        layout[_key("x", k)] = _axis(ax, "x", y) | follows
+        layout[_key("y", k)] = _axis(ax, "y", x)
+        layout["annotations"] += _titles(ax, x, y)
+        layout["shapes"] += [*_bands(ax, x, y), *_levels(ax, x, y)]
+    layout |= {
+        "height": round(float(figure.get_size_inches()[1]) * PIXELS),
+        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+        "font": FONT,
+        "plot_bgcolor": "#ffffff",
+        "hovermode": "x",
+        "barmode": "overlay",
+        "legend": {"orientation": "h", "x": 0.04, "xanchor": "left", "y": 1.0, "yanchor": "top"},
+    }
+    return json.dumps({"data": data, "layout": layout}, allow_nan=False)
 
 
 # ---- curves ------------------------------------------------------------------------------------
 
 
-def _traces(ax: Axes) -> Iterator[Any]:
+def _traces(ax: Axes) -> Iterator[Trace]:
     for collection in ax.collections:
         if isinstance(collection, PolyCollection):
             yield _band(collection)
@@ -77,19 +81,20 @@ def _label(artist: Any) -> str:  # noqa: ANN401 - any artist has one
     return "" if label.startswith("_") else label
 
 
-def _curve(line: Line2D) -> Any:  # noqa: ANN401 - plotly has no types
+def _curve(line: Line2D) -> Trace:
     x, y = (np.asarray(values, dtype=float) for values in line.get_data())
     steps = np.diff(x)
     even = bool(np.all(np.abs(steps - steps[0]) < 1e-6 * np.abs(steps[0]))) and steps[0] > 0
-    along: dict[str, Any] = {"x0": x[0], "dx": steps.mean()} if even else {"x": _short(x)}
+    along: Trace = {"x0": float(x[0]), "dx": float(steps.mean())} if even else {"x": _short(x)}
     color = _color(line.get_color())
     marker = str(line.get_marker())
-    look: dict[str, Any] = {"mode": "lines", "line": _line(line, color)}
+    look: Trace = {"mode": "lines", "line": _line(line, color)}
     if marker not in ("None", "", " "):
         size = 1.5 * line.get_markersize()
         symbol = MARKS.get(marker, "circle")
         look = {"mode": "markers", "marker": {"symbol": symbol, "color": color, "size": size}}
-    return go.Scatter(y=_short(y), name=_label(line), hovertemplate="%{y:.4g}", **along, **look)
+    shown = {"y": _short(y), "name": _label(line), "hovertemplate": "%{y:.4g}"}
+    return {"type": "scatter"} | shown | along | look
 
 
 def _size(line: Line2D) -> int:
@@ -104,37 +109,39 @@ def _line(line: Line2D, color: str) -> dict[str, Any]:
     return {"color": color, "width": 1.2 * width, "dash": dash}
 
 
-def _band(collection: PolyCollection) -> Any:  # noqa: ANN401
+def _band(collection: PolyCollection) -> Trace:
     corners = np.vstack([*(path.vertices for path in collection.get_paths())])
-    return go.Scatter(
-        x=_short(corners[:, 0]),
-        y=_short(corners[:, 1]),
-        mode="lines",
-        line={"width": 0},
-        fill="toself",
-        fillcolor=_color(collection.get_facecolor()[0]),
-        name=_label(collection),
-        hoverinfo="skip",
-    )
+    return {
+        "type": "scatter",
+        "x": _short(corners[:, 0]),
+        "y": _short(corners[:, 1]),
+        "mode": "lines",
+        "line": {"width": 0},
+        "fill": "toself",
+        "fillcolor": _color(collection.get_facecolor()[0]),
+        "name": _label(collection),
+        "hoverinfo": "skip",
+    }
 
 
-def _bars(ax: Axes, container: BarContainer) -> Any:  # noqa: ANN401
+def _bars(ax: Axes, container: BarContainer) -> Trace:
     names = [text.get_text() for text in ax.get_xticklabels()]
     bars = list(container.patches)
     hatch = PATTERNS.get(bars[0].get_hatch() or "", "")
-    return go.Bar(
-        x=[bar.get_x() for bar in bars],
-        y=[bar.get_height() for bar in bars],
-        width=[bar.get_width() for bar in bars],
-        offset=0,
-        name=_label(container),
-        customdata=names,
-        hovertemplate="%{customdata}: %{y:.3f}",
-        marker={
+    return {
+        "type": "bar",
+        "x": [float(bar.get_x()) for bar in bars],
+        "y": [float(bar.get_height()) for bar in bars],
+        "width": [float(bar.get_width()) for bar in bars],
+        "offset": 0,
+        "name": _label(container),
+        "customdata": names,
+        "hovertemplate": "%{customdata}: %{y:.3f}",
+        "marker": {
             "color": _color(bars[0].get_facecolor()),
             "pattern": {"shape": hatch, "fgcolor": "#ffffff", "size": 6, "fillmode": "overlay"},
         },
-    )
+    }
 
 
 # ---- axes --------------------------------------------------------------------------------------
@@ -178,44 +185,43 @@ def _ticks(axis: Axis, letter: str) -> dict[str, Any]:
     return look | {"showticklabels": not hidden}
 
 
-def _share(
-    plot: Any,  # noqa: ANN401
-    ax: Axes,
-    shown: list[Axes],
-    leaders: dict[int, int],
-    k: int,
-) -> None:
-    """Zooming one of several axes that share x moves them all."""
+def _leader(ax: Axes, shown: list[Axes]) -> int:
+    """Number of the first of the axes that share x: zooming one of them moves them all."""
     group = ax.get_shared_x_axes().get_siblings(ax)
-    first = min(shown.index(other) for other in group if other in shown) + 1
-    if first != k:
-        plot.update_layout({_key("x", k): {"matches": _reference("x", first)}})
-    leaders[k] = first
+    return min(shown.index(other) for other in group if other in shown) + 1
 
 
-def _decorate(plot: Any, ax: Axes, x: str, y: str) -> None:  # noqa: ANN401
-    """Titles, and the lines and bands that mark a value across the axes."""
+def _titles(ax: Axes, x: str, y: str) -> Iterator[dict[str, Any]]:
     if title := ax.get_title(loc="left"):
-        plot.add_annotation(
-            text=f"<b>{_escape(title)}</b>", x=0, y=1, xref=f"{x} domain", yref=f"{y} domain",
-            xanchor="left", yanchor="bottom", showarrow=False, font={"size": 12},
-        )  # fmt: skip
+        yield {
+            "text": f"<b>{_escape(title)}</b>", "x": 0, "y": 1,
+            "xref": f"{x} domain", "yref": f"{y} domain",
+            "xanchor": "left", "yanchor": "bottom", "showarrow": False, "font": {"size": 12},
+        }  # fmt: skip
+
+
+def _bands(ax: Axes, x: str, y: str) -> Iterator[dict[str, Any]]:
+    """Bands across the axes."""
     for band in (patch for patch in ax.patches if patch not in _bar_patches(ax)):
         (_, y0), (_, y1) = np.asarray(band.get_extents().transformed(ax.transData.inverted()))
-        plot.add_shape(
-            type="rect", x0=0, x1=1, y0=y0, y1=y1, xref=f"{x} domain", yref=y, layer="below",
-            fillcolor=_color(band.get_facecolor()), line={"width": 0},
-        )  # fmt: skip
-    for line in ax.lines:
-        if _size(line) == 2:
-            (x0, x1), (y0, y1) = (np.asarray(v, dtype=float).tolist() for v in line.get_data())
-            level = y0 == y1
-            plot.add_shape(
-                type="line", x0=x0, x1=x1, y0=y0, y1=y1,
-                xref=f"{x} domain" if level else x, yref=y if level else f"{y} domain",
-                line={"color": _color(line.get_color()), "width": 1,
-                      "dash": "dot" if line.get_linestyle() == ":" else "solid"},
-            )  # fmt: skip
+        yield {
+            "type": "rect", "x0": 0, "x1": 1, "y0": float(y0), "y1": float(y1),
+            "xref": f"{x} domain", "yref": y, "layer": "below",
+            "fillcolor": _color(band.get_facecolor()), "line": {"width": 0},
+        }  # fmt: skip
+
+
+def _levels(ax: Axes, x: str, y: str) -> Iterator[dict[str, Any]]:
+    """Lines across the axes that mark a value."""
+    for line in (line for line in ax.lines if _size(line) == 2):
+        (x0, x1), (y0, y1) = (np.asarray(v, dtype=float).tolist() for v in line.get_data())
+        level = y0 == y1
+        dash = "dot" if line.get_linestyle() == ":" else "solid"
+        yield {
+            "type": "line", "x0": x0, "x1": x1, "y0": y0, "y1": y1,
+            "xref": f"{x} domain" if level else x, "yref": y if level else f"{y} domain",
+            "line": {"color": _color(line.get_color()), "width": 1, "dash": dash},
+        }  # fmt: skip
 
 
 def _bar_patches(ax: Axes) -> list[Any]:
@@ -231,8 +237,10 @@ def _reference(letter: str, k: int) -> str:
     return f"{letter}{'' if k == 1 else k}"
 
 
-def _short(values: Array) -> Any:  # noqa: ANN401 - an array of four bytes a number
-    return np.asarray(values, dtype=np.float32)
+def _short(values: Array) -> dict[str, str]:
+    """An array in four bytes a number."""
+    data = np.asarray(values, dtype="<f4").tobytes()
+    return {"dtype": "f4", "bdata": base64.b64encode(data).decode("ascii")}
 
 
 def _color(color: Any) -> str:  # noqa: ANN401 - any of matplotlib's

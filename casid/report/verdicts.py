@@ -6,6 +6,7 @@ import numpy as np
 
 from casid.fit import Fit
 from casid.report.content import OUTPUT_ERROR, UNITS, Content
+from casid.validation import fit_percent, rms_error, theil_coefficient
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
 # or 0.3 speaks for a good model. Below 0.1 residuals are a tenth of what is simulated.
@@ -16,35 +17,40 @@ NAMED = 12  # names in a warning before it says how many more
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """How well the refined model predicts one output of one unseen record."""
+    """How well the refined model predicts one output of the unseen records, taken together.
 
-    record: str
+    ``records`` has Theil's coefficient of each of them.
+    """
+
     output: str
     unit: str
     rms: float
     fit: float
     theil: float
-    whiteness: float
-    word: str
+    records: tuple[float, ...]
+
+    @property
+    def word(self) -> str:
+        """The verdict in a word."""
+        return word(self.theil)
 
 
 def verdicts(content: Content) -> tuple[Verdict, ...]:
-    """A verdict per record and output of the refined model."""
+    """A verdict per output of the refined model."""
     validation = content.validation
-    return tuple(
-        Verdict(
-            record=record,
-            output=output,
-            unit=UNITS.get(output, "-"),
-            rms=float(validation.rms[OUTPUT_ERROR][k, i]),
-            fit=float(validation.fit[OUTPUT_ERROR][k, i]),
-            theil=float(validation.theil[OUTPUT_ERROR][k, i]),
-            whiteness=float(validation.whiteness[OUTPUT_ERROR][k, i]),
-            word=word(float(validation.theil[OUTPUT_ERROR][k, i])),
+    found = []
+    for i, output in enumerate(validation.outputs):
+        y = np.concatenate([record.y[:, i] for record in validation.measured])
+        y_model = np.concatenate([each[:, i] for each in validation.simulated[OUTPUT_ERROR]])
+        there = np.isfinite(y) & np.isfinite(y_model)
+        rms, fit, theil = (
+            measure(y[there], y_model[there]) if there.any() else np.nan
+            for measure in (rms_error, fit_percent, theil_coefficient)
         )
-        for k, record in enumerate(validation.records)
-        for i, output in enumerate(validation.outputs)
-    )
+        each = tuple(float(value) for value in validation.theil[OUTPUT_ERROR][:, i])
+        found.append(Verdict(output=output, unit=UNITS.get(output, "-"), rms=rms, fit=fit,
+                             theil=theil, records=each))  # fmt: skip
+    return tuple(found)
 
 
 def word(theil: float) -> str:
@@ -63,8 +69,8 @@ def cautions(content: Content) -> tuple[str, ...]:
     said += _uncertain(content.output_error)
     said += _certificate(content.hinf)
     poor = [v for v in verdicts(content) if v.word in ("poor", "not judged")]
-    said += [f"Output {v.output} of record {v.record} is predicted poorly "
-             f"(Theil coefficient {v.theil:.2f})." for v in poor]  # fmt: skip
+    said += [f"Output {v.output} of the unseen records is predicted poorly "
+             f"(Theil's coefficient {v.theil:.2f})." for v in poor]  # fmt: skip
     return (*said, *content.warnings)
 
 
