@@ -168,9 +168,10 @@ def compare_bounds(
 def _jobs(
     cases: Sequence[Case], shared: Setup, model: Model, start: Model | Fit | None
 ) -> list[Job]:
-    """One job a case, the freest first; each after the cases that contain it, the tightest first.
+    """One job a case, the freest first; each after a wider one, or the freest if that failed.
 
-    A case may then start from its nearest neighbour that is wider.
+    The wider one is that halfway down the ladder of cases that contain it: near, and a ladder of n
+    cases takes log n rounds on many processors.
     """
     order = sorted(cases, key=lambda case: -sum(other.within(case) for other in cases))
     guess = start.model if isinstance(start, Fit) else start
@@ -181,9 +182,9 @@ def _jobs(
     jobs: list[Job] = []
     for k, case in enumerate(order):
         wider = [job for job, other in zip(jobs, order, strict=False) if case.within(other)]
-        nearest = [job for job in reversed(wider) if job is not jobs[0]]
+        halfway = [wider[len(wider) // 2]] if len(wider) > 1 else []
         trial = Trial(setup=shared, values=values, case=case, near=None if k else near)
-        jobs.append(trial.job(case.name, [*nearest, *jobs[:1]]))
+        jobs.append(trial.job(case.name, [*halfway, *jobs[:1]]))
     return jobs
 
 

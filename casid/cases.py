@@ -15,13 +15,15 @@ bounds of the model file; a pair of bounds and "free" replace them.
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
 import numpy as np
+import scipy.optimize
 
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.fit import Fit
 from casid.model import Bounds, Constraint, Model, free_parameters
 from casid.relations import Relation, parse_relation
 
@@ -33,7 +35,9 @@ AROUND = re.compile(
 )
 RELATIONS = "constraints"  # the key of a case's relations
 ALL = "*"  # the key of all parameters
-PROJECTIONS = 50  # onto relations and bounds in turn
+STIFF = 1e4  # weight of relations against distance
+SINGULAR = 1e12  # condition of a covariance that cannot be inverted
+WIDTH = 1e-9  # of a tie, for a solver that wants an interior
 
 
 @dataclass(frozen=True)
@@ -280,20 +284,63 @@ def _values(model: Model) -> dict[str, Any]:
     return {f.name: getattr(model, f.name) for f in fields(model)}
 
 
-def feasible(model: Model, case: Case) -> Model:
-    """The model moved into the case: onto bounds and, as far as these allow, onto relations."""
+def feasible(model: Model, case: Case, near: Fit | None = None) -> Model:
+    """The point of a case next to a model: bounded least squares.
+
+    Parameters
+    ----------
+    model : Model
+        Anywhere.
+    case : Case
+        Where it is moved; relations that contradict each other are met as well as can be.
+    near : Fit
+        Fit at the model's values, under wider bounds. Distance then is its information, so that the
+        point is the optimum of the case to second order. Without one, parameters count by size.
+    """
     names = model.parameter_names()
     scale = free_parameters(model, (), dict(case.bounds)).scale
-    bounds = [case.bounds.get(name, (-np.inf, np.inf)) for name in names]
-    lower, upper = np.array(bounds).T / scale
-    held = np.array([name not in case.bounds for name in names])
-    x = np.where(held, model.vector() / scale, np.clip(model.vector() / scale, lower, upper))
-    rows = [np.where(held, 0.0, r.row(names) * scale) for r in case.relations]
-    for _ in range(PROJECTIONS if rows else 0):
-        for relation, row in zip(case.relations, rows, strict=True):
-            value = float(relation.row(names) * scale @ x)
-            gap = value - np.clip(value, relation.lower, relation.upper)
-            x = x - gap * row / max(float(row @ row), 1e-300)
-        x = np.where(held, x, np.clip(x, lower, upper))
-    moved = x * scale
-    return replace(model, **{name: float(moved[i]) for i, name in enumerate(names)})
+    x0 = model.vector() / scale
+    moving = np.array([name in case.bounds for name in names])
+    limits = np.array([case.bounds.get(name, (0.0, 0.0)) for name in names])[moving]
+    limits = limits / scale[moving, None]
+    rows = np.array([relation.row(names) for relation in case.relations]).reshape(-1, len(names))
+    rows = rows * scale
+    sizes = np.abs(rows).max(axis=1, initial=1e-300)
+    rows = rows / sizes[:, None]
+    sides = np.array([(each.lower, each.upper) for each in case.relations]).reshape(-1, 2)
+    sides = sides / sizes[:, None] - (rows[:, ~moving] @ x0[~moving])[:, None]
+    x = x0.copy()
+    x[moving] = _nearest(
+        x0[moving], _metric(near, names, scale)[np.ix_(moving, moving)], limits, rows[:, moving],
+        sides,
+    )  # fmt: skip
+    return model.with_vector(x * scale)
+
+
+def _metric(near: Fit | None, names: Sequence[str], scale: Array) -> Array:
+    """Root M of the information, MᵀM in units of the scale, as far as the fit knows it."""
+    metric = np.eye(len(names))
+    if near is None or near.covariance is None:
+        return metric
+    inside = [k for k, name in enumerate(near.free_names) if not near[name].active]
+    at = np.ix_(*[[names.index(near.free_names[k]) for k in inside]] * 2)
+    covariance = near.covariance[np.ix_(inside, inside)] / np.outer(scale, scale)[at]
+    if np.isfinite(covariance).all() and np.linalg.cond(covariance) < SINGULAR:  # no ties
+        metric[at] = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    return metric
+
+
+def _nearest(x0: Array, metric: Array, limits: Array, rows: Array, sides: Array) -> Array:
+    """The x next to x0 within its limits (n, 2), with rows @ x within its sides (m, 2).
+
+    The values of the rows are variables of their own, held to the rows by a stiff residual.
+    """
+    n, m = len(x0), len(rows)
+    stiff = STIFF * np.abs(metric).max()
+    left = np.block([[metric, np.zeros((n, m))], [stiff * rows, -stiff * np.eye(m)]])
+    right = np.concatenate([metric @ x0, np.zeros(m)])
+    lower, upper = np.vstack([limits, sides]).T
+    room = WIDTH * np.maximum(1.0, np.abs(np.where(np.isfinite(lower), lower, 0.0)))
+    wide = np.maximum(upper, lower + room)
+    x = scipy.optimize.lsq_linear(left, right, (lower, wide), method="bvls").x[:n]
+    return np.asarray(np.clip(x, *limits.T))

@@ -40,10 +40,11 @@ SETTLED = 4.0  # factor by which a variance may fall in the last round: the scal
 GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
 LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
 
-IPOPT: dict[str, float | str] = {
-    "nlp_scaling_method": "none",
-    "mu_strategy": "monotone",
-    "compl_inf_tol": 1e-10,  # the cost is a mean: cheap bounds are reached as well as dear ones
+IPOPT: dict[str, float | str] = {"nlp_scaling_method": "none", "mu_strategy": "monotone"}
+NEAR: dict[str, float | str] = {
+    "bound_push": 1e-9,
+    "bound_frac": 1e-9,
+    "compl_inf_tol": 1e-10,  # the cost is a mean over samples: reach cheap bounds too
 }
 NEAR: dict[str, float | str] = {"bound_push": 1e-9, "bound_frac": 1e-9}
 WARM: dict[str, float | str] = {  # a warm round stays where it starts

@@ -172,7 +172,7 @@ def work(job: Trial, start: Content | None) -> Content:
     if near is not None:
         known = {name: getattr(near.model, name) for name in cls.parameter_names()}
         model = replace(model, **known)
-    inside, sizes = constrained(feasible(model, job.case), job.case)
+    inside, sizes = constrained(feasible(model, job.case, near), job.case)
     data = setup.data if job.draw is None else job.draw(setup.data)
     settings = {**setup.settings, "fixed": setup.fixed, "bounds": job.case.bounds}
     try:
