@@ -165,7 +165,8 @@ def solve(
         arguments |= {"lam_x0": warm[0], "lam_g0": warm[1]}
     found = solver(**arguments)
     stats = solver.stats()
-    success, meaning = STATUS.get(stats["return_status"], (False, str(stats["return_status"])))
+    word = "Maximum_WallTime_Exceeded" if watcher.late else stats["return_status"]
+    success, meaning = STATUS.get(word, (False, str(word)))
     seconds = time.perf_counter() - start
     x, g = found["x"].full().ravel(), found["g"].full().ravel()
     LOG.info("%s: %s, %d iterations, cost %.6g, %.2f s", stage, meaning, stats["iter_count"],
@@ -195,13 +196,11 @@ def _settings(
         "sb": "yes",
         "tol": options.tolerance,
         "max_iter": options.max_iterations,
-        "max_wall_time": options.max_seconds,
     }
     if warm is not None:
         ipopt |= {"warm_start_init_point": "yes", "mu_init": 1e-4}
     settings: dict[str, Any] = {"print_time": False, "ipopt": ipopt | dict(options.ipopt)}
-    if options.progress is not None:
-        settings["iteration_callback"] = watcher
+    settings["iteration_callback"] = watcher
     if problem.hessian is not None:
         settings["hess_lag"] = problem.hessian
     for name, function in problem.functions.items():
@@ -212,13 +211,16 @@ def _settings(
 
 
 class _Watcher(ca.Callback):
-    """Tell the caller about every iteration of IPOPT."""
+    """Tell the caller about every iteration of IPOPT, and stop it when its time is over.
+
+    IPOPT's own limit goes by the clock of the day, which may be set while it runs.
+    """
 
     def __init__(self, problem: Problem, options: SolverOptions, stage: str, start: float) -> None:
         ca.Callback.__init__(self)
         self._sizes = (len(problem.x0), len(problem.lower_g))
         self._options, self._stage, self._start = options, stage, start
-        self._iteration = 0
+        self._iteration, self.late = 0, False
         self.construct("watcher", {})
 
     def get_n_in(self) -> int:
@@ -245,11 +247,12 @@ class _Watcher(ca.Callback):
         return ca.Sparsity(0, 0)
 
     def eval(self, arguments: Any) -> list[int]:  # noqa: ANN401 - CasADi's own
+        seconds = time.perf_counter() - self._start
         if self._options.progress is not None:
             cost = float(arguments[ca.nlpsol_out().index("f")])
-            seconds = time.perf_counter() - self._start
             self._options.progress(
                 Progress(stage=self._stage, iteration=self._iteration, cost=cost, seconds=seconds)
             )
         self._iteration += 1
-        return [0]
+        self.late = seconds > self._options.max_seconds
+        return [int(self.late)]

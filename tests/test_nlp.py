@@ -110,3 +110,10 @@ def test_a_hessian_of_the_callers_replaces_the_exact_one():
     np.testing.assert_allclose(found.x, [1, 1], atol=1e-6)
     exact = solve(rosenbrock(), SolverOptions(), stage="exact")
     assert found.iterations < exact.iterations  # no residual: Gauss-Newton is the better model
+
+
+def test_the_time_limit_stops_it_with_the_last_iterate():
+    found = solve(rosenbrock(), SolverOptions(max_seconds=1e-9), stage="test")
+    assert not found.success
+    assert found.status == "time limit reached; raise max_seconds"
+    assert np.isfinite(found.x).all()
