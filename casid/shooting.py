@@ -46,7 +46,6 @@ NEAR: dict[str, float | str] = {
     "bound_frac": 1e-9,
     "compl_inf_tol": 1e-10,  # the cost is a mean over samples: reach cheap bounds too
 }
-NEAR: dict[str, float | str] = {"bound_push": 1e-9, "bound_frac": 1e-9}
 WARM: dict[str, float | str] = {  # a warm round stays where it starts
     "mu_init": 1e-6,
     "warm_start_bound_push": 1e-9,
