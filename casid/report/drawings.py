@@ -237,7 +237,7 @@ def _inputs(axes: Sequence[Axes], record: Record) -> None:
         u = record.channel(channel)
         plot_input(ax, record.t, u, channel=channel)
         ax.set_ylim(_span([u], least=0.2 * largest or 1.0))
-        ax.yaxis.label.set_size(6)
+        ax.yaxis.label.set_fontsize(6)
 
 
 def _rms(content: Content) -> Drawing:
@@ -288,7 +288,7 @@ def _match_error(content: Content) -> Drawing:
     plot_match_error(axes[0, 0], content.hinf)
     _legend(figure, axes[0, 0])
     caption = "Singular values of the weighted error over the band; dots: the points matched"
-    return Drawing(section="match", name="match_error", caption=caption,
+    return Drawing(section="match", name="match_error", caption=caption, interactive=False,
                    figure=_tidy(figure, axes))  # fmt: skip
 
 
