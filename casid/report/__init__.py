@@ -16,6 +16,7 @@ from casid.report.figures import (
 )
 from casid.report.html import write_report
 from casid.report.modes import Mode, modes
+from casid.report.prices import plot_bounds
 
 __all__ = [
     "BASELINE",
@@ -28,6 +29,7 @@ __all__ = [
     "Timing",
     "modes",
     "plot_autocorrelation",
+    "plot_bounds",
     "plot_coherence",
     "plot_history",
     "plot_input",

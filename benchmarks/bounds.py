@@ -1,0 +1,65 @@
+"""What twelve cases of the UH-60 output error cost, measured in cold cases.
+
+The cases are the structure's own bounds and eleven bands about the linearised derivatives, from
+±200 % to ±20 %; the records and options those of examples/uh60/study.toml. The cold case is the
+first of them alone, from the quadratic match. Both are timed whole: processes started, data sent,
+tables made.
+
+    python benchmarks/bounds.py
+"""
+
+import os
+import resource
+import sys
+import time
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT), str(ROOT / "examples")]
+
+from compare_bounds import linearised, start_of  # noqa: E402 - found through the line above
+
+from casid import compare_bounds  # noqa: E402
+from casid.campaigns import processors  # noqa: E402
+from casid.study import read_records  # noqa: E402
+from casid.studyfile import read_study  # noqa: E402
+
+WIDTHS = (200, 150, 120, 100, 80, 70, 60, 50, 40, 30, 20)  # % of the linearised values
+LIMIT = 4.0
+
+
+def spent() -> float:
+    """Processor seconds of this process and of those it has waited for."""
+    both = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(usage.ru_utime + usage.ru_stime for usage in both)
+
+
+def timed(cases, *arguments, **settings):
+    begin, before = time.perf_counter(), spent()
+    found = compare_bounds(*arguments, cases=cases, **settings)
+    return found, time.perf_counter() - begin, spent() - before
+
+
+def main() -> None:
+    study = read_study(ROOT / "examples/uh60/study.toml")
+    records = read_records(study)
+    model = linearised(study.model)
+    shared = {"start": start_of(study, records), **study.options["output_error"]}
+    cases = {"free": {}} | {f"±{width} %": f"±{width} %" for width in WIDTHS}
+    alone, cold, cold_cpu = timed({"free": {}}, model, records["refinement"], **shared)
+    found, wall, cpu = timed(cases, model, records["refinement"], **shared)
+    assert not any(case.reason for case in found.cases)
+    assert found["free"].cost == alone["free"].cost  # the same fit in any process
+    for case in found.cases:
+        print(f"  {case.name:8s} {case.fit.iterations:3d} iterations   +{case.increase:7.1f}"
+              f", +{case.predicted:6.1f} predicted, {case.held} held")  # fmt: skip
+    print(f"one cold case {cold:.1f} s, twelve {wall:.1f} s on {processors()} processors")
+    print(f"processor time: {cold_cpu:.1f} s and {cpu:.1f} s: {cpu / cold_cpu:.1f} x")
+    print(f"twelve cases against a cold one (at most {LIMIT:g} x): {wall / cold:.1f} x")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+"""The figure of a comparison of bounds."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FixedLocator
+
+from casid.bounds import BoundsComparison
+from casid.fit import ParameterEstimate
+from casid.prices import CaseResult
+
+COLOURS = ("#000000", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#777777")
+CONFIDENCE = 1.96  # standard deviations of a 95 % interval
+REACH = 1.6  # of the largest value of a row: how far its axis goes
+
+
+def plot_bounds(ax: Axes, comparison: BoundsComparison, *, rows: int = 16) -> Axes:
+    """Draw values, 95 % intervals and bounds of the dearest parameters, one row each.
+
+    Every row is divided by the largest value any case gives the parameter, which stands at its
+    right; the dearest row is at the top. A bar is the range a case allows, a filled mark a value
+    that its bounds hold.
+
+    Parameters
+    ----------
+    ax : Axes
+    comparison : BoundsComparison
+        Failed cases are left out.
+    rows : int
+        How many parameters, at most.
+    """
+    shown = [case for case in comparison.cases if not case.reason]
+    names = comparison.ranked()[:rows]
+    labels, sizes = [], []
+    for y, name in enumerate(names):
+        each = [_row(case, name) for case in shown]
+        size = max(*(abs(row.value) for row in each), 1e-300)
+        for k, row in enumerate(each):
+            height = y + 0.8 * ((k + 0.5) / len(each) - 0.5)
+            _draw_one(ax, row, height, 0.6 / len(each), size, COLOURS[k % len(COLOURS)])
+        labels.append(f"{name} [{each[0].unit}]")
+        sizes.append(f"{size:.3g}")
+    for k, case in enumerate(shown):
+        ax.plot([], [], "o", color=COLOURS[k % len(COLOURS)], markersize=4, label=case.name)
+    _decorate(ax, labels, sizes)
+    return ax
+
+
+def _row(case: CaseResult, name: str) -> ParameterEstimate:
+    return next(row for row in case.parameters if row.name == name)
+
+
+def _draw_one(
+    ax: Axes, row: ParameterEstimate, y: float, height: float, size: float, colour: str
+) -> None:
+    """One case's range, interval and value in one row."""
+    low, high = np.clip(np.array([row.lower, row.upper]) / size, -2 * REACH, 2 * REACH)
+    ax.barh(y, high - low, height, left=low, color=colour, alpha=0.15, linewidth=0)
+    ax.plot([low, low], [y - height / 2, y + height / 2], color=colour, linewidth=0.8)
+    ax.plot([high, high], [y - height / 2, y + height / 2], color=colour, linewidth=0.8)
+    if np.isfinite(row.std_error):
+        spread = CONFIDENCE * row.std_error / size
+        ax.plot([row.value / size - spread, row.value / size + spread], [y, y], color=colour,
+                linewidth=1.2)  # fmt: skip
+    face = colour if row.active else "white"
+    ax.plot(row.value / size, y, "o", color=colour, markerfacecolor=face, markersize=4)
+
+
+def _decorate(ax: Axes, labels: Sequence[str], sizes: Sequence[str]) -> None:
+    ax.set_yticks(range(len(labels)), labels)
+    ax.set(xlim=(-REACH, REACH), ylim=(len(labels) - 0.4, -0.6), xlabel="value / largest value [-]")
+    ax.axvline(0, color="#777777", linewidth=0.8, zorder=0)
+    ax.grid(visible=False, axis="y")
+    for y in range(1, len(labels)):
+        ax.axhline(y - 0.5, color="#e4e4e4", linewidth=0.5, zorder=0)
+    right = ax.secondary_yaxis("right")
+    right.yaxis.set_major_locator(FixedLocator(list(range(len(sizes)))))
+    right.set_yticklabels(list(sizes))
+    right.set_ylabel("largest value")
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
