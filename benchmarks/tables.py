@@ -13,7 +13,7 @@ def cell(value):
     return value if isinstance(value, str) else f"{value:.3g}"
 
 
-def against(value, limit, *, above=False):
+def against(value, limit, *, above=False, digits=3):
     """A figure with its target and whether it holds."""
     holds = value >= limit if above else value <= limit
-    return f"{value:.3g} ({'≥' if above else '≤'} {limit:g}: {'yes' if holds else 'NO'})"
+    return f"{value:.{digits}g} ({'≥' if above else '≤'} {limit:g}: {'yes' if holds else 'NO'})"
