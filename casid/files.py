@@ -71,7 +71,7 @@ def read_csv(
         Not a table of numbers, an unknown column or unit, and all that `Record` refuses.
     """
     path = Path(path)
-    columns = _csv_columns(path)
+    columns = csv_columns(path)
     wanted = [time, *inputs, *outputs]
     values = _csv_values(path, [_find(name, columns, path) for name in wanted], wanted)
     table = dict(zip(wanted, values.T, strict=True))
@@ -87,7 +87,7 @@ def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, Array]:
         Not a table of numbers, or an unknown column.
     """
     path = Path(path)
-    columns = _csv_columns(path)
+    columns = csv_columns(path)
     values = _csv_values(path, [_find(name, columns, path) for name in names], list(names))
     return dict(zip(names, values.T, strict=True))
 
@@ -261,7 +261,8 @@ def _factor(channel: str, unit: str, table: Mapping[str, Array]) -> float:
     return SI[unit]
 
 
-def _csv_columns(path: Path) -> list[str]:
+def csv_columns(path: Path) -> list[str]:
+    """Names in the header line of a CSV file."""
     check_file(path, TABLE_BYTES, "CSV")
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
