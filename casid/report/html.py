@@ -26,6 +26,7 @@ SECTIONS = {
     "histories": "Time histories of unseen records",
     "rms": "RMS errors",
     "whiteness": "Residuals",
+    "match": "Match",
     "black_box": "Black box",
     "modes": "Modes",
 }
