@@ -2,6 +2,7 @@
 
 import re
 import runpy
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -11,13 +12,13 @@ from casid.studyfile import read_study
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-SCRIPT, STRUCTURE = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+(SCRIPT,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
 def test_the_readme_opens_with_two_commands_that_the_makefile_has():
     opening = README[: README.index("## ")]
-    commands = re.findall(r"^    make (\w+)", opening, flags=re.MULTILINE)
-    assert commands == ["study", "test"]
+    commands = re.findall(r"^make (\w+)", opening, flags=re.MULTILINE)
+    assert commands == ["study", "docs"]
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for command in commands:
         assert re.search(rf"^{command}:", makefile, flags=re.MULTILINE)
@@ -44,11 +45,14 @@ def test_the_script_of_the_readme_identifies_the_helicopter(monkeypatch, tmp_pat
     assert black_box.records == tuple(values["names"])
 
 
-def test_the_structure_of_the_readme_has_the_poles_of_its_matrix(capsys):
-    values = {}
-    exec(compile(STRUCTURE, "README.md", "exec"), values)
-    assert values["Roll"](Lp=-3.0).system().nx == 3
-    assert "j" in capsys.readouterr().out
+def test_every_link_of_the_readme_leads_to_a_file():
+    for link in re.findall(r"\]\(([^)]+)\)", README):
+        assert (ROOT / link).exists(), link
+
+
+def test_the_citation_names_the_version_of_the_package():
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"version: {version('casid')}\n" in citation
 
 
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
