@@ -37,7 +37,8 @@ def exits(console: Console) -> Iterator[None]:
 def complain(console: Console, what: str, error: Exception | str) -> None:
     """Say on standard error what is wrong."""
     loud = Console(stderr=True, highlight=False, width=console.width)
-    loud.print(Text(f"{what}: ", style="bold red").append(str(error), style="default"))
+    text = Text(f"{what}: ", style="bold red").append(str(error), style="default")
+    loud.print(text, soft_wrap=True)  # a path broken in two cannot be copied
 
 
 @contextmanager
