@@ -15,7 +15,10 @@ from casid.matching import match
 from casid.model import Constraint, Model, Rows, Scalar, matrix, parameter
 from casid.nlp import Progress, SolverOptions
 from casid.pbsid import BlackBox, pbsid
+from casid.profile import Profile, profile
 from casid.record import Record
+from casid.reduction import Reduction, reduce_structure
+from casid.resampling import Ensemble, Multistart, bootstrap, monte_carlo, multistart
 from casid.responses import merge_responses, read_frequency_csv
 from casid.settings import OrderSelection, select_order
 from casid.shooting import output_error
@@ -28,6 +31,7 @@ __all__ = [
     "Constraint",
     "ConvergenceError",
     "DataWarning",
+    "Ensemble",
     "Fit",
     "FrequencyResponse",
     "HandlingQualities",
@@ -35,16 +39,20 @@ __all__ = [
     "Identification",
     "Model",
     "ModelError",
+    "Multistart",
     "OrderSelection",
     "ParameterEstimate",
+    "Profile",
     "Progress",
     "Record",
+    "Reduction",
     "Rows",
     "Scalar",
     "SolverOptions",
     "StateSpace",
     "TransferFunction",
     "Validation",
+    "bootstrap",
     "compare_bounds",
     "derivid",
     "frequency_response",
@@ -54,12 +62,16 @@ __all__ = [
     "match",
     "matrix",
     "merge_responses",
+    "monte_carlo",
+    "multistart",
     "output_error",
     "parameter",
     "pbsid",
+    "profile",
     "read_csv",
     "read_frequency_csv",
     "read_mat",
+    "reduce_structure",
     "select_order",
     "transfer_function",
     "validate",

@@ -5,8 +5,6 @@ bounds (Boyd & Vandenberghe, Convex Optimization, section 5.6), so they say whic
 relaxing, and predict by how much the cost would fall.
 """
 
-import csv
-import io
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
@@ -24,7 +22,8 @@ from casid.fit import Fit
 from casid.model import Bounds, Model
 from casid.prices import CaseResult, price_case
 from casid.record import Record
-from casid.trials import Data, Setup, Trial, run_trials, setup, values_of
+from casid.tabulation import csv_text, markdown_table
+from casid.trials import Data, Setup, Trial, run_trials, setup, starting_values
 from casid.validation import Validation, validate
 
 WORSE = 1e-6  # of the cost: a wider case that fits worse than this has found another minimum
@@ -71,11 +70,11 @@ class BoundsComparison:
         price = {name: max(case.shares.get(name, 0.0) for case in self.cases) for name in names}
         return tuple(sorted(names, key=lambda name: -price[name]))
 
-    def to_csv(self, path: str | Path) -> None:
+    def tocsv_text(self, path: str | Path) -> None:
         """Write one row a case and parameter, and beside it PATH_cases.csv with one row a case."""
         path = Path(path)
-        write_text(path, _csv(PARAMETERS, _parameter_rows(self)))
-        write_text(path.with_name(f"{path.stem}_cases.csv"), _csv(CASES, _case_rows(self)))
+        write_text(path, csv_text(PARAMETERS, _parameter_rows(self)))
+        write_text(path.with_name(f"{path.stem}_cases.csv"), csv_text(CASES, _case_rows(self)))
 
     def to_markdown(self) -> str:
         """The cases, then parameters and relations by price; * marks those held, ± one sigma."""
@@ -86,9 +85,12 @@ class BoundsComparison:
         prices = [f"price in {name}" for name in names if name != self.freest]
         body = [[name, *_cells(self, name)] for name in self.ranked()]
         relations = [row for case in self.cases for row in _relation_cells(case)]
-        parts = [_table(heading, cases), _table(["parameter", *names, *prices], body)]
+        parts = [
+            markdown_table(heading, cases),
+            markdown_table(["parameter", *names, *prices], body),
+        ]
         if relations:
-            parts.append(_table(["case", "relation", "value", "price"], relations))
+            parts.append(markdown_table(["case", "relation", "value", "price"], relations))
         return "\n\n".join(parts)
 
 
@@ -174,11 +176,7 @@ def _jobs(
     cases takes log n rounds on many processors.
     """
     order = sorted(cases, key=lambda case: -sum(other.within(case) for other in cases))
-    guess = start.model if isinstance(start, Fit) else start
-    values = values_of(model)
-    if guess is not None:
-        values |= {name: getattr(guess, name) for name in model.parameter_names()}
-    near = start.content() if isinstance(start, Fit) else None
+    values, near = starting_values(model, start)
     jobs: list[Job] = []
     for k, case in enumerate(order):
         wider = [job for job, other in zip(jobs, order, strict=False) if case.within(other)]
@@ -231,26 +229,6 @@ def _case_rows(comparison: BoundsComparison) -> list[list[Any]]:
          " ".join(f"{pole:.6g}" for pole in case.eigenvalues)]
         for case in comparison.cases
     ]  # fmt: skip
-
-
-def _csv(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows([_plain(value) for value in row] for row in rows)
-    return text.getvalue()
-
-
-def _plain(value: Any) -> str:  # noqa: ANN401 - a cell
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:.10g}" if isinstance(value, float) else str(value)
-
-
-def _table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = ["| " + " | ".join(heading) + " |", "|" + "---|" * len(heading)]
-    lines += ["| " + " | ".join(row) + " |" for row in rows]
-    return "\n".join(lines)
 
 
 def _case_cells(case: CaseResult) -> list[str]:

@@ -126,9 +126,15 @@ def setup(
     )  # fmt: skip
 
 
-def values_of(model: Model) -> dict[str, Any]:
-    """All fields of a model by name, trim too."""
-    return {each.name: getattr(model, each.name) for each in fields(model)}
+def starting_values(
+    model: Model, start: Model | Fit | None
+) -> tuple[dict[str, Any], Content | None]:
+    """All fields of a model with the parameters of a start, and the start's content if a fit."""
+    values = {each.name: getattr(model, each.name) for each in fields(model)}
+    guess = start.model if isinstance(start, Fit) else start
+    if guess is not None:
+        values |= {name: getattr(guess, name) for name in model.parameter_names()}
+    return values, start.content() if isinstance(start, Fit) else None
 
 
 def run_trials(

@@ -1,0 +1,64 @@
+"""Reducing structures that have a parameter too many."""
+
+import numpy as np
+import pytest
+from studies import Inline, Mixture, record
+
+from casid import ConvergenceError, ModelError, SolverOptions, reduce_structure
+
+IDLE = Mixture(a=1.0, b=0.6, d=0.0)  # the truth has no direct term
+DATA = [record(3, IDLE)]
+
+
+def test_a_parameter_the_data_do_not_need_is_dropped_and_no_other():
+    found = reduce_structure(Mixture(), DATA)
+    assert found.criterion == "aicc"
+    assert found.held == {"d": 0.0}
+    assert found.fit["d"].value == pytest.approx(0.0, abs=1e-9)
+    for name in ("a", "b"):  # within three standard errors of the truth
+        row = found.fit[name]
+        assert abs(row.value - getattr(IDLE, name)) < 3 * row.std_error
+        assert row.std_error < found.full[name].std_error
+    assert "d" in found.to_markdown()
+    assert found.to_csv().splitlines()[1].startswith("d,0,")
+
+
+def test_a_step_that_costs_too_much_is_rejected_and_told():
+    found = reduce_structure(Mixture(), [record(3)], protect=["d"], criterion="aicc")
+    assert all(step.accepted for step in found.steps[:-1])
+    assert found.held == {}  # a and b are well determined
+
+
+def test_the_cost_may_rise_by_the_share_allowed_only():
+    slack = reduce_structure(Mixture(), DATA, criterion="cost", rise=0.05)
+    assert slack.held == {"d": 0.0}
+    none = reduce_structure(Mixture(), DATA, criterion="cost", rise=0.0)
+    assert none.held == {}
+    assert not none.steps[-1].accepted
+
+
+def test_protected_parameters_stay_and_a_run_can_be_replayed():
+    assert reduce_structure(Mixture(), DATA, protect=["d"]).held == {}
+    first = reduce_structure(Mixture(), DATA)
+    again = reduce_structure(Mixture(), [record(4, IDLE)], replay=first.held)
+    assert again.held == first.held
+    assert again.steps[0].accepted
+    script = {"d": 0.01, "a": 1.0}
+    assert reduce_structure(Mixture(), DATA, replay=script).held == script
+
+
+def test_several_candidates_are_tried_at_once_and_the_cheapest_is_held():
+    found = reduce_structure(Mixture(), DATA, candidates=3, executor=Inline())
+    assert found.held == {"d": 0.0}
+
+
+def test_what_cannot_be_reduced_is_refused():
+    with pytest.raises(ModelError, match="no standard errors"):
+        reduce_structure(Mixture(), DATA, estimator="match")
+    with pytest.raises(ModelError, match="criterion='guess'"):
+        reduce_structure(Mixture(), DATA, criterion="guess")
+    with pytest.raises(ModelError, match="no parameter 'z'"):
+        reduce_structure(Mixture(), DATA, protect=["z"])
+    with pytest.raises(ConvergenceError, match="nothing held"):
+        reduce_structure(Mixture(), DATA, options=SolverOptions(max_iterations=1))
+    assert np.isfinite(DATA[0].y).all()

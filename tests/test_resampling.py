@@ -1,0 +1,65 @@
+"""Ensembles of linear least squares scatter as their covariance says."""
+
+import numpy as np
+import pytest
+from studies import NOISE, TRUTH, Inline, Mixture, least_squares, record
+
+from casid import bootstrap, monte_carlo, multistart, output_error
+
+RUNS = 40
+SPREAD = 4 / np.sqrt(2 * (RUNS - 1))  # four standard deviations of a standard deviation
+
+
+def expected():
+    X, _ = least_squares()
+    return np.sqrt(np.diag(np.linalg.inv(X.T @ X))[:3])
+
+
+def test_all_starts_of_a_linear_problem_end_in_one_minimum():
+    found = multistart(Mixture(), [record()], starts=4, spread=1.0)
+    assert found.agreeing == 4
+    assert len({start.a for start in found.starts}) == 4
+    assert found.starts[0] == Mixture()
+    assert len(found.to_csv().splitlines()) == 5
+    again = multistart(Mixture(), [record()], starts=4, spread=1.0, executor=Inline())
+    np.testing.assert_array_equal(again.costs, found.costs)
+
+
+@pytest.mark.slow
+def test_monte_carlo_scatters_as_the_cramer_rao_bound_says():
+    found = monte_carlo(TRUTH, [record()], noise={"y": NOISE}, runs=RUNS, executor=Inline())
+    assert found.names == ("a", "b", "d")
+    assert not any(found.reasons)
+    np.testing.assert_allclose(found.scatter / expected(), 1, atol=SPREAD)
+    assert (np.abs(found.bias) < 4 * expected() / np.sqrt(RUNS)).all()
+    assert (found.coverage > 0.95 - 4 * np.sqrt(0.95 * 0.05 / RUNS)).all()
+    low, high = found.interval().T
+    assert ((low < found.reference) & (found.reference < high)).all()
+    assert "coverage" in found.to_markdown()
+
+
+@pytest.mark.slow
+def test_a_bootstrap_of_white_residuals_scatters_as_the_standard_errors():
+    fit = output_error(Mixture(), [record()])
+    found = bootstrap(fit, [record()], runs=RUNS, block=0.2, executor=Inline())
+    np.testing.assert_allclose(found.scatter / expected(), 1, atol=SPREAD)
+    np.testing.assert_array_equal(found.reference, fit.model.vector())
+
+
+def test_draws_depend_on_seed_and_run_alone_and_keep_gaps():
+    r = record()
+    y = r.y.copy()
+    y[10:20] = np.nan
+    gappy = [type(r)(r.t, r.u, y, r.inputs, r.outputs, r.name)]
+    first = monte_carlo(TRUTH, gappy, noise={"y": NOISE}, runs=3)
+    more = monte_carlo(TRUTH, gappy, noise={"y": NOISE}, runs=2)
+    np.testing.assert_array_equal(first.values[:2], more.values)
+    other = monte_carlo(TRUTH, gappy, noise={"y": NOISE}, runs=1, seed=1)
+    assert not np.isclose(other.values[0], first.values[0], rtol=1e-6).all()
+    assert len(first.to_csv().splitlines()) == 4
+
+
+def test_only_an_output_error_fit_of_the_records_is_bootstrapped():
+    fit = output_error(Mixture(), [record()])
+    with pytest.raises(ValueError, match="these 2 records"):
+        bootstrap(fit, [record(), record(1)])
