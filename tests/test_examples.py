@@ -2,6 +2,7 @@
 
 import re
 import runpy
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -62,6 +63,7 @@ SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_an_example_runs_and_checks_itself(script, monkeypatch):
     monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(sys, "argv", [str(script)])
     runpy.run_path(str(script), run_name="__main__")
 
 
