@@ -370,5 +370,5 @@ def _shown(value: object) -> str:
 
 
 def _versions() -> dict[str, str]:
-    packages = ("casid", "casadi", "numpy", "scipy", "matplotlib")
+    packages = ("casid", "casadi", "numpy", "scipy", "matplotlib", "plotly")
     return {"Python": platform.python_version()} | {name: version(name) for name in packages}

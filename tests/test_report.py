@@ -339,6 +339,15 @@ def test_names_and_paths_from_users_are_escaped(content, tmp_path):
         assert "<title>1</title>" not in _dom(tmp_path / "report.html")
 
 
+@pytest.mark.slow
+def test_standard_errors_for_coloured_residuals_stand_beside_the_others(page, content):
+    found = html_module.coloured(content.output_error)
+    assert tuple(found) == content.output_error.free_names
+    text = page.read_text(encoding="utf-8")
+    for value in found.values():
+        assert f'<td data-value="{value}">{number(value, 2)}</td>' in text
+
+
 # ---- in a browser ------------------------------------------------------------------------------
 
 browser = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from casid.files import write_text
-from casid.fit import ParameterEstimate
+from casid.fit import Fit, ParameterEstimate
 from casid.report.content import UNITS, Content
 from casid.report.drawings import Drawing, draw, save
 from casid.report.interactive import interactive
@@ -72,6 +72,7 @@ def render(content: Content, pictures: dict[str, list[Picture]]) -> str:
         plotly=_compressed(get_plotlyjs()),
         modes={name: modes(fit.model.system()) for name, fit in content.fits.items()},
         units=UNITS,
+        coloured=coloured(content.output_error),
         structure=type(model),
         trim={
             name: getattr(model, name)
@@ -100,6 +101,12 @@ def percent(row: ParameterEstimate) -> str:
         return "–"
     share = 100 * row.std_error / abs(row.value)
     return f"{share:.1f}" if share < 999.5 else "> 999"
+
+
+def coloured(fit: Fit) -> dict[str, float]:
+    """Standard errors of the free parameters that allow for residuals correlated in time."""
+    values = fit.notes.get("std_error_coloured", ())
+    return dict(zip(fit.free_names, values, strict=True)) if values else {}
 
 
 def price(row: ParameterEstimate) -> str:
