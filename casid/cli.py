@@ -11,6 +11,7 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
+from casid.commands import COMMANDS
 from casid.files import read_csv
 from casid.fit import Fit
 from casid.modelfile import load_model
@@ -51,6 +52,10 @@ def main() -> None:
     \b
     Exit codes: 0 success, 1 internal error, 2 bad input, 3 a solver did not converge.
     """  # noqa: D301 - click's own mark for a paragraph left as it is
+
+
+for _command in COMMANDS:
+    main.add_command(_command)
 
 
 @main.command()

@@ -18,6 +18,7 @@ left in them.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import scipy.interpolate
@@ -25,10 +26,11 @@ import scipy.signal
 
 from casid.arrays import Array
 from casid.record import Record
-from casid.sampling import equidistant
+from casid.sampling import LONGEST_GAP, equidistant
 
 GRAVITY = 9.80665  # m/s^2
 MOST = 60_000  # samples that are looked at
+SHORTEST = 20  # samples
 GAPS = 0.2  # share of missing samples above which a channel is left out
 GAINS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 25)])
 ITERATIONS = 12
@@ -63,14 +65,21 @@ class Flight:
 
 
 def looked_at(records: Sequence[Record]) -> list[Record]:
-    """Records, cut where there are more samples than are looked at."""
-    share = min(1.0, MOST / max(sum(record.N for record in records), 1))
-    long = (max(int(share * record.N), 20) for record in records)
-    return [
-        replace(record, t=record.t[:n], u=record.u[:n], y=record.y[:n])
-        for record, n in zip(records, long, strict=True)
-        if record.N >= 20
-    ]
+    """Stretches of records without long gaps, cut where there are more samples than are used."""
+    pieces = [piece for record in records for piece in _unbroken(record)]
+    share = min(1.0, MOST / max(sum(piece.N for piece in pieces), 1))
+    return [_part(piece, 0, max(int(share * piece.N), SHORTEST)) for piece in pieces]
+
+
+def _unbroken(record: Record) -> list[Record]:
+    edges = np.flatnonzero(np.diff(record.t) > LONGEST_GAP * record.dt) + 1
+    bounds = [0, *map(int, edges), record.N]
+    return [_part(record, start, end) for start, end in pairwise(bounds) if end - start >= SHORTEST]
+
+
+def _part(record: Record, start: int, end: int) -> Record:
+    t, u, y = (getattr(record, letter)[start:end] for letter in "tuy")
+    return replace(record, t=t, u=u, y=y)
 
 
 def signals(record: Record, trim: Mapping[str, float]) -> Flight:

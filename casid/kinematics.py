@@ -41,6 +41,7 @@ KNOWN = 0.05  # standard error of a scale below which a channel counts as checke
 SIGNIFICANT = 3.0  # standard errors
 SCALE, SKEW, BIAS = 0.02, 0.01, 0.1  # what matters: relative, s, of the channel's deviation
 ROUGH = 0.1  # the scale that matters where an equation lacks a channel
+REST = 0.5  # s of quiet that a trim is taken from
 MUCH = 0.3  # share of an attitude's movement left unexplained that matters
 
 UNITS = dict.fromkeys(RATES, "rad/s") | dict.fromkeys(FORCES, "m/s^2")
@@ -286,8 +287,10 @@ def _against_gravity(flights: Sequence[Flight], names: set[str]) -> tuple[str, .
     if not {*FORCES, "phi", "theta"} <= names or {*VELOCITIES} <= names:
         return ()
     said = []
+    # Without a quiet stretch the mean of all of it: what the aircraft was flown about.
+    ends = [each.quiet if each.quiet * each.dt >= REST else None for each in flights]
     heads = [
-        np.array([flight.values[name][: max(flight.quiet, 1)].mean() for flight in flights])
+        [flight.values[name][:end].mean() for flight, end in zip(flights, ends, strict=True)]
         for name in (*FORCES, "phi", "theta")
     ]
     f, (phi, theta) = np.median(heads[:3], axis=1), np.median(heads[3:], axis=1)

@@ -1,0 +1,213 @@
+"""The commands about files: what they print and leave behind, and their exit codes."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from click.testing import CliRunner
+from small_study import write_study
+
+from casid import FrequencyResponse, read_csv
+from casid.cli import main
+from casid.fit import Fit, parameter_table
+from casid.formats import read_table
+from casid.model import free_parameters
+from casid.modelfile import load_model
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+def casid(*arguments):
+    return CliRunner(env={"COLUMNS": "140"}).invoke(main, [str(each) for each in arguments])
+
+
+def refused(result):
+    """What a command says when it refuses, on one line."""
+    assert result.exit_code == 2, result.output
+    return " ".join(result.stderr.split())
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The small study, a fit of its structure and a frequency response, as the working folder."""
+    monkeypatch.chdir(tmp_path)
+    write_study(tmp_path)
+    model = load_model("roll.py:Roll", tmp_path)()
+    free = free_parameters(model)
+    values = np.array([-0.12, -0.06, -2.2, 10.0])  # those that made the records
+    rows = parameter_table(free, values, np.zeros(4), np.full(4, 0.01))
+    Fit(model=model.with_vector(values), parameters=rows, cost=1.0, status="", success=True,
+        iterations=1, seconds=0.0, method="output error",
+        free_names=free.names).save("fit.json")  # fmt: skip
+    G = np.ones((3, 2, 1), dtype=complex)
+    FrequencyResponse(omega=np.array([1.0, 2.0, 3.0]), G=G, coherence=0.9 * np.ones((3, 2, 1)),
+                      random_error=np.zeros((3, 2, 1)), inputs=("lat",), outputs=("p", "phi"),
+                      input_std=np.ones(1), output_std=np.ones(2)).save("frf.json")  # fmt: skip
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", ["convert", "inspect", "simulate", "new-model"])
+def test_each_command_explains_itself(command):
+    result = casid(command, "--help")
+    assert result.exit_code == 0
+    assert "Usage" in result.output
+    assert len(result.output.splitlines()) > 6
+
+
+# ---- convert -----------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_record_goes_through_every_format_and_comes_back():
+    for source, target in (("3211.csv", "a.mat"), ("a.mat", "b.parquet"), ("b.parquet", "c.csv")):
+        assert casid("convert", source, target).exit_code == 0
+    before, after = read_table("3211.csv"), read_table("c.csv")
+    assert list(before) == list(after)
+    for name in before:
+        np.testing.assert_array_equal(before[name], after[name])
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_unit_is_converted_on_the_way():
+    assert casid("convert", "3211.csv", "si.csv", "--unit", "lat=%").exit_code == 0
+    np.testing.assert_allclose(read_table("si.csv")["lat"], 0.01 * read_table("3211.csv")["lat"])
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_response_becomes_a_table():
+    assert casid("convert", "frf.json", "frf.csv").exit_code == 0
+    assert read_table("frf.csv")["p_lat_coherence"].tolist() == [0.9, 0.9, 0.9]
+    assert casid("convert", "frf.json", "frf.mat").exit_code == 0
+    assert scipy.io.loadmat("frf.mat")["response"].shape == (2, 1, 3)
+
+
+def test_a_fit_becomes_matlab_and_a_module(folder):
+    for target in ("fit.mat", "flown.py"):
+        result = casid("convert", "fit.json", target, "--model", "roll.py:Roll")
+        assert result.exit_code == 0, result.output
+    assert scipy.io.loadmat("fit.mat")["A"].shape == (3, 3)
+    run = subprocess.run([sys.executable, "-c", "import flown; print(flown.INPUTS)"],
+                         capture_output=True, text=True, check=True, cwd=folder)  # fmt: skip
+    assert "lat" in run.stdout
+
+
+CONVERT_MISTAKES = {
+    "a fit without its structure": (("fit.json", "m.py"), ("--model",)),
+    "another structure": (("fit.json", "m.py", "--model", "other.py:Roll"), ("other.py",)),
+    "a fit as a table": (("fit.json", "m.csv", "--model", "roll.py:Roll"), (".mat or .py",)),
+    "a response as a module": (("frf.json", "m.py"), ("unknown suffix '.py'",)),
+    "JSON of another kind": (("other.json", "m.mat"), ("neither a fit nor",)),
+    "a file that is not there": (("nothing.csv", "a.mat"), ("nothing.csv",)),
+    "an unknown suffix": (("3211.csv", "a.xls"), ("'.xls'", ".parquet")),
+    "a unit of no column": (("3211.csv", "a.csv", "--unit", "psi=deg"), ("no column 'psi'",)),
+    "an unknown unit": (("3211.csv", "a.csv", "--unit", "lat=furlong"), ("furlong", "deg/s")),
+    "a unit without channel": (("3211.csv", "a.csv", "--unit", "deg"), ("CHANNEL=UNIT",)),
+    "a unit for a fit": (("frf.json", "a.csv", "--unit", "p=deg"), ("SI already",)),
+}
+
+
+@pytest.mark.parametrize("mistake", CONVERT_MISTAKES, ids=lambda name: name.replace(" ", "-"))
+def test_a_mistake_is_named_and_nothing_is_written(mistake, folder):
+    (folder / "other.json").write_text("{}")
+    arguments, words = CONVERT_MISTAKES[mistake]
+    before = sorted(folder.iterdir())
+    said = refused(casid("convert", *arguments))
+    for word in words:
+        assert word in said
+    assert sorted(each for each in folder.iterdir() if each.name != "__pycache__") == before
+
+
+# ---- inspect -----------------------------------------------------------------------------------
+
+
+def test_inspect_shows_channels_sampling_and_kinematics():
+    result = casid("inspect", EXAMPLES / "ah1s/data/3211_lat.csv")
+    assert result.exit_code == 0, result.output
+    for word in ("1000 samples", "every 0.02 s", "rad/s", "Correlation", "Kinematic", "theta"):
+        assert word in result.output
+
+
+@pytest.mark.usefixtures("folder")
+def test_inspect_judges_a_model_and_takes_units():
+    result = casid("inspect", "3211.csv", "sweep.csv", "--model", "roll.py:Roll", "--unit", "lat=%")
+    assert result.exit_code == 0, result.output
+    assert "rank 4 of 4" in result.output
+    assert "can tell all parameters apart" in result.output
+
+
+@pytest.mark.usefixtures("folder")
+def test_inspect_reads_a_study_as_the_study_does():
+    result = casid("inspect", "study.toml")
+    assert result.exit_code == 0, result.output
+    assert "rank 4 of 4" in result.output
+    assert "alone" in refused(casid("inspect", "study.toml", "3211.csv"))
+
+
+def test_inspect_asks_for_inputs_it_cannot_know(folder):
+    casid("convert", "3211.csv", "a.csv")
+    text = (folder / "a.csv").read_text().replace("lat", "stick", 1)
+    (folder / "a.csv").write_text(text)
+    said = refused(casid("inspect", "a.csv"))
+    assert "--inputs" in said
+    assert "stick" in said
+    assert casid("inspect", "a.csv", "--inputs", "stick", "--outputs", "p").exit_code == 0
+
+
+# ---- simulate ----------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("folder")
+def test_simulate_compares_and_writes_histories():
+    result = casid("simulate", "fit.json", "3211.csv", "--model", "roll.py:Roll", "--unit", "lat=%",
+                   "-o", "sim.csv")  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert "Theil" in result.output
+    table = read_table("sim.csv")
+    flown = read_csv("3211.csv", inputs=["lat"], outputs=["p", "phi"], units={"lat": "%"})
+    np.testing.assert_allclose(table["p"], flown.channel("p"), rtol=0, atol=1e-12)
+    # The parameters are those that made the record, so what is left is its noise of 0.002.
+    assert np.sqrt(np.mean((table["p_sim"] - table["p"]) ** 2)) < 0.004
+
+
+@pytest.mark.usefixtures("folder")
+def test_simulate_needs_the_structure():
+    assert "--model" in refused(casid("simulate", "fit.json", "3211.csv"))
+
+
+# ---- new-model ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["my_roll", "hover2.py"])
+def test_a_new_model_passes_the_check(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = casid("new-model", name)
+    assert result.exit_code == 0
+    reference = result.output.split()[-1]
+    checked = casid("check", reference)
+    assert checked.exit_code == 0, checked.output
+    assert "rank 5 of 5" in checked.output
+
+
+def test_a_new_model_has_no_finding_of_ruff(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    casid("new-model", "my_roll")
+    run = subprocess.run([sys.executable, "-m", "ruff", "check", "--isolated", "my_roll.py"],
+                         capture_output=True, text=True, check=False)  # fmt: skip
+    assert run.returncode == 0, run.stdout
+
+
+def test_a_new_model_never_overwrites(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text("precious")
+    assert "there already" in refused(casid("new-model", "mine"))
+    assert (tmp_path / "mine.py").read_text() == "precious"
+
+
+@pytest.mark.parametrize("name", ["2fast", "a-b", "class", "nowhere/mine", "model", "_", "ÿes"])
+def test_a_name_python_does_not_take_is_refused(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert refused(casid("new-model", name)).startswith("Bad input")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,115 @@
+"""What `inspect` says of records, each fact against records in which it is put."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flown import NOISE, flight
+
+from casid import Record
+from casid.inspection import inspect
+from models.six_dof import SixDof
+
+STEP = 0.02
+
+
+def swept(omega=2.0, n=1500, **changes):
+    """A record with one sine on `lat`, and `p` following it; quiet for a second."""
+    t = STEP * np.arange(n)
+    lat = np.where(t > 1, 0.1 * np.sin(omega * (t - 1)), 0.0)
+    rng = np.random.default_rng(0)
+    y = np.column_stack([lat, 0.2 * lat]) + 1e-4 * rng.standard_normal((n, 2))
+    u = np.column_stack([lat, np.where(t > 1, 0.1 * np.sin(1.6 * omega * (t - 1)), 0.0)])
+    return replace(Record(t, u, y, ("lat", "ped"), ("p", "r"), "sine"), **changes)
+
+
+def facts(found, name):
+    return next(each for each in found.records[0].channels if each.name == name)
+
+
+def test_good_records_get_no_advice():
+    found = inspect([swept()])
+    assert found.advice == ()
+    assert found.usable is None
+    record = found.records[0]
+    assert (record.samples, record.equidistant, record.gaps) == (1500, True, ())
+    assert abs(record.interval - STEP) < 1e-12
+    assert abs(record.quiet - 1.0) < 3 * STEP
+
+
+def test_power_lies_where_the_sine_is():
+    lat = facts(inspect([swept(omega=3.0)]), "lat")
+    # One line of the spectrum, 0.2 rad/s apart, and the window's width on either side.
+    assert abs(lat.band[1] - 3.0) < 0.25
+    assert lat.band[0] <= lat.band[1] <= lat.band[2]
+
+
+def test_noise_is_measured_beside_the_signal():
+    p = facts(inspect([swept()]), "p")
+    # 1500 samples: the standard deviation of a standard deviation is 2 to 3 %.
+    assert abs(p.noise - 1e-4) < 1.5e-5
+
+
+def test_inputs_that_move_alike_are_named():
+    record = swept()
+    u = np.column_stack([record.u[:, 0], 0.5 * record.u[:, 0] + 0.01 * record.u[:, 1]])
+    found = inspect([replace(record, u=u)])
+    assert found.correlation[0, 1] > 0.99
+    assert any("ped and lat move together" in said for said in found.advice)
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda r: replace(r, y=np.clip(r.y, -0.05, 0.05)), ("p stays at its extreme value",)),
+        (lambda r: replace(r, u=np.clip(11 * r.u, -1, 1)), ("lat stays at its extreme stop",)),
+        (lambda r: replace(r, u=100 * r.u), ("lat reaches 10", "percent")),
+        (lambda r: replace(r, u=r.u * [1, 0]), ("ped never moves: fly it",)),
+        (lambda r: replace(r, y=r.y * [0, 1]), ("p never moves: look at its sensor",)),
+        (lambda r: r.with_noise({"r": 1.0}, np.random.default_rng(1)), ("r is mostly noise",)),
+        (lambda r: r.between(5, 20), ("an input moves within 0.5 s of the start",)),
+        (lambda r: replace(r, y=np.where(r.t[:, None] % 1 < 0.1, np.nan, r.y)),
+         ("p lacks 10.",)),
+        (lambda r: replace(r, t=r.t + (r.t > 10) * 0.5), ("1 gaps", "0.52 s")),
+        (lambda r: r.decimate(40), ("record faster",)),
+    ],
+)  # fmt: skip
+def test_what_is_in_the_way_is_said_with_the_culprit(damage, words):
+    said = " | ".join(inspect([damage(swept())]).advice)
+    for word in words:
+        assert word in said
+
+
+def test_a_channel_without_samples_is_no_reason_to_fail():
+    record = swept()
+    found = inspect(
+        [replace(record, y=np.column_stack([np.full(record.N, np.nan), record.y[:, 1]]))]
+    )
+    assert any("p never moves" in said for said in found.advice)
+
+
+def test_kinematics_is_part_of_the_advice():
+    record = flight(0, {"p": (0.1, 0.0, 0.0)}, NOISE, ("p", "q", "r", "phi", "theta"))
+    found = inspect([record])
+    # The scale has a standard error of 0.1 %.
+    assert any(said.startswith(("p is 1.09", "p is 1.1")) for said in found.advice)
+
+
+def test_a_model_is_judged_by_what_was_flown():
+    t = STEP * np.arange(800)
+    rng = np.random.default_rng(0)
+    u = np.zeros((800, 4))
+    u[100:300, 1] = np.repeat(rng.uniform(-0.1, 0.1, 10), 20)
+    y = SixDof().system().simulate(t, u)
+    found = inspect(
+        [Record(t, u, y, SixDof.inputs, SixDof.outputs, "lateral only")], model=SixDof()
+    )
+    assert found.usable is False
+    said = " | ".join(found.advice)
+    assert "cannot tell all parameters of SixDof apart" in said
+    assert "no output feels Xcol" in said
+
+
+def test_a_million_samples_take_seconds():
+    found = inspect([swept(n=1_000_000)])
+    assert found.records[0].samples == 1_000_000
