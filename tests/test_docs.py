@@ -34,8 +34,7 @@ from markdown_it import MarkdownIt
 from casid import DataWarning
 
 ROOT = Path(__file__).parent.parent
-ELSEWHERE = ROOT / "docs" / "structures.md"  # excerpts of an example: test_docs_structures.py
-PAGES = (*sorted({*(ROOT / "docs").rglob("*.md")} - {ELSEWHERE}), ROOT / "CONTRIBUTING.md")
+PAGES = (*sorted((ROOT / "docs").rglob("*.md")), ROOT / "CONTRIBUTING.md")
 SNIPPET = re.compile(r'^--8<-- "(.+)"$')
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", flags=re.IGNORECASE)
 INSTALLING = ("git", "cd", "pip")
