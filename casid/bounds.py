@@ -67,10 +67,18 @@ class BoundsComparison:
         """
         rows = next((case.parameters for case in self.cases if case.parameters), ())
         names = [row.name for row in rows]
-        price = {name: max(case.shares.get(name, 0.0) for case in self.cases) for name in names}
-        return tuple(sorted(names, key=lambda name: -price[name]))
+        first = [label for label in self.priced() if label in names]
+        return tuple(dict.fromkeys([*first, *names]))
 
-    def tocsv_text(self, path: str | Path) -> None:
+    def priced(self) -> tuple[str, ...]:
+        """Parameters and relations that cost some case something, the dearest first."""
+        shares: dict[str, float] = {}
+        for case in self.cases:
+            for label, share in case.shares.items():
+                shares[label] = max(share, shares.get(label, -np.inf))
+        return tuple(sorted(shares, key=lambda label: -shares[label]))
+
+    def to_csv(self, path: str | Path) -> None:
         """Write one row a case and parameter, and beside it PATH_cases.csv with one row a case."""
         path = Path(path)
         write_text(path, csv_text(PARAMETERS, _parameter_rows(self)))
