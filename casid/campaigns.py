@@ -92,10 +92,15 @@ class Advance:
     elapsed: float
     remaining: float
 
+    @property
+    def left(self) -> str:
+        """``remaining`` in words."""
+        return _clock(self.remaining)
+
     def __str__(self) -> str:
         """One line of progress."""
         failed = f", {self.failed} failed" if self.failed else ""
-        left = f", {_clock(self.remaining)} left" if self.done < self.total else ""
+        left = f", {self.left} left" if self.done < self.total else ""
         return (
             f"{self.done} of {self.total}{failed}: {self.name} in {self.seconds:.1f} s, "
             f"{_clock(self.elapsed)} so far{left}"

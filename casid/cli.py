@@ -11,6 +11,7 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
+from casid.bounds import BoundsComparison
 from casid.commands import COMMANDS
 from casid.files import read_csv
 from casid.fit import Fit
@@ -83,6 +84,35 @@ def identify(study: Path, output: Path | None, fresh: bool, verbose: bool) -> No
     with exits(console), logged(console, verbose), Monitor(console) as monitor:
         outcome = run_study(read_study(study, output), fresh=fresh, watch=monitor)
     _conclude(console, outcome)
+
+
+@main.command()
+@STUDY
+@OUTPUT
+@VERBOSE
+def bounds(study: Path, output: Path | None, verbose: bool) -> None:
+    """Compare the cases of a study's table [bounds] and price every bound.
+
+    The study is identified first, as by casid identify; what that kept is taken. Every case is
+    kept when it is done: an interrupted comparison goes on where it stopped.
+
+    \b
+    The output folder then also holds
+      report.html      with a section about the cases
+      bounds.csv       one row a case and parameter; bounds_cases.csv: one row a case
+      bounds.md        both tables, for reading
+      bounds/          the result of each case
+    """  # noqa: D301
+    console = Console(highlight=False)
+    with exits(console), logged(console, verbose), Monitor(console) as monitor:
+        asked = read_study(study, output)
+        if not asked.comparison:
+            raise ValueError(f"{study}: there is no table [bounds] with cases to compare")
+        outcome = run_study(asked, compare=True, watch=monitor)
+    if outcome.comparison is not None:
+        console.print(case_table(outcome.comparison))
+    console.print(Text("Report: ").append(str(outcome.report.resolve()), style="bold"),
+                  soft_wrap=True)  # fmt: skip
 
 
 @main.command(short_help="Check a study or a model file; estimate nothing.")
@@ -195,6 +225,23 @@ def parameter_table(fit: Fit) -> Table:
             Text(row.unit),
             style="yellow" if row.active else None,
         )
+    return table
+
+
+def case_table(comparison: BoundsComparison) -> Table:
+    """Cases of a comparison for the terminal."""
+    table = Table(title=f"Cases by {comparison.estimator}", title_justify="left")
+    table.add_column("case")
+    for heading in ("cost", "increase", "predicted", "held", "validation RMS / std", "dearest"):
+        table.add_column(heading, justify="right")
+    for case in comparison.cases:
+        if case.reason:
+            table.add_row(Text(case.name), Text(f"failed: {case.reason}", style="red"))
+            continue
+        dearest = max(case.shares, key=case.shares.__getitem__, default="")
+        figures = (f"{case.increase:.4g}", f"{case.predicted:.4g}", str(case.held))
+        table.add_row(Text(case.name), f"{case.cost:.7g}", *figures, f"{case.rms:.3g}",
+                      Text(dearest))  # fmt: skip
     return table
 
 

@@ -14,7 +14,10 @@ from typing import Any, Protocol, TypeVar, cast
 import numpy as np
 
 import casid.chain
+from casid.bounds import BoundsComparison
+from casid.campaigns import Advance
 from casid.chain import Identification, identify
+from casid.comparing import compare_study
 from casid.derivid import derivid
 from casid.errors import ConvergenceError, DataWarning
 from casid.files import write_text
@@ -84,9 +87,12 @@ class Outcome:
     validation: Validation
     timings: tuple[Timing, ...]
     report: Path
+    comparison: BoundsComparison | None = None
 
 
-def run_study(study: Study, *, fresh: bool = False, watch: Watch | None = None) -> Outcome:
+def run_study(
+    study: Study, *, fresh: bool = False, compare: bool = False, watch: Watch | None = None
+) -> Outcome:
     """Run all stages of a study and write its report.
 
     Parameters
@@ -95,6 +101,8 @@ def run_study(study: Study, *, fresh: bool = False, watch: Watch | None = None) 
         From `read_study`.
     fresh : bool
         Compute every stage again, whatever was kept.
+    compare : bool
+        Compare the study's cases too (`casid.comparing`).
     watch : Watch
         Told of every stage's begin, iterations and end.
 
@@ -118,11 +126,17 @@ def run_study(study: Study, *, fresh: bool = False, watch: Watch | None = None) 
     clock = [Timing(stage="records", seconds=time.perf_counter() - started)]
     watch.end(clock[0])
     with claimed(study.output):
-        return _run(study, records, _Stages(study, records, fresh, watch, clock), watch)
+        stages = _Stages(study, records, fresh, watch, clock)
+        return _run(study, records, stages, watch, compare=compare)
 
 
 def _run(
-    study: Study, records: Mapping[Role, Sequence[Record]], stages: "_Stages", watch: Watch
+    study: Study,
+    records: Mapping[Role, Sequence[Record]],
+    stages: "_Stages",
+    watch: Watch,
+    *,
+    compare: bool,
 ) -> Outcome:
     found = identify(
         study.model,
@@ -145,15 +159,35 @@ def _run(
     if baseline is not None:
         models[BASELINE] = baseline
     validation = stages.timed("validation", lambda: validate(models, records["validation"]))
+    comparison = None
+    if compare:
+        comparison = stages.timed("bounds", lambda: _compare(study, records, found, watch))
     report = stages.timed(
         "report",
         lambda: write_report(
-            _content(study, records, found, baseline, validation, stages), study.output
+            replace(
+                _content(study, records, found, baseline, validation, stages),
+                comparison=comparison,
+            ),
+            study.output,
         ),
     )
     return Outcome(
-        identification=found, validation=validation, timings=tuple(stages.clock), report=report
-    )
+        identification=found, validation=validation, timings=tuple(stages.clock), report=report,
+        comparison=comparison,
+    )  # fmt: skip
+
+
+def _compare(
+    study: Study, records: Mapping[Role, Sequence[Record]], found: Identification, watch: Watch
+) -> BoundsComparison:
+    """The study's cases; the watch is told after each how long the rest may take."""
+
+    def progress(advance: Advance) -> None:
+        watch.end(Timing(stage=advance.name, seconds=advance.seconds))
+        watch.begin(f"bounds, {advance.done} of {advance.total}, {advance.left} left")
+
+    return compare_study(study, records, found, _options(study, watch), progress=progress)
 
 
 def write_parameters(path: str | Path, fit: Fit) -> None:

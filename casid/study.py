@@ -78,6 +78,8 @@ class Study:
         `SolverOptions` of each stage that names any.
     targets : tuple of str
         What the structure is matched to, of "black box" and "frequency response".
+    comparison : mapping
+        ``estimator`` and ``cases`` of a comparison of bounds; empty if the file asks for none.
     """
 
     path: Path
@@ -93,6 +95,7 @@ class Study:
     options: Mapping[str, Mapping[str, Any]]
     solver: Mapping[str, Mapping[str, Any]]
     targets: tuple[str, ...]
+    comparison: Mapping[str, Any] = field(default_factory=dict)
 
     def solver_options(self, stage: str) -> SolverOptions:
         """How hard a stage tries."""

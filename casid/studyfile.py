@@ -1,8 +1,8 @@
 """Studies from TOML files.
 
 Paths in the file are relative to the file. Tables: ``[study]``, ``[model]``, ``[channels]``,
-``[records.ROLE]``, ``[noise]`` and one of options for each stage, whose keys are the keyword
-arguments of the stage's function.
+``[records.ROLE]``, ``[noise]``, ``[bounds]`` with cases to compare and one of options for each
+stage, whose keys are the keyword arguments of the stage's function.
 """
 
 import glob
@@ -16,17 +16,19 @@ from typing import Any, cast, get_args, get_origin, get_type_hints
 import numpy as np
 
 from casid.arrays import Array
+from casid.cases import read_cases
 from casid.derivid import derivid
 from casid.errors import ModelError
 from casid.frequency import frequency_response
 from casid.matching import match
-from casid.model import Model, free_parameters
+from casid.model import Bounds, Model, free_parameters
 from casid.modelfile import load_model, locate_model
 from casid.pbsid import pbsid
 from casid.record import Hold
 from casid.shooting import output_error
 from casid.study import ROLES, Channels, Noise, RecordSet, Role, Study
 from casid.tables import Table, read_toml
+from casid.trials import ESTIMATORS
 
 REQUIRED: tuple[Role, ...] = ("identification", "validation")
 
@@ -62,7 +64,7 @@ def read_study(path: str | Path, output: str | Path | None = None) -> Study:
     """
     path = Path(path)
     top = read_toml(path)
-    top.only(("study", "model", "channels", "records", "noise", *STAGES))
+    top.only(("study", "model", "channels", "records", "noise", "bounds", *STAGES))
     model, model_file, fixed, bounds = _model(top.table("model", needed=True), path.parent)
     heading = top.table("study")
     heading.only(("title", "output"))
@@ -85,6 +87,7 @@ def read_study(path: str | Path, output: str | Path | None = None) -> Study:
         options=options,
         solver=solver,
         targets=_targets(top.table("match"), roles),
+        comparison=_comparison(top, model, fixed, bounds),
     )
 
 
@@ -227,6 +230,26 @@ def _check_noise(roles: Mapping[Role, RecordSet], noise: Noise | None, path: Pat
     noisy = [role for role, each in roles.items() if each.noise]
     if noisy and noise is None:
         raise ValueError(f"{path}: role {noisy[0]!r} wants noise, but there is no table [noise]")
+
+
+def _comparison(top: Table, model: Model, fixed: tuple[str, ...], bounds: Bounds) -> dict[str, Any]:
+    """Estimator and cases of a comparison of bounds."""
+    if "bounds" not in top.content:
+        return {}
+    table = top.table("bounds")
+    table.only(("estimator", "norm", "cases"))
+    estimator = table.take("estimator", str, "output_error")
+    if estimator not in ESTIMATORS:
+        raise ValueError(
+            f"{table.place} estimator = {estimator!r}, expected one of {', '.join(ESTIMATORS)}"
+        )
+    cases = dict(table.table("cases", needed=True).content)
+    try:
+        read_cases(model, cases, fixed, bounds)
+    except ModelError as error:
+        raise ModelError(f"{table.place} {error}") from error
+    norm = {"norm": table.take("norm", str, "hinf")} if estimator == "match" else {}
+    return {"estimator": estimator, "cases": cases, "settings": norm}
 
 
 # ---- options of the stages ----------------------------------------------------------------------

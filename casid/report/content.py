@@ -5,8 +5,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from casid import channels
+from casid.bounds import BoundsComparison
 from casid.fit import Fit
 from casid.frequency import FrequencyResponse
+from casid.kinematics import KinematicCheck
 from casid.pbsid import BlackBox
 from casid.validation import Validation
 
@@ -58,8 +60,12 @@ class Content:
         The frequency-domain fit.
     frequency_response : FrequencyResponse or None
         What was measured.
+    comparison : BoundsComparison or None
+        What the study's cases cost.
     validation : Validation
         Of the models on unseen records, under the names of this module.
+    kinematics : KinematicCheck or None
+        Whether the channels of the records agree with each other.
     data : tuple of DataFile
         Every record used.
     settings, versions : mapping
@@ -84,6 +90,8 @@ class Content:
     model_digest: str
     baseline: Fit | None = None
     frequency_response: FrequencyResponse | None = None
+    comparison: BoundsComparison | None = None
+    kinematics: KinematicCheck | None = None
     data: tuple[DataFile, ...] = ()
     settings: Mapping[str, str] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)

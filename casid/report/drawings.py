@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from casid.arrays import Array
+from casid.bounds import BoundsComparison
 from casid.folder import replacing
 from casid.linear import StateSpace
 from casid.record import Record
@@ -34,6 +35,7 @@ from casid.report.figures import (
     plot_rms,
     plot_singular_values,
 )
+from casid.report.prices import plot_bounds
 
 LOOK: dict[Any, Any] = {
     "font.family": ["DejaVu Sans"],  # comes with matplotlib
@@ -55,6 +57,7 @@ WIDTH = 7.4  # inches: the printable width of A4
 POINTS = 160  # of a model's response; matplotlib simplifies curves of 128 or more
 PER_PAGE = 8  # outputs in a figure of time histories
 LAGS = 100  # samples of the autocorrelation
+ROWS = 16  # of the comparison of bounds
 SLOW = 2.0  # rad/s, the reach of the enlarged plane of eigenvalues
 LEFT, RIGHT, TOP, BOTTOM, GAP = 0.62, 0.1, 0.42, 0.42, 0.1  # inches around and between axes
 
@@ -81,6 +84,8 @@ def draw(content: Content) -> Iterator[Drawing]:
             yield _match_error(content)
         yield _singular_values(content)
         yield _poles(content)
+        if content.comparison is not None:
+            yield _bounds(content.comparison)
 
 
 def save(drawing: Drawing, folder: str | Path) -> tuple[Path, Path]:
@@ -310,6 +315,19 @@ def _poles(content: Content) -> Drawing:
     _legend(figure, axes[0, 0])
     caption = "Eigenvalues; right: the slow ones, enlarged"
     return Drawing(section="modes", name="poles", caption=caption, figure=_tidy(figure, axes))
+
+
+def _bounds(comparison: BoundsComparison) -> Drawing:
+    rows = min(ROWS, len(comparison.ranked()))
+    figure = Figure(figsize=(WIDTH, 1.0 + 0.42 * rows))
+    figure.subplots_adjust(left=0.16, right=0.9, top=1 - 0.4 / (1 + 0.42 * rows), bottom=0.06)
+    plot_bounds(figure.subplots(), comparison, rows=rows)
+    caption = (
+        "Values with 95 % intervals within the bounds of each case, the dearest parameters first; "
+        "filled: held by a bound"
+    )
+    return Drawing(section="bounds", name="bounds", caption=caption, interactive=False,
+                   figure=figure)  # fmt: skip
 
 
 # ---- shared ------------------------------------------------------------------------------------

@@ -29,6 +29,7 @@ SECTIONS = {
     "match": "Match",
     "black_box": "Black box",
     "modes": "Modes",
+    "bounds": "Comparison of bounds",
 }
 
 
