@@ -4,6 +4,7 @@ M. Bergamasco, M. Lovera, "Rotorcraft system identification: a time/frequency do
 section 3: records to a black box (3.2), black box to structure (3.3), refinement on records (3.4).
 """
 
+import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
@@ -11,6 +12,7 @@ from typing import Any, Protocol, TypeVar
 from casid.comparison import Target
 from casid.fit import Fit
 from casid.frequency import FrequencyResponse, frequency_response
+from casid.kinematics import KinematicCheck, kinematic_check
 from casid.matching import match
 from casid.model import Bounds, Model
 from casid.nlp import SolverOptions
@@ -19,6 +21,8 @@ from casid.record import Record
 from casid.shooting import output_error
 
 T = TypeVar("T")
+
+LOG = logging.getLogger("casid")
 
 
 class Stage(Protocol):
@@ -60,9 +64,11 @@ class Options:
 class Identification:
     """What each stage found, in the order of the stages.
 
+    ``kinematics`` says whether the channels of the records agree with each other;
     ``frequency_response`` is None when no records were given for it.
     """
 
+    kinematics: KinematicCheck
     black_box: BlackBox
     frequency_response: FrequencyResponse | None
     quadratic: Fit
@@ -116,6 +122,9 @@ def identify(
     shared: dict[str, Any] = {"fixed": fixed, "bounds": bounds}
     matching = shared | {"options": options.solver.get("match", SolverOptions())}
     refining = shared | {"options": options.solver.get("output_error", SolverOptions())}
+    kinematics = kinematic_check(records)
+    for remark in kinematics.remarks:
+        LOG.warning("The records do not agree with kinematics: %s", remark)
     black_box = stage("pbsid", lambda: pbsid(records, **options.pbsid))
     measured: FrequencyResponse | None = None
     if sweeps:
@@ -134,6 +143,7 @@ def identify(
         lambda: output_error(hinf.model, refinement or records, **options.output_error, **refining),
     )
     return Identification(
+        kinematics=kinematics,
         black_box=black_box,
         frequency_response=measured,
         quadratic=quadratic,

@@ -41,6 +41,7 @@ KNOWN = 0.05  # standard error of a scale below which a channel counts as checke
 SIGNIFICANT = 3.0  # standard errors
 SCALE, SKEW, BIAS = 0.02, 0.01, 0.1  # what matters: relative, s, of the channel's deviation
 ROUGH = 0.1  # the scale that matters where an equation lacks a channel
+LEVEL = 0.005  # rad
 REST = 0.5  # s of quiet that a trim is taken from
 MUCH = 0.3  # share of an attitude's movement left unexplained that matters
 
@@ -152,7 +153,7 @@ def kinematic_check(
     if _perturbed(flights, names):
         notes.append(
             "az has no gravity in it, so the records are perturbations: velocities are not "
-            "checked, attitudes as about level flight; give the trim, or records of total values"
+            "checked, attitudes roughly, as about level flight; give the trim, or total values"
         )
         names -= {*VELOCITIES, *FORCES}
     equations = [name for name in (*ATTITUDES, *VELOCITIES) if NEEDED[name] <= names]
@@ -164,7 +165,7 @@ def kinematic_check(
         name: float(np.sqrt(np.mean([np.var(flight.values[name]) for flight in flights])))
         for name in (*solution.channels, *equations)
     }
-    rough = {name for name in equations if not WHOLE[name] <= names}
+    rough = {name for name in equations if not WHOLE[name] <= names or _level(flights, names)}
     checks = tuple(_judged(solution, name, spread[name], rough) for name in solution.channels)
     notes += [
         f"the records do not tell about {each.channel}: it moves too little, or too alike others"
@@ -201,6 +202,14 @@ def _perturbed(flights: Sequence[Flight], names: set[str]) -> bool:
         return False
     typical = np.median(np.concatenate([flight.values["az"] for flight in flights]))
     return bool(abs(typical) < 1e-2 * GRAVITY)
+
+
+def _level(flights: Sequence[Flight], names: set[str]) -> bool:
+    """Whether pitch attitude is about zero: then it may be that trim was removed before."""
+    if "theta" not in names:
+        return False
+    typical = np.median(np.concatenate([each.values["theta"] for each in flights]))
+    return bool(abs(typical) < LEVEL)
 
 
 def _turned(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:

@@ -340,6 +340,7 @@ def _content(
         model_digest=sha256(study.model_file.read_bytes()).hexdigest(),
         baseline=baseline,
         frequency_response=found.frequency_response,
+        kinematics=found.kinematics,
         data=_data(study, records),
         settings=_settings(study),
         versions=_versions(),

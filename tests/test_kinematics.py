@@ -6,9 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from flown import FORCES, NOISE, RATES, STATES, flight
+from small_study import write_study
 
 from casid import read_csv
+from casid.formats import read_table, write_table
 from casid.kinematics import kinematic_check
+from casid.runner import run_study
+from casid.studyfile import read_study
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 INPUTS = ("col", "lat", "lon", "ped")
@@ -197,3 +201,22 @@ def test_records_without_a_pair_of_channels_leave_a_note_and_no_result():
     assert check.channels == ()
     assert "p was not checked: there is no phi" in check.notes
     assert kinematic_check([flight(0, outputs=("ax",))]).consistent
+
+
+# ---- in a study --------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_study_says_in_log_result_and_report_what_does_not_agree(tmp_path, caplog):
+    study = write_study(tmp_path)
+    for file in ("3211.csv", "sweep.csv", "random.csv"):
+        table = read_table(tmp_path / file)
+        write_table(tmp_path / file, table | {"phi": 1.25 * table["phi"]})
+    with caplog.at_level("WARNING", logger="casid"):
+        outcome = run_study(read_study(study))
+    remark = outcome.identification.kinematics.remarks[0]
+    assert remark.startswith("p is 0.8")  # 1/1.25, with a standard error of half a per cent
+    assert "do not agree with kinematics: p is 0.8" in caplog.text
+    report = outcome.report.read_text(encoding="utf-8")
+    assert "Kinematic consistency of the data" in report
+    assert "Kinematics: p is 0.8" in report
