@@ -146,6 +146,18 @@ class Fit:
         cls, content: Mapping[str, Any], *, model: type[Model], place: str | Path = "content"
     ) -> "Fit":
         """The fit whose `content` this is, or the JSON of it; ``place`` is named in messages."""
+        try:
+            return cls._from_content(content, model, place)
+        except (LookupError, TypeError, AttributeError, OverflowError) as error:
+            raise ValueError(
+                f"{place}: not as casid saves a fit ({type(error).__name__}: {error}); was the "
+                "file edited?"
+            ) from error
+
+    @classmethod
+    def _from_content(
+        cls, content: Mapping[str, Any], model: type[Model], place: str | Path
+    ) -> "Fit":
         names = [f.name for f in fields(cls)]
         if missing := [name for name in names if name not in content]:
             raise ValueError(f"{place}: the saved fit has no {missing[0]!r}; was the file edited?")

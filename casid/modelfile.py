@@ -3,6 +3,7 @@
 import hashlib
 import importlib.util
 import sys
+from dataclasses import MISSING, fields
 from pathlib import Path
 from types import ModuleType
 
@@ -38,6 +39,14 @@ def load_model(reference: str, folder: str | Path = ".") -> type[Model]:
         ]
         raise ModelError(
             f"{path} has no model class {name!r}; it has {', '.join(structures) or 'none'}"
+        )
+    required = [
+        f.name for f in fields(found) if f.init and f.default is f.default_factory is MISSING
+    ]
+    if required:
+        raise ModelError(
+            f"{path}: {name}.{required[0]} has no value; write {required[0]}: Scalar = "
+            "parameter(default=...), or a number for a trim"
         )
     return found
 

@@ -7,7 +7,6 @@ and the index is written after the result: a crash leaves the stage as not done.
 
 import dataclasses
 import hashlib
-import importlib
 import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -15,15 +14,35 @@ from typing import Any
 
 import numpy as np
 
+from casid.columns import Segment
 from casid.files import read_json, write_json
 from casid.fit import Fit
 from casid.frequency import FrequencyResponse
+from casid.linear import StateSpace
+from casid.modal import Modal
 from casid.model import Model
 from casid.pbsid import BlackBox
+from casid.prediction import SampledUncertainty
 from casid.record import Record
+from casid.refinement import ResponseUncertainty
+from casid.settings import Candidate, OrderSelection
 
 SHOWING = ("__init__", "cli", "runner", "store")  # code that changes no result of a stage
 
+VALUES: Mapping[str, Callable[..., Any]] = {  # what a file of results may make, and nothing else
+    kind.__name__: kind
+    for kind in (
+        BlackBox,
+        Candidate,
+        FrequencyResponse,
+        OrderSelection,
+        ResponseUncertainty,
+        SampledUncertainty,
+        Segment,
+        Modal,
+        StateSpace,
+    )
+}
 Result = Fit | BlackBox | FrequencyResponse
 
 
@@ -55,7 +74,7 @@ class Store:
             TypeError,
             LookupError,
             AttributeError,
-            ImportError,
+            RecursionError,
         ):  # another version's file: compute it again
             return None
 
@@ -131,7 +150,7 @@ def encode(value: Any) -> Any:  # noqa: ANN401 - JSON is any
         return {"array": parts, "kind": value.dtype.kind, "shape": list(value.shape)}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         content = {f.name: encode(getattr(value, f.name)) for f in dataclasses.fields(value)}
-        return {"value": f"{type(value).__module__}:{type(value).__name__}", "fields": content}
+        return {"value": type(value).__name__, "fields": content}
     if isinstance(value, tuple | Mapping):
         return _encode_container(value)
     return _encode_scalar(value)
@@ -155,7 +174,7 @@ def decode(content: Any) -> Any:  # noqa: ANN401 - JSON is any
 
     Raises
     ------
-    ValueError, TypeError, LookupError, AttributeError, ImportError
+    ValueError, TypeError, LookupError, AttributeError
         A value this version of casid does not know.
     """
     if isinstance(content, list):
@@ -175,11 +194,8 @@ def _array(content: Mapping[str, Any]) -> Any:  # noqa: ANN401 - of any kind
 
 
 def _value(content: Mapping[str, Any]) -> Any:  # noqa: ANN401 - a frozen value of casid
-    module, name = content["value"].split(":")
-    if module.split(".")[0] != "casid":
-        raise ValueError(f"{content['value']} is no value of casid")
-    fields = {key: decode(item) for key, item in content["fields"].items()}
-    return getattr(importlib.import_module(module), name)(**fields)
+    made = VALUES[content["value"]]
+    return made(**{key: decode(item) for key, item in content["fields"].items()})
 
 
 DECODERS: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {

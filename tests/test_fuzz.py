@@ -1,0 +1,89 @@
+"""Damaged files, studies, models and results: a value or a ValueError, never anything else."""
+
+import json
+import logging
+import time
+
+import fuzzing
+import pytest
+from fuzzing import altered, damaged
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+from small_study import write_study
+
+from casid import limits, match, pbsid
+from casid.store import encode
+from casid.study import read_records
+from casid.studyfile import read_study
+
+SLOW = 600.0  # s, of the long run
+
+JOBS = {  # name: (what reads it, kind of input, examples in CI)
+    "csv": (fuzzing.check_csv, "csv", 200),
+    "mat": (fuzzing.check_mat, "mat", 200),
+    "mat compressed": (fuzzing.check_mat, "mat compressed", 100),
+    "mat 4": (fuzzing.check_mat, "mat 4", 100),
+    "mat 7.3": (fuzzing.check_mat, "mat 7.3", 150),
+    "response": (fuzzing.check_response, "response", 100),
+    "study": (fuzzing.check_study, "study", 150),
+    "model": (fuzzing.check_model, "model", 200),
+    "json": (fuzzing.check_json, None, 100),
+    "fit": (fuzzing.check_fit, None, 100),
+    "stage": (fuzzing.check_stage, None, 100),
+}
+
+
+def saved(fit, path):
+    fit.save(path)
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def strategies(tmp_path_factory):
+    """What every job is fed with; results to damage come from a study that is run."""
+    study = read_study(write_study(tmp_path_factory.mktemp("results")))
+    black_box = pbsid(read_records(study)["identification"], **study.options["pbsid"])
+    fit = saved(match(study.model, black_box, norm="quadratic"), study.path.with_name("fit.json"))
+    stage = {"casid": "stage", "result": encode(black_box)}
+    fuzzing.SOUND["json"] = json.dumps(fit["parameters"][0]).encode()
+    made = {name: damaged(kind) for name, (_, kind, _) in JOBS.items() if kind}
+    return made | {
+        "json": damaged("json") | st.binary(max_size=50),
+        "fit": altered(fit),
+        "stage": altered(stage) | fuzzing.trees,
+    }
+
+
+@pytest.fixture(autouse=True)
+def _short_patience(monkeypatch):
+    monkeypatch.setattr(limits, "USER_SECONDS", 0.5)
+
+
+def run(check, strategy, examples, number):
+    """So many examples of a property, the same for the same number."""
+    quiet = settings(
+        max_examples=examples, database=None, deadline=None, phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck), derandomize=False,
+    )  # fmt: skip
+    seed(number)(quiet(given(strategy)(check)))()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", JOBS)
+@pytest.mark.filterwarnings("ignore")
+def test_whatever_is_damaged_is_read_or_refused(name, strategies):
+    check, _, examples = JOBS[name]
+    run(check, strategies[name], examples, 0)
+
+
+@pytest.mark.campaign
+@pytest.mark.filterwarnings("ignore")
+def test_ten_minutes_of_damage_find_nothing(strategies):
+    end, number, count = time.monotonic() + SLOW, 1, dict.fromkeys(JOBS, 0)
+    while time.monotonic() < end:
+        for name, (check, _, _) in JOBS.items():
+            run(check, strategies[name], 100, number)
+            count[name] += 100
+        number += 1
+    logging.getLogger("casid").warning("examples: %s", count)
+    assert min(count.values()) >= 100
