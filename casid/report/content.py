@@ -9,7 +9,6 @@ from casid.bounds import BoundsComparison
 from casid.fit import Fit
 from casid.frequency import FrequencyResponse
 from casid.kinematics import KinematicCheck
-from casid.kinematics import KinematicCheck
 from casid.pbsid import BlackBox
 from casid.validation import Validation
 
@@ -67,8 +66,6 @@ class Content:
         Of the models on unseen records, under the names of this module.
     kinematics : KinematicCheck or None
         Whether the channels of the records agree with each other.
-    kinematics : KinematicCheck or None
-        Whether the channels of the records agree with each other.
     data : tuple of DataFile
         Every record used.
     settings, versions : mapping
@@ -94,7 +91,6 @@ class Content:
     baseline: Fit | None = None
     frequency_response: FrequencyResponse | None = None
     comparison: BoundsComparison | None = None
-    kinematics: KinematicCheck | None = None
     kinematics: KinematicCheck | None = None
     data: tuple[DataFile, ...] = ()
     settings: Mapping[str, str] = field(default_factory=dict)
