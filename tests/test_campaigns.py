@@ -1,0 +1,242 @@
+"""Jobs on executors: order, failures, what is kept, and what a kill leaves."""
+
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studies import Inline, Mixture, record
+
+from casid import ModelError, compare_bounds
+from casid.campaigns import Advance, Job, Shelf, UnfinishedError, run_jobs
+from casid.cases import read_cases
+from casid.modelfile import load_model
+from casid.transport import can_travel, refer, resolve
+from casid.trials import Trial, setup, starting_values
+
+TESTS = Path(__file__).parent
+CASES = {"free": {}} | {f"a < {k}": {"a": f"< {k}"} for k in (0.99, 0.98, 0.97, 0.96)}
+
+
+def add(payload, start):
+    """Sum of the payload and the result it starts from."""
+    if payload is None:
+        raise ValueError("nothing to add")
+    if payload == "best":
+        raise UnfinishedError("halfway", 7)
+    if payload == "die":
+        os._exit(1)
+    return payload + (start or 0)
+
+
+def job(name, payload, *after, key="key"):
+    return Job(name=name, key=key, payload=payload, after=after)
+
+
+def results(done):
+    return {name: (each.result, each.reason, each.source) for name, each in done.items()}
+
+
+def test_a_job_starts_from_the_nearest_that_succeeded():
+    jobs = [job("a", 1), job("b", None, "a"), job("c", 10, "b", "a"), job("d", 100, "c", "a")]
+    done = run_jobs(add, jobs, shelf=Shelf(None))
+    assert results(done) == {
+        "a": (1, "", ""), "b": (None, "ValueError: nothing to add", "a"), "c": (11, "", "a"),
+        "d": (111, "", "c"),
+    }  # fmt: skip
+
+
+def test_an_unfinished_job_shows_its_best_but_starts_no_other():
+    done = run_jobs(add, [job("a", "best"), job("b", 1, "a")], shelf=Shelf(None))
+    assert results(done) == {"a": (7, "halfway", ""), "b": (1, "", "")}
+
+
+def test_finished_jobs_are_taken_from_the_folder_unless_their_key_differs(tmp_path):
+    shelf = Shelf(tmp_path / "study")
+    first = run_jobs(add, [job("a", 1), job("b", None)], shelf=shelf)
+    again = run_jobs(add, [job("a", 5), job("b", 5)], shelf=shelf)
+    assert results(again) == results(first)
+    assert again["a"].kept
+    assert run_jobs(add, [job("a", 5, key="other")], shelf=shelf)["a"].result == 5
+    (tmp_path / "study" / shelf.path("b").name).write_text("{", encoding="utf-8")
+    assert run_jobs(add, [job("b", 3)], shelf=shelf)["b"].result == 3
+
+
+def test_names_that_look_alike_have_files_of_their_own(tmp_path):
+    shelf = Shelf(tmp_path)
+    assert shelf.path("±20 %") != shelf.path("+20 %")
+    assert shelf.path("a/../b").parent == tmp_path
+
+
+def test_progress_tells_how_long_the_rest_may_take():
+    seen: list[Advance] = []
+    run_jobs(add, [job("a", 1), job("b", None), job("c", 2)], shelf=Shelf(None),
+             progress=seen.append)  # fmt: skip
+    assert [(each.done, each.total, each.failed) for each in seen] == [
+        (1, 3, 0), (2, 3, 1), (3, 3, 1)]  # fmt: skip
+    assert seen[0].remaining == pytest.approx(2 * seen[0].elapsed)
+    assert "left" in str(seen[0])
+    assert "1 failed" in str(seen[-1])
+    assert "left" not in str(seen[-1])
+
+
+@pytest.mark.parametrize("executor", [Inline, ThreadPoolExecutor, ProcessPoolExecutor])
+def test_any_executor_gives_the_same_results(executor):
+    jobs = [job("a", 1), job("b", None, "a"), job("c", 10, "b", "a"), job("d", 3, "a")]
+    with executor() as pool:
+        done = run_jobs(add, jobs, shelf=Shelf(None), executor=pool)
+    assert results(done) == results(run_jobs(add, jobs, shelf=Shelf(None)))
+
+
+@pytest.mark.slow
+def test_a_job_that_kills_its_process_is_a_row_and_the_others_go_on():
+    jobs = [job(str(k), k) for k in range(5)] + [job("bad", "die"), job("after", 1, "bad")]
+    done = run_jobs(add, jobs, shelf=Shelf(None))
+    assert done["bad"].reason == "the process it ran in died"
+    assert [done[str(k)].result for k in range(5)] == list(range(5))
+    assert done["after"].result == 1
+
+
+class Broken(Executor):
+    """Loses every job."""
+
+    def submit(self, fn, /, *args, **kwargs):  # noqa: ARG002
+        future = Future()
+        future.set_exception(RuntimeError("network down"))
+        return future
+
+
+def test_an_executor_that_fails_leaves_reasons_and_nothing_in_the_folder(tmp_path):
+    done = run_jobs(add, [job("a", 1)], shelf=Shelf(tmp_path), executor=Broken())
+    assert done["a"].reason == "RuntimeError: network down"
+    assert not list(tmp_path.iterdir())
+
+
+# ---- studies -------------------------------------------------------------------------------------
+
+SCRIPT = """
+import sys, time
+sys.path[:0] = [{root!r}, {tests!r}]
+from casid import compare_bounds
+from studies import Inline, Mixture, record
+from test_campaigns import CASES
+
+if __name__ == "__main__":
+    found = compare_bounds(Mixture(), [record()], cases=CASES, folder={folder!r}, {more})
+    found.to_csv({folder!r} + ".csv")
+"""
+
+
+def tables(path):
+    return [path.with_name(path.name + end).read_bytes() for end in (".csv", "_cases.csv")]
+
+
+def run_script(folder, more="executor=Inline()"):
+    text = SCRIPT.format(root=str(TESTS.parent), tests=str(TESTS), folder=str(folder), more=more)
+    return subprocess.Popen([sys.executable, "-c", text])
+
+
+@pytest.mark.slow
+def test_a_killed_study_resumes_to_the_result_of_an_uninterrupted_one(tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    assert run_script(whole).wait() == 0
+    process = run_script(killed, "executor=Inline(), progress=lambda _: time.sleep(1)")
+    deadline = time.monotonic() + 60
+    while len(list(killed.glob("*.json"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    kept = {path.name: path.stat().st_mtime_ns for path in killed.glob("*.json")}
+    assert 2 <= len(kept) < len(CASES)
+    assert not (tmp_path / "killed.csv").exists()
+    for path in killed.glob("*.json"):  # whole files only
+        json.loads(path.read_text(encoding="utf-8"))
+    assert run_script(killed).wait() == 0
+    assert tables(killed) == tables(whole)
+    after = {path.name: path.stat().st_mtime_ns for path in killed.glob("*.json")}
+    assert kept.items() <= after.items()  # these were not computed again
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_runs_the_same_call(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    here = compare_bounds(Mixture(), [record()], cases=CASES, executor=Inline())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Dask's own, about ports and closing loops
+        cluster = distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None,
+            local_directory=str(tmp_path),
+        )  # fmt: skip
+        with cluster, distributed.Client(cluster) as client:
+            there = compare_bounds(
+                Mixture(), [record()], cases=CASES, executor=client.get_executor()
+            )
+    assert there.to_markdown() == here.to_markdown()
+
+
+# ---- classes on their way ------------------------------------------------------------------------
+
+MODEL = """
+from casid import Model, Rows, Scalar, parameter
+
+class Lag(Model):
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a: Scalar = parameter(default=2.0, lower=0.1, upper=9.0, unit="1/s")
+
+    def A(self) -> Rows:
+        return [[-self.a]]
+
+    def B(self) -> Rows:
+        return [[1.0]]
+"""
+
+
+def test_a_class_travels_as_the_text_of_its_file(tmp_path):
+    path = tmp_path / "lag.py"
+    path.write_text(MODEL, encoding="utf-8")
+    cls = load_model(f"{path}:Lag", "/")
+    reference = refer(cls)
+    assert can_travel(cls)
+    assert resolve(reference) is cls  # here it is known
+    path.unlink()  # a machine without the file
+    code = (
+        "import pickle, sys; from casid.transport import resolve; "
+        "print(resolve(pickle.load(sys.stdin.buffer))().a)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(reference),
+                         capture_output=True, check=True)  # fmt: skip
+    assert run.stdout.strip() == b"2.0"
+
+
+def test_a_class_within_a_function_stays_and_its_study_runs_here():
+    class Local(Mixture):
+        """Nobody else can import this."""
+
+    assert not can_travel(Local)
+    found = compare_bounds(Local(), [record()], cases=CASES)
+    assert not any(case.reason for case in found.cases)
+    reference = refer(Local)
+    unknown = type(reference)(name=reference.name, path="", text="")
+    with pytest.raises(ModelError, match="no file of its own"):
+        resolve(unknown)
+
+
+def test_a_trial_of_other_data_options_or_code_has_another_key():
+    def key(data=(0,), model=None, **settings):
+        model = model or Mixture()
+        (case,) = read_cases(model, {"free": {}})
+        shared = setup(model, [record(s) for s in data], estimator="output_error", fixed=(),
+                       settings=settings)  # fmt: skip
+        return Trial(setup=shared, values=starting_values(model, None)[0], case=case).job("x").key
+
+    keys = [key(), key((1,)), key(model=Mixture(a=0.7)), key(interval=1.0), key(R=np.eye(1))]
+    assert len(set(keys)) == len(keys)
+    assert key() == keys[0]
