@@ -17,6 +17,7 @@ from casid.report.figures import (
 from casid.report.html import write_report
 from casid.report.modes import Mode, modes
 from casid.report.prices import plot_bounds
+from casid.report.selection import plot_order_selection
 
 __all__ = [
     "BASELINE",
@@ -36,6 +37,7 @@ __all__ = [
     "plot_magnitude",
     "plot_match_error",
     "plot_measured",
+    "plot_order_selection",
     "plot_phase",
     "plot_poles",
     "plot_rms",

@@ -1,0 +1,42 @@
+"""The figure of how the black box's settings were chosen."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from casid.settings import Candidate, OrderSelection
+
+MARKERS = "osD^vP*X"
+
+
+def plot_order_selection(axes: Sequence[Axes], selection: OrderSelection) -> Sequence[Axes]:
+    """Draw the candidates' scores against the order, and singular values, on two axes.
+
+    A line a pole through the best candidate of every order, its standard error as a bar; the
+    choice is ringed. The order chosen divides the singular values.
+    """
+    scores, values = axes
+    chosen = selection.chosen
+    for marker, pole in zip(MARKERS, sorted({c.pole for c in selection.candidates}), strict=False):
+        found = _best_of_orders([c for c in selection.candidates if c.pole == pole])
+        scores.errorbar(
+            [c.order for c in found], [c.score for c in found], [c.error for c in found],
+            marker=marker, markersize=4, linewidth=1, elinewidth=0.6, label=f"a = {pole:g} rad/s",
+        )  # fmt: skip
+    scores.plot(chosen.order, chosen.score, "o", markersize=13, fillstyle="none", color="#000000")
+    scores.set(xlabel="order [-]", ylabel=f"{selection.criterion} [-]")
+    scores.legend(fontsize="small")
+    shown = np.asarray(selection.singular_values)[: 3 * chosen.order]
+    values.semilogy(np.arange(1, len(shown) + 1), shown, "o", markersize=3.5, color="#0072B2")
+    values.axvline(chosen.order + 0.5, color="#777777", linestyle=":", linewidth=1)
+    values.set(xlabel="index [-]", ylabel="singular value [-]")
+    for ax in axes:
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    return axes
+
+
+def _best_of_orders(candidates: Sequence[Candidate]) -> list[Candidate]:
+    orders = sorted({c.order for c in candidates})
+    return [min((c for c in candidates if c.order == n), key=lambda c: c.score) for n in orders]

@@ -1,0 +1,164 @@
+import time
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from test_pbsid import OMEGA, campaign, relative_error
+from truth import unstable_plant
+from uh60 import EXAMPLE, INPUTS, NOISE, OUTPUTS, sweeps
+
+from casid import Record, pbsid, read_csv, select_order
+from casid.columns import gather
+from casid.laguerre import support
+from casid.record import standard_deviations
+from casid.report import plot_order_selection
+from casid.settings import COST, PASTS, POLES, held_out_suffices
+
+GRID = {"orders": [3, 4, 5, 6, 7], "poles": [6.0, 8.0], "pasts": [8, 10]}
+
+
+@pytest.fixture(scope="module")
+def flights():
+    return campaign(noise=0.05, records=3, duration=24.0)
+
+
+@pytest.fixture(scope="module")
+def selection(flights):
+    return select_order(flights, feedthrough=["z"], **GRID)
+
+
+def test_held_out_records_choose_a_model_near_the_best_there_is(flights, selection):
+    # The plant has five states; one more or less may predict as well under this noise.
+    assert selection.criterion == "held-out records"
+    assert 4 <= selection.chosen.order <= 6
+    chosen = pbsid(flights, **settings_of(selection.chosen), feedthrough=["z"])
+    errors = [
+        median_error(pbsid(flights, **settings_of(c), feedthrough=["z"]).system)
+        for c in selection.candidates
+    ]
+    assert median_error(chosen.system) < 2 * min(errors)
+
+
+def settings_of(candidate):
+    names = ("order", "past", "pole", "regularisation")
+    return {name: getattr(candidate, name) for name in names}
+
+
+def median_error(system):
+    G = unstable_plant().response(OMEGA)
+    size = np.linalg.norm(G, axis=(1, 2))
+    return np.median(np.linalg.norm(system.response(OMEGA) - G, axis=(1, 2)) / size)
+
+
+def test_choice_is_deterministic(flights, selection):
+    again = select_order(flights, feedthrough=["z"], **GRID)
+    assert again.chosen == selection.chosen
+    assert again.candidates == selection.candidates
+
+
+@pytest.mark.parametrize(
+    "word", [{"order": 4}, {"past": 9}, {"pole": 5.0}, {"regularisation": 0.02}]
+)
+def test_a_users_word_overrides_each_setting(flights, word, monkeypatch):
+    monkeypatch.setattr("casid.settings.POLES", (6.0,))
+    monkeypatch.setattr("casid.settings.PASTS", (8,))
+    monkeypatch.setattr("casid.settings._default_orders", lambda *_: [4, 5])
+    box = pbsid(flights, **word, feedthrough=["z"])
+    for name, value in word.items():
+        assert getattr(box, name) == value
+    assert box.selection is not None  # the rest was chosen from the data
+
+
+def test_an_initial_state_and_an_unstable_end_do_not_matter():
+    # The plant grows by exp(0.1 t); records cut so that they start and end far from rest choose
+    # the same order as whole ones, because both end states are free.
+    records = campaign(noise=0.02, records=3, duration=30.0)
+    cut = [record.between(5.0, 29.0) for record in records]
+    found = select_order(cut, feedthrough=["z"], **GRID)
+    assert 4 <= found.chosen.order <= 6
+    box = pbsid(cut, **settings_of(found.chosen), feedthrough=["z"])
+    assert relative_error(box.system, unstable_plant()) < 0.15
+    assert box.system.poles().real.max() == pytest.approx(0.1, abs=0.03)
+
+
+def test_one_record_is_judged_by_the_information_criterion():
+    record = campaign(noise=0.02, records=1, duration=30.0)
+    assert not held_out_suffices(record)
+    found = select_order(record, feedthrough=["z"], **GRID)
+    assert found.criterion == "AICc"
+    assert 4 <= found.chosen.order <= 6
+
+
+def test_regularisation_is_chosen_like_the_rest(flights):
+    grid = GRID | {"orders": [5], "pasts": [8], "poles": [6.0]}
+    found = select_order(flights, feedthrough=["z"], regularisations=[0.3, 1e-3], **grid)
+    scores = {c.regularisation: c.score for c in found.candidates}
+    assert scores[1e-3] < scores[0.3]  # 0.3 of the largest singular value leaves a crude model
+    assert found.chosen.regularisation == 1e-3
+
+
+def test_table_marks_the_choice(selection):
+    lines = selection.to_markdown().splitlines()
+    assert len(lines) == 2 + len(selection.candidates)
+    marked = [line for line in lines if "chosen" in line]
+    assert len(marked) == 1
+    assert marked[0].startswith(f"| {selection.chosen.order} | {selection.chosen.past} |")
+
+
+def test_figure_shows_every_pole_and_the_choice(selection):
+    mpl.use("Agg")
+    axes = plot_order_selection(Figure().subplots(1, 2), selection)
+    labels = [text.get_text() for text in axes[0].get_legend().get_texts()]
+    assert labels == ["a = 6 rad/s", "a = 8 rad/s"]
+    ring = axes[0].lines[-1]
+    assert ring.get_xdata()[0] == selection.chosen.order
+    assert axes[1].lines[1].get_xdata()[0] == selection.chosen.order + 0.5
+
+
+def test_kernels_cost_at_most_a_quarter_of_a_16_s_record_and_the_loss_is_reported():
+    t = np.arange(0, 16.0, 0.02)
+    fit = [(a, p) for a in POLES for p in PASTS if support(a, p) <= COST * t[-1]]
+    assert fit  # there is a choice
+    rng = np.random.default_rng(0)
+    record = Record(t, rng.standard_normal((800, 1)), rng.standard_normal((800, 1)), ("u",), ("y",))
+    su, sy = standard_deviations([record])
+    for a, past in fit:
+        _, (segment,) = gather([record], su, sy, past, a)
+        assert segment.duration - segment.used <= 0.25 * segment.duration + 0.02
+        assert segment.duration - segment.used == pytest.approx(support(a, past), abs=0.03)
+
+
+def test_records_that_suit_no_pole_are_refused():
+    slow = campaign(records=1)[0].decimate(50)  # every second: 0.5 π rad/s at most
+    with pytest.raises(ValueError, match="suit none of the Laguerre poles"):
+        select_order([slow])
+
+
+def test_grids_that_give_nothing_are_refused_with_what_was_tried():
+    records = campaign(records=2, duration=24.0)
+    with pytest.raises(ValueError, match=r"tried orders \[90\]"):
+        select_order(records, orders=[90], pasts=[8], poles=[6.0])
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("steps", [False, True])
+def test_choice_on_the_uh60_takes_less_than_half_a_minute_of_processor_time(steps):
+    records = sweeps(seed=1) if steps is False else both_tests_of_every_axis()
+    begin = time.process_time()
+    found = select_order(records, feedthrough=["ax", "ay", "az"])
+    assert time.process_time() - begin < 30
+    assert found.criterion == ("held-out records" if steps else "AICc")
+    assert 12 <= found.chosen.order <= 24
+
+
+def both_tests_of_every_axis():
+    rng = np.random.default_rng(1)
+    units = dict.fromkeys(INPUTS, "%")
+    names = [f"{kind}_{axis}" for kind in ("3211", "sweep") for axis in INPUTS]
+    files = [EXAMPLE / "data" / f"{name}.csv" for name in names]
+    records = [
+        read_csv(file, inputs=INPUTS, outputs=OUTPUTS, units=units, detrend="first")
+        for file in files
+    ]
+    return [record.with_noise(NOISE, rng) for record in records]
