@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray, ComplexArray
+from casid.columns import excited_band
 from casid.errors import DataWarning
 from casid.files import read_json, write_json
 from casid.record import Record, same_channels, standard_deviations
@@ -28,6 +29,8 @@ from casid.spectra import (
     record_spectra,
 )
 
+GRID = 40  # frequencies unless given
+BELOW_NYQUIST = 0.9  # where they end at the latest
 FEW_PERIODS = 2.0  # periods a window must hold to be trusted, T&R (7.41)
 
 
@@ -163,7 +166,7 @@ class FrequencyResponse:
 def frequency_response(
     records: Sequence[Record],
     *,
-    omega: Array,
+    omega: Array | None = None,
     windows: Sequence[float] | None = None,
     conditioned: bool = True,
 ) -> FrequencyResponse:
@@ -182,7 +185,8 @@ def frequency_response(
         with a missing output sample are left out, with a `DataWarning`. Inputs held by steps
         ("zoh") are taken as steps, others as smooth.
     omega : (K,) array
-        Frequencies [rad/s], increasing, in any spacing.
+        Frequencies [rad/s], increasing, in any spacing. Unless given, 40 from two periods in the
+        longest window to the highest that the records excite.
     windows : sequence of float
         Window lengths [s]. Unless given, five between 20 periods of the highest frequency and
         min(half the longest record, a fifth of all records together), T&R section 10.3.
@@ -202,7 +206,7 @@ def frequency_response(
         without missing samples.
     """
     inputs, outputs = same_channels(records)
-    omega = checked_grid(omega, records)
+    omega = checked_grid(_default_grid(records) if omega is None else omega, records)
     records = [equidistant(record, omega[-1]) for record in records]
     lengths = checked_windows(windows, records, omega)
     active = [i for i, name in enumerate(inputs) if any(np.ptp(r.channel(name)) for r in records)]
@@ -232,6 +236,13 @@ def _columns(values: Any, active: Sequence[int], nu: int) -> Any:  # noqa: ANN40
     full = np.full((*values.shape[:2], nu), np.nan, dtype=values.dtype)
     full[:, :, active] = values
     return full
+
+
+def _default_grid(records: Sequence[Record]) -> Array:
+    durations = [record.duration for record in records]
+    low = FEW_PERIODS * 2 * np.pi / min(max(durations) / 2, sum(durations) / 5)
+    high = min(excited_band(records)[1], BELOW_NYQUIST * np.pi / max(r.dt for r in records))
+    return np.geomspace(low, max(high, 2 * low), GRID)
 
 
 def _parts(
