@@ -295,6 +295,18 @@ def test_a_verdict_is_of_all_unseen_records_together(content):
     assert all(len(set(verdict.records)) == 1 < len(verdict.records) for verdict in found)
 
 
+@pytest.mark.slow
+def test_an_error_of_the_size_of_the_noise_is_not_held_against_the_model(content):
+    fit = content.output_error
+    found = verdicts(content)
+    np.testing.assert_allclose([v.noise for v in found], np.sqrt(np.diag(fit.R)))
+    noise = np.array([v.rms for v in found]) / [1.0, 1.5]
+    loud = dataclasses.replace(content, output_error=dataclasses.replace(fit, R=np.diag(noise**2)))
+    assert [v.noisy for v in verdicts(loud)] == [True, False]
+    unknown = dataclasses.replace(content, output_error=dataclasses.replace(fit, R=None))
+    assert not any(v.noisy for v in verdicts(unknown))
+
+
 # ---- the page ----------------------------------------------------------------------------------
 
 

@@ -11,6 +11,7 @@ from casid.validation import fit_percent, rms_error, theil_coefficient
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
 # or 0.3 speaks for a good model. Below 0.1 residuals are a tenth of what is simulated.
 GOOD, FAIR = 0.1, 0.3
+NOISY = 1.2  # RMS error over standard deviation of the noise
 GAP = 0.01  # of the certificate, relative
 NAMED = 12  # names in a warning before it says how many more
 
@@ -19,7 +20,8 @@ NAMED = 12  # names in a warning before it says how many more
 class Verdict:
     """How well the refined model predicts one output of the unseen records, taken together.
 
-    ``records`` has Theil's coefficient of each of them.
+    ``records`` has Theil's coefficient of each of them, ``noise`` is the standard deviation of the
+    noise in the records of the estimation (NaN if unknown).
     """
 
     output: str
@@ -27,6 +29,7 @@ class Verdict:
     rms: float
     fit: float
     theil: float
+    noise: float
     records: tuple[float, ...]
 
     @property
@@ -34,10 +37,17 @@ class Verdict:
         """The verdict in a word."""
         return word(self.theil)
 
+    @property
+    def noisy(self) -> bool:
+        """Whether the error is hardly more than the noise: no model could do better."""
+        return self.rms <= NOISY * self.noise
+
 
 def verdicts(content: Content) -> tuple[Verdict, ...]:
     """A verdict per output of the refined model."""
-    validation = content.validation
+    validation, estimate = content.validation, content.output_error
+    deviations = () if estimate.R is None else np.sqrt(np.diag(estimate.R)).tolist()
+    noise = dict(zip(type(estimate.model).outputs, deviations, strict=False))
     found = []
     for i, output in enumerate(validation.outputs):
         y = np.concatenate([record.y[:, i] for record in validation.measured])
@@ -49,7 +59,8 @@ def verdicts(content: Content) -> tuple[Verdict, ...]:
         )
         each = tuple(float(value) for value in validation.theil[OUTPUT_ERROR][:, i])
         found.append(Verdict(output=output, unit=UNITS.get(output, "-"), rms=rms, fit=fit,
-                             theil=theil, records=each))  # fmt: skip
+                             theil=theil, noise=noise.get(output, np.nan),
+                             records=each))  # fmt: skip
     return tuple(found)
 
 
@@ -72,7 +83,9 @@ def cautions(content: Content) -> tuple[str, ...]:
     said += _certificate(content.hinf)
     poor = [v for v in verdicts(content) if v.word in ("poor", "not judged")]
     said += [f"Output {v.output} of the unseen records is predicted poorly "
-             f"(Theil's coefficient {v.theil:.2f})." for v in poor]  # fmt: skip
+             f"(Theil's coefficient {v.theil:.2f})"
+             + (", but its error is that of the noise: it hardly moves." if v.noisy else ".")
+             for v in poor]  # fmt: skip
     return (*said, *content.warnings)
 
 
