@@ -6,9 +6,12 @@ from casid.derivid import derivid
 from casid.errors import ConvergenceError, DataWarning, ModelError
 from casid.files import read_csv, read_mat, write_csv
 from casid.fit import Certificate, Fit, ParameterEstimate
+from casid.formats import read_parquet, read_record, write_mat, write_parquet
 from casid.frequency import FrequencyResponse, frequency_response
 from casid.handling import HandlingQualities, handling_qualities
 from casid.identifiability import Identifiability, identifiability
+from casid.inspection import Inspection, inspect
+from casid.kinematics import KinematicCheck, kinematic_check
 from casid.linear import StateSpace
 from casid.loes import TransferFunction, transfer_function
 from casid.matching import match
@@ -37,6 +40,8 @@ __all__ = [
     "HandlingQualities",
     "Identifiability",
     "Identification",
+    "Inspection",
+    "KinematicCheck",
     "Model",
     "ModelError",
     "Multistart",
@@ -59,6 +64,8 @@ __all__ = [
     "handling_qualities",
     "identifiability",
     "identify",
+    "inspect",
+    "kinematic_check",
     "match",
     "matrix",
     "merge_responses",
@@ -71,9 +78,13 @@ __all__ = [
     "read_csv",
     "read_frequency_csv",
     "read_mat",
+    "read_parquet",
+    "read_record",
     "reduce_structure",
     "select_order",
     "transfer_function",
     "validate",
     "write_csv",
+    "write_mat",
+    "write_parquet",
 ]

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from casid.files import read_csv, read_mat
+from casid.formats import read_parquet
 from casid.model import Model
 from casid.nlp import SolverOptions
 from casid.plausibility import check_plausible
@@ -149,7 +150,8 @@ def _read(study: Study, role: RecordSet, file: Path) -> Record:
         time = None if channels.dt is not None else channels.time
         record = read_mat(file, time=time, dt=channels.dt, columns=channels.columns, **shared)
     else:
-        record = read_csv(file, time=channels.time, **shared)
+        read = read_parquet if file.suffix.lower() == ".parquet" else read_csv
+        record = read(file, time=channels.time, **shared)
     if role.noise and study.noise is not None:
         rng = np.random.default_rng([study.noise.seed, zlib.crc32(record.name.encode())])
         record = record.with_noise(study.noise.std, rng)

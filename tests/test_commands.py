@@ -146,6 +146,16 @@ def test_inspect_reads_a_study_as_the_study_does():
     assert "alone" in refused(casid("inspect", "study.toml", "3211.csv"))
 
 
+def test_a_study_reads_parquet(folder):
+    for file in ("3211", "sweep", "random"):
+        assert casid("convert", f"{file}.csv", f"{file}.parquet").exit_code == 0
+    text = (folder / "study.toml").read_text().replace(".csv", ".parquet")
+    (folder / "study.toml").write_text(text)
+    result = casid("check", "study.toml")
+    assert result.exit_code == 0, result.output
+    assert "The study is in order." in result.output
+
+
 def test_inspect_asks_for_inputs_it_cannot_know(folder):
     casid("convert", "3211.csv", "a.csv")
     text = (folder / "a.csv").read_text().replace("lat", "stick", 1)
