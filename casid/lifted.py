@@ -8,8 +8,11 @@ are constraints, bilinear in (λ, X_k) but for the delays. The quadratic norm mi
 ‖E_k‖²_F. The H-infinity norm minimises t subject to t I − E_kᴴ E_k = L_k L_kᴴ with L_k lower
 triangular and its diagonal >= 0: √t is the largest singular value over the points, exactly
 (M. Bergamasco, M. Lovera, "Rotorcraft system identification: a time/frequency domain approach",
-equation (10) as an epigraph). Everything is scaled: parameters by their typical magnitude, states
-by their size at the start, inputs and outputs by the comparison's weights, errors by ``unit``.
+equation (10) as an epigraph). What matters only where the error is not largest leaves the norm as
+it is, so the optimum need not be unique; a small share of the mean square error decides.
+
+Everything is scaled: parameters by their typical magnitude, states by their size at the start,
+inputs and outputs by the comparison's weights, errors by ``unit``.
 """
 
 from dataclasses import dataclass
@@ -26,6 +29,7 @@ from casid.model import Free
 from casid.nlp import Problem
 
 START = 1.05  # t at the start, in units of the largest squared error there
+TIE = 1e-3  # weight of the mean square error beside the largest squared one
 LYAPUNOV_LIMIT = 1e2  # largest entry of the Lyapunov factor: how near to the line a pole may come
 
 
@@ -187,7 +191,7 @@ def _points_block(
         t = ca.SX.sym("t")
         factor, gram = _epigraph(t, E, wide=ny < nu)
         w, local, g = [lam, t], [*local, *factor], [*g, *gram]
-        f = t / K
+        f = t / K + TIE * f
     data = np.column_stack([
         comparison.s.real, comparison.s.imag, np.maximum(np.abs(comparison.s), 1e-12),
         *_data(comparison, unit),
