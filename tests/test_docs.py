@@ -6,7 +6,7 @@ the repository lie. By the word after the fence:
 - ``python`` is executed; with ``title="takes ..."`` only by ``make slow``, with all of its page;
 - a block with any other ``title="file"`` is written to that file;
 - ``sh`` is run, line by line: ``casid`` in a process of its own, ``make`` by looking the target up
-  in the Makefile; git, cd and pip belong to an installation, which `.ci/run` does in full;
+  in the Makefile; git, cd, pip and source belong to an installation, which `.ci/run` does in full;
 - ``text`` right after one of these is its output: words must be those printed, numbers agree to
   5 %, ``...`` stands for anything;
 - ``toml`` must at least be TOML;
@@ -37,7 +37,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = (*sorted((ROOT / "docs").rglob("*.md")), ROOT / "CONTRIBUTING.md")
 SNIPPET = re.compile(r'^--8<-- "(.+)"$')
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", flags=re.IGNORECASE)
-INSTALLING = ("git", "cd", "pip")
+INSTALLING = ("git", "cd", "pip", "source")
 LONG = "takes "  # begins the title of a block that is run by make slow
 LONG_PAGES = [page for page in PAGES if f'title="{LONG}' in page.read_text(encoding="utf-8")]
 TOLERANCE = 0.05  # relative, of shown numbers: another machine's rounding must not turn a page red
