@@ -1,6 +1,6 @@
 """Four measured systems of the DaISy database: simulation of the last third, against other tools.
 
-    python benchmarks/daisy.py [FOLDER]
+    python benchmarks/daisy.py [FOLDER] [--only NAME ...] [--peers METHOD ...]
 
 FOLDER (or CASID_DAISY) holds CD_player_arm.dat, robot_arm.dat, flutter.dat and steamgen.dat. The
 data are free for research, not to be redistributed: B. De Moor, P. De Gersem, B. De Schutter,
@@ -89,16 +89,16 @@ def ours(u, y, orders, **options):
     return models
 
 
-def everybody(u, y, orders):
+def everybody(u, y, orders, methods):
     """Models of all methods by (method, order)."""
-    models = peers.identify(u, y, orders, horizon=HORIZON, feedthrough=True)
+    models = peers.identify(u, y, orders, horizon=HORIZON, feedthrough=True, methods=methods)
     for name, options in (("casid", {}), ("casid, unrefined", {"refine": False})):
         for order, model in ours(u, y, orders, **options).items():
             models[name, order] = model
     return models
 
 
-def compare(u, y):
+def compare(u, y, methods):
     """Rows of method, order, VAF of the last third, seconds."""
     third = len(u) // 3
     learn, rest = slice(0, 2 * third), slice(2 * third, None)
@@ -106,28 +106,32 @@ def compare(u, y):
     su, sy = u[learn].std(axis=0), y[learn].std(axis=0)
     u, y = (u - mu) / su, (y - my) / sy
     first, check = slice(0, 4 * third // 3), slice(4 * third // 3, 2 * third)
-    tried = everybody(u[first], y[first], ORDERS)
+    tried = everybody(u[first], y[first], ORDERS, methods)
     score = {key: vaf(model.system, u[check], y[check]) for key, model in tried.items()}
-    final = everybody(u[learn], y[learn], ORDERS)
+    final = everybody(u[learn], y[learn], ORDERS, methods)
     rows = []
     for method in dict.fromkeys(key[0] for key in tried):
         order = max((o for m, o in score if m == method), key=lambda o: score[method, o])
         model = final.get((method, order))
         if model is not None:
-            rows.append([method, str(order), vaf(model.system, u[rest], y[rest]), model.seconds])
+            value = f"{vaf(model.system, u[rest], y[rest]):.5g}"
+            rows.append([method, str(order), value, model.seconds])
     return rows
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, nargs="?", default=os.environ.get("CASID_DAISY"))
-    folder = parser.parse_args().folder
+    parser.add_argument("--only", nargs="+", choices=list(DATA), default=list(DATA))
+    parser.add_argument("--peers", nargs="+", choices=peers.METHODS, default=peers.METHODS)
+    options = parser.parse_args()
+    folder = options.folder
     if folder is None:
         parser.error("name the folder of the data, or set CASID_DAISY")
-    for name in DATA:
+    for name in options.only:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            rows = compare(*load(Path(folder), name))
+            rows = compare(*load(Path(folder), name), options.peers)
         print(f"\n{name}\n")
         print(table(["method", "order", "VAF [%]", "time [s]"], rows), flush=True)
 

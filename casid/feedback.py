@@ -49,13 +49,16 @@ def fed_back_noise(
     rows, targets, errors = [], [], []
     most = ENOUGH // len(records) + 1
     for record in (r if most >= r.N else r.between(r.t[0], r.t[most]) for r in records):
-        e = prediction_errors(system, K, record)[lags:] / sy  # the first are the initial state's
-        u = (record.u - record.u.mean(axis=0))[lags:] / su
+        if 6 * lags * (len(su) + 1) >= record.N:
+            continue
+        u = (record.u - record.u.mean(axis=0)) / su
+        e = _without_model_error(prediction_errors(system, K, record) / sy, u, lags)
         errors.append(e)
-        if len(e) > 2 * lags:
-            past = sliding_window_view(e[:-1], lags, axis=0)
-            rows.append(past.reshape(len(past), -1))
-            targets.append(u[lags:])
+        past = sliding_window_view(e[:-1], lags, axis=0)
+        rows.append(past.reshape(len(past), -1))
+        targets.append(u[-len(past) :])
+    if not rows:
+        return 0.0
     X, U = np.vstack(rows), np.vstack(targets)
     if len(X) <= 2 * X.shape[1]:
         return 0.0
@@ -64,6 +67,17 @@ def fed_back_noise(
     fed = np.max(1 - left / np.mean(U**2, axis=0))
     ratio = np.mean(np.std(np.vstack(errors), axis=0))
     return float(np.sqrt(max(fed, 0.0)) * ratio)
+
+
+def _without_model_error(e: Array, u: Array, lags: int) -> Array:
+    """What inputs until now do not explain of the prediction errors; the first 2 ``lags`` are cut.
+
+    White noise is not explained by what came before it, fed back or not; an error of the model is.
+    """
+    window = sliding_window_view(u, 2 * lags + 1, axis=0)[:, :, ::2]
+    past = window.reshape(len(window), -1)
+    left = e[2 * lags :]
+    return left - past @ np.linalg.lstsq(past, left, rcond=1e-10)[0]
 
 
 def prediction_errors(system: StateSpace, K: Array, record: Record) -> Array:

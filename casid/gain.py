@@ -27,9 +27,21 @@ def carried_gain(system: StateSpace, K: Array, refined: StateSpace, R: Array) ->
 
 
 def riccati_gain(A: Array, C: Array, K: Array, R: Array) -> Array:
-    """Stabilising continuous gain of process noise K R Kᵀ, correlated with the residuals."""
+    """Stabilising continuous gain of process noise K R Kᵀ, correlated with the residuals.
+
+    Raises
+    ------
+    ValueError
+        There is none: a mode on the imaginary axis that the outputs do not show.
+    """
     R = R + 1e-9 * np.trace(R) / len(R) * np.eye(len(R))
     S = K @ R
     Q = K @ R @ K.T + 1e-9 * np.trace(K @ R @ K.T) / len(A) * np.eye(len(A))
-    P = solve_continuous_are(A.T, C.T, Q, R, s=S)
+    try:
+        P = solve_continuous_are(A.T, C.T, Q, R, s=S)
+    except np.linalg.LinAlgError as error:
+        raise ValueError(
+            f"no stable predictor of order {len(A)} exists for these data ({error}); "
+            "lower the order or add regularisation"
+        ) from error
     return np.asarray(np.linalg.solve(R, C @ P + S.T).T)

@@ -20,26 +20,21 @@ from casid.columns import (
     excited_band,
     feedthrough_mask,
     gather,
-    pieces_of,
 )
 from casid.errors import DataWarning
-from casid.feedback import direct_term_is_ambiguous, fed_back_noise
-from casid.fourier import spectra
-from casid.gain import carried_gain, riccati_gain
+from casid.feedback import direct_term_is_ambiguous
 from casid.laguerre import support
 from casid.linear import StateSpace, from_zoh
-from casid.prediction import SampledUncertainty, refine_held, refine_samples
 from casid.predictor import Stack
 from casid.record import Record, same_channels, standard_deviations
-from casid.refinement import ResponseUncertainty
-from casid.refinement import refine as refine_black_box
-from casid.settings import HIGHEST, OrderSelection, select_order
+from casid.refining import Refinement, Uncertainty
+from casid.settings import OrderSelection, select_order
 from casid.subspace import subspace_model
+from casid.trust import data_doubts
 
 Transform = Literal["laguerre", "none"]
 
 PAST = 10  # samples at least, for the samples themselves
-FED_BACK = 0.2  # bound on the relative bias from noise fed back, above which it is dealt with
 BAND_END = 1.5  # of the Laguerre pole: the model is not trusted above it
 
 
@@ -77,6 +72,9 @@ class BlackBox:
         Covariance of a refined black box; see `response_std`.
     selection : OrderSelection or None
         How the settings were chosen from data, if they were.
+    explained : (ny,) array or None
+        Share of each output's power explained at a typical frequency of the band; None unless
+        refined by Fourier transforms.
     """
 
     system: StateSpace
@@ -93,8 +91,13 @@ class BlackBox:
     records: tuple[str, ...]
     regularisation: float = 0.0
     segments: tuple[Segment, ...] = ()
-    uncertainty: ResponseUncertainty | SampledUncertainty | None = None
+    uncertainty: Uncertainty = None
     selection: OrderSelection | None = None
+    explained: Array | None = None
+
+    def doubts(self) -> tuple[str, ...]:
+        """Why the records do not support a model; empty where they do, or where it is not known."""
+        return () if self.explained is None else data_doubts(self.explained, self.system.outputs)
 
     def response_std(self, omega: Array) -> tuple[Array, Array]:
         """Relative standard deviation of abs(G) and standard deviation of its phase [rad].
@@ -208,14 +211,15 @@ def pbsid(
         regularisation=settings.regularisation, dt=records[0].dt,
     )  # fmt: skip
     start = replace(found.system, inputs=inputs, outputs=outputs)
-    task = _Refinement(records, su, sy, mask, settings.pole, found.residual_covariance)
+    band = _band(records, settings.pole)
+    task = Refinement(records, su, sy, mask, settings.pole, band, found.residual_covariance)
     if transform == "none":
         if mask.any() and direct_term_is_ambiguous(stack):
             _warn_direct_term(np.array(outputs)[mask.any(axis=1)])
-        system, K, uncertainty = task.samples(start, found.K, refine)
+        system, K, uncertainty, explained = task.samples(start, found.K, refine)
     else:
         _check_unstable(start, settings.pole)
-        system, K, uncertainty = task.projections(start, found.K, refine)
+        system, K, uncertainty, explained = task.projections(start, found.K, refine)
     return BlackBox(
         system=system,
         K=K,
@@ -227,56 +231,14 @@ def pbsid(
         feedthrough=mask,
         input_std=su,
         output_std=sy,
-        band=_band(records, settings.pole),
+        band=band,
         records=tuple(record.name for record in records),
         regularisation=settings.regularisation,
         segments=segments,
         uncertainty=uncertainty,
         selection=settings.selection,
+        explained=explained,
     )
-
-
-Estimate = tuple[StateSpace, Array, ResponseUncertainty | SampledUncertainty | None]
-
-
-@dataclass(frozen=True, eq=False)
-class _Refinement:
-    """What follows the subspace estimate, by transform."""
-
-    records: Sequence[Record]
-    su: Array
-    sy: Array
-    mask: BoolArray
-    pole: float
-    R: Array  # residual covariance of the subspace estimate
-
-    def samples(self, system: StateSpace, K: Array, refine: bool) -> Estimate:
-        if not refine:
-            return system, K, None
-        return refine_samples(system, K, self.records, self.su, self.sy, self.mask)
-
-    def projections(self, system: StateSpace, K: Array, refine: bool) -> Estimate:
-        """By Fourier transforms; by prediction errors where a controller would bias those."""
-        pieces = [piece for r in self.records for piece, _ in pieces_of(r, self.pole)]
-        if not refine:
-            if fed_back_noise(system, K, pieces, self.su, self.sy) > FED_BACK:
-                _warn_fed_back("refine=True removes that")
-            return system, K, None
-        data = spectra(pieces, self.su, self.sy, HIGHEST * self.pole)
-        uncertainty: ResponseUncertainty | SampledUncertainty
-        refined, uncertainty = refine_black_box(
-            system, data, self.su, self.sy, self.mask, self.pole
-        )
-        K = carried_gain(system, K, refined, self.R)
-        if fed_back_noise(refined, K, pieces, self.su, self.sy) > FED_BACK:
-            try:
-                refined, K, uncertainty = refine_held(
-                    refined, K, pieces, self.su, self.sy, self.mask
-                )
-                K = riccati_gain(refined.A, refined.C, K, self.R)
-            except ValueError as error:
-                _warn_fed_back(f"prediction errors would remove that, but: {error}")
-        return refined, K, uncertainty
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -376,15 +338,6 @@ def _check_unstable(system: StateSpace, a: float) -> None:
             DataWarning,
             stacklevel=3,
         )
-
-
-def _warn_fed_back(remedy: str) -> None:
-    warnings.warn(
-        "the controller feeds so much of the outputs' noise back into the inputs that the black "
-        f"box is biased; {remedy}; a smaller pole or less feedback helps too",
-        DataWarning,
-        stacklevel=4,
-    )
 
 
 def _warn_direct_term(outputs: Array) -> None:

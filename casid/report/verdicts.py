@@ -75,7 +75,8 @@ def word(theil: float) -> str:
 
 def cautions(content: Content) -> tuple[str, ...]:
     """What makes the result less certain than it looks."""
-    said = [f"{fit.method}: {fit.status}" for fit in content.fits.values() if not fit.success]
+    said = list(content.black_box.doubts())
+    said += [f"{fit.method}: {fit.status}" for fit in content.fits.values() if not fit.success]
     if content.kinematics is not None:
         said += [f"Kinematics: {remark}." for remark in content.kinematics.remarks]
     said += _bounds(content.output_error)
