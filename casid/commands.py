@@ -159,11 +159,12 @@ def inspect_command(
     """
     console = Console(highlight=False)
     with exits(console):
-        if sources[0].endswith(".toml"):
-            if len(sources) > 1 or inputs or outputs or units:
+        first, *others = sources
+        if first.endswith(".toml"):
+            if others or inputs or outputs or units:
                 raise ValueError("a study says itself which records, channels and units: name it "
                                  "alone")  # fmt: skip
-            study = read_study(Path(sources[0]))
+            study = read_study(Path(first))
             records: Sequence[Record] = read_records(study)["identification"]
             model: Model | None = study.model
             found = inspect(records, model=model, fixed=study.fixed, bounds=study.bounds)

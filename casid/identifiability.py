@@ -190,9 +190,12 @@ def _spectrum(record: Record) -> tuple[Array, ComplexArray, Array]:
     stands for.
     """
     t = record.t - record.t[0]
-    weight = np.gradient(t)
     omega = 2 * np.pi / (record.duration + record.dt) * np.arange(1, max(2, record.N // 2))
-    U = np.array([(weight * np.exp(-1j * w * t)) @ record.u for w in omega])
+    if record.equidistant:
+        U = record.dt * np.fft.fft(record.u, axis=0)[1 : len(omega) + 1]
+    else:
+        weight = np.gradient(t)
+        U = np.array([(weight * np.exp(-1j * w * t)) @ record.u for w in omega])
     power = np.sum(np.abs(U) ** 2 / np.maximum(np.var(record.u, axis=0), 1e-300), axis=1)
     above = np.cumsum(power[::-1])[::-1]
     n = int(np.sum(above > ENERGY * above[0])) or 1
