@@ -68,7 +68,7 @@ def main():
         begin, cpu = time.perf_counter(), time.process_time()
         pbsid(records, **SETTINGS, refine=refine)
         wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
-        rows.append(["yes" if refine else "no", against(wall, 2.0), cpu])
+        rows.append(["yes" if refine else "no", wall, against(cpu, 2.0)])
     print(f"{sum(r.N for r in records)} samples of the UH-60, past = future = 12\n")
     print(table(["refined", "time [s]", "CPU [s]"], rows))
     rows = []
