@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+from truth import stepped_input
+
+from casid import Record, StateSpace, pbsid
+from casid.modal import moved, to_modal
+from casid.prediction import normal_equations, prediction_errors, refine_samples, stretches
+from casid.record import standard_deviations
+
+
+def innovation_record(N=600, noise=0.1, seed=0):
+    """An innovation model of three states with its gain, and a record of it."""
+    rng = np.random.default_rng(seed)
+    A = np.array([[0.8, 0.3, 0], [-0.3, 0.8, 0.1], [0, 0, 0.5]])
+    B, C = np.array([[1.0], [0.5], [1.0]]), np.array([[1.0, 0, 0.3], [0, 1.0, 0]])
+    K = np.array([[0.3, 0.0], [0.1, 0.2], [0.0, 0.1]])
+    e, u = noise * rng.standard_normal((N, 2)), stepped_input(N, 1, rng, hold=3)
+    x, y = np.array([1.0, -1.0, 0.5]), np.empty((N, 2))
+    for k in range(N):
+        y[k] = C @ x + e[k]
+        x = A @ x + B @ u[k] + K @ e[k]
+    system = StateSpace(A, B, C, np.zeros((2, 1)), 1.0)
+    return system, K, Record(np.arange(N, dtype=float), u, y, ("u",), ("a", "b"), hold="zoh"), e
+
+
+def predictor(system, K, su, sy):
+    B = np.hstack([system.B, K])
+    whole = StateSpace(system.A - K @ system.C, B, system.C, np.zeros((2, 3)))
+    return to_modal(whole, np.concatenate([su, sy]), sy, np.zeros((2, 3), dtype=bool))
+
+
+def test_prediction_errors_of_the_truth_are_its_innovations():
+    system, K, record, e = innovation_record()
+    su, sy = standard_deviations([record])
+    data = stretches([record], su, sy, 5)
+    (found,) = prediction_errors(predictor(system, K, su, sy), data, np.eye(2))
+    # Initial state and constant take up five of 600 samples: errors of √(5/600) of an innovation.
+    assert np.std(found * sy - (e - e.mean(axis=0))) < 0.15 * np.std(e)
+
+
+def test_normal_equations_are_the_gradient_of_the_squared_errors():
+    system, K, record, _ = innovation_record()
+    su, sy = standard_deviations([record])
+    data, W = stretches([record], su, sy, 5), np.array([[1.0, 0.0], [0.4, 2.0]])
+    free = np.zeros((0, 2), dtype=int)
+    # Away from the optimum, where the gradient is large.
+    modal = predictor(StateSpace(0.95 * system.A, system.B, system.C, system.D), K, su, sy)
+
+    def cost(model):
+        return sum(float(np.sum((e @ W.T) ** 2)) for e in prediction_errors(model, data, W))
+
+    _, downhill = normal_equations(modal, data, W, free)
+    for p in range(len(downhill)):
+        step = np.zeros(len(downhill))
+        step[p] = 1e-5
+        slope = (cost(moved(modal, step, free)) - cost(moved(modal, -step, free))) / 2e-5
+        assert slope == pytest.approx(-2 * downhill[p], rel=1e-4, abs=1e-4 * np.abs(downhill).max())
+
+
+def test_missing_samples_split_a_record():
+    system, K, record, _ = innovation_record()
+    y = record.y.copy()
+    y[200, 0] = np.nan
+    gappy = Record(record.t, record.u, y, record.inputs, record.outputs, hold="zoh")
+    su, sy = standard_deviations([gappy])
+    assert [len(each.y) for each in stretches([gappy], su, sy, 5)] == [200, 399]
+    found, gain, _ = refine_samples(system, K, [gappy], su, sy, np.zeros((2, 1), dtype=bool))
+    omega = np.linspace(0.1, 2.5, 10)
+    # The noise is a tenth of the innovations of the inputs; 600 samples: about 1 %.
+    np.testing.assert_allclose(found.response(omega), system.response(omega), atol=0.1)
+    assert np.abs(np.linalg.eigvals(found.A - gain @ found.C)).max() < 1
+
+
+def test_refined_samples_are_more_accurate_than_the_subspace_estimate():
+    omega = np.linspace(0.1, 2.5, 10)
+    errors = {True: [], False: []}
+    for seed in range(8):
+        system, _, record, _ = innovation_record(noise=0.3, seed=seed)
+        for refine, found in errors.items():
+            box = pbsid([record], order=3, transform="none", feedthrough=False, refine=refine)
+            found.append(np.abs(box.system.response(omega) - system.response(omega)))
+    assert np.mean(np.square(errors[True])) < np.mean(np.square(errors[False]))

@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+from test_pbsid import campaign
+from truth import unstable_plant
+
+from casid import StateSpace, pbsid
+from casid.fourier import spectra
+from casid.modal import from_modal, to_modal
+from casid.record import standard_deviations
+from casid.refinement import information_criteria, refine, residual_powers
+
+OMEGA = np.geomspace(0.5, 6.0, 12)
+SETTINGS = {"order": 5, "past": 10, "pole": 6.0, "feedthrough": ["z"]}
+
+
+def coverage(seeds, **settings):
+    """Share of magnitudes and phases whose 95 % interval holds the truth."""
+    G = unstable_plant().response(OMEGA)
+    inside = []
+    for seed in range(seeds):
+        box = pbsid(campaign(noise=0.03, seed=seed), **settings)
+        size, phase = box.response_std(OMEGA)
+        error = np.log(box.system.response(OMEGA) / G)
+        inside += [np.abs(error.real) < 1.96 * size, np.abs(error.imag) < 1.96 * phase]
+    return np.mean(inside)
+
+
+def test_a_few_campaigns_agree_with_the_standard_deviation_of_the_response():
+    # 8 campaigns of some 20 independent parameters: the share's own error is about 2.5 %.
+    assert 0.87 <= coverage(8, **SETTINGS) <= 0.995
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize(
+    "settings", [SETTINGS, {"order": 5, "past": 20, "transform": "none"}], ids=["laguerre", "none"]
+)
+def test_95_percent_intervals_cover_90_to_99_percent_of_the_truth(settings):
+    share = coverage(60, **settings)
+    print(f"{share:.1%} of the truth within 95 % intervals")  # noqa: T201 - quoted in the docs
+    assert 0.90 <= share <= 0.99
+
+
+def test_residuals_of_the_truth_vanish_whatever_the_end_states():
+    plant, record = unstable_plant(), campaign()[0].between(3.0, 17.0)
+    su, sy = standard_deviations([record])
+    _, power = residual_powers(plant, spectra([record], su, sy, 12.0), su, sy)
+    assert power.max() < 1e-16  # rounding, where the outputs' powers are of order one
+
+
+def test_modal_coordinates_are_the_same_system():
+    plant = unstable_plant()
+    su, sy = np.array([2.0, 0.5]), np.array([1.0, 3.0, 0.2])
+    back = from_modal(to_modal(plant, su, sy, plant.D != 0), su, sy, plant)
+    np.testing.assert_allclose(back.response(OMEGA), plant.response(OMEGA), rtol=1e-10)
+
+
+def test_refinement_lowers_the_likelihood_of_no_start_and_masks_the_direct_term():
+    records = campaign(noise=0.05)
+    su, sy = standard_deviations(records)
+    data = [spectra([record], su, sy, 12.0) for record in records]
+    lines = [spectrum for each in data for spectrum in each]
+    plant = unstable_plant()
+    start = StateSpace(1.1 * plant.A, plant.B, plant.C, plant.D)
+    mask = np.array([[False, False], [False, False], [True, True]])
+    refined, _ = refine(start, lines, su, sy, mask)
+    np.testing.assert_array_equal(refined.D[:2], 0.0)
+    before, after, truth = (
+        information_criteria(system, data, su, sy, 2).mean() for system in (start, refined, plant)
+    )
+    assert after < before
+    assert after <= truth + 1e-3  # the maximum is at least as likely as the truth
