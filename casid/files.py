@@ -9,11 +9,13 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy.io
+from scipy.io.matlab import matfile_version
 
 from casid.arrays import Array
 from casid.folder import replacing
 from casid.hdf import is_hdf, read_hdf
 from casid.limits import JSON_BYTES, TABLE_BYTES, check_file, check_size
+from casid.matfile import numeric_variables
 from casid.record import Hold, Record
 
 SI = {  # what one of each unit is in SI
@@ -152,7 +154,12 @@ def read_variables(path: str | Path) -> dict[str, Any]:
     try:
         sizes = [8.0 * np.prod(shape, dtype=float) for _, shape, _ in scipy.io.whosmat(str(path))]
         check_size(path, sum(sizes), TABLE_BYTES, "a MATLAB file")
-        return dict(scipy.io.loadmat(str(path), appendmat=False))
+        if matfile_version(str(path))[0] == 0:  # version 4
+            return dict(scipy.io.loadmat(str(path), appendmat=False))
+        held = numeric_variables(path)
+        wanted = [name for name, numeric in held.items() if numeric]
+        read = scipy.io.loadmat(str(path), appendmat=False, variable_names=wanted)
+        return {name: read.get(name, np.array(None)) for name in held}
     except Exception as error:  # damaged bytes raise anything in SciPy
         raise ValueError(
             f"{path}: cannot read it as a MATLAB file ({error}); save it again, as version 7"
@@ -343,7 +350,7 @@ def _mat_column(variables: Mapping[str, Any], place: tuple[str, int | None], pat
         raise ValueError(f"{path}: no variable {variable!r}; it has {known}")
     array = np.asarray(variables[variable])
     if array.dtype.kind not in "fiub":
-        raise ValueError(f"{path}: variable {variable!r} holds {array.dtype}, expected numbers")
+        raise ValueError(f"{path}: variable {variable!r} holds no real array, expected numbers")
     if column is None:
         if array.ndim > 2 or max(array.shape, default=0) != array.size:
             raise ValueError(

@@ -40,7 +40,9 @@ def read_hdf(path: Path) -> dict[str, Any]:
             found = {
                 name: each
                 for name, each in file.items()
-                if isinstance(each, h5py.Dataset) and each.dtype.kind in "fiub"
+                if isinstance(name, str)  # bytes, if they are no text
+                and isinstance(each, h5py.Dataset)
+                and each.dtype.kind in "fiub"
             }
             size = sum(8.0 * np.prod(each.shape, dtype=float) for each in found.values())
             check_size(path, size, TABLE_BYTES, "a MATLAB file")

@@ -1,6 +1,7 @@
 """Files: units, missing cells, trim, and errors that name file and column."""
 
 import json
+import zlib
 
 import numpy as np
 import pytest
@@ -46,6 +47,29 @@ def test_an_empty_or_nan_cell_is_a_missing_sample(tmp_path, cell):
 def test_a_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path):
     record = read_csv(csv(tmp_path, "\ufefft,lat,p,phi\r\n0,1,2,3\r\n1,1,2,3\r\n"), **CHANNELS)
     np.testing.assert_array_equal(record.t, [0, 1])
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_matlab_file_whose_data_have_no_type_is_refused(tmp_path, compressed):
+    file = tmp_path / "a.mat"
+    scipy.io.savemat(file, {"t": np.arange(40.0), "note": "level", "z": np.array([1j])})
+    data = bytearray(file.read_bytes())
+    at = data.index(b"\x09\0\0\0" + (320).to_bytes(4, "little"))  # 40 doubles follow
+    data[at : at + 4] = b"\x09\xfd\0\0"  # with such a type SciPy alone ends the process
+    if compressed:
+        packed = zlib.compress(data[128:])
+        data[128:] = (15).to_bytes(4, "little") + len(packed).to_bytes(4, "little") + packed
+    file.write_bytes(data)
+    with pytest.raises(ValueError, match=r"'t' has data of type 64777.*save it again"):
+        read_mat(file, inputs=["t"], outputs=["t"], dt=0.1)
+
+
+def test_what_is_no_real_number_in_a_matlab_file_is_named(tmp_path):
+    file = tmp_path / "a.mat"
+    scipy.io.savemat(file, {"t": np.arange(4.0), "note": "level", "z": np.array([1j])})
+    for name in ("note", "z"):
+        with pytest.raises(ValueError, match=f"'{name}' holds no real array, expected numbers"):
+            read_mat(file, inputs=["t"], outputs=[name], dt=0.1)
 
 
 def test_trim_is_removed_on_reading_and_written_back(tmp_path):
@@ -118,7 +142,7 @@ def test_mat_variables_and_columns_become_channels(mat):
         ({}, "flight.mat: no variable 'p'; it has t, lat, out, text, short"),
         ({"columns": {"p": ("out", 2)}}, r"'out' has shape \(4, 2\), no column 2"),
         ({"columns": {"p": ("out", -1)}}, "no column -1"),
-        ({"inputs": ["text"]}, "variable 'text' holds <U5, expected numbers"),
+        ({"inputs": ["text"]}, "variable 'text' holds no real array, expected numbers"),
         ({"inputs": ["out"]}, r"'out' has shape \(4, 2\), expected a vector; name its columns"),
         ({"inputs": ["short"], "outputs": ["lat"]}, r"differ in length \(t 4, short 3, lat 4\)"),
         (
