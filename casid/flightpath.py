@@ -72,9 +72,14 @@ def looked_at(records: Sequence[Record]) -> list[Record]:
 
 
 def _unbroken(record: Record) -> list[Record]:
+    if record.N < SHORTEST:
+        return []
     edges = np.flatnonzero(np.diff(record.t) > LONGEST_GAP * record.dt) + 1
+    if not len(edges):
+        return [record]
     bounds = [0, *map(int, edges), record.N]
-    return [_part(record, start, end) for start, end in pairwise(bounds) if end - start >= SHORTEST]
+    parts = [_part(record, *ends) for ends in pairwise(bounds) if ends[1] - ends[0] >= SHORTEST]
+    return [piece for part in parts for piece in _unbroken(part)]  # the median is another now
 
 
 def _part(record: Record, start: int, end: int) -> Record:

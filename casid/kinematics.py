@@ -149,13 +149,14 @@ def kinematic_check(
     """
     flights = [signals(record, trim or {}) for record in looked_at(records)]
     names = set.intersection(*(set(flight.values) for flight in flights)) if flights else set()
-    notes = _unchecked(names)
+    notes = []
     if _perturbed(flights, names):
+        names -= {*VELOCITIES, *FORCES}
         notes.append(
             "az has no gravity in it, so the records are perturbations: velocities are not "
             "checked, attitudes roughly, as about level flight; give the trim, or total values"
         )
-        names -= {*VELOCITIES, *FORCES}
+    notes += _unchecked(names)
     equations = [name for name in (*ATTITUDES, *VELOCITIES) if NEEDED[name] <= names]
     turned = _turned(flights, names)
     if turned or not equations:

@@ -126,6 +126,17 @@ def test_missing_samples_and_irregular_instants_do_not_matter():
     assert abs(found["p"].skew - 0.06) < 3 * found["p"].skew_error + 0.002
 
 
+def test_gaps_split_a_record_and_stop_nothing():
+    record = flight(0, {"p": (0.1, 0.0, 0.0)}, NOISE, ATTITUDES)
+    away = ((record.t > 10) & (record.t < 14)) | ((record.t > 25) & (record.t < 25.5))
+    kept = replace(record, t=record.t[~away], u=record.u[~away], y=record.y[~away])
+    p = kinematic_check([kept]).channels[0]
+    assert abs(p.scale - 0.1) < 3 * p.scale_error
+    rng = np.random.default_rng(0)
+    random = replace(record, t=np.sort(rng.uniform(0, 40, record.N)))  # instants of no sense at all
+    assert not kinematic_check([random]).consistent
+
+
 # ---- example records ---------------------------------------------------------------------------
 
 
