@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from studies import Inline, Mixture, record
 
-from casid import ConvergenceError, ModelError, SolverOptions, reduce_structure
+from casid import ConvergenceError, FrequencyResponse, ModelError, SolverOptions, reduce_structure
 
 IDLE = Mixture(a=1.0, b=0.6, d=0.0)  # the truth has no direct term
 DATA = [record(3, IDLE)]
@@ -62,3 +62,19 @@ def test_what_cannot_be_reduced_is_refused():
     with pytest.raises(ConvergenceError, match="nothing held"):
         reduce_structure(Mixture(), DATA, options=SolverOptions(max_iterations=1))
     assert np.isfinite(DATA[0].y).all()
+
+
+def test_a_frequency_domain_fit_is_reduced_by_its_cost():
+    omega = np.geomspace(0.2, 8.0, 25)
+    rng = np.random.default_rng(0)
+    G = IDLE.system().response(omega)
+    G = G * np.exp(0.02 * (rng.standard_normal(G.shape) + 1j * rng.standard_normal(G.shape)))
+    measured = FrequencyResponse(
+        omega=omega, G=G, coherence=np.ones(G.shape), random_error=np.full(G.shape, 0.02),
+        inputs=("u",), outputs=("y",), input_std=np.ones(1), output_std=np.ones(1),
+    )  # fmt: skip
+    found = reduce_structure(Mixture(), measured, estimator="derivid", starts=2, rise=0.2)
+    assert found.criterion == "cost"
+    assert found.held == {"d": 0.0}
+    assert found.fit.cost <= 1.2 * found.full.cost
+    assert np.isnan(found.steps[0].aicc)
