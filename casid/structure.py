@@ -153,8 +153,8 @@ def describe(
 
 def modes(system: StateSpace) -> tuple[Mode, ...]:
     """Eigenvalues with the states that take part, and whether they are seen and moved (Hautus)."""
-    eigenvalues, V = np.linalg.eig(system.A)
-    eigenvalues = np.asarray(eigenvalues, dtype=complex)
+    found_values, V = np.linalg.eig(system.A)
+    eigenvalues: ComplexArray = found_values.astype(complex)
     share = np.abs(V) * np.abs(np.linalg.pinv(V)).T  # participation factors
     found = []
     for k in np.lexsort((eigenvalues.imag, -eigenvalues.real)):
@@ -168,8 +168,10 @@ def modes(system: StateSpace) -> tuple[Mode, ...]:
             Mode(
                 eigenvalue=value,
                 states=tuple(system.states[i] for i in part[:3]),
-                observable=_full_rank(np.vstack([shifted, _scaled(system.C)])),
-                controllable=_full_rank(np.hstack([shifted, _scaled(system.B.T).T]).T),
+                observable=_full_rank(np.vstack([shifted, _scaled(system.C)]).astype(complex)),
+                controllable=_full_rank(
+                    np.hstack([shifted, _scaled(system.B.T).T]).T.astype(complex)
+                ),
             )
         )
     return tuple(found)
