@@ -44,7 +44,8 @@ IPOPT: dict[str, float | str] = {"nlp_scaling_method": "none", "mu_strategy": "m
 NEAR: dict[str, float | str] = {
     "bound_push": 1e-9,
     "bound_frac": 1e-9,
-    "compl_inf_tol": 1e-10,  # the cost is a mean over samples: reach cheap bounds too
+    "bound_mult_init_val": 1e-2,  # the cost is a mean over samples: so are prices
+    "compl_inf_tol": 1e-10,  # and cheap bounds are to be reached too
 }
 WARM: dict[str, float | str] = {  # a warm round stays where it starts
     "mu_init": 1e-6,
@@ -254,7 +255,7 @@ class _Search:
             first = Programme(evaluator, self.free, first.scales, noise, biases)
             first = first.rescaled(first.balanced(point))
         options = replace(
-            self.options, ipopt=NEAR | {"mu_init": self.options.tolerance / 10}
+            self.options, ipopt=NEAR | {"mu_init": self.options.tolerance / 1000}
             | dict(self.options.ipopt),
         )  # fmt: skip
         solution = self._solve(first, point, None, 1, options)
