@@ -21,9 +21,10 @@ import numpy as np
 
 from benchmarks.tables import against, table
 from casid import Record, frequency_response, output_error, pbsid
+from casid.inspection import inspect
 from models.six_dof import SixDof
 
-SIZES = (100_000, 250_000, 500_000, 1_000_000)
+SIZES = (100_000, 300_000, 1_000_000)
 LAYOUTS = {"one record": None, "records of 100 s": 5_000}  # samples in each
 DT = 0.02  # s
 HOLD = 50  # samples between steps of a control
@@ -56,6 +57,7 @@ def records(samples, each):
 
 
 STAGES = {
+    "inspect": lambda flights: inspect(flights, model=STABLE),
     "pbsid": lambda flights: pbsid(flights, order=12, pole=8.0, past=10, future=10),
     "frequency_response": lambda flights: frequency_response(flights, omega=OMEGA),
     "output_error": lambda flights: output_error(

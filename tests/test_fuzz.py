@@ -2,7 +2,10 @@
 
 import json
 import logging
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import fuzzing
 import pytest
@@ -74,6 +77,16 @@ def run(check, strategy, examples, number):
 def test_whatever_is_damaged_is_read_or_refused(name, strategies):
     check, _, examples = JOBS[name]
     run(check, strategies[name], examples, 0)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("kind", ["csv", "mat", "mat 4", "mat 7.3", "response"])
+def test_a_minute_of_atheris_finds_nothing_in_a_reader(kind, tmp_path):
+    pytest.importorskip("atheris")
+    harness = Path(__file__).with_name("atheris_readers.py")
+    run = [sys.executable, harness, kind, "-max_total_time=60", f"-artifact_prefix={tmp_path}/"]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
 
 
 @pytest.mark.campaign

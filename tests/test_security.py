@@ -1,0 +1,117 @@
+"""What casid executes, what its files may make, and what it depends on."""
+
+import ast
+import json
+import re
+import tomllib
+from importlib.metadata import metadata
+from pathlib import Path
+
+import pytest
+from bad_inputs import CORPUS
+from small_study import Truth
+
+import casid
+from casid import files, limits, studyfile
+from casid.store import Store
+
+ROOT = Path(__file__).parents[1]
+SOURCES = sorted(Path(casid.__file__).parent.rglob("*.py"))
+PAGE = (ROOT / "docs/reliability.md").read_text(encoding="utf-8")
+
+MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "code",
+           "codeop", "runpy", "subprocess", "ctypes", "yaml"}  # fmt: skip
+BUILTINS = {"eval", "exec", "compile", "__import__"}
+METHODS = {"system", "popen", "loads_pickle", "read_pickle", "to_pickle", "exec_module"}
+
+
+def test_nothing_in_casid_unpickles_evaluates_or_executes():
+    executing = []
+    for source in SOURCES:
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+            names = set()
+            if isinstance(node, ast.Import):
+                names = {each.name.split(".")[0] for each in node.names} & MODULES
+            elif isinstance(node, ast.ImportFrom):
+                names = {str(node.module).split(".")[0]} & MODULES
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                names = {node.func.id} & BUILTINS
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+                owner = node.func.value
+                mine = METHODS - ({"system"} if not _is_os(owner) else set())
+                names = {node.func.attr} & mine
+                assert not any(key.arg == "allow_pickle" for key in node.keywords), source
+            executing += [(source.name, name) for name in names]
+    assert executing == [("modelfile.py", "exec_module")]
+
+
+def _is_os(owner):
+    return isinstance(owner, ast.Name) and owner.id in {"os", "subprocess"}
+
+
+@pytest.mark.parametrize(
+    "value", ["casid.files:write_text", "write_text", "os:system", "Path", "Model"]
+)
+def test_a_stored_result_makes_nothing_but_results(value, tmp_path):
+    target = tmp_path / "owned.txt"
+    fields = {"path": str(target), "text": "owned", "command": f"touch {target}"}
+    result = {"value": value, "fields": fields}
+    index = {"pbsid": {"key": "k", "seconds": 0.0, "warnings": []}}
+    (tmp_path / "index.json").write_text(json.dumps(index), encoding="utf-8")
+    content = json.dumps({"casid": "stage", "result": result})
+    (tmp_path / "pbsid.json").write_text(content, encoding="utf-8")
+    assert Store(tmp_path, Truth).get("pbsid", "k") is None
+    assert not target.exists()
+
+
+# ---- what the documentation says ---------------------------------------------------------------
+
+
+def rows(heading):
+    """Cells of the tables under a heading of the page, without their own headings."""
+    part = PAGE.split(f"{heading}\n", maxsplit=1)[1].split("\n#")[0]
+    lines = [[cell.strip() for cell in line.strip("|").split("|")]
+             for line in part.splitlines() if line.startswith("|")]  # fmt: skip
+    return [line for line in lines
+            if not set(line[0]) <= {"-"} and line[0] not in {"package", "what"}]  # fmt: skip
+
+
+def test_every_dependency_is_listed_with_a_reason_and_the_licence_it_declares():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["tables"]]
+    listed = {name: (reason, licence) for name, reason, licence in rows("## Dependencies")}
+    assert set(listed) == {re.split(r"[<>=\[ ;]", each)[0] for each in wanted}
+    for name, (reason, licence) in listed.items():
+        assert reason
+        assert re.search(SAID[licence.split()[0]], declared(name)), name
+
+
+SAID = {  # how packages call the licences
+    "BSD-3-Clause": "BSD",
+    "MIT": "MIT",
+    "Apache-2.0": "Apache",
+    "LGPL-3.0-or-later": "Lesser General Public License v3 or later",
+    "PSF-like": "Python Software Foundation|matplotlib",
+}
+
+
+def declared(name):
+    found = metadata(name)
+    classifiers = [each for each in found.get_all("Classifier") or [] if "License" in each]
+    said = (found.get("License-Expression"), found.get("License"), *classifiers)
+    return " ".join(each for each in said if each)
+
+
+def test_the_limits_are_those_of_the_code():
+    said = dict(rows("### Size limits"))
+    mib = [limits.TABLE_BYTES, limits.JSON_BYTES, limits.TEXT_BYTES]
+    assert list(said.values()) == [
+        *(f"{size // limits.MIB} MiB" for size in mib),
+        f"{files.HEADER_CHARACTERS} characters",
+        f"{studyfile.MOST_POINTS}",
+        f"{limits.USER_SECONDS:g} s",
+    ]
+
+
+def test_the_bad_inputs_are_as_many_as_the_page_says():
+    assert f"holds {len(CORPUS)} of them" in PAGE
