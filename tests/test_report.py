@@ -352,6 +352,12 @@ def test_names_and_paths_from_users_are_escaped(content, tmp_path):
 
 
 @pytest.mark.slow
+def test_the_page_tells_what_each_source_contributes_to_the_match(page, content):
+    text = page.read_text(encoding="utf-8")
+    for row in content.hinf.notes["sources"]:
+        assert f'<th class="left">{row["source"]}</th><td>{row["points"]}</td>' in text
+
+
 def test_standard_errors_for_coloured_residuals_stand_beside_the_others(page, content):
     found = html_module.coloured(content.output_error)
     assert tuple(found) == content.output_error.free_names
