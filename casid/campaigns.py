@@ -7,13 +7,10 @@ after an interruption. Each result is a file of its own, written whole or not at
 
 import hashlib
 import logging
-import multiprocessing
-import os
 import re
-import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -22,20 +19,18 @@ from concurrent.futures import (
     Future,
     wait,
 )
-from concurrent.futures import ProcessPoolExecutor as Pool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from casid.errors import DataWarning
 from casid.files import read_json, write_json
+from casid.workers import Borrowed, Here, Own, Workers, processors
 
 LOG = logging.getLogger("casid")
 
 FEW = 4  # jobs that are not worth starting processes for
 ATTEMPTS = 2  # of a job whose process dies
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class UnfinishedError(RuntimeError):
@@ -184,20 +179,13 @@ def run_jobs(
     campaign = _Campaign(work, jobs, done, shelf, progress)
     if len(done) < len(jobs):
         if executor is not None:
-            campaign.run(_Borrowed(executor))
+            campaign.run(Borrowed(executor))
         elif here or len(jobs) <= FEW:
-            campaign.run(_Here())
+            campaign.run(Here())
         else:
-            with _Own(min(processors(), len(jobs) - len(done))) as pool:
+            with Own(min(processors(), len(jobs) - len(done))) as pool:
                 campaign.run(pool)
     return {job.name: campaign.done[job.name] for job in jobs}
-
-
-def processors() -> int:
-    """Processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class _Campaign:
@@ -217,7 +205,7 @@ class _Campaign:
         self.begin = time.perf_counter()
         self.attempts: dict[str, int] = {}
 
-    def run(self, workers: "_Workers") -> None:
+    def run(self, workers: "Workers") -> None:
         """Until every job is done."""
         running: dict[Future[Done], Job] = {}
         while True:
@@ -254,7 +242,7 @@ class _Campaign:
                 return self.done[name].result, name
         return None, ""
 
-    def _died(self, running: dict[Future[Done], Job], workers: "_Workers") -> None:
+    def _died(self, running: dict[Future[Done], Job], workers: "Workers") -> None:
         """A process died; which job killed it shows when they are tried again, one at a time."""
         suspects = list(running.values())
         running.clear()
@@ -309,98 +297,6 @@ def _outcome(future: "Future[Done]") -> Done:
     if error is None:
         return future.result()
     return Done(result=None, reason=f"{type(error).__name__}: {error}")
-
-
-# ---- where jobs run ------------------------------------------------------------------------------
-
-
-class _Workers(Protocol):
-    @property
-    def slots(self) -> int: ...
-
-    def submit(self, function: Callable[..., Done], *arguments: Any) -> "Future[Done]": ...  # noqa: ANN401
-
-    def renew(self) -> bool: ...
-
-
-class _Here:
-    """In this process, one job at a time."""
-
-    slots = 1
-
-    def submit(self, function: Callable[..., Done], *arguments: Any) -> "Future[Done]":  # noqa: ANN401
-        future: Future[Done] = Future()
-        future.set_result(function(*arguments))
-        return future
-
-    def renew(self) -> bool:
-        return True
-
-
-class _Borrowed:
-    """The user's executor; as many jobs as there are."""
-
-    slots = sys.maxsize
-
-    def __init__(self, executor: Executor) -> None:
-        self._executor = executor
-
-    def submit(self, function: Callable[..., Done], *arguments: Any) -> "Future[Done]":  # noqa: ANN401
-        try:
-            return self._executor.submit(function, *arguments)
-        except BrokenExecutor as error:
-            future: Future[Done] = Future()
-            future.set_exception(error)
-            return future
-
-    def renew(self) -> bool:
-        return False
-
-
-class _Own:
-    """Processes of our own; new ones when one has died."""
-
-    def __init__(self, count: int) -> None:
-        self.slots, self._count = 2 * count, count
-        self._pool = self._new()
-
-    def _new(self) -> Pool:
-        return Pool(self._count, mp_context=multiprocessing.get_context("spawn"))
-
-    def __enter__(self) -> "_Own":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._pool.shutdown(cancel_futures=True)
-
-    def submit(self, function: Callable[..., Done], *arguments: Any) -> "Future[Done]":  # noqa: ANN401
-        with _surroundings():
-            return self._pool.submit(function, *arguments)
-
-    def renew(self) -> bool:
-        self._pool.shutdown(cancel_futures=True)
-        self._pool = self._new()
-        return True
-
-
-@contextmanager
-def _surroundings() -> Iterator[None]:
-    """What processes started here find: one BLAS thread each, and nobody's script to run again.
-
-    A new process imports the script it was started from; one without ``if __name__ ==
-    "__main__"`` would begin its study once more in every process. Jobs need nothing of it.
-    """
-    added = [name for name in ONE_THREAD if name not in os.environ]
-    os.environ.update(dict.fromkeys(added, "1"))
-    main = vars(sys.modules["__main__"])
-    hidden: Mapping[str, Any] = {key: main.pop(key) for key in ("__file__",) if key in main}
-    spec, main["__spec__"] = main.get("__spec__"), None
-    try:
-        yield
-    finally:
-        main.update(hidden, __spec__=spec)
-        for name in added:
-            del os.environ[name]
 
 
 def _clock(seconds: float) -> str:

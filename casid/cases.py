@@ -226,12 +226,13 @@ class _Writer:
             raise self.wrong(str(error)) from error
         for name in relation.names:
             self._known(name)
-        if len(relation.names) > 1:
+        first, *others = relation.names
+        if others:
             self.relations.append(relation)
         elif relation.tie:
-            self._tighten(relation.names[0], relation.lower, relation.lower)
+            self._tighten(first, relation.lower, relation.lower)
         else:
-            self._tighten(relation.names[0], relation.lower, relation.upper)
+            self._tighten(first, relation.lower, relation.upper)
 
 
 HELP = (
@@ -302,19 +303,18 @@ def feasible(model: Model, case: Case, near: Fit | None = None) -> Model:
     x0 = model.vector() / scale
     moving = np.array([name in case.bounds for name in names])
     limits = np.array([case.bounds.get(name, (0.0, 0.0)) for name in names])[moving]
-    limits = limits / scale[moving, None]
     rows = np.array([relation.row(names) for relation in case.relations]).reshape(-1, len(names))
     rows = rows * scale
     sizes = np.abs(rows).max(axis=1, initial=1e-300)
     rows = rows / sizes[:, None]
     sides = np.array([(each.lower, each.upper) for each in case.relations]).reshape(-1, 2)
     sides = sides / sizes[:, None] - (rows[:, ~moving] @ x0[~moving])[:, None]
-    x = x0.copy()
-    x[moving] = _nearest(
-        x0[moving], _metric(near, names, scale)[np.ix_(moving, moving)], limits, rows[:, moving],
-        sides,
-    )  # fmt: skip
-    return model.with_vector(x * scale)
+    metric = _metric(near, names, scale)[np.ix_(moving, moving)]
+    within = limits / scale[moving, None]
+    found = _nearest(x0[moving], metric, within, rows[:, moving], sides) * scale[moving]
+    moved = model.vector()
+    moved[moving] = np.clip(found, *limits.T)
+    return model.with_vector(moved)
 
 
 def _metric(near: Fit | None, names: Sequence[str], scale: Array) -> Array:
@@ -342,5 +342,4 @@ def _nearest(x0: Array, metric: Array, limits: Array, rows: Array, sides: Array)
     lower, upper = np.vstack([limits, sides]).T
     room = WIDTH * np.maximum(1.0, np.abs(np.where(np.isfinite(lower), lower, 0.0)))
     wide = np.maximum(upper, lower + room)
-    x = scipy.optimize.lsq_linear(left, right, (lower, wide), method="bvls").x[:n]
-    return np.asarray(np.clip(x, *limits.T))
+    return np.asarray(scipy.optimize.lsq_linear(left, right, (lower, wide), method="bvls").x[:n])

@@ -1,0 +1,122 @@
+"""Where jobs run: in this process, in processes of our own, on the user's executor."""
+
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import BrokenExecutor, Executor, Future
+from concurrent.futures import ProcessPoolExecutor as Pool
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def processors() -> int:
+    """Processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class Workers(Protocol):
+    """Whoever does jobs."""
+
+    @property
+    def slots(self) -> int:
+        """How many to hand over at once."""
+        ...
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":  # noqa: ANN401
+        """Hand over one."""
+        ...
+
+    def renew(self) -> bool:
+        """Replace processes that died; whether that is possible."""
+        ...
+
+
+class Here:
+    """In this process, one job at a time."""
+
+    slots = 1
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":  # noqa: ANN401
+        """Hand over one."""
+        future: Future[Any] = Future()
+        future.set_result(function(*arguments))
+        return future
+
+    def renew(self) -> bool:
+        """Replace processes that died; whether that is possible."""
+        return True
+
+
+class Borrowed:
+    """The user's executor; as many jobs as there are."""
+
+    slots = sys.maxsize
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":  # noqa: ANN401
+        """Hand over one."""
+        try:
+            return self._executor.submit(function, *arguments)
+        except BrokenExecutor as error:
+            future: Future[Any] = Future()
+            future.set_exception(error)
+            return future
+
+    def renew(self) -> bool:
+        """Replace processes that died; whether that is possible."""
+        return False
+
+
+class Own:
+    """Processes of our own; new ones when one has died."""
+
+    def __init__(self, count: int) -> None:
+        self.slots, self._count = 2 * count, count
+        self._pool = self._new()
+
+    def _new(self) -> Pool:
+        return Pool(self._count, mp_context=multiprocessing.get_context("spawn"))
+
+    def __enter__(self) -> "Own":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":  # noqa: ANN401
+        """Hand over one."""
+        with _surroundings():
+            return self._pool.submit(function, *arguments)
+
+    def renew(self) -> bool:
+        """Replace processes that died; whether that is possible."""
+        self._pool.shutdown(cancel_futures=True)
+        self._pool = self._new()
+        return True
+
+
+@contextmanager
+def _surroundings() -> Iterator[None]:
+    """What processes started here find: one BLAS thread each, and nobody's script to run again.
+
+    A new process imports the script it was started from; one without ``if __name__ ==
+    "__main__"`` would begin its study once more in every process. Jobs need nothing of it.
+    """
+    added = [name for name in ONE_THREAD if name not in os.environ]
+    os.environ.update(dict.fromkeys(added, "1"))
+    main = vars(sys.modules["__main__"])
+    hidden: Mapping[str, Any] = {key: main.pop(key) for key in ("__file__",) if key in main}
+    spec, main["__spec__"] = main.get("__spec__"), None
+    try:
+        yield
+    finally:
+        main.update(hidden, __spec__=spec)
+        for name in added:
+            del os.environ[name]
