@@ -23,9 +23,9 @@ sys.path[:0] = [str(ROOT), str(ROOT / "examples")]
 from compare_bounds import linearised  # noqa: E402 - found through the line above
 
 from casid import compare_bounds  # noqa: E402
-from casid.study import read_records  # noqa: E402
-from casid.studyfile import read_study  # noqa: E402
-from casid.workers import processors  # noqa: E402
+from casid.jobs.workers import processors  # noqa: E402
+from casid.studies.study import read_records  # noqa: E402
+from casid.studies.studyfile import read_study  # noqa: E402
 
 WIDTHS = (200, 150, 120, 100, 80, 70, 60, 50, 40, 30, 20)  # % of the linearised values
 LIMIT = 4.0

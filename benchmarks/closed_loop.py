@@ -20,7 +20,7 @@ from tables import table
 
 from casid import DataWarning, Record, StateSpace, pbsid
 from casid.linear import foh_step
-from casid.prediction import SampledUncertainty
+from casid.subspace.prediction import SampledUncertainty
 
 OMEGA = np.geomspace(0.3, 8.0, 25)
 INTERVAL, DURATION, LAG = 0.02, 40.0, 0.06  # s

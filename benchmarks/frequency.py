@@ -32,10 +32,10 @@ from uh60 import (
 )
 
 from casid import DataWarning, derivid, frequency_response
-from casid.magphase import Sensitivity
-from casid.mismatch import DB, DEG, PHASE, residuals
+from casid.baseline.magphase import Sensitivity
+from casid.baseline.mismatch import DB, DEG, PHASE, residuals
+from casid.baseline.pairs import select
 from casid.model import free_parameters
-from casid.pairs import select
 from models.six_dof import SixDof
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.tables import against, table
 from casid import Record, frequency_response, output_error, pbsid
-from casid.inspection import inspect
+from casid.commands.inspection import inspect
 from models.six_dof import SixDof
 
 SIZES = (100_000, 300_000, 1_000_000)

@@ -31,14 +31,14 @@ from benchmarks import bo105
 from benchmarks.tables import table
 from benchmarks.uh60 import DATA, INPUTS, NOISE, OUTPUTS, STEPS, SWEEPS
 from casid import Model, Record, SolverOptions, match, output_error, pbsid, read_csv
-from casid.intervals import Layout, lay_out
 from casid.model import Free, free_parameters
 from casid.nlp import Problem, solve
-from casid.programme import Programme
-from casid.sensitivity import Evaluator, whiteners
-from casid.shooting import IPOPT
-from casid.spline import PAD
-from casid.starting import starting_programme
+from casid.shooting.intervals import Layout, lay_out
+from casid.shooting.output_error import IPOPT
+from casid.shooting.programme import Programme
+from casid.shooting.sensitivity import Evaluator, whiteners
+from casid.shooting.spline import PAD
+from casid.shooting.starting import starting_programme
 from models.six_dof import SixDof
 
 R_TRUE = np.diag(np.array(list(NOISE.values())) ** 2)

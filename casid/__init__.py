@@ -1,30 +1,30 @@
 """Rotorcraft system identification in the time and frequency domains."""
 
-from casid.bounds import BoundsComparison, compare_bounds
+from casid.baseline.derivid import derivid
+from casid.baseline.handling import HandlingQualities, handling_qualities
+from casid.baseline.loes import TransferFunction, transfer_function
+from casid.bounds.compare import BoundsComparison, compare_bounds
+from casid.bounds.profile import Profile, profile
+from casid.bounds.reduction import Reduction, reduce_structure
+from casid.bounds.resampling import Ensemble, Multistart, bootstrap, monte_carlo, multistart
 from casid.chain import Identification, identify
-from casid.derivid import derivid
+from casid.commands.inspection import Inspection, inspect
+from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.errors import ConvergenceError, DataWarning, ModelError
+from casid.exchange.formats import read_parquet, read_record, write_mat, write_parquet
 from casid.files import read_csv, read_mat, write_csv
 from casid.fit import Certificate, Fit, ParameterEstimate
-from casid.formats import read_parquet, read_record, write_mat, write_parquet
-from casid.frequency import FrequencyResponse, frequency_response
-from casid.handling import HandlingQualities, handling_qualities
-from casid.identifiability import Identifiability, identifiability
-from casid.inspection import Inspection, inspect
-from casid.kinematics import KinematicCheck, kinematic_check
+from casid.frequency.estimation import FrequencyResponse, frequency_response
+from casid.frequency.responses import merge_responses, read_frequency_csv
 from casid.linear import StateSpace
-from casid.loes import TransferFunction, transfer_function
-from casid.matching import match
+from casid.matching.match import match
 from casid.model import Constraint, Model, Rows, Scalar, matrix, parameter
 from casid.nlp import Progress, SolverOptions
-from casid.pbsid import BlackBox, pbsid
-from casid.profile import Profile, profile
 from casid.record import Record
-from casid.reduction import Reduction, reduce_structure
-from casid.resampling import Ensemble, Multistart, bootstrap, monte_carlo, multistart
-from casid.responses import merge_responses, read_frequency_csv
-from casid.settings import OrderSelection, select_order
-from casid.shooting import output_error
+from casid.shooting.output_error import output_error
+from casid.structure.identifiability import Identifiability, identifiability
+from casid.subspace.pbsid import BlackBox, pbsid
+from casid.subspace.settings import OrderSelection, select_order
 from casid.validation import Validation, validate
 
 __all__ = [

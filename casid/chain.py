@@ -9,16 +9,16 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
-from casid.comparison import Target
+from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.fit import Fit
-from casid.frequency import FrequencyResponse, frequency_response
-from casid.kinematics import KinematicCheck, kinematic_check
-from casid.matching import match
+from casid.frequency.estimation import FrequencyResponse, frequency_response
+from casid.matching.comparison import Target
+from casid.matching.match import match
 from casid.model import Bounds, Model
 from casid.nlp import SolverOptions
-from casid.pbsid import BlackBox, pbsid
 from casid.record import Record
-from casid.shooting import output_error
+from casid.shooting.output_error import output_error
+from casid.subspace.pbsid import BlackBox, pbsid
 
 T = TypeVar("T")
 

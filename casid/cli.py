@@ -11,18 +11,18 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from casid.bounds import BoundsComparison
-from casid.commands import COMMANDS
+from casid.bounds.compare import BoundsComparison
+from casid.commands.data import COMMANDS
+from casid.commands.terminal import exits, logged
 from casid.files import read_csv
 from casid.fit import Fit
-from casid.modelfile import load_model
 from casid.nlp import Progress
 from casid.report import Timing
-from casid.runner import Outcome, run_study
-from casid.structure import describe
-from casid.study import Study, read_records
-from casid.studyfile import read_study
-from casid.terminal import exits, logged
+from casid.structure.modelfile import load_model
+from casid.structure.overview import describe
+from casid.studies.runner import Outcome, run_study
+from casid.studies.study import Study, read_records
+from casid.studies.studyfile import read_study
 
 WIDE = 24  # column of stages
 

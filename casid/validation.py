@@ -26,8 +26,8 @@ from casid.arrays import Array
 from casid.fit import Fit
 from casid.linear import StateSpace
 from casid.model import Model
-from casid.pbsid import BlackBox
 from casid.record import Hold, Record, same_channels, standard_deviations
+from casid.subspace.pbsid import BlackBox
 
 RANK = 1e-10  # singular values below this share of the largest are directions without effect
 LAGS = 40  # largest lag of the whiteness test

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 
 from casid import compare_bounds, match, pbsid
 from casid.report import plot_bounds
-from casid.study import read_records
-from casid.studyfile import read_study
+from casid.studies.study import read_records
+from casid.studies.studyfile import read_study
 
 ROOT = Path(__file__).parent.parent
 OUT = ROOT / "out" / "bounds"

@@ -16,10 +16,10 @@ from casid import Record, read_csv, read_frequency_csv, read_mat, write_csv
 from casid.files import read_json
 from casid.fit import Fit
 from casid.hdf import write_hdf
-from casid.modelfile import load_model
-from casid.store import Store
-from casid.study import read_records
-from casid.studyfile import read_study
+from casid.jobs.store import Store
+from casid.structure.modelfile import load_model
+from casid.studies.study import read_records
+from casid.studies.studyfile import read_study
 
 FOLDER = Path(tempfile.mkdtemp(prefix="casid-fuzz-"))
 CHANNELS = {"inputs": ("lat",), "outputs": ("p", "phi")}

@@ -16,11 +16,11 @@ import pytest
 from studies import Inline, Mixture, record
 
 from casid import ModelError, compare_bounds
-from casid.campaigns import Advance, Job, Shelf, UnfinishedError, run_jobs
-from casid.cases import read_cases
-from casid.modelfile import load_model
-from casid.transport import can_travel, refer, resolve
-from casid.trials import Trial, setup, starting_values
+from casid.bounds.cases import read_cases
+from casid.bounds.trials import Trial, setup, starting_values
+from casid.jobs.campaigns import Advance, Job, Shelf, UnfinishedError, run_jobs
+from casid.jobs.transport import can_travel, refer, resolve
+from casid.structure.modelfile import load_model
 
 TESTS = Path(__file__).parent
 CASES = {"free": {}} | {f"a < {k}": {"a": f"< {k}"} for k in (0.99, 0.98, 0.97, 0.96)}
@@ -208,7 +208,7 @@ def test_a_class_travels_as_the_text_of_its_file(tmp_path):
     assert resolve(reference) is cls  # here it is known
     path.unlink()  # a machine without the file
     code = (
-        "import pickle, sys; from casid.transport import resolve; "
+        "import pickle, sys; from casid.jobs.transport import resolve; "
         "print(resolve(pickle.load(sys.stdin.buffer))().a)"
     )
     run = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(reference),

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from studies import Mixture, least_squares, record
 
 from casid import ModelError, output_error
-from casid.cases import constrained, feasible, plain, read_cases
+from casid.bounds.cases import constrained, feasible, plain, read_cases
 
 
 def case(spec, model=None, **more):

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from matched import SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import StateSpace
-from casid.certificate import band_norm, peaks
-from casid.comparison import compare
+from casid.matching.certificate import band_norm, peaks
+from casid.matching.comparison import compare
 
 
 def random_system(rng, nx, ny, nu, delay):

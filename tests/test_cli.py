@@ -8,7 +8,7 @@ from small_study import write_study
 
 from casid import Fit
 from casid.cli import main
-from casid.modelfile import load_model
+from casid.structure.modelfile import load_model
 
 
 def casid(*arguments):

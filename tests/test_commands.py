@@ -12,10 +12,10 @@ from small_study import write_study
 
 from casid import FrequencyResponse, read_csv
 from casid.cli import main
+from casid.exchange.formats import read_table
 from casid.fit import Fit, parameter_table
-from casid.formats import read_table
 from casid.model import free_parameters
-from casid.modelfile import load_model
+from casid.structure.modelfile import load_model
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 

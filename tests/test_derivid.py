@@ -20,12 +20,12 @@ from casid import (
     frequency_response,
     parameter,
 )
-from casid.accuracy import accuracy
-from casid.equations import equation_start
-from casid.magphase import Sensitivity
-from casid.mismatch import coherence_weight, pair_weights, residuals
+from casid.baseline.accuracy import accuracy
+from casid.baseline.equations import equation_start
+from casid.baseline.magphase import Sensitivity
+from casid.baseline.mismatch import coherence_weight, pair_weights, residuals
+from casid.baseline.pairs import select
 from casid.model import free_parameters
-from casid.pairs import select
 
 OMEGA = np.geomspace(0.3, 12.0, 20)
 

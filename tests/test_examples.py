@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from casid.study import read_records
-from casid.studyfile import read_study
+from casid.studies.study import read_records
+from casid.studies.studyfile import read_study
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -16,18 +16,7 @@ import scipy.signal
 from small_study import write_study
 
 from casid import FrequencyResponse, Record, StateSpace, read_frequency_csv
-from casid.exchange import (
-    from_control,
-    from_dataframe,
-    from_scipy,
-    to_control,
-    to_dataframe,
-    to_scipy,
-    without_delay,
-)
-from casid.files import read_mat
-from casid.fit import Fit, parameter_table
-from casid.formats import (
+from casid.exchange.formats import (
     frequency_table,
     in_si,
     pairs_of,
@@ -40,10 +29,21 @@ from casid.formats import (
     write_parquet,
     write_table,
 )
+from casid.exchange.objects import (
+    from_control,
+    from_dataframe,
+    from_scipy,
+    to_control,
+    to_dataframe,
+    to_scipy,
+    without_delay,
+)
+from casid.exchange.standalone import write_module
+from casid.files import read_mat
+from casid.fit import Fit, parameter_table
 from casid.hdf import write_hdf
 from casid.model import free_parameters
-from casid.modelfile import load_model
-from casid.standalone import write_module
+from casid.structure.modelfile import load_model
 
 OMEGA = np.geomspace(0.1, 20, 15)
 LETTERS = "ABCD"

@@ -25,15 +25,15 @@ import casid.nlp
 from casid import Fit
 from casid.cli import main
 from casid.folder import claimed
-from casid.modelfile import load_model
+from casid.structure.modelfile import load_model
 
 STAGES = ("pbsid", "quadratic", "hinf", "output_error")
 IDENTIFY = "from casid.cli import main; main()"
 COMPARE = """
 import sys
 from casid import compare_bounds
-from casid.study import read_records
-from casid.studyfile import read_study
+from casid.studies.study import read_records
+from casid.studies.studyfile import read_study
 
 study = read_study(sys.argv[2])
 cases = {"free": {}, "signs": {"Lv": "< 0"}, "narrow": {"Lp": (-2.5, -1.0)}}
@@ -332,7 +332,9 @@ def test_when_ipopt_fails_the_chain_says_so_and_offers_its_best_iterate(stage, c
     assert best.success is False
     assert structure.infos()["Lp"].lower <= best["Lp"].value <= structure.infos()["Lp"].upper
     assert set(json.loads(index.read_text(encoding="utf-8"))) == set(before)
-    monkeypatch.setattr("casid.runner.write_report", lambda _, folder: folder / "report.html")
+    monkeypatch.setattr(
+        "casid.studies.runner.write_report", lambda _, folder: folder / "report.html"
+    )
     again = identify(copy / "study.toml")
     assert again.exit_code == 0
     assert again.output.count("kept") == len(before)

@@ -3,9 +3,9 @@ import pytest
 from truth import STABILISING, closed_loop_record, stepped_input, unstable_plant
 
 from casid import Record, StateSpace, pbsid
-from casid.columns import gather
-from casid.feedback import direct_term_is_ambiguous, fed_back_noise, prediction_errors
 from casid.record import standard_deviations
+from casid.subspace.columns import gather
+from casid.subspace.feedback import direct_term_is_ambiguous, fed_back_noise, prediction_errors
 
 
 def sampled_loop(D, gain, delay, N=2000, noise=1.0):

@@ -11,8 +11,8 @@ import scipy.signal
 import uh60
 
 from casid import DataWarning, FrequencyResponse, Record, StateSpace, frequency_response
-from casid.sampling import default_windows
-from casid.spectra import Conditioned, composite, condition, record_spectra, transform
+from casid.frequency.sampling import default_windows
+from casid.frequency.spectra import Conditioned, composite, condition, record_spectra, transform
 
 LAG = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], None, ("u",), ("y",))
 TWO = StateSpace(

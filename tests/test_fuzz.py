@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from small_study import write_study
 
 from casid import limits, match, pbsid
-from casid.store import encode
-from casid.study import read_records
-from casid.studyfile import read_study
+from casid.jobs.store import encode
+from casid.studies.study import read_records
+from casid.studies.studyfile import read_study
 
 SLOW = 600.0  # s, of the long run
 

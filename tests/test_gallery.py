@@ -12,7 +12,7 @@ from benchmarks.structures import fit_exact, fit_measured, records, unseen
 from benchmarks.uh60 import SWEEPS
 from casid import Record, frequency_response, match, output_error
 from casid.model import free_parameters
-from casid.shooting import simulate
+from casid.shooting.output_error import simulate
 from models.heave_inflow import HeaveInflow
 from models.hybrid_flap import HybridFlap
 from models.hybrid_flap_lag import HybridFlapLag

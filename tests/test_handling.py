@@ -7,7 +7,7 @@ import pytest
 import scipy.optimize
 
 from casid import FrequencyResponse
-from casid.handling import handling_qualities
+from casid.baseline.handling import handling_qualities
 from casid.report.readings import plot_handling_qualities
 
 OMEGA = np.geomspace(0.1, 40.0, 800)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from casid import FrequencyResponse, Model, ModelError, Record, Rows, Scalar, parameter
-from casid.identifiability import identifiability
+from casid.structure.identifiability import identifiability
 from models.short_period import ShortPeriod
 from models.six_dof import SixDof
 from tests.truth import known_black_box

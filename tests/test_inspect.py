@@ -7,7 +7,7 @@ import pytest
 from flown import NOISE, flight
 
 from casid import Record
-from casid.inspection import inspect
+from casid.commands.inspection import inspect
 from models.six_dof import SixDof
 
 STEP = 0.02

@@ -5,8 +5,8 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 
-from casid.integrate import step_map, step_slopes
 from casid.linear import foh_step
+from casid.shooting.integrate import step_map, step_slopes
 
 A = np.array([[-0.4, 2.0, 0.3], [-1.0, -3.0, 0.0], [0.5, 1.0, 0.2]])
 B = np.array([[1.0, 0.0], [0.5, 2.0], [0.0, -1.0]])

@@ -9,10 +9,10 @@ from flown import FORCES, NOISE, RATES, STATES, flight
 from small_study import write_study
 
 from casid import read_csv
-from casid.formats import read_table, write_table
-from casid.kinematics import kinematic_check
-from casid.runner import run_study
-from casid.studyfile import read_study
+from casid.consistency.kinematics import kinematic_check
+from casid.exchange.formats import read_table, write_table
+from casid.studies.runner import run_study
+from casid.studies.studyfile import read_study
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 INPUTS = ("col", "lat", "lon", "ped")

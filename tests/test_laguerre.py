@@ -5,8 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from truth import unstable_plant
 
-from casid.laguerre import from_laguerre, laguerre, project, project_blocks, support, to_laguerre
 from casid.linear import StateSpace
+from casid.subspace.laguerre import (
+    from_laguerre,
+    laguerre,
+    project,
+    project_blocks,
+    support,
+    to_laguerre,
+)
 
 A = 7.0
 

@@ -5,8 +5,8 @@ import pytest
 import uh60
 
 from casid import FrequencyResponse, frequency_response
-from casid.loes import transfer_function
-from casid.mismatch import DEG, coherence_weight
+from casid.baseline.loes import transfer_function
+from casid.baseline.mismatch import DEG, coherence_weight
 
 OMEGA = np.geomspace(0.3, 15.0, 20)
 

@@ -8,8 +8,8 @@ from small_study import write_study
 
 from casid import Fit, match
 from casid.report import plot_match_error
-from casid.runner import run_study
-from casid.studyfile import read_study
+from casid.studies.runner import run_study
+from casid.studies.studyfile import read_study
 
 
 def test_singular_values_lie_under_the_bound_and_touch_the_grid_norm(tmp_path):

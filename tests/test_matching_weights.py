@@ -14,8 +14,8 @@ from casid import (
     match,
     parameter,
 )
-from casid.comparison import compare
-from casid.lifted import lift
+from casid.matching.comparison import compare
+from casid.matching.lifted import lift
 from casid.model import free_parameters
 
 OMEGA = np.geomspace(0.1, 10.0, 40)

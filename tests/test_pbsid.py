@@ -6,10 +6,10 @@ import pytest
 from truth import STABILISING, closed_loop_record, stepped_input, unstable_plant
 
 from casid import DataWarning, Record, StateSpace, pbsid
-from casid.columns import excited_band, feedthrough_mask, gather
-from casid.fourier import spectra
 from casid.record import standard_deviations
-from casid.refinement import refine
+from casid.subspace.columns import excited_band, feedthrough_mask, gather
+from casid.subspace.fourier import spectra
+from casid.subspace.refinement import refine
 
 OMEGA = np.geomspace(0.3, 8.0, 25)
 
@@ -133,7 +133,7 @@ def test_stack_of_blocks_is_the_stack_of_all_columns(monkeypatch):
     records = campaign(noise=0.02)
     su, sy = standard_deviations(records)
     whole, _ = gather(records, su, sy, 6, 6.0)
-    monkeypatch.setattr(sys.modules["casid.columns"], "BLOCK", 100)
+    monkeypatch.setattr(sys.modules["casid.subspace.columns"], "BLOCK", 100)
     parts, _ = gather(records, su, sy, 6, 6.0)
     assert parts.columns == whole.columns
     np.testing.assert_allclose(parts.R.T @ parts.R, whole.R.T @ whole.R, rtol=1e-9, atol=1e-8)

@@ -3,9 +3,9 @@ import pytest
 from truth import stepped_input
 
 from casid import Record, StateSpace, pbsid
-from casid.modal import moved, to_modal
-from casid.prediction import normal_equations, prediction_errors, refine_samples, stretches
 from casid.record import standard_deviations
+from casid.subspace.modal import moved, to_modal
+from casid.subspace.prediction import normal_equations, prediction_errors, refine_samples, stretches
 
 
 def innovation_record(N=600, noise=0.1, seed=0):

@@ -5,10 +5,10 @@ from test_prediction import innovation_record
 from truth import unstable_plant
 
 from casid import StateSpace, pbsid
-from casid.fourier import spectra
-from casid.modal import from_modal, to_modal
 from casid.record import standard_deviations
-from casid.refinement import information_criteria, refine, residual_powers
+from casid.subspace.fourier import spectra
+from casid.subspace.modal import from_modal, to_modal
+from casid.subspace.refinement import information_criteria, refine, residual_powers
 
 OMEGA = np.geomspace(0.5, 6.0, 12)
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from casid import ModelError
-from casid.relations import parse_relation
+from casid.bounds.relations import parse_relation
 
 
 @pytest.mark.parametrize(

@@ -33,8 +33,8 @@ from casid.report.figures import decibel, groups, input_pairs, phase, style
 from casid.report.html import number, percent
 from casid.report.interactive import interactive
 from casid.report.verdicts import cautions, verdicts, word
-from casid.runner import run_study
-from casid.studyfile import read_study
+from casid.studies.runner import run_study
+from casid.studies.studyfile import read_study
 
 MODELS = (BLACK_BOX, MATCH, OUTPUT_ERROR, BASELINE)
 CHROMIUM = shutil.which("chromium")
@@ -53,7 +53,7 @@ def content(study_folder):
     honest = html_module.write_report
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "casid.runner.write_report",
+            "casid.studies.runner.write_report",
             lambda content, folder: (kept.append(content), honest(content, folder))[1],
         )
         run_study(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid.responses import merge_responses, read_frequency_csv
+from casid.frequency.responses import merge_responses, read_frequency_csv
 
 OMEGA = np.array([0.5, 1.0, 2.0])
 G = np.array([1 - 1j, -0.5j, -0.2 + 0.1j])

@@ -13,7 +13,7 @@ from small_study import Truth
 
 import casid
 from casid import files, limits, studyfile
-from casid.store import Store
+from casid.jobs.store import Store
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted(Path(casid.__file__).parent.rglob("*.py"))

@@ -9,11 +9,11 @@ from truth import unstable_plant
 from uh60 import EXAMPLE, INPUTS, NOISE, OUTPUTS, sweeps
 
 from casid import Record, pbsid, read_csv, select_order
-from casid.columns import gather
-from casid.laguerre import support
 from casid.record import standard_deviations
 from casid.report import plot_order_selection
-from casid.settings import COST, PASTS, POLES, held_out_suffices
+from casid.subspace.columns import gather
+from casid.subspace.laguerre import support
+from casid.subspace.settings import COST, PASTS, POLES, held_out_suffices
 
 GRID = {"orders": [3, 4, 5, 6, 7], "poles": [6.0, 8.0], "pasts": [8, 10]}
 
@@ -61,9 +61,9 @@ def test_choice_is_deterministic(flights, selection):
     "word", [{"order": 4}, {"past": 9}, {"pole": 5.0}, {"regularisation": 0.02}]
 )
 def test_a_users_word_overrides_each_setting(flights, word, monkeypatch):
-    monkeypatch.setattr("casid.settings.POLES", (6.0,))
-    monkeypatch.setattr("casid.settings.PASTS", (8,))
-    monkeypatch.setattr("casid.settings._default_orders", lambda *_: [4, 5])
+    monkeypatch.setattr("casid.subspace.settings.POLES", (6.0,))
+    monkeypatch.setattr("casid.subspace.settings.PASTS", (8,))
+    monkeypatch.setattr("casid.subspace.settings._default_orders", lambda *_: [4, 5])
     box = pbsid(flights, **word, feedthrough=["z"])
     for name, value in word.items():
         assert getattr(box, name) == value

@@ -7,7 +7,7 @@ import pytest
 
 from casid import Model, Record, Rows, Scalar, SolverOptions, parameter
 from casid.errors import ConvergenceError
-from casid.shooting import output_error, simulate
+from casid.shooting.output_error import output_error, simulate
 
 T = 0.02 * np.arange(600)
 

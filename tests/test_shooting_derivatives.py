@@ -7,12 +7,12 @@ import pytest
 from test_shooting import TRUTH, flown
 
 from casid import Constraint, Record
-from casid.intervals import lay_out
 from casid.model import free_parameters
-from casid.programme import Programme
-from casid.sensitivity import Evaluator
-from casid.shooting import simulate
-from casid.starting import noise_of, starting_programme
+from casid.shooting.intervals import lay_out
+from casid.shooting.output_error import simulate
+from casid.shooting.programme import Programme
+from casid.shooting.sensitivity import Evaluator
+from casid.shooting.starting import noise_of, starting_programme
 
 GAIN = np.array([[0.1, 1.0, 0.5], [0.0, 2.0, 0.3], [0.02, 0.1, 1.0]])
 

@@ -9,7 +9,7 @@ from test_shooting_derivatives import jittered, with_holes
 
 from casid import Constraint, ConvergenceError, ModelError, Scalar, SolverOptions, parameter
 from casid.model import free_parameters
-from casid.shooting import choose_interval, output_error, simulate
+from casid.shooting.output_error import choose_interval, output_error, simulate
 
 NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}
 

@@ -6,7 +6,7 @@ import scipy.signal
 from scipy.interpolate import make_interp_spline
 from test_shooting import TRUTH, flown, off
 
-from casid.shooting import output_error
+from casid.shooting.output_error import output_error
 
 SIGMA = {"ay": 0.05, "p": 0.005, "phi": 0.005}
 PAD = 20  # samples at rest before the record; a spline forgets by a factor 0.27 a sample

@@ -9,7 +9,7 @@ from test_shooting import TRUTH, excitation
 from benchmarks.output_error import bo105_estimates
 from casid import Model, Record, Rows, Scalar, StateSpace, parameter
 from casid.linear import foh_step
-from casid.shooting import output_error, simulate
+from casid.shooting.output_error import output_error, simulate
 
 SIGMA = np.array([0.05, 0.005, 0.005])  # m/s^2, rad/s, rad
 H = 0.02  # s

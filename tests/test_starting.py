@@ -4,7 +4,7 @@ import numpy as np
 import scipy.integrate
 from scipy.linalg import expm
 
-from casid.starting import _accumulated
+from casid.shooting.starting import _accumulated
 
 
 def test_accumulated_covariance_is_its_integral_for_stiff_and_unstable_dynamics():

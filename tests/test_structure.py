@@ -8,7 +8,7 @@ import pytest
 
 from casid import Constraint, Model, Rows, Scalar, StateSpace, parameter, write_csv
 from casid.cli import main
-from casid.structure import describe, excitation, modes
+from casid.structure.overview import describe, excitation, modes
 from models.short_period import ShortPeriod
 from models.six_dof import SixDof
 

@@ -9,11 +9,11 @@ from small_study import TRIM, write_study
 
 from casid import ConvergenceError, DataWarning, Model, ModelError
 from casid import chain as chain_module
-from casid.modelfile import load_model
-from casid.runner import run_study
-from casid.store import Entry, Store, decode, digest, encode
-from casid.study import read_records
-from casid.studyfile import read_study
+from casid.jobs.store import Entry, Store, decode, digest, encode
+from casid.structure.modelfile import load_model
+from casid.studies.runner import run_study
+from casid.studies.study import read_records
+from casid.studies.studyfile import read_study
 
 # ---- reading -----------------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ from test_pbsid import campaign
 from uh60 import sweeps
 
 from casid import Record, pbsid
-from casid.trust import data_doubts
+from casid.subspace.trust import data_doubts
 
 FLIGHT = Path(__file__).parent / "data" / "trex550.npz"
 

@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.sparse
 
-from casid.uncertainty import (
+from casid.shooting.uncertainty import (
     bound,
     collinearities,
     coloured_covariance,
@@ -44,7 +44,7 @@ def test_a_nuisance_with_many_neighbours_is_eliminated_as_any_other(monkeypatch)
     parts = (J_l.T @ J_l, scipy.sparse.csc_array(J.T @ J), J.T @ J_l, scipy.sparse.csc_array(G),
              G_cross)  # fmt: skip
     together = eliminate(*parts)
-    monkeypatch.setattr("casid.uncertainty.MANY", 3)
+    monkeypatch.setattr("casid.shooting.uncertainty.MANY", 3)
     for one, two in zip(together, eliminate(*parts), strict=True):
         np.testing.assert_allclose(two, one, rtol=1e-8, atol=1e-8)  # ridge 1e-13 of the largest
 

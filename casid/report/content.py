@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from casid import channels
-from casid.bounds import BoundsComparison
+from casid.bounds.compare import BoundsComparison
+from casid.consistency.kinematics import KinematicCheck
 from casid.fit import Fit
-from casid.frequency import FrequencyResponse
-from casid.kinematics import KinematicCheck
-from casid.pbsid import BlackBox
+from casid.frequency.estimation import FrequencyResponse
+from casid.subspace.pbsid import BlackBox
 from casid.validation import Validation
 
 UNITS = channels.UNITS

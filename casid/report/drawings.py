@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from casid.arrays import Array
-from casid.bounds import BoundsComparison
+from casid.bounds.compare import BoundsComparison
 from casid.folder import replacing
 from casid.linear import StateSpace
 from casid.record import Record

@@ -13,10 +13,10 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, MultipleLocator, NullLo
 
 from casid.arrays import Array, ComplexArray
 from casid.fit import Fit
-from casid.frequency import FrequencyResponse
+from casid.frequency.estimation import FrequencyResponse
 from casid.linear import StateSpace
-from casid.pbsid import BlackBox
 from casid.report.content import BASELINE, BLACK_BOX, MATCH, OUTPUT_ERROR, UNITS
+from casid.subspace.pbsid import BlackBox
 from casid.validation import Validation
 
 MEASURED = "measured"

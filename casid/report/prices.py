@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator
 
-from casid.bounds import BoundsComparison
+from casid.bounds.compare import BoundsComparison
+from casid.bounds.prices import CaseResult
 from casid.fit import ParameterEstimate
-from casid.prices import CaseResult
 
 COLOURS = ("#000000", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#777777")
 CONFIDENCE = 1.96  # standard deviations of a 95 % interval

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from casid.handling import HandlingQualities
+from casid.baseline.handling import HandlingQualities
 from casid.report.figures import frequency_axis, phase_axis
 
 MARK: dict[str, Any] = {"color": "#D55E00", "linewidth": 0.9}

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from casid.settings import Candidate, OrderSelection
+from casid.subspace.settings import Candidate, OrderSelection
 
 MARKERS = "osD^vP*X"
 

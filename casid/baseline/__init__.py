@@ -1,0 +1,1 @@
+"""The frequency domain alone: derivatives, equivalent systems and handling qualities."""

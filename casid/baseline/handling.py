@@ -1,0 +1,231 @@
+"""Handling-qualities reading of a frequency response: bandwidth, phase delay, stability margins.
+
+Attitude response to a stick, ADS-33E-PRF, Aeronautical Design Standard, Handling Qualities
+Requirements for Military Rotorcraft (2000), section 3.3.2.1 and figure 5:
+
+- ω_180 is where the phase of attitude to stick passes -180°;
+- the phase bandwidth is where it passes -135° (45° of phase margin);
+- the gain bandwidth is where the gain is 6 dB above that at ω_180;
+- the bandwidth is the lesser of the two, of an attitude-command response the phase bandwidth;
+- the phase delay is τ_p = ΔΦ/(57.3 · 2ω_180), ΔΦ the phase lost from ω_180 to 2ω_180; where the
+  phase is no straight line there, from a least-squares line (both are given).
+
+Passing means downwards and up to whole turns: the first such frequency sets the turn.
+
+Open loop, MIL-DTL-9490E: the phase margin is 180° plus the phase where the gain passes 0 dB, the
+gain margin minus the gain where the phase passes -180°; 45° and 6 dB are wanted. With several
+crossings the least in magnitude counts; a negative gain margin is that against a loss of gain.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.frequency.estimation import FrequencyResponse
+
+Kind = Literal["attitude", "rate", "loop"]
+
+PHASE_MARGIN, GAIN_MARGIN = 45.0, 6.0  # degrees, dB
+COHERENT = 0.6
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HandlingQualities:
+    """What is read off one response; NaN where it does not apply or lies outside the band.
+
+    Parameters
+    ----------
+    output, input, kind : str
+        The pair and what it was read as.
+    omega, gain_db, phase_deg : (K,) array
+        The curve that was read: frequencies [rad/s], gain, phase unwrapped.
+    omega_180 : float
+        Where the phase passes -180° [rad/s].
+    bandwidth, bandwidth_phase, bandwidth_gain : float
+        [rad/s], ADS-33.
+    phase_delay, phase_delay_line : float
+        τ_p [s], from the end points and from a least-squares line.
+    crossover : float
+        Gain crossing with the least phase margin [rad/s].
+    phase_margin, gain_margin : float
+        [degrees], [dB].
+    satisfactory : bool or None
+        Whether an open loop has both margins; None for an attitude response, whose limits depend
+        on the aircraft's mission (ADS-33 figures 6 and 9).
+    remarks : tuple of str
+        What to know before believing the numbers.
+    """
+
+    output: str
+    input: str
+    kind: Kind
+    omega: Array
+    gain_db: Array
+    phase_deg: Array
+    omega_180: float = np.nan
+    bandwidth: float = np.nan
+    bandwidth_phase: float = np.nan
+    bandwidth_gain: float = np.nan
+    phase_delay: float = np.nan
+    phase_delay_line: float = np.nan
+    crossover: float = np.nan
+    phase_margin: float = np.nan
+    gain_margin: float = np.nan
+    satisfactory: bool | None = None
+    remarks: tuple[str, ...] = ()
+
+
+def handling_qualities(
+    frf: FrequencyResponse,
+    pair: tuple[str, str],
+    *,
+    kind: Kind = "attitude",
+    sign: int = 1,
+    attitude_command: bool = False,
+) -> HandlingQualities:
+    """Bandwidth and phase delay of an attitude response, or the margins of an open loop.
+
+    Parameters
+    ----------
+    frf : FrequencyResponse
+        On a grid fine enough to interpolate in log ω.
+    pair : (output, input)
+        Which response.
+    kind : {"attitude", "rate", "loop"}
+        ``"attitude"``: read as it is; ``"rate"``: an angular rate, integrated first; ``"loop"``: a
+        loop broken at one point, negative feedback, whose characteristic equation is 1 + L = 0.
+    sign : {1, -1}
+        -1 for a stick whose positive deflection lowers the attitude.
+    attitude_command : bool
+        Whether the stick commands attitude, so that the gain bandwidth does not count.
+
+    Returns
+    -------
+    HandlingQualities
+
+    Raises
+    ------
+    ValueError
+        A pair that was not measured, a phase that never passes -180° in the band.
+    """
+    if kind not in get_args(Kind) or sign not in {1, -1}:
+        raise ValueError(
+            f'kind={kind!r}, sign={sign}: expected "attitude", "rate" or "loop", and 1 or -1'
+        )
+    i, j = frf.index(*pair)
+    G, gamma = frf.G[:, i, j], frf.coherence[:, i, j]
+    known = np.isfinite(G) & (np.abs(G) > 0)
+    if known.sum() < 3:
+        raise ValueError(f"pair {pair} was measured at {known.sum()} frequencies, too few to read")
+    omega, G, gamma = frf.omega[known], sign * G[known], gamma[known]
+    if kind == "rate":
+        G = G / (1j * omega)
+    gain = 20 * np.log10(np.abs(G))
+    phase = np.degrees(np.unwrap(np.angle(G)))
+    found = HandlingQualities(
+        output=pair[0], input=pair[1], kind=kind, omega=omega, gain_db=gain, phase_deg=phase
+    )
+    if kind == "loop":
+        return _margins(found, gamma)
+    return _bandwidth(found, gamma, attitude_command=attitude_command)
+
+
+def _bandwidth(
+    found: HandlingQualities, gamma: Array, *, attitude_command: bool
+) -> HandlingQualities:
+    x, gain = np.log(found.omega), found.gain_db
+    crossings = _passing(x, found.phase_deg, -180.0, downwards=True)
+    if not len(crossings):
+        raise ValueError(
+            f"the phase of {found.output}/{found.input} does not pass -180° between "
+            f"{found.omega[0]:.3g} and {found.omega[-1]:.3g} rad/s: extend the grid to higher "
+            'frequencies, or check kind= (an angular rate is read with "rate") and sign='
+        )
+    x180 = crossings[0]
+    phase = found.phase_deg - 360 * np.round((np.interp(x180, x, found.phase_deg) + 180) / 360)
+    before = x <= x180
+    at_phase = _passing(x[before], phase[before], -135.0, downwards=True, turns=False)
+    at_gain = _passing(x[before], gain[before], np.interp(x180, x, gain) + 6, turns=False)
+    by_phase, by_gain = (np.exp(at[-1]) if len(at) else np.nan for at in (at_phase, at_gain))
+    both = [by_phase] if attitude_command else [by_phase, by_gain]
+    delay, line, remarks = _phase_delay(x, phase, x180)
+    if np.isnan(by_phase):
+        remarks.append("the phase is below -135° in the whole band: no phase bandwidth in it")
+    if np.isnan(by_gain) and not attitude_command:
+        remarks.append("the gain is less than 6 dB above that at ω_180 in the whole band")
+    top = min(2 * np.exp(x180), found.omega[-1])
+    read = (found.omega >= np.nanmin([*both, np.exp(x180)])) & (found.omega <= top)
+    remarks += _doubts(gamma[read])
+    return replace(
+        found, phase_deg=phase, omega_180=float(np.exp(x180)), bandwidth_phase=float(by_phase),
+        bandwidth_gain=float(by_gain), bandwidth=float(np.min(both)), phase_delay=delay,
+        phase_delay_line=line, remarks=tuple(remarks),
+    )  # fmt: skip
+
+
+def _phase_delay(x: Array, phase: Array, x180: float) -> tuple[float, float, list[str]]:
+    """τ_p from the end points and from a line through ω_180 and the points up to 2ω_180."""
+    omega_180 = np.exp(x180)
+    if x180 + np.log(2) > x[-1] + 1e-9:
+        return np.nan, np.nan, [
+            f"2ω_180 = {2 * omega_180:.3g} rad/s lies beyond the grid: no phase delay"
+        ]  # fmt: skip
+    fine = np.linspace(omega_180, 2 * omega_180, 41)
+    curve = np.interp(np.log(fine), x, phase)
+    delay = -(curve[-1] + 180) / (np.degrees(1) * 2 * omega_180)
+    slope = np.polyfit(fine, curve, 1)[0]
+    return float(delay), float(-slope / np.degrees(1) / 2), []
+
+
+def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
+    x, remarks = np.log(found.omega), []
+    at_gain = _passing(x, found.gain_db, 0.0, turns=False)
+    at_phase = _passing(x, found.phase_deg, -180.0)
+    margins = (np.interp(at_gain, x, found.phase_deg) + 360) % 360 - 180
+    spare = -np.interp(at_phase, x, found.gain_db)
+    phase_margin, gain_margin, crossover, omega_180 = (np.nan,) * 4
+    if len(at_gain):
+        k = int(np.argmin(np.abs(margins)))
+        phase_margin, crossover = float(margins[k]), float(np.exp(at_gain[k]))
+    else:
+        remarks.append("the gain does not pass 0 dB in the band: no phase margin in it")
+    if len(at_phase):
+        k = int(np.argmin(np.abs(spare)))
+        gain_margin, omega_180 = float(spare[k]), float(np.exp(at_phase[k]))
+    else:
+        remarks.append("the phase does not pass -180° in the band: no gain margin in it")
+    good = abs(phase_margin) >= PHASE_MARGIN and abs(gain_margin) >= GAIN_MARGIN
+    places = np.concatenate([at_gain, at_phase])
+    near = [int(np.argmin(np.abs(x - place))) for place in places]
+    remarks += _doubts(gamma[near])
+    known = np.isfinite(phase_margin) and np.isfinite(gain_margin)
+    return replace(
+        found, omega_180=omega_180, crossover=crossover, phase_margin=phase_margin,
+        gain_margin=gain_margin, satisfactory=bool(good) if known else None,
+        remarks=tuple(remarks),
+    )  # fmt: skip
+
+
+def _passing(
+    x: Array, y: Array, level: float, *, downwards: bool = False, turns: bool = True
+) -> Array:
+    """Where y passes a level (up to whole turns of 360), linear between points."""
+    found = []
+    for k in range(len(x) - 1):
+        low, high = sorted((y[k], y[k + 1]))
+        if downwards and y[k + 1] >= y[k]:
+            continue
+        first = level + 360 * np.ceil((low - level) / 360) if turns else level
+        # A level met at a point belongs to the step that reaches it.
+        if low <= first < high or (first == high and k + 2 == len(x)):
+            found.append(x[k] + (first - y[k]) / (y[k + 1] - y[k]) * (x[k + 1] - x[k]))
+    return np.array(found)
+
+
+def _doubts(gamma: Array) -> list[str]:
+    worst = np.nanmin(gamma) if np.isfinite(gamma).any() else np.nan
+    if worst < COHERENT:
+        return [f"coherence falls to {worst:.2f} where the numbers are read"]
+    return []

@@ -1,0 +1,255 @@
+"""Low-order equivalent systems: a transfer function with delay fitted to one measured pair.
+
+    G(s) = (b_0 s^m + ... + b_m)/(s^n + a_1 s^(n-1) + ... + a_n) e^(-τs)
+
+M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd ed., chapter 11
+(*T&R*; there the programme is NAVFIT); the cost J is that of `casid.baseline.mismatch`.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.optimize
+
+from casid.arrays import Array, BoolArray, ComplexArray
+from casid.baseline.mismatch import DB, DEG, PHASE, log_ratio, pair_weights, residuals
+from casid.errors import ConvergenceError
+from casid.frequency.estimation import FrequencyResponse
+
+DELAYS = np.array(
+    [0.0, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4]
+)  # starts, in periods of the fastest point
+REFINED = 3  # starts that are carried to the end
+SWEEPS = 8  # Sanathanan-Koerner iterations of a start
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TransferFunction:
+    """A low-order equivalent system and how well it fits.
+
+    Parameters
+    ----------
+    numerator, denominator : (nz + 1,), (np + 1,) array
+        Coefficients of falling powers of s, the denominator's first is 1.
+    delay : float
+        τ [s], >= 0.
+    J : float
+        Cost, T&R: up to 100 is acceptable, up to 50 hardly distinguishable from the measurement.
+    std_error : (nz + 1 + np + 1,) array
+        √(H⁻¹)ᵢᵢ of the numerator's, the denominator's free coefficients and the delay, H the
+        Gauss-Newton Hessian of J; NaN for a delay that is fixed or at 0.
+    omega : (K,) array
+        Frequencies fitted [rad/s].
+    mismatch_db, mismatch_deg : (K,) array
+        Fit minus measurement, gain in dB and phase in degrees.
+    output, input : str
+        The pair.
+    """
+
+    numerator: Array
+    denominator: Array
+    delay: float
+    J: float
+    std_error: Array
+    omega: Array
+    mismatch_db: Array
+    mismatch_deg: Array
+    output: str
+    input: str
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Roots of the denominator [rad/s]."""
+        return np.roots(self.denominator).astype(complex)
+
+    @property
+    def zeros(self) -> ComplexArray:
+        """Roots of the numerator [rad/s]."""
+        return np.roots(self.numerator).astype(complex)
+
+    def response(self, omega: Array) -> ComplexArray:
+        """Frequency response, (K,)."""
+        s = 1j * np.asarray(omega, dtype=float)
+        ratio = np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
+        return np.asarray(ratio * np.exp(-s * self.delay))
+
+    def to_control(self) -> Any:  # noqa: ANN401 - python-control has no types
+        """The rational part as a `control.TransferFunction`; the delay is not in it."""
+        import control  # noqa: PLC0415 - slow to import, and only wanted here
+
+        return control.TransferFunction(
+            self.numerator, self.denominator, inputs=[self.input], outputs=[self.output]
+        )
+
+
+def transfer_function(
+    frf: FrequencyResponse,
+    order: tuple[int, int],
+    *,
+    delay: bool = True,
+    pair: tuple[str, str] | None = None,
+    band: tuple[float, float] | None = None,
+    coherence: float = 0.6,
+) -> TransferFunction:
+    """The transfer function of given order that fits one pair best in dB and degrees.
+
+    Parameters
+    ----------
+    frf : FrequencyResponse
+        The measurement.
+    order : (int, int)
+        Degrees (nz, np) of numerator and denominator.
+    delay : bool
+        Whether a delay τ >= 0 is estimated too.
+    pair : (output, input)
+        Which pair; may be left out of a response that has one.
+    band : (float, float)
+        Frequencies to fit [rad/s]; all unless given.
+    coherence : float
+        Points below it are left out.
+
+    Raises
+    ------
+    ValueError
+        An order that makes no sense, a pair without enough coherent points.
+    ConvergenceError
+        No start led to a fit.
+    """
+    nz, np_ = order
+    if nz < 0 or np_ < 0:
+        raise ValueError(f"order={order}: expected degrees (nz, np) >= 0")
+    output, name = _pair(frf, pair)
+    frf = frf if band is None else frf.between(*band)
+    i, j = frf.index(output, name)
+    G, gamma = frf.G[:, i, j], frf.coherence[:, i, j]
+    used = np.isfinite(G) & (np.abs(G) > 0) & np.isfinite(gamma) & (gamma >= coherence)
+    unknowns = nz + 1 + np_ + bool(delay)
+    if 2 * used.sum() < unknowns + 1:
+        raise ValueError(
+            f"pair ({output!r}, {name!r}) has {used.sum()} points with coherence >= {coherence:g}, "
+            f"too few for the {unknowns} unknowns of order {order}; lower the order or the "
+            "threshold, or improve the measurement"
+        )
+    problem = _Problem(frf.omega[used], G[used], gamma[used], (nz, np_), delay)
+    x = problem.solve()
+    numerator, denominator, tau = problem.unpack(x)
+    found = problem.response(x)
+    difference = log_ratio(found, problem.G)
+    return TransferFunction(
+        numerator=numerator, denominator=denominator, delay=tau,
+        J=float(np.sum(problem.residual(x) ** 2)), std_error=problem.std_error(x),
+        omega=problem.omega, mismatch_db=DB * difference.real, mismatch_deg=DEG * difference.imag,
+        output=output, input=name,
+    )  # fmt: skip
+
+
+def _pair(frf: FrequencyResponse, pair: tuple[str, str] | None) -> tuple[str, str]:
+    if pair is not None:
+        return pair
+    if len(frf.outputs) > 1 or len(frf.inputs) > 1:
+        raise ValueError(
+            f"the response has outputs {', '.join(frf.outputs)} and inputs "
+            f"{', '.join(frf.inputs)}: name one pair=(output, input)"
+        )
+    return next(iter(frf.outputs)), next(iter(frf.inputs))
+
+
+class _Problem:
+    """J as a least-squares problem in numerator, denominator and delay, s in units of ω₀."""
+
+    def __init__(
+        self, omega: Array, G: ComplexArray, gamma: Array, order: tuple[int, int], delay: bool
+    ) -> None:
+        self.omega, self.G, self.order, self.delay = omega, G, order, delay
+        self.weight = pair_weights(gamma, np.ones(len(omega), dtype=bool))
+        self.unit = float(np.sqrt(omega[0] * omega[-1]))
+        self.size = float(np.median(np.abs(G)))
+        self.s = 1j * omega / self.unit
+
+    def unpack(self, x: Array) -> tuple[Array, Array, float]:
+        """Numerator, denominator and delay in physical units."""
+        nz, n = self.order
+        scale = self._scale()
+        denominator = np.concatenate([[1.0], (x * scale)[nz + 1 : nz + 1 + n]])
+        return (x * scale)[: nz + 1], denominator, float(x[-1] * scale[-1]) if self.delay else 0.0
+
+    def _scale(self) -> Array:
+        nz, n = self.order
+        powers = self.unit ** np.concatenate([n - np.arange(nz, -1.0, -1), np.arange(1.0, n + 1)])
+        powers[: nz + 1] *= self.size
+        return np.append(powers, 1 / self.unit) if self.delay else powers
+
+    def response(self, x: Array) -> ComplexArray:
+        nz, n = self.order
+        top = np.polyval(x[: nz + 1], self.s)
+        bottom = np.polyval(np.append(1.0, x[nz + 1 : nz + 1 + n]), self.s)
+        late = np.exp(-self.s * x[-1]) if self.delay else 1.0
+        return np.asarray(self.size * top / bottom * late)
+
+    def residual(self, x: Array) -> Array:
+        return residuals(self.response(x), self.G, self.weight).ravel()
+
+    def jacobian(self, x: Array) -> Array:
+        """Of the residuals: d ln G is that of numerator, denominator and delay in turn."""
+        nz, n = self.order
+        top = np.polyval(x[: nz + 1], self.s)
+        bottom = np.polyval(np.append(1.0, x[nz + 1 : nz + 1 + n]), self.s)
+        columns = [self.s**k / top for k in range(nz, -1, -1)]
+        columns += [-(self.s**k) / bottom for k in range(n - 1, -1, -1)]
+        columns += [-self.s] if self.delay else []
+        d = np.sqrt(self.weight)[:, None] * np.column_stack(columns)
+        return np.vstack([DB * d.real, np.sqrt(PHASE) * DEG * d.imag])
+
+    def solve(self) -> Array:
+        starts = sorted(
+            (start for periods in DELAYS[: None if self.delay else 1]
+             if (start := self._start(periods * 2 * np.pi / abs(self.s[-1]))) is not None),
+            key=lambda start: float(np.sum(self.residual(start) ** 2)),
+        )  # fmt: skip
+        lower = np.full(sum(self.order) + 1 + self.delay, -np.inf)
+        if self.delay:
+            lower[-1] = 0.0
+        found = []
+        for start in starts[:REFINED]:
+            inside = start if not self.delay else np.append(start[:-1], max(start[-1], 1e-6))
+            result = scipy.optimize.least_squares(
+                self.residual, inside, self.jacobian, bounds=(lower, np.inf), x_scale="jac",
+                xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=500,
+            )  # fmt: skip
+            if result.status > 0:
+                found.append(result)
+        if not found:
+            raise ConvergenceError(
+                f"no transfer function of order {self.order} fits; try another order or band"
+            )
+        return np.asarray(min(found, key=lambda result: result.cost).x)
+
+    def _start(self, tau: float) -> Array | None:
+        """Sanathanan & Koerner (1963): linear least squares, reweighted by the last denominator."""
+        nz, n = self.order
+        G = self.G / self.size * np.exp(self.s * tau)
+        bottom = np.ones(len(self.s), dtype=complex)
+        x = np.zeros(nz + 1 + n)
+        for _ in range(SWEEPS):
+            w = np.sqrt(self.weight) / np.abs(G * bottom)
+            columns = [self.s**k for k in range(nz, -1, -1)]
+            columns += [-G * self.s**k for k in range(n - 1, -1, -1)]
+            M, right = w[:, None] * np.column_stack(columns), w * G * self.s**n
+            real = np.vstack([M.real, M.imag]), np.concatenate([right.real, right.imag])
+            x = np.linalg.lstsq(*real, rcond=None)[0]
+            bottom = np.polyval(np.append(1.0, x[nz + 1 :]), self.s)
+            if not (np.isfinite(x).all() and np.abs(bottom).min() > 0):
+                return None
+        return np.append(x, tau) if self.delay else x
+
+    def std_error(self, x: Array) -> Array:
+        """√(H⁻¹)ᵢᵢ in physical units, H = 2 JᵀJ; NaN for a delay on its bound."""
+        J = self.jacobian(x)
+        free: BoolArray = np.ones(len(x), dtype=bool)
+        free[-1] = not self.delay or x[-1] > 1e-6
+        std = np.full(len(x), np.nan)
+        covariance = np.linalg.pinv(2 * J[:, free].T @ J[:, free])
+        std[free] = np.sqrt(np.diag(covariance))
+        std *= self._scale()
+        return std if self.delay else np.append(std, np.nan)

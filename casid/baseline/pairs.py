@@ -1,0 +1,90 @@
+"""Which points of a measured response a fit uses, and how much each counts."""
+
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
+
+import numpy as np
+
+from casid.arrays import BoolArray
+from casid.baseline.magphase import Target
+from casid.baseline.mismatch import pair_weights
+from casid.frequency.estimation import FrequencyResponse
+from casid.model import Model
+
+Pair: TypeAlias = tuple[str, str]
+Pairs: TypeAlias = Sequence[Pair] | Mapping[Pair, tuple[float, float] | None]
+
+FEWEST = 5  # points with coherence that make a pair worth fitting
+
+
+def select(
+    model: Model, frf: FrequencyResponse, pairs: Pairs | None = None, coherence: float = 0.6
+) -> tuple[Target, BoolArray]:
+    """The response in the model's channels with the weights of the cost, and which points count.
+
+    Parameters
+    ----------
+    model, frf, pairs, coherence
+        As in `derivid`.
+
+    Returns
+    -------
+    Target, (K, ny, nu) bool array
+    """
+    shape = (len(frf.omega), len(model.outputs), len(model.inputs))
+    G, gamma = np.full(shape, np.nan, dtype=complex), np.zeros(shape)
+    for i, output in enumerate(model.outputs):
+        for j, name in enumerate(model.inputs):
+            if output in frf.outputs and name in frf.inputs:
+                at = frf.index(output, name)
+                G[:, i, j], gamma[:, i, j] = frf.G[:, *at], frf.coherence[:, *at]
+    known = np.isfinite(G) & (np.abs(G) > 0) & np.isfinite(gamma)
+    if pairs is None:
+        used = known & (gamma >= coherence)
+        used &= used.sum(axis=0) >= min(FEWEST, len(frf.omega))
+        if not used.any():
+            raise ValueError(
+                f"no pair has coherence >= {coherence:g} at {FEWEST} frequencies; lower the "
+                "threshold, name the pairs, or improve the response"
+            )
+    else:
+        used = known & _named(model, frf, pairs, known)
+    scale = [float(frf.input_std[frf.inputs.index(n)]) if n in frf.inputs else 1.0
+             for n in model.inputs]  # fmt: skip
+    target = Target(
+        omega=frf.omega, G=np.where(used, G, 1.0), weight=pair_weights(gamma, used),
+        input_scale=np.array(scale),
+    )  # fmt: skip
+    return target, used
+
+
+def _named(model: Model, frf: FrequencyResponse, pairs: Pairs, known: BoolArray) -> BoolArray:
+    """Where the caller's pairs are in their ranges."""
+    chosen = np.zeros(known.shape, dtype=bool)
+    ranges = pairs if isinstance(pairs, Mapping) else dict.fromkeys(map(tuple, pairs), None)
+    for (output, name), limits in ranges.items():
+        frf.index(output, name)
+        if output not in model.outputs or name not in model.inputs:
+            raise ValueError(
+                f"pair ({output!r}, {name!r}) is not in the model: outputs are "
+                f"{', '.join(model.outputs)}, inputs are {', '.join(model.inputs)}"
+            )
+        low, high = limits or (0.0, np.inf)
+        inside = (frf.omega >= low) & (frf.omega <= high)
+        i, j = model.outputs.index(output), model.inputs.index(name)
+        if not (inside & known[:, i, j]).any():
+            raise ValueError(
+                f"pair ({output!r}, {name!r}) was not measured between {low:g} and {high:g} "
+                "rad/s (no coherence there); leave it out or widen its range"
+            )
+        chosen[inside, i, j] = True
+    if not chosen.any():
+        raise ValueError("pairs is empty; name at least one (output, input), or leave it out")
+    return chosen
+
+
+def thin(frf: FrequencyResponse, n_omega: int) -> FrequencyResponse:
+    """The points nearest to n_omega log-spaced ones."""
+    wanted = np.geomspace(frf.omega[0], frf.omega[-1], n_omega)
+    distance = np.abs(np.log(frf.omega[:, None] / wanted))
+    return frf.take(np.unique(np.argmin(distance, axis=0)))

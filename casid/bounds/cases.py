@@ -1,0 +1,345 @@
+"""Cases of a comparison: what each of them says of a structure's parameters.
+
+A case is a mapping from parameters to what they may be, and a list of relations between them::
+
+    {}                                             the bounds of the model file
+    {"Lp": "< 0", "Mq": "< 0"}                     signs
+    {"Lp": "±20 %", "Mq": "-1.2 ± 0.3"}            around the guess, around a number
+    {"*": "±20 %", "Lv": "free"}                   all parameters with a guess other than zero
+    {"Lp": -3.0, "Mq": "fixed", "Nr": [-2, 0]}     a value, the guess, bounds
+    {"constraints": ["Nlat = 0.05 Llat", "Lp <= 2 Mq"]}
+
+A list of relations, or one text for all parameters, is a case too. What a case says tightens the
+bounds of the model file; a pair of bounds and "free" replace them.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, TypeAlias
+
+import numpy as np
+import scipy.optimize
+
+from casid.arrays import Array
+from casid.bounds.relations import Relation, parse_relation
+from casid.errors import ModelError
+from casid.fit import Fit
+from casid.model import Bounds, Constraint, Model, free_parameters
+
+CaseSpec: TypeAlias = Mapping[str, Any] | Sequence[str] | str
+
+NUMBER = r"[-+−]?\s*(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+AROUND = re.compile(
+    rf"\s*(?P<centre>{NUMBER})?\s*(?:±|\+/?-)\s*(?P<width>{NUMBER})\s*(?P<unit>%?)\s*"
+)
+RELATIONS = "constraints"  # the key of a case's relations
+ALL = "*"  # the key of all parameters
+STIFF = 1e4  # weight of relations against distance
+SINGULAR = 1e12  # condition of a covariance that cannot be inverted
+WIDTH = 1e-9  # of a tie, for a solver that wants an interior
+
+
+@dataclass(frozen=True)
+class Case:
+    """What one case says, checked and worked out for one structure.
+
+    Parameters
+    ----------
+    name : str
+        Its heading.
+    bounds : mapping
+        ``{name: (lower, upper)}`` of all parameters that are not fixed everywhere.
+    relations : tuple of Relation
+        Ties, fixed values and inequalities.
+    """
+
+    name: str
+    bounds: Mapping[str, tuple[float, float]]
+    relations: tuple[Relation, ...]
+
+    def within(self, other: "Case") -> bool:
+        """Whether all this case allows is allowed by the other, as far as their wording shows."""
+        for name in self.bounds:
+            (low, high), (lower, upper) = self._range(name), other.bounds[name]
+            if not lower <= low <= high <= upper:
+                return False
+        return all(self._implies(relation) for relation in other.relations)
+
+    def _range(self, name: str) -> tuple[float, float]:
+        values = [r.lower for r in self.relations if r.names == (name,)]
+        return (values[0], values[0]) if values else self.bounds[name]
+
+    def _implies(self, relation: Relation) -> bool:
+        return any(
+            own.names == relation.names
+            and own.coefficients == relation.coefficients
+            and relation.lower <= own.lower
+            and own.upper <= relation.upper
+            for own in self.relations
+        )
+
+
+def read_cases(
+    model: Model,
+    specs: Mapping[str, CaseSpec],
+    fixed: Sequence[str] = (),
+    bounds: Bounds | None = None,
+) -> tuple[Case, ...]:
+    """Cases from what a user wrote.
+
+    Parameters
+    ----------
+    model : Model
+        Structure, and the guess that "±20 %" and "fixed" refer to.
+    specs : mapping
+        Name and content of each case.
+    fixed, bounds
+        As in the estimators; they hold in all cases.
+
+    Raises
+    ------
+    ModelError
+        An unknown parameter, a text that is not understood, bounds that exclude each other.
+    """
+    if not specs:
+        raise ModelError('no cases given; expected {"free": {}, "signs": {"Lp": "< 0"}, ...}')
+    free = free_parameters(model, fixed, bounds)
+    limits = {
+        name: (float(free.lower[i]), float(free.upper[i]))
+        for name, i in zip(free.names, free.index, strict=True)
+    }
+    return tuple(_Writer(model, name, limits).read(spec) for name, spec in specs.items())
+
+
+class _Writer:
+    """Collects what one case says."""
+
+    def __init__(self, model: Model, name: str, limits: Bounds) -> None:
+        self.model, self.name = model, name
+        self.bounds, self.relations = dict(limits), list[Relation]()
+
+    def read(self, spec: CaseSpec) -> Case:
+        given, texts = self._parts(spec)
+        everyone = given.pop(ALL, None)
+        for parameter in () if everyone is None else self.bounds:
+            if parameter not in given and getattr(self.model, parameter) != 0:
+                self._one(parameter, everyone)
+        for parameter, content in given.items():
+            self._known(parameter)
+            self._one(parameter, content)
+        for text in texts:
+            self._relation(text)
+        return Case(self.name, self.bounds, tuple(self.relations))
+
+    def _parts(self, spec: CaseSpec) -> tuple[dict[str, Any], list[str]]:
+        if isinstance(spec, str):
+            return {ALL: spec}, []
+        if not isinstance(spec, Mapping):
+            return {}, self._texts(spec)
+        given = dict(spec)
+        return given, self._texts(given.pop(RELATIONS, []))
+
+    def _texts(self, content: Any) -> list[str]:  # noqa: ANN401 - what a user wrote
+        texts = [content] if isinstance(content, str) else list(content)
+        for text in texts:
+            if not isinstance(text, str):
+                raise self.wrong(f'{text!r} is no relation; expected "Nlat = 0.05 Llat"')
+        return texts
+
+    def wrong(self, why: str) -> ModelError:
+        return ModelError(f"case {self.name!r}: {why}")
+
+    def _known(self, parameter: str) -> None:
+        if parameter in self.bounds:
+            return
+        if parameter in self.model.parameter_names():
+            raise self.wrong(f"{parameter} is fixed in all cases; take it out of fixed")
+        raise self.wrong(
+            f"{type(self.model).__name__} has no parameter {parameter!r}; it has "
+            f"{', '.join(self.model.parameter_names())}"
+        )
+
+    def _one(self, parameter: str, content: Any) -> None:  # noqa: ANN401 - what a user wrote
+        guess = float(getattr(self.model, parameter))
+        if isinstance(content, bool) or not isinstance(content, str | int | float | list | tuple):
+            raise self.wrong(f"{parameter} = {content!r} is not understood; {HELP}")
+        if isinstance(content, int | float):
+            self._fix(parameter, float(content))
+        elif not isinstance(content, str):
+            self._replace(parameter, content)
+        elif content.strip() == "fixed":
+            self._fix(parameter, guess)
+        elif content.strip() == "free":
+            self.bounds[parameter] = (-np.inf, np.inf)
+        elif around := AROUND.fullmatch(content):
+            self._tighten(parameter, *self._interval(parameter, guess, around))
+        elif content.strip()[:1] in "<>=≤≥":
+            self._relation(f"{parameter} {content.strip()}")
+        else:
+            raise self.wrong(f"{parameter} = {content!r} is not understood; {HELP}")
+
+    def _interval(self, parameter: str, guess: float, around: re.Match[str]) -> tuple[float, float]:
+        centre = guess if around["centre"] is None else _number(around["centre"])
+        width = _number(around["width"])
+        if around["unit"]:
+            width *= abs(centre) / 100
+            if centre == 0:
+                raise self.wrong(
+                    f"{parameter} = {around[0]!r} is relative to a guess of zero; give the guess a "
+                    'value, or write "±0.1" in the unit of the parameter'
+                )
+        return centre - width, centre + width
+
+    def _replace(self, parameter: str, pair: Sequence[Any]) -> None:
+        if len(pair) != 2 or not all(isinstance(x, int | float) for x in pair):
+            raise self.wrong(f"{parameter} = {pair!r}, expected [lower, upper]")
+        low, high = float(pair[0]), float(pair[1])
+        if not low <= high:
+            raise self.wrong(f"{parameter}: lower bound {low:g} > upper bound {high:g}")
+        self._narrow(parameter, low, high)
+
+    def _fix(self, parameter: str, value: float) -> None:
+        self._relation(f"{parameter} = {value!r}")
+
+    def _tighten(self, parameter: str, low: float, high: float) -> None:
+        lower, upper = self.bounds[parameter]
+        if not max(low, lower) <= min(high, upper):
+            raise self.wrong(
+                f"{parameter} in [{low:g}, {high:g}] contradicts its bounds [{lower:g}, {upper:g}]"
+            )
+        self._narrow(parameter, max(low, lower), min(high, upper))
+
+    def _narrow(self, parameter: str, low: float, high: float) -> None:
+        """Set bounds; equal ones are a fixed value, which has a price."""
+        if low == high:
+            self.relations.append(
+                Relation(f"{parameter} = {low:g}", (parameter,), (1.0,), low, low)
+            )
+        else:
+            self.bounds[parameter] = (low, high)
+
+    def _relation(self, text: str) -> None:
+        try:
+            relation = parse_relation(text)
+        except ModelError as error:
+            raise self.wrong(str(error)) from error
+        for name in relation.names:
+            self._known(name)
+        first, *others = relation.names
+        if others:
+            self.relations.append(relation)
+        elif relation.tie:
+            self._tighten(first, relation.lower, relation.lower)
+        else:
+            self._tighten(first, relation.lower, relation.upper)
+
+
+HELP = (
+    'expected a number, "fixed", "free", [lower, upper], "< 0", "±20 %", "-3 ± 0.5" or '
+    '"= 0.05 Llat"'
+)
+
+
+def _number(text: str) -> float:
+    return float(text.replace("−", "-").replace(" ", ""))
+
+
+# ---- the case as a model -------------------------------------------------------------------------
+
+
+def constrained(model: Model, case: Case) -> tuple[Model, Array]:
+    """A model whose structure has the case's relations beside its own, and their units.
+
+    Every estimator keeps what `Model.constraints` says. A relation is divided by the size of its
+    terms, so that a violation of one is large; (m,) sizes say by how much.
+    """
+    if not case.relations:
+        return model, np.zeros(0)
+    cls = type(model)
+    names = model.parameter_names()
+    scale = free_parameters(model, (), dict(case.bounds)).scale
+    sizes = np.array([np.abs(relation.row(names) * scale).max() for relation in case.relations])
+
+    def constraints(self: Model) -> Sequence[Constraint]:
+        values = {name: getattr(self, name) for name in names}
+        return (
+            *cls.constraints(self),
+            *(
+                Constraint(r.text, r.value(values) / size, r.lower / size, r.upper / size)
+                for r, size in zip(case.relations, sizes, strict=True)
+            ),
+        )
+
+    body = {"constraints": constraints, "__module__": cls.__module__, "__doc__": cls.__doc__}
+    derived = type(cls.__name__, (cls,), body)
+    return derived(**_values(model)), sizes
+
+
+def plain(model: Model, cls: type[Model]) -> Model:
+    """The model as an instance of the user's own class."""
+    return cls(**_values(model))
+
+
+def _values(model: Model) -> dict[str, Any]:
+    return {f.name: getattr(model, f.name) for f in fields(model)}
+
+
+def feasible(model: Model, case: Case, near: Fit | None = None) -> Model:
+    """The point of a case next to a model: bounded least squares.
+
+    Parameters
+    ----------
+    model : Model
+        Anywhere.
+    case : Case
+        Where it is moved; relations that contradict each other are met as well as can be.
+    near : Fit
+        Fit at the model's values, under wider bounds. Distance then is its information, so that the
+        point is the optimum of the case to second order. Without one, parameters count by size.
+    """
+    names = model.parameter_names()
+    scale = free_parameters(model, (), dict(case.bounds)).scale
+    x0 = model.vector() / scale
+    moving = np.array([name in case.bounds for name in names])
+    limits = np.array([case.bounds.get(name, (0.0, 0.0)) for name in names])[moving]
+    rows = np.array([relation.row(names) for relation in case.relations]).reshape(-1, len(names))
+    rows = rows * scale
+    sizes = np.abs(rows).max(axis=1, initial=1e-300)
+    rows = rows / sizes[:, None]
+    sides = np.array([(each.lower, each.upper) for each in case.relations]).reshape(-1, 2)
+    sides = sides / sizes[:, None] - (rows[:, ~moving] @ x0[~moving])[:, None]
+    metric = _metric(near, names, scale)[np.ix_(moving, moving)]
+    within = limits / scale[moving, None]
+    found = _nearest(x0[moving], metric, within, rows[:, moving], sides) * scale[moving]
+    moved = model.vector()
+    moved[moving] = np.clip(found, *limits.T)
+    return model.with_vector(moved)
+
+
+def _metric(near: Fit | None, names: Sequence[str], scale: Array) -> Array:
+    """Root M of the information, MᵀM in units of the scale, as far as the fit knows it."""
+    metric = np.eye(len(names))
+    if near is None or near.covariance is None:
+        return metric
+    inside = [k for k, name in enumerate(near.free_names) if not near[name].active]
+    at = np.ix_(*[[names.index(near.free_names[k]) for k in inside]] * 2)
+    covariance = near.covariance[np.ix_(inside, inside)] / np.outer(scale, scale)[at]
+    if np.isfinite(covariance).all() and np.linalg.cond(covariance) < SINGULAR:  # no ties
+        metric[at] = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    return metric
+
+
+def _nearest(x0: Array, metric: Array, limits: Array, rows: Array, sides: Array) -> Array:
+    """The x next to x0 within its limits (n, 2), with rows @ x within its sides (m, 2).
+
+    The values of the rows are variables of their own, held to the rows by a stiff residual.
+    """
+    n, m = len(x0), len(rows)
+    stiff = STIFF * np.abs(metric).max()
+    left = np.block([[metric, np.zeros((n, m))], [stiff * rows, -stiff * np.eye(m)]])
+    right = np.concatenate([metric @ x0, np.zeros(m)])
+    lower, upper = np.vstack([limits, sides]).T
+    room = WIDTH * np.maximum(1.0, np.abs(np.where(np.isfinite(lower), lower, 0.0)))
+    wide = np.maximum(upper, lower + room)
+    return np.asarray(scipy.optimize.lsq_linear(left, right, (lower, wide), method="bvls").x[:n])

@@ -1,0 +1,280 @@
+"""Compare what a structure's bounds cost: one fit a case, every bound with its price.
+
+The multipliers of a constrained fit are the derivatives of its optimal cost by the positions of its
+bounds (Boyd & Vandenberghe, Convex Optimization, section 5.6), so they say which bounds are worth
+relaxing, and predict by how much the cost would fall.
+"""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casid.bounds.cases import Case, CaseSpec, read_cases
+from casid.bounds.prices import CaseResult, price_case
+from casid.bounds.trials import Data, Setup, Trial, run_trials, setup, starting_values
+from casid.errors import DataWarning
+from casid.files import write_text
+from casid.fit import Fit
+from casid.jobs.campaigns import Advance, Job
+from casid.model import Bounds, Model
+from casid.record import Record
+from casid.tabulation import csv_text, markdown_table
+from casid.validation import Validation, validate
+
+WORSE = 1e-6  # of the cost: a wider case that fits worse than this has found another minimum
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoundsComparison:
+    """What each case of a comparison costs, in the order the cases were given.
+
+    Parameters
+    ----------
+    cases : tuple of CaseResult
+        One a case.
+    freest : str
+        The case the others are measured against: the one within which most others lie.
+    estimator : str
+        What was minimised.
+    structure : str
+        Name of the structure's class.
+    validation : Validation or None
+        Of the cases on unseen records.
+    """
+
+    cases: tuple[CaseResult, ...]
+    freest: str
+    estimator: str
+    structure: str
+    validation: Validation | None = None
+
+    def __getitem__(self, name: str) -> CaseResult:
+        """Result of one case."""
+        for case in self.cases:
+            if case.name == name:
+                return case
+        raise KeyError(f"no case {name!r}; there are {', '.join(c.name for c in self.cases)}")
+
+    def ranked(self) -> tuple[str, ...]:
+        """Parameters by their price: the largest share of a case's predicted increase first.
+
+        Those without any follow in the order of declaration.
+        """
+        rows = next((case.parameters for case in self.cases if case.parameters), ())
+        names = [row.name for row in rows]
+        first = [label for label in self.priced() if label in names]
+        return tuple(dict.fromkeys([*first, *names]))
+
+    def priced(self) -> tuple[str, ...]:
+        """Parameters and relations that cost some case something, the dearest first."""
+        shares: dict[str, float] = {}
+        for case in self.cases:
+            for label, share in case.shares.items():
+                shares[label] = max(share, shares.get(label, -np.inf))
+        return tuple(sorted(shares, key=lambda label: -shares[label]))
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write one row a case and parameter, and beside it PATH_cases.csv with one row a case."""
+        path = Path(path)
+        write_text(path, csv_text(PARAMETERS, _parameter_rows(self)))
+        write_text(path.with_name(f"{path.stem}_cases.csv"), csv_text(CASES, _case_rows(self)))
+
+    def to_markdown(self) -> str:
+        """The cases, then parameters and relations by price; * marks those held, ± one sigma."""
+        heading = ("case", "cost", "increase", "predicted", "held", "AICc", "LR", "p",
+                   "validation", "eigenvalues [1/s]")  # fmt: skip
+        cases = [_case_cells(case) for case in self.cases]
+        names = [case.name for case in self.cases]
+        prices = [f"price in {name}" for name in names if name != self.freest]
+        body = [[name, *_cells(self, name)] for name in self.ranked()]
+        relations = [row for case in self.cases for row in _relation_cells(case)]
+        parts = [
+            markdown_table(heading, cases),
+            markdown_table(["parameter", *names, *prices], body),
+        ]
+        if relations:
+            parts.append(markdown_table(["case", "relation", "value", "price"], relations))
+        return "\n\n".join(parts)
+
+
+def compare_bounds(
+    model: Model,
+    data: Data,
+    *,
+    cases: Mapping[str, CaseSpec],
+    estimator: str = "output_error",
+    validation: Sequence[Record] = (),
+    start: Model | Fit | None = None,
+    fixed: Sequence[str] = (),
+    bounds: Bounds | None = None,
+    folder: str | Path | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[Advance], None] | None = None,
+    **settings: Any,  # noqa: ANN401 - the estimator checks them
+) -> BoundsComparison:
+    """Estimate a structure under several sets of bounds and price every bound.
+
+    Parameters
+    ----------
+    model : Model
+        Structure, and the guess that cases like "±20 %" refer to.
+    data : sequence of Record, or targets
+        Records for "output_error" and "chain", what `match` or `derivid` takes for these.
+    cases : mapping
+        Name and content of each case (`casid.bounds.cases`): ``{"free": {}, "signs": {"Lp": "<
+        0"}}``.
+    estimator : str
+        "match" (``norm="quadratic"`` or "hinf"), "output_error", "derivid" or "chain".
+    validation : sequence of Record
+        Unseen records to judge every case by.
+    start : Model or Fit
+        Where the freest case starts, e.g. ``match(...)``; the guess unless given. Every other case
+        starts from the fit of a case that contains it.
+    fixed, bounds
+        As in the estimators; they hold in all cases.
+    folder : path
+        Where each case is kept when it is done; an interrupted comparison goes on from there.
+    executor : Executor
+        Where cases run: any of ``concurrent.futures``, or Dask's ``Client.get_executor()``. Unless
+        given, up to four run in this process and more of them in one process per processor.
+    progress : callable
+        Called with an `Advance` after every case; the "casid" logger tells the same.
+    settings
+        Further keyword arguments of the estimator.
+
+    Returns
+    -------
+    BoundsComparison
+        A case that fails is a row with its reason.
+
+    Raises
+    ------
+    ValueError, ModelError
+        A case that is not understood, an unknown estimator.
+    """
+    read = read_cases(model, cases, fixed, bounds)
+    shared = setup(model, data, estimator=estimator, fixed=fixed, settings=settings)
+    jobs = _jobs(read, shared, model, start)
+    done = run_trials(jobs, type(model), folder=folder, executor=executor, progress=progress)
+    fits = {name: each.result for name, each in done.items() if not each.reason}
+    freest = jobs[0].name
+    judged = None
+    if validation and fits:
+        ordered = {case.name: fits[case.name] for case in read if case.name in fits}
+        judged = validate(ordered, validation)
+    base = {case.name: case for case in read}[freest], fits.get(freest)
+    results = tuple(price_case(case, done[case.name], base, shared.data, judged) for case in read)
+    _warn_of_minima(results, freest)
+    return BoundsComparison(
+        cases=results, freest=freest, estimator=estimator, structure=type(model).__name__,
+        validation=judged,
+    )  # fmt: skip
+
+
+def _jobs(
+    cases: Sequence[Case], shared: Setup, model: Model, start: Model | Fit | None
+) -> list[Job]:
+    """One job a case, the freest first; each after a wider one, or the freest if that failed.
+
+    The wider one is that halfway down the ladder of cases that contain it: near, and a ladder of n
+    cases takes log n rounds on many processors.
+    """
+    order = sorted(cases, key=lambda case: -sum(other.within(case) for other in cases))
+    values, near = starting_values(model, start)
+    jobs: list[Job] = []
+    for k, case in enumerate(order):
+        wider = [job for job, other in zip(jobs, order, strict=False) if case.within(other)]
+        halfway = [wider[len(wider) // 2]] if len(wider) > 1 else []
+        trial = Trial(setup=shared, values=values, case=case, near=None if k else near)
+        jobs.append(trial.job(case.name, [*halfway, *jobs[:1]]))
+    return jobs
+
+
+def _warn_of_minima(results: Sequence[CaseResult], freest: str) -> None:
+    """A case within the freest cannot fit better, unless the freest found another minimum."""
+    for case in results:
+        if case.freedom and case.increase < -WORSE * (1 + abs(case.cost)):
+            warnings.warn(
+                f"case {case.name!r} lies within {freest!r}, yet its cost is lower by "
+                f"{-case.increase:.3g}: the fit of {freest!r} is a local minimum; start it from "
+                "that case's model",
+                DataWarning, stacklevel=3,
+            )  # fmt: skip
+
+
+# ---- tables --------------------------------------------------------------------------------------
+
+PARAMETERS = ("case", "kind", "name", "unit", "guess", "value", "std_error", "lower", "upper",
+              "active", "multiplier", "share")  # fmt: skip
+CASES = ("case", "reason", "cost", "increase", "predicted", "held", "aicc", "statistic", "freedom",
+         "p_value", "validation_rms", "start", "eigenvalues")  # fmt: skip
+
+
+def _parameter_rows(comparison: BoundsComparison) -> list[list[Any]]:
+    rows: list[list[Any]] = []
+    for case in comparison.cases:
+        rows += [
+            [case.name, "parameter", row.name, row.unit, row.guess, row.value, row.std_error,
+             row.lower, row.upper, row.active, row.multiplier, case.shares.get(row.name, 0.0)]
+            for row in case.parameters
+        ]  # fmt: skip
+        rows += [
+            [case.name, "relation", row.text, "", np.nan, row.value, np.nan, row.lower, row.upper,
+             row.active, row.multiplier, case.shares.get(row.text, 0.0)]
+            for row in case.relations
+        ]  # fmt: skip
+    return rows
+
+
+def _case_rows(comparison: BoundsComparison) -> list[list[Any]]:
+    return [
+        [case.name, case.reason, case.cost, case.increase, case.predicted, case.held, case.aicc,
+         case.statistic, case.freedom, case.p_value, case.rms, case.start,
+         " ".join(f"{pole:.6g}" for pole in case.eigenvalues)]
+        for case in comparison.cases
+    ]  # fmt: skip
+
+
+def _case_cells(case: CaseResult) -> list[str]:
+    if case.reason:
+        return [case.name, f"failed: {case.reason}", *[""] * 8]
+    poles = [pole for pole in case.eigenvalues if pole.imag >= 0]
+    shown = ", ".join(f"{p.real:.3g} ± {p.imag:.3g}j" if p.imag else f"{p.real:.3g}" for p in poles)
+    test = f"{case.statistic:.4g} ({case.freedom})" if np.isfinite(case.statistic) else ""
+    figures = (case.increase, case.predicted, case.held, case.aicc)
+    return [
+        case.name, f"{case.cost:.8g}", *(_short(figure) for figure in figures), test,
+        _short(case.p_value), _short(case.rms), shown,
+    ]  # fmt: skip
+
+
+def _cells(comparison: BoundsComparison, name: str) -> list[str]:
+    """Value of a parameter in every case, and its price in all but the freest."""
+    values, prices = [], []
+    for case in comparison.cases:
+        row = next((row for row in case.parameters if row.name == name), None)
+        if row is None:
+            values.append("")
+        else:
+            error = f" ± {row.std_error:.2g}" if np.isfinite(row.std_error) else ""
+            values.append(f"{row.value:.4g}{error}{'*' if row.active else ''}")
+        if case.name != comparison.freest:
+            prices.append(_short(case.shares.get(name, np.nan)))
+    return [*values, *prices]
+
+
+def _relation_cells(case: CaseResult) -> list[list[str]]:
+    return [
+        [case.name, f"{item.text}{'*' if item.active else ''}", f"{item.value:.4g}",
+         _short(case.shares.get(item.text, 0.0))]
+        for item in case.relations
+    ]  # fmt: skip
+
+
+def _short(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.4g}"

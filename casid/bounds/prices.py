@@ -1,0 +1,181 @@
+"""What one case of a comparison costs, and which of its bounds and relations cost it."""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import scipy.stats
+
+from casid.arrays import ComplexArray
+from casid.bounds.cases import Case
+from casid.bounds.trials import aicc
+from casid.fit import Fit, ParameterEstimate
+from casid.jobs.campaigns import Done
+from casid.record import standard_deviations
+from casid.validation import Validation
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelationEstimate:
+    """A tie or inequality of a case; ``multiplier`` prices it per unit of its value."""
+
+    text: str
+    value: float
+    lower: float
+    upper: float
+    active: bool
+    multiplier: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CaseResult:
+    """What one case costs.
+
+    Parameters
+    ----------
+    name, reason : str
+        ``reason`` says why the case failed; it is empty otherwise.
+    fit : Fit or None
+        Of a failed case the best iterate, if there is one.
+    parameters : tuple of ParameterEstimate
+        One row a parameter; a fixed value has equal bounds and a multiplier as a bound has.
+    relations : tuple of RelationEstimate
+        Ties and inequalities between parameters.
+    held : int
+        Number of directions in which bounds and relations hold the parameters.
+    cost, increase : float
+        Minimum, and by how much it lies above that of the freest case.
+    predicted : float
+        The increase that the multipliers predict: ½ Σ (μ + μ₀)(λ - λ₀) over bounds and relations,
+        index 0 being the freest case. It is exact where the cost is quadratic.
+    shares : mapping
+        What each parameter's bounds, or each relation, contribute to ``predicted``.
+    aicc : float
+        Corrected Akaike criterion; NaN unless the cost is a likelihood.
+    statistic, freedom, p_value : float, int, float
+        Likelihood ratio of the case within the freest: twice the increase is χ² with as many
+        degrees of freedom as directions are held beside those of the freest case. Of inequalities
+        this is the test on condition of which are active (P. C. Wollan, R. L. Dykstra, Conditional
+        tests with an order restriction as a null hypothesis, Springer LNS 37, 1986).
+    rms : float
+        Of the validation residuals, each output divided by its standard deviation.
+    eigenvalues : (nx,) complex array
+        [1/s], the fastest growing first.
+    start : str
+        Case whose fit it started from.
+    """
+
+    name: str
+    reason: str = ""
+    fit: Fit | None = None
+    parameters: tuple[ParameterEstimate, ...] = ()
+    relations: tuple[RelationEstimate, ...] = ()
+    held: int = 0
+    cost: float = np.nan
+    increase: float = np.nan
+    predicted: float = np.nan
+    shares: Mapping[str, float] = field(default_factory=dict)
+    aicc: float = np.nan
+    statistic: float = np.nan
+    freedom: int = 0
+    p_value: float = np.nan
+    rms: float = np.nan
+    eigenvalues: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
+    start: str = ""
+
+
+def price_case(
+    case: Case, done: Done, base: tuple[Case, Fit | None], data: Sequence[Any],
+    validation: Validation | None,
+) -> CaseResult:  # fmt: skip
+    """The result of a case, measured against the freest and its fit."""
+    fit: Fit | None = done.result
+    if fit is None or done.reason:
+        return CaseResult(name=case.name, reason=done.reason, fit=fit, start=done.source)
+    held = int(fit.notes["held"])
+    found = CaseResult(
+        name=case.name, fit=fit, parameters=_parameters(fit, case), start=done.source,
+        relations=_relations(fit, case), held=held, cost=fit.cost, aicc=aicc(fit, data),
+        rms=relative_rms(validation, case.name), eigenvalues=fit.model.system().poles(),
+    )  # fmt: skip
+    freest, free = base
+    if free is None:
+        return found
+    shares = _shares((case, fit), (freest, free))
+    increase = 0.0 if fit is free else fit.cost - free.cost
+    found = replace(found, increase=increase, predicted=sum(shares.values()), shares=shares)
+    if fit.R is None or not case.within(freest):  # no likelihood, or no test
+        return found
+    freedom, statistic = max(held - int(free.notes["held"]), 0), max(2 * increase, 0.0)
+    p_value = float(scipy.stats.chi2.sf(statistic, freedom)) if freedom else 1.0
+    return replace(found, statistic=statistic, freedom=freedom, p_value=p_value)
+
+
+def relative_rms(validation: Validation | None, name: str) -> float:
+    """Root mean square of a model's residuals, each divided by its output's standard deviation."""
+    if validation is None:
+        return np.nan
+    scale = standard_deviations(validation.measured)[1]
+    return float(np.sqrt(np.nanmean((validation.rms[name] / scale) ** 2)))
+
+
+def _own(fit: Fit, case: Case) -> tuple[list[Mapping[str, Any]], list[Mapping[str, Any]]]:
+    """Rows of the structure's own constraints, and of the case's relations."""
+    rows = list(fit.notes["constraints"])
+    first = len(rows) - len(case.relations)
+    return rows[:first], rows[first:]
+
+
+def _relations(fit: Fit, case: Case) -> tuple[RelationEstimate, ...]:
+    rows = zip(_own(fit, case)[1], case.relations, strict=True)
+    return tuple(
+        RelationEstimate(
+            text=relation.text, value=row["value"], lower=relation.lower, upper=relation.upper,
+            active=row["active"], multiplier=row["multiplier"],
+        )
+        for row, relation in rows if len(relation.names) > 1
+    )  # fmt: skip
+
+
+def _parameters(fit: Fit, case: Case) -> tuple[ParameterEstimate, ...]:
+    """Rows of the parameters; a fixed value has equal bounds and the price of its tie."""
+    ties = {
+        relation.names[0]: row
+        for row, relation in zip(_own(fit, case)[1], case.relations, strict=True)
+        if len(relation.names) == 1
+    }
+    rows = []
+    for row in fit.parameters:
+        if row.name in ties:
+            value, price = ties[row.name]["lower"], ties[row.name]["multiplier"]
+            row = replace(  # noqa: PLW2901 - the same row, as a reader wants it
+                row, value=value, lower=value, upper=value, active=True, multiplier=price,
+                std_error=np.nan,
+            )  # fmt: skip
+        rows.append(row)
+    return tuple(rows)
+
+
+def _shares(here: tuple[Case, Fit], there: tuple[Case, Fit]) -> dict[str, float]:
+    """½ Σ (μ + μ₀)(λ - λ₀), by parameter or relation."""
+    at, base = (_values(fit) for _, fit in (here, there))
+    shares: dict[str, float] = defaultdict(float)
+    for case, fit in (here, there):
+        for name, row in ((row.name, row) for row in fit.parameters if row.active):
+            shares[name] += 0.5 * row.multiplier * (at[name] - base[name])
+        own, rows = _own(fit, case)
+        for k, tie in enumerate(own):
+            change = here[1].notes["constraints"][k]["value"]
+            change -= there[1].notes["constraints"][k]["value"]
+            shares[tie["name"]] += 0.5 * tie["multiplier"] * change
+        for priced, relation in zip(rows, case.relations, strict=True):
+            change = relation.value(at) - relation.value(base)
+            label = relation.names[0] if len(relation.names) == 1 else relation.text
+            shares[label] += 0.5 * priced["multiplier"] * change
+    return {label: float(share) for label, share in shares.items() if share}
+
+
+def _values(fit: Fit) -> dict[str, float]:
+    return {row.name: row.value for row in fit.parameters}

@@ -1,0 +1,219 @@
+"""Profile of the cost: what holding one parameter, or two, at given values costs.
+
+The profile over a parameter has its exact slope at every point, the multiplier of the tie that
+holds it, so a few points give the confidence interval that the likelihood implies (D. M. Bates,
+D. G. Watts, Nonlinear Regression Analysis and Its Applications, 1988, chapter 6). The Cramér-Rao
+bound is its parabola at the estimate.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.interpolate
+import scipy.stats
+
+from casid.arrays import Array
+from casid.bounds.cases import CaseSpec, read_cases
+from casid.bounds.trials import Data, Trial, run_trials, setup, starting_values
+from casid.errors import ConvergenceError, ModelError
+from casid.fit import Fit
+from casid.jobs.campaigns import Advance
+from casid.model import Bounds, Model
+from casid.tabulation import csv_text, markdown_table
+
+FREE = "free"  # name of the job with nothing held
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Profile:
+    """Least cost with some parameters held.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The parameters held: one or two.
+    points : (n, names) array
+        Where they were held.
+    cost : (n,) array
+        Least cost there; NaN where the fit failed.
+    slope : (n, names) array
+        Its derivatives by the values held.
+    reasons : tuple of str
+        Why each point failed; empty for those that did not.
+    fit : Fit
+        With nothing held.
+    level : float
+        Confidence of the intervals.
+    parabola : (n,) array
+        The cost that the Cramér-Rao bound expects at the points; NaN without a likelihood.
+    intervals, cramer_rao : mapping
+        By parameter, (low, high) where the profile of the likelihood rises by half the χ² quantile
+        with one degree of freedom, and estimate ± that many standard errors. A side is infinite
+        where the values do not reach far enough, NaN without a likelihood.
+    """
+
+    names: tuple[str, ...]
+    points: Array
+    cost: Array
+    slope: Array
+    reasons: tuple[str, ...]
+    fit: Fit
+    level: float
+    parabola: Array
+    intervals: Mapping[str, tuple[float, float]]
+    cramer_rao: Mapping[str, tuple[float, float]]
+
+    def to_csv(self) -> str:
+        """One row a point."""
+        columns = [*self.names, "cost", *(f"slope_{name}" for name in self.names), "parabola"]
+        rows = np.column_stack([self.points, self.cost, self.slope, self.parabola]).tolist()
+        return csv_text(
+            [*columns, "reason"],
+            [[*row, reason] for row, reason in zip(rows, self.reasons, strict=True)],
+        )
+
+    def to_markdown(self) -> str:
+        """The intervals."""
+        rows = [
+            [name, f"{self.fit[name].value:.5g}", *(f"{x:.5g}" for x in self.intervals[name]),
+             *(f"{x:.5g}" for x in self.cramer_rao[name])]
+            for name in self.names
+        ]  # fmt: skip
+        heading = ("parameter", "estimate", "profile, low", "high", "Cramér-Rao, low", "high")
+        return markdown_table(heading, rows)
+
+
+def profile(
+    model: Model,
+    data: Data,
+    *,
+    parameter: str | tuple[str, str],
+    values: Sequence[float] | tuple[Sequence[float], Sequence[float]],
+    estimator: str = "output_error",
+    level: float = 0.95,
+    start: Model | Fit | None = None,
+    fixed: Sequence[str] = (),
+    bounds: Bounds | None = None,
+    folder: str | Path | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[Advance], None] | None = None,
+    **settings: Any,  # noqa: ANN401 - the estimator checks them
+) -> Profile:
+    """Profile the cost over one parameter, or over a grid of two.
+
+    Parameters
+    ----------
+    model, data, estimator, start, fixed, bounds, folder, executor, progress, settings
+        As in `compare_bounds`. Every point starts from the fit with nothing held.
+    parameter : str or pair of str
+        What is held.
+    values : sequence of float, or a pair of them
+        Where; of a pair all combinations.
+    level : float
+        Confidence of the intervals.
+
+    Raises
+    ------
+    ModelError
+        No value, an unknown parameter, a value outside its bounds.
+    ConvergenceError
+        The fit with nothing held failed.
+    """
+    names = (parameter,) if isinstance(parameter, str) else tuple(parameter)
+    axes: Any = (values,) if isinstance(parameter, str) else values
+    points = np.array(list(product(*axes)), dtype=float).reshape(-1, len(names))
+    if not len(points):
+        raise ModelError(f"no values of {' and '.join(names)} given")
+    specs: dict[str, CaseSpec] = {FREE: {}}
+    for point in points:
+        specs[_label(names, point)] = dict(zip(names, map(float, point), strict=True))
+    cases = read_cases(model, specs, fixed, bounds)
+    shared = setup(model, data, estimator=estimator, fixed=fixed, settings=settings)
+    begin, near = starting_values(model, start)
+    first = Trial(setup=shared, values=begin, case=cases[0], near=near).job(FREE)
+    jobs = [first] + [
+        Trial(setup=shared, values=begin, case=case).job(case.name, [first]) for case in cases[1:]
+    ]
+    done = run_trials(jobs, type(model), folder=folder, executor=executor, progress=progress)
+    if done[FREE].reason:
+        raise ConvergenceError(f"profile: nothing held: {done[FREE].reason}", done[FREE].result)
+    found = [done[_label(names, point)] for point in points]
+    fits = [None if each.reason else each.result for each in found]
+    return _profile(names, points, done[FREE].result, fits, [e.reason for e in found], level)
+
+
+def _label(names: Sequence[str], point: Array) -> str:
+    return ", ".join(
+        f"{name} = {value!r}" for name, value in zip(names, point.tolist(), strict=True)
+    )
+
+
+def _profile(
+    names: tuple[str, ...], points: Array, free: Fit, fits: Sequence[Fit | None],
+    reasons: Sequence[str], level: float,
+) -> Profile:  # fmt: skip
+    cost = np.array([np.nan if fit is None else fit.cost for fit in fits])
+    unknown = np.full(len(names), np.nan)
+    slope = np.array([unknown if fit is None else _slopes(fit, len(names)) for fit in fits])
+    known, quantile = free.R is not None, float(scipy.stats.chi2.ppf(level, 1))
+    intervals, expected = {}, {}
+    for k, name in enumerate(names):
+        estimate, error = free[name].value, free[name].std_error
+        intervals[name] = (np.nan, np.nan)
+        if known:
+            x, J, dJ = _lowest(points[:, k], cost, slope[:, k])
+            intervals[name] = _interval((estimate, free.cost), (x, J, dJ), quantile / 2)
+        half = float(np.sqrt(quantile)) * error
+        expected[name] = (estimate - half, estimate + half)
+    return Profile(
+        names=names, points=points, cost=cost, slope=slope, reasons=tuple(reasons), fit=free,
+        level=level, parabola=_parabola(free, names, points), intervals=intervals,
+        cramer_rao=expected,
+    )  # fmt: skip
+
+
+def _slopes(fit: Fit, count: int) -> Array:
+    """Prices of the ties that hold the point: the last relations of its case."""
+    return np.array([row["multiplier"] for row in fit.notes["constraints"][-count:]])
+
+
+def _lowest(x: Array, J: Array, dJ: Array) -> tuple[Array, Array, Array]:
+    """At every value of one axis the lowest cost over the other, in increasing order."""
+    rows = []
+    for value in np.unique(x[np.isfinite(J)]):
+        at = np.flatnonzero((x == value) & np.isfinite(J))
+        rows.append(at[np.argmin(J[at])])
+    return x[rows], J[rows], dJ[rows]
+
+
+def _interval(
+    best: tuple[float, float], known: tuple[Array, Array, Array], rise: float
+) -> tuple[float, float]:
+    """Where the cubic through the points, with their slopes, has risen by ``rise``."""
+    estimate, least = best
+    x, J, dJ = known
+    apart = np.abs(x - estimate) > 1e-9 * (1 + abs(estimate))
+    order = np.argsort(np.append(x[apart], estimate))
+    x, J = np.append(x[apart], estimate)[order], np.append(J[apart], least)[order]
+    dJ = np.append(dJ[apart], 0.0)[order]
+    if len(x) < 2:
+        return -np.inf, np.inf
+    curve = scipy.interpolate.CubicHermiteSpline(x, J - least - rise, dJ)
+    crossings = np.asarray(curve.roots(extrapolate=False))
+    below, above = crossings[crossings < estimate], crossings[crossings > estimate]
+    return float(below.max(initial=-np.inf)), float(above.min(initial=np.inf))
+
+
+def _parabola(free: Fit, names: Sequence[str], points: Array) -> Array:
+    """Cost of the points by the Cramér-Rao bound: ½ dᵀ C⁻¹ d above the least."""
+    if free.R is None or free.covariance is None or not set(names) <= set(free.free_names):
+        return np.full(len(points), np.nan)
+    index = [free.free_names.index(name) for name in names]
+    C = free.covariance[np.ix_(index, index)]
+    d = points - np.array([free[name].value for name in names])
+    return np.asarray(free.cost + 0.5 * np.einsum("ni,ij,nj->n", d, np.linalg.pinv(C), d))

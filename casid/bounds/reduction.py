@@ -1,0 +1,239 @@
+"""Reduce a structure: drop what the data do not determine, one parameter after the other.
+
+The practice of M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd
+ed., section 12.3.4: the parameter with the worst insensitivity or Cramér-Rao figure goes first, the
+rest is fitted again, and it ends when the fit suffers.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY
+from casid.bounds.cases import read_cases
+from casid.bounds.trials import Data, Setup, Trial, aicc, run_trials, setup, starting_values
+from casid.errors import ConvergenceError, ModelError
+from casid.fit import Fit, ParameterEstimate
+from casid.jobs.campaigns import Advance, Done, Job
+from casid.model import Bounds, Model
+from casid.tabulation import csv_text, markdown_table
+
+CRITERIA = ("aicc", "cost")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One parameter held, and the fit of the rest.
+
+    ``insensitivity`` and ``cramer_rao`` are its figures before, in % of its value; ``value`` is
+    what it is held at. ``accepted`` says whether the fit stood it; ``reason`` why there is no fit.
+    """
+
+    parameter: str
+    value: float
+    insensitivity: float
+    cramer_rao: float
+    cost: float
+    aicc: float
+    accepted: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Reduction:
+    """What was held, step by step.
+
+    Parameters
+    ----------
+    full, fit : Fit
+        Of the whole structure, and of what is left.
+    steps : tuple of Step
+        In order; rejected ones too.
+    criterion : str
+        "aicc" or "cost".
+    """
+
+    full: Fit
+    fit: Fit
+    steps: tuple[Step, ...]
+    criterion: str
+
+    @property
+    def held(self) -> dict[str, float]:
+        """Parameters held and at what, in the order of the steps; for ``replay``, and as a case."""
+        return {step.parameter: step.value for step in self.steps if step.accepted}
+
+    def to_csv(self) -> str:
+        """One row a step."""
+        columns = tuple(each.name for each in fields(Step))
+        return csv_text(columns, [[getattr(step, c) for c in columns] for step in self.steps])
+
+    def to_markdown(self) -> str:
+        """One row a step."""
+        rows = [
+            [step.parameter, f"{step.value:.4g}", f"{step.insensitivity:.3g}",
+             f"{step.cramer_rao:.3g}", f"{step.cost:.8g}", f"{step.aicc:.8g}",
+             "yes" if step.accepted else step.reason or "no"]
+            for step in self.steps
+        ]  # fmt: skip
+        heading = ("held", "at", "insensitivity [%]", "Cramér-Rao [%]", "cost", "AICc", "accepted")
+        return markdown_table(heading, rows)
+
+
+def reduce_structure(
+    model: Model,
+    data: Data,
+    *,
+    estimator: str = "output_error",
+    criterion: str | None = None,
+    rise: float = 0.05,
+    protect: Sequence[str] = (),
+    replay: Mapping[str, float] | None = None,
+    candidates: int = 1,
+    start: Model | Fit | None = None,
+    fixed: Sequence[str] = (),
+    bounds: Bounds | None = None,
+    folder: str | Path | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[Advance], None] | None = None,
+    **settings: Any,  # noqa: ANN401 - the estimator checks them
+) -> Reduction:
+    """Hold the worst determined parameter, fit the rest, and go on until the fit suffers.
+
+    A parameter is held at zero if its bounds allow that, else at its value. It ends when all
+    figures are within their guidelines (insensitivity 10 %, Cramér-Rao 20 %) or a step is rejected;
+    a fit that fails is a step too, and its parameter is left alone from then on.
+
+    Parameters
+    ----------
+    model, data, estimator, start, fixed, bounds, folder, executor, progress, settings
+        As in `compare_bounds`; not "match", which gives no standard errors. Each fit starts from
+        the one before.
+    criterion : str
+        "aicc": a step must lower the corrected Akaike criterion; "cost": it must not raise the cost
+        by more than ``rise`` of the whole structure's. Unless given, the first where the cost is a
+        likelihood.
+    protect : sequence of str
+        Parameters that are never held.
+    replay : mapping
+        ``Reduction.held`` of another run: these steps are taken, whatever the figures say.
+    candidates : int
+        How many of the worst to try at each step, at once; the one that costs least is held.
+
+    Raises
+    ------
+    ModelError
+        An unknown parameter or criterion, a match.
+    ConvergenceError
+        The fit of the whole structure failed.
+    """
+    _check(model, estimator, criterion, (*protect, *(replay or {})))
+    shared = setup(model, data, estimator=estimator, fixed=fixed, settings=settings)
+
+    def fits(holds: Sequence[Mapping[str, float]], near: Model | Fit | None) -> list[Done]:
+        jobs = [_job(shared, model, bounds, held, near) for held in holds]
+        done = run_trials(jobs, type(model), folder=folder, executor=executor, progress=progress)
+        return list(done.values())
+
+    (whole,) = fits([{}], start)
+    if whole.reason:
+        raise ConvergenceError(f"reduce_structure: nothing held: {whole.reason}", whole.result)
+    full: Fit = whole.result
+    criterion = criterion or ("cost" if full.R is None else "aicc")
+    limit = full.cost + rise * abs(full.cost)
+    fit, held, passed, steps = full, dict[str, float](), set(protect), list[Step]()
+    while rows := _worst(fit, {*held, *passed}, replay, candidates):
+        values = [_value(row, replay) for row in rows]
+        tried = fits([held | {r.name: v} for r, v in zip(rows, values, strict=True)], fit)
+        done, row, value = min(zip(tried, rows, values, strict=True), key=_dearness)
+        better = replay is not None or _stands(criterion, done.result, fit, limit, shared)
+        step = _step(row, value, done, shared, accepted=not done.reason and better)
+        steps.append(step)
+        if step.accepted:
+            fit, held = done.result, held | {row.name: value}
+        elif done.reason:
+            passed.add(row.name)
+        else:
+            break
+    return Reduction(full=full, fit=fit, steps=tuple(steps), criterion=criterion)
+
+
+def figures(row: ParameterEstimate) -> tuple[float, float]:
+    """Insensitivity and Cramér-Rao figure of a parameter, % of its value."""
+    size = abs(row.value) / 100
+    if size == 0:
+        return np.inf, np.inf
+    return row.insensitivity / size, 2 * row.std_error / size
+
+
+def _check(model: Model, estimator: str, criterion: str | None, names: Sequence[str]) -> None:
+    if estimator == "match":
+        raise ModelError("a match gives no standard errors to reduce by; take another estimator")
+    if criterion not in (None, *CRITERIA):
+        raise ModelError(f"criterion={criterion!r}: expected one of {', '.join(CRITERIA)}")
+    if unknown := [name for name in names if name not in model.parameter_names()]:
+        raise ModelError(
+            f"{type(model).__name__} has no parameter {unknown[0]!r}; it has "
+            f"{', '.join(model.parameter_names())}"
+        )
+
+
+def _job(
+    shared: Setup, model: Model, bounds: Bounds | None, held: Mapping[str, float],
+    start: Model | Fit | None,
+) -> Job:  # fmt: skip
+    name = f"{len(held)} {list(held)[-1]}" if held else "0"
+    (case,) = read_cases(model, {name: dict(held)}, shared.fixed, bounds)
+    values, near = starting_values(model, start)
+    return Trial(setup=shared, values=values, case=case, near=near).job(name)
+
+
+def _worst(
+    fit: Fit, out: set[str], replay: Mapping[str, float] | None, count: int
+) -> list[ParameterEstimate]:
+    """Parameters to try next: those furthest beyond their guidelines, or the next to replay."""
+    if replay is not None:
+        return [fit[name] for name in replay if name not in out][:1]
+    guide = np.array([INSENSITIVITY, CRAMER_RAO])
+    poor = {
+        row.name: worst
+        for row in fit.parameters
+        if not (row.fixed or row.active or row.name in out)
+        and (worst := float(np.nanmax(np.array(figures(row)) / guide))) > 1
+    }
+    return [fit[name] for name in sorted(poor, key=lambda name: -poor[name])[:count]]
+
+
+def _value(row: ParameterEstimate, replay: Mapping[str, float] | None) -> float:
+    if replay is not None:
+        return float(replay[row.name])
+    return 0.0 if row.lower <= 0 <= row.upper else row.value
+
+
+def _dearness(tried: tuple[Done, ParameterEstimate, float]) -> float:
+    return np.inf if tried[0].reason else float(tried[0].result.cost)
+
+
+def _stands(criterion: str, found: Fit | None, before: Fit, limit: float, shared: Setup) -> bool:
+    if found is None:
+        return False
+    if criterion == "cost":
+        return found.cost <= limit
+    return aicc(found, shared.data) < aicc(before, shared.data)
+
+
+def _step(
+    row: ParameterEstimate, value: float, done: Done, shared: Setup, *, accepted: bool
+) -> Step:
+    insensitivity, cramer_rao = figures(row)
+    cost, criterion = np.nan, np.nan
+    if not done.reason:
+        cost, criterion = done.result.cost, aicc(done.result, shared.data)
+    return Step(
+        parameter=row.name, value=value, insensitivity=insensitivity, cramer_rao=cramer_rao,
+        cost=cost, aicc=criterion, accepted=accepted, reason=done.reason,
+    )  # fmt: skip

@@ -1,0 +1,352 @@
+"""The same fit many times: from other starts, with other noise, with the residuals shuffled."""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.bounds.cases import read_cases
+from casid.bounds.trials import Data, Draw, Setup, Trial, run_trials, setup, starting_values
+from casid.errors import ConvergenceError
+from casid.fit import Fit
+from casid.jobs.campaigns import Advance, Done
+from casid.model import Bounds, Model, free_parameters
+from casid.record import Record
+from casid.shooting.output_error import simulate
+from casid.tabulation import csv_text, markdown_table
+
+SAME = 1e-6  # relative difference of costs that are the same minimum
+COVERED = 1.96  # standard errors of a 95 % interval
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Multistart:
+    """Minima found from many starts.
+
+    Parameters
+    ----------
+    starts : tuple of Model
+        The first is the one given.
+    costs : (n,) array
+        NaN where the fit failed.
+    reasons : tuple of str
+        Why, empty otherwise.
+    fit : Fit
+        The best.
+    """
+
+    starts: tuple[Model, ...]
+    costs: Array
+    reasons: tuple[str, ...]
+    fit: Fit
+
+    @property
+    def agreeing(self) -> int:
+        """How many starts ended in the best minimum."""
+        gap = self.costs - self.fit.cost
+        return int(np.sum(gap <= SAME * (1 + abs(self.fit.cost))))
+
+    def to_csv(self) -> str:
+        """One row a start."""
+        names = self.fit.free_names
+        rows = [
+            [*(float(getattr(start, name)) for name in names), float(cost), reason]
+            for start, cost, reason in zip(self.starts, self.costs, self.reasons, strict=True)
+        ]
+        return csv_text([*names, "cost", "reason"], rows)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Ensemble:
+    """Estimates from many draws of the data.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Free parameters.
+    reference : (nf,) array
+        The values the data were made with.
+    values, std_errors : (n, nf) array
+        Of every draw; NaN where the fit failed.
+    reasons : tuple of str
+        Why, empty otherwise.
+    """
+
+    names: tuple[str, ...]
+    reference: Array
+    values: Array
+    std_errors: Array
+    reasons: tuple[str, ...]
+
+    @property
+    def bias(self) -> Array:
+        """Mean of the estimates less the reference, (nf,)."""
+        return np.asarray(np.nanmean(self.values, axis=0) - self.reference)
+
+    @property
+    def scatter(self) -> Array:
+        """Standard deviation of the estimates, (nf,)."""
+        return np.asarray(np.nanstd(self.values, axis=0, ddof=1))
+
+    @property
+    def coverage(self) -> Array:
+        """Share of 95 % intervals of the draws that hold the reference, (nf,)."""
+        inside = np.abs(self.values - self.reference) <= COVERED * self.std_errors
+        return np.asarray(inside[~np.isnan(self.values).any(axis=1)].mean(axis=0))
+
+    def interval(self, level: float = 0.95) -> Array:
+        """Percentiles of the estimates, (nf, 2)."""
+        tail = 50 * (1 - level)
+        return np.asarray(np.nanpercentile(self.values, [tail, 100 - tail], axis=0).T)
+
+    def to_csv(self) -> str:
+        """One row a draw."""
+        columns = [*self.names, *(f"std_{name}" for name in self.names), "reason"]
+        rows = [
+            [*values, *errors, reason]
+            for values, errors, reason in zip(
+                self.values.tolist(), self.std_errors.tolist(), self.reasons, strict=True
+            )
+        ]
+        return csv_text(columns, rows)
+
+    def to_markdown(self) -> str:
+        """One row a parameter."""
+        claimed = np.nanmean(self.std_errors, axis=0)
+        columns = (self.reference, self.bias, self.scatter, claimed, self.coverage)
+        rows = [
+            [name, *(f"{column[k]:.4g}" for column in columns)] for k, name in enumerate(self.names)
+        ]
+        heading = ("parameter", "reference", "bias", "scatter", "mean std. error", "coverage")
+        return markdown_table(heading, rows)
+
+
+def multistart(
+    model: Model,
+    data: Data,
+    *,
+    starts: int = 10,
+    spread: float = 0.5,
+    seed: int = 0,
+    estimator: str = "output_error",
+    start: Model | None = None,
+    fixed: Sequence[str] = (),
+    bounds: Bounds | None = None,
+    folder: str | Path | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[Advance], None] | None = None,
+    **settings: Any,  # noqa: ANN401 - the estimator checks them
+) -> Multistart:
+    """Fit from many starts and keep the best.
+
+    Parameters
+    ----------
+    model, data, estimator, start, fixed, bounds, folder, executor, progress, settings
+        As in `compare_bounds`.
+    starts : int
+        How many; the first is the start itself.
+    spread : float
+        Standard deviation of the others about it, of each parameter's typical magnitude.
+    seed : int
+        Of the draws.
+
+    Raises
+    ------
+    ConvergenceError
+        No start led to a minimum.
+    """
+    shared = setup(model, data, estimator=estimator, fixed=fixed, settings=settings)
+    (case,) = read_cases(model, {"start": {}}, fixed, bounds)
+    free = free_parameters(start or model, fixed, bounds)
+    inside = free.index
+    models = [free.model.with_vector(free.full(free.guess))]
+    for k in range(1, starts):
+        rng = np.random.default_rng([seed, k])
+        moved = free.guess + spread * free.scale[inside] * rng.standard_normal(len(inside))
+        moved = np.clip(moved, free.lower[inside], free.upper[inside])
+        models.append(free.model.with_vector(free.full(moved)))
+    jobs = [
+        Trial(setup=shared, values=starting_values(model, each)[0], case=case).job(f"start {k}")
+        for k, each in enumerate(models)
+    ]
+    done = run_trials(jobs, type(model), folder=folder, executor=executor, progress=progress)
+    found = list(done.values())
+    good: list[Fit] = [each.result for each in found if not each.reason]
+    if not good:
+        raise ConvergenceError(f"multistart: none of {starts} starts converged: {found[0].reason}")
+    return Multistart(
+        starts=tuple(models),
+        costs=np.array([np.nan if each.reason else each.result.cost for each in found]),
+        reasons=tuple(each.reason for each in found),
+        fit=min(good, key=lambda fit: fit.cost),
+    )
+
+
+@dataclass(frozen=True)
+class NoiseDraw:
+    """White noise of one seed on every record."""
+
+    std: Mapping[str, float]
+    seed: tuple[int, ...]
+
+    def __call__(self, records: tuple[Any, ...]) -> tuple[Record, ...]:
+        """Noisy records."""
+        rng = np.random.default_rng(self.seed)
+        return tuple(record.with_noise(self.std, rng) for record in records)
+
+
+@dataclass(frozen=True, eq=False)
+class BlockDraw:
+    """Residuals put back on the simulation in blocks drawn from their own record, circularly."""
+
+    residuals: tuple[Array, ...]
+    block: float
+    seed: tuple[int, ...]
+
+    def __call__(self, records: tuple[Any, ...]) -> tuple[Record, ...]:
+        """Records with shuffled residuals; samples are missing where a residual is."""
+        rng = np.random.default_rng(self.seed)
+        drawn = []
+        for record, residual in zip(records, self.residuals, strict=True):
+            length = min(max(round(self.block / record.dt), 1), record.N)
+            first = rng.integers(record.N, size=-(-record.N // length))
+            index = (first[:, None] + np.arange(length)).ravel()[: record.N] % record.N
+            drawn.append(replace(record, y=record.y + residual[index]))
+        return tuple(drawn)
+
+
+def monte_carlo(
+    model: Model,
+    records: Sequence[Record],
+    *,
+    noise: Mapping[str, float],
+    runs: int = 50,
+    seed: int = 0,
+    fixed: Sequence[str] = (),
+    bounds: Bounds | None = None,
+    folder: str | Path | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[Advance], None] | None = None,
+    **settings: Any,  # noqa: ANN401 - the estimator checks them
+) -> Ensemble:
+    """Simulate a model on the inputs of records, add noise, estimate; many times.
+
+    Parameters
+    ----------
+    model : Model
+        The truth; every fit starts from it.
+    records : sequence of Record
+        Inputs; of the outputs only which samples are missing.
+    noise : mapping
+        Standard deviation of every output's white noise.
+    runs, seed : int
+        Run k draws its noise from seed and k alone.
+    fixed, bounds, folder, executor, progress, settings
+        As in `compare_bounds`, of `output_error`.
+    """
+    clean = [_with_outputs(model, record, simulate(model, record)) for record in records]
+    draws: list[Draw] = [NoiseDraw(dict(noise), (seed, run)) for run in range(runs)]
+    shared = setup(model, clean, estimator="output_error", fixed=fixed, settings=settings)
+    done = _drawn(model, None, shared, draws, bounds, folder, executor, progress)
+    return _ensemble(model, done, fixed, bounds)
+
+
+def bootstrap(
+    fit: Fit,
+    records: Sequence[Record],
+    *,
+    runs: int = 50,
+    block: float = 1.0,
+    seed: int = 0,
+    fixed: Sequence[str] = (),
+    bounds: Bounds | None = None,
+    folder: str | Path | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[Advance], None] | None = None,
+    **settings: Any,  # noqa: ANN401 - the estimator checks them
+) -> Ensemble:
+    """Put the residuals of an output-error fit back in blocks and estimate again; many times.
+
+    Blocks keep the residuals' correlation in time, which the Cramér-Rao bound leaves out (H. R.
+    Künsch, Ann. Statist. 17(3), 1989).
+
+    Parameters
+    ----------
+    fit : Fit
+        Of these records, by `output_error`.
+    records : sequence of Record
+        In the same order.
+    runs, seed : int
+        Run k draws its blocks from seed and k alone.
+    block : float
+        Length of the blocks [s]: longer than the residuals are correlated.
+    fixed, bounds, folder, executor, progress, settings
+        As in `compare_bounds`, of `output_error`.
+
+    Raises
+    ------
+    ValueError
+        A fit that is not one of these records.
+    """
+    if fit.initial_states is None or fit.biases is None or len(fit.biases) != len(records):
+        raise ValueError(
+            f"bootstrap needs an output-error fit of these {len(records)} records; this is one by "
+            f"{fit.method}"
+        )
+    model = fit.model
+    simulated = [
+        _with_outputs(model, record, simulate(model, record, x0, bias))
+        for record, x0, bias in zip(records, fit.initial_states, fit.biases, strict=True)
+    ]
+    residuals = tuple(
+        record.select(model.inputs, model.outputs).y - clean.y
+        for record, clean in zip(records, simulated, strict=True)
+    )
+    draws: list[Draw] = [BlockDraw(residuals, block, (seed, run)) for run in range(runs)]
+    shared = setup(model, simulated, estimator="output_error", fixed=fixed, settings=settings)
+    done = _drawn(model, fit, shared, draws, bounds, folder, executor, progress)
+    return _ensemble(model, done, fixed, bounds)
+
+
+def _with_outputs(model: Model, record: Record, y: Array) -> Record:
+    """The record with a model's outputs, missing where the record's are."""
+    own = record.select(model.inputs, model.outputs)
+    return replace(own, y=np.where(np.isfinite(own.y), y, np.nan))
+
+
+def _drawn(
+    model: Model, near: Fit | None, shared: Setup, draws: Sequence[Draw], bounds: Bounds | None,
+    folder: str | Path | None, executor: Executor | None,
+    progress: Callable[[Advance], None] | None,
+) -> list[Done]:  # fmt: skip
+    (case,) = read_cases(model, {"draw": {}}, shared.fixed, bounds)
+    values, content = starting_values(model, near)
+    jobs = [
+        Trial(setup=shared, values=values, case=case, near=content, draw=draw).job(f"run {k}")
+        for k, draw in enumerate(draws)
+    ]
+    done = run_trials(jobs, type(model), folder=folder, executor=executor, progress=progress)
+    return list(done.values())
+
+
+def _ensemble(
+    model: Model, done: Sequence[Done], fixed: Sequence[str], bounds: Bounds | None
+) -> Ensemble:
+    names = free_parameters(model, fixed, bounds).names
+    fits: list[Fit | None] = [None if each.reason else each.result for each in done]
+
+    def column(attribute: str) -> Array:
+        return np.array([
+            [np.nan if fit is None else getattr(fit[name], attribute) for name in names]
+            for fit in fits
+        ])  # fmt: skip
+
+    return Ensemble(
+        names=names, reference=np.array([float(getattr(model, name)) for name in names]),
+        values=column("value"), std_errors=column("std_error"),
+        reasons=tuple(each.reason for each in done),
+    )  # fmt: skip

@@ -1,0 +1,274 @@
+"""One fit as a job: structure, case, data and estimator in, a fit out, in any process."""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar, cast
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.baseline.derivid import derivid
+from casid.bounds.cases import Case, constrained, feasible, plain
+from casid.chain import identify
+from casid.errors import ConvergenceError
+from casid.fit import Fit, holding
+from casid.jobs.campaigns import Advance, Done, Job, Shelf, UnfinishedError, run_jobs
+from casid.jobs.store import digest, source_digest
+from casid.jobs.transport import Reference, can_travel, refer, refuse_while_loading, resolve
+from casid.matching.comparison import Target
+from casid.matching.match import match
+from casid.model import Model, free_parameters
+from casid.nlp import SolverOptions
+from casid.record import Record
+from casid.shooting.output_error import output_error
+from casid.subspace.pbsid import pbsid
+
+T = TypeVar("T")
+Data: TypeAlias = Sequence[Record] | Sequence[Target] | Record | Target
+Content: TypeAlias = Mapping[str, Any]  # of a fit
+Draw: TypeAlias = Callable[[tuple[Any, ...]], tuple[Any, ...]]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Setup:
+    """What all fits of a study share.
+
+    Parameters
+    ----------
+    reference : Reference
+        The structure's class.
+    estimator : str
+        One of `ESTIMATORS`.
+    data : tuple
+        Records or targets.
+    fixed : tuple of str
+        Parameters held.
+    settings : mapping
+        Further keyword arguments of the estimator.
+    """
+
+    reference: Reference
+    estimator: str
+    data: tuple[Any, ...]
+    fixed: tuple[str, ...]
+    settings: Mapping[str, Any]
+
+    @cached_property
+    def key(self) -> str:
+        """Digest of all of it, and of the code that computes results."""
+        return digest(
+            source_digest(), self.reference.name, self.reference.text, self.estimator, self.data,
+            self.fixed, self.settings,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Trial:
+    """What one fit needs.
+
+    Parameters
+    ----------
+    setup : Setup
+        What it shares with the others.
+    values : mapping
+        All of the structure's fields: the start, unless a job gives a better one, and the trim.
+    case : Case
+        Bounds and relations.
+    near : mapping or None
+        Content of a fit nearby, for a job that starts from no other.
+    draw : callable or None
+        Makes the fit's own data from the study's; it must survive pickling.
+    """
+
+    setup: Setup
+    values: Mapping[str, Any]
+    case: Case
+    near: Content | None = None
+    draw: Draw | None = None
+
+    def job(self, name: str, after: Sequence[Job] = ()) -> Job:
+        """The job of that name that starts from the nearest of ``after``."""
+        case = (dict(self.case.bounds), [asdict(relation) for relation in self.case.relations])
+        near = None if self.near is None else {**self.near, "seconds": 0.0}
+        key = digest(
+            self.setup.key, dict(self.values), case, near, self.draw, [job.key for job in after]
+        )
+        return Job(name=name, key=key, payload=self, after=tuple(job.name for job in after))
+
+
+def setup(
+    model: Model, data: Data, *, estimator: str, fixed: Sequence[str], settings: Mapping[str, Any]
+) -> Setup:
+    """What the fits of a structure to data share; what is the same for all is computed here.
+
+    Raises
+    ------
+    ValueError
+        An unknown estimator; what `pbsid` refuses, of a chain.
+    """
+    if estimator not in ESTIMATORS:
+        known = ", ".join(map(repr, ESTIMATORS))
+        raise ValueError(f"estimator={estimator!r}: expected one of {known}")
+    given = dict(settings)
+    if isinstance(given.get("options"), SolverOptions):  # a callable does not travel
+        given["options"] = replace(given["options"], progress=None)
+    items = tuple(data) if isinstance(data, Sequence) else (data,)
+    if estimator == "chain" and "black_box" not in given:
+        options = given.get("options")
+        records = cast(tuple[Record, ...], items)
+        given["black_box"] = pbsid(records, **({} if options is None else options.pbsid))
+    return Setup(
+        reference=refer(type(model)), estimator=estimator, data=items, fixed=tuple(fixed),
+        settings=given,
+    )  # fmt: skip
+
+
+def starting_values(
+    model: Model, start: Model | Fit | None
+) -> tuple[dict[str, Any], Content | None]:
+    """All fields of a model with the parameters of a start, and the start's content if a fit."""
+    values = {each.name: getattr(model, each.name) for each in fields(model)}
+    guess = start.model if isinstance(start, Fit) else start
+    if guess is not None:
+        values |= {name: getattr(guess, name) for name in model.parameter_names()}
+    return values, start.content() if isinstance(start, Fit) else None
+
+
+def run_trials(
+    jobs: Sequence[Job],
+    structure: type[Model],
+    *,
+    folder: str | Path | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[Advance], None] | None = None,
+) -> dict[str, Done]:
+    """Do all jobs; the result of each is a `Fit`, or None where there is nothing to show.
+
+    A class that other processes cannot read keeps the fits in this one.
+    """
+    refuse_while_loading()
+    done = run_jobs(
+        work, jobs, shelf=Shelf(folder), executor=executor, progress=progress,
+        here=not can_travel(structure),
+    )  # fmt: skip
+    return {
+        name: each
+        if each.result is None
+        else replace(each, result=Fit.from_content(each.result, model=structure))
+        for name, each in done.items()
+    }
+
+
+def work(job: Trial, start: Content | None) -> Content:
+    """Fit; ``start`` is the content of a fit nearby.
+
+    Raises
+    ------
+    UnfinishedError
+        No convergence; with the content of the best iterate.
+    """
+    setup = job.setup
+    cls = resolve(setup.reference)
+    model = cls(**job.values)
+    start = job.near if start is None else start
+    near = None if start is None else Fit.from_content(start, model=cls)
+    if near is not None:
+        known = {name: getattr(near.model, name) for name in cls.parameter_names()}
+        model = replace(model, **known)
+    inside, sizes = constrained(feasible(model, job.case, near), job.case)
+    data = setup.data if job.draw is None else job.draw(setup.data)
+    settings = {**setup.settings, "fixed": setup.fixed, "bounds": job.case.bounds}
+    try:
+        fit = ESTIMATORS[setup.estimator](inside, data, near, settings)
+    except ConvergenceError as error:
+        best = error.best
+        content = _own(best, cls, sizes).content() if isinstance(best, Fit) else None
+        raise UnfinishedError(str(error), content) from error
+    held = _held(fit, setup.fixed, job.case)
+    fit = _own(fit, cls, sizes)
+    return replace(fit, notes={**fit.notes, "held": held}).content()
+
+
+def _held(fit: Fit, fixed: Sequence[str], case: Case) -> int:
+    """Number of directions in which active bounds, ties and inequalities hold the parameters."""
+    free = free_parameters(fit.model, fixed, case.bounds)
+    values = fit.model.vector()[free.index]
+    active = np.array([fit.parameters[i].active for i in free.index])
+    rows = holding(free, values, active) * free.scale[free.index]
+    return int(np.linalg.matrix_rank(rows)) if len(rows) else 0
+
+
+def _own(fit: Fit, cls: type[Model], sizes: Array) -> Fit:
+    """The fit with the user's class, and the case's relations in their own units."""
+    notes = dict(fit.notes)
+    rows = [dict(row) for row in notes.get("constraints", [])]
+    for row, size in zip(rows[len(rows) - len(sizes) :], sizes, strict=True):
+        row.update({key: row[key] * size for key in ("value", "lower", "upper")})
+        row["multiplier"] /= size
+    return replace(fit, model=plain(fit.model, cls), notes=notes | {"constraints": rows})
+
+
+# ---- estimators under one signature --------------------------------------------------------------
+
+
+def _match(model: Model, data: tuple[Any, ...], _: Fit | None, settings: Mapping[str, Any]) -> Fit:
+    return match(model, data, **settings)
+
+
+def _derivid(
+    model: Model, data: tuple[Any, ...], near: Fit | None, settings: Mapping[str, Any]
+) -> Fit:
+    if len(data) != 1:
+        raise ValueError(f"derivid fits one frequency response, not {len(data)}; merge them first")
+    starts = settings.get("starts", 5)
+    if near is not None:  # no need to search: the one computed from the measurement and this one
+        starts = min(2, starts)
+    return derivid(model, data[0], **{**settings, "starts": starts})
+
+
+def _output_error(
+    model: Model, data: tuple[Any, ...], near: Fit | None, settings: Mapping[str, Any]
+) -> Fit:
+    return output_error(model, data, near=near, **settings)
+
+
+def _chain(model: Model, data: tuple[Any, ...], _: Fit | None, settings: Mapping[str, Any]) -> Fit:
+    """The chain behind the black box, which is the same for all cases."""
+    settings = dict(settings)
+    black_box = settings.pop("black_box")
+
+    def stage(name: str, compute: Callable[[], T]) -> T:
+        return cast(T, black_box) if name == "pbsid" else compute()
+
+    return identify(model, data, stage=stage, **settings).output_error
+
+
+ESTIMATORS: Mapping[str, Callable[[Model, tuple[Any, ...], Fit | None, Mapping[str, Any]], Fit]] = {
+    "chain": _chain,
+    "match": _match,
+    "output_error": _output_error,
+    "derivid": _derivid,
+}
+
+
+# ---- what a fit says about its likelihood --------------------------------------------------------
+
+
+def aicc(fit: Fit, records: Sequence[Record]) -> float:
+    """Corrected Akaike criterion of a fit to records; NaN unless its cost is a likelihood.
+
+        AICc = 2 J + 2 k n / (n - k - 1)
+
+    n counts the measurements; k the directions in which parameters are free, the initial states and
+    biases of every record and the noise variances (N. Sugiura, Commun. Stat. A7, 1978).
+    """
+    if fit.R is None or fit.initial_states is None or fit.biases is None:
+        return np.nan
+    outputs = type(fit.model).outputs
+    n = sum(int(np.isfinite(record.channel(name)).sum()) for record in records for name in outputs)
+    k = len(fit.free_names) - fit.notes["held"]
+    k += fit.initial_states.size + fit.biases.size + len(fit.R)
+    return 2 * fit.cost + 2 * k * n / (n - k - 1) if n > k + 1 else np.inf

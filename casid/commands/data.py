@@ -1,0 +1,356 @@
+"""Commands about files: convert, inspect, simulate, new-model."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from casid.channels import CONTROLS, UNITS
+from casid.commands.inspection import Inspection, RecordFacts, inspect
+from casid.commands.scaffold import new_model
+from casid.commands.terminal import exits
+from casid.consistency.kinematics import KinematicCheck
+from casid.exchange.formats import (
+    in_si,
+    read_record,
+    read_table,
+    write_fit_mat,
+    write_frequency,
+    write_table,
+)
+from casid.exchange.standalone import write_module
+from casid.files import read_json
+from casid.fit import Fit
+from casid.frequency.estimation import FrequencyResponse
+from casid.model import Model
+from casid.record import Record
+from casid.structure.modelfile import load_model
+from casid.studies.study import read_records
+from casid.studies.studyfile import read_study
+from casid.validation import validate
+
+
+def _units(_: click.Context, __: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    found = {}
+    for value in values:
+        name, equals, unit = value.partition("=")
+        if not equals:
+            raise click.BadParameter(f"{value!r}: expected CHANNEL=UNIT, such as p=deg/s")
+        found[name] = unit
+    return found
+
+
+def _names(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...]:
+    return tuple(name.strip() for name in (value or "").split(",") if name.strip())
+
+
+UNIT = click.option(
+    "--unit",
+    "units",
+    multiple=True,
+    callback=_units,
+    metavar="CHANNEL=UNIT",
+    help="Unit of a column that is not in SI, such as p=deg/s or lat=%; may be repeated.",
+)
+MODEL = click.option(
+    "--model", "structure", metavar="MODEL.py:CLASS", help="Structure, models/six_dof.py:SixDof."
+)
+TIME = click.option("--time", default="t", show_default=True, help="Column of instants.")
+
+
+# ---- convert -----------------------------------------------------------------------------------
+
+
+@click.command(short_help="Turn records, responses and fits into other tools' files.")
+@click.argument("source", metavar="FROM")
+@click.argument("target", metavar="TO")
+@UNIT
+@MODEL
+def convert(source: str, target: str, units: dict[str, str], structure: str | None) -> None:
+    """Turn a file into another format; suffixes say which. TO is replaced if it is there.
+
+    \b
+    FROM                                   TO
+    record .csv .mat (5 to 7.3) .parquet   .csv .mat (5) .parquet
+    frequency response .json               .json .csv .mat
+    fit .json, with --model                .mat, .py (simulates with NumPy alone)
+
+    Parquet needs: pip install 'casid[tables]'. Of a record all columns are taken, whether inputs or
+    outputs; --unit turns one into SI on the way.
+    """  # noqa: D301
+    console = Console(highlight=False)
+    with exits(console):
+        if Path(source).suffix.lower() == ".json":
+            if units:
+                raise ValueError("--unit is for records; a response or a fit is in SI already")
+            done = _convert_result(Path(source), Path(target), structure)
+        else:
+            table = in_si(read_table(source), units)
+            write_table(target, table)
+            rows = len(next(iter(table.values())))
+            done = f"{rows} samples of {', '.join(table)}"
+        console.print(Text(f"{target}: {done}"), soft_wrap=True)
+
+
+def _convert_result(source: Path, target: Path, structure: str | None) -> str:
+    kind = read_json(source).get("casid")
+    if kind == "frequency response":
+        response = FrequencyResponse.load(source)
+        write_frequency(target, response)
+        return f"{len(response.omega)} frequencies, {len(response.outputs)} outputs"
+    if kind != "fit":
+        raise ValueError(f"{source}: neither a fit nor a frequency response saved by casid")
+    fit = _load(source, structure)
+    if target.suffix == ".mat":
+        write_fit_mat(target, fit)
+    elif target.suffix == ".py":
+        write_module(target, fit.model.system(), title=f"{type(fit.model).__name__}, {fit.method}")
+    else:
+        raise ValueError(f"{target}: a fit becomes .mat or .py, not {target.suffix!r}")
+    return f"{type(fit.model).__name__} after {fit.method}"
+
+
+def _load(source: Path, structure: str | None) -> Fit:
+    if structure is None:
+        raise ValueError(f"{source} is a fit: name its structure, --model models/six_dof.py:SixDof")
+    return Fit.load(source, model=load_model(structure))
+
+
+# ---- inspect -----------------------------------------------------------------------------------
+
+
+@click.command("inspect", short_help="Look at records before anything is identified.")
+@click.argument("sources", nargs=-1, required=True, metavar="RECORD...|STUDY.toml")
+@click.option(
+    "--inputs",
+    callback=_names,
+    metavar="A,B,...",
+    help="Columns that are inputs; those of the model, or col, lat, lon and ped, unless given.",
+)
+@click.option(
+    "--outputs",
+    callback=_names,
+    metavar="A,B,...",
+    help="Columns that are outputs; those of the model, or all others, unless given.",
+)
+@MODEL
+@UNIT
+@TIME
+def inspect_command(
+    sources: tuple[str, ...],
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    structure: str | None,
+    units: dict[str, str],
+    time: str,
+) -> None:
+    """Show what records hold, and say whether a model could be identified from them.
+
+    Channels and their units, sampling and gaps, where the power lies (frequencies below which 5, 50
+    and 95 % of it lie), correlation of the inputs, saturation, noise; whether rates, attitudes,
+    specific forces and velocities agree with each other; with --model, whether the parameters can
+    be told apart. Nothing is fitted. RECORD is .csv, .mat or .parquet; of a study the records of
+    identification are taken, as the study reads them.
+    """
+    console = Console(highlight=False)
+    with exits(console):
+        first, *others = sources
+        if first.endswith(".toml"):
+            if others or inputs or outputs or units:
+                raise ValueError("a study says itself which records, channels and units: name it "
+                                 "alone")  # fmt: skip
+            study = read_study(Path(first))
+            records: Sequence[Record] = read_records(study)["identification"]
+            model: Model | None = study.model
+            found = inspect(records, model=model, fixed=study.fixed, bounds=study.bounds)
+        else:
+            model = None if structure is None else load_model(structure)()
+            records = _records(sources, model, inputs, outputs, units, time)
+            found = inspect(records, model=model)
+        _show(console, found)
+
+
+def _records(
+    sources: Sequence[str],
+    model: Model | None,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    units: Mapping[str, str],
+    time: str,
+) -> list[Record]:
+    columns = [name for name in read_table(sources[0]) if name != time]
+    if not inputs:
+        known = CONTROLS if model is None else model.inputs
+        inputs = tuple(name for name in known if name in columns or model is not None)
+    if not inputs:
+        raise ValueError(
+            f"{sources[0]}: which columns are inputs? Name them, --inputs A,B; there are "
+            + ", ".join(columns)
+        )
+    if not outputs:
+        known = tuple(name for name in columns if name not in inputs)
+        extra = [name for name in ("u", "v", "w") if name in columns]
+        outputs = known if model is None else tuple(dict.fromkeys((*model.outputs, *extra)))
+    return [
+        read_record(source, inputs=inputs, outputs=outputs, time=time, units=units)
+        for source in sources
+    ]
+
+
+def _show(console: Console, found: Inspection) -> None:
+    for facts in found.records:
+        console.print(_channel_table(facts, found.inputs))
+    if len(found.inputs) > 1:
+        console.print(_correlation_table(found))
+    if found.kinematics.channels:
+        console.print(kinematics_table(found.kinematics))
+    for note in found.kinematics.notes:
+        console.print(Text(f"note: {note}"))
+    if found.identifiability is not None:
+        told = str(found.identifiability).splitlines()[0]
+        can = "can" if found.usable else "cannot"
+        console.print(Text(f"Identifiability: {told}; the records {can} tell all parameters apart"))
+    for said in found.advice:
+        console.print(Text(f"- {said}", style="yellow"))
+    if not found.advice:
+        console.print("Nothing is in the way of an identification.")
+
+
+def _table(title: str, first: str, *headings: str) -> Table:
+    table = Table(title=Text(title, style="bold"), title_justify="left")
+    table.add_column(first)
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    return table
+
+
+def _channel_table(facts: RecordFacts, inputs: Sequence[str]) -> Table:
+    even = "" if facts.equidistant else ", not equidistant"
+    gaps = f", {len(facts.gaps)} gaps" if facts.gaps else ""
+    table = _table(
+        f"{facts.name}: {facts.samples} samples in {facts.duration:.5g} s, every "
+        f"{facts.interval:.4g} s{even}{gaps}; quiet for {facts.quiet:.3g} s",
+        "channel", "", "unit", "lowest", "highest", "deviation", "noise", "missing",
+        "5 %", "50 %", "95 % [rad/s]",
+    )  # fmt: skip
+    for each in facts.channels:
+        numbers = [f"{value:.4g}" for value in (each.lowest, each.highest)]
+        numbers += [f"{value:.2g}" for value in (each.deviation, each.noise)]
+        missing = f"{each.missing:.1%}" if each.missing else ""
+        band = [f"{omega:.3g}" if np.isfinite(omega) else "-" for omega in each.band]
+        kind = "in" if each.name in inputs else "out"
+        table.add_row(Text(each.name), kind, each.unit, *numbers, missing, *band)
+    return table
+
+
+def _correlation_table(found: Inspection) -> Table:
+    table = _table("Correlation of inputs", "", *found.inputs)
+    for name, row in zip(found.inputs, found.correlation, strict=True):
+        table.add_row(
+            Text(name), *(f"{value:+.2f}" if np.isfinite(value) else "-" for value in row)
+        )
+    return table
+
+
+def kinematics_table(found: KinematicCheck) -> Table:
+    """Scale, skew and bias of each rate and specific force, for the terminal."""
+    table = _table("Kinematic consistency", "channel", "against", "scale [%]", "late [ms]", "bias",
+                   "unit")  # fmt: skip
+    for each in found.channels:
+        cells = ["not determined", "", ""]
+        if each.determined:
+            cells = [
+                f"{100 * each.scale:+.2f} ± {100 * each.scale_error:.2g}",
+                f"{1000 * each.skew:+.1f} ± {1000 * each.skew_error:.2g}",
+                f"{each.bias:+.2g} ± {each.bias_error:.1g}",
+            ]
+        style = "yellow" if each.remarks else None
+        table.add_row(each.channel, ", ".join(each.against), *cells, each.unit, style=style)
+    return table
+
+
+# ---- simulate ----------------------------------------------------------------------------------
+
+
+@click.command(short_help="Simulate a fitted model on a record and compare.")
+@click.argument("fit", metavar="FIT.json")
+@click.argument("record", metavar="RECORD")
+@MODEL
+@UNIT
+@TIME
+@click.option(
+    "--detrend",
+    type=click.Choice(["first", "mean", "none"]),
+    default="first",
+    show_default=True,
+    help="Trim that is removed first: the mean before an input moves, the mean, or nothing.",
+)
+@click.option("--output", "-o", metavar="FILE", help="Write inputs, measured and simulated outputs "
+              "(p, p_sim) as .csv, .mat or .parquet.")  # fmt: skip
+def simulate(
+    fit: str,
+    record: str,
+    structure: str | None,
+    units: dict[str, str],
+    time: str,
+    detrend: str,
+    output: str | None,
+) -> None:
+    """Simulate a fitted model with the inputs of a record, and measure what it misses.
+
+    Initial state and constant biases are estimated from the record, parameters are not. Theil's
+    coefficient is 0 for a perfect prediction, 1 for a useless one.
+    """
+    console = Console(highlight=False)
+    with exits(console):
+        model = _load(Path(fit), structure).model
+        how: Any = None if detrend == "none" else detrend
+        flown = read_record(record, inputs=model.inputs, outputs=model.outputs, units=units,
+                            time=time, detrend=how)  # fmt: skip
+        found = validate({"model": model}, [flown])
+        table = _table(f"{type(model).__name__} on {flown.name}, {flown.duration:.5g} s", "output",
+                       "rms error", "unit", "fit [%]", "Theil")  # fmt: skip
+        for i, name in enumerate(found.outputs):
+            numbers = (found.rms, found.fit, found.theil)
+            rms, fitted, theil = (float(each["model"][0, i]) for each in numbers)
+            table.add_row(Text(name), f"{rms:.3g}", UNITS.get(name, ""), f"{fitted:.1f}",
+                          f"{theil:.3f}")  # fmt: skip
+        console.print(table)
+        if output is not None:
+            write_table(output, _histories(flown, found.simulated["model"][0]))
+            console.print(Text(f"Time histories: {output}"), soft_wrap=True)
+
+
+def _histories(record: Record, simulated: np.ndarray) -> dict[str, Any]:
+    columns = {"t": record.t}
+    for i, name in enumerate(record.inputs):
+        columns[name] = record.u[:, i] + record.trim.get(name, 0.0)
+    for i, name in enumerate(record.outputs):
+        trim = record.trim.get(name, 0.0)
+        columns |= {name: record.y[:, i] + trim, f"{name}_sim": simulated[:, i] + trim}
+    return columns
+
+
+# ---- new-model ---------------------------------------------------------------------------------
+
+
+@click.command("new-model", short_help="Write a commented model file to start from.")
+@click.argument("name")
+def new_model_command(name: str) -> None:
+    """Write NAME.py, a small structure with comments, to be changed into yours.
+
+    my_roll becomes my_roll.py with the class MyRoll. A file that is there is never overwritten.
+    """
+    console = Console(highlight=False)
+    with exits(console):
+        path, structure = new_model(name)
+        console.print(Text(f"{path}: look at it with  casid check {path}:{structure}"),
+                      soft_wrap=True)  # fmt: skip
+
+
+COMMANDS: tuple[click.Command, ...] = (convert, inspect_command, simulate, new_model_command)

@@ -1,0 +1,299 @@
+"""What records hold, and whether a structure could be identified from them; nothing is fitted."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.channels import CONTROLS, UNITS
+from casid.consistency.flightpath import noise
+from casid.consistency.kinematics import KinematicCheck, kinematic_check
+from casid.model import Bounds, Model
+from casid.record import Record, same_channels
+from casid.structure.identifiability import Identifiability, identifiability
+
+GAP = 1.5  # median sampling intervals
+CLIPPED = 5  # equal samples in a row at a channel's largest or smallest value
+QUIET = 0.5  # s without input that a trim should rest on
+ALIKE = 0.8  # correlation of two inputs over all records
+WEAK = 3.0  # signal over noise
+SHARES = (0.05, 0.5, 0.95)  # of a channel's power
+FULL = 2.0  # travels of a stick that no stick has
+PER_PERIOD = 5.0  # samples in a period of the fastest input
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ChannelFacts:
+    """One channel of one record.
+
+    Parameters
+    ----------
+    name, unit : str
+        As in the record; the unit is that of the channel's usual name.
+    lowest, highest, deviation : float
+        Extremes and standard deviation.
+    noise : float
+        Standard deviation of white noise on it, from third differences.
+    missing : float
+        Share of missing samples.
+    clipped : int
+        Longest run of equal samples at an extreme, where that looks like saturation; else 0.
+    band : (3,) array
+        Frequencies [rad/s] below which 5, 50 and 95 % of its power lie; NaN if it never moves.
+    """
+
+    name: str
+    unit: str
+    lowest: float
+    highest: float
+    deviation: float
+    noise: float
+    missing: float
+    clipped: int
+    band: Array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RecordFacts:
+    """One record: sampling, gaps (instant and length [s]), quiet start [s] and its channels."""
+
+    name: str
+    samples: int
+    duration: float
+    interval: float
+    equidistant: bool
+    quiet: float
+    gaps: tuple[tuple[float, float], ...]
+    channels: tuple[ChannelFacts, ...]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Inspection:
+    """All that `inspect` found.
+
+    Parameters
+    ----------
+    records : tuple of RecordFacts
+        One a record.
+    inputs, outputs : tuple of str
+        Channels.
+    correlation : (nu, nu) array
+        Of the inputs over all records, means removed; NaN for one that never moves.
+    kinematics : KinematicCheck
+        Whether the channels agree with each other.
+    identifiability : Identifiability or None
+        Of the structure, if one was given.
+    advice : tuple of str
+        What to mend or to know before an identification; empty if nothing is in its way.
+    """
+
+    records: tuple[RecordFacts, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    correlation: Array
+    kinematics: KinematicCheck
+    identifiability: Identifiability | None
+    advice: tuple[str, ...]
+
+    @property
+    def usable(self) -> bool | None:
+        """Whether the records can tell the structure's parameters apart; None without one."""
+        return None if self.identifiability is None else self.identifiability.identifiable
+
+
+def inspect(
+    records: Sequence[Record],
+    *,
+    model: Model | None = None,
+    fixed: Collection[str] = (),
+    bounds: Bounds | None = None,
+) -> Inspection:
+    """Look at records before anything is identified from them.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        With the same channels, trim removed or not.
+    model : Model
+        Structure and guess whose identifiability is judged.
+    fixed, bounds
+        As in `identifiability`.
+
+    Raises
+    ------
+    ValueError, ModelError
+        No record, records with different channels, a channel the model needs and the records lack.
+    """
+    inputs, outputs = same_channels(records)
+    facts = tuple(_facts(record) for record in records)
+    correlation = _correlation(records)
+    kinematics = kinematic_check(records)
+    found = None
+    if model is not None:
+        found = identifiability(model, records, fixed=fixed, bounds=bounds)
+    advice = [*(said for each in facts for said in _record_advice(each, inputs))]
+    advice += _excitation_advice(facts, inputs) + _correlation_advice(correlation, inputs)
+    advice += list(kinematics.remarks)
+    if model is not None and found is not None:
+        advice += _model_advice(type(model).__name__, found)
+    return Inspection(
+        records=facts,
+        inputs=inputs,
+        outputs=outputs,
+        correlation=correlation,
+        kinematics=kinematics,
+        identifiability=found,
+        advice=tuple(dict.fromkeys(advice)),
+    )
+
+
+# ---- facts -------------------------------------------------------------------------------------
+
+
+def _facts(record: Record) -> RecordFacts:
+    steps = np.diff(record.t)
+    wide = np.flatnonzero(steps > GAP * record.dt)
+    quiet = record.t[min(record.quiet_samples(), record.N - 1)] - record.t[0]
+    return RecordFacts(
+        name=record.name,
+        samples=record.N,
+        duration=record.duration,
+        interval=record.dt,
+        equidistant=record.equidistant,
+        quiet=float(quiet),
+        gaps=tuple((float(record.t[k]), float(steps[k])) for k in wide),
+        channels=tuple(_channel(record, name) for name in (*record.inputs, *record.outputs)),
+    )
+
+
+def _channel(record: Record, name: str) -> ChannelFacts:
+    raw = record.channel(name) + record.trim.get(name, 0.0)
+    known = ~np.isnan(raw)
+    t, values = record.t[known], raw[known]
+    if len(values) < 4:  # nothing can be said
+        empty = np.full(3, np.nan)
+        return ChannelFacts(name=name, unit=UNITS.get(name, ""), lowest=np.nan, highest=np.nan,
+                            deviation=np.nan, noise=np.nan, missing=float(1 - known.mean()),
+                            clipped=0, band=empty)  # fmt: skip
+    even = np.interp(np.linspace(t[0], t[-1], record.N), t, values)
+    return ChannelFacts(
+        name=name,
+        unit=UNITS.get(name, ""),
+        lowest=float(values.min()),
+        highest=float(values.max()),
+        deviation=float(values.std()),
+        noise=noise(values),
+        missing=float(1 - known.mean()),
+        clipped=_clipped(values, stick=name in record.inputs),
+        band=_band(even, record.duration),
+    )
+
+
+def _clipped(values: Array, *, stick: bool) -> int:
+    """Longest run of equal samples at an extreme, if it is one of saturation.
+
+    A stick rests where the pilot holds it, so only its stops count: 0, 1 and -1 of full travel.
+    """
+    longest = 0
+    for extreme in (values.min(), values.max()):
+        if np.ptp(values) == 0 or (stick and abs(extreme) not in (0.0, 1.0)):
+            continue
+        at = np.concatenate([[False], values == extreme, [False]])
+        edges = np.flatnonzero(np.diff(at.astype(int)))
+        runs = edges[1::2] - edges[::2]
+        inside = (edges[::2] > 0) & (edges[1::2] < len(values))  # trim at either end is no stop
+        longest = max(longest, int(runs[inside].max(initial=0)))
+    return longest if longest >= CLIPPED else 0
+
+
+def _band(values: Array, duration: float) -> Array:
+    """Frequencies [rad/s] below which the shares of a channel's power lie."""
+    centred = (values - values.mean()) * np.hanning(len(values))
+    power = np.abs(np.fft.rfft(centred))[1:] ** 2
+    total = np.cumsum(power)
+    if not np.ptp(values) > 1e-12 * np.abs(values).max():
+        return np.full(3, np.nan)
+    places = np.searchsorted(total, np.array(SHARES) * total[-1])
+    return np.asarray(2 * np.pi / duration * (places + 1))
+
+
+def _correlation(records: Sequence[Record]) -> Array:
+    u = np.vstack([record.u - record.u.mean(axis=0) for record in records])
+    size = np.sqrt(np.sum(u**2, axis=0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(u.T @ u / np.outer(size, size))
+
+
+# ---- advice ------------------------------------------------------------------------------------
+
+
+def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
+    said = []
+    if facts.gaps:
+        at, length = max(facts.gaps, key=lambda gap: gap[1])
+        said.append(
+            f"{facts.name}: {len(facts.gaps)} gaps in time, the longest of {length:.3g} s at "
+            f"{at:.4g} s; split the record at long ones (Record.between)"
+        )
+    if facts.quiet < QUIET:
+        said.append(
+            f"{facts.name}: an input moves within {QUIET:g} s of the start, so there is no trim; "
+            "take that of another record (detrend)"
+        )
+    for channel in facts.channels:
+        if channel.clipped:
+            kind = "stop" if channel.name in inputs else "value"
+            said.append(
+                f"{facts.name}: {channel.name} stays at its extreme {kind} for {channel.clipped} "
+                "samples: saturated? Cut the record there or leave it out"
+            )
+        if channel.missing:
+            said.append(f"{facts.name}: {channel.name} lacks {channel.missing:.1%} of its samples")
+    return said
+
+
+def _excitation_advice(facts: Sequence[RecordFacts], inputs: Sequence[str]) -> list[str]:
+    said = []
+    for i in range(len(facts[0].channels)):
+        seen = [each.channels[i] for each in facts]
+        best = max(seen, key=lambda channel: np.nan_to_num(channel.deviation))
+        name = best.name
+        if not np.isfinite(best.band).all():
+            why = "fly it" if name in inputs else "look at its sensor, or leave it out"
+            said.append(f"{name} never moves: {why}")
+        elif name in CONTROLS and max(abs(best.lowest), abs(best.highest)) > FULL:
+            said.append(
+                f"{name} reaches {best.highest:.4g}, more than full travel: is it in percent? "
+                "State its unit, %"
+            )
+        elif name in inputs:
+            interval = max(each.interval for each in facts)
+            if best.band[2] * interval * PER_PERIOD > 2 * np.pi:
+                said.append(
+                    f"{name} has power up to {best.band[2]:.3g} rad/s, less than {PER_PERIOD:g} "
+                    f"samples a period at {interval:g} s: record faster"
+                )
+        elif best.deviation < WEAK * best.noise:
+            said.append(
+                f"{name} is mostly noise: {best.noise:.2g} of a deviation of {best.deviation:.2g} "
+                "in the record where it moves most; fly larger inputs or leave it out"
+            )
+    return said
+
+
+def _correlation_advice(correlation: Array, inputs: Sequence[str]) -> list[str]:
+    return [
+        f"{inputs[i]} and {inputs[j]} move together (correlation {correlation[i, j]:+.2f} over all "
+        "records), so their effects cannot be told apart well: move one at a time"
+        for i in range(len(inputs))
+        for j in range(i)
+        if abs(correlation[i, j]) > ALIKE
+    ]
+
+
+def _model_advice(name: str, found: Identifiability) -> list[str]:
+    lines = [f"{name}: {line}" for line in str(found).splitlines()[1:]]
+    if found.identifiable:
+        return lines
+    return [f"these records cannot tell all parameters of {name} apart", *lines]

@@ -1,0 +1,1 @@
+"""Whether records can be what they are said to be: units, time, rigid-body kinematics."""

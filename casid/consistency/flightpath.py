@@ -1,0 +1,344 @@
+"""Flight path reconstruction: what instruments must be for a flight to obey kinematics.
+
+    φ' = p + (q sin φ + r cos φ) tan θ        u' = ax − g sin θ + r v − q w
+    θ' = q cos φ − r sin φ                    v' = ay + g cos θ sin φ + p w − r u
+    ψ' = (q sin φ + r cos φ)/cos θ            w' = az + g cos θ cos φ + q u − p v
+
+V. Klein, E. A. Morelli, Aircraft System Identification: Theory and Practice, chapter 10;
+R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 10. A rate or a specific
+force is taken as measured(t) = (1 + scale) true(t − skew) + bias, attitudes and velocities as right
+but for noise.
+
+Departures. Both sides are integrated, with the measured attitudes and velocities in the products:
+the unknowns but for the skews then enter linearly, and no trajectory can diverge. Noise of the
+rates adds up in the integral; innovations of a filter with one gain an equation, fitted with the
+unknowns, are what is minimised (gain 0 is output error). Standard errors allow for what colour is
+left in them.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import scipy.interpolate
+import scipy.signal
+
+from casid.arrays import Array
+from casid.frequency.sampling import LONGEST_GAP, equidistant
+from casid.record import Record
+
+GRAVITY = 9.80665  # m/s^2
+MOST = 60_000  # samples that are looked at
+SHORTEST = 20  # samples
+GAPS = 0.2  # share of missing samples above which a channel is left out
+GAINS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 25)])
+ITERATIONS = 12
+REGAIN = (2, 5, 8)  # iterations after which the filters' gains are fitted anew
+LATE = 0.5  # largest skew [s]
+BATCH = 1.0  # time [s] over which innovations may be correlated
+PRIOR = np.array([1.0, np.inf, LATE])  # of gain, bias and skew, so that nothing is singular
+ROUNDING = 1e-9  # of a channel's range: no record is more exact
+
+RATES, FORCES = ("p", "q", "r"), ("ax", "ay", "az")
+ATTITUDES, VELOCITIES = ("phi", "theta", "psi"), ("u", "v", "w")
+AIR = ("V", "alpha", "beta")
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """Total values of the channels of one record on equidistant instants."""
+
+    dt: float
+    quiet: int
+    values: dict[str, Array]
+
+    @property
+    def t(self) -> Array:
+        """Instants from the first sample [s]."""
+        n = len(next(iter(self.values.values())))
+        return np.asarray(self.dt * np.arange(n))
+
+    def only(self, names: Collection[str]) -> "Flight":
+        """The same flight with some of its channels."""
+        return replace(self, values={name: self.values[name] for name in names})
+
+
+def looked_at(records: Sequence[Record]) -> list[Record]:
+    """Stretches of records without long gaps, cut where there are more samples than are used."""
+    pieces = [piece for record in records for piece in _unbroken(record)]
+    share = min(1.0, MOST / max(sum(piece.N for piece in pieces), 1))
+    return [_part(piece, 0, max(int(share * piece.N), SHORTEST)) for piece in pieces]
+
+
+def _unbroken(record: Record) -> list[Record]:
+    if record.N < SHORTEST:
+        return []
+    edges = np.flatnonzero(np.diff(record.t) > LONGEST_GAP * record.dt) + 1
+    if not len(edges):
+        return [record]
+    bounds = [0, *map(int, edges), record.N]
+    parts = [_part(record, *ends) for ends in pairwise(bounds) if ends[1] - ends[0] >= SHORTEST]
+    return [piece for part in parts for piece in _unbroken(part)]  # the median is another now
+
+
+def _part(record: Record, start: int, end: int) -> Record:
+    t, u, y = (getattr(record, letter)[start:end] for letter in "tuy")
+    return replace(record, t=t, u=u, y=y)
+
+
+def signals(record: Record, trim: Mapping[str, float]) -> Flight:
+    """Total values of a record's channels on equidistant instants, missing samples filled in."""
+    quiet = record.quiet_samples()
+    if not record.equidistant:
+        record = equidistant(record, 0.0)
+    values = {}
+    for i, name in enumerate(record.outputs):
+        if name not in {*RATES, *FORCES, *ATTITUDES, *VELOCITIES, *AIR}:
+            continue
+        y = record.y[:, i] + record.trim.get(name, 0.0) + trim.get(name, 0.0)
+        missing = np.isnan(y)
+        if missing.mean() > GAPS:
+            continue
+        values[name] = np.interp(record.t, record.t[~missing], y[~missing])
+    if {*AIR} <= set(values) and not {*VELOCITIES} <= set(values):
+        V, alpha, beta = (values[name] for name in AIR)
+        values["u"] = V * np.cos(alpha) * np.cos(beta)
+        values["v"] = V * np.sin(beta)
+        values["w"] = V * np.sin(alpha) * np.cos(beta)
+    if "psi" in values:
+        values["psi"] = np.unwrap(values["psi"])
+    return Flight(record.dt, quiet, values)
+
+
+def _terms(equation: str, flight: Flight) -> tuple[dict[str, Array], Array]:
+    """Factor of each rate and force in the derivative of an attitude or velocity; the rest."""
+    n = len(flight.values[equation])
+    zero, one = np.zeros(n), np.ones(n)
+    phi, theta = (flight.values.get(name, zero) for name in ("phi", "theta"))
+    s, c, tan = np.sin(phi), np.cos(phi), np.tan(theta)
+    if equation == "phi":
+        return {"p": one, "q": s * tan, "r": c * tan}, zero
+    if equation == "theta":
+        return {"q": c, "r": -s}, zero
+    if equation == "psi":
+        return {"q": s / np.cos(theta), "r": c / np.cos(theta)}, zero
+    u, v, w = (flight.values[name] for name in VELOCITIES)
+    return {
+        "u": ({"ax": one, "r": v, "q": -w}, -GRAVITY * np.sin(theta)),
+        "v": ({"ay": one, "p": w, "r": -u}, GRAVITY * np.cos(theta) * s),
+        "w": ({"az": one, "q": u, "p": -v}, GRAVITY * np.cos(theta) * c),
+    }[equation]
+
+
+def _integral(f: Array, dt: float) -> Array:
+    """Running integral of columns from the first sample, of fourth order inside."""
+    padded = np.concatenate([2 * f[:1] - f[1:2], f, 2 * f[-1:] - f[-2:-1]])
+    step = (13 * (padded[1:-2] + padded[2:-1]) - padded[:-3] - padded[3:]) * (dt / 24)
+    return np.concatenate([np.zeros_like(f[:1]), np.cumsum(step, axis=0)])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Solution:
+    """Instruments with which the flights obey kinematics.
+
+    Parameters
+    ----------
+    channels : tuple of str
+        Rates and specific forces.
+    unknowns : (channels, 3) array
+        Of each: gain 1/(1 + scale), bias after that gain, skew [s].
+    errors : (channels, 3) array
+        Their standard errors.
+    against : mapping
+        The equations in which each channel stands.
+    left : mapping
+        What each equation leaves of its attitude or velocity, one array a flight.
+    """
+
+    channels: tuple[str, ...]
+    unknowns: Array
+    errors: Array
+    against: dict[str, tuple[str, ...]]
+    left: dict[str, list[Array]]
+
+
+Block = tuple[str, Array, Array]  # equation, residual (N,), slopes of the prediction (N, unknowns)
+
+
+def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Solution:
+    """Gain, bias and skew of each rate and specific force by Gauss-Newton steps.
+
+    The filters' gains and the weights of the equations are fitted between the steps.
+
+    Parameters
+    ----------
+    flights : sequence of Flight
+        All with the same channels.
+    equations : sequence of str
+        The attitudes and velocities whose equations are used.
+    """
+    problem = _Problem(flights, tuple(equations))
+    n = len(problem.channels)
+    start = np.tile([1.0, 0.0, 0.0], n)
+    prior = np.tile(PRIOR**-2.0, n)
+    x = start.copy()
+    for iteration in range(ITERATIONS):
+        blocks = problem.blocks(x)
+        if iteration in REGAIN:
+            problem.fit_gains(blocks, x[::3])
+        parts = problem.whitened(blocks)
+        step = _solved(*_normal(parts, prior, start - x)).reshape(n, 3)
+        step[:, 2] = np.clip(step[:, 2], -LATE / 4, LATE / 4)
+        x = x + step.ravel()
+        x[2::3] = np.clip(x[2::3], -LATE, LATE)
+    blocks = problem.blocks(x)
+    parts = problem.whitened(blocks)
+    variance = _variances(_normal(parts, prior, start - x)[0], problem.scores(parts))
+    return Solution(
+        channels=problem.channels,
+        unknowns=x.reshape(n, 3),
+        errors=np.sqrt(variance).reshape(n, 3),
+        against={name: tuple(each for each in equations if name in problem.terms[0][each][0])
+                 for name in problem.channels},
+        left={each: [e for name, e, _ in blocks if name == each] for each in equations},
+    )  # fmt: skip
+
+
+class _Problem:
+    """Residuals of all equations over all flights, and the filters that whiten them."""
+
+    def __init__(self, flights: Sequence[Flight], equations: tuple[str, ...]) -> None:
+        self.flights, self.equations = flights, equations
+        self.terms = [{each: _terms(each, flight) for each in equations} for flight in flights]
+        felt = {name for factors, _ in self.terms[0].values() for name in factors}
+        known = felt & set(flights[0].values)
+        self.channels = tuple(name for name in (*RATES, *FORCES) if name in known)
+        self.splines = [
+            {name: scipy.interpolate.make_interp_spline(flight.t, flight.values[name], k=3)
+             for name in self.channels}
+            for flight in flights
+        ]  # fmt: skip
+        self.gains = dict.fromkeys(equations, 0.0)
+
+    def blocks(self, x: Array) -> list[Block]:
+        """Residuals and slopes of each equation and flight at these unknowns."""
+        table = x.reshape(-1, 3)
+        found = []
+        for flight, splines, terms in zip(self.flights, self.splines, self.terms, strict=True):
+            moved = {}
+            for name, (_, _, skew) in zip(self.channels, table, strict=True):
+                at = np.clip(flight.t + skew, 0.0, flight.t[-1])
+                moved[name] = (splines[name](at), splines[name](at, nu=1))
+            for each in self.equations:
+                F = _integral(self._derivative(terms[each], moved, table), flight.dt)
+                e = flight.values[each] - F[:, -1]
+                found.append((each, e - e.mean(), F[:, :-1]))
+        return found
+
+    def _derivative(
+        self,
+        terms: tuple[dict[str, Array], Array],
+        moved: Mapping[str, tuple[Array, Array]],
+        table: Array,
+    ) -> Array:
+        """Slopes of one equation's right-hand side by the unknowns, and itself, (N, n + 1)."""
+        factors, rest = terms
+        f = np.zeros((len(rest), table.size + 1))
+        f[:, -1] = rest
+        for i, (name, (gain, bias, _)) in enumerate(zip(self.channels, table, strict=True)):
+            if name in factors:
+                a, (m, rate) = factors[name], moved[name]
+                f[:, 3 * i : 3 * i + 3] = np.column_stack([a * m, -a, gain * a * rate])
+                f[:, -1] += a * (gain * m - bias)
+        return f
+
+    def whitened(self, blocks: Sequence[Block]) -> list[Block]:
+        """Innovations and their slopes, in standard deviations of the equation's innovations."""
+        parts = [(each, *_innovations(self.gains[each], e, X)) for each, e, X in blocks]
+        size = {}
+        for each in self.equations:
+            e = np.concatenate([e for name, e, _ in parts if name == each])
+            floor = ROUNDING * max(np.ptp(flight.values[each]) for flight in self.flights)
+            size[each] = np.sqrt(np.mean(e**2) + floor**2 + 1e-300)
+        return [(each, e / size[each], X / size[each]) for each, e, X in parts]
+
+    def fit_gains(self, blocks: Sequence[Block], scaling: Array) -> None:
+        """Take the gains with the smallest innovations, no less than the rates' noise asks for.
+
+        Without that floor a bias explains a random walk too well now and then: K = 0.
+        """
+        for each in self.equations:
+            mine = [e for name, e, _ in blocks if name == each]
+            sizes = [
+                sum(float(np.sum(_innovations(K, e, np.zeros((len(e), 0)))[0] ** 2)) for e in mine)
+                for K in GAINS
+            ]
+            seen = float(np.mean([noise(e) ** 2 for e in mine]))
+            ratio = float(self._walk(each, scaling) / max(seen, 1e-300))
+            floor = (np.sqrt(ratio**2 + 4 * ratio) - ratio) / 2
+            self.gains[each] = float(max(GAINS[int(np.argmin(sizes))], floor))
+
+    def _walk(self, equation: str, scaling: Array) -> float:
+        """Variance that the noise of rates and forces adds in one sampling interval."""
+        total = 0.0
+        for flight, terms in zip(self.flights, self.terms, strict=True):
+            for name, gain in zip(self.channels, scaling, strict=True):
+                share = np.mean(np.square(terms[equation][0].get(name, 0.0)))
+                total += float(share * (gain * flight.dt * noise(flight.values[name])) ** 2)
+        return total / len(self.flights)
+
+    def scores(self, parts: Sequence[Block]) -> Array:
+        """Sums of slope times innovation over stretches that count as independent."""
+        n = max(1, round(BATCH / self.flights[0].dt))
+        return np.concatenate(
+            [np.add.reduceat(X * e[:, None], np.arange(0, len(e), n), axis=0) for _, e, X in parts]
+        )
+
+
+def _innovations(gain: float, e: Array, X: Array) -> tuple[Array, Array]:
+    """What a filter of this gain leaves of residuals and slopes, the initial state projected out.
+
+    e[k] − e[k−1] + (1 − K) ε[k−1] is the error of predicting a sum of white noise (in the rates)
+    that is seen through white noise (in the attitude) one sample ahead.
+    """
+    Z = np.column_stack([e, X, np.ones(len(e))])
+    if gain > 0:
+        Z = scipy.signal.lfilter([1.0, -1.0], [1.0, gain - 1.0], Z, axis=0)
+    z = Z[:, -1]
+    Z = Z[:, :-1] - np.outer(z, z @ Z[:, :-1]) / (z @ z)
+    return Z[:, 0], Z[:, 1:]
+
+
+def noise(x: Array) -> float:
+    """Standard deviation of white noise on a smooth signal, from its third differences."""
+    return float(np.sqrt(np.mean(np.diff(x, 3) ** 2) / 20))
+
+
+def _normal(parts: Sequence[Block], prior: Array, pull: Array) -> tuple[Array, Array]:
+    """Information matrix and gradient, both with the prior."""
+    information = np.diag(prior)
+    slope = prior * pull
+    for _, e, X in parts:
+        information = information + X.T @ X
+        slope = slope + X.T @ e
+    return information, slope
+
+
+def _solved(information: Array, slope: Array) -> Array:
+    scaled, size = _scaled(information)
+    return np.asarray(np.linalg.lstsq(scaled, slope / size, rcond=1e-14)[0] / size)
+
+
+def _variances(information: Array, scores: Array) -> Array:
+    """The larger, unknown by unknown, of 1/information and of what the scores' scatter says."""
+    scaled, size = _scaled(information)
+    inverse = np.linalg.pinv(scaled, rcond=1e-14) / np.outer(size, size)
+    scatter = inverse @ (scores.T @ scores) @ inverse
+    return np.asarray(np.maximum(np.diag(inverse), np.diag(scatter)))
+
+
+def _scaled(information: Array) -> tuple[Array, Array]:
+    size = np.sqrt(np.diag(information))
+    size = np.where(size > 0, size, 1.0)
+    return information / np.outer(size, size), size

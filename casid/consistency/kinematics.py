@@ -1,0 +1,314 @@
+"""Whether rates, attitudes, specific forces and velocities agree: flight path reconstruction.
+
+Rigid-body kinematics ties channels of one flight together whatever the aircraft does:
+
+    φ' = p + (q sin φ + r cos φ) tan θ        u' = ax − g sin θ + r v − q w
+    θ' = q cos φ − r sin φ                    v' = ay + g cos θ sin φ + p w − r u
+    ψ' = (q sin φ + r cos φ)/cos θ            w' = az + g cos θ cos φ + q u − p v
+
+V. Klein, E. A. Morelli, Aircraft System Identification: Theory and Practice, chapter 10;
+R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 10. A rate or a specific
+force is taken as
+
+    measured(t) = (1 + scale) true(t − skew) + bias,
+
+attitudes and velocities as right but for noise: kinematics sees only how channels stand to each
+other, so a scale of 5 % on p may as well be one of -5 % on φ.
+
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.consistency.flightpath import (
+    ATTITUDES,
+    FORCES,
+    GRAVITY,
+    RATES,
+    VELOCITIES,
+    Flight,
+    Solution,
+    looked_at,
+    noise,
+    reconstruct,
+    signals,
+)
+from casid.record import Record
+
+KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
+SIGNIFICANT = 3.0  # standard errors
+SCALE, SKEW, BIAS = 0.02, 0.01, 0.1  # what matters: relative, s, of the channel's deviation
+ROUGH = 0.1  # the scale that matters where an equation lacks a channel
+LEVEL = 0.005  # rad
+REST = 0.5  # s of quiet that a trim is taken from
+MUCH = 0.3  # share of an attitude's movement left unexplained that matters
+
+UNITS = dict.fromkeys(RATES, "rad/s") | dict.fromkeys(FORCES, "m/s^2")
+OWN = dict(zip((*RATES, *FORCES), (*ATTITUDES, *VELOCITIES), strict=True))
+NEEDED = {  # channels without which an equation means nothing
+    "phi": {"phi", "p"}, "theta": {"theta", "q"}, "psi": {"psi", *RATES, "phi", "theta"},
+    **{name: {*VELOCITIES, *FORCES, *RATES, "phi", "theta"} for name in VELOCITIES},
+}  # fmt: skip
+WHOLE = NEEDED | {"phi": {"phi", "theta", *RATES}, "theta": {"phi", "theta", "q", "r"}}
+FACTORS = {
+    "it has the opposite sign": -1.0,
+    "it seems to be in degrees": 180 / np.pi,
+    "its reference seems to be in degrees": np.pi / 180,
+    "it seems to be in g": 1 / GRAVITY,
+    "it seems to be in feet": 1 / 0.3048,
+    "its reference seems to be in feet": 0.3048,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelCheck:
+    """What one rate or specific force is, next to what the other channels imply.
+
+    Parameters
+    ----------
+    channel, unit : str
+        Its name, and the unit of the bias.
+    against : tuple of str
+        Attitudes or velocities it was compared with.
+    scale, skew, bias : float
+        measured(t) = (1 + scale) true(t − skew [s]) + bias; NaN where the records do not tell.
+    scale_error, skew_error, bias_error : float
+        Their standard errors.
+    remarks : tuple of str
+        What is wrong with it; empty if nothing is.
+    """
+
+    channel: str
+    unit: str
+    against: tuple[str, ...]
+    scale: float
+    scale_error: float
+    skew: float
+    skew_error: float
+    bias: float
+    bias_error: float
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def determined(self) -> bool:
+        """Whether the records tell anything about it."""
+        return bool(np.isfinite(self.scale))
+
+
+@dataclass(frozen=True, kw_only=True)
+class KinematicCheck:
+    """Whether the channels of records agree with each other.
+
+    Parameters
+    ----------
+    channels : tuple of ChannelCheck
+        Rates and specific forces, those that could be compared.
+    residuals : mapping
+        Root mean square of what each equation leaves, in the unit of its attitude or velocity.
+    notes : tuple of str
+        What was not checked, and why.
+    further : tuple of str
+        Remarks that belong to no single comparison: gravity in trim, angles that are no radians.
+    """
+
+    channels: tuple[ChannelCheck, ...]
+    residuals: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+    further: tuple[str, ...] = ()
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Everything found wrong."""
+        return (*(remark for each in self.channels for remark in each.remarks), *self.further)
+
+    @property
+    def consistent(self) -> bool:
+        """Whether nothing was found wrong."""
+        return not self.remarks
+
+
+def kinematic_check(
+    records: Sequence[Record], *, trim: Mapping[str, float] | None = None
+) -> KinematicCheck:
+    """Scale, bias and skew of rates and specific forces that make records consistent.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        SI units and radians; outputs are known by their names: p q r, phi theta psi, ax ay az
+        (specific force at the centre of gravity), u v w or V alpha beta. Equations whose channels
+        are not there are left out. What `Record.detrend` subtracted is added again.
+    trim : mapping
+        Added to channels that were recorded as perturbations.
+
+    Returns
+    -------
+    KinematicCheck
+    """
+    flights = [signals(record, trim or {}) for record in looked_at(records)]
+    names = set.intersection(*(set(flight.values) for flight in flights)) if flights else set()
+    notes = []
+    if _perturbed(flights, names):
+        names -= {*VELOCITIES, *FORCES}
+        notes.append(
+            "az has no gravity in it, so the records are perturbations: velocities are not "
+            "checked, attitudes roughly, as about level flight; give the trim, or total values"
+        )
+    notes += _unchecked(names)
+    equations = [name for name in (*ATTITUDES, *VELOCITIES) if NEEDED[name] <= names]
+    turned = _turned(flights, names)
+    if turned or not equations:
+        return KinematicCheck(channels=(), residuals={}, notes=tuple(notes), further=turned)
+    solution = reconstruct([flight.only(names) for flight in flights], equations)
+    spread = {
+        name: float(np.sqrt(np.mean([np.var(flight.values[name]) for flight in flights])))
+        for name in (*solution.channels, *equations)
+    }
+    rough = {name for name in equations if not WHOLE[name] <= names or _level(flights, names)}
+    checks = tuple(_judged(solution, name, spread[name], rough) for name in solution.channels)
+    notes += [
+        f"the records do not tell about {each.channel}: it moves too little, or too alike others"
+        for each in checks
+        if not each.determined
+    ]
+    return KinematicCheck(
+        channels=checks,
+        residuals={
+            each: float(np.sqrt(np.mean(np.concatenate(e) ** 2)))
+            for each, e in solution.left.items()
+        },
+        notes=tuple(notes),
+        further=(*_against_gravity(flights, names), *_unexplained(solution, spread)),
+    )
+
+
+def _unchecked(names: set[str]) -> list[str]:
+    notes = []
+    for rate, attitude in (("p", "phi"), ("q", "theta")):
+        if rate in names and attitude not in names:
+            notes.append(f"{rate} was not checked: there is no {attitude}")
+    lacking = sorted(NEEDED["u"] - names)
+    if lacking and {*FORCES} & names:
+        notes.append(
+            "specific forces were checked against gravity in trim only: there is no "
+            + ", ".join(lacking)
+        )
+    return notes
+
+
+def _perturbed(flights: Sequence[Flight], names: set[str]) -> bool:
+    if "az" not in names:
+        return False
+    typical = np.median(np.concatenate([flight.values["az"] for flight in flights]))
+    return bool(abs(typical) < 1e-2 * GRAVITY)
+
+
+def _level(flights: Sequence[Flight], names: set[str]) -> bool:
+    """Whether pitch attitude is about zero: then it may be that trim was removed before."""
+    if "theta" not in names:
+        return False
+    typical = np.median(np.concatenate([each.values["theta"] for each in flights]))
+    return bool(abs(typical) < LEVEL)
+
+
+def _turned(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:
+    said = []
+    for name, limit in (("phi", np.pi), ("theta", np.pi / 2)):
+        if name not in names:
+            continue
+        largest = max(np.abs(flight.values[name]).max() for flight in flights)
+        if largest > limit:
+            said.append(f"{name} reaches {largest:.3g} rad: is it in degrees? Kinematics unchecked")
+    return tuple(said)
+
+
+# ---- judgement ---------------------------------------------------------------------------------
+
+
+def _judged(solution: Solution, name: str, spread: float, rough: set[str]) -> ChannelCheck:
+    i = solution.channels.index(name)
+    gain, bias, skew = map(float, solution.unknowns[i])
+    errors = [float(error) for error in solution.errors[i]]
+    against = solution.against[name]
+    if OWN[name] in against:  # it stands in others too, but this one says most
+        against = (OWN[name],)
+    known = 0 < errors[0] < KNOWN * abs(gain)
+    if not known:
+        gain, bias, skew, *errors = [np.nan] * 6
+    check = ChannelCheck(
+        channel=name, unit=UNITS[name], against=against,
+        scale=1 / gain - 1, scale_error=errors[0] / gain**2,
+        skew=skew, skew_error=errors[2],
+        bias=bias / gain, bias_error=errors[1] / abs(gain),
+    )  # fmt: skip
+    tolerance = ROUGH if rough & set(against) else SCALE
+    return replace(check, remarks=_remarks(check, tolerance, spread) if known else ())
+
+
+def _remarks(check: ChannelCheck, tolerance: float, spread: float) -> tuple[str, ...]:
+    said = []
+    others = " and ".join(check.against)
+    implied = f"{others} {'imply' if len(check.against) > 1 else 'implies'}"
+    factor = 1 + check.scale
+    if abs(check.scale) > max(tolerance, SIGNIFICANT * check.scale_error):
+        why = _mistake(factor) or "look at the scale factors of both"
+        said.append(
+            f"{check.channel} is {factor:.4g} ± {check.scale_error:.2g} times what {implied}: {why}"
+        )
+    if abs(check.skew) > max(SKEW, SIGNIFICANT * check.skew_error):
+        late = "late" if check.skew > 0 else "early"
+        said.append(
+            f"{check.channel} is {abs(check.skew):.3g} ± {check.skew_error:.1g} s {late} against "
+            f"{others}: look at filters and the time stamps of both"
+        )
+    if abs(check.bias) > max(BIAS * spread, SIGNIFICANT * check.bias_error):
+        said.append(
+            f"{check.channel} has a bias of {check.bias:.3g} ± {check.bias_error:.1g} "
+            f"{check.unit} against {others}"
+        )
+    return tuple(said)
+
+
+def _mistake(factor: float) -> str:
+    """The mistake that a factor betrays, if any."""
+    why = [why for why, known in FACTORS.items() if abs(factor / known - 1) < 0.05]
+    return why[0] if why else ""
+
+
+def _unexplained(solution: Solution, spread: Mapping[str, float]) -> tuple[str, ...]:
+    """Remarks on attitudes and velocities that no scale, bias and skew brings into line."""
+    said = []
+    for each, left in solution.left.items():
+        white = float(np.mean([noise(e) ** 2 for e in left]))
+        moves = max(spread[each] ** 2 - white, 1e-300)
+        rest = float(np.mean(np.concatenate(left) ** 2)) - white
+        if rest > max(MUCH**2 * moves, 4 * white):
+            said.append(
+                f"{each} does not follow from the other channels: {np.sqrt(rest / moves):.0%} of "
+                "its movement is left; look at the signs, units and axes of all"
+            )
+    return tuple(said)
+
+
+def _against_gravity(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:
+    """Remarks on a specific force that in trim is far from what gravity asks for."""
+    if not {*FORCES, "phi", "theta"} <= names or {*VELOCITIES} <= names:
+        return ()
+    said = []
+    # Without a quiet stretch the mean of all of it: what the aircraft was flown about.
+    ends = [each.quiet if each.quiet * each.dt >= REST else None for each in flights]
+    heads = [
+        [flight.values[name][:end].mean() for flight, end in zip(flights, ends, strict=True)]
+        for name in (*FORCES, "phi", "theta")
+    ]
+    f, (phi, theta) = np.median(heads[:3], axis=1), np.median(heads[3:], axis=1)
+    down = np.cos(theta) * np.array([0.0, np.sin(phi), np.cos(phi)])
+    wanted = GRAVITY * (np.array([np.sin(theta), 0.0, 0.0]) - down)
+    for name, found, due in zip(FORCES, f, wanted, strict=True):
+        if abs(found - due) <= ROUGH * GRAVITY:
+            continue
+        why = (_mistake(float(found / due)) if due else "") or "look at its sign, unit and bias"
+        said.append(f"{name} is {found:.3g} m/s^2 in trim, gravity makes it {due:.3g}: {why}")
+    return tuple(said)

@@ -1,0 +1,1 @@
+"""Records, systems, responses and fits as other tools have them."""

@@ -1,0 +1,306 @@
+"""Files of other tools, told apart by their suffix: tables of samples, responses, fitted models."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+
+from casid.arrays import Array
+from casid.channels import UNITS
+from casid.exchange.objects import from_dataframe, optional, to_dataframe
+from casid.files import (
+    SI,
+    Detrend,
+    csv_columns,
+    read_columns,
+    read_csv,
+    read_mat,
+    read_variables,
+    write_text,
+)
+from casid.fit import Fit
+from casid.folder import replacing
+from casid.frequency.estimation import FrequencyResponse
+from casid.limits import TABLE_BYTES, check_file
+from casid.record import Hold, Record
+
+TABLES = (".csv", ".mat", ".parquet")
+VARIABLE = re.compile(r"[A-Za-z]\w{0,62}", flags=re.ASCII)  # what MATLAB takes for a name
+
+
+# ---- records -----------------------------------------------------------------------------------
+
+
+def read_record(
+    path: str | Path,
+    *,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    time: str = "t",
+    units: Mapping[str, str] | None = None,
+    detrend: Detrend = None,
+    hold: Hold = "foh",
+    name: str | None = None,
+) -> Record:
+    """A record from a CSV, MAT (version 5 to 7.3) or Parquet file.
+
+    Parameters
+    ----------
+    path, inputs, outputs, time, units, detrend, hold, name
+        As in `read_csv`.
+    """
+    readers: dict[str, Callable[..., Record]] = {
+        ".csv": read_csv,
+        ".mat": read_mat,
+        ".parquet": read_parquet,
+    }
+    read = readers[_suffix(path, TABLES)]
+    return read(
+        path, inputs=inputs, outputs=outputs, time=time, units=units, detrend=detrend,
+        hold=hold, name=name,
+    )  # fmt: skip
+
+
+def read_parquet(
+    path: str | Path,
+    *,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    time: str = "t",
+    units: Mapping[str, str] | None = None,
+    detrend: Detrend = None,
+    hold: Hold | None = None,
+    name: str | None = None,
+) -> Record:
+    """A record from a Parquet file; needs pandas and pyarrow.
+
+    Parameters
+    ----------
+    path : path
+        One row a sample.
+    inputs, outputs, time, units, detrend, hold, name
+        As in `from_dataframe`; the name is the file's stem unless given.
+
+    Raises
+    ------
+    ValueError
+        pandas or pyarrow is missing, no Parquet file, and all that `from_dataframe` refuses.
+    """
+    path = Path(path)
+    return from_dataframe(
+        _parquet(path), inputs=inputs, outputs=outputs, time=time, units=units,
+        detrend=detrend, hold=hold, name=name or path.stem,
+    )  # fmt: skip
+
+
+def write_parquet(path: str | Path, record: Record) -> None:
+    """Write a record as Parquet, which `read_parquet` reads back as it was; see `to_dataframe`."""
+    optional("pyarrow", "Parquet")
+    frame = to_dataframe(record)
+    with replacing(path) as temporary:
+        frame.to_parquet(temporary, engine="pyarrow")
+
+
+def write_mat(path: str | Path, record: Record) -> None:
+    """Write a record as a MATLAB file of version 5: a vector a channel and ``t``, SI units.
+
+    What was subtracted as trim is added back, as `write_csv` does.
+    """
+    names = (*record.inputs, *record.outputs)
+    values = np.hstack([record.u, record.y])
+    table = {
+        name: values[:, i] + record.trim.get(name, 0.0) for i, name in enumerate(names)
+    }  # fmt: skip
+    _save_mat(path, {"t": record.t} | table)
+
+
+# ---- tables, whatever is input or output -------------------------------------------------------
+
+
+def read_table(path: str | Path) -> dict[str, Array]:
+    """All columns of a CSV or Parquet file, all vectors of one length of a MATLAB file.
+
+    Raises
+    ------
+    ValueError
+        Another suffix, columns that hold no numbers, no column at all.
+    """
+    path = Path(path)
+    suffix = _suffix(path, TABLES)
+    if suffix == ".csv":
+        return read_columns(path, csv_columns(path))
+    if suffix == ".parquet":
+        frame = _parquet(path)
+        frame = frame.reset_index() if frame.index.name else frame
+        return {str(name): _numbers(frame[name], path, str(name)) for name in frame.columns}
+    return _vectors(path)
+
+
+def write_table(path: str | Path, table: Mapping[str, Array]) -> None:
+    """Write columns of one length as CSV, MATLAB (version 5) or Parquet, by the suffix.
+
+    Raises
+    ------
+    ValueError
+        Another suffix; a name that MATLAB does not take; pandas or pyarrow missing.
+    """
+    path = Path(path)
+    suffix = _suffix(path, TABLES)
+    if suffix == ".mat":
+        _save_mat(path, table)
+    elif suffix == ".parquet":
+        optional("pyarrow", "Parquet")
+        frame = optional("pandas", "Parquet").DataFrame(dict(table))
+        with replacing(path) as temporary:
+            frame.to_parquet(temporary, engine="pyarrow", index=False)
+    else:
+        rows = np.column_stack(list(table.values())).tolist()  # floats write themselves exactly
+        lines = [",".join(table), *(",".join(map(repr, row)) for row in rows)]
+        write_text(path, "\n".join(lines) + "\n")
+
+
+def in_si(table: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, Array]:
+    """Columns in SI units; ``units`` names those that are not yet."""
+    for name, unit in units.items():
+        if name not in table:
+            raise ValueError(f"there is no column {name!r}; there are {', '.join(table)}")
+        if unit not in SI:
+            raise ValueError(f"column {name!r}: unknown unit {unit!r}; known are {', '.join(SI)}")
+    return {name: column * SI[units.get(name, "1")] for name, column in table.items()}
+
+
+# ---- frequency responses -----------------------------------------------------------------------
+
+
+def frequency_table(response: FrequencyResponse) -> dict[str, Array]:
+    """Columns of a frequency response: omega [rad/s], then four a pair.
+
+    ``p_lat_dB``, ``p_lat_deg`` (unwrapped), ``p_lat_coherence``, ``p_lat_error``; `pairs_of` names
+    them for `read_frequency_csv`.
+    """
+    table = {"omega": response.omega}
+    with np.errstate(divide="ignore"):
+        gain = 20 * np.log10(np.abs(response.G))
+    for (output, name), columns in pairs_of(response).items():
+        i, j = response.index(output, name)
+        phase = np.angle(response.G[:, i, j])
+        known = np.isfinite(phase)
+        phase[known] = np.unwrap(phase[known])
+        values = (gain[:, i, j], np.degrees(phase), response.coherence[:, i, j],
+                  response.random_error[:, i, j])  # fmt: skip
+        table |= dict(zip(columns, values, strict=True))
+    return table
+
+
+def pairs_of(response: FrequencyResponse) -> dict[tuple[str, str], tuple[str, ...]]:
+    """Columns of `frequency_table` by (output, input), as `read_frequency_csv` wants them."""
+    kinds = ("dB", "deg", "coherence", "error")
+    return {
+        (output, name): tuple(f"{output}_{name}_{kind}" for kind in kinds)
+        for output in response.outputs
+        for name in response.inputs
+    }
+
+
+def write_frequency(path: str | Path, response: FrequencyResponse) -> None:
+    """Write a frequency response as JSON, as a CSV table or as a MATLAB file, by the suffix.
+
+    In MATLAB arrays run (output, input, frequency), so that ``frd(response, omega)`` takes them.
+    """
+    suffix = _suffix(path, (".json", ".csv", ".mat"))
+    if suffix == ".json":
+        response.save(path)
+    elif suffix == ".csv":
+        write_table(path, frequency_table(response))
+    else:
+        arrays = {"response": response.G, "coherence": response.coherence,
+                  "random_error": response.random_error}  # fmt: skip
+        _save_mat(path, {"omega": response.omega, "inputs": response.inputs,
+                         "outputs": response.outputs}
+                  | {name: np.moveaxis(array, 0, 2) for name, array in arrays.items()})  # fmt: skip
+
+
+# ---- fitted models -----------------------------------------------------------------------------
+
+
+def write_fit_mat(path: str | Path, fit: Fit) -> None:
+    """Write a fitted model as a MATLAB file of version 5.
+
+    ``ss(A, B, C, D, 'InputDelay', delay, 'StateName', states, ...)`` makes it a model there;
+    parameters are columns of one row each.
+    """
+    system = fit.model.system()
+    rows = fit.parameters
+    _save_mat(path, {
+        "A": system.A, "B": system.B, "C": system.C, "D": system.D, "delay": system.delay,
+        "states": system.states, "inputs": system.inputs, "outputs": system.outputs,
+        "output_units": tuple(UNITS.get(name, "") for name in system.outputs),
+        "parameters": tuple(row.name for row in rows),
+        "units": tuple(row.unit for row in rows),
+        "free": fit.free_names,
+        "covariance": np.zeros((0, 0)) if fit.covariance is None else fit.covariance,
+        "structure": type(fit.model).__name__, "method": fit.method, "cost": fit.cost,
+    } | {name: np.array([getattr(row, name) for row in rows], dtype=float)
+         for name in ("value", "std_error", "lower", "upper")})  # fmt: skip
+
+
+# ---- helpers -----------------------------------------------------------------------------------
+
+
+def _suffix(path: str | Path, known: Sequence[str]) -> str:
+    suffix = Path(path).suffix.lower()
+    if suffix not in known:
+        raise ValueError(f"{path}: unknown suffix {suffix!r}; known are {', '.join(known)}")
+    return suffix
+
+
+def _parquet(path: Path) -> Any:  # noqa: ANN401 - a DataFrame
+    check_file(path, TABLE_BYTES, "Parquet")
+    optional("pyarrow", "Parquet")
+    pandas = optional("pandas", "Parquet")
+    try:
+        return pandas.read_parquet(path, engine="pyarrow")
+    except Exception as error:  # damaged bytes raise anything in Arrow
+        raise ValueError(f"{path}: cannot read it as Parquet ({error}); write it again") from error
+
+
+def _numbers(column: Any, path: Path, name: str) -> Array:  # noqa: ANN401
+    try:
+        return np.asarray(column.to_numpy(dtype=float, na_value=np.nan))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: column {name!r} holds no numbers: {error}") from error
+
+
+def _vectors(path: Path) -> dict[str, Array]:
+    found = {}
+    for name, value in read_variables(path).items():
+        array = np.asarray(value)
+        if array.dtype.kind in "fiub" and array.ndim <= 2 and max(array.shape, default=0) > 1:
+            if array.size == max(array.shape):
+                found[name] = np.asarray(array.ravel(), dtype=float)
+            else:
+                found |= {f"{name}_{k + 1}": np.asarray(column, dtype=float)
+                          for k, column in enumerate(array.T)}  # fmt: skip
+    if not found or len({len(column) for column in found.values()}) > 1:
+        told = ", ".join(f"{name} {len(column)}" for name, column in found.items()) or "none"
+        raise ValueError(f"{path}: expected vectors of one length; there are: {told}")
+    return found
+
+
+def _save_mat(path: str | Path, content: Mapping[str, Any]) -> None:
+    if bad := [name for name in content if not VARIABLE.fullmatch(name)]:
+        raise ValueError(
+            f"{path}: MATLAB takes no variable {bad[0]!r}; rename the channel (letters, digits and "
+            "_, a letter first, 63 at most)"
+        )
+    cells = {
+        name: np.array(value, dtype=object)[:, None] if isinstance(value, tuple) else value
+        for name, value in content.items()
+    }
+    with replacing(path) as temporary:
+        scipy.io.savemat(
+            str(temporary), cells, appendmat=False, oned_as="column", long_field_names=True
+        )

@@ -1,0 +1,1 @@
+"""Frequency responses of records, and of other tools."""

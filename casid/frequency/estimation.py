@@ -1,0 +1,338 @@
+"""Frequency responses estimated from records.
+
+M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd ed. (*T&R*); what
+its programs FRESPID, MISOSA and COMPOSITE do is one function here, `frequency_response`. The
+spectra themselves are computed in `casid.frequency.spectra`, which also lists the departures.
+"""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.arrays import Array, BoolArray, ComplexArray
+from casid.errors import DataWarning
+from casid.files import read_json, write_json
+from casid.frequency.sampling import checked_grid, checked_windows, equidistant
+from casid.frequency.spectra import (
+    MEANINGLESS,
+    SUSPECT,
+    Conditioned,
+    composite,
+    condition,
+    record_spectra,
+)
+from casid.record import Record, same_channels, standard_deviations
+from casid.subspace.columns import excited_band
+
+GRID = 40  # frequencies unless given
+BELOW_NYQUIST = 0.9  # where they end at the latest
+FEW_PERIODS = 2.0  # periods a window must hold to be trusted, T&R (7.41)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrequencyResponse:
+    """A non-parametric frequency response with its quality.
+
+    Parameters
+    ----------
+    omega : (K,) array
+        Frequencies [rad/s], increasing.
+    G : (K, ny, nu) complex array
+        Response; NaN where a pair was not measured.
+    coherence : (K, ny, nu) array
+        Partial coherence, in [0, 1]; NaN where a pair was not measured.
+    random_error : (K, ny, nu) array
+        Normalised random error of abs(G), one standard deviation; the same number is that of the
+        phase in rad.
+    inputs, outputs : tuple of str
+        Channel names.
+    input_std, output_std : (nu,), (ny,) array
+        Standard deviations of the channels over the records.
+    multiple_coherence : (K, ny) array
+        Share of each output's power that all inputs together explain; NaN if unknown.
+    condition : (K,) array
+        Condition number of the inputs' coherence matrix, 1 for uncorrelated inputs; NaN if unknown.
+    windows : tuple of float
+        Window lengths [s].
+    flags : mapping
+        Reason -> positions in ``omega`` of points to distrust.
+    records : tuple of str
+        Names of the records used.
+    """
+
+    omega: Array
+    G: ComplexArray
+    coherence: Array
+    random_error: Array
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    input_std: Array
+    output_std: Array
+    multiple_coherence: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    condition: Array = field(default_factory=lambda: np.zeros(0))
+    windows: tuple[float, ...] = ()
+    flags: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    records: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        omega = np.array(self.omega, dtype=float)
+        object.__setattr__(self, "omega", omega)
+        K, ny, nu = len(omega), len(self.outputs), len(self.inputs)
+        if omega.ndim != 1 or not K or not (omega > 0).all() or (np.diff(omega) <= 0).any():
+            raise ValueError("omega: expected increasing frequencies above 0 rad/s, (K,)")
+        if not self.multiple_coherence.size:
+            object.__setattr__(self, "multiple_coherence", np.full((K, ny), np.nan))
+        if not self.condition.size:
+            object.__setattr__(self, "condition", np.full(K, np.nan))
+        pairs = dict.fromkeys(("G", "coherence", "random_error"), (K, ny, nu))
+        rest = {"input_std": (nu,), "output_std": (ny,), "multiple_coherence": (K, ny)}
+        wanted: dict[str, tuple[int, ...]] = {**pairs, **rest, "condition": (K,)}
+        for name, shape in wanted.items():
+            if np.shape(getattr(self, name)) != shape:
+                raise ValueError(
+                    f"{name} has shape {np.shape(getattr(self, name))}, expected {shape}: "
+                    f"{K} frequencies, {ny} outputs, {nu} inputs"
+                )
+
+    def index(self, output: str, input: str) -> tuple[int, int]:
+        """Row and column of one pair."""
+        if output not in self.outputs or input not in self.inputs:
+            raise ValueError(
+                f"no pair ({output!r}, {input!r}): outputs are {', '.join(self.outputs)}, "
+                f"inputs are {', '.join(self.inputs)}"
+            )
+        return self.outputs.index(output), self.inputs.index(input)
+
+    def between(self, low: float, high: float) -> "FrequencyResponse":
+        """Return the points with low <= omega <= high [rad/s]."""
+        keep = (self.omega >= low * (1 - 1e-9)) & (self.omega <= high * (1 + 1e-9))
+        if not keep.any():
+            raise ValueError(
+                f"no point between {low:g} and {high:g} rad/s; the response spans "
+                f"{self.omega[0]:g} to {self.omega[-1]:g} rad/s"
+            )
+        return self.take(np.flatnonzero(keep))
+
+    def take(self, index: Sequence[int] | NDArray[np.intp]) -> "FrequencyResponse":
+        """Return the points at these positions in ``omega``, in increasing order."""
+        place = {int(old): new for new, old in enumerate(index)}
+        flags = {why: tuple(place[k] for k in at if k in place) for why, at in self.flags.items()}
+        names = ("omega", "G", "coherence", "random_error", "multiple_coherence", "condition")
+        arrays = {name: getattr(self, name)[list(place)] for name in names}
+        return replace(self, **arrays, flags={why: at for why, at in flags.items() if at})
+
+    def save(self, path: str | Path) -> None:
+        """Write the response as JSON, whole or not at all."""
+        content: dict[str, Any] = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        content["G"] = {"real": self.G.real, "imag": self.G.imag}
+        write_json(path, {"casid": "frequency response", "version": 1} | content)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "FrequencyResponse":
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        ValueError
+            Not a saved frequency response.
+        """
+        content = read_json(path)
+        if content.pop("casid", None) != "frequency response":
+            raise ValueError(f"{path}: not a frequency response saved by casid")
+        content.pop("version", None)
+        parts = content.pop("G")
+        G = np.array(parts["real"], dtype=float) + 1j * np.array(parts["imag"], dtype=float)
+        for name in ("inputs", "outputs", "windows", "records"):
+            content[name] = tuple(content[name])
+        content["flags"] = {why: tuple(at) for why, at in content["flags"].items()}
+        content |= {k: np.array(v, dtype=float) for k, v in content.items() if isinstance(v, list)}
+        return cls(G=G, **content)
+
+    def to_control(self) -> Any:  # noqa: ANN401 - python-control has no types
+        """The response as a `control.FrequencyResponseData`, without its quality."""
+        import control  # noqa: PLC0415 - slow to import, and only wanted here
+
+        return control.FrequencyResponseData(
+            np.moveaxis(self.G, 0, 2), self.omega,
+            inputs=list(self.inputs), outputs=list(self.outputs),
+        )  # fmt: skip
+
+
+def frequency_response(
+    records: Sequence[Record],
+    *,
+    omega: Array | None = None,
+    windows: Sequence[float] | None = None,
+    conditioned: bool = True,
+) -> FrequencyResponse:
+    """Frequency response of all outputs to all inputs, with coherence and random error.
+
+    Spectra are averaged over Hann windows of all records, overlapped by two thirds; the inputs are
+    separated by ``solve(Guu, Guy)`` at every frequency (conditioning on the other inputs); window
+    lengths are merged point by point into a composite that trusts each where its random error is
+    small.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Sweeps or other manoeuvres, best one axis at a time, several of each; trim removed or not.
+        Non-equidistant records are interpolated (cubic spline) onto their median interval. Windows
+        with a missing output sample are left out, with a `DataWarning`. Inputs held by steps
+        ("zoh") are taken as steps, others as smooth.
+    omega : (K,) array
+        Frequencies [rad/s], increasing, in any spacing. Unless given, 40 from two periods in the
+        longest window to the highest that the records excite.
+    windows : sequence of float
+        Window lengths [s]. Unless given, five between 20 periods of the highest frequency and
+        min(half the longest record, a fifth of all records together), T&R section 10.3.
+    conditioned : bool
+        False takes every pair by itself, as if the other inputs did not move.
+
+    Returns
+    -------
+    FrequencyResponse
+        Points to distrust are listed in ``flags``; those that cannot be had at all are NaN, and a
+        `DataWarning` says why.
+
+    Raises
+    ------
+    ValueError
+        Frequencies beyond Nyquist's, windows longer than every record, a gap in time, no window
+        without missing samples.
+    """
+    inputs, outputs = same_channels(records)
+    omega = checked_grid(_default_grid(records) if omega is None else omega, records)
+    records = [equidistant(record, omega[-1]) for record in records]
+    lengths = checked_windows(windows, records, omega)
+    active = [i for i, name in enumerate(inputs) if any(np.ptp(r.channel(name)) for r in records)]
+    if not active:
+        raise ValueError(f"no input moves in any record ({', '.join(inputs)}): nothing excites")
+    moving = [record.select(inputs=[inputs[i] for i in active]) for record in records]
+    lengths, parts = _parts(moving, omega, lengths, conditioned=conditioned)
+    usable = _usable(omega, lengths, parts)
+    merged = composite(parts, usable)
+    flags = _flags(omega, lengths, usable, merged, conditioned=conditioned)
+    su, sy = standard_deviations(records)
+    found = FrequencyResponse(
+        omega=omega,
+        G=_columns(merged.response, active, len(inputs)),
+        coherence=_columns(merged.coherence, active, len(inputs)),
+        random_error=_columns(merged.random_error, active, len(inputs)),
+        inputs=inputs, outputs=outputs, input_std=su, output_std=sy,
+        multiple_coherence=merged.multiple_coherence, condition=merged.condition,
+        windows=tuple(lengths), flags=flags, records=tuple(record.name for record in records),
+    )  # fmt: skip
+    _warn(found, [name for i, name in enumerate(inputs) if i not in active])
+    return found
+
+
+def _columns(values: Any, active: Sequence[int], nu: int) -> Any:  # noqa: ANN401 - real or complex
+    """Columns of the inputs that move, NaN for the others."""
+    full = np.full((*values.shape[:2], nu), np.nan, dtype=values.dtype)
+    full[:, :, active] = values
+    return full
+
+
+def _default_grid(records: Sequence[Record]) -> Array:
+    durations = [record.duration for record in records]
+    low = FEW_PERIODS * 2 * np.pi / min(max(durations) / 2, sum(durations) / 5)
+    high = min(excited_band(records)[1], BELOW_NYQUIST * np.pi / max(r.dt for r in records))
+    return np.geomspace(low, max(high, 2 * low), GRID)
+
+
+def _parts(
+    records: Sequence[Record], omega: Array, lengths: Sequence[float], *, conditioned: bool
+) -> tuple[list[float], list[Conditioned]]:
+    kept, parts = [], []
+    dropped = 0.0
+    for length in lengths:
+        spectra = record_spectra(records, omega, length)
+        dropped = max(dropped, spectra.dropped)
+        # With fewer windows than inputs nothing is left to tell the inputs apart.
+        if spectra.count >= (records[0].nu if conditioned else 1):
+            kept.append(length)
+            parts.append(condition(spectra, conditioned=conditioned))
+    if not parts:
+        raise ValueError(_nothing_left(records, lengths[0]))
+    if dropped:
+        warnings.warn(
+            f"up to {100 * dropped:.0f} % of the windows hold missing output samples (NaN) and "
+            "are left out; leave a channel with many of them out with Record.select",
+            DataWarning,
+            stacklevel=3,
+        )
+    return kept, parts
+
+
+def _nothing_left(records: Sequence[Record], length: float) -> str:
+    gaps = [r.outputs[i] for r in records for i in np.flatnonzero(np.isnan(r.y).any(axis=0))]
+    why = f"missing samples (NaN) in {gaps[0]!r} leave too few" if gaps else "there are too few"
+    return (
+        f"{why} windows of {length:g} s to separate {records[0].nu} inputs; use shorter windows or "
+        "more records, or leave channels with missing samples out with Record.select"
+    )
+
+
+def _usable(omega: Array, lengths: Sequence[float], parts: Sequence[Conditioned]) -> BoolArray:
+    """Where each window holds enough periods; the longest is used down to one."""
+    periods = np.outer(lengths, omega) / (2 * np.pi)
+    enough = periods >= FEW_PERIODS
+    enough[-1] = periods[-1] >= 1
+    # Leakage lends short windows a separation of the inputs that long ones show not to be there.
+    separated = np.all([np.isfinite(part.Gxy).all(axis=(1, 2)) for part in parts], axis=0)
+    return np.asarray(enough & separated, dtype=bool)
+
+
+def _flags(
+    omega: Array,
+    lengths: Sequence[float],
+    usable: BoolArray,
+    merged: Conditioned,
+    *,
+    conditioned: bool,
+) -> dict[str, tuple[int, ...]]:
+    periods = lengths[-1] * omega / (2 * np.pi)
+    some = usable.any(axis=0)
+    why = {
+        f"less than one period in the longest window ({lengths[-1]:g} s)": periods < 1,
+        f"less than {FEW_PERIODS:g} periods in the longest window ({lengths[-1]:g} s)": (
+            (periods >= 1) & (periods < FEW_PERIODS)
+        ),
+    }
+    if conditioned:
+        why |= {
+            f"inputs move together: condition number above {MEANINGLESS:g}, nothing separates "
+            "them": (periods >= 1) & ~some,
+            f"inputs move together: condition number above {SUSPECT:g}": (
+                some & (merged.condition > SUSPECT)
+            ),
+        }
+    return {
+        reason: tuple(int(k) for k in np.flatnonzero(at)) for reason, at in why.items() if at.any()
+    }
+
+
+def _warn(found: FrequencyResponse, still: Sequence[str]) -> None:
+    for reason, at in found.flags.items():
+        worst = np.nanmax(found.condition[list(at)]) if "condition" in reason else np.nan
+        number = "" if np.isnan(worst) else f" (up to {worst:.3g})"
+        lost = np.isnan(found.G[list(at)]).all()
+        warnings.warn(
+            f"{len(at)} of {len(found.omega)} frequencies, {found.omega[at[0]]:.3g} to "
+            f"{found.omega[at[-1]]:.3g} rad/s: {reason}{number}"
+            + ("; they are NaN" if lost else "")
+            + ("; add records that move the inputs one at a time" if "inputs" in reason else ""),
+            DataWarning,
+            stacklevel=3,
+        )
+    if still:
+        warnings.warn(
+            f"input {still[0]!r} never moves: its column of the response is NaN",
+            DataWarning,
+            stacklevel=3,
+        )

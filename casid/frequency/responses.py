@@ -1,0 +1,141 @@
+"""Frequency responses of other tools: read from CSV, and put together pair by pair."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from casid.arrays import Array, ComplexArray
+from casid.files import read_columns
+from casid.frequency.estimation import FrequencyResponse
+
+Form = Literal["dB deg", "dB rad", "abs deg", "abs rad", "re im"]
+
+Pair = tuple[str, str]
+
+
+def read_frequency_csv(
+    path: str | Path,
+    *,
+    pairs: Mapping[Pair, Sequence[str]],
+    omega: str = "omega",
+    form: Form = "dB deg",
+    hertz: bool = False,
+    input_std: Mapping[str, float] | None = None,
+    output_std: Mapping[str, float] | None = None,
+) -> FrequencyResponse:
+    """A frequency response from a CSV file with a header line.
+
+    Parameters
+    ----------
+    path : path
+        Comma-separated values; an empty cell or ``nan`` is a point that was not measured.
+    pairs : mapping
+        ``{(output, input): (gain, phase, coherence, random error)}``: the columns of every pair in
+        the file, the last one or two of which may be missing. Coherence is then taken as 1, the
+        random error as unknown (NaN). Pairs not named are NaN.
+    omega : str
+        The column of frequencies, in rad/s.
+    form : {"dB deg", "dB rad", "abs deg", "abs rad", "re im"}
+        What the first two columns of a pair hold.
+    hertz : bool
+        Whether the frequencies are in Hz instead.
+    input_std, output_std : mapping
+        Typical sizes of channels, which weigh them in a match; 1 unless given.
+
+    Raises
+    ------
+    ValueError
+        An unknown column or form, coherence outside [0, 1], frequencies that do not increase.
+    """
+    if form not in get_args(Form):
+        raise ValueError(f"form={form!r}: expected one of {', '.join(get_args(Form))}")
+    if not pairs:
+        raise ValueError('pairs is empty; name at least one: {("p", "lat"): ("gain", "phase")}')
+    outputs = tuple(dict.fromkeys(output for output, _ in pairs))
+    inputs = tuple(dict.fromkeys(name for _, name in pairs))
+    wanted = [omega, *(column for columns in pairs.values() for column in columns)]
+    table = read_columns(path, list(dict.fromkeys(wanted)))
+    shape = (len(table[omega]), len(outputs), len(inputs))
+    G = np.full(shape, np.nan, dtype=complex)
+    coherence, error = np.full(shape, np.nan), np.full(shape, np.nan)
+    for (output, name), columns in pairs.items():
+        if not 2 <= len(columns) <= 4:
+            raise ValueError(
+                f"pair ({output!r}, {name!r}) names {len(columns)} columns, expected two of "
+                f"{form!r}, then coherence and random error where there are such"
+            )
+        at = (slice(None), outputs.index(output), inputs.index(name))
+        values = [table[column] for column in columns]
+        G[at] = _complex(values[0], values[1], form)
+        coherence[at] = _coherence(values[2], f"{path}: {columns[2]}") if values[2:] else 1.0
+        error[at] = values[3] if values[3:] else np.nan
+    coherence[np.isnan(G)] = np.nan
+    return FrequencyResponse(
+        omega=table[omega] * (2 * np.pi if hertz else 1.0), G=G, coherence=coherence,
+        random_error=error, inputs=inputs, outputs=outputs, input_std=_sizes(inputs, input_std),
+        output_std=_sizes(outputs, output_std), records=(Path(path).stem,),
+    )  # fmt: skip
+
+
+def merge_responses(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
+    """The pairs of several responses on the same frequencies, in one.
+
+    A pair measured in two of them is taken from the first; multiple coherence and condition number
+    are no longer known.
+
+    Raises
+    ------
+    ValueError
+        No response, or grids that differ.
+    """
+    if not responses:
+        raise ValueError("no responses given; at least one is needed")
+    first = responses[0]
+    for other in responses[1:]:
+        if other.omega.shape != first.omega.shape or not np.allclose(other.omega, first.omega):
+            raise ValueError(
+                f"responses on {len(first.omega)} and {len(other.omega)} frequencies that differ; "
+                "estimate or export them on one grid"
+            )
+    outputs = tuple(dict.fromkeys(name for one in responses for name in one.outputs))
+    inputs = tuple(dict.fromkeys(name for one in responses for name in one.inputs))
+    shape = (len(first.omega), len(outputs), len(inputs))
+    G = np.full(shape, np.nan, dtype=complex)
+    coherence, error = np.full(shape, np.nan), np.full(shape, np.nan)
+    sizes: tuple[dict[str, float], dict[str, float]] = ({}, {})
+    for one in reversed(responses):
+        sizes[0].update(zip(one.inputs, one.input_std, strict=True))
+        sizes[1].update(zip(one.outputs, one.output_std, strict=True))
+        rows = [outputs.index(name) for name in one.outputs]
+        columns = [inputs.index(name) for name in one.inputs]
+        place = np.ix_(range(shape[0]), rows, columns)
+        there = np.isfinite(one.G)
+        for whole, part in ((G, one.G), (coherence, one.coherence), (error, one.random_error)):
+            whole[place] = np.where(there, part, whole[place])
+    return FrequencyResponse(
+        omega=first.omega, G=G, coherence=coherence, random_error=error, inputs=inputs,
+        outputs=outputs, input_std=_sizes(inputs, sizes[0]), output_std=_sizes(outputs, sizes[1]),
+        records=tuple(dict.fromkeys(name for one in responses for name in one.records)),
+    )  # fmt: skip
+
+
+def _complex(first: Array, second: Array, form: Form) -> ComplexArray:
+    if form == "re im":
+        return np.asarray(first.astype(complex) + 1j * second)
+    gain, phase = form.split()
+    modulus = 10 ** (first / 20) if gain == "dB" else first
+    angle = np.radians(second) if phase == "deg" else second
+    return np.asarray(modulus * np.exp(1j * angle), dtype=complex)
+
+
+def _coherence(values: Array, where: str) -> Array:
+    if ((values < 0) | (values > 1)).any():
+        k = int(np.flatnonzero((values < 0) | (values > 1))[0])
+        raise ValueError(f"{where} is {values[k]:g} in row {k + 1}; coherence is in [0, 1]")
+    return values
+
+
+def _sizes(names: Sequence[str], known: Mapping[str, float] | None) -> Array:
+    return np.array([float((known or {}).get(name, 1.0)) for name in names])

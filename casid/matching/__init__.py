@@ -1,0 +1,1 @@
+"""A structure matched to responses, with a certificate over the band."""

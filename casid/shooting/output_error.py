@@ -1,0 +1,391 @@
+"""Output-error (maximum-likelihood) estimation by multiple shooting.
+
+    y_k = C x_k + D u(t_k - τ) + b + v_k,   v_k ~ N(0, R) white
+
+Every record is cut into intervals whose initial states are variables tied by continuity
+constraints, so an unstable model and a poor start do no harm (Bock 1987); IPOPT with the
+generalised Gauss-Newton Hessian minimises ½ Σ rᵀR⁻¹r, and R is re-estimated between solves until
+it settles (relaxed maximum likelihood: Jategaonkar, Flight Vehicle System Identification, ch. 4).
+Bergamasco & Lovera, section 3.4, use output error as the last step of the chain.
+"""
+
+import logging
+import time
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import get_args
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.errors import ConvergenceError
+from casid.fit import Fit, constraint_table, parameter_table
+from casid.model import Bounds, Free, Model, free_parameters
+from casid.nlp import Solution, SolverOptions, solve
+from casid.record import Record
+from casid.shooting.innovation import starting_gain
+from casid.shooting.intervals import lay_out
+from casid.shooting.likelihood import CovarianceKind
+from casid.shooting.precision import Precision, precision
+from casid.shooting.programme import Programme
+from casid.shooting.sensitivity import Evaluator, Point
+from casid.shooting.starting import noise_of, starting_programme
+from casid.subspace.pbsid import BlackBox
+
+LOG = logging.getLogger("casid")
+
+ROUNDS = 12  # of solves
+ROUGH = 1e-4  # tolerance of the first, whose R is that of the start
+SETTLED = 4.0  # factor by which a variance may fall in the last round: the scales still fit
+GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
+LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
+
+IPOPT: dict[str, float | str] = {"nlp_scaling_method": "none", "mu_strategy": "monotone"}
+NEAR: dict[str, float | str] = {
+    "bound_push": 1e-9,
+    "bound_frac": 1e-9,
+    "bound_mult_init_val": 1e-2,  # the cost is a mean over samples: so are prices
+    "compl_inf_tol": 1e-10,  # and cheap bounds are to be reached too
+}
+WARM: dict[str, float | str] = {  # a warm round stays where it starts
+    "mu_init": 1e-6,
+    "warm_start_bound_push": 1e-9,
+    "warm_start_bound_frac": 1e-9,
+    "warm_start_slack_bound_push": 1e-9,
+    "warm_start_slack_bound_frac": 1e-9,
+    "warm_start_mult_bound_push": 1e-9,
+}
+
+
+def output_error(
+    model: Model,
+    records: Sequence[Record],
+    *,
+    interval: float | None = None,
+    R: Array | CovarianceKind | None = None,
+    fixed: Collection[str] = (),
+    bounds: Bounds | None = None,
+    biases: bool = True,
+    process_noise: bool | Array | BlackBox = False,
+    near: Fit | None = None,
+    options: SolverOptions | None = None,
+) -> Fit:
+    """Maximum-likelihood estimate of a model from time histories.
+
+    Parameters
+    ----------
+    model : Model
+        Structure and start, e.g. ``match(...).model``.
+    records : sequence of Record
+        With at least the model's channels, by name; NaN in y and any sampling are welcome.
+    interval : float
+        Length of the shooting intervals [s]; from the model's fastest growing mode unless given.
+    R : (ny, ny) array, "diagonal" or "full"
+        Covariance of the measurement noise, or the structure in which it is estimated; None is
+        "diagonal".
+    fixed : collection of str
+        Parameters held at the model's values.
+    bounds : mapping
+        ``{name: (lower, upper)}`` instead of the model file's.
+    biases : bool
+        Whether every record has a bias on each output.
+    process_noise : bool, (nx, ny) array or BlackBox
+        For flight in turbulence: True estimates the filter-error model, the innovations driving
+        the states through a free gain K; a black box gives the gain to start from, in the model's
+        states; an array holds it. K [1/s times state per output] acts on an innovation held over
+        the sampling interval. It comes out in ``Fit.notes["K"]``.
+    near : Fit
+        Of the same records, with parameters near the start's, e.g. under other bounds: its noise
+        covariance and biases make the first rounds unnecessary. If that fails, all rounds follow.
+    options : SolverOptions
+        Limits and tolerance of each solve.
+
+    Returns
+    -------
+    Fit
+        ``cost`` is the negative logarithm of the likelihood, ½ Σ (rᵀR⁻¹r + log det R), less its
+        constant ½ n log 2π; ``std_error`` the Cramér-Rao bound.
+
+    Raises
+    ------
+    ValueError, ModelError
+        No records, a missing channel, a record too short, an R that is no covariance.
+    ConvergenceError
+        IPOPT stopped early; ``best`` is the `Fit` so far.
+    """
+    begin = time.perf_counter()
+    options = options or SolverOptions()
+    options = replace(options, ipopt=IPOPT | dict(options.ipopt))
+    free = free_parameters(model, fixed, bounds)
+    chosen = select_records(free, records, biases)
+    gain, gain_free = starting_gain(free, chosen, process_noise)
+    if interval is None:
+        interval = choose_interval(free, chosen, gain is not None)
+    if not 0 < interval < np.inf:
+        raise ValueError(
+            f"interval={interval}: expected seconds above 0, or None to have it chosen"
+        )
+    length = float(interval)
+    evaluator = Evaluator(free, lay_out(chosen, length), gain, gain_free)
+    R = checked_covariance(R, evaluator.ny)
+    search = _Search(free, options)
+    outcome = None if near is None else search.beside(near, evaluator, R, biases)
+    if outcome is None:
+        try:
+            programme, point = starting_programme(evaluator, free, R, biases)
+        except ConvergenceError as error:
+            status = str(error)
+            raise ConvergenceError(f"output error: {status}", _unmoved(free, status)) from error
+        outcome = search.run(programme, point, R)
+    return _result(free, outcome, length, time.perf_counter() - begin)
+
+
+def select_records(free: Free, records: Sequence[Record], biases: bool) -> list[Record]:
+    """Records with the model's channels, in the model's order.
+
+    Raises
+    ------
+    ValueError
+        No records, a channel missing, a record too short for its own initial state and biases,
+        fewer measurements in all than unknowns.
+    """
+    model = free.model
+    if isinstance(records, Record):
+        records = [records]
+    if not records:
+        raise ValueError("no records: output error needs at least one")
+    chosen = [record.select(model.inputs, model.outputs) for record in records]
+    needed = len(model.states) + biases * len(model.outputs)
+    counts = [int(np.isfinite(record.y).sum()) for record in chosen]
+    for record, count in zip(chosen, counts, strict=True):
+        if count < needed:
+            raise ValueError(
+                f"record {record.name!r} has {count} measurements; its initial state and biases "
+                f"alone need {needed}: leave it out"
+            )
+    unknowns = len(free.index) + needed * len(chosen)
+    if sum(counts) <= unknowns:
+        raise ValueError(
+            f"the records have {sum(counts)} measurements for {unknowns} unknowns (parameters, "
+            "initial states, biases): add records, or fix parameters"
+        )
+    for i, name in enumerate(model.outputs):
+        if not any(np.isfinite(record.y[:, i]).any() for record in chosen):
+            raise ValueError(f"output {name!r} is missing in every sample of every record")
+    return chosen
+
+
+def choose_interval(free: Free, records: Sequence[Record], filtering: bool = False) -> float:
+    """Length of the shooting intervals [s].
+
+    As long as the starting model's fastest growing mode grows no more than e-fold over it, within
+    0.5 s and 5 s: fewer nodes are quicker, shorter intervals forgive a worse start. With an
+    innovation gain the longest: the predictor is stable, and short intervals would let nodes fit
+    the noise that the gain is estimated from.
+    """
+    shortest = max(SHORTEST, 4 * max(record.dt for record in records))
+    if filtering:
+        return max(LONGEST, shortest)
+    growth = float(free.model.with_vector(free.full(free.guess)).system().poles()[0].real)
+    length = LONGEST if growth <= 0 else GROWTH / growth
+    return float(np.clip(length, shortest, max(LONGEST, shortest)))
+
+
+def simulate(
+    model: Model, record: Record, x0: Array | None = None, bias: Array | None = None
+) -> Array:
+    """Outputs (N, ny) of a model over a record, by the intersample model of the estimator.
+
+    Delayed inputs are read off an interpolating spline (`casid.shooting.spline`) and then held as
+    the record says; `StateSpace.simulate` delays the held input itself instead.
+
+    Parameters
+    ----------
+    model : Model
+        Structure at its parameter values.
+    record : Record
+        With the model's inputs; its outputs are not used.
+    x0, bias : (nx,), (ny,) array
+        Initial state and output biases; zero unless given.
+    """
+    nx, ny = len(model.states), len(model.outputs)
+    bare = replace(
+        record.select(model.inputs, ()), y=np.zeros((record.N, ny)), outputs=model.outputs
+    )
+    free = free_parameters(model)
+    evaluator = Evaluator(free, lay_out([bare], 2 * record.duration))
+    point = Point(
+        lam=model.vector()[free.index],
+        bias=np.zeros((1, ny)) if bias is None else np.reshape(bias, (1, ny)).astype(float),
+        nodes=np.zeros((1, nx)) if x0 is None else np.reshape(x0, (1, nx)).astype(float),
+    )
+    return evaluator.simulate(point).residuals
+
+
+@dataclass(frozen=True, eq=False)
+class _Outcome:
+    """Where the rounds of solves ended."""
+
+    programme: Programme
+    solution: Solution
+    iterations: int
+    rounds: int
+    settled: bool
+
+
+class _Search:
+    """Solve with R held at the start's, then for the likelihood with R concentrated out."""
+
+    def __init__(self, free: Free, options: SolverOptions) -> None:
+        self.free, self.options = free, options
+
+    def beside(
+        self, near: Fit, evaluator: Evaluator, R: Array | CovarianceKind, biases: bool
+    ) -> _Outcome | None:
+        """Estimate in one round from what a fit nearby found; None if that does not succeed."""
+        shape = (len(evaluator.layout.records), evaluator.ny)
+        if evaluator.filtering or near.R is None or near.biases is None:
+            return None
+        if near.biases.shape != shape:
+            return None
+        start = R if isinstance(R, np.ndarray) else near.R
+        first, point = starting_programme(evaluator, self.free, start, biases, near.biases)
+        if not isinstance(R, np.ndarray):
+            noise = noise_of(evaluator, None, R)
+            first = Programme(evaluator, self.free, first.scales, noise, biases)
+            first = first.rescaled(first.balanced(point))
+        options = replace(
+            self.options, ipopt=NEAR | {"mu_init": self.options.tolerance / 1000}
+            | dict(self.options.ipopt),
+        )  # fmt: skip
+        solution = self._solve(first, point, None, 1, options)
+        outcome = _Outcome(first, solution, solution.iterations, 1, True)
+        return outcome if solution.success else None
+
+    def run(self, programme: Programme, point: Point, R: Array | CovarianceKind) -> _Outcome:
+        """Estimate; R is held if it is an array."""
+        if isinstance(R, np.ndarray):
+            solution = self._solve(programme, point, None, 1, self.options)
+            return _Outcome(programme, solution, solution.iterations, 1, True)
+        rough = replace(self.options, tolerance=max(ROUGH, self.options.tolerance))
+        solution = self._solve(programme, point, None, 1, rough)
+        iterations, evaluator = solution.iterations, programme.evaluator
+        noise = noise_of(evaluator, None, R)
+        for rounds in range(2, ROUNDS + 1):
+            if not solution.success:
+                return _Outcome(programme, solution, iterations, rounds - 1, False)
+            last, point = programme, programme.unpack(solution.x)
+            loose = Programme(evaluator, self.free, last.scales, noise, last.biases)
+            programme = loose.rescaled(loose.balanced(point))
+            before = programme.values(programme.pack(point)).R
+            warm = _carried(solution, last, programme)
+            solution = self._solve(programme, point, warm, rounds, self.options)
+            iterations += solution.iterations
+            now = programme.values(solution.x).R
+            kept = np.diag(now) > np.diag(before) / SETTLED
+            if solution.success and (noise.exact(now) or kept.all()):
+                return _Outcome(programme, solution, iterations, rounds, True)
+        return _Outcome(programme, solution, iterations, ROUNDS, False)
+
+    @staticmethod
+    def _solve(
+        programme: Programme,
+        point: Point,
+        warm: tuple[Array, Array] | None,
+        number: int,
+        options: SolverOptions,
+    ) -> Solution:
+        if warm is not None:
+            options = replace(options, ipopt=WARM | dict(options.ipopt))
+        problem = programme.problem(programme.pack(point))
+        return solve(problem, options, stage=f"output error, round {number}", warm=warm)
+
+
+def _carried(solution: Solution, last: Programme, programme: Programme) -> tuple[Array, Array]:
+    """Multipliers of one programme in the units of another."""
+    (x, g), (new_x, new_g) = last.units(), programme.units()
+    return solution.multipliers_x * new_x / x, solution.multipliers_g * new_g / g
+
+
+def checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | CovarianceKind:
+    """R as an array, or the structure in which to estimate it."""
+    if R is None:
+        return "diagonal"
+    if isinstance(R, str):
+        if R not in get_args(CovarianceKind):
+            raise ValueError(f'R={R!r}: expected "diagonal", "full" or an (ny, ny) array')
+        return R
+    R = np.asarray(R, dtype=float)
+    if R.shape != (ny, ny):
+        raise ValueError(f"R has shape {R.shape}, expected (ny, ny) = ({ny}, {ny})")
+    if not np.allclose(R, R.T) or np.linalg.eigvalsh(R).min() <= 0:
+        raise ValueError("R is not symmetric positive definite: it is a covariance, squared units")
+    return R
+
+
+def _verdict(outcome: _Outcome, found: Precision) -> tuple[bool, str]:
+    """Whether this is a solution, and in words."""
+    reasons = []
+    if not outcome.solution.success:
+        reasons.append(outcome.solution.status)
+    elif not outcome.settled:
+        reasons.append(f"R has not settled after {outcome.rounds} rounds; give R")
+    lost = len(found.undetermined)
+    if lost and (outcome.solution.success or lost < outcome.programme.evaluator.nf):
+        reasons.append(
+            f"the records do not determine {', '.join(found.undetermined)} (singular information "
+            "matrix): fix or tie some of them, or add a manoeuvre that excites them"
+        )
+    return not reasons, "; ".join(reasons) or outcome.solution.status
+
+
+def _unmoved(free: Free, status: str) -> Fit:
+    """The start as a failed fit."""
+    return Fit(
+        model=free.model.with_vector(free.full(free.guess)),
+        parameters=parameter_table(free, free.guess, np.zeros(len(free.index))),
+        cost=np.nan, status=status, success=False, iterations=0, seconds=0.0,
+        method="output error", free_names=free.names,
+    )  # fmt: skip
+
+
+def _result(free: Free, outcome: _Outcome, interval: float, seconds: float) -> Fit:
+    programme, solution = outcome.programme, outcome.solution
+    point, final = programme.unpack(solution.x), programme.values(solution.x)
+    n = len(free.index)
+    found = precision(programme, solution.x)
+    lam = np.clip(point.lam[:n], free.lower[free.index], free.upper[free.index])
+    model, ties = free.model.with_vector(free.full(lam)), free.model.constraints()
+    multipliers = -programme.n * solution.multipliers_x[:n] / programme.scales.lam[:n]
+    std = np.sqrt(np.diag(found.covariance))
+    success, status = _verdict(outcome, found)
+    prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :]
+    notes = {
+        "rounds": outcome.rounds,
+        "nodes": programme.J,
+        "constraints": constraint_table(model, prices),
+        **found.notes(),
+    }
+    if programme.evaluator.filtering:
+        notes["K"] = programme.evaluator.structure(point.lam).K.tolist()
+    firsts = np.searchsorted(programme.record, np.arange(programme.records))
+    fit = Fit(
+        model=model,
+        parameters=parameter_table(free, lam, multipliers, std, found.insensitivity),
+        cost=programme.n * final.cost,
+        status=status,
+        success=success,
+        iterations=outcome.iterations,
+        seconds=seconds,
+        method="filter error" if programme.evaluator.filtering else "output error",
+        covariance=found.covariance,
+        free_names=free.names,
+        R=final.R,
+        initial_states=point.nodes[firsts],
+        biases=point.bias,
+        interval=interval,
+        notes=notes,
+    )
+    if not success:
+        raise ConvergenceError(f"output error: {status}", fit)
+    return fit

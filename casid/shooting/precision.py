@@ -1,0 +1,131 @@
+"""What an output-error solution says about its own precision."""
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+
+from casid.arrays import Array
+from casid.fit import ACTIVE, holding
+from casid.shooting.programme import Programme
+from casid.shooting.sensitivity import whiteners
+from casid.shooting.uncertainty import (
+    Collinearity,
+    bound,
+    collinearities,
+    coloured_covariance,
+    correlation,
+    eliminate,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Precision:
+    """Covariances of the free parameters and what spoils them, physical units.
+
+    Parameters
+    ----------
+    covariance : (n, n) array
+        Cramér-Rao bound; infinite where the records do not determine a parameter.
+    coloured : (n, n) array
+        The same, corrected for the correlation of the residuals in time.
+    insensitivity : (n,) array
+        1/√F_ii, F the information with initial states and biases eliminated.
+    collinear : tuple of Collinearity
+        Combinations the records hardly determine, the worst first.
+    undetermined : tuple of str
+        Parameters in directions without information.
+    """
+
+    covariance: Array
+    coloured: Array
+    insensitivity: Array
+    collinear: tuple[Collinearity, ...]
+    undetermined: tuple[str, ...]
+
+    def notes(self) -> Mapping[str, Any]:
+        """Plain lists for `Fit.notes`, rows in the order of ``Fit.free_names``."""
+        return {
+            "std_error_coloured": np.sqrt(np.diag(self.coloured)).tolist(),
+            "covariance_coloured": self.coloured.tolist(),
+            "correlation": correlation(self.covariance).tolist(),
+            "collinear": [
+                {"names": list(c.names), "condition": c.condition, "shares": list(c.shares)}
+                for c in self.collinear
+            ],
+        }
+
+
+def precision(programme: Programme, x: Array) -> Precision:
+    """Precision of the free parameters at scaled variables x."""
+    names = unknown_names(programme)
+    F, follow = information(programme, x)
+    ties = held(programme, x)
+    scaled = bound(F, ties)
+    lost = tuple(name for name, v in zip(names, np.diag(scaled), strict=True) if np.isinf(v))
+    coloured = np.full_like(scaled, np.nan) if lost else _coloured(programme, x, scaled, follow)
+    n = len(programme.free.index)
+    unit = np.outer(programme.scales.lam, programme.scales.lam)
+    diagonal = np.diag(F)[:n]
+    with np.errstate(divide="ignore"):
+        insensitivity = programme.scales.lam[:n] / np.sqrt(np.maximum(diagonal, 0.0))
+    return Precision(
+        covariance=(scaled * unit)[:n, :n],
+        coloured=(coloured * unit)[:n, :n],
+        insensitivity=insensitivity,
+        collinear=collinearities(F, ties, names),
+        undetermined=lost,
+    )
+
+
+def unknown_names(programme: Programme) -> tuple[str, ...]:
+    """Names of λ and, if it is free, of the gain's entries."""
+    free, e = programme.free, programme.evaluator
+    gains = [f"K[{x},{y}]" for x in free.model.states for y in free.model.outputs]
+    return (*free.names, *gains)[: e.nf]
+
+
+def held(programme: Programme, x: Array) -> Array:
+    """Gradients by the scaled unknowns of what holds them, (m, nf).
+
+    Parameters on a bound do not move, nor do ties and inequalities with no room left.
+    """
+    free = programme.free
+    n = len(free.index)
+    values, span = programme.unpack(x).lam[:n], free.scale[free.index]
+    lower, upper = free.lower[free.index], free.upper[free.index]
+    active = np.minimum(values - lower, upper - values) <= ACTIVE * span
+    rows = holding(free, values, active) * programme.scales.lam[:n]
+    return np.hstack([rows, np.zeros((len(rows), programme.evaluator.nf - n))])
+
+
+def information(programme: Programme, x: Array) -> tuple[Array, Array]:
+    """Fisher information of the scaled unknowns, and dν/dλ of scaled biases and nodes."""
+    upper = programme.hessian_matrix(x)
+    H = scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
+    G = programme.continuity_matrix(x)
+    nf = programme.evaluator.nf
+    return eliminate(
+        H[:nf, :nf].toarray(), H[nf:, nf:], H[nf:, :nf].toarray(), G[:, nf:], G[:, :nf].toarray()
+    )
+
+
+def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) -> Array:
+    e, s, layout = programme.evaluator, programme.scales, programme.evaluator.layout
+    point, values = programme.unpack(x), programme.values(x)
+    W, motion = whiteners(values.R, layout), values.motion
+    nf, nx, ny, first = e.nf, e.nx, e.ny, programme.first_node
+    move = np.zeros((programme.J, nf + nx + ny, nf))  # chronological
+    move[:, :nf] = np.diag(s.lam)
+    move[:, nf : nf + nx] = follow[first - nf :].reshape(programme.J, nx, nf) * s.state[:, None]
+    if programme.biases:
+        bias = follow[: first - nf].reshape(-1, ny, nf) * s.bias[:, None]
+        move[:, nf + nx :] = bias[programme.record]
+    white = np.einsum("nab,nb->na", W[layout.pattern], motion.residuals)
+    edges = np.cumsum([0, *(record.N for record in layout.records)])
+    residuals = [white[a:b] for a, b in itertools.pairwise(edges)]
+    slopes = e.influence(point, motion, W, move[layout.node])
+    return coloured_covariance(covariance, residuals, slopes)

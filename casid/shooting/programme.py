@@ -1,0 +1,399 @@
+"""The multiple-shooting programme: Gram blocks of the intervals in, an IPOPT problem out.
+
+    min  ℓ(λ, biases, nodes; R) / n
+    subject to  x_end(λ, x_j) - x_{j+1} = 0  within every record,  and the model's own constraints
+
+with the negative log-likelihood ℓ of `casid.shooting.likelihood`. If R is estimated it is the most
+likely one at every iterate, so that ℓ is the concentrated likelihood: its gradient is that of ½ Σ
+rᵀR⁻¹r with R held (the envelope theorem). The Hessian is the generalised Gauss-Newton one (Bock
+1987): the Gram matrix of the residuals, with the nodes kept as variables. IPOPT's callbacks run in
+NumPy on the blocks of all intervals.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import scipy.sparse
+
+from casid.arrays import Array
+from casid.model import Free
+from casid.nlp import Problem
+from casid.shooting.likelihood import Noise, moments_of
+from casid.shooting.sensitivity import Evaluator, Motion, Point, whiteners
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Gauss-Newton blocks in scaled variables, of all intervals (J) in chronological order.
+
+    Suffixes: l the parameters, b the biases of the interval's record, n the interval's node.
+    ``H`` and ``g`` are Hessian and gradient of ½ Σ rᵀR⁻¹r; ``ends`` and ``slope`` the end states
+    and their derivatives.
+    """
+
+    Hll: Array
+    Hlb: Array
+    Hbb: Array
+    Hln: Array
+    Hbn: Array
+    Hnn: Array
+    gl: Array
+    gb: Array
+    gn: Array
+    ends: Array
+    slope_l: Array
+    slope_n: Array
+    slope_b: Array
+    c_lam: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Cost per observation, constraints, and the R and the motion that go with them."""
+
+    cost: float
+    g: Array
+    R: Array
+    motion: Motion
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Typical magnitudes of parameters (nf,), outputs' biases (ny,) and states (nx,)."""
+
+    lam: Array
+    bias: Array
+    state: Array
+
+
+class Programme:
+    """One weighted least-squares problem over all intervals, for IPOPT.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+        Residuals and their derivatives.
+    free : Free
+        Parameters and bounds.
+    scales : Scales
+        Units of the variables.
+    noise : Noise
+        R, or how it is estimated.
+    biases : bool
+        Whether biases are variables.
+    """
+
+    def __init__(
+        self, evaluator: Evaluator, free: Free, scales: Scales, noise: Noise, biases: bool
+    ) -> None:
+        layout = evaluator.layout
+        self.evaluator, self.free, self.scales = evaluator, free, scales
+        self.noise, self.biases = noise, biases
+        self.records, self.J = len(layout.records), len(layout.count)
+        back = np.argsort(layout.node)
+        self.record = layout.record[back]
+        self.links = np.flatnonzero(~layout.last[back])  # nodes with a successor
+        self.n = max(layout.observations, 1)
+        self._seen: tuple[bytes, Values] | None = None
+        self._blocks: tuple[bytes, Blocks] | None = None
+        self._callbacks: list[ca.Function] = []
+        self._hessian_pattern = _Pattern(*self._hessian_entries(), size=self.size)
+        rows = len(self.links) * evaluator.nx + len(free.model.constraints())
+        self._jacobian_pattern = _Pattern(*self._jacobian_entries(), size=self.size, rows=rows)
+
+    # ---- variables ------------------------------------------------------------------------------
+
+    @property
+    def size(self) -> int:
+        """Number of variables."""
+        return self.first_node + self.J * self.evaluator.nx
+
+    @property
+    def first_node(self) -> int:
+        """Position of the first node among the variables: behind λ and the biases."""
+        return self.evaluator.nf + self.biases * self.records * self.evaluator.ny
+
+    @property
+    def _bias_moves_states(self) -> bool:
+        return self.biases and self.evaluator.filtering
+
+    def pack(self, point: Point) -> Array:
+        """Scaled variables of a point."""
+        parts = [point.lam / self.scales.lam]
+        if self.biases:
+            parts.append((point.bias / self.scales.bias).ravel())
+        return np.concatenate([*parts, (point.nodes / self.scales.state).ravel()])
+
+    def unpack(self, x: Array) -> Point:
+        """Point of scaled variables."""
+        nf, ny, nx = self.evaluator.nf, self.evaluator.ny, self.evaluator.nx
+        bias = x[nf : self.first_node].reshape(-1, ny) if self.biases else None
+        return Point(
+            lam=x[:nf] * self.scales.lam,
+            bias=np.zeros((self.records, ny)) if bias is None else bias * self.scales.bias,
+            nodes=x[self.first_node :].reshape(-1, nx) * self.scales.state,
+        )
+
+    # ---- values and blocks ----------------------------------------------------------------------
+
+    def values(self, x: Array) -> "Values":
+        """Cost, constraints and R at scaled variables."""
+        key = x.tobytes()
+        if self._seen is None or self._seen[0] != key:
+            with np.errstate(over="ignore", invalid="ignore"):
+                self._seen = key, self._values(self.unpack(x))
+        return self._seen[1]
+
+    def _values(self, point: Point) -> "Values":
+        layout = self.evaluator.layout
+        motion = self.evaluator.simulate(point)
+        moments = moments_of(motion.residuals, layout.pattern, len(layout.patterns))
+        ends = motion.ends[np.argsort(layout.node)]
+        gaps = (ends[self.links] - point.nodes[self.links + 1]) / self.scales.state
+        c = self.evaluator.structure(point.lam).c
+        g = np.concatenate([gaps.ravel(), c])
+        if not np.isfinite(moments).all():
+            return Values(np.nan, g, np.eye(self.evaluator.ny), motion)
+        R = self.noise.covariance(moments)
+        return Values(self.noise.cost(R, moments) / self.n, g, R, motion)
+
+    def blocks(self, x: Array) -> Blocks:
+        """Gauss-Newton blocks at scaled variables."""
+        key = x.tobytes()
+        if self._blocks is None or self._blocks[0] != key:
+            with np.errstate(over="ignore", invalid="ignore"):
+                self._blocks = key, self._sum(self.unpack(x), self.values(x))
+        return self._blocks[1]
+
+    def rescaled(self, scales: Scales) -> "Programme":
+        """The same problem in other units."""
+        return Programme(self.evaluator, self.free, scales, self.noise, self.biases)
+
+    def balanced(self, point: Point) -> Scales:
+        """Scales that make the curvature per observation one, at most the present ones.
+
+        IPOPT's tolerance is then relative to the noise, whatever the noise is.
+        """
+        blocks, s = self.blocks(self.pack(point)), self.scales
+        H = np.diag(blocks.Hll), np.diag(blocks.Hbb.sum(axis=0)), np.diag(blocks.Hnn.sum(axis=0))
+        unit = [1 / np.sqrt(np.maximum(h / self.n, 1.0)) for h in H]
+        return Scales(s.lam * unit[0], s.bias * unit[1], s.state * unit[2])
+
+    def _sum(self, point: Point, values: "Values") -> Blocks:
+        e, s = self.evaluator, self.scales
+        W = whiteners(values.R, e.layout)
+        nf, nx = e.nf, e.nx
+        unit = np.concatenate([s.lam, s.state, s.bias, [1.0]])
+        G = np.empty((self.J, len(unit), len(unit)))
+        ends, slopes = np.empty((self.J, nx)), np.empty((self.J, nx, len(unit) - 1))
+        for batch in e.batches(point, values.motion, W):
+            nodes = e.layout.node[batch.index]
+            G[nodes], ends[nodes], slopes[nodes] = batch.gram, batch.ends, batch.slopes
+        G *= unit[:, None] * unit
+        slopes *= unit[:-1] / s.state[:, None]
+        l, n, b = slice(0, nf), slice(nf, nf + nx), slice(nf + nx, len(unit) - 1)
+        firsts = np.searchsorted(self.record, np.arange(self.records))
+        per_record = np.add.reduceat(G, firsts, axis=0)
+        total = per_record.sum(axis=0)
+        return Blocks(
+            Hll=total[l, l], Hlb=per_record[:, l, b], Hbb=per_record[:, b, b],
+            Hln=G[:, l, n], Hbn=G[:, b, n], Hnn=G[:, n, n],
+            gl=total[l, -1], gb=per_record[:, b, -1], gn=G[:, n, -1],
+            ends=ends, slope_l=slopes[:, :, l], slope_n=slopes[:, :, n], slope_b=slopes[:, :, b],
+            c_lam=e.structure(point.lam).c_lam * s.lam,
+        )  # fmt: skip
+
+    def units(self) -> tuple[Array, Array]:
+        """Physical size of one of each variable, and of each constraint."""
+        s = self.scales
+        bias = [np.tile(s.bias, self.records)] if self.biases else []
+        c = np.ones(len(self.free.model.constraints()))
+        x = np.concatenate([s.lam, *bias, np.tile(s.state, self.J)])
+        return x, np.concatenate([np.tile(s.state, len(self.links)), c])
+
+    # ---- sparse assembly ------------------------------------------------------------------------
+
+    def _places(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions of λ (nf,), biases (records, ny) and nodes (J, nx) among the variables."""
+        e = self.evaluator
+        bias = e.nf + np.arange(self.biases * self.records * e.ny).reshape(-1, e.ny)
+        return np.arange(e.nf), bias, self.first_node + np.arange(self.J * e.nx).reshape(-1, e.nx)
+
+    def _hessian_entries(self) -> tuple[np.ndarray, np.ndarray]:
+        l, b, n = self._places()
+        grids = [_grid(l[None], l[None], upper=True)]
+        if self.biases:
+            grids += [_grid(np.tile(l, (len(b), 1)), b), _grid(b, b, upper=True)]
+            grids += [_grid(b[self.record], n)]
+        grids += [_grid(np.tile(l, (self.J, 1)), n), _grid(n, n, upper=True)]
+        return _stack(grids)
+
+    def hessian(self, x: Array) -> Array:
+        """Nonzeros of the Gauss-Newton Hessian's upper triangle, per observation."""
+        blocks = self.blocks(x)
+        parts = [_upper(blocks.Hll[None])]
+        if self.biases:
+            parts += [blocks.Hlb.ravel(), _upper(blocks.Hbb), blocks.Hbn.ravel()]
+        parts += [blocks.Hln.ravel(), _upper(blocks.Hnn)]
+        return self._hessian_pattern.order(np.concatenate(parts)) / self.n
+
+    def gradient(self, x: Array) -> Array:
+        """Gradient of the cost, per observation."""
+        blocks = self.blocks(x)
+        bias = [blocks.gb.ravel()] if self.biases else []
+        return np.concatenate([blocks.gl, *bias, blocks.gn.ravel()]) / self.n
+
+    def _jacobian_entries(self) -> tuple[np.ndarray, np.ndarray]:
+        l, b, n = self._places()
+        nx, ties = self.evaluator.nx, len(self.free.model.constraints())
+        links = np.arange(len(self.links) * nx).reshape(-1, nx)
+        grids = [
+            _grid(links, np.tile(l, (len(links), 1))),
+            _grid(links, n[self.links]),
+            (links.ravel(), n[self.links + 1].ravel()),
+            _grid(links.size + np.arange(ties)[None], l[None]),
+        ]
+        if self._bias_moves_states:
+            grids.append(_grid(links, b[self.record[self.links]]))
+        return _stack(grids)
+
+    def jacobian(self, x: Array) -> Array:
+        """Nonzeros of the constraints' Jacobian."""
+        blocks = self.blocks(x)
+        parts = [
+            blocks.slope_l[self.links].ravel(),
+            blocks.slope_n[self.links].ravel(),
+            -np.ones(len(self.links) * self.evaluator.nx),
+            blocks.c_lam.ravel(),
+        ]
+        if self._bias_moves_states:
+            parts.append(blocks.slope_b[self.links].ravel())
+        return self._jacobian_pattern.order(np.concatenate(parts))
+
+    def hessian_matrix(self, x: Array) -> scipy.sparse.csc_array:
+        """Upper triangle of the Gauss-Newton Hessian of the whole cost."""
+        return self._hessian_pattern.matrix(self.hessian(x) * self.n)
+
+    def constraint_matrix(self, x: Array) -> scipy.sparse.csc_array:
+        """Jacobian of all constraints."""
+        return self._jacobian_pattern.matrix(self.jacobian(x))
+
+    def continuity_matrix(self, x: Array) -> scipy.sparse.csc_array:
+        """Jacobian of the continuity constraints."""
+        links = len(self.links) * self.evaluator.nx
+        return self.constraint_matrix(x)[:links]
+
+    # ---- for IPOPT ------------------------------------------------------------------------------
+
+    def problem(self, start: Array) -> Problem:
+        """The problem for `casid.nlp.solve`, from scaled variables."""
+        n, m = self.size, self._jacobian_pattern.rows
+        x, p, one, g = (ca.Sparsity.dense(k, 1) if k else ca.Sparsity(0, 0) for k in (n, 0, 1, m))
+        H, Jg = self._hessian_pattern.sparsity, self._jacobian_pattern.sparsity
+        f_of = _NumPy("f", [x], [one], lambda x: [self.values(x).cost])
+        g_of = _NumPy("g", [x], [g], lambda x: [self.values(x).g])
+        grad = _NumPy("nlp_grad_f", [x, p], [one, x],
+                      lambda x, _: [self.values(x).cost, self.gradient(x)])  # fmt: skip
+        jac = _NumPy("nlp_jac_g", [x, p], [g, Jg],
+                     lambda x, _: [self.values(x).g, self.jacobian(x)])  # fmt: skip
+        hess = _NumPy("nlp_hess_l", [x, p, one, g], [H],
+                      lambda x, _p, f, _g: [f * self.hessian(x)])  # fmt: skip
+        self._callbacks = [f_of, g_of, grad, jac, hess]  # CasADi does not keep them alive
+        symbol = ca.MX.sym("x", n)
+        lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
+        free = self.free
+        count = len(free.index)
+        lower[:count] = free.lower[free.index] / self.scales.lam[:count]
+        upper[:count] = free.upper[free.index] / self.scales.lam[:count]
+        ties = free.model.constraints()
+        closed = np.zeros(m - len(ties))
+        return Problem(
+            x=symbol, f=f_of(symbol), g=g_of(symbol) if m else ca.MX(0, 1), x0=start,
+            lower_x=lower, upper_x=upper,
+            lower_g=np.concatenate([closed, [tie.lower for tie in ties]]),
+            upper_g=np.concatenate([closed, [tie.upper for tie in ties]]),
+            hessian=hess, functions={"nlp_grad_f": grad, "nlp_jac_g": jac},
+        )  # fmt: skip
+
+
+class _Pattern:
+    """A sparse matrix with fixed places, whose values come in another order."""
+
+    def __init__(
+        self, row: np.ndarray, col: np.ndarray, size: int, rows: int | None = None
+    ) -> None:
+        self.rows = size if rows is None else rows
+        number = np.arange(1.0, len(row) + 1)  # 0 would be dropped
+        matrix = scipy.sparse.csc_array((number, (row, col)), (self.rows, size))
+        matrix.sort_indices()
+        self._order = matrix.data.astype(int) - 1
+        self._empty = matrix
+        self.sparsity = ca.Sparsity(
+            self.rows, size, matrix.indptr.tolist(), matrix.indices.tolist()
+        )
+
+    def order(self, values: Array) -> Array:
+        """Values as the sparsity stores them."""
+        return np.asarray(values[self._order])
+
+    def matrix(self, ordered: Array) -> scipy.sparse.csc_array:
+        """SciPy's form of values ordered before."""
+        like = self._empty
+        return scipy.sparse.csc_array((ordered, like.indices, like.indptr), like.shape)
+
+
+class _NumPy(ca.Callback):
+    """A CasADi function evaluated by NumPy, without copies through CasADi matrices."""
+
+    def __init__(
+        self,
+        name: str,
+        inputs: Sequence[ca.Sparsity],
+        outputs: Sequence[ca.Sparsity],
+        function: Callable[..., Sequence[Array | float]],
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._in, self._out, self._function = inputs, outputs, function
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return len(self._in)
+
+    def get_n_out(self) -> int:
+        return len(self._out)
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return self._in[i]
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return self._out[i]
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(
+        self, arguments: Sequence[memoryview | None], results: Sequence[memoryview | None]
+    ) -> int:
+        values = [np.frombuffer(a) if a is not None else np.zeros(0) for a in arguments]
+        for target, value in zip(results, self._function(*values), strict=True):
+            if target is not None:
+                np.frombuffer(target)[:] = value
+        return 0
+
+
+def _grid(rows: np.ndarray, cols: np.ndarray, upper: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of every entry of a stack of blocks, (k, a) against (k, b)."""
+    row = np.broadcast_to(rows[:, :, None], (*rows.shape, cols.shape[1]))
+    col = np.broadcast_to(cols[:, None, :], row.shape)
+    return (_upper(row), _upper(col)) if upper else (row.ravel(), col.ravel())
+
+
+def _upper(blocks: np.ndarray) -> np.ndarray:
+    i, j = np.triu_indices(blocks.shape[1])
+    return blocks[:, i, j].ravel()
+
+
+def _stack(grids: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    return np.concatenate([r for r, _ in grids]), np.concatenate([c for _, c in grids])

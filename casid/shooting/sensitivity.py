@@ -1,0 +1,314 @@
+"""Residuals of a linear model over all shooting intervals, and what Gauss-Newton needs of them.
+
+Over one interval, from the node x_0 and with the delayed inputs u,
+
+    r_k = C x_k + D u_k + b - y_k          x_{k+1} = A_d x_k + B0 u_k + B1 u_{k+1} - K_d r_k
+
+with K_d = 0 for output error (process noise: K_d = ∫ e^{As} ds K over the step, missing channels
+left out). The columns of ∂x_k/∂(λ, x_0, b) obey the same recursion, driven by the derivatives of
+the maps. All intervals advance together, one dense product a step; the Gram matrix
+[J r]ᵀ R⁻¹ [J r] of each interval holds gradient and Gauss-Newton Hessian at once. It is summed up
+over blocks of samples, so memory does not grow with the length of an interval.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.model import Free
+from casid.shooting.intervals import Layout
+from casid.shooting.spline import DelayedInput
+from casid.shooting.stepping import Steps, groups
+from casid.shooting.unknowns import Structure
+
+BLOCK = 16  # samples of every interval whose Jacobian rows are held at once
+BATCH_BYTES = 8e6  # of Jacobian rows held at once: they stay in the cache
+PIECE_BYTES = 64e6  # of a record's total derivatives held at once
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where residuals are evaluated.
+
+    Parameters
+    ----------
+    lam : (nf,) array
+        Free parameters.
+    bias : (records, ny) array
+        Output biases.
+    nodes : (J, nx) array
+        State at the start of every interval, in chronological order.
+    """
+
+    lam: Array
+    bias: Array
+    nodes: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a simulation of all intervals gives.
+
+    Parameters
+    ----------
+    states : (N, nx) array
+        At every sample.
+    residuals : (N, ny) array
+        C x + D u + b - y, 0 where a channel is missing.
+    ends : (J, nx) array
+        One step after each interval's last sample, in the order of the layout; those of a record's
+        last interval mean nothing.
+    """
+
+    states: Array
+    residuals: Array
+    ends: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """What a batch of intervals has to say; ``index`` are rows of the layout.
+
+    Parameters
+    ----------
+    gram : (n, nc, nc) array
+        [J r]ᵀ R⁻¹ [J r]; columns are λ (nf), the node (nx), the biases (ny) and the residual.
+    ends : (n, nx) array
+        State one step after the last sample.
+    slopes : (n, nx, nf + nx + ny) array
+        Its derivative by λ, node and biases.
+    """
+
+    index: np.ndarray
+    gram: Array
+    ends: Array
+    slopes: Array
+
+
+def whiteners(R: Array, layout: Layout) -> Array:
+    """W of every pattern of measured channels, (n_patterns, ny, ny), with WᵀW = R⁻¹ of those."""
+    ny = len(R)
+    W = np.zeros((len(layout.patterns), ny, ny))
+    for p, seen in enumerate(layout.patterns):
+        if seen.any():
+            block = np.ix_(seen, seen)
+            W[p][block] = np.linalg.inv(np.linalg.cholesky(R[block]))
+    return W
+
+
+class Evaluator:
+    """Residuals and Gauss-Newton blocks of one model over one layout.
+
+    Parameters
+    ----------
+    free : Free
+        Structure and free parameters.
+    layout : Layout
+        Records and intervals.
+    gain : (nx, ny) array or None
+        Innovation gain K [state/s per output]; None is output error.
+    gain_free : bool
+        Whether K's entries are unknowns, ``gain`` being their start.
+    """
+
+    def __init__(
+        self, free: Free, layout: Layout, gain: Array | None = None, gain_free: bool = False
+    ) -> None:
+        self.layout, self.gain = layout, gain
+        self.filtering = gain is not None
+        self.structure = Structure(free, gain, gain_free)
+        model = free.model
+        self.nx, self.nu, self.ny = len(model.states), len(model.inputs), len(model.outputs)
+        self.nf = len(free.index) + gain_free * self.nx * self.ny
+        self._inputs = [DelayedInput(record, _longest(free)) for record in layout.records]
+
+    def delayed(self, tau: Array) -> tuple[Array, Array]:
+        """Delayed inputs of all samples (N, nu), and their derivatives by the delay."""
+        pairs = [source.at(tau) for source in self._inputs]
+        return np.concatenate([u for u, _ in pairs]), np.concatenate([du for _, du in pairs])
+
+    def simulate(self, point: Point) -> Motion:
+        """States and residuals over all intervals."""
+        layout, numbers = self.layout, self.structure(point.lam)
+        steps = Steps(numbers, layout.classes, self.filtering, slopes=False)
+        inputs = _with_next(self.delayed(numbers.tau)[0])
+        CD = np.hstack([numbers.C, numbers.D]).T
+        seen = layout.patterns[layout.pattern]
+        r, states = np.empty_like(layout.y), np.empty((len(layout.y), self.nx))
+        ends = np.empty((len(layout.count), self.nx))
+        bias, x = point.bias[layout.record], point.nodes[layout.node]
+        active = _active(layout.count)
+        for k, n in enumerate(active):
+            at = layout.start[:n] + k
+            V = np.concatenate([x[:n], inputs[at]], axis=1)
+            r[at] = (V[:, : len(CD)] @ CD + bias[:n] - layout.y[at]) * seen[at]
+            states[at] = x[:n]
+            x = steps.state(layout.step[at], V, r[at])
+            if k + 1 == len(active) or active[k + 1] < n:
+                done = layout.count[:n] == k + 1
+                ends[:n][done] = x[done]
+        return Motion(states, r, ends)
+
+    def batches(self, point: Point, motion: Motion, W: Array) -> Iterator[Batch]:
+        """Gram matrices of all intervals, a bounded number of rows at a time."""
+        sweep = _Sweep(self, point, motion, W)
+        columns = self.nf + self.nx + self.ny + 1
+        size = max(1, int(BATCH_BYTES / (8 * BLOCK * self.ny * columns)))
+        for first in range(0, len(self.layout.count), size):
+            index = np.arange(first, min(first + size, len(self.layout.count)))
+            gram = np.zeros((len(index), columns, columns))
+
+            def add(j: int, _: int, rows: Array, gram: Array = gram) -> None:
+                flat = rows.reshape(-1, rows.shape[-1])
+                gram[j] += flat.T @ flat
+
+            slopes = sweep.run(index, add)
+            yield Batch(index, gram, motion.ends[index], slopes)
+
+    def influence(
+        self, point: Point, motion: Motion, W: Array, follow: Array
+    ) -> Iterator[Iterator[Array]]:
+        """Total derivative by λ of every record's whitened residuals, (N, ny, nf) in pieces of N.
+
+        ``follow`` (J, nf + nx + ny, nf) says how λ, node and biases of every interval (rows of the
+        layout) move with λ.
+        """
+        sweep = _Sweep(self, point, motion, W)
+        return (sweep.totals(record, follow) for record in range(len(self.layout.records)))
+
+
+class _Sweep:
+    """Passes over batches of intervals that turn states into rows of the Jacobian.
+
+    The states being known, all that drives the sensitivities over a block of samples is one dense
+    product; only S⁺ = A_d S + F goes sample by sample.
+    """
+
+    def __init__(self, evaluator: Evaluator, point: Point, motion: Motion, W: Array) -> None:
+        layout = evaluator.layout
+        self.e, self.layout, self.motion, self.W = evaluator, layout, motion, W
+        self.numbers = evaluator.structure(point.lam)
+        self.steps = Steps(self.numbers, layout.classes, evaluator.filtering, slopes=True)
+        u, du = evaluator.delayed(self.numbers.tau)
+        self.inputs, self.moved = _with_next(u), _with_next(du)
+        self.ns = evaluator.nf + evaluator.nx + (evaluator.ny if evaluator.filtering else 0)
+        self.drive = np.concatenate([self.numbers.C_lam, self.numbers.D_lam], axis=1)
+        self.live = np.flatnonzero(self.drive.any(axis=(1, 2)))
+        self.delay = self.numbers.D[:, :, None] * self.numbers.tau_lam[:, self.numbers.delaying]
+
+    def run(self, index: np.ndarray, take: Callable[[int, int, Array], None]) -> Array:
+        """Derivatives (n, nx, nf + nx + ny) of the end states of some intervals, longest first.
+
+        ``take`` is given (position in the batch, first sample, rows) block by block.
+        """
+        e, start, count = self.e, self.layout.start[index], self.layout.count[index]
+        slopes = np.zeros((len(index), e.nx, e.nf + e.nx + e.ny))
+        S: Array = np.zeros((e.nx, len(index), self.ns))
+        S[:, :, e.nf : e.nf + e.nx] = np.eye(e.nx)[:, None, :]
+        for first in range(0, int(count[0]), BLOCK):
+            n = int((count > first).sum())
+            length = min(BLOCK, int(count[0]) - first)
+            k = np.minimum(first + np.arange(length)[:, None], count[:n] - 1)
+            trail = self._block(start[:n] + k, S[:, :n])
+            rows = self._rows(start[:n] + k, trail[:-1])
+            for j in range(n):
+                valid = min(int(count[j]) - first, length)
+                take(j, first, rows[j, :valid])
+                if count[j] - first <= length:
+                    slopes[j, :, : self.ns] = trail[valid][:, j]
+            S = trail[-1]
+        return slopes
+
+    def totals(self, record: int, follow: Array) -> Iterator[Array]:
+        """Total derivatives of one record's whitened residuals; see `Evaluator.influence`."""
+        start, count = self.layout.start, self.layout.count
+        mine = np.flatnonzero(self.layout.record == record)
+        mine = mine[np.argsort(start[mine])]
+        rows = PIECE_BYTES / (8 * self.e.ny * follow.shape[2])
+        size = max(1, int(rows / count[mine].max()))
+        for k in range(0, len(mine), size):
+            index = np.sort(mine[k : k + size])  # rows of the layout: the longest first
+            place = start[index] - start[index].min()
+            slope = np.empty((int(count[index].sum()), self.e.ny, follow.shape[2]))
+            moves = follow[index]
+
+            def keep(
+                j: int, k: int, rows: Array,
+                slope: Array = slope, place: np.ndarray = place, moves: Array = moves,
+            ) -> None:  # fmt: skip
+                slope[place[j] + k : place[j] + k + len(rows)] = rows[:, :, :-1] @ moves[j]
+
+            self.run(index, keep)
+            yield slope
+
+    def _block(self, at: np.ndarray, S: Array) -> Array:
+        """Sensitivities before each of K samples and after the last, (K + 1, nx, n, ns)."""
+        K, n = at.shape
+        flat, nf = at.ravel(), self.e.nf
+        V = np.concatenate([self.motion.states[flat], self.inputs[flat]], axis=1)
+        step, r = self.layout.step[flat], self.motion.residuals[flat]
+        force = self.steps.force(step, V, self.moved[flat], r).reshape(self.e.nx, K, n, nf)
+        trail = np.empty((K + 1, *S.shape))
+        trail[0] = S
+        for k in range(K):
+            heard = self._heard(at[k], trail[k]) if self.e.filtering else None
+            trail[k + 1] = self.steps.carry(self.layout.step[at[k]], trail[k], heard)
+            trail[k + 1][:, :, :nf] += force[:, k]
+        return trail
+
+    def _heard(self, at: np.ndarray, S: Array) -> Array:
+        """Derivatives of the measured residuals of one sample, 0 where missing, (ny, n, ns)."""
+        through = (self.numbers.C @ S.reshape(len(S), -1)).reshape(-1, *S.shape[1:])
+        seen = self.layout.patterns[self.layout.pattern[at]]
+        return np.asarray((through + self._direct(at)) * seen.T[:, :, None])
+
+    def _direct(self, flat: np.ndarray) -> Array:
+        """Derivatives of the outputs not through the states, (ny, rows, ns)."""
+        nf, nx, nu = self.e.nf, self.e.nx, self.e.nu
+        out = np.zeros((self.e.ny, len(flat), self.ns))
+        V = np.concatenate([self.motion.states[flat], self.inputs[flat][:, :nu]], axis=1)
+        for a in self.live:
+            out[a, :, :nf] = V @ self.drive[a]
+        if len(self.numbers.delaying):
+            out[:, :, self.numbers.delaying] += self.moved[flat][:, :nu] @ self.delay
+        if self.e.filtering:
+            out[:, :, nf + nx :] = np.eye(self.e.ny)[:, None, :]
+        return out
+
+    def _rows(self, at: np.ndarray, S: Array) -> Array:
+        """Whitened Jacobian rows and residuals of K samples, (n, K, ny, nc)."""
+        e, ns, (K, n) = self.e, self.ns, at.shape
+        flat = at.ravel()
+        out = np.empty((e.ny, K, n, e.nf + e.nx + e.ny + 1))
+        through = (self.numbers.C @ S.reshape(K, e.nx, -1)).reshape(K, e.ny, n, ns)
+        direct = self._direct(flat).reshape(e.ny, K, n, ns)
+        out[:, :, :, e.nf + e.nx : -1] = np.eye(e.ny)[:, None, None, :]
+        np.add(through.transpose(1, 0, 2, 3), direct, out=out[:, :, :, :ns])
+        out[:, :, :, -1] = self.motion.residuals[flat].T.reshape(e.ny, K, n)
+        flat_out = out.reshape(e.ny, K * n, -1)
+        white = np.empty_like(flat_out)
+        for p, mine in groups(self.layout.pattern[flat], len(self.W)):
+            part = flat_out[:, mine]
+            white[:, mine] = (self.W[p] @ part.reshape(e.ny, -1)).reshape(part.shape)
+        return white.reshape(out.shape).transpose(2, 1, 0, 3).copy()
+
+
+def _active(count: np.ndarray) -> list[int]:
+    """How many intervals (longest first) have more than k samples, k = 0, 1, ..."""
+    k = np.arange(int(count[0]))
+    return [int(n) for n in np.searchsorted(-count, -k)]
+
+
+def _with_next(u: Array) -> Array:
+    """Each sample beside the one after it; the last beside itself."""
+    return np.hstack([u, np.vstack([u[1:], u[-1:]])])
+
+
+def _longest(free: Free) -> float:
+    """Longest delay the bounds allow [s], at most that of the guess where they are infinite."""
+    delays = free.model.matrices()
+    guess = free.model.vector()
+    corners = [np.where(np.isfinite(side), side, guess) for side in (free.lower, free.upper)]
+    return float(max(np.max(delays(lam)[4].full(), initial=0.0) for lam in (guess, *corners)))

@@ -1,0 +1,148 @@
+"""Where multiple shooting starts: nodes that follow the data, and the units of the variables.
+
+The starting model's states are smoothed over the records: the nodes minimise the residuals plus
+the gaps between intervals, weighted by what a share of the inputs' effect may do over an interval.
+So a poor start, or an unstable one, does not run away from the measurements.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+import scipy.sparse.linalg
+
+from casid.arrays import Array
+from casid.errors import ConvergenceError
+from casid.model import Free
+from casid.shooting.likelihood import CovarianceKind, Noise
+from casid.shooting.programme import Programme, Scales
+from casid.shooting.sensitivity import Evaluator, Point
+
+SURPRISE = 0.5  # share of the inputs' effect that the starting model may miss
+FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's
+
+
+def channel_size(evaluator: Evaluator) -> Array:
+    """Root mean square of the measured samples of every output, (ny,); 1 where that is 0."""
+    layout = evaluator.layout
+    seen = layout.patterns[layout.pattern].sum(axis=0)
+    size = np.sqrt(np.sum(layout.y**2, axis=0) / np.maximum(seen, 1))
+    return np.where(size > 0, size, 1.0)
+
+
+def noise_of(evaluator: Evaluator, given: Array | None, kind: CovarianceKind) -> Noise:
+    """Noise model of the records, R held at ``given`` unless that is None."""
+    layout = evaluator.layout
+    counts = np.bincount(layout.pattern, minlength=len(layout.patterns))
+    return Noise(layout.patterns, counts, FLOOR * channel_size(evaluator), kind, given)
+
+
+def starting_programme(
+    evaluator: Evaluator,
+    free: Free,
+    R: Array | CovarianceKind,
+    biases: bool,
+    known: Array | None = None,
+) -> tuple[Programme, Point]:
+    """The first programme, and the point to start it from.
+
+    Its R is held: as given, or that of the starting residuals in the structure named. ``known``
+    biases (records, ny) are taken off while the nodes are found.
+    """
+    if isinstance(R, np.ndarray):
+        noise = noise_of(evaluator, R, "diagonal")
+        point, scales = _smoothed(evaluator, free, noise, known)
+    else:
+        coarse = np.diag((0.1 * channel_size(evaluator)) ** 2)
+        point, scales = _smoothed(evaluator, free, noise_of(evaluator, coarse, R))
+        loose = Programme(evaluator, free, scales, noise_of(evaluator, None, R), biases)
+        noise = noise_of(evaluator, loose.values(loose.pack(point)).R, R)
+    programme = Programme(evaluator, free, scales, noise, biases)
+    return programme.rescaled(programme.balanced(point)), point
+
+
+def _smoothed(
+    evaluator: Evaluator, free: Free, noise: Noise, known: Array | None = None
+) -> tuple[Point, Scales]:
+    e, layout = evaluator, evaluator.layout
+    gain = np.zeros(e.nf - len(free.index)) if e.gain is None else e.gain.ravel()
+    point = Point(
+        lam=np.concatenate([free.guess, gain])[: e.nf],
+        bias=np.zeros((len(layout.records), e.ny)) if known is None else known,
+        nodes=np.zeros((len(layout.count), e.nx)),
+    )
+    ones = Scales(np.ones(e.nf), np.ones(e.ny), np.ones(e.nx))
+    programme = Programme(e, free, ones, noise, biases=known is not None)
+    blocks = programme.blocks(programme.pack(point))
+    with np.errstate(over="ignore", invalid="ignore"):
+        drift = _drift(e, point.lam)
+    nodes = _smooth(blocks.Hnn, blocks.gn, blocks.slope_n, blocks.ends, programme.links, drift)
+    size = np.maximum(np.sqrt(np.mean(nodes**2, axis=0)), np.sqrt(np.diag(drift)))
+    state, spread = np.where(size > 0, size, 1.0), channel_size(e)
+    gains = np.outer(state, 1 / spread).ravel()
+    lam = np.concatenate([free.scale[free.index], gains])[: e.nf]
+    return replace(point, nodes=nodes), Scales(lam, spread, state)
+
+
+def _drift(e: Evaluator, lam: Array) -> Array:
+    """Covariance of what a start may miss in the states over one interval, (nx, nx)."""
+    numbers = e.structure(lam)
+    u = np.concatenate([record.u for record in e.layout.records])
+    dt = float(np.median([record.dt for record in e.layout.records]))
+    T = float(np.median(e.layout.count)) * dt
+    Q = SURPRISE**2 * (numbers.B * np.mean(u**2, axis=0)) @ numbers.B.T
+    drift, nx = _accumulated(numbers.A, Q, T), len(Q)
+    scale = np.trace(drift) / nx
+    floor = 1e-6 * (np.diag(drift) + (scale if scale > 0 else 1.0) * 1e-3)
+    return np.asarray((drift + drift.T) / 2 + np.diag(floor))
+
+
+def _accumulated(A: Array, Q: Array, T: float) -> Array:
+    """∫ e^{As} Q e^{Aᵀs} ds over [0, T], (nx, nx), positive semidefinite however stiff A is.
+
+    Over a step with ‖A‖ h <= 1 by Van Loan's exponential, whose growing half would swamp the
+    other over longer ones, and from there by doubling.
+    """
+    nx = len(Q)
+    doublings = max(0, int(np.ceil(np.log2(max(float(np.linalg.norm(A, 2)) * T, 1e-300)))))
+    block = np.zeros((2 * nx, 2 * nx))
+    block[:nx, :nx], block[:nx, nx:], block[nx:, nx:] = -A, Q, A.T
+    expm = scipy.linalg.expm(block * (T / 2**doublings))
+    step = expm[nx:, nx:].T
+    total = step @ expm[:nx, nx:]
+    for _ in range(doublings):
+        total = total + step @ total @ step.T
+        step = step @ step
+    return np.asarray(total)
+
+
+def _smooth(
+    H: Array, g: Array, slope: Array, ends: Array, links: np.ndarray, drift: Array
+) -> Array:
+    """Nodes minimising the residuals and, weighted by drift⁻¹, the gaps between intervals."""
+    J, nx = g.shape
+    if not all(np.isfinite(part).all() for part in (H, g, slope, ends, drift)):
+        raise ConvergenceError(
+            "the starting model's simulation overflows within one interval; give a shorter "
+            "interval or a start nearer the data"
+        )
+    P = np.linalg.inv(drift)
+    diagonal, right = H.copy(), -g
+    above: dict[int, Array] = {}
+    for j in links:
+        diagonal[j] += slope[j].T @ P @ slope[j]
+        diagonal[j + 1] += P
+        above[j] = -slope[j].T @ P
+        right[j] -= slope[j].T @ P @ ends[j]
+        right[j + 1] += P @ ends[j]
+    ridge = 1e-12 * float(np.abs(diagonal).max()) * np.eye(nx)
+    grid: dict[tuple[int, int], Array] = {(j, j): diagonal[j] + ridge for j in range(J)}
+    grid |= {(j, j + 1): block for j, block in above.items()}
+    grid |= {(j + 1, j): block.T for j, block in above.items()}
+    i, k = np.divmod(np.arange(nx * nx), nx)
+    row = np.concatenate([j * nx + i for j, _ in grid])
+    col = np.concatenate([j * nx + k for _, j in grid])
+    values = np.concatenate([block.ravel() for block in grid.values()])
+    K = scipy.sparse.csc_array((values, (row, col)), (J * nx, J * nx))
+    return np.asarray(scipy.sparse.linalg.splu(K).solve(right.ravel()).reshape(J, nx))

@@ -1,0 +1,1 @@
+"""Structures from files, laid open and judged before any fit."""

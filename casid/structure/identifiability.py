@@ -1,0 +1,307 @@
+"""Whether data can tell a structure's parameters apart, before anything is fitted.
+
+The Fisher information F of the free parameters is computed at the guess, moved a little so that
+parameters guessed at zero hide nothing. In the units in which every parameter alone would have
+information one, N = D^(-1/2) F D^(-1/2), D = diag F, an eigenvalue of zero is a combination of
+parameters that no output feels, and 1/√eigenvalue is the factor by which that combination's
+uncertainty exceeds that of one parameter with all others known (R. V. Jategaonkar, Flight Vehicle
+System Identification, 2nd ed., section 4.16, and M. B. Tischler, R. K. Remple, Aircraft and
+Rotorcraft System Identification, 2nd ed., chapter 12: insensitivity and Cramér-Rao bound).
+
+A record enters by its Fourier transform over its length T, which an unstable model does not mind:
+
+    Y(ω) = G(jω) U(ω) + C (jωI − A)⁻¹ (x(0) − e^(−jωT) x(T)),        ω = 2πk/T, k > 0
+
+The end states are unknown and projected out; the mean, k = 0, belongs to the biases. Motion left
+from before a record is not counted as excitation.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.arrays import Array, ComplexArray
+from casid.baseline.magphase import Sensitivity
+from casid.frequency.estimation import FrequencyResponse
+from casid.model import Bounds, Free, Model, free_parameters
+from casid.record import Record, standard_deviations
+from casid.subspace.pbsid import BlackBox
+
+Responses = FrequencyResponse | BlackBox
+
+RANK = 1e-10  # eigenvalue of N below which a combination is not felt: rounding leaves 1e-13
+NOTHING = 1e-9  # effect on the outputs, in their standard deviations, that is rounding
+WEAK = 1e-4  # eigenvalue below which it is felt a hundred times less than its parameters alone
+SHARE = 0.1  # of a combination's largest entry: parameters with less are not named
+POINTS = 40  # of a black box's band
+COHERENCE = 0.6
+ENERGY = 1e-6  # share of the inputs' energy above the highest frequency that is used
+MOST = 200  # frequencies of a record that are used, for time and memory
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Identifiability:
+    """What an excitation can tell of a structure.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Free parameters.
+    rank : int
+        Rank of their information matrix; less than their number if some cannot be told apart.
+    condition : float
+        Of the normalised information matrix; infinite if it is singular.
+    eigenvalues : (nf,) array
+        Of the same, descending; without the parameters that no output feels.
+    insensitive : tuple of str
+        Parameters that no output feels at all.
+    confounded : tuple of tuple of str
+        Groups of parameters of which only combinations are felt: fix one of each.
+    weak : tuple of tuple of str
+        Groups of which a combination is felt a hundred times less than one of them alone.
+    inflation : (nf,) array
+        Factor by which a parameter's uncertainty grows because the others are not known; infinite
+        in a confounded group, NaN for an insensitive parameter.
+    information : (nf, nf) array
+        F in physical units, for outputs whose noise has the standard deviation of the output
+        (records) or for relative errors of the response of one.
+    """
+
+    names: tuple[str, ...]
+    rank: int
+    condition: float
+    eigenvalues: Array
+    insensitive: tuple[str, ...]
+    confounded: tuple[tuple[str, ...], ...]
+    weak: tuple[tuple[str, ...], ...]
+    inflation: Array
+    information: Array
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether all free parameters can be told apart."""
+        return self.rank == len(self.names)
+
+    def __str__(self) -> str:
+        """Findings and remedies, one a line."""
+        lines = [f"rank {self.rank} of {len(self.names)}, condition {self.condition:.3g}"]
+        if self.insensitive:
+            lines.append(f"no output feels {_listed(self.insensitive)}: fix or drop")
+        lines += [f"cannot be told apart: {_listed(group)}; fix one" for group in self.confounded]
+        lines += [f"barely told apart: {_listed(group)}" for group in self.weak]
+        return "\n".join(lines)
+
+
+def identifiability(
+    model: Model,
+    data: Sequence[Record] | Responses | Sequence[Responses],
+    *,
+    fixed: Collection[str] = (),
+    bounds: Bounds | None = None,
+    spread: float = 0.1,
+    seed: int = 0,
+) -> Identifiability:
+    """Rank and condition of the information that data hold about a structure's parameters.
+
+    Parameters
+    ----------
+    model : Model
+        Structure and guess.
+    data : sequence of Record, FrequencyResponse, BlackBox, or sequence of responses
+        Of records the inputs, sampling, missing samples and sizes of the outputs count; initial
+        states and biases are taken as unknown. Of responses the frequencies and, if measured, where
+        coherence is sufficient.
+    fixed, bounds
+        Parameters held, and bounds {name: (lower, upper)} instead of the model file's.
+    spread : float
+        How far the guess is moved, at random, in units of each parameter's scale.
+    seed : int
+        Of that move.
+
+    Returns
+    -------
+    Identifiability
+
+    Raises
+    ------
+    ValueError, ModelError
+        No data, a channel that is missing, wrong names or bounds.
+    """
+    free = free_parameters(model, fixed, bounds)
+    moved = _moved(free, spread, np.random.default_rng(seed))
+    items = [data] if isinstance(data, Responses | Record) else list(data)
+    if not items:
+        raise ValueError("no data given: identifiability needs records or responses")
+    records = [item for item in items if isinstance(item, Record)]
+    responses = [item for item in items if not isinstance(item, Record)]
+    nf = len(free.index)
+    F = np.zeros((nf, nf))
+    if records:
+        F += _records_information(moved, records)
+    for response in responses:
+        F += _response_information(moved, response)
+    return _judge(free.names, F, free.scale[free.index])
+
+
+# ---- information -------------------------------------------------------------------------------
+
+
+def _moved(free: Free, spread: float, rng: np.random.Generator) -> Free:
+    """The same free parameters about a guess moved within the bounds."""
+    scale = free.scale[free.index]
+    values = free.guess + spread * scale * rng.uniform(-1, 1, len(scale))
+    values = np.clip(values, free.lower[free.index], free.upper[free.index])
+    return replace(free, model=free.model.with_vector(free.full(values)))
+
+
+def _records_information(free: Free, records: Sequence[Record]) -> Array:
+    model, sensitivity = free.model, Sensitivity(free)
+    chosen = [record.select(model.inputs, model.outputs) for record in records]
+    sy = standard_deviations(chosen)[1]
+    return np.asarray(sum(_record_information(free, sensitivity, r, sy) for r in chosen))
+
+
+def _record_information(free: Free, sensitivity: Sensitivity, record: Record, sy: Array) -> Array:
+    """F of one record: its output's Fourier transform, the end states projected out."""
+    omega, U, bins = _spectrum(record)
+    seen = np.mean(~np.isnan(record.y), axis=0)
+    length = record.duration + record.dt
+    parseval = 2 * bins[:, None] * seen / (length * record.dt)  # both signs of ω
+    weight = np.sqrt(parseval) / sy
+    system = free.model.system()
+    _, slope = sensitivity(free.guess, omega)
+    moves = np.einsum("kijl,kj->kil", slope, U) * weight[:, :, None]
+    resolvent = 1j * omega[:, None, None] * np.eye(system.nx) - system.A
+    ends = (system.C @ np.linalg.inv(resolvent)) * weight[:, :, None]
+    J: Array = _real(moves)
+    E = _real(ends)
+    size = np.linalg.norm(E, axis=0)
+    basis, scales, _ = np.linalg.svd(E / np.where(size > 0, size, 1.0), full_matrices=False)
+    ends_seen = basis[:, scales > 1e-12 * scales.max(initial=0.0)]
+    J = J - ends_seen @ (ends_seen.T @ J)
+    return np.asarray(J.T @ J)
+
+
+def _spectrum(record: Record) -> tuple[Array, ComplexArray, Array]:
+    """Frequencies 2πk/T that hold nearly all of the inputs' energy, and the inputs' transforms.
+
+    Of very many some are taken, denser where they are low; the last array says how many each
+    stands for.
+    """
+    t = record.t - record.t[0]
+    omega = 2 * np.pi / (record.duration + record.dt) * np.arange(1, max(2, record.N // 2))
+    if record.equidistant:
+        U = record.dt * np.fft.fft(record.u, axis=0)[1 : len(omega) + 1]
+    else:
+        weight = np.gradient(t)
+        U = np.array([(weight * np.exp(-1j * w * t)) @ record.u for w in omega])
+    power = np.sum(np.abs(U) ** 2 / np.maximum(np.var(record.u, axis=0), 1e-300), axis=1)
+    above = np.cumsum(power[::-1])[::-1]
+    n = int(np.sum(above > ENERGY * above[0])) or 1
+    some = np.unique(np.geomspace(1, n, min(MOST, n)).round().astype(int)) - 1
+    edges = np.concatenate([[0], (some[1:] + some[:-1] + 1) / 2, [n]])
+    return omega[some], U[some], np.diff(edges)
+
+
+def _response_information(free: Free, response: Responses) -> Array:
+    """F for errors relative to the size of the response, pair by pair."""
+    model = free.model
+    if isinstance(response, BlackBox):
+        system = response.system
+        omega: Array = np.geomspace(*response.band, POINTS)
+        G, good = system.response(omega), np.ones((POINTS, system.ny, system.nu), dtype=bool)
+        names = system.outputs, system.inputs
+    else:
+        omega, G, names = response.omega, response.G, (response.outputs, response.inputs)
+        good = np.isfinite(G) & (np.nan_to_num(response.coherence) >= COHERENCE)
+    _, slope = Sensitivity(free)(free.guess, omega)
+    rows = []
+    for i, j, a, b in _shared(model, *names):
+        here = good[:, a, b] & (np.abs(G[:, a, b]) > 0)
+        rows.append(_real(slope[here, i, j] / np.abs(G[here, a, b])[:, None]))
+    J = np.concatenate(rows)
+    return np.asarray(J.T @ J)
+
+
+def _shared(
+    model: Model, outputs: Sequence[str], inputs: Sequence[str]
+) -> list[tuple[int, int, int, int]]:
+    """Positions (output, input) in the model and in the response of the pairs both have."""
+    pairs = [
+        (i, j, outputs.index(y), inputs.index(u))
+        for i, y in enumerate(model.outputs)
+        for j, u in enumerate(model.inputs)
+        if y in outputs and u in inputs
+    ]
+    if not pairs:
+        raise ValueError(
+            f"the response has {', '.join(inputs)} -> {', '.join(outputs)}, the model "
+            f"{', '.join(model.inputs)} -> {', '.join(model.outputs)}: no pair in common"
+        )
+    return pairs
+
+
+def _real(J: ComplexArray) -> Array:
+    """Rows of real and imaginary parts, (rows, columns)."""
+    flat = J.reshape(-1, J.shape[-1])
+    return np.concatenate([flat.real, flat.imag])
+
+
+# ---- judgement ---------------------------------------------------------------------------------
+
+
+def _judge(names: tuple[str, ...], F: Array, scale: Array) -> Identifiability:
+    size = np.sqrt(np.diag(F))
+    felt = size * scale > NOTHING * (size * scale).max(initial=1.0)
+    kept = np.flatnonzero(felt)
+    N = F[np.ix_(kept, kept)] / np.outer(size[kept], size[kept])
+    eigenvalues, V = np.linalg.eigh(N)
+    lost = eigenvalues < RANK * max(eigenvalues.max(initial=0.0), 1e-300)
+    faint = ~lost & (eigenvalues < WEAK)
+    inside = [names[i] for i in kept]
+    inflation = np.full(len(names), np.nan)
+    with np.errstate(divide="ignore"):
+        variance = (V[:, ~lost] ** 2 / eigenvalues[~lost]).sum(axis=1)
+    blind = (np.abs(V[:, lost]) > 1e-4).any(axis=1)
+    inflation[kept] = np.where(blind, np.inf, np.sqrt(variance))
+    singular = bool(lost.any()) or not felt.all()
+    return Identifiability(
+        names=names,
+        rank=int((~lost).sum()),
+        condition=float("inf") if singular else float(eigenvalues[-1] / eigenvalues[0]),
+        eigenvalues=eigenvalues[::-1],
+        insensitive=tuple(name for name, yes in zip(names, felt, strict=True) if not yes),
+        confounded=_groups(V[:, lost], inside),
+        weak=tuple(
+            tuple(name for name, share in zip(inside, np.abs(v), strict=True)
+                  if share > 3 * SHARE * np.abs(v).max())
+            for v in V[:, faint].T
+        ),
+        inflation=inflation,
+        information=F,
+    )  # fmt: skip
+
+
+def _groups(null: Array, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    """Parameters in each combination that is not felt, with as few in each as can be.
+
+    Gauss-Jordan with the largest pivot gives a basis of the null space in which every combination
+    has one parameter of its own.
+    """
+    rows = null.T.copy()
+    for k in range(len(rows)):
+        i, j = map(int, np.unravel_index(np.argmax(np.abs(rows[k:])), rows[k:].shape))
+        rows[[k, k + i]] = rows[[k + i, k]]
+        rows[k] /= rows[k, j]
+        others = np.arange(len(rows)) != k
+        rows[others] -= np.outer(rows[others, j], rows[k])
+    return tuple(
+        tuple(name for name, share in zip(names, np.abs(row), strict=True)
+              if share > SHARE * np.abs(row).max())
+        for row in rows
+    )  # fmt: skip
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,232 @@
+"""A structure laid open: matrices with names and numbers, modes, what is seen and told apart."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array, ComplexArray
+from casid.linear import StateSpace
+from casid.model import Bounds, Free, Model, free_parameters
+from casid.record import Record
+from casid.structure.identifiability import Identifiability, identifiability
+
+SEEN = 1e-8  # smallest singular value of the Hautus matrix, relative, of a mode that is seen
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Mode:
+    """One eigenvalue (of a pair the one with positive imaginary part) at the guess.
+
+    ``states`` are those that take most part; ``observable`` and ``controllable`` say whether any
+    output shows the mode and any input moves it.
+    """
+
+    eigenvalue: complex
+    states: tuple[str, ...]
+    observable: bool
+    controllable: bool
+
+    @property
+    def words(self) -> str:
+        """Frequency and damping of an oscillation, time constant of the rest."""
+        value = self.eigenvalue
+        size = abs(value)
+        if abs(value.imag) > 1e-9 * max(size, 1e-300):
+            return f"{size:.3g} rad/s, damping {-value.real / size:+.2f}"
+        if size < 1e-9:
+            return "integrator"
+        kind = "time constant" if value.real < 0 else "grows e-fold in"
+        return f"{kind} {1 / size:.3g} s"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Structure:
+    """What `describe` found; ``str()`` of it is the text that ``casid check`` prints."""
+
+    model: Model
+    free: Free
+    entries: dict[str, list[list[str]]]
+    system: StateSpace
+    modes: tuple[Mode, ...]
+    constraints: tuple[str, ...]
+    identifiability: Identifiability
+    excitation: str
+
+    def __str__(self) -> str:
+        """All of it, as text."""
+        system, cls = self.system, type(self.model)
+        rows = {"A": system.states, "B": system.states, "C": system.outputs, "D": system.outputs}
+        columns = {"A": system.states, "B": system.inputs, "C": system.states, "D": system.inputs}
+        parts = [
+            f"{cls.__name__}: {system.nx} states, {system.nu} inputs, {system.ny} outputs, "
+            f"{len(self.free.index)} free parameters"
+        ]
+        for letter in "ABCD":
+            numbers = [
+                [f"{value:.4g}" if text != "." else "." for value, text in zip(*pair, strict=True)]
+                for pair in zip(getattr(system, letter), self.entries[letter], strict=True)
+            ]
+            for title, cells in (("", self.entries[letter]), (" at the guess", numbers)):
+                parts.append(_grid(f"{letter}{title}", rows[letter], columns[letter], cells))
+        parts += [self._parameters(), self._modes()]
+        if self.constraints:
+            parts.append("constraints\n" + "\n".join(f"  {line}" for line in self.constraints))
+        found = str(self.identifiability).replace("\n", "\n  ")
+        parts.append(f"identifiability from {self.excitation}\n  {found}")
+        return "\n\n".join(parts)
+
+    def _parameters(self) -> str:
+        infos, held = self.model.infos(), self.free.model
+        cells = []
+        for i, (name, info) in enumerate(infos.items()):
+            low, high = self.free.lower[i], self.free.upper[i]
+            state = "free" if i in self.free.index else "fixed"
+            value = getattr(held, name)
+            cells.append([f"{value:.4g}", f"{low:.4g}", f"{high:.4g}", info.unit, state])
+        table = _grid("parameters", tuple(infos), ("guess", "lower", "upper", "unit", ""), cells)
+        taus = zip(self.system.inputs, self.system.delay, strict=True)
+        delays = ", ".join(f"{name} {tau:.3g} s" for name, tau in taus if tau > 0)
+        return f"{table}\n\ndelays at the guess: {delays or 'none'}"
+
+    def _modes(self) -> str:
+        lines = []
+        for mode in self.modes:
+            value = mode.eigenvalue
+            sign = f" ± {value.imag:.3g}j" if value.imag > 0 else ""
+            flaws = [
+                word
+                for word, good in (
+                    ("NOT OBSERVABLE", mode.observable),
+                    ("NOT CONTROLLABLE", mode.controllable),
+                )
+                if not good
+            ]
+            tail = f"  {', '.join(flaws)}" if flaws else ""
+            text = f"{value.real:.3g}{sign}"
+            lines.append(f"  {text:<18} {mode.words:<32} {', '.join(mode.states)}{tail}")
+        return "\n".join(["eigenvalues at the guess", *lines])
+
+
+def describe(
+    model: Model,
+    records: Sequence[Record] | None = None,
+    *,
+    fixed: Collection[str] = (),
+    bounds: Bounds | None = None,
+) -> Structure:
+    """Lay a structure open at its guess.
+
+    Parameters
+    ----------
+    model : Model
+        Structure, guess and trim.
+    records : sequence of Record
+        The excitation for which identifiability is judged; one 3-2-1-1 a control unless given.
+    fixed, bounds
+        Parameters held, and bounds {name: (lower, upper)} instead of the model file's.
+
+    Raises
+    ------
+    ModelError
+        Whatever is wrong with the model file.
+    """
+    free = free_parameters(model, fixed, bounds)
+    system = free.model.system()
+    flown = excitation(system) if records is None else list(records)
+    told = "one 3-2-1-1 a control" if records is None else ", ".join(r.name for r in flown)
+    return Structure(
+        model=model,
+        free=free,
+        entries=_entries(model),
+        system=system,
+        modes=modes(system),
+        constraints=tuple(
+            f"{item.lower:g} <= {item.name} = {float(item.value):.4g} <= {item.upper:g}"
+            for item in free.model.constraints()
+        ),
+        identifiability=identifiability(free.model, flown, fixed=fixed, bounds=bounds),
+        excitation=told,
+    )
+
+
+def modes(system: StateSpace) -> tuple[Mode, ...]:
+    """Eigenvalues with the states that take part, and whether they are seen and moved (Hautus)."""
+    found_values, V = np.linalg.eig(system.A)
+    eigenvalues: ComplexArray = found_values.astype(complex)
+    share = np.abs(V) * np.abs(np.linalg.pinv(V)).T  # participation factors
+    found = []
+    for k in np.lexsort((eigenvalues.imag, -eigenvalues.real)):
+        value = complex(eigenvalues[k])
+        if value.imag < 0:
+            continue
+        order = np.argsort(-share[:, k])
+        part = [i for i in order if share[i, k] >= 0.2 * share[order[0], k]]
+        shifted = value * np.eye(system.nx) - system.A
+        found.append(
+            Mode(
+                eigenvalue=value,
+                states=tuple(system.states[i] for i in part[:3]),
+                observable=_full_rank(np.vstack([shifted, _scaled(system.C)]).astype(complex)),
+                controllable=_full_rank(
+                    np.hstack([shifted, _scaled(system.B.T).T]).T.astype(complex)
+                ),
+            )
+        )
+    return tuple(found)
+
+
+def excitation(system: StateSpace, unit: float = 0.7, dt: float = 0.02) -> list[Record]:
+    """One 3-2-1-1 a control of 5 % of its travel, 16 s, flown open loop by the model itself."""
+    t = dt * np.arange(round(16 / dt))
+    edges = 2 + unit * np.array([0, 3, 5, 6, 7])
+    signal = 0.05 * np.array([0, 1, -1, 1, -1, 0])[np.searchsorted(edges, t, side="right")]
+    records = []
+    for i, name in enumerate(system.inputs):
+        u = np.zeros((len(t), system.nu))
+        u[:, i] = signal
+        y = system.simulate(t, u)
+        records.append(Record(t, u, y, system.inputs, system.outputs, f"3-2-1-1 {name}"))
+    return records
+
+
+def _entries(model: Model) -> dict[str, list[list[str]]]:
+    """Every entry as a formula of parameter names and trim numbers, "." for a structural zero."""
+    names = model.parameter_names()
+    symbols = [ca.SX.sym(name) for name in names]
+    parts = model.matrices()(ca.vertcat(*symbols))[:4]
+    return {
+        letter: [[_formula(part, i, j) for j in range(part.shape[1])] for i in range(part.shape[0])]
+        for letter, part in zip("ABCD", parts, strict=True)
+    }
+
+
+def _formula(part: ca.SX, i: int, j: int) -> str:
+    if not part.sparsity().has_nz(i, j):
+        return "."
+    text = str(part[i, j])
+    return text[1:-1] if text.startswith("(") and text.count("(") == 1 else text
+
+
+def _scaled(rows: Array) -> Array:
+    """Rows of length one, so that units do not decide what counts as seen."""
+    size = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(rows / np.where(size > 0, size, 1.0))
+
+
+def _full_rank(matrix: ComplexArray) -> bool:
+    values = np.linalg.svd(matrix, compute_uv=False)
+    return bool(values[-1] > SEEN * max(values[0], 1e-300))
+
+
+def _grid(
+    title: str, rows: Sequence[str], columns: Sequence[str], cells: Sequence[Sequence[str]]
+) -> str:
+    """Text table: a title, column names, and a name before every row."""
+    table = [["", *columns], *([name, *row] for name, row in zip(rows, cells, strict=True))]
+    width = [max(len(row[j]) for row in table) for j in range(len(table[0]))]
+    lines = [
+        "  " + "  ".join(cell.rjust(w) for cell, w in zip(row, width, strict=True)) for row in table
+    ]
+    return "\n".join([title, *lines])

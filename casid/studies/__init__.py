@@ -1,0 +1,1 @@
+"""Studies: from a file to the results of every stage, kept and resumed."""

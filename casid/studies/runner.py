@@ -1,0 +1,409 @@
+"""Run a study: every stage in turn, each result kept as soon as it is there, then the report."""
+
+import os
+import platform
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Protocol, TypeVar, cast
+
+import numpy as np
+
+import casid.chain
+from casid.baseline.derivid import derivid
+from casid.bounds.compare import BoundsComparison
+from casid.chain import Identification, identify
+from casid.errors import ConvergenceError, DataWarning
+from casid.files import write_text
+from casid.fit import Fit, ParameterEstimate
+from casid.folder import claimed
+from casid.jobs.campaigns import Advance
+from casid.jobs.store import Entry, Result, Store, digest, record_digest, source_digest
+from casid.nlp import Progress
+from casid.record import Record
+from casid.report import (
+    BASELINE,
+    BLACK_BOX,
+    MATCH,
+    OUTPUT_ERROR,
+    Content,
+    DataFile,
+    Timing,
+    write_report,
+)
+from casid.studies.comparing import compare_study
+from casid.studies.study import Role, Study, read_records
+from casid.validation import AnyModel, Validation, validate
+
+T = TypeVar("T")
+
+# What a stage takes from: the stages before it, the role of its records, its table of options.
+NEEDS: Mapping[str, tuple[tuple[str, ...], Role | None, str]] = {
+    "pbsid": ((), "identification", "pbsid"),
+    "frequency": ((), "frequency", "frequency"),
+    "quadratic": (("pbsid", "frequency"), None, "match"),
+    "hinf": (("quadratic",), None, "match"),
+    "output_error": (("hinf",), "refinement", "output_error"),
+    "derivid": (("frequency", "quadratic"), None, "derivid"),
+}
+STRUCTURED = ("quadratic", "hinf", "output_error", "derivid")
+
+
+class Watch(Protocol):
+    """Who is told how a study goes on."""
+
+    def begin(self, stage: str) -> None:
+        """Note that a stage begins."""
+
+    def progress(self, progress: Progress) -> None:
+        """Note an iteration within a stage."""
+
+    def end(self, timing: Timing) -> None:
+        """Note that a stage has ended."""
+
+
+class Silent:
+    """A watch that looks away."""
+
+    def begin(self, stage: str) -> None:
+        """Do nothing."""
+
+    def progress(self, progress: Progress) -> None:
+        """Do nothing."""
+
+    def end(self, timing: Timing) -> None:
+        """Do nothing."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Outcome:
+    """What a study found and where it lies."""
+
+    identification: Identification
+    validation: Validation
+    timings: tuple[Timing, ...]
+    report: Path
+    comparison: BoundsComparison | None = None
+
+
+def run_study(
+    study: Study, *, fresh: bool = False, compare: bool = False, watch: Watch | None = None
+) -> Outcome:
+    """Run all stages of a study and write its report.
+
+    Parameters
+    ----------
+    study : Study
+        From `read_study`.
+    fresh : bool
+        Compute every stage again, whatever was kept.
+    compare : bool
+        Compare the study's cases too (`casid.studies.comparing`).
+    watch : Watch
+        Told of every stage's begin, iterations and end.
+
+    Returns
+    -------
+    Outcome
+        The files are in ``study.output``: report.html, fit.json, parameters.csv, figures/*.png and
+        stages/*.json.
+
+    Raises
+    ------
+    ConvergenceError
+        A stage did not converge; its best iterate and all stages before it are kept.
+    ValueError, ModelError
+        Bad input.
+    """
+    watch = watch or Silent()
+    started = time.perf_counter()
+    watch.begin("records")
+    records = read_records(study)
+    clock = [Timing(stage="records", seconds=time.perf_counter() - started)]
+    watch.end(clock[0])
+    with claimed(study.output):
+        stages = _Stages(study, records, fresh, watch, clock)
+        return _run(study, records, stages, watch, compare=compare)
+
+
+def _run(
+    study: Study,
+    records: Mapping[Role, Sequence[Record]],
+    stages: "_Stages",
+    watch: Watch,
+    *,
+    compare: bool,
+) -> Outcome:
+    found = identify(
+        study.model,
+        records["identification"],
+        refinement=records.get("refinement"),
+        sweeps=records.get("frequency", ()),
+        fixed=study.fixed,
+        bounds=study.bounds,
+        options=_options(study, watch),
+        stage=stages,
+    )
+    baseline = _baseline(study, found, stages, watch)
+    found.output_error.save(study.output / "fit.json")
+    write_parameters(study.output / "parameters.csv", found.output_error)
+    models: dict[str, AnyModel] = {
+        BLACK_BOX: found.black_box,
+        MATCH: found.hinf,
+        OUTPUT_ERROR: found.output_error,
+    }
+    if baseline is not None:
+        models[BASELINE] = baseline
+    validation = stages.timed("validation", lambda: validate(models, records["validation"]))
+    comparison = None
+    if compare:
+        comparison = stages.timed("bounds", lambda: _compare(study, records, found, watch))
+    report = stages.timed(
+        "report",
+        lambda: write_report(
+            replace(
+                _content(study, records, found, baseline, validation, stages),
+                comparison=comparison,
+            ),
+            study.output,
+        ),
+    )
+    return Outcome(
+        identification=found, validation=validation, timings=tuple(stages.clock), report=report,
+        comparison=comparison,
+    )  # fmt: skip
+
+
+def _compare(
+    study: Study, records: Mapping[Role, Sequence[Record]], found: Identification, watch: Watch
+) -> BoundsComparison:
+    """The study's cases; the watch is told after each how long the rest may take."""
+
+    def progress(advance: Advance) -> None:
+        watch.end(Timing(stage=advance.name, seconds=advance.seconds))
+        watch.begin(f"bounds, {advance.done} of {advance.total}, {advance.left} left")
+
+    return compare_study(study, records, found, _options(study, watch), progress=progress)
+
+
+def write_parameters(path: str | Path, fit: Fit) -> None:
+    """Write the parameter table as CSV, one row a parameter."""
+    columns = [f.name for f in fields(ParameterEstimate)]
+    lines = [",".join(columns)]
+    for row in fit.parameters:
+        values = asdict(row)
+        lines.append(",".join(_cell(values[column]) for column in columns))
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _cell(value: Any) -> str:  # noqa: ANN401 - a field of a row
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+class _Stages:
+    """Runs stages: takes those that were kept, keeps those that are new, reports on both."""
+
+    def __init__(
+        self,
+        study: Study,
+        records: Mapping[Role, Sequence[Record]],
+        fresh: bool,
+        watch: Watch,
+        clock: list[Timing],
+    ) -> None:
+        self._study, self._records, self._fresh = study, records, fresh
+        self._watch, self.clock = watch, clock
+        self.warnings: list[str] = []
+        self._store = Store(study.output / "stages", type(study.model))
+        self._keys: dict[str, str] = {}
+        self._source = source_digest()
+
+    def __call__(self, name: str, compute: Callable[[], T]) -> T:
+        """Return the kept result of a stage, or compute and keep it."""
+        key = self._keys[name] = self._key(name)
+        kept = None if self._fresh else self._store.get(name, key)
+        if kept is not None:
+            result, entry = kept
+            self.warnings += entry.warnings
+            self._note(name, entry.seconds, result, kept=True)
+            return cast(T, result)  # the key says it is that stage's
+        self._watch.begin(name)
+        start = time.perf_counter()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", DataWarning)
+            computed = self._computed(name, compute)
+        seconds = time.perf_counter() - start
+        said = tuple(dict.fromkeys(str(each.message) for each in caught))
+        self.warnings += said
+        self._store.put(name, cast(Result, computed), Entry(key, seconds, said))
+        self._note(name, seconds, computed)
+        return computed
+
+    def _computed(self, name: str, compute: Callable[[], T]) -> T:
+        try:
+            return compute()
+        except ConvergenceError as error:
+            if not isinstance(error.best, Fit):
+                raise
+            best = self._store.path(f"{name}_best")
+            error.best.save(best)
+            raise ConvergenceError(
+                f"{error}\nThe best iterate is kept in {best} (Fit.load reads it, and its values "
+                "may serve as [model.values]), and so is every stage before.", error.best
+            ) from error  # fmt: skip
+
+    def timed(self, name: str, compute: Callable[[], T]) -> T:
+        """Compute a step that is not kept."""
+        self._watch.begin(name)
+        start = time.perf_counter()
+        result = compute()
+        self._note(name, time.perf_counter() - start, result)
+        return result
+
+    def _note(self, name: str, seconds: float, result: object, *, kept: bool = False) -> None:
+        timing = Timing(stage=name, seconds=seconds, kept=kept)
+        if isinstance(result, Fit):
+            timing = replace(timing, iterations=result.iterations, cost=result.cost)
+        self.clock.append(timing)
+        self._watch.end(timing)
+
+    def _key(self, name: str) -> str:
+        study = self._study
+        before, role, table = NEEDS[name]
+        if role == "refinement" and role not in self._records:
+            role = "identification"
+        parts: list[Any] = [self._source, [self._keys.get(stage, "") for stage in before]]
+        parts += [study.options.get(table, {}), study.solver.get(table, {})]
+        if role is not None:
+            parts.append(record_digest(self._records[role]))
+        if name in STRUCTURED:
+            parts += [study.model_file.read_text(encoding="utf-8"), asdict(study.model)]
+            parts += [study.fixed, study.bounds, study.targets]
+        return digest(*parts)
+
+
+def _options(study: Study, watch: Watch) -> casid.chain.Options:
+    return casid.chain.Options(
+        pbsid=study.options.get("pbsid", {}),
+        frequency=study.options.get("frequency", {}),
+        match=study.options.get("match", {}),
+        output_error=study.options.get("output_error", {}),
+        solver={
+            stage: replace(study.solver_options(stage), progress=watch.progress)
+            for stage in ("match", "output_error")
+        },
+        join=len(study.targets) > 1,
+    )
+
+
+def _baseline(study: Study, found: Identification, stages: _Stages, watch: Watch) -> Fit | None:
+    """The frequency-domain fit, if the study has a table for it and a measured response."""
+    measured = found.frequency_response
+    if "derivid" not in study.options or measured is None:
+        return None
+    options = replace(study.solver_options("derivid"), progress=watch.progress)
+    return stages(
+        "derivid",
+        lambda: derivid(
+            found.quadratic.model,
+            measured,
+            fixed=study.fixed,
+            bounds=study.bounds,
+            options=options,
+            **study.options["derivid"],
+        ),
+    )
+
+
+def _content(
+    study: Study,
+    records: Mapping[Role, Sequence[Record]],
+    found: Identification,
+    baseline: Fit | None,
+    validation: Validation,
+    stages: "_Stages",
+) -> Content:
+    return Content(
+        title=study.title,
+        black_box=found.black_box,
+        quadratic=found.quadratic,
+        hinf=found.hinf,
+        output_error=found.output_error,
+        validation=validation,
+        model_file=Path(os.path.relpath(study.model_file, study.path.parent)),
+        model_digest=sha256(study.model_file.read_bytes()).hexdigest(),
+        baseline=baseline,
+        frequency_response=found.frequency_response,
+        kinematics=found.kinematics,
+        data=_data(study, records),
+        settings=_settings(study),
+        versions=_versions(),
+        timings=tuple(stages.clock),
+        warnings=tuple(dict.fromkeys([*_seen(study), *stages.warnings])),
+    )
+
+
+def _seen(study: Study) -> list[str]:
+    """Warnings of validation records that an estimation has seen."""
+    used = {file.resolve() for role, each in study.roles.items() if role != "validation"
+            for file in each.files}  # fmt: skip
+    return [
+        f"Record {file.stem} is for validation, but an estimation has seen it: its verdict is no "
+        "proof."
+        for file in study.roles["validation"].files
+        if file.resolve() in used
+    ]
+
+
+def _data(study: Study, records: Mapping[Role, Sequence[Record]]) -> tuple[DataFile, ...]:
+    return tuple(
+        DataFile(
+            role=role,
+            name=record.name,
+            path=os.path.relpath(file, study.path.parent),
+            sha256=sha256(file.read_bytes()).hexdigest(),
+            samples=record.N,
+            seconds=record.duration,
+            noise=study.roles[role].noise,
+        )
+        for role in records
+        for record, file in zip(records[role], study.roles[role].files, strict=True)
+    )
+
+
+def _settings(study: Study) -> dict[str, str]:
+    said: dict[str, str] = {"study file": study.path.name}
+    if study.noise is not None:
+        std = ", ".join(f"{name} {value:g}" for name, value in study.noise.std.items())
+        said["noise"] = f"seed {study.noise.seed}; standard deviations {std}"
+    for role, each in study.roles.items():
+        said[f"records.{role}"] = f"detrend {each.detrend}, every {each.decimate}. sample"
+    if study.fixed:
+        said["fixed"] = ", ".join(study.fixed)
+    if study.bounds:
+        said["bounds"] = ", ".join(f"{k} [{a:g}, {b:g}]" for k, (a, b) in study.bounds.items())
+    said["match.targets"] = ", ".join(study.targets)
+    for table, options in study.options.items():
+        said |= {f"{table}.{key}": _shown(value) for key, value in options.items()}
+    for table, options in study.solver.items():
+        said |= {f"{table}.solver.{key}": str(value) for key, value in options.items()}
+    return said
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, np.ndarray) and value.ndim == 1 and len(value) > 6:
+        return f"{len(value)} values, {value[0]:g} to {value[-1]:g}"
+    if isinstance(value, np.ndarray):
+        return np.array2string(value, precision=4, threshold=1000, separator=", ")
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def _versions() -> dict[str, str]:
+    packages = ("casid", "casadi", "numpy", "scipy", "matplotlib", "plotly")
+    return {"Python": platform.python_version()} | {name: version(name) for name in packages}

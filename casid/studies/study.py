@@ -1,0 +1,164 @@
+"""A study: what to identify from which records, as frozen values."""
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from casid.consistency.plausibility import check_plausible
+from casid.exchange.formats import read_parquet
+from casid.files import read_csv, read_mat
+from casid.model import Model
+from casid.nlp import SolverOptions
+from casid.record import Hold, Record
+
+Role = Literal["identification", "frequency", "refinement", "validation"]
+ROLES: tuple[Role, ...] = get_args(Role)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordSet:
+    """The files of one role and how they are read.
+
+    ``detrend`` is "first", "mean", "none" or the name of another role whose trim is taken.
+    """
+
+    files: tuple[Path, ...]
+    detrend: str = "first"
+    noise: bool = False
+    decimate: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channels:
+    """Columns of the files, their units, and what the inputs do between samples."""
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    time: str = "t"
+    units: Mapping[str, str] = field(default_factory=dict)
+    columns: Mapping[str, tuple[str, int]] = field(default_factory=dict)
+    dt: float | None = None
+    hold: Hold = "foh"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """Measurement noise that a study adds to simulated records: standard deviations, SI."""
+
+    seed: int
+    std: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Study:
+    """All that a study file says, checked.
+
+    Parameters
+    ----------
+    path : path
+        The study file.
+    title : str
+        Heading of the report.
+    output : path
+        Folder of the results.
+    model : Model
+        Structure, guess and trim.
+    model_file : path
+        Where the structure stands.
+    fixed, bounds
+        As in `match` and `output_error`.
+    channels, roles, noise
+        What is read, from where, and the noise that is added to it.
+    options : mapping
+        Options of each stage that the file names, ``{"pbsid": {"order": 18}}``.
+    solver : mapping
+        `SolverOptions` of each stage that names any.
+    targets : tuple of str
+        What the structure is matched to, of "black box" and "frequency response".
+    comparison : mapping
+        ``estimator`` and ``cases`` of a comparison of bounds; empty if the file asks for none.
+    """
+
+    path: Path
+    title: str
+    output: Path
+    model: Model
+    model_file: Path
+    fixed: tuple[str, ...]
+    bounds: Mapping[str, tuple[float, float]]
+    channels: Channels
+    roles: Mapping[Role, RecordSet]
+    noise: Noise | None
+    options: Mapping[str, Mapping[str, Any]]
+    solver: Mapping[str, Mapping[str, Any]]
+    targets: tuple[str, ...]
+    comparison: Mapping[str, Any] = field(default_factory=dict)
+
+    def solver_options(self, stage: str) -> SolverOptions:
+        """How hard a stage tries."""
+        return SolverOptions(**self.solver.get(stage, {}))
+
+
+def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
+    """Records of every role: units converted, noise added, decimated, trim removed.
+
+    The noise of a record depends on the study's seed and the record's name alone, so a record
+    that serves in two roles is the same flight in both.
+
+    Raises
+    ------
+    ValueError
+        All that `read_csv`, `read_mat`, `Record.detrend` and `check_plausible` refuse.
+    """
+    raw = {role: tuple(_read(study, each, file) for file in each.files)
+           for role, each in study.roles.items()}  # fmt: skip
+    done: dict[Role, tuple[Record, ...]] = {}
+    for role in sorted(raw, key=lambda role: study.roles[role].detrend in ROLES):
+        how: Any = study.roles[role].detrend
+        if how in ROLES:
+            how = _common_trim(done[how])
+        elif how == "none":
+            how = None
+        done[role] = tuple(record.detrend(how) for record in raw[role])
+    every = {record.name: record for records in done.values() for record in records}
+    channels = study.channels
+    _check_names(study)
+    check_plausible(done["identification"], tuple(every.values()), channels.units, channels.time)
+    return {role: done[role] for role in ROLES if role in done}
+
+
+def _check_names(study: Study) -> None:
+    """Refuse two files of one name: the name is what figures, tables and noise go by."""
+    seen: dict[str, Path] = {}
+    for file in (file for each in study.roles.values() for file in each.files):
+        other = seen.setdefault(file.stem, file)
+        if other.resolve() != file.resolve():
+            raise ValueError(
+                f"two records are called {file.stem!r}: {other} and {file}; rename one of them"
+            )
+
+
+def _read(study: Study, role: RecordSet, file: Path) -> Record:
+    channels = study.channels
+    names: Any = {"inputs": channels.inputs, "outputs": channels.outputs}
+    shared: Any = names | {"units": channels.units, "hold": channels.hold}
+    if file.suffix.lower() == ".mat":
+        time = None if channels.dt is not None else channels.time
+        record = read_mat(file, time=time, dt=channels.dt, columns=channels.columns, **shared)
+    else:
+        read = read_parquet if file.suffix.lower() == ".parquet" else read_csv
+        record = read(file, time=channels.time, **shared)
+    if role.noise and study.noise is not None:
+        rng = np.random.default_rng([study.noise.seed, zlib.crc32(record.name.encode())])
+        record = record.with_noise(study.noise.std, rng)
+    return record.decimate(role.decimate)
+
+
+def _common_trim(records: Sequence[Record]) -> dict[str, float]:
+    return {
+        name: float(np.mean([record.trim[name] for record in records])) for name in records[0].trim
+    }

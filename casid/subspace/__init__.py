@@ -1,0 +1,1 @@
+"""Black boxes by predictor-based subspace identification: settings, realisation, refinement."""

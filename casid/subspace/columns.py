@@ -1,0 +1,172 @@
+"""The columns of a campaign: what subspace identification regresses, block by block.
+
+A column stacks z(0), ..., z(p) of z = (u, y) for one start instant: Laguerre projections, paper
+(4), or the samples themselves.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from casid.arrays import Array, BoolArray
+from casid.record import Record
+from casid.subspace.laguerre import project_blocks, support
+from casid.subspace.predictor import Stack, accumulate, triangular
+
+Feedthrough = bool | Sequence[str] | BoolArray
+
+BLOCK = 4096  # columns held at once
+LONG_GAP = 0.5  # of 1/a: missing samples over a longer time split a record
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Segment:
+    """What one stretch of a record gave: ``used`` of its ``duration`` [s] became columns."""
+
+    record: str
+    start: float
+    duration: float
+    used: float
+    interpolated: int
+
+
+def feedthrough_mask(
+    feedthrough: Feedthrough, inputs: Sequence[str], outputs: Sequence[str]
+) -> BoolArray:
+    """(ny, nu) mask from True, False, the names of outputs with a direct term, or the mask."""
+    shape = (len(outputs), len(inputs))
+    if isinstance(feedthrough, bool):
+        return np.full(shape, feedthrough)
+    if isinstance(feedthrough, np.ndarray):
+        if feedthrough.shape != shape:
+            raise ValueError(f"feedthrough has shape {feedthrough.shape}, expected {shape}")
+        return feedthrough.astype(bool)
+    for name in feedthrough:
+        if name not in outputs:
+            raise ValueError(f"feedthrough names {name!r}, no output; they are {outputs}")
+    return np.array([[name in feedthrough] * len(inputs) for name in outputs])
+
+
+def excited_band(records: Sequence[Record]) -> tuple[float, float]:
+    """Frequencies [rad/s] where every input is excited in one record at least.
+
+    From two periods in the longest record to the frequency above which the input's spectrum (the
+    largest over the records) stays 40 dB below its peak.
+    """
+    low = 2 * 2 * np.pi / max(record.duration for record in records)
+    highs = []
+    for j in range(records[0].nu):
+        best = max(records, key=lambda record: float(np.std(record.u[:, j])))
+        omega, power = _spectrum(best, j)
+        above = omega[power > 1e-4 * power.max()]
+        highs.append(float(above.max()) if len(above) else low)
+    return float(low), float(max(min(highs), 2 * low))
+
+
+def _spectrum(record: Record, j: int) -> tuple[Array, Array]:
+    t = np.linspace(record.t[0], record.t[-1], record.N)
+    u = np.interp(t, record.t, record.u[:, j])
+    u = (u - u.mean()) * np.hanning(len(u))
+    power = np.abs(np.fft.rfft(u)) ** 2
+    omega = 2 * np.pi * np.fft.rfftfreq(len(u), t[1] - t[0])
+    return omega[1:], power[1:]
+
+
+def gather(
+    records: Sequence[Record], su: Array, sy: Array, past: int, a: float
+) -> tuple[Stack, tuple[Segment, ...]]:
+    """Triangular factor of the columns of all records; a constant per segment projected out.
+
+    ``a`` is the Laguerre pole, NaN for the samples themselves.
+    """
+    nz = len(su) + len(sy)
+    R: Array = np.zeros((0, (past + 1) * nz))
+    count, segments = 0, []
+    for record in records:
+        for piece, interpolated in pieces_of(record, a):
+            blocks = (
+                _sample_blocks(piece, su, sy, past)
+                if np.isnan(a)
+                else _laguerre_blocks(piece, su, sy, past, a)
+            )
+            part, n = accumulate(blocks, constant=True)
+            used = n * piece.dt
+            segments.append(
+                Segment(
+                    record=record.name, start=float(piece.t[0]), duration=piece.duration,
+                    used=used, interpolated=interpolated,
+                )
+            )  # fmt: skip
+            if n:
+                R = triangular(np.vstack([R, part]))
+                count += n
+    return Stack(R, len(su), len(sy), past, count), tuple(segments)
+
+
+def _laguerre_blocks(record: Record, su: Array, sy: Array, past: int, a: float) -> Iterator[Array]:
+    v = np.hstack([record.u / su, record.y / sy])
+    usable = int(np.searchsorted(record.t, record.t[-1] - support(a, past), side="right"))
+    for start, block in project_blocks(record.t, v, a, past + 1, record.hold, BLOCK):
+        if start < usable:
+            rows = block[: usable - start]
+            yield rows.reshape(len(rows), -1)
+
+
+def _sample_blocks(record: Record, su: Array, sy: Array, past: int) -> Iterator[Array]:
+    v = np.hstack([record.u / su, record.y / sy])
+    windows = sliding_window_view(v, past + 1, axis=0) if len(v) > past else np.zeros((0, 1, 1))
+    for start in range(0, len(windows), BLOCK):
+        rows = (
+            windows[start : start + BLOCK].transpose(0, 2, 1).reshape(-1, (past + 1) * v.shape[1])
+        )
+        yield rows[np.isfinite(rows).all(axis=1)]
+
+
+def pieces_of(record: Record, a: float) -> Iterator[tuple[Record, int]]:
+    """Stretches of a record without long gaps, and how many samples were interpolated in each.
+
+    On samples nothing is interpolated: columns that touch a missing sample are left out.
+    """
+    missing = np.isnan(record.y)
+    if np.isnan(a):
+        if not record.equidistant:
+            raise ValueError(
+                f'record {record.name!r} is not equidistant: transform="none" works on samples; '
+                'use transform="laguerre" or resample the record'
+            )
+        yield record, 0
+        return
+    if not missing.any():
+        yield record, 0
+        return
+    bad = _in_long_gap(record.t, missing, LONG_GAP / a)
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], bad, [True]]).astype(int)))
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - start > 1:
+            cut = slice(start, end)
+            y = _interpolated(record.t[cut], record.y[cut])
+            piece = replace(record, t=record.t[cut], u=record.u[cut], y=y)
+            yield piece, int(missing[cut].sum())
+
+
+def _in_long_gap(t: Array, missing: BoolArray, longest: float) -> BoolArray:
+    """Samples in a gap of some channel that is longer than allowed, or at a record's end."""
+    bad = np.zeros(len(t), dtype=bool)
+    for column in missing.T:
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], column, [False]]).astype(int)))
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            open_end = start == 0 or end == len(t)
+            if open_end or t[end] - t[start - 1] > longest:
+                bad[start:end] = True
+    return bad
+
+
+def _interpolated(t: Array, y: Array) -> Array:
+    filled = y.copy()
+    for column in filled.T:
+        gap = np.isnan(column)
+        if gap.any():
+            column[gap] = np.interp(t[gap], t[~gap], column[~gap])
+    return filled

@@ -1,0 +1,115 @@
+"""What a controller does to an estimate: noise it feeds back into the inputs.
+
+Methods that take the inputs as given are biased by the part of them that the controller made of
+the outputs' noise. With v that noise, |bias| <= |Φ_vu|/Φ_u at every frequency, and by Schwarz
+
+    |bias|/|G| <= √(Φ_fed/Φ_u) √(Φ_v/(|G|² Φ_u)),
+
+the share of the input that is noise fed back times the noise-to-signal ratio of the output. Both
+follow from the one-step prediction errors of a model with a stable predictor.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.stats import chi2
+
+from casid.arrays import Array
+from casid.linear import StateSpace
+from casid.record import Record
+from casid.subspace.predictor import Stack, triangular
+
+MEMORY = 0.5  # s: how long after an error its way through the controller is looked for
+LAGS = 25  # at most
+ENOUGH = 20_000  # samples looked at, shared by the records
+LEVEL = 1e-3  # of the tests for feedback and for a direct term
+
+
+def fed_back_noise(
+    system: StateSpace, K: Array, records: Sequence[Record], su: Array, sy: Array
+) -> float:
+    """Bound on the relative bias that noise fed back by a controller gives the response.
+
+    Parameters
+    ----------
+    system, K : StateSpace, (nx, ny) array
+        Continuous, A - KC stable.
+    records : sequence of Record
+        Without missing samples.
+    su, sy : (nu,), (ny,) array
+        Standard deviations of the channels.
+
+    Returns
+    -------
+    float
+        The largest over inputs, for the average output; 0 where no feedback shows.
+    """
+    lags = min(LAGS, max(int(MEMORY / max(record.dt for record in records)), 2))
+    rows, targets, errors = [], [], []
+    most = ENOUGH // len(records) + 1
+    for record in (r if most >= r.N else r.between(r.t[0], r.t[most]) for r in records):
+        if 6 * lags * (len(su) + 1) >= record.N:
+            continue
+        u = (record.u - record.u.mean(axis=0)) / su
+        e = _without_model_error(prediction_errors(system, K, record) / sy, u, lags)
+        errors.append(e)
+        past = sliding_window_view(e[:-1], lags, axis=0)
+        rows.append(past.reshape(len(past), -1))
+        targets.append(u[-len(past) :])
+    if not rows:
+        return 0.0
+    X, U = np.vstack(rows), np.vstack(targets)
+    if len(X) <= 2 * X.shape[1]:
+        return 0.0
+    R = triangular(np.hstack([X, U]))
+    left = np.sum(R[X.shape[1] :, X.shape[1] :] ** 2, axis=0) / (len(X) - X.shape[1])
+    fed = np.max(1 - left / np.mean(U**2, axis=0))
+    ratio = np.mean(np.std(np.vstack(errors), axis=0))
+    return float(np.sqrt(max(fed, 0.0)) * ratio)
+
+
+def _without_model_error(e: Array, u: Array, lags: int) -> Array:
+    """What inputs until now do not explain of the prediction errors; the first 2 ``lags`` are cut.
+
+    White noise is not explained by what came before it, fed back or not; an error of the model is.
+    """
+    window = sliding_window_view(u, 2 * lags + 1, axis=0)[:, :, ::2]
+    past = window.reshape(len(window), -1)
+    left = e[2 * lags :]
+    return left - past @ np.linalg.lstsq(past, left, rcond=1e-10)[0]
+
+
+def prediction_errors(system: StateSpace, K: Array, record: Record) -> Array:
+    """One-step prediction errors (N, ny) of a continuous innovation model."""
+    B = np.hstack([system.B - K @ system.D, K])
+    D = np.hstack([system.D, np.zeros((system.ny, system.ny))])
+    predictor = StateSpace(system.A - K @ system.C, B, system.C, D)
+    return record.y - predictor.simulate(
+        record.t, np.hstack([record.u, record.y]), hold=record.hold
+    )
+
+
+def direct_term_is_ambiguous(stack: Stack) -> bool:
+    """Whether samples show feedback and a correlation of present inputs with present outputs.
+
+    Then a direct term of the plant cannot be told from one of the controller: both give the
+    innovations of u and y the same correlation. Two likelihood-ratio tests at `LEVEL`.
+    """
+    nu, nz, p = stack.nu, stack.nz, stack.past
+    Z = stack.Z.reshape(len(stack.R), p, nz)
+    inputs, outputs = Z[:, :, :nu].reshape(len(Z), -1), Z[:, :, nu:].reshape(len(Z), -1)
+    R = triangular(np.hstack([inputs, outputs, stack.u, stack.y]))
+    own, both = p * nu, p * nz
+    u = R[:, both : both + nu]
+    feedback = stack.columns * (_log_det(u[own:]) - _log_det(u[both:]))
+    y = R[both:, both + nu :]
+    direct = stack.columns * (_log_det(y) - _log_det(y[nu:]))
+    return bool(
+        feedback > chi2.isf(LEVEL, nu * p * stack.ny) and direct > chi2.isf(LEVEL, nu * stack.ny)
+    )
+
+
+def _log_det(rows: Array) -> float:
+    """Logarithm of the determinant of rowsᵀ rows."""
+    return float(2 * np.sum(np.log(np.maximum(np.abs(np.diag(triangular(rows))), 1e-300))))

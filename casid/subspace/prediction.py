@@ -1,0 +1,350 @@
+"""Maximum-likelihood refinement of a black box of the samples themselves.
+
+The subspace estimate is moved by Gauss-Newton steps to minimise the determinant of the covariance
+of the one-step prediction errors of its innovation form, the likelihood of Gaussian innovations,
+
+    x⁺ = (A - KC) x + (B - KD) u + K y        ŷ = C x + D u + c        min log det Σ (y - ŷ)(y - ŷ)ᵀ
+
+with the initial state and a constant c free for every stretch. The predictor is stable whatever the
+system, and unbiased under feedback if loop or plant has a delay. Source: L. Ljung, System
+Identification, 2nd ed., sections 7.2 and 8.3.
+
+The predictor is handled in modal coordinates (`casid.subspace.modal`): the signals all derivatives
+are made of are first-order filters of u and y, and one Gram matrix of them serves all outputs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.signal import lfilter
+
+from casid.arrays import Array, BoolArray, ComplexArray
+from casid.linear import StateSpace, foh_step, from_zoh
+from casid.record import Record
+from casid.subspace.modal import (
+    Modal,
+    covariance_factor,
+    descend,
+    from_modal,
+    mixed,
+    output_derivative,
+    pair,
+    schur,
+    to_complex,
+    to_modal,
+)
+from casid.subspace.refinement import log_spread, response_derivative
+
+ROUNDS = 3  # of estimating the innovations' covariance
+STEPS = 12  # Gauss-Newton steps a round
+SETTLED = 1e-6  # relative decrease of the cost that ends a round
+RADIUS = 1 - 1e-4  # of the disc the predictor's poles stay in
+FLOOR = 1e-10  # of an output's standard deviation: its innovations are not smaller
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Consecutive samples without a gap, scaled: inputs and outputs v (N, nu + ny), outputs y."""
+
+    v: Array
+    y: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SampledUncertainty:
+    """Covariance of a refined black box of samples ``h`` [s] apart, in modal coordinates.
+
+    ``factor`` (parameters, rank) times its transpose is the covariance of the predictor's
+    (μ, [B - KD, K], C, free D).
+    """
+
+    modal: Modal
+    free: np.ndarray
+    factor: Array
+    nu: int
+    h: float
+
+    def response_std(self, omega: Array) -> tuple[Array, Array]:
+        """Relative standard deviation of abs(G) and standard deviation of its phase [rad].
+
+        Both (K, ny, nu), from the derivative of log G with respect to the parameters. With W the
+        predictor's response to u and y, G = (I - W_y)⁻¹ W_u.
+        """
+        omega = np.atleast_1d(omega)
+        ny = len(self.modal.D)
+        none = np.zeros((len(omega), ny), dtype=complex)
+        unit = partial(_Shifted, np.exp(1j * omega * self.h), Y=none)
+        W, dW = response_derivative(self.modal, self.free, unit, len(omega))
+        left = np.eye(ny) - W[:, :, self.nu :]
+        G = np.linalg.solve(left, W[:, :, : self.nu])
+        change = dW[:, :, : self.nu] + np.einsum("koyp,kyi->koip", dW[:, :, self.nu :], G)
+        dG = np.linalg.solve(left, change.reshape(len(omega), ny, -1)).reshape(change.shape)
+        return log_spread(G, dG, self.factor)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shifted:
+    """Transforms at points z of a discrete model, whose modes are 1/(z - μ)."""
+
+    z: ComplexArray
+    U: ComplexArray
+    Y: ComplexArray
+
+    def pole_factors(self, lam: ComplexArray) -> tuple[ComplexArray, ...]:
+        """Factors of the input and of the transient, each with its derivative by μ."""
+        r = 1 / (self.z[:, None] - lam)
+        return r, r**2, self.z[:, None] * r, self.z[:, None] * r**2
+
+
+def stretches(records: Sequence[Record], su: Array, sy: Array, shortest: int) -> list[Stretch]:
+    """Scaled stretches of at least ``shortest`` samples between missing ones."""
+    found = []
+    for record in records:
+        whole = np.isfinite(record.y).all(axis=1)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], whole, [False]]).astype(int)))
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            if end - start >= shortest:
+                y = record.y[start:end] / sy
+                found.append(Stretch(np.hstack([record.u[start:end] / su, y]), y))
+    return found
+
+
+def refine_samples(
+    system: StateSpace,
+    K: Array,
+    records: Sequence[Record],
+    su: Array,
+    sy: Array,
+    feedthrough: BoolArray,
+) -> tuple[StateSpace, Array, SampledUncertainty]:
+    """Refine a discrete black box on its records.
+
+    Parameters
+    ----------
+    system : StateSpace
+        The start, discrete.
+    K : (nx, ny) array
+        Its innovation gain; A - KC is stable.
+    records : sequence of Record
+        Equidistant, of one sampling interval; missing outputs (NaN) split them.
+    su, sy : (nu,), (ny,) array
+        Standard deviations of the channels.
+    feedthrough : (ny, nu) bool array
+        Where the direct term is free; elsewhere it stays as it is (zero).
+
+    Returns
+    -------
+    StateSpace, (nx, ny) array
+        Model and gain; A - KC is stable.
+    SampledUncertainty
+        The asymptotic covariance.
+    """
+    nu, ny, nx = len(su), len(sy), system.nx
+    data = stretches(records, su, sy, nx + 2)
+    free = np.argwhere(np.hstack([feedthrough, np.zeros((ny, ny), dtype=bool)]))
+    scales = np.concatenate([su, sy])
+    predictor = StateSpace(
+        system.A - K @ system.C, np.hstack([system.B - K @ system.D, K]), system.C,
+        np.hstack([system.D, np.zeros((ny, ny))]),
+    )  # fmt: skip
+    modal = to_modal(predictor, scales, sy, np.hstack([feedthrough, np.zeros((ny, ny), bool)]))
+    modal = _inside(modal)
+    W: Array = np.eye(ny)
+    for _ in range(ROUNDS):
+        W = _whitener(modal, data, W)
+        modal = descend(
+            modal,
+            cost=partial(_cost, data=data, W=W),
+            normal=partial(normal_equations, data=data, W=W, free=free),
+            tidy=_inside, free=free, steps=STEPS, settled=SETTLED,
+        )  # fmt: skip
+    H, _ = normal_equations(modal, data, _whitener(modal, data, W), free)
+    rows = sum(stretch.y.size for stretch in data)
+    used = len(H) + len(data) * (nx + ny)
+    factor = covariance_factor(H) * np.sqrt(rows / max(rows - used, 1))
+    found = from_modal(modal, scales, sy, StateSpace(predictor.A, predictor.B, predictor.C,
+                                                     predictor.D))  # fmt: skip
+    D, gain = found.D[:, :nu], found.B[:, nu:]
+    refined = StateSpace(
+        found.A + gain @ found.C, found.B[:, :nu] + gain @ D, found.C, D, system.dt,
+        system.inputs, system.outputs,
+    )  # fmt: skip
+    return refined, gain, SampledUncertainty(modal, free, factor, nu, float(system.dt or 1.0))
+
+
+def refine_held(
+    system: StateSpace,
+    K: Array,
+    records: Sequence[Record],
+    su: Array,
+    sy: Array,
+    feedthrough: BoolArray,
+) -> tuple[StateSpace, Array, SampledUncertainty]:
+    """`refine_samples` for a continuous model of inputs that are held between the samples.
+
+    The model is discretised exactly for the records' hold and back. With straight lines between
+    samples, state x - B1 u, every discrete direct term is free, and what is left of a masked one
+    in continuous time is dropped. ``K`` comes back as the discrete gain by the step's input
+    integral, approximately the continuous one.
+
+    Raises
+    ------
+    ValueError
+        Records of unequal sampling, or a refined pole without a continuous equivalent.
+    """
+    record = records[0]
+    h = record.dt
+    if any(not r.equidistant or r.hold != record.hold or abs(r.dt - h) > 1e-6 * h for r in records):
+        raise ValueError("prediction errors need equidistant records of one interval and one hold")
+    A, I0, I1 = _held(system.A, h, record)
+    direct = system.D + system.C @ I1 @ system.B
+    discrete = StateSpace(A, (I0 + A @ I1) @ system.B, system.C, direct, h,
+                          system.inputs, system.outputs)  # fmt: skip
+    free = feedthrough if record.hold == "zoh" else np.ones_like(feedthrough)
+    found, gain, uncertainty = refine_samples(discrete, (I0 + I1) @ K, records, su, sy, free)
+    A, _ = from_zoh(found.A, found.B, h)
+    _, I0, I1 = _held(A, h, record)
+    B = np.linalg.solve(I0 + found.A @ I1, found.B)
+    D = np.where(feedthrough, found.D - found.C @ I1 @ B, 0.0)
+    refined = StateSpace(A, B, found.C, D, None, system.inputs, system.outputs)
+    return refined, np.linalg.solve(I0 + I1, gain), uncertainty
+
+
+def _held(A: Array, h: float, record: Record) -> tuple[Array, Array, Array]:
+    """exp(A h) and the weights of B u(t) and B u(t + h) in one step."""
+    step, I0, I1 = foh_step(A, np.eye(len(A)), h)
+    return (step, I0, I1) if record.hold == "foh" else (step, I0 + I1, np.zeros_like(I1))
+
+
+def _inside(modal: Modal) -> Modal:
+    """The predictor's poles within the disc of `RADIUS`."""
+    size = np.abs(modal.lam)
+    return replace(
+        modal, lam=np.asarray(modal.lam * np.minimum(1, RADIUS / np.maximum(size, 1e-9)))
+    )
+
+
+# ---- signals ------------------------------------------------------------------------------------
+
+
+def _filtered(lam: ComplexArray, w: Array | ComplexArray) -> ComplexArray:
+    """x⁺ = μ x + w from rest, for every mode; w (N, nm, ...)."""
+    out = np.empty(w.shape, dtype=complex)
+    for m, pole in enumerate(lam):
+        out[:, m] = lfilter([0.0, 1.0], [1.0, -pole], w[:, m], axis=0)
+    return out
+
+
+def _real(phi: ComplexArray, modal: Modal) -> Array:
+    """Real basis of a modal signal (N, nm, c); see `casid.subspace.modal.pair`."""
+    conjugate = np.where(modal.real[:, None], 0.0, phi.conj())
+    return np.asarray(pair(phi, conjugate, modal.real).real)
+
+
+def _centred(signal: Array) -> Array:
+    """A free constant eliminated."""
+    return np.asarray(signal - signal.mean(axis=0))
+
+
+def _decay(modal: Modal, N: int) -> ComplexArray:
+    """μ^k, (N, nm)."""
+    start = np.zeros((N, len(modal.lam)), dtype=complex)
+    start[0] = 1.0
+    out = np.empty_like(start)
+    for m, pole in enumerate(modal.lam):
+        out[:, m] = lfilter([1.0], [1.0, -pole], start[:, m])
+    return out
+
+
+def _states(modal: Modal, stretch: Stretch, W: Array) -> tuple[ComplexArray, ComplexArray, Array]:
+    """States and their decay (N, nm) from the best initial state, and prediction errors (N, ny)."""
+    decay = _decay(modal, len(stretch.v))
+    forced = _filtered(modal.lam, stretch.v @ modal.B.T)
+    basis = _centred(_real(decay[:, :, None], modal))
+    e = _centred(stretch.y - _outputs(modal, forced, stretch))
+    n = basis.shape[1]
+    G = basis.T @ np.hstack([basis, e])
+    P = W.T @ W
+    T = np.array([mixed(np.eye(n, dtype=complex), modal, o, 1).real for o in range(len(W))])
+    left = np.einsum("op,oij,ik,pkl->jl", P, T, G[:, :n], T, optimize=True)
+    right = np.einsum("op,oij,ip->j", P, T, G[:, n:], optimize=True)
+    small = 1e-13 * np.trace(left) / n * np.eye(n)
+    x0 = np.linalg.solve(left + small, right)
+    seen = np.stack([basis @ each @ x0 for each in T], axis=1)
+    return forced + decay * to_complex(modal, x0, 1)[:, 0], decay, e - seen
+
+
+def _size(modal: Modal) -> int:
+    """Number of signals derivatives are made of."""
+    n, nv = len(modal.lam) + int((~modal.real).sum()), int(modal.D.shape[1])
+    return n * (3 + nv) + nv
+
+
+def _outputs(modal: Modal, x: ComplexArray, stretch: Stretch) -> Array:
+    twice = np.where(modal.real, 1.0, 2.0)
+    return np.asarray((x @ (modal.C * twice).T).real + stretch.v @ modal.D.T)
+
+
+# ---- likelihood ---------------------------------------------------------------------------------
+
+
+def prediction_errors(modal: Modal, data: Sequence[Stretch], W: Array) -> list[Array]:
+    """Prediction errors (N, ny) of every stretch with its best initial state and constant."""
+    return [_states(modal, each, W)[2] for each in data]
+
+
+def _whitener(modal: Modal, data: Sequence[Stretch], W: Array) -> Array:
+    """W (ny, ny) with Wᵀ W the inverse covariance of prediction errors; from the one before."""
+    E = np.vstack(prediction_errors(modal, data, W))
+    R = E.T @ E / len(E) + FLOOR**2 * np.eye(len(W))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(R)))
+
+
+def _cost(modal: Modal, data: Sequence[Stretch], W: Array) -> float:
+    return sum(float(np.sum((E @ W.T) ** 2)) for E in prediction_errors(modal, data, W))
+
+
+def normal_equations(
+    modal: Modal, data: Sequence[Stretch], W: Array, free: np.ndarray
+) -> tuple[Array, Array]:
+    """Σ Jᵀ R⁻¹ J and Σ Jᵀ R⁻¹ e, initial states and constants eliminated.
+
+    Parameters are μ, [B - KD, K] and C by mode (real parts, then imaginary ones), and the free
+    entries of D.
+    """
+    ny, nv = modal.D.shape
+    n = len(modal.lam) + int((~modal.real).sum())
+    size = n + n * nv + ny * n + len(free)
+    q = _size(modal)
+    T = np.zeros((ny, q, n + size))
+    for o in range(ny):
+        J, where = output_derivative(np.eye(q, dtype=complex), modal, o, free)
+        T[o][:, where] = J.real
+    seen = np.einsum("io,oqp->iqp", W, T)  # whitened outputs' derivatives, in signals
+
+    total = np.zeros((size + 1, size + 1))
+    for stretch in data:
+        x, decay, e = _states(modal, stretch, W)
+        v = np.repeat(stretch.v[:, None], len(modal.lam), axis=1)
+        slope, channels = _filtered(modal.lam, x), _filtered(modal.lam, v)
+        S = _centred(
+            np.hstack(
+                [
+                    _real(decay[:, :, None], modal),
+                    _real(slope[:, :, None], modal),
+                    _real(channels, modal),
+                    _real(x[:, :, None], modal),
+                    stretch.v,
+                ]
+            )
+        )
+        gram = S.T @ np.hstack([S, e @ W.T])
+        G = np.zeros((n + size + 1, n + size + 1))
+        for i in range(ny):
+            G[:-1, :-1] += seen[i].T @ gram[:, :q] @ seen[i]
+            G[:-1, -1] += seen[i].T @ gram[:, q + i]
+        G[-1, :-1] = G[:-1, -1]
+        total += schur(G, n)
+    return total[:-1, :-1], total[:-1, -1]

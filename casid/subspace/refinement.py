@@ -1,0 +1,333 @@
+"""Maximum-likelihood refinement of a black box in the frequency domain.
+
+A subspace estimate is consistent but not efficient, and its direct term cannot be masked without
+harm. Here its poles, input and output matrices are moved by Gauss-Newton steps to maximise the
+likelihood of the records' Fourier transforms,
+
+    min Σ_records Σ_k Σ_o |Y_o - Σ_m c_om (ρ_m b_m U + ζ_m δ_m) - D_o U|² / Φ_o(ω_k),
+
+with one transient δ per record (`casid.subspace.fourier`) and the residual spectrum Φ_o estimated
+from the residuals themselves, smoothed over log ω. What the linear model cannot follow (turbulence,
+the nonlinear response at low frequency) raises Φ there and counts less. Source: R. Pintelon, J.
+Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapters 9 and 12.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from casid.arrays import Array, BoolArray, ComplexArray
+from casid.linear import StateSpace
+from casid.subspace.fourier import Lines, Spectrum
+from casid.subspace.modal import (
+    Modal,
+    covariance_factor,
+    descend,
+    eliminator,
+    from_modal,
+    gram,
+    mixed,
+    output_derivative,
+    pair,
+    schur,
+    to_complex,
+    to_modal,
+)
+
+WIDTH = 0.35  # of the smoothing of residual spectra, in natural logarithms of ω
+FINE = 25  # intervals in that width
+ROUNDS = 2  # of estimating residual spectra
+STEPS = 6  # Gauss-Newton steps a round
+LEAST_DAMPING = 0.02  # of modes too fast for the data to show them unstable
+SETTLED = 1e-5  # relative decrease of the cost that ends a round
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseUncertainty:
+    """Covariance of a refined black box, kept as a factor in modal coordinates.
+
+    ``factor`` (parameters, rank) times its transpose is the covariance of (λ, B, C, free D).
+    """
+
+    modal: Modal
+    free: np.ndarray
+    factor: Array
+    su: Array
+    sy: Array
+
+    def response_std(self, omega: Array) -> tuple[Array, Array]:
+        """Relative standard deviation of abs(G) and standard deviation of its phase [rad].
+
+        Both (K, ny, nu), from the derivative of log G with respect to the parameters.
+        """
+        omega = np.atleast_1d(omega)
+        none = np.zeros((len(omega), len(self.sy)), dtype=complex)
+        unit = partial(Spectrum, omega, Y=none, h=None, hold="foh")
+        return log_spread(
+            *response_derivative(self.modal, self.free, unit, len(omega)), self.factor
+        )
+
+
+def log_spread(G: ComplexArray, dG: ComplexArray, factor: Array) -> tuple[Array, Array]:
+    """Standard deviations of log abs(G) and of the phase, from the factor of the covariance."""
+    spread = np.einsum("koip,pr->koir", dG, factor) / G[..., None]
+    return np.linalg.norm(spread.real, axis=-1), np.linalg.norm(spread.imag, axis=-1)
+
+
+def refine(
+    system: StateSpace,
+    data: Sequence[Spectrum],
+    su: Array,
+    sy: Array,
+    feedthrough: BoolArray,
+    fastest: float = np.inf,
+) -> tuple[StateSpace, ResponseUncertainty]:
+    """Refine a continuous black box on Fourier transforms of its records.
+
+    Parameters
+    ----------
+    system : StateSpace
+        The start, continuous.
+    data : sequence of Spectrum
+        Transforms scaled by the standard deviations.
+    su, sy : (nu,), (ny,) array
+        Standard deviations of the channels.
+    feedthrough : (ny, nu) bool array
+        Where the direct term is free; elsewhere it is zero.
+    fastest : float
+        No mode with abs(λ) above this [rad/s] may be unstable: data and Laguerre pole cannot show
+        such a mode, and a spurious one would spoil every use of the model.
+
+    Returns
+    -------
+    StateSpace
+        In real modal coordinates.
+    ResponseUncertainty
+        Its covariance under the estimated residual spectra.
+    """
+    free = np.argwhere(feedthrough)
+    modal = to_modal(system, su, sy, feedthrough)
+    ceiling = _ceiling(modal, data, fastest)
+    modal = replace(modal, lam=_capped(modal.lam, ceiling, fastest))
+    weights: list[Array] = []
+    for _ in range(ROUNDS):
+        weights = noise_weights(modal, data)
+        modal = descend(
+            modal,
+            cost=partial(_cost, data=data, weights=weights),
+            normal=partial(normal_equations, data=data, weights=weights, free=free),
+            tidy=lambda trial: replace(trial, lam=_capped(trial.lam, ceiling, fastest)),
+            free=free, steps=STEPS, settled=SETTLED,
+        )  # fmt: skip
+    H, _ = normal_equations(modal, data, weights, free)
+    rows = 2 * sum(len(s.omega) for s in data) * len(sy)
+    used = len(H) + len(data) * system.nx
+    inflate = rows / max(rows - used, 1)  # residuals are smaller than noise by what was fitted
+    factor = covariance_factor(H) * np.sqrt(inflate / 2)  # Fisher = 2 Re Σ Jᴴ W J
+    refined = from_modal(modal, su, sy, system)
+    return refined, ResponseUncertainty(modal, free, factor, su, sy)
+
+
+def residual_powers(
+    system: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array
+) -> tuple[Array, Array]:
+    """Frequencies (K,) and squared residuals (K, ny) of all spectra with their best transients."""
+    modal = to_modal(system, su, sy, np.ones((system.ny, system.nu), dtype=bool))
+    omega = np.concatenate([spectrum.omega for spectrum in data])
+    return omega, np.vstack([np.abs(E) ** 2 for E in _residuals(modal, data)])
+
+
+def information_criteria(
+    system: StateSpace, data: Sequence[Sequence[Spectrum]], su: Array, sy: Array, direct: int
+) -> Array:
+    """Corrected Akaike criterion per real observation, residual spectra estimated.
+
+    The records' shares, one for each entry of ``data``; their mean is the criterion. ``direct`` is
+    the number of free direct terms; a model of order n has n (nu + ny) further parameters beside
+    them, and one transient of n for each spectrum.
+    """
+    lines = [spectrum for record in data for spectrum in record]
+    omega, power = residual_powers(system, lines, su, sy)
+    smooth = _smoothed(np.log(omega), np.log(omega), power)
+    deviance = 2 * (np.log(smooth) + power / smooth).sum(axis=1)
+    n, N = system.nx, 2 * power.size
+    k = n * (len(su) + len(sy)) + direct + n * len(lines)
+    if k + 1 >= N:
+        return np.full(len(data), np.inf)
+    ends = np.cumsum([sum(len(spectrum.omega) for spectrum in record) for record in data])
+    shares = np.array([part.sum() for part in np.split(deviance, ends[:-1])])
+    return np.asarray(len(data) * shares / N + 2 * k / (N - k - 1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Factors:
+    """Pole factors of one spectrum for the modes and, zero for real ones, their conjugates."""
+
+    r: ComplexArray
+    rc: ComplexArray
+    slope: ComplexArray
+    slope_c: ComplexArray
+    transient: ComplexArray
+    transient_c: ComplexArray
+    drift: ComplexArray
+    drift_c: ComplexArray
+
+
+def _factors(modal: Modal, spectrum: Lines) -> _Factors:
+    """``slope`` and ``drift`` are the derivatives of ``r`` and ``transient`` by λ."""
+    r, slope, transient, drift = spectrum.pole_factors(modal.lam)
+    conjugates = spectrum.pole_factors(modal.lam.conj())
+    rc, slope_c, transient_c, drift_c = (np.where(modal.real, 0.0, each) for each in conjugates)
+    return _Factors(r, rc, slope, slope_c, transient, transient_c, drift, drift_c)
+
+
+# ---- Gauss-Newton -------------------------------------------------------------------------------
+
+
+def _forced(modal: Modal, spectrum: Lines) -> tuple[ComplexArray, ComplexArray]:
+    """Output residual without transient (K, ny), and the transient's basis (K, n)."""
+    f, U = _factors(modal, spectrum), spectrum.U
+    X, Xc = f.r * (U @ modal.B.T), f.rc * (U @ modal.B.conj().T)
+    E = spectrum.Y - X @ modal.C.T - Xc @ modal.C.conj().T - U @ modal.D.T
+    return E, pair(f.transient[:, :, None], f.transient_c[:, :, None], modal.real)
+
+
+def _residuals(modal: Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
+    """Residuals (K, ny) of every spectrum with its best transient."""
+    found = []
+    for spectrum in data:
+        E, basis = _forced(modal, spectrum)
+        columns = [mixed(basis, modal, o, 1) for o in range(len(modal.C))]
+        P = np.vstack([*(c.real for c in columns), *(c.imag for c in columns)])
+        e = E.T.ravel()
+        target = np.concatenate([e.real, e.imag])
+        delta = np.linalg.lstsq(P, target, rcond=1e-10)[0]
+        left = (target - P @ delta).reshape(2, E.shape[1], -1)
+        found.append((left[0] + 1j * left[1]).T)
+    return found
+
+
+def noise_weights(modal: Modal, data: Sequence[Spectrum]) -> list[Array]:
+    """1/√Φ (K, ny) of every spectrum, Φ the residual spectrum smoothed over log ω."""
+    residuals = _residuals(modal, data)
+    omega = np.log(np.concatenate([s.omega for s in data]))
+    power = np.vstack([np.abs(E) ** 2 for E in residuals])
+    floor = 1e-20 * np.vstack([np.abs(s.Y) ** 2 for s in data]).mean(axis=0)
+    smooth = [_smoothed(np.log(spectrum.omega), omega, power) for spectrum in data]
+    return [1 / np.sqrt(level + floor) for level in smooth]
+
+
+def _smoothed(at: Array, omega: Array, power: Array) -> Array:
+    """Local mean of power (K, ny) over logarithms of frequency, at those asked for.
+
+    Powers are first summed over intervals much narrower than the kernel: the work is linear in K.
+    """
+    place = np.floor(omega / (WIDTH / FINE)).astype(int)
+    _, which, count = np.unique(place, return_inverse=True, return_counts=True)
+    sums = [np.bincount(which, weights=column) for column in (omega, *power.T)]
+    kernel = np.exp(-0.5 * ((at[:, None] - sums[0] / count) / WIDTH) ** 2)
+    return np.asarray(kernel @ np.array(sums[1:]).T / (kernel @ count)[:, None])
+
+
+def _cost(modal: Modal, data: Sequence[Spectrum], weights: Sequence[Array]) -> float:
+    """Weighted squared residuals with the best transients."""
+    pairs = zip(data, weights, strict=True)
+    return sum(_transient(modal, spectrum, w)[1] for spectrum, w in pairs)
+
+
+def _transient(modal: Modal, spectrum: Spectrum, w: Array) -> tuple[ComplexArray, float]:
+    """The best transient δ (nm,) of one spectrum, and the weighted squared residual it leaves."""
+    E, basis = _forced(modal, spectrum)
+    n = basis.shape[1]
+    G = np.zeros((n + 1, n + 1))
+    for o in range(len(modal.C)):
+        G += gram(w[:, [o]] * np.hstack([mixed(basis, modal, o, 1), E[:, [o]]]))
+    return to_complex(modal, eliminator(G, n)[:, 0], 1)[:, 0], float(schur(G, n)[0, 0])
+
+
+def normal_equations(
+    modal: Modal, data: Sequence[Spectrum], weights: Sequence[Array], free: np.ndarray
+) -> tuple[Array, Array]:
+    """Re Σ Jᴴ W J and Re Σ Jᴴ W E, transients eliminated.
+
+    Parameters are λ, B, C by mode (real parts, then imaginary ones) and the free entries of D.
+    """
+    n = len(modal.lam) + int((~modal.real).sum())
+    ny, nu = modal.D.shape
+    size = n + n * nu + ny * n + len(free)
+    total = np.zeros((size + 1, size + 1))
+    for spectrum, w in zip(data, weights, strict=True):
+        G = np.zeros((n + size + 1, n + size + 1))
+        basis = _basis(modal, spectrum, _transient(modal, spectrum, w)[0])
+        E, _ = _forced(modal, spectrum)
+        for o in range(ny):
+            J, where = output_derivative(basis, modal, o, free)
+            where = np.append(where, n + size)
+            G[np.ix_(where, where)] += gram(w[:, [o]] * np.hstack([J, E[:, [o]]]))
+        total += schur(G, n)
+    return total[:-1, :-1], total[:-1, -1]
+
+
+def _basis(modal: Modal, spectrum: Lines, delta: ComplexArray) -> ComplexArray:
+    """Signals that span all derivatives: of the transient, λ, B, then of C, then of D."""
+    f, U, real = _factors(modal, spectrum), spectrum.U, modal.real
+    BU, BUc = U @ modal.B.T, U @ modal.B.conj().T
+    poles = f.slope * BU + f.drift * delta
+    poles_c = f.slope_c * BUc + f.drift_c * delta.conj()
+    return np.hstack(
+        [
+            pair(f.transient[:, :, None], f.transient_c[:, :, None], real),
+            pair(poles[:, :, None], poles_c[:, :, None], real),
+            pair(f.r[:, :, None] * U[:, None], f.rc[:, :, None] * U[:, None], real),
+            pair(
+                (f.r * BU + f.transient * delta)[:, :, None],
+                (f.rc * BUc + f.transient_c * delta.conj())[:, :, None],
+                real,
+            ),
+            U,
+        ]
+    )
+
+
+def _ceiling(modal: Modal, data: Sequence[Spectrum], fastest: float) -> Array:
+    """Largest real part each mode may take, (nm,).
+
+    With free end states a growing mode explains as much as a decaying one: it is the start, found
+    by causal prediction, that knows which is which. A mode that starts stable may at most grow by
+    exp(2) over the longest record, which the transient hides.
+    """
+    longest = max(2 * np.pi / spectrum.omega[0] for spectrum in data)
+    slow = np.where(modal.lam.real > 0, np.inf, 2 / longest)
+    size = np.abs(modal.lam)
+    return np.asarray(np.where(size > fastest, -LEAST_DAMPING * size, slow))
+
+
+def _capped(lam: ComplexArray, ceiling: Array, fastest: float) -> ComplexArray:
+    """Poles with their real parts below the ceilings, and none above ``fastest`` unstable."""
+    top = np.where(np.abs(lam) > fastest, -LEAST_DAMPING * np.abs(lam), ceiling)
+    return np.asarray(np.minimum(lam.real, top) + 1j * lam.imag)
+
+
+def response_derivative(
+    modal: Modal, free: np.ndarray, lines: Callable[[ComplexArray], Lines], K: int
+) -> tuple[ComplexArray, ComplexArray]:
+    """G (K, ny, nu) of the scaled channels and its derivatives (K, ny, nu, parameters).
+
+    ``lines`` makes the transforms at the K frequencies from those of the inputs.
+    """
+    ny, nu = modal.D.shape
+    n = len(modal.lam) + int((~modal.real).sum())
+    size = n + n * nu + ny * n + len(free)
+    G = np.empty((K, ny, nu), dtype=complex)
+    dG = np.zeros((K, ny, nu, size), dtype=complex)
+    for j in range(nu):
+        unit = lines(np.tile(np.eye(nu, dtype=complex)[j], (K, 1)))
+        basis = _basis(modal, unit, np.zeros(len(modal.lam), dtype=complex))
+        E, _ = _forced(modal, unit)
+        G[:, :, j] = -E
+        for o in range(ny):
+            J, where = output_derivative(basis, modal, o, free)
+            dG[:, o, j, where[n:] - n] = J[:, n:]
+    return G, dG
