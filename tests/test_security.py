@@ -12,8 +12,9 @@ from bad_inputs import CORPUS
 from small_study import Truth
 
 import casid
-from casid import files, limits, studyfile
+from casid import files, limits
 from casid.jobs.store import Store
+from casid.studies import studyfile
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted(Path(casid.__file__).parent.rglob("*.py"))
