@@ -20,7 +20,7 @@ paper: install
 	$(VENV)/bin/python examples/paper.py
 
 test: install
-	$(VENV)/bin/pytest -m "not campaign"
+	$(VENV)/bin/pytest -n auto -m "not campaign"
 
 slow: install
 	$(VENV)/bin/pytest -m campaign
