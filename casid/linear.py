@@ -13,6 +13,8 @@ import scipy.linalg
 from casid.arrays import Array, ComplexArray
 from casid.record import Hold
 
+NEGLIGIBLE = 1e-250  # entries of a matrix, whose inverses would overflow
+
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
@@ -229,6 +231,7 @@ def from_zoh(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
         )
     block = np.zeros((nx + nu, nx + nu))
     block[:nx, :nx], block[:nx, nx:], block[nx:, nx:] = A, B, np.eye(nu)
+    block[np.abs(block) < NEGLIGIBLE] = 0.0  # SciPy's logarithm divides by what stands off diagonal
     log = np.real(scipy.linalg.logm(block)) / dt
     return log[:nx, :nx], log[:nx, nx:]
 

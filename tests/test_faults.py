@@ -43,17 +43,25 @@ result = compare_bounds(
 )
 result.to_csv(study.output / "bounds.csv")
 """
-PROGRAMS = {"identify": IDENTIFY, "compare_bounds": COMPARE}
+PROGRAMS = {"identify": IDENTIFY, "bounds": IDENTIFY, "compare_bounds": COMPARE}
+CASES = """
+[bounds]
+estimator = "output_error"
+
+[bounds.cases]
+free = {}
+signs = {Lv = "< 0"}
+"""
 
 
 def identify(study, *options):
     return CliRunner().invoke(main, ["identify", str(study), *options])
 
 
-def start(program, study, **environment):
+def start(program, study, command="identify", **environment):
     quiet = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     return subprocess.Popen(
-        [sys.executable, "-c", program, "identify", str(study)], stdout=subprocess.DEVNULL,
+        [sys.executable, "-c", program, command, str(study)], stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL, env=os.environ | quiet | environment, start_new_session=True,
     )  # fmt: skip
 
@@ -97,15 +105,15 @@ def results(folder):
 # ---- killed ------------------------------------------------------------------------------------
 
 
-def kill_again_and_again(program, study, times, rng):
+def kill_again_and_again(program, study, times, rng, command="identify"):
     """Kill a program at random moments; every start goes on where the one before was killed."""
     begin = time.monotonic()
-    assert start(program, study).wait(300) == 0
+    assert start(program, study, command).wait(300) == 0
     longest = time.monotonic() - begin
     before = check_whole(study.parent)
     landed = 0
     while landed < times:
-        process = start(program, study)
+        process = start(program, study, command)
         try:
             process.wait(rng.uniform(0, longest))
         except subprocess.TimeoutExpired:
@@ -134,8 +142,11 @@ def test_a_killed_study_loses_nothing_and_goes_on(copy):
 @pytest.mark.campaign
 @pytest.mark.parametrize("command", PROGRAMS)
 def test_a_command_killed_fifty_times_loses_nothing_and_goes_on(command, copy):
-    kill_again_and_again(PROGRAMS[command], copy / "study.toml", 50, random.Random(2))
-    assert start(PROGRAMS[command], copy / "study.toml").wait(300) == 0
+    study, program = copy / "study.toml", PROGRAMS[command]
+    study.write_text(study.read_text(encoding="utf-8") + CASES, encoding="utf-8")
+    asked = "bounds" if command == "bounds" else "identify"
+    kill_again_and_again(program, study, 50, random.Random(2), asked)
+    assert start(program, study, asked).wait(300) == 0
     check_whole(copy)
 
 
@@ -305,7 +316,7 @@ def failing(monkeypatch, beginning):
         fails = stage.startswith(beginning)
         return replace(found, success=False, status=stopped) if fails else found
 
-    for module in ("matching", "shooting"):
+    for module in ("matching.match", "shooting.output_error"):
         monkeypatch.setattr(sys.modules[f"casid.{module}"], "solve", solve)
 
 
