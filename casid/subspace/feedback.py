@@ -34,7 +34,7 @@ def fed_back_noise(
     Parameters
     ----------
     system, K : StateSpace, (nx, ny) array
-        Continuous, A - KC stable.
+        Continuous or discrete, A - KC stable.
     records : sequence of Record
         Without missing samples.
     su, sy : (nu,), (ny,) array
@@ -81,10 +81,10 @@ def _without_model_error(e: Array, u: Array, lags: int) -> Array:
 
 
 def prediction_errors(system: StateSpace, K: Array, record: Record) -> Array:
-    """One-step prediction errors (N, ny) of a continuous innovation model."""
+    """One-step prediction errors (N, ny) of an innovation model."""
     B = np.hstack([system.B - K @ system.D, K])
     D = np.hstack([system.D, np.zeros((system.ny, system.ny))])
-    predictor = StateSpace(system.A - K @ system.C, B, system.C, D)
+    predictor = StateSpace(system.A - K @ system.C, B, system.C, D, system.dt)
     return record.y - predictor.simulate(
         record.t, np.hstack([record.u, record.y]), hold=record.hold
     )

@@ -29,7 +29,7 @@ from casid.subspace.feedback import direct_term_is_ambiguous
 from casid.subspace.laguerre import support
 from casid.subspace.predictor import Stack
 from casid.subspace.realisation import subspace_model
-from casid.subspace.refining import Refinement, Uncertainty
+from casid.subspace.refining import Refine, Refinement, Uncertainty
 from casid.subspace.settings import OrderSelection, select_order
 from casid.subspace.trust import data_doubts
 
@@ -109,11 +109,11 @@ class BlackBox:
         Raises
         ------
         ValueError
-            The black box was not refined (``refine=False``).
+            The black box was not refined, or by simulation errors.
         """
         if self.uncertainty is None:
             raise ValueError(
-                "this black box has no uncertainty: only a refined one has; "
+                "this black box has no uncertainty: only one refined to maximum likelihood has; "
                 "call pbsid with refine=True"
             )
         return self.uncertainty.response_std(np.asarray(omega, dtype=float))
@@ -153,7 +153,7 @@ def pbsid(
     feedthrough: Feedthrough = True,
     transform: Transform = "laguerre",
     regularisation: float | None = None,
-    refine: bool = True,
+    refine: Refine = True,
 ) -> BlackBox:
     """Identify a black box from the time histories of one or several manoeuvres.
 
@@ -178,13 +178,15 @@ def pbsid(
         (a discrete model; equidistant records).
     regularisation : float
         Tikhonov factor of the regression, relative to its largest singular value.
-    refine : bool
+    refine : bool or {"simulation"}
         Move the subspace model to the maximum likelihood: on samples of the prediction errors
         (`casid.subspace.prediction`), on projections of the records' Fourier transforms
         (`casid.subspace.refinement`), with the direct term zero where it is masked; without it a
         masked direct term is only made small. Where a controller feeds so much noise back into the
         inputs that their transforms would be biased (`casid.subspace.feedback`), prediction errors
-        follow.
+        follow. "simulation", on samples only: of the simulation errors
+        (`casid.subspace.simulation`), for a stable system in open loop whose model is to simulate;
+        K is zero then, and there is no covariance.
 
     Returns
     -------
@@ -198,6 +200,7 @@ def pbsid(
     inputs, outputs = same_channels(records)
     if transform not in get_args(Transform):
         raise ValueError(f'transform={transform!r}, expected "laguerre" or "none"')
+    _check_refine(refine, transform)
     mask = feedthrough_mask(feedthrough, inputs, outputs)
     if transform == "none":
         settings = _sample_settings(order, past, regularisation, len(outputs))
@@ -218,10 +221,13 @@ def pbsid(
     if transform == "none":
         if mask.any() and direct_term_is_ambiguous(stack):
             _warn_direct_term(np.array(outputs)[mask.any(axis=1)])
-        system, K, uncertainty, explained = task.samples(start, found.K, refine)
+        starts = [(start, found.K)]
+        if refine == "simulation":
+            starts += _other_start(task, settings, start)
+        system, K, uncertainty, explained = task.samples(starts, refine)
     else:
         _check_unstable(start, settings.pole)
-        system, K, uncertainty, explained = task.projections(start, found.K, refine)
+        system, K, uncertainty, explained = task.projections(start, found.K, bool(refine))
     return BlackBox(
         system=system,
         K=K,
@@ -261,6 +267,25 @@ def _sample_settings(
     return _Settings(order=order, past=past, pole=np.nan, regularisation=regularisation or 0.0)
 
 
+def _other_start(
+    task: Refinement, settings: _Settings, like: StateSpace
+) -> list[tuple[StateSpace, Array]]:
+    """Model and gain of half the window; none where that is too short for the order."""
+    past = settings.past // 2
+    if past < 2 or settings.order > past * like.ny:
+        return []
+    stack, _ = gather(task.records, task.su, task.sy, past, settings.pole)
+    try:
+        found = subspace_model(
+            stack, task.su, task.sy, settings.pole, order=settings.order, future=past,
+            feedthrough=task.mask, regularisation=settings.regularisation,
+            dt=task.records[0].dt,
+        )  # fmt: skip
+    except (ValueError, np.linalg.LinAlgError):  # the window asked for gave a model
+        return []
+    return [(replace(found.system, inputs=like.inputs, outputs=like.outputs), found.K)]
+
+
 def _chosen(
     records: Sequence[Record],
     order: int | None,
@@ -298,6 +323,16 @@ def _band(records: Sequence[Record], a: float) -> tuple[float, float]:
 
 
 # ---- checks -------------------------------------------------------------------------------------
+
+
+def _check_refine(refine: Refine, transform: str) -> None:
+    if refine not in (True, False, "simulation"):
+        raise ValueError(f'refine={refine!r}, expected True, False or "simulation"')
+    if refine == "simulation" and transform != "none":
+        raise ValueError(
+            'refine="simulation" is for samples (transform="none"); projections are refined by '
+            "Fourier transforms of whole records, which refine=True does"
+        )
 
 
 def _check_windows(order: int, past: int, future: int, ny: int) -> None:

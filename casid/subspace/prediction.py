@@ -150,17 +150,8 @@ def refine_samples(
         np.hstack([system.D, np.zeros((ny, ny))]),
     )  # fmt: skip
     modal = to_modal(predictor, scales, sy, np.hstack([feedthrough, np.zeros((ny, ny), bool)]))
-    modal = _inside(modal)
-    W: Array = np.eye(ny)
-    for _ in range(ROUNDS):
-        W = _whitener(modal, data, W)
-        modal = descend(
-            modal,
-            cost=partial(_cost, data=data, W=W),
-            normal=partial(normal_equations, data=data, W=W, free=free),
-            tidy=_inside, free=free, steps=STEPS, settled=SETTLED,
-        )  # fmt: skip
-    H, _ = normal_equations(modal, data, _whitener(modal, data, W), free)
+    modal, W = fitted(modal, data, free, STEPS)
+    H, _ = normal_equations(modal, data, W, free)
     rows = sum(stretch.y.size for stretch in data)
     used = len(H) + len(data) * (nx + ny)
     factor = covariance_factor(H) * np.sqrt(rows / max(rows - used, 1))
@@ -172,6 +163,31 @@ def refine_samples(
         system.inputs, system.outputs,
     )  # fmt: skip
     return refined, gain, SampledUncertainty(modal, free, factor, nu, float(system.dt or 1.0))
+
+
+def fitted(
+    modal: Modal, data: Sequence[Stretch], free: np.ndarray, steps: int
+) -> tuple[Modal, Array]:
+    """Maximum likelihood by at most ``steps`` steps in each of `ROUNDS` rounds.
+
+    Returns
+    -------
+    Modal
+        Its poles within the disc of `RADIUS`.
+    (ny, ny) array
+        W with Wᵀ W the inverse covariance of its errors.
+    """
+    modal = _inside(modal)
+    W: Array = np.eye(len(modal.D))
+    for _ in range(ROUNDS):
+        W = _whitener(modal, data, W)
+        modal = descend(
+            modal,
+            cost=partial(_cost, data=data, W=W),
+            normal=partial(normal_equations, data=data, W=W, free=free),
+            tidy=_inside, free=free, steps=steps, settled=SETTLED,
+        )  # fmt: skip
+    return modal, _whitener(modal, data, W)
 
 
 def refine_held(

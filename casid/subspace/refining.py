@@ -3,6 +3,9 @@
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.errors import DataWarning
@@ -16,10 +19,12 @@ from casid.subspace.prediction import SampledUncertainty, refine_held, refine_sa
 from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.refinement import refine as refine_black_box
 from casid.subspace.settings import HIGHEST
+from casid.subspace.simulation import refine_simulation
 from casid.subspace.trust import explained_share
 
 FED_BACK = 0.2  # bound on the relative bias from noise fed back, above which it is dealt with
 
+Refine = bool | Literal["simulation"]
 Uncertainty = ResponseUncertainty | SampledUncertainty | None
 Estimate = tuple[StateSpace, Array, Uncertainty, Array | None]
 
@@ -36,11 +41,32 @@ class Refinement:
     band: tuple[float, float]
     R: Array  # residual covariance of the subspace estimate
 
-    def samples(self, system: StateSpace, K: Array, refine: bool) -> Estimate:
-        """By prediction errors."""
+    def samples(self, starts: Sequence[tuple[StateSpace, Array]], refine: Refine) -> Estimate:
+        """By prediction errors from the first start, or by simulation errors from all of them.
+
+        Simulation starts from every start and from where prediction errors lead each.
+        """
+        system, K = starts[0]
         if not refine:
             return system, K, None, None
-        return *refine_samples(system, K, self.records, self.su, self.sy, self.mask), None
+        ends = [self._predicting(*each) for each in starts[: None if refine == "simulation" else 1]]
+        predicting, gain, uncertainty = ends[0]
+        if refine != "simulation":
+            return predicting, gain, uncertainty, None
+        self._check_feedback(predicting, gain)
+        several = [start[0] for start in starts] + [end[0] for end in ends]
+        found = refine_simulation(several, self.records, self.su, self.sy, self.mask)
+        return found, np.zeros_like(K), None, None
+
+    def _predicting(
+        self, system: StateSpace, K: Array
+    ) -> tuple[StateSpace, Array, SampledUncertainty]:
+        return refine_samples(system, K, self.records, self.su, self.sy, self.mask)
+
+    def _check_feedback(self, system: StateSpace, K: Array) -> None:
+        whole = [r for r in self.records if np.isfinite(r.y).all()]
+        if whole and fed_back_noise(system, K, whole, self.su, self.sy) > FED_BACK:
+            _warn_fed_back("refine=True, by prediction errors, removes that")
 
     def projections(self, system: StateSpace, K: Array, refine: bool) -> Estimate:
         """By Fourier transforms; by prediction errors where a controller would bias those."""

@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+from test_prediction import innovation_record
+from truth import stepped_input
+
+from casid import DataWarning, Record, StateSpace, pbsid
+from casid.record import standard_deviations
+from casid.subspace.simulation import refine_simulation
+
+OMEGA = np.linspace(0.1, 2.5, 10)
+
+
+def plant():
+    A = np.array([[0.8, 0.3, 0], [-0.3, 0.8, 0.1], [0, 0, 0.5]])
+    B, C = np.array([[1.0], [0.5], [1.0]]), np.array([[1.0, 0, 0.3], [0, 1.0, 0]])
+    return StateSpace(A, B, C, np.zeros((2, 1)), 1.0)
+
+
+def output_error_record(N=600, noise=0.3, seed=0):
+    """The plant from a state that is not zero, white noise and a constant on its outputs."""
+    rng, t = np.random.default_rng(seed), np.arange(N, dtype=float)
+    u = stepped_input(N, 1, rng, hold=3)
+    y = plant().simulate(t, u, x0=np.array([1.0, -1.0, 0.5])) + np.array([0.7, -0.4])
+    y += noise * rng.standard_normal(y.shape)
+    return Record(t, u, y, ("u",), ("a", "b"), hold="zoh")
+
+
+def samples(record, order=3, **options):
+    return pbsid([record], order=order, transform="none", feedthrough=False, **options)
+
+
+def simulation_error(system, record):
+    """Root mean square of the part no initial state and no constant explain, by output."""
+    n, zero = system.nx, np.zeros_like(record.u)
+    columns = [system.simulate(record.t, zero, x0=x) for x in np.eye(n)]
+    left = record.y - system.simulate(record.t, record.u)
+    columns = np.stack([c - c.mean(axis=0) for c in columns], axis=-1).reshape(-1, n)
+    left = (left - left.mean(axis=0)).ravel()
+    return np.std(
+        (left - columns @ np.linalg.lstsq(columns, left)[0]).reshape(record.y.shape), axis=0
+    )
+
+
+def test_simulation_errors_approach_the_noise():
+    box = samples(output_error_record(), refine="simulation")
+    # 12 parameters, 3 initial values and 2 constants of 1200 numbers; noise within 3/√1200.
+    np.testing.assert_allclose(simulation_error(box.system, output_error_record()), 0.3, rtol=0.1)
+    assert np.abs(box.system.poles()).max() < 1
+    np.testing.assert_array_equal(box.K, 0.0)
+    np.testing.assert_array_equal(box.system.D, 0.0)
+
+
+def test_under_white_output_noise_simulation_errors_are_the_more_efficient():
+    errors = {refine: [] for refine in (False, True, "simulation")}
+    for seed in range(8):
+        for refine, found in errors.items():
+            box = samples(output_error_record(seed=seed), refine=refine)
+            found.append(np.abs(box.system.response(OMEGA) - plant().response(OMEGA)))
+    size = {refine: np.mean(np.square(found)) for refine, found in errors.items()}
+    assert size["simulation"] < size[True]
+    assert size["simulation"] < size[False]
+
+
+def test_an_order_too_low_simulates_better_when_refined_for_it():
+    both = output_error_record(noise=0.05)
+    record = Record(both.t, both.u, both.y[:, :1], both.inputs, ("a",), hold="zoh")
+    error = {
+        refine: simulation_error(samples(record, 2, refine=refine).system, record)[0]
+        for refine in (False, True, "simulation")
+    }
+    assert error["simulation"] < min(error[True], error[False])
+
+
+def test_missing_samples_split_a_record_and_unstable_starts_are_moved_inside():
+    record = output_error_record(noise=0.02)
+    y = record.y.copy()
+    y[200, 0] = np.nan
+    gappy = Record(record.t, record.u, y, record.inputs, record.outputs, hold="zoh")
+    su, sy = standard_deviations([gappy])
+    truth = plant()
+    start = StateSpace(1.2 * truth.A, truth.B, truth.C, truth.D, 1.0)
+    found = refine_simulation([start], [gappy], su, sy, np.zeros((2, 1), dtype=bool))
+    # The noise is some hundredth of the outputs; 600 samples: about 0.1 %, ten times that allowed.
+    np.testing.assert_allclose(found.response(OMEGA), truth.response(OMEGA), atol=0.05)
+
+
+def test_a_simulated_black_box_says_that_it_has_no_covariance():
+    box = samples(innovation_record()[2], refine="simulation")
+    with pytest.raises(ValueError, match="call pbsid with refine=True"):
+        box.response_std(OMEGA)
+
+
+def test_projections_are_not_refined_by_simulation_errors_of_samples():
+    with pytest.raises(ValueError, match="Fourier transforms"):
+        pbsid([output_error_record()], order=3, past=8, pole=1.0, refine="simulation")
+    with pytest.raises(ValueError, match='expected True, False or "simulation"'):
+        samples(output_error_record(), refine="simulate")
+
+
+def test_noise_fed_back_is_warned_of():
+    rng, N = np.random.default_rng(1), 2000
+    truth, x = plant(), np.zeros(3)
+    u, y = stepped_input(N, 1, rng, hold=3) * 0.3, np.zeros((N, 2))
+    for k in range(N):
+        y[k] = truth.C @ x + rng.standard_normal(2)
+        u[k] -= 0.3 * y[max(k - 1, 0), 0]
+        x = truth.A @ x + truth.B @ u[k]
+    record = Record(np.arange(N, dtype=float), u, y, ("u",), ("a", "b"), hold="zoh")
+    with pytest.warns(DataWarning, match="prediction errors, removes that"):
+        samples(record, refine="simulation")
