@@ -8,9 +8,10 @@ W. Favoreel, "DAISY: a database for identification of systems", Journal A 38 (19
 homes.esat.kuleuven.be/~smc/daisy.
 
 Every method may choose its order from the same grid, by simulating the last third of the first two
-thirds with the model of the rest of them; then it is identified from both. The initial state
-of a simulation is that of least squares over all of it, for every method. VAF: mean over outputs
-of the variance accounted for, %.
+thirds with the model of the rest of them; then it is identified from both. A package with several
+methods may choose one of them likewise, beside its order: that is the row of `sippy_unipi` and the
+row "casid", chosen from its three refinements. The initial state of a simulation is that of least
+squares over all of it, for every method. VAF: mean over outputs of the variance accounted for, %.
 """
 
 import argparse
@@ -27,6 +28,15 @@ from casid import Record, pbsid
 
 ORDERS = range(1, 11)
 HORIZON = 20
+REFINEMENTS = {
+    "casid, unrefined": {"refine": False},
+    "casid, prediction": {},
+    "casid, simulation": {"refine": "simulation"},
+}
+CHOICES = {  # package: its methods
+    "sippy_unipi": [method for method in peers.METHODS if method != "nfoursid"],
+    "casid": list(REFINEMENTS),
+}
 DATA = {  # name: file, columns of inputs, of outputs, direct term
     "CD player arm": ("CD_player_arm.dat", (0, 1), (2, 3)),
     "robot arm": ("robot_arm.dat", (0,), (1,)),
@@ -92,14 +102,14 @@ def ours(u, y, orders, **options):
 def everybody(u, y, orders, methods):
     """Models of all methods by (method, order)."""
     models = peers.identify(u, y, orders, horizon=HORIZON, feedthrough=True, methods=methods)
-    for name, options in (("casid", {}), ("casid, unrefined", {"refine": False})):
+    for name, options in REFINEMENTS.items():
         for order, model in ours(u, y, orders, **options).items():
             models[name, order] = model
     return models
 
 
 def compare(u, y, methods):
-    """Rows of method, order, VAF of the last third, seconds."""
+    """Rows of method, order, VAF where it was chosen and of the last third, seconds."""
     third = len(u) // 3
     learn, rest = slice(0, 2 * third), slice(2 * third, None)
     mu, my = u[learn].mean(axis=0), y[learn].mean(axis=0)
@@ -110,12 +120,13 @@ def compare(u, y, methods):
     score = {key: vaf(model.system, u[check], y[check]) for key, model in tried.items()}
     final = everybody(u[learn], y[learn], ORDERS, methods)
     rows = []
-    for method in dict.fromkeys(key[0] for key in tried):
-        order = max((o for m, o in score if m == method), key=lambda o: score[method, o])
-        model = final.get((method, order))
-        if model is not None:
-            value = f"{vaf(model.system, u[rest], y[rest]):.5g}"
-            rows.append([method, str(order), value, model.seconds])
+    own = {method: [method] for method in dict.fromkeys(key[0] for key in tried)}
+    for label, group in {**own, **CHOICES}.items():
+        best = max((key for key in score if key[0] in group), key=score.get, default=None)
+        if best in final:
+            chosen = f"{best[1]}" if group == [label] else f"{best[1]} ({best[0]})"
+            values = (score[best], vaf(final[best].system, u[rest], y[rest]))
+            rows.append([label, chosen, *(f"{v:.5g}" for v in values), final[best].seconds])
     return rows
 
 
@@ -133,7 +144,7 @@ def main():
             warnings.simplefilter("ignore")
             rows = compare(*load(Path(folder), name), options.peers)
         print(f"\n{name}\n")
-        print(table(["method", "order", "VAF [%]", "time [s]"], rows), flush=True)
+        print(table(["method", "order", "choice [%]", "VAF [%]", "time [s]"], rows), flush=True)
 
 
 if __name__ == "__main__":
