@@ -6,10 +6,10 @@ from the inputs alone, the model of output error,
 
     x⁺ = A x + B u        ŷ = C x + D u + c        min log det Σ (y - ŷ)(y - ŷ)ᵀ
 
-with the initial state and a constant c free for every stretch: `casid.subspace.prediction` with K = 0. It is
-unbiased in open loop whatever the noise, and efficient where that is white; under feedback it is
-biased, and it cannot follow an unstable system. Source: L. Ljung, System Identification, 2nd ed.,
-sections 4.2 and 8.5.
+with the initial state and a constant c free for every stretch: `casid.subspace.prediction` with K =
+0. It is unbiased in open loop whatever the noise, and efficient where that is white; under feedback
+it is biased, and it cannot follow an unstable system. Source: L. Ljung, System Identification, 2nd
+ed., sections 4.2 and 8.5.
 
 The cost has local minima, so there may be several starts; the likeliest end counts.
 """
@@ -20,9 +20,9 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.linear import StateSpace
+from casid.record import Record
 from casid.subspace.modal import Modal, from_modal, to_modal
 from casid.subspace.prediction import Stretch, fitted, stretches
-from casid.record import Record
 
 STEPS = 40  # Gauss-Newton steps a round: simulations settle more slowly than predictions
 
