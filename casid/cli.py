@@ -13,7 +13,7 @@ from rich.text import Text
 
 from casid.bounds.compare import BoundsComparison
 from casid.commands.data import COMMANDS
-from casid.commands.terminal import exits, logged
+from casid.commands.terminal import exits, logged, new_table, terminal
 from casid.files import read_csv
 from casid.fit import Fit
 from casid.nlp import Progress
@@ -80,7 +80,7 @@ def identify(study: Path, output: Path | None, fresh: bool, verbose: bool) -> No
       figures/         every figure as PNG and SVG
       stages/          the result of each stage
     """  # noqa: D301
-    console = Console(highlight=False)
+    console = terminal()
     with exits(console), logged(console, verbose), Monitor(console) as monitor:
         outcome = run_study(read_study(study, output), fresh=fresh, watch=monitor)
     _conclude(console, outcome)
@@ -103,7 +103,7 @@ def bounds(study: Path, output: Path | None, verbose: bool) -> None:
       bounds.md        both tables, for reading
       bounds/          the result of each case
     """  # noqa: D301
-    console = Console(highlight=False)
+    console = terminal()
     with exits(console), logged(console, verbose), Monitor(console) as monitor:
         asked = read_study(study, output)
         if not asked.comparison:
@@ -133,7 +133,7 @@ def check(what: str, flights: tuple[str, ...], fixed: tuple[str, ...], verbose: 
     the guess, the parameters, the eigenvalues, what the outputs do not see, and which parameters
     the excitation cannot tell apart: one 3-2-1-1 a control, or the records given.
     """
-    console = Console(highlight=False)
+    console = terminal()
     with exits(console), logged(console, verbose):
         if what.endswith(".toml"):
             _describe(console, read_study(Path(what)))
@@ -209,11 +209,8 @@ def _conclude(console: Console, outcome: Outcome) -> None:
 
 def parameter_table(fit: Fit) -> Table:
     """Parameters of a fit for the terminal; * marks those on a bound."""
-    table = Table(title=f"Parameters after {fit.method}", title_justify="left")
-    table.add_column("name")
-    for heading in ("value", "std. error", "lower", "upper"):
-        table.add_column(heading, justify="right")
-    table.add_column("unit")
+    table = new_table(f"Parameters after {fit.method}", "name", "value", "std. error", "lower",
+                      "upper", "unit")  # fmt: skip
     for row in fit.parameters:
         error = "fixed" if row.fixed else f"{row.std_error:.2g}"
         table.add_row(
@@ -230,10 +227,8 @@ def parameter_table(fit: Fit) -> Table:
 
 def case_table(comparison: BoundsComparison) -> Table:
     """Cases of a comparison for the terminal."""
-    table = Table(title=f"Cases by {comparison.estimator}", title_justify="left")
-    table.add_column("case")
-    for heading in ("cost", "increase", "predicted", "held", "validation RMS / std", "dearest"):
-        table.add_column(heading, justify="right")
+    table = new_table(f"Cases by {comparison.estimator}", "case", "cost", "increase", "predicted",
+                      "held", "validation RMS / std", "dearest")  # fmt: skip
     for case in comparison.cases:
         if case.reason:
             table.add_row(Text(case.name), Text(f"failed: {case.reason}", style="red"))
@@ -249,10 +244,10 @@ def _describe(console: Console, study: Study) -> None:
     structure = type(study.model)
     free = len(structure.parameter_names()) - len(study.fixed)
     console.print(Text(f"{study.title}: structure {structure.__name__}, {free} free parameters"))
-    table = Table("role", "record", "samples", "seconds", "interval")
+    table = new_table("Records", "record", "role", "samples", "seconds", "interval")
     for role, records in read_records(study).items():
         for record in records:
-            table.add_row(role, Text(record.name), str(record.N), f"{record.duration:g}",
+            table.add_row(Text(record.name), role, str(record.N), f"{record.duration:g}",
                           f"{record.dt:g}")  # fmt: skip
     console.print(table)
     console.print("The study is in order.")

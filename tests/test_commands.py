@@ -1,5 +1,6 @@
 """The commands about files: what they print and leave behind, and their exit codes."""
 
+import io
 import subprocess
 import sys
 from pathlib import Path
@@ -8,20 +9,23 @@ import numpy as np
 import pytest
 import scipy.io
 from click.testing import CliRunner
+from rich.console import Console
 from small_study import write_study
 
-from casid import FrequencyResponse, read_csv
+from casid import FrequencyResponse, inspect, read_csv
+from casid.channels import CONTROLS
 from casid.cli import main
-from casid.exchange.formats import read_table
+from casid.commands.terminal import new_table
+from casid.exchange.formats import read_record, read_table
 from casid.fit import Fit, parameter_table
 from casid.model import free_parameters
 from casid.structure.modelfile import load_model
 
-EXAMPLES = Path(__file__).parent.parent / "examples"
+FLIGHT = Path(__file__).parent.parent / "examples/ah1s/data/3211_lat.csv"
 
 
 def casid(*arguments):
-    return CliRunner(env={"COLUMNS": "140"}).invoke(main, [str(each) for each in arguments])
+    return CliRunner().invoke(main, [str(each) for each in arguments])
 
 
 def refused(result):
@@ -124,10 +128,31 @@ def test_a_mistake_is_named_and_nothing_is_written(mistake, folder):
 
 
 def test_inspect_shows_channels_sampling_and_kinematics():
-    result = casid("inspect", EXAMPLES / "ah1s/data/3211_lat.csv")
+    result = casid("inspect", FLIGHT)
     assert result.exit_code == 0, result.output
     for word in ("1000 samples", "every 0.02 s", "rad/s", "Correlation", "Kinematic", "theta"):
         assert word in result.output
+
+
+def test_nothing_is_cut_where_the_output_is_no_terminal():
+    found = inspect([read_record(FLIGHT, inputs=CONTROLS, outputs=("p", "phi"))])
+    said = casid("inspect", FLIGHT, "--outputs", "p,phi").output
+    for each in found.records[0].channels:
+        numbers = f"{each.lowest:.4g} {each.highest:.4g} {each.deviation:.2g} {each.noise:.2g}"
+        row = next(line.split() for line in said.splitlines() if line.startswith(f"{each.name} "))
+        assert row[3:7] == numbers.split()
+    for heading in ("channel", "95 % [rad/s]", "Correlation", "scale [%]", "late [ms]"):
+        assert heading in said
+    assert "…" not in said
+
+
+def test_a_narrow_terminal_folds_what_does_not_fit():
+    shown = io.StringIO()
+    table = new_table("title", "channel", "lowest [rad/s]", "highest")
+    table.add_row("a_channel_of_a_long_name", "-0.00873612", "-1.2345e-123")
+    Console(file=shown, width=40).print(table)
+    assert "…" not in shown.getvalue()
+    assert all(len(line) <= 40 for line in shown.getvalue().splitlines())
 
 
 @pytest.mark.usefixtures("folder")

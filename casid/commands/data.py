@@ -13,7 +13,7 @@ from rich.text import Text
 from casid.channels import CONTROLS, UNITS
 from casid.commands.inspection import Inspection, RecordFacts, inspect
 from casid.commands.scaffold import new_model
-from casid.commands.terminal import exits
+from casid.commands.terminal import exits, new_table, terminal
 from casid.consistency.kinematics import KinematicCheck
 from casid.exchange.formats import (
     in_si,
@@ -83,7 +83,7 @@ def convert(source: str, target: str, units: dict[str, str], structure: str | No
     Parquet needs: pip install 'casid[tables]'. Of a record all columns are taken, whether inputs or
     outputs; --unit turns one into SI on the way.
     """  # noqa: D301
-    console = Console(highlight=False)
+    console = terminal()
     with exits(console):
         if Path(source).suffix.lower() == ".json":
             if units:
@@ -157,7 +157,7 @@ def inspect_command(
     be told apart. Nothing is fitted. RECORD is .csv, .mat or .parquet; of a study the records of
     identification are taken, as the study reads them.
     """
-    console = Console(highlight=False)
+    console = terminal()
     with exits(console):
         first, *others = sources
         if first.endswith(".toml"):
@@ -203,12 +203,15 @@ def _records(
 
 
 def _show(console: Console, found: Inspection) -> None:
-    for facts in found.records:
-        console.print(_channel_table(facts, found.inputs))
+    tables = [_channel_table(facts, found.inputs) for facts in found.records]
     if len(found.inputs) > 1:
-        console.print(_correlation_table(found))
+        tables.append(_correlation_table(found))
     if found.kinematics.channels:
-        console.print(kinematics_table(found.kinematics))
+        tables.append(kinematics_table(found.kinematics))
+    for table in tables:
+        console.print(table)
+        console.print()
+    console.print(Text("5 %, 50 %, 95 %: below these frequencies that share of the power lies."))
     for note in found.kinematics.notes:
         console.print(Text(f"note: {note}"))
     if found.identifiability is not None:
@@ -221,35 +224,28 @@ def _show(console: Console, found: Inspection) -> None:
         console.print("Nothing is in the way of an identification.")
 
 
-def _table(title: str, first: str, *headings: str) -> Table:
-    table = Table(title=Text(title, style="bold"), title_justify="left")
-    table.add_column(first)
-    for heading in headings:
-        table.add_column(heading, justify="right")
-    return table
-
-
 def _channel_table(facts: RecordFacts, inputs: Sequence[str]) -> Table:
     even = "" if facts.equidistant else ", not equidistant"
     gaps = f", {len(facts.gaps)} gaps" if facts.gaps else ""
-    table = _table(
+    lacking = any(each.missing for each in facts.channels)
+    table = new_table(
         f"{facts.name}: {facts.samples} samples in {facts.duration:.5g} s, every "
         f"{facts.interval:.4g} s{even}{gaps}; quiet for {facts.quiet:.3g} s",
-        "channel", "", "unit", "lowest", "highest", "deviation", "noise", "missing",
-        "5 %", "50 %", "95 % [rad/s]",
+        "channel", "", "unit", "lowest", "highest", "std", "noise", "5 %", "50 %", "95 % [rad/s]",
+        *(["missing"] if lacking else []),
     )  # fmt: skip
     for each in facts.channels:
         numbers = [f"{value:.4g}" for value in (each.lowest, each.highest)]
         numbers += [f"{value:.2g}" for value in (each.deviation, each.noise)]
-        missing = f"{each.missing:.1%}" if each.missing else ""
         band = [f"{omega:.3g}" if np.isfinite(omega) else "-" for omega in each.band]
+        missing = [f"{each.missing:.1%}" if each.missing else ""] if lacking else []
         kind = "in" if each.name in inputs else "out"
-        table.add_row(Text(each.name), kind, each.unit, *numbers, missing, *band)
+        table.add_row(Text(each.name), kind, each.unit, *numbers, *band, *missing)
     return table
 
 
 def _correlation_table(found: Inspection) -> Table:
-    table = _table("Correlation of inputs", "", *found.inputs)
+    table = new_table("Correlation of inputs", "", *found.inputs)
     for name, row in zip(found.inputs, found.correlation, strict=True):
         table.add_row(
             Text(name), *(f"{value:+.2f}" if np.isfinite(value) else "-" for value in row)
@@ -259,8 +255,8 @@ def _correlation_table(found: Inspection) -> Table:
 
 def kinematics_table(found: KinematicCheck) -> Table:
     """Scale, skew and bias of each rate and specific force, for the terminal."""
-    table = _table("Kinematic consistency", "channel", "against", "scale [%]", "late [ms]", "bias",
-                   "unit")  # fmt: skip
+    table = new_table("Kinematic consistency", "channel", "against", "scale [%]", "late [ms]",
+                      "bias", "unit")  # fmt: skip
     for each in found.channels:
         cells = ["not determined", "", ""]
         if each.determined:
@@ -306,15 +302,15 @@ def simulate(
     Initial state and constant biases are estimated from the record, parameters are not. Theil's
     coefficient is 0 for a perfect prediction, 1 for a useless one.
     """
-    console = Console(highlight=False)
+    console = terminal()
     with exits(console):
         model = _load(Path(fit), structure).model
         how: Any = None if detrend == "none" else detrend
         flown = read_record(record, inputs=model.inputs, outputs=model.outputs, units=units,
                             time=time, detrend=how)  # fmt: skip
         found = validate({"model": model}, [flown])
-        table = _table(f"{type(model).__name__} on {flown.name}, {flown.duration:.5g} s", "output",
-                       "rms error", "unit", "fit [%]", "Theil")  # fmt: skip
+        table = new_table(f"{type(model).__name__} on {flown.name}, {flown.duration:.5g} s",
+                          "output", "rms error", "unit", "fit [%]", "Theil")  # fmt: skip
         for i, name in enumerate(found.outputs):
             numbers = (found.rms, found.fit, found.theil)
             rms, fitted, theil = (float(each["model"][0, i]) for each in numbers)
@@ -346,7 +342,7 @@ def new_model_command(name: str) -> None:
 
     my_roll becomes my_roll.py with the class MyRoll. A file that is there is never overwritten.
     """
-    console = Console(highlight=False)
+    console = terminal()
     with exits(console):
         path, structure = new_model(name)
         console.print(Text(f"{path}: look at it with  casid check {path}:{structure}"),

@@ -6,12 +6,33 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.table import Table
 from rich.text import Text
 
 from casid.errors import ConvergenceError
 
 BAD_INPUT, NO_CONVERGENCE, INTERRUPTED = 2, 3, 130
+ENDLESS = 10_000  # columns of a file or pipe
+
+
+def terminal() -> Console:
+    """Standard output; lines are broken on a terminal only."""
+    console = Console(highlight=False)
+    if not console.file.isatty():
+        console.width = ENDLESS
+    return console
+
+
+def new_table(title: str, first: str, *headings: str) -> Table:
+    """An empty table with numbers to the right; a cell too narrow for its text is folded."""
+    made = Table(title=Text(title, style="bold"), title_justify="left", box=SIMPLE_HEAD,
+                 show_edge=False, padding=0)  # fmt: skip
+    made.add_column(Text(first), overflow="fold")
+    for heading in headings:
+        made.add_column(Text(heading), justify="right", overflow="fold")
+    return made
 
 
 @contextmanager
