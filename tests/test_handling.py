@@ -97,6 +97,28 @@ def test_a_loop_with_both_margins_is_satisfactory():
     assert read.gain_margin > 6
 
 
+def test_an_unstable_loop_is_not_satisfactory_however_far_from_the_critical_point():
+    def loop(s):  # stable below a gain of 30
+        return 3000 / (s * (0.1 * s + 1) * (0.05 * s + 1))
+
+    read = handling_qualities(response(loop, np.geomspace(1, 200, 800)), ("phi", "lat"),
+                              kind="loop")  # fmt: skip
+    assert abs(read.phase_margin) > 45
+    assert abs(read.gain_margin) > 6
+    assert read.satisfactory is False
+    assert any("the closed loop is unstable" in remark for remark in read.remarks)
+
+
+def test_a_stable_loop_around_an_unstable_aircraft_is_satisfactory():
+    # Closed, s² + 7.5 s + 1: stable. The gain rises through 0 dB with the phase beyond 180°.
+    read = handling_qualities(response(lambda s: 8 * s / (s**2 - 0.5 * s + 1), OMEGA),
+                              ("phi", "lat"), kind="loop")  # fmt: skip
+    assert read.satisfactory is True
+    assert abs(read.phase_margin) > 45
+    assert read.gain_margin == pytest.approx(-20 * np.log10(8 / 0.5), abs=0.01)
+    assert not read.remarks
+
+
 def test_what_lies_outside_the_band_is_said():
     low = response(roll, np.geomspace(0.1, 7.0, 300))
     read = handling_qualities(low, ("phi", "lat"))

@@ -14,7 +14,9 @@ Passing means downwards and up to whole turns: the first such frequency sets the
 
 Open loop, MIL-DTL-9490E: the phase margin is 180° plus the phase where the gain passes 0 dB, the
 gain margin minus the gain where the phase passes -180°; 45° and 6 dB are wanted. With several
-crossings the least in magnitude counts; a negative gain margin is that against a loss of gain.
+crossings the least in magnitude counts; a negative gain margin is that against a loss of gain, a
+negative phase margin where the gain rises that against a phase lead. Where the gain falls, a
+negative phase margin means that the closed loop is unstable, however large it is.
 """
 
 from dataclasses import dataclass, replace
@@ -183,7 +185,7 @@ def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
     x, remarks = np.log(found.omega), []
     at_gain = _passing(x, found.gain_db, 0.0, turns=False)
     at_phase = _passing(x, found.phase_deg, -180.0)
-    margins = (np.interp(at_gain, x, found.phase_deg) + 360) % 360 - 180
+    margins = _phase_margin(at_gain, x, found.phase_deg)
     spare = -np.interp(at_phase, x, found.gain_db)
     phase_margin, gain_margin, crossover, omega_180 = (np.nan,) * 4
     if len(at_gain):
@@ -196,16 +198,28 @@ def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
         gain_margin, omega_180 = float(spare[k]), float(np.exp(at_phase[k]))
     else:
         remarks.append("the phase does not pass -180° in the band: no gain margin in it")
-    good = abs(phase_margin) >= PHASE_MARGIN and abs(gain_margin) >= GAIN_MARGIN
+    falling = _passing(x, found.gain_db, 0.0, downwards=True, turns=False)
+    lost = falling[_phase_margin(falling, x, found.phase_deg) < 0]
+    if len(lost):
+        remarks.append(
+            f"the phase is below -180° where the gain falls through 0 dB, at {np.exp(lost[0]):.3g} "
+            "rad/s: the closed loop is unstable; if it flies, check the sign of the loop"
+        )
+    wide = abs(phase_margin) >= PHASE_MARGIN and abs(gain_margin) >= GAIN_MARGIN
     places = np.concatenate([at_gain, at_phase])
     near = [int(np.argmin(np.abs(x - place))) for place in places]
     remarks += _doubts(gamma[near])
     known = np.isfinite(phase_margin) and np.isfinite(gain_margin)
     return replace(
         found, omega_180=omega_180, crossover=crossover, phase_margin=phase_margin,
-        gain_margin=gain_margin, satisfactory=bool(good) if known else None,
+        gain_margin=gain_margin, satisfactory=wide and not len(lost) if known else None,
         remarks=tuple(remarks),
     )  # fmt: skip
+
+
+def _phase_margin(at: Array, x: Array, phase: Array) -> Array:
+    """Phase above -180°, in [-180°, 180°), at places in log ω."""
+    return np.asarray((np.interp(at, x, phase) + 360) % 360 - 180)
 
 
 def _passing(
