@@ -6,14 +6,18 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from casid.cli import main
+from casid.structure.modelfile import load_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-(SCRIPT,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+SCRIPT, STRUCTURE = re.findall(r"```python.*?\n(.*?)```", README, flags=re.DOTALL)
 
 
 def test_the_readme_opens_with_two_commands_that_the_makefile_has():
@@ -44,6 +48,17 @@ def test_the_script_of_the_readme_identifies_the_helicopter(monkeypatch, tmp_pat
     phugoid = min(fit.model.system().poles(), key=lambda pole: abs(pole - (0.11 + 0.43j)))
     assert abs(phugoid - (0.11 + 0.43j)) < 0.1
     assert black_box.records == tuple(values["names"])
+
+
+def test_the_structure_of_the_readme_is_declared_and_can_be_told_from_a_record(tmp_path):
+    (tmp_path / "roll.py").write_text(STRUCTURE, encoding="utf-8")
+    run = CliRunner().invoke(main, ["check", f"{tmp_path}/roll.py:Roll"])
+    assert run.exit_code == 0, run.output
+    assert "rank 3 of 3" in run.output
+    # The closed form at s = 2j: Llat e^(-tau s) / (s - Lp).
+    model = load_model("roll.py:Roll", tmp_path)(Lp=-3.0, Llat=8.0, tau=0.1)
+    response = model.system().response(np.array([2.0]))[0, 0, 0]
+    assert abs(response - 8.0 * np.exp(-0.2j) / (2j + 3.0)) < 1e-12
 
 
 def test_every_link_of_the_readme_leads_to_a_file():
