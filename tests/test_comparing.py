@@ -129,11 +129,18 @@ def asked(folder, bounds=BOUNDS):
     return path
 
 
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """A study whose cases were compared, and what the command said."""
+    study = asked(tmp_path_factory.mktemp("told"))
+    return study, CliRunner().invoke(main, ["bounds", str(study)])
+
+
 @pytest.mark.slow
-def test_casid_bounds_leaves_tables_figure_and_a_section(tmp_path):
-    result = CliRunner().invoke(main, ["bounds", str(asked(tmp_path))])
+def test_casid_bounds_leaves_tables_figure_and_a_section(told):
+    study, result = told
     assert result.exit_code == 0, result.output
-    out = tmp_path / "out"
+    out = study.parent / "out"
     with (out / "bounds_cases.csv").open(encoding="utf-8") as file:
         rows = {row["case"]: row for row in csv.DictReader(file)}
     assert list(rows) == ["free", "±20 %", "fixed", "tie"]
@@ -148,6 +155,25 @@ def test_casid_bounds_leaves_tables_figure_and_a_section(tmp_path):
     assert len(list((out / "bounds").glob("*.json"))) == 4
     for name in rows:
         assert name in result.output
+
+
+@pytest.mark.slow
+def test_a_comparison_stays_in_the_report_until_the_study_changes(told, caplog):
+    study = told[0]
+    page = study.parent / "out/report.html"
+    cases = {path: path.stat().st_mtime_ns for path in (study.parent / "out/bounds").iterdir()}
+    result = CliRunner().invoke(main, ["identify", str(study)])
+    assert result.exit_code == 0
+    assert '<section id="bounds">' in page.read_text(encoding="utf-8")
+    assert "earlier state" not in caplog.text
+    study.write_text(study.read_text(encoding="utf-8").replace("seed = 1", "seed = 2"), "utf-8")
+    result = CliRunner().invoke(main, ["identify", str(study)])
+    assert result.exit_code == 0
+    text = page.read_text(encoding="utf-8")
+    assert '<section id="bounds">' not in text
+    for said in (text, caplog.text):
+        assert "comparison of bounds in the folder of results is of an earlier state" in said
+    assert {path: path.stat().st_mtime_ns for path in cases} == cases  # nothing was fitted
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,16 @@ from casid.folder import claimed
 from casid.structure.modelfile import load_model
 
 STAGES = ("pbsid", "quadratic", "hinf", "output_error")
+BASELINE = """
+[records.frequency]
+files = ["sweep.csv"]
+noise = true
+
+[frequency]
+omega = { from = 0.6, to = 5, points = 20 }
+
+[derivid]
+"""
 IDENTIFY = "from casid.cli import main; main()"
 COMPARE = """
 import sys
@@ -316,20 +326,34 @@ def failing(monkeypatch, beginning):
         fails = stage.startswith(beginning)
         return replace(found, success=False, status=stopped) if fails else found
 
-    for module in ("matching.match", "shooting.output_error"):
+    for module in ("matching.match", "shooting.output_error", "baseline.derivid"):
         monkeypatch.setattr(sys.modules[f"casid.{module}"], "solve", solve)
 
 
-SOLVES = {"quadratic": "match quadratic", "hinf": "match hinf", "output_error": "output error"}
+SOLVES = {"quadratic": "match quadratic", "hinf": "match hinf", "output_error": "output error",
+          "derivid": "derivid"}  # fmt: skip
+
+
+def rewind(folder, stage):
+    """Forget a stage and all after it; returns those before."""
+    order = STAGES
+    if stage == "derivid":
+        order = ("pbsid", "frequency", *STAGES[1:], "derivid")
+        study = folder / "study.toml"
+        study.write_text(study.read_text(encoding="utf-8") + BASELINE, encoding="utf-8")
+    before = order[: order.index(stage)]
+    index = folder / "out/stages/index.json"
+    done = json.loads(index.read_text(encoding="utf-8"))
+    kept = {name: entry for name, entry in done.items() if name in before}
+    index.write_text(json.dumps(kept), encoding="utf-8")
+    (folder / "out/fit.json").unlink()
+    return before
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", SOLVES)
 def test_when_ipopt_fails_the_chain_says_so_and_offers_its_best_iterate(stage, copy, monkeypatch):
-    index = copy / "out/stages/index.json"
-    done = json.loads(index.read_text(encoding="utf-8"))
-    before = STAGES[: STAGES.index(stage)]
-    index.write_text(json.dumps({name: done[name] for name in before}), encoding="utf-8")
+    before = rewind(copy, stage)
     with monkeypatch.context() as patch:
         failing(patch, SOLVES[stage])
         result = identify(copy / "study.toml")
@@ -342,7 +366,8 @@ def test_when_ipopt_fails_the_chain_says_so_and_offers_its_best_iterate(stage, c
     best = Fit.load(copy / f"out/stages/{stage}_best.json", model=structure)
     assert best.success is False
     assert structure.infos()["Lp"].lower <= best["Lp"].value <= structure.infos()["Lp"].upper
-    assert set(json.loads(index.read_text(encoding="utf-8"))) == set(before)
+    assert set(json.loads((copy / "out/stages/index.json").read_text("utf-8"))) == set(before)
+    assert (copy / "out/fit.json").exists() == (stage == "derivid")  # the model is there by then
     monkeypatch.setattr(
         "casid.studies.runner.write_report", lambda _, folder: folder / "report.html"
     )

@@ -1,8 +1,9 @@
 """The comparison of bounds that a study file asks for."""
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from casid.bounds.compare import BoundsComparison, compare_bounds
@@ -43,9 +44,38 @@ def compare_study(
         validation=records["validation"], folder=study.output / "bounds", executor=executor,
         progress=progress, **settings, **study.comparison["settings"],
     )  # fmt: skip
-    comparison.to_csv(study.output / "bounds.csv")
+    comparison.to_csv(comparison_path(study))
     write_text(study.output / "bounds.md", comparison.to_markdown() + "\n")
     return comparison
+
+
+def comparison_path(study: Study) -> Path:
+    """The table that a finished comparison leaves."""
+    return study.output / "bounds.csv"
+
+
+def kept_comparison(
+    study: Study, records: Mapping[Role, Sequence[Record]], found: Identification, options: Options
+) -> BoundsComparison | None:
+    """The study's comparison, if every case is kept as the study is now; nothing is fitted."""
+    if not study.comparison:
+        return None
+    try:
+        return compare_study(study, records, found, options, executor=_Idle())
+    except (_NotKeptError, ValueError):  # ValueError: the cases no longer fit the study
+        return None
+
+
+class _NotKeptError(Exception):
+    """A case would have to be fitted."""
+
+
+class _Idle(Executor):
+    """Refuses all work: what is kept needs none."""
+
+    def submit(self, *_: Any, **__: Any) -> Future[Any]:  # noqa: ANN401 - of any work
+        """Refuse."""
+        raise _NotKeptError
 
 
 def _task(

@@ -1,17 +1,12 @@
 """Run a study: every stage in turn, each result kept as soon as it is there, then the report."""
 
-import os
-import platform
+import logging
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from hashlib import sha256
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
-
-import numpy as np
 
 import casid.chain
 from casid.baseline.derivid import derivid
@@ -30,16 +25,20 @@ from casid.report import (
     BLACK_BOX,
     MATCH,
     OUTPUT_ERROR,
-    Content,
-    DataFile,
     Timing,
     write_report,
 )
-from casid.studies.comparing import compare_study
+from casid.studies.comparing import compare_study, comparison_path, kept_comparison
+from casid.studies.contents import content
 from casid.studies.study import Role, Study, read_records
 from casid.validation import AnyModel, Validation, validate
 
 T = TypeVar("T")
+LOG = logging.getLogger("casid")
+STALE = (
+    "The comparison of bounds in the folder of results is of an earlier state of the study and is "
+    "not shown; casid bounds makes it anew."
+)
 
 # What a stage takes from: the stages before it, the role of its records, its table of options.
 NEEDS: Mapping[str, tuple[tuple[str, ...], Role | None, str]] = {
@@ -148,9 +147,9 @@ def _run(
         options=_options(study, watch),
         stage=stages,
     )
-    baseline = _baseline(study, found, stages, watch)
     found.output_error.save(study.output / "fit.json")
     write_parameters(study.output / "parameters.csv", found.output_error)
+    baseline = _baseline(study, found, stages, watch)
     models: dict[str, AnyModel] = {
         BLACK_BOX: found.black_box,
         MATCH: found.hinf,
@@ -159,35 +158,50 @@ def _run(
     if baseline is not None:
         models[BASELINE] = baseline
     validation = stages.timed("validation", lambda: validate(models, records["validation"]))
-    comparison = None
-    if compare:
-        comparison = stages.timed("bounds", lambda: _compare(study, records, found, watch))
+    comparison = _comparison(study, records, found, stages, watch, compare=compare)
     report = stages.timed(
         "report",
         lambda: write_report(
-            replace(
-                _content(study, records, found, baseline, validation, stages),
-                comparison=comparison,
+            content(
+                study, records, found, baseline=baseline, validation=validation,
+                comparison=comparison, timings=stages.clock, warnings=stages.warnings,
             ),
             study.output,
         ),
-    )
+    )  # fmt: skip
     return Outcome(
         identification=found, validation=validation, timings=tuple(stages.clock), report=report,
         comparison=comparison,
     )  # fmt: skip
 
 
-def _compare(
-    study: Study, records: Mapping[Role, Sequence[Record]], found: Identification, watch: Watch
-) -> BoundsComparison:
-    """The study's cases; the watch is told after each how long the rest may take."""
+def _comparison(
+    study: Study,
+    records: Mapping[Role, Sequence[Record]],
+    found: Identification,
+    stages: "_Stages",
+    watch: Watch,
+    *,
+    compare: bool,
+) -> BoundsComparison | None:
+    """The study's cases compared, if that is asked for; else what an earlier run found of them."""
+    options = _options(study, watch)
 
     def progress(advance: Advance) -> None:
         watch.end(Timing(stage=advance.name, seconds=advance.seconds))
         watch.begin(f"bounds, {advance.done} of {advance.total}, {advance.left} left")
 
-    return compare_study(study, records, found, _options(study, watch), progress=progress)
+    if compare:
+        return stages.timed(
+            "bounds", lambda: compare_study(study, records, found, options, progress=progress)
+        )
+    if not comparison_path(study).exists():
+        return None
+    comparison = kept_comparison(study, records, found, options)
+    if comparison is None:
+        LOG.warning(STALE)
+        stages.warnings.append(STALE)
+    return comparison
 
 
 def write_parameters(path: str | Path, fit: Fit) -> None:
@@ -319,91 +333,3 @@ def _baseline(study: Study, found: Identification, stages: _Stages, watch: Watch
             **study.options["derivid"],
         ),
     )
-
-
-def _content(
-    study: Study,
-    records: Mapping[Role, Sequence[Record]],
-    found: Identification,
-    baseline: Fit | None,
-    validation: Validation,
-    stages: "_Stages",
-) -> Content:
-    return Content(
-        title=study.title,
-        black_box=found.black_box,
-        quadratic=found.quadratic,
-        hinf=found.hinf,
-        output_error=found.output_error,
-        validation=validation,
-        model_file=Path(os.path.relpath(study.model_file, study.path.parent)),
-        model_digest=sha256(study.model_file.read_bytes()).hexdigest(),
-        baseline=baseline,
-        frequency_response=found.frequency_response,
-        kinematics=found.kinematics,
-        data=_data(study, records),
-        settings=_settings(study),
-        versions=_versions(),
-        timings=tuple(stages.clock),
-        warnings=tuple(dict.fromkeys([*_seen(study), *stages.warnings])),
-    )
-
-
-def _seen(study: Study) -> list[str]:
-    """Warnings of validation records that an estimation has seen."""
-    used = {file.resolve() for role, each in study.roles.items() if role != "validation"
-            for file in each.files}  # fmt: skip
-    return [
-        f"Record {file.stem} is for validation, but an estimation has seen it: its verdict is no "
-        "proof."
-        for file in study.roles["validation"].files
-        if file.resolve() in used
-    ]
-
-
-def _data(study: Study, records: Mapping[Role, Sequence[Record]]) -> tuple[DataFile, ...]:
-    return tuple(
-        DataFile(
-            role=role,
-            name=record.name,
-            path=os.path.relpath(file, study.path.parent),
-            sha256=sha256(file.read_bytes()).hexdigest(),
-            samples=record.N,
-            seconds=record.duration,
-            noise=study.roles[role].noise,
-        )
-        for role in records
-        for record, file in zip(records[role], study.roles[role].files, strict=True)
-    )
-
-
-def _settings(study: Study) -> dict[str, str]:
-    said: dict[str, str] = {"study file": study.path.name}
-    if study.noise is not None:
-        std = ", ".join(f"{name} {value:g}" for name, value in study.noise.std.items())
-        said["noise"] = f"seed {study.noise.seed}; standard deviations {std}"
-    for role, each in study.roles.items():
-        said[f"records.{role}"] = f"detrend {each.detrend}, every {each.decimate}. sample"
-    if study.fixed:
-        said["fixed"] = ", ".join(study.fixed)
-    if study.bounds:
-        said["bounds"] = ", ".join(f"{k} [{a:g}, {b:g}]" for k, (a, b) in study.bounds.items())
-    said["match.targets"] = ", ".join(study.targets)
-    for table, options in study.options.items():
-        said |= {f"{table}.{key}": _shown(value) for key, value in options.items()}
-    for table, options in study.solver.items():
-        said |= {f"{table}.solver.{key}": str(value) for key, value in options.items()}
-    return said
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, np.ndarray) and value.ndim == 1 and len(value) > 6:
-        return f"{len(value)} values, {value[0]:g} to {value[-1]:g}"
-    if isinstance(value, np.ndarray):
-        return np.array2string(value, precision=4, threshold=1000, separator=", ")
-    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-
-
-def _versions() -> dict[str, str]:
-    packages = ("casid", "casadi", "numpy", "scipy", "matplotlib", "plotly")
-    return {"Python": platform.python_version()} | {name: version(name) for name in packages}

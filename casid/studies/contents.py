@@ -1,0 +1,111 @@
+"""What a study hands to its report: results, digests of data and model, settings, versions."""
+
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from casid.bounds.compare import BoundsComparison
+from casid.chain import Identification
+from casid.fit import Fit
+from casid.record import Record
+from casid.report import Content, DataFile, Timing
+from casid.studies.study import Role, Study
+from casid.validation import Validation
+
+
+def content(
+    study: Study,
+    records: Mapping[Role, Sequence[Record]],
+    found: Identification,
+    *,
+    baseline: Fit | None,
+    validation: Validation,
+    comparison: BoundsComparison | None,
+    timings: Sequence[Timing],
+    warnings: Sequence[str],
+) -> Content:
+    """All that the report of a study shows, with the digests of what it rests on."""
+    return Content(
+        title=study.title,
+        black_box=found.black_box,
+        quadratic=found.quadratic,
+        hinf=found.hinf,
+        output_error=found.output_error,
+        validation=validation,
+        model_file=Path(os.path.relpath(study.model_file, study.path.parent)),
+        model_digest=sha256(study.model_file.read_bytes()).hexdigest(),
+        baseline=baseline,
+        frequency_response=found.frequency_response,
+        comparison=comparison,
+        kinematics=found.kinematics,
+        data=_data(study, records),
+        settings=_settings(study),
+        versions=_versions(),
+        timings=tuple(timings),
+        warnings=tuple(dict.fromkeys([*_seen(study), *warnings])),
+    )
+
+
+def _seen(study: Study) -> list[str]:
+    """Warnings of validation records that an estimation has seen."""
+    used = {file.resolve() for role, each in study.roles.items() if role != "validation"
+            for file in each.files}  # fmt: skip
+    return [
+        f"Record {file.stem} is for validation, but an estimation has seen it: its verdict is no "
+        "proof."
+        for file in study.roles["validation"].files
+        if file.resolve() in used
+    ]
+
+
+def _data(study: Study, records: Mapping[Role, Sequence[Record]]) -> tuple[DataFile, ...]:
+    return tuple(
+        DataFile(
+            role=role,
+            name=record.name,
+            path=os.path.relpath(file, study.path.parent),
+            sha256=sha256(file.read_bytes()).hexdigest(),
+            samples=record.N,
+            seconds=record.duration,
+            noise=study.roles[role].noise,
+        )
+        for role in records
+        for record, file in zip(records[role], study.roles[role].files, strict=True)
+    )
+
+
+def _settings(study: Study) -> dict[str, str]:
+    said: dict[str, str] = {"study file": study.path.name}
+    if study.noise is not None:
+        std = ", ".join(f"{name} {value:g}" for name, value in study.noise.std.items())
+        said["noise"] = f"seed {study.noise.seed}; standard deviations {std}"
+    for role, each in study.roles.items():
+        said[f"records.{role}"] = f"detrend {each.detrend}, every {each.decimate}. sample"
+    if study.fixed:
+        said["fixed"] = ", ".join(study.fixed)
+    if study.bounds:
+        said["bounds"] = ", ".join(f"{k} [{a:g}, {b:g}]" for k, (a, b) in study.bounds.items())
+    said["match.targets"] = ", ".join(study.targets)
+    for table, options in study.options.items():
+        said |= {f"{table}.{key}": _shown(value) for key, value in options.items()}
+    for table, options in study.solver.items():
+        said |= {f"{table}.solver.{key}": str(value) for key, value in options.items()}
+    return said
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, np.ndarray) and value.ndim == 1 and len(value) > 6:
+        return f"{len(value)} values, {value[0]:g} to {value[-1]:g}"
+    if isinstance(value, np.ndarray):
+        return np.array2string(value, precision=4, threshold=1000, separator=", ")
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def _versions() -> dict[str, str]:
+    packages = ("casid", "casadi", "numpy", "scipy", "matplotlib", "plotly")
+    return {"Python": platform.python_version()} | {name: version(name) for name in packages}
