@@ -31,6 +31,8 @@ import matplotlib as mpl
 import pytest
 from markdown_it import MarkdownIt
 
+import casid
+import casid.report
 from casid import DataWarning
 
 ROOT = Path(__file__).parent.parent
@@ -191,6 +193,17 @@ def test_every_page_stands_in_the_table_of_contents():
     nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[2]
     for page in (ROOT / "docs").rglob("*.md"):
         assert f": {page.relative_to(ROOT / 'docs')}\n" in nav
+
+
+def test_every_public_name_stands_in_the_reference():
+    reference = "".join(page.read_text("utf-8") for page in (ROOT / "docs/reference").glob("*.md"))
+    shown = set(re.findall(r"^::: casid\.(?:[\w.]+\.)?(\w+)$", reference, flags=re.MULTILINE))
+    shown |= set(re.findall(r"`(\w+)`", reference))  # types and constants, in a sentence
+    assert set(casid.__all__) <= shown
+    for name in casid.report.__all__:  # ::: casid.report shows them all but for
+        submodule = (Path(casid.report.__file__).parent / f"{name}.py").exists()
+        if submodule or isinstance(getattr(casid.report, name), str):
+            assert name in shown
 
 
 def test_output_shown_is_compared_by_words_and_by_numbers():

@@ -8,7 +8,7 @@ import scipy.optimize
 
 from casid import FrequencyResponse
 from casid.baseline.handling import handling_qualities
-from casid.report.readings import plot_handling_qualities
+from casid.report import plot_handling_qualities
 
 OMEGA = np.geomspace(0.1, 40.0, 800)
 

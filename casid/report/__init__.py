@@ -17,6 +17,7 @@ from casid.report.figures import (
 from casid.report.html import write_report
 from casid.report.modes import Mode, modes
 from casid.report.prices import plot_bounds
+from casid.report.readings import plot_handling_qualities
 from casid.report.selection import plot_order_selection
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "plot_autocorrelation",
     "plot_bounds",
     "plot_coherence",
+    "plot_handling_qualities",
     "plot_history",
     "plot_input",
     "plot_magnitude",
