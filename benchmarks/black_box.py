@@ -89,7 +89,7 @@ def main():
                         against(pair, PAIR), max(each[2] for each in runs), settings,
                     ]
                 )  # fmt: skip
-    header = ["records", "campaign", "reference", "e [%]", "on axis [%]", "pair [|λ|]",
+    header = ["records", "campaign", "reference", "e [%]", "on axis [%]", "pair [of its modulus]",
               "time [s]", "order/past/pole/regularisation"]  # fmt: skip
     print(table(header, rows))
     if options.json:

@@ -206,6 +206,14 @@ def test_every_public_name_stands_in_the_reference():
             assert name in shown
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_rows_of_a_table_have_as_many_cells_as_its_head(page):
+    text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
+    for table in re.findall(r"(?:^\|.*\n)+", text, flags=re.MULTILINE):
+        bare = re.sub(r"`[^`\n]*`|\\\|", "", table)
+        assert len({row.count("|") for row in bare.splitlines()}) == 1, table
+
+
 def test_output_shown_is_compared_by_words_and_by_numbers():
     assert alike("a 1.00 b", "a  1.04  b")
     assert not alike("a 1.00 b", "a 1.10 b")
