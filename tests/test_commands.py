@@ -66,10 +66,13 @@ def test_each_command_explains_itself(command):
 
 @pytest.mark.usefixtures("folder")
 def test_a_record_goes_through_every_format_and_comes_back():
-    for source, target in (("3211.csv", "a.mat"), ("a.mat", "b.parquet"), ("b.parquet", "c.csv")):
-        assert casid("convert", source, target).exit_code == 0
+    for *more, source, target in (
+        ("3211.csv", "a.mat"), ("a.mat", "b.parquet"),
+        ("--mat-version", "7.3", "b.parquet", "c.mat"), ("c.mat", "c.csv"),
+    ):  # fmt: skip
+        assert casid("convert", source, target, *more).exit_code == 0
     before, after = read_table("3211.csv"), read_table("c.csv")
-    assert list(before) == list(after)
+    assert set(before) == set(after)  # HDF5 sorts names
     for name in before:
         np.testing.assert_array_equal(before[name], after[name])
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import control
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -41,7 +42,6 @@ from casid.exchange.objects import (
 from casid.exchange.standalone import write_module
 from casid.files import read_mat
 from casid.fit import Fit, parameter_table
-from casid.hdf import write_hdf
 from casid.model import free_parameters
 from casid.structure.modelfile import load_model
 
@@ -186,13 +186,31 @@ def test_a_matlab_file_holds_total_values_as_csv_does(record, tmp_path):
 def test_matlab_files_of_both_versions_read_alike(record, tmp_path):
     table = {"t": record.t, "lat": record.u[:, 0], "p": record.y[:, 0]}
     write_table(tmp_path / "five.mat", table)
-    write_hdf(tmp_path / "seven.mat", {name: column[:, None] for name, column in table.items()})
+    write_table(tmp_path / "seven.mat", table, version="7.3")
     for file in ("five.mat", "seven.mat"):
         back = read_mat(tmp_path / file, inputs=["lat"], outputs=["p"])
         np.testing.assert_array_equal(back.y[:, 0], record.y[:, 0])
         found = read_table(tmp_path / file)
         assert set(found) == set(table)
         np.testing.assert_array_equal(found["lat"], record.u[:, 0])
+
+
+def test_a_file_of_version_7_3_is_what_matlab_expects(record, tmp_path):
+    # MAT-File Format, "Level 7.3": 116 bytes of text, 8 of offset, version 0x0200, byte order;
+    # HDF5 behind 512 bytes, arrays transposed, the class an attribute.
+    write_mat(tmp_path / "flight.mat", record, version="7.3")
+    head = (tmp_path / "flight.mat").read_bytes()[:520]
+    assert head.startswith(b"MATLAB 7.3 MAT-file")
+    assert head[124:128] == b"\x00\x02IM"
+    assert head[512:520] == b"\x89HDF\r\n\x1a\n"
+    with h5py.File(tmp_path / "flight.mat") as file:
+        assert set(file) == {"t", "lat", "p", "phi"}
+        assert file["lat"].shape == (1, record.N)
+        assert file["lat"].attrs["MATLAB_class"] == b"double"
+    back = read_record(tmp_path / "flight.mat", inputs=["lat"], outputs=["p", "phi"])
+    np.testing.assert_allclose(back.y, record.y + np.array([0.01, -0.02]), rtol=0, atol=1e-15)
+    with pytest.raises(ValueError, match="version='6': expected one of 5"):
+        write_mat(tmp_path / "flight.mat", record, version="6")
 
 
 @pytest.mark.parametrize("suffix", ["csv", "mat", "parquet"])

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 import numpy as np
@@ -16,6 +16,7 @@ from casid.commands.scaffold import new_model
 from casid.commands.terminal import exits, new_table, terminal
 from casid.consistency.kinematics import KinematicCheck
 from casid.exchange.formats import (
+    MatVersion,
     in_si,
     read_record,
     read_table,
@@ -71,17 +72,26 @@ TIME = click.option("--time", default="t", show_default=True, help="Column of in
 @click.argument("target", metavar="TO")
 @UNIT
 @MODEL
-def convert(source: str, target: str, units: dict[str, str], structure: str | None) -> None:
+@click.option(
+    "--mat-version",
+    type=click.Choice(get_args(MatVersion)),
+    default="5",
+    show_default=True,
+    help="Of a record written as .mat.",
+)
+def convert(
+    source: str, target: str, units: dict[str, str], structure: str | None, mat_version: MatVersion
+) -> None:
     """Turn a file into another format; suffixes say which. TO is replaced if it is there.
 
     \b
     FROM                                   TO
-    record .csv .mat (5 to 7.3) .parquet   .csv .mat (5) .parquet
+    record .csv .mat (5 to 7.3) .parquet   .csv .mat .parquet
     frequency response .json               .json .csv .mat
     fit .json, with --model                .mat, .py (simulates with NumPy alone)
 
-    Parquet needs: pip install 'casid[tables]'. Of a record all columns are taken, whether inputs or
-    outputs; --unit turns one into SI on the way.
+    Parquet and version 7.3 need: pip install 'casid[tables]'. Of a record all columns are taken,
+    whether inputs or outputs; --unit turns one into SI on the way.
     """  # noqa: D301
     console = terminal()
     with exits(console):
@@ -91,7 +101,7 @@ def convert(source: str, target: str, units: dict[str, str], structure: str | No
             done = _convert_result(Path(source), Path(target), structure)
         else:
             table = in_si(read_table(source), units)
-            write_table(target, table)
+            write_table(target, table, version=mat_version)
             rows = len(next(iter(table.values())))
             done = f"{rows} samples of {', '.join(table)}"
         console.print(Text(f"{target}: {done}"), soft_wrap=True)

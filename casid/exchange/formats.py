@@ -1,9 +1,9 @@
 """Files of other tools, told apart by their suffix: tables of samples, responses, fitted models."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import scipy.io
@@ -24,9 +24,11 @@ from casid.files import (
 from casid.fit import Fit
 from casid.folder import replacing
 from casid.frequency.estimation import FrequencyResponse
+from casid.hdf import write_hdf
 from casid.limits import TABLE_BYTES, check_file
 from casid.record import Hold, Record
 
+MatVersion: TypeAlias = Literal["5", "7.3"]  # of MATLAB files
 TABLES = (".csv", ".mat", ".parquet")
 VARIABLE = re.compile(r"[A-Za-z]\w{0,62}", flags=re.ASCII)  # what MATLAB takes for a name
 
@@ -104,17 +106,17 @@ def write_parquet(path: str | Path, record: Record) -> None:
         frame.to_parquet(temporary, engine="pyarrow")
 
 
-def write_mat(path: str | Path, record: Record) -> None:
-    """Write a record as a MATLAB file of version 5: a vector a channel and ``t``, SI units.
+def write_mat(path: str | Path, record: Record, *, version: MatVersion = "5") -> None:
+    """Write a record as a MATLAB file: a vector a channel and ``t``, SI units.
 
-    What was subtracted as trim is added back, as `write_csv` does.
+    What was subtracted as trim is added back, as `write_csv` does. Version "7.3" needs h5py.
     """
     names = (*record.inputs, *record.outputs)
     values = np.hstack([record.u, record.y])
     table = {
         name: values[:, i] + record.trim.get(name, 0.0) for i, name in enumerate(names)
     }  # fmt: skip
-    _save_mat(path, {"t": record.t} | table)
+    _save_table(path, {"t": record.t} | table, version)
 
 
 # ---- tables, whatever is input or output -------------------------------------------------------
@@ -139,18 +141,18 @@ def read_table(path: str | Path) -> dict[str, Array]:
     return _vectors(path)
 
 
-def write_table(path: str | Path, table: Mapping[str, Array]) -> None:
-    """Write columns of one length as CSV, MATLAB (version 5) or Parquet, by the suffix.
+def write_table(path: str | Path, table: Mapping[str, Array], *, version: MatVersion = "5") -> None:
+    """Write columns of one length as CSV, MATLAB (of that version) or Parquet, by the suffix.
 
     Raises
     ------
     ValueError
-        Another suffix; a name that MATLAB does not take; pandas or pyarrow missing.
+        Another suffix; a name that MATLAB does not take; pandas, pyarrow or h5py missing.
     """
     path = Path(path)
     suffix = _suffix(path, TABLES)
     if suffix == ".mat":
-        _save_mat(path, table)
+        _save_table(path, table, version)
     elif suffix == ".parquet":
         optional("pyarrow", "Parquet")
         frame = optional("pandas", "Parquet").DataFrame(dict(table))
@@ -290,12 +292,26 @@ def _vectors(path: Path) -> dict[str, Array]:
     return found
 
 
-def _save_mat(path: str | Path, content: Mapping[str, Any]) -> None:
-    if bad := [name for name in content if not VARIABLE.fullmatch(name)]:
+def _save_table(path: str | Path, table: Mapping[str, Array], version: MatVersion) -> None:
+    if version not in get_args(MatVersion):
+        raise ValueError(f"version={version!r}: expected one of {', '.join(get_args(MatVersion))}")
+    if version == "5":
+        _save_mat(path, table)
+    else:
+        _check_names(path, table)
+        write_hdf(Path(path), {name: column[:, None] for name, column in table.items()})
+
+
+def _check_names(path: str | Path, names: Iterable[str]) -> None:
+    if bad := [name for name in names if not VARIABLE.fullmatch(name)]:
         raise ValueError(
             f"{path}: MATLAB takes no variable {bad[0]!r}; rename the channel (letters, digits and "
             "_, a letter first, 63 at most)"
         )
+
+
+def _save_mat(path: str | Path, content: Mapping[str, Any]) -> None:
+    _check_names(path, content)
     cells = {
         name: np.array(value, dtype=object)[:, None] if isinstance(value, tuple) else value
         for name, value in content.items()
