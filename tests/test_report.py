@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from small_study import write_study
 
@@ -159,6 +160,24 @@ def test_every_figure_names_the_unit_of_every_axis(content):
                 labels.append(ax.get_xlabel())
             assert all(re.search(r"\[.+\]", label) for label in labels), (drawing.name, labels)
         assert any(ax.get_ylabel() for ax in drawing.figure.axes)
+
+
+@pytest.mark.slow
+def test_no_label_covers_another_or_leaves_the_paper(content):
+    for drawing in draw(content):
+        canvas = FigureCanvasAgg(drawing.figure)
+        canvas.draw()
+        paper, pen = drawing.figure.bbox, canvas.get_renderer()
+        names, ticks = [], []
+        for ax in drawing.figure.axes:
+            if ax.get_visible() and ax.get_ylabel():
+                names.append(ax.yaxis.label.get_window_extent(pen))
+                inside = ax.get_ylim()
+                ticks += [tick.label1.get_window_extent(pen) for tick in ax.yaxis.get_major_ticks()
+                          if inside[0] <= tick.get_loc() <= inside[1]]  # fmt: skip
+        for name in names:
+            assert name.x0 >= paper.x0, drawing.name
+            assert name.count_overlaps([*names, *ticks]) == 1, drawing.name  # itself
 
 
 @pytest.mark.slow

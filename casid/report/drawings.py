@@ -59,7 +59,7 @@ PER_PAGE = 8  # outputs in a figure of time histories
 LAGS = 100  # samples of the autocorrelation
 ROWS = 16  # of the comparison of bounds
 SLOW = 2.0  # rad/s, the reach of the enlarged plane of eigenvalues
-LEFT, RIGHT, TOP, BOTTOM, GAP = 0.62, 0.1, 0.42, 0.42, 0.1  # inches around and between axes
+LEFT, RIGHT, TOP, BOTTOM, GAP = 0.66, 0.1, 0.42, 0.42, 0.1  # inches around and between axes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -225,13 +225,15 @@ def _history(content: Content, k: int, outputs: Sequence[str]) -> Drawing:
         i = record.outputs.index(channel)
         simulated = {name: y[k][:, i] for name, y in validation.simulated.items()}
         plot_history(ax, record.t, record.y[:, i], simulated, channel=channel)
+    for ax in axes[:, 0]:
+        ax.set_ylabel(ax.get_ylabel().replace(" [", "\n["))
     axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
     _legend(figure, axes[-1, 0])
     return Drawing(
         section="histories",
         name=f"history_{_file(record.name)}_{'_'.join(outputs)}",
         caption=f"{record.name}: inputs (deviations from trim), {_list(outputs)}",
-        figure=_tidy(figure, axes),
+        figure=_tidy(figure, axes, lines=2),
     )
 
 
@@ -340,20 +342,24 @@ def _legend(figure: Figure, ax: Axes) -> None:
     figure.legend(handles, labels, loc="upper center", ncols=len(labels), borderaxespad=0.2)
 
 
-def _tidy(figure: Figure, axes: np.ndarray) -> Figure:
-    """Place axes by the inch; a layout engine takes longer than all the drawing."""
+def _tidy(figure: Figure, axes: np.ndarray, *, lines: int = 1) -> Figure:
+    """Place axes by the inch, labels of so many lines beside them.
+
+    A layout engine takes longer than all the drawing.
+    """
     width, height = figure.get_size_inches()
     rows, columns = axes.shape
     gap = GAP + (0.14 if any(ax.get_title(loc="left") for ax in axes[1:].flat) else 0.0)
     each = (height - TOP - BOTTOM - gap * (rows - 1)) / rows
-    between = LEFT + 0.05
-    wide = (width - LEFT - RIGHT - between * (columns - 1)) / columns
+    left = LEFT + 0.14 * (lines - 1)
+    between = left + 0.05
+    wide = (width - left - RIGHT - between * (columns - 1)) / columns
     figure.subplots_adjust(
-        left=LEFT / width, right=1 - RIGHT / width, top=1 - TOP / height, bottom=BOTTOM / height,
+        left=left / width, right=1 - RIGHT / width, top=1 - TOP / height, bottom=BOTTOM / height,
         hspace=gap / each, wspace=between / wide,
     )  # fmt: skip
     for ax in axes.flat:
-        ax.yaxis.set_label_coords(-0.47 / wide, 0.5)
+        ax.yaxis.set_label_coords(-0.51 / wide, 0.5)
     return figure
 
 

@@ -158,7 +158,11 @@ def _axis(ax: Axes, letter: str, anchor: str) -> dict[str, Any]:
         "anchor": anchor,
         "type": "log" if log else "linear",
         "range": [float(limit) for limit in limits],
-        "title": {"text": axis.get_label_text(), "standoff": 4, "font": {"size": 12}},
+        "title": {
+            "text": axis.get_label_text().replace("\n", "<br>"),
+            "standoff": 4,
+            "font": {"size": 12},
+        },
         "showline": True,
         "linecolor": "#444444",
         "ticks": "outside",
