@@ -53,15 +53,13 @@ def step_slopes(
     """Derivatives of the map, from those of A, B, K (last axis nf)."""
     n = A.shape[0] + 2 * (B.shape[1] + K.shape[1])
     A_lam, B_lam, K_lam = (np.moveaxis(slope, 2, 0) for slope in slopes)
-    nf = len(A_lam)
-    moving = np.flatnonzero([a.any() or b.any() or k.any()
-                             for a, b, k in zip(A_lam, B_lam, K_lam, strict=True)])  # fmt: skip
+    moves = [part.any(axis=(1, 2)) for part in (A_lam, B_lam, K_lam)]
+    moving = np.flatnonzero(np.any(moves, axis=0))
     block = np.zeros((len(moving), 2 * n, 2 * n))
-    for place, i in zip(block, moving, strict=True):
-        _place(place[:n, :n], A, B, K, h)
-        place[n:, n:] = place[:n, :n]
-        _place(place[:n, n:], A_lam[i], B_lam[i], K_lam[i], h, shift=False)
-    slope = np.zeros((n, n, nf))
+    _place(block[:, :n, :n], A, B, K, h)
+    block[:, n:, n:] = block[:, :n, :n]
+    _place(block[:, :n, n:], A_lam[moving], B_lam[moving], K_lam[moving], h, shift=False)
+    slope = np.zeros((n, n, len(A_lam)))
     if len(moving):
         slope[:, :, moving] = np.moveaxis(scipy.linalg.expm(block)[:, :n, n:], 0, 2)
     return _parts(slope, A, B, K, hold)
@@ -69,11 +67,11 @@ def step_slopes(
 
 def _place(M: Array, A: Array, B: Array, K: Array, h: float, shift: bool = True) -> None:
     """[A h, (B K) h, 0; 0, 0, I; 0, 0, 0]: its exponential holds both input integrals."""
-    nx, m = A.shape[0], B.shape[1] + K.shape[1]
-    M[:nx, :nx] = A * h
-    M[:nx, nx : nx + m] = np.hstack([B, K]) * h
+    nx, m = A.shape[-2], B.shape[-1] + K.shape[-1]
+    M[..., :nx, :nx] = A * h
+    M[..., :nx, nx : nx + m] = np.concatenate([B, K], axis=-1) * h
     if shift:
-        M[nx : nx + m, nx + m :] = np.eye(m)
+        M[..., nx : nx + m, nx + m :] = np.eye(m)
 
 
 def _parts(P: Array, A: Array, B: Array, K: Array, hold: Hold) -> StepMap:

@@ -44,6 +44,11 @@ class Noise:
     kind: CovarianceKind = "diagonal"
     given: Array | None = None
 
+    @property
+    def concentrated(self) -> bool:
+        """Whether every channel's variance is estimated alone."""
+        return self.given is None and self.kind == "diagonal"
+
     def covariance(self, moments: Array) -> Array:
         """Most likely R (ny, ny) for second moments (P, ny, ny), not below the floor."""
         if self.given is not None:

@@ -26,15 +26,17 @@ from casid.record import Record
 from casid.shooting.innovation import starting_gain
 from casid.shooting.intervals import lay_out
 from casid.shooting.likelihood import CovarianceKind
+from casid.shooting.nearby import predicted
 from casid.shooting.precision import Precision, precision
 from casid.shooting.programme import Programme
 from casid.shooting.sensitivity import Evaluator, Point
-from casid.shooting.starting import noise_of, starting_programme
+from casid.shooting.starting import neighbouring_programme, noise_of, starting_programme
 from casid.subspace.pbsid import BlackBox
 
 LOG = logging.getLogger("casid")
 
 ROUNDS = 12  # of solves
+PREDICTIONS = 3  # of the solution beside another: which bounds hold is settled then
 ROUGH = 1e-4  # tolerance of the first, whose R is that of the start
 SETTLED = 4.0  # factor by which a variance may fall in the last round: the scales still fit
 GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
@@ -242,23 +244,22 @@ class _Search:
     def beside(
         self, near: Fit, evaluator: Evaluator, R: Array | CovarianceKind, biases: bool
     ) -> _Outcome | None:
-        """Estimate in one round from what a fit nearby found; None if that does not succeed."""
-        shape = (len(evaluator.layout.records), evaluator.ny)
-        if evaluator.filtering or near.R is None or near.biases is None:
+        """Estimate in one round from where a fit nearby leads; None if that does not succeed."""
+        begun = neighbouring_programme(evaluator, self.free, R, biases, near)
+        if evaluator.filtering or begun is None:
             return None
-        if near.biases.shape != shape:
-            return None
-        start = R if isinstance(R, np.ndarray) else near.R
-        first, point = starting_programme(evaluator, self.free, start, biases, near.biases)
-        if not isinstance(R, np.ndarray):
-            noise = noise_of(evaluator, None, R)
-            first = Programme(evaluator, self.free, first.scales, noise, biases)
-            first = first.rescaled(first.balanced(point))
+        first, point = begun
+        x, multipliers = first.pack(point), None
+        for _ in range(PREDICTIONS):
+            guess = predicted(first, x, replace(self.options, progress=None))
+            if guess is None:
+                return None
+            x, multipliers = guess
         options = replace(
             self.options, ipopt=NEAR | {"mu_init": self.options.tolerance / 1000}
             | dict(self.options.ipopt),
         )  # fmt: skip
-        solution = self._solve(first, point, None, 1, options)
+        solution = self._solve(first, first.unpack(x), multipliers, 1, options)
         outcome = _Outcome(first, solution, solution.iterations, 1, True)
         return outcome if solution.success else None
 
@@ -275,8 +276,8 @@ class _Search:
             if not solution.success:
                 return _Outcome(programme, solution, iterations, rounds - 1, False)
             last, point = programme, programme.unpack(solution.x)
-            loose = Programme(evaluator, self.free, last.scales, noise, last.biases)
-            programme = loose.rescaled(loose.balanced(point))
+            loose = last.variant(noise=noise)
+            programme = loose.variant(scales=loose.balanced(point))
             before = programme.values(programme.pack(point)).R
             warm = _carried(solution, last, programme)
             solution = self._solve(programme, point, warm, rounds, self.options)
@@ -298,7 +299,10 @@ class _Search:
         if warm is not None:
             options = replace(options, ipopt=WARM | dict(options.ipopt))
         problem = programme.problem(programme.pack(point))
-        return solve(problem, options, stage=f"output error, round {number}", warm=warm)
+        if warm is not None:
+            warm = np.concatenate([warm[0], np.zeros(programme.riders)]), warm[1]
+        solution = solve(problem, options, stage=f"output error, round {number}", warm=warm)
+        return programme.without_riders(solution)
 
 
 def _carried(solution: Solution, last: Programme, programme: Programme) -> tuple[Array, Array]:

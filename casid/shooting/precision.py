@@ -11,7 +11,6 @@ import scipy.sparse
 from casid.arrays import Array
 from casid.fit import ACTIVE, holding
 from casid.shooting.programme import Programme
-from casid.shooting.sensitivity import whiteners
 from casid.shooting.uncertainty import (
     Collinearity,
     bound,
@@ -104,19 +103,32 @@ def held(programme: Programme, x: Array) -> Array:
 
 def information(programme: Programme, x: Array) -> tuple[Array, Array]:
     """Fisher information of the scaled unknowns, and dν/dλ of scaled biases and nodes."""
+    F, follow = quadratic_model(programme, x)
+    return F[:-1, :-1], follow[:, :-1]
+
+
+def quadratic_model(programme: Programme, x: Array) -> tuple[Array, Array]:
+    """The cost about scaled variables as a function of [d; 1], d the unknowns' step.
+
+    Biases and nodes ν follow so as to minimise it on the continuity constraints, which they meet
+    whatever the gaps at x: ν moves by the second matrix, (nn, nf + 1), times [d; 1], and the cost
+    is up to a constant half the quadratic form of the first, (nf + 1, nf + 1).
+    """
     upper = programme.hessian_matrix(x)
     H = scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
-    G = programme.continuity_matrix(x)
-    nf = programme.evaluator.nf
+    G, nf = programme.continuity_matrix(x), programme.evaluator.nf
+    g = programme.n * programme.gradient(x)[:, None]
+    gaps = programme.values(x).g[: G.shape[0], None]
     return eliminate(
-        H[:nf, :nf].toarray(), H[nf:, nf:], H[nf:, :nf].toarray(), G[:, nf:], G[:, :nf].toarray()
-    )
+        np.block([[H[:nf, :nf].toarray(), g[:nf]], [g[:nf].T, np.zeros((1, 1))]]),
+        H[nf:, nf:], np.hstack([H[nf:, :nf].toarray(), g[nf:]]),
+        G[:, nf:], np.hstack([G[:, :nf].toarray(), gaps]),
+    )  # fmt: skip
 
 
 def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) -> Array:
     e, s, layout = programme.evaluator, programme.scales, programme.evaluator.layout
-    point, values = programme.unpack(x), programme.values(x)
-    W, motion = whiteners(values.R, layout), values.motion
+    sweep = programme.blocks(x).sweep
     nf, nx, ny, first = e.nf, e.nx, e.ny, programme.first_node
     move = np.zeros((programme.J, nf + nx + ny, nf))  # chronological
     move[:, :nf] = np.diag(s.lam)
@@ -124,8 +136,7 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) 
     if programme.biases:
         bias = follow[: first - nf].reshape(-1, ny, nf) * s.bias[:, None]
         move[:, nf + nx :] = bias[programme.record]
-    white = np.einsum("nab,nb->na", W[layout.pattern], motion.residuals)
+    white = np.einsum("nab,nb->na", sweep.W[layout.pattern], sweep.motion.residuals)
     edges = np.cumsum([0, *(record.N for record in layout.records)])
     residuals = [white[a:b] for a, b in itertools.pairwise(edges)]
-    slopes = e.influence(point, motion, W, move[layout.node])
-    return coloured_covariance(covariance, residuals, slopes)
+    return coloured_covariance(covariance, residuals, sweep.influence(move[layout.node]))

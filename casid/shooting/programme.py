@@ -6,12 +6,20 @@
 with the negative log-likelihood ℓ of `casid.shooting.likelihood`. If R is estimated it is the most
 likely one at every iterate, so that ℓ is the concentrated likelihood: its gradient is that of ½ Σ
 rᵀR⁻¹r with R held (the envelope theorem). The Hessian is the generalised Gauss-Newton one (Bock
-1987): the Gram matrix of the residuals, with the nodes kept as variables. IPOPT's callbacks run in
-NumPy on the blocks of all intervals.
+1987): the Gram matrix of the residuals, with the nodes kept as variables. Near the solution, where
+the intervals meet, it is Newton's: the curvature of outputs and end states is added, and that of
+the concentrated likelihood, which for a diagonal R takes
+
+    Σ_i (2 / n_i) g_i g_iᵀ,    g_i the gradient of channel i's ½ Σ r²/R_ii,
+
+off the Hessian H of held R. These are dense; so each channel has a rider z_i, a variable on which
+neither cost nor constraints depend, and IPOPT solves with the sparse [H, -g√(2/n); -gᵀ√(2/n), 1],
+from which the elimination of z leaves just that. IPOPT's callbacks run in NumPy on the blocks of
+all intervals.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -19,9 +27,13 @@ import scipy.sparse
 
 from casid.arrays import Array
 from casid.model import Free
-from casid.nlp import Problem
+from casid.nlp import Problem, Solution
+from casid.shooting.assembly import NumPyFunction, Pattern, grid, stack, upper_triangle
+from casid.shooting.curvature import Curvature, curvature
 from casid.shooting.likelihood import Noise, moments_of
-from casid.shooting.sensitivity import Evaluator, Motion, Point, whiteners
+from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, whiteners
+
+NEAR = 1e-2  # gaps between intervals, in units of unit curvature, that are Newton's to close
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +42,7 @@ class Blocks:
 
     Suffixes: l the parameters, b the biases of the interval's record, n the interval's node.
     ``H`` and ``g`` are Hessian and gradient of ½ Σ rᵀR⁻¹r; ``ends`` and ``slope`` the end states
-    and their derivatives.
+    and their derivatives; ``sweep`` is what computed them, in physical units.
     """
 
     Hll: Array
@@ -47,6 +59,7 @@ class Blocks:
     slope_n: Array
     slope_b: Array
     c_lam: Array
+    sweep: Sweep
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,12 +109,27 @@ class Programme:
         self.record = layout.record[back]
         self.links = np.flatnonzero(~layout.last[back])  # nodes with a successor
         self.n = max(layout.observations, 1)
+        rows = len(self.links) * evaluator.nx + len(free.model.constraints())
+        self._hessian_pattern = Pattern(*self._hessian_entries(), size=self.size)
+        self._jacobian_pattern = Pattern(*self._jacobian_entries(), size=self.size, rows=rows)
+        self._forget()
+
+    def variant(self, *, scales: Scales | None = None, noise: Noise | None = None) -> "Programme":
+        """The same problem in other units or with another R."""
+        other = copy.copy(self)
+        other.scales, other.noise = scales or self.scales, noise or self.noise
+        other._forget()
+        return other
+
+    def _forget(self) -> None:
         self._seen: tuple[bytes, Values] | None = None
         self._blocks: tuple[bytes, Blocks] | None = None
         self._callbacks: list[ca.Function] = []
-        self._hessian_pattern = _Pattern(*self._hessian_entries(), size=self.size)
-        rows = len(self.links) * evaluator.nx + len(free.model.constraints())
-        self._jacobian_pattern = _Pattern(*self._jacobian_entries(), size=self.size, rows=rows)
+
+    @property
+    def riders(self) -> int:
+        """Number of variables that only carry the curvature of the concentrated likelihood."""
+        return self.evaluator.ny if self.noise.concentrated and not self.evaluator.filtering else 0
 
     # ---- variables ------------------------------------------------------------------------------
 
@@ -167,10 +195,6 @@ class Programme:
                 self._blocks = key, self._sum(self.unpack(x), self.values(x))
         return self._blocks[1]
 
-    def rescaled(self, scales: Scales) -> "Programme":
-        """The same problem in other units."""
-        return Programme(self.evaluator, self.free, scales, self.noise, self.biases)
-
     def balanced(self, point: Point) -> Scales:
         """Scales that make the curvature per observation one, at most the present ones.
 
@@ -183,12 +207,12 @@ class Programme:
 
     def _sum(self, point: Point, values: "Values") -> Blocks:
         e, s = self.evaluator, self.scales
-        W = whiteners(values.R, e.layout)
+        sweep = Sweep(e, point, values.motion, whiteners(values.R, e.layout))
         nf, nx = e.nf, e.nx
         unit = np.concatenate([s.lam, s.state, s.bias, [1.0]])
         G = np.empty((self.J, len(unit), len(unit)))
         ends, slopes = np.empty((self.J, nx)), np.empty((self.J, nx, len(unit) - 1))
-        for batch in e.batches(point, values.motion, W):
+        for batch in sweep.batches():
             nodes = e.layout.node[batch.index]
             G[nodes], ends[nodes], slopes[nodes] = batch.gram, batch.ends, batch.slopes
         G *= unit[:, None] * unit
@@ -202,7 +226,7 @@ class Programme:
             Hln=G[:, l, n], Hbn=G[:, b, n], Hnn=G[:, n, n],
             gl=total[l, -1], gb=per_record[:, b, -1], gn=G[:, n, -1],
             ends=ends, slope_l=slopes[:, :, l], slope_n=slopes[:, :, n], slope_b=slopes[:, :, b],
-            c_lam=e.structure(point.lam).c_lam * s.lam,
+            c_lam=sweep.numbers.c_lam * s.lam, sweep=sweep,
         )  # fmt: skip
 
     def units(self) -> tuple[Array, Array]:
@@ -223,21 +247,65 @@ class Programme:
 
     def _hessian_entries(self) -> tuple[np.ndarray, np.ndarray]:
         l, b, n = self._places()
-        grids = [_grid(l[None], l[None], upper=True)]
+        grids = [grid(l[None], l[None], upper=True)]
         if self.biases:
-            grids += [_grid(np.tile(l, (len(b), 1)), b), _grid(b, b, upper=True)]
-            grids += [_grid(b[self.record], n)]
-        grids += [_grid(np.tile(l, (self.J, 1)), n), _grid(n, n, upper=True)]
-        return _stack(grids)
+            grids += [grid(np.tile(l, (len(b), 1)), b), grid(b, b, upper=True)]
+            grids += [grid(b[self.record], n)]
+        grids += [grid(np.tile(l, (self.J, 1)), n), grid(n, n, upper=True)]
+        return stack(grids)
+
+    def _newton_entries(self) -> tuple[np.ndarray, np.ndarray]:
+        riders = self.size + np.arange(self.riders)
+        grids = [grid(np.arange(self.size)[None], riders[None]), (riders, riders)]
+        return stack([self._hessian_entries(), *grids])
 
     def hessian(self, x: Array) -> Array:
         """Nonzeros of the Gauss-Newton Hessian's upper triangle, per observation."""
         blocks = self.blocks(x)
-        parts = [_upper(blocks.Hll[None])]
+        return self._hessian_pattern.order(self._parts(blocks, blocks.Hll, blocks.Hln)) / self.n
+
+    def newton_hessian(self, x: Array, f: float, multipliers: Array) -> Array:
+        """Entries of the Hessian of f times the cost and the constraints, per observation.
+
+        Of the upper triangle, with the riders, in the order of the places; Gauss-Newton's while the
+        intervals are far apart.
+        """
+        blocks, e = self.blocks(x), self.evaluator
+        Hll, Hln = blocks.Hll, blocks.Hln
+        pull: Array = np.zeros((self.size, self.riders))
+        gaps = self.values(x).g[: len(self.links) * e.nx]
+        if f > 0 and not e.filtering and np.abs(gaps).max(initial=0.0) < NEAR:
+            more = self._curvature(x, multipliers[: len(gaps)] / f)
+            Hll, Hln, pull = Hll + more.Hll, Hln + more.Hln, self._pull(more)
+        core = self._parts(blocks, Hll, Hln) / self.n
+        return f * np.concatenate([core, -pull.ravel(), np.ones(self.riders)])
+
+    def _parts(self, blocks: Blocks, Hll: Array, Hln: Array) -> Array:
+        parts = [upper_triangle(Hll[None])]
         if self.biases:
-            parts += [blocks.Hlb.ravel(), _upper(blocks.Hbb), blocks.Hbn.ravel()]
-        parts += [blocks.Hln.ravel(), _upper(blocks.Hnn)]
-        return self._hessian_pattern.order(np.concatenate(parts)) / self.n
+            parts += [blocks.Hlb.ravel(), upper_triangle(blocks.Hbb), blocks.Hbn.ravel()]
+        return np.concatenate([*parts, Hln.ravel(), upper_triangle(blocks.Hnn)])
+
+    def _curvature(self, x: Array, multipliers: Array) -> Curvature:
+        """What Gauss-Newton leaves out, in scaled variables; multipliers of the continuity."""
+        e, s = self.evaluator, self.scales
+        mu = np.zeros((self.J, e.nx))
+        mu[self.links] = self.n * multipliers.reshape(-1, e.nx) / s.state
+        found = curvature(self.blocks(x).sweep, mu)
+        return Curvature(
+            found.Hll * np.outer(s.lam, s.lam), found.Hln * np.outer(s.lam, s.state),
+            found.gl * s.lam, found.gb * s.bias, found.gn * s.state,
+        )  # fmt: skip
+
+    def _pull(self, found: Curvature) -> Array:
+        """Columns of the riders: every channel's g √(2/n), per observation."""
+        noise, ny = self.noise, self.evaluator.ny
+        if not self.riders:
+            return np.zeros((self.size, 0))
+        parts = [found.gl, found.gb.reshape(ny, -1), found.gn.reshape(ny, -1)]
+        g = np.hstack(parts if self.biases else parts[::2]).T
+        seen = noise.patterns.T @ noise.counts
+        return np.asarray(g * np.sqrt(2 / (np.maximum(seen, 1) * self.n)))
 
     def gradient(self, x: Array) -> Array:
         """Gradient of the cost, per observation."""
@@ -250,14 +318,14 @@ class Programme:
         nx, ties = self.evaluator.nx, len(self.free.model.constraints())
         links = np.arange(len(self.links) * nx).reshape(-1, nx)
         grids = [
-            _grid(links, np.tile(l, (len(links), 1))),
-            _grid(links, n[self.links]),
+            grid(links, np.tile(l, (len(links), 1))),
+            grid(links, n[self.links]),
             (links.ravel(), n[self.links + 1].ravel()),
-            _grid(links.size + np.arange(ties)[None], l[None]),
+            grid(links.size + np.arange(ties)[None], l[None]),
         ]
         if self._bias_moves_states:
-            grids.append(_grid(links, b[self.record[self.links]]))
-        return _stack(grids)
+            grids.append(grid(links, b[self.record[self.links]]))
+        return stack(grids)
 
     def jacobian(self, x: Array) -> Array:
         """Nonzeros of the constraints' Jacobian."""
@@ -285,115 +353,56 @@ class Programme:
         links = len(self.links) * self.evaluator.nx
         return self.constraint_matrix(x)[:links]
 
+    def limits(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Lower and upper bounds of the scaled λ (not of a gain), and of the constraints."""
+        free, ties = self.free, self.free.model.constraints()
+        size = self.scales.lam[: len(free.index)]
+        bounds = free.lower[free.index] / size, free.upper[free.index] / size
+        sides = np.array([(tie.lower, tie.upper) for tie in ties]).reshape(-1, 2).T
+        return bounds, (sides[0], sides[1])
+
     # ---- for IPOPT ------------------------------------------------------------------------------
 
     def problem(self, start: Array) -> Problem:
-        """The problem for `casid.nlp.solve`, from scaled variables."""
-        n, m = self.size, self._jacobian_pattern.rows
+        """The problem for `casid.nlp.solve`, from scaled variables, with the riders behind."""
+        own, m = self.size, self._jacobian_pattern.rows
+        pattern = Pattern(*self._newton_entries(), size=own + self.riders)
+        n = own + self.riders
         x, p, one, g = (ca.Sparsity.dense(k, 1) if k else ca.Sparsity(0, 0) for k in (n, 0, 1, m))
-        H, Jg = self._hessian_pattern.sparsity, self._jacobian_pattern.sparsity
-        f_of = _NumPy("f", [x], [one], lambda x: [self.values(x).cost])
-        g_of = _NumPy("g", [x], [g], lambda x: [self.values(x).g])
-        grad = _NumPy("nlp_grad_f", [x, p], [one, x],
-                      lambda x, _: [self.values(x).cost, self.gradient(x)])  # fmt: skip
-        jac = _NumPy("nlp_jac_g", [x, p], [g, Jg],
-                     lambda x, _: [self.values(x).g, self.jacobian(x)])  # fmt: skip
-        hess = _NumPy("nlp_hess_l", [x, p, one, g], [H],
-                      lambda x, _p, f, _g: [f * self.hessian(x)])  # fmt: skip
+        H, Jg = pattern.sparsity, self._jacobian_pattern.sparsity
+        Jg = ca.horzcat(Jg, ca.Sparsity(m, self.riders))
+        still = np.zeros(self.riders)
+        f_of = NumPyFunction("f", [x], [one], lambda x: [self.values(x[:own]).cost])
+        g_of = NumPyFunction("g", [x], [g], lambda x: [self.values(x[:own]).g])
+        grad = NumPyFunction(
+            "nlp_grad_f", [x, p], [one, x],
+            lambda x, _: [
+                self.values(x[:own]).cost, np.concatenate([self.gradient(x[:own]), still])
+            ],
+        )  # fmt: skip
+        jac = NumPyFunction(
+            "nlp_jac_g", [x, p], [g, Jg],
+            lambda x, _: [self.values(x[:own]).g, self.jacobian(x[:own])],
+        )  # fmt: skip
+        hess = NumPyFunction(
+            "nlp_hess_l", [x, p, one, g], [H],
+            lambda x, _, f, lam: [
+                pattern.order(self.newton_hessian(x[:own], float(f[0]), lam))
+            ],
+        )  # fmt: skip
         self._callbacks = [f_of, g_of, grad, jac, hess]  # CasADi does not keep them alive
         symbol = ca.MX.sym("x", n)
-        lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
-        free = self.free
-        count = len(free.index)
-        lower[:count] = free.lower[free.index] / self.scales.lam[:count]
-        upper[:count] = free.upper[free.index] / self.scales.lam[:count]
-        ties = free.model.constraints()
-        closed = np.zeros(m - len(ties))
+        (lower, upper), (lower_c, upper_c) = self.limits()
+        nowhere, closed = np.full(n - len(lower), np.inf), np.zeros(m - len(lower_c))
         return Problem(
-            x=symbol, f=f_of(symbol), g=g_of(symbol) if m else ca.MX(0, 1), x0=start,
-            lower_x=lower, upper_x=upper,
-            lower_g=np.concatenate([closed, [tie.lower for tie in ties]]),
-            upper_g=np.concatenate([closed, [tie.upper for tie in ties]]),
+            x=symbol, f=f_of(symbol), g=g_of(symbol) if m else ca.MX(0, 1),
+            x0=np.concatenate([start, still]),
+            lower_x=np.concatenate([lower, -nowhere]), upper_x=np.concatenate([upper, nowhere]),
+            lower_g=np.concatenate([closed, lower_c]), upper_g=np.concatenate([closed, upper_c]),
             hessian=hess, functions={"nlp_grad_f": grad, "nlp_jac_g": jac},
         )  # fmt: skip
 
-
-class _Pattern:
-    """A sparse matrix with fixed places, whose values come in another order."""
-
-    def __init__(
-        self, row: np.ndarray, col: np.ndarray, size: int, rows: int | None = None
-    ) -> None:
-        self.rows = size if rows is None else rows
-        number = np.arange(1.0, len(row) + 1)  # 0 would be dropped
-        matrix = scipy.sparse.csc_array((number, (row, col)), (self.rows, size))
-        matrix.sort_indices()
-        self._order = matrix.data.astype(int) - 1
-        self._empty = matrix
-        self.sparsity = ca.Sparsity(
-            self.rows, size, matrix.indptr.tolist(), matrix.indices.tolist()
-        )
-
-    def order(self, values: Array) -> Array:
-        """Values as the sparsity stores them."""
-        return np.asarray(values[self._order])
-
-    def matrix(self, ordered: Array) -> scipy.sparse.csc_array:
-        """SciPy's form of values ordered before."""
-        like = self._empty
-        return scipy.sparse.csc_array((ordered, like.indices, like.indptr), like.shape)
-
-
-class _NumPy(ca.Callback):
-    """A CasADi function evaluated by NumPy, without copies through CasADi matrices."""
-
-    def __init__(
-        self,
-        name: str,
-        inputs: Sequence[ca.Sparsity],
-        outputs: Sequence[ca.Sparsity],
-        function: Callable[..., Sequence[Array | float]],
-    ) -> None:
-        ca.Callback.__init__(self)
-        self._in, self._out, self._function = inputs, outputs, function
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return len(self._in)
-
-    def get_n_out(self) -> int:
-        return len(self._out)
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return self._in[i]
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return self._out[i]
-
-    def has_eval_buffer(self) -> bool:
-        return True
-
-    def eval_buffer(
-        self, arguments: Sequence[memoryview | None], results: Sequence[memoryview | None]
-    ) -> int:
-        values = [np.frombuffer(a) if a is not None else np.zeros(0) for a in arguments]
-        for target, value in zip(results, self._function(*values), strict=True):
-            if target is not None:
-                np.frombuffer(target)[:] = value
-        return 0
-
-
-def _grid(rows: np.ndarray, cols: np.ndarray, upper: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column of every entry of a stack of blocks, (k, a) against (k, b)."""
-    row = np.broadcast_to(rows[:, :, None], (*rows.shape, cols.shape[1]))
-    col = np.broadcast_to(cols[:, None, :], row.shape)
-    return (_upper(row), _upper(col)) if upper else (row.ravel(), col.ravel())
-
-
-def _upper(blocks: np.ndarray) -> np.ndarray:
-    i, j = np.triu_indices(blocks.shape[1])
-    return blocks[:, i, j].ravel()
-
-
-def _stack(grids: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    return np.concatenate([r for r, _ in grids]), np.concatenate([c for _, c in grids])
+    def without_riders(self, solution: Solution) -> Solution:
+        """A solution of `problem` in the programme's own variables."""
+        own = self.size
+        return replace(solution, x=solution.x[:own], multipliers_x=solution.multipliers_x[:own])

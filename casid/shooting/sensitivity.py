@@ -122,12 +122,17 @@ class Evaluator:
         model = free.model
         self.nx, self.nu, self.ny = len(model.states), len(model.inputs), len(model.outputs)
         self.nf = len(free.index) + gain_free * self.nx * self.ny
-        self._inputs = [DelayedInput(record, _longest(free)) for record in layout.records]
+        longest = _longest(free)
+        self._inputs = [DelayedInput(record, longest) for record in layout.records]
 
     def delayed(self, tau: Array) -> tuple[Array, Array]:
         """Delayed inputs of all samples (N, nu), and their derivatives by the delay."""
         pairs = [source.at(tau) for source in self._inputs]
         return np.concatenate([u for u, _ in pairs]), np.concatenate([du for _, du in pairs])
+
+    def bends(self, tau: Array) -> Array:
+        """Second derivatives (N, nu) of the delayed inputs by the delay."""
+        return np.concatenate([source.bend(tau) for source in self._inputs])
 
     def simulate(self, point: Point) -> Motion:
         """States and residuals over all intervals."""
@@ -139,7 +144,7 @@ class Evaluator:
         r, states = np.empty_like(layout.y), np.empty((len(layout.y), self.nx))
         ends = np.empty((len(layout.count), self.nx))
         bias, x = point.bias[layout.record], point.nodes[layout.node]
-        active = _active(layout.count)
+        active = counts(layout.count)
         for k, n in enumerate(active):
             at = layout.start[:n] + k
             V = np.concatenate([x[:n], inputs[at]], axis=1)
@@ -151,39 +156,23 @@ class Evaluator:
                 ends[:n][done] = x[done]
         return Motion(states, r, ends)
 
-    def batches(self, point: Point, motion: Motion, W: Array) -> Iterator[Batch]:
-        """Gram matrices of all intervals, a bounded number of rows at a time."""
-        sweep = _Sweep(self, point, motion, W)
-        columns = self.nf + self.nx + self.ny + 1
-        size = max(1, int(BATCH_BYTES / (8 * BLOCK * self.ny * columns)))
-        for first in range(0, len(self.layout.count), size):
-            index = np.arange(first, min(first + size, len(self.layout.count)))
-            gram = np.zeros((len(index), columns, columns))
 
-            def add(j: int, _: int, rows: Array, gram: Array = gram) -> None:
-                flat = rows.reshape(-1, rows.shape[-1])
-                gram[j] += flat.T @ flat
-
-            slopes = sweep.run(index, add)
-            yield Batch(index, gram, motion.ends[index], slopes)
-
-    def influence(
-        self, point: Point, motion: Motion, W: Array, follow: Array
-    ) -> Iterator[Iterator[Array]]:
-        """Total derivative by λ of every record's whitened residuals, (N, ny, nf) in pieces of N.
-
-        ``follow`` (J, nf + nx + ny, nf) says how λ, node and biases of every interval (rows of the
-        layout) move with λ.
-        """
-        sweep = _Sweep(self, point, motion, W)
-        return (sweep.totals(record, follow) for record in range(len(self.layout.records)))
-
-
-class _Sweep:
+class Sweep:
     """Passes over batches of intervals that turn states into rows of the Jacobian.
 
     The states being known, all that drives the sensitivities over a block of samples is one dense
     product; only S⁺ = A_d S + F goes sample by sample.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+        Model and intervals.
+    point : Point
+        Where.
+    motion : Motion
+        What `Evaluator.simulate` gave there.
+    W : (n_patterns, ny, ny) array
+        See `whiteners`.
     """
 
     def __init__(self, evaluator: Evaluator, point: Point, motion: Motion, W: Array) -> None:
@@ -198,31 +187,69 @@ class _Sweep:
         self.live = np.flatnonzero(self.drive.any(axis=(1, 2)))
         self.delay = self.numbers.D[:, :, None] * self.numbers.tau_lam[:, self.numbers.delaying]
 
+    def batches(self) -> Iterator[Batch]:
+        """Gram matrices of all intervals, a bounded number of rows at a time."""
+        columns = self.e.nf + self.e.nx + self.e.ny + 1
+        for index in self.portions():
+            gram = np.zeros((len(index), columns, columns))
+
+            def add(j: int, _: int, rows: Array, gram: Array = gram) -> None:
+                flat = rows.reshape(-1, rows.shape[-1])
+                gram[j] += flat.T @ flat
+
+            slopes = self.run(index, add)
+            yield Batch(index, gram, self.motion.ends[index], slopes)
+
+    def portions(self) -> Iterator[np.ndarray]:
+        """Rows of the layout in portions whose Jacobian rows stay in the cache."""
+        columns = self.e.nf + self.e.nx + self.e.ny + 1
+        size = max(1, int(BATCH_BYTES / (8 * BLOCK * self.e.ny * columns)))
+        for first in range(0, len(self.layout.count), size):
+            yield np.arange(first, min(first + size, len(self.layout.count)))
+
+    def influence(self, follow: Array) -> Iterator[Iterator[Array]]:
+        """Total derivative by λ of every record's whitened residuals, (N, ny, nf) in pieces of N.
+
+        ``follow`` (J, nf + nx + ny, nf) says how λ, node and biases of every interval (rows of the
+        layout) move with λ.
+        """
+        return (self._totals(record, follow) for record in range(len(self.layout.records)))
+
     def run(self, index: np.ndarray, take: Callable[[int, int, Array], None]) -> Array:
         """Derivatives (n, nx, nf + nx + ny) of the end states of some intervals, longest first.
 
         ``take`` is given (position in the batch, first sample, rows) block by block.
         """
-        e, start, count = self.e, self.layout.start[index], self.layout.count[index]
+        e, count = self.e, self.layout.count[index]
         slopes = np.zeros((len(index), e.nx, e.nf + e.nx + e.ny))
+        for first, at, trail in self.trails(index):
+            rows = self._rows(at, trail[:-1])
+            for j in range(at.shape[1]):
+                valid = min(int(count[j]) - first, len(at))
+                take(j, first, rows[j, :valid])
+                if count[j] - first <= len(at):
+                    slopes[j, :, : self.ns] = trail[valid][:, j]
+        return slopes
+
+    def trails(self, index: np.ndarray) -> Iterator[tuple[int, np.ndarray, Array]]:
+        """Sensitivities of some intervals, longest first, a block of samples at a time.
+
+        (first sample, samples (K, n), sensitivities before each and after the last
+        (K + 1, nx, n, ns)); n falls as intervals end, and an interval that ends within a block
+        repeats its last sample.
+        """
+        e, start, count = self.e, self.layout.start[index], self.layout.count[index]
         S: Array = np.zeros((e.nx, len(index), self.ns))
         S[:, :, e.nf : e.nf + e.nx] = np.eye(e.nx)[:, None, :]
         for first in range(0, int(count[0]), BLOCK):
             n = int((count > first).sum())
             length = min(BLOCK, int(count[0]) - first)
-            k = np.minimum(first + np.arange(length)[:, None], count[:n] - 1)
-            trail = self._block(start[:n] + k, S[:, :n])
-            rows = self._rows(start[:n] + k, trail[:-1])
-            for j in range(n):
-                valid = min(int(count[j]) - first, length)
-                take(j, first, rows[j, :valid])
-                if count[j] - first <= length:
-                    slopes[j, :, : self.ns] = trail[valid][:, j]
+            at = start[:n] + np.minimum(first + np.arange(length)[:, None], count[:n] - 1)
+            trail = self._block(at, S[:, :n])
+            yield first, at, trail
             S = trail[-1]
-        return slopes
 
-    def totals(self, record: int, follow: Array) -> Iterator[Array]:
-        """Total derivatives of one record's whitened residuals; see `Evaluator.influence`."""
+    def _totals(self, record: int, follow: Array) -> Iterator[Array]:
         start, count = self.layout.start, self.layout.count
         mine = np.flatnonzero(self.layout.record == record)
         mine = mine[np.argsort(start[mine])]
@@ -295,7 +322,7 @@ class _Sweep:
         return white.reshape(out.shape).transpose(2, 1, 0, 3).copy()
 
 
-def _active(count: np.ndarray) -> list[int]:
+def counts(count: np.ndarray) -> list[int]:
     """How many intervals (longest first) have more than k samples, k = 0, 1, ..."""
     k = np.arange(int(count[0]))
     return [int(n) for n in np.searchsorted(-count, -k)]

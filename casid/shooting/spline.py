@@ -42,7 +42,14 @@ class DelayedInput:
 
         An input with delay zero comes out as its samples.
         """
-        at = [np.maximum(self._t - d, self._first) for d in tau]
-        pairs = list(zip(self._splines, at, strict=True))
+        pairs = self._pairs(tau)
         u = np.array([spline(t) for spline, t in pairs]).T
         return u, -np.array([spline(t, 1) for spline, t in pairs]).T
+
+    def bend(self, tau: Array) -> Array:
+        """Second τ-derivatives (N, nu)."""
+        return np.array([spline(t, 2) for spline, t in self._pairs(tau)]).T
+
+    def _pairs(self, tau: Array) -> list[tuple[CubicSpline, Array]]:
+        at = [np.maximum(self._t - d, self._first) for d in tau]
+        return list(zip(self._splines, at, strict=True))

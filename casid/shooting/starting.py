@@ -14,6 +14,7 @@ import scipy.sparse.linalg
 
 from casid.arrays import Array
 from casid.errors import ConvergenceError
+from casid.fit import Fit
 from casid.model import Free
 from casid.shooting.likelihood import CovarianceKind, Noise
 from casid.shooting.programme import Programme, Scales
@@ -39,41 +40,63 @@ def noise_of(evaluator: Evaluator, given: Array | None, kind: CovarianceKind) ->
 
 
 def starting_programme(
-    evaluator: Evaluator,
-    free: Free,
-    R: Array | CovarianceKind,
-    biases: bool,
-    known: Array | None = None,
+    evaluator: Evaluator, free: Free, R: Array | CovarianceKind, biases: bool
 ) -> tuple[Programme, Point]:
     """The first programme, and the point to start it from.
 
-    Its R is held: as given, or that of the starting residuals in the structure named. ``known``
-    biases (records, ny) are taken off while the nodes are found.
+    Its R is held: as given, or that of the starting residuals in the structure named.
     """
+    start = _start(evaluator, free)
     if isinstance(R, np.ndarray):
         noise = noise_of(evaluator, R, "diagonal")
-        point, scales = _smoothed(evaluator, free, noise, known)
+        point, scales = _smoothed(evaluator, free, noise, start)
     else:
         coarse = np.diag((0.1 * channel_size(evaluator)) ** 2)
-        point, scales = _smoothed(evaluator, free, noise_of(evaluator, coarse, R))
+        point, scales = _smoothed(evaluator, free, noise_of(evaluator, coarse, R), start)
         loose = Programme(evaluator, free, scales, noise_of(evaluator, None, R), biases)
         noise = noise_of(evaluator, loose.values(loose.pack(point)).R, R)
     programme = Programme(evaluator, free, scales, noise, biases)
-    return programme.rescaled(programme.balanced(point)), point
+    return programme.variant(scales=programme.balanced(point)), point
+
+
+def neighbouring_programme(
+    evaluator: Evaluator, free: Free, R: Array | CovarianceKind, biases: bool, near: Fit
+) -> tuple[Programme, Point] | None:
+    """The programme of another fit's records, and that fit as a point of it.
+
+    λ is the fit's, whatever the bounds. None if the fit has no noise and biases for these records.
+    """
+    if near.R is None or near.biases is None:
+        return None
+    if near.biases.shape != (len(evaluator.layout.records), evaluator.ny):
+        return None
+    start = replace(_start(evaluator, free), lam=near.model.vector()[free.index], bias=near.biases)
+    kind: CovarianceKind = "diagonal" if isinstance(R, np.ndarray) else R
+    given = R if isinstance(R, np.ndarray) else None
+    known = noise_of(evaluator, near.R if given is None else given, kind)
+    point, scales = _smoothed(evaluator, free, known, start, biases)
+    programme = Programme(evaluator, free, scales, noise_of(evaluator, given, kind), biases)
+    return programme.variant(scales=programme.balanced(point)), point
+
+
+def _start(evaluator: Evaluator, free: Free) -> Point:
+    """The guess, at rest."""
+    e, layout = evaluator, evaluator.layout
+    gain = np.zeros(e.nf - len(free.index)) if e.gain is None else e.gain.ravel()
+    return Point(
+        lam=np.concatenate([free.guess, gain])[: e.nf],
+        bias=np.zeros((len(layout.records), e.ny)),
+        nodes=np.zeros((len(layout.count), e.nx)),
+    )
 
 
 def _smoothed(
-    evaluator: Evaluator, free: Free, noise: Noise, known: Array | None = None
+    evaluator: Evaluator, free: Free, noise: Noise, point: Point, biases: bool = False
 ) -> tuple[Point, Scales]:
-    e, layout = evaluator, evaluator.layout
-    gain = np.zeros(e.nf - len(free.index)) if e.gain is None else e.gain.ravel()
-    point = Point(
-        lam=np.concatenate([free.guess, gain])[: e.nf],
-        bias=np.zeros((len(layout.records), e.ny)) if known is None else known,
-        nodes=np.zeros((len(layout.count), e.nx)),
-    )
+    """A point with nodes that follow the data, and units of the variables."""
+    e = evaluator
     ones = Scales(np.ones(e.nf), np.ones(e.ny), np.ones(e.nx))
-    programme = Programme(e, free, ones, noise, biases=known is not None)
+    programme = Programme(e, free, ones, noise, biases)
     blocks = programme.blocks(programme.pack(point))
     with np.errstate(over="ignore", invalid="ignore"):
         drift = _drift(e, point.lam)

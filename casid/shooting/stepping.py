@@ -96,6 +96,14 @@ class Steps:
                 new[mine] -= group.apply(group.gain, r[mine], step[mine])
         return new
 
+    def back(self, step: np.ndarray, p: Array) -> Array:
+        """Costates (n, nx) one step before, A_dᵀ p."""
+        new = np.empty_like(p)
+        for g, mine in groups(self._group_of[step], len(self._groups)):
+            group = self._groups[g]
+            new[mine] = group.apply(group.Ad.transpose(0, 2, 1), p[mine], step[mine])
+        return new
+
     def force(self, step: np.ndarray, V: Array, dV: Array, r: Array) -> Array:
         """What drives the derivatives of the states over each step, (nx, rows, nf).
 

@@ -48,9 +48,16 @@ class Structure:
         unknown = ca.vertcat(lam, ca.vec(entries))
         slopes = [ca.densify(ca.jacobian(ca.vec(m), unknown)) for m in dense]
         self._function = ca.Function("structure", [unknown], [*dense, *slopes])
+        self._last: tuple[bytes, Numbers] | None = None
 
     def __call__(self, lam: Array) -> Numbers:
         """Matrices and derivatives at the unknowns (nf,)."""
+        key = lam.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, self._numbers(lam)
+        return self._last[1]
+
+    def _numbers(self, lam: Array) -> Numbers:
         found = [m.full() for m in self._function(lam)]
         values, slopes = found[:7], found[7:]
         shaped = [

@@ -1,0 +1,98 @@
+"""Pieces of a sparse programme evaluated by NumPy: patterns, places of blocks, functions."""
+
+from collections.abc import Callable, Sequence
+
+import casadi as ca
+import numpy as np
+import scipy.sparse
+
+from casid.arrays import Array
+
+
+class Pattern:
+    """A sparse matrix with fixed places, whose values come in another order."""
+
+    def __init__(
+        self, row: np.ndarray, col: np.ndarray, size: int, rows: int | None = None
+    ) -> None:
+        self.rows = size if rows is None else rows
+        number = np.arange(1.0, len(row) + 1)  # 0 would be dropped
+        matrix = scipy.sparse.csc_array((number, (row, col)), (self.rows, size))
+        matrix.sort_indices()
+        self._order = matrix.data.astype(int) - 1
+        self._empty = matrix
+        self.sparsity = ca.Sparsity(
+            self.rows, size, matrix.indptr.tolist(), matrix.indices.tolist()
+        )
+
+    def order(self, values: Array) -> Array:
+        """Values as the sparsity stores them."""
+        return np.asarray(values[self._order])
+
+    def matrix(self, ordered: Array) -> scipy.sparse.csc_array:
+        """SciPy's form of values ordered before."""
+        like = self._empty
+        return scipy.sparse.csc_array((ordered, like.indices, like.indptr), like.shape)
+
+
+class NumPyFunction(ca.Callback):
+    """A CasADi function evaluated by NumPy, without copies through CasADi matrices."""
+
+    def __init__(
+        self,
+        name: str,
+        inputs: Sequence[ca.Sparsity],
+        outputs: Sequence[ca.Sparsity],
+        function: Callable[..., Sequence[Array | float]],
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._in, self._out, self._function = inputs, outputs, function
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        """Number of arguments."""
+        return len(self._in)
+
+    def get_n_out(self) -> int:
+        """Number of results."""
+        return len(self._out)
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """Shape of an argument."""
+        return self._in[i]
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        """Shape of a result."""
+        return self._out[i]
+
+    def has_eval_buffer(self) -> bool:
+        """CasADi is to hand over its own memory."""
+        return True
+
+    def eval_buffer(
+        self, arguments: Sequence[memoryview | None], results: Sequence[memoryview | None]
+    ) -> int:
+        """Evaluate in CasADi's memory; None where it wants no result."""
+        values = [np.frombuffer(a) if a is not None else np.zeros(0) for a in arguments]
+        for target, value in zip(results, self._function(*values), strict=True):
+            if target is not None:
+                np.frombuffer(target)[:] = value
+        return 0
+
+
+def grid(rows: np.ndarray, cols: np.ndarray, upper: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of every entry of a stack of blocks, (k, a) against (k, b)."""
+    row = np.broadcast_to(rows[:, :, None], (*rows.shape, cols.shape[1]))
+    col = np.broadcast_to(cols[:, None, :], row.shape)
+    return (upper_triangle(row), upper_triangle(col)) if upper else (row.ravel(), col.ravel())
+
+
+def upper_triangle(blocks: np.ndarray) -> np.ndarray:
+    """Upper triangles of a stack of blocks, one after the other."""
+    i, j = np.triu_indices(blocks.shape[1])
+    return blocks[:, i, j].ravel()
+
+
+def stack(grids: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of all grids, one after the other."""
+    return np.concatenate([r for r, _ in grids]), np.concatenate([c for _, c in grids])

@@ -1,0 +1,128 @@
+"""What Gauss-Newton leaves out of the Hessian: the curvature of outputs and end states.
+
+Along the simulation of an interval the costate p(t) falls back from the multiplier μ of its end,
+
+    -dp/dt = Aᵀ p,    p(t_k⁻) = p(t_k⁺) + Cᵀ ρ_k,    ρ = R⁻¹ r,
+
+and with the sensitivities S = ∂x/∂(λ, x_0) the second derivatives of ρᵀ(C x + D u) and μᵀ x_end
+against λ_a and any unknown are those of the Hamiltonian (Bryson & Ho, Applied Optimal Control,
+section 6.3)
+
+    ∫ pᵀ (∂A/∂λ_a) S dt + Σ_k ρ_kᵀ (∂C/∂λ_a) S_k,    transposed too for two λ,
+
+and of the delayed inputs. The integral is taken by the trapezoidal rule and the matrices as affine
+in λ: an approximate Hessian costs an iteration, never the solution.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.shooting.sensitivity import Sweep, counts
+
+
+@dataclass(frozen=True, eq=False)
+class Curvature:
+    """Second derivatives, and each channel's share of the cost's gradient, in physical units.
+
+    Parameters
+    ----------
+    Hll : (nf, nf) array
+        By the parameters.
+    Hln : (J, nf, nx) array
+        By the parameters and the node of every interval, in chronological order.
+    gl, gb, gn : (ny, nf), (ny, records, ny), (ny, J, nx) array
+        Gradient of every channel's ½ Σ r²/R by parameters, biases and nodes.
+    """
+
+    Hll: Array
+    Hln: Array
+    gl: Array
+    gb: Array
+    gn: Array
+
+
+def curvature(sweep: Sweep, mu: Array) -> Curvature:
+    """Curvature of an output-error model (no innovations) over all intervals.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        Model, intervals and where they are evaluated.
+    mu : (J, nx) array
+        Multiplier of every interval's end state, in chronological order; 0 at a record's end.
+    """
+    e, layout, motion, numbers = sweep.e, sweep.layout, sweep.motion, sweep.numbers
+    W = sweep.W[layout.pattern]
+    rho = np.einsum("nba,nbc,nc->na", W, W, motion.residuals)
+    weight, last = _costates(sweep, rho @ numbers.C, mu[layout.node])
+    total, at_nodes = _moments(sweep, np.hstack([weight, rho]), last)
+    by_lam = np.concatenate([numbers.A_lam, numbers.C_lam])
+    Hll = np.einsum("vms,vma->sa", total, by_lam) + _delayed(sweep, weight, rho)
+    Hln, gn = np.empty((len(last), e.nf, e.nx)), np.empty((e.ny, len(last), e.nx))
+    Hln[layout.node] = np.einsum("jvms,vma->jas", at_nodes, by_lam, optimize=True)
+    gn[:, layout.node] = np.einsum("jcms,cm->cjs", at_nodes[:, e.nx :], numbers.C)
+    inputs = np.hstack([motion.states, sweep.inputs[:, : e.nu]])
+    gl = np.einsum("cms,cm->cs", total[e.nx :], numbers.C)
+    gl += np.einsum("cm,cma->ca", rho.T @ inputs, sweep.drive)
+    gl += ((rho.T @ sweep.moved[:, : e.nu]) * numbers.D) @ numbers.tau_lam
+    edges = np.cumsum([0, *(record.N for record in layout.records)])[:-1]
+    gb = np.add.reduceat(rho, edges, axis=0).T[:, :, None] * np.eye(e.ny)[:, None, :]
+    return Curvature(Hll + Hll.T, Hln, gl, gb, gn)
+
+
+def _costates(sweep: Sweep, jumps: Array, mu: Array) -> tuple[Array, Array]:
+    """Costates weighted for the trapezoidal rule, at all samples (N, nx) and at the ends (J, nx).
+
+    The rule takes the costate before a sample's jump for the step that ends there and the one
+    after it for the step that begins; the last step of an interval ends at its end state.
+    """
+    layout = sweep.layout
+    half = np.array([h for h, _ in layout.classes])[layout.step][:, None] / 2
+    weight, p = np.zeros_like(jumps), mu.copy()
+    many = counts(layout.count)
+    for k in range(len(many) - 1, -1, -1):
+        at = layout.start[: many[k]] + k
+        after = many[k + 1] if k + 1 < len(many) else 0
+        weight[at[:after] + 1] += half[at[:after]] * p[:after]
+        before = sweep.steps.back(layout.step[at], p[: many[k]])
+        weight[at] += half[at] * before
+        p[: many[k]] = before + jumps[at]
+    return weight, half[layout.start + layout.count - 1] * mu
+
+
+def _moments(sweep: Sweep, weight: Array, last: Array) -> tuple[Array, Array]:
+    """Σ_k weight_k ⊗ S_k over all samples (N, nv) and the end, whose weights are the first nx.
+
+    By the parameters over all intervals (nv, nx, nf), by its node for each (J, nv, nx, nx).
+    """
+    e, nf, nx, nv = sweep.e, sweep.e.nf, sweep.e.nx, weight.shape[1]
+    total, at_nodes = np.zeros((nv, nx, nf)), np.zeros((len(last), nv, nx, nx))
+    for index in sweep.portions():
+        sums = np.zeros((len(index), nv, nx * sweep.ns))
+        for first, at, trail in sweep.trails(index):
+            (K, n), count = at.shape, e.layout.count[index[: at.shape[1]]] - first
+            V = np.zeros((K + 1, n, nv))
+            V[:-1] = weight[at] * (np.arange(K)[:, None] < count)[:, :, None]
+            ending = np.flatnonzero(count <= K)
+            V[count[ending], ending, :nx] += last[index[ending]]
+            S = trail.transpose(2, 0, 1, 3).reshape(n, K + 1, -1)
+            sums[:n] += V.transpose(1, 2, 0) @ S
+        shaped = sums.reshape(len(index), nv, nx, sweep.ns)
+        total += shaped[:, :, :, :nf].sum(axis=0)
+        at_nodes[index] = shaped[:, :, :, nf:]
+    return total, at_nodes
+
+
+def _delayed(sweep: Sweep, weight: Array, rho: Array) -> Array:
+    """Half the second derivatives (nf, nf) through the delayed inputs."""
+    e, numbers = sweep.e, sweep.numbers
+    moved = sweep.moved[:, : e.nu]
+    if not len(numbers.delaying):
+        return np.zeros((e.nf, e.nf))
+    B_lam, D_lam, tau_lam = numbers.B_lam, numbers.D_lam, numbers.tau_lam
+    through = np.einsum("im,ima->ma", weight.T @ moved, B_lam)
+    through += np.einsum("cm,cma->ma", rho.T @ moved, D_lam)
+    bend = np.sum(e.bends(numbers.tau) * (weight @ numbers.B + rho @ numbers.D), axis=0)
+    return np.asarray((through + bend[:, None] / 2 * tau_lam).T @ tau_lam)
