@@ -295,6 +295,22 @@ def test_the_summary_warns_of_bounds_signs_and_wide_certificates(content):
 
 
 @pytest.mark.slow
+def test_the_summary_goes_by_the_larger_standard_error_and_says_if_residuals_are_coloured(content):
+    fit = content.output_error
+    rows = [dataclasses.replace(row, value=3.0, std_error=1.0) for row in fit.parameters]
+
+    def said(ratio):
+        notes = fit.notes | {"std_error_coloured": [ratio] * len(rows)}
+        judged = dataclasses.replace(fit, parameters=tuple(rows), notes=notes)
+        return " ".join(cautions(dataclasses.replace(content, output_error=judged)))
+
+    assert "coloured" not in said(1.2)
+    assert "typically 2.0 times the others" in said(2.0)
+    assert "sign of" not in said(2.0)  # 3 ± 2
+    assert f"sign of {len(rows)} parameters is not determined" in said(4.0)
+
+
+@pytest.mark.slow
 def test_a_verdict_is_of_all_unseen_records_together(content):
     validation = content.validation
     twice = dataclasses.replace(

@@ -12,12 +12,12 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from casid.files import write_text
-from casid.fit import Fit, ParameterEstimate
+from casid.fit import ParameterEstimate
 from casid.report.content import UNITS, Content
 from casid.report.drawings import Drawing, draw, save
 from casid.report.interactive import interactive
 from casid.report.modes import modes
-from casid.report.verdicts import cautions, verdicts, word
+from casid.report.verdicts import cautions, coloured, verdicts, word
 
 LONG_DECIMALS = re.compile(r"(\d\d\.\d)\d+")  # a tenth of a point is enough for a picture
 
@@ -102,12 +102,6 @@ def percent(row: ParameterEstimate) -> str:
         return "–"
     share = 100 * row.std_error / abs(row.value)
     return f"{share:.1f}" if share < 999.5 else "> 999"
-
-
-def coloured(fit: Fit) -> dict[str, float]:
-    """Standard errors of the free parameters that allow for residuals correlated in time."""
-    values = fit.notes.get("std_error_coloured", ())
-    return dict(zip(fit.free_names, values, strict=True)) if values else {}
 
 
 def price(row: ParameterEstimate) -> str:

@@ -13,6 +13,7 @@ from casid.validation import fit_percent, rms_error, theil_coefficient
 GOOD, FAIR = 0.1, 0.3
 NOISY = 1.2  # RMS error over standard deviation of the noise
 GAP = 0.01  # of the certificate, relative
+COLOURED = 1.5  # standard error for coloured residuals over that for white ones
 NAMED = 12  # names in a warning before it says how many more
 
 
@@ -100,15 +101,31 @@ def _bounds(fit: Fit) -> list[str]:
     ]
 
 
+def coloured(fit: Fit) -> dict[str, float]:
+    """Standard errors of the free parameters that allow for residuals correlated in time."""
+    values = fit.notes.get("std_error_coloured", ())
+    return dict(zip(fit.free_names, values, strict=True)) if values else {}
+
+
 def _uncertain(fit: Fit) -> list[str]:
     rows = [row for row in fit.parameters if not row.fixed and not row.active]
-    unsure = [row.name for row in rows if row.std_error > abs(row.value)]
-    if not unsure:
-        return []
-    return [
-        f"The sign of {_count(len(unsure), 'parameter is', 'parameters is')} not determined "
-        f"(standard error above the value): {_names(unsure)}."
-    ]
+    errors = {row.name: row.std_error for row in rows}
+    wider = {name: error for name, error in coloured(fit).items() if errors.get(name, 0.0) > 0}
+    said = []
+    typical = np.median([error / errors[name] for name, error in wider.items()]) if wider else 1.0
+    if typical > COLOURED:
+        said.append(
+            "Residuals are correlated in time: quote the standard errors called coloured, "
+            f"typically {typical:.1f} times the others."
+        )
+    unsure = [row.name for row in rows
+              if max(row.std_error, wider.get(row.name, 0.0)) > abs(row.value)]  # fmt: skip
+    if unsure:
+        said.append(
+            f"The sign of {_count(len(unsure), 'parameter is', 'parameters is')} not determined "
+            f"(standard error above the value): {_names(unsure)}."
+        )
+    return said
 
 
 def _certificate(fit: Fit) -> list[str]:
