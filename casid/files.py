@@ -317,9 +317,7 @@ def _csv_values(path: Path, positions: list[int], names: list[str]) -> Array:
 def _find(name: str, columns: list[str], path: Path) -> int:
     if name not in columns:
         shown = ", ".join(columns[:SHOWN]) + ", ..." * (len(columns) > SHOWN)
-        raise ValueError(
-            f"{path}: no column {name!r}; it has {shown[:2000]}{_header_hint(columns)}"
-        )
+        raise ValueError(f"{path}: no column {name!r}; it has {shown[:2000]}{header_hint(columns)}")
     if columns.count(name) > 1:
         raise ValueError(
             f"{path}: column {name!r} stands there {columns.count(name)} times; rename one"
@@ -327,7 +325,8 @@ def _find(name: str, columns: list[str], path: Path) -> int:
     return columns.index(name)
 
 
-def _header_hint(columns: list[str]) -> str:
+def header_hint(columns: list[str]) -> str:
+    """What is wrong with a header line and how to mend it; empty if nothing is."""
     if len(columns) == 1 and (other := [mark for mark in ";\t|" if mark in columns[0]]):
         return f". Its cells are separated by {other[0]!r}; separate them by commas"
     if all(_is_number(column) for column in columns):

@@ -18,7 +18,8 @@ from casid.cli import main
 from casid.commands.terminal import new_table
 from casid.exchange.formats import read_record, read_table
 from casid.fit import Fit, parameter_table
-from casid.model import free_parameters
+from casid.jobs.store import Entry, Store
+from casid.model import Model, free_parameters
 from casid.structure.modelfile import load_model
 
 FLIGHT = Path(__file__).parent.parent / "examples/ah1s/data/3211_lat.csv"
@@ -91,6 +92,13 @@ def test_a_response_becomes_a_table():
     assert scipy.io.loadmat("frf.mat")["response"].shape == (2, 1, 3)
 
 
+def test_the_response_a_study_measured_becomes_a_table(folder):
+    (folder / "out").mkdir()
+    Store(folder / "out", Model).put("frequency", FrequencyResponse.load("frf.json"), Entry("k", 1))
+    assert casid("convert", "out/frequency.json", "frf.csv").exit_code == 0
+    assert read_table("frf.csv")["p_lat_coherence"].tolist() == [0.9, 0.9, 0.9]
+
+
 def test_a_fit_becomes_matlab_and_a_module(folder):
     for target in ("fit.mat", "flown.py"):
         result = casid("convert", "fit.json", target, "--model", "roll.py:Roll")
@@ -107,6 +115,8 @@ CONVERT_MISTAKES = {
     "a fit as a table": (("fit.json", "m.csv", "--model", "roll.py:Roll"), (".mat or .py",)),
     "a response as a module": (("frf.json", "m.py"), ("unknown suffix '.py'",)),
     "JSON of another kind": (("other.json", "m.mat"), ("neither a fit nor",)),
+    "a file cut by semicolons": (("semi.csv", "a.mat"), ("separated by ';'", "commas")),
+    "a file without header": (("bare.csv", "a.mat"), ("begins with numbers", "first line")),
     "a file that is not there": (("nothing.csv", "a.mat"), ("nothing.csv",)),
     "an unknown suffix": (("3211.csv", "a.xls"), ("'.xls'", ".parquet")),
     "a unit of no column": (("3211.csv", "a.csv", "--unit", "psi=deg"), ("no column 'psi'",)),
@@ -119,6 +129,8 @@ CONVERT_MISTAKES = {
 @pytest.mark.parametrize("mistake", CONVERT_MISTAKES, ids=lambda name: name.replace(" ", "-"))
 def test_a_mistake_is_named_and_nothing_is_written(mistake, folder):
     (folder / "other.json").write_text("{}")
+    (folder / "semi.csv").write_text("t;lat;p\n0;1;2\n1;2;3\n")
+    (folder / "bare.csv").write_text("0,1,2\n1,2,3\n")
     arguments, words = CONVERT_MISTAKES[mistake]
     before = sorted(folder.iterdir())
     said = refused(casid("convert", *arguments))
@@ -213,6 +225,13 @@ def test_simulate_compares_and_writes_histories():
 @pytest.mark.usefixtures("folder")
 def test_simulate_needs_the_structure():
     assert "--model" in refused(casid("simulate", "fit.json", "3211.csv"))
+
+
+@pytest.mark.usefixtures("folder")
+def test_simulate_doubts_a_stick_beyond_full_travel():
+    simulate = ("simulate", "fit.json", "3211.csv", "--model", "roll.py:Roll")
+    assert "'lat' reaches 55, more than full travel; is it in %?" in casid(*simulate).output
+    assert "reaches" not in casid(*simulate, "--unit", "lat=1").output
 
 
 # ---- new-model ---------------------------------------------------------------------------------

@@ -63,7 +63,7 @@ def test_inputs_that_move_alike_are_named():
     [
         (lambda r: replace(r, y=np.clip(r.y, -0.05, 0.05)), ("p stays at its extreme value",)),
         (lambda r: replace(r, u=np.clip(11 * r.u, -1, 1)), ("lat stays at its extreme stop",)),
-        (lambda r: replace(r, u=100 * r.u), ("lat reaches 10", "percent")),
+        (lambda r: replace(r, u=100 * r.u), ("'lat' reaches 10", "is it in %?")),
         (lambda r: replace(r, u=r.u * [1, 0]), ("ped never moves: fly it",)),
         (lambda r: replace(r, y=r.y * [0, 1]), ("p never moves: look at its sensor",)),
         (lambda r: r.with_noise({"r": 1.0}, np.random.default_rng(1)), ("r is mostly noise",)),
@@ -72,12 +72,21 @@ def test_inputs_that_move_alike_are_named():
          ("p lacks 10.",)),
         (lambda r: replace(r, t=r.t + (r.t > 10) * 0.5), ("1 gaps", "0.52 s")),
         (lambda r: r.decimate(40), ("record faster",)),
+        (lambda r: replace(r, t=1000 * r.t), ("time column 't' advances 20 s", "is it in ms?")),
+        (lambda r: replace(r, y=600 * r.y), ("'p' reaches", "is it in deg/s?")),
     ],
 )  # fmt: skip
 def test_what_is_in_the_way_is_said_with_the_culprit(damage, words):
     said = " | ".join(inspect([damage(swept())]).advice)
     for word in words:
         assert word in said
+
+
+def test_what_the_user_stated_is_believed():
+    record = replace(swept(), u=100 * swept().u)
+    assert any("'lat' reaches" in said for said in inspect([record, record]).advice)
+    said = inspect([record], stated=["lat", "ped"]).advice
+    assert not any("reaches" in each for each in said)
 
 
 def test_a_channel_without_samples_is_no_reason_to_fail():

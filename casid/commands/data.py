@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from casid.channels import CONTROLS, UNITS
-from casid.commands.inspection import Inspection, RecordFacts, inspect
+from casid.commands.inspection import Inspection, RecordFacts, inspect, unit_advice
 from casid.commands.scaffold import new_model
 from casid.commands.terminal import exits, new_table, terminal
 from casid.consistency.kinematics import KinematicCheck
@@ -28,6 +28,7 @@ from casid.exchange.standalone import write_module
 from casid.files import read_json
 from casid.fit import Fit
 from casid.frequency.estimation import FrequencyResponse
+from casid.jobs.store import decode
 from casid.model import Model
 from casid.record import Record
 from casid.structure.modelfile import load_model
@@ -87,7 +88,7 @@ def convert(
     \b
     FROM                                   TO
     record .csv .mat (5 to 7.3) .parquet   .csv .mat .parquet
-    frequency response .json               .json .csv .mat
+    frequency response .json               .json .csv .mat      (stages/frequency.json of a study)
     fit .json, with --model                .mat, .py (simulates with NumPy alone)
 
     Parquet and version 7.3 need: pip install 'casid[tables]'. Of a record all columns are taken,
@@ -108,13 +109,11 @@ def convert(
 
 
 def _convert_result(source: Path, target: Path, structure: str | None) -> str:
-    kind = read_json(source).get("casid")
-    if kind == "frequency response":
-        response = FrequencyResponse.load(source)
+    content = read_json(source)
+    if content.get("casid") != "fit":
+        response = _response(source, content)
         write_frequency(target, response)
         return f"{len(response.omega)} frequencies, {len(response.outputs)} outputs"
-    if kind != "fit":
-        raise ValueError(f"{source}: neither a fit nor a frequency response saved by casid")
     fit = _load(source, structure)
     if target.suffix == ".mat":
         write_fit_mat(target, fit)
@@ -123,6 +122,22 @@ def _convert_result(source: Path, target: Path, structure: str | None) -> str:
     else:
         raise ValueError(f"{target}: a fit becomes .mat or .py, not {target.suffix!r}")
     return f"{type(fit.model).__name__} after {fit.method}"
+
+
+def _response(source: Path, content: Mapping[str, Any]) -> FrequencyResponse:
+    """A response that was saved, or that a study left as the result of its stage."""
+    if content.get("casid") == "frequency response":
+        return FrequencyResponse.load(source)
+    try:
+        found = decode(content["result"])
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
+        found = None
+    if not isinstance(found, FrequencyResponse):
+        raise ValueError(  # noqa: TRY004 - the file's fault
+            f"{source}: neither a fit nor a frequency response saved by casid; a study leaves "
+            "them in fit.json and stages/frequency.json"
+        )
+    return found
 
 
 def _load(source: Path, structure: str | None) -> Fit:
@@ -177,11 +192,14 @@ def inspect_command(
             study = read_study(Path(first))
             records: Sequence[Record] = read_records(study)["identification"]
             model: Model | None = study.model
-            found = inspect(records, model=model, fixed=study.fixed, bounds=study.bounds)
+            found = inspect(
+                records, model=model, fixed=study.fixed, bounds=study.bounds,
+                time=study.channels.time, stated=study.channels.units,
+            )  # fmt: skip
         else:
             model = None if structure is None else load_model(structure)()
             records = _records(sources, model, inputs, outputs, units, time)
-            found = inspect(records, model=model)
+            found = inspect(records, model=model, time=time, stated=units)
         _show(console, found)
 
 
@@ -213,25 +231,27 @@ def _records(
 
 
 def _show(console: Console, found: Inspection) -> None:
-    tables = [_channel_table(facts, found.inputs) for facts in found.records]
+    for facts in found.records:
+        console.print(_channel_table(facts, found.inputs), "")
+    console.print(Text("5 %, 50 %, 95 %: below these frequencies that share of the power lies.\n"))
     if len(found.inputs) > 1:
-        tables.append(_correlation_table(found))
+        console.print(_correlation_table(found), "")
     if found.kinematics.channels:
-        tables.append(kinematics_table(found.kinematics))
-    for table in tables:
-        console.print(table)
-        console.print()
-    console.print(Text("5 %, 50 %, 95 %: below these frequencies that share of the power lies."))
+        console.print(kinematics_table(found.kinematics), "")
     for note in found.kinematics.notes:
         console.print(Text(f"note: {note}"))
     if found.identifiability is not None:
         told = str(found.identifiability).splitlines()[0]
         can = "can" if found.usable else "cannot"
         console.print(Text(f"Identifiability: {told}; the records {can} tell all parameters apart"))
-    for said in found.advice:
-        console.print(Text(f"- {said}", style="yellow"))
+    _advise(console, found.advice)
     if not found.advice:
         console.print("Nothing is in the way of an identification.")
+
+
+def _advise(console: Console, advice: Sequence[str]) -> None:
+    for said in advice:
+        console.print(Text(f"- {said}", style="yellow"))
 
 
 def _channel_table(facts: RecordFacts, inputs: Sequence[str]) -> Table:
@@ -326,7 +346,8 @@ def simulate(
             rms, fitted, theil = (float(each["model"][0, i]) for each in numbers)
             table.add_row(Text(name), f"{rms:.3g}", UNITS.get(name, ""), f"{fitted:.1f}",
                           f"{theil:.3f}")  # fmt: skip
-        console.print(table)
+        console.print(table, "")
+        _advise(console, unit_advice([flown], time, units))
         if output is not None:
             write_table(output, _histories(flown, found.simulated["model"][0]))
             console.print(Text(f"Time histories: {output}"), soft_wrap=True)

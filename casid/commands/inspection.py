@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
-from casid.channels import CONTROLS, UNITS
+from casid.channels import UNITS
 from casid.consistency.flightpath import noise
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
+from casid.consistency.plausibility import unit_doubts
 from casid.model import Bounds, Model
 from casid.record import Record, same_channels
 from casid.structure.identifiability import Identifiability, identifiability
@@ -19,7 +20,6 @@ QUIET = 0.5  # s without input that a trim should rest on
 ALIKE = 0.8  # correlation of two inputs over all records
 WEAK = 3.0  # signal over noise
 SHARES = (0.05, 0.5, 0.95)  # of a channel's power
-FULL = 2.0  # travels of a stick that no stick has
 PER_PERIOD = 5.0  # samples in a period of the fastest input
 
 
@@ -108,6 +108,8 @@ def inspect(
     model: Model | None = None,
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
+    time: str = "t",
+    stated: Collection[str] = (),
 ) -> Inspection:
     """Look at records before anything is identified from them.
 
@@ -119,6 +121,10 @@ def inspect(
         Structure and guess whose identifiability is judged.
     fixed, bounds
         As in `identifiability`.
+    time : str
+        Name of the time column.
+    stated : collection of str
+        Columns whose unit was stated when they were read; the others are doubted.
 
     Raises
     ------
@@ -132,7 +138,8 @@ def inspect(
     found = None
     if model is not None:
         found = identifiability(model, records, fixed=fixed, bounds=bounds)
-    advice = [*(said for each in facts for said in _record_advice(each, inputs))]
+    advice = unit_advice(records, time, stated)
+    advice += [said for each in facts for said in _record_advice(each, inputs)]
     advice += _excitation_advice(facts, inputs) + _correlation_advice(correlation, inputs)
     advice += list(kinematics.remarks)
     if model is not None and found is not None:
@@ -228,6 +235,17 @@ def _correlation(records: Sequence[Record]) -> Array:
 # ---- advice ------------------------------------------------------------------------------------
 
 
+def unit_advice(records: Sequence[Record], time: str, stated: Collection[str]) -> list[str]:
+    """One line a column whose unit is probably another, from the first record that shows it."""
+    said: dict[str, str] = {}
+    for record in records:
+        for doubt in unit_doubts(record, time, stated):
+            likely, taken = doubt.units
+            asked = f"is it in {likely}? State its unit, {likely} or {taken}"
+            said.setdefault(doubt.channel, f"{record.name}: {doubt.said}; {asked}")
+    return list(said.values())
+
+
 def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
     said = []
     if facts.gaps:
@@ -262,11 +280,6 @@ def _excitation_advice(facts: Sequence[RecordFacts], inputs: Sequence[str]) -> l
         if not np.isfinite(best.band).all():
             why = "fly it" if name in inputs else "look at its sensor, or leave it out"
             said.append(f"{name} never moves: {why}")
-        elif name in CONTROLS and max(abs(best.lowest), abs(best.highest)) > FULL:
-            said.append(
-                f"{name} reaches {best.highest:.4g}, more than full travel: is it in percent? "
-                "State its unit, %"
-            )
         elif name in inputs:
             interval = max(each.interval for each in facts)
             if best.band[2] * interval * PER_PERIOD > 2 * np.pi:

@@ -1,9 +1,11 @@
 """Whether the records of a study can be what they are said to be: units, time, dead channels."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from casid.channels import CONTROLS
 from casid.record import Record
 
 FEWEST = 16  # samples of a record
@@ -11,6 +13,52 @@ SLOW = 1.0  # sampling interval [s] no manoeuvre of a rotorcraft is recorded wit
 FULL_TURN = {"phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi + 0.1}  # rad
 TUMBLING = 6.0  # rad/s, a full turn a second
 RATES = ("p", "q", "r")
+FULL = 2.0  # travels of a stick that no stick has
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doubt:
+    """A channel that is hardly in the unit it is taken for: what it does, and which may be right.
+
+    ``units`` has the likelier one first, then the one it was taken for.
+    """
+
+    channel: str
+    said: str
+    units: tuple[str, str]
+
+
+def unit_doubts(record: Record, time: str = "t", stated: Collection[str] = ()) -> list[Doubt]:
+    """Doubts about time, angles, rates and sticks of a record, in SI units if at all.
+
+    Parameters
+    ----------
+    record : Record
+        Trim removed or not.
+    time : str
+        Name of the time column.
+    stated : collection of str
+        Columns whose unit the user has stated: what is stated is believed.
+    """
+    return [doubt for doubt in _doubts(record, time) if doubt.channel not in stated]
+
+
+def _doubts(record: Record, time: str) -> Iterator[Doubt]:
+    if record.dt >= SLOW:
+        said = f"the time column {time!r} advances {record.dt:g} s a sample"
+        yield Doubt(channel=time, said=said, units=("ms", "s"))
+    for name in (*record.inputs, *record.outputs):
+        values = record.channel(name) + record.trim.get(name, 0.0)
+        largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+        if name in CONTROLS and largest > FULL:
+            said = f"{name!r} reaches {largest:.3g}, more than full travel"
+            yield Doubt(channel=name, said=said, units=("%", "1"))
+        elif name in RATES and largest > TUMBLING:
+            said = f"{name!r} reaches {largest:.3g} rad/s"
+            yield Doubt(channel=name, said=said, units=("deg/s", "rad/s"))
+        elif largest > FULL_TURN.get(name, np.inf):
+            said = f"{name!r} reaches {largest:.3g} rad"
+            yield Doubt(channel=name, said=said, units=("deg", "rad"))
 
 
 def check_plausible(
@@ -40,12 +88,13 @@ def check_plausible(
         record of identification.
     """
     for record in records:
-        if record.dt >= SLOW and time not in units:
-            raise ValueError(
-                f"record {record.name!r}: the time column {time!r} advances {record.dt:g} s a "
-                f'sample; is it in ms? State its unit: [channels.units] {time} = "ms", or "s"'
-            )
-        _check_radians(record, units)
+        for doubt in unit_doubts(record, time, units):
+            if doubt.channel not in CONTROLS:  # a structure may take sticks in any unit
+                likely, taken = doubt.units
+                raise ValueError(
+                    f"record {record.name!r}: {doubt.said}; is it in {likely}? State its unit: "
+                    f'[channels.units] {doubt.channel} = "{likely}", or "{taken}"'
+                )
         if record.N < FEWEST:
             raise ValueError(
                 f"record {record.name!r} has {record.N} samples, at least {FEWEST} are wanted; "
@@ -70,19 +119,6 @@ def _moves(record: Record, name: str) -> bool:
     values = values[np.isfinite(values)]
     size = np.max(np.abs(values + record.trim.get(name, 0.0)), initial=0.0)
     return bool(values.size and np.ptp(values) > 1e-12 * size)
-
-
-def _check_radians(record: Record, units: Mapping[str, str]) -> None:
-    for name in record.outputs:
-        limit = TUMBLING if name in RATES else FULL_TURN.get(name, np.inf)
-        values = record.channel(name) + record.trim.get(name, 0.0)
-        largest = np.max(np.abs(values[np.isfinite(values)]), initial=0.0)
-        if largest > limit and name not in units:
-            kind = ("rad/s", "deg/s") if name in RATES else ("rad", "deg")
-            raise ValueError(
-                f"record {record.name!r}: {name!r} reaches {largest:.3g} {kind[0]}; is it in "
-                f'{kind[1]}? State its unit: [channels.units] {name} = "{kind[1]}", or "{kind[0]}"'
-            )
 
 
 def _shown(records: Sequence[Record]) -> str:

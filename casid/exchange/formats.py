@@ -15,6 +15,7 @@ from casid.files import (
     SI,
     Detrend,
     csv_columns,
+    header_hint,
     read_columns,
     read_csv,
     read_mat,
@@ -133,7 +134,10 @@ def read_table(path: str | Path) -> dict[str, Array]:
     path = Path(path)
     suffix = _suffix(path, TABLES)
     if suffix == ".csv":
-        return read_columns(path, csv_columns(path))
+        columns = csv_columns(path)
+        if hint := header_hint(columns):
+            raise ValueError(f"{path}: its first line is {', '.join(columns)[:200]}{hint}")
+        return read_columns(path, columns)
     if suffix == ".parquet":
         frame = _parquet(path)
         frame = frame.reset_index() if frame.index.name else frame
