@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from test_shooting import TRUTH, flown
 
-from casid import Constraint, Record
+import casid.shooting.programme
+from casid import Constraint, Record, SolverOptions
 from casid.model import free_parameters
 from casid.shooting.intervals import lay_out
+from casid.shooting.nearby import predicted
 from casid.shooting.output_error import simulate
+from casid.shooting.precision import quadratic_model
 from casid.shooting.programme import Programme
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import noise_of, starting_programme
@@ -91,3 +94,60 @@ def test_intervals_cover_every_sample_once():
     assert (np.diff(layout.count) <= 0).all()
     assert layout.last.sum() == len(records)
     assert layout.observations == sum(int(np.isfinite(r.y).sum()) for r in records)
+
+
+@pytest.mark.parametrize("kind", ["given", "diagonal"])
+def test_newtons_hessian_is_that_of_the_lagrangian(kind, monkeypatch):
+    monkeypatch.setattr(casid.shooting.programme, "NEAR", np.inf)
+    records = [jittered(with_holes(flown(seed=1).between(0, 4))), flown(seed=2).between(0, 3)]
+    free = free_parameters(TRUTH, fixed=("Lped",))
+    evaluator = Evaluator(free, lay_out(records, 1.0))
+    programme, point = starting_programme(evaluator, free, np.diag([0.1, 0.01, 0.01]), True)
+    if kind == "diagonal":
+        programme = programme.variant(noise=noise_of(evaluator, None, kind))
+    rng = np.random.default_rng(3)
+    x = programme.pack(point) + 0.1 * rng.standard_normal(programme.size)
+    price = 0.01 * rng.standard_normal(len(programme.values(x).g))
+    riders = programme.riders
+
+    def dense(entries):
+        row, col = programme._newton_entries()
+        H = np.zeros((programme.size + riders,) * 2)
+        H[row, col] = entries
+        return H + np.triu(H, 1).T
+
+    def slope(x):
+        return programme.gradient(x) + programme.constraint_matrix(x).T @ price
+
+    newton = dense(programme.newton_hessian(x, 1.0, price))
+    own = slice(0, programme.size)
+    found = newton[own, own] - newton[own, programme.size :] @ newton[programme.size :, own]
+    V, eps = rng.standard_normal((programme.size, 2)), 1e-5
+    exact = np.transpose([(slope(x + eps * v) - slope(x - eps * v)) / (2 * eps) for v in V.T])
+    gauss = programme.hessian_matrix(x).toarray() / programme.n
+    gauss += np.triu(gauss, 1).T
+    missing = np.linalg.norm(exact - gauss @ V)
+    # The trapezoidal rule errs by (|A| h)² / 12, at most 1 % of the curvature here.
+    assert np.linalg.norm(exact - found @ V) < 0.01 * missing
+    assert missing > 0.1 * np.linalg.norm(exact)
+
+
+def test_neighbours_are_predicted_exactly_where_outputs_are_linear_in_the_parameters():
+    # With A fixed and known noise the cost is quadratic in what is left: one prediction from the
+    # start is the solution, with its multipliers, gaps closed and a bound reached.
+    truth = replace(TRUTH, tau=0.0)
+    names = [name for name in truth.parameter_names() if name not in ("Llat", "Lped")]
+    free = free_parameters(truth, fixed=names, bounds={"Llat": (5.0, 0.9 * truth.Llat)})
+    records = [with_holes(flown(truth, seed=1).between(0, 6))]
+    evaluator, R = Evaluator(free, lay_out(records, 1.0)), np.diag([0.1, 0.01, 0.01])
+    programme, point = starting_programme(evaluator, free, R, True)
+    start = programme.pack(point)
+    start[: evaluator.nf] *= 1.5
+    guess, (bounds, _) = predicted(programme, start, SolverOptions())
+    values, gradient = programme.values(guess), programme.gradient(guess)
+    model, prices = quadratic_model(programme, guess)[0] / programme.n, bounds[: evaluator.nf]
+    np.testing.assert_allclose(values.g, 0, atol=1e-9)  # rounding through eight intervals
+    # IPOPT stops where the error of the optimality conditions is below its tolerance of 1e-8.
+    np.testing.assert_allclose(model[:-1, -1] + prices, 0, atol=1e-7)
+    assert prices[free.names.index("Llat")] > 1e-4
+    assert np.abs(gradient).max() > 1e-4  # of nodes: continuity holds them

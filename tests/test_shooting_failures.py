@@ -77,6 +77,24 @@ def test_a_bound_is_kept_and_its_multiplier_is_its_price():
     assert fit["Lp"].multiplier == pytest.approx(slope, rel=1e-2)
 
 
+@pytest.mark.parametrize("R", [None, np.diag([0.05, 0.005, 0.005]) ** 2])
+def test_the_start_from_a_neighbour_changes_the_effort_only(R):
+    records = [noisy(1), noisy(2)]
+    wide = output_error(off(), records, R=R)
+    bounds = {"Lp": (-1.9, 0.0), "Lv": (-1.0, -0.16)}
+    cold = output_error(off(), records, R=R, bounds=bounds)
+    warm = output_error(off(), records, R=R, bounds=bounds, near=wide)
+    assert warm.iterations <= cold.iterations / 2
+    # Each bound's share of the barrier is at most 1e-8 per observation.
+    n = sum(record.y.size for record in records)
+    assert warm.cost == pytest.approx(cold.cost, abs=2e-8 * n)
+    for one, other in zip(warm.parameters, cold.parameters, strict=True):
+        # Both stop with slopes per observation of 1e-8 at most, a fraction of 1e-4 of these prices.
+        assert one.value == pytest.approx(other.value, rel=1e-6)
+        assert one.multiplier == pytest.approx(other.multiplier, rel=1e-4, abs=1e-3)
+        assert one.active == other.active == (one.name in bounds)
+
+
 def test_intervals_are_as_long_as_the_fastest_growing_mode_lets_them():
     records = [flown(seed=1)]
     wide = {"Lv": (-1000.0, 1000.0)}

@@ -82,7 +82,12 @@ class Own:
         self._pool = self._new()
 
     def _new(self) -> Pool:
-        return Pool(self._count, mp_context=multiprocessing.get_context("spawn"))
+        """All processes at once: those without a job yet load casid while the first is done."""
+        pool = Pool(self._count, mp_context=multiprocessing.get_context("spawn"))
+        with _surroundings():
+            for _ in range(self._count):
+                pool.submit(processors)
+        return pool
 
     def __enter__(self) -> "Own":
         return self
