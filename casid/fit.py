@@ -183,7 +183,12 @@ class Fit:
                 content[name] = np.array(content[name], dtype=float)
         content["cost"] = number(content["cost"])
         content["free_names"] = tuple(content["free_names"])
-        return cls(**content)
+        found = cls(**content)
+        texts: list[Any] = [found.status, found.method, *found.free_names]
+        texts += [text for row in found.parameters for text in (row.name, row.unit)]
+        if wrong := [text for text in texts if not isinstance(text, str)]:
+            raise TypeError(f"{wrong[0]!r} is no text")
+        return found
 
 
 def parameter_table(
@@ -248,13 +253,13 @@ def constraint_table(model: Model, prices: Array) -> list[dict[str, Any]]:
     prices : (m,) array
         Derivative of the optimal cost by the position of each constraint, per unit of its value.
     """
-    values = model.matrices()(model.vector())[5].full().ravel()
     rows = []
-    for item, value, price in zip(model.constraints(), values, prices, strict=True):
+    for item, price in zip(model.constraints(), prices, strict=True):
+        value = float(item.value)
         gap = min(value - item.lower, item.upper - value)
         active = bool(item.lower == item.upper or gap <= ACTIVE)
         rows.append({
-            "name": item.name, "value": float(value), "lower": float(item.lower),
+            "name": item.name, "value": value, "lower": float(item.lower),
             "upper": float(item.upper), "active": active,
             "multiplier": float(price) if active else 0.0,
         })  # fmt: skip

@@ -9,10 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import scipy.io
+from click.testing import CliRunner
 from hypothesis import strategies as st
 from small_study import MODEL, STUDY, write_study
 
-from casid import Record, read_csv, read_frequency_csv, read_mat, write_csv
+from casid import Record, read_csv, read_frequency_csv, read_mat, write_csv, write_parquet
+from casid.cli import main
+from casid.exchange.formats import read_table
 from casid.files import read_json
 from casid.fit import Fit
 from casid.hdf import write_hdf
@@ -49,6 +52,7 @@ SOUND = {
     "mat 4": _written(lambda path, values: scipy.io.savemat(path, values, format="4"), "4.mat",
                       VARIABLES),
     "mat 7.3": _written(write_hdf, "sound73.mat", VARIABLES),
+    "parquet": _written(write_parquet, "sound.parquet", FLIGHT),
     "response": RESPONSE,
     "study": STUDY.encode(),
     "model": MODEL.encode(),
@@ -164,6 +168,24 @@ def check_json(data):
 def check_fit(content):
     path = _file("fit.json", json.dumps(content).encode())
     assert refused(Fit.load, path, model=_structure()) != ""
+
+
+def check_table(data):
+    assert refused(read_table, _file("table.csv", data)) != ""
+
+
+def check_parquet(data):
+    assert refused(read_table, _file("table.parquet", data)) != ""
+
+
+def check_convert(content):
+    """From the command line, whatever a file of results says: done, or refused."""
+    source = _file("results.json", json.dumps(content).encode())
+    target = FOLDER / ("results.mat" if content.get("casid") == "fit" else "results.csv")
+    result = CliRunner().invoke(
+        main, ["convert", str(source), str(target), "--model", str(_study() / "roll.py:Roll")]
+    )
+    assert result.exit_code in (0, 2), result.exc_info
 
 
 def check_stage(content):

@@ -8,13 +8,14 @@ import time
 from pathlib import Path
 
 import fuzzing
+import numpy as np
 import pytest
 from fuzzing import altered, damaged
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from small_study import write_study
 
-from casid import limits, match, pbsid
+from casid import FrequencyResponse, limits, match, pbsid
 from casid.jobs.store import encode
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
@@ -33,6 +34,11 @@ JOBS = {  # name: (what reads it, kind of input, examples in CI)
     "json": (fuzzing.check_json, None, 100),
     "fit": (fuzzing.check_fit, None, 100),
     "stage": (fuzzing.check_stage, None, 100),
+    "parquet": (fuzzing.check_parquet, "parquet", 100),
+    "table": (fuzzing.check_table, "csv", 100),
+    "convert fit": (fuzzing.check_convert, None, 50),
+    "convert response": (fuzzing.check_convert, None, 50),
+    "convert stage": (fuzzing.check_convert, None, 50),
 }
 
 
@@ -48,12 +54,21 @@ def strategies(tmp_path_factory):
     black_box = pbsid(read_records(study)["identification"], **study.options["pbsid"])
     fit = saved(match(study.model, black_box, norm="quadratic"), study.path.with_name("fit.json"))
     stage = {"casid": "stage", "result": encode(black_box)}
+    measured = FrequencyResponse(
+        omega=np.array([1.0, 2.0]), G=np.ones((2, 2, 1)), coherence=np.ones((2, 2, 1)),
+        random_error=np.zeros((2, 2, 1)), inputs=("lat",), outputs=("p", "phi"),
+        input_std=np.ones(1), output_std=np.ones(2),
+    )  # fmt: skip
+    response = saved(measured, study.path.with_name("response.json"))
     fuzzing.SOUND["json"] = json.dumps(fit["parameters"][0]).encode()
     made = {name: damaged(kind) for name, (_, kind, _) in JOBS.items() if kind}
     return made | {
         "json": damaged("json") | st.binary(max_size=50),
         "fit": altered(fit),
         "stage": altered(stage) | fuzzing.trees,
+        "convert fit": altered(fit),
+        "convert response": altered(response),
+        "convert stage": altered({"casid": "stage", "result": encode(measured)}),
     }
 
 

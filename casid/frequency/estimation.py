@@ -82,6 +82,9 @@ class FrequencyResponse:
     def __post_init__(self) -> None:
         omega = np.array(self.omega, dtype=float)
         object.__setattr__(self, "omega", omega)
+        named: tuple[Any, ...] = (*self.outputs, *self.inputs)
+        if wrong := [name for name in named if not isinstance(name, str)]:
+            raise ValueError(f"{wrong[0]!r} is no name of a channel")
         K, ny, nu = len(omega), len(self.outputs), len(self.inputs)
         if omega.ndim != 1 or not K or not (omega > 0).all() or (np.diff(omega) <= 0).any():
             raise ValueError("omega: expected increasing frequencies above 0 rad/s, (K,)")
@@ -93,9 +96,11 @@ class FrequencyResponse:
         rest = {"input_std": (nu,), "output_std": (ny,), "multiple_coherence": (K, ny)}
         wanted: dict[str, tuple[int, ...]] = {**pairs, **rest, "condition": (K,)}
         for name, shape in wanted.items():
-            if np.shape(getattr(self, name)) != shape:
+            values = np.asarray(getattr(self, name), dtype=complex if name == "G" else float)
+            object.__setattr__(self, name, values)
+            if values.shape != shape:
                 raise ValueError(
-                    f"{name} has shape {np.shape(getattr(self, name))}, expected {shape}: "
+                    f"{name} has shape {values.shape}, expected {shape}: "
                     f"{K} frequencies, {ny} outputs, {nu} inputs"
                 )
 
@@ -139,11 +144,20 @@ class FrequencyResponse:
         Raises
         ------
         ValueError
-            Not a saved frequency response.
+            Not a saved frequency response, or a damaged one.
         """
         content = read_json(path)
         if content.pop("casid", None) != "frequency response":
             raise ValueError(f"{path}: not a frequency response saved by casid")
+        try:
+            return cls._from_content(content)
+        except (TypeError, LookupError, AttributeError, ValueError) as error:
+            raise ValueError(
+                f"{path}: the frequency response in it is damaged ({error}); save it again"
+            ) from error
+
+    @classmethod
+    def _from_content(cls, content: dict[str, Any]) -> "FrequencyResponse":
         content.pop("version", None)
         parts = content.pop("G")
         G = np.array(parts["real"], dtype=float) + 1j * np.array(parts["imag"], dtype=float)
