@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import subprocess
+from hashlib import sha256
 from types import MappingProxyType
 
 import numpy as np
@@ -14,6 +15,8 @@ from matplotlib.figure import Figure
 from small_study import write_study
 
 from casid import StateSpace
+from casid.channels import READ_AS, units_of
+from casid.files import SI
 from casid.fit import ParameterEstimate
 from casid.report import (
     BASELINE,
@@ -160,6 +163,23 @@ def test_every_figure_names_the_unit_of_every_axis(content):
                 labels.append(ax.get_xlabel())
             assert all(re.search(r"\[.+\]", label) for label in labels), (drawing.name, labels)
         assert any(ax.get_ylabel() for ax in drawing.figure.axes)
+
+
+def test_units_are_those_that_columns_were_read_in():
+    assert set(SI) - set(READ_AS) == {"1", "-", "%"}  # numbers
+    assert all(SI[si] == 1.0 for si in READ_AS.values() if si != "m/s²")
+    units = units_of({"lat": "deg", "ped": "%", "beta": "deg", "ay": "g"})
+    assert [units[name] for name in ("lat", "ped", "beta", "ay", "q")] == [
+        "rad", "travel", "rad", "m/s²", "rad/s",
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_stick_in_degrees_is_shown_in_radians(content, tmp_path):
+    angle = dataclasses.replace(content, units=units_of({"lat": "deg"}))
+    labels = [ax.get_ylabel() for drawing in draw(angle) for ax in drawing.figure.axes]
+    assert "lat\n[rad]" in labels
+    assert "lat rad." in write_report(angle, tmp_path).read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
@@ -357,11 +377,12 @@ def test_the_page_needs_nothing_beside_it_and_is_below_eight_megabytes(page):
 
 
 @pytest.mark.slow
-def test_the_page_tells_what_is_needed_to_repeat_the_run(page, content):
+def test_the_page_tells_what_is_needed_to_repeat_the_run(page, content, study_folder):
     text = page.read_text(encoding="utf-8")
+    assert sha256((study_folder / "study.toml").read_bytes()).hexdigest() in text
     for file in content.data:
         assert file.sha256 in text
-    for word_ in ("pbsid.order", "casadi", "numpy", "seed 1", content.model_digest):
+    for word_ in ("pbsid.order", "lat %", "casadi", "numpy", "seed 1", content.model_digest):
         assert word_ in text
 
 

@@ -4,15 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from casid import channels
 from casid.bounds.compare import BoundsComparison
+from casid.channels import UNITS
 from casid.consistency.kinematics import KinematicCheck
 from casid.fit import Fit
 from casid.frequency.estimation import FrequencyResponse
 from casid.subspace.pbsid import BlackBox
 from casid.validation import Validation
-
-UNITS = channels.UNITS
 
 BLACK_BOX, MATCH, OUTPUT_ERROR, BASELINE = (
     "black box",
@@ -74,6 +72,8 @@ class Content:
         Of the stages.
     warnings : tuple of str
         What the stages warned of.
+    units : mapping
+        SI unit by channel.
     model_file : path
         Where the structure stands.
     model_digest : str
@@ -97,6 +97,7 @@ class Content:
     versions: Mapping[str, str] = field(default_factory=dict)
     timings: tuple[Timing, ...] = ()
     warnings: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=lambda: UNITS)
 
     @property
     def fits(self) -> dict[str, Fit]:

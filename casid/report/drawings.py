@@ -220,11 +220,11 @@ def _history(content: Content, k: int, outputs: Sequence[str]) -> Drawing:
     heights = [0.46] * record.nu + [0.84] * len(outputs)
     figure = Figure(figsize=(WIDTH, 0.7 + sum(heights)))
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
-    _inputs(list(axes[: record.nu, 0]), record)
+    _inputs(list(axes[: record.nu, 0]), record, content.units)
     for ax, channel in zip(axes[record.nu :, 0], outputs, strict=True):
         i = record.outputs.index(channel)
         simulated = {name: y[k][:, i] for name, y in validation.simulated.items()}
-        plot_history(ax, record.t, record.y[:, i], simulated, channel=channel)
+        plot_history(ax, record.t, record.y[:, i], simulated, channel=channel, units=content.units)
     for ax in axes[:, 0]:
         ax.set_ylabel(ax.get_ylabel().replace(" [", "\n["))
     axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
@@ -237,12 +237,12 @@ def _history(content: Content, k: int, outputs: Sequence[str]) -> Drawing:
     )
 
 
-def _inputs(axes: Sequence[Axes], record: Record) -> None:
+def _inputs(axes: Sequence[Axes], record: Record, units: Mapping[str, str]) -> None:
     """Every input; one that rests is a straight line, whatever its last digits do."""
     largest = float(np.ptp(record.u, axis=0).max())
     for ax, channel in zip(axes, record.inputs, strict=True):
         u = record.channel(channel)
-        plot_input(ax, record.t, u, channel=channel)
+        plot_input(ax, record.t, u, channel=channel, units=units)
         ax.set_ylim(_span([u], least=0.2 * largest or 1.0))
         ax.yaxis.label.set_fontsize(6)
 

@@ -12,10 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, MaxNLocator, MultipleLocator, NullLocator
 
 from casid.arrays import Array, ComplexArray
+from casid.channels import UNITS
 from casid.fit import Fit
 from casid.frequency.estimation import FrequencyResponse
 from casid.linear import StateSpace
-from casid.report.content import BASELINE, BLACK_BOX, MATCH, OUTPUT_ERROR, UNITS
+from casid.report.content import BASELINE, BLACK_BOX, MATCH, OUTPUT_ERROR
 from casid.subspace.pbsid import BlackBox
 from casid.validation import Validation
 
@@ -37,9 +38,9 @@ def style(name: str) -> dict[str, Any]:
     return dict(STYLES.get(name, {"color": "#777777", "linestyle": "-", "linewidth": 1.2}))
 
 
-def axis_label(channel: str) -> str:
+def axis_label(channel: str, units: Mapping[str, str]) -> str:
     """Name of a channel with its unit."""
-    return f"{channel} [{UNITS.get(channel, '-')}]"
+    return f"{channel} [{units.get(channel, '-')}]"
 
 
 def decibel(G: ComplexArray | Array) -> Array:
@@ -142,8 +143,9 @@ def plot_coherence(ax: Axes, measured: FrequencyResponse, pair: tuple[int, int])
 
 
 def plot_history(
-    ax: Axes, t: Array, measured: Array, simulated: Mapping[str, Array], *, channel: str
-) -> Axes:
+    ax: Axes, t: Array, measured: Array, simulated: Mapping[str, Array], *, channel: str,
+    units: Mapping[str, str] = UNITS,
+) -> Axes:  # fmt: skip
     """Draw one measured output and its simulations over time.
 
     Parameters
@@ -157,18 +159,22 @@ def plot_history(
         By name of model.
     channel : str
         Name of the output.
+    units : mapping
+        Unit by channel; those of the usual names unless given.
     """
     ax.plot(t, measured, label=MEASURED, **(style(MEASURED) | {"linewidth": 1.6}))
     for name, y in simulated.items():
         ax.plot(t, y, label=name, **(style(name) | {"linewidth": 1.1}))
-    ax.set_ylabel(axis_label(channel))
+    ax.set_ylabel(axis_label(channel, units))
     return ax
 
 
-def plot_input(ax: Axes, t: Array, u: Array, *, channel: str) -> Axes:
+def plot_input(
+    ax: Axes, t: Array, u: Array, *, channel: str, units: Mapping[str, str] = UNITS
+) -> Axes:
     """Draw one input over time."""
     ax.plot(t, u, **style(MEASURED))
-    ax.set_ylabel(axis_label(channel))
+    ax.set_ylabel(axis_label(channel, units))
     return ax
 
 

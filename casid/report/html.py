@@ -13,7 +13,7 @@ from plotly.offline import get_plotlyjs
 
 from casid.files import write_text
 from casid.fit import ParameterEstimate
-from casid.report.content import UNITS, Content
+from casid.report.content import Content
 from casid.report.drawings import Drawing, draw, save
 from casid.report.interactive import interactive
 from casid.report.modes import modes
@@ -72,7 +72,7 @@ def render(content: Content, pictures: dict[str, list[Picture]]) -> str:
         cautions=cautions(content),
         plotly=_compressed(get_plotlyjs()),
         modes={name: modes(fit.model.system()) for name, fit in content.fits.items()},
-        units=UNITS,
+        units=content.units,
         coloured=coloured(content.output_error),
         structure=type(model),
         trim={

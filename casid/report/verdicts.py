@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.fit import Fit
-from casid.report.content import OUTPUT_ERROR, UNITS, Content
+from casid.report.content import OUTPUT_ERROR, Content
 from casid.validation import fit_percent, rms_error, theil_coefficient
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
@@ -59,7 +59,7 @@ def verdicts(content: Content) -> tuple[Verdict, ...]:
             for measure in (rms_error, fit_percent, theil_coefficient)
         )
         each = tuple(float(value) for value in validation.theil[OUTPUT_ERROR][:, i])
-        found.append(Verdict(output=output, unit=UNITS.get(output, "-"), rms=rms, fit=fit,
+        found.append(Verdict(output=output, unit=content.units.get(output, "-"), rms=rms, fit=fit,
                              theil=theil, noise=noise.get(output, np.nan),
                              records=each))  # fmt: skip
     return tuple(found)

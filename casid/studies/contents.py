@@ -11,6 +11,7 @@ import numpy as np
 
 from casid.bounds.compare import BoundsComparison
 from casid.chain import Identification
+from casid.channels import units_of
 from casid.fit import Fit
 from casid.record import Record
 from casid.report import Content, DataFile, Timing
@@ -48,6 +49,7 @@ def content(
         versions=_versions(),
         timings=tuple(timings),
         warnings=tuple(dict.fromkeys([*_seen(study), *warnings])),
+        units=units_of(study.channels.units),
     )
 
 
@@ -80,7 +82,13 @@ def _data(study: Study, records: Mapping[Role, Sequence[Record]]) -> tuple[DataF
 
 
 def _settings(study: Study) -> dict[str, str]:
-    said: dict[str, str] = {"study file": study.path.name}
+    digest = sha256(study.path.read_bytes()).hexdigest()
+    said: dict[str, str] = {"study file": f"{study.path.name}, SHA-256 {digest}"}
+    if study.channels.units:
+        said["channels.units"] = ", ".join(
+            f"{k} {unit}" for k, unit in study.channels.units.items()
+        )
+    said["channels.hold"] = study.channels.hold
     if study.noise is not None:
         std = ", ".join(f"{name} {value:g}" for name, value in study.noise.std.items())
         said["noise"] = f"seed {study.noise.seed}; standard deviations {std}"
