@@ -3,8 +3,8 @@
 Blocks of one page share a namespace and a folder of their own, in which `examples` and `models` of
 the repository lie. By the word after the fence:
 
-- ``python`` is executed; with ``title="takes ..."`` only by ``make slow``, with all of its page;
-- a block with any other ``title="file"`` is written to that file;
+- ``python`` is executed;
+- a block with ``title="file"`` is written to that file;
 - ``sh`` is run, line by line: ``casid`` in a process of its own, ``make`` by looking the target up
   in the Makefile; git, cd, pip and source belong to an installation, which `.ci/run` does in full;
 - ``text`` right after one of these is its output: words must be those printed, numbers agree to
@@ -40,8 +40,6 @@ PAGES = (*sorted((ROOT / "docs").rglob("*.md")), ROOT / "CONTRIBUTING.md")
 SNIPPET = re.compile(r'^--8<-- "(.+)"$')
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", flags=re.IGNORECASE)
 INSTALLING = ("git", "cd", "pip", "source")
-LONG = "takes "  # begins the title of a block that is run by make slow
-LONG_PAGES = [page for page in PAGES if f'title="{LONG}' in page.read_text(encoding="utf-8")]
 TOLERANCE = 0.05  # relative, of shown numbers: another machine's rounding must not turn a page red
 
 
@@ -80,17 +78,6 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_block_of_a_page_does_what_it_says(page, folder):
-    run_page(page, folder, patient=False)
-
-
-@pytest.mark.campaign
-@pytest.mark.parametrize("page", LONG_PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_long_block_of_a_page_does_what_it_says(page, folder):
-    run_page(page, folder, patient=True)
-
-
-def run_page(page, folder, *, patient):
-    """Run a page's blocks; ``patient``: those that take long, too."""
     mpl.use("Agg")
     names = {"__name__": "page"}
     printed = None
@@ -99,12 +86,12 @@ def run_page(page, folder, *, patient):
         if language == "text" and follows and printed is not None:
             assert_shows(text, printed, where)
         printed = None
-        if title is not None and not title.startswith(LONG):
+        if title is not None:
             written = folder / title
             written.parent.mkdir(parents=True, exist_ok=True)
             if not written.exists():
                 written.write_text(text, encoding="utf-8")
-        elif title is None or patient:
+        else:
             printed = RUN[language](text, names, where)
 
 
