@@ -52,8 +52,10 @@ class Content:
     ----------
     title : str
         Heading.
-    black_box, quadratic, hinf, output_error
-        Results of the stages.
+    black_box : BlackBox
+        Result of the first stage.
+    quadratic, hinf, output_error : Fit
+        Results of the others.
     baseline : Fit or None
         The frequency-domain fit.
     frequency_response : FrequencyResponse or None
