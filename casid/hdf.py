@@ -1,6 +1,7 @@
 """MATLAB files of version 7.3, which are HDF5; h5py is optional."""
 
 import importlib
+import io
 from pathlib import Path
 from typing import Any
 
@@ -60,11 +61,12 @@ def write_hdf(path: Path, variables: dict[str, Any]) -> None:
         h5py = importlib.import_module("h5py")
     except ImportError as error:
         raise ValueError(f"{path}: version 7.3 needs h5py: pip install h5py") from error
+    buffer = io.BytesIO()  # a full disk would make HDF5 fail at every object once more
+    with h5py.File(buffer, "w", userblock_size=512) as file:
+        for name, values in variables.items():
+            data = file.create_dataset(name, data=np.atleast_2d(values).T)
+            data.attrs["MATLAB_class"] = np.bytes_("double")
+    head = b"MATLAB 7.3 MAT-file, written by casid".ljust(116) + bytes(8) + b"\x00\x02IM"
+    buffer.getbuffer()[: len(head)] = head
     with replacing(path) as temporary:
-        with h5py.File(temporary, "w", userblock_size=512) as file:
-            for name, values in variables.items():
-                data = file.create_dataset(name, data=np.atleast_2d(values).T)
-                data.attrs["MATLAB_class"] = np.bytes_("double")
-        with temporary.open("r+b") as raw:
-            text = b"MATLAB 7.3 MAT-file, written by casid".ljust(116)
-            raw.write(text + bytes(8) + b"\x00\x02IM")
+        temporary.write_bytes(buffer.getbuffer())

@@ -194,6 +194,30 @@ def test_a_full_disk_leaves_earlier_results_and_the_same_command_goes_on(size, c
         assert identify(copy / "study.toml").exit_code == 0
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        "convert 3211.csv a.csv",
+        "convert 3211.csv a.mat",
+        "convert 3211.csv a.mat --mat-version 7.3",
+        "convert 3211.csv a.parquet",
+        "new-model b",
+    ],
+)
+def test_on_a_full_disk_a_command_leaves_files_as_they_were(command, tmp_path, monkeypatch):
+    write_study(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.csv", "a.mat", "a.parquet"):
+        Path(name).write_text("of before", encoding="utf-8")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with largest_file(1000):
+        result = CliRunner().invoke(main, command.split())
+    assert result.exit_code == 2, result.output
+    assert "File too large" in result.stderr
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert CliRunner().invoke(main, command.split()).exit_code == 0
+
+
 @contextmanager
 def unprivileged():
     """Root ignores permissions: be nobody for a while."""

@@ -3,6 +3,8 @@
 import keyword
 from pathlib import Path
 
+from casid.files import write_text
+
 TEMPLATE = '''"""{title}: roll and sideslip about level flight.
 
     v' = Yv v + g phi             p' = Lv v + Lp p + Llat lat(t - tau_lat)             phi' = p
@@ -86,13 +88,9 @@ def new_model(name: str) -> tuple[Path, str]:
     if not words[:1].isalpha() or words == "Model":
         raise ValueError(f"{name!r}: no class can be named after it; try my_{stem.strip('_')}")
     text = TEMPLATE.format(title=words, name=words, file=path)
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError as error:
-        raise ValueError(
-            f"{path} is there already and is left as it is; choose another name"
-        ) from error
-    except OSError as error:
-        raise ValueError(f"{path}: cannot write it ({error.strerror}); check the path") from error
+    if path.exists():
+        raise ValueError(f"{path} is there already and is left as it is; choose another name")
+    if not path.parent.is_dir():
+        raise ValueError(f"{path}: there is no folder {path.parent}; make it first")
+    write_text(path, text)
     return path, words
