@@ -27,6 +27,7 @@ import tomllib
 import warnings
 from pathlib import Path
 
+import griffe
 import matplotlib as mpl
 import pytest
 from markdown_it import MarkdownIt
@@ -199,6 +200,18 @@ def test_rows_of_a_table_have_as_many_cells_as_its_head(page):
     for table in re.findall(r"(?:^\|.*\n)+", text, flags=re.MULTILINE):
         bare = re.sub(r"`[^`\n]*`|\\\|", "", table)
         assert len({row.count("|") for row in bare.splitlines()}) == 1, table
+
+
+def test_parameters_that_share_an_entry_keep_their_own_types_and_defaults():
+    own_types = griffe.load_extensions("dataclasses", str(ROOT / "docs/own_types.py"))
+    package = griffe.load("casid", search_paths=[ROOT], extensions=own_types,
+                          docstring_parser="numpy",
+                          docstring_options={"warnings": False})  # fmt: skip
+    sections = package["matching.match.match"].docstring.parsed
+    (rows,) = (each.value for each in sections if each.kind.value == "parameters")
+    shown = {row.name: (str(row.annotation), str(row.value)) for row in rows}
+    assert shown["fixed"] == ("Collection[str]", "()")
+    assert shown["bounds"] == ("Bounds | None", "None")
 
 
 def test_output_shown_is_compared_by_words_and_by_numbers():
