@@ -175,6 +175,14 @@ def test_parquet_gives_the_record_back(record, tmp_path):
     same(read_parquet(tmp_path / "flight.parquet"), record)
 
 
+def test_a_small_file_of_many_numbers_is_refused_before_they_are_read(tmp_path, monkeypatch):
+    write_table(tmp_path / "zeros.parquet", {"t": np.zeros(10_000), "p": np.zeros(10_000)})
+    monkeypatch.setattr("casid.exchange.formats.TABLE_BYTES", 20_000)
+    assert (tmp_path / "zeros.parquet").stat().st_size < 20_000
+    with pytest.raises(ValueError, match=r"zeros\.parquet.*more than the"):
+        read_table(tmp_path / "zeros.parquet")
+
+
 def test_a_matlab_file_holds_total_values_as_csv_does(record, tmp_path):
     write_mat(tmp_path / "flight.mat", record)
     back = read_record(tmp_path / "flight.mat", inputs=["lat"], outputs=["p", "phi"])

@@ -1,5 +1,6 @@
 """Files of other tools, told apart by their suffix: tables of samples, responses, fitted models."""
 
+import importlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -26,7 +27,7 @@ from casid.fit import Fit
 from casid.folder import replacing
 from casid.frequency.estimation import FrequencyResponse
 from casid.hdf import write_hdf
-from casid.limits import TABLE_BYTES, check_file
+from casid.limits import TABLE_BYTES, check_file, check_size
 from casid.record import Hold, Record
 
 MatVersion: TypeAlias = Literal["5", "7.3"]  # of MATLAB files
@@ -266,8 +267,11 @@ def _suffix(path: str | Path, known: Sequence[str]) -> str:
 def _parquet(path: Path) -> Any:  # noqa: ANN401 - a DataFrame
     check_file(path, TABLE_BYTES, "Parquet")
     optional("pyarrow", "Parquet")
+    parquet = importlib.import_module("pyarrow.parquet")
     pandas = optional("pandas", "Parquet")
     try:
+        size = parquet.read_metadata(path)
+        check_size(path, 8.0 * size.num_rows * size.num_columns, TABLE_BYTES, "Parquet")
         return pandas.read_parquet(path, engine="pyarrow")
     except Exception as error:  # damaged bytes raise anything in Arrow
         raise ValueError(f"{path}: cannot read it as Parquet ({error}); write it again") from error
