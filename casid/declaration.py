@@ -42,7 +42,7 @@ def check_parameter(cls: type, name: str, declared: Any, reserved: Collection[st
         raise ModelError(
             f"{where}: a parameter must not have the name of a part of Model; rename it"
         )
-    if not info.unit:
+    if not isinstance(info.unit, str) or not info.unit.strip():
         raise ModelError(f'{where} has no unit; write unit="1/s", or unit="-" if it has none')
     check_order(where, info.lower, info.upper)
     if not info.lower <= default <= info.upper:
@@ -102,6 +102,11 @@ def written(symbolic: Any, method: str, convert: Callable[[Any], Any]) -> Any:  
     except OutOfTimeError as error:
         raise ModelError(f"{where}: {error}; does a loop never end?") from error
     except (Exception, SystemExit) as error:  # the user's own code may raise anything
+        if "truth value" in str(error):  # what CasADi says of a symbol in an if
+            raise ModelError(
+                f"{where} decides by a parameter (if, and, or, min, max), but runs on symbols too: "
+                "write casadi.if_else, casadi.fmin or casadi.fmax, or use a bound or a constraint"
+            ) from error
         raise ModelError(f"{where} raised {type(error).__name__}: {error}") from error
 
 
@@ -121,8 +126,15 @@ def check_lengths(rows: Any) -> None:  # noqa: ANN401 - whatever the user wrote
         raise ModelError(f"row {odd} has {lengths[odd]} entries, the others have {usual}")
 
 
-def entry(value: Any, i: int, j: int) -> ca.SX:  # noqa: ANN401 - whatever the user wrote
-    """One entry of a matrix as an expression."""
+def check_delays(delays: Any) -> Mapping[str, Any]:  # noqa: ANN401 - whatever the user wrote
+    """Refuse what does not say whose delay it is."""
+    if not isinstance(delays, Mapping):
+        raise ModelError(f'it is {delays!r}, expected delays by input: {{"lat": self.tau}}')
+    return delays
+
+
+def scalar(value: Any, what: str) -> ca.SX:  # noqa: ANN401 - whatever the user wrote
+    """A number or an expression of parameters as an expression."""
     try:
         expression = ca.SX(value)
     except (NotImplementedError, TypeError, RuntimeError):
@@ -130,6 +142,6 @@ def entry(value: Any, i: int, j: int) -> ca.SX:  # noqa: ANN401 - whatever the u
     if expression is None or expression.shape != (1, 1):
         hint = "; call it: add ()" if callable(value) else ""
         raise ModelError(
-            f"entry [{i}][{j}] is {value!r}, expected a number or an expression of parameters{hint}"
+            f"{what} is {value!r}, expected a number or an expression of parameters{hint}"
         )
     return expression

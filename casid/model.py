@@ -16,12 +16,13 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.declaration import (
+    check_delays,
     check_lengths,
     check_names,
     check_order,
     check_parameter,
     check_rows,
-    entry,
+    scalar,
     written,
 )
 from casid.errors import ModelError
@@ -51,6 +52,9 @@ class Constraint:
     value: Scalar
     lower: float = 0.0
     upper: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_order(str(self.name), self.lower, self.upper)
 
 
 def parameter(
@@ -183,7 +187,8 @@ class Model:
                 i, j = np.argwhere(~np.isfinite(values))[0]
                 raise ModelError(
                     f"{type(self).__name__}.{letter}[{i}][{j}] is {values[i, j]} at these "
-                    "parameter values; check the guess and the formula of that entry"
+                    "parameter values; check the guess and the formula of that entry (functions "
+                    "of parameters: casadi.sin, not math.sin)"
                 )
         for name, delay in zip(self.inputs, tau.ravel(), strict=True):
             if not delay >= -1e-6:  # rounding of a delay on its bound
@@ -204,7 +209,10 @@ def matrix(rows: Rows) -> ca.SX:
         No rows, or rows of different length.
     """
     check_lengths(rows)
-    entries = [[entry(value, i, j) for j, value in enumerate(row)] for i, row in enumerate(rows)]
+    entries = [
+        [scalar(value, f"entry [{i}][{j}]") for j, value in enumerate(row)]
+        for i, row in enumerate(rows)
+    ]
     return ca.sparsify(ca.vertcat(*[ca.horzcat(*row) for row in entries]))
 
 
@@ -324,13 +332,21 @@ def _expressions(symbolic: Model) -> tuple[ca.SX, ...]:
                 f"{nx} states, {nu} inputs, {ny} outputs"
             )
     check_rows(cls, built)
-    delays = written(symbolic, "delays", dict)
+    delays = written(symbolic, "delays", check_delays)
     if unknown := [name for name in delays if name not in cls.inputs]:
         raise ModelError(
             f"{cls.__name__}.delays names {unknown[0]!r}, which is no input; "
             f"inputs are {', '.join(cls.inputs)}"
         )
-    tau = ca.vertcat(*[ca.SX(delays.get(name, 0.0)) for name in cls.inputs])
-    constraints = written(symbolic, "constraints", tuple)
-    c = ca.vertcat(ca.SX(0, 1), *[ca.SX(item.value) for item in constraints])
-    return (*built.values(), tau, c)
+    where = f"{cls.__name__}.delays: that of"
+    tau = [scalar(delays.get(name, 0.0), f"{where} {name!r}") for name in cls.inputs]
+    return (*built.values(), ca.vertcat(*tau), written(symbolic, "constraints", _values))
+
+
+def _values(constraints: Sequence[Constraint]) -> ca.SX:
+    """Values of constraints, (m, 1)."""
+    for item in constraints:
+        if not isinstance(item, Constraint):
+            raise ModelError(f"it holds {item!r}, expected Constraint(name, value, lower, upper)")
+    values = [scalar(item.value, f"the value of {item.name!r}") for item in constraints]
+    return ca.vertcat(ca.SX(0, 1), *values)

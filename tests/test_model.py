@@ -1,5 +1,6 @@
 """Model structures: one declaration for numbers and symbols, and slips told by name."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import FrozenInstanceError, replace
 
@@ -150,6 +151,7 @@ def structure(**parts):
         ({"outputs": ()}, r"Lag.outputs is \(\)"),
         ({"states": ("x", "x")}, "Lag.states names 'x' twice"),
         ({"a": parameter(default=-1.0)}, 'Lag.a has no unit; write unit="1/s"'),
+        ({"a": parameter(default=-1.0, unit=3)}, "Lag.a has no unit"),
         ({"a": parameter(default=1.0, lower=2.0, upper=0.0, unit="-")}, "Lag.a: lower bound 2.0 >"),
         (
             {"a": parameter(default=1.0, upper=0.0, unit="-")},
@@ -190,7 +192,26 @@ def test_a_faulty_declaration_is_told_with_its_name(parts, message):
         ({"C": lambda _: [[0]]}, "Lag: output 'x' is always zero: row 0"),
         ({"delays": lambda self: {"lat": self.a}}, "Lag.delays names 'lat', which is no input"),
         ({"delays": lambda self: {"u": self.tau}}, "Lag.delays uses 'tau', which Lag does not"),
+        ({"delays": lambda self: [self.a]}, r"Lag.delays: it is \[.*\], expected delays by input"),
+        ({"delays": lambda _: {"u": "0.1"}}, "Lag.delays: that of 'u' is '0.1', expected a number"),
         ({"constraints": lambda self: [self.b]}, "Lag.constraints uses 'b'"),
+        (
+            {"constraints": lambda self: [self.a]},
+            r"Lag.constraints: it holds SX\(lam\), expected Constraint\(name, value",
+        ),
+        (
+            {"constraints": lambda self: [Constraint("c", self.a, 2.0, 1.0)]},
+            "Lag.constraints: c: lower bound 2.0 > upper bound 1.0",
+        ),
+        (
+            {"constraints": lambda _: [Constraint("c", "a")]},
+            "Lag.constraints: the value of 'c' is 'a', expected a number",
+        ),
+        (
+            {"A": lambda self: [[self.a if self.a < 0 else -1]]},
+            "Lag.A decides by a parameter .* casadi.if_else",
+        ),
+        ({"B": lambda self: [[max(self.a, 1)]]}, "Lag.B decides by a parameter"),
     ],
 )
 def test_faulty_matrices_are_told_with_method_row_and_remedy(parts, message):
@@ -223,4 +244,7 @@ def test_a_missing_method_is_told():
 def test_a_guess_that_gives_nan_is_told_with_the_entry():
     model = structure(A=lambda self: [[1 / self.a]])(a=0.0)
     with pytest.raises(ModelError, match=r"Lag.A\[0\]\[0\] is inf at these parameter values"):
+        model.system()
+    model = structure(A=lambda self: [[math.sin(self.a)]])()
+    with pytest.raises(ModelError, match=r"is nan .*casadi.sin, not math.sin"):
         model.system()

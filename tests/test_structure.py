@@ -1,6 +1,7 @@
 """A structure laid open, and the command that prints it."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import click.testing
 import numpy as np
@@ -89,6 +90,12 @@ def test_the_phugoid_and_dutch_roll_of_six_degrees_of_freedom_are_observable():
     found = describe(SixDof())
     assert all(mode.observable and mode.controllable for mode in found.modes)
     assert found.identifiability.identifiable
+
+
+def test_a_guess_that_diverges_within_a_sample_hides_no_parameter():
+    slow, fast = (describe(replace(Tied(), a=a)).identifiability for a in (0.0, -200.0))
+    assert slow.identifiable
+    assert fast.identifiable
 
 
 def test_the_excitation_is_a_3_2_1_1_of_seven_units():
