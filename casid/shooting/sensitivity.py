@@ -20,7 +20,7 @@ from casid.arrays import Array
 from casid.model import Free
 from casid.shooting.intervals import Layout
 from casid.shooting.spline import DelayedInput
-from casid.shooting.stepping import Steps, groups
+from casid.shooting.stepping import Steps
 from casid.shooting.unknowns import Structure
 
 BLOCK = 16  # samples of every interval whose Jacobian rows are held at once
@@ -122,13 +122,26 @@ class Evaluator:
         model = free.model
         self.nx, self.nu, self.ny = len(model.states), len(model.inputs), len(model.outputs)
         self.nf = len(free.index) + gain_free * self.nx * self.ny
-        longest = _longest(free)
+        longest = self._longest(free)
         self._inputs = [DelayedInput(record, longest) for record in layout.records]
+        self._delayed: tuple[bytes, tuple[Array, Array]] | None = None
+
+    def _longest(self, free: Free) -> float:
+        """Longest delay the bounds allow [s], at most the guess's where they are infinite."""
+        sides = [side[free.index] for side in (free.lower, free.upper)]
+        corners = [np.where(np.isfinite(side), side, free.guess) for side in sides]
+        gains = np.zeros(self.nf - len(free.index))
+        delays = [self.structure(np.append(lam, gains)).tau for lam in (free.guess, *corners)]
+        return float(np.max(delays, initial=0.0))
 
     def delayed(self, tau: Array) -> tuple[Array, Array]:
         """Delayed inputs of all samples (N, nu), and their derivatives by the delay."""
-        pairs = [source.at(tau) for source in self._inputs]
-        return np.concatenate([u for u, _ in pairs]), np.concatenate([du for _, du in pairs])
+        key = tau.tobytes()
+        if self._delayed is None or self._delayed[0] != key:
+            pairs = [source.at(tau) for source in self._inputs]
+            both = np.concatenate([u for u, _ in pairs]), np.concatenate([du for _, du in pairs])
+            self._delayed = key, both
+        return self._delayed[1]
 
     def bends(self, tau: Array) -> Array:
         """Second derivatives (N, nu) of the delayed inputs by the delay."""
@@ -184,6 +197,7 @@ class Sweep:
         self.inputs, self.moved = _with_next(u), _with_next(du)
         self.ns = evaluator.nf + evaluator.nx + (evaluator.ny if evaluator.filtering else 0)
         self.drive = np.concatenate([self.numbers.C_lam, self.numbers.D_lam], axis=1)
+        self.apart = not np.any(W * (1 - np.eye(evaluator.ny)))  # R diagonal
         self.live = np.flatnonzero(self.drive.any(axis=(1, 2)))
         self.delay = self.numbers.D[:, :, None] * self.numbers.tau_lam[:, self.numbers.delaying]
 
@@ -287,39 +301,38 @@ class Sweep:
 
     def _heard(self, at: np.ndarray, S: Array) -> Array:
         """Derivatives of the measured residuals of one sample, 0 where missing, (ny, n, ns)."""
-        through = (self.numbers.C @ S.reshape(len(S), -1)).reshape(-1, *S.shape[1:])
+        heard = (self.numbers.C @ S.reshape(len(S), -1)).reshape(-1, *S.shape[1:])
+        self._add_direct(heard, at)
         seen = self.layout.patterns[self.layout.pattern[at]]
-        return np.asarray((through + self._direct(at)) * seen.T[:, :, None])
+        return np.asarray(heard * seen.T[:, :, None])
 
-    def _direct(self, flat: np.ndarray) -> Array:
-        """Derivatives of the outputs not through the states, (ny, rows, ns)."""
+    def _add_direct(self, out: Array, at: np.ndarray) -> None:
+        """Add the derivatives of the outputs not through the states to ``out`` (ny, *at, ns)."""
         nf, nx, nu = self.e.nf, self.e.nx, self.e.nu
-        out = np.zeros((self.e.ny, len(flat), self.ns))
-        V = np.concatenate([self.motion.states[flat], self.inputs[flat][:, :nu]], axis=1)
+        V = np.concatenate([self.motion.states[at], self.inputs[at][..., :nu]], axis=-1)
         for a in self.live:
-            out[a, :, :nf] = V @ self.drive[a]
+            out[a, ..., :nf] += V @ self.drive[a]
         if len(self.numbers.delaying):
-            out[:, :, self.numbers.delaying] += self.moved[flat][:, :nu] @ self.delay
+            shift = np.tensordot(self.delay, self.moved[at][..., :nu], axes=(1, -1))
+            out[..., self.numbers.delaying] += np.moveaxis(shift, 1, -1)
         if self.e.filtering:
-            out[:, :, nf + nx :] = np.eye(self.e.ny)[:, None, :]
-        return out
+            eye = np.eye(self.e.ny).reshape(self.e.ny, *[1] * at.ndim, self.e.ny)
+            out[..., nf + nx :] += eye
 
     def _rows(self, at: np.ndarray, S: Array) -> Array:
         """Whitened Jacobian rows and residuals of K samples, (n, K, ny, nc)."""
         e, ns, (K, n) = self.e, self.ns, at.shape
-        flat = at.ravel()
-        out = np.empty((e.ny, K, n, e.nf + e.nx + e.ny + 1))
         through = (self.numbers.C @ S.reshape(K, e.nx, -1)).reshape(K, e.ny, n, ns)
-        direct = self._direct(flat).reshape(e.ny, K, n, ns)
-        out[:, :, :, e.nf + e.nx : -1] = np.eye(e.ny)[:, None, None, :]
-        np.add(through.transpose(1, 0, 2, 3), direct, out=out[:, :, :, :ns])
-        out[:, :, :, -1] = self.motion.residuals[flat].T.reshape(e.ny, K, n)
-        flat_out = out.reshape(e.ny, K * n, -1)
-        white = np.empty_like(flat_out)
-        for p, mine in groups(self.layout.pattern[flat], len(self.W)):
-            part = flat_out[:, mine]
-            white[:, mine] = (self.W[p] @ part.reshape(e.ny, -1)).reshape(part.shape)
-        return white.reshape(out.shape).transpose(2, 1, 0, 3).copy()
+        self._add_direct(through.transpose(1, 0, 2, 3), at)
+        out = np.empty((n, K, e.ny, e.nf + e.nx + e.ny + 1))
+        out[..., e.nf + e.nx : -1] = np.eye(e.ny)
+        out[..., :ns] = through.transpose(2, 0, 1, 3)
+        out[..., -1] = self.motion.residuals[at.T]
+        pattern = self.layout.pattern[at.T]
+        if self.apart:
+            out *= np.diagonal(self.W, axis1=1, axis2=2)[pattern][..., None]
+            return out
+        return np.asarray(self.W[pattern] @ out)
 
 
 def counts(count: np.ndarray) -> list[int]:
@@ -331,11 +344,3 @@ def counts(count: np.ndarray) -> list[int]:
 def _with_next(u: Array) -> Array:
     """Each sample beside the one after it; the last beside itself."""
     return np.hstack([u, np.vstack([u[1:], u[-1:]])])
-
-
-def _longest(free: Free) -> float:
-    """Longest delay the bounds allow [s], at most that of the guess where they are infinite."""
-    delays = free.model.matrices()
-    guess = free.model.vector()
-    corners = [np.where(np.isfinite(side), side, guess) for side in (free.lower, free.upper)]
-    return float(max(np.max(delays(lam)[4].full(), initial=0.0) for lam in (guess, *corners)))
