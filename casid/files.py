@@ -2,8 +2,9 @@
 
 import csv
 import json
+import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,6 +30,7 @@ SI = {  # what one of each unit is in SI
 }  # fmt: skip
 
 SHOWN = 40  # names of columns that a message lists
+CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
 HEADER_CHARACTERS = 2**17  # a longer first line is no header
 
 LARGEST, SMALLEST = 1e30, 1e-30  # magnitudes of a channel that still measure something
@@ -286,7 +288,14 @@ def csv_columns(path: Path) -> list[str]:
         raise ValueError(f"{path}: the file is empty; expected a header line with channel names")
     if "\0" in "".join(columns):
         raise ValueError(f"{path}: it is no text; save it as comma-separated text in UTF-8")
+    check_names(path, columns)
     return columns
+
+
+def check_names(path: Path, names: Iterable[str]) -> None:
+    """Refuse names that would do something to a terminal; a tab is a matter of separators."""
+    if wrong := [name for name in names if CONTROL.search(name)]:
+        raise ValueError(f"{path}: the column's name {wrong[0]!r} does not print; rename it")
 
 
 def _csv_values(path: Path, positions: list[int], names: list[str]) -> Array:

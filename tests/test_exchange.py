@@ -231,6 +231,14 @@ def test_tables_survive_every_format_bit_by_bit(suffix, tmp_path):
         np.testing.assert_array_equal(back[name], column)
 
 
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_a_name_that_would_rule_the_terminal_is_refused(suffix, tmp_path):
+    table = {"t": np.arange(3.0), "p\x1b[2J": np.zeros(3)}
+    write_table(tmp_path / f"table.{suffix}", table)
+    with pytest.raises(ValueError, match=r"'p\\x1b\[2J' does not print; rename it"):
+        read_table(tmp_path / f"table.{suffix}")
+
+
 def test_units_are_converted_by_name():
     table = in_si({"t": np.zeros(2), "p": np.array([0.0, 180.0])}, {"p": "deg/s"})
     np.testing.assert_allclose(table["p"], [0, np.pi])

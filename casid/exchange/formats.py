@@ -15,6 +15,7 @@ from casid.exchange.objects import from_dataframe, optional, to_dataframe
 from casid.files import (
     SI,
     Detrend,
+    check_names,
     csv_columns,
     header_hint,
     read_columns,
@@ -142,8 +143,11 @@ def read_table(path: str | Path) -> dict[str, Array]:
     if suffix == ".parquet":
         frame = _parquet(path)
         frame = frame.reset_index() if frame.index.name else frame
-        return {str(name): _numbers(frame[name], path, str(name)) for name in frame.columns}
-    return _vectors(path)
+        table = {str(name): _numbers(frame[name], path, str(name)) for name in frame.columns}
+    else:
+        table = _vectors(path)
+    check_names(path, table)
+    return table
 
 
 def write_table(path: str | Path, table: Mapping[str, Array], *, version: MatVersion = "5") -> None:
