@@ -20,6 +20,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.shooting.sensitivity import Sweep, counts
+from casid.shooting.stepping import groups
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +55,9 @@ def curvature(sweep: Sweep, mu: Array) -> Curvature:
         Multiplier of every interval's end state, in chronological order; 0 at a record's end.
     """
     e, layout, motion, numbers = sweep.e, sweep.layout, sweep.motion, sweep.numbers
-    W = sweep.W[layout.pattern]
-    rho = np.einsum("nba,nbc,nc->na", W, W, motion.residuals)
+    rho = np.empty_like(motion.residuals)
+    for p, mine in groups(layout.pattern, len(sweep.W)):
+        rho[mine] = motion.residuals[mine] @ (sweep.W[p].T @ sweep.W[p])
     weight, last = _costates(sweep, rho @ numbers.C, mu[layout.node])
     total, at_nodes = _moments(sweep, np.hstack([weight, rho]), last)
     by_lam = np.concatenate([numbers.A_lam, numbers.C_lam])
@@ -63,9 +65,9 @@ def curvature(sweep: Sweep, mu: Array) -> Curvature:
     Hln, gn = np.empty((len(last), e.nf, e.nx)), np.empty((e.ny, len(last), e.nx))
     Hln[layout.node] = np.einsum("jvms,vma->jas", at_nodes, by_lam, optimize=True)
     gn[:, layout.node] = np.einsum("jcms,cm->cjs", at_nodes[:, e.nx :], numbers.C)
-    inputs = np.hstack([motion.states, sweep.inputs[:, : e.nu]])
+    through = np.hstack([rho.T @ motion.states, rho.T @ sweep.inputs[:, : e.nu]])
     gl = np.einsum("cms,cm->cs", total[e.nx :], numbers.C)
-    gl += np.einsum("cm,cma->ca", rho.T @ inputs, sweep.drive)
+    gl += np.einsum("cm,cma->ca", through, sweep.drive)
     gl += ((rho.T @ sweep.moved[:, : e.nu]) * numbers.D) @ numbers.tau_lam
     edges = np.cumsum([0, *(record.N for record in layout.records)])[:-1]
     gb = np.add.reduceat(rho, edges, axis=0).T[:, :, None] * np.eye(e.ny)[:, None, :]
