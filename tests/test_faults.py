@@ -249,6 +249,20 @@ def test_a_read_only_folder_is_named_with_the_remedy(which):
     assert "name a folder that can be written to, in the study or by --output" in said
 
 
+def test_a_file_in_a_read_only_folder_is_named_as_the_user_did():
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_study(folder)
+        folder.chmod(0o555)
+        target = folder / "a.mat"
+        with unprivileged():
+            result = CliRunner().invoke(main, ["convert", str(folder / "3211.csv"), str(target)])
+        folder.chmod(0o755)
+        assert result.exit_code == 2, result.output
+        assert f"Permission denied: '{target}'" in result.stderr
+        assert not target.exists()
+
+
 @pytest.mark.slow
 def test_results_that_became_read_only_stay_and_are_named(identified):
     with tempfile.TemporaryDirectory() as name:
