@@ -114,7 +114,8 @@ def run_study(
     Raises
     ------
     ConvergenceError
-        A stage did not converge; its best iterate and all stages before it are kept.
+        A stage did not converge; its best iterate and all stages before it are kept. If it is the
+        frequency-domain fit, on which nothing rests, all else is done first.
     ValueError, ModelError
         Bad input.
     """
@@ -149,7 +150,7 @@ def _run(
     )
     found.output_error.save(study.output / "fit.json")
     write_parameters(study.output / "parameters.csv", found.output_error)
-    baseline = _baseline(study, found, stages, watch)
+    baseline, failure = _baseline(study, found, stages, watch)
     models: dict[str, AnyModel] = {
         BLACK_BOX: found.black_box,
         MATCH: found.hinf,
@@ -169,6 +170,10 @@ def _run(
             study.output,
         ),
     )  # fmt: skip
+    if failure is not None:
+        raise ConvergenceError(
+            f"{failure}\nThe report is written without it: {report}", failure.best
+        ) from failure
     return Outcome(
         identification=found, validation=validation, timings=tuple(stages.clock), report=report,
         comparison=comparison,
@@ -316,20 +321,26 @@ def _options(study: Study, watch: Watch) -> casid.chain.Options:
     )
 
 
-def _baseline(study: Study, found: Identification, stages: _Stages, watch: Watch) -> Fit | None:
-    """The frequency-domain fit, if the study has a table for it and a measured response."""
+def _baseline(
+    study: Study, found: Identification, stages: _Stages, watch: Watch
+) -> tuple[Fit | None, ConvergenceError | None]:
+    """The frequency-domain fit, if the study has a table for it and a measured response.
+
+    Nothing rests on it: what the study found is shown even if it fails.
+    """
     measured = found.frequency_response
     if "derivid" not in study.options or measured is None:
-        return None
+        return None, None
     options = replace(study.solver_options("derivid"), progress=watch.progress)
-    return stages(
-        "derivid",
-        lambda: derivid(
-            found.quadratic.model,
-            measured,
-            fixed=study.fixed,
-            bounds=study.bounds,
-            options=options,
-            **study.options["derivid"],
-        ),
-    )
+
+    def compute() -> Fit:
+        return derivid(
+            found.quadratic.model, measured, fixed=study.fixed, bounds=study.bounds,
+            options=options, **study.options["derivid"],
+        )  # fmt: skip
+
+    try:
+        return stages("derivid", compute), None
+    except ConvergenceError as error:
+        stages.warnings.append(f"The frequency-domain fit is missing. {error}")
+        return None, error
