@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from truth import stepped_input
@@ -41,7 +43,8 @@ def test_prediction_errors_of_the_truth_are_its_innovations():
 def test_normal_equations_are_the_gradient_of_the_squared_errors():
     system, K, record, _ = innovation_record()
     su, sy = standard_deviations([record])
-    data, W = stretches([record], su, sy, 5), np.array([[1.0, 0.0], [0.4, 2.0]])
+    W, weight = np.array([[1.0, 0.0], [0.4, 2.0]]), np.linspace(0.2, 3.0, record.N)[:, None]
+    data = [replace(each, weight=weight) for each in stretches([record], su, sy, 5)]
     free = np.zeros((0, 2), dtype=int)
     # Away from the optimum, where the gradient is large.
     modal = predictor(StateSpace(0.95 * system.A, system.B, system.C, system.D), K, su, sy)
@@ -80,3 +83,19 @@ def test_refined_samples_are_more_accurate_than_the_subspace_estimate():
             box = pbsid([record], order=3, transform="none", feedthrough=False, refine=refine)
             found.append(np.abs(box.system.response(omega) - system.response(omega)))
     assert np.mean(np.square(errors[True])) < np.mean(np.square(errors[False]))
+
+
+def test_local_levels_make_predictions_of_growing_innovations_more_accurate():
+    omega, size = np.linspace(0.1, 2.5, 10), {"constant": [], "local": []}
+    for seed in range(6):
+        system, K, record, e = innovation_record(noise=1.0, seed=seed)
+        growing = 0.02 * 50 ** (np.arange(record.N) / record.N)
+        y = system.simulate(record.t, record.u, x0=np.array([1.0, -1.0, 0.5]))
+        noise = StateSpace(system.A, K, system.C, np.eye(2), 1.0)
+        y = y + noise.simulate(record.t, e * growing[:, None])
+        louder = replace(record, y=y)
+        for level, found in size.items():
+            box = pbsid([louder], order=3, transform="none", feedthrough=False, noise=level)
+            found.append(np.abs(box.system.response(omega) / system.response(omega) - 1))
+    # With stationary regressors the variances are as mean σ² times mean 1/σ² to 1: 41.
+    assert np.mean(np.square(size["local"])) < np.mean(np.square(size["constant"])) / 10

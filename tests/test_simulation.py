@@ -108,3 +108,61 @@ def test_noise_fed_back_is_warned_of():
     record = Record(np.arange(N, dtype=float), u, y, ("u",), ("a", "b"), hold="zoh")
     with pytest.warns(DataWarning, match="prediction errors, removes that"):
         samples(record, refine="simulation")
+
+
+def growing_noise(N=600):
+    """Standard deviations from 0.02 to 1."""
+    return 0.02 * 50 ** (np.arange(N) / N)
+
+
+def first_order_record(noise, seed):
+    rng, N = np.random.default_rng(seed), len(noise)
+    system = StateSpace([[0.8]], [[1.0]], [[1.0]], [[0.0]], 1.0)
+    t, u = np.arange(N, dtype=float), stepped_input(N, 1, rng, hold=3)
+    y = system.simulate(t, u) + noise[:, None] * rng.standard_normal((N, 1))
+    return Record(t, u, y, ("u",), ("y",), hold="zoh")
+
+
+def pole_bound(record, noise):
+    """Cramér-Rao standard deviation of the pole of `first_order_record`."""
+    x, slope = np.zeros(record.N), np.zeros(record.N)
+    gain, start = np.zeros(record.N), 0.8 ** np.arange(record.N)
+    for k in range(record.N - 1):
+        x[k + 1] = 0.8 * x[k] + record.u[k, 0]
+        slope[k + 1] = 0.8 * slope[k] + x[k]
+        gain[k + 1] = 0.8 * gain[k] + record.u[k, 0]
+    J = np.column_stack([slope, gain, start, np.ones(record.N)]) / noise[:, None]
+    return np.sqrt(np.linalg.inv(J.T @ J)[0, 0])
+
+
+def test_local_levels_reach_the_cramer_rao_bound_of_noise_that_grows():
+    noise, ratios = growing_noise(), {"constant": [], "local": []}
+    for seed in range(20):
+        record = first_order_record(noise, seed)
+        for level, found in ratios.items():
+            (pole,) = samples(record, 1, refine="simulation", noise=level).system.poles().real
+            found.append((pole - 0.8) / pole_bound(record, noise))
+    size = {level: np.sqrt(np.mean(np.square(found))) for level, found in ratios.items()}
+    # 20 seeds: the root mean square of unit errors is 1 within 3/√40.
+    assert size["local"] == pytest.approx(1.0, abs=0.5)
+    assert size["constant"] > 3
+
+
+def test_local_levels_of_constant_noise_change_little():
+    noise, distance = np.full(600, 0.3), []
+    for seed in range(8):
+        record = first_order_record(noise, seed)
+        poles = [samples(record, 1, refine="simulation", noise=level).system.poles().real[0]
+                 for level in ("constant", "local")]  # fmt: skip
+        distance.append((poles[1] - poles[0]) / pole_bound(record, noise))
+    # Levels known within 10 % cost about 1 % of the variance: a tenth of the standard deviation.
+    assert np.sqrt(np.mean(np.square(distance))) < 0.4
+
+
+def test_local_levels_need_errors_to_be_minimised():
+    for options in ({"refine": False}, {"refine": True, "transform": "laguerre"}):
+        with pytest.raises(ValueError, match="and a refinement"):
+            pbsid([output_error_record()], order=3, **{"transform": "none", **options},
+                  noise="local")  # fmt: skip
+    with pytest.raises(ValueError, match='expected "constant" or "local"'):
+        samples(output_error_record(), noise="loud")

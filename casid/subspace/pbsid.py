@@ -29,7 +29,7 @@ from casid.subspace.feedback import direct_term_is_ambiguous
 from casid.subspace.laguerre import support
 from casid.subspace.predictor import Stack
 from casid.subspace.realisation import subspace_model
-from casid.subspace.refining import Refine, Refinement, Uncertainty
+from casid.subspace.refining import Noise, Refine, Refinement, Uncertainty
 from casid.subspace.settings import OrderSelection, select_order
 from casid.subspace.trust import data_doubts
 
@@ -154,6 +154,7 @@ def pbsid(
     transform: Transform = "laguerre",
     regularisation: float | None = None,
     refine: Refine = True,
+    noise: Noise = "constant",
 ) -> BlackBox:
     """Identify a black box from the time histories of one or several manoeuvres.
 
@@ -187,6 +188,9 @@ def pbsid(
         follow. "simulation", on samples only: of the simulation errors
         (`casid.subspace.simulation`), for a stable system in open loop whose model is to simulate;
         K is zero then, and there is no covariance.
+    noise : {"constant", "local"}
+        On samples: whether the errors that the refinement minimises are of one size throughout, or
+        are divided by their local level, for amplitudes that vary much and errors that follow.
 
     Returns
     -------
@@ -200,7 +204,7 @@ def pbsid(
     inputs, outputs = same_channels(records)
     if transform not in get_args(Transform):
         raise ValueError(f'transform={transform!r}, expected "laguerre" or "none"')
-    _check_refine(refine, transform)
+    _check_refine(refine, noise, transform)
     mask = feedthrough_mask(feedthrough, inputs, outputs)
     if transform == "none":
         settings = _sample_settings(order, past, regularisation, len(outputs))
@@ -217,7 +221,7 @@ def pbsid(
     )  # fmt: skip
     start = replace(found.system, inputs=inputs, outputs=outputs)
     band = _band(records, settings.pole)
-    task = Refinement(records, su, sy, mask, settings.pole, band, found.residual_covariance)
+    task = Refinement(records, su, sy, mask, settings.pole, band, found.residual_covariance, noise)
     if transform == "none":
         if mask.any() and direct_term_is_ambiguous(stack):
             _warn_direct_term(np.array(outputs)[mask.any(axis=1)])
@@ -325,7 +329,13 @@ def _band(records: Sequence[Record], a: float) -> tuple[float, float]:
 # ---- checks -------------------------------------------------------------------------------------
 
 
-def _check_refine(refine: Refine, transform: str) -> None:
+def _check_refine(refine: Refine, noise: Noise, transform: str) -> None:
+    if noise not in get_args(Noise):
+        raise ValueError(f'noise={noise!r}, expected "constant" or "local"')
+    if noise == "local" and (transform != "none" or not refine):
+        raise ValueError(
+            'noise="local" weighs the errors of samples: it needs transform="none" and a refinement'
+        )
     if refine not in (True, False, "simulation"):
         raise ValueError(f'refine={refine!r}, expected True, False or "simulation"')
     if refine == "simulation" and transform != "none":

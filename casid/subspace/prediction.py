@@ -9,6 +9,9 @@ with the initial state and a constant c free for every stretch. The predictor is
 system, and unbiased under feedback if loop or plant has a delay. Source: L. Ljung, System
 Identification, 2nd ed., sections 7.2 and 8.3.
 
+Errors whose size changes along a record, as those do that grow with the motion, may be divided by
+their local level, estimated from themselves: the likelihood of a variance that varies slowly.
+
 The predictor is handled in modal coordinates (`casid.subspace.modal`): the signals all derivatives
 are made of are first-order filters of u and y, and one Gram matrix of them serves all outputs.
 """
@@ -18,6 +21,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from casid.arrays import Array, BoolArray, ComplexArray
@@ -42,14 +46,20 @@ STEPS = 12  # Gauss-Newton steps a round
 SETTLED = 1e-6  # relative decrease of the cost that ends a round
 RADIUS = 1 - 1e-4  # of the disc the predictor's poles stay in
 FLOOR = 1e-10  # of an output's standard deviation: its innovations are not smaller
+NEAR = 50.0  # samples, the width of local levels: 180 count, which gives a variance within 10 %
+LEAST = 1e-3  # of the errors' standard deviation: local levels are not smaller
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Consecutive samples without a gap, scaled: inputs and outputs v (N, nu + ny), outputs y."""
+    """Consecutive samples without a gap, scaled: inputs and outputs v (N, nu + ny), outputs y.
+
+    The errors of sample k count ``weight[k]`` times, (N, 1).
+    """
 
     v: Array
     y: Array
+    weight: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +117,8 @@ def stretches(records: Sequence[Record], su: Array, sy: Array, shortest: int) ->
         for start, end in zip(edges[::2], edges[1::2], strict=True):
             if end - start >= shortest:
                 y = record.y[start:end] / sy
-                found.append(Stretch(np.hstack([record.u[start:end] / su, y]), y))
+                v = np.hstack([record.u[start:end] / su, y])
+                found.append(Stretch(v, y, np.ones((len(y), 1))))
     return found
 
 
@@ -118,6 +129,8 @@ def refine_samples(
     su: Array,
     sy: Array,
     feedthrough: BoolArray,
+    *,
+    local: bool = False,
 ) -> tuple[StateSpace, Array, SampledUncertainty]:
     """Refine a discrete black box on its records.
 
@@ -133,6 +146,8 @@ def refine_samples(
         Standard deviations of the channels.
     feedthrough : (ny, nu) bool array
         Where the direct term is free; elsewhere it stays as it is (zero).
+    local : bool
+        Whether prediction errors are divided by their local level.
 
     Returns
     -------
@@ -142,7 +157,7 @@ def refine_samples(
         The asymptotic covariance.
     """
     nu, ny, nx = len(su), len(sy), system.nx
-    data = stretches(records, su, sy, nx + 2)
+    data: Sequence[Stretch] = stretches(records, su, sy, nx + 2)
     free = np.argwhere(np.hstack([feedthrough, np.zeros((ny, ny), dtype=bool)]))
     scales = np.concatenate([su, sy])
     predictor = StateSpace(
@@ -150,13 +165,12 @@ def refine_samples(
         np.hstack([system.D, np.zeros((ny, ny))]),
     )  # fmt: skip
     modal = to_modal(predictor, scales, sy, np.hstack([feedthrough, np.zeros((ny, ny), bool)]))
-    modal, W = fitted(modal, data, free, STEPS)
+    modal, W, data = fitted(modal, data, free, STEPS, local=local)
     H, _ = normal_equations(modal, data, W, free)
     rows = sum(stretch.y.size for stretch in data)
     used = len(H) + len(data) * (nx + ny)
     factor = covariance_factor(H) * np.sqrt(rows / max(rows - used, 1))
-    found = from_modal(modal, scales, sy, StateSpace(predictor.A, predictor.B, predictor.C,
-                                                     predictor.D))  # fmt: skip
+    found = from_modal(modal, scales, sy, predictor)
     D, gain = found.D[:, :nu], found.B[:, nu:]
     refined = StateSpace(
         found.A + gain @ found.C, found.B[:, :nu] + gain @ D, found.C, D, system.dt,
@@ -166,8 +180,8 @@ def refine_samples(
 
 
 def fitted(
-    modal: Modal, data: Sequence[Stretch], free: np.ndarray, steps: int
-) -> tuple[Modal, Array]:
+    modal: Modal, data: Sequence[Stretch], free: np.ndarray, steps: int, *, local: bool
+) -> tuple[Modal, Array, Sequence[Stretch]]:
     """Maximum likelihood by at most ``steps`` steps in each of `ROUNDS` rounds.
 
     Returns
@@ -176,18 +190,23 @@ def fitted(
         Its poles within the disc of `RADIUS`.
     (ny, ny) array
         W with Wᵀ W the inverse covariance of its errors.
+    sequence of Stretch
+        The data, errors weighted by their local level if ``local``.
     """
     modal = _inside(modal)
     W: Array = np.eye(len(modal.D))
     for _ in range(ROUNDS):
         W = _whitener(modal, data, W)
+        if local:
+            data = _levelled(modal, data, W)
+            W = _whitener(modal, data, W)
         modal = descend(
             modal,
             cost=partial(_cost, data=data, W=W),
             normal=partial(normal_equations, data=data, W=W, free=free),
             tidy=_inside, free=free, steps=steps, settled=SETTLED,
         )  # fmt: skip
-    return modal, _whitener(modal, data, W)
+    return modal, _whitener(modal, data, W), data
 
 
 def refine_held(
@@ -236,10 +255,8 @@ def _held(A: Array, h: float, record: Record) -> tuple[Array, Array, Array]:
 
 def _inside(modal: Modal) -> Modal:
     """The predictor's poles within the disc of `RADIUS`."""
-    size = np.abs(modal.lam)
-    return replace(
-        modal, lam=np.asarray(modal.lam * np.minimum(1, RADIUS / np.maximum(size, 1e-9)))
-    )
+    shrink = np.minimum(1, RADIUS / np.maximum(np.abs(modal.lam), 1e-9))
+    return replace(modal, lam=np.asarray(modal.lam * shrink))
 
 
 # ---- signals ------------------------------------------------------------------------------------
@@ -259,9 +276,10 @@ def _real(phi: ComplexArray, modal: Modal) -> Array:
     return np.asarray(pair(phi, conjugate, modal.real).real)
 
 
-def _centred(signal: Array) -> Array:
-    """A free constant eliminated."""
-    return np.asarray(signal - signal.mean(axis=0))
+def _centred(signal: Array, weight: Array) -> Array:
+    """A signal (N, c) weighted, a free constant eliminated."""
+    mean = (weight**2 * signal).sum(axis=0) / np.sum(weight**2)
+    return np.asarray(weight * (signal - mean))
 
 
 def _decay(modal: Modal, N: int) -> ComplexArray:
@@ -275,11 +293,11 @@ def _decay(modal: Modal, N: int) -> ComplexArray:
 
 
 def _states(modal: Modal, stretch: Stretch, W: Array) -> tuple[ComplexArray, ComplexArray, Array]:
-    """States and their decay (N, nm) from the best initial state, and prediction errors (N, ny)."""
+    """States and their decay (N, nm) from the best initial state, and weighted errors (N, ny)."""
     decay = _decay(modal, len(stretch.v))
     forced = _filtered(modal.lam, stretch.v @ modal.B.T)
-    basis = _centred(_real(decay[:, :, None], modal))
-    e = _centred(stretch.y - _outputs(modal, forced, stretch))
+    basis = _centred(_real(decay[:, :, None], modal), stretch.weight)
+    e = _centred(stretch.y - _outputs(modal, forced, stretch), stretch.weight)
     n = basis.shape[1]
     G = basis.T @ np.hstack([basis, e])
     P = W.T @ W
@@ -307,7 +325,7 @@ def _outputs(modal: Modal, x: ComplexArray, stretch: Stretch) -> Array:
 
 
 def prediction_errors(modal: Modal, data: Sequence[Stretch], W: Array) -> list[Array]:
-    """Prediction errors (N, ny) of every stretch with its best initial state and constant."""
+    """Weighted errors (N, ny) of every stretch with its best initial state and constant."""
     return [_states(modal, each, W)[2] for each in data]
 
 
@@ -316,6 +334,20 @@ def _whitener(modal: Modal, data: Sequence[Stretch], W: Array) -> Array:
     E = np.vstack(prediction_errors(modal, data, W))
     R = E.T @ E / len(E) + FLOOR**2 * np.eye(len(W))
     return np.asarray(np.linalg.inv(np.linalg.cholesky(R)))
+
+
+def _levelled(modal: Modal, data: Sequence[Stretch], W: Array) -> list[Stretch]:
+    """The data with errors weighted by the inverse of their local level.
+
+    The level is that of all outputs' whitened errors. The weights' geometric mean is one, so that
+    the covariance of weighted errors still is the likelihood.
+    """
+    pairs = zip(prediction_errors(modal, data, W), data, strict=True)
+    power = [np.mean((E @ W.T / s.weight) ** 2, axis=1, keepdims=True) for E, s in pairs]
+    least = LEAST**2 * np.mean(np.vstack(power))
+    level = [np.sqrt(gaussian_filter1d(each, NEAR, axis=0) + least) for each in power]
+    typical = np.exp(np.mean(np.log(np.vstack(level))))
+    return [replace(s, weight=typical / each) for s, each in zip(data, level, strict=True)]
 
 
 def _cost(modal: Modal, data: Sequence[Stretch], W: Array) -> float:
@@ -354,7 +386,8 @@ def normal_equations(
                     _real(x[:, :, None], modal),
                     stretch.v,
                 ]
-            )
+            ),
+            stretch.weight,
         )
         gram = S.T @ np.hstack([S, e @ W.T])
         G = np.zeros((n + size + 1, n + size + 1))

@@ -25,6 +25,7 @@ from casid.subspace.trust import explained_share
 FED_BACK = 0.2  # bound on the relative bias from noise fed back, above which it is dealt with
 
 Refine = bool | Literal["simulation"]
+Noise = Literal["constant", "local"]
 Uncertainty = ResponseUncertainty | SampledUncertainty | None
 Estimate = tuple[StateSpace, Array, Uncertainty, Array | None]
 
@@ -40,6 +41,7 @@ class Refinement:
     pole: float
     band: tuple[float, float]
     R: Array  # residual covariance of the subspace estimate
+    noise: Noise = "constant"
 
     def samples(self, starts: Sequence[tuple[StateSpace, Array]], refine: Refine) -> Estimate:
         """By prediction errors from the first start, or by simulation errors from all of them.
@@ -55,13 +57,17 @@ class Refinement:
             return predicting, gain, uncertainty, None
         self._check_feedback(predicting, gain)
         several = [start[0] for start in starts] + [end[0] for end in ends]
-        found = refine_simulation(several, self.records, self.su, self.sy, self.mask)
+        found = refine_simulation(
+            several, self.records, self.su, self.sy, self.mask, local=self.noise == "local"
+        )
         return found, np.zeros_like(K), None, None
 
     def _predicting(
         self, system: StateSpace, K: Array
     ) -> tuple[StateSpace, Array, SampledUncertainty]:
-        return refine_samples(system, K, self.records, self.su, self.sy, self.mask)
+        return refine_samples(
+            system, K, self.records, self.su, self.sy, self.mask, local=self.noise == "local"
+        )
 
     def _check_feedback(self, system: StateSpace, K: Array) -> None:
         whole = [r for r in self.records if np.isfinite(r.y).all()]

@@ -11,10 +11,14 @@ with the initial state and a constant c free for every stretch: `casid.subspace.
 it is biased, and it cannot follow an unstable system. Source: L. Ljung, System Identification, 2nd
 ed., sections 4.2 and 8.5.
 
+Errors may be divided by their local level. Where amplitudes vary, errors grow with them, and the
+large ones would otherwise drown what the rest of the record shows.
+
 The cost has local minima, so there may be several starts; the likeliest end counts.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,6 +37,8 @@ def refine_simulation(
     su: Array,
     sy: Array,
     feedthrough: BoolArray,
+    *,
+    local: bool = False,
 ) -> StateSpace:
     """Refine a discrete black box by the simulation of its records.
 
@@ -46,6 +52,9 @@ def refine_simulation(
         Standard deviations of the channels.
     feedthrough : (ny, nu) bool array
         Where the direct term is free; elsewhere it is zero.
+    local : bool
+        Whether errors are divided by their local level. The likeliest model without that is one
+        more start then.
 
     Returns
     -------
@@ -53,13 +62,22 @@ def refine_simulation(
         Stable, in real modal coordinates.
     """
     data = [
-        Stretch(each.v[:, : len(su)], each.y)
+        replace(each, v=each.v[:, : len(su)])
         for each in stretches(records, su, sy, starts[0].nx + 2)
     ]
     free = np.argwhere(feedthrough)
-    ends = [fitted(to_modal(start, su, sy, feedthrough), data, free, STEPS) for start in starts]
-    modal, _ = min(ends, key=lambda end: _spread(end[1]))
-    return _discrete(modal, su, sy, starts[0])
+    several = [to_modal(start, su, sy, feedthrough) for start in starts]
+    best = _likeliest(several, data, free, local=False)
+    if local:
+        best = _likeliest([*several, best], data, free, local=True)
+    return _discrete(best, su, sy, starts[0])
+
+
+def _likeliest(
+    starts: Sequence[Modal], data: Sequence[Stretch], free: np.ndarray, *, local: bool
+) -> Modal:
+    ends = [fitted(start, data, free, STEPS, local=local) for start in starts]
+    return min(ends, key=lambda end: _spread(end[1]))[0]
 
 
 def _spread(W: Array) -> float:
