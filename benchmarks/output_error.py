@@ -34,6 +34,7 @@ from casid import Model, Record, SolverOptions, match, output_error, pbsid, read
 from casid.model import Free, free_parameters
 from casid.nlp import Problem, solve
 from casid.shooting.intervals import Layout, lay_out
+from casid.shooting.newton import Newton
 from casid.shooting.output_error import IPOPT
 from casid.shooting.programme import Programme
 from casid.shooting.sensitivity import Evaluator, whiteners
@@ -176,7 +177,7 @@ def textbook(programme: Programme, start: np.ndarray, build: str) -> Problem:
     hessian = ca.Function(
         "nlp_hess_l", [w, p, lam_f, lam_g], [ca.triu(lam_f * ca.mtimes(Jr.T, Jr))]
     )
-    like = programme.problem(start)
+    like = Newton(programme).problem(start)
     return replace(like, x=w, f=f, g=ca.vertcat(ca.vec(gaps), c), hessian=hessian, functions={})
 
 
@@ -193,7 +194,8 @@ def timed_casid(model, records, R, interval, options):
     evaluator = Evaluator(free_parameters(model), lay_out(records, interval))
     programme, point = starting_programme(evaluator, free_parameters(model), R, biases=True)
     start = programme.pack(point)
-    problem = programme.problem(start)
+    newton = Newton(programme)
+    problem = newton.problem(start)
     built = time.process_time() - begin
     solution = solve(problem, options, stage="casid")
     return programme, start, solution, built, time.process_time() - begin

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from test_shooting import TRUTH, flown
 
-import casid.shooting.programme
+import casid.shooting.newton
 from casid import Constraint, Record, SolverOptions
 from casid.model import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.nearby import predicted
+from casid.shooting.newton import Newton
 from casid.shooting.output_error import simulate
 from casid.shooting.precision import quadratic_model
 from casid.shooting.programme import Programme
@@ -98,7 +99,7 @@ def test_intervals_cover_every_sample_once():
 
 @pytest.mark.parametrize("kind", ["given", "diagonal"])
 def test_newtons_hessian_is_that_of_the_lagrangian(kind, monkeypatch):
-    monkeypatch.setattr(casid.shooting.programme, "NEAR", np.inf)
+    monkeypatch.setattr(casid.shooting.newton, "NEAR", np.inf)
     records = [jittered(with_holes(flown(seed=1).between(0, 4))), flown(seed=2).between(0, 3)]
     free = free_parameters(TRUTH, fixed=("Lped",))
     evaluator = Evaluator(free, lay_out(records, 1.0))
@@ -108,20 +109,20 @@ def test_newtons_hessian_is_that_of_the_lagrangian(kind, monkeypatch):
     rng = np.random.default_rng(3)
     x = programme.pack(point) + 0.1 * rng.standard_normal(programme.size)
     price = 0.01 * rng.standard_normal(len(programme.values(x).g))
-    riders = programme.riders
+    newton = Newton(programme)
 
     def dense(entries):
-        row, col = programme._newton_entries()
-        H = np.zeros((programme.size + riders,) * 2)
+        row, col = newton.places()
+        H = np.zeros((programme.size + newton.riders,) * 2)
         H[row, col] = entries
         return H + np.triu(H, 1).T
 
     def slope(x):
         return programme.gradient(x) + programme.constraint_matrix(x).T @ price
 
-    newton = dense(programme.newton_hessian(x, 1.0, price))
-    own = slice(0, programme.size)
-    found = newton[own, own] - newton[own, programme.size :] @ newton[programme.size :, own]
+    H = dense(newton.hessian(x, 1.0, price))
+    n = programme.size
+    found = H[:n, :n] - H[:n, n:] @ H[n:, :n]
     V, eps = rng.standard_normal((programme.size, 2)), 1e-5
     exact = np.transpose([(slope(x + eps * v) - slope(x - eps * v)) / (2 * eps) for v in V.T])
     gauss = programme.hessian_matrix(x).toarray() / programme.n

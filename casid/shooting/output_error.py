@@ -27,6 +27,7 @@ from casid.shooting.innovation import starting_gain
 from casid.shooting.intervals import lay_out
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.nearby import predicted
+from casid.shooting.newton import Newton
 from casid.shooting.precision import Precision, precision
 from casid.shooting.programme import Programme
 from casid.shooting.sensitivity import Evaluator, Point
@@ -298,11 +299,11 @@ class _Search:
     ) -> Solution:
         if warm is not None:
             options = replace(options, ipopt=WARM | dict(options.ipopt))
-        problem = programme.problem(programme.pack(point))
-        if warm is not None:
-            warm = np.concatenate([warm[0], np.zeros(programme.riders)]), warm[1]
+        newton = Newton(programme)
+        warm = None if warm is None else newton.extended(warm)
+        problem = newton.problem(programme.pack(point))
         solution = solve(problem, options, stage=f"output error, round {number}", warm=warm)
-        return programme.without_riders(solution)
+        return newton.stripped(solution)
 
 
 def _carried(solution: Solution, last: Programme, programme: Programme) -> tuple[Array, Array]:

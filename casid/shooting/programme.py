@@ -6,34 +6,21 @@
 with the negative log-likelihood ℓ of `casid.shooting.likelihood`. If R is estimated it is the most
 likely one at every iterate, so that ℓ is the concentrated likelihood: its gradient is that of ½ Σ
 rᵀR⁻¹r with R held (the envelope theorem). The Hessian is the generalised Gauss-Newton one (Bock
-1987): the Gram matrix of the residuals, with the nodes kept as variables. Near the solution, where
-the intervals meet, it is Newton's: the curvature of outputs and end states is added, and that of
-the concentrated likelihood, which for a diagonal R takes
-
-    Σ_i (2 / n_i) g_i g_iᵀ,    g_i the gradient of channel i's ½ Σ r²/R_ii,
-
-off the Hessian H of held R. These are dense; so each channel has a rider z_i, a variable on which
-neither cost nor constraints depend, and IPOPT solves with the sparse [H, -g√(2/n); -gᵀ√(2/n), 1],
-from which the elimination of z leaves just that. IPOPT's callbacks run in NumPy on the blocks of
-all intervals.
+1987): the Gram matrix of the residuals, with the nodes kept as variables. What IPOPT is given of it
+is `casid.shooting.newton`.
 """
 
 import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 import scipy.sparse
 
 from casid.arrays import Array
 from casid.model import Free
-from casid.nlp import Problem, Solution
-from casid.shooting.assembly import NumPyFunction, Pattern, grid, stack, upper_triangle
-from casid.shooting.curvature import Curvature, curvature
+from casid.shooting.assembly import Pattern, grid, stack, upper_triangle
 from casid.shooting.likelihood import Noise, moments_of
 from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, whiteners
-
-NEAR = 1e-2  # gaps between intervals, in units of unit curvature, that are Newton's to close
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +97,8 @@ class Programme:
         self.links = np.flatnonzero(~layout.last[back])  # nodes with a successor
         self.n = max(layout.observations, 1)
         rows = len(self.links) * evaluator.nx + len(free.model.constraints())
-        self._hessian_pattern = Pattern(*self._hessian_entries(), size=self.size)
-        self._jacobian_pattern = Pattern(*self._jacobian_entries(), size=self.size, rows=rows)
+        self._hessian_pattern = Pattern(*self.hessian_places(), size=self.size)
+        self.jacobian_pattern = Pattern(*self._jacobian_entries(), size=self.size, rows=rows)
         self._forget()
 
     def variant(self, *, scales: Scales | None = None, noise: Noise | None = None) -> "Programme":
@@ -124,12 +111,6 @@ class Programme:
     def _forget(self) -> None:
         self._seen: tuple[bytes, Values] | None = None
         self._blocks: tuple[bytes, Blocks] | None = None
-        self._callbacks: list[ca.Function] = []
-
-    @property
-    def riders(self) -> int:
-        """Number of variables that only carry the curvature of the concentrated likelihood."""
-        return self.evaluator.ny if self.noise.concentrated and not self.evaluator.filtering else 0
 
     # ---- variables ------------------------------------------------------------------------------
 
@@ -245,7 +226,8 @@ class Programme:
         bias = e.nf + np.arange(self.biases * self.records * e.ny).reshape(-1, e.ny)
         return np.arange(e.nf), bias, self.first_node + np.arange(self.J * e.nx).reshape(-1, e.nx)
 
-    def _hessian_entries(self) -> tuple[np.ndarray, np.ndarray]:
+    def hessian_places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of the entries of a Hessian's upper triangle."""
         l, b, n = self._places()
         grids = [grid(l[None], l[None], upper=True)]
         if self.biases:
@@ -254,58 +236,19 @@ class Programme:
         grids += [grid(np.tile(l, (self.J, 1)), n), grid(n, n, upper=True)]
         return stack(grids)
 
-    def _newton_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        riders = self.size + np.arange(self.riders)
-        grids = [grid(np.arange(self.size)[None], riders[None]), (riders, riders)]
-        return stack([self._hessian_entries(), *grids])
-
     def hessian(self, x: Array) -> Array:
         """Nonzeros of the Gauss-Newton Hessian's upper triangle, per observation."""
         blocks = self.blocks(x)
-        return self._hessian_pattern.order(self._parts(blocks, blocks.Hll, blocks.Hln)) / self.n
+        return (
+            self._hessian_pattern.order(self.hessian_parts(blocks, blocks.Hll, blocks.Hln)) / self.n
+        )
 
-    def newton_hessian(self, x: Array, f: float, multipliers: Array) -> Array:
-        """Entries of the Hessian of f times the cost and the constraints, per observation.
-
-        Of the upper triangle, with the riders, in the order of the places; Gauss-Newton's while the
-        intervals are far apart.
-        """
-        blocks, e = self.blocks(x), self.evaluator
-        Hll, Hln = blocks.Hll, blocks.Hln
-        pull: Array = np.zeros((self.size, self.riders))
-        gaps = self.values(x).g[: len(self.links) * e.nx]
-        if f > 0 and not e.filtering and np.abs(gaps).max(initial=0.0) < NEAR:
-            more = self._curvature(x, multipliers[: len(gaps)] / f)
-            Hll, Hln, pull = Hll + more.Hll, Hln + more.Hln, self._pull(more)
-        core = self._parts(blocks, Hll, Hln) / self.n
-        return f * np.concatenate([core, -pull.ravel(), np.ones(self.riders)])
-
-    def _parts(self, blocks: Blocks, Hll: Array, Hln: Array) -> Array:
+    def hessian_parts(self, blocks: Blocks, Hll: Array, Hln: Array) -> Array:
+        """Entries of a Hessian at those places; its blocks of λ by λ and by the nodes are given."""
         parts = [upper_triangle(Hll[None])]
         if self.biases:
             parts += [blocks.Hlb.ravel(), upper_triangle(blocks.Hbb), blocks.Hbn.ravel()]
         return np.concatenate([*parts, Hln.ravel(), upper_triangle(blocks.Hnn)])
-
-    def _curvature(self, x: Array, multipliers: Array) -> Curvature:
-        """What Gauss-Newton leaves out, in scaled variables; multipliers of the continuity."""
-        e, s = self.evaluator, self.scales
-        mu = np.zeros((self.J, e.nx))
-        mu[self.links] = self.n * multipliers.reshape(-1, e.nx) / s.state
-        found = curvature(self.blocks(x).sweep, mu)
-        return Curvature(
-            found.Hll * np.outer(s.lam, s.lam), found.Hln * np.outer(s.lam, s.state),
-            found.gl * s.lam, found.gb * s.bias, found.gn * s.state,
-        )  # fmt: skip
-
-    def _pull(self, found: Curvature) -> Array:
-        """Columns of the riders: every channel's g √(2/n), per observation."""
-        noise, ny = self.noise, self.evaluator.ny
-        if not self.riders:
-            return np.zeros((self.size, 0))
-        parts = [found.gl, found.gb.reshape(ny, -1), found.gn.reshape(ny, -1)]
-        g = np.hstack(parts if self.biases else parts[::2]).T
-        seen = noise.patterns.T @ noise.counts
-        return np.asarray(g * np.sqrt(2 / (np.maximum(seen, 1) * self.n)))
 
     def gradient(self, x: Array) -> Array:
         """Gradient of the cost, per observation."""
@@ -338,7 +281,7 @@ class Programme:
         ]
         if self._bias_moves_states:
             parts.append(blocks.slope_b[self.links].ravel())
-        return self._jacobian_pattern.order(np.concatenate(parts))
+        return self.jacobian_pattern.order(np.concatenate(parts))
 
     def hessian_matrix(self, x: Array) -> scipy.sparse.csc_array:
         """Upper triangle of the Gauss-Newton Hessian of the whole cost."""
@@ -346,7 +289,7 @@ class Programme:
 
     def constraint_matrix(self, x: Array) -> scipy.sparse.csc_array:
         """Jacobian of all constraints."""
-        return self._jacobian_pattern.matrix(self.jacobian(x))
+        return self.jacobian_pattern.matrix(self.jacobian(x))
 
     def continuity_matrix(self, x: Array) -> scipy.sparse.csc_array:
         """Jacobian of the continuity constraints."""
@@ -360,49 +303,3 @@ class Programme:
         bounds = free.lower[free.index] / size, free.upper[free.index] / size
         sides = np.array([(tie.lower, tie.upper) for tie in ties]).reshape(-1, 2).T
         return bounds, (sides[0], sides[1])
-
-    # ---- for IPOPT ------------------------------------------------------------------------------
-
-    def problem(self, start: Array) -> Problem:
-        """The problem for `casid.nlp.solve`, from scaled variables, with the riders behind."""
-        own, m = self.size, self._jacobian_pattern.rows
-        pattern = Pattern(*self._newton_entries(), size=own + self.riders)
-        n = own + self.riders
-        x, p, one, g = (ca.Sparsity.dense(k, 1) if k else ca.Sparsity(0, 0) for k in (n, 0, 1, m))
-        H, Jg = pattern.sparsity, self._jacobian_pattern.sparsity
-        Jg = ca.horzcat(Jg, ca.Sparsity(m, self.riders))
-        still = np.zeros(self.riders)
-        f_of = NumPyFunction("f", [x], [one], lambda x: [self.values(x[:own]).cost])
-        g_of = NumPyFunction("g", [x], [g], lambda x: [self.values(x[:own]).g])
-        grad = NumPyFunction(
-            "nlp_grad_f", [x, p], [one, x],
-            lambda x, _: [
-                self.values(x[:own]).cost, np.concatenate([self.gradient(x[:own]), still])
-            ],
-        )  # fmt: skip
-        jac = NumPyFunction(
-            "nlp_jac_g", [x, p], [g, Jg],
-            lambda x, _: [self.values(x[:own]).g, self.jacobian(x[:own])],
-        )  # fmt: skip
-        hess = NumPyFunction(
-            "nlp_hess_l", [x, p, one, g], [H],
-            lambda x, _, f, lam: [
-                pattern.order(self.newton_hessian(x[:own], float(f[0]), lam))
-            ],
-        )  # fmt: skip
-        self._callbacks = [f_of, g_of, grad, jac, hess]  # CasADi does not keep them alive
-        symbol = ca.MX.sym("x", n)
-        (lower, upper), (lower_c, upper_c) = self.limits()
-        nowhere, closed = np.full(n - len(lower), np.inf), np.zeros(m - len(lower_c))
-        return Problem(
-            x=symbol, f=f_of(symbol), g=g_of(symbol) if m else ca.MX(0, 1),
-            x0=np.concatenate([start, still]),
-            lower_x=np.concatenate([lower, -nowhere]), upper_x=np.concatenate([upper, nowhere]),
-            lower_g=np.concatenate([closed, lower_c]), upper_g=np.concatenate([closed, upper_c]),
-            hessian=hess, functions={"nlp_grad_f": grad, "nlp_jac_g": jac},
-        )  # fmt: skip
-
-    def without_riders(self, solution: Solution) -> Solution:
-        """A solution of `problem` in the programme's own variables."""
-        own = self.size
-        return replace(solution, x=solution.x[:own], multipliers_x=solution.multipliers_x[:own])

@@ -1,0 +1,140 @@
+"""The multiple-shooting programme as IPOPT solves it, by Gauss-Newton steps and then Newton's.
+
+While the intervals are apart the Hessian is Gauss-Newton's. Once they meet, the curvature of
+outputs and end states is added (`casid.shooting.curvature`), and that of the concentrated
+likelihood, which for a diagonal R takes
+
+    Σ_i (2 / n_i) g_i g_iᵀ,    g_i the gradient of channel i's ½ Σ r²/R_ii,
+
+off the Hessian H of held R. These are dense; so each channel has a rider z_i, a variable on which
+neither cost nor constraints depend, and IPOPT solves with the sparse [H, -g√(2/n); -gᵀ√(2/n), 1],
+from which the elimination of z leaves just that. All is evaluated by NumPy on the blocks of all
+intervals.
+"""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+from casid.nlp import Problem, Solution
+from casid.shooting.assembly import NumPyFunction, Pattern, grid, stack
+from casid.shooting.curvature import Curvature, curvature
+from casid.shooting.programme import Programme
+
+NEAR = 1e-2  # gaps between intervals, in units of unit curvature, that are Newton's to close
+
+
+class Newton:
+    """Cost, constraints and derivatives of a programme for IPOPT, the riders behind its variables.
+
+    Parameters
+    ----------
+    programme : Programme
+        In the scales to solve it in.
+
+    It must outlive the problems made by it.
+    """
+
+    def __init__(self, programme: Programme) -> None:
+        self.programme = programme
+        noise, e = programme.noise, programme.evaluator
+        self.riders = e.ny if noise.concentrated and not e.filtering else 0
+        self._functions: list[ca.Function] = []
+
+    def problem(self, start: Array) -> Problem:
+        """The problem for `casid.nlp.solve`, from the programme's scaled variables."""
+        own, m = self.programme.size, self.programme.jacobian_pattern.rows
+        n = own + self.riders
+        f, g, functions, hessian = self._evaluated(n, m)
+        symbol = ca.MX.sym("x", n)
+        (lower, upper), (lower_c, upper_c) = self.programme.limits()
+        nowhere, closed = np.full(n - len(lower), np.inf), np.zeros(m - len(lower_c))
+        return Problem(
+            x=symbol, f=f(symbol), g=g(symbol) if m else ca.MX(0, 1),
+            x0=np.concatenate([start, np.zeros(self.riders)]),
+            lower_x=np.concatenate([lower, -nowhere]), upper_x=np.concatenate([upper, nowhere]),
+            lower_g=np.concatenate([closed, lower_c]), upper_g=np.concatenate([closed, upper_c]),
+            hessian=hessian, functions=functions,
+        )  # fmt: skip
+
+    def _evaluated(
+        self, n: int, m: int
+    ) -> tuple[ca.Function, ca.Function, dict[str, ca.Function], ca.Function]:
+        """Cost, constraints, their first derivatives and the Hessian, of all n variables."""
+        own, programme, still = self.programme.size, self.programme, np.zeros(self.riders)
+        x, p, one, g = (ca.Sparsity.dense(k, 1) if k else ca.Sparsity(0, 0) for k in (n, 0, 1, m))
+        J = ca.horzcat(programme.jacobian_pattern.sparsity, ca.Sparsity(m, self.riders))
+        pattern = Pattern(*self.places(), size=n)
+
+        def cost(x: Array) -> float:
+            return programme.values(x[:own]).cost
+
+        def constraints(x: Array) -> Array:
+            return programme.values(x[:own]).g
+
+        f_of = NumPyFunction("f", [x], [one], lambda x: [cost(x)])
+        g_of = NumPyFunction("g", [x], [g], lambda x: [constraints(x)])
+        grad = NumPyFunction(
+            "nlp_grad_f", [x, p], [one, x],
+            lambda x, _: [cost(x), np.concatenate([programme.gradient(x[:own]), still])],
+        )  # fmt: skip
+        jac = NumPyFunction(
+            "nlp_jac_g", [x, p], [g, J], lambda x, _: [constraints(x), programme.jacobian(x[:own])]
+        )
+        hess = NumPyFunction(
+            "nlp_hess_l", [x, p, one, g], [pattern.sparsity],
+            lambda x, _, f, lam: [pattern.order(self.hessian(x[:own], float(f[0]), lam))],
+        )  # fmt: skip
+        self._functions = [f_of, g_of, grad, jac, hess]  # CasADi does not keep them alive
+        return f_of, g_of, {"nlp_grad_f": grad, "nlp_jac_g": jac}, hess
+
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of the entries of the Hessian's upper triangle."""
+        own = self.programme.size
+        riders = own + np.arange(self.riders)
+        beside = grid(np.arange(own)[None], riders[None])
+        return stack([self.programme.hessian_places(), beside, (riders, riders)])
+
+    def hessian(self, x: Array, f: float, multipliers: Array) -> Array:
+        """Entries of the Hessian of f times the cost and the constraints, per observation."""
+        programme, blocks = self.programme, self.programme.blocks(x)
+        e, Hll, Hln = programme.evaluator, blocks.Hll, blocks.Hln
+        pull: Array = np.zeros((programme.size, self.riders))
+        gaps = programme.values(x).g[: len(programme.links) * e.nx]
+        if f > 0 and not e.filtering and np.abs(gaps).max(initial=0.0) < NEAR:
+            more = self._curvature(x, multipliers[: len(gaps)] / f)
+            Hll, Hln = Hll + more.Hll, Hln + more.Hln
+            if self.riders:
+                pull = self._pull(more)
+        core = programme.hessian_parts(blocks, Hll, Hln) / programme.n
+        return f * np.concatenate([core, -pull.ravel(), np.ones(self.riders)])
+
+    def _curvature(self, x: Array, multipliers: Array) -> Curvature:
+        """What Gauss-Newton leaves out, in scaled variables; multipliers of the continuity."""
+        programme, s = self.programme, self.programme.scales
+        mu = np.zeros((programme.J, len(s.state)))
+        mu[programme.links] = programme.n * multipliers.reshape(-1, len(s.state)) / s.state
+        found = curvature(programme.blocks(x).sweep, mu)
+        return Curvature(
+            found.Hll * np.outer(s.lam, s.lam), found.Hln * np.outer(s.lam, s.state),
+            found.gl * s.lam, found.gb * s.bias, found.gn * s.state,
+        )  # fmt: skip
+
+    def _pull(self, found: Curvature) -> Array:
+        """Columns of the riders: every channel's g √(2/n), per observation."""
+        programme, noise = self.programme, self.programme.noise
+        parts = [found.gl, *(part.reshape(len(part), -1) for part in (found.gb, found.gn))]
+        g = np.hstack(parts if programme.biases else parts[::2]).T
+        seen = noise.patterns.T @ noise.counts
+        return np.asarray(g * np.sqrt(2 / (np.maximum(seen, 1) * programme.n)))
+
+    def extended(self, multipliers: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Multipliers of the programme's own bounds and constraints, as those of the problem."""
+        return np.concatenate([multipliers[0], np.zeros(self.riders)]), multipliers[1]
+
+    def stripped(self, solution: Solution) -> Solution:
+        """A solution of the problem in the programme's own variables."""
+        own = self.programme.size
+        return replace(solution, x=solution.x[:own], multipliers_x=solution.multipliers_x[:own])
