@@ -138,18 +138,7 @@ def _run(
     *,
     compare: bool,
 ) -> Outcome:
-    found = identify(
-        study.model,
-        records["identification"],
-        refinement=records.get("refinement"),
-        sweeps=records.get("frequency", ()),
-        fixed=study.fixed,
-        bounds=study.bounds,
-        options=_options(study, watch),
-        stage=stages,
-    )
-    found.output_error.save(study.output / "fit.json")
-    write_parameters(study.output / "parameters.csv", found.output_error)
+    found = _identify(study, records, stages, watch)
     baseline, failure = _baseline(study, found, stages, watch)
     models: dict[str, AnyModel] = {
         BLACK_BOX: found.black_box,
@@ -178,6 +167,25 @@ def _run(
         identification=found, validation=validation, timings=tuple(stages.clock), report=report,
         comparison=comparison,
     )  # fmt: skip
+
+
+def _identify(
+    study: Study, records: Mapping[Role, Sequence[Record]], stages: "_Stages", watch: Watch
+) -> Identification:
+    """What the chain finds, its model in files of its own."""
+    found = identify(
+        study.model,
+        records["identification"],
+        refinement=records.get("refinement"),
+        sweeps=records.get("frequency", ()),
+        fixed=study.fixed,
+        bounds=study.bounds,
+        options=_options(study, watch),
+        stage=stages,
+    )
+    found.output_error.save(study.output / "fit.json")
+    write_parameters(study.output / "parameters.csv", found.output_error)
+    return found
 
 
 def _comparison(
