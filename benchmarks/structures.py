@@ -6,7 +6,10 @@ points with coherence 0.6 or more) and compared with the exact response, delayed
 which the two agree best, and with the record of random inputs that nothing was fitted to. Last,
 output error on the noisy 3-2-1-1 refines two of these fits: what the time domain adds. J is the
 cost of M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd ed.,
-section 11.2: 100 is a good model, 50 one that can hardly be told from the aircraft.
+section 11.2: 100 is a good model, 50 one that can hardly be told from the aircraft. And where
+output error ends from other starts.
+
+"+" after a structure's name means with the derivatives that its file leaves out.
 
 Run: PYTHONPATH=. python benchmarks/structures.py
 """
@@ -30,7 +33,10 @@ from casid import (
     FrequencyResponse,
     derivid,
     frequency_response,
+    match,
     output_error,
+    parameter,
+    pbsid,
     read_csv,
     validate,
 )
@@ -39,12 +45,15 @@ from models.hybrid_flap import HybridFlap
 from models.hybrid_flap_lag import HybridFlapLag
 from models.six_dof import SixDof
 
-STRUCTURES = (SixDof, HybridFlap, HybridFlapLag)
 OMEGA = np.geomspace(0.5, 12.0, 20)
 MEASURED = np.geomspace(0.4, 14.0, 40)
 BAND = (0.5, 14.0)
 FULL_TRAVEL = 100.0  # the 32-state model's sticks are in percent
 SEED = 20130
+
+# Rows of A and B by the head of a derivative's name, and what HybridFlap leaves out.
+ROWS = {"X": "u", "Y": "v", "Z": "w", "L": "p", "M": "q", "N": "r", "Mf": "b1c", "Lf": "b1s"}
+LEFT_OUT = {"Xr", "Yu", "Yw", "Zu", "Zv", "Zq", "Lu", "Lped", "Nlat", "Mflat"}
 
 # Trim of the 32-state model and of the records, SI units.
 EXACT_TRIM = {"U0": 41.017, "V0": 2.7046, "W0": 2.1073, "theta0": 0.05133}
@@ -72,6 +81,39 @@ class Row:
         for y, u in ON_AXIS:
             off[OUTPUTS.index(y), INPUTS.index(u)] = np.nan
         return off[~np.isnan(off)]
+
+
+def place(structure, name):
+    """Matrix ("A" or "B"), row and column of a derivative."""
+    for head in (name[:2], name[:1]):
+        tail = name[len(head) :]
+        tail = f"b1{tail}" if len(head) == 2 and tail in {"c", "s"} else tail
+        for letter, columns in (("A", structure.states), ("B", structure.inputs)):
+            if head in ROWS and tail in columns:
+                return letter, structure.states.index(ROWS[head]), columns.index(tail)
+    raise ValueError(f"{name} is no derivative of {structure.__name__}")
+
+
+def extended(structure, names):
+    """The structure with more derivatives; forces' appear in the specific forces, too."""
+    places = {name: place(structure, name) for name in names}
+
+    def rows(own, source, count):
+        def build(self):
+            M = [list(row) for row in getattr(structure, own)(self)]
+            for name, (letter, i, j) in places.items():
+                if letter == source and i < count:
+                    M[i][j] = M[i][j] + getattr(self, name)
+            return M
+
+        return build
+
+    nx = len(structure.states)
+    body = {"A": rows("A", "A", nx), "B": rows("B", "B", nx), "C": rows("C", "A", 3),
+            "D": rows("D", "B", 3)}  # fmt: skip
+    body |= {name: parameter(default=0.0, lower=-100.0, upper=100.0, unit="-") for name in names}
+    body |= {"__annotations__": dict.fromkeys(names, float), "__module__": __name__}
+    return type(f"{structure.__name__}+", (structure,), body)
 
 
 def exact_response():
@@ -165,6 +207,25 @@ def refined(structure, measured, validation):
     return {f"{structure.__name__}, {name}": found[name][0] for name in models}
 
 
+def endings(structure, measured):
+    """Markdown: where output error ends from three starts, and on twice the records."""
+    full = records(STEPS, SEED + 1) + records(SWEEPS, SEED)
+    every = [record.decimate(2) for record in full]
+    box = pbsid(full, order=18, feedthrough=["ax", "ay", "az"])
+    alone = derivid(structure(**TRIM), measured, band=BAND, starts=2).model
+    near = match(structure(**TRIM), [box, measured]).model
+    lines = ["| start | records | cost | iterations |", "|---|---|---|---|"]
+    for start, model, flown in (
+        ("guesses of the file", structure(**TRIM), every[:4]),
+        ("H-infinity match", near, every[:4]),
+        ("frequency-domain fit", alone, every[:4]),
+        ("frequency-domain fit", alone, every),
+    ):
+        fit = output_error(model, flown)
+        lines.append(f"| {start} | {len(flown)} | {fit.cost:.3f} | {fit.iterations} |")
+    return "\n".join(lines)
+
+
 def refinement(rms):
     """Markdown: RMS errors of every output."""
     lines = ["| model | " + " | ".join(OUTPUTS) + " |", "|---" * (len(OUTPUTS) + 1) + "|"]
@@ -175,20 +236,29 @@ def refinement(rms):
     return "\n".join(lines)
 
 
+def structures():
+    """Those of the gallery for six degrees of freedom, and the hybrid ones with all derivatives."""
+    whole = LEFT_OUT | set(HybridFlap.parameter_names())
+    more = sorted(whole - set(HybridFlapLag.parameter_names()))
+    full = extended(HybridFlap, sorted(LEFT_OUT)), extended(HybridFlapLag, more)
+    return SixDof, HybridFlap, HybridFlapLag, *full
+
+
 def main():
     """Print all tables."""
-    exact = [fit_exact(structure) for structure in STRUCTURES]
+    exact = [fit_exact(structure) for structure in structures()]
     print("J against the exact response of the 32-state model, fitted to it\n")
     print(table(exact), *(pairs(row) for row in exact), sep="\n\n")
     measured = frequency_response(records(SWEEPS, SEED), omega=MEASURED)
     validation = unseen()
-    found = [fit_measured(structure, measured, validation) for structure in STRUCTURES]
+    found = [fit_measured(structure, measured, validation) for structure in structures()]
     print("\nThe same, identified from the noisy sweeps; RMS errors on the unseen record\n")
     print(table(found), *(pairs(row) for row in found), sep="\n\n")
     rms = {}
     for structure in (SixDof, HybridFlap):
         rms |= refined(structure, measured, validation)
     print("\nRMS errors on the unseen record [mm/s^2, mrad/s, mrad]\n", refinement(rms), sep="\n")
+    print("\nHybridFlap: where output error ends\n", endings(HybridFlap, measured), sep="\n")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ one, a whirl at the rotor speed less the lag frequency, lies in the band of flig
 states lc, ls (stick times second; the sticks' unit coefficients fix their scale), whose inertia
 forces reach the hub as the moments Llc, Mls. (The source appends a quadratic dipole to each cyclic
 instead: four states.) Of the derivatives of `hybrid_flap.py` those of forces and disk that a UH-60
-can do without are left out; J rises from 21 to 32.
+can do without are left out; J rises from 26 to 32.
 
 What identifies it: what `hybrid_flap.py` asks for, with energy to 20 rad/s. Where the lag mode's
 dip in p/lat and q/lon is not seen in the data, use `hybrid_flap.py`.
