@@ -12,6 +12,7 @@ from benchmarks.structures import fit_exact, fit_measured, records, unseen
 from benchmarks.uh60 import SWEEPS
 from casid import Record, frequency_response, match, output_error, pbsid
 from casid.model import free_parameters
+from casid.record import standard_deviations
 from casid.shooting.output_error import simulate
 from models.heave_inflow import HeaveInflow
 from models.hybrid_flap import HybridFlap
@@ -91,19 +92,28 @@ def test_a_structure_is_recovered_from_its_own_response(structure):
     np.testing.assert_allclose((fit.model.vector() - truth.vector()) / scale, 0, atol=1e-5)
 
 
+def measured_flights(truth, share=1e-3):
+    """Its records with noise of a share of every output's size."""
+    records, rng = flown(truth), np.random.default_rng(2)
+    noise = dict(zip(truth.outputs, share * standard_deviations(records)[1], strict=True))
+    return [record.with_noise(noise, rng) for record in records]
+
+
 def assert_recovered(fit, truth):
     assert fit.success
-    # Noise-free: what is left is rounding, 1e-15, over the condition of the worst combination of
-    # parameters, 1e3, and the tolerance of a solve whose steps converge quadratically.
-    scale = free_parameters(truth).scale
-    np.testing.assert_allclose((fit.model.vector() - truth.vector()) / scale, 0, atol=1e-6)
+    std = np.array([row.std_error for row in fit.parameters])
+    error = fit.model.vector() - truth.vector()
+    # Of 380 normal errors in all, the largest lies beyond four deviations in 2 % of the cases.
+    np.testing.assert_array_less(np.abs(error), 4 * std)
+    # And they are small: the outputs' noise of 1e-3 times the condition, some tens.
+    np.testing.assert_array_less(std, 0.01 * free_parameters(truth).scale)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("structure", GALLERY, ids=named)
 def test_a_structure_is_recovered_from_its_own_records(structure):
     truth = somewhere(structure)
-    records = flown(truth)
+    records = measured_flights(truth)
     forces = [name for name in truth.outputs if name in {"ax", "ay", "az"}]
     box = pbsid(records, order=len(truth.states) + 4, feedthrough=forces)  # four for the delays
     near = match(off(truth), box, norm="quadratic")
@@ -112,12 +122,12 @@ def test_a_structure_is_recovered_from_its_own_records(structure):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    # From 10 % off, the lag mode alone ends in a local optimum, overdamped: match first, as above.
+    # From 30 % off, the lag mode alone ends in a local optimum, overdamped: match first, as above.
     "structure", [one for one in GALLERY if one is not HybridFlapLag], ids=named
 )  # fmt: skip
 def test_output_error_alone_recovers_a_structure_from_its_own_records(structure):
     truth = somewhere(structure)
-    assert_recovered(output_error(off(truth), flown(truth)), truth)
+    assert_recovered(output_error(off(truth), measured_flights(truth)), truth)
 
 
 @pytest.mark.parametrize("structure", [HybridFlap, HybridFlapLag], ids=named)
