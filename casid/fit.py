@@ -184,11 +184,18 @@ class Fit:
         content["cost"] = number(content["cost"])
         content["free_names"] = tuple(content["free_names"])
         found = cls(**content)
-        texts: list[Any] = [found.status, found.method, *found.free_names]
-        texts += [text for row in found.parameters for text in (row.name, row.unit)]
-        if wrong := [text for text in texts if not isinstance(text, str)]:
-            raise TypeError(f"{wrong[0]!r} is no text")
+        _check_types(found)
         return found
+
+
+def _check_types(fit: Fit) -> None:
+    """What a file says of names and values must be text and numbers."""
+    texts: list[Any] = [fit.status, fit.method, *fit.free_names]
+    texts += [text for row in fit.parameters for text in (row.name, row.unit)]
+    values: list[Any] = [getattr(fit.model, name) for name in fit.model.parameter_names()]
+    for wanted, kind, found in (("text", str, texts), ("number", int | float, values)):
+        if wrong := [each for each in found if not isinstance(each, kind)]:
+            raise TypeError(f"{wrong[0]!r} is no {wanted}")
 
 
 def parameter_table(

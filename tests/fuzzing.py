@@ -188,6 +188,15 @@ def check_convert(content):
     assert result.exit_code in (0, 2), result.exc_info
 
 
+def check_simulate(content):
+    """A saved fit on a record, likewise."""
+    fit, folder = _file("simulated.json", json.dumps(content).encode()), _study()
+    model = f"{folder / 'roll.py'}:Roll"
+    command = ["simulate", str(fit), str(folder / "3211.csv"), "--model", model, "--unit", "lat=%"]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code in (0, 2), result.exc_info
+
+
 def check_stage(content):
     stages = FOLDER / "stages"
     stages.mkdir(exist_ok=True)

@@ -37,6 +37,7 @@ JOBS = {  # name: (what reads it, kind of input, examples in CI)
     "parquet": (fuzzing.check_parquet, "parquet", 100),
     "table": (fuzzing.check_table, "csv", 100),
     "convert fit": (fuzzing.check_convert, None, 50),
+    "simulate": (fuzzing.check_simulate, None, 50),
     "convert response": (fuzzing.check_convert, None, 50),
     "convert stage": (fuzzing.check_convert, None, 50),
 }
@@ -67,6 +68,7 @@ def strategies(tmp_path_factory):
         "fit": altered(fit),
         "stage": altered(stage) | fuzzing.trees,
         "convert fit": altered(fit),
+        "simulate": altered(fit),
         "convert response": altered(response),
         "convert stage": altered({"casid": "stage", "result": encode(measured)}),
     }
