@@ -66,6 +66,17 @@ def check_order(name: str, lower: float, upper: float) -> None:
             )
 
 
+def check_pair(name: str, pair: Any) -> None:  # noqa: ANN401 - whatever the user wrote
+    """Refuse what are no two bounds in order."""
+    try:
+        lower, upper = map(float, pair)
+    except (TypeError, ValueError) as error:
+        raise ModelError(
+            f"{name}: bounds are {pair!r}, expected two numbers (lower, upper); -inf or inf is none"
+        ) from error
+    check_order(name, lower, upper)
+
+
 def check_rows(cls: Any, built: Mapping[str, ca.SX]) -> None:  # noqa: ANN401 - Model lives above
     """A state nothing drives and an output nothing reaches are slips, not models."""
     A, B, C, D = (built[letter] for letter in "ABCD")

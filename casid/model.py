@@ -20,6 +20,7 @@ from casid.declaration import (
     check_lengths,
     check_names,
     check_order,
+    check_pair,
     check_parameter,
     check_rows,
     scalar,
@@ -290,18 +291,12 @@ def free_parameters(
     ModelError
         An unknown name, lower > upper, or nothing left to estimate.
     """
-    infos = model.infos()
     bounds = dict(bounds or {})
-    if isinstance(fixed, str):
-        raise ModelError(f"fixed={fixed!r}: expected a collection of names, ({fixed!r},)")
-    for name in (*fixed, *bounds):
-        if name not in infos:
-            raise ModelError(
-                f"{type(model).__name__} has no parameter {name!r}; it has {', '.join(infos)}"
-            )
+    _check_choice(model, fixed, bounds)
+    infos = model.infos()
     limits = {name: bounds.get(name, (info.lower, info.upper)) for name, info in infos.items()}
     for name, pair in limits.items():
-        check_order(name, *pair)
+        check_pair(name, pair)
     lower, upper = (np.array([pair[i] for pair in limits.values()], dtype=float) for i in (0, 1))
     held = np.array([name in fixed for name in infos])
     guess = model.vector()
@@ -318,6 +313,20 @@ def free_parameters(
         [s or (value if value > 0 else 1.0) for s, value in zip(given, typical, strict=True)]
     )
     return Free(model.with_vector(guess), index, lower, upper, scale)
+
+
+def _check_choice(model: Model, fixed: Collection[str], bounds: Bounds) -> None:
+    if isinstance(model, type):
+        raise ModelError(
+            f"{model.__name__} is a class, expected a model: call it, {model.__name__}()"
+        )
+    if isinstance(fixed, str):
+        raise ModelError(f"fixed={fixed!r}: expected a collection of names, ({fixed!r},)")
+    for name in (*fixed, *bounds):
+        if name not in (known := model.parameter_names()):
+            raise ModelError(
+                f"{type(model).__name__} has no parameter {name!r}; it has {', '.join(known)}"
+            )
 
 
 def _expressions(symbolic: Model) -> tuple[ca.SX, ...]:

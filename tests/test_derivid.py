@@ -346,6 +346,7 @@ def test_a_saved_fit_reads_back(tmp_path):
         ({"coherence": 1.0}, "coherence in"),
         ({"pairs": [("p", "lon")]}, r"no pair \('p', 'lon'\)"),
         ({"pairs": []}, "pairs is empty"),
+        ({"pairs": ("p", "lat")}, r"pairs holds \('p',\), expected \(output, input\)"),
         ({"pairs": {("p", "lat"): (50.0, 60.0)}}, "was not measured between 50 and 60"),
         ({"band": (100.0, 200.0)}, "no point between 100 and 200"),
     ],

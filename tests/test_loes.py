@@ -111,6 +111,9 @@ def test_bad_requests_are_refused():
         transfer_function(frf, (1, 2))
     with pytest.raises(ValueError, match="expected degrees"):
         transfer_function(frf, (-1, 2), pair=("p", "lat"))
+    for order in ((2,), (0.5, 1)):
+        with pytest.raises(ValueError, match="expected degrees"):
+            transfer_function(frf, order, pair=("p", "lat"))
     with pytest.raises(ValueError, match="too few for the"):
         transfer_function(measured(second_order, coherence=0.3), (1, 2))
 

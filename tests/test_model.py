@@ -123,6 +123,8 @@ def test_scales_come_from_the_file_the_guess_or_the_bounds():
         ({"bounds": {"g": (0, 1)}}, "Roll has no parameter 'g'"),
         ({"bounds": {"Lp": (0.0, -1.0)}}, "Lp: lower bound 0.0 > upper bound -1.0"),
         ({"bounds": {"Lp": (np.nan, 0.0)}}, "Lp: lower bound nan"),
+        ({"bounds": {"Lp": -1.0}}, r"Lp: bounds are -1.0, expected two numbers \(lower, upper\)"),
+        ({"bounds": {"Lp": (None, 0.0)}}, r"Lp: bounds are \(None, 0.0\), expected two numbers"),
         ({"fixed": "Lp"}, r"expected a collection of names, \('Lp',\)"),
         ({"fixed": Roll.parameter_names()}, "every parameter is fixed"),
     ],
@@ -130,6 +132,11 @@ def test_scales_come_from_the_file_the_guess_or_the_bounds():
 def test_a_wrong_choice_of_free_parameters_is_told(choice, message):
     with pytest.raises(ModelError, match=message):
         free_parameters(Roll(), **choice)
+
+
+def test_a_class_in_place_of_a_model_is_told():
+    with pytest.raises(ModelError, match=r"Roll is a class, expected a model: call it, Roll\(\)"):
+        free_parameters(Roll)
 
 
 def structure(**parts):

@@ -116,9 +116,12 @@ def transfer_function(
     ConvergenceError
         No start led to a fit.
     """
-    nz, np_ = order
-    if nz < 0 or np_ < 0:
-        raise ValueError(f"order={order}: expected degrees (nz, np) >= 0")
+    degrees = [float(degree) for degree in order]
+    if len(degrees) != 2 or not all(each >= 0 and each.is_integer() for each in degrees):
+        raise ValueError(
+            f"order={order}: expected degrees (nz, np) of numerator and denominator, whole and >= 0"
+        )
+    nz, np_ = map(int, degrees)
     output, name = _pair(frf, pair)
     frf = frf if band is None else frf.between(*band)
     i, j = frf.index(output, name)

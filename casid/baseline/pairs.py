@@ -62,7 +62,10 @@ def _named(model: Model, frf: FrequencyResponse, pairs: Pairs, known: BoolArray)
     """Where the caller's pairs are in their ranges."""
     chosen = np.zeros(known.shape, dtype=bool)
     ranges = pairs if isinstance(pairs, Mapping) else dict.fromkeys(map(tuple, pairs), None)
-    for (output, name), limits in ranges.items():
+    for pair, limits in ranges.items():
+        if len(pair) != 2:
+            raise ValueError(f'pairs holds {pair!r}, expected (output, input): [("p", "lat")]')
+        output, name = pair
         frf.index(output, name)
         if output not in model.outputs or name not in model.inputs:
             raise ValueError(
