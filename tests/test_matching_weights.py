@@ -115,6 +115,16 @@ def test_frequencies_of_weight_zero_do_not_count():
     np.testing.assert_allclose(fit.model.vector(), YAW.vector(), rtol=1e-5)
 
 
+def test_weights_follow_their_frequencies_in_any_order():
+    box, model = black_box(corrupted()), TwoByTwo().system()
+    weight = np.geomspace(1.0, 1e-3, 40)[:, None, None]
+    sorted_, mixed = (
+        compare(TwoByTwo(), [box], omega=OMEGA[order], weight=weight[order]).error(model)
+        for order in (np.arange(40), np.random.default_rng(1).permutation(40))
+    )
+    np.testing.assert_array_equal(mixed, sorted_)
+
+
 def test_incoherent_and_missing_points_do_not_count():
     system = YAW.system()
     G, coherence = system.response(OMEGA), np.ones((40, 2, 2))
@@ -241,6 +251,7 @@ def test_fixed_parameters_are_no_variables():
         ({"weight": np.zeros((2, 2))}, "no point of the target weighs on output 'p'"),
         ({"source_weight": (1.0, 2.0)}, "expected 1 positive numbers, one a target"),
         ({"omega": np.array([0.0, 1.0])}, "above 0 rad/s"),
+        ({"omega": np.ones((2, 2))}, "in one dimension"),
         ({"shift": -0.1}, "take it >= 0"),
     ],
 )

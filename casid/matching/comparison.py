@@ -172,6 +172,7 @@ def compare(
     for number, target in enumerate(targets):
         if isinstance(target, BlackBox):
             source = _from_black_box(model, target, omega, sigma)
+            weights[number] = _sorted(weights[number], omega)
         else:
             source = _from_measured(model, target, omega)
         factor = factors[number]
@@ -198,7 +199,7 @@ def _from_black_box(model: Model, target: BlackBox, omega: Array | None, sigma: 
             f"something in {low:.4g} to {high:.4g} rad/s only; stay inside its band, or excite "
             "more of it in the records"
         )
-    system = _select(_continuous(target), model, target)
+    system = _select(target.continuous().system, model, target)
     G = system.response(grid, sigma)
     present = np.outer(
         np.isin(model.outputs, target.system.outputs), np.isin(model.inputs, target.system.inputs)
@@ -257,6 +258,13 @@ def _weighted(
     return replace(source, W=W, node_weights=W)
 
 
+def _sorted(weight: Weight, omega: Array | None) -> Weight:
+    """The caller's weight by increasing frequency, as the grid is."""
+    if omega is None or np.ndim(weight) < 3 or len(weight) != len(omega):  # type: ignore[arg-type]
+        return weight
+    return np.asarray(weight)[np.argsort(omega)]
+
+
 def _checked_weight(weight: Array, shape: tuple[int, ...]) -> Array:
     array = np.asarray(weight, dtype=float)
     try:
@@ -273,20 +281,9 @@ def _checked_weight(weight: Array, shape: tuple[int, ...]) -> Array:
 
 def _grid(omega: Array) -> Array:
     grid = np.unique(np.atleast_1d(np.asarray(omega, dtype=float)))
-    if grid.ndim != 1 or not len(grid) or not np.isfinite(grid).all() or grid[0] <= 0:
+    if np.ndim(omega) > 1 or not len(grid) or not np.isfinite(grid).all() or grid[0] <= 0:
         raise ValueError("omega: expected finite frequencies above 0 rad/s in one dimension")
     return grid
-
-
-def _continuous(target: BlackBox) -> StateSpace:
-    if target.system.dt is None:
-        return target.system
-    convert = getattr(target, "continuous", None)
-    if convert is None:
-        raise ValueError("the black box is discrete; convert it to continuous time first")
-    converted = convert()
-    system: StateSpace = getattr(converted, "system", converted)
-    return system
 
 
 def _select(system: StateSpace, model: Model, target: BlackBox) -> StateSpace:
@@ -389,7 +386,7 @@ def _shift(targets: Sequence[Target], shift: float | None) -> float:
         if shift:
             raise ValueError("shift moves the line of a black box; measured points cannot move")
         return 0.0
-    systems = [_continuous(box) for box in boxes]
+    systems = [box.continuous().system for box in boxes]
     poles = np.concatenate([system.poles() for system in systems])
     if not len(poles):
         return float(shift or 0.0)
