@@ -1,6 +1,6 @@
 """Four measured systems of the DaISy database: simulation of the last third, against other tools.
 
-    python benchmarks/daisy.py [FOLDER] [--only NAME ...] [--peers METHOD ...]
+    python benchmarks/daisy.py [FOLDER] [--only NAME ...] [--peers METHOD ...] [--ours METHOD ...]
 
 FOLDER (or CASID_DAISY) holds CD_player_arm.dat, robot_arm.dat, flutter.dat and steamgen.dat. The
 data are free for research, not to be redistributed: B. De Moor, P. De Gersem, B. De Schutter,
@@ -10,7 +10,7 @@ homes.esat.kuleuven.be/~smc/daisy.
 Every method may choose its order from the same grid, by simulating the last third of the first two
 thirds with the model of the rest of them; then it is identified from both. A package with several
 methods may choose one of them likewise, beside its order: that is the row of `sippy_unipi` and the
-row "casid", chosen from its three refinements. The initial state of a simulation is that of least
+row "casid", chosen from its four refinements. The initial state of a simulation is that of least
 squares over all of it, for every method. VAF: mean over outputs of the variance accounted for, %.
 """
 
@@ -32,6 +32,7 @@ REFINEMENTS = {
     "casid, unrefined": {"refine": False},
     "casid, prediction": {},
     "casid, simulation": {"refine": "simulation"},
+    "casid, local": {"refine": "simulation", "noise": "local"},
 }
 CHOICES = {  # package: its methods
     "sippy_unipi": [method for method in peers.METHODS if method != "nfoursid"],
@@ -99,16 +100,16 @@ def ours(u, y, orders, **options):
     return models
 
 
-def everybody(u, y, orders, methods):
+def everybody(u, y, orders, methods, refinements):
     """Models of all methods by (method, order)."""
     models = peers.identify(u, y, orders, horizon=HORIZON, feedthrough=True, methods=methods)
-    for name, options in REFINEMENTS.items():
-        for order, model in ours(u, y, orders, **options).items():
+    for name in refinements:
+        for order, model in ours(u, y, orders, **REFINEMENTS[name]).items():
             models[name, order] = model
     return models
 
 
-def compare(u, y, methods):
+def compare(u, y, methods, refinements):
     """Rows of method, order, VAF where it was chosen and of the last third, seconds."""
     third = len(u) // 3
     learn, rest = slice(0, 2 * third), slice(2 * third, None)
@@ -116,9 +117,9 @@ def compare(u, y, methods):
     su, sy = u[learn].std(axis=0), y[learn].std(axis=0)
     u, y = (u - mu) / su, (y - my) / sy
     first, check = slice(0, 4 * third // 3), slice(4 * third // 3, 2 * third)
-    tried = everybody(u[first], y[first], ORDERS, methods)
+    tried = everybody(u[first], y[first], ORDERS, methods, refinements)
     score = {key: vaf(model.system, u[check], y[check]) for key, model in tried.items()}
-    final = everybody(u[learn], y[learn], ORDERS, methods)
+    final = everybody(u[learn], y[learn], ORDERS, methods, refinements)
     rows = []
     own = {method: [method] for method in dict.fromkeys(key[0] for key in tried)}
     for label, group in {**own, **CHOICES}.items():
@@ -135,6 +136,7 @@ def main():
     parser.add_argument("folder", type=Path, nargs="?", default=os.environ.get("CASID_DAISY"))
     parser.add_argument("--only", nargs="+", choices=list(DATA), default=list(DATA))
     parser.add_argument("--peers", nargs="+", choices=peers.METHODS, default=peers.METHODS)
+    parser.add_argument("--ours", nargs="+", choices=list(REFINEMENTS), default=list(REFINEMENTS))
     options = parser.parse_args()
     folder = options.folder
     if folder is None:
@@ -142,7 +144,7 @@ def main():
     for name in options.only:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            rows = compare(*load(Path(folder), name), options.peers)
+            rows = compare(*load(Path(folder), name), options.peers, options.ours)
         print(f"\n{name}\n")
         print(table(["method", "order", "choice [%]", "VAF [%]", "time [s]"], rows), flush=True)
 
