@@ -99,7 +99,7 @@ def test_intervals_cover_every_sample_once():
 
 @pytest.mark.parametrize("kind", ["given", "diagonal"])
 def test_newtons_hessian_is_that_of_the_lagrangian(kind, monkeypatch):
-    monkeypatch.setattr(casid.shooting.newton, "NEAR", np.inf)
+    monkeypatch.setattr(casid.shooting.newton, "MEET", np.inf)
     records = [jittered(with_holes(flown(seed=1).between(0, 4))), flown(seed=2).between(0, 3)]
     free = free_parameters(TRUTH, fixed=("Lped",))
     evaluator = Evaluator(free, lay_out(records, 1.0))
@@ -120,7 +120,7 @@ def test_newtons_hessian_is_that_of_the_lagrangian(kind, monkeypatch):
     def slope(x):
         return programme.gradient(x) + programme.constraint_matrix(x).T @ price
 
-    H = dense(newton.hessian(x, 1.0, price))
+    H = dense(newton.hessian(x, price))
     n = programme.size
     found = H[:n, :n] - H[:n, n:] @ H[n:, :n]
     V, eps = rng.standard_normal((programme.size, 2)), 1e-5

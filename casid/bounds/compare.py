@@ -189,7 +189,7 @@ def _jobs(
     jobs: list[Job] = []
     for k, case in enumerate(order):
         wider = [job for job, other in zip(jobs, order, strict=False) if case.within(other)]
-        halfway = [wider[len(wider) // 2]] if len(wider) > 1 else []
+        halfway = wider[(len(wider) - 1) // 2 :][:1]
         trial = Trial(setup=shared, values=values, case=case, near=None if k else near)
         jobs.append(trial.job(case.name, [*halfway, *jobs[:1]]))
     return jobs

@@ -9,13 +9,14 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
-from casid.nlp import Problem, SolverOptions, solve
+from casid.nlp import Problem, Solution, SolverOptions, solve
+from casid.shooting.newton import Newton
 from casid.shooting.precision import quadratic_model
 from casid.shooting.programme import Programme
 
 
 def predicted(
-    programme: Programme, x: Array, options: SolverOptions
+    programme: Programme, x: Array, steps: int, options: SolverOptions
 ) -> tuple[Array, tuple[Array, Array]] | None:
     """Scaled variables of the solution to expect, and multipliers of bounds and constraints.
 
@@ -25,30 +26,42 @@ def predicted(
         With the new bounds and ties.
     x : (n,) array
         Scaled variables near a solution; λ may lie outside the bounds.
+    steps : int
+        Quadratic models to minimise, each about the solution of the last.
     options : SolverOptions
         Tolerance.
 
     Returns
     -------
-    None if the quadratic programme has no solution.
+    None if a quadratic programme has no solution.
     """
-    F, follow = quadratic_model(programme, x)
-    nf, n = programme.evaluator.nf, programme.n
+    newton, count = Newton(programme), len(programme.links) * programme.evaluator.nx
+    bounds, prices = np.zeros(len(x)), np.zeros(len(programme.values(x).g))
+    nf = programme.evaluator.nf
+    for _ in range(steps):
+        F, follow = quadratic_model(programme, x, newton.matrix(x, prices))
+        found = _step(programme, x, F, options)
+        if not found.success:
+            return None
+        moved = follow @ [*found.x, 1.0]
+        bounds[:nf] = found.multipliers_x
+        x = x + np.concatenate([found.x, moved[: len(x) - nf]])
+        prices = np.concatenate([moved[len(moved) - count :] / programme.n, found.multipliers_g])
+    return x, (bounds, prices)
+
+
+def _step(programme: Programme, x: Array, F: Array, options: SolverOptions) -> Solution:
+    """Step of the unknowns that minimises a quadratic model within bounds and ties."""
+    nf = programme.evaluator.nf
     d = ca.MX.sym("d", nf)
     (lower, upper), (lower_c, upper_c) = programme.limits()
-    continuity = len(programme.links) * programme.evaluator.nx
-    ties = programme.constraint_matrix(x)[continuity:, :nf].toarray()
-    now = programme.values(x).g[continuity:]
+    first = len(programme.links) * programme.evaluator.nx
+    slopes = programme.constraint_matrix(x)[first:, :nf].toarray()
+    now = programme.values(x).g[first:]
     problem = Problem(
-        x=d, f=ca.bilin(ca.DM(F / n), ca.vertcat(d, 1)) / 2,
-        g=ca.mtimes(ca.DM(ties), d) if len(ties) else ca.MX(0, 1), x0=np.zeros(nf),
+        x=d, f=ca.bilin(ca.DM(F / programme.n), ca.vertcat(d, 1)) / 2,
+        g=ca.mtimes(ca.DM(slopes), d) if len(slopes) else ca.MX(0, 1), x0=np.zeros(nf),
         lower_x=lower - x[:nf], upper_x=upper - x[:nf],
         lower_g=lower_c - now, upper_g=upper_c - now,
     )  # fmt: skip
-    found = solve(problem, options, stage="output error, prediction")
-    if not found.success:
-        return None
-    bounds, rest = np.zeros(len(x)), np.zeros(continuity)
-    bounds[:nf] = found.multipliers_x
-    moved = np.concatenate([x[:nf] + found.x, x[nf:] + follow @ [*found.x, 1.0]])
-    return moved, (bounds, np.concatenate([rest, found.multipliers_g]))
+    return solve(problem, options, stage="output error, prediction")

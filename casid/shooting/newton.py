@@ -1,8 +1,8 @@
 """The multiple-shooting programme as IPOPT solves it, by Gauss-Newton steps and then Newton's.
 
-While the intervals are apart the Hessian is Gauss-Newton's. Once they meet, the curvature of
-outputs and end states is added (`casid.shooting.curvature`), and that of the concentrated
-likelihood, which for a diagonal R takes
+Far from the solution the Hessian is Gauss-Newton's. Once the intervals meet and a step gains less
+than one unit of log-likelihood, the curvature of outputs and end states is added
+(`casid.shooting.curvature`), and that of the concentrated likelihood, which for a diagonal R takes
 
     Σ_i (2 / n_i) g_i g_iᵀ,    g_i the gradient of channel i's ½ Σ r²/R_ii,
 
@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
+import scipy.sparse
 
 from casid.arrays import Array
 from casid.nlp import Problem, Solution
@@ -23,7 +24,9 @@ from casid.shooting.assembly import NumPyFunction, Pattern, grid, stack
 from casid.shooting.curvature import Curvature, curvature
 from casid.shooting.programme import Programme
 
-NEAR = 1e-2  # gaps between intervals, in units of unit curvature, that are Newton's to close
+MEET = 1e-2  # gaps between intervals that meet, in units of unit curvature
+GAIN = 1.0  # of log-likelihood: a step that gains less ends within the confidence region
+LEAP = 10.0  # times the step into the neighbourhood: too long for one within
 
 
 class Newton:
@@ -33,12 +36,15 @@ class Newton:
     ----------
     programme : Programme
         In the scales to solve it in.
+    close : bool
+        Whether the start is as close to the solution as Newton's steps need.
 
     It must outlive the problems made by it.
     """
 
-    def __init__(self, programme: Programme) -> None:
+    def __init__(self, programme: Programme, *, close: bool = False) -> None:
         self.programme = programme
+        self._descent = _Descent(programme.n, close)
         noise, e = programme.noise, programme.evaluator
         self.riders = e.ny if noise.concentrated and not e.filtering else 0
         self._functions: list[ca.Function] = []
@@ -85,7 +91,7 @@ class Newton:
         )
         hess = NumPyFunction(
             "nlp_hess_l", [x, p, one, g], [pattern.sparsity],
-            lambda x, _, f, lam: [pattern.order(self.hessian(x[:own], float(f[0]), lam))],
+            lambda x, _, f, lam: [pattern.order(self._hessian(x[:own], float(f[0]), lam))],
         )  # fmt: skip
         self._functions = [f_of, g_of, grad, jac, hess]  # CasADi does not keep them alive
         return f_of, g_of, {"nlp_grad_f": grad, "nlp_jac_g": jac}, hess
@@ -97,19 +103,35 @@ class Newton:
         beside = grid(np.arange(own)[None], riders[None])
         return stack([self.programme.hessian_places(), beside, (riders, riders)])
 
-    def hessian(self, x: Array, f: float, multipliers: Array) -> Array:
-        """Entries of the Hessian of f times the cost and the constraints, per observation."""
+    def _hessian(self, x: Array, f: float, multipliers: Array) -> Array:
+        """Entries of IPOPT's Hessian at its iterate x: Newton's if that is close."""
+        close = self._descent.close(x, self.programme.values(x).cost)
+        return f * self.hessian(x, multipliers / f if close and f > 0 else None)
+
+    def hessian(self, x: Array, multipliers: Array | None) -> Array:
+        """Entries of the Hessian of the cost and the constraints, per observation.
+
+        Gauss-Newton's without multipliers, or where the intervals do not meet.
+        """
         programme, blocks = self.programme, self.programme.blocks(x)
-        e, Hll, Hln = programme.evaluator, blocks.Hll, blocks.Hln
+        Hll, Hln = blocks.Hll, blocks.Hln
         pull: Array = np.zeros((programme.size, self.riders))
-        gaps = programme.values(x).g[: len(programme.links) * e.nx]
-        if f > 0 and not e.filtering and np.abs(gaps).max(initial=0.0) < NEAR:
-            more = self._curvature(x, multipliers[: len(gaps)] / f)
+        gaps = programme.values(x).g[: len(programme.links) * programme.evaluator.nx]
+        meet = np.abs(gaps).max(initial=0.0) < MEET
+        if multipliers is not None and meet and not programme.evaluator.filtering:
+            more = self._curvature(x, multipliers[: len(gaps)])
             Hll, Hln = Hll + more.Hll, Hln + more.Hln
             if self.riders:
                 pull = self._pull(more)
         core = programme.hessian_parts(blocks, Hll, Hln) / programme.n
-        return f * np.concatenate([core, -pull.ravel(), np.ones(self.riders)])
+        return np.concatenate([core, -pull.ravel(), np.ones(self.riders)])
+
+    def matrix(self, x: Array, multipliers: Array) -> scipy.sparse.csc_array:
+        """The Hessian of the whole cost's Lagrangian, symmetric, with the riders."""
+        n = self.programme.size + self.riders
+        entries = self.programme.n * self.hessian(x, multipliers)
+        upper = scipy.sparse.csc_array((entries, self.places()), (n, n))
+        return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
 
     def _curvature(self, x: Array, multipliers: Array) -> Curvature:
         """What Gauss-Newton leaves out, in scaled variables; multipliers of the continuity."""
@@ -138,3 +160,27 @@ class Newton:
         """A solution of the problem in the programme's own variables."""
         own = self.programme.size
         return replace(solution, x=solution.x[:own], multipliers_x=solution.multipliers_x[:own])
+
+
+class _Descent:
+    """Whether the iterates of one solve are close to its end, as their steps show.
+
+    Newton's steps shrink there. One much longer than that into the neighbourhood was taken too
+    early, where the curvature may have any sign; Gauss-Newton then goes on.
+    """
+
+    def __init__(self, n: int, close: bool) -> None:
+        self._n, self._close, self._early = n, close, False
+        self._last: tuple[Array, float] | None = None
+        self._entry = np.inf
+
+    def close(self, x: Array, cost: float) -> bool:
+        """Whether x, the next iterate, is close; its cost is per observation."""
+        if self._last is not None:
+            step = float(np.abs(x - self._last[0]).max())
+            self._early |= self._close and step > LEAP * self._entry
+            if not self._close:
+                self._entry = step
+            self._close = self._close or abs(cost - self._last[1]) * self._n < GAIN
+        self._last = x.copy(), cost
+        return self._close and not self._early

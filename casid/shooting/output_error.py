@@ -43,7 +43,13 @@ SETTLED = 4.0  # factor by which a variance may fall in the last round: the scal
 GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
 LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
 
-IPOPT: dict[str, float | str] = {"nlp_scaling_method": "none", "mu_strategy": "monotone"}
+IPOPT: dict[str, float | str] = {
+    "nlp_scaling_method": "none",
+    "mu_strategy": "monotone",
+    "acceptable_tol": 1e-5,  # where rounding ends the descent, as without noise
+    "acceptable_iter": 5,
+    "acceptable_obj_change_tol": 1e-12,
+}
 NEAR: dict[str, float | str] = {
     "bound_push": 1e-9,
     "bound_frac": 1e-9,
@@ -250,17 +256,16 @@ class _Search:
         if evaluator.filtering or begun is None:
             return None
         first, point = begun
-        x, multipliers = first.pack(point), None
-        for _ in range(PREDICTIONS):
-            guess = predicted(first, x, replace(self.options, progress=None))
-            if guess is None:
-                return None
-            x, multipliers = guess
+        quiet = replace(self.options, progress=None)
+        guess = predicted(first, first.pack(point), PREDICTIONS, quiet)
+        if guess is None:
+            return None
+        x, multipliers = guess
         options = replace(
             self.options, ipopt=NEAR | {"mu_init": self.options.tolerance / 1000}
             | dict(self.options.ipopt),
         )  # fmt: skip
-        solution = self._solve(first, first.unpack(x), multipliers, 1, options)
+        solution = self._solve(first, first.unpack(x), multipliers, 1, options, close=True)
         outcome = _Outcome(first, solution, solution.iterations, 1, True)
         return outcome if solution.success else None
 
@@ -296,10 +301,12 @@ class _Search:
         warm: tuple[Array, Array] | None,
         number: int,
         options: SolverOptions,
+        *,
+        close: bool = False,
     ) -> Solution:
         if warm is not None:
             options = replace(options, ipopt=WARM | dict(options.ipopt))
-        newton = Newton(programme)
+        newton = Newton(programme, close=close)
         warm = None if warm is None else newton.extended(warm)
         problem = newton.problem(programme.pack(point))
         solution = solve(problem, options, stage=f"output error, round {number}", warm=warm)

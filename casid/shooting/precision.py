@@ -103,26 +103,36 @@ def held(programme: Programme, x: Array) -> Array:
 
 def information(programme: Programme, x: Array) -> tuple[Array, Array]:
     """Fisher information of the scaled unknowns, and dν/dλ of scaled biases and nodes."""
-    F, follow = quadratic_model(programme, x)
-    return F[:-1, :-1], follow[:, :-1]
+    upper = programme.hessian_matrix(x)
+    F, follow = quadratic_model(programme, x, upper + scipy.sparse.triu(upper, 1).T)
+    return F[:-1, :-1], follow[: programme.size - programme.evaluator.nf, :-1]
 
 
-def quadratic_model(programme: Programme, x: Array) -> tuple[Array, Array]:
+def quadratic_model(
+    programme: Programme, x: Array, hessian: scipy.sparse.sparray
+) -> tuple[Array, Array]:
     """The cost about scaled variables as a function of [d; 1], d the unknowns' step.
 
     Biases and nodes ν follow so as to minimise it on the continuity constraints, which they meet
-    whatever the gaps at x: ν moves by the second matrix, (nn, nf + 1), times [d; 1], and the cost
-    is up to a constant half the quadratic form of the first, (nf + 1, nf + 1).
+    whatever the gaps at x. ``hessian`` is that of the whole cost; variables beyond the programme's
+    own follow too.
+
+    Returns
+    -------
+    (nf + 1, nf + 1) array
+        Up to a constant the cost is half its quadratic form.
+    (nn + m, nf + 1) array
+        ν moves by its product with [d; 1]; its last rows give the continuity's multipliers.
     """
-    upper = programme.hessian_matrix(x)
-    H = scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
-    G, nf = programme.continuity_matrix(x), programme.evaluator.nf
-    g = programme.n * programme.gradient(x)[:, None]
-    gaps = programme.values(x).g[: G.shape[0], None]
+    H, G = scipy.sparse.csc_array(hessian), programme.continuity_matrix(x)
+    nf, more = programme.evaluator.nf, H.shape[0] - programme.size
+    g = np.append(programme.n * programme.gradient(x), np.zeros(more))[:, None]
+    free = scipy.sparse.csc_array((G.shape[0], more))
     return eliminate(
         np.block([[H[:nf, :nf].toarray(), g[:nf]], [g[:nf].T, np.zeros((1, 1))]]),
         H[nf:, nf:], np.hstack([H[nf:, :nf].toarray(), g[nf:]]),
-        G[:, nf:], np.hstack([G[:, :nf].toarray(), gaps]),
+        scipy.sparse.csc_array(scipy.sparse.hstack([G[:, nf:], free])),
+        np.hstack([G[:, :nf].toarray(), programme.values(x).g[: G.shape[0], None]]),
     )  # fmt: skip
 
 

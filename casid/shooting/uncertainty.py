@@ -41,7 +41,7 @@ def eliminate(
     H: Array, H_nuisance: scipy.sparse.csc_array, H_cross: Array, G: scipy.sparse.csc_array,
     G_cross: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Fisher information of λ with nuisance variables ν eliminated, and dν/dλ.
+    """Fisher information of λ with nuisance variables ν eliminated, and what follows λ.
 
     The log-likelihood is quadratic with Hessian [H, crossᵀ; cross, H_nuisance] under the linear
     constraints G ν + G_cross λ = 0 (continuity); its Schur complement by the KKT system is the
@@ -57,7 +57,8 @@ def eliminate(
 
     Returns
     -------
-    (nf, nf), (nn, nf) array
+    (nf, nf), (nn + m, nf) array
+        The information; the derivatives by λ of ν and of the constraints' multipliers.
     """
     many = np.diff(H_nuisance.indptr) > MANY
     if many.any():
@@ -70,7 +71,7 @@ def eliminate(
     cross = np.vstack([H_cross, G_cross])
     solved = scipy.sparse.linalg.splu(K).solve(np.ascontiguousarray(cross))
     F = H - cross.T @ solved
-    return (F + F.T) / 2, -solved[:nn]
+    return (F + F.T) / 2, -solved
 
 
 def _in_two_steps(
@@ -89,10 +90,11 @@ def _in_two_steps(
     )
     ridge = RIDGE * float(inner.diagonal().max()) * np.eye(len(inner))
     gain = -scipy.linalg.solve(F[nf:, nf:] + ridge, F[nf:, :nf], assume_a="sym")
-    total = np.empty_like(H_cross)
-    total[late], total[early] = gain, follow[:, :nf] + follow[:, nf:] @ gain
+    rest, total = follow[:, :nf] + follow[:, nf:] @ gain, np.empty_like(H_cross)
+    first = int(early.sum())
+    total[late], total[early] = gain, rest[:first]
     F = F[:nf, :nf] + F[:nf, nf:] @ gain
-    return (F + F.T) / 2, total
+    return (F + F.T) / 2, np.vstack([total, rest[first:]])
 
 
 def bound(F: Array, ties: Array) -> Array:
