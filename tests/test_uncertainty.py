@@ -30,7 +30,9 @@ def test_eliminating_nuisances_is_least_squares_with_them_projected_out():
     n = J_n.sum(axis=1)
     projected = S - np.outer(n, n @ S) / (n @ n)
     np.testing.assert_allclose(F, projected.T @ projected, rtol=1e-9)
-    np.testing.assert_allclose(J_l + J_n @ follow, projected, atol=1e-9)
+    move, price = follow[:2], follow[2:]
+    np.testing.assert_allclose(J_l + J_n @ move, projected, atol=1e-9)
+    np.testing.assert_allclose(J_n.T @ projected + G.T @ price, 0, atol=1e-9)
 
 
 def test_a_nuisance_with_many_neighbours_is_eliminated_as_any_other(monkeypatch):
