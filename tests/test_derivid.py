@@ -356,6 +356,11 @@ def test_bad_requests_are_refused(choices, message):
         derivid(Roll(), response(TRUTH), **choices)
 
 
+def test_what_is_no_measured_response_is_refused():
+    with pytest.raises(ValueError, match="frf is a NoneType"):
+        derivid(Roll(), None)
+
+
 def test_a_response_without_coherence_is_refused():
     with pytest.raises(ValueError, match="no pair has coherence >="):
         derivid(Roll(), response(TRUTH, coherence=0.2))

@@ -155,6 +155,8 @@ def test_the_unstable_six_degrees_of_freedom_are_identifiable_from_one_input_eac
 def test_wrong_arguments_are_told():
     with pytest.raises(ValueError, match="no data given"):
         identifiability(Lag(), [])
+    with pytest.raises(ValueError, match="data is a NoneType"):
+        identifiability(Lag(), None)
     with pytest.raises(ModelError, match="no parameter 'e'"):
         identifiability(Lag(), [flown(Lag(c=1.0))], fixed=("e",))
     with pytest.raises(ValueError, match="no pair in common"):

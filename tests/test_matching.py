@@ -115,6 +115,11 @@ def test_missing_channel_is_named():
         match(Lag(), black_box(TRUTH.system()))
 
 
+def test_what_is_no_target_is_refused():
+    with pytest.raises(ValueError, match="target is a NoneType"):
+        match(HoverRoll(), None)
+
+
 def test_shift_left_of_a_pole_is_refused():
     with pytest.raises(ValueError, match="lies left of the black box's pole"):
         match(HoverRoll(), black_box(TRUTH.system()), shift=0.01)

@@ -107,6 +107,11 @@ def derivid(
             f"starts={starts}, n_omega={n_omega}, coherence={coherence}: expected at least 1, at "
             "least 2 and a coherence in [0, 1)"
         )
+    if not isinstance(frf, FrequencyResponse):
+        raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
+            f"frf is a {type(frf).__name__}: derivid fits a measured FrequencyResponse; a black "
+            "box is what `match` takes"
+        )
     free = _nonnegative_delays(free_parameters(model, fixed, bounds))
     measured = thin(frf if band is None else frf.between(*band), n_omega)
     target, used = select(model, measured, pairs, coherence)

@@ -16,7 +16,6 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import ConvergenceError, ModelError
 from casid.fit import Fit, constraint_table, parameter_table
-from casid.frequency.estimation import FrequencyResponse
 from casid.linear import StateSpace
 from casid.matching.appraisal import EXACT, Appraisal, appraise, doubts, response_size
 from casid.matching.comparison import Comparison, Target, Weight, compare
@@ -25,7 +24,6 @@ from casid.matching.initial import starts
 from casid.matching.lifted import Lifted, lift
 from casid.model import Bounds, Free, Model, free_parameters
 from casid.nlp import Solution, SolverOptions, solve
-from casid.subspace.pbsid import BlackBox
 
 LOG = logging.getLogger("casid")
 
@@ -103,7 +101,7 @@ def match(
     if norm not in NORMS:
         raise ValueError(f"norm={norm!r}: expected one of {', '.join(map(repr, NORMS))}")
     begin = time.perf_counter()
-    targets = [target] if isinstance(target, BlackBox | FrequencyResponse) else list(target)
+    targets = list(target) if isinstance(target, Sequence) else [target]
     free = free_parameters(model, fixed, bounds)
     comparison = compare(
         model, targets, omega=omega, shift=shift, weight=weight, source_weight=source_weight

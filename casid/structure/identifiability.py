@@ -130,9 +130,14 @@ def identifiability(
     """
     free = free_parameters(model, fixed, bounds)
     moved = _moved(free, spread, np.random.default_rng(seed))
-    items = [data] if isinstance(data, Responses | Record) else list(data)
+    items = list(data) if isinstance(data, Sequence) else [data]
     if not items:
         raise ValueError("no data given: identifiability needs records or responses")
+    for item in items:
+        if not isinstance(item, Responses | Record):
+            raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
+                f"data is a {type(item).__name__}: identifiability needs records or responses"
+            )
     records = [item for item in items if isinstance(item, Record)]
     responses = [item for item in items if not isinstance(item, Record)]
     nf = len(free.index)
