@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.structures import fit_exact, fit_measured, records, unseen
 from benchmarks.uh60 import SWEEPS
-from casid import Record, frequency_response, match, output_error, pbsid
+from casid import Record, SolverOptions, frequency_response, match, output_error, pbsid
 from casid.model import free_parameters
 from casid.record import standard_deviations
 from casid.shooting.output_error import simulate
@@ -128,6 +128,16 @@ def test_a_structure_is_recovered_from_its_own_records(structure):
 def test_output_error_alone_recovers_a_structure_from_its_own_records(structure):
     truth = somewhere(structure)
     assert_recovered(output_error(off(truth), measured_flights(truth)), truth)
+
+
+@pytest.mark.slow
+def test_without_noise_the_descent_ends_where_rounding_does():
+    truth = somewhere(HybridFlap)
+    fit = output_error(off(truth), flown(truth), options=SolverOptions(max_iterations=100))
+    assert fit.success
+    # The noise found is the floor, 1e-6 of every output; the condition costs a digit or two.
+    error = (fit.model.vector() - truth.vector()) / free_parameters(truth).scale
+    np.testing.assert_allclose(error, 0, atol=1e-6)
 
 
 @pytest.mark.parametrize("structure", [HybridFlap, HybridFlapLag], ids=named)

@@ -11,7 +11,7 @@ from casid import Constraint, Record, SolverOptions
 from casid.model import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.nearby import predicted
-from casid.shooting.newton import Newton
+from casid.shooting.newton import Newton, _Descent
 from casid.shooting.output_error import simulate
 from casid.shooting.programme import Programme
 from casid.shooting.sensitivity import Evaluator
@@ -107,7 +107,7 @@ def test_newtons_hessian_is_that_of_the_lagrangian(kind, monkeypatch):
         programme = programme.variant(noise=noise_of(evaluator, None, kind))
     rng = np.random.default_rng(3)
     x = programme.pack(point) + 0.1 * rng.standard_normal(programme.size)
-    price = 0.01 * rng.standard_normal(len(programme.values(x).g))
+    price = rng.standard_normal(len(programme.values(x).g))
     newton = Newton(programme)
 
     def dense(entries):
@@ -134,9 +134,9 @@ def test_newtons_hessian_is_that_of_the_lagrangian(kind, monkeypatch):
 
 def test_neighbours_are_predicted_exactly_where_outputs_are_linear_in_the_parameters():
     # With A fixed and known noise the cost is quadratic in what is left: one prediction from the
-    # start is the solution, with its multipliers, gaps closed and a bound reached.
-    truth = replace(TRUTH, tau=0.0)
-    names = [name for name in truth.parameter_names() if name not in ("Llat", "Lped")]
+    # start is the solution, with its multipliers, gaps closed, a tie met and a bound reached.
+    truth = replace(Tied(), tau=0.0)
+    names = [n for n in truth.parameter_names() if n not in ("Ylat", "Llat", "Lped")]
     free = free_parameters(truth, fixed=names, bounds={"Llat": (5.0, 0.9 * truth.Llat)})
     records = [with_holes(flown(truth, seed=1).between(0, 6))]
     evaluator, R = Evaluator(free, lay_out(records, 1.0)), np.diag([0.1, 0.01, 0.01])
@@ -148,6 +148,21 @@ def test_neighbours_are_predicted_exactly_where_outputs_are_linear_in_the_parame
     # IPOPT stops where the error of the optimality conditions is below its tolerance of 1e-8; the
     # gaps close to rounding through six intervals.
     np.testing.assert_allclose(slopes, 0, atol=1e-7)
-    np.testing.assert_allclose(programme.values(guess).g, 0, atol=1e-9)
+    *closed, slow = programme.values(guess).g
+    np.testing.assert_allclose(closed, 0, atol=1e-9)
+    assert 0 < slow < 9
     assert bounds[free.names.index("Llat")] > 1e-4
     assert np.abs(prices).max() > 1e-4
+
+
+def test_newton_begins_within_the_confidence_region_and_ends_where_a_step_leaps():
+    n = 1000  # observations: a unit of log-likelihood is 1e-3 of the cost
+    places, costs = (
+        [0.0, 1.0, 1.1, 1.15, 1.1501, 3.0, 3.0001],
+        [9, 8, 7.5, 7.4999, 7.4999, 7.5, 7.5],
+    )
+    descent = _Descent(n, close=False)
+    said = [descent.close(np.array([x]), f) for x, f in zip(places, costs, strict=True)]
+    # The step of 0.05 gains a tenth of a unit; that of 1.85 is longer than ten of it.
+    assert said == [False, False, False, True, True, False, False]
+    assert _Descent(n, close=True).close(np.array([0.0]), 9.0)
