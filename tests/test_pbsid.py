@@ -168,7 +168,6 @@ def test_mask_is_built_from_every_accepted_form():
         ({"order": 40, "past": 8, "pole": 6.0}, "order 40 needs past and future of at least 14"),
         ({"order": 5, "transform": "none", "past": 1}, "past >= 2"),
         ({"transform": "none"}, 'transform="none" needs an order'),
-        ({}, "suit none of the Laguerre poles"),
         ({"order": 5, "pole": -1.0}, "expected a Laguerre pole > 0"),
         ({"order": 5, "transform": "fourier"}, 'expected "laguerre" or "none"'),
     ],

@@ -1,4 +1,5 @@
 import time
+from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
@@ -11,9 +12,15 @@ from uh60 import EXAMPLE, INPUTS, NOISE, OUTPUTS, sweeps
 from casid import Record, pbsid, read_csv, select_order
 from casid.record import standard_deviations
 from casid.report import plot_order_selection
-from casid.subspace.columns import gather
+from casid.subspace.columns import gather, output_bandwidth
 from casid.subspace.laguerre import support
-from casid.subspace.settings import COST, PASTS, POLES, held_out_suffices
+from casid.subspace.settings import (
+    COST,
+    PASTS,
+    held_out_suffices,
+    highest_line,
+    usable_poles,
+)
 
 GRID = {"orders": [3, 4, 5, 6, 7], "poles": [6.0, 8.0], "pasts": [8, 10]}
 
@@ -61,7 +68,7 @@ def test_choice_is_deterministic(flights, selection):
     "word", [{"order": 4}, {"past": 9}, {"pole": 5.0}, {"regularisation": 0.02}]
 )
 def test_a_users_word_overrides_each_setting(flights, word, monkeypatch):
-    monkeypatch.setattr("casid.subspace.settings.POLES", (6.0,))
+    monkeypatch.setattr("casid.subspace.settings.usable_poles", lambda _: [6.0])
     monkeypatch.setattr("casid.subspace.settings.PASTS", (8,))
     monkeypatch.setattr("casid.subspace.settings._default_orders", lambda *_: [4, 5])
     box = pbsid(flights, **word, feedthrough=["z"])
@@ -118,7 +125,8 @@ def test_figure_shows_every_pole_and_the_choice(selection):
 
 def test_kernels_cost_at_most_a_quarter_of_a_16_s_record_and_the_loss_is_reported():
     t = np.arange(0, 16.0, 0.02)
-    fit = [(a, p) for a in POLES for p in PASTS if support(a, p) <= COST * t[-1]]
+    poles = (6.0, 8.0, 10.0, 14.0)
+    fit = [(a, p) for a in poles for p in PASTS if support(a, p) <= COST * t[-1]]
     assert fit  # there is a choice
     rng = np.random.default_rng(0)
     record = Record(t, rng.standard_normal((800, 1)), rng.standard_normal((800, 1)), ("u",), ("y",))
@@ -131,8 +139,45 @@ def test_kernels_cost_at_most_a_quarter_of_a_16_s_record_and_the_loss_is_reporte
 
 def test_records_that_suit_no_pole_are_refused():
     slow = campaign(records=1)[0].decimate(50)  # every second: 0.5 π rad/s at most
-    with pytest.raises(ValueError, match="suit none of the Laguerre poles"):
+    with pytest.raises(ValueError, match="suit no Laguerre pole"):
         select_order([slow])
+
+
+def test_poles_are_somewhat_faster_than_the_outputs_move():
+    assert usable_poles(sweeps(seed=1)) == [6.0, 8.0, 10.0, 14.0]
+    t = np.arange(0, 60.0, 0.02)
+    rng = np.random.default_rng(0)
+    slow, fast = np.sin(1.0 * t), np.sin(5.0 * t)  # powers 1 and 2: 90 % is with the fast one
+    y = np.column_stack([slow + 1.5 * fast, 2 * fast + slow, rng.standard_normal(len(t))])
+    y[100:110, 0] = np.nan
+    u = rng.standard_normal((len(t), 1))
+    records = [Record(t, u, y, ("u",), ("a", "b", "noise"))]
+    assert output_bandwidth(records) == pytest.approx(5.0, rel=0.05)
+    assert usable_poles(records) == [8.0, 10.0, 14.0]
+
+
+def test_poles_keep_to_what_is_sampled_and_to_what_fits_the_record():
+    t = np.arange(0, 60.0, 0.02)
+    u = np.random.default_rng(0).standard_normal((len(t), 1))
+    for omega in (0.01, 300.0):  # outputs that drift, outputs that are vibration
+        poles = usable_poles([Record(t, u, np.sin(omega * t)[:, None], ("u",), ("y",))])
+        assert poles
+        assert all(a <= 0.5 * np.pi / 0.02 for a in poles)
+        assert all(support(a, min(PASTS)) <= COST * t[-1] for a in poles)
+
+
+def test_the_unit_of_time_does_not_matter():
+    records = campaign(noise=0.02, records=1, duration=30.0)
+    faster = [replace(record, t=record.t / 10) for record in records]
+    one, other = (pbsid(each, feedthrough=["z"]) for each in (records, faster))
+    assert other.order == one.order
+    assert other.past == one.past
+    assert other.pole == pytest.approx(10 * one.pole)
+    G = one.system.response(OMEGA)
+    np.testing.assert_allclose(
+        other.system.response(10 * OMEGA), G, atol=1e-6 * np.linalg.norm(G[0])
+    )
+    assert highest_line(faster, other.pole) == pytest.approx(10 * highest_line(records, one.pole))
 
 
 def test_grids_that_give_nothing_are_refused_with_what_was_tried():

@@ -18,6 +18,7 @@ from casid.subspace.predictor import Stack, accumulate, triangular
 Feedthrough = bool | Sequence[str] | BoolArray
 
 BLOCK = 4096  # columns held at once
+MOVING = 0.9  # of an output's power: below the bandwidth
 LONG_GAP = 0.5  # of 1/a: missing samples over a longer time split a record
 
 
@@ -59,19 +60,40 @@ def excited_band(records: Sequence[Record]) -> tuple[float, float]:
     highs = []
     for j in range(records[0].nu):
         best = max(records, key=lambda record: float(np.std(record.u[:, j])))
-        omega, power = _spectrum(best, j)
+        omega, power = _spectrum(best.t, best.u[:, j])
         above = omega[power > 1e-4 * power.max()]
         highs.append(float(above.max()) if len(above) else low)
     return float(low), float(max(min(highs), 2 * low))
 
 
-def _spectrum(record: Record, j: int) -> tuple[Array, Array]:
-    t = np.linspace(record.t[0], record.t[-1], record.N)
-    u = np.interp(t, record.t, record.u[:, j])
-    u = (u - u.mean()) * np.hanning(len(u))
-    power = np.abs(np.fft.rfft(u)) ** 2
-    omega = 2 * np.pi * np.fft.rfftfreq(len(u), t[1] - t[0])
-    return omega[1:], power[1:]
+def output_bandwidth(records: Sequence[Record]) -> float:
+    """Frequency [rad/s] below which the outputs move: 90 % of their power over all records.
+
+    The median over outputs: neither a drifting one nor one that is mostly noise decides.
+    """
+    ends = []
+    for j in range(records[0].ny):
+        both = [
+            _spectrum(record.t[seen], record.y[seen, j])
+            for record in records
+            if (seen := np.isfinite(record.y[:, j])).sum() > 2
+        ]
+        if both:
+            omega, energy = (np.concatenate(each) for each in zip(*both, strict=True))
+            ascending = np.argsort(omega, kind="stable")
+            share = np.cumsum(energy[ascending])
+            ends.append(omega[ascending][np.searchsorted(share, MOVING * share[-1])])
+    return float(np.median(ends)) if ends else 2 * np.pi / records[0].duration
+
+
+def _spectrum(t: Array, v: Array) -> tuple[Array, Array]:
+    """Frequencies above zero and the energy of a windowed signal at each; any sampling."""
+    even = np.linspace(t[0], t[-1], len(t))
+    v = np.interp(even, t, v)
+    v = (v - v.mean()) * np.hanning(len(v))
+    h = even[1] - even[0]
+    energy = np.abs(np.fft.rfft(v)) ** 2 * h / len(v)
+    return 2 * np.pi * np.fft.rfftfreq(len(v), h)[1:], energy[1:]
 
 
 def gather(

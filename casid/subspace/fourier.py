@@ -23,7 +23,7 @@ from scipy.interpolate import CubicSpline
 from casid.arrays import Array, ComplexArray
 from casid.record import Hold, Record
 
-LONGEST = 120.0  # s; a longer record is cut, so that the work stays linear in samples
+LINES, SAMPLES = 500, 12_000  # at most of a piece: what is held at once does not grow with a record
 
 
 class Lines(Protocol):
@@ -76,7 +76,8 @@ def spectra(
     """Transforms of every record up to ``highest`` [rad/s]; outputs must have no NaN."""
     found = []
     for record in records:
-        pieces = max(int(np.ceil(record.duration / LONGEST)), 1)
+        lines = highest * record.duration / (2 * np.pi)
+        pieces = max(int(np.ceil(max(lines / LINES, record.N / SAMPLES))), 1)
         edges = np.linspace(0, record.N - 1, pieces + 1).astype(int)
         for start, end in pairwise(edges):
             found.append(_spectrum(record, slice(start, end + 1), su, sy, highest))

@@ -18,7 +18,7 @@ from casid.subspace.gain import carried_gain, riccati_gain
 from casid.subspace.prediction import SampledUncertainty, refine_held, refine_samples
 from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.refinement import refine as refine_black_box
-from casid.subspace.settings import HIGHEST
+from casid.subspace.settings import highest_line
 from casid.subspace.simulation import refine_simulation
 from casid.subspace.trust import explained_share
 
@@ -81,7 +81,7 @@ class Refinement:
             if fed_back_noise(system, K, pieces, self.su, self.sy) > FED_BACK:
                 _warn_fed_back("refine=True removes that")
             return system, K, None, None
-        data = spectra(pieces, self.su, self.sy, HIGHEST * self.pole)
+        data = spectra(pieces, self.su, self.sy, highest_line(self.records, self.pole))
         uncertainty: Uncertainty
         refined, uncertainty = refine_black_box(
             system, data, self.su, self.sy, self.mask, self.pole

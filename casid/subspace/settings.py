@@ -12,7 +12,7 @@ leaving out one Fourier line after the other (M. Stone, J. R. Stat. Soc. B 39 (1
 every order the criterion before the refinement says which poles and windows are worth refining.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -21,15 +21,23 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.linear import StateSpace
 from casid.record import Record, same_channels, standard_deviations
-from casid.subspace.columns import Feedthrough, feedthrough_mask, gather, pieces_of
+from casid.subspace.columns import (
+    Feedthrough,
+    excited_band,
+    feedthrough_mask,
+    gather,
+    output_bandwidth,
+    pieces_of,
+)
 from casid.subspace.fourier import Spectrum, spectra
 from casid.subspace.laguerre import support
 from casid.subspace.predictor import Stack, triangular
 from casid.subspace.realisation import subspace_model
 from casid.subspace.refinement import information_criteria, refine, residual_powers
 
-HIGHEST = 2.0  # of the Laguerre pole: frequencies above it are not looked at
-POLES = (6.0, 8.0, 10.0, 14.0)  # rad/s, for rotorcraft
+HIGHEST = 2.0  # of the Laguerre pole: frequencies above it are not looked at, excited or not
+POLES = (1, 1.4, 2, 3, 4, 6, 8)  # of a decade: what poles are chosen from
+SPAN = (1.2, 3.6)  # of the outputs' bandwidth: 6 to 14 rad/s for most helicopters
 PASTS = (8, 10, 12)
 REGULARISATIONS = (1e-3, 1e-2)
 COST = 0.25  # of the longest record: what kernels past its end may cost
@@ -124,7 +132,7 @@ def select_order(
     mask = feedthrough_mask(feedthrough, inputs, outputs)
     campaign = _Campaign(tuple(records), su, sy, mask)
     held_out = held_out_suffices(records)
-    a_grid = _usable_poles(records, poles)
+    a_grid = usable_poles(records) if poles is None else [float(a) for a in poles]
     p_grid = list(PASTS if pasts is None else pasts)
     r_grid = list(REGULARISATIONS if regularisations is None else regularisations)
     highest = sorted(p_grid)[len(p_grid) // 2] * len(outputs)
@@ -150,6 +158,11 @@ def select_order(
         criterion="held-out records" if held_out else "AICc",
         singular_values=found.singular_values,
     )
+
+
+def highest_line(records: Sequence[Record], a: float) -> float:
+    """Frequency [rad/s] up to which transforms are looked at: excited, and not far above a pole."""
+    return min(HIGHEST * a, excited_band(records)[1])
 
 
 def held_out_suffices(records: Sequence[Record]) -> bool:
@@ -189,10 +202,10 @@ class _Campaign:
         fit = [(a, past) for a, past in pairs if support(a, past) <= COST * longest]
         return pairs if len(pairs) == 1 else fit
 
-    def transforms(self, records: Iterable[Record], a: float) -> tuple[Spectrum, ...]:
-        """Fourier transforms of records, as the refinement sees them."""
-        pieces = [piece for record in records for piece, _ in pieces_of(record, a)]
-        return spectra(pieces, self.su, self.sy, HIGHEST * max(POLES))
+    def transforms(self, record: Record, poles: Sequence[float]) -> tuple[Spectrum, ...]:
+        """Fourier transforms of a record, as the refinement sees them, for all poles alike."""
+        pieces = [piece for piece, _ in pieces_of(record, min(poles))]
+        return spectra(pieces, self.su, self.sy, highest_line(self.records, max(poles)))
 
 
 def _held_out_search(
@@ -203,7 +216,7 @@ def _held_out_search(
     regularisations: Sequence[float],
 ) -> list[Candidate]:
     """Candidates by leaving out whole records, settings one after the other."""
-    data = [campaign.transforms([record], min(poles)) for record in campaign.records]
+    data = [campaign.transforms(record, poles) for record in campaign.records]
     first = sorted(pasts)[len(pasts) // 2]
     tried = _held_out_scores(campaign, data, orders, [first], poles, regularisations[0])
     best = _best(tried)
@@ -253,7 +266,7 @@ def _akaike_search(
     regularisations: Sequence[float],
 ) -> list[Candidate]:
     """Candidates by the corrected Akaike criterion of refined models, `STARTS` an order."""
-    data = [campaign.transforms([record], min(poles)) for record in campaign.records]
+    data = [campaign.transforms(record, poles) for record in campaign.records]
     starts: dict[int, list[tuple[Candidate, StateSpace]]] = {order: [] for order in orders}
     for a, past in campaign.windows(poles, pasts):
         stack, _ = gather(campaign.records, campaign.su, campaign.sy, past, a)
@@ -358,16 +371,29 @@ def _default_orders(ny: int, possible: int) -> list[int]:
     return list(range(1, highest + 1)) if highest <= 8 else list(range(4, highest + 1, 2))
 
 
-def _usable_poles(records: Sequence[Record], poles: Sequence[float] | None) -> list[float]:
-    """Poles whose kernels fit: faster than the record is long, slower than it is sampled."""
-    if poles is not None:
-        return [float(a) for a in poles]
+def usable_poles(records: Sequence[Record]) -> list[float]:
+    """Laguerre poles [rad/s] worth trying: somewhat faster than the outputs move.
+
+    Their kernels cost at most a quarter of the longest record, and their band is sampled.
+
+    Raises
+    ------
+    ValueError
+        Records too short for how slowly they are sampled.
+    """
     longest = max(record.duration for record in records)
+    slowest = support(1.0, min(PASTS)) / (COST * longest)
     fastest = 0.5 * np.pi / max(record.dt for record in records)
-    fit = [a for a in POLES if support(a, min(PASTS)) <= COST * longest and a <= fastest]
-    if not fit:
+    if slowest > fastest:
         raise ValueError(
-            f"records of {longest:.3g} s sampled every {records[0].dt:.3g} s suit none of the "
-            f"Laguerre poles {POLES} rad/s; name the pole, past and order"
+            f"records of {longest:.3g} s sampled every {records[0].dt:.3g} s suit no Laguerre "
+            "pole: kernels short enough are not sampled; give longer records or faster sampling, "
+            "or name the pole, past and order"
         )
-    return fit
+    low, high = np.clip(np.array(SPAN) * output_bandwidth(records), slowest, fastest)
+    ratio = SPAN[1] / SPAN[0]
+    high = max(high, min(ratio * low, fastest))
+    low = min(low, max(high / ratio, slowest))
+    decades = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    grid = [float(f"{first}e{decade}") for decade in decades for first in POLES]
+    return [a for a in grid if low <= a <= high] or [float(np.sqrt(low * high))]
