@@ -166,3 +166,14 @@ def test_local_levels_need_errors_to_be_minimised():
                   noise="local")  # fmt: skip
     with pytest.raises(ValueError, match='expected "constant" or "local"'):
         samples(output_error_record(), noise="loud")
+
+
+def test_a_predictor_without_modes_is_refused_and_its_model_still_simulates():
+    # As many states as the window has samples: the predictor forgets after so many steps, and its
+    # poles all lie at zero.
+    record = output_error_record(noise=0.1)
+    single = Record(record.t, record.u, record.y[:, :1], ("u",), ("a",), hold="zoh")
+    with pytest.raises(ValueError, match=r"cannot be told from one another.*lengthen the past"):
+        samples(single, order=12, past=12)
+    box = samples(single, order=12, past=12, refine="simulation")
+    assert simulation_error(box.system, single) == pytest.approx(0.1, rel=0.1)

@@ -14,6 +14,9 @@ import scipy.linalg
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 
+DEFECTIVE = 1e9  # condition number of the modes' shapes
+RIDGE = 1e-13  # of the size of each transient: what two that look alike are told apart by
+
 
 @dataclass(frozen=True, eq=False)
 class Modal:
@@ -42,8 +45,19 @@ class Modal:
 
 
 def to_modal(system: StateSpace, su: Array, sy: Array, feedthrough: BoolArray) -> Modal:
-    """Modes of a system with scaled channels, balanced between B and C."""
+    """Modes of a system with scaled channels, balanced between B and C.
+
+    Raises
+    ------
+    ValueError
+        Modes so close to one another that no basis of modes exists.
+    """
     lam, V = np.linalg.eig(system.A)
+    if np.linalg.cond(V) > DEFECTIVE:
+        raise ValueError(
+            f"a model of order {system.nx} has modes that cannot be told from one another, and "
+            "cannot be refined: lower the order, lengthen the past or leave the refinement out"
+        )
     C = (system.C / sy[:, None]) @ V
     B = np.linalg.solve(V, (system.B * su).astype(complex))
     keep = lam.imag >= 0
@@ -155,8 +169,10 @@ def schur(G: Array, n: int) -> Array:
 
 def eliminator(G: Array, n: int) -> Array:
     """The first n unknowns as they follow from the others; the last column for none of those."""
-    head = G[:n, :n] + 1e-13 * np.trace(G[:n, :n]) / n * np.eye(n)
-    return np.asarray(scipy.linalg.solve(head, G[:n, n:], assume_a="pos"))
+    scale = np.sqrt(np.maximum(np.diag(G)[:n], 1e-300))
+    head = G[:n, :n] / np.outer(scale, scale) + RIDGE * np.eye(n)
+    found = scipy.linalg.solve(head, G[:n, n:] / scale[:, None], assume_a="pos")
+    return np.asarray(found / scale[:, None])
 
 
 def descend(

@@ -1,5 +1,6 @@
 """What follows the subspace estimate: which likelihood, and whether a controller spoils it."""
 
+import contextlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -51,12 +52,14 @@ class Refinement:
         system, K = starts[0]
         if not refine:
             return system, K, None, None
-        ends = [self._predicting(*each) for each in starts[: None if refine == "simulation" else 1]]
-        predicting, gain, uncertainty = ends[0]
         if refine != "simulation":
-            return predicting, gain, uncertainty, None
-        self._check_feedback(predicting, gain)
-        several = [start[0] for start in starts] + [end[0] for end in ends]
+            return *self._predicting(system, K), None
+        ends: list[tuple[StateSpace, Array]] = []
+        for start in starts:
+            with contextlib.suppress(ValueError):  # a predictor without modes still simulates
+                ends.append(self._predicting(*start)[:2])
+        self._check_feedback(*(ends or starts)[0])
+        several = [each[0] for each in (*starts, *ends)]
         found = refine_simulation(
             several, self.records, self.su, self.sy, self.mask, local=self.noise == "local"
         )
