@@ -93,7 +93,7 @@ def test_a_simulated_black_box_says_that_it_has_no_covariance():
 def test_projections_are_not_refined_by_simulation_errors_of_samples():
     with pytest.raises(ValueError, match="Fourier transforms"):
         pbsid([output_error_record()], order=3, past=8, pole=1.0, refine="simulation")
-    with pytest.raises(ValueError, match='expected True, False or "simulation"'):
+    with pytest.raises(ValueError, match='expected True, False, "linear" or "simulation"'):
         samples(output_error_record(), refine="simulate")
 
 
@@ -161,7 +161,7 @@ def test_local_levels_of_constant_noise_change_little():
 
 def test_local_levels_need_errors_to_be_minimised():
     for options in ({"refine": False}, {"refine": True, "transform": "laguerre"}):
-        with pytest.raises(ValueError, match="and a refinement"):
+        with pytest.raises(ValueError, match="refine=True or"):
             pbsid([output_error_record()], order=3, **{"transform": "none", **options},
                   noise="local")  # fmt: skip
     with pytest.raises(ValueError, match='expected "constant" or "local"'):

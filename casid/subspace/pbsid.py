@@ -109,7 +109,7 @@ class BlackBox:
         Raises
         ------
         ValueError
-            The black box was not refined, or by simulation errors.
+            The black box was not refined, or not to maximum likelihood.
         """
         if self.uncertainty is None:
             raise ValueError(
@@ -179,15 +179,15 @@ def pbsid(
         (a discrete model; equidistant records).
     regularisation : float
         Tikhonov factor of the regression, relative to its largest singular value.
-    refine : bool or {"simulation"}
+    refine : bool or {"linear", "simulation"}
         Move the subspace model to the maximum likelihood: on samples of the prediction errors
         (`casid.subspace.prediction`), on projections of the records' Fourier transforms
         (`casid.subspace.refinement`), with the direct term zero where it is masked; without it a
         masked direct term is only made small. Where a controller feeds so much noise back into the
         inputs that their transforms would be biased (`casid.subspace.feedback`), prediction errors
-        follow. "simulation", on samples only: of the simulation errors
-        (`casid.subspace.simulation`), for a stable system in open loop whose model is to simulate;
-        K is zero then, and there is no covariance.
+        follow. On samples only: "linear" moves B, K and D alone (`casid.subspace.regression`);
+        "simulation" minimises simulation errors (`casid.subspace.simulation`), for a stable system
+        in open loop whose model is to simulate, and K is zero then. Neither gives a covariance.
     noise : {"constant", "local"}
         On samples: whether the errors that the refinement minimises are of one size throughout, or
         are divided by their local level, for amplitudes that vary much and errors that follow.
@@ -332,15 +332,16 @@ def _band(records: Sequence[Record], a: float) -> tuple[float, float]:
 def _check_refine(refine: Refine, noise: Noise, transform: str) -> None:
     if noise not in get_args(Noise):
         raise ValueError(f'noise={noise!r}, expected "constant" or "local"')
-    if noise == "local" and (transform != "none" or not refine):
+    if noise == "local" and (transform != "none" or refine in (False, "linear")):
         raise ValueError(
-            'noise="local" weighs the errors of samples: it needs transform="none" and a refinement'
+            'noise="local" weighs the errors of samples: it needs transform="none" and refine=True '
+            'or "simulation"'
         )
-    if refine not in (True, False, "simulation"):
-        raise ValueError(f'refine={refine!r}, expected True, False or "simulation"')
-    if refine == "simulation" and transform != "none":
+    if refine not in (True, False, "linear", "simulation"):
+        raise ValueError(f'refine={refine!r}, expected True, False, "linear" or "simulation"')
+    if refine in ("linear", "simulation") and transform != "none":
         raise ValueError(
-            'refine="simulation" is for samples (transform="none"); projections are refined by '
+            f'refine="{refine}" is for samples (transform="none"); projections are refined by '
             "Fourier transforms of whole records, which refine=True does"
         )
 

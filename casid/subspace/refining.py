@@ -19,13 +19,14 @@ from casid.subspace.gain import carried_gain, riccati_gain
 from casid.subspace.prediction import SampledUncertainty, refine_held, refine_samples
 from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.refinement import refine as refine_black_box
+from casid.subspace.regression import regress_inputs
 from casid.subspace.settings import highest_line
 from casid.subspace.simulation import refine_simulation
 from casid.subspace.trust import explained_share
 
 FED_BACK = 0.2  # bound on the relative bias from noise fed back, above which it is dealt with
 
-Refine = bool | Literal["simulation"]
+Refine = bool | Literal["linear", "simulation"]
 Noise = Literal["constant", "local"]
 Uncertainty = ResponseUncertainty | SampledUncertainty | None
 Estimate = tuple[StateSpace, Array, Uncertainty, Array | None]
@@ -52,6 +53,12 @@ class Refinement:
         system, K = starts[0]
         if not refine:
             return system, K, None, None
+        if refine == "linear":
+            return (
+                *regress_inputs(system, K, self.records, self.su, self.sy, self.mask, self.R),
+                None,
+                None,
+            )
         if refine != "simulation":
             return *self._predicting(system, K), None
         ends: list[tuple[StateSpace, Array]] = []

@@ -1,0 +1,98 @@
+"""Where inputs and innovations enter a black box of samples, by one linear regression.
+
+PBSIDopt takes B and K from a regression between states that are themselves estimates. Given the
+predictor's dynamics F = A - KC and the output matrix C, prediction errors are linear in all that
+is left,
+
+    x⁺ = F x + G u + K y        ŷ = C x + D u + c        G = B - KD
+
+so that G, K, D and the initial state and constant of every stretch follow from the records by least
+squares, without a second guess at the poles. Short or narrow-banded records support this where they
+do not support a refinement of everything. Source: L. Ljung, System Identification, 2nd ed., section
+10.6 (B and D of a subspace estimate); A. Chiuso, G. Picci, Automatica 41 (2005).
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from casid.arrays import Array, BoolArray
+from casid.linear import StateSpace
+from casid.record import Record
+from casid.subspace.prediction import Stretch, stretches
+from casid.subspace.predictor import accumulate, triangular
+
+BLOCK = 1024  # samples whose rows are held at once
+LEAST = 1e-11  # of the largest singular value: what is smaller is no direction of the data
+
+
+def regress_inputs(
+    system: StateSpace,
+    K: Array,
+    records: Sequence[Record],
+    su: Array,
+    sy: Array,
+    feedthrough: BoolArray,
+    R: Array,
+) -> tuple[StateSpace, Array]:
+    """B, K and D anew, the dynamics of the predictor and C as they are.
+
+    Parameters
+    ----------
+    system : StateSpace
+        The subspace estimate, discrete.
+    K : (nx, ny) array
+        Its innovation gain; A - KC is stable and stays as it is.
+    records : sequence of Record
+        Equidistant, of one sampling interval; missing outputs (NaN) split them.
+    su, sy : (nu,), (ny,) array
+        Standard deviations of the channels.
+    feedthrough : (ny, nu) bool array
+        Where the direct term is free; elsewhere it is zero.
+    R : (ny, ny) array
+        Covariance of the prediction errors, what outputs are weighed by.
+
+    Returns
+    -------
+    StateSpace, (nx, ny) array
+        Model and gain.
+    """
+    n, nu, ny = system.nx, len(su), len(sy)
+    F, C = system.A - K @ system.C, system.C / sy[:, None]
+    whitener = np.linalg.inv(np.linalg.cholesky(R / np.outer(sy, sy)))
+    total: Array = np.zeros((0, n * (nu + ny) + int(feedthrough.sum()) + 1))
+    for stretch in stretches(records, su, sy, n + 2):
+        own = n + ny  # initial state and constant of this stretch alone
+        part, _ = accumulate(_rows(F, C, stretch, feedthrough, whitener), constant=False)
+        total = triangular(np.vstack([total, part[own:, own:]]))
+    size = np.maximum(np.linalg.norm(total[:, :-1], axis=0), 1e-300)
+    theta = np.linalg.lstsq(total[:, :-1] / size, total[:, -1], rcond=LEAST)[0] / size
+    G, gain = np.split(theta[: n * (nu + ny)].reshape(nu + ny, n).T, [nu], axis=1)
+    D = np.zeros((ny, nu))
+    D[feedthrough] = theta[n * (nu + ny) :]
+    K = gain / sy
+    A, B, D = F + K @ system.C, (G + gain @ D) / su, sy[:, None] * D / su
+    return StateSpace(A, B, system.C, D, system.dt, system.inputs, system.outputs), K
+
+
+def _rows(
+    F: Array, C: Array, stretch: Stretch, feedthrough: BoolArray, whitener: Array
+) -> Iterator[Array]:
+    """Whitened rows of a stretch: derivatives by x(0), c, the columns of (G, K) and D, then y."""
+    ny, nu = feedthrough.shape
+    n, nv = len(F), nu + ny
+    free = np.argwhere(feedthrough)
+    states = np.hstack([np.eye(n), np.zeros((n, n * nv))])  # by x(0), and by every column of (G, K)
+    for start in range(0, len(stretch.y), BLOCK):
+        v, y = stretch.v[start : start + BLOCK], stretch.y[start : start + BLOCK]
+        seen = np.empty((len(y), ny, n * (1 + nv)))
+        for k, now in enumerate(v):
+            seen[k] = C @ states
+            states = F @ states
+            states[:, n:] += np.kron(now, np.eye(n))
+        direct = np.zeros((len(y), ny, len(free)))
+        direct[:, free[:, 0], np.arange(len(free))] = v[:, free[:, 1]]
+        constant = np.broadcast_to(np.eye(ny), (len(y), ny, ny))
+        rows = [seen[:, :, :n], constant, seen[:, :, n:], direct, y[:, :, None]]
+        block = np.einsum("op,kpc->koc", whitener, np.concatenate(rows, axis=2))
+        yield block.reshape(len(y) * ny, -1)
