@@ -20,7 +20,7 @@ from casid.subspace.prediction import SampledUncertainty, refine_held, refine_sa
 from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.refinement import refine as refine_black_box
 from casid.subspace.regression import regress_inputs
-from casid.subspace.settings import highest_line
+from casid.subspace.settings import HIGHEST
 from casid.subspace.simulation import refine_simulation
 from casid.subspace.trust import explained_share
 
@@ -91,7 +91,7 @@ class Refinement:
             if fed_back_noise(system, K, pieces, self.su, self.sy) > FED_BACK:
                 _warn_fed_back("refine=True removes that")
             return system, K, None, None
-        data = spectra(pieces, self.su, self.sy, highest_line(self.records, self.pole))
+        data = spectra(pieces, self.su, self.sy, HIGHEST * self.pole)
         uncertainty: Uncertainty
         refined, uncertainty = refine_black_box(
             system, data, self.su, self.sy, self.mask, self.pole

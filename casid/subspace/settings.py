@@ -23,7 +23,6 @@ from casid.linear import StateSpace
 from casid.record import Record, same_channels, standard_deviations
 from casid.subspace.columns import (
     Feedthrough,
-    excited_band,
     feedthrough_mask,
     gather,
     output_bandwidth,
@@ -35,7 +34,7 @@ from casid.subspace.predictor import Stack, triangular
 from casid.subspace.realisation import subspace_model
 from casid.subspace.refinement import information_criteria, refine, residual_powers
 
-HIGHEST = 2.0  # of the Laguerre pole: frequencies above it are not looked at, excited or not
+HIGHEST = 2.0  # of the Laguerre pole: frequencies above it are not looked at
 POLES = (1, 1.4, 2, 3, 4, 6, 8)  # of a decade: what poles are chosen from
 SPAN = (1.2, 3.6)  # of the outputs' bandwidth: 6 to 14 rad/s for most helicopters
 PASTS = (8, 10, 12)
@@ -160,11 +159,6 @@ def select_order(
     )
 
 
-def highest_line(records: Sequence[Record], a: float) -> float:
-    """Frequency [rad/s] up to which transforms are looked at: excited, and not far above a pole."""
-    return min(HIGHEST * a, excited_band(records)[1])
-
-
 def held_out_suffices(records: Sequence[Record]) -> bool:
     """Whether every input is excited in two records or more, so that one may be held out."""
     std = np.array([np.std(record.u, axis=0) for record in records])
@@ -205,7 +199,7 @@ class _Campaign:
     def transforms(self, record: Record, poles: Sequence[float]) -> tuple[Spectrum, ...]:
         """Fourier transforms of a record, as the refinement sees them, for all poles alike."""
         pieces = [piece for piece, _ in pieces_of(record, min(poles))]
-        return spectra(pieces, self.su, self.sy, highest_line(self.records, max(poles)))
+        return spectra(pieces, self.su, self.sy, HIGHEST * max(poles))
 
 
 def _held_out_search(
