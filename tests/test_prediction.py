@@ -74,6 +74,16 @@ def test_missing_samples_split_a_record():
     assert np.abs(np.linalg.eigvals(found.A - gain @ found.C)).max() < 1
 
 
+def test_stretches_too_short_for_the_order_are_refused():
+    _, _, record, _ = innovation_record()
+    y = record.y.copy()
+    y[::9] = np.nan
+    gappy = Record(record.t, record.u, y, record.inputs, record.outputs, hold="zoh")
+    for refine in (True, "linear", "simulation"):
+        with pytest.raises(ValueError, match=r"no 10 samples in a row.*an order of 8"):
+            pbsid([gappy], order=8, past=4, transform="none", refine=refine)
+
+
 def test_refined_samples_are_more_accurate_than_the_subspace_estimate():
     omega = np.linspace(0.1, 2.5, 10)
     errors = {True: [], False: []}

@@ -109,7 +109,7 @@ class _Shifted:
 
 
 def stretches(records: Sequence[Record], su: Array, sy: Array, shortest: int) -> list[Stretch]:
-    """Scaled stretches of at least ``shortest`` samples between missing ones."""
+    """Scaled stretches between missing samples, at least ``shortest``: two more than the order."""
     found = []
     for record in records:
         whole = np.isfinite(record.y).all(axis=1)
@@ -119,6 +119,11 @@ def stretches(records: Sequence[Record], su: Array, sy: Array, shortest: int) ->
                 y = record.y[start:end] / sy
                 v = np.hstack([record.u[start:end] / su, y])
                 found.append(Stretch(v, y, np.ones((len(y), 1))))
+    if not found:
+        raise ValueError(
+            f"no {shortest} samples in a row have all outputs, which an order of {shortest - 2} "
+            "needs to be refined; lower the order, or refine=False"
+        )
     return found
 
 
