@@ -1,20 +1,29 @@
 """Four measured systems of the DaISy database: simulation of the last third, against other tools.
 
     python benchmarks/daisy.py [FOLDER] [--only NAME ...] [--peers METHOD ...] [--ours METHOD ...]
+                               [--log FILE]
 
 FOLDER (or CASID_DAISY) holds CD_player_arm.dat, robot_arm.dat, flutter.dat and steamgen.dat. The
 data are free for research, not to be redistributed: B. De Moor, P. De Gersem, B. De Schutter,
 W. Favoreel, "DAISY: a database for identification of systems", Journal A 38 (1997) 4-5;
 homes.esat.kuleuven.be/~smc/daisy.
 
-Every method may choose its order from the same grid, by simulating the last third of the first two
-thirds with the model of the rest of them; then it is identified from both. A package with several
-methods may choose one of them likewise, beside its order: that is the row of `sippy_unipi` and the
-row "casid", chosen from its four refinements. The initial state of a simulation is that of least
-squares over all of it, for every method. VAF: mean over outputs of the variance accounted for, %.
+Every method chooses its order from the same grid, which ends where the windows of 20 samples do. It
+is chosen on the first two thirds: their second half is cut into six stretches, each simulated by
+the model of all that is before it, as the last third is by the model of both thirds, and the six
+are judged as one. A sweep visits every frequency once; no stretch is far from what was learnt. A
+package with several methods may choose one of them likewise: the rows `sippy_unipi` and "casid".
+
+VAF: mean over outputs of the variance accounted for, %. Where orders are chosen, simulations start
+with the record, from the initial state of least squares over what the model was identified from, so
+that nothing is fitted to a stretch. The last third is simulated from the initial state of least
+squares over the whole of it.
+
+Sums of errors are kept in the log as they come, and a run that finds them there goes on from them.
 """
 
 import argparse
+import json
 import os
 import time
 import warnings
@@ -22,21 +31,27 @@ from pathlib import Path
 
 import numpy as np
 import peers
+from rich.progress import track
+from scipy.signal import cont2discrete
 from tables import table
 
-from casid import Record, pbsid
+from casid import Record, StateSpace, pbsid
 
-ORDERS = range(1, 11)
+ORDERS = (*range(1, 11), *range(12, 21, 2))
 HORIZON = 20
-REFINEMENTS = {
-    "casid, unrefined": {"refine": False},
-    "casid, prediction": {},
-    "casid, simulation": {"refine": "simulation"},
-    "casid, local": {"refine": "simulation", "noise": "local"},
+STRETCHES = 6
+SAMPLES = {"past": HORIZON, "transform": "none"}
+OURS = {
+    "casid, projections": {},
+    "casid, unrefined": {"refine": False} | SAMPLES,
+    "casid, linear": {"refine": "linear"} | SAMPLES,
+    "casid, prediction": SAMPLES,
+    "casid, simulation": {"refine": "simulation"} | SAMPLES,
+    "casid, local": {"refine": "simulation", "noise": "local"} | SAMPLES,
 }
 CHOICES = {  # package: its methods
     "sippy_unipi": [method for method in peers.METHODS if method != "nfoursid"],
-    "casid": list(REFINEMENTS),
+    "casid": list(OURS),
 }
 DATA = {  # name: file, columns of inputs, of outputs, direct term
     "CD player arm": ("CD_player_arm.dat", (0, 1), (2, 3)),
@@ -53,24 +68,34 @@ def load(folder, name):
     return values[:, list(iu)], values[:, list(iy)]
 
 
-def vaf(system, u, y):
-    """Mean VAF [%] over outputs of a simulation from its best initial state."""
+def error_sums(system, u, y, learnt=None):
+    """Σe and Σe² (2, ny) of a simulation from its best initial state.
+
+    With ``learnt`` that state is the best of so many samples, and the sums those after them.
+    """
+    known, shown = slice(0, learnt), slice(learnt, None)
     free = simulate(system, u)
-    if not np.isfinite(free).all():
-        return -np.inf
     basis = np.empty((len(u), y.shape[1], system.nx))
     X = np.eye(system.nx)
     for k in range(len(u)):
         basis[k] = system.C @ X
         X = system.A @ X
-    basis = basis.reshape(-1, system.nx)
-    if not np.isfinite(basis).all():
+    if not (np.isfinite(free).all() and np.isfinite(basis).all()):
+        return np.full((2, y.shape[1]), np.inf)
+    left = y - free
+    columns = basis[known].reshape(-1, system.nx)
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    x0 = np.linalg.lstsq(columns / size, left[known].ravel(), rcond=1e-12)[0] / size
+    e = left[shown] - basis[shown] @ x0
+    return np.array([e.sum(axis=0), (e**2).sum(axis=0)])
+
+
+def vaf(sums, y):
+    """Mean VAF [%] over outputs y (N, ny) of errors with these sums (2, ny)."""
+    mean, square = sums / len(y)
+    if not np.isfinite(square).all():
         return -np.inf
-    left = (y - free).ravel()
-    size = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
-    x0 = np.linalg.lstsq(basis / size, left, rcond=1e-12)[0]
-    e = (left - basis / size @ x0).reshape(y.shape)
-    return float(100 * np.mean(1 - e.var(axis=0) / y.var(axis=0)))
+    return float(100 * np.mean(1 - (square - mean**2) / y.var(axis=0)))
 
 
 def simulate(system, u):
@@ -83,7 +108,7 @@ def simulate(system, u):
 
 
 def ours(u, y, orders, **options):
-    """Models by order, and the seconds each took."""
+    """Discrete models by order, and the seconds each took."""
     t = np.arange(len(u), dtype=float)
     inputs = [f"u{i}" for i in range(u.shape[1])]
     outputs = [f"y{i}" for i in range(y.shape[1])]
@@ -92,43 +117,88 @@ def ours(u, y, orders, **options):
     for order in orders:
         begin = time.perf_counter()
         try:
-            box = pbsid([record], order=order, past=HORIZON, transform="none", **options)
-        except (ValueError, np.linalg.LinAlgError) as error:
-            print(f"    order {order}: {error}")
+            found = pbsid([record], order=order, **options).system
+        except (ValueError, np.linalg.LinAlgError):  # as a peer that gives no model of an order
             continue
-        models[order] = peers.PeerModel(box.system, time.perf_counter() - begin)
+        seconds = time.perf_counter() - begin
+        if found.dt is None:
+            found = StateSpace(*cont2discrete((found.A, found.B, found.C, found.D), 1.0)[:4], 1.0)
+        models[order] = peers.PeerModel(found, seconds)
     return models
 
 
-def everybody(u, y, orders, methods, refinements):
-    """Models of all methods by (method, order)."""
-    models = peers.identify(u, y, orders, horizon=HORIZON, feedthrough=True, methods=methods)
-    for name in refinements:
-        for order, model in ours(u, y, orders, **REFINEMENTS[name]).items():
-            models[name, order] = model
-    return models
+class Log:
+    """Seconds and sums of errors by (data, method, samples learnt from) and order, in a file."""
+
+    def __init__(self, path):
+        self.path, self.entries = path, {}
+        if path.exists():
+            for line in path.read_text().splitlines():
+                self._take(*json.loads(line))
+
+    def _take(self, data, method, learnt, found):
+        self.entries[data, method, learnt] = {
+            int(order): (seconds, np.array(sums)) for order, (seconds, sums) in found.items()
+        }
+
+    def write(self, data, method, learnt, found):
+        line = json.dumps([data, method, learnt, found])
+        with self.path.open("a") as file:
+            file.write(line + "\n")
+        self._take(*json.loads(line))
+
+    def stage(self, data, methods, learnt):
+        """Seconds and sums by (method, order) of what was identified from so many samples."""
+        return {
+            (method, order): entry
+            for method in methods
+            for order, entry in self.entries[data, method, learnt].items()
+        }
 
 
-def compare(u, y, methods, refinements):
+def compare(u, y, name, methods, refinements, log):
     """Rows of method, order, VAF where it was chosen and of the last third, seconds."""
     third = len(u) // 3
-    learn, rest = slice(0, 2 * third), slice(2 * third, None)
-    mu, my = u[learn].mean(axis=0), y[learn].mean(axis=0)
-    su, sy = u[learn].std(axis=0), y[learn].std(axis=0)
-    u, y = (u - mu) / su, (y - my) / sy
-    first, check = slice(0, 4 * third // 3), slice(4 * third // 3, 2 * third)
-    tried = everybody(u[first], y[first], ORDERS, methods, refinements)
-    score = {key: vaf(model.system, u[check], y[check]) for key, model in tried.items()}
-    final = everybody(u[learn], y[learn], ORDERS, methods, refinements)
+    both = slice(0, 2 * third)
+    u, y = ((v - v[both].mean(axis=0)) / v[both].std(axis=0) for v in (u, y))
+    edges = np.linspace(third, 2 * third, STRETCHES + 1).astype(int).tolist()
+    stretches = list(zip(edges, [*edges[1:], len(u)], strict=True))
+    for end, after in track(stretches, name, transient=True):
+        for method, models in identified(u[:end], y[:end], name, methods, refinements, log):
+            found = {}
+            for order, model in models.items():
+                if after == len(u):
+                    sums = error_sums(model.system, u[end:], y[end:])
+                else:
+                    sums = error_sums(model.system, u[:after], y[:after], learnt=end)
+                found[order] = [model.seconds, sums.tolist()]
+            log.write(name, method, end, found)
+    chosen_on, rest = y[edges[0] : edges[-1]], y[edges[-1] :]
+    stages = [log.stage(name, [*methods, *refinements], end) for end in edges]
+    usable = set.intersection(*(set(stage) for stage in stages))
+    scores = {key: vaf(sum(stage[key][1] for stage in stages[:-1]), chosen_on) for key in usable}
     rows = []
-    own = {method: [method] for method in dict.fromkeys(key[0] for key in tried)}
+    own = {method: [method] for method in (*methods, *refinements)}
     for label, group in {**own, **CHOICES}.items():
-        best = max((key for key in score if key[0] in group), key=score.get, default=None)
-        if best in final:
+        best = max((key for key in sorted(usable) if key[0] in group), key=scores.get, default=None)
+        if best is not None:
+            seconds, sums = stages[-1][best]
             chosen = f"{best[1]}" if group == [label] else f"{best[1]} ({best[0]})"
-            values = (score[best], vaf(final[best].system, u[rest], y[rest]))
-            rows.append([label, chosen, *(f"{v:.5g}" for v in values), final[best].seconds])
+            values = (f"{v:.5g}" for v in (scores[best], vaf(sums, rest)))
+            rows.append([label, chosen, *values, seconds])
     return rows
+
+
+def identified(u, y, name, methods, refinements, log):
+    """(method, models by order) of every method that is not in the log."""
+    missing = [method for method in methods if (name, method, len(u)) not in log.entries]
+    if missing:
+        models = peers.identify(u, y, ORDERS, horizon=HORIZON, feedthrough=True, methods=missing)
+        for method in missing:
+            yield method, {order: model for (of, order), model in models.items() if of == method}
+    for label in refinements:
+        if (name, label, len(u)) not in log.entries:
+            yield label, ours(u, y, ORDERS, **OURS[label])
 
 
 def main():
@@ -136,15 +206,17 @@ def main():
     parser.add_argument("folder", type=Path, nargs="?", default=os.environ.get("CASID_DAISY"))
     parser.add_argument("--only", nargs="+", choices=list(DATA), default=list(DATA))
     parser.add_argument("--peers", nargs="+", choices=peers.METHODS, default=peers.METHODS)
-    parser.add_argument("--ours", nargs="+", choices=list(REFINEMENTS), default=list(REFINEMENTS))
+    parser.add_argument("--ours", nargs="+", choices=list(OURS), default=list(OURS))
+    parser.add_argument("--log", type=Path, default=Path("daisy.jsonl"))
     options = parser.parse_args()
-    folder = options.folder
-    if folder is None:
+    if options.folder is None:
         parser.error("name the folder of the data, or set CASID_DAISY")
+    log = Log(options.log)
     for name in options.only:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            rows = compare(*load(Path(folder), name), options.peers, options.ours)
+            data = load(Path(options.folder), name)
+            rows = compare(*data, name, options.peers, options.ours, log)
         print(f"\n{name}\n")
         print(table(["method", "order", "choice [%]", "VAF [%]", "time [s]"], rows), flush=True)
 
