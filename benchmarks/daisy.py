@@ -19,12 +19,12 @@ with the record, from the initial state of least squares over what the model was
 that nothing is fitted to a stretch. The last third is simulated from the initial state of least
 squares over the whole of it.
 
-Sums of errors are kept in the log as they come, and a run that finds them there goes on from them.
+Sums of errors are kept in the log as they come, and a run that finds them there goes on.
 """
 
 import argparse
-import json
 import os
+import sys
 import time
 import warnings
 from pathlib import Path
@@ -36,6 +36,8 @@ from scipy.signal import cont2discrete
 from tables import table
 
 from casid import Record, StateSpace, pbsid
+from casid.files import read_json, write_json
+from casid.jobs.store import source_digest
 
 ORDERS = (*range(1, 11), *range(12, 21, 2))
 HORIZON = 20
@@ -53,7 +55,7 @@ CHOICES = {  # package: its methods
     "sippy_unipi": [method for method in peers.METHODS if method != "nfoursid"],
     "casid": list(OURS),
 }
-DATA = {  # name: file, columns of inputs, of outputs, direct term
+DATA = {  # name: file, columns of inputs, of outputs
     "CD player arm": ("CD_player_arm.dat", (0, 1), (2, 3)),
     "robot arm": ("robot_arm.dat", (0,), (1,)),
     "flutter": ("flutter.dat", (0,), (1,)),
@@ -118,7 +120,8 @@ def ours(u, y, orders, **options):
         begin = time.perf_counter()
         try:
             found = pbsid([record], order=order, **options).system
-        except (ValueError, np.linalg.LinAlgError):  # as a peer that gives no model of an order
+        except (ValueError, np.linalg.LinAlgError) as error:
+            print(f"{len(u)} samples, order {order}: {error}", file=sys.stderr)
             continue
         seconds = time.perf_counter() - begin
         if found.dt is None:
@@ -128,31 +131,33 @@ def ours(u, y, orders, **options):
 
 
 class Log:
-    """Seconds and sums of errors by (data, method, samples learnt from) and order, in a file."""
+    """Seconds and sums of errors by data, method, samples learnt from and order, in a file.
+
+    Results of another version of casid or of the peers stay there and are not taken.
+    """
 
     def __init__(self, path):
-        self.path, self.entries = path, {}
-        if path.exists():
-            for line in path.read_text().splitlines():
-                self._take(*json.loads(line))
+        self._path = path
+        self._content = read_json(path) if path.exists() else {}
+        self._casid = source_digest()
 
-    def _take(self, data, method, learnt, found):
-        self.entries[data, method, learnt] = {
-            int(order): (seconds, np.array(sums)) for order, (seconds, sums) in found.items()
-        }
+    def _key(self, data, method, learnt):
+        version = self._casid if method in OURS else " ".join(peers.PACKAGES)
+        return f"{data}, {learnt} samples, {method} of {version}"
+
+    def __contains__(self, what):
+        return self._key(*what) in self._content
 
     def write(self, data, method, learnt, found):
-        line = json.dumps([data, method, learnt, found])
-        with self.path.open("a") as file:
-            file.write(line + "\n")
-        self._take(*json.loads(line))
+        self._content[self._key(data, method, learnt)] = found
+        write_json(self._path, self._content)
 
     def stage(self, data, methods, learnt):
         """Seconds and sums by (method, order) of what was identified from so many samples."""
         return {
-            (method, order): entry
+            (method, int(order)): (seconds, np.array(sums, dtype=float))
             for method in methods
-            for order, entry in self.entries[data, method, learnt].items()
+            for order, (seconds, sums) in self._content[self._key(data, method, learnt)].items()
         }
 
 
@@ -171,7 +176,7 @@ def compare(u, y, name, methods, refinements, log):
                     sums = error_sums(model.system, u[end:], y[end:])
                 else:
                     sums = error_sums(model.system, u[:after], y[:after], learnt=end)
-                found[order] = [model.seconds, sums.tolist()]
+                found[str(order)] = [model.seconds, sums.tolist()]
             log.write(name, method, end, found)
     chosen_on, rest = y[edges[0] : edges[-1]], y[edges[-1] :]
     stages = [log.stage(name, [*methods, *refinements], end) for end in edges]
@@ -191,13 +196,13 @@ def compare(u, y, name, methods, refinements, log):
 
 def identified(u, y, name, methods, refinements, log):
     """(method, models by order) of every method that is not in the log."""
-    missing = [method for method in methods if (name, method, len(u)) not in log.entries]
+    missing = [method for method in methods if (name, method, len(u)) not in log]
     if missing:
         models = peers.identify(u, y, ORDERS, horizon=HORIZON, feedthrough=True, methods=missing)
         for method in missing:
             yield method, {order: model for (of, order), model in models.items() if of == method}
     for label in refinements:
-        if (name, label, len(u)) not in log.entries:
+        if (name, label, len(u)) not in log:
             yield label, ours(u, y, ORDERS, **OURS[label])
 
 
@@ -207,10 +212,11 @@ def main():
     parser.add_argument("--only", nargs="+", choices=list(DATA), default=list(DATA))
     parser.add_argument("--peers", nargs="+", choices=peers.METHODS, default=peers.METHODS)
     parser.add_argument("--ours", nargs="+", choices=list(OURS), default=list(OURS))
-    parser.add_argument("--log", type=Path, default=Path("daisy.jsonl"))
+    parser.add_argument("--log", type=Path, default=Path("out/daisy.json"))
     options = parser.parse_args()
     if options.folder is None:
         parser.error("name the folder of the data, or set CASID_DAISY")
+    options.log.parent.mkdir(parents=True, exist_ok=True)
     log = Log(options.log)
     for name in options.only:
         with warnings.catch_warnings():

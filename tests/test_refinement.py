@@ -7,7 +7,7 @@ from truth import unstable_plant
 from casid import StateSpace, pbsid
 from casid.record import standard_deviations
 from casid.subspace.fourier import spectra
-from casid.subspace.modal import from_modal, to_modal
+from casid.subspace.modal import from_modal, schur, to_modal
 from casid.subspace.refinement import information_criteria, refine, residual_powers
 
 OMEGA = np.geomspace(0.5, 6.0, 12)
@@ -75,7 +75,15 @@ def test_refinement_lowers_the_likelihood_of_no_start_and_masks_the_direct_term(
     assert after <= truth + 1e-3  # the maximum is at least as likely as the truth
 
 
-def test_a_long_record_is_transformed_in_pieces_of_limited_size():
+def test_transients_of_different_size_are_eliminated_alike():
+    rng = np.random.default_rng(0)
+    J, scale = rng.standard_normal((50, 7)), np.array([1.0, 2e-3, 1e-9, 1, 1, 1, 1])
+    left = J[:, 3:] - J[:, :3] @ np.linalg.lstsq(J[:, :3], J[:, 3:])[0]
+    found = schur((J * scale).T @ (J * scale), 3)
+    np.testing.assert_allclose(found, left.T @ left, rtol=1e-8, atol=1e-8)
+
+
+def test_a_long_record_is_transformed_in_pieces_of_limited_size(monkeypatch):
     record = campaign(records=1, duration=30.0)[0]
     su, sy = standard_deviations([record])
     assert len(spectra([record], su, sy, 10.0)) == 1
@@ -85,3 +93,5 @@ def test_a_long_record_is_transformed_in_pieces_of_limited_size():
     assert [each.omega[0] for each in several] == pytest.approx(
         [6 * np.pi / record.duration] * 6, rel=0.01
     )
+    monkeypatch.setattr("casid.subspace.fourier.SAMPLES", record.N / 4)
+    assert len(spectra([record], su, sy, 10.0)) == 4

@@ -9,7 +9,6 @@ from casid.record import standard_deviations
 from casid.subspace.prediction import normal_equations, stretches
 from casid.subspace.regression import regress_inputs
 
-OMEGA = np.linspace(0.1, 2.5, 10)
 NO_DIRECT = np.zeros((2, 1), dtype=bool)
 
 

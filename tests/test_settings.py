@@ -14,12 +14,7 @@ from casid.record import standard_deviations
 from casid.report import plot_order_selection
 from casid.subspace.columns import gather, output_bandwidth
 from casid.subspace.laguerre import support
-from casid.subspace.settings import (
-    COST,
-    PASTS,
-    held_out_suffices,
-    usable_poles,
-)
+from casid.subspace.settings import COST, PASTS, held_out_suffices, usable_poles
 
 GRID = {"orders": [3, 4, 5, 6, 7], "poles": [6.0, 8.0], "pasts": [8, 10]}
 
@@ -160,7 +155,7 @@ def test_poles_keep_to_what_is_sampled_and_to_what_fits_the_record():
     u = np.random.default_rng(0).standard_normal((len(t), 1))
     for omega in (0.01, 300.0):  # outputs that drift, outputs that are vibration
         poles = usable_poles([Record(t, u, np.sin(omega * t)[:, None], ("u",), ("y",))])
-        assert poles
+        assert len(poles) >= 3
         assert all(a <= 0.5 * np.pi / 0.02 for a in poles)
         assert all(support(a, min(PASTS)) <= COST * t[-1] for a in poles)
 

@@ -16,7 +16,8 @@ from casid.subspace.columns import pieces_of
 from casid.subspace.feedback import fed_back_noise
 from casid.subspace.fourier import spectra
 from casid.subspace.gain import carried_gain, riccati_gain
-from casid.subspace.prediction import SampledUncertainty, refine_held, refine_samples
+from casid.subspace.held import refine_held
+from casid.subspace.prediction import SampledUncertainty, refine_samples
 from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.refinement import refine as refine_black_box
 from casid.subspace.regression import regress_inputs

@@ -9,7 +9,7 @@ is left,
 so that G, K, D and the initial state and constant of every stretch follow from the records by least
 squares, without a second guess at the poles. Short or narrow-banded records support this where they
 do not support a refinement of everything. Source: L. Ljung, System Identification, 2nd ed., section
-10.6 (B and D of a subspace estimate); A. Chiuso, G. Picci, Automatica 41 (2005).
+10.6, there for B and D of a subspace estimate.
 """
 
 from collections.abc import Iterator, Sequence
