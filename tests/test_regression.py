@@ -83,10 +83,13 @@ def test_missing_samples_split_a_record_and_blocks_do_not_matter(monkeypatch):
 
 
 def test_a_direct_term_is_found_where_it_is_free_and_nowhere_else():
-    _, _, record, _ = innovation_record(noise=0.01)
+    system, _, record, _ = innovation_record(noise=0.01)
     direct = replace(record, y=record.y + record.u * np.array([0.0, 0.5]))
     box = pbsid([direct], order=3, transform="none", feedthrough=["b"], refine="linear")
     np.testing.assert_allclose(box.system.D, [[0.0], [0.5]], atol=0.01)
+    omega = np.linspace(0.1, 2.5, 10)
+    truth = system.response(omega) + np.array([[0.0], [0.5]])
+    np.testing.assert_allclose(box.system.response(omega), truth, atol=0.03)
     assert np.abs(np.linalg.eigvals(box.system.A - box.K @ box.system.C)).max() < 1
     assert box.uncertainty is None
 

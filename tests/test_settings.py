@@ -143,7 +143,7 @@ def test_poles_are_somewhat_faster_than_the_outputs_move():
     rng = np.random.default_rng(0)
     slow, fast = np.sin(1.0 * t), np.sin(5.0 * t)  # powers 1 and 2: 90 % is with the fast one
     y = np.column_stack([slow + 1.5 * fast, 2 * fast + slow, rng.standard_normal(len(t))])
-    y[100:110, 0] = np.nan
+    y[100:110, :2] = np.nan
     u = rng.standard_normal((len(t), 1))
     records = [Record(t, u, y, ("u",), ("a", "b", "noise"))]
     assert output_bandwidth(records) == pytest.approx(5.0, rel=0.05)
@@ -153,7 +153,7 @@ def test_poles_are_somewhat_faster_than_the_outputs_move():
 def test_poles_keep_to_what_is_sampled_and_to_what_fits_the_record():
     t = np.arange(0, 60.0, 0.02)
     u = np.random.default_rng(0).standard_normal((len(t), 1))
-    for omega in (0.01, 300.0):  # outputs that drift, outputs that are vibration
+    for omega in (0.01, 140.0):  # outputs that drift, outputs that are vibration
         poles = usable_poles([Record(t, u, np.sin(omega * t)[:, None], ("u",), ("y",))])
         assert len(poles) >= 3
         assert all(a <= 0.5 * np.pi / 0.02 for a in poles)
