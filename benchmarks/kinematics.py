@@ -10,8 +10,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from flown import FORCES, NOISE, RATES, STATES, flight
-from test_kinematics import ERRORS, scores
+from truths.flights import ERRORS, FORCES, NOISE, RATES, STATES, flight, scores
 
 from casid import kinematic_check
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FunctionType
 
 import atheris
-import fuzzing
+from truths import fuzzing
 
 import casid.files
 import casid.hdf

@@ -3,9 +3,9 @@
 import shutil
 
 import pytest
-from bad_inputs import CORPUS
 from click.testing import CliRunner
-from small_study import write_study
+from truths.bad_inputs import CORPUS
+from truths.roll_study import write_study
 
 from casid import limits
 from casid.cli import main

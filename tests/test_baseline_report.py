@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import jinja2
 import numpy as np
 import pytest
-import uh60
+from truths import uh60
 
 from casid import Fit, derivid, frequency_response
 from casid.report.html import number

@@ -4,8 +4,8 @@ import csv
 
 import numpy as np
 import pytest
-from matched import black_box
-from studies import NOISE, Inline, Mixture, least_squares, record
+from truths.mixture import NOISE, Inline, Mixture, least_squares, record
+from truths.structures import black_box
 
 from casid import StateSpace, compare_bounds
 

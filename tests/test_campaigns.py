@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies import Inline, Mixture, record
+from truths.mixture import CASES, Inline, Mixture, record
 
 from casid import ModelError, compare_bounds
 from casid.bounds.cases import read_cases
@@ -23,7 +23,6 @@ from casid.jobs.transport import can_travel, refer, resolve
 from casid.structure.modelfile import load_model
 
 TESTS = Path(__file__).parent
-CASES = {"free": {}} | {f"a < {k}": {"a": f"< {k}"} for k in (0.99, 0.98, 0.97, 0.96)}
 
 
 def add(payload, start):
@@ -126,8 +125,7 @@ SCRIPT = """
 import sys, time
 sys.path[:0] = [{root!r}, {tests!r}]
 from casid import compare_bounds
-from studies import Inline, Mixture, record
-from test_campaigns import CASES
+from truths.mixture import CASES, Inline, Mixture, record
 
 if __name__ == "__main__":
     found = compare_bounds(Mixture(), [record()], cases=CASES, folder={folder!r}, {more})

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from studies import Mixture, least_squares, record
+from truths.mixture import Mixture, least_squares, record
 
 from casid import ModelError, output_error
 from casid.bounds.cases import constrained, feasible, plain, read_cases

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from matched import SECOND, TRUTH, HoverRoll, Lag, black_box
+from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import StateSpace
 from casid.matching.certificate import band_norm, peaks

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from click.testing import CliRunner
-from small_study import write_study
+from truths.roll_study import write_study
 
 from casid import Fit
 from casid.cli import main

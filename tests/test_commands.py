@@ -10,7 +10,7 @@ import pytest
 import scipy.io
 from click.testing import CliRunner
 from rich.console import Console
-from small_study import write_study
+from truths.roll_study import write_study
 
 from casid import FrequencyResponse, inspect, read_csv
 from casid.channels import CONTROLS

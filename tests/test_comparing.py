@@ -5,10 +5,10 @@ import csv
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from matched import black_box
 from matplotlib.figure import Figure
-from small_study import write_study
-from studies import Inline, Mixture, record
+from truths.mixture import Inline, Mixture, record
+from truths.roll_study import write_study
+from truths.structures import black_box
 
 from casid import FrequencyResponse, StateSpace, compare_bounds
 from casid.chain import Options

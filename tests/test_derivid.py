@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-import uh60
+from truths import uh60
 
 from casid import (
     Constraint,

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import uh60
 from click.testing import CliRunner
+from truths import uh60
 
 from casid import pbsid
 from casid.cli import main

@@ -14,7 +14,7 @@ import pytest
 import scipy.io
 import scipy.linalg
 import scipy.signal
-from small_study import write_study
+from truths.roll_study import write_study
 
 from casid import FrequencyResponse, Record, StateSpace, read_frequency_csv
 from casid.exchange.formats import (

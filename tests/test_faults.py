@@ -19,7 +19,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from small_study import write_study
+from truths.roll_study import write_study
 
 import casid.nlp
 from casid import Fit

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from truth import STABILISING, closed_loop_record, stepped_input, unstable_plant
+from truths.systems import STABILISING, closed_loop_record, stepped_input, unstable_plant
 
 from casid import Record, StateSpace, pbsid
 from casid.record import standard_deviations

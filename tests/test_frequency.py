@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 import scipy.signal
-import uh60
+from truths import uh60
 
 from casid import DataWarning, FrequencyResponse, Record, StateSpace, frequency_response
 from casid.frequency.sampling import default_windows

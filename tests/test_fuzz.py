@@ -7,13 +7,13 @@ import sys
 import time
 from pathlib import Path
 
-import fuzzing
 import numpy as np
 import pytest
-from fuzzing import altered, damaged
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
-from small_study import write_study
+from truths import fuzzing
+from truths.fuzzing import altered, damaged
+from truths.roll_study import write_study
 
 from casid import FrequencyResponse, limits, match, pbsid
 from casid.jobs.store import encode

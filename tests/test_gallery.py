@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from truths.systems import known_black_box
 
 from benchmarks.structures import fit_exact, fit_measured, records, unseen
 from benchmarks.uh60 import SWEEPS
@@ -21,7 +22,6 @@ from models.lateral_directional import LateralDirectional
 from models.longitudinal import Longitudinal
 from models.short_period import ShortPeriod
 from models.six_dof import SixDof
-from tests.truth import known_black_box
 
 GALLERY = [
     HeaveInflow, HybridFlap, HybridFlapLag, LateralDirectional, Longitudinal, ShortPeriod, SixDof

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from truths.systems import known_black_box
 
 from casid import FrequencyResponse, Model, ModelError, Record, Rows, Scalar, parameter
 from casid.structure.identifiability import identifiability
 from models.short_period import ShortPeriod
 from models.six_dof import SixDof
-from tests.truth import known_black_box
 
 T = 0.02 * np.arange(800)
 DOUBLET = np.where((T > 1) & (T < 2), 1.0, 0.0) - np.where((T >= 2) & (T < 3), 1.0, 0.0)

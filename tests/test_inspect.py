@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flown import NOISE, flight
+from truths.flights import NOISE, flight
 
 from casid import Record
 from casid.commands.inspection import inspect

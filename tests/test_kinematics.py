@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flown import FORCES, NOISE, RATES, STATES, flight
-from small_study import write_study
+from truths.flights import ERRORS, FORCES, NOISE, RATES, STATES, flight, scores
+from truths.roll_study import write_study
 
 from casid import read_csv
 from casid.consistency.kinematics import kinematic_check
@@ -19,23 +19,7 @@ INPUTS = ("col", "lat", "lon", "ped")
 OUTPUTS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta")
 ATTITUDES = (*RATES, "phi", "theta")
 WHOLE = (*RATES, *FORCES, *STATES)
-ERRORS = {  # scale, bias, skew
-    "p": (0.08, 0.01, 0.06), "q": (-0.05, -0.004, -0.03), "r": (0.10, 0.006, 0.04),
-    "ax": (0.05, 0.2, 0.03), "ay": (-0.06, 0.1, -0.04), "az": (0.04, 0.1, 0.02),
-}  # fmt: skip
 FLOWN = dict(zip(OUTPUTS, (0.05, 0.05, 0.1, *[0.003] * 5), strict=True))
-
-
-def scores(check):
-    """Errors of the estimates in units of their standard errors, (channels, 3)."""
-    rows = []
-    for each in check.channels:
-        scale, bias, skew = ERRORS[each.channel]
-        rows.append([
-            (each.scale - scale) / each.scale_error, (each.bias - bias) / each.bias_error,
-            (each.skew - skew) / each.skew_error,
-        ])  # fmt: skip
-    return np.array(rows)
 
 
 def times(record, name, factor):

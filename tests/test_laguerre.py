@@ -3,7 +3,7 @@ import pytest
 import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
-from truth import unstable_plant
+from truths.systems import unstable_plant
 
 from casid.linear import StateSpace
 from casid.subspace.laguerre import (

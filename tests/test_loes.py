@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import uh60
+from truths import uh60
 
 from casid import FrequencyResponse, frequency_response
 from casid.baseline.loes import transfer_function

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from matched import SECOND, Lag, black_box
 from matplotlib.figure import Figure
-from small_study import write_study
+from truths.roll_study import write_study
+from truths.structures import SECOND, Lag, black_box
 
 from casid import Fit, match
 from casid.report import plot_match_error

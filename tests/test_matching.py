@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from matched import SECOND, TRUTH, HoverRoll, Lag, black_box
+from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import (
     ConvergenceError,

@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 import scipy.linalg
-from matched import TRUTH, HoverRoll, Lag, black_box
+from truths.structures import TRUTH, HoverRoll, Lag, black_box
 
 from casid import Model, Rows, Scalar, StateSpace, match, parameter
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from matched import black_box
+from truths.structures import black_box
 
 from casid import ConvergenceError, Fit, Model, SolverOptions, StateSpace, match, parameter
 

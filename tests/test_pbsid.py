@@ -3,29 +3,20 @@ import warnings
 
 import numpy as np
 import pytest
-from truth import STABILISING, closed_loop_record, stepped_input, unstable_plant
+from truths.systems import (
+    OMEGA,
+    campaign,
+    closed_loop_record,
+    relative_error,
+    stepped_input,
+    unstable_plant,
+)
 
 from casid import DataWarning, Record, StateSpace, pbsid
 from casid.record import standard_deviations
 from casid.subspace.columns import excited_band, feedthrough_mask, gather
 from casid.subspace.fourier import spectra
 from casid.subspace.refinement import refine
-
-OMEGA = np.geomspace(0.3, 8.0, 25)
-
-
-def relative_error(system, truth, omega=OMEGA):
-    G, G_hat = truth.response(omega), system.response(omega)
-    return np.max(np.linalg.norm(G_hat - G, axis=(1, 2)) / np.linalg.norm(G, axis=(1, 2)))
-
-
-def campaign(noise=0.0, seed=0, records=2, **options):
-    rng = np.random.default_rng(seed)
-    plant = unstable_plant()
-    return [
-        closed_loop_record(plant, rng, noise=noise, gain=STABILISING, name=f"r{i}", **options)
-        for i in range(records)
-    ]
 
 
 @pytest.mark.parametrize("hold", ["foh", "zoh"])

@@ -2,33 +2,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truth import stepped_input
+from truths.systems import innovation_record, predictor
 
 from casid import Record, StateSpace, pbsid
 from casid.record import standard_deviations
-from casid.subspace.modal import moved, to_modal
+from casid.subspace.modal import moved
 from casid.subspace.prediction import normal_equations, prediction_errors, refine_samples, stretches
-
-
-def innovation_record(N=600, noise=0.1, seed=0):
-    """An innovation model of three states with its gain, and a record of it."""
-    rng = np.random.default_rng(seed)
-    A = np.array([[0.8, 0.3, 0], [-0.3, 0.8, 0.1], [0, 0, 0.5]])
-    B, C = np.array([[1.0], [0.5], [1.0]]), np.array([[1.0, 0, 0.3], [0, 1.0, 0]])
-    K = np.array([[0.3, 0.0], [0.1, 0.2], [0.0, 0.1]])
-    e, u = noise * rng.standard_normal((N, 2)), stepped_input(N, 1, rng, hold=3)
-    x, y = np.array([1.0, -1.0, 0.5]), np.empty((N, 2))
-    for k in range(N):
-        y[k] = C @ x + e[k]
-        x = A @ x + B @ u[k] + K @ e[k]
-    system = StateSpace(A, B, C, np.zeros((2, 1)), 1.0)
-    return system, K, Record(np.arange(N, dtype=float), u, y, ("u",), ("a", "b"), hold="zoh"), e
-
-
-def predictor(system, K, su, sy):
-    B = np.hstack([system.B, K])
-    whole = StateSpace(system.A - K @ system.C, B, system.C, np.zeros((2, 3)))
-    return to_modal(whole, np.concatenate([su, sy]), sy, np.zeros((2, 3), dtype=bool))
 
 
 def test_prediction_errors_of_the_truth_are_its_innovations():

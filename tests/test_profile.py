@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy.stats
-from studies import NOISE, Inline, Mixture, least_squares, record
+from truths.mixture import NOISE, Inline, Mixture, least_squares, record
 
 from casid import ModelError, profile
 

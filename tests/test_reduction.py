@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from studies import Inline, Mixture, record
+from truths.mixture import Inline, Mixture, record
 
 from casid import ConvergenceError, FrequencyResponse, ModelError, SolverOptions, reduce_structure
 

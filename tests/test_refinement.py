@@ -1,8 +1,6 @@
 import numpy as np
 import pytest
-from test_pbsid import campaign
-from test_prediction import innovation_record
-from truth import unstable_plant
+from truths.systems import campaign, innovation_record, unstable_plant
 
 from casid import StateSpace, pbsid
 from casid.record import standard_deviations

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_prediction import innovation_record, predictor
+from truths.systems import innovation_record, predictor
 
 from casid import Record, StateSpace, pbsid
 from casid.record import standard_deviations

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from small_study import write_study
+from truths.roll_study import write_study
 
 from casid import StateSpace
 from casid.channels import READ_AS, units_of

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from studies import NOISE, TRUTH, Inline, Mixture, least_squares, record
+from truths.mixture import NOISE, TRUTH, Inline, Mixture, least_squares, record
 
 from casid import bootstrap, monte_carlo, multistart, output_error
 

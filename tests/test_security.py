@@ -8,8 +8,8 @@ from importlib.metadata import metadata
 from pathlib import Path
 
 import pytest
-from bad_inputs import CORPUS
-from small_study import Truth
+from truths.bad_inputs import CORPUS
+from truths.roll_study import Truth
 
 import casid
 from casid import files, limits

@@ -5,9 +5,8 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from test_pbsid import OMEGA, campaign, relative_error
-from truth import unstable_plant
-from uh60 import EXAMPLE, INPUTS, NOISE, OUTPUTS, sweeps
+from truths.systems import OMEGA, campaign, relative_error, unstable_plant
+from truths.uh60 import EXAMPLE, INPUTS, NOISE, OUTPUTS, sweeps
 
 from casid import Record, pbsid, read_csv, select_order
 from casid.record import standard_deviations

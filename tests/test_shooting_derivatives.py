@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_shooting import TRUTH, flown
+from truths.closed_roll import TRUTH, flown, jittered, with_holes
 
 import casid.shooting.newton
-from casid import Constraint, Record, SolverOptions
+from casid import Constraint, SolverOptions
 from casid.model import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.nearby import predicted
@@ -18,23 +18,6 @@ from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import noise_of, starting_programme
 
 GAIN = np.array([[0.1, 1.0, 0.5], [0.0, 2.0, 0.3], [0.02, 0.1, 1.0]])
-
-
-def jittered(record: Record, share=0.4):
-    """The same manoeuvre at instants moved by up to a share of the sampling interval."""
-    rng = np.random.default_rng(1)
-    t = record.t + share * record.dt * rng.uniform(-1, 1, record.N)
-    u = np.column_stack([np.interp(t, record.t, column) for column in record.u.T])
-    return replace(record, t=t, u=u)
-
-
-def with_holes(record: Record):
-    """Samples missing one by one, a channel for a while, and whole samples."""
-    y = record.y.copy()
-    y[np.random.default_rng(2).random(y.shape) < 0.1] = np.nan
-    y[20:40, 1] = np.nan
-    y[60:65] = np.nan
-    return replace(record, y=y)
 
 
 class Tied(type(TRUTH)):

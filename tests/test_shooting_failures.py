@@ -4,8 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_shooting import TRUTH, Roll, excitation, flown, off, relative_error
-from test_shooting_derivatives import jittered, with_holes
+from truths.closed_roll import (
+    TRUTH,
+    Roll,
+    excitation,
+    flown,
+    jittered,
+    off,
+    relative_error,
+    with_holes,
+)
 
 from casid import Constraint, ConvergenceError, ModelError, Scalar, SolverOptions, parameter
 from casid.model import free_parameters

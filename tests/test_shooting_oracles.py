@@ -4,7 +4,7 @@ import numpy as np
 import scipy.optimize
 import scipy.signal
 from scipy.interpolate import make_interp_spline
-from test_shooting import TRUTH, flown, off
+from truths.closed_roll import TRUTH, flown, off
 
 from casid.shooting.output_error import output_error
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_shooting import TRUTH, excitation
+from truths.closed_roll import TRUTH, excitation
 
 from benchmarks.output_error import bo105_estimates
 from casid import Model, Record, Rows, Scalar, StateSpace, parameter

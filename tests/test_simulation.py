@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
-from test_prediction import innovation_record
-from truth import stepped_input
+from truths.systems import innovation_record, stepped_input
 
 from casid import DataWarning, Record, StateSpace, pbsid
 from casid.record import standard_deviations

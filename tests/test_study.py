@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from small_study import TRIM, write_study
+from truths.roll_study import TRIM, write_study
 
 from casid import ConvergenceError, DataWarning, Model, ModelError
 from casid import chain as chain_module

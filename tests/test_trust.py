@@ -1,8 +1,8 @@
 from pathlib import Path
 
 import numpy as np
-from test_pbsid import campaign
-from uh60 import sweeps
+from truths.systems import campaign
+from truths.uh60 import sweeps
 
 from casid import Record, pbsid
 from casid.subspace.trust import data_doubts

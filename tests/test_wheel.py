@@ -7,7 +7,7 @@ import venv
 from pathlib import Path
 
 import pytest
-from small_study import write_study
+from truths.roll_study import write_study
 
 ROOT = Path(__file__).parents[1]
 

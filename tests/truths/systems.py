@@ -4,6 +4,9 @@ import numpy as np
 
 from casid import BlackBox, Record, StateSpace
 from casid.linear import foh_step
+from casid.subspace.modal import to_modal
+
+OMEGA = np.geomspace(0.3, 8.0, 25)
 
 
 def unstable_plant():
@@ -72,3 +75,38 @@ def response_size(system, band):
     """Root mean square of each output's response over a band, for outputs of different units."""
     G = system.response(np.geomspace(*band, 20))
     return np.sqrt(np.mean(np.abs(G) ** 2, axis=(0, 2)))
+
+
+def relative_error(system, truth, omega=OMEGA):
+    G, G_hat = truth.response(omega), system.response(omega)
+    return np.max(np.linalg.norm(G_hat - G, axis=(1, 2)) / np.linalg.norm(G, axis=(1, 2)))
+
+
+def campaign(noise=0.0, seed=0, records=2, **options):
+    rng = np.random.default_rng(seed)
+    plant = unstable_plant()
+    return [
+        closed_loop_record(plant, rng, noise=noise, gain=STABILISING, name=f"r{i}", **options)
+        for i in range(records)
+    ]
+
+
+def innovation_record(N=600, noise=0.1, seed=0):
+    """An innovation model of three states with its gain, and a record of it."""
+    rng = np.random.default_rng(seed)
+    A = np.array([[0.8, 0.3, 0], [-0.3, 0.8, 0.1], [0, 0, 0.5]])
+    B, C = np.array([[1.0], [0.5], [1.0]]), np.array([[1.0, 0, 0.3], [0, 1.0, 0]])
+    K = np.array([[0.3, 0.0], [0.1, 0.2], [0.0, 0.1]])
+    e, u = noise * rng.standard_normal((N, 2)), stepped_input(N, 1, rng, hold=3)
+    x, y = np.array([1.0, -1.0, 0.5]), np.empty((N, 2))
+    for k in range(N):
+        y[k] = C @ x + e[k]
+        x = A @ x + B @ u[k] + K @ e[k]
+    system = StateSpace(A, B, C, np.zeros((2, 1)), 1.0)
+    return system, K, Record(np.arange(N, dtype=float), u, y, ("u",), ("a", "b"), hold="zoh"), e
+
+
+def predictor(system, K, su, sy):
+    B = np.hstack([system.B, K])
+    whole = StateSpace(system.A - K @ system.C, B, system.C, np.zeros((2, 3)))
+    return to_modal(whole, np.concatenate([su, sy]), sy, np.zeros((2, 3), dtype=bool))

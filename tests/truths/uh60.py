@@ -8,7 +8,7 @@ import numpy as np
 from casid import Record, StateSpace, read_csv
 from models.six_dof import SixDof
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "uh60"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "uh60"
 INPUTS = ("col", "lat", "lon", "ped")
 OUTPUTS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta")
 NOISE = {"ax": 0.05, "ay": 0.05, "az": 0.1, "p": 0.003, "q": 0.003, "r": 0.003,

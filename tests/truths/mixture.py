@@ -33,6 +33,7 @@ class Mixture(Model):
 
 TRUTH = Mixture(a=1.0, b=0.6, d=0.05)
 NOISE = 0.02
+CASES = {"free": {}} | {f"a < {k}": {"a": f"< {k}"} for k in (0.99, 0.98, 0.97, 0.96)}
 
 
 def record(seed=0, model=TRUTH):

@@ -11,7 +11,6 @@ import numpy as np
 import scipy.io
 from click.testing import CliRunner
 from hypothesis import strategies as st
-from small_study import MODEL, STUDY, write_study
 
 from casid import Record, read_csv, read_frequency_csv, read_mat, write_csv, write_parquet
 from casid.cli import main
@@ -23,6 +22,7 @@ from casid.jobs.store import Store
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
+from truths.roll_study import MODEL, STUDY, write_study
 
 FOLDER = Path(tempfile.mkdtemp(prefix="casid-fuzz-"))
 CHANNELS = {"inputs": ("lat",), "outputs": ("p", "phi")}

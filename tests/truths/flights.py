@@ -11,6 +11,11 @@ STATES = ("phi", "theta", "psi", "u", "v", "w")
 NOISE = dict.fromkeys(RATES, 0.003) | dict.fromkeys(("phi", "theta", "psi"), 0.003)
 NOISE |= dict.fromkeys(FORCES, 0.05) | dict.fromkeys(("u", "v", "w"), 0.2)
 
+ERRORS = {  # scale, bias, skew
+    "p": (0.08, 0.01, 0.06), "q": (-0.05, -0.004, -0.03), "r": (0.10, 0.006, 0.04),
+    "ax": (0.05, 0.2, 0.03), "ay": (-0.06, 0.1, -0.04), "az": (0.04, 0.1, 0.02),
+}  # fmt: skip
+
 
 def truth(seed, duration=40.0, dt=0.02):
     """True signals of one manoeuvre as functions of time, and the instants of the record."""
@@ -76,3 +81,15 @@ def flight(seed=0, errors=None, noise=None, outputs=(*RATES, *FORCES, *STATES), 
         columns.append((1 + scale) * true + bias + std * rng.standard_normal(len(t)))
     u = np.where(t > 2, 0.1, 0.0)[:, None]
     return Record(t, u, np.column_stack(columns), ("lat",), tuple(outputs), name)
+
+
+def scores(check):
+    """Errors of the estimates in units of their standard errors, (channels, 3)."""
+    rows = []
+    for each in check.channels:
+        scale, bias, skew = ERRORS[each.channel]
+        rows.append([
+            (each.scale - scale) / each.scale_error, (each.bias - bias) / each.bias_error,
+            (each.skew - skew) / each.skew_error,
+        ])  # fmt: skip
+    return np.array(rows)
