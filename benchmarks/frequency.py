@@ -32,9 +32,9 @@ from uh60 import (
 )
 
 from casid import DataWarning, derivid, frequency_response
-from casid.baseline.magphase import Sensitivity
 from casid.baseline.mismatch import DB, DEG, PHASE, residuals
 from casid.baseline.pairs import select
+from casid.evaluation import MatrixFunction
 from casid.model import free_parameters
 from models.six_dof import SixDof
 
@@ -100,19 +100,19 @@ def fits(starts=20):
           f" starts, {seconds:.1f} s")  # fmt: skip
     free = free_parameters(model)
     target, used = select(model, frf)
-    sensitivity = Sensitivity(free)
+    matrices = MatrixFunction(free)
     scale = free.scale[free.index]
     lower, upper = free.lower[free.index] / scale, free.upper[free.index] / scale
     root = np.sqrt(target.weight)
 
     def r(x):
-        G = sensitivity(x * scale, target.omega)[0]
+        G = matrices(x * scale).response(1j * target.omega)
         return residuals(np.where(np.abs(G) > 0, G, 1e-9), target.G, target.weight)[:, used].ravel()
 
     def jacobian(x):
-        G, slope = sensitivity(x * scale, target.omega)
-        d = slope / np.where(np.abs(G) > 0, G, 1e-9)[..., None] * root[..., None] * scale
-        return np.vstack([DB * d.real[used], np.sqrt(PHASE) * DEG * d.imag[used]])
+        G, slope = matrices(x * scale).response_slopes(1j * target.omega)
+        d = (slope / np.where(np.abs(G) > 0, G, 1e-9) * root)[:, used].T * scale
+        return np.vstack([DB * d.real, np.sqrt(PHASE) * DEG * d.imag])
 
     rng = np.random.default_rng(0)
     began, ends = time.process_time(), []

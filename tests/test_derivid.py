@@ -22,9 +22,9 @@ from casid import (
 )
 from casid.baseline.accuracy import accuracy
 from casid.baseline.equations import equation_start
-from casid.baseline.magphase import Sensitivity
 from casid.baseline.mismatch import coherence_weight, pair_weights, residuals
 from casid.baseline.pairs import select
+from casid.evaluation import MatrixFunction
 from casid.model import free_parameters
 
 OMEGA = np.geomspace(0.3, 12.0, 20)
@@ -94,7 +94,7 @@ def test_equations_give_the_truth_where_states_and_delay_are_known():
     truth = Seen(Yv=-0.2, Lv=-0.08, Lp=-2.5, Llat=11.0)
     free = free_parameters(Seen())
     target, _ = select(Seen(), response(truth))
-    values, _ = equation_start(free, target, Sensitivity(free).structure)
+    values, _ = equation_start(free, target, MatrixFunction(free))
     # The guess, 30 % off, keeps a weight of 1e-3; Yv v is a twentieth of the other terms in v'.
     np.testing.assert_allclose(values, truth.vector(), rtol=0.05)
 

@@ -19,7 +19,6 @@ from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY, accuracy, accurac
 from casid.baseline.equations import equation_start
 from casid.baseline.magphase import (
     Programme,
-    Sensitivity,
     Target,
     delay_parameters,
     programme,
@@ -28,6 +27,7 @@ from casid.baseline.magphase import (
 from casid.baseline.mismatch import DB, DEG, GOOD, PHASE, residuals
 from casid.baseline.pairs import Pairs, select, thin
 from casid.errors import ConvergenceError, ModelError
+from casid.evaluation import MatrixFunction
 from casid.fit import Fit, constraint_table, holding, parameter_table
 from casid.frequency.estimation import FrequencyResponse
 from casid.model import Bounds, Free, Model, free_parameters
@@ -149,7 +149,7 @@ def _starting_points(
     free, target = search.free, search.target
     rng = np.random.default_rng(seed)
     found: list[tuple[str, Array, ComplexArray | None]] = [("guess", free.guess, None)]
-    start = equation_start(free, target, search.sensitivity.structure)
+    start = equation_start(free, target, search.matrices)
     if start is not None:
         found.insert(0, ("equations", *start))
     centre, scale = found[0][1], free.scale[free.index]
@@ -181,7 +181,7 @@ class _Search:
 
     def __init__(self, free: Free, target: Target, options: SolverOptions) -> None:
         self.free, self.target, self.options = free, target, options
-        self.sensitivity = Sensitivity(free)
+        self.matrices = MatrixFunction(free)
         self.best = _State(
             values=free.guess, multipliers=np.zeros(len(free.index)), cost=np.inf, success=False,
             status="not started", prices=np.zeros(len(free.model.constraints())),
@@ -230,7 +230,7 @@ class _Search:
 
     def cost(self, values: Array) -> Array:
         """J of every pair, (ny, nu)."""
-        G = self.sensitivity(values, self.target.omega)[0]
+        G = self.matrices(values).response(1j * self.target.omega)
         return np.asarray(np.sum(residuals(G, self.target.G, self.target.weight) ** 2, axis=(0, 1)))
 
     def _states(self, values: Array) -> ComplexArray:
@@ -274,8 +274,8 @@ def _check_influence(search: _Search) -> None:
     moves = np.zeros(len(scale), dtype=bool)
     for _ in range(2):
         values = free.guess + 0.1 * scale * rng.standard_normal(len(scale))
-        slope = search.sensitivity(values, target.omega)[1] * (target.weight > 0)[..., None]
-        moves |= np.abs(slope).max(axis=(0, 1, 2)) > 0
+        slope = search.matrices(values).response_slopes(1j * target.omega)[1] * (target.weight > 0)
+        moves |= np.abs(slope).max(axis=(1, 2, 3)) > 0
     if not moves.all():
         name = free.names[int(np.argmin(moves))]
         raise ModelError(
@@ -331,13 +331,14 @@ def _residual_slopes(
 ) -> tuple[Array, Array]:
     """dr/dλ of the cost Σ r² at the best parameters, and the residuals' own random errors."""
     target = search.target
-    G, slope = search.sensitivity(search.best.values, target.omega)
+    G, slope = search.matrices(search.best.values).response_slopes(1j * target.omega)
     root = np.sqrt(target.weight)
-    relative = slope / np.where(G == 0, 1, G)[..., None] * root[..., None]  # of ln G, weighted
+    relative = slope / np.where(G == 0, 1, G) * root  # of ln G, weighted
     error = root * _random_errors(search.free.model, frf)
     units = (DB, np.sqrt(PHASE) * DEG)
     rows = [
-        unit * part[used] for unit, part in zip(units, (relative.real, relative.imag), strict=True)
+        unit * part[:, used].T
+        for unit, part in zip(units, (relative.real, relative.imag), strict=True)
     ]
     return np.vstack(rows), np.concatenate([unit * error[used] for unit in units])
 

@@ -10,34 +10,30 @@ specific force and the row of A that shares its derivatives, that is, the combin
 [A B; C D] in which no parameter is left. Where they do not suffice, all rows at the guess help.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 import scipy.linalg
 import scipy.optimize
 
 from casid.arrays import Array, ComplexArray
 from casid.baseline.magphase import Target
+from casid.evaluation import MatrixFunction
 from casid.model import Free
 
 PRIOR = 1e-3  # weight of equations that hold parameters, which are those of the guess
 HUGE = 1e100  # size of an equation that was not measured
 RIDGE = 1e-4  # weight of present parameters, in units of their scale
 
-# λ (nf,) -> [A B; C D] (rows, columns), its derivatives (nf, rows, columns), delays (nu,)
-Structure = Callable[[Array], tuple[Array, Array, Array]]
-
 
 def equation_start(
-    free: Free, target: Target, structure: Structure
+    free: Free, target: Target, matrices: MatrixFunction
 ) -> tuple[Array, ComplexArray] | None:
     """Free parameters (nf,) and undelayed states' responses to scaled inputs (K, nx, nu).
 
     None where the guess has no response of its own (a pole on a frequency of the grid).
     """
     values = free.guess
-    N, dN, tau = structure(values)
-    nx = N.shape[0] - target.G.shape[1]
+    at = matrices(values)
+    N, dN, tau, nx = at.N, at.slopes, at.tau, at.nx
     X = _guessed_states(N, nx, target)
     if X is None:
         return None
@@ -45,7 +41,7 @@ def equation_start(
     Y = np.where(target.weight > 0, target.G * late * target.input_scale, 0.0)
     scale = free.scale[free.index]
     trials = (values, values + scale, values - 0.7 * scale)
-    T = _without_parameters([structure(trial)[1] for trial in trials], N)
+    T = _without_parameters([matrices(trial).slopes for trial in trials], N)
     X = _states(T, N, X, Y, target)
     return _parameters(free, N, dN, X, Y, target), X
 

@@ -8,59 +8,17 @@ comparison or further beyond it, since from there no descent leads back.
 
 import contextlib
 from dataclasses import dataclass, replace
-from typing import Any
 
-import casadi as ca
 import numpy as np
-import scipy.sparse
 
 from casid.arrays import Array, ComplexArray
+from casid.evaluation import Matrices, MatrixFunction
 from casid.matching.comparison import Comparison
 from casid.model import Free
 
 GUARD = 0.02  # distance from the line, in units of the band's middle, that guarded poles keep
 PENALTY = 3.0  # of a violated constraint of the structure, in units of the response's size
 DAMPING = (1e-2, 1e-9, 1e12)  # first, least and largest of Levenberg and Marquardt
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Numbers:
-    """[A B; C D] (nx + ny, nx + nu), τ (nu,), constraints (nc,) and their derivatives at some λ.
-
-    ``dN``, ``dtau`` and ``dc`` have one row a free parameter; the first is sparse, its columns
-    the entries of N row by row.
-    """
-
-    N: Array
-    tau: Array
-    c: Array
-    dN: scipy.sparse.csr_array  # noqa: N815 - the derivative of N
-    dtau: Array
-    dc: Array
-
-
-class Structure:
-    """A structure as numbers: matrices and derivatives as functions of its free parameters."""
-
-    def __init__(self, free: Free) -> None:
-        lam = ca.SX.sym("lam", len(free.index))
-        A, B, C, D, tau, c = free.model.matrices()(free.full(lam))
-        N = ca.densify(ca.blockcat([[A, B], [C, D]]))
-        J = ca.jacobian(ca.vec(N.T), lam)
-        entries: list[Any] = J.nonzeros()
-        dense = [ca.densify(part) for part in (tau, c, ca.jacobian(tau, lam), ca.jacobian(c, lam))]
-        column = ca.vertcat(ca.SX(0, 1), *entries)
-        self._function = ca.Function("structure", [lam], [N, column, *dense])
-        place, parameter = J.sparsity().get_triplet()
-        self._place, self._parameter = np.array(place, dtype=int), np.array(parameter, dtype=int)
-        self.nx, self.nu, self.ny, self.nf = A.shape[0], B.shape[1], C.shape[0], len(free.index)
-
-    def at(self, values: Array) -> Numbers:
-        """The numbers at free values (nf,) in physical units."""
-        N, entries, tau, c, dtau, dc = (part.full() for part in self._function(values))
-        sparse = (entries.ravel(), (self._parameter, self._place))
-        dN = scipy.sparse.csr_array(sparse, shape=(self.nf, N.size))
-        return Numbers(N=N, tau=tau.ravel(), c=c.ravel(), dN=dN, dtau=dtau.T, dc=dc.T)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -76,7 +34,7 @@ class Condensed:
     """The mean square error of a structure as a function of its scaled free parameters."""
 
     def __init__(self, free: Free, comparison: Comparison) -> None:
-        self.structure, self.comparison = Structure(free), comparison
+        self.matrices, self.comparison = MatrixFunction(free), comparison
         self.scale = free.scale[free.index]
         self.lower = free.lower[free.index] / self.scale
         self.upper = free.upper[free.index] / self.scale
@@ -116,65 +74,43 @@ class Condensed:
 
     def residual(self, x: Array) -> tuple[Array, float]:
         """Residuals, whose sum of squares is the cost, and the rightmost pole's real part."""
-        numbers = self.structure.at(x * self.scale)
-        r, abscissa, _ = self._response(numbers)
-        poles = self._beyond(numbers)[0]
-        return np.concatenate([_real(r.ravel()), self._violation(numbers)[0], poles]), abscissa
+        at, c = self.matrices(x * self.scale), self.comparison
+        r = c.W / np.sqrt(len(c.s)) * (at.response(c.s) - c.G)
+        abscissa = float(np.linalg.eigvals(at.blocks[0]).real.max())
+        return np.concatenate(
+            [_real(r.ravel()), self._violation(at)[0], self._beyond(at)[0]]
+        ), abscissa
 
     def jacobian(self, x: Array) -> tuple[Array, Array]:
         """Residuals (n,) and their derivatives (nf, n)."""
-        numbers = self.structure.at(x * self.scale)
-        r, _, (Q, V, G, W) = self._response(numbers)
-        rows, columns = np.divmod(np.arange(numbers.N.size), numbers.N.shape[1])
-        used = np.unique(numbers.dN.indices)
-        terms = Q[:, :, rows[used]].transpose(2, 0, 1)[:, :, :, None]
-        terms = terms * V[:, columns[used], :].transpose(1, 0, 2)[:, :, None, :]
-        J = np.asarray(numbers.dN[:, used] @ terms.reshape(len(used), r.size)).reshape(-1, *r.shape)
-        J = J - numbers.dtau[:, None, None, :] * self.comparison.s[:, None, None] * G
-        J = (J * W).reshape(len(x), -1) * self.scale[:, None]
-        more = [self._violation(numbers), self._beyond(numbers)]
-        slopes = [slope * self.scale[:, None] for _, slope in more]
-        return (
-            np.concatenate([_real(r.ravel()), *(value for value, _ in more)]),
-            np.concatenate([_real(J), *slopes], axis=1),
-        )
+        at, c = self.matrices(x * self.scale), self.comparison
+        G, slope = at.response_slopes(c.s)
+        W = c.W / np.sqrt(len(c.s))
+        J = _real((W * slope).reshape(len(x), -1))
+        more = [self._violation(at), self._beyond(at)]
+        values = [_real((W * (G - c.G)).ravel()), *(value for value, _ in more)]
+        slopes = [J, *(part for _, part in more)]
+        return np.concatenate(values), np.concatenate(slopes, axis=1) * self.scale[:, None]
 
-    def _response(
-        self, numbers: Numbers
-    ) -> tuple[ComplexArray, float, tuple[ComplexArray, ComplexArray, ComplexArray, Array]]:
-        c, nx, ny = self.comparison, self.structure.nx, self.structure.ny
-        N = numbers.N
-        A, B, C, D = N[:nx, :nx], N[:nx, nx:], N[nx:, :nx], N[nx:, nx:]
-        s = c.s[:, None, None]
-        R = np.linalg.inv(s * np.eye(nx) - A)
-        U = np.exp(-s * numbers.tau) * np.eye(len(numbers.tau)) * c.input_scale
-        X = R @ (B @ U)
-        G = C @ X + D @ U
-        W = c.W / c.input_scale / np.sqrt(len(c.s))
-        Q = np.concatenate([C @ R, np.broadcast_to(np.eye(ny), (len(s), ny, ny))], axis=2)
-        parts = Q, np.concatenate([X, U], axis=1), G, W
-        abscissa = float(np.linalg.eigvals(A).real.max())
-        return W * (G - c.G * c.input_scale), abscissa, parts
-
-    def _violation(self, numbers: Numbers) -> tuple[Array, Array]:
+    def _violation(self, at: Matrices) -> tuple[Array, Array]:
         """Penalised violation of the structure's constraints (nc,), and its derivative (nf, nc)."""
-        size = np.abs(numbers.dc * self.scale[:, None]).sum(axis=0)
+        size = np.abs(at.dc * self.scale[:, None]).sum(axis=0)
         factor = self._penalty / np.where(size > 0, size, 1.0)
-        off = numbers.c - np.clip(numbers.c, self._c[:, 0], self._c[:, 1])
-        return off * factor, numbers.dc * np.where(off != 0, factor, 0.0)
+        off = at.c - np.clip(at.c, self._c[:, 0], self._c[:, 1])
+        return off * factor, at.dc * np.where(off != 0, factor, 0.0)
 
-    def _beyond(self, numbers: Numbers) -> tuple[Array, Array]:
+    def _beyond(self, at: Matrices) -> tuple[Array, Array]:
         """Penalised distance of poles right of the line (nx,), and its derivative (nf, nx)."""
-        nx, line = self.structure.nx, self.comparison.line
+        nx, line = at.nx, self.comparison.line
         if not self._guarded or line is None:
-            return np.zeros(0), np.zeros((self.structure.nf, 0))
-        poles, right = np.linalg.eig(numbers.N[:nx, :nx])
+            return np.zeros(0), np.zeros((len(self.scale), 0))
+        poles, right = np.linalg.eig(at.N[:nx, :nx])
         left = np.linalg.inv(right)
         off = poles.real - line + GUARD * self._rate
         # d pole = (left row) dA (right column)
-        outer = np.zeros((*numbers.N.shape, nx), dtype=complex)
+        outer = np.zeros((*at.N.shape, nx), dtype=complex)
         outer[:nx, :nx] = np.einsum("ir,ci->rci", left, right)
-        slope = np.asarray(numbers.dN @ outer.reshape(-1, nx)).real
+        slope = np.asarray(at.dN @ outer.reshape(-1, nx)).real
         factor = self._penalty / self._rate
         return factor * np.maximum(off, 0.0), np.where(off > 0, factor * slope, 0.0)
 

@@ -22,7 +22,7 @@ import scipy.optimize
 
 from casid.arrays import Array, ComplexArray
 from casid.matching.comparison import Comparison
-from casid.matching.descent import Condensed, Numbers, descend
+from casid.matching.descent import Condensed, descend
 from casid.matching.lifted import state_responses
 from casid.model import Free
 
@@ -93,12 +93,8 @@ class _Equations:
     """The structure's equations at all points, linear in the states and nearly so in λ."""
 
     def __init__(self, free: Free, problem: Condensed) -> None:
-        self._free, self._structure, self._comparison = free, problem.structure, problem.comparison
-        self.nx, self.nu, self.ny = (
-            problem.structure.nx,
-            problem.structure.nu,
-            problem.structure.ny,
-        )
+        self._free, self._matrices, self._comparison = free, problem.matrices, problem.comparison
+        self.nx, self.nu, self.ny = self._matrices.nx, self._matrices.nu, self._matrices.ny
         system = free.model.with_vector(free.full(free.guess)).system()
         guess = state_responses(system, self._comparison)
         self._guess = np.where(np.isfinite(guess), guess, 0.0)
@@ -113,11 +109,6 @@ class _Equations:
             if sweep:  # the first pass only finds the size of the states
                 values = self._parameters(values, X)
         return values
-
-    def _numbers(self, values: Array) -> tuple[Numbers, Array]:
-        """The numbers, and their derivative as an array (nf, nx + ny, nx + nu)."""
-        numbers = self._structure.at(values)
-        return numbers, numbers.dN.toarray().reshape(len(values), *numbers.N.shape)
 
     def _weights(self) -> Array:
         """Weights of the rows of every point and input, (K, nx + ny, nu)."""
@@ -136,14 +127,14 @@ class _Equations:
     def _states(self, values: Array, X: ComplexArray, spread: float) -> ComplexArray:
         """States that fit all equations best when the parameters may be off by their spread."""
         c = self._comparison
-        numbers, dN = self._numbers(values)
-        N, tau = numbers.N, numbers.tau
+        at = self._matrices(values)
+        N, tau = at.N, at.tau
         upper = c.s[:, None, None] * np.eye(self.nx) - N[: self.nx, : self.nx]
         lower = np.broadcast_to(-N[self.nx :, : self.nx], (len(c.s), self.ny, self.nx))
         M = np.concatenate([upper, lower], axis=1)
         y = np.concatenate([np.zeros((len(c.s), self.nx, self.nu)), c.G * c.input_scale], axis=1)
         R = N[:, self.nx :] @ self._inputs(tau) - y
-        scaled = dN * (spread * self._free.scale[self._free.index])[:, None, None]
+        scaled = at.slopes * (spread * self._free.scale[self._free.index])[:, None, None]
         weights = self._weights()
         X = X.copy()
         for j in range(self.nu):
@@ -169,13 +160,13 @@ class _Equations:
         limits = free.lower[free.index] / scale, free.upper[free.index] / scale
         x = np.clip(values / scale, *limits)
         for _ in range(NEWTON):  # only delays and products of parameters need more than one step
-            numbers, dN = self._numbers(x * scale)
-            N, U = numbers.N, self._inputs(numbers.tau)
+            at = self._matrices(x * scale)
+            N, U = at.N, self._inputs(at.tau)
             V = np.concatenate([X, U], axis=1)
             r = weights * (N @ V - y)
-            J = np.einsum("lrc,kcj->lkrj", dN, V)
+            J = np.einsum("lrc,kcj->lkrj", at.slopes, V)
             slope = -c.s[:, None, None] * U
-            J += np.einsum("rc,lc,kcj->lkrj", N[:, self.nx :], numbers.dtau, slope)
+            J += np.einsum("rc,lc,kcj->lkrj", N[:, self.nx :], at.dtau, slope)
             J = (weights * J).reshape(len(x), -1) * scale[:, None] / np.sqrt(len(c.s))
             step = _bounded_step(J, r.ravel() / np.sqrt(len(c.s)), prior / scale - x, x, limits)
             x = np.clip(x + step, *limits)

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import Array, ComplexArray
-from casid.baseline.magphase import Sensitivity
+from casid.evaluation import Matrices, MatrixFunction
 from casid.frequency.estimation import FrequencyResponse
 from casid.model import Bounds, Free, Model, free_parameters
 from casid.record import Record, standard_deviations
@@ -161,24 +161,24 @@ def _moved(free: Free, spread: float, rng: np.random.Generator) -> Free:
 
 
 def _records_information(free: Free, records: Sequence[Record]) -> Array:
-    model, sensitivity = free.model, Sensitivity(free)
+    model, at = free.model, MatrixFunction(free)(free.guess)
     chosen = [record.select(model.inputs, model.outputs) for record in records]
     sy = standard_deviations(chosen)[1]
-    return np.asarray(sum(_record_information(free, sensitivity, r, sy) for r in chosen))
+    return np.asarray(sum(_record_information(at, r, sy) for r in chosen))
 
 
-def _record_information(free: Free, sensitivity: Sensitivity, record: Record, sy: Array) -> Array:
+def _record_information(at: Matrices, record: Record, sy: Array) -> Array:
     """F of one record: its output's Fourier transform, the end states projected out."""
     omega, U, bins = _spectrum(record)
     seen = np.mean(~np.isnan(record.y), axis=0)
     length = record.duration + record.dt
     parseval = 2 * bins[:, None] * seen / (length * record.dt)  # both signs of ω
     weight = np.sqrt(parseval) / sy
-    system = free.model.system()
-    _, slope = sensitivity(free.guess, omega)
-    moves = np.einsum("kijl,kj->kil", slope, U) * weight[:, :, None]
-    resolvent = 1j * omega[:, None, None] * np.eye(system.nx) - system.A
-    ends = (system.C @ np.linalg.inv(resolvent)) * weight[:, :, None]
+    A, _, C, _ = at.blocks
+    _, slope = at.response_slopes(1j * omega)
+    moves = np.einsum("lkij,kj->kil", slope, U) * weight[:, :, None]
+    resolvent = 1j * omega[:, None, None] * np.eye(at.nx) - A
+    ends = (C @ np.linalg.inv(resolvent)) * weight[:, :, None]
     J: Array = _real(moves)
     E = _real(ends)
     size = np.linalg.norm(E, axis=0)
@@ -220,11 +220,11 @@ def _response_information(free: Free, response: Responses) -> Array:
     else:
         omega, G, names = response.omega, response.G, (response.outputs, response.inputs)
         good = np.isfinite(G) & (np.nan_to_num(response.coherence) >= COHERENCE)
-    _, slope = Sensitivity(free)(free.guess, omega)
+    _, slope = MatrixFunction(free)(free.guess).response_slopes(1j * omega)
     rows = []
     for i, j, a, b in _shared(model, *names):
         here = good[:, a, b] & (np.abs(G[:, a, b]) > 0)
-        rows.append(_real(slope[here, i, j] / np.abs(G[here, a, b])[:, None]))
+        rows.append(_real(slope[:, here, i, j].T / np.abs(G[here, a, b])[:, None]))
     J = np.concatenate(rows)
     return np.asarray(J.T @ J)
 

@@ -1,0 +1,118 @@
+"""A structure in numbers: its matrices, delays and constraints, its response, and derivatives.
+
+    G(s; λ) = (C (sI − A)⁻¹ B + D) e^(−sτ),    N = [A B; C D],
+
+    dG = [C (sI − A)⁻¹  I] dN [(sI − A)⁻¹ B; I] e^(−sτ) − s G dτ.
+
+The one place where estimators turn a structure's expressions into numbers.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.sparse
+
+from casid.arrays import Array, ComplexArray
+from casid.model import Free
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Matrices:
+    """Matrices, delays and constraints of a structure at some λ, and their derivatives.
+
+    Parameters
+    ----------
+    N : (nx + ny, nx + nu) array
+        [A B; C D].
+    tau, c : (nu,), (nc,) array
+        Delays [s] and values of the constraints.
+    dN : (nf, N.size) sparse array
+        Derivative of N, its entries row by row, by the free parameters.
+    dtau, dc : (nf, nu), (nf, nc) array
+        Derivatives of ``tau`` and ``c``.
+    nx : int
+        Number of states.
+    """
+
+    N: Array
+    tau: Array
+    c: Array
+    dN: scipy.sparse.csr_array  # noqa: N815 - the derivative of N
+    dtau: Array
+    dc: Array
+    nx: int
+
+    @property
+    def blocks(self) -> tuple[Array, Array, Array, Array]:
+        """A, B, C, D."""
+        N, nx = self.N, self.nx
+        return N[:nx, :nx], N[:nx, nx:], N[nx:, :nx], N[nx:, nx:]
+
+    @cached_property
+    def slopes(self) -> Array:
+        """Derivative of N as a dense array, (nf, nx + ny, nx + nu)."""
+        return np.asarray(self.dN.toarray().reshape(-1, *self.N.shape))
+
+    def response(self, s: ComplexArray) -> ComplexArray:
+        """G at points s (K,) of the complex plane, (K, ny, nu).
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            A pole on one of the points.
+        """
+        A, B, C, D = self.blocks
+        X = np.linalg.solve(s[:, None, None] * np.eye(self.nx) - A, B)
+        return np.asarray((C @ X + D) * np.exp(-s[:, None, None] * self.tau))
+
+    def response_slopes(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """G (K, ny, nu) and its derivatives (nf, K, ny, nu) at points s; raises as `response`."""
+        A, B, C, D = self.blocks
+        (ny, nu), K = D.shape, len(s)
+        R = np.linalg.inv(s[:, None, None] * np.eye(self.nx) - A)
+        X, delay = R @ B, np.exp(-s[:, None, None] * self.tau)
+        left = np.concatenate([C @ R, np.broadcast_to(np.eye(ny), (K, ny, ny))], axis=2)
+        right = np.concatenate([X, np.broadcast_to(np.eye(nu), (K, nu, nu))], axis=1)
+        G = (C @ X + D) * delay
+        used = np.unique(self.dN.indices)  # entries of N that depend on a parameter
+        row, column = np.divmod(used, self.N.shape[1])
+        terms = left[:, :, row].transpose(2, 0, 1)[..., None]
+        terms = terms * (right * delay)[:, column].transpose(1, 0, 2)[:, :, None, :]
+        slope = np.asarray(self.dN[:, used] @ terms.reshape(len(used), -1)).reshape(-1, *G.shape)
+        slope -= self.dtau[:, None, None, :] * s[:, None, None] * G
+        return G, slope
+
+
+class MatrixFunction:
+    """The matrices of a structure as a function of its free parameters, in physical units."""
+
+    def __init__(self, free: Free) -> None:
+        lam = ca.SX.sym("lam", len(free.index))
+        A, B, C, D, tau, c = free.model.matrices()(free.full(lam))
+        N = ca.densify(ca.blockcat([[A, B], [C, D]]))
+        J = ca.jacobian(ca.vec(N.T), lam)
+        entries: list[Any] = J.nonzeros()
+        dense = [ca.densify(part) for part in (tau, c, ca.jacobian(tau, lam), ca.jacobian(c, lam))]
+        column = ca.vertcat(ca.SX(0, 1), *entries)
+        self._function = ca.Function("matrices", [lam], [N, column, *dense])
+        place, parameter = J.sparsity().get_triplet()
+        self._place, self._parameter = np.array(place, dtype=int), np.array(parameter, dtype=int)
+        self.nx, self.nu, self.ny, self.nf = A.shape[0], B.shape[1], C.shape[0], len(free.index)
+        self._last: tuple[bytes, Matrices] | None = None
+
+    def __call__(self, values: Array) -> Matrices:
+        """Matrices and derivatives at free values (nf,); those of the last call are kept."""
+        key = values.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, self._at(values)
+        return self._last[1]
+
+    def _at(self, values: Array) -> Matrices:
+        N, entries, tau, c, dtau, dc = (part.full() for part in self._function(values))
+        sparse = (entries.ravel(), (self._parameter, self._place))
+        dN = scipy.sparse.csr_array(sparse, shape=(self.nf, N.size))
+        tau, c = tau.ravel(), c.ravel()
+        return Matrices(N=N, tau=tau, c=c, dN=dN, dtau=dtau.T, dc=dc.T, nx=self.nx)

@@ -1,0 +1,82 @@
+"""Matrices, responses and their derivatives against another route to the same numbers."""
+
+import numpy as np
+import pytest
+
+from casid import Constraint, Model, Rows, Scalar, parameter
+from casid.evaluation import MatrixFunction
+from casid.model import free_parameters
+
+
+class Coupled(Model):
+    """Products of parameters, a direct term, a tie and delays made of one parameter."""
+
+    states = ("p", "r")
+    inputs = ("lat", "ped")
+    outputs = ("p", "r", "ay")
+
+    Lp: Scalar = parameter(default=-2.0, lower=-9.0, upper=0.0, unit="1/s")
+    Nr: Scalar = parameter(default=-1.0, lower=-9.0, upper=0.0, unit="1/s")
+    k: Scalar = parameter(default=3.0, lower=0.0, upper=9.0, unit="rad/s^2")
+    tau: Scalar = parameter(default=0.1, lower=0.0, upper=0.4, unit="s")
+
+    def A(self) -> Rows:
+        return [[self.Lp, 0.5], [self.Lp * self.Nr, self.Nr]]
+
+    def B(self) -> Rows:
+        return [[self.k, 0], [0, self.k**2]]
+
+    def C(self) -> Rows:
+        return [[1, 0], [0, 1], [self.Nr, 0]]
+
+    def D(self) -> Rows:
+        return [[0, 0], [0, 0], [0, self.k]]
+
+    def delays(self):
+        return {"lat": self.tau, "ped": 2 * self.tau}
+
+    def constraints(self):
+        return [Constraint("damped", self.Lp * self.Nr, lower=1.0, upper=9.0)]
+
+
+S = np.array([0.3 + 0.2j, 0.3 + 2.0j, 0.1 + 7.0j])
+FREE = free_parameters(Coupled(), fixed={"Nr"})
+
+
+def central(f, values, step=1e-6):
+    """Derivatives by central differences, one row a parameter."""
+    steps = step * np.eye(len(values))
+    return np.array([(f(values + h) - f(values - h)) / (2 * step) for h in steps])
+
+
+def test_numbers_are_those_of_the_model():
+    system, at = Coupled().system(), MatrixFunction(FREE)(FREE.guess)
+    for letter, block in zip("ABCD", at.blocks, strict=True):
+        np.testing.assert_array_equal(block, getattr(system, letter))
+    np.testing.assert_array_equal(at.tau, [0.1, 0.2])
+    np.testing.assert_array_equal(at.c, [2.0])
+    for s, G in zip(S, at.response(S), strict=True):
+        np.testing.assert_allclose(G, system.response(s.imag, s.real)[0], rtol=1e-13)
+
+
+@pytest.mark.parametrize("part", ["N", "tau", "c"])
+def test_derivatives_are_those_of_differences(part):
+    matrices = MatrixFunction(FREE)
+    at = matrices(FREE.guess)
+    slope = {"N": at.slopes, "tau": at.dtau, "c": at.dc}[part]
+    # Polynomials of second degree at most: central differences are exact but for rounding.
+    expected = central(lambda x: getattr(matrices(x), part), FREE.guess)
+    np.testing.assert_allclose(slope, expected, atol=1e-8)
+
+
+def test_slopes_of_the_response_are_those_of_differences():
+    matrices = MatrixFunction(FREE)
+    G, slope = matrices(FREE.guess).response_slopes(S)
+    np.testing.assert_allclose(G, matrices(FREE.guess).response(S), rtol=1e-13)
+    expected = central(lambda x: matrices(x).response(S), FREE.guess)
+    np.testing.assert_allclose(slope, expected, atol=1e-7)
+
+
+def test_pole_on_a_point_is_an_error():
+    with pytest.raises(np.linalg.LinAlgError):
+        MatrixFunction(FREE)(np.array([0.0, 3.0, 0.1])).response(np.zeros(1, dtype=complex))
