@@ -10,6 +10,7 @@ from casid.bounds.resampling import Ensemble, Multistart, bootstrap, monte_carlo
 from casid.chain import Identification, identify
 from casid.commands.inspection import Inspection, inspect
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
+from casid.eigenmodes import Mode, modes
 from casid.errors import ConvergenceError, DataWarning, ModelError
 from casid.exchange.formats import read_parquet, read_record, write_mat, write_parquet
 from casid.files import read_csv, read_mat, write_csv
@@ -42,6 +43,7 @@ __all__ = [
     "Identification",
     "Inspection",
     "KinematicCheck",
+    "Mode",
     "Model",
     "ModelError",
     "Multistart",
@@ -69,6 +71,7 @@ __all__ = [
     "match",
     "matrix",
     "merge_responses",
+    "modes",
     "monte_carlo",
     "multistart",
     "output_error",

@@ -7,9 +7,9 @@ import click.testing
 import numpy as np
 import pytest
 
-from casid import Constraint, Model, Rows, Scalar, StateSpace, parameter, write_csv
+from casid import Constraint, Model, Rows, Scalar, parameter, write_csv
 from casid.cli import main
-from casid.structure.overview import describe, excitation, modes
+from casid.structure.overview import describe, excitation
 from models.short_period import ShortPeriod
 from models.six_dof import SixDof
 
@@ -60,30 +60,14 @@ def test_text_holds_parameters_delays_constraints_and_identifiability():
 
 def test_modes_that_nothing_shows_or_moves_are_marked():
     x, hidden, idle = describe(Tied()).modes
-    assert (x.eigenvalue, x.states[0]) == (-2, "x")
+    assert (x.pole, x.states[0]) == (-2, "x")
     assert x.observable
     assert x.controllable
-    assert (hidden.eigenvalue, hidden.observable, hidden.controllable) == (-4, False, True)
-    assert (idle.eigenvalue, idle.observable, idle.controllable) == (-7, True, False)
+    assert (hidden.pole, hidden.observable, hidden.controllable) == (-4, False, True)
+    assert (idle.pole, idle.observable, idle.controllable) == (-7, True, False)
     text = str(describe(Tied()))
     assert "hidden  NOT OBSERVABLE" in text
     assert "NOT CONTROLLABLE" in text
-
-
-@pytest.mark.parametrize(
-    ("A", "words"),
-    [
-        ([[0.0]], "integrator"),
-        ([[-4.0]], "time constant 0.25 s"),
-        ([[0.5]], "grows e-fold in 2 s"),
-        ([[-0.3, 0.4], [-0.4, -0.3]], "0.5 rad/s, damping +0.60"),
-        ([[0.3, 0.4], [-0.4, 0.3]], "0.5 rad/s, damping -0.60"),
-    ],
-)
-def test_a_mode_is_told_in_the_words_of_flight_dynamics(A, words):
-    n = len(A)
-    (mode,) = modes(StateSpace(A, np.ones((n, 1)), np.ones((1, n)), [[0.0]]))
-    assert mode.words == words
 
 
 def test_the_phugoid_and_dutch_roll_of_six_degrees_of_freedom_are_observable():

@@ -15,7 +15,6 @@ from casid.report.figures import (
     plot_singular_values,
 )
 from casid.report.html import write_report
-from casid.report.modes import Mode, modes
 from casid.report.prices import plot_bounds
 from casid.report.readings import plot_handling_qualities
 from casid.report.selection import plot_order_selection
@@ -27,9 +26,7 @@ __all__ = [
     "OUTPUT_ERROR",
     "Content",
     "DataFile",
-    "Mode",
     "Timing",
-    "modes",
     "plot_autocorrelation",
     "plot_bounds",
     "plot_coherence",

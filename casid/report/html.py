@@ -11,12 +11,12 @@ import numpy as np
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from casid.eigenmodes import modes
 from casid.files import write_text
 from casid.fit import ParameterEstimate
 from casid.report.content import Content
 from casid.report.drawings import Drawing, draw, save
 from casid.report.interactive import interactive
-from casid.report.modes import modes
 from casid.report.verdicts import cautions, coloured, verdicts, word
 
 LONG_DECIMALS = re.compile(r"(\d\d\.\d)\d+")  # a tenth of a point is enough for a picture

@@ -6,39 +6,11 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casid.arrays import Array, ComplexArray
+from casid.eigenmodes import Mode, modes
 from casid.linear import StateSpace
 from casid.model import Bounds, Free, Model, free_parameters
 from casid.record import Record
 from casid.structure.identifiability import Identifiability, identifiability
-
-SEEN = 1e-8  # smallest singular value of the Hautus matrix, relative, of a mode that is seen
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Mode:
-    """One eigenvalue (of a pair the one with positive imaginary part) at the guess.
-
-    ``states`` are those that take most part; ``observable`` and ``controllable`` say whether any
-    output shows the mode and any input moves it.
-    """
-
-    eigenvalue: complex
-    states: tuple[str, ...]
-    observable: bool
-    controllable: bool
-
-    @property
-    def words(self) -> str:
-        """Frequency and damping of an oscillation, time constant of the rest."""
-        value = self.eigenvalue
-        size = abs(value)
-        if abs(value.imag) > 1e-9 * max(size, 1e-300):
-            return f"{size:.3g} rad/s, damping {-value.real / size:+.2f}"
-        if size < 1e-9:
-            return "integrator"
-        kind = "time constant" if value.real < 0 else "grows e-fold in"
-        return f"{kind} {1 / size:.3g} s"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -93,7 +65,7 @@ class Structure:
     def _modes(self) -> str:
         lines = []
         for mode in self.modes:
-            value = mode.eigenvalue
+            value = mode.pole
             sign = f" ± {value.imag:.3g}j" if value.imag > 0 else ""
             flaws = [
                 word
@@ -141,7 +113,7 @@ def describe(
         free=free,
         entries=_entries(model),
         system=system,
-        modes=modes(system),
+        modes=tuple(sorted(modes(system), key=lambda mode: (-mode.pole.real, mode.pole.imag))),
         constraints=tuple(
             f"{item.lower:g} <= {item.name} = {float(item.value):.4g} <= {item.upper:g}"
             for item in free.model.constraints()
@@ -149,32 +121,6 @@ def describe(
         identifiability=identifiability(free.model, flown, fixed=fixed, bounds=bounds),
         excitation=told,
     )
-
-
-def modes(system: StateSpace) -> tuple[Mode, ...]:
-    """Eigenvalues with the states that take part, and whether they are seen and moved (Hautus)."""
-    found_values, V = np.linalg.eig(system.A)
-    eigenvalues: ComplexArray = found_values.astype(complex)
-    share = np.abs(V) * np.abs(np.linalg.pinv(V)).T  # participation factors
-    found = []
-    for k in np.lexsort((eigenvalues.imag, -eigenvalues.real)):
-        value = complex(eigenvalues[k])
-        if value.imag < 0:
-            continue
-        order = np.argsort(-share[:, k])
-        part = [i for i in order if share[i, k] >= 0.2 * share[order[0], k]]
-        shifted = value * np.eye(system.nx) - system.A
-        found.append(
-            Mode(
-                eigenvalue=value,
-                states=tuple(system.states[i] for i in part[:3]),
-                observable=_full_rank(np.vstack([shifted, _scaled(system.C)]).astype(complex)),
-                controllable=_full_rank(
-                    np.hstack([shifted, _scaled(system.B.T).T]).T.astype(complex)
-                ),
-            )
-        )
-    return tuple(found)
 
 
 def excitation(system: StateSpace, unit: float = 0.7, dt: float = 0.02) -> list[Record]:
@@ -214,17 +160,6 @@ def _formula(part: ca.SX, i: int, j: int) -> str:
         return "."
     text = str(part[i, j])
     return text[1:-1] if text.startswith("(") and text.count("(") == 1 else text
-
-
-def _scaled(rows: Array) -> Array:
-    """Rows of length one, so that units do not decide what counts as seen."""
-    size = np.linalg.norm(rows, axis=1, keepdims=True)
-    return np.asarray(rows / np.where(size > 0, size, 1.0))
-
-
-def _full_rank(matrix: ComplexArray) -> bool:
-    values = np.linalg.svd(matrix, compute_uv=False)
-    return bool(values[-1] > SEEN * max(values[0], 1e-300))
 
 
 def _grid(

@@ -1,4 +1,4 @@
-"""Modes of a model, named where the states that take part say what they are.
+"""Modes of a system: names where the states that take part say what they are, what is seen of them.
 
 Names as in G. D. Padfield, Helicopter Flight Dynamics, 2nd ed., section 4.3. How much a state
 takes part in a mode is measured by participation factors |v_i w_i| (right and left eigenvector;
@@ -10,9 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casid.arrays import Array, ComplexArray
 from casid.linear import StateSpace
 
 OSCILLATES = 1e-6  # imaginary part, relative to the modulus, that counts as an oscillation
+SEEN = 1e-8  # smallest singular value of the Hautus matrix, relative, of a mode that is seen
 CLEAR = 0.6  # share of the states of one kind above which a mode is theirs
 
 LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
@@ -40,6 +42,8 @@ class Mode:
         Time in which the amplitude halves [s]; negative: in which it doubles.
     shares : mapping
         Participation of every state, sum one.
+    observable, controllable : bool
+        Whether any output shows the mode and any input moves it (Hautus).
     """
 
     name: str
@@ -50,24 +54,41 @@ class Mode:
     period: float
     half: float
     shares: Mapping[str, float]
+    observable: bool
+    controllable: bool
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The up to three states that take most part."""
+        order = sorted(self.shares, key=self.shares.__getitem__, reverse=True)
+        return tuple(x for x in order if self.shares[x] >= 0.2 * self.shares[order[0]])[:3]
+
+    @property
+    def words(self) -> str:
+        """Frequency and damping of an oscillation, time constant of the rest."""
+        if np.isfinite(self.period):
+            return f"{self.frequency:.3g} rad/s, damping {self.damping:+.2f}"
+        if self.frequency < 1e-9:
+            return "integrator"
+        kind = "time constant" if self.pole.real < 0 else "grows e-fold in"
+        return f"{kind} {self.time_constant:.3g} s"
 
 
 def modes(system: StateSpace) -> tuple[Mode, ...]:
     """Modes of a continuous model, slowest first; each name is given once, to the clearest case."""
     poles, right = np.linalg.eig(system.A)
-    left = np.linalg.inv(right)
-    shares = np.abs(right * left.T)  # state i in mode k
+    shares = np.abs(right * np.linalg.pinv(right).T)  # state i in mode k
     shares = shares / shares.sum(axis=0)
     kept = [k for k in range(len(poles)) if poles[k].imag >= -OSCILLATES * abs(poles[k])]
     kept.sort(key=lambda k: abs(poles[k]))
     columns = [dict(zip(system.states, shares[:, k].tolist(), strict=True)) for k in kept]
-    found = [_mode(complex(poles[k]), column) for k, column in zip(kept, columns, strict=True)]
-    return _once(found)
+    return _once([_mode(complex(poles[k]), c, system) for k, c in zip(kept, columns, strict=True)])
 
 
-def _mode(pole: complex, shares: Mapping[str, float]) -> Mode:
+def _mode(pole: complex, shares: Mapping[str, float], system: StateSpace) -> Mode:
     real, modulus = pole.real, abs(pole)
     oscillates = abs(pole.imag) > OSCILLATES * modulus
+    shifted = pole * np.eye(system.nx) - system.A
     return Mode(
         name=_name(oscillates, shares)[0],
         pole=pole,
@@ -77,7 +98,20 @@ def _mode(pole: complex, shares: Mapping[str, float]) -> Mode:
         period=2 * np.pi / abs(pole.imag) if oscillates else np.inf,
         half=-np.log(2) / real if real else np.inf,
         shares=shares,
+        observable=_full_rank(np.vstack([shifted, _scaled(system.C)])),
+        controllable=_full_rank(np.vstack([shifted.T, _scaled(system.B.T)])),
     )
+
+
+def _scaled(rows: Array) -> Array:
+    """Rows of length one, so that units do not decide what counts as seen."""
+    size = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(rows / np.where(size > 0, size, 1.0))
+
+
+def _full_rank(matrix: ComplexArray) -> bool:
+    values = np.linalg.svd(matrix, compute_uv=False)
+    return bool(values[-1] > SEEN * max(values[0], 1e-300))
 
 
 def _name(oscillates: bool, shares: Mapping[str, float]) -> tuple[str, float]:
