@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.tables import against, table
 from casid import Record, frequency_response, output_error, pbsid
-from casid.commands.inspection import inspect
+from casid.commands.inspection import inspect_records
 from models.six_dof import SixDof
 
 SIZES = (100_000, 300_000, 1_000_000)
@@ -57,7 +57,7 @@ def records(samples, each):
 
 
 STAGES = {
-    "inspect": lambda flights: inspect(flights, model=STABLE),
+    "inspect": lambda flights: inspect_records(flights, model=STABLE),
     "pbsid": lambda flights: pbsid(flights, order=12, pole=8.0, past=10, future=10),
     "frequency_response": lambda flights: frequency_response(flights, omega=OMEGA),
     "output_error": lambda flights: output_error(

@@ -8,7 +8,7 @@ from casid.bounds.profile import Profile, profile
 from casid.bounds.reduction import Reduction, reduce_structure
 from casid.bounds.resampling import Ensemble, Multistart, bootstrap, monte_carlo, multistart
 from casid.chain import Identification, identify
-from casid.commands.inspection import Inspection, inspect
+from casid.commands.inspection import Inspection, inspect_records
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.eigenmodes import Mode, modes
 from casid.errors import ConvergenceError, DataWarning, ModelError
@@ -66,7 +66,7 @@ __all__ = [
     "handling_qualities",
     "identifiability",
     "identify",
-    "inspect",
+    "inspect_records",
     "kinematic_check",
     "match",
     "matrix",

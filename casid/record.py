@@ -1,14 +1,15 @@
 """One manoeuvre: inputs and outputs at the instants they were measured."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
 from casid.arrays import Array
 
 Hold = Literal["foh", "zoh"]
+T = TypeVar("T")
 
 QUIET = 0.02  # share of an input's range that still counts as trim
 
@@ -179,7 +180,15 @@ class Record:
         return means
 
 
-def same_channels(records: Sequence[Record]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+Records: TypeAlias = Record | Sequence[Record]
+
+
+def several(items: T | Iterable[T]) -> tuple[T, ...]:
+    """One value or several alike, as a tuple: what arguments ``records`` and ``target`` take."""
+    return tuple(items) if isinstance(items, Iterable) else (items,)
+
+
+def same_channels(records: Records) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Inputs and outputs shared by all records.
 
     Raises
@@ -187,9 +196,7 @@ def same_channels(records: Sequence[Record]) -> tuple[tuple[str, ...], tuple[str
     ValueError
         No record, or records whose channels differ in name or order.
     """
-    if isinstance(records, Record):
-        raise ValueError("expected a sequence of records, got one Record: pass [record]")  # noqa: TRY004
-    if not records:
+    if not (records := several(records)):
         raise ValueError("no records given; at least one is needed")
     first = records[0]
     for record in records[1:]:

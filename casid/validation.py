@@ -26,7 +26,7 @@ from casid.arrays import Array
 from casid.fit import Fit
 from casid.linear import StateSpace
 from casid.model import Model
-from casid.record import Hold, Record, same_channels, standard_deviations
+from casid.record import Hold, Record, Records, same_channels, several, standard_deviations
 from casid.subspace.pbsid import BlackBox
 
 RANK = 1e-10  # singular values below this share of the largest are directions without effect
@@ -83,7 +83,7 @@ class Validation:
     biases: Mapping[str, Array]
 
 
-def validate(models: Mapping[str, AnyModel], records: Sequence[Record]) -> Validation:
+def validate(models: Mapping[str, AnyModel], records: Records) -> Validation:
     """Simulate each model on each record and measure what is left.
 
     Parameters
@@ -91,7 +91,7 @@ def validate(models: Mapping[str, AnyModel], records: Sequence[Record]) -> Valid
     models : mapping
         A name for each `Model`, `Fit`, `BlackBox` or `StateSpace`, continuous or discrete. A model
         takes its inputs from the records by name, and is judged on the outputs it has.
-    records : sequence of Record
+    records : Record or sequence of Record
         Best ones not used in the estimation. All with the same channels.
 
     Returns
@@ -106,6 +106,7 @@ def validate(models: Mapping[str, AnyModel], records: Sequence[Record]) -> Valid
     """
     if not models:
         raise ValueError('no models given; expected {"name": model, ...}')
+    records = several(records)
     inputs, outputs = same_channels(records)
     scale = standard_deviations(records)[1]
     predictions = {
@@ -126,7 +127,7 @@ def validate(models: Mapping[str, AnyModel], records: Sequence[Record]) -> Valid
         fit={name: _each(fit_percent, records, ys) for name, ys in simulated.items()},
         theil={name: _each(theil_coefficient, records, ys) for name, ys in simulated.items()},
         whiteness={name: _each(_whiteness, records, ys) for name, ys in simulated.items()},
-        measured=tuple(records),
+        measured=records,
         simulated=simulated,
         initial_states={name: tuple(p.x0 for p in ps) for name, ps in predictions.items()},
         biases={name: np.array([p.b for p in ps]) for name, ps in predictions.items()},

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from rich.console import Console
 from truths.roll_study import write_study
 
-from casid import FrequencyResponse, inspect, read_csv
+from casid import FrequencyResponse, inspect_records, read_csv
 from casid.channels import CONTROLS
 from casid.cli import main
 from casid.commands.terminal import new_table
@@ -150,7 +150,7 @@ def test_inspect_shows_channels_sampling_and_kinematics():
 
 
 def test_nothing_is_cut_where_the_output_is_no_terminal():
-    found = inspect([read_record(FLIGHT, inputs=CONTROLS, outputs=("p", "phi"))])
+    found = inspect_records([read_record(FLIGHT, inputs=CONTROLS, outputs=("p", "phi"))])
     said = casid("inspect", FLIGHT, "--outputs", "p,phi").output
     for each in found.records[0].channels:
         numbers = f"{each.lowest:.4g} {each.highest:.4g} {each.deviation:.2g} {each.noise:.2g}"

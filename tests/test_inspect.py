@@ -1,4 +1,4 @@
-"""What `inspect` says of records, each fact against records in which it is put."""
+"""What `inspect_records` says of records, each fact against records in which it is put."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from truths.flights import NOISE, flight
 
 from casid import Record
-from casid.commands.inspection import inspect
+from casid.commands.inspection import inspect_records
 from models.six_dof import SixDof
 
 STEP = 0.02
@@ -28,7 +28,7 @@ def facts(found, name):
 
 
 def test_good_records_get_no_advice():
-    found = inspect([swept()])
+    found = inspect_records([swept()])
     assert found.advice == ()
     assert found.usable is None
     record = found.records[0]
@@ -38,14 +38,14 @@ def test_good_records_get_no_advice():
 
 
 def test_power_lies_where_the_sine_is():
-    lat = facts(inspect([swept(omega=3.0)]), "lat")
+    lat = facts(inspect_records([swept(omega=3.0)]), "lat")
     # One line of the spectrum, 0.2 rad/s apart, and the window's width on either side.
     assert abs(lat.band[1] - 3.0) < 0.25
     assert lat.band[0] <= lat.band[1] <= lat.band[2]
 
 
 def test_noise_is_measured_beside_the_signal():
-    p = facts(inspect([swept()]), "p")
+    p = facts(inspect_records([swept()]), "p")
     # 1500 samples: the standard deviation of a standard deviation is 2 to 3 %.
     assert abs(p.noise - 1e-4) < 1.5e-5
 
@@ -53,7 +53,7 @@ def test_noise_is_measured_beside_the_signal():
 def test_inputs_that_move_alike_are_named():
     record = swept()
     u = np.column_stack([record.u[:, 0], 0.5 * record.u[:, 0] + 0.01 * record.u[:, 1]])
-    found = inspect([replace(record, u=u)])
+    found = inspect_records([replace(record, u=u)])
     assert found.correlation[0, 1] > 0.99
     assert any("ped and lat move together" in said for said in found.advice)
 
@@ -77,21 +77,21 @@ def test_inputs_that_move_alike_are_named():
     ],
 )  # fmt: skip
 def test_what_is_in_the_way_is_said_with_the_culprit(damage, words):
-    said = " | ".join(inspect([damage(swept())]).advice)
+    said = " | ".join(inspect_records([damage(swept())]).advice)
     for word in words:
         assert word in said
 
 
 def test_what_the_user_stated_is_believed():
     record = replace(swept(), u=100 * swept().u)
-    assert any("'lat' reaches" in said for said in inspect([record, record]).advice)
-    said = inspect([record], stated=["lat", "ped"]).advice
+    assert any("'lat' reaches" in said for said in inspect_records([record, record]).advice)
+    said = inspect_records([record], stated=["lat", "ped"]).advice
     assert not any("reaches" in each for each in said)
 
 
 def test_a_channel_without_samples_is_no_reason_to_fail():
     record = swept()
-    found = inspect(
+    found = inspect_records(
         [replace(record, y=np.column_stack([np.full(record.N, np.nan), record.y[:, 1]]))]
     )
     assert any("p never moves" in said for said in found.advice)
@@ -99,7 +99,7 @@ def test_a_channel_without_samples_is_no_reason_to_fail():
 
 def test_kinematics_is_part_of_the_advice():
     record = flight(0, {"p": (0.1, 0.0, 0.0)}, NOISE, ("p", "q", "r", "phi", "theta"))
-    found = inspect([record])
+    found = inspect_records([record])
     # The scale has a standard error of 0.1 %.
     assert any(said.startswith(("p is 1.09", "p is 1.1")) for said in found.advice)
 
@@ -110,7 +110,7 @@ def test_a_model_is_judged_by_what_was_flown():
     u = np.zeros((800, 4))
     u[100:300, 1] = np.repeat(rng.uniform(-0.1, 0.1, 10), 20)
     y = SixDof().system().simulate(t, u)
-    found = inspect(
+    found = inspect_records(
         [Record(t, u, y, SixDof.inputs, SixDof.outputs, "lateral only")], model=SixDof()
     )
     assert found.usable is False
@@ -120,5 +120,5 @@ def test_a_model_is_judged_by_what_was_flown():
 
 
 def test_a_million_samples_take_seconds():
-    found = inspect([swept(n=1_000_000)])
+    found = inspect_records([swept(n=1_000_000)])
     assert found.records[0].samples == 1_000_000

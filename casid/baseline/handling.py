@@ -19,13 +19,14 @@ negative phase margin where the gain rises that against a phase lead. Where the 
 negative phase margin means that the closed loop is unstable, however large it is.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 
 from casid.arrays import Array
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.estimation import FrequencyResponse, holding
 
 Kind = Literal["attitude", "rate", "loop"]
 
@@ -80,7 +81,7 @@ class HandlingQualities:
 
 
 def handling_qualities(
-    frf: FrequencyResponse,
+    target: FrequencyResponse | Sequence[FrequencyResponse],
     pair: tuple[str, str],
     *,
     kind: Kind = "attitude",
@@ -91,8 +92,8 @@ def handling_qualities(
 
     Parameters
     ----------
-    frf : FrequencyResponse
-        On a grid fine enough to interpolate in log ω.
+    target : FrequencyResponse, or several
+        The first that has the pair is read, on a grid fine enough to interpolate in log ω.
     pair : (output, input)
         Which response.
     kind : {"attitude", "rate", "loop"}
@@ -116,6 +117,7 @@ def handling_qualities(
         raise ValueError(
             f'kind={kind!r}, sign={sign}: expected "attitude", "rate" or "loop", and 1 or -1'
         )
+    frf = holding(target, pair)
     i, j = frf.index(*pair)
     G, gamma = frf.G[:, i, j], frf.coherence[:, i, j]
     known = np.isfinite(G) & (np.abs(G) > 0)

@@ -6,6 +6,7 @@ M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd
 (*T&R*; there the programme is NAVFIT); the cost J is that of `casid.baseline.mismatch`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,8 @@ import scipy.optimize
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.baseline.mismatch import DB, DEG, PHASE, log_ratio, pair_weights, residuals
 from casid.errors import ConvergenceError
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.estimation import FrequencyResponse, holding
+from casid.record import several
 
 DELAYS = np.array(
     [0.0, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4]
@@ -84,7 +86,7 @@ class TransferFunction:
 
 
 def transfer_function(
-    frf: FrequencyResponse,
+    target: FrequencyResponse | Sequence[FrequencyResponse],
     order: tuple[int, int],
     *,
     delay: bool = True,
@@ -96,8 +98,8 @@ def transfer_function(
 
     Parameters
     ----------
-    frf : FrequencyResponse
-        The measurement.
+    target : FrequencyResponse, or several
+        The measurement; the first that has the pair is fitted.
     order : (int, int)
         Degrees (nz, np) of numerator and denominator.
     delay : bool
@@ -122,7 +124,8 @@ def transfer_function(
             f"order={order}: expected degrees (nz, np) of numerator and denominator, whole and >= 0"
         )
     nz, np_ = map(int, degrees)
-    output, name = _pair(frf, pair)
+    output, name = _pair(target, pair)
+    frf = holding(target, (output, name))
     frf = frf if band is None else frf.between(*band)
     i, j = frf.index(output, name)
     G, gamma = frf.G[:, i, j], frf.coherence[:, i, j]
@@ -147,15 +150,16 @@ def transfer_function(
     )  # fmt: skip
 
 
-def _pair(frf: FrequencyResponse, pair: tuple[str, str] | None) -> tuple[str, str]:
+def _pair(
+    target: FrequencyResponse | Sequence[FrequencyResponse], pair: tuple[str, str] | None
+) -> tuple[str, str]:
     if pair is not None:
         return pair
-    if len(frf.outputs) > 1 or len(frf.inputs) > 1:
-        raise ValueError(
-            f"the response has outputs {', '.join(frf.outputs)} and inputs "
-            f"{', '.join(frf.inputs)}: name one pair=(output, input)"
-        )
-    return next(iter(frf.outputs)), next(iter(frf.inputs))
+    pairs = [(y, u) for frf in several(target) for y in frf.outputs for u in frf.inputs]
+    if len(pairs) != 1:
+        known = ", ".join(f"{y}/{u}" for y, u in pairs)
+        raise ValueError(f"the response has pairs {known}: name one pair=(output, input)")
+    return pairs[0]
 
 
 class _Problem:

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from casid.channels import CONTROLS, UNITS
-from casid.commands.inspection import Inspection, RecordFacts, inspect, unit_advice
+from casid.commands.inspection import Inspection, RecordFacts, inspect_records, unit_advice
 from casid.commands.scaffold import new_model
 from casid.commands.terminal import exits, new_table, terminal
 from casid.consistency.kinematics import KinematicCheck
@@ -192,14 +192,14 @@ def inspect_command(
             study = read_study(Path(first))
             records: Sequence[Record] = read_records(study)["identification"]
             model: Model | None = study.model
-            found = inspect(
+            found = inspect_records(
                 records, model=model, fixed=study.fixed, bounds=study.bounds,
                 time=study.channels.time, stated=study.channels.units,
             )  # fmt: skip
         else:
             model = None if structure is None else load_model(structure)()
             records = _records(sources, model, inputs, outputs, units, time)
-            found = inspect(records, model=model, time=time, stated=units)
+            found = inspect_records(records, model=model, time=time, stated=units)
         _show(console, found)
 
 

@@ -11,7 +11,7 @@ from casid.consistency.flightpath import noise
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.consistency.plausibility import unit_doubts
 from casid.model import Bounds, Model
-from casid.record import Record, same_channels
+from casid.record import Record, Records, same_channels, several
 from casid.structure.identifiability import Identifiability, identifiability
 
 GAP = 1.5  # median sampling intervals
@@ -70,7 +70,7 @@ class RecordFacts:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Inspection:
-    """All that `inspect` found.
+    """All that `inspect_records` found.
 
     Parameters
     ----------
@@ -102,8 +102,8 @@ class Inspection:
         return None if self.identifiability is None else self.identifiability.identifiable
 
 
-def inspect(
-    records: Sequence[Record],
+def inspect_records(
+    records: Records,
     *,
     model: Model | None = None,
     fixed: Collection[str] = (),
@@ -115,7 +115,7 @@ def inspect(
 
     Parameters
     ----------
-    records : sequence of Record
+    records : Record or sequence of Record
         With the same channels, trim removed or not.
     model : Model
         Structure and guess whose identifiability is judged.
@@ -131,6 +131,7 @@ def inspect(
     ValueError, ModelError
         No record, records with different channels, a channel the model needs and the records lack.
     """
+    records = several(records)
     inputs, outputs = same_channels(records)
     facts = tuple(_facts(record) for record in records)
     correlation = _correlation(records)

@@ -35,7 +35,7 @@ from casid.consistency.flightpath import (
     reconstruct,
     signals,
 )
-from casid.record import Record
+from casid.record import Records, several
 
 KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
 SIGNIFICANT = 3.0  # standard errors
@@ -129,14 +129,12 @@ class KinematicCheck:
         return not self.remarks
 
 
-def kinematic_check(
-    records: Sequence[Record], *, trim: Mapping[str, float] | None = None
-) -> KinematicCheck:
+def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None) -> KinematicCheck:
     """Scale, bias and skew of rates and specific forces that make records consistent.
 
     Parameters
     ----------
-    records : sequence of Record
+    records : Record or sequence of Record
         SI units and radians; outputs are known by their names: p q r, phi theta psi, ax ay az
         (specific force at the centre of gravity), u v w or V alpha beta. Equations whose channels
         are not there are left out. What `Record.detrend` subtracted is added again.
@@ -147,7 +145,7 @@ def kinematic_check(
     -------
     KinematicCheck
     """
-    flights = [signals(record, trim or {}) for record in looked_at(records)]
+    flights = [signals(record, trim or {}) for record in looked_at(several(records))]
     names = set.intersection(*(set(flight.values) for flight in flights)) if flights else set()
     notes = []
     if _perturbed(flights, names):

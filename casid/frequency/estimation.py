@@ -26,7 +26,7 @@ from casid.frequency.spectra import (
     condition,
     record_spectra,
 )
-from casid.record import Record, same_channels, standard_deviations
+from casid.record import Record, Records, same_channels, several, standard_deviations
 from casid.subspace.columns import excited_band
 
 GRID = 40  # frequencies unless given
@@ -178,7 +178,7 @@ class FrequencyResponse:
 
 
 def frequency_response(
-    records: Sequence[Record],
+    records: Records,
     *,
     omega: Array | None = None,
     windows: Sequence[float] | None = None,
@@ -193,7 +193,7 @@ def frequency_response(
 
     Parameters
     ----------
-    records : sequence of Record
+    records : Record or sequence of Record
         Sweeps or other manoeuvres, best one axis at a time, several of each; trim removed or not.
         Non-equidistant records are interpolated (cubic spline) onto their median interval. Windows
         with a missing output sample are left out, with a `DataWarning`. Inputs held by steps
@@ -219,6 +219,7 @@ def frequency_response(
         Frequencies beyond Nyquist's, windows longer than every record, a gap in time, no window
         without missing samples.
     """
+    records = several(records)
     inputs, outputs = same_channels(records)
     omega = checked_grid(_default_grid(records) if omega is None else omega, records)
     records = [equidistant(record, omega[-1]) for record in records]
@@ -243,6 +244,19 @@ def frequency_response(
     )  # fmt: skip
     _warn(found, [name for i, name in enumerate(inputs) if i not in active])
     return found
+
+
+def holding(
+    target: FrequencyResponse | Sequence[FrequencyResponse], pair: tuple[str, str]
+) -> FrequencyResponse:
+    """The first of several responses in which a pair was measured; else the first of all."""
+    responses = several(target)
+    for each in responses:
+        if pair[0] in each.outputs and pair[1] in each.inputs:
+            i, j = each.index(*pair)
+            if np.isfinite(each.G[:, i, j]).any():
+                return each
+    return responses[0]
 
 
 def _columns(values: Any, active: Sequence[int], nu: int) -> Any:  # noqa: ANN401 - real or complex

@@ -25,7 +25,7 @@ from casid.arrays import Array, ComplexArray
 from casid.evaluation import Matrices, MatrixFunction
 from casid.frequency.estimation import FrequencyResponse
 from casid.model import Bounds, Free, Model, free_parameters
-from casid.record import Record, standard_deviations
+from casid.record import Record, several, standard_deviations
 from casid.subspace.pbsid import BlackBox
 
 Responses = FrequencyResponse | BlackBox
@@ -95,7 +95,7 @@ class Identifiability:
 
 def identifiability(
     model: Model,
-    data: Sequence[Record] | Responses | Sequence[Responses],
+    data: Record | Responses | Sequence[Record | Responses],
     *,
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
@@ -108,7 +108,7 @@ def identifiability(
     ----------
     model : Model
         Structure and guess.
-    data : sequence of Record, FrequencyResponse, BlackBox, or sequence of responses
+    data : Record, FrequencyResponse or BlackBox, or several
         Of records the inputs, sampling, missing samples and sizes of the outputs count; initial
         states and biases are taken as unknown. Of responses the frequencies and, if measured, where
         coherence is sufficient.
@@ -130,7 +130,7 @@ def identifiability(
     """
     free = free_parameters(model, fixed, bounds)
     moved = _moved(free, spread, np.random.default_rng(seed))
-    items = list(data) if isinstance(data, Sequence) else [data]
+    items: tuple[object, ...] = several(data)
     if not items:
         raise ValueError("no data given: identifiability needs records or responses")
     for item in items:
@@ -139,7 +139,7 @@ def identifiability(
                 f"data is a {type(item).__name__}: identifiability needs records or responses"
             )
     records = [item for item in items if isinstance(item, Record)]
-    responses = [item for item in items if not isinstance(item, Record)]
+    responses = [item for item in items if isinstance(item, Responses)]
     nf = len(free.index)
     F = np.zeros((nf, nf))
     if records:

@@ -9,7 +9,7 @@ import numpy as np
 from casid.eigenmodes import Mode, modes
 from casid.linear import StateSpace
 from casid.model import Bounds, Free, Model, free_parameters
-from casid.record import Record
+from casid.record import Record, Records, several
 from casid.structure.identifiability import Identifiability, identifiability
 
 
@@ -83,7 +83,7 @@ class Structure:
 
 def describe(
     model: Model,
-    records: Sequence[Record] | None = None,
+    records: Records | None = None,
     *,
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
@@ -94,7 +94,7 @@ def describe(
     ----------
     model : Model
         Structure, guess and trim.
-    records : sequence of Record
+    records : Record or sequence of Record
         The excitation for which identifiability is judged; one 3-2-1-1 a control unless given.
     fixed, bounds
         Parameters held, and bounds {name: (lower, upper)} instead of the model file's.
@@ -106,7 +106,7 @@ def describe(
     """
     free = free_parameters(model, fixed, bounds)
     system = free.model.system()
-    flown = excitation(system) if records is None else list(records)
+    flown = excitation(system) if records is None else several(records)
     told = "one 3-2-1-1 a control" if records is None else ", ".join(r.name for r in flown)
     return Structure(
         model=model,
