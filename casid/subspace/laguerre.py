@@ -38,40 +38,26 @@ def support(a: float, k: int) -> float:
     return float(max((2 * k + 1) + REACH * (4 * k + 2) ** (1 / 3), np.log(100.0)) / a)
 
 
-def project(t: Array, v: Array, a: float, n: int, hold: Hold = "foh") -> Array:
-    """Projections of every channel on the first n functions, seen from every sample.
-
-    Parameters
-    ----------
-    t : (N,) array
-        Instants [s], any spacing.
-    v : (N, nv) array
-        Signal, finite; zero after its last sample.
-    a : float
-        Laguerre pole [rad/s].
-    n : int
-        Number of functions.
-    hold : {"foh", "zoh"}
-        What the signal does between samples.
-
-    Returns
-    -------
-    (N, n, nv) array
-        Element [i, k] is z_k(t_i), paper (4).
-    """
-    blocks = list(project_blocks(t, v, a, n, hold, len(t)))
-    return blocks[0][1]
-
-
 def project_blocks(
     t: Array, v: Array, a: float, n: int, hold: Hold = "foh", size: int = 4096
 ) -> Iterator[tuple[int, Array]]:
-    """`project` from the end of the record backwards, ``size`` samples at a time.
+    """Projections on the first n functions, from the end of the record backwards.
+
+    Parameters
+    ----------
+    t, v : (N,), (N, nv) array
+        Instants [s], any spacing, and the signal; it is zero after its last sample.
+    a, n : float, int
+        Laguerre pole [rad/s] and number of functions.
+    hold : {"foh", "zoh"}
+        What the signal does between samples.
+    size : int
+        Samples of a block.
 
     Yields
     ------
     (start, block)
-        The block holds the projections of the samples ``start`` to ``start + len(block) - 1``.
+        Element [i, k] of a block is z_k(t_{start + i}) of every channel, paper (4).
     """
     A_L, b = laguerre(a, n)
     steps, which = step_groups(t)
@@ -101,27 +87,11 @@ def _backward_step(A_L: Array, b: Array, h: float, hold: Hold) -> tuple[Array, A
 # ---- bilinear maps ------------------------------------------------------------------------------
 
 
-def to_laguerre(system: StateSpace, K: Array, a: float) -> tuple[StateSpace, Array]:
-    """Transformed model (A_o, B_o, C_o, D_o) and gain K_o of a continuous one; paper (6).
+def from_laguerre(system: StateSpace, K_o: Array, a: float) -> tuple[StateSpace, Array]:
+    """Continuous model and gain of a transformed one (A_o, B_o, C_o, D_o), K_o: paper (6) inverted.
 
     The printed K_o has its factors in an order that cannot be multiplied; here
     K_o = √(2a) (Â - aI)⁻¹ K̂ (I - Ĉ(Â - aI)⁻¹ K̂)⁻¹.
-    """
-    A, B, C, D = system.A, system.B, system.C, system.D
-    shifted = A - a * np.eye(len(A))
-    root = np.sqrt(2 * a)
-    N = np.linalg.solve(shifted, K)  # (Â - aI)⁻¹ K̂
-    A_o = np.linalg.solve(shifted, A + a * np.eye(len(A)))
-    B_o = root * np.linalg.solve(shifted, B)
-    C_o = -root * np.linalg.solve(shifted.T, C.T).T
-    D_o = D - C @ np.linalg.solve(shifted, B)
-    K_o = root * np.linalg.solve((np.eye(len(C)) - C @ N).T, N.T).T
-    names = system.inputs, system.outputs, system.states
-    return StateSpace(A_o, B_o, C_o, D_o, 1.0, *names), K_o
-
-
-def from_laguerre(system: StateSpace, K_o: Array, a: float) -> tuple[StateSpace, Array]:
-    """Inverse of `to_laguerre`: the continuous model and gain of a transformed one.
 
     Raises
     ------

@@ -6,16 +6,29 @@ from hypothesis import strategies as st
 from truths.systems import unstable_plant
 
 from casid.linear import StateSpace
-from casid.subspace.laguerre import (
-    from_laguerre,
-    laguerre,
-    project,
-    project_blocks,
-    support,
-    to_laguerre,
-)
+from casid.subspace.laguerre import from_laguerre, laguerre, project_blocks, support
 
 A = 7.0
+
+
+def project(t, v, a, n, hold="foh"):
+    """All projections at once, (N, n, nv)."""
+    return next(project_blocks(t, v, a, n, hold, len(t)))[1]
+
+
+def to_laguerre(system, K, a):
+    """Transformed model and gain of a continuous one, paper (6)."""
+    A, B, C, D = system.A, system.B, system.C, system.D
+    shifted = A - a * np.eye(len(A))
+    root = np.sqrt(2 * a)
+    N = np.linalg.solve(shifted, K)  # (Â - aI)⁻¹ K̂
+    A_o = np.linalg.solve(shifted, A + a * np.eye(len(A)))
+    B_o = root * np.linalg.solve(shifted, B)
+    C_o = -root * np.linalg.solve(shifted.T, C.T).T
+    D_o = D - C @ np.linalg.solve(shifted, B)
+    K_o = root * np.linalg.solve((np.eye(len(C)) - C @ N).T, N.T).T
+    names = system.inputs, system.outputs, system.states
+    return StateSpace(A_o, B_o, C_o, D_o, 1.0, *names), K_o
 
 
 def kernel_response(s, n, a=A):

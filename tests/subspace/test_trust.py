@@ -7,7 +7,7 @@ from truths.uh60 import sweeps
 from casid import Record, pbsid
 from casid.subspace.trust import data_doubts
 
-FLIGHT = Path(__file__).parent / "data" / "trex550.npz"
+FLIGHT = Path(__file__).parents[1] / "data" / "trex550.npz"
 
 
 def trex():
