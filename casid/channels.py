@@ -1,24 +1,43 @@
-"""Names and units of the channels a rotorcraft usually has."""
+"""Names of the channels a rotorcraft usually has, and units of measurement."""
 
 from collections.abc import Mapping
 
-UNITS = {
-    "ax": "m/s²", "ay": "m/s²", "az": "m/s²",
-    "p": "rad/s", "q": "rad/s", "r": "rad/s",
-    "phi": "rad", "theta": "rad", "psi": "rad",
-    "u": "m/s", "v": "m/s", "w": "m/s",
-    "col": "travel", "lat": "travel", "lon": "travel", "ped": "travel",
-}  # fmt: skip
 CONTROLS = ("col", "lat", "lon", "ped")
+UNITS = {  # in which a channel of that name is
+    **dict.fromkeys(("ax", "ay", "az"), "m/s²"),
+    **dict.fromkeys(("p", "q", "r"), "rad/s"),
+    **dict.fromkeys(("phi", "theta", "psi"), "rad"),
+    **dict.fromkeys(("u", "v", "w"), "m/s"),
+    **dict.fromkeys(CONTROLS, "travel"),
+}
 
-READ_AS = {  # the SI unit that a column's unit becomes
-    "s": "s", "ms": "s", "rad": "rad", "deg": "rad", "rad/s": "rad/s", "deg/s": "rad/s",
-    "m": "m", "ft": "m", "in": "m",
-    "m/s": "m/s", "ft/s": "m/s", "kt": "m/s", "km/h": "m/s",
-    "m/s^2": "m/s²", "ft/s^2": "m/s²", "g": "m/s²",
-}  # fmt: skip
+DEGREE = 0.017453292519943295  # rad
+MEASURES = {  # SI unit -> what one of each unit is in it; a PWM signal travels 1000 µs
+    "1": {"1": 1.0, "-": 1.0, "%": 0.01, "pwm": 1e-3},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "rad": {"rad": 1.0, "deg": DEGREE},
+    "rad/s": {"rad/s": 1.0, "deg/s": DEGREE, "dps": DEGREE},
+    "m": {"m": 1.0, "ft": 0.3048, "in": 0.0254},
+    "m/s": {"m/s": 1.0, "ft/s": 0.3048, "kt": 1852 / 3600, "kn": 1852 / 3600, "km/h": 1 / 3.6},
+    "m/s²": {"m/s^2": 1.0, "m/s²": 1.0, "ft/s^2": 0.3048, "g": 9.80665},
+}
+SI = {unit: factor for row in MEASURES.values() for unit, factor in row.items()}
+
+
+def factor_of(channel: str, unit: str) -> float:
+    """What one of a channel's unit is in SI.
+
+    Raises
+    ------
+    ValueError
+        An unknown unit.
+    """
+    if unit not in SI:
+        raise ValueError(f"channel {channel!r}: unknown unit {unit!r}; known are {', '.join(SI)}")
+    return SI[unit]
 
 
 def units_of(stated: Mapping[str, str]) -> dict[str, str]:
     """SI unit by channel, given the units that were stated of columns; a number has its name's."""
-    return UNITS | {name: READ_AS[unit] for name, unit in stated.items() if unit in READ_AS}
+    read_as = {unit: si for si, row in MEASURES.items() for unit in row if si != "1"}
+    return UNITS | {name: read_as[unit] for name, unit in stated.items() if unit in read_as}

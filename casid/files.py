@@ -4,30 +4,23 @@ import csv
 import json
 import re
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import scipy.io
 from scipy.io.matlab import matfile_version
 
 from casid.arrays import Array
+from casid.channels import factor_of
 from casid.folder import replacing
 from casid.hdf import is_hdf, read_hdf
 from casid.limits import JSON_BYTES, TABLE_BYTES, check_file, check_size
 from casid.matfile import numeric_variables
 from casid.record import Hold, Record
-
-SI = {  # what one of each unit is in SI
-    "1": 1.0, "-": 1.0, "%": 0.01,
-    "s": 1.0, "ms": 1e-3,
-    "rad": 1.0, "deg": np.pi / 180,
-    "rad/s": 1.0, "deg/s": np.pi / 180,
-    "m": 1.0, "ft": 0.3048, "in": 0.0254,
-    "m/s": 1.0, "ft/s": 0.3048, "kt": 1852 / 3600, "km/h": 1 / 3.6,
-    "m/s^2": 1.0, "ft/s^2": 0.3048, "g": 9.80665,
-}  # fmt: skip
 
 SHOWN = 40  # names of columns that a message lists
 CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
@@ -35,15 +28,17 @@ HEADER_CHARACTERS = 2**17  # a longer first line is no header
 
 LARGEST, SMALLEST = 1e30, 1e-30  # magnitudes of a channel that still measure something
 
-Detrend = Literal["first", "mean"] | Mapping[str, float] | None
+Detrend: TypeAlias = Literal["first", "mean"] | Mapping[str, float] | None
+Column: TypeAlias = str | tuple[str, int]  # a column or variable; a column of a MATLAB array
+Channels: TypeAlias = Sequence[str] | Mapping[str, Column]
 
 
 def read_csv(
     path: str | Path,
     *,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    time: str = "t",
+    inputs: Channels,
+    outputs: Channels,
+    time: str | float = "t",
     units: Mapping[str, str] | None = None,
     detrend: Detrend = None,
     hold: Hold = "foh",
@@ -55,13 +50,14 @@ def read_csv(
     ----------
     path : path
         Comma-separated values; an empty cell or ``nan`` is a missing sample.
-    inputs, outputs : sequence of str
-        The columns to take, in that order; others are left unread.
-    time : str
-        The column of instants.
+    inputs, outputs : sequence of str, or mapping
+        The columns to take, in that order; others are left unread. A mapping gives a channel
+        another name than its column, ``{"lat": "LAT_STICK"}``.
+    time : str or float
+        The column of instants, or the sampling interval [s] where there is none.
     units : mapping
-        Unit of each column that is not in SI already, ``{"p": "deg/s"}``; see `casid.files.SI`.
-        A stick in ``"%"`` becomes a fraction of its full travel.
+        Unit of each channel that is not in SI already, ``{"p": "deg/s"}``; see
+        `casid.channels.MEASURES`. A stick in ``"%"`` becomes a fraction of its full travel.
     detrend : {"first", "mean"}, mapping or None
         See `Record.detrend`.
     hold : {"foh", "zoh"}
@@ -72,14 +68,16 @@ def read_csv(
     Raises
     ------
     ValueError
-        Not a table of numbers, an unknown column or unit, and all that `Record` refuses.
+        Not a table of numbers, rows of another length than the header, an unknown column or unit,
+        and all that `Record` refuses.
     """
     path = Path(path)
-    columns = csv_columns(path)
-    wanted = [time, *inputs, *outputs]
-    values = _csv_values(path, [_find(name, columns, path) for name in wanted], wanted)
-    table = dict(zip(wanted, values.T, strict=True))
-    return _record(table, inputs, outputs, time, units, name or path.stem, hold).detrend(detrend)
+    name = name or path.stem
+    wanted = dict.fromkeys(map(str, places(inputs, outputs, time, name).values()))
+    table = read_columns(path, list(wanted))
+    at: Callable[[Column], Array] = lambda column: table[str(column)]  # noqa: E731
+    record = build(at, inputs, outputs, time, units, name)
+    return replace(record, hold=hold).detrend(detrend)
 
 
 def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, Array]:
@@ -88,22 +86,20 @@ def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, Array]:
     Raises
     ------
     ValueError
-        Not a table of numbers, or an unknown column.
+        Not a table of numbers, rows of another length than the header, or an unknown column.
     """
     path = Path(path)
     columns = csv_columns(path)
-    values = _csv_values(path, [_find(name, columns, path) for name in names], list(names))
+    values = _csv_values(path, columns, [_find(name, columns, path) for name in names])
     return dict(zip(names, values.T, strict=True))
 
 
 def read_mat(
     path: str | Path,
     *,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    time: str | None = "t",
-    dt: float | None = None,
-    columns: Mapping[str, tuple[str, int]] | None = None,
+    inputs: Channels,
+    outputs: Channels,
+    time: str | float = "t",
     units: Mapping[str, str] | None = None,
     detrend: Detrend = None,
     hold: Hold = "foh",
@@ -113,32 +109,79 @@ def read_mat(
 
     Parameters
     ----------
-    columns : mapping
-        For channels that are columns of an array: ``{"lat": ("inr", 0)}``, counted from 0. A
-        channel not named here is a variable of its own name.
-    time, dt : str, float
-        The variable of instants, or None and the sampling interval [s].
-    path, inputs, outputs, units, detrend, hold, name
+    inputs, outputs : sequence of str, or mapping
+        A channel is a vector of its own name, of another, ``{"lat": "stick"}``, or a column of an
+        array, ``{"lat": ("inr", 0)}``, counted from 0.
+    path, time, units, detrend, hold, name
         As in `read_csv`.
     """
     path = Path(path)
     variables = read_variables(path)
-    if time is None and not (dt is not None and dt > 0):
+    read = partial(_mat_column, variables, path)
+    record = build(read, inputs, outputs, time, units, name or path.stem)
+    return replace(record, hold=hold).detrend(detrend)
+
+
+def places(inputs: Channels, outputs: Channels, time: str | float, name: str) -> dict[str, Column]:
+    """Where each channel stands in a file, by its name; the time too if it is a column.
+
+    Raises
+    ------
+    ValueError
+        No input or no output, or one that is the time.
+    """
+    if not inputs or not outputs:
+        raise ValueError(f"record {name!r}: name at least one input and one output to read")
+    found: dict[str, Column] = {}
+    for given in (inputs, outputs):
+        found |= dict(given) if isinstance(given, Mapping) else {name: name for name in given}
+    if isinstance(time, str):
+        if time in found:
+            raise ValueError(
+                f"record {name!r}: channel {time!r} is the time and cannot be an input or output "
+                "too; name another column as time"
+            )
+        return {time: time} | found
+    if not 0 < time < np.inf:
         raise ValueError(
-            f"{path}: dt={dt}: expected a positive interval [s], since no time variable is named"
+            f"record {name!r}: time={time}: expected a column, or the sampling interval [s]"
         )
-    places = dict(columns or {})
-    wanted = [*([time] if time else []), *inputs, *outputs]
-    table = {name: _mat_column(variables, places.get(name, (name, None)), path) for name in wanted}
-    if time is None:
-        time = "t"
-        table[time] = float(dt or 0.0) * np.arange(len(next(iter(table.values()), [])))
+    return found
+
+
+def build(
+    read: Callable[[Column], Array],
+    inputs: Channels,
+    outputs: Channels,
+    time: str | float,
+    units: Mapping[str, str] | None,
+    name: str,
+) -> Record:
+    """A record of the columns that ``read`` returns, in SI units.
+
+    Raises
+    ------
+    ValueError
+        Unknown units, columns that differ in length, values no instrument measures.
+    """
+    table = {each: read(column) for each, column in places(inputs, outputs, time, name).items()}
+    for channel, unit in (units or {}).items():
+        if channel not in table:
+            raise ValueError(
+                f"units name channel {channel!r}, which is not read; read are {', '.join(table)}"
+            )
+        table[channel] = table[channel] * factor_of(channel, unit)
     if len({len(column) for column in table.values()}) > 1:
-        lengths = ", ".join(f"{name} {len(column)}" for name, column in table.items())
+        lengths = ", ".join(f"{each} {len(column)}" for each, column in table.items())
         raise ValueError(
-            f"{path}: channels differ in length ({lengths}); those of one record have one length"
+            f"record {name!r}: channels differ in length ({lengths}); those of one record have one "
+            "length"
         )
-    return _record(table, inputs, outputs, time, units, name or path.stem, hold).detrend(detrend)
+    for channel, column in table.items():
+        _check_magnitude(name, channel, column)
+    u, y = (np.column_stack([table[each] for each in group]) for group in (inputs, outputs))
+    t = table[time] if isinstance(time, str) else time * np.arange(len(u))
+    return Record(t, u, y, tuple(inputs), tuple(outputs), name)
 
 
 def read_variables(path: str | Path) -> dict[str, Any]:
@@ -170,10 +213,9 @@ def read_variables(path: str | Path) -> dict[str, Any]:
 
 def write_csv(path: str | Path, record: Record) -> None:
     """Write a record as CSV, SI units; what was subtracted as trim is added back."""
-    names = (*record.inputs, *record.outputs)
-    trim = np.array([record.trim.get(name, 0.0) for name in names])
-    rows = np.column_stack([record.t, np.hstack([record.u, record.y]) + trim])
-    lines = [",".join(("t", *names))]
+    table = {"t": record.t} | record.totals()
+    lines = [",".join(table)]
+    rows = np.column_stack(list(table.values()))
     lines += [",".join(f"{value:.10g}" for value in row) for row in rows]
     write_text(path, "\n".join(lines) + "\n")
 
@@ -221,31 +263,6 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any
     return value
 
 
-def _record(
-    table: Mapping[str, Array],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    time: str,
-    units: Mapping[str, str] | None,
-    name: str,
-    hold: Hold,
-) -> Record:
-    if not inputs or not outputs:
-        raise ValueError(f"record {name!r}: name at least one input and one output to read")
-    factors = {channel: _factor(channel, unit, table) for channel, unit in (units or {}).items()}
-    if time in (taken := (*inputs, *outputs)):
-        raise ValueError(
-            f"record {name!r}: channel {time!r} is the time and cannot be an input or output "
-            "too; name another column as time"
-        )
-    scaled = {channel: column * factors.get(channel, 1.0) for channel, column in table.items()}
-    for channel in (time, *taken):
-        _check_magnitude(name, channel, scaled[channel])
-    u = np.column_stack([scaled[channel] for channel in inputs])
-    y = np.column_stack([scaled[channel] for channel in outputs])
-    return Record(scaled[time], u, y, tuple(inputs), tuple(outputs), name, hold)
-
-
 def _check_magnitude(record: str, channel: str, values: Array) -> None:
     largest = np.max(np.abs(values[np.isfinite(values)]), initial=0.0)
     if largest > LARGEST:
@@ -258,16 +275,6 @@ def _check_magnitude(record: str, channel: str, values: Array) -> None:
             f"record {record!r}: channel {channel!r} never exceeds {largest:g}: it carries no "
             "signal; write zeros or leave the channel out"
         )
-
-
-def _factor(channel: str, unit: str, table: Mapping[str, Array]) -> float:
-    if channel not in table:
-        raise ValueError(
-            f"units name channel {channel!r}, which is not read; read are {', '.join(table)}"
-        )
-    if unit not in SI:
-        raise ValueError(f"channel {channel!r}: unknown unit {unit!r}; known are {', '.join(SI)}")
-    return SI[unit]
 
 
 def csv_columns(path: Path) -> list[str]:
@@ -298,29 +305,37 @@ def check_names(path: Path, names: Iterable[str]) -> None:
         raise ValueError(f"{path}: the column's name {wrong[0]!r} does not print; rename it")
 
 
-def _csv_values(path: Path, positions: list[int], names: list[str]) -> Array:
+def _csv_values(path: Path, columns: list[str], positions: list[int]) -> Array:
     def read(converter: Any) -> Array:  # noqa: ANN401 - NumPy's own type
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), path.open(encoding="utf-8-sig") as file:
             warnings.simplefilter("ignore", UserWarning)  # an empty table is refused below
+            rows = _whole_rows(file, len(columns))
             return np.loadtxt(
-                path, delimiter=",", skiprows=1, usecols=positions, ndmin=2, converters=converter,
-                encoding="utf-8-sig", comments=None,
-            )  # fmt: skip
+                rows, delimiter=",", usecols=positions, ndmin=2, comments=None, converters=converter
+            )
 
     try:
-        values = read(None)
-    except ValueError:  # slower, but knows empty cells
         try:
+            values = read(None)
+        except ValueError:  # slower, but knows empty cells
             values = read(lambda cell: float(cell) if cell.strip() else np.nan)
-        except (ValueError, IndexError, OverflowError) as error:
-            raise ValueError(
-                f"{path}: not a table of numbers: {error}; leave the cell of a missing sample empty"
-            ) from error
-    if not len(values):
+    except (ValueError, IndexError, OverflowError) as error:
         raise ValueError(
-            f"{path}: no samples below the header of {', '.join(names)}; record it again"
-        )
+            f"{path}: not a table of numbers: {error}; leave the cell of a missing sample empty"
+        ) from error
+    if not len(values):
+        names = ", ".join(columns[k] for k in positions)
+        raise ValueError(f"{path}: no samples below the header of {names}; record it again")
     return values
+
+
+def _whole_rows(file: Iterable[str], n: int) -> Iterator[str]:
+    """Lines below the header, each of as many cells as it; numbers hold no commas."""
+    for number_, line in enumerate(file, 1):
+        if number_ > 1 and line.strip():
+            if (cells := line.count(",") + 1) != n:
+                raise ValueError(f"line {number_} has {cells} cells, the header has {n}")
+            yield line
 
 
 def _find(name: str, columns: list[str], path: Path) -> int:
@@ -351,8 +366,8 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _mat_column(variables: Mapping[str, Any], place: tuple[str, int | None], path: Path) -> Array:
-    variable, column = place
+def _mat_column(variables: Mapping[str, Any], path: Path, place: Column) -> Array:
+    variable, column = (place, None) if isinstance(place, str) else place
     if variable not in variables:
         known = ", ".join(key for key in variables if not key.startswith("__"))
         raise ValueError(f"{path}: no variable {variable!r}; it has {known}")
@@ -363,7 +378,7 @@ def _mat_column(variables: Mapping[str, Any], place: tuple[str, int | None], pat
         if array.ndim > 2 or max(array.shape, default=0) != array.size:
             raise ValueError(
                 f"{path}: {variable!r} has shape {array.shape}, expected a vector; name its "
-                f'columns: columns={{"channel": ({variable!r}, 0), ...}}'
+                f'columns: {{"channel": ({variable!r}, 0), ...}}'
             )
         return np.asarray(array.ravel(), dtype=float)
     if array.ndim != 2 or not 0 <= column < array.shape[1]:

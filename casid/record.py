@@ -97,6 +97,11 @@ class Record:
             return self.u[:, self.inputs.index(name)]
         return self.y[:, _position(name, self.outputs, "channel", self.name)]
 
+    def totals(self) -> dict[str, Array]:
+        """Every channel as it was measured: what was subtracted as trim is added back."""
+        names = (*self.inputs, *self.outputs)
+        return {name: self.channel(name) + self.trim.get(name, 0.0) for name in names}
+
     def select(
         self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None
     ) -> "Record":

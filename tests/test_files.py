@@ -44,6 +44,15 @@ def test_an_empty_or_nan_cell_is_a_missing_sample(tmp_path, cell):
     assert np.isfinite(record.y).sum() == 3
 
 
+def test_columns_can_be_renamed_and_paced_by_an_interval(tmp_path):
+    file = csv(tmp_path, "stick,ROLL RATE,phi\n0.1,18,1\n0.2,9,2\n")
+    channels = {"inputs": {"lat": "stick"}, "outputs": {"p": "ROLL RATE", "phi": "phi"}}
+    record = read_csv(file, **channels, time=0.5, units={"p": "dps"})
+    assert (record.inputs, record.outputs) == (("lat",), ("p", "phi"))
+    np.testing.assert_allclose(record.y[:, 0], [np.pi / 10, np.pi / 20])
+    np.testing.assert_array_equal(record.t, [0, 0.5])
+
+
 def test_a_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path):
     record = read_csv(csv(tmp_path, "\ufefft,lat,p,phi\r\n0,1,2,3\r\n1,1,2,3\r\n"), **CHANNELS)
     np.testing.assert_array_equal(record.t, [0, 1])
@@ -61,7 +70,7 @@ def test_a_matlab_file_whose_data_have_no_type_is_refused(tmp_path, compressed):
         data[128:] = (15).to_bytes(4, "little") + len(packed).to_bytes(4, "little") + packed
     file.write_bytes(data)
     with pytest.raises(ValueError, match=r"'t' has data of type 64777.*save it again"):
-        read_mat(file, inputs=["t"], outputs=["t"], dt=0.1)
+        read_mat(file, inputs=["t"], outputs=["t"], time=0.1)
 
 
 def test_what_is_no_real_number_in_a_matlab_file_is_named(tmp_path):
@@ -69,7 +78,7 @@ def test_what_is_no_real_number_in_a_matlab_file_is_named(tmp_path):
     scipy.io.savemat(file, {"t": np.arange(4.0), "note": "level", "z": np.array([1j])})
     for name in ("note", "z"):
         with pytest.raises(ValueError, match=f"'{name}' holds no real array, expected numbers"):
-            read_mat(file, inputs=["t"], outputs=[name], dt=0.1)
+            read_mat(file, inputs=["t"], outputs=[name], time=0.1)
 
 
 def test_trim_is_removed_on_reading_and_written_back(tmp_path):
@@ -93,7 +102,9 @@ def test_trim_is_removed_on_reading_and_written_back(tmp_path):
         ("t,lat,p,phi\n", {}, "no samples below the header of t, lat, p, phi"),
         ("", {}, "the file is empty; expected a header"),
         ("t,lat,p,phi\n0,1,two,3\n", {}, "not a table of numbers: .*two"),
-        ("t,lat,p,phi\n0,1,2\n", {}, "not a table of numbers"),
+        ("t,lat,p,phi\n0,1,2,3\n1,2,3\n", {}, "line 3 has 3 cells, the header has 4"),
+        ("t,lat,x,p,phi\n0,1,0,2,3\n\n1,0,2,3\n", {}, "line 4 has 4 cells, the header has 5"),
+        ("t,lat,p,phi\n0,1,2,3,\n", {}, "line 2 has 5 cells, the header has 4"),
         ("t,lat,p,phi\n0,1,2,3\n", {"units": {"q": "deg"}}, "units name channel 'q', which is not"),
         (
             "t,lat,p,phi\n0,1,2,3\n",
@@ -127,12 +138,13 @@ def mat(tmp_path):
 
 
 def test_mat_variables_and_columns_become_channels(mat):
-    columns = {"p": ("out", 0), "phi": ("out", 1)}
-    record = read_mat(mat, **CHANNELS, columns=columns, units={"phi": "deg"})
+    channels = {"inputs": {"stick": "lat"}, "outputs": {"p": ("out", 0), "phi": ("out", 1)}}
+    record = read_mat(mat, **channels, units={"phi": "deg"})
+    assert (record.inputs, record.outputs) == (("stick",), ("p", "phi"))
     assert record.name == "flight"
     np.testing.assert_array_equal(record.y[:, 0], np.arange(4))
     np.testing.assert_allclose(record.y[:, 1], np.pi / 2)
-    paced = read_mat(mat, **CHANNELS, columns=columns, time=None, dt=0.5)
+    paced = read_mat(mat, **channels, time=0.5)
     np.testing.assert_array_equal(paced.t, [0, 0.5, 1, 1.5])
 
 
@@ -140,16 +152,15 @@ def test_mat_variables_and_columns_become_channels(mat):
     ("options", "message"),
     [
         ({}, "flight.mat: no variable 'p'; it has t, lat, out, text, short"),
-        ({"columns": {"p": ("out", 2)}}, r"'out' has shape \(4, 2\), no column 2"),
-        ({"columns": {"p": ("out", -1)}}, "no column -1"),
+        ({"outputs": {"p": ("out", 2)}}, r"'out' has shape \(4, 2\), no column 2"),
+        ({"outputs": {"p": ("out", -1)}}, "no column -1"),
         ({"inputs": ["text"]}, "variable 'text' holds no real array, expected numbers"),
         ({"inputs": ["out"]}, r"'out' has shape \(4, 2\), expected a vector; name its columns"),
         ({"inputs": ["short"], "outputs": ["lat"]}, r"differ in length \(t 4, short 3, lat 4\)"),
         (
-            {"time": None},
-            "dt=None: expected a positive interval .*, since no time variable is named",
+            {"time": -0.1, "outputs": ["t"]},
+            "time=-0.1: expected a column, or the sampling interval",
         ),
-        ({"time": None, "dt": -0.1, "outputs": ["t"]}, "dt=-0.1: expected a positive interval"),
         ({"outputs": []}, "record 'flight': name at least one input and one output"),
     ],
 )

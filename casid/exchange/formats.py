@@ -10,10 +10,10 @@ import numpy as np
 import scipy.io
 
 from casid.arrays import Array
-from casid.channels import UNITS
+from casid.channels import UNITS, factor_of
 from casid.exchange.objects import from_dataframe, optional, to_dataframe
 from casid.files import (
-    SI,
+    Channels,
     Detrend,
     check_names,
     csv_columns,
@@ -33,6 +33,7 @@ from casid.record import Hold, Record
 
 MatVersion: TypeAlias = Literal["5", "7.3"]  # of MATLAB files
 TABLES = (".csv", ".mat", ".parquet")
+NAMED = ("states", "inputs", "outputs")
 VARIABLE = re.compile(r"[A-Za-z]\w{0,62}", flags=re.ASCII)  # what MATLAB takes for a name
 
 
@@ -42,9 +43,9 @@ VARIABLE = re.compile(r"[A-Za-z]\w{0,62}", flags=re.ASCII)  # what MATLAB takes 
 def read_record(
     path: str | Path,
     *,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    time: str = "t",
+    inputs: Channels,
+    outputs: Channels,
+    time: str | float = "t",
     units: Mapping[str, str] | None = None,
     detrend: Detrend = None,
     hold: Hold = "foh",
@@ -55,7 +56,7 @@ def read_record(
     Parameters
     ----------
     path, inputs, outputs, time, units, detrend, hold, name
-        As in `read_csv`.
+        As in `read_csv` and `read_mat`.
     """
     readers: dict[str, Callable[..., Record]] = {
         ".csv": read_csv,
@@ -63,18 +64,16 @@ def read_record(
         ".parquet": read_parquet,
     }
     read = readers[_suffix(path, TABLES)]
-    return read(
-        path, inputs=inputs, outputs=outputs, time=time, units=units, detrend=detrend,
-        hold=hold, name=name,
-    )  # fmt: skip
+    table: dict[str, Any] = {"inputs": inputs, "outputs": outputs, "time": time, "units": units}
+    return read(path, **table, detrend=detrend, hold=hold, name=name)
 
 
 def read_parquet(
     path: str | Path,
     *,
-    inputs: Sequence[str] | None = None,
-    outputs: Sequence[str] | None = None,
-    time: str = "t",
+    inputs: Channels | None = None,
+    outputs: Channels | None = None,
+    time: str | float = "t",
     units: Mapping[str, str] | None = None,
     detrend: Detrend = None,
     hold: Hold | None = None,
@@ -95,10 +94,10 @@ def read_parquet(
         pandas or pyarrow is missing, no Parquet file, and all that `from_dataframe` refuses.
     """
     path = Path(path)
+    table: dict[str, Any] = {"inputs": inputs, "outputs": outputs, "time": time, "units": units}
     return from_dataframe(
-        _parquet(path), inputs=inputs, outputs=outputs, time=time, units=units,
-        detrend=detrend, hold=hold, name=name or path.stem,
-    )  # fmt: skip
+        _parquet(path), **table, detrend=detrend, hold=hold, name=name or path.stem
+    )
 
 
 def write_parquet(path: str | Path, record: Record) -> None:
@@ -114,12 +113,7 @@ def write_mat(path: str | Path, record: Record, *, version: MatVersion = "5") ->
 
     What was subtracted as trim is added back, as `write_csv` does. Version "7.3" needs h5py.
     """
-    names = (*record.inputs, *record.outputs)
-    values = np.hstack([record.u, record.y])
-    table = {
-        name: values[:, i] + record.trim.get(name, 0.0) for i, name in enumerate(names)
-    }  # fmt: skip
-    _save_table(path, {"t": record.t} | table, version)
+    _save_table(path, {"t": record.t} | record.totals(), version)
 
 
 # ---- tables, whatever is input or output -------------------------------------------------------
@@ -175,12 +169,9 @@ def write_table(path: str | Path, table: Mapping[str, Array], *, version: MatVer
 
 def in_si(table: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, Array]:
     """Columns in SI units; ``units`` names those that are not yet."""
-    for name, unit in units.items():
-        if name not in table:
-            raise ValueError(f"there is no column {name!r}; there are {', '.join(table)}")
-        if unit not in SI:
-            raise ValueError(f"column {name!r}: unknown unit {unit!r}; known are {', '.join(SI)}")
-    return {name: column * SI[units.get(name, "1")] for name, column in table.items()}
+    if lacking := [name for name in units if name not in table]:
+        raise ValueError(f"there is no column {lacking[0]!r}; there are {', '.join(table)}")
+    return {name: x * factor_of(name, units.get(name, "1")) for name, x in table.items()}
 
 
 # ---- frequency responses -----------------------------------------------------------------------
@@ -200,8 +191,8 @@ def frequency_table(response: FrequencyResponse) -> dict[str, Array]:
         phase = np.angle(response.G[:, i, j])
         known = np.isfinite(phase)
         phase[known] = np.unwrap(phase[known])
-        values = (gain[:, i, j], np.degrees(phase), response.coherence[:, i, j],
-                  response.random_error[:, i, j])  # fmt: skip
+        quality = (each[:, i, j] for each in (response.coherence, response.random_error))
+        values = (gain[:, i, j], np.degrees(phase), *quality)
         table |= dict(zip(columns, values, strict=True))
     return table
 
@@ -227,11 +218,12 @@ def write_frequency(path: str | Path, response: FrequencyResponse) -> None:
     elif suffix == ".csv":
         write_table(path, frequency_table(response))
     else:
-        arrays = {"response": response.G, "coherence": response.coherence,
-                  "random_error": response.random_error}  # fmt: skip
-        _save_mat(path, {"omega": response.omega, "inputs": response.inputs,
-                         "outputs": response.outputs}
-                  | {name: np.moveaxis(array, 0, 2) for name, array in arrays.items()})  # fmt: skip
+        content: dict[str, Any] = {
+            name: getattr(response, name) for name in ("omega", "inputs", "outputs")
+        }
+        for name, field in (("response", "G"), ("coherence",) * 2, ("random_error",) * 2):
+            content[name] = np.moveaxis(getattr(response, field), 0, 2)
+        _save_mat(path, content)
 
 
 # ---- fitted models -----------------------------------------------------------------------------
@@ -245,17 +237,19 @@ def write_fit_mat(path: str | Path, fit: Fit) -> None:
     """
     system = fit.model.system()
     rows = fit.parameters
-    _save_mat(path, {
-        "A": system.A, "B": system.B, "C": system.C, "D": system.D, "delay": system.delay,
-        "states": system.states, "inputs": system.inputs, "outputs": system.outputs,
+    numbers = ("value", "std_error", "lower", "upper")
+    content: dict[str, Any] = {
         "output_units": tuple(UNITS.get(name, "") for name in system.outputs),
         "parameters": tuple(row.name for row in rows),
         "units": tuple(row.unit for row in rows),
         "free": fit.free_names,
         "covariance": np.zeros((0, 0)) if fit.covariance is None else fit.covariance,
-        "structure": type(fit.model).__name__, "method": fit.method, "cost": fit.cost,
-    } | {name: np.array([getattr(row, name) for row in rows], dtype=float)
-         for name in ("value", "std_error", "lower", "upper")})  # fmt: skip
+        "structure": type(fit.model).__name__,
+    }
+    content |= {name: getattr(system, name) for name in (*"ABCD", "delay", *NAMED)}
+    content |= {name: getattr(fit, name) for name in ("method", "cost")}
+    content |= {name: np.array([getattr(row, name) for row in rows], float) for name in numbers}
+    _save_mat(path, content)
 
 
 # ---- helpers -----------------------------------------------------------------------------------
@@ -296,8 +290,8 @@ def _vectors(path: Path) -> dict[str, Array]:
             if array.size == max(array.shape):
                 found[name] = np.asarray(array.ravel(), dtype=float)
             else:
-                found |= {f"{name}_{k + 1}": np.asarray(column, dtype=float)
-                          for k, column in enumerate(array.T)}  # fmt: skip
+                columns = np.asarray(array.T, dtype=float)
+                found |= {f"{name}_{k}": column for k, column in enumerate(columns, 1)}
     if not found or len({len(column) for column in found.values()}) > 1:
         told = ", ".join(f"{name} {len(column)}" for name, column in found.items()) or "none"
         raise ValueError(f"{path}: expected vectors of one length; there are: {told}")

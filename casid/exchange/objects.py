@@ -1,8 +1,9 @@
 """Systems and records as the objects of other packages: python-control, SciPy, pandas."""
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import scipy.linalg
 import scipy.signal
 
 from casid.arrays import Array
-from casid.files import SI, Detrend
+from casid.files import Channels, Detrend, build
 from casid.linear import StateSpace
 from casid.record import Hold, Record
 
@@ -35,10 +36,8 @@ def to_control(system: StateSpace, *, pade: int | None = None) -> Any:  # noqa: 
     import control  # noqa: PLC0415 - slow to import, and only wanted here
 
     plain = without_delay(system, pade)
-    return control.ss(
-        plain.A, plain.B, plain.C, plain.D, plain.dt or 0,
-        inputs=list(plain.inputs), outputs=list(plain.outputs), states=list(plain.states),
-    )  # fmt: skip
+    names = {name: list(getattr(plain, name)) for name in ("inputs", "outputs", "states")}
+    return control.ss(plain.A, plain.B, plain.C, plain.D, plain.dt or 0, **names)
 
 
 def from_control(system: Any, *, delay: Sequence[float] = ()) -> StateSpace:  # noqa: ANN401
@@ -51,11 +50,8 @@ def from_control(system: Any, *, delay: Sequence[float] = ()) -> StateSpace:  # 
     """
     if system.dt is True:
         raise ValueError("the system is discrete without a sampling interval; set its dt [s]")
-    return StateSpace(
-        system.A, system.B, system.C, system.D, float(system.dt) if system.dt else None,
-        tuple(system.input_labels), tuple(system.output_labels), tuple(system.state_labels),
-        np.array(delay, dtype=float),
-    )  # fmt: skip
+    names = (system.input_labels, system.output_labels, system.state_labels)
+    return _state_space(system, system.dt, names, delay)
 
 
 def to_scipy(system: StateSpace, *, pade: int | None = None) -> Any:  # noqa: ANN401
@@ -85,10 +81,18 @@ def from_scipy(
         Of each input [s].
     """
     plain = system.to_ss()
-    return StateSpace(
-        plain.A, plain.B, plain.C, plain.D, None if plain.dt is None else float(plain.dt),
-        tuple(inputs), tuple(outputs), tuple(states), np.array(delay, dtype=float),
-    )  # fmt: skip
+    return _state_space(plain, plain.dt, (inputs, outputs, states), delay)
+
+
+def _state_space(
+    system: Any,  # noqa: ANN401
+    dt: float | None,
+    names: Iterable[Sequence[str]],
+    delay: Sequence[float],
+) -> StateSpace:
+    inputs, outputs, states = map(tuple, names)
+    time, late = float(dt) if dt else None, np.array(delay, dtype=float)
+    return StateSpace(system.A, system.B, system.C, system.D, time, inputs, outputs, states, late)
 
 
 def without_delay(system: StateSpace, pade: int | None = None) -> StateSpace:
@@ -125,8 +129,8 @@ def without_delay(system: StateSpace, pade: int | None = None) -> StateSpace:
         )
     lines = [_delay_line(system, j, pade) for j in range(system.nu)]
     A, B, C, D = (scipy.linalg.block_diag(*blocks) for blocks in zip(*lines, strict=True))
-    names = [f"{name}_{k + 1}" for name, line in zip(system.inputs, lines, strict=True)
-             for k in range(len(line[0]))]  # fmt: skip
+    named = zip(system.inputs, lines, strict=True)
+    names = [f"{name}_{k + 1}" for name, line in named for k in range(len(line[0]))]
     n = len(A)
     return StateSpace(
         np.block([[system.A, system.B @ C], [np.zeros((n, system.nx)), A]]),
@@ -178,19 +182,17 @@ def to_dataframe(record: Record) -> Any:  # noqa: ANN401
     values = np.hstack([record.u, record.y])
     names = [*record.inputs, *record.outputs]
     frame = pandas.DataFrame(values, index=pandas.Index(record.t, name="t"), columns=names)
-    frame.attrs = {
-        "inputs": list(record.inputs), "outputs": list(record.outputs), "name": record.name,
-        "hold": record.hold, "trim": dict(record.trim),
-    }  # fmt: skip
+    frame.attrs = {"inputs": list(record.inputs), "outputs": list(record.outputs)}
+    frame.attrs |= {"name": record.name, "hold": record.hold, "trim": dict(record.trim)}
     return frame
 
 
 def from_dataframe(
     frame: Any,  # noqa: ANN401
     *,
-    inputs: Sequence[str] | None = None,
-    outputs: Sequence[str] | None = None,
-    time: str = "t",
+    inputs: Channels | None = None,
+    outputs: Channels | None = None,
+    time: str | float = "t",
     units: Mapping[str, str] | None = None,
     detrend: Detrend = None,
     hold: Hold | None = None,
@@ -213,32 +215,21 @@ def from_dataframe(
         A column that is missing or holds no numbers, and all that `Record` refuses.
     """
     kept = dict(frame.attrs)
-    inputs, outputs = (
-        tuple(kept.get(key, ()) if given is None else given)
-        for key, given in (("inputs", inputs), ("outputs", outputs))
-    )
+    inputs = kept.get("inputs", ()) if inputs is None else inputs
+    outputs = kept.get("outputs", ()) if outputs is None else outputs
     if not inputs or not outputs:
         raise ValueError(
             "which columns are inputs and which outputs? The frame does not say: name both; it has "
             + ", ".join(map(str, frame.columns))
         )
-    table = {each: _column(frame, each) for each in (*inputs, *outputs)}
-    index = frame.index.total_seconds() if hasattr(frame.index, "total_seconds") else frame.index
-    t = _column(frame, time) if time in frame.columns else np.asarray(index, dtype=float)
-    for channel, unit in (units or {}).items():
-        if channel not in table or unit not in SI:
-            raise ValueError(
-                f"units: {channel!r} in {unit!r}: channels are {', '.join(table)}, units "
-                f"{', '.join(SI)}"
-            )
-        table[channel] = table[channel] * SI[unit]
-    u, y = (np.column_stack([table[each] for each in group]) for group in (inputs, outputs))
-    record = Record(
-        t, u, y, inputs, outputs, str(kept.get("name", "") if name is None else name),
-        hold or kept.get("hold", "foh"),
-    )  # fmt: skip
+    if time not in frame.columns and isinstance(time, str):
+        index = frame.index
+        index = index.total_seconds() if hasattr(index, "total_seconds") else index
+        frame = frame.assign(**{time: np.asarray(index, dtype=float)})
+    name = str(kept.get("name", "") if name is None else name)
+    record = build(partial(_column, frame), inputs, outputs, time, units, name)
     trim = {each: float(value) for each, value in dict(kept.get("trim", {})).items()}
-    return replace(record, trim=trim).detrend(detrend)
+    return replace(record, hold=hold or kept.get("hold", "foh"), trim=trim).detrend(detrend)
 
 
 def _column(frame: Any, name: str) -> Array:  # noqa: ANN401

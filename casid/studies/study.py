@@ -9,8 +9,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from casid.consistency.plausibility import check_plausible
-from casid.exchange.formats import read_parquet
-from casid.files import read_csv, read_mat
+from casid.exchange.formats import read_record
+from casid.files import Column, read_csv
 from casid.model import Model
 from casid.nlp import SolverOptions
 from casid.record import Hold, Record
@@ -40,7 +40,7 @@ class Channels:
     outputs: tuple[str, ...]
     time: str = "t"
     units: Mapping[str, str] = field(default_factory=dict)
-    columns: Mapping[str, tuple[str, int]] = field(default_factory=dict)
+    columns: Mapping[str, Column] = field(default_factory=dict)
     dt: float | None = None
     hold: Hold = "foh"
 
@@ -112,7 +112,7 @@ def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
     Raises
     ------
     ValueError
-        All that `read_csv`, `read_mat`, `Record.detrend` and `check_plausible` refuse.
+        All that `read_record`, `Record.detrend` and `check_plausible` refuse.
     """
     raw = {role: tuple(_read(study, each, file) for file in each.files)
            for role, each in study.roles.items()}  # fmt: skip
@@ -144,14 +144,15 @@ def _check_names(study: Study) -> None:
 
 def _read(study: Study, role: RecordSet, file: Path) -> Record:
     channels = study.channels
-    names: Any = {"inputs": channels.inputs, "outputs": channels.outputs}
-    shared: Any = names | {"units": channels.units, "hold": channels.hold}
-    if file.suffix.lower() == ".mat":
-        time = None if channels.dt is not None else channels.time
-        record = read_mat(file, time=time, dt=channels.dt, columns=channels.columns, **shared)
-    else:
-        read = read_parquet if file.suffix.lower() == ".parquet" else read_csv
-        record = read(file, time=channels.time, **shared)
+    inputs, outputs = (
+        {name: channels.columns.get(name, name) for name in names}
+        for names in (channels.inputs, channels.outputs)
+    )
+    time = channels.time if channels.dt is None else channels.dt
+    read = read_record if file.suffix.lower() in {".mat", ".parquet"} else read_csv
+    record = read(
+        file, inputs=inputs, outputs=outputs, time=time, units=channels.units, hold=channels.hold
+    )
     if role.noise and study.noise is not None:
         rng = np.random.default_rng([study.noise.seed, zlib.crc32(record.name.encode())])
         record = record.with_noise(study.noise.std, rng)

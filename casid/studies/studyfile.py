@@ -20,6 +20,7 @@ from casid.baseline.derivid import derivid
 from casid.bounds.cases import read_cases
 from casid.bounds.trials import ESTIMATORS
 from casid.errors import ModelError
+from casid.files import Column
 from casid.frequency.estimation import frequency_response
 from casid.matching.match import match
 from casid.model import Bounds, Model, free_parameters
@@ -162,12 +163,16 @@ def _channels(table: Table, structure: type[Model]) -> Channels:
     )
 
 
-def _column(table: Table, name: str) -> tuple[str, int]:
+def _column(table: Table, name: str) -> Column:
     match table.take(name, (list, str)):
         case [str(variable), int(column)]:
             return variable, column
+        case str(column):
+            return column
         case value:
-            raise ValueError(f'{table.place} {name} = {value!r}, expected ["variable", column]')
+            raise ValueError(
+                f'{table.place} {name} = {value!r}, expected "column" or ["variable", column]'
+            )
 
 
 def _roles(table: Table, folder: Path) -> dict[Role, RecordSet]:
