@@ -15,7 +15,7 @@ from casid.errors import ConvergenceError, DataWarning, ModelError
 from casid.exchange.formats import read_parquet, read_record, write_mat, write_parquet
 from casid.files import read_csv, read_mat, write_csv
 from casid.fit import Certificate, Fit, ParameterEstimate
-from casid.frequency.estimation import FrequencyResponse, frequency_response
+from casid.frequency.estimation import FrequencyResponse, SpectralAnalysis, frequency_response
 from casid.frequency.responses import merge_responses, read_frequency_csv
 from casid.linear import StateSpace
 from casid.matching.match import match
@@ -56,6 +56,7 @@ __all__ = [
     "Rows",
     "Scalar",
     "SolverOptions",
+    "SpectralAnalysis",
     "StateSpace",
     "TransferFunction",
     "Validation",

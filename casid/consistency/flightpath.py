@@ -199,10 +199,9 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Solution
         channels=problem.channels,
         unknowns=x.reshape(n, 3),
         errors=np.sqrt(variance).reshape(n, 3),
-        against={name: tuple(each for each in equations if name in problem.terms[0][each][0])
-                 for name in problem.channels},
+        against=problem.against(),
         left={each: [e for name, e, _ in blocks if name == each] for each in equations},
-    )  # fmt: skip
+    )
 
 
 class _Problem:
@@ -214,12 +213,20 @@ class _Problem:
         felt = {name for factors, _ in self.terms[0].values() for name in factors}
         known = felt & set(flights[0].values)
         self.channels = tuple(name for name in (*RATES, *FORCES) if name in known)
+        spline = scipy.interpolate.make_interp_spline
         self.splines = [
-            {name: scipy.interpolate.make_interp_spline(flight.t, flight.values[name], k=3)
-             for name in self.channels}
+            {name: spline(flight.t, flight.values[name], k=3) for name in self.channels}
             for flight in flights
-        ]  # fmt: skip
+        ]
         self.gains = dict.fromkeys(equations, 0.0)
+
+    def against(self) -> dict[str, tuple[str, ...]]:
+        """The equations in which each rate or force stands."""
+        factors = {each: terms for each, (terms, _) in self.terms[0].items()}
+        return {
+            name: tuple(each for each in self.equations if name in factors[each])
+            for name in self.channels
+        }
 
     def blocks(self, x: Array) -> list[Block]:
         """Residuals and slopes of each equation and flight at these unknowns."""

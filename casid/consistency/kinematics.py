@@ -48,9 +48,11 @@ MUCH = 0.3  # share of an attitude's movement left unexplained that matters
 UNITS = dict.fromkeys(RATES, "rad/s") | dict.fromkeys(FORCES, "m/s^2")
 OWN = dict(zip((*RATES, *FORCES), (*ATTITUDES, *VELOCITIES), strict=True))
 NEEDED = {  # channels without which an equation means nothing
-    "phi": {"phi", "p"}, "theta": {"theta", "q"}, "psi": {"psi", *RATES, "phi", "theta"},
+    "phi": {"phi", "p"},
+    "theta": {"theta", "q"},
+    "psi": {"psi", *RATES, "phi", "theta"},
     **{name: {*VELOCITIES, *FORCES, *RATES, "phi", "theta"} for name in VELOCITIES},
-}  # fmt: skip
+}
 WHOLE = NEEDED | {"phi": {"phi", "theta", *RATES}, "theta": {"phi", "theta", "q", "r"}}
 FACTORS = {
     "it has the opposite sign": -1.0,
@@ -236,11 +238,16 @@ def _judged(solution: Solution, name: str, spread: float, rough: set[str]) -> Ch
     if not known:
         gain, bias, skew, *errors = [np.nan] * 6
     check = ChannelCheck(
-        channel=name, unit=UNITS[name], against=against,
-        scale=1 / gain - 1, scale_error=errors[0] / gain**2,
-        skew=skew, skew_error=errors[2],
-        bias=bias / gain, bias_error=errors[1] / abs(gain),
-    )  # fmt: skip
+        channel=name,
+        unit=UNITS[name],
+        against=against,
+        scale=1 / gain - 1,
+        scale_error=errors[0] / gain**2,
+        skew=skew,
+        skew_error=errors[2],
+        bias=bias / gain,
+        bias_error=errors[1] / abs(gain),
+    )
     tolerance = ROUGH if rough & set(against) else SCALE
     return replace(check, remarks=_remarks(check, tolerance, spread) if known else ())
 

@@ -81,6 +81,7 @@ class FrequencyResponse:
 
     def __post_init__(self) -> None:
         omega = np.array(self.omega, dtype=float)
+        omega.setflags(write=False)
         object.__setattr__(self, "omega", omega)
         named: tuple[Any, ...] = (*self.outputs, *self.inputs)
         if wrong := [name for name in named if not isinstance(name, str)]:
@@ -96,7 +97,8 @@ class FrequencyResponse:
         rest = {"input_std": (nu,), "output_std": (ny,), "multiple_coherence": (K, ny)}
         wanted: dict[str, tuple[int, ...]] = {**pairs, **rest, "condition": (K,)}
         for name, shape in wanted.items():
-            values = np.asarray(getattr(self, name), dtype=complex if name == "G" else float)
+            values = np.array(getattr(self, name), dtype=complex if name == "G" else float)
+            values.setflags(write=False)
             object.__setattr__(self, name, values)
             if values.shape != shape:
                 raise ValueError(
@@ -171,10 +173,69 @@ class FrequencyResponse:
         """The response as a `control.FrequencyResponseData`, without its quality."""
         import control  # noqa: PLC0415 - slow to import, and only wanted here
 
-        return control.FrequencyResponseData(
-            np.moveaxis(self.G, 0, 2), self.omega,
-            inputs=list(self.inputs), outputs=list(self.outputs),
-        )  # fmt: skip
+        names = {"inputs": list(self.inputs), "outputs": list(self.outputs)}
+        return control.FrequencyResponseData(np.moveaxis(self.G, 0, 2), self.omega, **names)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SpectralAnalysis:
+    """Frequency responses by averaged spectra.
+
+    Spectra are averaged over Hann windows of all records, overlapped by two thirds; the inputs are
+    separated by ``solve(Guu, Guy)`` at every frequency (conditioning on the other inputs); window
+    lengths are merged point by point into a composite that trusts each where its random error is
+    small.
+
+    Parameters
+    ----------
+    omega : (K,) array
+        Frequencies [rad/s], increasing, in any spacing. Unless given, 40 from two periods in the
+        longest window to the highest that the records excite.
+    windows : sequence of float
+        Window lengths [s]. Unless given, five between 20 periods of the highest frequency and
+        min(half the longest record, a fifth of all records together), T&R section 10.3.
+    conditioned : bool
+        False takes every pair by itself, as if the other inputs did not move.
+    """
+
+    omega: Array | None = None
+    windows: Sequence[float] | None = None
+    conditioned: bool = True
+
+    def fit(self, records: Records) -> FrequencyResponse:
+        """Frequency response of the records; see `frequency_response`."""
+        records = several(records)
+        inputs, outputs = same_channels(records)
+        grid = _default_grid(records) if self.omega is None else self.omega
+        omega = checked_grid(grid, records)
+        records = [equidistant(record, omega[-1]) for record in records]
+        lengths = checked_windows(self.windows, records, omega)
+        moves = [any(np.ptp(record.channel(name)) for record in records) for name in inputs]
+        active = [i for i, moving in enumerate(moves) if moving]
+        if not active:
+            raise ValueError(f"no input moves in any record ({', '.join(inputs)}): nothing excites")
+        moving = [record.select(inputs=[inputs[i] for i in active]) for record in records]
+        lengths, parts = _parts(moving, omega, lengths, conditioned=self.conditioned)
+        usable = _usable(omega, lengths, parts)
+        merged = composite(parts, usable)
+        su, sy = standard_deviations(records)
+        found = FrequencyResponse(
+            omega=omega,
+            G=_columns(merged.response, active, len(inputs)),
+            coherence=_columns(merged.coherence, active, len(inputs)),
+            random_error=_columns(merged.random_error, active, len(inputs)),
+            inputs=inputs,
+            outputs=outputs,
+            input_std=su,
+            output_std=sy,
+            multiple_coherence=merged.multiple_coherence,
+            condition=merged.condition,
+            windows=tuple(lengths),
+            flags=_flags(omega, lengths, usable, merged, conditioned=self.conditioned),
+            records=tuple(record.name for record in records),
+        )
+        _warn(found, [name for i, name in enumerate(inputs) if i not in active])
+        return found
 
 
 def frequency_response(
@@ -186,11 +247,6 @@ def frequency_response(
 ) -> FrequencyResponse:
     """Frequency response of all outputs to all inputs, with coherence and random error.
 
-    Spectra are averaged over Hann windows of all records, overlapped by two thirds; the inputs are
-    separated by ``solve(Guu, Guy)`` at every frequency (conditioning on the other inputs); window
-    lengths are merged point by point into a composite that trusts each where its random error is
-    small.
-
     Parameters
     ----------
     records : Record or sequence of Record
@@ -198,14 +254,8 @@ def frequency_response(
         Non-equidistant records are interpolated (cubic spline) onto their median interval. Windows
         with a missing output sample are left out, with a `DataWarning`. Inputs held by steps
         ("zoh") are taken as steps, others as smooth.
-    omega : (K,) array
-        Frequencies [rad/s], increasing, in any spacing. Unless given, 40 from two periods in the
-        longest window to the highest that the records excite.
-    windows : sequence of float
-        Window lengths [s]. Unless given, five between 20 periods of the highest frequency and
-        min(half the longest record, a fifth of all records together), T&R section 10.3.
-    conditioned : bool
-        False takes every pair by itself, as if the other inputs did not move.
+    omega, windows, conditioned
+        As in `SpectralAnalysis`.
 
     Returns
     -------
@@ -219,31 +269,8 @@ def frequency_response(
         Frequencies beyond Nyquist's, windows longer than every record, a gap in time, no window
         without missing samples.
     """
-    records = several(records)
-    inputs, outputs = same_channels(records)
-    omega = checked_grid(_default_grid(records) if omega is None else omega, records)
-    records = [equidistant(record, omega[-1]) for record in records]
-    lengths = checked_windows(windows, records, omega)
-    active = [i for i, name in enumerate(inputs) if any(np.ptp(r.channel(name)) for r in records)]
-    if not active:
-        raise ValueError(f"no input moves in any record ({', '.join(inputs)}): nothing excites")
-    moving = [record.select(inputs=[inputs[i] for i in active]) for record in records]
-    lengths, parts = _parts(moving, omega, lengths, conditioned=conditioned)
-    usable = _usable(omega, lengths, parts)
-    merged = composite(parts, usable)
-    flags = _flags(omega, lengths, usable, merged, conditioned=conditioned)
-    su, sy = standard_deviations(records)
-    found = FrequencyResponse(
-        omega=omega,
-        G=_columns(merged.response, active, len(inputs)),
-        coherence=_columns(merged.coherence, active, len(inputs)),
-        random_error=_columns(merged.random_error, active, len(inputs)),
-        inputs=inputs, outputs=outputs, input_std=su, output_std=sy,
-        multiple_coherence=merged.multiple_coherence, condition=merged.condition,
-        windows=tuple(lengths), flags=flags, records=tuple(record.name for record in records),
-    )  # fmt: skip
-    _warn(found, [name for i, name in enumerate(inputs) if i not in active])
-    return found
+    analysis = SpectralAnalysis(omega=omega, windows=windows, conditioned=conditioned)
+    return analysis.fit(records)
 
 
 def holding(
@@ -292,7 +319,7 @@ def _parts(
             f"up to {100 * dropped:.0f} % of the windows hold missing output samples (NaN) and "
             "are left out; leave a channel with many of them out with Record.select",
             DataWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     return kept, parts
 
@@ -356,11 +383,11 @@ def _warn(found: FrequencyResponse, still: Sequence[str]) -> None:
             + ("; they are NaN" if lost else "")
             + ("; add records that move the inputs one at a time" if "inputs" in reason else ""),
             DataWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     if still:
         warnings.warn(
             f"input {still[0]!r} never moves: its column of the response is NaN",
             DataWarning,
-            stacklevel=3,
+            stacklevel=4,
         )

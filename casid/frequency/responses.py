@@ -9,6 +9,7 @@ import numpy as np
 from casid.arrays import Array, ComplexArray
 from casid.files import read_columns
 from casid.frequency.estimation import FrequencyResponse
+from casid.record import several
 
 Form = Literal["dB deg", "dB rad", "abs deg", "abs rad", "re im"]
 
@@ -73,13 +74,21 @@ def read_frequency_csv(
         error[at] = values[3] if values[3:] else np.nan
     coherence[np.isnan(G)] = np.nan
     return FrequencyResponse(
-        omega=table[omega] * (2 * np.pi if hertz else 1.0), G=G, coherence=coherence,
-        random_error=error, inputs=inputs, outputs=outputs, input_std=_sizes(inputs, input_std),
-        output_std=_sizes(outputs, output_std), records=(Path(path).stem,),
-    )  # fmt: skip
+        omega=table[omega] * (2 * np.pi if hertz else 1.0),
+        G=G,
+        coherence=coherence,
+        random_error=error,
+        inputs=inputs,
+        outputs=outputs,
+        input_std=_sizes(inputs, input_std),
+        output_std=_sizes(outputs, output_std),
+        records=(Path(path).stem,),
+    )
 
 
-def merge_responses(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
+def merge_responses(
+    responses: FrequencyResponse | Sequence[FrequencyResponse],
+) -> FrequencyResponse:
     """The pairs of several responses on the same frequencies, in one.
 
     A pair measured in two of them is taken from the first; multiple coherence and condition number
@@ -90,6 +99,7 @@ def merge_responses(responses: Sequence[FrequencyResponse]) -> FrequencyResponse
     ValueError
         No response, or grids that differ.
     """
+    responses = several(responses)
     if not responses:
         raise ValueError("no responses given; at least one is needed")
     first = responses[0]
@@ -115,10 +125,16 @@ def merge_responses(responses: Sequence[FrequencyResponse]) -> FrequencyResponse
         for whole, part in ((G, one.G), (coherence, one.coherence), (error, one.random_error)):
             whole[place] = np.where(there, part, whole[place])
     return FrequencyResponse(
-        omega=first.omega, G=G, coherence=coherence, random_error=error, inputs=inputs,
-        outputs=outputs, input_std=_sizes(inputs, sizes[0]), output_std=_sizes(outputs, sizes[1]),
+        omega=first.omega,
+        G=G,
+        coherence=coherence,
+        random_error=error,
+        inputs=inputs,
+        outputs=outputs,
+        input_std=_sizes(inputs, sizes[0]),
+        output_std=_sizes(outputs, sizes[1]),
         records=tuple(dict.fromkeys(name for one in responses for name in one.records)),
-    )  # fmt: skip
+    )
 
 
 def _complex(first: Array, second: Array, form: Form) -> ComplexArray:

@@ -110,10 +110,13 @@ def record_spectra(records: Sequence[Record], omega: Array, length: float) -> Sp
     Guu, Guy, Gyy, averages = (np.array(column) for column in zip(*sums, strict=True))
     shape = (len(records), K)
     return Spectra(
-        Guu=Guu.reshape(*shape, nu, nu), Guy=Guy.reshape(*shape, nu, ny),
-        Gyy=Gyy.reshape(*shape, ny), averages=averages, count=used,
+        Guu=Guu.reshape(*shape, nu, nu),
+        Guy=Guy.reshape(*shape, nu, ny),
+        Gyy=Gyy.reshape(*shape, ny),
+        averages=averages,
+        count=used,
         dropped=1 - used / max(offered, 1),
-    )  # fmt: skip
+    )
 
 
 def transform(x: Array, dt: float, omega: Array) -> ComplexArray:
@@ -221,10 +224,13 @@ def _pairs(
         error = OVERLAP_FACTOR * np.sqrt((1 - coherence) / (2 * averages * coherence))
     everywhere = np.einsum("r,rkij->kij", n, N).min(axis=2)
     return Conditioned(
-        Gxx=Gxx, Gxy=H * Gxx, Gyy=output, random_error=error,
+        Gxx=Gxx,
+        Gxy=H * Gxx,
+        Gyy=output,
+        random_error=error,
         multiple_coherence=np.clip(1 - everywhere / np.where(Gyy > 0, Gyy, 1.0), 0.0, 1.0),
         condition=number,
-    )  # fmt: skip
+    )
 
 
 def _residual(spectra: Spectra, H: ComplexArray, *, conditioned: bool) -> Array:
@@ -272,10 +278,13 @@ def composite(parts: Sequence[Conditioned], usable: BoolArray, iterations: int =
     multiple = _mean(W.mean(axis=3), stacked["multiple_coherence"])
     G = {name: lost[:, None, None] * value for name, value in means.items()}
     return Conditioned(
-        Gxx=c[0] * G["Gxx"], Gyy=c[1] * G["Gyy"], Gxy=(c[2] + 1j * c[3]) * G["Gxy"],
-        random_error=G["random_error"], multiple_coherence=lost[:, None] * multiple,
+        Gxx=c[0] * G["Gxx"],
+        Gyy=c[1] * G["Gyy"],
+        Gxy=(c[2] + 1j * c[3]) * G["Gxy"],
+        random_error=G["random_error"],
+        multiple_coherence=lost[:, None] * multiple,
         condition=np.max(stacked["condition"], axis=0),
-    )  # fmt: skip
+    )
 
 
 def _mean(W: Array, values: Any) -> Any:  # noqa: ANN401 - real or complex
@@ -305,8 +314,8 @@ def _step(c: Array, sw: Array, a: Array, b: Array, z: ComplexArray) -> Array:
     gamma_w = np.maximum(size**2 / (a * b), 1e-12)
     gamma = (c[2] ** 2 + c[3] ** 2) / (c[0] * c[1])
     five = np.sqrt(5.0)
-    r = np.stack([c[0] / a - 1, c[1] / b - 1, (c[2] - z.real) / size, (c[3] - z.imag) / size,
-                  five * (gamma / gamma_w - 1)])  # fmt: skip
+    real, imag = (c[2] - z.real) / size, (c[3] - z.imag) / size
+    r = np.stack([c[0] / a - 1, c[1] / b - 1, real, imag, five * (gamma / gamma_w - 1)])
     J = np.zeros((5, 4, *z.shape))
     J[0, 0], J[1, 1], J[2, 2], J[3, 3] = 1 / a, 1 / b, 1 / size, 1 / size
     modulus = c[0] * c[1] * gamma_w / five

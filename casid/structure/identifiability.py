@@ -278,14 +278,10 @@ def _judge(names: tuple[str, ...], F: Array, scale: Array) -> Identifiability:
         eigenvalues=eigenvalues[::-1],
         insensitive=tuple(name for name, yes in zip(names, felt, strict=True) if not yes),
         confounded=_groups(V[:, lost], inside),
-        weak=tuple(
-            tuple(name for name, share in zip(inside, np.abs(v), strict=True)
-                  if share > 3 * SHARE * np.abs(v).max())
-            for v in V[:, faint].T
-        ),
+        weak=tuple(_prominent(v, inside, 3 * SHARE) for v in V[:, faint].T),
         inflation=inflation,
         information=F,
-    )  # fmt: skip
+    )
 
 
 def _groups(null: Array, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
@@ -301,11 +297,15 @@ def _groups(null: Array, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
         rows[k] /= rows[k, j]
         others = np.arange(len(rows)) != k
         rows[others] -= np.outer(rows[others, j], rows[k])
+    return tuple(_prominent(row, names, SHARE) for row in rows)
+
+
+def _prominent(row: Array, names: Sequence[str], share: float) -> tuple[str, ...]:
+    """Names of the entries above a share of the largest."""
+    sizes = np.abs(row)
     return tuple(
-        tuple(name for name, share in zip(names, np.abs(row), strict=True)
-              if share > SHARE * np.abs(row).max())
-        for row in rows
-    )  # fmt: skip
+        name for name, size in zip(names, sizes, strict=True) if size > share * sizes.max()
+    )
 
 
 def _listed(names: Sequence[str]) -> str:

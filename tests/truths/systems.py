@@ -110,3 +110,26 @@ def predictor(system, K, su, sy):
     B = np.hstack([system.B, K])
     whole = StateSpace(system.A - K @ system.C, B, system.C, np.zeros((2, 3)))
     return to_modal(whole, np.concatenate([su, sy]), sy, np.zeros((2, 3), dtype=bool))
+
+
+LAG = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], None, ("u",), ("y",))
+ROTATION = [[-1.0, 2.0], [-2.0, -1.0]]
+TWO = StateSpace(ROTATION, np.eye(2), np.eye(2), np.zeros((2, 2)), None, ("a", "b"), ("x", "y"))
+DT = 0.05
+
+
+def white(system, rng, *, duration=400.0, noise=0.0, mix=None, name="white"):
+    """A record under white (linearly interpolated) inputs, correlated by ``mix``."""
+    t = DT * np.arange(round(duration / DT) + 1)
+    u = rng.standard_normal((len(t), system.nu))
+    u = u if mix is None else u @ np.asarray(mix).T
+    y = system.simulate(t, u) + noise * rng.standard_normal((len(t), system.ny))
+    return Record(t, u, y, system.inputs, system.outputs, name)
+
+
+def same(a, b):
+    """Two records are equal to the last bit."""
+    for attribute in ("t", "u", "y"):
+        np.testing.assert_array_equal(getattr(a, attribute), getattr(b, attribute))
+    names = ("inputs", "outputs", "hold", "trim")
+    assert [getattr(a, name) for name in names] == [getattr(b, name) for name in names]

@@ -1,11 +1,11 @@
 """Kinematic consistency: known instrument errors are found, and none where there are none."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from truths.flights import ERRORS, FORCES, NOISE, RATES, STATES, flight, scores
+from truths.places import EXAMPLES
 from truths.roll_study import write_study
 
 from casid import read_csv
@@ -14,7 +14,6 @@ from casid.exchange.formats import read_table, write_table
 from casid.studies.runner import run_study
 from casid.studies.studyfile import read_study
 
-EXAMPLES = Path(__file__).parent.parent / "examples"
 INPUTS = ("col", "lat", "lon", "ped")
 OUTPUTS = ("ax", "ay", "az", "p", "q", "r", "phi", "theta")
 ATTITUDES = (*RATES, "phi", "theta")

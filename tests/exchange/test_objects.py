@@ -1,0 +1,114 @@
+"""Systems and records become other packages' objects, and come back."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+import scipy.linalg
+import scipy.signal
+from truths.systems import same
+
+from casid.exchange.objects import (
+    from_control,
+    from_dataframe,
+    from_scipy,
+    to_control,
+    to_dataframe,
+    to_scipy,
+    without_delay,
+)
+
+OMEGA = np.geomspace(0.1, 20, 15)
+LETTERS = "ABCD"
+
+
+@pytest.mark.parametrize("dt", [None, 0.02])
+def test_python_control_keeps_matrices_names_and_interval(system, dt):
+    there = to_control(replace(system, dt=dt))
+    back = from_control(there)
+    for letter in LETTERS:
+        np.testing.assert_array_equal(getattr(back, letter), getattr(system, letter))
+    assert (back.dt, back.inputs, back.outputs, back.states) == (
+        dt, system.inputs, system.outputs, system.states,
+    )  # fmt: skip
+    assert there.isdtime(strict=True) == (dt is not None)
+
+
+@pytest.mark.parametrize("dt", [None, 0.02])
+def test_scipy_keeps_matrices_and_interval(system, dt):
+    names = {"inputs": system.inputs, "outputs": system.outputs, "states": system.states}
+    back = from_scipy(to_scipy(replace(system, dt=dt)), **names)
+    for letter in LETTERS:
+        np.testing.assert_array_equal(getattr(back, letter), getattr(system, letter))
+    assert (back.dt, back.inputs) == (dt, system.inputs)
+
+
+def test_a_transfer_function_of_scipy_becomes_a_system():
+    lag = from_scipy(scipy.signal.lti([2.0], [0.5, 1.0]), inputs=["lat"], outputs=["p"])
+    np.testing.assert_allclose(lag.response(OMEGA)[:, 0, 0], 2 / (1 + 0.5j * OMEGA), rtol=1e-12)
+
+
+def test_a_transfer_function_of_control_becomes_a_system():
+    lag = from_control(control.ss(control.tf([2.0], [0.5, 1.0])), delay=[0.1])
+    expected = 2 / (1 + 0.5j * OMEGA) * np.exp(-0.1j * OMEGA)
+    np.testing.assert_allclose(lag.response(OMEGA)[:, 0, 0], expected, rtol=1e-12)
+
+
+def test_delays_are_never_dropped_in_silence(system):
+    with pytest.raises(ValueError, match=r"delays \(ped 0.1 s\).*pade=3"):
+        to_control(replace(system, delay=[0.0, 0.1]))
+    assert to_control(replace(system, delay=())).nstates == 3
+
+
+def test_a_pade_approximation_is_all_pass_and_right_in_phase_within_its_band(system):
+    late = replace(system, delay=[0.05, 0.1])
+    plain = without_delay(late, pade=3)
+    assert (plain.nx, plain.inputs, plain.outputs) == (9, late.inputs, late.outputs)
+    low = OMEGA[OMEGA < 15]
+    # The error of the (3, 3) approximation is (ω τ)^7 / 1e5: 2e-4 at ω τ = 1.5.
+    np.testing.assert_allclose(plain.response(low), late.response(low), rtol=5e-4, atol=1e-4)
+
+
+def test_delays_of_a_discrete_model_become_states_exactly(system):
+    late = replace(system, dt=0.02, delay=[0.04, 0.0])
+    plain = without_delay(late)
+    assert plain.nx == 5
+    np.testing.assert_allclose(plain.response(OMEGA), late.response(OMEGA), rtol=1e-12)
+    with pytest.raises(ValueError, match="no multiple"):
+        without_delay(replace(late, delay=[0.05, 0.0]))
+
+
+def test_a_discrete_system_without_interval_is_refused():
+    with pytest.raises(ValueError, match="without a sampling interval"):
+        from_control(control.ss(0.5, 1, 1, 0, True))
+
+
+def test_a_dataframe_gives_the_record_back(record):
+    frame = to_dataframe(record)
+    assert list(frame.columns) == ["lat", "p", "phi"]
+    back = from_dataframe(frame)
+    same(back, record)
+    assert back.name == "a flight"
+
+
+def test_a_foreign_frame_needs_names_and_takes_units(record):
+    frame = to_dataframe(record).reset_index()
+    frame.attrs = {}
+    with pytest.raises(ValueError, match="which columns are inputs"):
+        from_dataframe(frame)
+    found = from_dataframe(frame, inputs=["lat"], outputs=["p"], units={"p": "deg/s"})
+    np.testing.assert_allclose(found.channel("p"), np.radians(record.channel("p")), rtol=1e-14)
+    with pytest.raises(ValueError, match="no column 'psi'; it has t, lat, p, phi"):
+        from_dataframe(frame, inputs=["lat"], outputs=["psi"])
+    frame["p"] = "fast"
+    with pytest.raises(ValueError, match="'p' holds no numbers"):
+        from_dataframe(frame, inputs=["lat"], outputs=["p"])
+
+
+def test_an_index_of_time_deltas_is_time_in_seconds(record):
+    frame = to_dataframe(record)
+    frame.index = pd.to_timedelta(np.arange(50) * 20, unit="ms")
+    np.testing.assert_allclose(from_dataframe(frame).t, 0.02 * np.arange(50), rtol=1e-12)

@@ -1,0 +1,108 @@
+"""Grids, windows and irregular records made fit for spectra, or refused."""
+
+import numpy as np
+import pytest
+import scipy.optimize
+import scipy.signal
+from truths import uh60
+from truths.systems import DT, LAG, white
+
+from casid import DataWarning, Record, frequency_response
+from casid.frequency.sampling import default_windows
+
+
+def test_window_lengths_follow_the_rules():
+    records = uh60.sweeps()
+    windows = default_windows(records, np.geomspace(0.5, 12, 40))
+    assert windows[0] == pytest.approx(20 * 2 * np.pi / 12)
+    assert windows[-1] == pytest.approx(35.0)  # half a sweep; a fifth of all is 56 s
+    assert len(windows) == 5
+    assert default_windows(records[:1], np.array([12.0]))[-1] == pytest.approx(14.0)
+
+
+def test_jittered_sampling_is_interpolated():
+    rng = np.random.default_rng(15)
+    even = DT * np.arange(8001)
+    odd = even.copy()
+    odd[10:-10:7] += 0.4 * DT * rng.uniform(-1, 1, len(odd[10:-10:7]))  # the median stays DT
+    knots = np.arange(0.0, 400.5, 0.5)
+    smooth = scipy.interpolate.make_interp_spline(knots, rng.standard_normal(len(knots)), k=5)
+    found = []
+    for t in (even, odd):
+        u = smooth(t)[:, None]
+        record = Record(t, u, LAG.simulate(t, u), ("u",), ("y",))
+        found.append(frequency_response([record], omega=np.array([0.5, 1.0, 2.0]), windows=[40.0]))
+    # Inputs between samples are straight lines: (dt/0.5)²/12 of a knot's curvature, 1e-3.
+    np.testing.assert_allclose(found[1].G, found[0].G, rtol=2e-3)
+
+
+def test_a_gap_in_time_is_refused_with_its_place():
+    record = white(LAG, np.random.default_rng(16))
+    keep = (record.t < 100) | (record.t > 101)
+    broken = Record(record.t[keep], record.u[keep], record.y[keep], ("u",), ("y",), "gap")
+    with pytest.raises(ValueError, match=r"'gap' has a gap of 1.* s at t = 99.95 s.*between\(\)"):
+        frequency_response([broken], omega=np.array([1.0, 2.0]))
+
+
+def test_a_jittered_record_keeps_its_missing_samples_missing():
+    rng = np.random.default_rng(18)
+    record = white(LAG, rng, duration=1000.0)
+    t = record.t + 0.1 * DT * rng.uniform(-1, 1, record.N)
+    y = LAG.simulate(t, record.u)
+    y[7000:7100] = np.nan
+    with pytest.warns(DataWarning, match="missing output samples"):
+        found = frequency_response(
+            [Record(t, record.u, y, ("u",), ("y",))], omega=np.array([2.0]), windows=[20.0]
+        )
+    assert np.isfinite(found.G).all()
+
+
+@pytest.mark.parametrize(
+    ("omega", "message"),
+    [
+        ([1.0, 70.0], r"omega reaches 70 rad/s.*below Nyquist's 62.8"),
+        ([2.0, 1.0], "increasing frequencies above 0"),
+        ([0.0, 1.0], "increasing frequencies above 0"),
+        ([0.001], "does not hold one period"),
+    ],
+)
+def test_a_grid_that_cannot_be_had_is_refused(omega, message):
+    with pytest.raises(ValueError, match=message):
+        frequency_response([white(LAG, np.random.default_rng(19))], omega=np.array(omega))
+
+
+def test_a_grid_finer_than_the_record_is_warned_of():
+    record = white(LAG, np.random.default_rng(20), duration=100.0)
+    with pytest.warns(DataWarning, match="finer than a record of 100 s allows"):
+        frequency_response([record], omega=np.linspace(1, 2, 50), windows=[20.0])
+
+
+@pytest.mark.parametrize("windows", [[], [0.0], [500.0]])
+def test_window_lengths_must_fit(windows):
+    with pytest.raises(ValueError, match="expected lengths between 0 and 400"):
+        frequency_response(
+            [white(LAG, np.random.default_rng(22))], omega=np.array([1.0]), windows=windows
+        )
+
+
+def sweep(low, high, duration):
+    """A logarithmic sweep from low to high [rad/s] through an integrator with a lag."""
+    t = np.arange(0, duration, 0.02)
+    rate = low * (high / low) ** (t / duration)
+    u = np.sin(np.cumsum(rate) * 0.02) * np.minimum(1, np.minimum(t, duration - t) / 3)
+    y = np.zeros_like(u)
+    for k in range(len(t) - 1):  # dy/dt = u - y
+        y[k + 1] = y[k] + 0.02 * (u[k] - y[k])
+    return Record(t, u[:, None], y[:, None], inputs=("lat",), outputs=("p",), name="sweep")
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_the_grid_goes_from_what_the_windows_hold_to_what_the_sweep_excites(count):
+    record = sweep(0.3, 10.0, 80.0)
+    omega = frequency_response([record] * count).omega
+    longest = min(record.duration / 2, count * record.duration / 5)
+    assert omega[0] == pytest.approx(2 * 2 * np.pi / longest)  # two periods
+    # The sweep is at 8.8 rad/s when it begins to fade out and at 10 when it has; the window over
+    # the whole record, which finds its spectrum, fades it out earlier.
+    assert 0.9 * 8.8 < omega[-1] < 10.0
+    assert len(omega) == 40
