@@ -250,7 +250,7 @@ def test_parameters_that_data_cannot_tell_apart_have_infinite_error():
 def test_a_delay_stays_at_zero_where_the_data_want_a_lead():
     lead = Roll(Yv=-0.2, Lv=-0.08, Lp=-2.5, Llat=11.0, tau=0.0)
     frf = response(lead)
-    frf.G[:] *= np.exp(0.03j * OMEGA)[:, None, None]
+    frf = dataclasses.replace(frf, G=frf.G * np.exp(0.03j * OMEGA)[:, None, None])
     fit = derivid(Roll(), frf, starts=2)
     assert fit["tau"].value == pytest.approx(0.0, abs=1e-7)
     assert fit["tau"].lower == 0.0
@@ -282,7 +282,7 @@ def test_a_tie_between_parameters_holds():
     fit = derivid(TiedRoll(), response(truth), starts=2)
     np.testing.assert_allclose(fit.model.vector(), truth.vector(), rtol=1e-6)
     lead = response(truth)
-    lead.G[:] *= np.exp(0.2j * OMEGA)[:, None, None]
+    lead = dataclasses.replace(lead, G=lead.G * np.exp(0.2j * OMEGA)[:, None, None])
     # The delay is composed of a parameter, so a constraint keeps it at 0, not a bound.
     assert derivid(TiedRoll(), lead, starts=1).model.lag == pytest.approx(0.01, abs=1e-6)
 
@@ -300,7 +300,9 @@ def test_fixed_parameters_and_bounds_are_kept():
 
 def test_pairs_without_coherence_are_left_out_unless_named():
     frf = response(TRUTH)
-    frf.coherence[:, 0] = 0.4
+    low = frf.coherence.copy()
+    low[:, 0] = 0.4
+    frf = dataclasses.replace(frf, coherence=low)
     fit = derivid(Roll(), frf, starts=1)
     assert [(row["output"], row["input"]) for row in fit.notes["pairs"]] == [("phi", "lat")]
     named = derivid(Roll(), frf, starts=1, pairs=[("p", "lat")])
