@@ -12,7 +12,25 @@ from casid.commands.inspection import Inspection, inspect_records
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.eigenmodes import Mode, modes
 from casid.errors import ConvergenceError, DataWarning, ModelError
-from casid.exchange.formats import read_parquet, read_record, write_mat, write_parquet
+from casid.exchange.formats import (
+    pairs_of,
+    read_parquet,
+    read_record,
+    write_fit_mat,
+    write_frequency,
+    write_mat,
+    write_parquet,
+)
+from casid.exchange.objects import (
+    from_control,
+    from_dataframe,
+    from_scipy,
+    to_control,
+    to_dataframe,
+    to_scipy,
+    without_delay,
+)
+from casid.exchange.standalone import write_module
 from casid.files import read_csv, read_mat, write_csv
 from casid.fit import Certificate, Fit, ParameterEstimate
 from casid.frequency.estimation import FrequencyResponse, SpectralAnalysis, frequency_response
@@ -24,6 +42,9 @@ from casid.nlp import Progress, SolverOptions
 from casid.record import Record
 from casid.shooting.output_error import output_error
 from casid.structure.identifiability import Identifiability, identifiability
+from casid.structure.modelfile import load_model
+from casid.studies.study import read_records
+from casid.studies.studyfile import read_study
 from casid.subspace.pbsid import BlackBox, pbsid
 from casid.subspace.settings import OrderSelection, select_order
 from casid.validation import Validation, validate
@@ -64,11 +85,15 @@ __all__ = [
     "compare_bounds",
     "derivid",
     "frequency_response",
+    "from_control",
+    "from_dataframe",
+    "from_scipy",
     "handling_qualities",
     "identifiability",
     "identify",
     "inspect_records",
     "kinematic_check",
+    "load_model",
     "match",
     "matrix",
     "merge_responses",
@@ -76,6 +101,7 @@ __all__ = [
     "monte_carlo",
     "multistart",
     "output_error",
+    "pairs_of",
     "parameter",
     "pbsid",
     "profile",
@@ -84,11 +110,20 @@ __all__ = [
     "read_mat",
     "read_parquet",
     "read_record",
+    "read_records",
+    "read_study",
     "reduce_structure",
     "select_order",
+    "to_control",
+    "to_dataframe",
+    "to_scipy",
     "transfer_function",
     "validate",
+    "without_delay",
     "write_csv",
+    "write_fit_mat",
+    "write_frequency",
     "write_mat",
+    "write_module",
     "write_parquet",
 ]

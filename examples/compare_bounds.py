@@ -13,10 +13,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casid import compare_bounds, match, pbsid
-from casid.report import plot_bounds
-from casid.studies.study import read_records
-from casid.studies.studyfile import read_study
+from casid import compare_bounds, match, pbsid, read_records, read_study, report
 
 ROOT = Path(__file__).parent.parent
 OUT = ROOT / "out" / "bounds"
@@ -63,7 +60,7 @@ def main():
     )  # fmt: skip
     comparison.to_csv(OUT / "bounds.csv")
     figure = Figure(figsize=(7.4, 8), layout="constrained")
-    plot_bounds(figure.subplots(), comparison)
+    report.plot_bounds(figure.subplots(), comparison)
     figure.savefig(OUT / "bounds.png", dpi=150)
     print(comparison.to_markdown())
 

@@ -33,8 +33,6 @@ from casid import (
     read_csv,
     validate,
 )
-from casid.record import standard_deviations
-from casid.report.figures import decibel, phase
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
@@ -179,7 +177,7 @@ def identify(case: Case):
 def response_error(case: Case, system: StateSpace, reference, outputs, low, high) -> float:
     """Median over ω of ‖S_y⁻¹(Ĝ - G)S_u‖_F / ‖S_y⁻¹ G S_u‖_F between low and high rad/s."""
     omega = OMEGA[(low <= OMEGA) & (high >= OMEGA)]
-    su, sy = standard_deviations(case.unseen)
+    su, sy = (np.std(np.vstack([getattr(r, x) for r in case.unseen]), axis=0) for x in "uy")
     rows = [case.model.outputs.index(name) for name in outputs]
     scale = su / sy[rows, None]
     G = response(reference, omega, outputs)
@@ -323,6 +321,18 @@ def draw_pair(axes, case: Case, systems, output: str, stick: str) -> None:
     axes[0].set_title(f"{output} / {stick}", fontsize=9)
     axes[0].set_ylabel("[dB]")
     axes[1].set_ylabel("[deg]")
+
+
+def decibel(G):
+    """20 log10 |G|."""
+    return 20 * np.log10(np.abs(G))
+
+
+def phase(G, near=None):
+    """Phase [deg], unwrapped and moved by whole turns towards ``near``."""
+    angle = np.degrees(np.unwrap(np.angle(G)))
+    gap = np.median(angle if near is None else angle - near)
+    return angle - 360 * np.round(gap / 360)
 
 
 def pair_response(reference, output: str, stick: str):

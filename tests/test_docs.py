@@ -183,6 +183,12 @@ def test_every_page_stands_in_the_table_of_contents():
         assert f": {page.relative_to(ROOT / 'docs')}\n" in nav
 
 
+def test_pages_and_examples_import_what_is_public():
+    texts = [page.read_text("utf-8") for page in (*PAGES, ROOT / "README.md")]
+    texts += [program.read_text("utf-8") for program in (ROOT / "examples").glob("*.py")]
+    assert not re.findall(r"^\s*(?:from|import) casid\..*$", "\n".join(texts), flags=re.MULTILINE)
+
+
 def test_every_public_name_stands_in_the_reference():
     reference = "".join(page.read_text("utf-8") for page in (ROOT / "docs/reference").glob("*.md"))
     shown = set(re.findall(r"^::: casid\.(?:[\w.]+\.)?(\w+)$", reference, flags=re.MULTILINE))
