@@ -1,7 +1,6 @@
 """Files: units, missing cells, trim, and errors that name file and column."""
 
 import json
-import zlib
 
 import numpy as np
 import pytest
@@ -56,29 +55,6 @@ def test_columns_can_be_renamed_and_paced_by_an_interval(tmp_path):
 def test_a_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path):
     record = read_csv(csv(tmp_path, "\ufefft,lat,p,phi\r\n0,1,2,3\r\n1,1,2,3\r\n"), **CHANNELS)
     np.testing.assert_array_equal(record.t, [0, 1])
-
-
-@pytest.mark.parametrize("compressed", [False, True])
-def test_a_matlab_file_whose_data_have_no_type_is_refused(tmp_path, compressed):
-    file = tmp_path / "a.mat"
-    scipy.io.savemat(file, {"t": np.arange(40.0), "note": "level", "z": np.array([1j])})
-    data = bytearray(file.read_bytes())
-    at = data.index(b"\x09\0\0\0" + (320).to_bytes(4, "little"))  # 40 doubles follow
-    data[at : at + 4] = b"\x09\xfd\0\0"  # with such a type SciPy alone ends the process
-    if compressed:
-        packed = zlib.compress(data[128:])
-        data[128:] = (15).to_bytes(4, "little") + len(packed).to_bytes(4, "little") + packed
-    file.write_bytes(data)
-    with pytest.raises(ValueError, match=r"'t' has data of type 64777.*save it again"):
-        read_mat(file, inputs=["t"], outputs=["t"], time=0.1)
-
-
-def test_what_is_no_real_number_in_a_matlab_file_is_named(tmp_path):
-    file = tmp_path / "a.mat"
-    scipy.io.savemat(file, {"t": np.arange(4.0), "note": "level", "z": np.array([1j])})
-    for name in ("note", "z"):
-        with pytest.raises(ValueError, match=f"'{name}' holds no real array, expected numbers"):
-            read_mat(file, inputs=["t"], outputs=[name], time=0.1)
 
 
 def test_trim_is_removed_on_reading_and_written_back(tmp_path):

@@ -139,7 +139,7 @@ def _integral(f: Array, dt: float) -> Array:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Solution:
+class Instruments:
     """Instruments with which the flights obey kinematics.
 
     Parameters
@@ -166,7 +166,7 @@ class Solution:
 Block = tuple[str, Array, Array]  # equation, residual (N,), slopes of the prediction (N, unknowns)
 
 
-def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Solution:
+def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instruments:
     """Gain, bias and skew of each rate and specific force by Gauss-Newton steps.
 
     The filters' gains and the weights of the equations are fitted between the steps.
@@ -178,7 +178,7 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Solution
     equations : sequence of str
         The attitudes and velocities whose equations are used.
     """
-    problem = _Problem(flights, tuple(equations))
+    problem = _Reconstruction(flights, tuple(equations))
     n = len(problem.channels)
     start = np.tile([1.0, 0.0, 0.0], n)
     prior = np.tile(PRIOR**-2.0, n)
@@ -195,7 +195,7 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Solution
     blocks = problem.blocks(x)
     parts = problem.whitened(blocks)
     variance = _variances(_normal(parts, prior, start - x)[0], problem.scores(parts))
-    return Solution(
+    return Instruments(
         channels=problem.channels,
         unknowns=x.reshape(n, 3),
         errors=np.sqrt(variance).reshape(n, 3),
@@ -204,7 +204,7 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Solution
     )
 
 
-class _Problem:
+class _Reconstruction:
     """Residuals of all equations over all flights, and the filters that whiten them."""
 
     def __init__(self, flights: Sequence[Flight], equations: tuple[str, ...]) -> None:

@@ -29,7 +29,7 @@ from casid.consistency.flightpath import (
     RATES,
     VELOCITIES,
     Flight,
-    Solution,
+    Instruments,
     looked_at,
     noise,
     reconstruct,
@@ -227,7 +227,7 @@ def _turned(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:
 # ---- judgement ---------------------------------------------------------------------------------
 
 
-def _judged(solution: Solution, name: str, spread: float, rough: set[str]) -> ChannelCheck:
+def _judged(solution: Instruments, name: str, spread: float, rough: set[str]) -> ChannelCheck:
     i = solution.channels.index(name)
     gain, bias, skew = map(float, solution.unknowns[i])
     errors = [float(error) for error in solution.errors[i]]
@@ -282,7 +282,7 @@ def _mistake(factor: float) -> str:
     return why[0] if why else ""
 
 
-def _unexplained(solution: Solution, spread: Mapping[str, float]) -> tuple[str, ...]:
+def _unexplained(solution: Instruments, spread: Mapping[str, float]) -> tuple[str, ...]:
     """Remarks on attitudes and velocities that no scale, bias and skew brings into line."""
     said = []
     for each, left in solution.left.items():

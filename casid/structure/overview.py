@@ -14,7 +14,7 @@ from casid.structure.identifiability import Identifiability, identifiability
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Structure:
+class Overview:
     """What `describe` found; ``str()`` of it is the text that ``casid check`` prints."""
 
     model: Model
@@ -87,7 +87,7 @@ def describe(
     *,
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
-) -> Structure:
+) -> Overview:
     """Lay a structure open at its guess.
 
     Parameters
@@ -108,7 +108,7 @@ def describe(
     system = free.model.system()
     flown = excitation(system) if records is None else several(records)
     told = "one 3-2-1-1 a control" if records is None else ", ".join(r.name for r in flown)
-    return Structure(
+    return Overview(
         model=model,
         free=free,
         entries=_entries(model),

@@ -1,6 +1,5 @@
 """What goes into other tools' files comes back."""
 
-import h5py
 import numpy as np
 import pytest
 import scipy.io
@@ -62,24 +61,6 @@ def test_matlab_files_of_both_versions_read_alike(record, tmp_path):
         found = read_table(tmp_path / file)
         assert set(found) == set(table)
         np.testing.assert_array_equal(found["lat"], record.u[:, 0])
-
-
-def test_a_file_of_version_7_3_is_what_matlab_expects(record, tmp_path):
-    # MAT-File Format, "Level 7.3": 116 bytes of text, 8 of offset, version 0x0200, byte order;
-    # HDF5 behind 512 bytes, arrays transposed, the class an attribute.
-    write_mat(tmp_path / "flight.mat", record, version="7.3")
-    head = (tmp_path / "flight.mat").read_bytes()[:520]
-    assert head.startswith(b"MATLAB 7.3 MAT-file")
-    assert head[124:128] == b"\x00\x02IM"
-    assert head[512:520] == b"\x89HDF\r\n\x1a\n"
-    with h5py.File(tmp_path / "flight.mat") as file:
-        assert set(file) == {"t", "lat", "p", "phi"}
-        assert file["lat"].shape == (1, record.N)
-        assert file["lat"].attrs["MATLAB_class"] == b"double"
-    back = read_record(tmp_path / "flight.mat", inputs=["lat"], outputs=["p", "phi"])
-    np.testing.assert_allclose(back.y, record.y + np.array([0.01, -0.02]), rtol=0, atol=1e-15)
-    with pytest.raises(ValueError, match="version='6': expected one of 5"):
-        write_mat(tmp_path / "flight.mat", record, version="6")
 
 
 @pytest.mark.parametrize("suffix", ["csv", "mat", "parquet"])

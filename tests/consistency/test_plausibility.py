@@ -1,0 +1,49 @@
+"""Units that must be others, and records from which nothing can be learnt."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from casid import Record
+from casid.consistency.plausibility import check_plausible, unit_doubts
+
+T = 0.02 * np.arange(100)
+
+
+def flight(scale=1.0, dt=0.02, travel=0.1):
+    u = travel * np.sin(T)[:, None]
+    y = scale * np.column_stack([0.1 * np.sin(3 * T), 0.2 * np.cos(T)])
+    return Record(T * dt / 0.02, u, y, ("lat",), ("p", "phi"), "roll")
+
+
+@pytest.mark.parametrize(
+    ("record", "channel", "units"),
+    [
+        (flight(scale=100.0), "p", ("deg/s", "rad/s")),
+        (flight(scale=100.0), "phi", ("deg", "rad")),
+        (flight(dt=20.0), "t", ("ms", "s")),
+        (flight(travel=30.0), "lat", ("%", "1")),
+    ],
+)
+def test_a_channel_that_cannot_be_in_its_unit_is_doubted_until_it_is_stated(record, channel, units):
+    doubts = {doubt.channel: doubt.units for doubt in unit_doubts(record)}
+    assert doubts[channel] == units
+    assert channel not in {doubt.channel for doubt in unit_doubts(record, stated=[channel])}
+    assert not unit_doubts(flight())
+
+
+def test_records_that_teach_nothing_are_refused():
+    good = flight()
+    check_plausible([good], [good], {})
+    with pytest.raises(ValueError, match=r"'p' reaches 10 rad/s; is it in deg/s\? State its unit"):
+        check_plausible([good], [flight(scale=100.0)], {"phi": "rad"})
+    with pytest.raises(ValueError, match="'roll' has 15 samples, at least 16 are wanted"):
+        check_plausible([good], [good.between(0, 0.28)], {})
+    still = replace(good, u=np.full_like(good.u, 0.3))
+    with pytest.raises(ValueError, match=r"input 'lat' is constant in record 'roll'.*excites it"):
+        check_plausible([still], [good], {})
+    check_plausible([still, good], [good], {})
+    dead = replace(good, y=good.y * [1.0, 0.0])
+    with pytest.raises(ValueError, match=r"output 'phi' is constant .*look at its sensor"):
+        check_plausible([dead], [good], {})

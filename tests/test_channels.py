@@ -1,0 +1,28 @@
+"""Units by their definitions: NIST SP 811 for feet, knots and g, SI for the rest."""
+
+import numpy as np
+import pytest
+
+from casid.channels import MEASURES, SI, factor_of, units_of
+
+
+@pytest.mark.parametrize(
+    ("unit", "in_si"),
+    [("deg", np.pi / 180), ("dps", np.pi / 180), ("kt", 1852 / 3600), ("km/h", 1000 / 3600),
+     ("ft/s", 0.3048), ("in", 0.3048 / 12), ("g", 9.80665), ("%", 0.01), ("ms", 1e-3),
+     ("pwm", 1 / 1000)],
+)  # fmt: skip
+def test_one_of_each_unit_is_what_its_definition_says(unit, in_si):
+    assert factor_of("p", unit) == pytest.approx(in_si, rel=1e-15)
+
+
+def test_an_unknown_unit_is_refused_with_those_known():
+    with pytest.raises(ValueError, match="'p': unknown unit 'mph'; known are 1, -, %"):
+        factor_of("p", "mph")
+
+
+def test_a_channel_has_the_si_unit_of_what_was_stated_or_of_its_name():
+    units = units_of({"lat": "deg", "ped": "%", "beta": "deg", "ay": "g"})
+    wanted = {"lat": "rad", "ped": "travel", "beta": "rad", "ay": "m/s²", "q": "rad/s"}
+    assert {name: units[name] for name in wanted} == wanted
+    assert all(SI[si] == 1.0 for si in MEASURES)
