@@ -94,7 +94,7 @@ def fits(starts=20):
     began = time.process_time()
     fit = derivid(model, frf, starts=starts)
     seconds = time.process_time() - began
-    costs = np.array([row["J"] for row in fit.notes["starts"]])
+    costs = np.array([row.J for row in fit.notes.starts])
     print(f"derivid, 64 parameters, {starts} starts")
     print(f"  casid         J {fit.cost:.1f}, reached from {np.sum(costs < 1.001 * fit.cost)}"
           f" starts, {seconds:.1f} s")  # fmt: skip

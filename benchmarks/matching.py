@@ -66,7 +66,7 @@ def compare_starts(count: int) -> None:
             begin = time.process_time()
             fit = match(model, box, norm=norm, bounds=bounds)
             seconds = time.process_time() - begin
-            grid = np.array(fit.notes["grid"][0]["omega"])
+            grid = fit.notes.sources[0].grid
             free = free_parameters(fit.model, (), bounds)
             comparison = compare(model, [box], omega=grid)
             costs = [random_start(free, comparison, norm, seed) for seed in range(count)]

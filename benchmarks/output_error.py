@@ -273,7 +273,7 @@ def bo105_estimates(runs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         fit = output_error(truth, records, interval=1.0, bounds=bounds)
         found[0, run] = fit.model.vector() - truth.vector()
         found[1, run] = [row.std_error for row in fit.parameters]
-        found[2, run] = fit.notes["std_error_coloured"]
+        found[2, run] = fit.notes.std_error_coloured
     return found[0], found[1], found[2]
 
 

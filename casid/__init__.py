@@ -1,17 +1,19 @@
 """Rotorcraft system identification in the time and frequency domains."""
 
-from casid.baseline.derivid import derivid
+from casid.baseline.accuracy import DerividNotes
+from casid.baseline.derivid import Derivid, derivid
 from casid.baseline.handling import HandlingQualities, handling_qualities
 from casid.baseline.loes import TransferFunction, transfer_function
 from casid.bounds.compare import BoundsComparison, compare_bounds
 from casid.bounds.profile import Profile, profile
 from casid.bounds.reduction import Reduction, reduce_structure
 from casid.bounds.resampling import Ensemble, Multistart, bootstrap, monte_carlo, multistart
-from casid.chain import Identification, identify
+from casid.chain import Chain, Identification, identify
 from casid.commands.inspection import Inspection, inspect_records
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.eigenmodes import Mode, modes
 from casid.errors import ConvergenceError, DataWarning, ModelError
+from casid.estimator import Estimator
 from casid.exchange.formats import (
     pairs_of,
     read_parquet,
@@ -32,15 +34,17 @@ from casid.exchange.objects import (
 )
 from casid.exchange.standalone import write_module
 from casid.files import read_csv, read_mat, write_csv
-from casid.fit import Certificate, Fit, ParameterEstimate
+from casid.fit import Certificate, ConstraintEstimate, Fit, ParameterEstimate
 from casid.frequency.estimation import FrequencyResponse, SpectralAnalysis, frequency_response
 from casid.frequency.responses import merge_responses, read_frequency_csv
 from casid.linear import StateSpace
-from casid.matching.match import match
+from casid.matching.appraisal import MatchNotes
+from casid.matching.match import Match, match
 from casid.model import Constraint, Model, Rows, Scalar, matrix, parameter
 from casid.nlp import Progress, SolverOptions
 from casid.record import Record
-from casid.shooting.output_error import output_error
+from casid.shooting.output_error import OutputError, output_error
+from casid.shooting.precision import OutputErrorNotes
 from casid.structure.identifiability import Identifiability, identifiability
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_records
@@ -53,10 +57,15 @@ __all__ = [
     "BlackBox",
     "BoundsComparison",
     "Certificate",
+    "Chain",
     "Constraint",
+    "ConstraintEstimate",
     "ConvergenceError",
     "DataWarning",
+    "Derivid",
+    "DerividNotes",
     "Ensemble",
+    "Estimator",
     "Fit",
     "FrequencyResponse",
     "HandlingQualities",
@@ -64,11 +73,15 @@ __all__ = [
     "Identification",
     "Inspection",
     "KinematicCheck",
+    "Match",
+    "MatchNotes",
     "Mode",
     "Model",
     "ModelError",
     "Multistart",
     "OrderSelection",
+    "OutputError",
+    "OutputErrorNotes",
     "ParameterEstimate",
     "Profile",
     "Progress",

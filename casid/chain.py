@@ -6,18 +6,19 @@ section 3: records to a black box (3.2), black box to structure (3.3), refinemen
 
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any, Generic, Protocol, TypeVar
 
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
-from casid.fit import Fit
+from casid.fit import AnyFit, Fit, M_co
 from casid.frequency.estimation import FrequencyResponse, frequency_response
+from casid.matching.appraisal import MatchNotes
 from casid.matching.comparison import Target
-from casid.matching.match import match
-from casid.model import Bounds, Model
-from casid.nlp import SolverOptions
+from casid.matching.match import Match
+from casid.model import Bounds, M
 from casid.record import Record
-from casid.shooting.output_error import output_error
+from casid.shooting.output_error import OutputError
+from casid.shooting.precision import OutputErrorNotes
 from casid.subspace.pbsid import BlackBox, pbsid
 
 T = TypeVar("T")
@@ -38,30 +39,8 @@ def run(name: str, compute: Callable[[], T]) -> T:  # noqa: ARG001 - the plain S
     return compute()
 
 
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """Keyword arguments of each stage's function, and how hard each tries.
-
-    Parameters
-    ----------
-    pbsid, frequency, match, output_error : mapping
-        Passed to the function of that name as they are.
-    solver : mapping
-        `SolverOptions` by stage, ``{"match": SolverOptions(tolerance=1e-6)}``.
-    join : bool
-        Match the measured frequency response too, where there is one.
-    """
-
-    pbsid: Mapping[str, Any] = field(default_factory=dict)
-    frequency: Mapping[str, Any] = field(default_factory=dict)
-    match: Mapping[str, Any] = field(default_factory=dict)
-    output_error: Mapping[str, Any] = field(default_factory=dict)
-    solver: Mapping[str, SolverOptions] = field(default_factory=dict)
-    join: bool = False
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Identification:
+class Identification(Generic[M_co]):
     """What each stage found, in the order of the stages.
 
     ``kinematics`` says whether the channels of the records agree with each other;
@@ -71,22 +50,71 @@ class Identification:
     kinematics: KinematicCheck
     black_box: BlackBox
     frequency_response: FrequencyResponse | None
-    quadratic: Fit
-    hinf: Fit
-    output_error: Fit
+    quadratic: Fit[M_co, MatchNotes]
+    hinf: Fit[M_co, MatchNotes]
+    output_error: Fit[M_co, OutputErrorNotes]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Chain:
+    """All stages of `identify` as an estimator, whose fit is that of the last.
+
+    Parameters
+    ----------
+    pbsid, frequency : mapping
+        Keyword arguments of the functions of these names.
+    match, output_error
+        Estimators of these stages; the norm is each stage's own.
+    join : bool
+        Match the measured frequency response too, where there is one.
+    black_box : BlackBox
+        Instead of one from the records.
+    refinement, sweeps
+        As in `identify`.
+    """
+
+    pbsid: Mapping[str, Any] = field(default_factory=dict)
+    frequency: Mapping[str, Any] = field(default_factory=dict)
+    match: Match = Match()
+    output_error: OutputError = OutputError()
+    join: bool = False
+    black_box: BlackBox | None = None
+    refinement: Sequence[Record] | None = None
+    sweeps: Sequence[Record] = ()
+
+    def fit(
+        self,
+        model: M,
+        data: Record | Sequence[Record],
+        *,
+        fixed: Collection[str] = (),
+        bounds: Bounds | None = None,
+        near: AnyFit | None = None,  # noqa: ARG002 - the stages before lead elsewhere
+    ) -> Fit[M, OutputErrorNotes]:
+        """Identify a structure from records; see `identify`."""
+        found = identify(
+            model,
+            [data] if isinstance(data, Record) else data,
+            refinement=self.refinement,
+            sweeps=self.sweeps,
+            fixed=fixed,
+            bounds=bounds,
+            chain=self,
+        )
+        return found.output_error
 
 
 def identify(
-    model: Model,
+    model: M,
     records: Sequence[Record],
     *,
     refinement: Sequence[Record] | None = None,
     sweeps: Sequence[Record] = (),
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
-    options: Options | None = None,
+    chain: Chain = Chain(),
     stage: Stage = run,
-) -> Identification:
+) -> Identification[M]:
     """Identify a structure from records.
 
     Parameters
@@ -101,8 +129,8 @@ def identify(
         What the frequency response is estimated from; none, no frequency response.
     fixed, bounds
         As in `match`.
-    options : Options
-        Of the stages.
+    chain : Chain
+        Settings of the stages.
     stage : callable
         Called as ``stage(name, compute)`` for "pbsid", "frequency", "quadratic", "hinf" and
         "output_error" in turn; it may store results, show progress, or return a stored result.
@@ -118,29 +146,24 @@ def identify(
     ValueError, ModelError
         All that the stages refuse.
     """
-    options = Options() if options is None else options
     shared: dict[str, Any] = {"fixed": fixed, "bounds": bounds}
-    matching = shared | {"options": options.solver.get("match", SolverOptions())}
-    refining = shared | {"options": options.solver.get("output_error", SolverOptions())}
     kinematics = kinematic_check(records)
     for remark in kinematics.remarks:
         LOG.warning("The records do not agree with kinematics: %s", remark)
-    black_box = stage("pbsid", lambda: pbsid(records, **options.pbsid))
+    given = chain.black_box
+    black_box = stage("pbsid", lambda: pbsid(records, **chain.pbsid)) if given is None else given
     measured: FrequencyResponse | None = None
     if sweeps:
-        measured = stage("frequency", lambda: frequency_response(sweeps, **options.frequency))
+        measured = stage("frequency", lambda: frequency_response(sweeps, **chain.frequency))
     target: list[Target] = [black_box]
-    if options.join and measured is not None:
+    if chain.join and measured is not None:
         target.append(measured)
-    quadratic = stage(
-        "quadratic", lambda: match(model, target, norm="quadratic", **options.match, **matching)
-    )
-    hinf = stage(
-        "hinf", lambda: match(quadratic.model, target, norm="hinf", **options.match, **matching)
-    )
+    first, second = (replace(chain.match, norm=norm) for norm in ("quadratic", "hinf"))
+    quadratic = stage("quadratic", lambda: first.fit(model, target, **shared))
+    hinf = stage("hinf", lambda: second.fit(quadratic.model, target, **shared))
     refined = stage(
         "output_error",
-        lambda: output_error(hinf.model, refinement or records, **options.output_error, **refining),
+        lambda: chain.output_error.fit(hinf.model, refinement or records, **shared),
     )
     return Identification(
         kinematics=kinematics,

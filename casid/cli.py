@@ -15,7 +15,7 @@ from casid.bounds.compare import BoundsComparison
 from casid.commands.data import COMMANDS
 from casid.commands.terminal import exits, logged, new_table, terminal
 from casid.files import read_csv
-from casid.fit import Fit
+from casid.fit import AnyFit
 from casid.nlp import Progress
 from casid.report import Timing
 from casid.structure.modelfile import load_model
@@ -207,7 +207,7 @@ def _conclude(console: Console, outcome: Outcome) -> None:
                   soft_wrap=True)  # fmt: skip
 
 
-def parameter_table(fit: Fit) -> Table:
+def parameter_table(fit: AnyFit) -> Table:
     """Parameters of a fit for the terminal; * marks those on a bound."""
     table = new_table(f"Parameters after {fit.method}", "name", "value", "std. error", "lower",
                       "upper", "unit")  # fmt: skip

@@ -1,20 +1,26 @@
 """The result of an estimation: the model with its estimates and what is known about them."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
 from casid.arrays import Array, BoolArray
-from casid.errors import ModelError
+from casid.errors import DataWarning, ModelError
 from casid.files import number, read_json, write_json
-from casid.model import Free, Model
+from casid.model import Free, M, Model
+from casid.values import decode, encode, seal, storable
+
+M_co = TypeVar("M_co", bound=Model, covariant=True)
+N_co = TypeVar("N_co", covariant=True)
 
 ACTIVE = 1e-6  # distance to a bound, relative to the parameter's scale, that counts as on it
 
 
+@storable
 @dataclass(frozen=True, kw_only=True)
 class ParameterEstimate:
     """One row of the parameter table.
@@ -39,6 +45,24 @@ class ParameterEstimate:
     fixed: bool = False
 
 
+@storable
+@dataclass(frozen=True, kw_only=True)
+class ConstraintEstimate:
+    """One of the model's constraints at the estimates.
+
+    ``multiplier`` is the derivative of the optimal cost by the constraint's position, per unit of
+    its value; 0 unless it is ``active``.
+    """
+
+    name: str
+    value: float
+    lower: float
+    upper: float
+    active: bool
+    multiplier: float
+
+
+@storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Certificate:
     """How close a match is to the black box, on the grid and over the whole band.
@@ -55,8 +79,9 @@ class Certificate:
     shift: float
 
 
+@storable
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Fit:
+class Fit(Generic[M_co, N_co]):
     """An estimated model.
 
     Parameters
@@ -73,6 +98,13 @@ class Fit:
         Effort, over all solves.
     method : str
         "match quadratic", "match hinf", "output error", ...
+    notes
+        What only one estimator tells: `MatchNotes`, `OutputErrorNotes`, `DerividNotes`; None of a
+        fit that never began.
+    constraints : tuple of ConstraintEstimate
+        One row for each of the model's constraints.
+    held : int
+        Number of directions in which active bounds and constraints hold the free parameters.
     certificate : Certificate or None
         Of a match.
     covariance : (nf, nf) array or None
@@ -85,11 +117,9 @@ class Fit:
         What the output-error fit estimated beside λ, one row a record.
     interval : float or None
         Length of the shooting intervals [s].
-    notes : mapping
-        Further numbers and tables of one estimator, plain lists and numbers.
     """
 
-    model: Model
+    model: M_co
     parameters: tuple[ParameterEstimate, ...]
     cost: float
     status: str
@@ -97,6 +127,9 @@ class Fit:
     iterations: int
     seconds: float
     method: str
+    notes: N_co
+    constraints: tuple[ConstraintEstimate, ...] = ()
+    held: int = 0
     certificate: Certificate | None = None
     covariance: Array | None = None
     free_names: tuple[str, ...] = ()
@@ -104,7 +137,9 @@ class Fit:
     initial_states: Array | None = None
     biases: Array | None = None
     interval: float | None = None
-    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        seal(self)
 
     def __getitem__(self, name: str) -> ParameterEstimate:
         """Row of one parameter."""
@@ -115,21 +150,19 @@ class Fit:
         raise KeyError(f"no parameter {name!r}; the model has {known}")
 
     def content(self) -> dict[str, Any]:
-        """All of it as plain values and arrays, without the structure's class."""
-        model = {f.name: getattr(self.model, f.name) for f in fields(self.model)}
-        content = {f.name: getattr(self, f.name) for f in fields(self)}
-        content["model"] = {"class": type(self.model).__name__, "values": model}
-        content["parameters"] = [asdict(row) for row in self.parameters]
-        content["certificate"] = None if self.certificate is None else asdict(self.certificate)
+        """All of it as JSON, without the structure's class."""
+        content: dict[str, Any] = encode(self)["fields"]
         return content
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, whole or not at all."""
-        write_json(path, {"casid": "fit", "version": 1} | self.content())
+        write_json(path, {"casid": "fit", "version": 2} | self.content())
 
     @classmethod
-    def load(cls, path: str | Path, *, model: type[Model]) -> "Fit":
+    def load(cls, path: str | Path, *, model: type[M]) -> "Fit[M, Any]":
         """Read what `save` wrote; ``model`` is the structure's class.
+
+        Files of version 0.1 are read too, without their notes.
 
         Raises
         ------
@@ -137,65 +170,112 @@ class Fit:
             Not a fit, or the fit of another structure.
         """
         content = read_json(path)
-        if content.pop("casid", None) != "fit":
+        if content.get("casid") != "fit":
             raise ValueError(f"{path}: not a fit saved by casid")
+        if content.get("version") == 1:
+            return _guarded(_first_version, content, model, path)
         return cls.from_content(content, model=model, place=path)
 
     @classmethod
     def from_content(
-        cls, content: Mapping[str, Any], *, model: type[Model], place: str | Path = "content"
-    ) -> "Fit":
-        """The fit whose `content` this is, or the JSON of it; ``place`` is named in messages."""
-        try:
-            return cls._from_content(content, model, place)
-        except (LookupError, TypeError, AttributeError, OverflowError) as error:
-            raise ValueError(
-                f"{place}: not as casid saves a fit ({type(error).__name__}: {error}); was the "
-                "file edited?"
-            ) from error
+        cls,
+        content: Any,  # noqa: ANN401 - as a file has it
+        *,
+        model: type[M],
+        place: str | Path = "content",
+    ) -> "Fit[M, Any]":
+        """The fit whose `content` this is; ``place`` is named in messages."""
+        return _guarded(_decoded, content, model, place)
 
-    @classmethod
-    def _from_content(
-        cls, content: Mapping[str, Any], model: type[Model], place: str | Path
-    ) -> "Fit":
-        names = [f.name for f in fields(cls)]
-        if missing := [name for name in names if name not in content]:
-            raise ValueError(f"{place}: the saved fit has no {missing[0]!r}; was the file edited?")
-        content = {name: content[name] for name in names}
-        stored = content["model"]
-        expected = {f.name for f in fields(model)}
-        if stored["class"] != model.__name__ or set(stored["values"]) != expected:
-            raise ModelError(
-                f"{place} holds a fit of {stored['class']} with {', '.join(stored['values'])}; "
-                f"it cannot be read as {model.__name__}"
-            )
-        content["model"] = model(**stored["values"])
-        content["parameters"] = tuple(_row(row) for row in content["parameters"])
-        if content["certificate"] is not None:
-            certificate = dict(content["certificate"])
-            certificate["band"] = tuple(certificate["band"])
-            numbers: dict[str, Any] = {
-                k: v if k == "band" else number(v) for k, v in certificate.items()
-            }
-            content["certificate"] = Certificate(**numbers)
-        for name in ("covariance", "R", "initial_states", "biases"):
-            if content[name] is not None:
-                content[name] = np.array(content[name], dtype=float)
-        content["cost"] = number(content["cost"])
-        content["free_names"] = tuple(content["free_names"])
-        found = cls(**content)
+
+AnyFit: TypeAlias = Fit[Model, Any]
+NUMERIC = tuple(each.name for each in fields(ParameterEstimate) if each.type is float)
+
+
+def _guarded(
+    read: Callable[[Any, type[M], str | Path], Fit[M, Any]],
+    content: Any,  # noqa: ANN401
+    model: type[M],
+    place: str | Path,
+) -> Fit[M, Any]:
+    """Read a fit; whatever a damaged file makes fail is told as such."""
+    try:
+        found = read(content, model, place)
         _check_types(found)
-        return found
+    except (LookupError, TypeError, AttributeError, OverflowError) as error:
+        raise ValueError(
+            f"{place}: not as casid saves a fit ({type(error).__name__}: {error}); was the "
+            "file edited?"
+        ) from error
+    return found
 
 
-def _check_types(fit: Fit) -> None:
-    """What a file says of names and values must be text and numbers."""
-    texts: list[Any] = [fit.status, fit.method, *fit.free_names]
-    texts += [text for row in fit.parameters for text in (row.name, row.unit)]
+def _decoded(content: Any, model: type[M], place: str | Path) -> Fit[M, Any]:  # noqa: ANN401
+    names = [each.name for each in fields(Fit)]
+    if missing := [name for name in names if name not in content]:
+        raise ValueError(f"{place}: the saved fit has no {missing[0]!r}; was the file edited?")
+    _check_structure(content["model"]["value"], content["model"]["fields"], model, place)
+    return Fit(**{name: decode(content[name], (model,)) for name in names})
+
+
+def _check_structure(
+    name: str, stored: Mapping[str, Any], model: type[Model], place: str | Path
+) -> None:
+    if name != model.__name__ or set(stored) != {each.name for each in fields(model)}:
+        raise ModelError(
+            f"{place} holds a fit of {name} with {', '.join(stored)}; it cannot be read as "
+            f"{model.__name__}"
+        )
+
+
+def _first_version(content: Any, model: type[M], place: str | Path) -> Fit[M, Any]:  # noqa: ANN401
+    """A fit as version 0.1 saved it: plain lists, notes as a mapping."""
+    old = {each.name: content[each.name] for each in fields(Fit) if each.name in content}
+    stored, notes = old["model"], old["notes"]
+    _check_structure(stored["class"], stored["values"], model, place)
+    texts = {"name", "unit", "active", "fixed"}
+
+    def row(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {k: v if k in texts else number(v) for k, v in values.items()}
+
+    old["model"], old["notes"] = model(**stored["values"]), None
+    old["parameters"] = tuple(ParameterEstimate(**row(each)) for each in old["parameters"])
+    old["constraints"] = tuple(
+        ConstraintEstimate(**row(each)) for each in notes.get("constraints", ())
+    )
+    old["held"] = sum(each.active for each in (*old["parameters"], *old["constraints"]))
+    if old["certificate"] is not None:
+        band = tuple(map(float, old["certificate"].pop("band")))
+        old["certificate"] = Certificate(band=band, **row(old["certificate"]))  # type: ignore[arg-type]
+    for name in ("covariance", "R", "initial_states", "biases"):
+        if old[name] is not None:
+            old[name] = np.array(old[name], dtype=float)
+    old |= {"cost": number(old["cost"]), "free_names": tuple(old["free_names"])}
+    warnings.warn(
+        f"{place} was saved by casid 0.1: its notes are left out; estimate again to have them",
+        DataWarning,
+        stacklevel=4,
+    )
+    return Fit(**old)
+
+
+def _check_types(fit: AnyFit) -> None:
+    """What a file says of names and values must be text and numbers, its tables of their kind."""
+    rows, held = list(fit.parameters), list(fit.constraints)
+    optional = [each for each in (fit.certificate,) if each is not None]
+    arrays = (fit.covariance, fit.R, fit.initial_states, fit.biases)
     values: list[Any] = [getattr(fit.model, name) for name in fit.model.parameter_names()]
-    for wanted, kind, found in (("text", str, texts), ("number", int | float, values)):
+    values += [fit.cost, fit.iterations, fit.seconds, fit.held]
+    values += [getattr(row, name) for row in rows for name in NUMERIC]
+    texts: list[Any] = [fit.status, fit.method, *fit.free_names]
+    texts += [text for row in rows for text in (row.name, row.unit)]
+    for kind, found in (
+        (ParameterEstimate, rows), (ConstraintEstimate, held), (Certificate, optional),
+        (np.ndarray, [each for each in arrays if each is not None]),
+        (int | float, values), (str, texts),
+    ):  # fmt: skip
         if wrong := [each for each in found if not isinstance(each, kind)]:
-            raise TypeError(f"{wrong[0]!r} is no {wanted}")
+            raise TypeError(f"{wrong[0]!r} is no {getattr(kind, '__name__', 'number')}")
 
 
 def parameter_table(
@@ -250,8 +330,8 @@ def parameter_table(
     return tuple(rows)
 
 
-def constraint_table(model: Model, prices: Array) -> list[dict[str, Any]]:
-    """What became of the model's constraints, for ``Fit.notes["constraints"]``.
+def constraint_table(model: Model, prices: Array) -> tuple[ConstraintEstimate, ...]:
+    """Rows of the model's constraints.
 
     Parameters
     ----------
@@ -265,12 +345,17 @@ def constraint_table(model: Model, prices: Array) -> list[dict[str, Any]]:
         value = float(item.value)
         gap = min(value - item.lower, item.upper - value)
         active = bool(item.lower == item.upper or gap <= ACTIVE)
-        rows.append({
-            "name": item.name, "value": value, "lower": float(item.lower),
-            "upper": float(item.upper), "active": active,
-            "multiplier": float(price) if active else 0.0,
-        })  # fmt: skip
-    return rows
+        rows.append(
+            ConstraintEstimate(
+                name=item.name,
+                value=value,
+                lower=float(item.lower),
+                upper=float(item.upper),
+                active=active,
+                multiplier=float(price) if active else 0.0,
+            )
+        )
+    return tuple(rows)
 
 
 def holding(free: Free, values: Array, active: BoolArray) -> Array:
@@ -283,11 +368,12 @@ def holding(free: Free, values: Array, active: BoolArray) -> Array:
         return bounds
     model = free.model.with_vector(free.full(values))
     rows = constraint_table(model, np.zeros(len(model.constraints())))
-    held = np.array([row["active"] for row in rows])
+    held = np.array([row.active for row in rows])
     return np.vstack([bounds, free.constraint_slopes(values)[held]])
 
 
-def _row(stored: Mapping[str, Any]) -> ParameterEstimate:
-    kept = {"name", "unit", "active", "fixed"}
-    values: dict[str, Any] = {k: v if k in kept else number(v) for k, v in stored.items()}
-    return ParameterEstimate(**values)
+def held_directions(free: Free, values: Array, rows: tuple[ParameterEstimate, ...]) -> int:
+    """Number of directions in which active bounds and constraints hold the free values (nf,)."""
+    active = np.array([rows[i].active for i in free.index])
+    gradients = holding(free, values, active) * free.scale[free.index]
+    return int(np.linalg.matrix_rank(gradients)) if len(gradients) else 0

@@ -12,10 +12,12 @@ import scipy.linalg
 
 from casid.arrays import Array, ComplexArray
 from casid.record import Hold
+from casid.values import storable
 
 NEGLIGIBLE = 1e-250  # entries of a matrix, whose inverses would overflow
 
 
+@storable
 @dataclass(frozen=True, eq=False)
 class StateSpace:
     """A state-space model; continuous when ``dt`` is None, else discrete with that interval [s].

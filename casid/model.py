@@ -9,7 +9,7 @@ trim values as plain fields and writes the matrices as methods. The same methods
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Self, TypeAlias, dataclass_transform
+from typing import Any, ClassVar, Self, TypeAlias, TypeVar, dataclass_transform
 
 import casadi as ca
 import numpy as np
@@ -199,6 +199,9 @@ class Model:
                 )
         names = self.inputs, self.outputs, self.states
         return StateSpace(A, B, C, D, None, *names, np.maximum(tau.ravel(), 0.0))
+
+
+M = TypeVar("M", bound=Model)  # a user's structure
 
 
 def matrix(rows: Rows) -> ca.SX:

@@ -56,7 +56,7 @@ class Progress:
 
 @dataclass(frozen=True, kw_only=True)
 class SolverOptions:
-    """How hard to try.
+    """Limits, tolerance and progress of a solver.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class SolverOptions:
     tolerance: float = 1e-8
     max_iterations: int = 500
     max_seconds: float = 1e4
-    progress: Callable[[Progress], None] | None = None
+    progress: Callable[[Progress], None] | None = field(default=None, compare=False)
     ipopt: Mapping[str, float | str] = field(default_factory=dict)
 
 

@@ -23,7 +23,7 @@ import numpy as np
 import scipy.linalg
 
 from casid.arrays import Array
-from casid.fit import Fit
+from casid.fit import AnyFit, Fit
 from casid.linear import StateSpace
 from casid.model import Model
 from casid.record import Hold, Record, Records, same_channels, several, standard_deviations
@@ -33,7 +33,7 @@ RANK = 1e-10  # singular values below this share of the largest are directions w
 LAGS = 40  # largest lag of the whiteness test
 BAND = 2.5758293035489004  # 99 % band of a white sequence's autocorrelations, in 1/√N
 
-AnyModel = Model | Fit | BlackBox | StateSpace
+AnyModel = Model | AnyFit | BlackBox | StateSpace
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

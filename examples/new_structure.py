@@ -80,8 +80,7 @@ print(f"before the fit: {identifiability(DiskTilt(), measured)}")
 fit = derivid(DiskTilt(), measured, starts=2)
 rigid = derivid(SixDof(U0=40.9, V0=2.8, W0=2.05, theta0=0.053), measured, starts=2)
 J, J_rigid = (
-    {(row["output"], row["input"]): row["J"] for row in result.notes["pairs"]}
-    for result in (fit, rigid)
+    {(row.output, row.input): row.J for row in result.notes.pairs} for result in (fit, rigid)
 )
 for pair in PAIRS:
     print(f"{pair[0]}/{pair[1]}: J = {J[pair]:.0f}, six degrees of freedom {J_rigid[pair]:.0f}")

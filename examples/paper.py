@@ -273,9 +273,9 @@ def sources_table(matched: Fit) -> list[str]:
         "| source | frequencies | weighted entries | largest singular value | share of squares |",
         "|---|---|---|---|---|",
     ]
-    for row in matched.notes["sources"]:
-        numbers = f"{row['points']} | {row['entries']} | {row['norm']:.3g} | {row['share']:.0%}"
-        lines.append(f"| {row['source']} | {numbers} |")
+    for row in matched.notes.sources:
+        numbers = f"{len(row.grid)} | {row.entries} | {row.norm:.3g} | {row.share:.0%}"
+        lines.append(f"| {row.name} | {numbers} |")
     return [*lines, ""]
 
 

@@ -32,11 +32,11 @@ def render(fit):
 
 def test_every_pair_and_parameter_stands_in_the_report(fit):
     page = render(fit)
-    for row in fit.notes["table"]:
-        assert f"<td>{row['name']}</td>" in page
-    for row in fit.notes["pairs"]:
-        assert number(row["J"], 3) in page
-    missed = [row for row in fit.notes["table"] if row["misses"]]
+    for row in fit.notes.table:
+        assert f"<td>{row.name}</td>" in page
+    for row in fit.notes.pairs:
+        assert number(row.J, 3) in page
+    missed = [row for row in fit.notes.table if row.misses]
     assert missed
     assert len(re.findall('class="left poor"', page)) == len(missed)
 
@@ -50,7 +50,7 @@ def test_a_fit_read_back_makes_the_same_section(fit, tmp_path):
 
 
 def test_a_pair_without_enough_coherence_is_a_dash(fit):
-    first, *rest = fit.notes["pairs"]
-    page = render(replace(fit, notes=fit.notes | {"pairs": rest}))
+    first, *rest = fit.notes.pairs
+    page = render(replace(fit, notes=replace(fit.notes, pairs=tuple(rest))))
     assert page.count(">–</td>") == render(fit).count(">–</td>") + 1
-    assert number(first["J"], 3) not in re.findall("<td>([^<]*)</td>", page)
+    assert number(first.J, 3) not in re.findall("<td>([^<]*)</td>", page)

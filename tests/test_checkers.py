@@ -25,6 +25,39 @@ SLIPS = [  # text replaced, or a line added to the file; what the one complaint 
 ]
 
 
+USE = """
+from typing import assert_type
+
+import numpy as np
+
+from casid import (
+    BlackBox, Derivid, DerividNotes, Estimator, Fit, FrequencyResponse, Match, MatchNotes,
+    OutputError, OutputErrorNotes, Record, derivid, match, output_error,
+)
+from models.six_dof import SixDof
+
+
+def use(box: BlackBox, response: FrequencyResponse, record: Record, other: Estimator) -> None:
+    assert_type(match(SixDof(), box), Fit[SixDof, MatchNotes])
+    assert_type(derivid(SixDof(), response), Fit[SixDof, DerividNotes])
+    assert_type(output_error(SixDof(), record), Fit[SixDof, OutputErrorNotes])
+    fit = match(SixDof(), [box, response])
+    print(fit.model.Lp, fit.notes.peak.omega, Match(norm="hinf").fit(fit.model, box).model.Mq)
+    print(OutputError().fit(fit.model, [record], near=fit).notes.rounds)
+    print(derivid(fit.model, response).notes.pairs[0].J)
+    print(other.fit(SixDof(), [record], bounds={"Lp": (-9.0, 0.0)}).model.Lp)
+    estimators: list[Estimator] = [Match(), OutputError(), Derivid()]
+    print(estimators, np.sqrt(other.fit(SixDof(), record).cost))
+"""
+MISUSE = [  # a line in the function above, and what the one complaint names
+    ("match(SixDof(), box).model.Lq2", "Lq2"),
+    ("match(SixDof(), box).notes.rounds", "rounds"),
+    ("OutputError(intervall=1.0)", "intervall"),
+    ("match(SixDof(), box).cost = 1.0", "cost"),
+    ('Match(solver="quick")', "solver"),
+]
+
+
 def complaints(checker, *files):
     """Lines of errors of a checker."""
     program = Path(sys.executable).with_name(CHECKERS[checker][0])
@@ -51,3 +84,19 @@ def test_checkers_accept_the_gallery_and_point_at_every_slip(checker, tmp_path):
         assert len(own) == bool(word), own
         assert word in "".join(own)
     assert not [line for line in lines if "slip" not in line]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("checker", CHECKERS)
+def test_checkers_know_the_model_and_the_notes_of_a_fit(checker, tmp_path):
+    if checker == "pyright" and shutil.which("node") is None:
+        pytest.skip("pyright runs on node")
+    files = []
+    for number, (line, _) in enumerate([("", ""), *MISUSE]):
+        files.append(tmp_path / f"use{number}.py")
+        files[-1].write_text(f"{USE}    {line}\n", encoding="utf-8")
+    lines = complaints(checker, *files)
+    for number, (_, word) in enumerate([("", ""), *MISUSE]):
+        own = [each for each in lines if f"use{number}.py" in each]
+        assert len(own) == bool(word), own
+        assert word in "".join(own)

@@ -45,7 +45,7 @@ def folder(tmp_path, monkeypatch):
     values = np.array([-0.12, -0.06, -2.2, 10.0])  # those that made the records
     rows = parameter_table(free, values, np.zeros(4), np.full(4, 0.01))
     Fit(model=model.with_vector(values), parameters=rows, cost=1.0, status="", success=True,
-        iterations=1, seconds=0.0, method="output error",
+        iterations=1, seconds=0.0, method="output error", notes=None,
         free_names=free.names).save("fit.json")  # fmt: skip
     G = np.ones((3, 2, 1), dtype=complex)
     FrequencyResponse(omega=np.array([1.0, 2.0, 3.0]), G=G, coherence=0.9 * np.ones((3, 2, 1)),

@@ -10,8 +10,7 @@ from truths.mixture import Inline, Mixture, record
 from truths.roll_study import write_study
 from truths.structures import black_box
 
-from casid import FrequencyResponse, StateSpace, compare_bounds
-from casid.chain import Options
+from casid import FrequencyResponse, Match, StateSpace, compare_bounds
 from casid.cli import main
 from casid.report import plot_bounds
 
@@ -69,10 +68,10 @@ def test_prices_are_slopes_of_the_optimal_cost(name):
 
 @pytest.mark.slow
 def test_the_whole_chain_is_compared_with_one_black_box():
-    options = Options(pbsid={"order": 2, "pole": 3.0, "past": 4, "future": 4},
-                      match={"omega": np.geomspace(0.7, 4.0, 20)})  # fmt: skip
+    settings = {"pbsid": {"order": 2, "pole": 3.0, "past": 4, "future": 4},
+                "match": Match(omega=np.geomspace(0.7, 4.0, 20))}  # fmt: skip
     cases = {"free": {}, "tie": ["a = 2 b"]}
-    found = priced(cases, data=[record()], estimator="chain", options=options)
+    found = priced(cases, data=[record()], estimator="chain", **settings)
     direct = priced(cases, data=[record()])
     for case in found.cases:
         assert case.reason == ""

@@ -2,13 +2,30 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from casid import Certificate, Fit, Model, ModelError, Rows, Scalar, parameter
+from casid import (
+    Certificate,
+    ConstraintEstimate,
+    DataWarning,
+    Fit,
+    MatchNotes,
+    Model,
+    ModelError,
+    Rows,
+    Scalar,
+    parameter,
+)
 from casid.fit import parameter_table
+from casid.matching.appraisal import Peak
 from casid.model import free_parameters
+
+OLD = Path(__file__).parent / "data" / "fit_0_1.json"
+PEAK = Peak(source="box", omega=2.0, output="x", input="u")
+NOTES = MatchNotes(start="guess", peak=PEAK, sources=())
 
 
 class Lag(Model):
@@ -45,7 +62,9 @@ def fit(**changes):
         ),
         "covariance": np.array([[1.0, np.nan], [np.nan, 4.0]]), "free_names": ("a", "b"),
         "R": np.eye(1), "initial_states": np.zeros((2, 1)), "biases": np.ones((2, 1)),
-        "interval": 1.0, "notes": {"costs": [3.0, 1.5]},
+        "interval": 1.0, "notes": NOTES, "held": 1,
+        "constraints": (ConstraintEstimate(name="tie", value=0.1, lower=0.0, upper=np.inf,
+                                           active=False, multiplier=0.0),),
     }  # fmt: skip
     return Fit(**(parts | changes))
 
@@ -64,7 +83,31 @@ def test_a_saved_fit_reads_back_the_same(tmp_path):
     for name in ("cost", "status", "success", "iterations", "seconds", "method", "interval"):
         assert getattr(two, name) == getattr(one, name)
     assert two.free_names == ("a", "b")
-    assert two.notes == {"costs": [3.0, 1.5]}
+    assert two.notes.peak == one.notes.peak
+    assert (two.held, two.constraints) == (1, one.constraints)
+
+
+def test_a_file_of_version_0_1_is_read_without_its_notes():
+    with pytest.warns(DataWarning, match=r"saved by casid 0\.1: its notes are left out"):
+        old = Fit.load(OLD, model=Lag)
+    new = fit()
+    assert (old.model, old.constraints, old.held, old.notes) == (
+        new.model, new.constraints, 1, None,
+    )  # fmt: skip
+    for a, b in zip(old.parameters, new.parameters, strict=True):
+        np.testing.assert_equal(a.__dict__, b.__dict__)
+    assert vars(old.certificate) == vars(new.certificate)
+    np.testing.assert_array_equal(old.covariance, new.covariance)
+    with pytest.raises(ModelError, match="it cannot be read as Other"):
+        Fit.load(OLD, model=Other)
+
+
+@pytest.mark.parametrize("name", ["covariance", "R", "initial_states", "biases"])
+def test_the_arrays_of_a_fit_cannot_be_written(name, tmp_path):
+    fit().save(tmp_path / "fit.json")
+    for one in (fit(), Fit.load(tmp_path / "fit.json", model=Lag)):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(one, name)[0, 0] = 9.0
 
 
 def test_what_a_fit_lacks_stays_absent(tmp_path):

@@ -16,9 +16,9 @@ from truths.fuzzing import altered, damaged
 from truths.roll_study import write_study
 
 from casid import FrequencyResponse, limits, match, pbsid
-from casid.jobs.store import encode
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
+from casid.values import encode
 
 SLOW = 600.0  # s, of the long run
 
@@ -61,7 +61,7 @@ def strategies(tmp_path_factory):
         input_std=np.ones(1), output_std=np.ones(2),
     )  # fmt: skip
     response = saved(measured, study.path.with_name("response.json"))
-    fuzzing.SOUND["json"] = json.dumps(fit["parameters"][0]).encode()
+    fuzzing.SOUND["json"] = json.dumps(fit["parameters"]["tuple"][0]).encode()
     made = {name: damaged(kind) for name, (_, kind, _) in JOBS.items() if kind}
     return made | {
         "json": damaged("json") | st.binary(max_size=50),

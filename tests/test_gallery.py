@@ -133,7 +133,7 @@ def test_output_error_alone_recovers_a_structure_from_its_own_records(structure)
 @pytest.mark.slow
 def test_without_noise_the_descent_ends_where_rounding_does():
     truth = somewhere(HybridFlap)
-    fit = output_error(off(truth), flown(truth), options=SolverOptions(max_iterations=100))
+    fit = output_error(off(truth), flown(truth), solver=SolverOptions(max_iterations=100))
     assert fit.success
     # The noise found is the floor, 1e-6 of every output; the condition costs a digit or two.
     error = (fit.model.vector() - truth.vector()) / free_parameters(truth).scale

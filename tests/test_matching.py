@@ -4,6 +4,7 @@ from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import (
     ConvergenceError,
+    Match,
     Model,
     ModelError,
     Rows,
@@ -79,7 +80,7 @@ def test_certificate_holds_with_delays_and_unstable_poles():
     largest = np.linalg.norm(error, 2, axis=(1, 2)).max()
     assert largest <= fit.certificate.upper_bound <= 1.01 * fit.certificate.grid_norm
     # Nine points are too few: the peaks between them were added.
-    assert len(fit.notes["grid"][0]["omega"]) > 9
+    assert len(fit.notes.sources[0].grid) > 9
 
 
 def test_multiplier_is_the_price_of_the_bound():
@@ -139,7 +140,7 @@ def test_unknown_norm_and_parameter_are_named():
 
 def test_iteration_limit_leaves_the_best_iterate():
     with pytest.raises(ConvergenceError, match="iteration limit") as caught:
-        match(HoverRoll(), black_box(SECOND_TWO), options=SolverOptions(max_iterations=1))
+        match(HoverRoll(), black_box(SECOND_TWO), solver=SolverOptions(max_iterations=1))
     assert not caught.value.best.success
     assert np.isfinite(caught.value.best.model.vector()).all()
 
@@ -200,18 +201,21 @@ LEAD = StateSpace([[-100.0, -2500.0], [1.0, 0.0]], [[1.0], [0.0]], [[-2500.0, -2
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_poles_stay_left_of_the_line_by_constraint(norm):
     bounds = {"a": (-20.0, 20.0)}
-    given = {"norm": norm, "bounds": bounds, "shift": 0.0}
-    free = match(Lag(), black_box(LEAD, (0.3, 3.0)), stable_shift=False, **given)
-    kept = match(Lag(), black_box(LEAD, (0.3, 3.0)), **given)
+    free, kept = (
+        Match(norm=norm, shift=0.0, stable_shift=stable).fit(
+            Lag(), black_box(LEAD, (0.3, 3.0)), bounds=bounds
+        )
+        for stable in (False, True)
+    )
     assert free["a"].value < 0 < kept["a"].value
     assert free.cost < kept.cost
 
 
 def test_notes_tell_what_holds_the_optimum():
     fit = match(Lag(), black_box(SECOND))
-    band = fit.notes["band"][0]
-    at = np.argmax(np.array(band["sigma"])[:, 0])
-    assert band["omega"][at] == fit.notes["peak"]["omega"] == fit.certificate.peak_omega
-    assert (fit.notes["peak"]["output"], fit.notes["peak"]["input"]) == ("x", "u")
-    assert max(map(max, band["sigma"])) <= fit.certificate.upper_bound
-    assert fit.notes["sources"][0]["share"] == 1.0
+    band = fit.notes.sources[0]
+    at = np.argmax(band.sigma[:, 0])
+    assert band.omega[at] == fit.notes.peak.omega == fit.certificate.peak_omega
+    assert (fit.notes.peak.output, fit.notes.peak.input) == ("x", "u")
+    assert band.sigma.max() <= fit.certificate.upper_bound
+    assert fit.notes.sources[0].share == 1.0

@@ -130,8 +130,8 @@ def test_a_mode_that_decides_the_norm_leaves_the_others_determined():
     assert fit.certificate.upper_bound <= 1.01 * fit.certificate.grid_norm
     assert fit.cost < fits["quadratic"].certificate.grid_norm
     # Elsewhere it stays as good as that allows: 15 % above the least mean square.
-    points = fit.notes["sources"][0]
-    assert points["sum_of_squares"] / points["points"] < 1.5 * fits["quadratic"].cost
+    points = fit.notes.sources[0]
+    assert points.sum_of_squares / len(points.grid) < 1.5 * fits["quadratic"].cost
 
 
 @pytest.mark.parametrize("order", [1, 6])
@@ -180,7 +180,7 @@ def attempt(problem):
     """The fit and whether it was believed; a refusal of the arguments gives None."""
     model, truth, norm, weight = problem
     try:
-        return match(model, black_box(truth), norm=norm, weight=weight, options=FEW)
+        return match(model, black_box(truth), norm=norm, weight=weight, solver=FEW)
     except ConvergenceError as error:
         return error.best
     except ValueError as error:

@@ -6,6 +6,7 @@ from casid import (
     Constraint,
     ConvergenceError,
     FrequencyResponse,
+    Match,
     Model,
     ModelError,
     Rows,
@@ -142,17 +143,15 @@ def test_two_sources_share_a_gain_as_their_weights_say():
     three = Lag(a=1.0, k=3.0)
     for factor in (0.5, 1.0, 2.0):
         targets = [black_box(unit.system()), measured(three.system())]
-        fit = match(
-            Lag(a=1.0), targets, norm="quadratic", fixed=("a",), omega=OMEGA, shift=0.0,
-            source_weight=(1.0, factor),
-        )  # fmt: skip
+        matching = Match(norm="quadratic", omega=OMEGA, shift=0.0, source_weight=(1.0, factor))
+        fit = matching.fit(Lag(a=1.0), targets, fixed=("a",))
         w = (factor * 1.58 * (1 - np.exp(-1.0))) ** 2
         assert fit["k"].value == pytest.approx((1 + 3 * w) / (1 + w), rel=1e-6)
-        rows = fit.notes["sources"]
-        assert [row["source"] for row in rows] == ["black box", "measured"]
-        assert sum(row["share"] for row in rows) == pytest.approx(1.0)
+        rows = fit.notes.sources
+        assert [row.name for row in rows] == ["black box", "measured"]
+        assert sum(row.share for row in rows) == pytest.approx(1.0)
         shares = [1.0 * (fit["k"].value - 1) ** 2, w * (fit["k"].value - 3) ** 2]
-        assert rows[1]["share"] == pytest.approx(shares[1] / sum(shares), rel=1e-6)
+        assert rows[1].share == pytest.approx(shares[1] / sum(shares), rel=1e-6)
 
 
 def test_measured_points_alone_recover_an_unstable_structure():
@@ -257,7 +256,7 @@ def test_fixed_parameters_are_no_variables():
 )
 def test_wrong_weights_and_grids_are_explained(given, message):
     with pytest.raises(ValueError, match=message):
-        match(TwoByTwo(), black_box(YAW.system()), **given)
+        Match(**given).fit(TwoByTwo(), black_box(YAW.system()))
 
 
 def test_target_of_another_kind_is_refused():

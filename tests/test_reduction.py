@@ -60,7 +60,7 @@ def test_what_cannot_be_reduced_is_refused():
     with pytest.raises(ModelError, match="no parameter 'z'"):
         reduce_structure(Mixture(), DATA, protect=["z"])
     with pytest.raises(ConvergenceError, match="nothing held"):
-        reduce_structure(Mixture(), DATA, options=SolverOptions(max_iterations=1))
+        reduce_structure(Mixture(), DATA, solver=SolverOptions(max_iterations=1))
     assert np.isfinite(DATA[0].y).all()
 
 

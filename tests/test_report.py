@@ -253,7 +253,8 @@ def test_the_summary_goes_by_the_larger_standard_error_and_says_if_residuals_are
     rows = [dataclasses.replace(row, value=3.0, std_error=1.0) for row in fit.parameters]
 
     def said(ratio):
-        notes = fit.notes | {"std_error_coloured": [ratio] * len(rows)}
+        coloured = np.full(len(rows), ratio)
+        notes = dataclasses.replace(fit.notes, std_error_coloured=coloured)
         judged = dataclasses.replace(fit, parameters=tuple(rows), notes=notes)
         return " ".join(cautions(dataclasses.replace(content, output_error=judged)))
 
@@ -343,8 +344,8 @@ def test_names_and_paths_from_users_are_escaped(content, tmp_path):
 @pytest.mark.slow
 def test_the_page_tells_what_each_source_contributes_to_the_match(page, content):
     text = page.read_text(encoding="utf-8")
-    for row in content.hinf.notes["sources"]:
-        assert f'<th class="left">{row["source"]}</th><td>{row["points"]}</td>' in text
+    for row in content.hinf.notes.sources:
+        assert f'<th class="left">{row.name}</th><td>{len(row.grid)}</td>' in text
 
 
 def test_standard_errors_for_coloured_residuals_stand_beside_the_others(page, content):

@@ -61,6 +61,6 @@ def test_noise_covariance_and_parameters_come_out_within_their_scatter():
 
 def test_an_iteration_limit_is_an_error_that_carries_the_best_fit():
     with pytest.raises(ConvergenceError, match="iteration limit") as caught:
-        output_error(off(), [flown(seed=1)], options=SolverOptions(max_iterations=2))
+        output_error(off(), [flown(seed=1)], solver=SolverOptions(max_iterations=2))
     assert not caught.value.best.success
     assert np.isfinite(caught.value.best.model.vector()).all()

@@ -17,7 +17,7 @@ from truths.closed_roll import (
 
 from casid import Constraint, ConvergenceError, ModelError, Scalar, SolverOptions, parameter
 from casid.model import free_parameters
-from casid.shooting.output_error import choose_interval, output_error, simulate
+from casid.shooting.output_error import OutputError, choose_interval, output_error, simulate
 
 NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}
 
@@ -91,7 +91,7 @@ def test_the_start_from_a_neighbour_changes_the_effort_only(R):
     wide = output_error(off(), records, R=R)
     bounds = {"Lp": (-1.9, 0.0), "Lv": (-1.0, -0.16)}
     cold = output_error(off(), records, R=R, bounds=bounds)
-    warm = output_error(off(), records, R=R, bounds=bounds, near=wide)
+    warm = OutputError(R=R).fit(off(), records, bounds=bounds, near=wide)
     assert warm.iterations <= cold.iterations / 2
     # Each bound's share of the barrier is at most 1e-8 per observation.
     n = sum(record.y.size for record in records)
@@ -154,14 +154,14 @@ def test_culprits_of_a_near_singular_information_are_named():
     y = simulate(TRUTH, record, np.zeros(3), np.zeros(3))
     record = replace(record, y=y).with_noise(NOISE, np.random.default_rng(2))
     fit = output_error(TRUTH, [record], fixed=("tau",))
-    worst = fit.notes["collinear"][0]
-    assert {"Llat", "Lped"} <= set(worst["names"])
-    assert not {"Yv", "Lv", "Ylat"} & set(worst["names"])
-    assert worst["condition"] > 30
+    worst = fit.notes.collinear[0]
+    assert {"Llat", "Lped"} <= set(worst.names)
+    assert not {"Yv", "Lv", "Ylat"} & set(worst.names)
+    assert worst.condition > 30
     names = list(fit.free_names)
     i, j = names.index("Llat"), names.index("Lped")
-    assert fit.notes["correlation"][i][j] < -0.9  # what one takes the other gives
-    assert output_error(TRUTH, [noisy()]).notes["collinear"] == []
+    assert fit.notes.correlation[i][j] < -0.9  # what one takes the other gives
+    assert output_error(TRUTH, [noisy()]).notes.collinear == ()
 
 
 # ---- refusals -----------------------------------------------------------------------------------
@@ -186,15 +186,15 @@ def test_a_start_that_falls_over_in_the_data_is_caught_by_the_intervals():
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("solver", "message"),
     [
         (SolverOptions(max_iterations=2), "iteration limit reached; raise max_iterations"),
         (SolverOptions(max_seconds=1e-3), "time limit reached; raise max_seconds"),
     ],
 )
-def test_a_solver_limit_leaves_the_best_iterate(options, message):
+def test_a_solver_limit_leaves_the_best_iterate(solver, message):
     with pytest.raises(ConvergenceError, match=message) as caught:
-        output_error(off(), [noisy()], options=options)
+        output_error(off(), [noisy()], solver=solver)
     best = caught.value.best
     assert not best.success
     assert np.isfinite(best.model.vector()).all()
@@ -208,7 +208,7 @@ def test_records_too_short_are_refused():
         output_error(TRUTH, [first(3)])
     few = SolverOptions(max_iterations=20)
     with pytest.raises(ConvergenceError, match="do not determine Lped"):
-        output_error(TRUTH, [first(11)], options=few)  # nothing has moved yet
+        output_error(TRUTH, [first(11)], solver=few)  # nothing has moved yet
 
 
 def first(samples):

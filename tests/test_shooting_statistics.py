@@ -144,7 +144,7 @@ def test_corrected_intervals_cover_what_unmodelled_rotor_dynamics_leave():
         flights = [rotor_flight(100 * run + seed, rng) for seed in range(2)]
         fits.append(output_error(TRUTH, flights, interval=0.5))
     errors, std = scatter(fits, best)
-    corrected = np.array([fit.notes["std_error_coloured"] for fit in fits])
+    corrected = np.array([fit.notes.std_error_coloured for fit in fits])
     assert coverage(errors, std) < 0.80  # white noise is not what these residuals are
     assert coverage(errors, corrected) >= 0.85
 

@@ -169,7 +169,7 @@ def test_structures_and_fits_are_judged_like_their_systems():
     table = parameter_table(free_parameters(model), np.array([-3.0]), np.zeros(1))
     fit = Fit(
         model=model, parameters=table, cost=0.0, status="solved", success=True, iterations=1,
-        seconds=0.0, method="test",
+        seconds=0.0, method="test", notes=None,
     )  # fmt: skip
     result = validate({"system": TRUTH, "model": model, "fit": fit}, [flown(noise=0.01)])
     np.testing.assert_allclose(result.rms["model"], result.rms["system"], rtol=1e-9)

@@ -5,14 +5,97 @@ chapter 12: Cramér-Rao figures 2 √(H⁻¹)ᵢᵢ up to 20 % of the value and 
 10 % are satisfactory, H the Hessian of the cost J.
 """
 
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
 
 from casid.arrays import Array, BoolArray
+from casid.baseline.mismatch import GOOD
+from casid.values import storable
 
 CRAMER_RAO, INSENSITIVITY = 20.0, 10.0  # guidelines, % of the value
+
+
+@storable
+@dataclass(frozen=True, kw_only=True)
+class PairCost:
+    """Cost J of one pair; ``band`` is the range of its ``points`` [rad/s].
+
+    ``misses`` names the guidelines it does not meet.
+    """
+
+    output: str
+    input: str
+    J: float
+    points: int
+    band: tuple[float, float]
+    misses: tuple[str, ...]
+
+
+@storable
+@dataclass(frozen=True, kw_only=True)
+class ParameterAccuracy:
+    """Accuracy of one parameter.
+
+    Cramér-Rao figure 2 √(H⁻¹)ᵢᵢ and insensitivity in % of the value, as T&R define them; ``misses``
+    names the guidelines it does not meet ("CR", "I"). ``scatter`` is the standard deviation that
+    the response's random errors cause.
+    """
+
+    name: str
+    value: float
+    cramer_rao_percent: float
+    insensitivity_percent: float
+    scatter: float
+    misses: tuple[str, ...]
+
+
+@storable
+@dataclass(frozen=True, kw_only=True)
+class StartCost:
+    """Where one starting point led."""
+
+    start: str
+    J: float
+    success: bool
+    status: str
+    iterations: int
+    seconds: float
+
+
+@storable
+@dataclass(frozen=True, kw_only=True)
+class Guidelines:
+    """Up to which figures a fit is satisfactory."""
+
+    J: float = GOOD
+    cramer_rao_percent: float = CRAMER_RAO
+    insensitivity_percent: float = INSENSITIVITY
+
+
+@storable
+@dataclass(frozen=True, kw_only=True)
+class DerividNotes:
+    """What a fit in dB and degrees tells beside its estimates.
+
+    Parameters
+    ----------
+    pairs : tuple of PairCost
+        One row a pair fitted; ``average`` is their mean J.
+    table : tuple of ParameterAccuracy
+        One row a free parameter.
+    starts : tuple of StartCost
+        One row a starting point.
+    guidelines : Guidelines
+        What the rows are judged by.
+    """
+
+    pairs: tuple[PairCost, ...]
+    average: float
+    table: tuple[ParameterAccuracy, ...]
+    starts: tuple[StartCost, ...]
+    guidelines: Guidelines = Guidelines()
 
 
 def accuracy(
@@ -65,13 +148,17 @@ def scatter(jacobian: Array, covariance: Array, noise: Array) -> Array:
 
 def accuracy_row(
     name: str, value: float, std: float, insensitivity: float, scatter: float
-) -> dict[str, Any]:
+) -> ParameterAccuracy:
     """One row of the accuracy table: percentages of the value, and the guidelines it misses."""
     size = abs(value)
     cr = 200 * std / size if size > 0 else np.inf
     i = 100 * insensitivity / size if size > 0 else np.inf
-    misses = [word for word, bad in (("CR", cr > CRAMER_RAO), ("I", i > INSENSITIVITY)) if bad]
-    return {
-        "name": name, "value": float(value), "cramer_rao_percent": float(cr),
-        "insensitivity_percent": float(i), "scatter": float(scatter), "misses": misses,
-    }  # fmt: skip
+    misses = tuple(word for word, bad in (("CR", cr > CRAMER_RAO), ("I", i > INSENSITIVITY)) if bad)
+    return ParameterAccuracy(
+        name=name,
+        value=float(value),
+        cramer_rao_percent=float(cr),
+        insensitivity_percent=float(i),
+        scatter=float(scatter),
+        misses=misses,
+    )

@@ -8,14 +8,20 @@ Identification, 2nd ed. (*T&R*), chapters 12 and 13; the programmes are in
 
 import logging
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
-from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY, accuracy, accuracy_row, scatter
+from casid.baseline.accuracy import (
+    DerividNotes,
+    PairCost,
+    StartCost,
+    accuracy,
+    accuracy_row,
+    scatter,
+)
 from casid.baseline.equations import equation_start
 from casid.baseline.magphase import (
     Programme,
@@ -28,9 +34,16 @@ from casid.baseline.mismatch import DB, DEG, GOOD, PHASE, residuals
 from casid.baseline.pairs import Pairs, select, thin
 from casid.errors import ConvergenceError, ModelError
 from casid.evaluation import MatrixFunction
-from casid.fit import Fit, constraint_table, holding, parameter_table
+from casid.fit import (
+    AnyFit,
+    Fit,
+    constraint_table,
+    held_directions,
+    holding,
+    parameter_table,
+)
 from casid.frequency.estimation import FrequencyResponse
-from casid.model import Bounds, Free, Model, free_parameters
+from casid.model import Bounds, Free, M, Model, free_parameters
 from casid.nlp import Solution, SolverOptions, solve
 
 LOG = logging.getLogger("casid")
@@ -40,28 +53,12 @@ SAME = 1e-2  # relative difference of the parameters of relative fits that are t
 AGREES = 1e-4  # between J as IPOPT has it and J of the model found, relative to 1 + J
 
 
-def derivid(
-    model: Model,
-    frf: FrequencyResponse,
-    *,
-    pairs: Pairs | None = None,
-    coherence: float = 0.6,
-    n_omega: int = 20,
-    band: tuple[float, float] | None = None,
-    starts: int = 5,
-    seed: int = 0,
-    fixed: Collection[str] = (),
-    bounds: Bounds | None = None,
-    options: SolverOptions = SolverOptions(),  # noqa: B008 - frozen
-) -> Fit:
-    """The parameters with which a structure fits measured responses best in dB and degrees.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Derivid:
+    """Fit of a structure to measured responses in dB and degrees, as an estimator.
 
     Parameters
     ----------
-    model : Model
-        Structure and guess; its channels are found in the response by name.
-    frf : FrequencyResponse
-        What to fit.
     pairs : sequence of (output, input), or mapping of these to (low, high) rad/s or None
         The pairs to fit, at all measured points of their range whatever the coherence, which still
         weighs them. Unless given: all pairs with five points of sufficient coherence, at those.
@@ -73,24 +70,87 @@ def derivid(
         Frequencies to fit [rad/s]; all that were measured unless given.
     starts : int
         Number of starting points: one computed from the measurement, the caller's guess, and
-        random ones about the first.
+        random ones about the first. Beside a fit ``near`` the first two are enough.
     seed : int
         Of the random ones.
+    solver : SolverOptions
+        Limits and tolerance of every solve.
+    """
+
+    pairs: Pairs | None = None
+    coherence: float = 0.6
+    n_omega: int = 20
+    band: tuple[float, float] | None = None
+    starts: int = 5
+    seed: int = 0
+    solver: SolverOptions = SolverOptions()
+
+    def fit(
+        self,
+        model: M,
+        data: FrequencyResponse | Sequence[FrequencyResponse],
+        *,
+        fixed: Collection[str] = (),
+        bounds: Bounds | None = None,
+        near: AnyFit | None = None,
+    ) -> Fit[M, DerividNotes]:
+        """The parameters with which a structure fits a measured response best; see `derivid`."""
+        began = time.perf_counter()
+        if self.starts < 1 or self.n_omega < 2 or not 0 <= self.coherence < 1:
+            raise ValueError(
+                f"starts={self.starts}, n_omega={self.n_omega}, coherence={self.coherence}: "
+                "expected at least 1, at least 2 and a coherence in [0, 1)"
+            )
+        frf = _one_response(data)
+        free = _nonnegative_delays(free_parameters(model, fixed, bounds))
+        measured = thin(frf if self.band is None else frf.between(*self.band), self.n_omega)
+        target, used = select(model, measured, self.pairs, self.coherence)
+        search = _Search(free, target, self.solver)
+        _check_influence(search)
+        starts = self.starts if near is None else min(2, self.starts)
+        for number, (name, values, X) in enumerate(_starting_points(search, starts, self.seed)):
+            search.run(f"{number + 1} ({name})", values, X)
+        fit = _result(search, model, measured, used, time.perf_counter() - began)
+        if not fit.success:
+            raise ConvergenceError(
+                f"derivid: none of {starts} starts converged ({fit.status}); the best iterate, "
+                f"with J = {fit.cost:.4g}, is in .best",
+                fit,
+            )
+        return fit
+
+
+def derivid(
+    model: M,
+    target: FrequencyResponse | Sequence[FrequencyResponse],
+    *,
+    pairs: Pairs | None = None,
+    n_omega: int = 20,
+    band: tuple[float, float] | None = None,
+    starts: int = 5,
+    fixed: Collection[str] = (),
+    bounds: Bounds | None = None,
+    solver: SolverOptions = SolverOptions(),
+) -> Fit[M, DerividNotes]:
+    """The parameters with which a structure fits measured responses best in dB and degrees.
+
+    Parameters
+    ----------
+    model : Model
+        Structure and guess; its channels are found in the response by name.
+    target : FrequencyResponse
+        What to fit; several are merged first (`merge_responses`).
+    pairs, n_omega, band, starts, solver
+        As in `Derivid`, which has the rarer settings too.
     fixed, bounds
         Parameters held, and bounds {name: (lower, upper)} instead of the model file's. Delays are
         kept at >= 0 in any case.
-    options : SolverOptions
-        Limits and tolerance of every solve.
 
     Returns
     -------
     Fit
         ``cost`` is the sum of J over pairs. ``std_error`` is √(H⁻¹)ᵢᵢ and ``insensitivity``
         1/√Hᵢᵢ, H the Gauss-Newton Hessian of the cost; parameters on a bound count as known.
-        ``notes``: ``pairs`` (J, points and range of each), ``average`` (J), ``table`` (per
-        parameter Cramér-Rao figure 2 √(H⁻¹)ᵢᵢ and insensitivity in % of the value, as T&R define
-        them, which of the guidelines 20 % and 10 % it misses, and ``scatter``, the standard
-        deviation that the response's random errors cause), ``starts`` and ``guidelines``.
 
     Raises
     ------
@@ -101,32 +161,29 @@ def derivid(
     ConvergenceError
         No start converged; ``best`` is the best iterate.
     """
-    began = time.perf_counter()
-    if starts < 1 or n_omega < 2 or not 0 <= coherence < 1:
+    estimator = Derivid(pairs=pairs, n_omega=n_omega, band=band, starts=starts, solver=solver)
+    return estimator.fit(model, target, fixed=fixed, bounds=bounds)
+
+
+def _one_response(data: FrequencyResponse | Sequence[FrequencyResponse]) -> FrequencyResponse:
+    """The one response of the data.
+
+    Raises
+    ------
+    ValueError
+        Several, or something else.
+    """
+    several = list(data) if isinstance(data, Sequence) else [data]
+    if len(several) != 1:
         raise ValueError(
-            f"starts={starts}, n_omega={n_omega}, coherence={coherence}: expected at least 1, at "
-            "least 2 and a coherence in [0, 1)"
+            f"derivid fits one frequency response, not {len(several)}; merge them first"
         )
-    if not isinstance(frf, FrequencyResponse):
+    if not isinstance(several[0], FrequencyResponse):
         raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
-            f"frf is a {type(frf).__name__}: derivid fits a measured FrequencyResponse; a black "
-            "box is what `match` takes"
+            f"the target is a {type(several[0]).__name__}: derivid fits a measured "
+            "FrequencyResponse; a black box is what `match` takes"
         )
-    free = _nonnegative_delays(free_parameters(model, fixed, bounds))
-    measured = thin(frf if band is None else frf.between(*band), n_omega)
-    target, used = select(model, measured, pairs, coherence)
-    search = _Search(free, target, options)
-    _check_influence(search)
-    for number, (name, values, X) in enumerate(_starting_points(search, starts, seed)):
-        search.run(f"{number + 1} ({name})", values, X)
-    fit = _result(search, model, measured, used, time.perf_counter() - began)
-    if not fit.success:
-        raise ConvergenceError(
-            f"derivid: none of {starts} starts converged ({fit.status}); the best iterate, with "
-            f"J = {fit.cost:.4g}, is in .best",
-            fit,
-        )
-    return fit
+    return several[0]
 
 
 def _nonnegative_delays(free: Free) -> Free:
@@ -186,7 +243,7 @@ class _Search:
             values=free.guess, multipliers=np.zeros(len(free.index)), cost=np.inf, success=False,
             status="not started", prices=np.zeros(len(free.model.constraints())),
         )  # fmt: skip
-        self.rows: list[dict[str, Any]] = []
+        self.rows: list[StartCost] = []
         self.iterations = 0
         self._visited: list[tuple[Array, _State]] = []
         self._programmes: dict[bool, Programme] = {}
@@ -200,10 +257,16 @@ class _Search:
             values, _, solution = self._solve(f"derivid, start {name}", near, X, logarithmic=True)
             state = self._state(values, solution)
             self._visited.append((near, state))
-        self.rows.append({
-            "start": name, "J": state.cost, "success": state.success, "status": state.status,
-            "iterations": self.iterations - iterations, "seconds": time.perf_counter() - began,
-        })  # fmt: skip
+        self.rows.append(
+            StartCost(
+                start=name,
+                J=state.cost,
+                success=state.success,
+                status=state.status,
+                iterations=self.iterations - iterations,
+                seconds=time.perf_counter() - began,
+            )
+        )
         if (not state.success, state.cost) < (not self.best.success, self.best.cost):
             self.best = state
 
@@ -288,10 +351,10 @@ def _check_influence(search: _Search) -> None:
 
 
 def _result(
-    search: _Search, model: Model, frf: FrequencyResponse, used: BoolArray, seconds: float
-) -> Fit:
+    search: _Search, model: M, frf: FrequencyResponse, used: BoolArray, seconds: float
+) -> Fit[M, DerividNotes]:
     free, best = search.free, search.best
-    solved = free.model.with_vector(free.full(best.values))
+    solved = model.with_vector(free.full(best.values))
     table = parameter_table(free, best.values, best.multipliers, guess=model)
     active = np.array([table[i].active for i in free.index])
     jacobian, noise = _residual_slopes(search, frf, used)
@@ -302,28 +365,27 @@ def _result(
         free, best.values, best.multipliers, std_error=std, insensitivity=insensitivity, guess=model
     )
     pairs = _pair_rows(search, used, frf)
-    costs = np.array([row["J"] for row in pairs])
-    notes = {
-        "pairs": pairs,
-        "average": float(costs.mean()),
-        "table": [
-            accuracy_row(name, value, s, i, c)
-            for name, value, s, i, c in zip(
-                free.names, best.values, std, insensitivity, spread, strict=True
-            )
-        ],
-        "starts": search.rows,
-        "constraints": constraint_table(solved, best.prices),
-        "guidelines": {
-            "J": GOOD, "cramer_rao_percent": CRAMER_RAO, "insensitivity_percent": INSENSITIVITY
-        },
-    }  # fmt: skip
+    figures = zip(free.names, best.values, std, insensitivity, spread, strict=True)
     return Fit(
-        model=solved, parameters=parameters,
-        cost=best.cost, status=best.status, success=best.success, iterations=search.iterations,
-        seconds=seconds, method="derivid", covariance=covariance, free_names=free.names,
-        notes=notes,
-    )  # fmt: skip
+        model=solved,
+        parameters=parameters,
+        cost=best.cost,
+        status=best.status,
+        success=best.success,
+        iterations=search.iterations,
+        seconds=seconds,
+        method="derivid",
+        notes=DerividNotes(
+            pairs=pairs,
+            average=float(np.mean([row.J for row in pairs])),
+            table=tuple(accuracy_row(*row) for row in figures),
+            starts=tuple(search.rows),
+        ),
+        constraints=constraint_table(solved, best.prices),
+        held=held_directions(free, best.values, parameters),
+        covariance=covariance,
+        free_names=free.names,
+    )
 
 
 def _residual_slopes(
@@ -343,19 +405,24 @@ def _residual_slopes(
     return np.vstack(rows), np.concatenate([unit * error[used] for unit in units])
 
 
-def _pair_rows(search: _Search, used: BoolArray, frf: FrequencyResponse) -> list[dict[str, Any]]:
+def _pair_rows(search: _Search, used: BoolArray, frf: FrequencyResponse) -> tuple[PairCost, ...]:
     J = search.cost(search.best.values)
     rows = []
     for i, output in enumerate(search.free.model.outputs):
         for j, name in enumerate(search.free.model.inputs):
             at = np.flatnonzero(used[:, i, j])
             if len(at):
-                rows.append({
-                    "output": output, "input": name, "J": float(J[i, j]), "points": len(at),
-                    "band": (float(frf.omega[at[0]]), float(frf.omega[at[-1]])),
-                    "misses": ["J"] if J[i, j] > GOOD else [],
-                })  # fmt: skip
-    return rows
+                rows.append(
+                    PairCost(
+                        output=output,
+                        input=name,
+                        J=float(J[i, j]),
+                        points=len(at),
+                        band=(float(frf.omega[at[0]]), float(frf.omega[at[-1]])),
+                        misses=("J",) if J[i, j] > GOOD else (),
+                    )
+                )
+    return tuple(rows)
 
 
 def _random_errors(model: Model, frf: FrequencyResponse) -> Array:

@@ -24,7 +24,7 @@ import scipy.optimize
 from casid.arrays import Array
 from casid.bounds.relations import Relation, parse_relation
 from casid.errors import ModelError
-from casid.fit import Fit
+from casid.fit import AnyFit
 from casid.model import Bounds, Constraint, Model, free_parameters
 
 CaseSpec: TypeAlias = Mapping[str, Any] | Sequence[str] | str
@@ -285,7 +285,7 @@ def _values(model: Model) -> dict[str, Any]:
     return {f.name: getattr(model, f.name) for f in fields(model)}
 
 
-def feasible(model: Model, case: Case, near: Fit | None = None) -> Model:
+def feasible(model: Model, case: Case, near: AnyFit | None = None) -> Model:
     """The point of a case next to a model: bounded least squares.
 
     Parameters
@@ -317,7 +317,7 @@ def feasible(model: Model, case: Case, near: Fit | None = None) -> Model:
     return model.with_vector(moved)
 
 
-def _metric(near: Fit | None, names: Sequence[str], scale: Array) -> Array:
+def _metric(near: AnyFit | None, names: Sequence[str], scale: Array) -> Array:
     """Root M of the information, MᵀM in units of the scale, as far as the fit knows it."""
     metric = np.eye(len(names))
     if near is None or near.covariance is None:

@@ -19,7 +19,7 @@ from casid.bounds.prices import CaseResult, price_case
 from casid.bounds.trials import Data, Setup, Trial, run_trials, setup, starting_values
 from casid.errors import DataWarning
 from casid.files import write_text
-from casid.fit import Fit
+from casid.fit import AnyFit
 from casid.jobs.campaigns import Advance, Job
 from casid.model import Bounds, Model
 from casid.record import Record
@@ -109,7 +109,7 @@ def compare_bounds(
     cases: Mapping[str, CaseSpec],
     estimator: str = "output_error",
     validation: Sequence[Record] = (),
-    start: Model | Fit | None = None,
+    start: Model | AnyFit | None = None,
     fixed: Sequence[str] = (),
     bounds: Bounds | None = None,
     folder: str | Path | None = None,
@@ -177,7 +177,7 @@ def compare_bounds(
 
 
 def _jobs(
-    cases: Sequence[Case], shared: Setup, model: Model, start: Model | Fit | None
+    cases: Sequence[Case], shared: Setup, model: Model, start: Model | AnyFit | None
 ) -> list[Job]:
     """One job a case, the freest first; each after a wider one, or the freest if that failed.
 

@@ -11,7 +11,7 @@ import scipy.stats
 from casid.arrays import ComplexArray
 from casid.bounds.cases import Case
 from casid.bounds.trials import aicc
-from casid.fit import Fit, ParameterEstimate
+from casid.fit import AnyFit, ConstraintEstimate, ParameterEstimate
 from casid.jobs.campaigns import Done
 from casid.record import standard_deviations
 from casid.validation import Validation
@@ -69,7 +69,7 @@ class CaseResult:
 
     name: str
     reason: str = ""
-    fit: Fit | None = None
+    fit: AnyFit | None = None
     parameters: tuple[ParameterEstimate, ...] = ()
     relations: tuple[RelationEstimate, ...] = ()
     held: int = 0
@@ -87,14 +87,14 @@ class CaseResult:
 
 
 def price_case(
-    case: Case, done: Done, base: tuple[Case, Fit | None], data: Sequence[Any],
+    case: Case, done: Done, base: tuple[Case, AnyFit | None], data: Sequence[Any],
     validation: Validation | None,
 ) -> CaseResult:  # fmt: skip
     """The result of a case, measured against the freest and its fit."""
-    fit: Fit | None = done.result
+    fit: AnyFit | None = done.result
     if fit is None or done.reason:
         return CaseResult(name=case.name, reason=done.reason, fit=fit, start=done.source)
-    held = int(fit.notes["held"])
+    held = fit.held
     found = CaseResult(
         name=case.name, fit=fit, parameters=_parameters(fit, case), start=done.source,
         relations=_relations(fit, case), held=held, cost=fit.cost, aicc=aicc(fit, data),
@@ -108,7 +108,7 @@ def price_case(
     found = replace(found, increase=increase, predicted=sum(shares.values()), shares=shares)
     if fit.R is None or not case.within(freest):  # no likelihood, or no test
         return found
-    freedom, statistic = max(held - int(free.notes["held"]), 0), max(2 * increase, 0.0)
+    freedom, statistic = max(held - free.held, 0), max(2 * increase, 0.0)
     p_value = float(scipy.stats.chi2.sf(statistic, freedom)) if freedom else 1.0
     return replace(found, statistic=statistic, freedom=freedom, p_value=p_value)
 
@@ -121,25 +121,25 @@ def relative_rms(validation: Validation | None, name: str) -> float:
     return float(np.sqrt(np.nanmean((validation.rms[name] / scale) ** 2)))
 
 
-def _own(fit: Fit, case: Case) -> tuple[list[Mapping[str, Any]], list[Mapping[str, Any]]]:
+def _own(fit: AnyFit, case: Case) -> tuple[list[ConstraintEstimate], list[ConstraintEstimate]]:
     """Rows of the structure's own constraints, and of the case's relations."""
-    rows = list(fit.notes["constraints"])
+    rows = list(fit.constraints)
     first = len(rows) - len(case.relations)
     return rows[:first], rows[first:]
 
 
-def _relations(fit: Fit, case: Case) -> tuple[RelationEstimate, ...]:
+def _relations(fit: AnyFit, case: Case) -> tuple[RelationEstimate, ...]:
     rows = zip(_own(fit, case)[1], case.relations, strict=True)
     return tuple(
         RelationEstimate(
-            text=relation.text, value=row["value"], lower=relation.lower, upper=relation.upper,
-            active=row["active"], multiplier=row["multiplier"],
+            text=relation.text, value=row.value, lower=relation.lower, upper=relation.upper,
+            active=row.active, multiplier=row.multiplier,
         )
         for row, relation in rows if len(relation.names) > 1
     )  # fmt: skip
 
 
-def _parameters(fit: Fit, case: Case) -> tuple[ParameterEstimate, ...]:
+def _parameters(fit: AnyFit, case: Case) -> tuple[ParameterEstimate, ...]:
     """Rows of the parameters; a fixed value has equal bounds and the price of its tie."""
     ties = {
         relation.names[0]: row
@@ -149,7 +149,7 @@ def _parameters(fit: Fit, case: Case) -> tuple[ParameterEstimate, ...]:
     rows = []
     for row in fit.parameters:
         if row.name in ties:
-            value, price = ties[row.name]["lower"], ties[row.name]["multiplier"]
+            value, price = ties[row.name].lower, ties[row.name].multiplier
             row = replace(  # noqa: PLW2901 - the same row, as a reader wants it
                 row, value=value, lower=value, upper=value, active=True, multiplier=price,
                 std_error=np.nan,
@@ -158,7 +158,7 @@ def _parameters(fit: Fit, case: Case) -> tuple[ParameterEstimate, ...]:
     return tuple(rows)
 
 
-def _shares(here: tuple[Case, Fit], there: tuple[Case, Fit]) -> dict[str, float]:
+def _shares(here: tuple[Case, AnyFit], there: tuple[Case, AnyFit]) -> dict[str, float]:
     """½ Σ (μ + μ₀)(λ - λ₀), by parameter or relation."""
     at, base = (_values(fit) for _, fit in (here, there))
     shares: dict[str, float] = defaultdict(float)
@@ -167,15 +167,15 @@ def _shares(here: tuple[Case, Fit], there: tuple[Case, Fit]) -> dict[str, float]
             shares[name] += 0.5 * row.multiplier * (at[name] - base[name])
         own, rows = _own(fit, case)
         for k, tie in enumerate(own):
-            change = here[1].notes["constraints"][k]["value"]
-            change -= there[1].notes["constraints"][k]["value"]
-            shares[tie["name"]] += 0.5 * tie["multiplier"] * change
+            change = here[1].constraints[k].value
+            change -= there[1].constraints[k].value
+            shares[tie.name] += 0.5 * tie.multiplier * change
         for priced, relation in zip(rows, case.relations, strict=True):
             change = relation.value(at) - relation.value(base)
             label = relation.names[0] if len(relation.names) == 1 else relation.text
-            shares[label] += 0.5 * priced["multiplier"] * change
+            shares[label] += 0.5 * priced.multiplier * change
     return {label: float(share) for label, share in shares.items() if share}
 
 
-def _values(fit: Fit) -> dict[str, float]:
+def _values(fit: AnyFit) -> dict[str, float]:
     return {row.name: row.value for row in fit.parameters}

@@ -21,7 +21,7 @@ from casid.arrays import Array
 from casid.bounds.cases import CaseSpec, read_cases
 from casid.bounds.trials import Data, Trial, run_trials, setup, starting_values
 from casid.errors import ConvergenceError, ModelError
-from casid.fit import Fit
+from casid.fit import AnyFit
 from casid.jobs.campaigns import Advance
 from casid.model import Bounds, Model
 from casid.tabulation import csv_text, markdown_table
@@ -62,7 +62,7 @@ class Profile:
     cost: Array
     slope: Array
     reasons: tuple[str, ...]
-    fit: Fit
+    fit: AnyFit
     level: float
     parabola: Array
     intervals: Mapping[str, tuple[float, float]]
@@ -96,7 +96,7 @@ def profile(
     values: Sequence[float] | tuple[Sequence[float], Sequence[float]],
     estimator: str = "output_error",
     level: float = 0.95,
-    start: Model | Fit | None = None,
+    start: Model | AnyFit | None = None,
     fixed: Sequence[str] = (),
     bounds: Bounds | None = None,
     folder: str | Path | None = None,
@@ -154,7 +154,7 @@ def _label(names: Sequence[str], point: Array) -> str:
 
 
 def _profile(
-    names: tuple[str, ...], points: Array, free: Fit, fits: Sequence[Fit | None],
+    names: tuple[str, ...], points: Array, free: AnyFit, fits: Sequence[AnyFit | None],
     reasons: Sequence[str], level: float,
 ) -> Profile:  # fmt: skip
     cost = np.array([np.nan if fit is None else fit.cost for fit in fits])
@@ -177,9 +177,9 @@ def _profile(
     )  # fmt: skip
 
 
-def _slopes(fit: Fit, count: int) -> Array:
+def _slopes(fit: AnyFit, count: int) -> Array:
     """Prices of the ties that hold the point: the last relations of its case."""
-    return np.array([row["multiplier"] for row in fit.notes["constraints"][-count:]])
+    return np.array([row.multiplier for row in fit.constraints[-count:]])
 
 
 def _lowest(x: Array, J: Array, dJ: Array) -> tuple[Array, Array, Array]:
@@ -209,7 +209,7 @@ def _interval(
     return float(below.max(initial=-np.inf)), float(above.min(initial=np.inf))
 
 
-def _parabola(free: Fit, names: Sequence[str], points: Array) -> Array:
+def _parabola(free: AnyFit, names: Sequence[str], points: Array) -> Array:
     """Cost of the points by the Cramér-Rao bound: ½ dᵀ C⁻¹ d above the least."""
     if free.R is None or free.covariance is None or not set(names) <= set(free.free_names):
         return np.full(len(points), np.nan)

@@ -17,7 +17,7 @@ from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY
 from casid.bounds.cases import read_cases
 from casid.bounds.trials import Data, Setup, Trial, aicc, run_trials, setup, starting_values
 from casid.errors import ConvergenceError, ModelError
-from casid.fit import Fit, ParameterEstimate
+from casid.fit import AnyFit, ParameterEstimate
 from casid.jobs.campaigns import Advance, Done, Job
 from casid.model import Bounds, Model
 from casid.tabulation import csv_text, markdown_table
@@ -57,8 +57,8 @@ class Reduction:
         "aicc" or "cost".
     """
 
-    full: Fit
-    fit: Fit
+    full: AnyFit
+    fit: AnyFit
     steps: tuple[Step, ...]
     criterion: str
 
@@ -94,7 +94,7 @@ def reduce_structure(
     protect: Sequence[str] = (),
     replay: Mapping[str, float] | None = None,
     candidates: int = 1,
-    start: Model | Fit | None = None,
+    start: Model | AnyFit | None = None,
     fixed: Sequence[str] = (),
     bounds: Bounds | None = None,
     folder: str | Path | None = None,
@@ -134,7 +134,7 @@ def reduce_structure(
     _check(model, estimator, criterion, (*protect, *(replay or {})))
     shared = setup(model, data, estimator=estimator, fixed=fixed, settings=settings)
 
-    def fits(holds: Sequence[Mapping[str, float]], near: Model | Fit | None) -> list[Done]:
+    def fits(holds: Sequence[Mapping[str, float]], near: Model | AnyFit | None) -> list[Done]:
         jobs = [_job(shared, model, bounds, held, near) for held in holds]
         done = run_trials(jobs, type(model), folder=folder, executor=executor, progress=progress)
         return list(done.values())
@@ -142,7 +142,7 @@ def reduce_structure(
     (whole,) = fits([{}], start)
     if whole.reason:
         raise ConvergenceError(f"reduce_structure: nothing held: {whole.reason}", whole.result)
-    full: Fit = whole.result
+    full: AnyFit = whole.result
     criterion = criterion or ("cost" if full.R is None else "aicc")
     limit = full.cost + rise * abs(full.cost)
     fit, held, passed, steps = full, dict[str, float](), set(protect), list[Step]()
@@ -184,7 +184,7 @@ def _check(model: Model, estimator: str, criterion: str | None, names: Sequence[
 
 def _job(
     shared: Setup, model: Model, bounds: Bounds | None, held: Mapping[str, float],
-    start: Model | Fit | None,
+    start: Model | AnyFit | None,
 ) -> Job:  # fmt: skip
     name = f"{len(held)} {list(held)[-1]}" if held else "0"
     (case,) = read_cases(model, {name: dict(held)}, shared.fixed, bounds)
@@ -193,7 +193,7 @@ def _job(
 
 
 def _worst(
-    fit: Fit, out: set[str], replay: Mapping[str, float] | None, count: int
+    fit: AnyFit, out: set[str], replay: Mapping[str, float] | None, count: int
 ) -> list[ParameterEstimate]:
     """Parameters to try next: those furthest beyond their guidelines, or the next to replay."""
     if replay is not None:
@@ -218,7 +218,9 @@ def _dearness(tried: tuple[Done, ParameterEstimate, float]) -> float:
     return np.inf if tried[0].reason else float(tried[0].result.cost)
 
 
-def _stands(criterion: str, found: Fit | None, before: Fit, limit: float, shared: Setup) -> bool:
+def _stands(
+    criterion: str, found: AnyFit | None, before: AnyFit, limit: float, shared: Setup
+) -> bool:
     if found is None:
         return False
     if criterion == "cost":

@@ -12,7 +12,7 @@ from casid.arrays import Array
 from casid.bounds.cases import read_cases
 from casid.bounds.trials import Data, Draw, Setup, Trial, run_trials, setup, starting_values
 from casid.errors import ConvergenceError
-from casid.fit import Fit
+from casid.fit import AnyFit
 from casid.jobs.campaigns import Advance, Done
 from casid.model import Bounds, Model, free_parameters
 from casid.record import Record
@@ -42,7 +42,7 @@ class Multistart:
     starts: tuple[Model, ...]
     costs: Array
     reasons: tuple[str, ...]
-    fit: Fit
+    fit: AnyFit
 
     @property
     def agreeing(self) -> int:
@@ -175,7 +175,7 @@ def multistart(
     ]
     done = run_trials(jobs, type(model), folder=folder, executor=executor, progress=progress)
     found = list(done.values())
-    good: list[Fit] = [each.result for each in found if not each.reason]
+    good: list[AnyFit] = [each.result for each in found if not each.reason]
     if not good:
         raise ConvergenceError(f"multistart: none of {starts} starts converged: {found[0].reason}")
     return Multistart(
@@ -256,7 +256,7 @@ def monte_carlo(
 
 
 def bootstrap(
-    fit: Fit,
+    fit: AnyFit,
     records: Sequence[Record],
     *,
     runs: int = 50,
@@ -319,7 +319,7 @@ def _with_outputs(model: Model, record: Record, y: Array) -> Record:
 
 
 def _drawn(
-    model: Model, near: Fit | None, shared: Setup, draws: Sequence[Draw], bounds: Bounds | None,
+    model: Model, near: AnyFit | None, shared: Setup, draws: Sequence[Draw], bounds: Bounds | None,
     folder: str | Path | None, executor: Executor | None,
     progress: Callable[[Advance], None] | None,
 ) -> list[Done]:  # fmt: skip
@@ -337,7 +337,7 @@ def _ensemble(
     model: Model, done: Sequence[Done], fixed: Sequence[str], bounds: Bounds | None
 ) -> Ensemble:
     names = free_parameters(model, fixed, bounds).names
-    fits: list[Fit | None] = [None if each.reason else each.result for each in done]
+    fits: list[AnyFit | None] = [None if each.reason else each.result for each in done]
 
     def column(attribute: str) -> Array:
         return np.array([

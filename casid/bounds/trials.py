@@ -5,28 +5,28 @@ from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
 from casid.arrays import Array
-from casid.baseline.derivid import derivid
+from casid.baseline.derivid import Derivid
 from casid.bounds.cases import Case, constrained, feasible, plain
-from casid.chain import identify
+from casid.chain import Chain
 from casid.errors import ConvergenceError
-from casid.fit import Fit, holding
+from casid.estimator import Estimator
+from casid.fit import AnyFit, Fit
 from casid.jobs.campaigns import Advance, Done, Job, Shelf, UnfinishedError, run_jobs
-from casid.jobs.store import digest, source_digest
+from casid.jobs.store import source_digest
 from casid.jobs.transport import Reference, can_travel, refer, refuse_while_loading, resolve
 from casid.matching.comparison import Target
-from casid.matching.match import match
-from casid.model import Model, free_parameters
-from casid.nlp import SolverOptions
+from casid.matching.match import Match
+from casid.model import Model
 from casid.record import Record
-from casid.shooting.output_error import output_error
+from casid.shooting.output_error import OutputError
 from casid.subspace.pbsid import pbsid
+from casid.values import digest
 
-T = TypeVar("T")
 Data: TypeAlias = Sequence[Record] | Sequence[Target] | Record | Target
 Content: TypeAlias = Mapping[str, Any]  # of a fit
 Draw: TypeAlias = Callable[[tuple[Any, ...]], tuple[Any, ...]]
@@ -113,13 +113,11 @@ def setup(
         known = ", ".join(map(repr, ESTIMATORS))
         raise ValueError(f"estimator={estimator!r}: expected one of {known}")
     given = dict(settings)
-    if isinstance(given.get("options"), SolverOptions):  # a callable does not travel
-        given["options"] = replace(given["options"], progress=None)
+    if "solver" in given:  # a callable does not travel
+        given["solver"] = replace(given["solver"], progress=None)
     items = tuple(data) if isinstance(data, Sequence) else (data,)
-    if estimator == "chain" and "black_box" not in given:
-        options = given.get("options")
-        records = cast(tuple[Record, ...], items)
-        given["black_box"] = pbsid(records, **({} if options is None else options.pbsid))
+    if estimator == "chain" and given.get("black_box") is None:
+        given["black_box"] = pbsid(cast(tuple[Record, ...], items), **given.get("pbsid", {}))
     return Setup(
         reference=refer(type(model)), estimator=estimator, data=items, fixed=tuple(fixed),
         settings=given,
@@ -127,7 +125,7 @@ def setup(
 
 
 def starting_values(
-    model: Model, start: Model | Fit | None
+    model: Model, start: Model | AnyFit | None
 ) -> tuple[dict[str, Any], Content | None]:
     """All fields of a model with the parameters of a start, and the start's content if a fit."""
     values = {each.name: getattr(model, each.name) for each in fields(model)}
@@ -180,84 +178,45 @@ def work(job: Trial, start: Content | None) -> Content:
         model = replace(model, **known)
     inside, sizes = constrained(feasible(model, job.case, near), job.case)
     data = setup.data if job.draw is None else job.draw(setup.data)
-    settings = {**setup.settings, "fixed": setup.fixed, "bounds": job.case.bounds}
+    estimator = ESTIMATORS[setup.estimator](**setup.settings)
     try:
-        fit = ESTIMATORS[setup.estimator](inside, data, near, settings)
+        fit = estimator.fit(inside, data, fixed=setup.fixed, bounds=job.case.bounds, near=near)
     except ConvergenceError as error:
         best = error.best
         content = _own(best, cls, sizes).content() if isinstance(best, Fit) else None
         raise UnfinishedError(str(error), content) from error
-    held = _held(fit, setup.fixed, job.case)
-    fit = _own(fit, cls, sizes)
-    return replace(fit, notes={**fit.notes, "held": held}).content()
+    return _own(fit, cls, sizes).content()
 
 
-def _held(fit: Fit, fixed: Sequence[str], case: Case) -> int:
-    """Number of directions in which active bounds, ties and inequalities hold the parameters."""
-    free = free_parameters(fit.model, fixed, case.bounds)
-    values = fit.model.vector()[free.index]
-    active = np.array([fit.parameters[i].active for i in free.index])
-    rows = holding(free, values, active) * free.scale[free.index]
-    return int(np.linalg.matrix_rank(rows)) if len(rows) else 0
-
-
-def _own(fit: Fit, cls: type[Model], sizes: Array) -> Fit:
+def _own(fit: AnyFit, cls: type[Model], sizes: Array) -> AnyFit:
     """The fit with the user's class, and the case's relations in their own units."""
-    notes = dict(fit.notes)
-    rows = [dict(row) for row in notes.get("constraints", [])]
-    for row, size in zip(rows[len(rows) - len(sizes) :], sizes, strict=True):
-        row.update({key: row[key] * size for key in ("value", "lower", "upper")})
-        row["multiplier"] /= size
-    return replace(fit, model=plain(fit.model, cls), notes=notes | {"constraints": rows})
+    own = len(fit.constraints) - len(sizes)
+    relations = tuple(
+        replace(
+            row,
+            value=row.value * size,
+            lower=row.lower * size,
+            upper=row.upper * size,
+            multiplier=row.multiplier / size,
+        )
+        for row, size in zip(fit.constraints[own:], sizes.tolist(), strict=True)
+    )
+    constraints = fit.constraints[:own] + relations
+    return replace(fit, model=plain(fit.model, cls), constraints=constraints)
 
 
-# ---- estimators under one signature --------------------------------------------------------------
-
-
-def _match(model: Model, data: tuple[Any, ...], _: Fit | None, settings: Mapping[str, Any]) -> Fit:
-    return match(model, data, **settings)
-
-
-def _derivid(
-    model: Model, data: tuple[Any, ...], near: Fit | None, settings: Mapping[str, Any]
-) -> Fit:
-    if len(data) != 1:
-        raise ValueError(f"derivid fits one frequency response, not {len(data)}; merge them first")
-    starts = settings.get("starts", 5)
-    if near is not None:  # no need to search: the one computed from the measurement and this one
-        starts = min(2, starts)
-    return derivid(model, data[0], **{**settings, "starts": starts})
-
-
-def _output_error(
-    model: Model, data: tuple[Any, ...], near: Fit | None, settings: Mapping[str, Any]
-) -> Fit:
-    return output_error(model, data, near=near, **settings)
-
-
-def _chain(model: Model, data: tuple[Any, ...], _: Fit | None, settings: Mapping[str, Any]) -> Fit:
-    """The chain behind the black box, which is the same for all cases."""
-    settings = dict(settings)
-    black_box = settings.pop("black_box")
-
-    def stage(name: str, compute: Callable[[], T]) -> T:
-        return cast(T, black_box) if name == "pbsid" else compute()
-
-    return identify(model, data, stage=stage, **settings).output_error
-
-
-ESTIMATORS: Mapping[str, Callable[[Model, tuple[Any, ...], Fit | None, Mapping[str, Any]], Fit]] = {
-    "chain": _chain,
-    "match": _match,
-    "output_error": _output_error,
-    "derivid": _derivid,
+ESTIMATORS: Mapping[str, Callable[..., Estimator]] = {
+    "chain": Chain,
+    "match": Match,
+    "output_error": OutputError,
+    "derivid": Derivid,
 }
 
 
 # ---- what a fit says about its likelihood --------------------------------------------------------
 
 
-def aicc(fit: Fit, records: Sequence[Record]) -> float:
+def aicc(fit: AnyFit, records: Sequence[Record]) -> float:
     """Corrected Akaike criterion of a fit to records; NaN unless its cost is a likelihood.
 
         AICc = 2 J + 2 k n / (n - k - 1)
@@ -269,6 +228,6 @@ def aicc(fit: Fit, records: Sequence[Record]) -> float:
         return np.nan
     outputs = type(fit.model).outputs
     n = sum(int(np.isfinite(record.channel(name)).sum()) for record in records for name in outputs)
-    k = len(fit.free_names) - fit.notes["held"]
+    k = len(fit.free_names) - fit.held
     k += fit.initial_states.size + fit.biases.size + len(fit.R)
     return 2 * fit.cost + 2 * k * n / (n - k - 1) if n > k + 1 else np.inf

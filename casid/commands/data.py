@@ -26,15 +26,15 @@ from casid.exchange.formats import (
 )
 from casid.exchange.standalone import write_module
 from casid.files import read_json
-from casid.fit import Fit
+from casid.fit import AnyFit, Fit
 from casid.frequency.estimation import FrequencyResponse
-from casid.jobs.store import decode
 from casid.model import Model
 from casid.record import Record
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
 from casid.validation import validate
+from casid.values import decode
 
 
 def _units(_: click.Context, __: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
@@ -140,7 +140,7 @@ def _response(source: Path, content: Mapping[str, Any]) -> FrequencyResponse:
     return found
 
 
-def _load(source: Path, structure: str | None) -> Fit:
+def _load(source: Path, structure: str | None) -> AnyFit:
     if structure is None:
         raise ValueError(f"{source} is a fit: name its structure, --model models/six_dof.py:SixDof")
     return Fit.load(source, model=load_model(structure))

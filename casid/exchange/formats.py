@@ -24,7 +24,7 @@ from casid.files import (
     read_variables,
     write_text,
 )
-from casid.fit import Fit
+from casid.fit import AnyFit
 from casid.folder import replacing
 from casid.frequency.estimation import FrequencyResponse
 from casid.hdf import write_hdf
@@ -229,7 +229,7 @@ def write_frequency(path: str | Path, response: FrequencyResponse) -> None:
 # ---- fitted models -----------------------------------------------------------------------------
 
 
-def write_fit_mat(path: str | Path, fit: Fit) -> None:
+def write_fit_mat(path: str | Path, fit: AnyFit) -> None:
     """Write a fitted model as a MATLAB file of version 5.
 
     ``ss(A, B, C, D, 'InputDelay', delay, 'StateName', states, ...)`` makes it a model there;

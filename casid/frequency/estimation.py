@@ -28,12 +28,14 @@ from casid.frequency.spectra import (
 )
 from casid.record import Record, Records, same_channels, several, standard_deviations
 from casid.subspace.columns import excited_band
+from casid.values import storable
 
 GRID = 40  # frequencies unless given
 BELOW_NYQUIST = 0.9  # where they end at the latest
 FEW_PERIODS = 2.0  # periods a window must hold to be trusted, T&R (7.41)
 
 
+@storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FrequencyResponse:
     """A non-parametric frequency response with its quality.

@@ -11,10 +11,64 @@ from casid.linear import StateSpace
 from casid.matching.certificate import Band, band_norm, peaks
 from casid.matching.comparison import Comparison, Source
 from casid.model import Free
+from casid.values import seal, storable
 
 EXACT = 1e-8  # error, relative to the response, that is rounding
 NOTHING = 0.999  # error, relative to the response, of a fit that explains nothing
 RUNAWAY = 1e4  # scales by which an unbounded parameter may leave its guess
+
+
+@storable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MatchedSource:
+    """One target of a match and the error left against it.
+
+    Parameters
+    ----------
+    name : str
+        Of the target.
+    grid : (points,) array
+        Frequencies that were matched [rad/s].
+    omega, sigma : (K,), (K, n) array
+        All singular values of the weighted error over the band.
+    entries : int
+        Weighted entries of the response over the grid.
+    norm, sum_of_squares, share : float
+        Largest singular value over the grid, the sum of squares, and its share of all targets'.
+    """
+
+    name: str
+    grid: Array
+    omega: Array
+    sigma: Array
+    entries: int
+    norm: float
+    sum_of_squares: float
+    share: float
+
+    def __post_init__(self) -> None:
+        seal(self)
+
+
+@storable
+@dataclass(frozen=True, kw_only=True)
+class Peak:
+    """Where the largest singular value is: its target, frequency [rad/s] and worst pair there."""
+
+    source: str
+    omega: float
+    output: str
+    input: str
+
+
+@storable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MatchNotes:
+    """What a match tells beside its estimates; ``start`` is the one that led to them."""
+
+    start: str
+    peak: Peak
+    sources: tuple[MatchedSource, ...]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,43 +135,30 @@ class Appraisal:
         i, j = np.unravel_index(int(np.argmax(np.abs(error))), error.shape)
         return self.system.outputs[int(i)], self.system.inputs[int(j)]
 
-    def notes(self) -> dict[str, Any]:
-        """Numbers for the report: where the optimum is held, the error over the band, the sources.
-
-        "peak" names source, frequency and channels of the largest singular value; "band" holds
-        all singular values over every source's band, "grid" the points that were matched;
-        "sources" tells what each target contributes: points, weighted entries, largest singular
-        value, sum of squares and its share of the whole.
-        """
+    def notes(self, start: str) -> MatchNotes:
+        """Where the optimum is held, the error over the band, and what each target contributes."""
         output, input_ = self.peak_channels()
-        source, band = self.top
+        top, band = self.top
         sources = self.comparison.sources
         squares = [float(np.sum(np.abs(s.error(self.system)) ** 2)) for s in sources]
         total = sum(squares) or 1.0
-        return {
-            "peak": {
-                "source": source.name,
-                "omega": band.peak_omega,
-                "output": output,
-                "input": input_,
-            },
-            "band": [
-                {"source": s.name, "omega": b.omega.tolist(), "sigma": b.sigma.tolist()}
-                for s, b in zip(sources, self.bands, strict=True)
-            ],
-            "grid": [{"source": s.name, "omega": s.omega.tolist()} for s in sources],
-            "sources": [
-                {
-                    "source": s.name,
-                    "points": len(s.omega),
-                    "entries": int((s.W > 0).sum()),
-                    "norm": _largest(s.error(self.system)),
-                    "sum_of_squares": square,
-                    "share": square / total,
-                }
-                for s, square in zip(sources, squares, strict=True)
-            ],
-        }
+        return MatchNotes(
+            start=start,
+            peak=Peak(source=top.name, omega=band.peak_omega, output=output, input=input_),
+            sources=tuple(
+                MatchedSource(
+                    name=source.name,
+                    grid=source.omega,
+                    omega=band.omega,
+                    sigma=band.sigma,
+                    entries=int((source.W > 0).sum()),
+                    norm=_largest(source.error(self.system)),
+                    sum_of_squares=square,
+                    share=square / total,
+                )
+                for source, band, square in zip(sources, self.bands, squares, strict=True)
+            ),
+        )
 
 
 def appraise(system: StateSpace, comparison: Comparison) -> Appraisal:

@@ -15,14 +15,21 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ConvergenceError, ModelError
-from casid.fit import Fit, constraint_table, parameter_table
+from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
 from casid.linear import StateSpace
-from casid.matching.appraisal import EXACT, Appraisal, appraise, doubts, response_size
+from casid.matching.appraisal import (
+    EXACT,
+    Appraisal,
+    MatchNotes,
+    appraise,
+    doubts,
+    response_size,
+)
 from casid.matching.comparison import Comparison, Target, Weight, compare
 from casid.matching.descent import Condensed, descend
 from casid.matching.initial import starts
 from casid.matching.lifted import Lifted, lift
-from casid.model import Bounds, Free, Model, free_parameters
+from casid.model import Bounds, Free, M, free_parameters
 from casid.nlp import Solution, SolverOptions, solve
 
 LOG = logging.getLogger("casid")
@@ -40,29 +47,12 @@ NEAR: dict[str, dict[str, float | str]] = {
 LARGE = 2500  # numbers a response and its states hold, above which one good start is enough
 
 
-def match(
-    model: Model,
-    target: Target | Sequence[Target],
-    *,
-    norm: str = "hinf",
-    omega: Array | None = None,
-    shift: float | None = None,
-    weight: Weight | Sequence[Weight] = None,
-    source_weight: Sequence[float] | None = None,
-    fixed: Collection[str] = (),
-    bounds: Bounds | None = None,
-    stable_shift: bool = True,
-    options: SolverOptions = SolverOptions(),  # noqa: B008 - frozen
-) -> Fit:
-    """The parameters with which a structure comes nearest to a target's response.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Match:
+    """Match of a structure to targets, as an estimator.
 
     Parameters
     ----------
-    model : Model
-        Structure and guess; its channels are found in the target by name.
-    target : BlackBox, FrequencyResponse or a sequence of both
-        What to match. Measured responses enter at their own points of s = jω, weighted by
-        coherence (pairs below 0.6 are left out), black boxes on s = σ + jω.
     norm : {"hinf", "quadratic"}
         The largest singular value of the weighted error over grid and band, or the mean over the
         grid of its squared Frobenius norm.
@@ -77,12 +67,75 @@ def match(
         "relative" divides every output's error by the size of its response at that frequency.
     source_weight : sequence of float
         Factor on the error of each target, one unless given.
-    fixed, bounds
-        Parameters held, and bounds {name: (lower, upper)} instead of the model file's.
     stable_shift : bool
         Keep the structure's poles left of the line s = σ + jω.
-    options : SolverOptions
+    solver : SolverOptions
         Limits and tolerance of every solve.
+    """
+
+    norm: str = "hinf"
+    omega: Array | None = None
+    shift: float | None = None
+    weight: Weight | Sequence[Weight] = None
+    source_weight: Sequence[float] | None = None
+    stable_shift: bool = True
+    solver: SolverOptions = SolverOptions()
+
+    def fit(
+        self,
+        model: M,
+        data: Target | Sequence[Target],
+        *,
+        fixed: Collection[str] = (),
+        bounds: Bounds | None = None,
+        near: AnyFit | None = None,  # noqa: ARG002 - its model is the start already
+    ) -> Fit[M, MatchNotes]:
+        """The parameters with which a structure comes nearest to targets; see `match`."""
+        if self.norm not in NORMS:
+            raise ValueError(f"norm={self.norm!r}: expected one of {', '.join(map(repr, NORMS))}")
+        begin = time.perf_counter()
+        targets = list(data) if isinstance(data, Sequence) else [data]
+        free = free_parameters(model, fixed, bounds)
+        comparison = compare(
+            model, targets, omega=self.omega, shift=self.shift, weight=self.weight,
+            source_weight=self.source_weight,
+        )  # fmt: skip
+        matcher = _Matcher(free, comparison, self.stable_shift, self.solver)
+        fits = matcher.quadratic()
+        state = matcher.hinf(fits) if self.norm == "hinf" else fits[0]
+        fit = matcher.fit(state, self.norm, model, time.perf_counter() - begin)
+        LOG.info("%s: cost %.6g, %d iterations, %.2f s", fit.method, fit.cost, fit.iterations,
+                 fit.seconds)  # fmt: skip
+        if not fit.success:
+            raise ConvergenceError(f"match {self.norm}: {fit.status}", best=fit)
+        return fit
+
+
+def match(
+    model: M,
+    target: Target | Sequence[Target],
+    *,
+    norm: str = "hinf",
+    omega: Array | None = None,
+    shift: float | None = None,
+    weight: Weight | Sequence[Weight] = None,
+    fixed: Collection[str] = (),
+    bounds: Bounds | None = None,
+    solver: SolverOptions = SolverOptions(),
+) -> Fit[M, MatchNotes]:
+    """The parameters with which a structure comes nearest to a target's response.
+
+    Parameters
+    ----------
+    model : Model
+        Structure and guess; its channels are found in the target by name.
+    target : BlackBox, FrequencyResponse or a sequence of both
+        What to match. Measured responses enter at their own points of s = jω, weighted by
+        coherence (pairs below 0.6 are left out), black boxes on s = σ + jω.
+    norm, omega, shift, weight, solver
+        As in `Match`, which has the rarer settings too.
+    fixed, bounds
+        Parameters held, and bounds {name: (lower, upper)} instead of the model file's.
 
     Returns
     -------
@@ -98,23 +151,8 @@ def match(
     ConvergenceError
         No solution that passes the checks; ``best`` is the best iterate as a `Fit`.
     """
-    if norm not in NORMS:
-        raise ValueError(f"norm={norm!r}: expected one of {', '.join(map(repr, NORMS))}")
-    begin = time.perf_counter()
-    targets = list(target) if isinstance(target, Sequence) else [target]
-    free = free_parameters(model, fixed, bounds)
-    comparison = compare(
-        model, targets, omega=omega, shift=shift, weight=weight, source_weight=source_weight
-    )
-    matcher = _Matcher(free, comparison, stable_shift, options)
-    fits = matcher.quadratic()
-    state = matcher.hinf(fits) if norm == "hinf" else fits[0]
-    fit = matcher.fit(state, norm, model, time.perf_counter() - begin)
-    LOG.info("%s: cost %.6g, %d iterations, %.2f s", fit.method, fit.cost, fit.iterations,
-             fit.seconds)  # fmt: skip
-    if not fit.success:
-        raise ConvergenceError(f"match {norm}: {fit.status}", best=fit)
-    return fit
+    matching = Match(norm=norm, omega=omega, shift=shift, weight=weight, solver=solver)
+    return matching.fit(model, target, fixed=fixed, bounds=bounds)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -239,22 +277,25 @@ class _Matcher:
         problem = Condensed(self.free, comparison).guarded()
         return descend(problem, values, steps=100, tolerance=1e-4).values
 
-    def fit(self, state: _State, norm: str, guess: Model, seconds: float) -> Fit:
+    def fit(self, state: _State, norm: str, guess: M, seconds: float) -> Fit[M, MatchNotes]:
         """The result, its certificate and its tables."""
-        model = self.free.model.with_vector(self.free.full(state.values))
+        free, values = self.free, state.values
+        model = guess.with_vector(free.full(values))
+        parameters = parameter_table(free, values, state.multipliers, guess=guess)
         return Fit(
             model=model,
-            parameters=parameter_table(self.free, state.values, state.multipliers, guess=guess),
+            parameters=parameters,
             cost=state.cost,
             status=state.status,
             success=state.success,
             iterations=self.iterations,
             seconds=seconds,
             method=f"match {norm}",
+            notes=state.appraisal.notes(state.start),
+            constraints=constraint_table(model, state.prices),
+            held=held_directions(free, values, parameters),
             certificate=state.appraisal.certificate(),
-            free_names=self.free.names,
-            notes={"start": state.start, "constraints": constraint_table(model, state.prices)}
-            | state.appraisal.notes(),
+            free_names=free.names,
         )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from casid.bounds.compare import BoundsComparison
 from casid.channels import UNITS
 from casid.consistency.kinematics import KinematicCheck
-from casid.fit import Fit
+from casid.fit import AnyFit
 from casid.frequency.estimation import FrequencyResponse
 from casid.subspace.pbsid import BlackBox
 from casid.validation import Validation
@@ -84,13 +84,13 @@ class Content:
 
     title: str
     black_box: BlackBox
-    quadratic: Fit
-    hinf: Fit
-    output_error: Fit
+    quadratic: AnyFit
+    hinf: AnyFit
+    output_error: AnyFit
     validation: Validation
     model_file: Path
     model_digest: str
-    baseline: Fit | None = None
+    baseline: AnyFit | None = None
     frequency_response: FrequencyResponse | None = None
     comparison: BoundsComparison | None = None
     kinematics: KinematicCheck | None = None
@@ -102,7 +102,7 @@ class Content:
     units: Mapping[str, str] = field(default_factory=lambda: UNITS)
 
     @property
-    def fits(self) -> dict[str, Fit]:
+    def fits(self) -> dict[str, AnyFit]:
         """Structured models by the names the figures use."""
         fits = {MATCH: self.hinf, OUTPUT_ERROR: self.output_error}
         return fits if self.baseline is None else fits | {BASELINE: self.baseline}

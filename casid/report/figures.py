@@ -13,7 +13,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, MultipleLocator, NullLo
 
 from casid.arrays import Array, ComplexArray
 from casid.channels import UNITS
-from casid.fit import Fit
+from casid.fit import AnyFit
 from casid.frequency.estimation import FrequencyResponse
 from casid.linear import StateSpace
 from casid.report.content import BASELINE, BLACK_BOX, MATCH, OUTPUT_ERROR
@@ -210,7 +210,7 @@ def plot_singular_values(ax: Axes, black_box: BlackBox) -> Axes:
     return ax
 
 
-def plot_match_error(ax: Axes, fit: Fit) -> Axes:
+def plot_match_error(ax: Axes, fit: AnyFit) -> Axes:
     """Draw the singular values of the weighted matching error against the certificate.
 
     Of every source over its band, the largest in full and the others thin; the points that were
@@ -220,16 +220,16 @@ def plot_match_error(ax: Axes, fit: Fit) -> Axes:
     if certificate is None:
         raise ValueError(f"a fit by {fit.method} has no certificate: draw that of a match")
     color = style(MATCH)["color"]
-    for source, grid in zip(fit.notes["band"], fit.notes["grid"], strict=True):
-        omega, sigma = np.array(source["omega"]), np.array(source["sigma"])
+    for source in fit.notes.sources:
+        omega, sigma = source.omega, source.sigma
         ax.semilogx(omega, sigma[:, 1:], color=color, linewidth=0.6, alpha=0.7)
-        ax.semilogx(omega, sigma[:, 0], color=color, linewidth=1.6, label=source["source"])
-        matched = np.interp(grid["omega"], omega, sigma[:, 0])
-        ax.plot(grid["omega"], matched, "o", color=color, markersize=2.5)
+        ax.semilogx(omega, sigma[:, 0], color=color, linewidth=1.6, label=source.name)
+        matched = np.interp(source.grid, omega, sigma[:, 0])
+        ax.plot(source.grid, matched, "o", color=color, markersize=2.5)
     ax.axhline(certificate.upper_bound, color="#000000", linestyle="--", linewidth=1, label="bound")
-    peak = fit.notes["peak"]
-    ax.axvline(peak["omega"], color="#777777", linestyle=":", linewidth=1,
-               label=f"{peak['output']} from {peak['input']}")  # fmt: skip
+    peak = fit.notes.peak
+    label = f"{peak.output} from {peak.input}"
+    ax.axvline(peak.omega, color="#777777", linestyle=":", linewidth=1, label=label)
     ax.set(xlabel="ω [rad/s]", ylabel="singular value [-]", ylim=(0, 1.1 * certificate.upper_bound))
     return ax
 

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid.fit import Fit
+from casid.fit import AnyFit
 from casid.report.content import OUTPUT_ERROR, Content
+from casid.shooting.precision import OutputErrorNotes
 from casid.validation import fit_percent, rms_error, theil_coefficient
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
@@ -91,7 +92,7 @@ def cautions(content: Content) -> tuple[str, ...]:
     return (*said, *content.warnings)
 
 
-def _bounds(fit: Fit) -> list[str]:
+def _bounds(fit: AnyFit) -> list[str]:
     active = [row.name for row in fit.parameters if row.active]
     if not active:
         return []
@@ -101,13 +102,14 @@ def _bounds(fit: Fit) -> list[str]:
     ]
 
 
-def coloured(fit: Fit) -> dict[str, float]:
+def coloured(fit: AnyFit) -> dict[str, float]:
     """Standard errors of the free parameters that allow for residuals correlated in time."""
-    values = fit.notes.get("std_error_coloured", ())
-    return dict(zip(fit.free_names, values, strict=True)) if values else {}
+    if not isinstance(fit.notes, OutputErrorNotes):
+        return {}
+    return dict(zip(fit.free_names, fit.notes.std_error_coloured.tolist(), strict=True))
 
 
-def _uncertain(fit: Fit) -> list[str]:
+def _uncertain(fit: AnyFit) -> list[str]:
     rows = [row for row in fit.parameters if not row.fixed and not row.active]
     errors = {row.name: row.std_error for row in rows}
     wider = {name: error for name, error in coloured(fit).items() if errors.get(name, 0.0) > 0}
@@ -128,7 +130,7 @@ def _uncertain(fit: Fit) -> list[str]:
     return said
 
 
-def _certificate(fit: Fit) -> list[str]:
+def _certificate(fit: AnyFit) -> list[str]:
     certificate = fit.certificate
     if certificate is None or certificate.upper_bound <= (1 + GAP) * certificate.grid_norm:
         return []

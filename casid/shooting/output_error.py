@@ -19,8 +19,8 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ConvergenceError
-from casid.fit import Fit, constraint_table, parameter_table
-from casid.model import Bounds, Free, Model, free_parameters
+from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
+from casid.model import Bounds, Free, M, Model, free_parameters
 from casid.nlp import Solution, SolverOptions, solve
 from casid.record import Record
 from casid.shooting.innovation import starting_gain
@@ -28,7 +28,7 @@ from casid.shooting.intervals import lay_out
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.nearby import predicted
 from casid.shooting.newton import Newton
-from casid.shooting.precision import Precision, precision
+from casid.shooting.precision import OutputErrorNotes, Precision, precision
 from casid.shooting.programme import Programme
 from casid.shooting.sensitivity import Evaluator, Point
 from casid.shooting.starting import neighbouring_programme, noise_of, starting_programme
@@ -66,48 +66,101 @@ WARM: dict[str, float | str] = {  # a warm round stays where it starts
 }
 
 
-def output_error(
-    model: Model,
-    records: Sequence[Record],
-    *,
-    interval: float | None = None,
-    R: Array | CovarianceKind | None = None,
-    fixed: Collection[str] = (),
-    bounds: Bounds | None = None,
-    biases: bool = True,
-    process_noise: bool | Array | BlackBox = False,
-    near: Fit | None = None,
-    options: SolverOptions | None = None,
-) -> Fit:
-    """Maximum-likelihood estimate of a model from time histories.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OutputError:
+    """Output error and filter error, as an estimator.
 
     Parameters
     ----------
-    model : Model
-        Structure and start, e.g. ``match(...).model``.
-    records : sequence of Record
-        With at least the model's channels, by name; NaN in y and any sampling are welcome.
     interval : float
         Length of the shooting intervals [s]; from the model's fastest growing mode unless given.
     R : (ny, ny) array, "diagonal" or "full"
         Covariance of the measurement noise, or the structure in which it is estimated; None is
         "diagonal".
-    fixed : collection of str
-        Parameters held at the model's values.
-    bounds : mapping
-        ``{name: (lower, upper)}`` instead of the model file's.
     biases : bool
         Whether every record has a bias on each output.
     process_noise : bool, (nx, ny) array or BlackBox
         For flight in turbulence: True estimates the filter-error model, the innovations driving
         the states through a free gain K; a black box gives the gain to start from, in the model's
         states; an array holds it. K [1/s times state per output] acts on an innovation held over
-        the sampling interval. It comes out in ``Fit.notes["K"]``.
-    near : Fit
-        Of the same records, with parameters near the start's, e.g. under other bounds: its noise
-        covariance and biases make the first rounds unnecessary. If that fails, all rounds follow.
-    options : SolverOptions
+        the sampling interval. It comes out in ``Fit.notes.K``.
+    solver : SolverOptions
         Limits and tolerance of each solve.
+    """
+
+    interval: float | None = None
+    R: Array | CovarianceKind | None = None
+    biases: bool = True
+    process_noise: bool | Array | BlackBox = False
+    solver: SolverOptions = SolverOptions()
+
+    def fit(
+        self,
+        model: M,
+        data: Record | Sequence[Record],
+        *,
+        fixed: Collection[str] = (),
+        bounds: Bounds | None = None,
+        near: AnyFit | None = None,
+    ) -> Fit[M, OutputErrorNotes]:
+        """Maximum-likelihood estimate from records; see `output_error`.
+
+        The noise covariance and biases of a fit ``near`` make the first rounds unnecessary; if that
+        fails, all rounds follow.
+        """
+        begin = time.perf_counter()
+        options = replace(self.solver, ipopt=IPOPT | dict(self.solver.ipopt))
+        free = free_parameters(model, fixed, bounds)
+        chosen = select_records(free, data, self.biases)
+        gain, gain_free = starting_gain(free, chosen, self.process_noise)
+        interval = self.interval
+        if interval is None:
+            interval = choose_interval(free, chosen, gain is not None)
+        if not 0 < interval < np.inf:
+            raise ValueError(
+                f"interval={interval}: expected seconds above 0, or None to have it chosen"
+            )
+        length = float(interval)
+        evaluator = Evaluator(free, lay_out(chosen, length), gain, gain_free)
+        R = checked_covariance(self.R, evaluator.ny)
+        search = _Search(free, options)
+        outcome = None if near is None else search.beside(near, evaluator, R, self.biases)
+        if outcome is None:
+            try:
+                programme, point = starting_programme(evaluator, free, R, self.biases)
+            except ConvergenceError as error:
+                status = str(error)
+                raise ConvergenceError(f"output error: {status}", _unmoved(free, status)) from error
+            outcome = search.run(programme, point, R)
+        return _result(model, free, outcome, length, time.perf_counter() - begin)
+
+
+def output_error(
+    model: M,
+    records: Record | Sequence[Record],
+    *,
+    interval: float | None = None,
+    R: Array | CovarianceKind | None = None,
+    biases: bool = True,
+    process_noise: bool | Array | BlackBox = False,
+    fixed: Collection[str] = (),
+    bounds: Bounds | None = None,
+    solver: SolverOptions = SolverOptions(),
+) -> Fit[M, OutputErrorNotes]:
+    """Maximum-likelihood estimate of a model from time histories.
+
+    Parameters
+    ----------
+    model : Model
+        Structure and start, e.g. ``match(...).model``.
+    records : Record or sequence of Record
+        With at least the model's channels, by name; NaN in y and any sampling are welcome.
+    interval, R, biases, process_noise, solver
+        As in `OutputError`.
+    fixed : collection of str
+        Parameters held at the model's values.
+    bounds : mapping
+        ``{name: (lower, upper)}`` instead of the model file's.
 
     Returns
     -------
@@ -122,34 +175,13 @@ def output_error(
     ConvergenceError
         IPOPT stopped early; ``best`` is the `Fit` so far.
     """
-    begin = time.perf_counter()
-    options = options or SolverOptions()
-    options = replace(options, ipopt=IPOPT | dict(options.ipopt))
-    free = free_parameters(model, fixed, bounds)
-    chosen = select_records(free, records, biases)
-    gain, gain_free = starting_gain(free, chosen, process_noise)
-    if interval is None:
-        interval = choose_interval(free, chosen, gain is not None)
-    if not 0 < interval < np.inf:
-        raise ValueError(
-            f"interval={interval}: expected seconds above 0, or None to have it chosen"
-        )
-    length = float(interval)
-    evaluator = Evaluator(free, lay_out(chosen, length), gain, gain_free)
-    R = checked_covariance(R, evaluator.ny)
-    search = _Search(free, options)
-    outcome = None if near is None else search.beside(near, evaluator, R, biases)
-    if outcome is None:
-        try:
-            programme, point = starting_programme(evaluator, free, R, biases)
-        except ConvergenceError as error:
-            status = str(error)
-            raise ConvergenceError(f"output error: {status}", _unmoved(free, status)) from error
-        outcome = search.run(programme, point, R)
-    return _result(free, outcome, length, time.perf_counter() - begin)
+    estimator = OutputError(
+        interval=interval, R=R, biases=biases, process_noise=process_noise, solver=solver
+    )
+    return estimator.fit(model, records, fixed=fixed, bounds=bounds)
 
 
-def select_records(free: Free, records: Sequence[Record], biases: bool) -> list[Record]:
+def select_records(free: Free, records: Record | Sequence[Record], biases: bool) -> list[Record]:
     """Records with the model's channels, in the model's order.
 
     Raises
@@ -249,7 +281,7 @@ class _Search:
         self.free, self.options = free, options
 
     def beside(
-        self, near: Fit, evaluator: Evaluator, R: Array | CovarianceKind, biases: bool
+        self, near: AnyFit, evaluator: Evaluator, R: Array | CovarianceKind, biases: bool
     ) -> _Outcome | None:
         """Estimate in one round from where a fit nearby leads; None if that does not succeed."""
         begun = neighbouring_programme(evaluator, self.free, R, biases, near)
@@ -351,52 +383,51 @@ def _verdict(outcome: _Outcome, found: Precision) -> tuple[bool, str]:
     return not reasons, "; ".join(reasons) or outcome.solution.status
 
 
-def _unmoved(free: Free, status: str) -> Fit:
+def _unmoved(free: Free, status: str) -> Fit[Model, None]:
     """The start as a failed fit."""
     return Fit(
         model=free.model.with_vector(free.full(free.guess)),
         parameters=parameter_table(free, free.guess, np.zeros(len(free.index))),
         cost=np.nan, status=status, success=False, iterations=0, seconds=0.0,
-        method="output error", free_names=free.names,
+        method="output error", notes=None, free_names=free.names,
     )  # fmt: skip
 
 
-def _result(free: Free, outcome: _Outcome, interval: float, seconds: float) -> Fit:
+def _result(
+    start: M, free: Free, outcome: _Outcome, interval: float, seconds: float
+) -> Fit[M, OutputErrorNotes]:
     programme, solution = outcome.programme, outcome.solution
+    evaluator = programme.evaluator
     point, final = programme.unpack(solution.x), programme.values(solution.x)
     n = len(free.index)
     found = precision(programme, solution.x)
     lam = np.clip(point.lam[:n], free.lower[free.index], free.upper[free.index])
-    model, ties = free.model.with_vector(free.full(lam)), free.model.constraints()
+    model, ties = start.with_vector(free.full(lam)), free.model.constraints()
     multipliers = -programme.n * solution.multipliers_x[:n] / programme.scales.lam[:n]
     std = np.sqrt(np.diag(found.covariance))
     success, status = _verdict(outcome, found)
     prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :]
-    notes = {
-        "rounds": outcome.rounds,
-        "nodes": programme.J,
-        "constraints": constraint_table(model, prices),
-        **found.notes(),
-    }
-    if programme.evaluator.filtering:
-        notes["K"] = programme.evaluator.structure(point.lam).K.tolist()
+    K = evaluator.structure(point.lam).K if evaluator.filtering else None
     firsts = np.searchsorted(programme.record, np.arange(programme.records))
+    parameters = parameter_table(free, lam, multipliers, std, found.insensitivity)
     fit = Fit(
         model=model,
-        parameters=parameter_table(free, lam, multipliers, std, found.insensitivity),
+        parameters=parameters,
         cost=programme.n * final.cost,
         status=status,
         success=success,
         iterations=outcome.iterations,
         seconds=seconds,
-        method="filter error" if programme.evaluator.filtering else "output error",
+        method="filter error" if evaluator.filtering else "output error",
+        notes=found.notes(outcome.rounds, programme.J, K),
+        constraints=constraint_table(model, prices),
+        held=held_directions(free, lam, parameters),
         covariance=found.covariance,
         free_names=free.names,
         R=final.R,
         initial_states=point.nodes[firsts],
         biases=point.bias,
         interval=interval,
-        notes=notes,
     )
     if not success:
         raise ConvergenceError(f"output error: {status}", fit)

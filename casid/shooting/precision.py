@@ -1,9 +1,7 @@
 """What an output-error solution says about its own precision."""
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse
@@ -19,6 +17,38 @@ from casid.shooting.uncertainty import (
     correlation,
     eliminate,
 )
+from casid.values import seal, storable
+
+
+@storable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OutputErrorNotes:
+    """What output error tells beside its estimates, rows in the order of ``Fit.free_names``.
+
+    Parameters
+    ----------
+    rounds, nodes : int
+        Solves until R settled, and shooting nodes.
+    std_error_coloured, covariance_coloured : (nf,), (nf, nf) array
+        Corrected for the correlation of the residuals in time.
+    correlation : (nf, nf) array
+        Of the estimates.
+    collinear : tuple of Collinearity
+        Combinations the records hardly determine, the worst first.
+    K : (nx, ny) array or None
+        Gain of the innovations, of a filter error.
+    """
+
+    rounds: int
+    nodes: int
+    std_error_coloured: Array
+    covariance_coloured: Array
+    correlation: Array
+    collinear: tuple[Collinearity, ...]
+    K: Array | None = None
+
+    def __post_init__(self) -> None:
+        seal(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,17 +75,17 @@ class Precision:
     collinear: tuple[Collinearity, ...]
     undetermined: tuple[str, ...]
 
-    def notes(self) -> Mapping[str, Any]:
-        """Plain lists for `Fit.notes`, rows in the order of ``Fit.free_names``."""
-        return {
-            "std_error_coloured": np.sqrt(np.diag(self.coloured)).tolist(),
-            "covariance_coloured": self.coloured.tolist(),
-            "correlation": correlation(self.covariance).tolist(),
-            "collinear": [
-                {"names": list(c.names), "condition": c.condition, "shares": list(c.shares)}
-                for c in self.collinear
-            ],
-        }
+    def notes(self, rounds: int, nodes: int, K: Array | None) -> OutputErrorNotes:
+        """What is said of it in the fit."""
+        return OutputErrorNotes(
+            rounds=rounds,
+            nodes=nodes,
+            std_error_coloured=np.sqrt(np.diag(self.coloured)),
+            covariance_coloured=self.coloured,
+            correlation=correlation(self.covariance),
+            collinear=self.collinear,
+            K=K,
+        )
 
 
 def precision(programme: Programme, x: Array) -> Precision:

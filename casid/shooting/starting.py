@@ -14,7 +14,7 @@ import scipy.sparse.linalg
 
 from casid.arrays import Array
 from casid.errors import ConvergenceError
-from casid.fit import Fit
+from casid.fit import AnyFit
 from casid.model import Free
 from casid.shooting.likelihood import CovarianceKind, Noise
 from casid.shooting.programme import Programme, Scales
@@ -60,7 +60,7 @@ def starting_programme(
 
 
 def neighbouring_programme(
-    evaluator: Evaluator, free: Free, R: Array | CovarianceKind, biases: bool, near: Fit
+    evaluator: Evaluator, free: Free, R: Array | CovarianceKind, biases: bool, near: AnyFit
 ) -> tuple[Programme, Point] | None:
     """The programme of another fit's records, and that fit as a point of it.
 

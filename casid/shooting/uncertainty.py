@@ -14,6 +14,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from casid.arrays import Array, BoolArray
+from casid.values import storable
 
 RIDGE = 1e-13  # on nuisance blocks, relative; an unobservable nuisance must not stop the rest
 MANY = 500  # neighbours of a nuisance variable (the bias of a long record) that would fill factors
@@ -24,6 +25,7 @@ LAGS = 0.2  # longest lag of the residuals' correlation, of the record (Klein & 
 MOST_LAGS = 5000  # samples; at 50 Hz the correlation of residuals is over long before
 
 
+@storable
 @dataclass(frozen=True)
 class Collinearity:
     """Parameters that the data determine only in combination.

@@ -2,16 +2,15 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from casid.bounds.compare import BoundsComparison, compare_bounds
-from casid.chain import Identification, Options
+from casid.chain import Chain, Identification
 from casid.files import write_text
-from casid.fit import Fit
+from casid.fit import AnyFit
 from casid.jobs.campaigns import Advance
-from casid.nlp import SolverOptions
 from casid.record import Record
 from casid.studies.study import Role, Study
 
@@ -19,8 +18,8 @@ from casid.studies.study import Role, Study
 def compare_study(
     study: Study,
     records: Mapping[Role, Sequence[Record]],
-    found: Identification,
-    options: Options,
+    found: Identification[Any],
+    chain: Chain,
     *,
     executor: Executor | None = None,
     progress: Callable[[Advance], None] | None = None,
@@ -37,7 +36,7 @@ def compare_study(
     """
     if not study.comparison:
         raise ValueError(f"{study.path}: there is no table [bounds] with cases to compare")
-    data, start, settings = _task(study, records, found, options)
+    data, start, settings = _task(study, records, found, chain)
     comparison = compare_bounds(
         study.model, data, cases=study.comparison["cases"], start=start, fixed=study.fixed,
         bounds=study.bounds, estimator=study.comparison["estimator"],
@@ -55,13 +54,13 @@ def comparison_path(study: Study) -> Path:
 
 
 def kept_comparison(
-    study: Study, records: Mapping[Role, Sequence[Record]], found: Identification, options: Options
+    study: Study, records: Mapping[Role, Sequence[Record]], found: Identification[Any], chain: Chain
 ) -> BoundsComparison | None:
     """The study's comparison, if every case is kept as the study is now; nothing is fitted."""
     if not study.comparison:
         return None
     try:
-        return compare_study(study, records, found, options, executor=_Idle())
+        return compare_study(study, records, found, chain, executor=_Idle())
     except (_NotKeptError, ValueError):  # ValueError: the cases no longer fit the study
         return None
 
@@ -79,27 +78,29 @@ class _Idle(Executor):
 
 
 def _task(
-    study: Study, records: Mapping[Role, Sequence[Record]], found: Identification, options: Options
-) -> tuple[Any, Fit, dict[str, Any]]:
+    study: Study, records: Mapping[Role, Sequence[Record]], found: Identification[Any], chain: Chain
+) -> tuple[Any, AnyFit, dict[str, Any]]:
     """Data, start and keyword arguments of the estimator."""
     estimator = study.comparison["estimator"]
     refinement = records.get("refinement") or records["identification"]
-    quiet = {stage: replace(each, progress=None) for stage, each in options.solver.items()}
-    own = dict(study.options.get(estimator, {}))
-    own["options"] = quiet.get(estimator, SolverOptions())
+    own = dict(study.options.get(estimator, {})) | {"solver": study.solver_options(estimator)}
     if estimator == "output_error":
         return refinement, found.output_error, own
     if estimator == "chain":
-        chain = replace(options, solver=quiet)
-        return records["identification"], found.quadratic, {
-            "refinement": refinement, "black_box": found.black_box, "options": chain,
-            "sweeps": records.get("frequency", ()),
-        }  # fmt: skip
+        quiet = replace(
+            chain,
+            match=replace(chain.match, solver=study.solver_options("match")),
+            output_error=replace(chain.output_error, solver=study.solver_options("output_error")),
+            black_box=found.black_box,
+            refinement=refinement,
+            sweeps=records.get("frequency", ()),
+        )
+        settings = {each.name: getattr(quiet, each.name) for each in fields(quiet)}
+        return records["identification"], found.quadratic, settings
     measured = found.frequency_response
     if estimator == "match":
-        joined = options.join and measured is not None
+        joined = chain.join and measured is not None
         return [found.black_box, measured] if joined else [found.black_box], found.quadratic, own
     if measured is None:
         raise ValueError(f"{study.path}: derivid needs records: write [records.frequency]")
-    own["options"] = study.solver_options("derivid")
     return measured, found.quadratic, own

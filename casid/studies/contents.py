@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from casid.bounds.compare import BoundsComparison
 from casid.chain import Identification
 from casid.channels import units_of
-from casid.fit import Fit
+from casid.fit import AnyFit
 from casid.record import Record
 from casid.report import Content, DataFile, Timing
 from casid.studies.study import Role, Study
@@ -22,9 +23,9 @@ from casid.validation import Validation
 def content(
     study: Study,
     records: Mapping[Role, Sequence[Record]],
-    found: Identification,
+    found: Identification[Any],
     *,
-    baseline: Fit | None,
+    baseline: AnyFit | None,
     validation: Validation,
     comparison: BoundsComparison | None,
     timings: Sequence[Timing],

@@ -8,16 +8,16 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
 
-import casid.chain
-from casid.baseline.derivid import derivid
+from casid.baseline.derivid import Derivid
 from casid.bounds.compare import BoundsComparison
-from casid.chain import Identification, identify
+from casid.chain import Chain, Identification, identify
 from casid.errors import ConvergenceError, DataWarning
 from casid.files import write_text
-from casid.fit import Fit, ParameterEstimate
+from casid.fit import AnyFit, Fit, ParameterEstimate
 from casid.folder import claimed
 from casid.jobs.campaigns import Advance
-from casid.jobs.store import Entry, Result, Store, digest, record_digest, source_digest
+from casid.jobs.store import Entry, Result, Store, source_digest
+from casid.matching.match import Match
 from casid.nlp import Progress
 from casid.record import Record
 from casid.report import (
@@ -28,10 +28,12 @@ from casid.report import (
     Timing,
     write_report,
 )
+from casid.shooting.output_error import OutputError
 from casid.studies.comparing import compare_study, comparison_path, kept_comparison
 from casid.studies.contents import content
 from casid.studies.study import Role, Study, read_records
 from casid.validation import AnyModel, Validation, validate
+from casid.values import digest
 
 T = TypeVar("T")
 LOG = logging.getLogger("casid")
@@ -82,7 +84,7 @@ class Silent:
 class Outcome:
     """What a study found and where it lies."""
 
-    identification: Identification
+    identification: Identification[Any]
     validation: Validation
     timings: tuple[Timing, ...]
     report: Path
@@ -171,7 +173,7 @@ def _run(
 
 def _identify(
     study: Study, records: Mapping[Role, Sequence[Record]], stages: "_Stages", watch: Watch
-) -> Identification:
+) -> Identification[Any]:
     """What the chain finds, its model in files of its own."""
     found = identify(
         study.model,
@@ -180,7 +182,7 @@ def _identify(
         sweeps=records.get("frequency", ()),
         fixed=study.fixed,
         bounds=study.bounds,
-        options=_options(study, watch),
+        chain=_chain(study, watch),
         stage=stages,
     )
     found.output_error.save(study.output / "fit.json")
@@ -191,14 +193,14 @@ def _identify(
 def _comparison(
     study: Study,
     records: Mapping[Role, Sequence[Record]],
-    found: Identification,
+    found: Identification[Any],
     stages: "_Stages",
     watch: Watch,
     *,
     compare: bool,
 ) -> BoundsComparison | None:
     """The study's cases compared, if that is asked for; else what an earlier run found of them."""
-    options = _options(study, watch)
+    chain = _chain(study, watch)
 
     def progress(advance: Advance) -> None:
         watch.end(Timing(stage=advance.name, seconds=advance.seconds))
@@ -206,18 +208,18 @@ def _comparison(
 
     if compare:
         return stages.timed(
-            "bounds", lambda: compare_study(study, records, found, options, progress=progress)
+            "bounds", lambda: compare_study(study, records, found, chain, progress=progress)
         )
     if not comparison_path(study).exists():
         return None
-    comparison = kept_comparison(study, records, found, options)
+    comparison = kept_comparison(study, records, found, chain)
     if comparison is None:
         LOG.warning(STALE)
         stages.warnings.append(STALE)
     return comparison
 
 
-def write_parameters(path: str | Path, fit: Fit) -> None:
+def write_parameters(path: str | Path, fit: AnyFit) -> None:
     """Write the parameter table as CSV, one row a parameter."""
     columns = [f.name for f in fields(ParameterEstimate)]
     lines = [",".join(columns)]
@@ -308,30 +310,31 @@ class _Stages:
         parts: list[Any] = [self._source, [self._keys.get(stage, "") for stage in before]]
         parts += [study.options.get(table, {}), study.solver.get(table, {})]
         if role is not None:
-            parts.append(record_digest(self._records[role]))
+            parts.append(self._records[role])
         if name in STRUCTURED:
             parts += [study.model_file.read_text(encoding="utf-8"), asdict(study.model)]
             parts += [study.fixed, study.bounds, study.targets]
         return digest(*parts)
 
 
-def _options(study: Study, watch: Watch) -> casid.chain.Options:
-    return casid.chain.Options(
-        pbsid=study.options.get("pbsid", {}),
-        frequency=study.options.get("frequency", {}),
-        match=study.options.get("match", {}),
-        output_error=study.options.get("output_error", {}),
-        solver={
-            stage: replace(study.solver_options(stage), progress=watch.progress)
-            for stage in ("match", "output_error")
-        },
+def _chain(study: Study, watch: Watch) -> Chain:
+    given = study.options
+    match, refine = (
+        replace(study.solver_options(stage), progress=watch.progress)
+        for stage in ("match", "output_error")
+    )
+    return Chain(
+        pbsid=given.get("pbsid", {}),
+        frequency=given.get("frequency", {}),
+        match=Match(**given.get("match", {}), solver=match),
+        output_error=OutputError(**given.get("output_error", {}), solver=refine),
         join=len(study.targets) > 1,
     )
 
 
 def _baseline(
-    study: Study, found: Identification, stages: _Stages, watch: Watch
-) -> tuple[Fit | None, ConvergenceError | None]:
+    study: Study, found: Identification[Any], stages: _Stages, watch: Watch
+) -> tuple[AnyFit | None, ConvergenceError | None]:
     """The frequency-domain fit, if the study has a table for it and a measured response.
 
     Nothing rests on it: what the study found is shown even if it fails.
@@ -341,11 +344,11 @@ def _baseline(
         return None, None
     options = replace(study.solver_options("derivid"), progress=watch.progress)
 
-    def compute() -> Fit:
-        return derivid(
-            found.quadratic.model, measured, fixed=study.fixed, bounds=study.bounds,
-            options=options, **study.options["derivid"],
-        )  # fmt: skip
+    def compute() -> AnyFit:
+        estimator = Derivid(**study.options["derivid"], solver=options)
+        return estimator.fit(
+            found.quadratic.model, measured, fixed=study.fixed, bounds=study.bounds
+        )
 
     try:
         return stages("derivid", compute), None

@@ -99,7 +99,7 @@ class Study:
     comparison: Mapping[str, Any] = field(default_factory=dict)
 
     def solver_options(self, stage: str) -> SolverOptions:
-        """How hard a stage tries."""
+        """Solver options of a stage."""
         return SolverOptions(**self.solver.get(stage, {}))
 
 

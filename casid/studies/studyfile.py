@@ -16,16 +16,16 @@ from typing import Any, cast, get_args, get_origin, get_type_hints
 import numpy as np
 
 from casid.arrays import Array
-from casid.baseline.derivid import derivid
+from casid.baseline.derivid import Derivid
 from casid.bounds.cases import read_cases
 from casid.bounds.trials import ESTIMATORS
 from casid.errors import ModelError
 from casid.files import Column
 from casid.frequency.estimation import frequency_response
-from casid.matching.match import match
+from casid.matching.match import Match
 from casid.model import Bounds, Model, free_parameters
 from casid.record import Hold
-from casid.shooting.output_error import output_error
+from casid.shooting.output_error import OutputError
 from casid.structure.modelfile import load_model, locate_model
 from casid.studies.study import ROLES, Channels, Noise, RecordSet, Role, Study
 from casid.subspace.pbsid import pbsid
@@ -36,12 +36,12 @@ REQUIRED: tuple[Role, ...] = ("identification", "validation")
 STAGES: Mapping[str, Callable[..., Any]] = {
     "pbsid": pbsid,
     "frequency": frequency_response,
-    "match": match,
-    "output_error": output_error,
-    "derivid": derivid,
+    "match": Match,
+    "output_error": OutputError,
+    "derivid": Derivid,
 }
 # What the study itself gives to a stage is no option of it.
-GIVEN = {"model", "records", "target", "norm", "frf", "fixed", "bounds", "options"}
+GIVEN = {"records", "norm", "solver"}
 MOST_POINTS = 10_000  # of a grid: a matching problem of millions of unknowns
 TARGETS = ("black box", "frequency response")
 SOLVER = ("tolerance", "max_iterations", "max_seconds", "ipopt")
@@ -280,7 +280,7 @@ def _options(top: Table) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str,
         table = top.table(stage)
         parameters = inspect.signature(function).parameters.values()
         keywords = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in GIVEN]
-        solves = "options" in (p.name for p in parameters)
+        solves = "solver" in (p.name for p in parameters)
         own = (*(("solver",) if solves else ()), *(("targets",) if stage == "match" else ()))
         table.only((*keywords, *own))
         hints = get_type_hints(function)

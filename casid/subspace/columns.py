@@ -14,6 +14,7 @@ from casid.arrays import Array, BoolArray
 from casid.record import Record
 from casid.subspace.laguerre import project_blocks, support
 from casid.subspace.predictor import Stack, accumulate, triangular
+from casid.values import storable
 
 Feedthrough = bool | Sequence[str] | BoolArray
 
@@ -22,6 +23,7 @@ MOVING = 0.9  # of an output's power: below the bandwidth
 LONG_GAP = 0.5  # of 1/a: missing samples over a longer time split a record
 
 
+@storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Segment:
     """What one stretch of a record gave: ``used`` of its ``duration`` [s] became columns."""

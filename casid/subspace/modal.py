@@ -13,11 +13,13 @@ import scipy.linalg
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
+from casid.values import storable
 
 DEFECTIVE = 1e9  # condition number of the modes' shapes
 RIDGE = 1e-13  # of the size of each transient: what two that look alike are told apart by
 
 
+@storable
 @dataclass(frozen=True, eq=False)
 class Modal:
     """A real model by its modes: one of each complex pair (Im λ > 0), and the real ones.

@@ -32,6 +32,7 @@ from casid.subspace.realisation import subspace_model
 from casid.subspace.refining import Noise, Refine, Refinement, Uncertainty
 from casid.subspace.settings import OrderSelection, select_order
 from casid.subspace.trust import data_doubts
+from casid.values import storable
 
 Transform = Literal["laguerre", "none"]
 
@@ -39,6 +40,7 @@ PAST = 10  # samples at least, for the samples themselves
 BAND_END = 1.5  # of the Laguerre pole: the model is not trusted above it
 
 
+@storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BlackBox:
     """An unstructured model in innovation form, with the settings that gave it.

@@ -40,6 +40,7 @@ from casid.subspace.modal import (
     to_modal,
 )
 from casid.subspace.refinement import log_spread, response_derivative
+from casid.values import storable
 
 ROUNDS = 3  # of estimating the innovations' covariance
 STEPS = 12  # Gauss-Newton steps a round
@@ -62,6 +63,7 @@ class Stretch:
     weight: Array
 
 
+@storable
 @dataclass(frozen=True, eq=False)
 class SampledUncertainty:
     """Covariance of a refined black box of samples ``h`` [s] apart, in modal coordinates.

@@ -35,6 +35,7 @@ from casid.subspace.modal import (
     to_complex,
     to_modal,
 )
+from casid.values import storable
 
 WIDTH = 0.35  # of the smoothing of residual spectra, in natural logarithms of ω
 FINE = 25  # intervals in that width
@@ -44,6 +45,7 @@ LEAST_DAMPING = 0.02  # of modes too fast for the data to show them unstable
 SETTLED = 1e-5  # relative decrease of the cost that ends a round
 
 
+@storable
 @dataclass(frozen=True, eq=False)
 class ResponseUncertainty:
     """Covariance of a refined black box, kept as a factor in modal coordinates.

@@ -33,6 +33,7 @@ from casid.subspace.laguerre import support
 from casid.subspace.predictor import Stack, triangular
 from casid.subspace.realisation import subspace_model
 from casid.subspace.refinement import information_criteria, refine, residual_powers
+from casid.values import storable
 
 HIGHEST = 2.0  # of the Laguerre pole: frequencies above it are not looked at
 POLES = (1, 1.4, 2, 3, 4, 6, 8)  # of a decade: what poles are chosen from
@@ -46,6 +47,7 @@ STARTS = 2  # poles and windows refined at every order where nothing is held out
 EXCITED = 0.3  # of the largest standard deviation: what counts as exciting an input
 
 
+@storable
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
     """One choice of settings and its score, the lower the better.
@@ -63,6 +65,7 @@ class Candidate:
     folds: tuple[float, ...]
 
 
+@storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OrderSelection:
     """Which settings the data chose.

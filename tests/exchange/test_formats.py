@@ -156,7 +156,7 @@ def fit(tmp_path):
     values = free.guess
     rows = parameter_table(free, values, np.zeros(len(values)), np.full(len(values), 0.1))
     return Fit(model=model, parameters=rows, cost=1.0, status="", success=True, iterations=1,
-               seconds=0.0, method="output error", free_names=free.names)  # fmt: skip
+               seconds=0.0, method="output error", notes=None, free_names=free.names)  # fmt: skip
 
 
 def test_matlab_has_the_fit_with_names(fit, tmp_path):
