@@ -67,6 +67,6 @@ def write_hdf(path: Path, variables: dict[str, Any]) -> None:
             data = file.create_dataset(name, data=np.atleast_2d(values).T)
             data.attrs["MATLAB_class"] = np.bytes_("double")
     head = b"MATLAB 7.3 MAT-file, written by casid".ljust(116) + bytes(8) + b"\x00\x02IM"
-    buffer.getbuffer()[: len(head)] = head
-    with replacing(path) as temporary:
-        temporary.write_bytes(buffer.getbuffer())
+    with replacing(path) as temporary, buffer.getbuffer() as contents, temporary.open("wb") as file:
+        contents[: len(head)] = head
+        file.write(contents)

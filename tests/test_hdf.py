@@ -1,10 +1,22 @@
 """MATLAB files of version 7.3, byte by byte as their format says."""
 
+import gc
+import resource
+import sys
+
 import h5py
 import numpy as np
 import pytest
 
 from casid.hdf import is_hdf, read_hdf, write_hdf
+
+
+@pytest.fixture
+def complaints(monkeypatch):
+    """What the interpreter could only print, because nobody was there to catch it."""
+    found = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda each: found.append(str(each.exc_value)))
+    return found
 
 
 def test_a_file_of_version_7_3_is_what_matlab_expects(tmp_path):
@@ -31,3 +43,16 @@ def test_damage_and_text_are_refused_or_left_out(tmp_path):
     path.write_bytes(path.read_bytes()[:600])
     with pytest.raises(ValueError, match=r"cannot read it as a MATLAB file .*save it again"):
         read_hdf(path)
+
+
+def test_a_full_disk_is_told_once_and_leaves_nothing(tmp_path, complaints):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(OSError, match=r"a\.mat"):
+            write_hdf(tmp_path / "a.mat", {"M": np.arange(5000.0)})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    gc.collect()
+    assert not complaints
+    assert not list(tmp_path.iterdir())

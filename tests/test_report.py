@@ -399,7 +399,7 @@ def _dom(path, *options):
         f"--user-data-dir={profile}", "--window-size=1300,30000", "--virtual-time-budget=20000",
         *options, "--dump-dom", path.as_uri(),
     ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
     shutil.rmtree(profile, ignore_errors=True)
     return done.stdout
 
@@ -444,7 +444,7 @@ def test_on_paper_the_page_is_a_few_sheets(page, tmp_path):
         [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
          f"--user-data-dir={tmp_path / 'profile'}", f"--print-to-pdf={pdf}",
          "--no-pdf-header-footer", page.as_uri()],
-        capture_output=True, timeout=120, check=True,
+        capture_output=True, timeout=600, check=True,
     )  # fmt: skip
     sheets = len(re.findall(rb"/Type\s*/Page\b", pdf.read_bytes()))
     assert 3 <= sheets <= 20
