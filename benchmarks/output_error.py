@@ -5,7 +5,7 @@ residuals, and gives IPOPT the Gauss-Newton Hessian JᵀJ. Three ways to build i
 of the records, and the fastest of them solves all: intervals unrolled sample by sample, an interval
 as a function mapped over all intervals, and a mapped interval that is itself a mapped accumulation
 (``mapaccum``). Both sides have the same records (eight UH-60 manoeuvres at 50 Hz), 64 parameters,
-intervals, R, delay model (an interpolating cubic spline), start, scaling, tolerance and linear
+intervals, R, delay model (the straight lines delayed exactly), start, scaling, tolerance and linear
 solver; the ratio is of build plus solve, in processor time of this one process (other work on the
 machine moves it little). Run with one BLAS thread:
 
@@ -25,7 +25,6 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-import scipy.linalg
 
 from benchmarks import bo105
 from benchmarks.tables import table
@@ -38,7 +37,6 @@ from casid.shooting.newton import Newton
 from casid.shooting.output_error import IPOPT
 from casid.shooting.programme import Programme
 from casid.shooting.sensitivity import Evaluator, whiteners
-from casid.shooting.spline import PAD
 from casid.shooting.starting import starting_programme
 from models.six_dof import SixDof
 
@@ -46,55 +44,37 @@ R_TRUE = np.diag(np.array(list(NOISE.values())) ** 2)
 TAYLOR = 20  # terms of the matrix exponential; |A h| < 1, so the rest is below rounding
 
 
-def spline_taps(record: Record, longest: float) -> tuple[np.ndarray, int]:
-    """Coefficients (N, taps, nu) such that u(t_k - τ) = Σ_i c[k, i] B3(i - 1 - τ/h)."""
-    pad = int(np.ceil(longest / record.dt)) + PAD
-    u = np.vstack([np.repeat(record.u[:1], pad, axis=0), record.u])
-    n = len(u)
-    bands = np.zeros((3, n))
-    bands[0, 1:], bands[1], bands[2, :-1] = 1 / 6, 4 / 6, 1 / 6
-    bands[1, [0, -1]], bands[0, 1], bands[2, -2] = 1.0, 0.0, 0.0  # natural: c at the ends is u
-    c = scipy.linalg.solve_banded((1, 1), bands, u)
-    c = np.vstack([c, 2 * c[-1] - c[-2]])  # the natural end's coefficient past the record
-    taps = int(np.floor(longest / record.dt)) + 4
-    k = np.arange(pad, n)
-    return np.stack([c[k - i] for i in range(-1, taps - 1)], axis=1), taps
+def one_step(A: ca.MX, B: ca.MX, h: float, rest: ca.MX) -> list[ca.MX]:
+    """e^{Ah} and what value, slope and a jump of the slope ``rest`` before the end do.
 
-
-def spline_weights(tau: ca.MX, h: float, taps: int) -> ca.MX:
-    """B3(i - τ/h) of every tap, i from -1."""
-    distance = ca.fabs(ca.DM(list(range(-1, taps - 1))) - tau / h)
-    inner = 2 / 3 - distance**2 + distance**3 / 2
-    outer = (2 - distance) ** 3 / 6
-    return ca.if_else(distance < 1, inner, ca.if_else(distance < 2, outer, 0))
-
-
-def one_step(A: ca.MX, B: ca.MX, h: float) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """First-order-hold map by the Taylor series of the exponential and its integrals."""
-    Ad, G0, G1 = ca.MX.eye(A.shape[0]), ca.MX.zeros(*A.shape), ca.MX.zeros(*A.shape)
+    By the Taylor series of the exponential and its integrals.
+    """
+    Ad, P1, P2 = ca.MX.eye(A.shape[0]), ca.MX.zeros(*B.shape), ca.MX.zeros(*B.shape)
+    late, driven = ca.MX.zeros(*B.shape), B
     power, factor = ca.MX.eye(A.shape[0]), 1.0
     for k in range(1, TAYLOR + 1):
-        factor *= h / k
-        G0 += power * factor
-        G1 += power * factor / (k + 1)
-        power = ca.mtimes(power, A)
-        Ad += power * factor
-    return Ad, ca.mtimes(G0 - G1, B), ca.mtimes(G1, B)
+        factor /= k
+        P1 += driven * (factor * h**k)
+        P2 += driven * (factor * h ** (k + 1) / (k + 1))
+        late += driven * ca.repmat((rest ** (k + 1) * (factor / (k + 1))).T, A.shape[0], 1)
+        power, driven = ca.mtimes(power, A), ca.mtimes(A, driven)
+        Ad += power * (factor * h**k)
+    return [Ad, P1, P2, late]
 
 
 def sample_function(W: np.ndarray, nx: int, nu: int, ny: int) -> ca.Function:
-    """(x, parameters, bias, u, u+, y) -> (x+, whitened residual) of one sample."""
-    x, u, u1 = ca.MX.sym("x", nx), ca.MX.sym("u", nu), ca.MX.sym("u1", nu)
+    """(x, step, out, bias, inputs, y) -> (x+, whitened residual) of one sample."""
+    x, u = ca.MX.sym("x", nx), ca.MX.sym("u", 3 * nu)
     b, y = ca.MX.sym("b", ny), ca.MX.sym("y", ny)
-    step, out = ca.MX.sym("step", nx, nx + 2 * nu), ca.MX.sym("out", ny, nx + nu)
-    after = ca.mtimes(step, ca.vertcat(x, u, u1))
-    r = ca.mtimes(ca.DM(W), ca.mtimes(out, ca.vertcat(x, u)) + b - y)
-    return ca.Function("sample", [x, step, out, b, u, u1, y], [after, r]).expand()
+    step, out = ca.MX.sym("step", nx, nx + 3 * nu), ca.MX.sym("out", ny, nx + nu)
+    after = ca.mtimes(step, ca.vertcat(x, u))
+    r = ca.mtimes(ca.DM(W), ca.mtimes(out, ca.vertcat(x, u[:nu])) + b - y)
+    return ca.Function("sample", [x, step, out, b, u, y], [after, r]).expand()
 
 
 def residuals(
     build: str, sample: ca.Function, M: int, nodes: ca.MX, step: ca.MX, out: ca.MX,
-    bias: ca.MX, u: ca.MX, u1: ca.MX, y: ca.DM,
+    bias: ca.MX, u: ca.MX, y: ca.DM,
 ) -> tuple[ca.MX, ca.MX]:  # fmt: skip
     """Residuals of all samples and end states of all intervals, built in one of three ways."""
     J = nodes.shape[1]
@@ -103,27 +83,27 @@ def residuals(
         for j in range(J):
             x = nodes[:, j]
             for k in range(j * M, (j + 1) * M):
-                x, r = sample(x, step, out, bias[:, j], u[:, k], u1[:, k], y[:, k])
+                x, r = sample(x, step, out, bias[:, j], u[:, k], y[:, k])
                 rows.append(r)
             ends.append(x)
         return ca.vertcat(*rows), ca.horzcat(*ends)
     nx, nu, ny = nodes.shape[0], u.shape[0], y.shape[0]
     x, b = ca.MX.sym("x", nx), ca.MX.sym("b", ny)
     P, Q = ca.MX.sym("P", *step.shape), ca.MX.sym("Q", *out.shape)
-    U, U1, Y = ca.MX.sym("U", nu, M), ca.MX.sym("U1", nu, M), ca.MX.sym("Y", ny, M)
+    U, Y = ca.MX.sym("U", nu, M), ca.MX.sym("Y", ny, M)
     if build == "mapaccum":
         states, R = sample.mapaccum(M)(
-            x, ca.repmat(P, 1, M), ca.repmat(Q, 1, M), ca.repmat(b, 1, M), U, U1, Y
+            x, ca.repmat(P, 1, M), ca.repmat(Q, 1, M), ca.repmat(b, 1, M), U, Y
         )
         end = states[:, -1]
     else:
         end, parts = x, []
         for k in range(M):
-            end, r = sample(end, P, Q, b, U[:, k], U1[:, k], Y[:, k])
+            end, r = sample(end, P, Q, b, U[:, k], Y[:, k])
             parts.append(r)
         R = ca.horzcat(*parts)
-    interval = ca.Function("interval", [x, P, Q, b, U, U1, Y], [end, R])
-    ends, R = interval.map(J)(nodes, ca.repmat(step, 1, J), ca.repmat(out, 1, J), bias, u, u1, y)
+    interval = ca.Function("interval", [x, P, Q, b, U, Y], [end, R])
+    ends, R = interval.map(J)(nodes, ca.repmat(step, 1, J), ca.repmat(out, 1, J), bias, u, y)
     return ca.vec(R), ends
 
 
@@ -132,18 +112,24 @@ def longest_delay(free: Free) -> float:
     return float(np.max(free.model.matrices()(upper)[4].full()))
 
 
-def delayed_inputs(layout: Layout, tau: ca.MX, longest: float, h: float) -> tuple[ca.MX, ca.MX]:
-    """Delayed inputs of all samples, and those of the samples after them, (nu, N)."""
-    inputs = []
+def delayed_inputs(layout: Layout, tau: ca.MX, longest: float, h: float) -> ca.MX:
+    """Value, slope and its jump of the delayed inputs of all samples, (3 nu, N)."""
+    count = int(np.floor(longest / h)) + 4
+    number = ca.DM(list(range(-1, count - 1)))
+    records = []
     for record in layout.records:
-        taps, count = spline_taps(record, longest)
-        rows = [
-            ca.mtimes(ca.DM(taps[:, :, j]), spline_weights(tau[j], h, count)).T
-            for j in range(record.nu)
-        ]
-        inputs.append(ca.vertcat(*rows))
-    after = [ca.horzcat(v[:, 1:], v[:, -1]) for v in inputs]
-    return ca.horzcat(*inputs), ca.horzcat(*after)
+        u = np.vstack([np.repeat(record.u[:1], count, axis=0), record.u, record.u[-1:]])
+        k = np.arange(count, count + record.N)
+        parts: list[list[ca.MX]] = [[], [], []]
+        for j in range(record.nu):
+            taps = ca.DM(np.stack([u[k - i, j] for i in range(-1, count - 1)], axis=1))
+            m = ca.floor(tau[j] / h)
+            before, at, after = (number == m - 1, number == m, number == m + 1)
+            parts[0].append(ca.mtimes(taps, ca.fmax(0, 1 - ca.fabs(number - tau[j] / h))).T)
+            parts[1].append(ca.mtimes(taps, at - after).T / h)
+            parts[2].append(ca.mtimes(taps, before - 2 * at + after).T / h)
+        records.append(ca.vertcat(*(row for part in parts for row in part)))
+    return ca.horzcat(*records)
 
 
 def textbook(programme: Programme, start: np.ndarray, build: str) -> Problem:
@@ -153,7 +139,7 @@ def textbook(programme: Programme, start: np.ndarray, build: str) -> Problem:
     M, J = int(layout.count[0]), programme.J
     if not (layout.count == M).all() or len(layout.classes) > 1:
         raise ValueError("the textbook here needs intervals of one length and one spacing")
-    ((h, _),) = layout.classes
+    (h,) = layout.classes
     w = ca.MX.sym("w", programme.size)
     nf, nb = e.nf, programme.records * ny
     lam = w[:nf] * s.lam
@@ -161,12 +147,13 @@ def textbook(programme: Programme, start: np.ndarray, build: str) -> Problem:
     nodes = ca.reshape(w[nf + nb :], nx, J) * s.state
     matrices = free.model.matrices()
     A, B, C, D, tau, c = matrices(free.full(lam))
-    step, out = ca.horzcat(*one_step(A, B, h)), ca.horzcat(C, D)
-    u, u1 = delayed_inputs(layout, tau, longest_delay(free), h)
+    rest = (ca.floor(tau / h) + 1) * h - tau
+    step, out = ca.horzcat(*one_step(A, B, h, rest)), ca.horzcat(C, D)
+    u = delayed_inputs(layout, tau, longest_delay(free), h)
     W = whiteners(programme.noise.given, layout)[0]
     R, ends = residuals(
         build, sample_function(W, nx, nu, ny), M, nodes, step, out,
-        bias[:, programme.record.tolist()], u, u1, ca.DM(layout.y.T),
+        bias[:, programme.record.tolist()], u, ca.DM(layout.y.T),
     )  # fmt: skip
     R = R / np.sqrt(programme.n)
     links = programme.links.tolist()

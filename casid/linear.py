@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg
 
 from casid.arrays import Array, ComplexArray
+from casid.intersample import break_forcing, delayed_input, integrals
 from casid.record import Hold
 from casid.values import storable
 
@@ -46,7 +47,7 @@ class StateSpace:
 
     def __post_init__(self) -> None:
         for letter in "ABCD":
-            object.__setattr__(self, letter, np.array(getattr(self, letter), dtype=float, ndmin=2))
+            self._keep(letter, np.array(getattr(self, letter), dtype=float, ndmin=2))
         nx, nu, ny = self.A.shape[0], self.D.shape[1], self.D.shape[0]
         wanted = {"A": (nx, nx), "B": (nx, nu), "C": (ny, nx), "D": (ny, nu)}
         for letter, shape in wanted.items():
@@ -65,7 +66,11 @@ class StateSpace:
         delay = np.array(self.delay, dtype=float) if len(self.delay) else np.zeros(nu)
         if delay.shape != (nu,) or not (delay >= 0).all():
             raise ValueError(f"delay is {delay}, expected {nu} values >= 0 s")
-        object.__setattr__(self, "delay", delay)
+        self._keep("delay", delay)
+
+    def _keep(self, name: str, values: Array) -> None:
+        values.setflags(write=False)
+        object.__setattr__(self, name, values)
 
     @property
     def nx(self) -> int:
@@ -140,7 +145,7 @@ class StateSpace:
         for k, i in enumerate(steps.which):
             x = steps.maps[i] @ x + steps.forcing[k]
             states[k + 1] = x
-        return np.asarray(states[steps.samples] @ self.C.T + steps.direct)
+        return np.asarray(states @ self.C.T + steps.direct)
 
     def steps(self, t: Array, u: Array, hold: Hold = "foh") -> "Steps":
         """The simulation as a recursion, for those who want more of it than the outputs.
@@ -158,30 +163,24 @@ class StateSpace:
             )
         if self.dt is not None:
             return _discrete_steps(self, t, u, self.dt)
-        grid, samples = _break_points(t, self.delay)
-        left, right = _delayed_input(t, u, self.delay, grid, hold)
-        widths = np.diff(grid)
-        unique, which = step_groups(grid)
-        maps, forcing = [], np.empty((len(widths), self.nx))
-        for i, width in enumerate(unique):
-            Ad, B0, B1 = foh_step(self.A, self.B, width)
+        held = delayed_input(t, u, self.delay, hold)
+        widths, which = step_groups(t)
+        E, P1, P2 = integrals(self.A, widths)
+        forcing = break_forcing(held, self.A, self.B, 2 if hold == "foh" else 1)
+        for i in range(len(widths)):
             here = np.flatnonzero(which == i)
-            maps.append(Ad)
-            forcing[here] = right[here] @ B0.T + left[here + 1] @ B1.T
-        return Steps(tuple(maps), which, forcing, samples, right[samples] @ self.D.T)
+            forcing[here] += held.value[here] @ (P1[i] @ self.B).T
+            forcing[here] += held.slope[here] @ (P2[i] @ self.B).T
+        return Steps(tuple(E), which, forcing, held.value @ self.D.T)
 
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """x[k + 1] = maps[which[k]] x[k] + forcing[k], and y = C x[samples] + direct.
-
-    There are more states than samples when a delayed input has kinks between samples.
-    """
+    """x[k + 1] = maps[which[k]] x[k] + forcing[k], and y = C x + direct."""
 
     maps: tuple[Array, ...]
     which: np.ndarray
     forcing: Array
-    samples: np.ndarray
     direct: Array
 
 
@@ -254,36 +253,4 @@ def _discrete_steps(system: StateSpace, t: Array, u: Array, dt: float) -> Steps:
     delayed = u[rows, np.arange(system.nu)]
     which = np.zeros(len(t) - 1, dtype=int)
     direct = delayed @ system.D.T
-    return Steps((system.A,), which, delayed[:-1] @ system.B.T, np.arange(len(t)), direct)
-
-
-def _break_points(t: Array, delay: Array) -> tuple[Array, np.ndarray]:
-    """Instants where some delayed input has a kink, and where the samples are among them."""
-    kinks = [t[(t + tau > t[0]) & (t + tau < t[-1])] + tau for tau in np.unique(delay) if tau > 0]
-    grid = np.unique(np.concatenate([t, *kinks]))
-    # A kink within rounding of its neighbour would make a step of length zero.
-    near = np.flatnonzero(np.diff(grid) < 1e-9 * np.diff(t).min())
-    grid = np.delete(grid, near + 1)
-    samples = np.searchsorted(grid, t)
-    samples = np.clip(samples, 0, len(grid) - 1)
-    closer = np.abs(grid[np.maximum(samples - 1, 0)] - t) < np.abs(grid[samples] - t)
-    return grid, samples - closer
-
-
-def _delayed_input(
-    t: Array, u: Array, delay: Array, grid: Array, hold: Hold
-) -> tuple[Array, Array]:
-    """Limits of u(t - τ) from the left and from the right at every point of the grid."""
-    left = np.empty((len(grid), u.shape[1]))
-    right = np.empty_like(left)
-    tiny = 1e-9 * np.diff(t).min()
-    for j, tau in enumerate(delay):
-        at = grid - tau
-        if hold == "foh":
-            left[:, j] = right[:, j] = np.interp(at, t, u[:, j])
-        else:
-            last = len(t) - 1
-            index = np.clip(np.searchsorted(t, at + tiny, side="right") - 1, 0, last)
-            before = np.clip(np.searchsorted(t, at - tiny, side="right") - 1, 0, last)
-            left[:, j], right[:, j] = u[before, j], u[index, j]
-    return left, right
+    return Steps((system.A,), which, delayed[:-1] @ system.B.T, direct)

@@ -211,7 +211,7 @@ def _states(system: StateSpace, t: Array, u: Array, hold: Hold) -> tuple[Array, 
         ahead = z[k + 1, ns:].copy()
         ahead[:, 0] -= forcing[k, ns:]
         z[k, ns:] = backward[steps.which[k]] @ ahead
-    return V @ z[steps.samples], steps.direct
+    return V @ z, steps.direct
 
 
 def _split(system: StateSpace, span: float) -> tuple[Array, int]:

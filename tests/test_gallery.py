@@ -14,7 +14,6 @@ from benchmarks.uh60 import SWEEPS
 from casid import Record, SolverOptions, frequency_response, match, output_error, pbsid
 from casid.model import free_parameters
 from casid.record import standard_deviations
-from casid.shooting.output_error import simulate
 from models.heave_inflow import HeaveInflow
 from models.hybrid_flap import HybridFlap
 from models.hybrid_flap_lag import HybridFlapLag
@@ -67,7 +66,7 @@ def flown(truth, duration=12.0, dt=0.04):
         u[:, i] = smooth(steps(t, 0.7), dt) + smooth(steps(t, 0.3), dt)
         still = np.zeros((len(t), len(truth.outputs)))
         record = Record(t, u, still, truth.inputs, truth.outputs, name)
-        records.append(replace(record, y=simulate(truth, record)))
+        records.append(replace(record, y=truth.system().simulate(t, u)))
     return records
 
 

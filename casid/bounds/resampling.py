@@ -16,7 +16,6 @@ from casid.fit import AnyFit
 from casid.jobs.campaigns import Advance, Done
 from casid.model import Bounds, Model, free_parameters
 from casid.record import Record
-from casid.shooting.output_error import simulate
 from casid.tabulation import csv_text, markdown_table
 
 SAME = 1e-6  # relative difference of costs that are the same minimum
@@ -248,7 +247,7 @@ def monte_carlo(
     fixed, bounds, folder, executor, progress, settings
         As in `compare_bounds`, of `output_error`.
     """
-    clean = [_with_outputs(model, record, simulate(model, record)) for record in records]
+    clean = [_simulated(model, record) for record in records]
     draws: list[Draw] = [NoiseDraw(dict(noise), (seed, run)) for run in range(runs)]
     shared = setup(model, clean, estimator="output_error", fixed=fixed, settings=settings)
     done = _drawn(model, None, shared, draws, bounds, folder, executor, progress)
@@ -299,7 +298,7 @@ def bootstrap(
         )
     model = fit.model
     simulated = [
-        _with_outputs(model, record, simulate(model, record, x0, bias))
+        _simulated(model, record, x0, bias)
         for record, x0, bias in zip(records, fit.initial_states, fit.biases, strict=True)
     ]
     residuals = tuple(
@@ -312,9 +311,12 @@ def bootstrap(
     return _ensemble(model, done, fixed, bounds)
 
 
-def _with_outputs(model: Model, record: Record, y: Array) -> Record:
+def _simulated(
+    model: Model, record: Record, x0: Array | None = None, bias: Array | float = 0.0
+) -> Record:
     """The record with a model's outputs, missing where the record's are."""
     own = record.select(model.inputs, model.outputs)
+    y = model.system().simulate(own.t, own.u, x0, own.hold) + bias
     return replace(own, y=np.where(np.isfinite(own.y), y, np.nan))
 
 

@@ -5,14 +5,17 @@ import pprint
 from importlib.metadata import version
 from pathlib import Path
 
-from casid import linear
+from casid import intersample, linear
 from casid.arrays import Array
 from casid.channels import UNITS
 from casid.files import write_text
 from casid.linear import StateSpace
 
 # What a continuous model's simulation is made of; the file holds the very text of it.
-PARTS = (linear.step_groups, linear.foh_step, linear._break_points, linear._delayed_input)
+PARTS = (
+    linear.step_groups, intersample.DelayedInput, intersample.delayed_input, intersample.integrals,
+    intersample.integral_slopes, intersample.break_forcing, intersample.distinct,
+)  # fmt: skip
 
 HEAD = '''"""{title}
 
@@ -26,8 +29,11 @@ identified at: subtract the trim from the inputs, add it to the outputs.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+ROUNDING = {rounding}  # of the shortest interval: what falls together so closely is one instant
 STATES = {states}
 INPUTS = {inputs}
 OUTPUTS = {outputs}
@@ -53,34 +59,16 @@ def simulate(t, u, x0=None, hold="foh"):
     x = np.zeros(len(STATES)) if x0 is None else np.asarray(x0, dtype=float)
     if x.shape != (len(STATES),):
         raise ValueError(f"x0 has shape {{x.shape}}, expected {{(len(STATES),)}}")
-    grid, samples = _break_points(t, DELAY)
-    left, right = _delayed_input(t, u, DELAY, grid, hold)
-    widths, which = step_groups(grid)
-    maps = [foh_step(A, B, width) for width in widths]
-    states = np.empty((len(grid), len(STATES)))
+    held = delayed_input(t, u, DELAY, hold)
+    widths, which = step_groups(t)
+    E, P1, P2 = integrals(A, widths)
+    forcing = break_forcing(held, A, B, 2 if hold == "foh" else 1)
+    states = np.empty((len(t), len(STATES)))
     states[0] = x
     for k, i in enumerate(which):
-        Ad, B0, B1 = maps[i]
-        states[k + 1] = Ad @ states[k] + B0 @ right[k] + B1 @ left[k + 1]
-    return states[samples] @ C.T + right[samples] @ D.T
-
-
-def matrix_exponential(M):
-    """Matrix exponential: scaling, Padé approximation of order 13, squaring (Higham 2005)."""
-    squarings = max(0, int(np.ceil(np.log2(max(np.abs(M).sum(axis=0).max(), 1e-300) / 5.37))))
-    M = M / 2.0**squarings
-    b = [1.0]
-    for k in range(1, 14):
-        b.append(b[-1] * (14 - k) / (k * (27 - k)))
-    powers = [np.eye(len(M))]
-    for _ in range(13):
-        powers.append(powers[-1] @ M)
-    even = sum(b[k] * powers[k] for k in range(0, 14, 2))
-    odd = sum(b[k] * powers[k] for k in range(1, 14, 2))
-    E = np.linalg.solve(even - odd, even + odd)
-    for _ in range(squarings):
-        E = E @ E
-    return E
+        steady = P1[i] @ (B @ held.value[k]) + P2[i] @ (B @ held.slope[k])
+        states[k + 1] = E[i] @ states[k] + steady + forcing[k]
+    return states @ C.T + held.value @ D.T
 
 
 '''
@@ -130,11 +118,9 @@ def module_text(system: StateSpace, title: str) -> str:
         units=_literal({name: UNITS[name] for name in names if name in UNITS}),
         matrices="\n".join(f"{letter} = {_matrix(getattr(system, letter))}" for letter in "ABCD"),
         delay=system.delay.tolist(),
+        rounding=intersample.ROUNDING,
     )
-    parts = [
-        inspect.getsource(part).replace("scipy.linalg.expm", "matrix_exponential") for part in PARTS
-    ]
-    return head + "\n\n".join(parts)
+    return head + "\n\n".join(inspect.getsource(part) for part in PARTS)
 
 
 def _literal(value: object) -> str:

@@ -54,44 +54,46 @@ def curvature(sweep: Sweep, mu: Array) -> Curvature:
     mu : (J, nx) array
         Multiplier of every interval's end state, in chronological order; 0 at a record's end.
     """
-    e, layout, motion, numbers = sweep.e, sweep.layout, sweep.motion, sweep.numbers
+    e, layout, motion, m = sweep.e, sweep.layout, sweep.motion, sweep.matrices
     rho = np.empty_like(motion.residuals)
     for p, mine in groups(layout.pattern, len(sweep.W)):
         rho[mine] = motion.residuals[mine] @ (sweep.W[p].T @ sweep.W[p])
-    weight, last = _costates(sweep, rho @ numbers.C, mu[layout.node])
+    weight, last, after = _costates(sweep, rho @ m.C, mu[layout.node])
     total, at_nodes = _moments(sweep, np.hstack([weight, rho]), last)
-    by_lam = np.concatenate([numbers.A_lam, numbers.C_lam])
-    Hll = np.einsum("vms,vma->sa", total, by_lam) + _delayed(sweep, weight, rho)
+    by_lam = np.concatenate([m.A_lam, m.C_lam])
+    Hll = np.einsum("vms,vma->sa", total, by_lam) + _delayed(sweep, after, rho)
     Hln, gn = np.empty((len(last), e.nf, e.nx)), np.empty((e.ny, len(last), e.nx))
     Hln[layout.node] = np.einsum("jvms,vma->jas", at_nodes, by_lam, optimize=True)
-    gn[:, layout.node] = np.einsum("jcms,cm->cjs", at_nodes[:, e.nx :], numbers.C)
-    through = np.hstack([rho.T @ motion.states, rho.T @ sweep.inputs[:, : e.nu]])
-    gl = np.einsum("cms,cm->cs", total[e.nx :], numbers.C)
+    gn[:, layout.node] = np.einsum("jcms,cm->cjs", at_nodes[:, e.nx :], m.C)
+    through = np.hstack([rho.T @ motion.states, rho.T @ sweep.steps.inputs])
+    gl = np.einsum("cms,cm->cs", total[e.nx :], m.C)
     gl += np.einsum("cm,cma->ca", through, sweep.drive)
-    gl += ((rho.T @ sweep.moved[:, : e.nu]) * numbers.D) @ numbers.tau_lam
     edges = np.cumsum([0, *(record.N for record in layout.records)])[:-1]
     gb = np.add.reduceat(rho, edges, axis=0).T[:, :, None] * np.eye(e.ny)[:, None, :]
     return Curvature(Hll + Hll.T, Hln, gl, gb, gn)
 
 
-def _costates(sweep: Sweep, jumps: Array, mu: Array) -> tuple[Array, Array]:
+def _costates(sweep: Sweep, jumps: Array, mu: Array) -> tuple[Array, Array, Array]:
     """Costates weighted for the trapezoidal rule, at all samples (N, nx) and at the ends (J, nx).
+
+    The third, (N, nx), is unweighted, one step after every sample.
 
     The rule takes the costate before a sample's jump for the step that ends there and the one
     after it for the step that begins; the last step of an interval ends at its end state.
     """
     layout = sweep.layout
-    half = np.array([h for h, _ in layout.classes])[layout.step][:, None] / 2
-    weight, p = np.zeros_like(jumps), mu.copy()
+    half = layout.classes[layout.step][:, None] / 2
+    weight, later, p = np.zeros_like(jumps), np.empty_like(jumps), mu.copy()
     many = counts(layout.count)
     for k in range(len(many) - 1, -1, -1):
         at = layout.start[: many[k]] + k
         after = many[k + 1] if k + 1 < len(many) else 0
         weight[at[:after] + 1] += half[at[:after]] * p[:after]
+        later[at] = p[: many[k]]
         before = sweep.steps.back(layout.step[at], p[: many[k]])
         weight[at] += half[at] * before
         p[: many[k]] = before + jumps[at]
-    return weight, half[layout.start + layout.count - 1] * mu
+    return weight, half[layout.start + layout.count - 1] * mu, later
 
 
 def _moments(sweep: Sweep, weight: Array, last: Array) -> tuple[Array, Array]:
@@ -117,14 +119,13 @@ def _moments(sweep: Sweep, weight: Array, last: Array) -> tuple[Array, Array]:
     return total, at_nodes
 
 
-def _delayed(sweep: Sweep, weight: Array, rho: Array) -> Array:
-    """Half the second derivatives (nf, nf) through the delayed inputs."""
-    e, numbers = sweep.e, sweep.numbers
-    moved = sweep.moved[:, : e.nu]
-    if not len(numbers.delaying):
-        return np.zeros((e.nf, e.nf))
-    B_lam, D_lam, tau_lam = numbers.B_lam, numbers.D_lam, numbers.tau_lam
-    through = np.einsum("im,ima->ma", weight.T @ moved, B_lam)
-    through += np.einsum("cm,cma->ma", rho.T @ moved, D_lam)
-    bend = np.sum(e.bends(numbers.tau) * (weight @ numbers.B + rho @ numbers.D), axis=0)
-    return np.asarray((through + bend[:, None] / 2 * tau_lam).T @ tau_lam)
+def _delayed(sweep: Sweep, after: Array, rho: Array) -> Array:
+    """Half the second derivatives (nf, nf) through the delayed inputs.
+
+    ``after`` (N, nx) are the costates one step after each sample.
+    """
+    m, nu = sweep.matrices, sweep.e.nu
+    bend, mixed = sweep.steps.delay_moments(after)
+    through = np.einsum("im,ima->ma", mixed, m.B_lam)
+    through -= np.einsum("cm,cma->ma", rho.T @ sweep.steps.inputs[:, nu:], m.D_lam)
+    return np.asarray((through + bend[:, None] / 2 * m.tau_lam).T @ m.tau_lam)

@@ -7,9 +7,9 @@ import numpy as np
 import scipy.linalg
 
 from casid.arrays import Array
+from casid.intersample import integrals
 from casid.model import Free, Model
 from casid.record import Record
-from casid.shooting.integrate import step_map
 from casid.shooting.starting import SURPRISE
 from casid.subspace.pbsid import BlackBox
 
@@ -50,13 +50,13 @@ def kalman_gain(model: Model, records: list[Record]) -> Array:
     Q += 1e-6 * np.trace(Q) / nx * np.eye(nx)
     size = np.sqrt(np.nanmean(y**2, axis=0))
     R = np.diag((NOISE_SHARE * np.where(size > 0, size, 1.0)) ** 2)
-    m = step_map(system.A, system.B, np.eye(nx), h, "foh")
+    Ad, held, _ = integrals(system.A, np.array([h]))[:, 0]
     try:
-        P = scipy.linalg.solve_discrete_are(m.Ad.T, system.C.T, Q * h, R)
+        P = scipy.linalg.solve_discrete_are(Ad.T, system.C.T, Q * h, R)
     except np.linalg.LinAlgError:  # an unstable mode that no output sees
         return np.zeros((nx, ny))
-    gain = m.Ad @ P @ system.C.T @ np.linalg.inv(system.C @ P @ system.C.T + R)
-    return np.asarray(np.linalg.solve(m.Kd, gain))
+    gain = Ad @ P @ system.C.T @ np.linalg.inv(system.C @ P @ system.C.T + R)
+    return np.asarray(np.linalg.solve(held, gain))
 
 
 def black_box_gain(model: Model, black_box: BlackBox) -> Array:

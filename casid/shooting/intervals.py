@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array, BoolArray
-from casid.record import Hold, Record
-
-STEP_TOLERANCE = 1e-9  # sampling intervals that agree to this share one step map
+from casid.intersample import ROUNDING, distinct
+from casid.record import Record
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +27,8 @@ class Layout:
         True where a channel was measured; row 0 is the complete sample.
     step : (N,) integer array
         Class of the step from each sample to the next; a record's last sample repeats its last.
-    classes : tuple of (float, Hold)
-        Length [s] and hold of each class of steps.
+    classes : (n,) array
+        Length of each class of steps [s].
     record : (J,) integer array
         Record of each interval.
     start, count : (J,) integer array
@@ -45,7 +44,7 @@ class Layout:
     pattern: np.ndarray
     patterns: BoolArray
     step: np.ndarray
-    classes: tuple[tuple[float, Hold], ...]
+    classes: Array
     record: np.ndarray
     start: np.ndarray
     count: np.ndarray
@@ -71,7 +70,7 @@ def lay_out(records: Sequence[Record], interval: float) -> Layout:
     order = np.argsort(-table[:, 2], kind="stable")
     y = np.concatenate([record.y for record in records])
     patterns, pattern = _patterns(np.isfinite(y))
-    classes, step = _steps(records)
+    classes, step = distinct(np.concatenate([_steps(record) for record in records]))
     table = table[order]
     return Layout(
         records=tuple(records),
@@ -97,19 +96,8 @@ def _patterns(seen: BoolArray) -> tuple[BoolArray, np.ndarray]:
     return rows[order], np.argsort(order)[which[1:]]
 
 
-def _steps(records: Sequence[Record]) -> tuple[tuple[tuple[float, Hold], ...], np.ndarray]:
-    """Distinct steps (length, hold), and the class of every sample's step."""
-    classes: dict[tuple[float, Hold], int] = {}
-    which = []
-    unit = min(record.dt for record in records)
-    for record in records:
-        h = np.diff(record.t)
-        h = np.append(h, h[-1])
-        keys = np.round(h / (unit * STEP_TOLERANCE)).astype(np.int64)
-        distinct, place = np.unique(keys, return_inverse=True)
-        numbers = [
-            classes.setdefault((float(key * unit * STEP_TOLERANCE), record.hold), len(classes))
-            for key in distinct
-        ]
-        which.append(np.array(numbers)[place])
-    return tuple(classes), np.concatenate(which)
+def _steps(record: Record) -> Array:
+    """Length of the step from each sample to the next [s]; the last sample repeats its last."""
+    h = np.diff(record.t)
+    same = np.ptp(h) <= ROUNDING * h.max()
+    return np.full(record.N, h.mean()) if same else np.append(h, h[-1])

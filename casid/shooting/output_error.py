@@ -232,37 +232,6 @@ def choose_interval(free: Free, records: Sequence[Record], filtering: bool = Fal
     return float(np.clip(length, shortest, max(LONGEST, shortest)))
 
 
-def simulate(
-    model: Model, record: Record, x0: Array | None = None, bias: Array | None = None
-) -> Array:
-    """Outputs (N, ny) of a model over a record, by the intersample model of the estimator.
-
-    Delayed inputs are read off an interpolating spline (`casid.shooting.spline`) and then held as
-    the record says; `StateSpace.simulate` delays the held input itself instead.
-
-    Parameters
-    ----------
-    model : Model
-        Structure at its parameter values.
-    record : Record
-        With the model's inputs; its outputs are not used.
-    x0, bias : (nx,), (ny,) array
-        Initial state and output biases; zero unless given.
-    """
-    nx, ny = len(model.states), len(model.outputs)
-    bare = replace(
-        record.select(model.inputs, ()), y=np.zeros((record.N, ny)), outputs=model.outputs
-    )
-    free = free_parameters(model)
-    evaluator = Evaluator(free, lay_out([bare], 2 * record.duration))
-    point = Point(
-        lam=model.vector()[free.index],
-        bias=np.zeros((1, ny)) if bias is None else np.reshape(bias, (1, ny)).astype(float),
-        nodes=np.zeros((1, nx)) if x0 is None else np.reshape(x0, (1, nx)).astype(float),
-    )
-    return evaluator.simulate(point).residuals
-
-
 @dataclass(frozen=True, eq=False)
 class _Outcome:
     """Where the rounds of solves ended."""
@@ -407,7 +376,7 @@ def _result(
     std = np.sqrt(np.diag(found.covariance))
     success, status = _verdict(outcome, found)
     prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :]
-    K = evaluator.structure(point.lam).K if evaluator.filtering else None
+    K = evaluator.matrices(point.lam).K if evaluator.filtering else None
     firsts = np.searchsorted(programme.record, np.arange(programme.records))
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity)
     fit = Fit(

@@ -161,7 +161,7 @@ class Programme:
         moments = moments_of(motion.residuals, layout.pattern, len(layout.patterns))
         ends = motion.ends[np.argsort(layout.node)]
         gaps = (ends[self.links] - point.nodes[self.links + 1]) / self.scales.state
-        c = self.evaluator.structure(point.lam).c
+        c = self.evaluator.matrices(point.lam).c
         g = np.concatenate([gaps.ravel(), c])
         if not np.isfinite(moments).all():
             return Values(np.nan, g, np.eye(self.evaluator.ny), motion)
@@ -207,7 +207,7 @@ class Programme:
             Hln=G[:, l, n], Hbn=G[:, b, n], Hnn=G[:, n, n],
             gl=total[l, -1], gb=per_record[:, b, -1], gn=G[:, n, -1],
             ends=ends, slope_l=slopes[:, :, l], slope_n=slopes[:, :, n], slope_b=slopes[:, :, b],
-            c_lam=sweep.numbers.c_lam * s.lam, sweep=sweep,
+            c_lam=sweep.matrices.c_lam * s.lam, sweep=sweep,
         )  # fmt: skip
 
     def units(self) -> tuple[Array, Array]:

@@ -1,8 +1,8 @@
 """Residuals of a linear model over all shooting intervals, and what Gauss-Newton needs of them.
 
-Over one interval, from the node x_0 and with the delayed inputs u,
+Over one interval, from the node x_0 and with the delayed inputs u (`casid.intersample`),
 
-    r_k = C x_k + D u_k + b - y_k          x_{k+1} = A_d x_k + B0 u_k + B1 u_{k+1} - K_d r_k
+    r_k = C x_k + D u(t_k - τ) + b - y_k          x_{k+1} = A_d x_k + f_k - K_d r_k
 
 with K_d = 0 for output error (process noise: K_d = ∫ e^{As} ds K over the step, missing channels
 left out). The columns of ∂x_k/∂(λ, x_0, b) obey the same recursion, driven by the derivatives of
@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
+from casid.intersample import DelayedInput, delayed_input
 from casid.model import Free
 from casid.shooting.intervals import Layout
-from casid.shooting.spline import DelayedInput
 from casid.shooting.stepping import Steps
-from casid.shooting.unknowns import Structure
+from casid.shooting.unknowns import FilterFunction
 
 BLOCK = 16  # samples of every interval whose Jacobian rows are held at once
 BATCH_BYTES = 8e6  # of Jacobian rows held at once: they stay in the cache
@@ -118,56 +118,42 @@ class Evaluator:
     ) -> None:
         self.layout, self.gain = layout, gain
         self.filtering = gain is not None
-        self.structure = Structure(free, gain, gain_free)
+        self.matrices = FilterFunction(free, gain, gain_free)
         model = free.model
         self.nx, self.nu, self.ny = len(model.states), len(model.inputs), len(model.outputs)
-        self.nf = len(free.index) + gain_free * self.nx * self.ny
-        longest = self._longest(free)
-        self._inputs = [DelayedInput(record, longest) for record in layout.records]
-        self._delayed: tuple[bytes, tuple[Array, Array]] | None = None
+        self.nf = self.matrices.nf
+        self._held: tuple[bytes, list[DelayedInput]] | None = None
 
-    def _longest(self, free: Free) -> float:
-        """Longest delay the bounds allow [s], at most the guess's where they are infinite."""
-        sides = [side[free.index] for side in (free.lower, free.upper)]
-        corners = [np.where(np.isfinite(side), side, free.guess) for side in sides]
-        gains = np.zeros(self.nf - len(free.index))
-        delays = [self.structure(np.append(lam, gains)).tau for lam in (free.guess, *corners)]
-        return float(np.max(delays, initial=0.0))
-
-    def delayed(self, tau: Array) -> tuple[Array, Array]:
-        """Delayed inputs of all samples (N, nu), and their derivatives by the delay."""
+    def held(self, tau: Array) -> list[DelayedInput]:
+        """Delayed inputs of every record."""
         key = tau.tobytes()
-        if self._delayed is None or self._delayed[0] != key:
-            pairs = [source.at(tau) for source in self._inputs]
-            both = np.concatenate([u for u, _ in pairs]), np.concatenate([du for _, du in pairs])
-            self._delayed = key, both
-        return self._delayed[1]
-
-    def bends(self, tau: Array) -> Array:
-        """Second derivatives (N, nu) of the delayed inputs by the delay."""
-        return np.concatenate([source.bend(tau) for source in self._inputs])
+        if self._held is None or self._held[0] != key:
+            self._held = (
+                key,
+                [delayed_input(r.t, r.u, tau, r.hold) for r in self.layout.records],
+            )
+        return self._held[1]
 
     def simulate(self, point: Point) -> Motion:
         """States and residuals over all intervals."""
-        layout, numbers = self.layout, self.structure(point.lam)
-        steps = Steps(numbers, layout.classes, self.filtering, slopes=False)
-        inputs = _with_next(self.delayed(numbers.tau)[0])
-        CD = np.hstack([numbers.C, numbers.D]).T
+        layout, m = self.layout, self.matrices(point.lam)
+        steps = Steps(m, layout, self.held(m.tau), self.filtering, slopes=False)
         seen = layout.patterns[layout.pattern]
-        r, states = np.empty_like(layout.y), np.empty((len(layout.y), self.nx))
+        bias = np.repeat(point.bias, [record.N for record in layout.records], axis=0)
+        r = steps.inputs[:, : self.nu] @ m.D.T + bias - layout.y
+        forcing, states = steps.forcing(), np.empty((len(layout.y), self.nx))
         ends = np.empty((len(layout.count), self.nx))
-        bias, x = point.bias[layout.record], point.nodes[layout.node]
-        active = counts(layout.count)
+        x, active = point.nodes[layout.node], counts(layout.count)
         for k, n in enumerate(active):
             at = layout.start[:n] + k
-            V = np.concatenate([x[:n], inputs[at]], axis=1)
-            r[at] = (V[:, : len(CD)] @ CD + bias[:n] - layout.y[at]) * seen[at]
-            states[at] = x[:n]
-            x = steps.state(layout.step[at], V, r[at])
+            states[at] = x = x[:n]
+            if self.filtering:
+                r[at] = (r[at] + x @ m.C.T) * seen[at]
+            x = steps.state(layout.step[at], x, forcing[at], r[at] if self.filtering else None)
             if k + 1 == len(active) or active[k + 1] < n:
                 done = layout.count[:n] == k + 1
                 ends[:n][done] = x[done]
-        return Motion(states, r, ends)
+        return Motion(states, r if self.filtering else (r + states @ m.C.T) * seen, ends)
 
 
 class Sweep:
@@ -191,15 +177,13 @@ class Sweep:
     def __init__(self, evaluator: Evaluator, point: Point, motion: Motion, W: Array) -> None:
         layout = evaluator.layout
         self.e, self.layout, self.motion, self.W = evaluator, layout, motion, W
-        self.numbers = evaluator.structure(point.lam)
-        self.steps = Steps(self.numbers, layout.classes, evaluator.filtering, slopes=True)
-        u, du = evaluator.delayed(self.numbers.tau)
-        self.inputs, self.moved = _with_next(u), _with_next(du)
+        self.matrices = m = evaluator.matrices(point.lam)
+        self.steps = Steps(m, layout, evaluator.held(m.tau), evaluator.filtering, slopes=True)
         self.ns = evaluator.nf + evaluator.nx + (evaluator.ny if evaluator.filtering else 0)
-        self.drive = np.concatenate([self.numbers.C_lam, self.numbers.D_lam], axis=1)
+        late = -m.D[:, :, None] * m.tau_lam
+        self.drive = np.concatenate([m.C_lam, m.D_lam, late], axis=1)
         self.apart = not np.any(W * (1 - np.eye(evaluator.ny)))  # R diagonal
         self.live = np.flatnonzero(self.drive.any(axis=(1, 2)))
-        self.delay = self.numbers.D[:, :, None] * self.numbers.tau_lam[:, self.numbers.delaying]
 
     def batches(self) -> Iterator[Batch]:
         """Gram matrices of all intervals, a bounded number of rows at a time."""
@@ -288,9 +272,8 @@ class Sweep:
         """Sensitivities before each of K samples and after the last, (K + 1, nx, n, ns)."""
         K, n = at.shape
         flat, nf = at.ravel(), self.e.nf
-        V = np.concatenate([self.motion.states[flat], self.inputs[flat]], axis=1)
-        step, r = self.layout.step[flat], self.motion.residuals[flat]
-        force = self.steps.force(step, V, self.moved[flat], r).reshape(self.e.nx, K, n, nf)
+        x, r = self.motion.states[flat], self.motion.residuals[flat]
+        force = self.steps.force(flat, x, r).reshape(self.e.nx, K, n, nf)
         trail = np.empty((K + 1, *S.shape))
         trail[0] = S
         for k in range(K):
@@ -301,20 +284,17 @@ class Sweep:
 
     def _heard(self, at: np.ndarray, S: Array) -> Array:
         """Derivatives of the measured residuals of one sample, 0 where missing, (ny, n, ns)."""
-        heard = (self.numbers.C @ S.reshape(len(S), -1)).reshape(-1, *S.shape[1:])
+        heard = (self.matrices.C @ S.reshape(len(S), -1)).reshape(-1, *S.shape[1:])
         self._add_direct(heard, at)
         seen = self.layout.patterns[self.layout.pattern[at]]
         return np.asarray(heard * seen.T[:, :, None])
 
     def _add_direct(self, out: Array, at: np.ndarray) -> None:
         """Add the derivatives of the outputs not through the states to ``out`` (ny, *at, ns)."""
-        nf, nx, nu = self.e.nf, self.e.nx, self.e.nu
-        V = np.concatenate([self.motion.states[at], self.inputs[at][..., :nu]], axis=-1)
+        nf, nx = self.e.nf, self.e.nx
+        V = np.concatenate([self.motion.states[at], self.steps.inputs[at]], axis=-1)
         for a in self.live:
             out[a, ..., :nf] += V @ self.drive[a]
-        if len(self.numbers.delaying):
-            shift = np.tensordot(self.delay, self.moved[at][..., :nu], axes=(1, -1))
-            out[..., self.numbers.delaying] += np.moveaxis(shift, 1, -1)
         if self.e.filtering:
             eye = np.eye(self.e.ny).reshape(self.e.ny, *[1] * at.ndim, self.e.ny)
             out[..., nf + nx :] += eye
@@ -322,7 +302,7 @@ class Sweep:
     def _rows(self, at: np.ndarray, S: Array) -> Array:
         """Whitened Jacobian rows and residuals of K samples, (n, K, ny, nc)."""
         e, ns, (K, n) = self.e, self.ns, at.shape
-        through = (self.numbers.C @ S.reshape(K, e.nx, -1)).reshape(K, e.ny, n, ns)
+        through = (self.matrices.C @ S.reshape(K, e.nx, -1)).reshape(K, e.ny, n, ns)
         self._add_direct(through.transpose(1, 0, 2, 3), at)
         out = np.empty((n, K, e.ny, e.nf + e.nx + e.ny + 1))
         out[..., e.nf + e.nx : -1] = np.eye(e.ny)
@@ -339,8 +319,3 @@ def counts(count: np.ndarray) -> list[int]:
     """How many intervals (longest first) have more than k samples, k = 0, 1, ..."""
     k = np.arange(int(count[0]))
     return [int(n) for n in np.searchsorted(-count, -k)]
-
-
-def _with_next(u: Array) -> Array:
-    """Each sample beside the one after it; the last beside itself."""
-    return np.hstack([u, np.vstack([u[1:], u[-1:]])])

@@ -110,12 +110,12 @@ def _smoothed(
 
 def _drift(e: Evaluator, lam: Array) -> Array:
     """Covariance of what a start may miss in the states over one interval, (nx, nx)."""
-    numbers = e.structure(lam)
+    m = e.matrices(lam)
     u = np.concatenate([record.u for record in e.layout.records])
     dt = float(np.median([record.dt for record in e.layout.records]))
     T = float(np.median(e.layout.count)) * dt
-    Q = SURPRISE**2 * (numbers.B * np.mean(u**2, axis=0)) @ numbers.B.T
-    drift, nx = _accumulated(numbers.A, Q, T), len(Q)
+    Q = SURPRISE**2 * (m.B * np.mean(u**2, axis=0)) @ m.B.T
+    drift, nx = _accumulated(m.A, Q, T), len(Q)
     scale = np.trace(drift) / nx
     floor = 1e-6 * (np.diag(drift) + (scale if scale > 0 else 1.0) * 1e-3)
     return np.asarray((drift + drift.T) / 2 + np.diag(floor))

@@ -1,8 +1,15 @@
 """How states and their derivatives advance by one sample, for every sampling interval there is.
 
-A handful of distinct intervals gets a map each. Where the sampling is irregular the map is a smooth
-function of the interval h, and so are its derivatives: they are interpolated between Chebyshev
-nodes, exact to rounding since exp(A h) is entire, and no exponential is computed per sample.
+    x_{k+1} = A_d x_k + [P_1 B, P_2 B, P_p b_j ...] V_k - K_d r_k,    V = (value, slope, jumps)
+
+are the maps of `casid.intersample`: value and slope of the delayed inputs at the sample, and the
+jumps at the breaks within the step. Where the delays enter the maps, V moves with them too; as the
+derivative of the whole by τ is linear in the same V, one array of derivatives holds both.
+
+A handful of distinct intervals gets a map each, and so do breaks by their distance from the next
+sample. Where the sampling is irregular the map is a smooth function of that time, and so are its
+derivatives: they are interpolated between Chebyshev nodes, exact to rounding since exp(A h) is
+entire, and no exponential is computed per sample.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,44 +19,62 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
+from casid.intersample import ORDER, DelayedInput, distinct, integral_slopes
 from casid.record import Hold
-from casid.shooting.integrate import step_map, step_slopes
-from casid.shooting.unknowns import Numbers
+from casid.shooting.intervals import Layout
+from casid.shooting.unknowns import FilterMatrices
 
 MANY = 8  # distinct intervals within a factor of two that are worth interpolating
 EXACT = 1e-15  # interpolation error, relative
+SHORT = 2.0**-8  # of the longest: intervals below are interpolated down to zero
 
 
 @dataclass(frozen=True, eq=False)
-class Advance:
-    """One step of length h: how states and their derivatives move.
+class Breaks:
+    """The breaks of delayed inputs in columns, for all samples.
 
-    ``now`` is (A_d, B0, B1), against (x, u_k, u_k+1); ``drive`` (nx, nx + 2 nu, nf) its derivative,
-    ``delay`` (nx, 2 nu, nd) against the delay-derivatives of u_k, u_k+1; ``gain`` is K_d and
-    ``gain_drive`` (nx, ny, nf) its derivative.
+    Parameters
+    ----------
+    jumps : (N, n) array
+        What changes in the step after each sample, spread over the columns.
+    channel, order : (n,) integer array
+        Input of every column, and the p of its P_p.
+    rest : (n,) array
+        Time its breaks leave until the next sample [s]; of irregular records, a node.
     """
 
-    now: Array
-    gain: Array
-    drive: Array
-    delay: Array
-    gain_drive: Array
+    jumps: Array
+    channel: np.ndarray
+    order: np.ndarray
+    rest: Array
 
-    @classmethod
-    def of(cls, numbers: Numbers, h: float, hold: Hold, filtering: bool, slopes: bool) -> "Advance":
-        """Step of length h, with what moves its derivatives if ``slopes``."""
-        ny = numbers.K.shape[1] if filtering else 0
-        A, B, K = numbers.A, numbers.B, numbers.K[:, :ny]
-        m = step_map(A, B, K, h, hold)
-        now = np.hstack([m.Ad, m.B0, m.B1])
-        if not slopes:
-            none = np.zeros((0, 0, 0))
-            return cls(now, m.Kd, none, none, none)
-        d = step_slopes(A, B, K, h, hold, (numbers.A_lam, numbers.B_lam, numbers.K_lam[:, :ny]))
-        drive = np.concatenate([d.Ad, d.B0, d.B1], axis=1)
-        moving = numbers.tau_lam[:, numbers.delaying]
-        delay = np.concatenate([m.B0[:, :, None] * moving, m.B1[:, :, None] * moving], axis=1)
-        return cls(now, m.Kd, drive, delay, d.Kd)
+
+def collect_breaks(held: Sequence[DelayedInput], holds: Sequence[Hold], A: Array) -> Breaks:
+    """The breaks of all records; where they are irregular A (nx, nx) sets the number of nodes."""
+    columns: dict[tuple[int, int, float], int] = {}
+    entries: list[tuple[np.ndarray, np.ndarray, Array]] = []
+    first = 0
+    for record, hold in zip(held, holds, strict=True):
+        for j in np.unique(record.channel):
+            mine = np.flatnonzero((record.channel == j) & (record.jump != 0))
+            rest, place = distinct(record.rest[mine])
+            for members in _octaves(rest):
+                nodes, weights = _nodes(rest[members], A)
+                keys = [(int(j), ORDER[hold], float(np.round(r, 14))) for r in nodes]
+                number = np.array([columns.setdefault(key, len(columns)) for key in keys])
+                here = np.flatnonzero(np.isin(place, members))
+                share = weights[np.searchsorted(members, place[here])]
+                jump = record.jump[mine[here], None] * share
+                entries.append((first + record.step[mine[here]], number, jump))
+        first += len(record.value)
+    jumps = np.zeros((first, len(columns)))
+    for row, number, share in entries:
+        if (np.diff(row) > 0).all():
+            jumps[row[:, None], number] += share
+        else:  # several breaks in a step
+            np.add.at(jumps, (row[:, None], number), share)
+    channel, order, rest = np.array(list(columns), dtype=float).reshape(-1, 3).T
+    return Breaks(jumps, channel.astype(int), order.astype(int), rest)
 
 
 class Steps:
@@ -57,73 +82,85 @@ class Steps:
 
     Parameters
     ----------
-    numbers : Numbers
-        Model matrices.
-    classes : sequence of (float, Hold)
-        Distinct sampling intervals [s].
+    matrices : FilterMatrices
+        Of the model.
+    layout : Layout
+        Sampling intervals and holds.
+    held : sequence of DelayedInput
+        Inputs of every record.
     filtering, slopes : bool
         Whether innovations drive the states, and whether derivatives are wanted.
     """
 
     def __init__(
         self,
-        numbers: Numbers,
-        classes: Sequence[tuple[float, Hold]],
+        matrices: FilterMatrices,
+        layout: Layout,
+        held: Sequence[DelayedInput],
         filtering: bool,
         slopes: bool,
     ) -> None:
-        self.nx, self.filtering = len(numbers.A), filtering
-        self.delaying = numbers.delaying
+        self.nx, self.filtering = len(matrices.A), filtering
+        self.inputs = np.hstack(
+            [np.concatenate([getattr(part, name) for part in held]) for name in ("value", "slope")]
+        )
+        self._breaks = collect_breaks(held, [r.hold for r in layout.records], matrices.A)
+        members = list(_octaves(layout.classes))
+        tables = [_nodes(layout.classes[each], matrices.A) for each in members]
+        self._group_of = np.empty(len(layout.classes), dtype=int)
+        for g, each in enumerate(members):
+            self._group_of[each] = g
+        where, edges = self._group_of[layout.step], np.cumsum([0, *(len(h) for h, _ in tables)])
+        times = np.concatenate([*(h for h, _ in tables), self._breaks.rest])
+        self._maps = maps = _Maps(matrices, times, slopes)
+        jump = maps.jump(self._breaks, int(edges[-1]))
         self._groups: list[_Group] = []
-        self._group_of = np.empty(len(classes), dtype=int)
-        self._weights_of: list[Array] = []
-        for members in _octaves(classes):
-            nodes, weights = _nodes(np.array([classes[i][0] for i in members]), numbers.A)
-            hold = classes[members[0]][1]
-            steps = [Advance.of(numbers, h, hold, filtering, slopes) for h in nodes]
-            table = np.zeros((len(classes), len(nodes)))
-            table[members] = weights
-            self._group_of[members] = len(self._groups)
-            self._groups.append(_Group(steps, table, self.nx))
+        for g, (each, (_, share)) in enumerate(zip(members, tables, strict=True)):
+            mine = slice(None) if len(members) == 1 else where == g
+            weights = np.zeros((len(layout.classes), share.shape[1]))
+            weights[each] = share
+            columns = np.flatnonzero(self._breaks.jumps[mine].any(axis=0))
+            nodes = slice(edges[g], edges[g + 1])
+            self._groups.append(_Group(maps, nodes, weights, columns, jump))
+        self._step = layout.step
 
-    def state(self, step: np.ndarray, V: Array, r: Array) -> Array:
-        """States one step on, from (x, u_k, u_k+1) and residuals; ``step`` is each row's class."""
-        new = np.empty((len(V), self.nx))
-        for g, mine in groups(self._group_of[step], len(self._groups)):
-            group = self._groups[g]
-            new[mine] = group.apply(group.now, V[mine], step[mine])
-            if self.filtering:
-                new[mine] -= group.apply(group.gain, r[mine], step[mine])
+    def forcing(self) -> Array:
+        """What the inputs add to the states (N, nx) over each step."""
+        new = np.empty((len(self.inputs), self.nx))
+        for group, mine, kind in self._parts(self._step):
+            new[mine] = group.apply(group.G, self.inputs[mine], kind)
+            new[mine] += self._breaks.jumps[mine][:, group.columns] @ group.jump.T
+        return new
+
+    def state(self, step: np.ndarray, x: Array, forced: Array, r: Array | None) -> Array:
+        """States (n, nx) one step on; ``step`` is each row's class, r the residuals of a filter."""
+        new = forced.copy()
+        for group, mine, kind in self._parts(step):
+            new[mine] += group.apply(group.Ad, x[mine], kind)
+            if r is not None:
+                new[mine] -= group.apply(group.gain, r[mine], kind)
         return new
 
     def back(self, step: np.ndarray, p: Array) -> Array:
         """Costates (n, nx) one step before, A_dᵀ p."""
         new = np.empty_like(p)
-        for g, mine in groups(self._group_of[step], len(self._groups)):
-            group = self._groups[g]
-            new[mine] = group.apply(group.Ad.transpose(0, 2, 1), p[mine], step[mine])
+        for group, mine, kind in self._parts(step):
+            new[mine] = group.apply(group.Ad.transpose(0, 2, 1), p[mine], kind)
         return new
 
-    def force(self, step: np.ndarray, V: Array, dV: Array, r: Array) -> Array:
-        """What drives the derivatives of the states over each step, (nx, rows, nf).
+    def force(self, at: np.ndarray, x: Array, r: Array) -> Array:
+        """What drives the derivatives of the states over the steps from samples ``at``.
 
-        From (x, u_k, u_k+1), the delay-derivatives of (u_k, u_k+1), and the residuals.
+        (nx, rows, nf), from states x and residuals r there.
         """
+        V, jumps = np.concatenate([x, self.inputs[at]], axis=1), self._breaks.jumps[at]
         parts: list[tuple[Any, Array]] = []
-        for g, mine in groups(self._group_of[step], len(self._groups)):
-            group, kind = self._groups[g], step[mine]
-            part = group.spread(group.drive, V[mine], kind)
-            if len(self.delaying):
-                part[:, :, self.delaying] += group.spread(group.delay, dV[mine], kind)
+        for group, mine, kind in self._parts(self._step[at]):
+            part = group.spread(group.drive, V[mine], kind, jumps[mine][:, group.columns])
             if self.filtering:
-                part -= group.spread(group.gain_drive, r[mine], kind)
+                part -= group.spread(group.gain_drive, r[mine], kind, None)
             parts.append((mine, part))
-        if len(parts) == 1:
-            return parts[0][1]
-        new = np.empty((self.nx, len(step), parts[0][1].shape[2]))
-        for mine, part in parts:
-            new[:, mine] = part
-        return new
+        return _joined(parts, len(at))
 
     def carry(self, step: np.ndarray, S: Array, heard: Array | None) -> Array:
         """Derivatives (nx, n, ns) of the states one step on, but for what drives them.
@@ -131,32 +168,96 @@ class Steps:
         ``heard`` (ny, n, ns) are those of the residuals that were measured, of a filter.
         """
         parts: list[tuple[Any, Array]] = []
-        for g, mine in groups(self._group_of[step], len(self._groups)):
-            group, kind = self._groups[g], step[mine]
+        for group, mine, kind in self._parts(step):
             part = group.carry(group.Ad, S[:, mine], kind)
             if heard is not None:
                 part -= group.carry(group.gain, heard[:, mine], kind)
             parts.append((mine, part))
-        if len(parts) == 1:
-            return parts[0][1]
-        new = np.empty_like(S)
-        for mine, part in parts:
-            new[:, mine] = part
-        return new
+        return _joined(parts, len(step))
+
+    def delay_moments(self, p: Array) -> tuple[Array, Array]:
+        """Second derivatives of Σ_k p_kᵀ x_{k+1} by the delays (nu,), and by delays and B (nx, nu).
+
+        p (N, nx) belongs to the state one step after each sample.
+        """
+        nu = self.inputs.shape[1] // 2
+        bend, mixed = self._maps.bend(self._breaks, p.T @ self._breaks.jumps)
+        for group, mine, kind in self._parts(self._step):
+            for m, P1 in enumerate(group.P1):
+                slope = self.inputs[mine, nu:] * group.weights[kind, m, None]
+                mixed -= P1.T @ (p[mine].T @ slope)
+        return bend, mixed
+
+    def _parts(self, step: np.ndarray) -> Iterator[tuple["_Group", Any, np.ndarray]]:
+        """Groups of steps that occur, the rows of theirs, and the class of each row."""
+        for g, mine in groups(self._group_of[step], len(self._groups)):
+            yield self._groups[g], mine, step[mine]
+
+
+class _Maps:
+    """Maps over intervals of given lengths (n,), and their derivatives by the unknowns."""
+
+    def __init__(self, matrices: FilterMatrices, times: Array, slopes: bool) -> None:
+        self.matrices = m = matrices
+        self._nf = m.A_lam.shape[2] if slopes else 0
+        self._moving = np.flatnonzero(m.A_lam.any(axis=(0, 1)))[: None if slopes else 0]
+        self.P = integral_slopes(m.A, times, m.A_lam[:, :, self._moving])
+        nx = len(m.A)
+        self.E, self.E_lam = self.through(0, np.eye(nx), np.zeros((nx, nx, self._nf)))
+        value, value_lam = self.through(1, m.B, m.B_lam)
+        ramp, ramp_lam = self.through(2, m.B, m.B_lam)
+        ramp_lam -= value[..., None] * m.tau_lam[:, : self._nf]
+        self.G = np.concatenate([value, ramp], axis=2)
+        self.G_lam = np.concatenate([value_lam, ramp_lam], axis=2)
+        self.gain, self.gain_lam = self.through(1, m.K, m.K_lam)
+
+    def through(self, p: int, M: Array, M_lam: Array) -> tuple[Array, Array]:
+        """P_p M (n, nx, k) and its derivative (n, nx, k, nf)."""
+        P = self.P[p]
+        slope = np.tensordot(P[..., 0], M_lam[..., : self._nf], axes=1)
+        slope[..., self._moving] += np.einsum("nija,jk->nika", P[..., 1:], M)
+        return P[..., 0] @ M, slope
+
+    def jump(self, breaks: Breaks, first: int) -> tuple[Array, Array]:
+        """What a unit jump in each column does: (nx, columns) and its derivative by the unknowns.
+
+        The lengths from number ``first`` on are those of the breaks.
+        """
+        m, c = self.matrices, breaks.channel
+        self._ahead = self.P[:, first:]
+        P, b = self._ahead[breaks.order, np.arange(len(c))], m.B[:, c]
+        slope = np.einsum("cij,jca->ica", P[..., 0], m.B_lam[:, c, : self._nf])
+        slope[..., self._moving] += np.einsum("cija,jc->ica", P[..., 1:], b)
+        earlier = self._ahead[breaks.order - 1, np.arange(len(c)), :, :, 0]
+        late = np.einsum("cij,jc->ic", earlier, b)
+        slope -= late[..., None] * m.tau_lam[c, : self._nf]
+        return np.einsum("cij,jc->ic", P[..., 0], b), slope
+
+    def bend(self, breaks: Breaks, p: Array) -> tuple[Array, Array]:
+        """See `Steps.delay_moments`, of the breaks; p (nx, columns) has their jumps in it."""
+        m, c, number = self.matrices, breaks.channel, np.arange(len(breaks.channel))
+        E = self._ahead[0, :, :, :, 0]
+        twice = np.where((breaks.order == 2)[:, None, None], E, m.A @ E)
+        earlier = self._ahead[breaks.order - 1, number, :, :, 0]
+        bend, mixed = np.zeros(m.B.shape[1]), np.zeros_like(m.B)
+        np.add.at(bend, c, np.einsum("ic,cij,jc->c", p, twice, m.B[:, c]))
+        np.add.at(mixed.T, c, -np.einsum("ic,cij->cj", p, earlier))
+        return bend, mixed
 
 
 class _Group:
     """Steps of similar length: one, or the nodes between which the others are interpolated."""
 
-    def __init__(self, steps: Sequence[Advance], weights: Array, nx: int) -> None:
-        self.weights = weights
-        self.now = np.stack([s.now for s in steps])
-        self.Ad = np.ascontiguousarray(self.now[:, :, :nx])
-        self.gain = np.stack([s.gain for s in steps])
-        self.drive, self.delay, self.gain_drive = (
-            np.concatenate([getattr(s, name) for s in steps], axis=1)
-            for name in ("drive", "delay", "gain_drive")
-        )
+    def __init__(
+        self, maps: _Maps, nodes: slice, weights: Array, columns: np.ndarray,
+        jump: tuple[Array, Array],
+    ) -> None:  # fmt: skip
+        self.weights, self.columns, self.jump = weights, columns, jump[0][:, columns]
+        self.Ad, self.G, self.gain = maps.E[nodes], maps.G[nodes], maps.gain[nodes]
+        self.P1 = maps.P[1, nodes, :, :, 0]
+        drive = np.concatenate([maps.E_lam[nodes], maps.G_lam[nodes]], axis=2)
+        self.drive = np.concatenate([_flat(drive), jump[1][:, columns]], axis=1)
+        self.gain_drive = _flat(maps.gain_lam[nodes])
 
     def apply(self, M: Array, V: Array, kind: np.ndarray) -> Array:
         """Rows of V through the matrices M (m, rows, columns) of their steps."""
@@ -172,11 +273,27 @@ class _Group:
         mine = np.tensordot(self.weights[kind], M, axes=1)
         return np.asarray((mine @ S.transpose(1, 0, 2)).transpose(1, 0, 2))
 
-    def spread(self, drive: Array, V: Array, kind: np.ndarray) -> Array:
-        """What V does to every column: (rows, n, nf) by a drive (rows, m columns, nf)."""
+    def spread(self, drive: Array, V: Array, kind: np.ndarray, more: Array | None) -> Array:
+        """What V, and ``more`` columns for all nodes alike, do: (rows, n, nf) by a drive."""
         if self.weights.shape[1] > 1:
             V = (self.weights[kind][:, :, None] * V[:, None, :]).reshape(len(V), -1)
-        return np.asarray(V @ drive)
+        return np.asarray((V if more is None else np.hstack([V, more])) @ drive)
+
+
+def _flat(drive: Array) -> Array:
+    """(nodes, nx, columns, nf) as (nx, nodes x columns, nf)."""
+    nodes, nx, columns, nf = drive.shape
+    return drive.transpose(1, 0, 2, 3).reshape(nx, nodes * columns, nf)
+
+
+def _joined(parts: Sequence[tuple[Any, Array]], n: int) -> Array:
+    """Arrays (nx, rows, columns) of parts of n rows, put together."""
+    if len(parts) == 1:
+        return parts[0][1]
+    new = np.empty((len(parts[0][1]), n, parts[0][1].shape[2]))
+    for mine, part in parts:
+        new[:, mine] = part
+    return new
 
 
 def groups(number: np.ndarray, kinds: int) -> Iterator[tuple[int, Any]]:
@@ -188,16 +305,13 @@ def groups(number: np.ndarray, kinds: int) -> Iterator[tuple[int, Any]]:
             yield int(i), np.flatnonzero(number == i)
 
 
-def _octaves(classes: Sequence[tuple[float, Hold]]) -> Iterator[list[int]]:
-    """Classes that share one group: alone, or all of a hold within a factor of two if many."""
-    bins: dict[tuple[int, Hold], list[int]] = {}
-    for i, (h, hold) in enumerate(classes):
-        bins.setdefault((int(np.round(np.log2(h))), hold), []).append(i)
-    for members in bins.values():
-        if len(members) >= MANY:
-            yield members
-        else:
-            yield from ([i] for i in members)
+def _octaves(h: Array) -> Iterator[np.ndarray]:
+    """Intervals h (n,) that share one group: alone, or all within a factor of two if many."""
+    longest = h.max(initial=1e-300)
+    bins = np.round(np.log2(np.maximum(h, SHORT * longest)))
+    for octave in np.unique(bins):
+        members = np.flatnonzero(bins == octave)
+        yield from [members] if len(members) >= MANY else members[:, None]
 
 
 def _nodes(h: Array, A: Array) -> tuple[Array, Array]:

@@ -1,18 +1,20 @@
-"""The matrices of a model as functions of the unknowns, with their derivatives, in numbers."""
+"""Matrices, delays and innovation gain as functions of the unknowns, with their derivatives."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.evaluation import MatrixFunction
 from casid.model import Free
 
 
 @dataclass(frozen=True, eq=False)
-class Numbers:
-    """Model matrices and their derivatives by the unknowns (last axis, nf); K may be None."""
+class FilterMatrices:
+    """Matrices of a model with its gain K, and their derivatives by the unknowns (last axis, nf).
+
+    K is zero for output error; ``c`` are the values of the model's own constraints.
+    """
 
     A: Array
     B: Array
@@ -29,41 +31,28 @@ class Numbers:
     c_lam: Array
     K_lam: Array
 
-    @cached_property
-    def delaying(self) -> np.ndarray:
-        """Which unknowns move a delay."""
-        return np.flatnonzero(self.tau_lam.any(axis=0))
 
-
-class Structure:
-    """The matrices of a model as functions of the unknowns: free λ, then K by rows if free."""
+class FilterFunction:
+    """The same as functions of the unknowns: free λ, then K by rows if it is free."""
 
     def __init__(self, free: Free, gain: Array | None, gain_free: bool) -> None:
-        nx, ny = len(free.model.states), len(free.model.outputs)
-        lam = ca.SX.sym("lam", len(free.index))
-        entries = ca.SX.sym("K", ny, nx if gain_free else 0)
-        K = np.zeros((nx, ny)) if gain is None else gain
-        dense = [ca.densify(m) for m in free.model.matrices()(free.full(lam))]
-        dense.append(entries.T if gain_free else ca.densify(ca.SX(K)))
-        unknown = ca.vertcat(lam, ca.vec(entries))
-        slopes = [ca.densify(ca.jacobian(ca.vec(m), unknown)) for m in dense]
-        self._function = ca.Function("structure", [unknown], [*dense, *slopes])
-        self._last: tuple[bytes, Numbers] | None = None
+        self._matrices, self._gain_free = MatrixFunction(free), gain_free
+        nx, ny = self._matrices.nx, self._matrices.ny
+        self._gain = np.zeros((nx, ny)) if gain is None else gain
+        self.nf: int = self._matrices.nf + gain_free * nx * ny
 
-    def __call__(self, lam: Array) -> Numbers:
+    def __call__(self, unknowns: Array) -> FilterMatrices:
         """Matrices and derivatives at the unknowns (nf,)."""
-        key = lam.tobytes()
-        if self._last is None or self._last[0] != key:
-            self._last = key, self._numbers(lam)
-        return self._last[1]
-
-    def _numbers(self, lam: Array) -> Numbers:
-        found = [m.full() for m in self._function(lam)]
-        values, slopes = found[:7], found[7:]
-        shaped = [
-            slope.reshape((*value.shape, len(lam)), order="F")
-            for value, slope in zip(values, slopes, strict=True)
-        ]
-        for vector in (4, 5):
-            values[vector], shaped[vector] = values[vector].ravel(), shaped[vector][:, 0]
-        return Numbers(*values, *shaped)
+        n, nf = self._matrices.nf, self.nf
+        m = self._matrices(unknowns[:n])
+        slopes, tau_lam, c_lam = (
+            np.concatenate([np.moveaxis(part, 0, -1), np.zeros((*part.shape[1:], nf - n))], axis=-1)
+            for part in (m.slopes, m.dtau, m.dc)
+        )
+        K, K_lam = self._gain, np.zeros((*self._gain.shape, nf))
+        if self._gain_free:
+            K = unknowns[n:].reshape(K.shape)
+            K_lam.reshape(K.size, nf)[:, n:] = np.eye(K.size)
+        x, y = slice(0, m.nx), slice(m.nx, None)
+        blocks = (slopes[x, : m.nx], slopes[x, m.nx :], slopes[y, : m.nx], slopes[y, m.nx :])
+        return FilterMatrices(*m.blocks, m.tau, m.c, K, *blocks, tau_lam, c_lam, K_lam)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from casid import Model, Record, Rows, Scalar, parameter
-from casid.shooting.output_error import simulate
 
 T = 0.02 * np.arange(600)
 
@@ -61,27 +60,23 @@ def excitation(t, seed):
     return lag(t, steps, 0.15)
 
 
-def flown(model=TRUTH, t=T, seed=0, exact=False, x0=(0.3, -0.02, 0.01), bias=(0.1, 0.01, -0.02)):
-    """One closed-loop record: bank and rate are fed back to the lateral stick, without noise.
+def with_response(record: Record, model, x0=None, bias=0.0):
+    """The record with a model's outputs to its inputs."""
+    y = model.system().simulate(record.t, record.u, x0, record.hold) + np.asarray(bias)
+    return replace(record, y=y)
 
-    The loop runs on the exactly delayed stick; the outputs are then those of the intersample model
-    or, if ``exact``, of the exactly delayed input.
-    """
-    blank = np.zeros((len(t), 3))
+
+def flown(model=TRUTH, t=T, seed=0, x0=(0.3, -0.02, 0.01), bias=(0.1, 0.01, -0.02)):
+    """One closed-loop record: bank and rate are fed back to the lateral stick, without noise."""
     r = excitation(t, seed)
-    u, y = r, blank
+    u, y = r, np.zeros((len(t), 3))
     for _ in range(60):  # the loop, solved by relaxation: contracts as the sweep moves forward
         y = model.system().simulate(t, u, np.array(x0))
         new = r - np.column_stack([lag(t, 0.03 * y[:, 2] + 0.01 * y[:, 1], 0.1), 0 * t])
         if np.abs(new - u).max() < 1e-12:
             break
         u = new
-    record = Record(t, u, blank, model.inputs, model.outputs, f"record {seed}")
-    if exact:
-        y = model.system().simulate(t, u, np.array(x0)) + np.array(bias)
-    else:
-        y = simulate(model, record, np.array(x0), np.array(bias))
-    return replace(record, y=y)
+    return Record(t, u, y + np.array(bias), model.inputs, model.outputs, f"record {seed}")
 
 
 def off(model=TRUTH, share=0.3):

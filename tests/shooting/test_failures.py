@@ -13,11 +13,12 @@ from truths.closed_roll import (
     off,
     relative_error,
     with_holes,
+    with_response,
 )
 
 from casid import Constraint, ConvergenceError, ModelError, Scalar, SolverOptions, parameter
 from casid.model import free_parameters
-from casid.shooting.output_error import OutputError, choose_interval, output_error, simulate
+from casid.shooting.output_error import OutputError, choose_interval, output_error
 
 NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}
 
@@ -31,10 +32,10 @@ def noisy(seed=1):
 
 def test_holes_irregular_sampling_and_records_of_any_length_are_no_obstacle():
     def retold(record):
-        """The same flight as the intersample model has it, holes where they were."""
+        """The same flight for the input between these samples, holes where they were."""
         holes = np.isnan(record.y)
-        y = simulate(TRUTH, record, np.array([0.3, -0.02, 0.01]), np.array([0.1, 0.01, -0.02]))
-        return replace(record, y=np.where(holes, np.nan, y))
+        told = with_response(record, TRUTH, np.array([0.3, -0.02, 0.01]), [0.1, 0.01, -0.02])
+        return replace(told, y=np.where(holes, np.nan, told.y))
 
     records = [
         retold(jittered(with_holes(flown(seed=1)))),
@@ -151,8 +152,7 @@ def test_culprits_of_a_near_singular_information_are_named():
     record = noisy()
     pedal_as_stick = 0.5 * record.u[:, :1] + 0.002 * excitation(record.t, 9)[:, 1:]
     record = replace(record, u=np.hstack([record.u[:, :1], pedal_as_stick]))
-    y = simulate(TRUTH, record, np.zeros(3), np.zeros(3))
-    record = replace(record, y=y).with_noise(NOISE, np.random.default_rng(2))
+    record = with_response(record, TRUTH).with_noise(NOISE, np.random.default_rng(2))
     fit = output_error(TRUTH, [record], fixed=("tau",))
     worst = fit.notes.collinear[0]
     assert {"Llat", "Lped"} <= set(worst.names)

@@ -1,32 +1,50 @@
 """Estimates against an estimator of other make: SciPy's least squares by single shooting."""
 
 import numpy as np
+import scipy.linalg
 import scipy.optimize
-import scipy.signal
-from scipy.interpolate import make_interp_spline
 from truths.closed_roll import TRUTH, flown, off
 
 from casid.shooting.output_error import output_error
 
 SIGMA = {"ay": 0.05, "p": 0.005, "phi": 0.005}
-PAD = 20  # samples at rest before the record; a spline forgets by a factor 0.27 a sample
+H = 0.02  # s
 
 
-def delayed(record, tau):
-    """The first stick tau seconds late, read off a natural cubic spline."""
-    before = record.t[0] - record.dt * np.arange(PAD, 0, -1)
-    u = np.concatenate([np.repeat(record.u[0, 0], PAD), record.u[:, 0]])
-    spline = make_interp_spline(np.concatenate([before, record.t]), u, k=3, bc_type="natural")
-    return np.column_stack([spline(record.t - tau), record.u[:, 1]])
+def steps_of(plant, share):
+    """(e^{As}, what the input at the step's begin does, what its rate does), s a share of H."""
+    A, B, nx, nu = plant.A, plant.B, 3, 2
+    M = np.zeros((nx + 2 * nu, nx + 2 * nu))
+    M[:nx, :nx], M[:nx, nx : nx + nu], M[nx : nx + nu, nx + nu :] = A, B, np.eye(nu)
+    E = scipy.linalg.expm(M * share * H)[:nx]
+    return E[:, :nx], E[:, nx : nx + nu], E[:, nx + nu :]
 
 
 def simulated(vector, record):
-    """Outputs (N, ny) of parameters, initial state and biases, over the whole record at once."""
+    """Outputs (N, ny) of parameters, initial state and biases, over the whole record at once.
+
+    The first stick is heard late: within every step one sample of it passes, so that each step is
+    two of straight lines.
+    """
     model = TRUTH.with_vector(vector[:7])
-    system, x0, bias = model.system(), vector[7:10], vector[10:]
-    plant = (system.A, system.B, system.C, system.D)
-    y = scipy.signal.lsim(plant, delayed(record, model.tau), record.t, x0)[1]
-    return y + bias
+    plant, x, t, u = model.system(), vector[7:10], record.t, record.u
+    stick = np.interp(t - model.tau, t, u[:, 0])
+    share = (model.tau / H) % 1.0  # of the step, where the sample passes
+    u = np.column_stack([stick, u[:, 1]])
+    between = np.column_stack(
+        [
+            np.interp(t + share * H - model.tau, t, record.u[:, 0]),
+            np.interp(t + share * H, t, u[:, 1]),
+        ]
+    )
+    first, second, states = steps_of(plant, share), steps_of(plant, 1 - share), [x]
+    for k in range(len(t) - 1):
+        for (E, G, R), a, b, s in (
+            (first, u[k], between[k], share), (second, between[k], u[k + 1], 1 - share)
+        ):  # fmt: skip
+            x = E @ x + G @ a + R @ (b - a) / (s * H)
+        states.append(x)
+    return np.array(states) @ plant.C.T + u @ plant.D.T + vector[10:]
 
 
 def least_squares(record, start):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truths.closed_roll import TRUTH, flown, jittered, with_holes
+from truths.closed_roll import TRUTH, flown, jittered, with_holes, with_response
 
 import casid.shooting.newton
 from casid import Constraint, SolverOptions
@@ -12,9 +12,8 @@ from casid.model import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.nearby import predicted
 from casid.shooting.newton import Newton, _Descent
-from casid.shooting.output_error import simulate
 from casid.shooting.programme import Programme
-from casid.shooting.sensitivity import Evaluator
+from casid.shooting.sensitivity import Evaluator, Point
 from casid.shooting.starting import noise_of, starting_programme
 
 GAIN = np.array([[0.1, 1.0, 0.5], [0.0, 2.0, 0.3], [0.02, 0.1, 1.0]])
@@ -56,15 +55,29 @@ def test_gradient_and_jacobian_agree_with_central_differences(gain, kind, hold):
     )
 
 
-def test_irregular_sampling_is_simulated_exactly():
-    # More distinct intervals than are tabulated, one of them long: maps are interpolated.
-    model = replace(TRUTH, tau=0.0)
-    record = jittered(flown(seed=3))
-    record = replace(record, t=record.t + 0.5 * (np.arange(record.N) > 300))
-    expected = model.system().simulate(record.t, record.u, np.array([0.1, 0.2, 0.3]))
-    y = simulate(model, record, np.array([0.1, 0.2, 0.3]))
-    # Sampling intervals are told apart to 1e-9 of their length.
-    np.testing.assert_allclose(y, expected, rtol=1e-7, atol=1e-8 * np.abs(expected).max())
+def evaluated(model, record, x0, bias):
+    """Outputs as the estimator simulates them."""
+    free = free_parameters(model)
+    evaluator = Evaluator(free, lay_out([replace(record, y=0 * record.y)], 1e9))
+    point = Point(lam=free.guess[free.index], bias=np.array([bias]), nodes=np.array([x0]))
+    return evaluator.simulate(point).residuals
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 2.25, 6.5])
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+@pytest.mark.parametrize("sampling", ["regular", "irregular", "with a gap"])
+def test_the_estimator_simulates_what_the_model_does(sampling, hold, delay):
+    # Irregular: more distinct intervals than are tabulated, maps and breaks are interpolated.
+    model = replace(TRUTH, tau=delay * 0.02)
+    record = replace(flown(seed=3), hold=hold)
+    if sampling != "regular":
+        record = jittered(record)
+    if sampling == "with a gap":
+        record = replace(record, t=record.t + 0.5 * (np.arange(record.N) > 300))
+    x0, bias = [0.1, 0.2, 0.3], [1.0, 2.0, 3.0]
+    expected = with_response(record, model, np.array(x0), bias).y
+    y = evaluated(model, record, x0, bias)
+    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
 def test_intervals_cover_every_sample_once():

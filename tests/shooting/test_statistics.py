@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truths.closed_roll import TRUTH, excitation
+from truths.closed_roll import TRUTH, excitation, with_response
 
 from benchmarks.output_error import bo105_estimates
 from casid import Model, Record, Rows, Scalar, StateSpace, parameter
 from casid.linear import foh_step
-from casid.shooting.output_error import output_error, simulate
+from casid.shooting.output_error import output_error
 
 SIGMA = np.array([0.05, 0.005, 0.005])  # m/s^2, rad/s, rad
 H = 0.02  # s
@@ -39,8 +39,8 @@ def flight(seed, rng):
     plant = replace(TRUTH, tau=0.0).system()
     t, u, noise = noisy_loop(plant, seed, rng)
     record = Record(t, u, np.zeros((len(t), 3)), TRUTH.inputs, TRUTH.outputs, f"flight {seed}")
-    y = simulate(TRUTH, record, np.array([0.3, -0.02, 0.01]), np.array([0.1, 0.01, -0.02]))
-    return replace(record, y=y + noise)
+    told = with_response(record, TRUTH, np.array([0.3, -0.02, 0.01]), [0.1, 0.01, -0.02])
+    return replace(told, y=told.y + noise)
 
 
 def scatter(fits, truth):

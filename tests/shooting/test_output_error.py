@@ -1,14 +1,12 @@
 """Output error against simulated truth, closed forms and an independent estimator."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, flown, off, relative_error
 
 from casid import SolverOptions
 from casid.errors import ConvergenceError
-from casid.shooting.output_error import output_error, simulate
+from casid.shooting.output_error import output_error
 
 
 def test_unstable_plant_in_closed_loop_is_recovered_from_30_percent_off_delay_included():
@@ -18,21 +16,6 @@ def test_unstable_plant_in_closed_loop_is_recovered_from_30_percent_off_delay_in
     assert relative_error(fit).max() < 1e-6
     np.testing.assert_allclose(fit.initial_states, [[0.3, -0.02, 0.01]] * 2, atol=1e-6)
     np.testing.assert_allclose(fit.biases, [[0.1, 0.01, -0.02]] * 2, atol=1e-6)
-
-
-def test_an_exactly_delayed_input_is_recovered_to_a_thousandth():
-    # The stick is a lagged step: what its spline and its straight lines differ by is O(h²).
-    fit = output_error(off(), [flown(seed=1, exact=True), flown(seed=2, exact=True)])
-    assert relative_error(fit).max() < 1e-3
-
-
-def test_without_delay_simulation_agrees_with_the_state_space_model():
-    model = replace(TRUTH, tau=0.0)
-    record = flown(seed=3)
-    x0, bias = np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0])
-    y = simulate(model, record, x0, bias)
-    expected = model.system().simulate(record.t, record.u, x0) + bias
-    np.testing.assert_allclose(y, expected, rtol=1e-9, atol=1e-9)  # rounding over 600 steps
 
 
 @pytest.mark.parametrize("interval", [0.3, 2.0, 100.0])

@@ -1,0 +1,131 @@
+"""What inputs do between samples, delayed exactly, and how states answer.
+
+Between samples the inputs of a record are straight lines ("foh") or steps ("zoh"); a delay shifts
+just that. Over the step of length h that begins at t_k
+
+    u(t_k + s - τ) = value + slope s + Σ_i jump_i (s - s_i)₊^(p-1),       p = 2 (foh), 1 (zoh)
+
+with a break wherever a delayed sample falls inside the step, and the states move to
+
+    e^{Ah} x + P_1(h) B value + P_2(h) B slope + Σ_i P_p(h - s_i) B jump_i,
+    P_p(r) = ∫_0^r e^{A(r-s)} s^(p-1)/(p-1)! ds,    dP_p/dr = P_{p-1},    P_0(r) = e^{Ar}.
+
+So the derivative by τ is P_{p-1} in the place of P_p, with the opposite sign: exact, no Padé
+approximation, no state for the delay. The states have a kink in τ where breaks pass samples if the
+inputs are steps; the outputs of a direct term have a kink (foh) or a jump (zoh) there.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.record import Hold
+
+ORDER = {"foh": 2, "zoh": 1}  # p of the maps of breaks
+ROUNDING = 1e-9  # of the shortest sampling interval: what falls together so closely is one instant
+
+
+class DelayedInput(NamedTuple):
+    """u(t - τ) of one record.
+
+    Parameters
+    ----------
+    value, slope : (N, nu) array
+        At every sample, and after it until the next break.
+    channel, step : (n,) integer array
+        Input of every break, and the number of the sample before it.
+    rest, jump : (n,) array
+        Time from the break to the next sample [s], and what changes there: the slope (foh) or the
+        input itself (zoh).
+    """
+
+    value: Array
+    slope: Array
+    channel: np.ndarray
+    step: np.ndarray
+    rest: Array
+    jump: Array
+
+
+def delayed_input(
+    t: Array, u: Array, tau: Array, hold: Hold, within: Array | None = None
+) -> DelayedInput:
+    """Inputs (N, nu) held between the instants t (N,) and then delayed by τ (nu,) [s].
+
+    Before the first sample they rest at their first value. The order of breaks and samples is that
+    of the delays ``within`` (nu,), τ itself unless given: with a delay between two whole numbers of
+    samples there, all is analytic in τ up to both and beyond.
+    """
+    rate = np.zeros_like(u)
+    if hold == "foh":
+        rate[:-1] = np.diff(u, axis=0) / np.diff(t)[:, None]
+    start, level = np.concatenate([t[:1], t]), np.concatenate([u[:1], u])
+    rate = np.concatenate([np.zeros_like(u[:1]), rate])
+    jumps = np.diff(rate if hold == "foh" else level, axis=0)
+    value, slope, none = np.empty_like(u), np.empty_like(u), np.zeros(0)
+    breaks = [(none.astype(int), none.astype(int), none, none)]
+    early = t + ROUNDING * np.diff(t).min()
+    for j, late in enumerate(tau if within is None else within):
+        piece = np.searchsorted(t + late, early, side="right")
+        slope[:, j] = rate[piece, j]
+        value[:, j] = level[piece, j] + slope[:, j] * (t - tau[j] - start[piece])
+        knot = np.arange(piece[0], piece[-1])
+        step = np.searchsorted(piece, knot, side="right") - 1
+        rest = t[step + 1] - t[knot] - tau[j]
+        breaks.append((np.full(len(knot), j), step, rest, jumps[knot, j]))
+    return DelayedInput(value, slope, *(np.concatenate(part) for part in zip(*breaks, strict=True)))
+
+
+def integrals(A: Array, times: Array) -> Array:
+    """e^{Ar}, P_1(r) and P_2(r) at times r (n,) [s]: an array (3, n, nx, nx)."""
+    return integral_slopes(A, times, np.zeros((*A.shape, 0)))[..., 0]
+
+
+def integral_slopes(A: Array, times: Array, A_lam: Array) -> Array:
+    """The same, and behind each its derivatives: (3, n, nx, nx, 1 + nf), A_lam (nx, nx, nf).
+
+    Taylor's series in ‖A‖ r <= 1/2, its powers of A shared by all times, then doubling:
+
+        P_0(2r) = P_0 P_0,  P_1(2r) = P_1 + P_0 P_1,  P_2(2r) = P_2 + r P_1 + P_0 P_2.
+    """
+    size = np.abs(A).sum(axis=0).max() * np.abs(times).max(initial=0.0)
+    doublings = max(0, int(np.ceil(np.log2(max(2 * size, 1e-300)))))
+    r = times / 2.0**doublings
+    power = np.concatenate([np.eye(len(A))[None], np.zeros((A_lam.shape[2], *A.shape))])
+    step = np.moveaxis(A_lam, 2, 0)
+    factor = np.array([np.ones_like(r), r, r * r / 2])  # r^(n+p) / (n+p)!
+    P = np.zeros((3, len(r), *power.shape))
+    for n in range(18):
+        P += factor[:, :, None, None, None] * power
+        factor = factor * r / (n + 1 + np.arange(3))[:, None]
+        power = np.concatenate([A @ power[:1], A @ power[1:] + step @ power[0]])
+    for _ in range(doublings):
+        E, old = P[0, :, :1], P.copy()
+        P[1:] += E @ old[1:]
+        P[0] = E @ old[0]
+        P[:, :, 1:] += old[0, :, 1:] @ old[:, :, :1]
+        P[2] += r[:, None, None, None] * old[1]
+        r = 2 * r
+    return np.moveaxis(P, 2, 4)
+
+
+def break_forcing(held: DelayedInput, A: Array, B: Array, order: int) -> Array:
+    """What the breaks of delayed inputs add to the states (N - 1, nx) over each step."""
+    rest, place = distinct(held.rest)
+    forcing = np.zeros((len(held.value) - 1, len(A)))
+    for k in range(0, len(rest), 1000):  # bounds the memory
+        near = np.flatnonzero((place >= k) & (place < k + 1000))
+        columns = integrals(A, rest[k : k + 1000])[order] @ B
+        moved = columns[place[near] - k, :, held.channel[near]] * held.jump[near, None]
+        np.add.at(forcing, held.step[near], moved)
+    return forcing
+
+
+def distinct(times: Array) -> tuple[Array, np.ndarray]:
+    """Different times among those given, but for rounding, and which of them each is."""
+    unit = ROUNDING * np.abs(times).max(initial=1e-300)
+    if not len(times) or np.ptp(times) <= unit:
+        return times[:1] * 0 + times.sum() / max(len(times), 1), np.zeros(len(times), dtype=int)
+    _, first, place = np.unique(np.round(times / unit), return_index=True, return_inverse=True)
+    return times[first], place
