@@ -1,0 +1,95 @@
+"""Public names, read by type checkers and by casid/__init__.py."""
+
+from .baseline.accuracy import DerividNotes as DerividNotes
+from .baseline.derivid import Derivid as Derivid, derivid as derivid
+from .baseline.handling import (
+    HandlingQualities as HandlingQualities,
+    handling_qualities as handling_qualities,
+)
+from .baseline.loes import (
+    TransferFunction as TransferFunction,
+    transfer_function as transfer_function,
+)
+from .bounds.compare import BoundsComparison as BoundsComparison, compare_bounds as compare_bounds
+from .bounds.profile import Profile as Profile, profile as profile
+from .bounds.reduction import Reduction as Reduction, reduce_structure as reduce_structure
+from .bounds.resampling import (
+    Ensemble as Ensemble,
+    Multistart as Multistart,
+    bootstrap as bootstrap,
+    monte_carlo as monte_carlo,
+    multistart as multistart,
+)
+from .chain import Chain as Chain, Identification as Identification, identify as identify
+from .commands.inspection import Inspection as Inspection, inspect_records as inspect_records
+from .consistency.kinematics import (
+    KinematicCheck as KinematicCheck,
+    kinematic_check as kinematic_check,
+)
+from .eigenmodes import Mode as Mode, modes as modes
+from .errors import (
+    ConvergenceError as ConvergenceError,
+    DataWarning as DataWarning,
+    ModelError as ModelError,
+)
+from .estimator import Estimator as Estimator
+from .exchange.formats import (
+    pairs_of as pairs_of,
+    read_parquet as read_parquet,
+    read_record as read_record,
+    write_fit_mat as write_fit_mat,
+    write_frequency as write_frequency,
+    write_mat as write_mat,
+    write_parquet as write_parquet,
+)
+from .exchange.objects import (
+    from_control as from_control,
+    from_dataframe as from_dataframe,
+    from_scipy as from_scipy,
+    to_control as to_control,
+    to_dataframe as to_dataframe,
+    to_scipy as to_scipy,
+    without_delay as without_delay,
+)
+from .exchange.standalone import write_module as write_module
+from .files import read_csv as read_csv, read_mat as read_mat, write_csv as write_csv
+from .fit import (
+    Certificate as Certificate,
+    ConstraintEstimate as ConstraintEstimate,
+    Fit as Fit,
+    ParameterEstimate as ParameterEstimate,
+)
+from .frequency.estimation import (
+    FrequencyResponse as FrequencyResponse,
+    SpectralAnalysis as SpectralAnalysis,
+    frequency_response as frequency_response,
+)
+from .frequency.responses import (
+    merge_responses as merge_responses,
+    read_frequency_csv as read_frequency_csv,
+)
+from .linear import StateSpace as StateSpace
+from .matching.appraisal import MatchNotes as MatchNotes
+from .matching.match import Match as Match, match as match
+from .model import (
+    Constraint as Constraint,
+    Model as Model,
+    Rows as Rows,
+    Scalar as Scalar,
+    matrix as matrix,
+    parameter as parameter,
+)
+from .nlp import Progress as Progress, SolverOptions as SolverOptions
+from .record import Record as Record
+from .shooting.output_error import OutputError as OutputError, output_error as output_error
+from .shooting.precision import OutputErrorNotes as OutputErrorNotes
+from .structure.identifiability import (
+    Identifiability as Identifiability,
+    identifiability as identifiability,
+)
+from .structure.modelfile import load_model as load_model
+from .studies.study import read_records as read_records
+from .studies.studyfile import read_study as read_study
+from .subspace.pbsid import BlackBox as BlackBox, pbsid as pbsid
+from .subspace.settings import OrderSelection as OrderSelection, select_order as select_order
+from .validation import Validation as Validation, validate as validate
