@@ -1,16 +1,22 @@
 """One manoeuvre: inputs and outputs at the instants they were measured."""
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
+from casid.errors import DataWarning
 
 Hold = Literal["foh", "zoh"]
 T = TypeVar("T")
 
+USUAL = 0.95  # share of sampling intervals that are not longer than the usual one
+FEWEST = 16  # samples of a stretch between gaps
 QUIET = 0.02  # share of an input's range that still counts as trim
 
 
@@ -91,6 +97,15 @@ class Record:
         steps = np.diff(self.t)
         return bool(np.all(np.abs(steps - self.dt) <= 1e-3 * self.dt))
 
+    def gaps(self) -> NDArray[np.intp]:
+        """Samples after which rows are missing for longer than twice the usual interval.
+
+        Usual is the median, or what one interval in twenty exceeds where sampling is irregular.
+        """
+        steps = np.diff(self.t)
+        usual = max(self.dt, float(np.quantile(steps, USUAL)))
+        return np.flatnonzero(steps > 2.001 * usual)
+
     def channel(self, name: str) -> Array:
         """Samples of one channel, (N,)."""
         if name in self.inputs:
@@ -112,6 +127,10 @@ class Record:
         iy = [_position(name, self.outputs, "output", self.name) for name in outputs]
         return replace(self, u=self.u[:, iu], y=self.y[:, iy], inputs=inputs, outputs=outputs)
 
+    def take(self, rows: slice | BoolArray) -> "Record":
+        """The same manoeuvre with some of its samples."""
+        return replace(self, t=self.t[rows], u=self.u[rows], y=self.y[rows])
+
     def between(self, start: float, end: float) -> "Record":
         """Return the samples with ``start <= t <= end`` [s]."""
         keep = (self.t >= start) & (self.t <= end)
@@ -120,13 +139,13 @@ class Record:
                 f"record {self.name!r} has {n} sample{'s' * (n != 1)} between {start:g} s and "
                 f"{end:g} s; it lasts from {self.t[0]:g} s to {self.t[-1]:g} s"
             )
-        return replace(self, t=self.t[keep], u=self.u[keep], y=self.y[keep])
+        return self.take(keep)
 
     def decimate(self, step: int) -> "Record":
         """Every ``step``-th sample, unfiltered; the hold then applies between these."""
         if not 1 <= step < self.N:
             raise ValueError(f"record {self.name!r}: step={step}, expected 1 to {self.N - 1}")
-        return replace(self, t=self.t[::step], u=self.u[::step], y=self.y[::step])
+        return self.take(slice(None, None, step))
 
     def quiet_samples(self) -> int:
         """Number of samples before the first input leaves its initial value.
@@ -191,6 +210,47 @@ Records: TypeAlias = Record | Sequence[Record]
 def several(items: T | Iterable[T]) -> tuple[T, ...]:
     """One value or several alike, as a tuple: what arguments ``records`` and ``target`` take."""
     return tuple(items) if isinstance(items, Iterable) else (items,)
+
+
+def stretches(records: Records) -> tuple[Record, ...]:
+    """Records without gaps in time; every estimator takes its records through here.
+
+    Rows that are missing for longer than twice the usual sampling interval end a stretch: nobody
+    knows what the inputs did there. Each stretch counts as a record with an initial state of its
+    own; a `DataWarning` names the gaps. Stretches of fewer than 16 samples are left out.
+
+    Raises
+    ------
+    ValueError
+        A record with nothing but gaps.
+    """
+    return tuple(piece for record in several(records) for piece in _pieces(record))
+
+
+def _pieces(record: Record) -> list[Record]:
+    gaps = record.gaps()
+    if not len(gaps):
+        return [record]
+    edges = [0, *map(int, gaps + 1), record.N]
+    spans = [(a, b) for a, b in pairwise(edges) if b - a >= FEWEST]
+    lost = record.N - sum(b - a for a, b in spans)
+    longest = int(gaps[np.argmax(record.t[gaps + 1] - record.t[gaps])])
+    said = (
+        f"record {record.name!r} has {len(gaps)} gaps in time, the longest of "
+        f"{record.t[longest + 1] - record.t[longest]:.3g} s after {record.t[longest]:.4g} s"
+    )
+    if not spans:
+        raise ValueError(f"{said}, and no stretch of {FEWEST} samples between them; leave it out")
+    warnings.warn(
+        f"{said}: taken as {len(spans)} stretches, each with an initial state of its own"
+        + f"; {lost} samples in shorter ones are left out" * bool(lost),
+        DataWarning,
+        stacklevel=4,
+    )
+    return [
+        replace(record.take(slice(a, b)), name=f"{record.name} {k}")
+        for k, (a, b) in enumerate(spans, 1)
+    ]
 
 
 def same_channels(records: Records) -> tuple[tuple[str, ...], tuple[str, ...]]:

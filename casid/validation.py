@@ -26,7 +26,7 @@ from casid.arrays import Array
 from casid.fit import AnyFit, Fit
 from casid.linear import StateSpace
 from casid.model import Model
-from casid.record import Hold, Record, Records, same_channels, several, standard_deviations
+from casid.record import Hold, Record, Records, same_channels, standard_deviations, stretches
 from casid.subspace.pbsid import BlackBox
 
 RANK = 1e-10  # singular values below this share of the largest are directions without effect
@@ -106,7 +106,7 @@ def validate(models: Mapping[str, AnyModel], records: Records) -> Validation:
     """
     if not models:
         raise ValueError('no models given; expected {"name": model, ...}')
-    records = several(records)
+    records = stretches(records)
     inputs, outputs = same_channels(records)
     scale = standard_deviations(records)[1]
     predictions = {

@@ -15,7 +15,7 @@ from casid.errors import ConvergenceError
 from casid.fit import AnyFit
 from casid.jobs.campaigns import Advance, Done
 from casid.model import Bounds, Model, free_parameters
-from casid.record import Record
+from casid.record import Record, stretches
 from casid.tabulation import csv_text, markdown_table
 
 SAME = 1e-6  # relative difference of costs that are the same minimum
@@ -247,7 +247,7 @@ def monte_carlo(
     fixed, bounds, folder, executor, progress, settings
         As in `compare_bounds`, of `output_error`.
     """
-    clean = [_simulated(model, record) for record in records]
+    clean = [_simulated(model, record) for record in stretches(records)]
     draws: list[Draw] = [NoiseDraw(dict(noise), (seed, run)) for run in range(runs)]
     shared = setup(model, clean, estimator="output_error", fixed=fixed, settings=settings)
     done = _drawn(model, None, shared, draws, bounds, folder, executor, progress)
@@ -291,6 +291,7 @@ def bootstrap(
     ValueError
         A fit that is not one of these records.
     """
+    records = stretches(records)
     if fit.initial_states is None or fit.biases is None or len(fit.biases) != len(records):
         raise ValueError(
             f"bootstrap needs an output-error fit of these {len(records)} records; this is one by "

@@ -18,15 +18,14 @@ left in them.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 import scipy.interpolate
 import scipy.signal
 
 from casid.arrays import Array
-from casid.frequency.sampling import LONGEST_GAP, equidistant
-from casid.record import Record
+from casid.frequency.sampling import equidistant
+from casid.record import Record, stretches
 
 GRAVITY = 9.80665  # m/s^2
 MOST = 60_000  # samples that are looked at
@@ -66,25 +65,9 @@ class Flight:
 
 def looked_at(records: Sequence[Record]) -> list[Record]:
     """Stretches of records without long gaps, cut where there are more samples than are used."""
-    pieces = [piece for record in records for piece in _unbroken(record)]
+    pieces = [piece for piece in stretches(records) if piece.N >= SHORTEST]
     share = min(1.0, MOST / max(sum(piece.N for piece in pieces), 1))
-    return [_part(piece, 0, max(int(share * piece.N), SHORTEST)) for piece in pieces]
-
-
-def _unbroken(record: Record) -> list[Record]:
-    if record.N < SHORTEST:
-        return []
-    edges = np.flatnonzero(np.diff(record.t) > LONGEST_GAP * record.dt) + 1
-    if not len(edges):
-        return [record]
-    bounds = [0, *map(int, edges), record.N]
-    parts = [_part(record, *ends) for ends in pairwise(bounds) if ends[1] - ends[0] >= SHORTEST]
-    return [piece for part in parts for piece in _unbroken(part)]  # the median is another now
-
-
-def _part(record: Record, start: int, end: int) -> Record:
-    t, u, y = (getattr(record, letter)[start:end] for letter in "tuy")
-    return replace(record, t=t, u=u, y=y)
+    return [piece.take(slice(max(int(share * piece.N), SHORTEST))) for piece in pieces]
 
 
 def signals(record: Record, trim: Mapping[str, float]) -> Flight:

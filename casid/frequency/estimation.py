@@ -26,7 +26,7 @@ from casid.frequency.spectra import (
     condition,
     record_spectra,
 )
-from casid.record import Record, Records, same_channels, several, standard_deviations
+from casid.record import Record, Records, same_channels, several, standard_deviations, stretches
 from casid.subspace.columns import excited_band
 from casid.values import storable
 
@@ -206,7 +206,7 @@ class SpectralAnalysis:
 
     def fit(self, records: Records) -> FrequencyResponse:
         """Frequency response of the records; see `frequency_response`."""
-        records = several(records)
+        records = stretches(records)
         inputs, outputs = same_channels(records)
         grid = _default_grid(records) if self.omega is None else self.omega
         omega = checked_grid(grid, records)

@@ -11,8 +11,6 @@ from casid.arrays import Array, BoolArray
 from casid.errors import DataWarning
 from casid.record import Record
 
-LONGEST_GAP = 5.0  # median sampling intervals over which a record may be interpolated
-
 
 def default_windows(records: Sequence[Record], omega: Array, count: int = 5) -> tuple[float, ...]:
     """Window lengths [s] by the rules of T&R section 10.3.
@@ -59,7 +57,7 @@ def equidistant(record: Record, highest: float) -> Record:
     if record.equidistant:
         return record
     gap = float(np.diff(record.t).max())
-    if gap > LONGEST_GAP * record.dt or highest >= np.pi / gap:
+    if highest >= np.pi / gap:
         at = float(record.t[np.argmax(np.diff(record.t))])
         raise ValueError(
             f"record {record.name!r} has a gap of {gap:g} s at t = {at:g} s (median interval "

@@ -22,7 +22,7 @@ from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
 from casid.model import Bounds, Free, M, Model, free_parameters
 from casid.nlp import Solution, SolverOptions, solve
-from casid.record import Record
+from casid.record import Record, Records, stretches
 from casid.shooting.innovation import starting_gain
 from casid.shooting.intervals import lay_out
 from casid.shooting.likelihood import CovarianceKind
@@ -181,7 +181,7 @@ def output_error(
     return estimator.fit(model, records, fixed=fixed, bounds=bounds)
 
 
-def select_records(free: Free, records: Record | Sequence[Record], biases: bool) -> list[Record]:
+def select_records(free: Free, records: Records, biases: bool) -> list[Record]:
     """Records with the model's channels, in the model's order.
 
     Raises
@@ -191,11 +191,9 @@ def select_records(free: Free, records: Record | Sequence[Record], biases: bool)
         fewer measurements in all than unknowns.
     """
     model = free.model
-    if isinstance(records, Record):
-        records = [records]
-    if not records:
+    chosen = [record.select(model.inputs, model.outputs) for record in stretches(records)]
+    if not chosen:
         raise ValueError("no records: output error needs at least one")
-    chosen = [record.select(model.inputs, model.outputs) for record in records]
     needed = len(model.states) + biases * len(model.outputs)
     counts = [int(np.isfinite(record.y).sum()) for record in chosen]
     for record, count in zip(chosen, counts, strict=True):

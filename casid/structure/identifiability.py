@@ -25,7 +25,7 @@ from casid.arrays import Array, ComplexArray
 from casid.evaluation import Matrices, MatrixFunction
 from casid.frequency.estimation import FrequencyResponse
 from casid.model import Bounds, Free, Model, free_parameters
-from casid.record import Record, several, standard_deviations
+from casid.record import Record, several, standard_deviations, stretches
 from casid.subspace.pbsid import BlackBox
 
 Responses = FrequencyResponse | BlackBox
@@ -138,7 +138,7 @@ def identifiability(
             raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
                 f"data is a {type(item).__name__}: identifiability needs records or responses"
             )
-    records = [item for item in items if isinstance(item, Record)]
+    records = stretches([item for item in items if isinstance(item, Record)])
     responses = [item for item in items if isinstance(item, Responses)]
     nf = len(free.index)
     F = np.zeros((nf, nf))

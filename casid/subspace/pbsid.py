@@ -17,7 +17,7 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.errors import DataWarning
 from casid.linear import StateSpace, from_zoh
-from casid.record import Record, Records, same_channels, several, standard_deviations
+from casid.record import Record, Records, same_channels, standard_deviations, stretches
 from casid.subspace.columns import (
     Feedthrough,
     Segment,
@@ -203,7 +203,7 @@ def pbsid(
     ValueError
         Records too short for the windows, an order they cannot give, unequal channels.
     """
-    records = several(records)
+    records = stretches(records)
     inputs, outputs = same_channels(records)
     if transform not in get_args(Transform):
         raise ValueError(f'transform={transform!r}, expected "laguerre" or "none"')

@@ -20,7 +20,7 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.linear import StateSpace
-from casid.record import Record, Records, same_channels, several, standard_deviations
+from casid.record import Record, Records, same_channels, standard_deviations, stretches
 from casid.subspace.columns import (
     Feedthrough,
     feedthrough_mask,
@@ -129,7 +129,7 @@ def select_order(
     ValueError
         No candidate can be identified from these records; the last reason is told.
     """
-    records = several(records)
+    records = stretches(records)
     inputs, outputs = same_channels(records)
     su, sy = standard_deviations(records)
     mask = feedthrough_mask(feedthrough, inputs, outputs)

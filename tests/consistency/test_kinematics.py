@@ -8,7 +8,7 @@ from truths.flights import ERRORS, FORCES, NOISE, RATES, STATES, flight, scores
 from truths.places import EXAMPLES
 from truths.roll_study import write_study
 
-from casid import read_csv
+from casid import DataWarning, read_csv
 from casid.consistency.kinematics import kinematic_check
 from casid.exchange.formats import read_table, write_table
 from casid.studies.runner import run_study
@@ -113,11 +113,13 @@ def test_gaps_split_a_record_and_stop_nothing():
     record = flight(0, {"p": (0.1, 0.0, 0.0)}, NOISE, ATTITUDES)
     away = ((record.t > 10) & (record.t < 14)) | ((record.t > 25) & (record.t < 25.5))
     kept = replace(record, t=record.t[~away], u=record.u[~away], y=record.y[~away])
-    p = kinematic_check([kept]).channels[0]
+    with pytest.warns(DataWarning, match="2 gaps in time, the longest of 4 s after 10 s"):
+        p = kinematic_check([kept]).channels[0]
     assert abs(p.scale - 0.1) < 3 * p.scale_error
     rng = np.random.default_rng(0)
     random = replace(record, t=np.sort(rng.uniform(0, 40, record.N)))  # instants of no sense at all
-    assert not kinematic_check([random]).consistent
+    with pytest.warns(DataWarning, match="gaps in time"):
+        assert not kinematic_check([random]).consistent
 
 
 # ---- example records ---------------------------------------------------------------------------
