@@ -32,9 +32,9 @@ from uh60 import (
 )
 
 from casid import DataWarning, derivid, frequency_response
-from casid.baseline.mismatch import DB, DEG, PHASE, residuals
 from casid.baseline.pairs import select
 from casid.evaluation import MatrixFunction
+from casid.matching.mismatch import DB, DEG, PHASE, residuals
 from casid.model import free_parameters
 from models.six_dof import SixDof
 

@@ -17,10 +17,11 @@ import numpy as np
 from benchmarks import bo105
 from benchmarks.tables import table
 from casid import BlackBox, Model, SolverOptions, StateSpace, match, parameter, pbsid, read_csv
-from casid.matching.comparison import Comparison, compare
+from casid.matching.comparison import Comparison
 from casid.matching.descent import Condensed, descend
 from casid.matching.initial import starts
 from casid.matching.lifted import lift
+from casid.matching.targets import compare
 from casid.model import Free, free_parameters
 from casid.nlp import solve
 from models.six_dof import SixDof

@@ -40,7 +40,7 @@ from casid import (
     read_csv,
     validate,
 )
-from casid.baseline.mismatch import pair_weights, residuals
+from casid.matching.mismatch import pair_weights, residuals
 from models.hybrid_flap import HybridFlap
 from models.hybrid_flap_lag import HybridFlapLag
 from models.six_dof import SixDof

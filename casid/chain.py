@@ -13,8 +13,8 @@ from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.fit import AnyFit, Fit, M_co
 from casid.frequency.estimation import FrequencyResponse, frequency_response
 from casid.matching.appraisal import MatchNotes
-from casid.matching.comparison import Target
 from casid.matching.match import Match
+from casid.matching.targets import Target
 from casid.model import Bounds, M
 from casid.record import Record
 from casid.shooting.output_error import OutputError

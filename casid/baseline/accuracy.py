@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg
 
 from casid.arrays import Array, BoolArray
-from casid.baseline.mismatch import GOOD
+from casid.matching.mismatch import GOOD
 from casid.values import storable
 
 CRAMER_RAO, INSENSITIVITY = 20.0, 10.0  # guidelines, % of the value

@@ -2,55 +2,29 @@
 
 The frequency-domain baseline of rotorcraft identification: cost, coherence weighting, accuracy
 figures and guidelines are those of M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System
-Identification, 2nd ed. (*T&R*), chapters 12 and 13; the programmes are in
-`casid.baseline.magphase`.
+Identification, 2nd ed. (*T&R*), chapters 12 and 13; the search is `casid.baseline.search`.
 """
 
-import logging
 import time
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from casid.arrays import Array, BoolArray, ComplexArray
-from casid.baseline.accuracy import (
-    DerividNotes,
-    PairCost,
-    StartCost,
-    accuracy,
-    accuracy_row,
-    scatter,
-)
-from casid.baseline.equations import equation_start
-from casid.baseline.magphase import (
-    Programme,
-    Target,
-    delay_parameters,
-    programme,
-    tie_multipliers,
-)
-from casid.baseline.mismatch import DB, DEG, GOOD, PHASE, residuals
+from casid.arrays import Array
+from casid.baseline.accuracy import DerividNotes, PairCost, accuracy, accuracy_row, scatter
 from casid.baseline.pairs import Pairs, select, thin
-from casid.errors import ConvergenceError, ModelError
-from casid.evaluation import MatrixFunction
-from casid.fit import (
-    AnyFit,
-    Fit,
-    constraint_table,
-    held_directions,
-    holding,
-    parameter_table,
-)
+from casid.baseline.search import Minima, descents, pair_costs, solve
+from casid.errors import ConvergenceError
+from casid.fit import AnyFit, Fit, constraint_table, held_directions, holding, parameter_table
 from casid.frequency.estimation import FrequencyResponse
-from casid.model import Bounds, Free, M, Model, free_parameters
-from casid.nlp import Solution, SolverOptions, solve
-
-LOG = logging.getLogger("casid")
-
-ROUGH = 1e-5  # tolerance of the relative fit
-SAME = 1e-2  # relative difference of the parameters of relative fits that are the same
-AGREES = 1e-4  # between J as IPOPT has it and J of the model found, relative to 1 + J
+from casid.matching.delays import with_nonnegative_delays
+from casid.matching.descent import Condensed, check_effects
+from casid.matching.lifted import Optimum
+from casid.matching.mismatch import DB, GOOD, TURN, residual_slopes
+from casid.matching.targets import in_channels
+from casid.model import Bounds, M, free_parameters
+from casid.nlp import SolverOptions
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -102,15 +76,14 @@ class Derivid:
                 "expected at least 1, at least 2 and a coherence in [0, 1)"
             )
         frf = _one_response(data)
-        free = _nonnegative_delays(free_parameters(model, fixed, bounds))
+        free = with_nonnegative_delays(free_parameters(model, fixed, bounds))
         measured = thin(frf if self.band is None else frf.between(*self.band), self.n_omega)
-        target, used = select(model, measured, self.pairs, self.coherence)
-        search = _Search(free, target, self.solver)
-        _check_influence(search)
+        problem = Condensed.of(free, select(model, measured, self.pairs, self.coherence))
+        check_effects(problem)
         starts = self.starts if near is None else min(2, self.starts)
-        for number, (name, values, X) in enumerate(_starting_points(search, starts, self.seed)):
-            search.run(f"{number + 1} ({name})", values, X)
-        fit = _result(search, model, measured, used, time.perf_counter() - began)
+        found = descents(problem, starts, self.seed)
+        best = solve(problem, found, self.solver)
+        fit = _result(problem, model, measured, found, best, time.perf_counter() - began)
         if not fit.success:
             raise ConvergenceError(
                 f"derivid: none of {starts} starts converged ({fit.status}); the best iterate, "
@@ -186,250 +159,67 @@ def _one_response(data: FrequencyResponse | Sequence[FrequencyResponse]) -> Freq
     return several[0]
 
 
-def _nonnegative_delays(free: Free) -> Free:
-    lower = free.lower.copy()
-    at = free.index[delay_parameters(free)[0]]
-    lower[at] = np.maximum(lower[at], 0.0)
-    if (bad := np.flatnonzero(lower > free.upper)).size:
-        name = free.model.parameter_names()[bad[0]]
-        raise ModelError(f"{name} is a delay with upper bound {free.upper[bad[0]]:g} < 0; raise it")
-    return replace(free, lower=lower)
-
-
-# ---- starting points ---------------------------------------------------------------------------
-
-
-def _starting_points(
-    search: "_Search", count: int, seed: int
-) -> list[tuple[str, Array, ComplexArray | None]]:
-    """Names, free parameters and states' responses, most promising first."""
-    free, target = search.free, search.target
-    rng = np.random.default_rng(seed)
-    found: list[tuple[str, Array, ComplexArray | None]] = [("guess", free.guess, None)]
-    start = equation_start(free, target, search.matrices)
-    if start is not None:
-        found.insert(0, ("equations", *start))
-    centre, scale = found[0][1], free.scale[free.index]
-    lower, upper = free.lower[free.index], free.upper[free.index]
-    while len(found) < count:
-        spread = np.hypot(0.5 * centre, 0.05 * scale)
-        drawn = centre + spread * rng.standard_normal(len(centre))
-        found.append(("random", np.clip(drawn, lower, upper), None))
-    return found[:count]
-
-
-# ---- search ------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _State:
-    """Where one start ended."""
-
-    values: Array
-    multipliers: Array
-    prices: Array
-    cost: float
-    success: bool
-    status: str
-
-
-class _Search:
-    """Solves from many starts with the same two programmes, and remembers the best."""
-
-    def __init__(self, free: Free, target: Target, options: SolverOptions) -> None:
-        self.free, self.target, self.options = free, target, options
-        self.matrices = MatrixFunction(free)
-        self.best = _State(
-            values=free.guess, multipliers=np.zeros(len(free.index)), cost=np.inf, success=False,
-            status="not started", prices=np.zeros(len(free.model.constraints())),
-        )  # fmt: skip
-        self.rows: list[StartCost] = []
-        self.iterations = 0
-        self._visited: list[tuple[Array, _State]] = []
-        self._programmes: dict[bool, Programme] = {}
-
-    def run(self, name: str, values: Array, X: ComplexArray | None) -> None:
-        """Relative fit from a start, then that in dB and degrees from there, if it is a new one."""
-        began, iterations = time.perf_counter(), self.iterations
-        near, X, _ = self._solve(f"derivid, start {name}, relative", values, X, logarithmic=False)
-        state = self._known(near)
-        if state is None:
-            values, _, solution = self._solve(f"derivid, start {name}", near, X, logarithmic=True)
-            state = self._state(values, solution)
-            self._visited.append((near, state))
-        self.rows.append(
-            StartCost(
-                start=name,
-                J=state.cost,
-                success=state.success,
-                status=state.status,
-                iterations=self.iterations - iterations,
-                seconds=time.perf_counter() - began,
-            )
-        )
-        if (not state.success, state.cost) < (not self.best.success, self.best.cost):
-            self.best = state
-
-    def _known(self, near: Array) -> _State | None:
-        """Where an earlier start ended whose relative fit was this one."""
-        scale = np.maximum(np.abs(near), 1e-3 * self.free.scale[self.free.index])
-        for there, state in self._visited:
-            if state.success and (np.abs(near - there) <= SAME * scale).all():
-                return state
-        return None
-
-    def _solve(
-        self, stage: str, values: Array, X: ComplexArray | None, *, logarithmic: bool
-    ) -> tuple[Array, ComplexArray, Solution]:
-        X = self._states(values) if X is None else X
-        built = self._programme(X, logarithmic=logarithmic)
-        problem = replace(built.problem, x0=built.pack(values, X))
-        options = self.options
-        if not logarithmic:  # a start for what follows need not be exact
-            options = replace(options, tolerance=max(options.tolerance, ROUGH))
-        solution = solve(problem, options, stage=stage)
-        self.iterations += solution.iterations
-        return *built.unpack(solution.x), solution
-
-    def cost(self, values: Array) -> Array:
-        """J of every pair, (ny, nu)."""
-        G = self.matrices(values).response(1j * self.target.omega)
-        return np.asarray(np.sum(residuals(G, self.target.G, self.target.weight) ** 2, axis=(0, 1)))
-
-    def _states(self, values: Array) -> ComplexArray:
-        system = self.free.model.with_vector(self.free.full(values)).system()
-        s = 1j * self.target.omega[:, None, None]
-        return np.asarray(
-            np.linalg.solve(s * np.eye(system.nx) - system.A, system.B * self.target.input_scale)
-        )
-
-    def _programme(self, X: ComplexArray, *, logarithmic: bool) -> Programme:
-        if logarithmic not in self._programmes:
-            size = np.sqrt(np.mean(np.abs(X) ** 2, axis=(0, 2)))
-            scale = np.maximum(size, 1e-6 * size.max() or 1.0)
-            self._programmes[logarithmic] = programme(
-                self.free, self.target, scale, logarithmic=logarithmic
-            )
-        return self._programmes[logarithmic]
-
-    def _state(self, values: Array, solution: Solution) -> _State:
-        """The cost is computed anew: what IPOPT calls a success is checked against it."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            cost = float(self.cost(values).sum())
-        held = np.isfinite(cost) and abs(cost - solution.f) <= AGREES * (1 + cost)
-        success = solution.success and bool(held)
-        status = solution.status
-        if solution.success and not held:
-            status = f"solved, but the model's own cost there is {cost:.6g}, not {solution.f:.6g}"
-        scale = self.free.scale[self.free.index]
-        multipliers = -solution.multipliers_x[: len(values)] / scale
-        return _State(
-            values=values, multipliers=multipliers, cost=cost if np.isfinite(cost) else np.inf,
-            success=success, status=status, prices=-tie_multipliers(self.free, solution),
-        )  # fmt: skip
-
-
-def _check_influence(search: _Search) -> None:
-    """Every parameter must move some pair that is fitted, at the guess or near it."""
-    free, target = search.free, search.target
-    rng = np.random.default_rng(0)
-    scale = free.scale[free.index]
-    moves = np.zeros(len(scale), dtype=bool)
-    for _ in range(2):
-        values = free.guess + 0.1 * scale * rng.standard_normal(len(scale))
-        slope = search.matrices(values).response_slopes(1j * target.omega)[1] * (target.weight > 0)
-        moves |= np.abs(slope).max(axis=(1, 2, 3)) > 0
-    if not moves.all():
-        name = free.names[int(np.argmin(moves))]
-        raise ModelError(
-            f"no pair that is fitted depends on {name}; fix it (fixed={{{name!r}}}) or add a pair "
-            "that does"
-        )
-
-
-# ---- accuracy and report -----------------------------------------------------------------------
-
-
 def _result(
-    search: _Search, model: M, frf: FrequencyResponse, used: BoolArray, seconds: float
+    problem: Condensed,
+    model: M,
+    frf: FrequencyResponse,
+    found: Minima,
+    best: Optimum,
+    seconds: float,
 ) -> Fit[M, DerividNotes]:
-    free, best = search.free, search.best
-    solved = model.with_vector(free.full(best.values))
-    table = parameter_table(free, best.values, best.multipliers, guess=model)
+    free, values = problem.free, best.values
+    solved = model.with_vector(free.full(values))
+    table = parameter_table(free, values, best.multipliers, guess=model)
     active = np.array([table[i].active for i in free.index])
-    jacobian, noise = _residual_slopes(search, frf, used)
-    held = holding(free, best.values, np.zeros_like(active))
+    jacobian, noise = _residual_slopes(problem, values, frf)
+    held = holding(free, values, np.zeros_like(active))
     std, insensitivity, covariance = accuracy(jacobian, active, held)
     spread = scatter(jacobian, covariance, noise)
     parameters = parameter_table(
-        free, best.values, best.multipliers, std_error=std, insensitivity=insensitivity, guess=model
+        free, values, best.multipliers, std_error=std, insensitivity=insensitivity, guess=model
     )
-    pairs = _pair_rows(search, used, frf)
-    figures = zip(free.names, best.values, std, insensitivity, spread, strict=True)
+    pairs = _pair_rows(problem, values)
+    figures = zip(free.names, values, std, insensitivity, spread, strict=True)
     return Fit(
         model=solved,
         parameters=parameters,
         cost=best.cost,
         status=best.status,
         success=best.success,
-        iterations=search.iterations,
+        iterations=best.iterations,
         seconds=seconds,
         method="derivid",
         notes=DerividNotes(
             pairs=pairs,
             average=float(np.mean([row.J for row in pairs])),
             table=tuple(accuracy_row(*row) for row in figures),
-            starts=tuple(search.rows),
+            starts=tuple(row for row, _ in found),
         ),
         constraints=constraint_table(solved, best.prices),
-        held=held_directions(free, best.values, parameters),
+        held=held_directions(free, values, parameters),
         covariance=covariance,
         free_names=free.names,
     )
 
 
 def _residual_slopes(
-    search: _Search, frf: FrequencyResponse, used: BoolArray
+    problem: Condensed, values: Array, frf: FrequencyResponse
 ) -> tuple[Array, Array]:
-    """dr/dλ of the cost Σ r² at the best parameters, and the residuals' own random errors."""
-    target = search.target
-    G, slope = search.matrices(search.best.values).response_slopes(1j * target.omega)
-    root = np.sqrt(target.weight)
-    relative = slope / np.where(G == 0, 1, G) * root  # of ln G, weighted
-    error = root * _random_errors(search.free.model, frf)
-    units = (DB, np.sqrt(PHASE) * DEG)
-    rows = [
-        unit * part[:, used].T
-        for unit, part in zip(units, (relative.real, relative.imag), strict=True)
-    ]
-    return np.vstack(rows), np.concatenate([unit * error[used] for unit in units])
+    """dr/dλ of the cost Σ r² at free values, and the residuals' own random errors."""
+    c, weight = problem.comparison, problem.comparison.decibel_weight
+    G, slope = problem.matrices(values).response_slopes(c.s)
+    rows = residual_slopes(G, slope, c.G, weight)[:, :, weight > 0]
+    error = (np.sqrt(weight) * in_channels(problem.free.model, frf)[2])[weight > 0]
+    return rows.reshape(len(rows), -1).T, np.concatenate([DB * error, TURN * error])
 
 
-def _pair_rows(search: _Search, used: BoolArray, frf: FrequencyResponse) -> tuple[PairCost, ...]:
-    J = search.cost(search.best.values)
+def _pair_rows(problem: Condensed, values: Array) -> tuple[PairCost, ...]:
+    """J, points and band of every pair that is fitted."""
+    costs, c, model = pair_costs(problem, values), problem.comparison, problem.free.model
     rows = []
-    for i, output in enumerate(search.free.model.outputs):
-        for j, name in enumerate(search.free.model.inputs):
-            at = np.flatnonzero(used[:, i, j])
-            if len(at):
-                rows.append(
-                    PairCost(
-                        output=output,
-                        input=name,
-                        J=float(J[i, j]),
-                        points=len(at),
-                        band=(float(frf.omega[at[0]]), float(frf.omega[at[-1]])),
-                        misses=("J",) if J[i, j] > GOOD else (),
-                    )
-                )
+    for i, j in np.argwhere((c.W > 0).any(axis=0)):
+        pair = {"output": model.outputs[i], "input": model.inputs[j]}
+        omega, J = c.s.imag[c.W[:, i, j] > 0], float(costs[i, j])
+        band, misses = (float(omega[0]), float(omega[-1])), ("J",) if J > GOOD else ()
+        rows.append(PairCost(**pair, J=J, points=len(omega), band=band, misses=misses))
     return tuple(rows)
-
-
-def _random_errors(model: Model, frf: FrequencyResponse) -> Array:
-    """Random error of every pair in the model's channels, NaN where unknown, (K, ny, nu)."""
-    error = np.full((len(frf.omega), len(model.outputs), len(model.inputs)), np.nan)
-    for i, output in enumerate(model.outputs):
-        for j, name in enumerate(model.inputs):
-            if output in frf.outputs and name in frf.inputs:
-                error[:, i, j] = frf.random_error[:, *frf.index(output, name)]
-    return error

@@ -3,7 +3,7 @@
     G(s) = (b_0 s^m + ... + b_m)/(s^n + a_1 s^(n-1) + ... + a_n) e^(-τs)
 
 M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd ed., chapter 11
-(*T&R*; there the programme is NAVFIT); the cost J is that of `casid.baseline.mismatch`.
+(*T&R*; there the programme is NAVFIT); the cost J is that of `casid.matching.mismatch`.
 """
 
 from collections.abc import Sequence
@@ -14,9 +14,9 @@ import numpy as np
 import scipy.optimize
 
 from casid.arrays import Array, BoolArray, ComplexArray
-from casid.baseline.mismatch import DB, DEG, PHASE, log_ratio, pair_weights, residuals
 from casid.errors import ConvergenceError
 from casid.frequency.estimation import FrequencyResponse, holding
+from casid.matching.mismatch import DB, DEG, PHASE, log_ratio, pair_weights, residuals
 from casid.record import several
 
 DELAYS = np.array(

@@ -1,4 +1,4 @@
-"""Which points of a measured response a fit uses, and how much each counts."""
+"""Which points of a measured response a fit uses, and how much each counts in its cost J."""
 
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
@@ -6,9 +6,10 @@ from typing import TypeAlias
 import numpy as np
 
 from casid.arrays import BoolArray
-from casid.baseline.magphase import Target
-from casid.baseline.mismatch import pair_weights
 from casid.frequency.estimation import FrequencyResponse
+from casid.matching.comparison import Comparison, Source
+from casid.matching.mismatch import DB, pair_weights
+from casid.matching.targets import in_channels
 from casid.model import Model
 
 Pair: TypeAlias = tuple[str, str]
@@ -19,26 +20,17 @@ FEWEST = 5  # points with coherence that make a pair worth fitting
 
 def select(
     model: Model, frf: FrequencyResponse, pairs: Pairs | None = None, coherence: float = 0.6
-) -> tuple[Target, BoolArray]:
-    """The response in the model's channels with the weights of the cost, and which points count.
+) -> Comparison:
+    """The response in the model's channels; its mean square error is J to first order.
 
     Parameters
     ----------
     model, frf, pairs, coherence
         As in `derivid`.
-
-    Returns
-    -------
-    Target, (K, ny, nu) bool array
     """
-    shape = (len(frf.omega), len(model.outputs), len(model.inputs))
-    G, gamma = np.full(shape, np.nan, dtype=complex), np.zeros(shape)
-    for i, output in enumerate(model.outputs):
-        for j, name in enumerate(model.inputs):
-            if output in frf.outputs and name in frf.inputs:
-                at = frf.index(output, name)
-                G[:, i, j], gamma[:, i, j] = frf.G[:, *at], frf.coherence[:, *at]
-    known = np.isfinite(G) & (np.abs(G) > 0) & np.isfinite(gamma)
+    G, gamma, _ = in_channels(model, frf)
+    gamma = np.where(np.isfinite(gamma), gamma, 0.0)
+    known = np.isfinite(G) & (np.abs(G) > 0)
     if pairs is None:
         used = known & (gamma >= coherence)
         used &= used.sum(axis=0) >= min(FEWEST, len(frf.omega))
@@ -49,13 +41,12 @@ def select(
             )
     else:
         used = known & _named(model, frf, pairs, known)
-    scale = [float(frf.input_std[frf.inputs.index(n)]) if n in frf.inputs else 1.0
-             for n in model.inputs]  # fmt: skip
-    target = Target(
-        omega=frf.omega, G=np.where(used, G, 1.0), weight=pair_weights(gamma, used),
-        input_scale=np.array(scale),
-    )  # fmt: skip
-    return target, used
+    scale = [frf.input_std[frf.inputs.index(n)] if n in frf.inputs else 1.0 for n in model.inputs]
+    weight = pair_weights(gamma, used) * len(frf.omega)
+    W = np.sqrt(weight) * DB / np.where(used, np.abs(G), 1.0)
+    source = Source.measured(frf.omega, np.where(used, G, 0.0), W)
+    band = float(frf.omega[0]), float(frf.omega[-1])
+    return Comparison(sources=(source,), input_scale=np.array(scale), band=band, shift=0.0)
 
 
 def _named(model: Model, frf: FrequencyResponse, pairs: Pairs, known: BoolArray) -> BoolArray:

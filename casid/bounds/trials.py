@@ -19,8 +19,8 @@ from casid.fit import AnyFit, Fit
 from casid.jobs.campaigns import Advance, Done, Job, Shelf, UnfinishedError, run_jobs
 from casid.jobs.store import source_digest
 from casid.jobs.transport import Reference, can_travel, refer, refuse_while_loading, resolve
-from casid.matching.comparison import Target
 from casid.matching.match import Match
+from casid.matching.targets import Target
 from casid.model import Model
 from casid.record import Record
 from casid.shooting.output_error import OutputError

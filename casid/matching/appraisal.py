@@ -193,7 +193,7 @@ def doubts(
     """
     return (
         _runaway(free, values, guess)
-        or _violated(free, values)
+        or violated(free, values)
         or (_right_of_line(appraisal) if stable else None)
         or _explains_nothing(appraisal)
     )
@@ -209,7 +209,8 @@ def _runaway(free: Free, values: Array, guess: Array) -> str | None:
     return f"{name} = {value:.3g} runs away: the optimum is at infinity; bound it, or fix it"
 
 
-def _violated(free: Free, values: Array) -> str | None:
+def violated(free: Free, values: Array) -> str | None:
+    """Say which constraint of the structure does not hold at free values; None if all do."""
     model = free.model.with_vector(free.full(values))
     for item, wanted in zip(model.constraints(), free.model.constraints(), strict=True):
         value = float(item.value)

@@ -8,12 +8,15 @@ comparison or further beyond it, since from there no descent leads back.
 
 import contextlib
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from casid.arrays import Array, ComplexArray
+from casid.errors import ModelError
 from casid.evaluation import Matrices, MatrixFunction
 from casid.matching.comparison import Comparison
+from casid.matching.mismatch import residual_slopes, residuals
 from casid.model import Free
 
 GUARD = 0.02  # distance from the line, in units of the band's middle, that guarded poles keep
@@ -23,39 +26,77 @@ DAMPING = (1e-2, 1e-9, 1e12)  # first, least and largest of Levenberg and Marqua
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Descent:
-    """Where a descent ended: free values (nf,), mean square error, rightmost pole's real part."""
+    """Where a descent ended.
+
+    Free values (nf,), cost, real part of the rightmost pole, number of steps, and whether further
+    ones would have gained nothing.
+    """
 
     values: Array
     cost: float
     abscissa: float
+    steps: int = 0
+    settled: bool = False
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Condensed:
-    """The mean square error of a structure as a function of its scaled free parameters."""
+    """Residuals of a structure, and their derivatives, as functions of its scaled free parameters.
 
-    def __init__(self, free: Free, comparison: Comparison) -> None:
-        self.matrices, self.comparison = MatrixFunction(free), comparison
-        self.scale = free.scale[free.index]
-        self.lower = free.lower[free.index] / self.scale
-        self.upper = free.upper[free.index] / self.scale
-        items = free.model.constraints()
-        self._c = np.array([[item.lower, item.upper] for item in items], dtype=float).reshape(-1, 2)
+    Parameters
+    ----------
+    free : Free
+        The parameters.
+    comparison : Comparison
+        Points, responses, weights.
+    norm : {"quadratic", "decibel"}
+        Whether the residuals are the weighted error, or weighted decibels and degrees.
+    matrices : MatrixFunction
+        The structure in numbers.
+    penalty : float
+        Weight of a violated constraint.
+    guarded : bool
+        Whether poles right of the line are penalised, which drives them back.
+    """
+
+    free: Free
+    comparison: Comparison
+    norm: str
+    matrices: MatrixFunction
+    penalty: float
+    guarded: bool = False
+
+    @classmethod
+    def of(cls, free: Free, comparison: Comparison, *, guarded: bool = False) -> "Condensed":
+        """The quadratic norm of a comparison."""
         size = np.linalg.norm(comparison.W * comparison.G) / np.sqrt(len(comparison.s))
-        self._penalty = PENALTY * float(size)
-        self._rate = float(np.sqrt(comparison.band[0] * comparison.band[1]))
-        self._guarded = False
+        return cls(
+            free=free, comparison=comparison, norm="quadratic", matrices=MatrixFunction(free),
+            penalty=PENALTY * float(size), guarded=guarded and comparison.line is not None,
+        )  # fmt: skip
 
-    def on(self, comparison: Comparison) -> "Condensed":
-        """The same structure compared elsewhere."""
-        other = object.__new__(Condensed)
-        other.__dict__.update(self.__dict__, comparison=comparison)
-        return other
+    @cached_property
+    def scale(self) -> Array:
+        """Typical magnitude of each free parameter, (nf,)."""
+        return np.asarray(self.free.scale[self.free.index])
 
-    def guarded(self) -> "Condensed":
-        """The same with a penalty on poles right of the line, which drives them back."""
-        other = self.on(self.comparison)
-        other._guarded = self.comparison.line is not None
-        return other
+    @cached_property
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the scaled parameters."""
+        free = self.free
+        return free.lower[free.index] / self.scale, free.upper[free.index] / self.scale
+
+    @cached_property
+    def _held(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the structure's constraints, then of its delays."""
+        items = [(c.lower, c.upper) for c in self.free.model.constraints()]
+        limits = np.array([*items, *[(0.0, np.inf)] * self.matrices.nu], dtype=float)
+        return limits[:, 0], limits[:, 1]
+
+    @property
+    def _rate(self) -> float:
+        """Middle of the band [rad/s]."""
+        return float(np.sqrt(self.comparison.band[0] * self.comparison.band[1]))
 
     def idle(self) -> np.ndarray:
         """Positions of the parameters that move no residual, at any of three random points."""
@@ -70,39 +111,49 @@ class Condensed:
 
     def clip(self, x: Array) -> Array:
         """Scaled parameters moved onto their bounds."""
-        return np.asarray(np.clip(x, self.lower, self.upper))
+        return np.asarray(np.clip(x, *self.limits))
 
     def residual(self, x: Array) -> tuple[Array, float]:
         """Residuals, whose sum of squares is the cost, and the rightmost pole's real part."""
-        at, c = self.matrices(x * self.scale), self.comparison
-        r = c.W / np.sqrt(len(c.s)) * (at.response(c.s) - c.G)
+        at = self.matrices(x * self.scale)
+        parts = self._errors(at.response(self.comparison.s)), self._violation(at), self._beyond(at)
         abscissa = float(np.linalg.eigvals(at.blocks[0]).real.max())
-        return np.concatenate(
-            [_real(r.ravel()), self._violation(at)[0], self._beyond(at)[0]]
-        ), abscissa
+        return np.concatenate([parts[0], parts[1][0], parts[2][0]]), abscissa
 
     def jacobian(self, x: Array) -> tuple[Array, Array]:
         """Residuals (n,) and their derivatives (nf, n)."""
-        at, c = self.matrices(x * self.scale), self.comparison
-        G, slope = at.response_slopes(c.s)
-        W = c.W / np.sqrt(len(c.s))
-        J = _real((W * slope).reshape(len(x), -1))
-        more = [self._violation(at), self._beyond(at)]
-        values = [_real((W * (G - c.G)).ravel()), *(value for value, _ in more)]
-        slopes = [J, *(part for _, part in more)]
+        at = self.matrices(x * self.scale)
+        G, dG = at.response_slopes(self.comparison.s)
+        parts = [(self._errors(G), self._slopes(G, dG)), self._violation(at), self._beyond(at)]
+        values, slopes = zip(*parts, strict=True)
         return np.concatenate(values), np.concatenate(slopes, axis=1) * self.scale[:, None]
 
+    def _errors(self, G: ComplexArray) -> Array:
+        """Residuals of a response, gains or real parts first, (2 K ny nu,)."""
+        c = self.comparison
+        if self.norm == "decibel":
+            return residuals(G, c.G, c.decibel_weight).ravel()
+        return _real((c.W / np.sqrt(len(c.s)) * (G - c.G)).ravel())
+
+    def _slopes(self, G: ComplexArray, dG: ComplexArray) -> Array:
+        """Derivatives of `_errors` from those of the response, (nf, 2 K ny nu)."""
+        c = self.comparison
+        if self.norm == "decibel":
+            return residual_slopes(G, dG, c.G, c.decibel_weight).reshape(len(dG), -1)
+        return _real((c.W / np.sqrt(len(c.s)) * dG).reshape(len(dG), -1))
+
     def _violation(self, at: Matrices) -> tuple[Array, Array]:
-        """Penalised violation of the structure's constraints (nc,), and its derivative (nf, nc)."""
-        size = np.abs(at.dc * self.scale[:, None]).sum(axis=0)
-        factor = self._penalty / np.where(size > 0, size, 1.0)
-        off = at.c - np.clip(at.c, self._c[:, 0], self._c[:, 1])
-        return off * factor, at.dc * np.where(off != 0, factor, 0.0)
+        """Penalised violation of constraints and delays (m,), and its derivative (nf, m)."""
+        c, dc = np.concatenate([at.c, at.tau]), np.concatenate([at.dc, at.dtau], axis=1)
+        size = np.abs(dc * self.scale[:, None]).sum(axis=0)
+        factor = self.penalty / np.where(size > 0, size, 1.0)
+        off = c - np.clip(c, *self._held)
+        return off * factor, dc * np.where(off != 0, factor, 0.0)
 
     def _beyond(self, at: Matrices) -> tuple[Array, Array]:
         """Penalised distance of poles right of the line (nx,), and its derivative (nf, nx)."""
         nx, line = at.nx, self.comparison.line
-        if not self._guarded or line is None:
+        if not self.guarded or line is None:
             return np.zeros(0), np.zeros((len(self.scale), 0))
         poles, right = np.linalg.eig(at.N[:nx, :nx])
         left = np.linalg.inv(right)
@@ -111,7 +162,7 @@ class Condensed:
         outer = np.zeros((*at.N.shape, nx), dtype=complex)
         outer[:nx, :nx] = np.einsum("ir,ci->rci", left, right)
         slope = np.asarray(at.dN @ outer.reshape(-1, nx)).real
-        factor = self._penalty / self._rate
+        factor = self.penalty / self._rate
         return factor * np.maximum(off, 0.0), np.where(off > 0, factor * slope, 0.0)
 
 
@@ -124,9 +175,9 @@ def descend(problem: Condensed, values: Array, *, steps: int, tolerance: float) 
     x = problem.clip(values / problem.scale)
     here = _try(problem, x)
     damping = DAMPING[0]
-    for _ in range(steps):
-        if not np.isfinite(here.cost):
-            break
+    done, settled = 0, False
+    while done < steps and not settled and np.isfinite(here.cost):
+        done += 1
         r, J = problem.jacobian(x)
         normal, gradient = J @ J.T, J @ r
         before = here
@@ -138,9 +189,8 @@ def descend(problem: Condensed, values: Array, *, steps: int, tolerance: float) 
                 break
             damping *= 4
         damping = max(damping / 5, DAMPING[1])
-        if not here.cost < before.cost * (1 - tolerance):
-            break
-    return replace(here, values=x * problem.scale)
+        settled = not here.cost < before.cost * (1 - tolerance)
+    return replace(here, values=x * problem.scale, steps=done, settled=settled)
 
 
 def _try(problem: Condensed, x: Array) -> Descent:
@@ -161,7 +211,7 @@ def _step(problem: Condensed, x: Array, normal: Array, gradient: Array, damping:
     """Damped Gauss-Newton step; parameters that would leave their bounds stop there."""
     diagonal = np.diag(normal)
     H = normal + damping * np.diag(np.maximum(diagonal, 1e-8 * max(diagonal.max(), 1e-300)))
-    lower, upper = problem.lower - x, problem.upper - x
+    lower, upper = (limit - x for limit in problem.limits)
     step = np.zeros_like(x)
     free = ~(((lower >= 0) & (gradient > 0)) | ((upper <= 0) & (gradient < 0)))
     for _ in range(4):
@@ -179,3 +229,13 @@ def _step(problem: Condensed, x: Array, normal: Array, gradient: Array, damping:
 
 def _real(z: ComplexArray) -> Array:
     return np.concatenate([z.real, z.imag], axis=-1)
+
+
+def check_effects(problem: Condensed) -> None:
+    """Raise a ModelError for a parameter on which no weighted response depends."""
+    if len(idle := problem.idle()):
+        name = problem.free.names[idle[0]]
+        raise ModelError(
+            f"{name} has no effect on any weighted response: no target can identify it; fix it "
+            f"(fixed={{{name!r}}}), or weigh an output that depends on it"
+        )

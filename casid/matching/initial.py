@@ -1,10 +1,11 @@
-"""Starting points of a match: the target's response followed in from the right of the plane.
+"""Starting points of a match, by continuation from the right of the plane.
 
 Far right of all poles a response is smooth, hardly more than its first Markov parameters, and
 nearly every start leads to the same best fit; on the line of comparison many end in local minima,
 often with poles of A(λ) right of it. So the line begins there and moves left to its place, the
 structure fitted at every stop and its poles kept left of it. Two points start: the guess, and one
-from least squares. With the states' responses X_k known, every row of A, B, C and D is linear in λ:
+from alternating least squares. With the states' responses X_k known, every row of A, B, C and D is
+linear in λ:
 
     s_k X_k = A(λ) X_k + B(λ) e^(−s_k τ)        Ĝ_k = C(λ) X_k + D(λ) e^(−s_k τ)
 
@@ -15,7 +16,8 @@ an output that is a state, the difference of a specific force and the row of A t
 derivatives. The assumed spread of λ then shrinks from one alternation to the next.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.optimize
@@ -24,7 +26,6 @@ from casid.arrays import Array, ComplexArray
 from casid.matching.comparison import Comparison
 from casid.matching.descent import Condensed, descend
 from casid.matching.lifted import state_responses
-from casid.model import Free
 
 SPREADS = (1.0, 1.0, 0.5, 0.2, 0.1)  # of λ about its present value, in units of its scale
 NOISE = 1e-2  # error of an equation that has no parameter, relative to its terms
@@ -32,41 +33,57 @@ RIDGE = 1e-10  # weight, on the square, of present parameters of which the state
 NEWTON = 6  # Gauss-Newton steps for the parameters
 FARTHEST = 0.4  # of the band's upper end: where the line begins
 STRIDE = 1.7  # from one line to the next
+SAME = 1e-4  # relative difference of costs of one minimum, found from two starts
 GOOD = 0.3  # error of a fit, relative to the response, that calls for another start
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Start:
-    """Where a programme may start: its name, free parameters (nf,) and their mean square error."""
+    """Where a programme may start: its name, free parameters (nf,) and their cost."""
 
     name: str
     values: Array
     cost: float
 
 
-def starts(free: Free, problem: Condensed, *, large: bool) -> tuple[Start, ...]:
+def starts(problem: Condensed, *, large: bool) -> tuple[Start, ...]:
     """Starting points of the quadratic programme, the best first; of a large one as few as do."""
     comparison = problem.comparison
-    size = np.linalg.norm(comparison.W * comparison.G) ** 2 / len(comparison.s)
-    found = [_follow(problem, "guess", free.guess)]
-    if not (large and found[0].cost < GOOD**2 * size):
-        values = _least_squares(free, problem)
+    good = GOOD**2 * np.linalg.norm(comparison.W * comparison.G) ** 2 / len(comparison.s)
+    found = [_continued(problem, "guess", problem.free.guess)]
+    if not (large and found[0].cost < good):
+        values = least_squares(problem)
         if values is not None:
-            found.append(_follow(problem, "least squares", values))
-    return tuple(sorted(found, key=lambda start: start.cost))
+            found.append(_continued(problem, "least squares", values))
+    if comparison.line is not None:
+        found.append(_descended(problem, "guess as it is", problem.free.guess))
+    return distinct(found)
 
 
-def _follow(problem: Condensed, name: str, values: Array) -> Start:
-    """Descend on lines that move left to the line of comparison."""
+def distinct(found: Sequence[Start]) -> tuple[Start, ...]:
+    """Starts by increasing cost, the first of those that are one minimum, as their costs tell."""
+    kept: list[Start] = []
+    for start in sorted(found, key=lambda start: start.cost):
+        if not any(np.isclose(start.cost, other.cost, rtol=SAME) for other in kept):
+            kept.append(start)
+    return tuple(kept)
+
+
+def _descended(problem: Condensed, name: str, values: Array) -> Start:
+    """Descend from where one is."""
+    last = descend(problem, values, steps=100, tolerance=1e-6)
+    return Start(name=name, values=last.values, cost=last.cost)
+
+
+def _continued(problem: Condensed, name: str, values: Array) -> Start:
+    """Descend on lines that move left to the line of comparison, and on that."""
     comparison = problem.comparison
     if comparison.line is not None:
         here = descend(problem, values, steps=0, tolerance=0.0)
-        lines = _lines(comparison, here.abscissa)
-        for line in lines:
-            there = problem.on(comparison.shifted(line))
+        for line in _lines(comparison, here.abscissa):
+            there = replace(problem, comparison=comparison.shifted(line))
             values = descend(there, values, steps=15, tolerance=1e-4).values
-    last = descend(problem, values, steps=100, tolerance=1e-6)
-    return Start(name=name, values=last.values, cost=last.cost)
+    return _descended(problem, name, values)
 
 
 def _lines(comparison: Comparison, abscissa: float) -> Array:
@@ -80,10 +97,10 @@ def _lines(comparison: Comparison, abscissa: float) -> Array:
     return lines if last > comparison.shift else lines[:-1]
 
 
-def _least_squares(free: Free, problem: Condensed) -> Array | None:
-    """The start from alternating least squares; None when its numbers give none."""
+def least_squares(problem: Condensed) -> Array | None:
+    """Free parameters (nf,) from alternating least squares; None when its numbers give none."""
     try:
-        values = _Equations(free, problem).solve()
+        values = _Equations(problem).solve()
     except np.linalg.LinAlgError:
         return None
     return values if np.isfinite(values).all() else None
@@ -92,11 +109,11 @@ def _least_squares(free: Free, problem: Condensed) -> Array | None:
 class _Equations:
     """The structure's equations at all points, linear in the states and nearly so in λ."""
 
-    def __init__(self, free: Free, problem: Condensed) -> None:
-        self._free, self._matrices, self._comparison = free, problem.matrices, problem.comparison
+    def __init__(self, problem: Condensed) -> None:
+        self._free, self._matrices = problem.free, problem.matrices
+        self._comparison = problem.comparison
         self.nx, self.nu, self.ny = self._matrices.nx, self._matrices.nu, self._matrices.ny
-        system = free.model.with_vector(free.full(free.guess)).system()
-        guess = state_responses(system, self._comparison)
+        guess = state_responses(self._matrices(self._free.guess), self._comparison)
         self._guess = np.where(np.isfinite(guess), guess, 0.0)
         self.scale = _size(self._guess)
 
@@ -114,9 +131,9 @@ class _Equations:
         """Weights of the rows of every point and input, (K, nx + ny, nu)."""
         c = self._comparison
         rate = np.maximum(np.abs(c.s), 1e-12)
-        state = 1 / (rate[:, None] * self.scale)
-        state = np.repeat(state[:, :, None], self.nu, axis=2)
-        return np.concatenate([state, c.W / c.input_scale], axis=1)
+        state = np.repeat(1 / (rate[:, None] * self.scale)[:, :, None], self.nu, axis=2)
+        unit = np.linalg.norm(c.W * c.G) / np.sqrt(len(c.s) * self.ny) or 1.0  # of an output
+        return np.concatenate([state, c.W / (c.input_scale * unit)], axis=1)
 
     def _inputs(self, tau: Array) -> ComplexArray:
         """Delayed scaled inputs, (K, nu, nu)."""
@@ -164,9 +181,9 @@ class _Equations:
             N, U = at.N, self._inputs(at.tau)
             V = np.concatenate([X, U], axis=1)
             r = weights * (N @ V - y)
-            J = np.einsum("lrc,kcj->lkrj", at.slopes, V)
-            slope = -c.s[:, None, None] * U
-            J += np.einsum("rc,lc,kcj->lkrj", N[:, self.nx :], at.dtau, slope)
+            J = np.tensordot(at.slopes, V, axes=(2, 1)).swapaxes(1, 2)
+            late = N[:, self.nx :] @ (-c.s[:, None, None] * U)
+            J = J + at.dtau[:, None, None, :] * late
             J = (weights * J).reshape(len(x), -1) * scale[:, None] / np.sqrt(len(c.s))
             step = _bounded_step(J, r.ravel() / np.sqrt(len(c.s)), prior / scale - x, x, limits)
             x = np.clip(x + step, *limits)

@@ -11,11 +11,16 @@ triangular and its diagonal >= 0: √t is the largest singular value over the po
 equation (10) as an epigraph). What matters only where the error is not largest leaves the norm as
 it is, so the optimum need not be unique; a small share of the mean square error decides.
 
+The third norm is that of decibels and degrees: the mean of |W_k Ĝ_k|² [ln² |z_k| + ρ arg² z_k]
+over the ratio z_k of the model's response to Ĝ_k, ρ T&R's weight of a radian beside a neper
+(`casid.matching.mismatch`); no variables E_k.
+
 Everything is scaled: parameters by their typical magnitude, states by their size at the start,
 inputs and outputs by the comparison's weights, errors by ``unit``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -23,14 +28,47 @@ import scipy.linalg
 
 from casid.arrays import Array, ComplexArray
 from casid.blocks import Block, assemble
-from casid.linear import StateSpace
+from casid.evaluation import Matrices, MatrixFunction
 from casid.matching.comparison import Comparison
+from casid.matching.delays import delay_parameters
+from casid.matching.mismatch import DB, TINY, TURN
 from casid.model import Free
-from casid.nlp import Problem
+from casid.nlp import Problem, SolverOptions, solve
 
 START = 1.05  # t at the start, in units of the largest squared error there
 TIE = 1e-3  # weight of the mean square error beside the largest squared one
 LYAPUNOV_LIMIT = 1e2  # largest entry of the Lyapunov factor: how near to the line a pole may come
+
+
+# A quadratic programme starts next to its solution, which its barrier must not blur.
+CLOSE: dict[str, float | str] = {"mu_init": 1e-7, "bound_push": 1e-8, "bound_frac": 1e-8}
+CLOSE |= {"tol": 1e-11, "acceptable_tol": 1e-8, "acceptable_iter": 3}
+FAR: dict[str, float | str] = {"mu_init": 1e-2, "bound_mult_init_method": "mu-based"}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Optimum:
+    """Where a programme ended.
+
+    Parameters
+    ----------
+    values : (nf,) array
+        Free parameters in physical units, on or inside their bounds.
+    multipliers, prices : (nf,), (nc,) array
+        Derivatives of the cost by the bounds' and by the constraints' positions.
+    cost : float
+        What the programme minimised: the mean square, or t and a share of it.
+    success, status, iterations : bool, str, int
+        IPOPT's word and effort.
+    """
+
+    values: Array
+    multipliers: Array
+    prices: Array
+    cost: float
+    success: bool
+    status: str
+    iterations: int
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,12 +81,10 @@ class Lifted:
         For `casid.nlp.solve`.
     free : Free
         Which parameters its first variables are, each over its scale.
-    norm : {"quadratic", "hinf"}
+    norm : {"quadratic", "hinf", "decibel"}
         What it minimises, in units of ``unit`` squared.
     unit : float
         Unit of the weighted error.
-    state_scale : (nx,) array
-        Unit of the states for scaled inputs.
     ties : slice
         Where the structure's own constraints are among the programme's.
     """
@@ -57,7 +93,6 @@ class Lifted:
     free: Free
     norm: str
     unit: float
-    state_scale: Array
     ties: slice
 
     def parameters(self, x: Array) -> Array:
@@ -65,6 +100,18 @@ class Lifted:
         free = self.free
         values = x[: len(free.index)] * free.scale[free.index]
         return np.asarray(np.clip(values, free.lower[free.index], free.upper[free.index]))
+
+    def solve(self, options: SolverOptions, stage: str) -> Optimum:
+        """Solve it with IPOPT."""
+        near = FAR if self.norm == "hinf" else CLOSE
+        found = solve(self.problem, replace(options, ipopt=near | dict(options.ipopt)), stage=stage)
+        scale, unit = self.free.scale[self.free.index], self.unit**2
+        return Optimum(
+            values=self.parameters(found.x), cost=found.f * unit, success=found.success,
+            multipliers=-found.multipliers_x[: len(scale)] / scale * unit,
+            prices=-found.multipliers_g[self.ties] * unit,
+            status=found.status, iterations=found.iterations,
+        )  # fmt: skip
 
 
 def lift(
@@ -83,7 +130,7 @@ def lift(
         The parameters to estimate.
     comparison : Comparison
         Points, responses, weights.
-    norm : {"quadratic", "hinf"}
+    norm : {"quadratic", "hinf", "decibel"}
         What to minimise.
     values : (nf,) array
         Free parameters to start from, in physical units.
@@ -91,14 +138,12 @@ def lift(
         Keep A(λ) − σ I Hurwitz by a lifted Lyapunov equation.
     """
     nf = len(free.index)
-    shared = nf + (norm == "hinf")
-    system = free.model.with_vector(free.full(values)).system()
-    X = state_responses(system, comparison)
-    E = lifted_errors(system, X, comparison)
+    at, scale = MatrixFunction(free)(values), free.scale[free.index]
+    X = state_responses(at, comparison)
+    E = _errors(at, X, comparison)
     unit = _largest(E) if norm == "hinf" else 0.0
     unit = unit or _largest(comparison.W * comparison.G) or 1.0
     state_scale = _state_scale(X)
-    scale = free.scale[free.index]
     parts = [(values / scale, free.lower[free.index] / scale, free.upper[free.index] / scale)]
     if norm == "hinf":
         parts.append((np.array([START]), np.zeros(1), np.full(1, np.inf)))
@@ -106,32 +151,33 @@ def lift(
     parts.append((z.ravel(), lower_z.ravel(), np.full(z.size, np.inf)))
     blocks = [_points_block(free, comparison, norm, state_scale, unit)]
     ties = blocks[0].g.numel() * blocks[0].count
-    if free.model.constraints():
-        blocks.append(_constraint_block(free))
+    composed = delay_parameters(free)[1]
+    if free.model.constraints() or composed:
+        blocks.append(_constraint_block(free, composed))
     if stable:
-        start = shared + z.size
-        block, *part = _lyapunov(free, system.A, comparison, state_scale, start)
+        start = nf + (norm == "hinf") + z.size
+        block, *part = _lyapunov(free, at, comparison, state_scale, start)
         blocks.append(block)
         parts.append((part[0], part[1], part[2]))
     x0, lower, upper = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Lifted(
-        problem=assemble(blocks, x0, lower, upper), free=free, norm=norm, unit=unit,
-        state_scale=state_scale, ties=slice(ties, ties + len(free.model.constraints())),
-    )  # fmt: skip
+    own = slice(ties, ties + len(free.model.constraints()))
+    problem = assemble(blocks, x0, lower, upper)
+    return Lifted(problem=problem, free=free, norm=norm, unit=unit, ties=own)
 
 
-def state_responses(system: StateSpace, comparison: Comparison) -> ComplexArray:
+def state_responses(at: Matrices, comparison: Comparison) -> ComplexArray:
     """The states' responses (s_k I − A)⁻¹ B e^(−s_k τ) to scaled inputs, (K, nx, nu)."""
+    A, B, _, _ = at.blocks
     s = comparison.s[:, None, None]
-    B = system.B * comparison.input_scale * np.exp(-s * system.delay)
-    return np.asarray(np.linalg.solve(s * np.eye(system.nx) - system.A, B))
+    B = B * comparison.input_scale * np.exp(-s * at.tau)
+    return np.asarray(np.linalg.solve(s * np.eye(at.nx) - A, B))
 
 
-def lifted_errors(system: StateSpace, X: ComplexArray, comparison: Comparison) -> ComplexArray:
+def _errors(at: Matrices, X: ComplexArray, comparison: Comparison) -> ComplexArray:
     """Weighted errors E_k when the states respond as X, (K, ny, nu)."""
-    direct = system.D * np.exp(-comparison.s[:, None, None] * system.delay)
-    y = (system.C @ X) / comparison.input_scale + direct
-    return np.asarray(comparison.W * (y - comparison.G))
+    _, _, C, D = at.blocks
+    direct = D * np.exp(-comparison.s[:, None, None] * at.tau)
+    return np.asarray(comparison.W * ((C @ X) / comparison.input_scale + direct - comparison.G))
 
 
 def _largest(E: ComplexArray) -> float:
@@ -150,7 +196,9 @@ def _local_start(norm: str, X: ComplexArray, E: ComplexArray) -> tuple[Array, Ar
     def vec(M: Array) -> Array:  # column by column, as CasADi
         return np.asarray(M.transpose(0, 2, 1).reshape(len(M), -1))
 
-    start = [vec(X.real), vec(X.imag), vec(E.real), vec(E.imag)]
+    start = [vec(X.real), vec(X.imag)]
+    if norm != "decibel":
+        start += [vec(E.real), vec(E.imag)]
     if norm == "hinf":
         wide = E.shape[1] < E.shape[2]
         EH = E.conj().transpose(0, 2, 1)
@@ -162,20 +210,24 @@ def _local_start(norm: str, X: ComplexArray, E: ComplexArray) -> tuple[Array, Ar
     z = np.concatenate(start, axis=1)
     lower = np.full_like(z, -np.inf)
     first = 2 * (X[0].size + E[0].size)
-    lower[:, first : first + min(E.shape[1:])] = 0.0
+    lower[:, first : first + min(E.shape[1:])] = 0.0  # the diagonal of L
     return z, lower
+
+
+Pair: TypeAlias = tuple[ca.SX, ca.SX]  # real and imaginary part
+# A variable that all points share, if any, variables and constraints of each point, and its cost.
+Cost: TypeAlias = tuple[ca.SX, list[ca.SX], list[ca.SX], ca.SX]
 
 
 def _points_block(
     free: Free, comparison: Comparison, norm: str, state_scale: Array, unit: float
 ) -> Block:
-    """The constraints of one point, repeated over all of them."""
+    """Constraints and cost of one point, repeated over all of them."""
     K, ny, nu = comparison.G.shape
-    nx = len(state_scale)
     lam = ca.SX.sym("lam", len(free.index))
     A, B, C, D, tau = _matrices(free, lam, comparison.input_scale, state_scale)
     sigma, omega, rate = ca.SX.sym("sigma"), ca.SX.sym("omega"), ca.SX.sym("rate")
-    X, E, G = (_complex(name, *shape) for name, shape in _shapes(nx, ny, nu))
+    X, G = _complex("X", len(state_scale), nu), _complex("G", ny, nu)
     W = ca.SX.sym("W", ny, nu)
     decay = ca.exp(-sigma * tau)
     delay = (ca.diag(decay * ca.cos(omega * tau)), -ca.diag(decay * ca.sin(omega * tau)))
@@ -183,45 +235,54 @@ def _points_block(
         (sigma * X[0] - omega * X[1] - A @ X[0] - B @ delay[0]) / rate,
         (omega * X[0] + sigma * X[1] - A @ X[1] - B @ delay[1]) / rate,
     )
-    error = tuple(E[i] - W * (C @ X[i] + D @ delay[i] - G[i]) for i in range(2))
-    w, g = [lam], [*map(ca.vec, state), *map(ca.vec, error)]
-    local = [*map(ca.vec, X), *map(ca.vec, E)]
-    f = (ca.sumsqr(E[0]) + ca.sumsqr(E[1])) / K
-    if norm == "hinf":
-        t = ca.SX.sym("t")
-        factor, gram = _epigraph(t, E, wide=ny < nu)
-        w, local, g = [lam, t], [*local, *factor], [*g, *gram]
-        f = t / K + TIE * f
-    data = np.column_stack([
-        comparison.s.real, comparison.s.imag, np.maximum(np.abs(comparison.s), 1e-12),
-        *_data(comparison, unit),
-    ]).T  # fmt: skip
-    shared, count = sum(part.numel() for part in w), sum(part.numel() for part in local)
+    y = C @ X[0] + D @ delay[0], C @ X[1] + D @ delay[1]
+    t, errors, ties, f = _decibels(y, G, W) if norm == "decibel" else _weighted(y, G, W, norm)
+    w, local = ca.vertcat(lam, t), ca.vertcat(*map(ca.vec, [*X, *errors]))
+    shared, count = w.numel(), local.numel()
     index = np.empty((shared + count, K), dtype=int)
     index[:shared] = np.arange(shared)[:, None]
     index[shared:] = shared + np.arange(K * count).reshape(K, count).T
-    constraints = ca.vertcat(*g)
-    zero = np.zeros(constraints.numel())
-    d = ca.vertcat(sigma, omega, rate, ca.vec(G[0]), ca.vec(G[1]), ca.vec(W))
-    return Block(
-        w=ca.vertcat(*w, *local), d=d, f=f, g=constraints, index=index, data=data,
-        lower=zero, upper=zero,
-    )  # fmt: skip
+    g = ca.vertcat(*map(ca.vec, [*state, *ties]))
+    zero = np.zeros(g.numel())
+    d = ca.vertcat(sigma, omega, rate, *map(ca.vec, (*G, W)))
+    data = _data(comparison, unit)
+    w = ca.vertcat(w, local)
+    return Block(w=w, d=d, f=f / K, g=g, index=index, data=data, lower=zero, upper=zero)
 
 
-def _shapes(nx: int, ny: int, nu: int) -> tuple[tuple[str, tuple[int, int]], ...]:
-    return ("X", (nx, nu)), ("E", (ny, nu)), ("G", (ny, nu))
-
-
-def _complex(name: str, rows: int, columns: int) -> tuple[ca.SX, ca.SX]:
+def _complex(name: str, rows: int, columns: int) -> Pair:
     return ca.SX.sym(f"{name}_re", rows, columns), ca.SX.sym(f"{name}_im", rows, columns)
 
 
-def _data(comparison: Comparison, unit: float) -> list[Array]:
-    """Responses to scaled inputs and weights that turn them into errors in ``unit``, (K, ny nu)."""
-    G = (comparison.G * comparison.input_scale).transpose(0, 2, 1)
-    W = (comparison.W / comparison.input_scale / unit).transpose(0, 2, 1)
-    return [part.reshape(len(part), -1) for part in (G.real, G.imag, W)]
+def _weighted(y: Pair, G: Pair, W: ca.SX, norm: str) -> Cost:
+    """Cost of the weighted error E, its norm the H-infinity one or the quadratic."""
+    ny, nu = W.shape
+    E = _complex("E", ny, nu)
+    g = [E[i] - W * (y[i] - G[i]) for i in range(2)]
+    f = ca.sumsqr(E[0]) + ca.sumsqr(E[1])
+    if norm != "hinf":
+        return ca.SX(0, 1), [*E], g, f
+    t = ca.SX.sym("t")
+    factor, gram = _epigraph(t, E, wide=ny < nu)
+    return t, [*E, *factor], [*g, *gram], t + TIE * f
+
+
+def _decibels(y: Pair, G: Pair, W: ca.SX) -> Cost:
+    """Cost of nepers and radians of y/G, weighted by W G; 1 in place of a masked ratio."""
+    size = G[0] ** 2 + G[1] ** 2
+    z = (y[0] * G[0] + y[1] * G[1]) / size + (W == 0), (y[1] * G[0] - y[0] * G[1]) / size
+    gain, phase = ca.log(z[0] ** 2 + z[1] ** 2 + TINY) / 2, ca.atan2(z[1], z[0])
+    f: ca.SX = ca.dot(W**2 * size, gain**2 + (TURN / DB) ** 2 * phase**2)
+    return ca.SX(0, 1), [], [], f
+
+
+def _data(comparison: Comparison, unit: float) -> Array:
+    """Data of every point: s, its modulus, responses to scaled inputs, weights in ``unit``."""
+    G = np.where(comparison.W > 0, comparison.G * comparison.input_scale, 1.0)
+    parts = G.real, G.imag, comparison.W / comparison.input_scale / unit
+    columns = [part.transpose(0, 2, 1).reshape(len(part), -1) for part in parts]
+    s = comparison.s
+    return np.column_stack([s.real, s.imag, np.maximum(np.abs(s), 1e-12), *columns]).T
 
 
 def _matrices(free: Free, lam: ca.SX, input_scale: Array, state_scale: Array) -> tuple[ca.SX, ...]:
@@ -232,7 +293,7 @@ def _matrices(free: Free, lam: ca.SX, input_scale: Array, state_scale: Array) ->
     return inverse @ A @ S, inverse @ B @ U, C @ S, D @ U, tau
 
 
-def _epigraph(t: ca.SX, E: tuple[ca.SX, ca.SX], *, wide: bool) -> tuple[list[ca.SX], list[ca.SX]]:
+def _epigraph(t: ca.SX, E: Pair, *, wide: bool) -> tuple[list[ca.SX], list[ca.SX]]:
     """The variables of L and the constraints t I − Eᴴ E = L Lᴴ, the smaller Gram matrix taken."""
     R, J = E
     if wide:
@@ -254,21 +315,24 @@ def _epigraph(t: ca.SX, E: tuple[ca.SX, ca.SX], *, wide: bool) -> tuple[list[ca.
     return [diagonal, *below], constraints
 
 
-def _constraint_block(free: Free) -> Block:
-    """Ties and inequalities that the structure declares."""
-    lam = ca.SX.sym("lam", len(free.index))
-    c = free.model.matrices()(free.full(lam * free.scale[free.index]))[5]
-    items = free.model.constraints()
-    return Block(
-        w=lam, d=ca.SX(0, 1), f=ca.SX(0), g=ca.densify(c),
-        index=np.arange(len(free.index))[:, None], data=np.zeros((0, 1)),
-        lower=np.array([item.lower for item in items], dtype=float),
-        upper=np.array([item.upper for item in items], dtype=float),
-    )  # fmt: skip
+def _constraint_block(free: Free, composed: list[int]) -> Block:
+    """Ties and inequalities that the structure declares, and composed delays at >= 0."""
+    lam, nf = ca.SX.sym("lam", len(free.index)), len(free.index)
+    *_, tau, c = free.model.matrices()(free.full(lam * free.scale[free.index]))
+    limits = [(item.lower, item.upper) for item in free.model.constraints()]
+    lower, upper = np.array([*limits, *[(0.0, np.inf)] * len(composed)], dtype=float).T
+    g, index = ca.vertcat(ca.densify(c), *[tau[j] for j in composed]), np.arange(nf)[:, None]
+    return _shared_block(lam, g, index, lower, upper)
+
+
+def _shared_block(w: ca.SX, g: ca.SX, index: np.ndarray, lower: Array, upper: Array) -> Block:
+    """Constraints on variables that all points share."""
+    d, data = ca.SX(0, 1), np.zeros((0, 1))
+    return Block(w=w, d=d, f=ca.SX(0), g=g, index=index, data=data, lower=lower, upper=upper)
 
 
 def _lyapunov(
-    free: Free, A0: Array, comparison: Comparison, state_scale: Array, start: int
+    free: Free, at: Matrices, comparison: Comparison, state_scale: Array, start: int
 ) -> tuple[Block, Array, Array, Array]:
     """A(λ) − σ I is Hurwitz exactly when F P + P Fᵀ = −I, P = M Mᵀ has a solution.
 
@@ -286,11 +350,8 @@ def _lyapunov(
     constraints = ca.vertcat(*[residual[i, j] for i in range(nx) for j in range(i + 1)])
     zero = np.zeros(constraints.numel())
     index = np.concatenate([np.arange(nf), start + np.arange(m.numel())])[:, None]
-    block = Block(
-        w=ca.vertcat(lam, m), d=ca.SX(0, 1), f=ca.SX(0), g=constraints, index=index,
-        data=np.zeros((0, 1)), lower=zero, upper=zero,
-    )  # fmt: skip
-    scaled = A0 * state_scale / state_scale[:, None]
+    block = _shared_block(ca.vertcat(lam, m), constraints, index, zero, zero)
+    scaled = at.blocks[0] * state_scale / state_scale[:, None]
     rightmost = np.linalg.eigvals(scaled).real.max()
     line = max(comparison.shift, rightmost + 0.1 * rate)
     F0 = (scaled - line * np.eye(nx)) / rate

@@ -15,8 +15,8 @@ from casid import (
     match,
     parameter,
 )
-from casid.matching.comparison import compare
 from casid.matching.lifted import lift
+from casid.matching.targets import compare
 from casid.model import free_parameters
 
 OMEGA = np.geomspace(0.1, 10.0, 40)
@@ -154,6 +154,33 @@ def test_two_sources_share_a_gain_as_their_weights_say():
         assert rows[1].share == pytest.approx(shares[1] / sum(shares), rel=1e-6)
 
 
+@pytest.mark.parametrize("norm", ["quadratic", "hinf"])
+def test_a_state_space_is_a_target_as_it_is(norm):
+    fit = match(HoverRoll(), TRUTH.system(), norm=norm)
+    np.testing.assert_allclose(fit.model.vector(), TRUTH.vector(), rtol=1e-6)
+    moduli = np.abs(TRUTH.system().poles())
+    assert fit.certificate.band == pytest.approx((moduli.min() / 3, 3 * moduli.max()))
+    given = np.geomspace(1e-3, 50.0, 30)  # wherever wanted: it is known everywhere
+    assert match(HoverRoll(), TRUTH.system(), norm=norm, omega=given).certificate.band[1] == 50.0
+
+
+def test_a_gain_alone_needs_its_frequencies():
+    gain = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]],
+                      inputs=("u",), outputs=("x",))  # fmt: skip
+    with pytest.raises(ValueError, match="give omega"):
+        match(Lag(), gain)
+
+
+def test_coherence_weighs_the_squared_error_as_tischler_and_remple_say():
+    # One free gain at coherence 0.6 against a black box: weighted least squares in closed form.
+    # T&R (11.1): W = [1.58 (1 - exp(-γ²))]², and the coherence is γ² already.
+    unit, three = Lag(a=1.0, k=1.0), Lag(a=1.0, k=3.0)
+    targets = [black_box(unit.system()), measured(three.system(), coherence=0.6)]
+    fit = match(Lag(a=1.0), targets, norm="quadratic", fixed=("a",), omega=OMEGA, shift=0.0)
+    w = (1.58 * (1 - np.exp(-0.6))) ** 2
+    assert fit["k"].value == pytest.approx((1 + 3 * w) / (1 + w), rel=1e-6)
+
+
 def test_measured_points_alone_recover_an_unstable_structure():
     fit = match(HoverRoll(), measured(TRUTH.system()), norm="hinf")
     np.testing.assert_allclose(fit.model.vector(), TRUTH.vector(), rtol=1e-5)
@@ -260,8 +287,11 @@ def test_wrong_weights_and_grids_are_explained(given, message):
 
 
 def test_target_of_another_kind_is_refused():
-    with pytest.raises(ValueError, match="target is a StateSpace, expected a BlackBox"):
-        match(Lag(), [SECOND])
+    with pytest.raises(ValueError, match="target is a Lag, expected a BlackBox"):
+        match(Lag(), [Lag()])
+    discrete = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1, ("u",), ("x",))
+    with pytest.raises(ValueError, match="convert it to continuous time"):
+        match(Lag(), discrete)
     with pytest.raises(ValueError, match="no target"):
         match(Lag(), [])
     with pytest.raises(ValueError, match="measured points cannot move"):

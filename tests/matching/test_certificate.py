@@ -6,7 +6,7 @@ from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import StateSpace
 from casid.matching.certificate import band_norm, peaks
-from casid.matching.comparison import compare
+from casid.matching.targets import compare
 
 
 def random_system(rng, nx, ny, nu, delay):

@@ -16,19 +16,21 @@ POINTS = 20.0  # to which T&R normalise the number of frequencies
 DB = 20 / np.log(10)  # dB per neper
 DEG = 180 / np.pi
 PHASE = 0.01745  # W_p: 1 dB weighs as much as 7.57 degrees
+TURN = np.sqrt(PHASE) * DEG  # what a radian weighs beside `DB` for a neper
+TINY = 1e-12  # of the squared gain ratio, keeps its logarithm finite where a response vanishes
 
 GOOD = 100.0  # J below which T&R call a model satisfactory, and 50 nearly indistinguishable
 
 
 def coherence_weight(coherence: Array) -> Array:
-    """W_γ, in [0, 1]; the coherence is γ²."""
+    """W_γ, in [0, 1], of a squared error; the coherence is γ²."""
     return np.asarray((1.58 * (1 - np.exp(-coherence))) ** 2)
 
 
 def log_ratio(G: ComplexArray, measured: ComplexArray) -> ComplexArray:
     """ln(G/measured): gain difference in nepers and phase difference in rad, wrapped to ±π."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.log(G / measured))
+    z = np.asarray(G / measured)
+    return np.asarray(np.log(np.abs(z) ** 2 + TINY) / 2 + 1j * np.angle(z))
 
 
 def residuals(G: ComplexArray, measured: ComplexArray, weight: Array) -> Array:
@@ -41,13 +43,19 @@ def residuals(G: ComplexArray, measured: ComplexArray, weight: Array) -> Array:
     weight : (...) array
         W_γ 20/n_ω; zero leaves a point out.
     """
-    used = weight > 0
-    ratio = np.where(used, G, 1) / np.where(used, measured, 1)
-    difference = log_ratio(ratio.astype(complex), np.ones(ratio.shape, dtype=complex))
-    root = np.sqrt(weight)
-    return np.stack([
-        root * DB * difference.real, root * np.sqrt(PHASE) * DEG * difference.imag
-    ])  # fmt: skip
+    used, root = weight > 0, np.sqrt(weight)
+    e = log_ratio(np.where(used, G, 1), np.where(used, measured, 1))
+    return np.stack([root * DB * e.real, root * TURN * e.imag])
+
+
+def residual_slopes(
+    G: ComplexArray, slope: ComplexArray, measured: ComplexArray, weight: Array
+) -> Array:
+    """Derivatives of `residuals` from those of the model, ``slope`` (nf, ...); (nf, 2, ...)."""
+    used, root = weight > 0, np.sqrt(weight)
+    floor = TINY * np.abs(np.where(used, measured, 1)) ** 2
+    e = slope * np.where(used, np.conj(G) / (np.abs(G) ** 2 + floor), 0) * root
+    return np.stack([DB * e.real, TURN * e.imag], axis=1)
 
 
 def pair_weights(coherence: Array, used: BoolArray) -> Array:

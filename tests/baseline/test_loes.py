@@ -6,7 +6,7 @@ from truths import uh60
 
 from casid import FrequencyResponse, frequency_response
 from casid.baseline.loes import transfer_function
-from casid.baseline.mismatch import DEG, coherence_weight
+from casid.matching.mismatch import DEG, coherence_weight
 
 OMEGA = np.geomspace(0.3, 15.0, 20)
 

@@ -1,0 +1,119 @@
+"""The least cost in decibels and degrees, from several starting points.
+
+The relative error G/Ĝ − 1 is the cost's logarithm to first order and easier to descend on. So
+every start descends on its squares first, then on the cost itself, and the lifted programme of
+`casid.matching.lifted` solves for the best of the minima found, with the prices of what holds it.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.baseline.accuracy import StartCost
+from casid.matching.descent import Condensed, descend
+from casid.matching.initial import Start, distinct, least_squares
+from casid.matching.lifted import Optimum, lift
+from casid.matching.mismatch import residuals
+from casid.nlp import SolverOptions
+
+STEPS = 200  # at most, of the descent on the cost
+AGREES = 1e-4  # between J as IPOPT has it and J of the model found, relative to 1 + J
+
+
+# One row a start, and the free parameters (nf,) where its descent ended.
+Minima: TypeAlias = tuple[tuple[StartCost, Array], ...]
+
+
+def descents(problem: Condensed, count: int, seed: int) -> Minima:
+    """Descend from that many starting points on the relative error, then on the cost.
+
+    Parameters
+    ----------
+    problem : Condensed
+        The relative error's squares.
+    count, seed : int
+        Number of starts, and seed of those at random.
+    """
+    found, cost = [], decibels(problem)
+    for number, (name, start) in enumerate(_points(problem, count, seed)):
+        began = time.perf_counter()
+        rough = descend(problem, start, steps=100, tolerance=1e-4)
+        last = descend(cost, rough.values, steps=STEPS, tolerance=1e-9)
+        row = StartCost(
+            start=f"{number + 1} ({name})",
+            J=last.cost,
+            success=last.settled,
+            status="settled" if last.settled else "the limit of steps was reached",
+            iterations=rough.steps + last.steps,
+            seconds=time.perf_counter() - began,
+        )
+        found.append((row, last.values))
+    return tuple(found)
+
+
+def decibels(problem: Condensed) -> Condensed:
+    """The same responses compared in decibels and degrees."""
+    return replace(problem, norm="decibel")
+
+
+def _points(problem: Condensed, count: int, seed: int) -> Iterator[tuple[str, Array]]:
+    """Names and free parameters: from least squares, the guess, and at random about the first."""
+    free, rng = problem.free, np.random.default_rng(seed)
+    scale, limits = free.scale[free.index], (free.lower[free.index], free.upper[free.index])
+    values = least_squares(problem)
+    points = [("guess", free.guess)]
+    if values is not None:
+        points.insert(0, ("least squares", values))
+    yield from points[:count]
+    centre = points[0][1]
+    for _ in range(count - len(points)):
+        spread = np.hypot(0.5 * centre, 0.05 * scale) * rng.standard_normal(len(centre))
+        yield "random", np.clip(centre + spread, *limits)
+
+
+def solve(problem: Condensed, found: Minima, options: SolverOptions) -> Optimum:
+    """The programme from the best minimum; from the next if that fails, and so on."""
+    best: Optimum | None = None
+    iterations = 0
+    minima = [Start(name=row.start, values=values, cost=row.J) for row, values in found]
+    for start in distinct(minima):
+        lifted = lift(problem.free, problem.comparison, "decibel", start.values)
+        optimum = _checked(problem, lifted.solve(options, f"derivid, start {start.name}"))
+        iterations += optimum.iterations
+        if best is None or optimum.success:
+            best = optimum
+        if optimum.success:
+            break
+    assert best is not None  # there is at least one start
+    return replace(best, iterations=iterations)
+
+
+def pair_costs(problem: Condensed, values: Array) -> Array:
+    """J of every pair at free values, (ny, nu)."""
+    c = problem.comparison
+    r = residuals(problem.matrices(values).response(c.s), c.G, c.decibel_weight)
+    return np.asarray(np.sum(r**2, axis=(0, 1)))
+
+
+def _checked(problem: Condensed, found: Optimum) -> Optimum:
+    """What IPOPT calls a success, held against the cost of the model itself."""
+    c = problem.comparison
+    with np.errstate(over="ignore", invalid="ignore"):
+        cost = float(pair_costs(problem, found.values).sum())
+    silent = (c.W > 0) & (problem.matrices(found.values).response(c.s) == 0)
+    if silent.any():
+        i, j = np.argwhere(silent.any(axis=0))[0]
+        pair = problem.free.model.outputs[i], problem.free.model.inputs[j]
+        status = f"{pair[0]} does not respond to {pair[1]} in the model; leave that pair out"
+    elif not abs(cost - found.cost) <= AGREES * (1 + cost):
+        status = f"solved, but the model's own cost there is {cost:.6g}, not {found.cost:.6g}"
+    else:
+        return replace(found, cost=cost)
+    cost = cost if np.isfinite(cost) else np.inf
+    return replace(
+        found, cost=cost, success=False, status=status if found.success else found.status
+    )

@@ -1,0 +1,186 @@
+"""The solves of one match in order, and what is checked of what a solver calls success.
+
+Every way to a start is tried, the guess as it is among them. Each distinct minimum is solved for
+in the quadratic norm; from there, in the H-infinity norm, peaks between the points are added until
+the certificate over the band is near the grid's value. No result is worse than the guess.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.linear import StateSpace
+from casid.matching.appraisal import EXACT, Appraisal, appraise, doubts, response_size, violated
+from casid.matching.comparison import Comparison
+from casid.matching.descent import Condensed, check_effects, descend
+from casid.matching.initial import starts
+from casid.matching.lifted import Optimum, lift
+from casid.model import Free
+from casid.nlp import SolverOptions
+
+GAP = 0.01  # between grid value and bound over the band
+HIGH = 0.5  # of the highest peak of the quadratic fit: what is added before the first solve
+ROUNDS = 12  # of adding peaks to the grid
+LARGE = 2500  # numbers a response and its states hold, above which one good start is enough
+WORSE = 1e-4  # relative increase of a cost that is none
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Found:
+    """Where a programme ended: values (nf,), prices of bounds and constraints, how it got there."""
+
+    values: Array
+    multipliers: Array
+    prices: Array
+    cost: float
+    success: bool
+    status: str
+    start: str
+    appraisal: Appraisal
+
+
+class Search:
+    """The solves of one match; counts their iterations.
+
+    Parameters
+    ----------
+    free : Free
+        The parameters.
+    comparison : Comparison
+        Points, responses, weights.
+    stable : bool
+        Whether poles have to stay left of the line.
+    options : SolverOptions
+        Of every solve.
+    """
+
+    def __init__(
+        self, free: Free, comparison: Comparison, *, stable: bool, options: SolverOptions
+    ) -> None:
+        self.free, self.comparison, self.stable, self.options = free, comparison, stable, options
+        self.iterations = 0
+        self.negligible = EXACT * response_size(comparison)
+        K, ny, nu = comparison.G.shape
+        self.large = 2 * K * nu * (ny + len(free.model.states)) > LARGE
+
+    def quadratic(self) -> list[Found]:
+        """Quadratic fits from all starts, best first; of a large one the first that converges."""
+        check_effects(Condensed.of(self.free, self.comparison))
+        problem = Condensed.of(self.free, self.comparison, guarded=self.stable)
+        found: list[Found] = []
+        for start in starts(problem, large=self.large):
+            found.append(self._solve("quadratic", start.name, start.values, self.comparison))
+            if self.large and found[-1].success and found[-1].cost <= start.cost * (1 + WORSE):
+                break
+        size = np.linalg.norm(self.comparison.error(self.system(self.free.guess))) ** 2
+        if self._beats(float(size) / len(self.comparison.s), min(found, key=_rank).cost):
+            given = self._solve("quadratic", "guess", self.free.guess, self.comparison)
+            found.append(given)
+        return sorted(found, key=_rank)
+
+    def hinf(self, fits: Sequence[Found]) -> Found:
+        """The H-infinity fit from quadratic ones, certified over the band."""
+        found: list[Found] = []
+        for k, fit in enumerate(fits):
+            if not any(np.isclose(fit.cost, other.cost, rtol=1e-6) for other in fits[:k]):
+                found.append(self._from(fit))
+        best = self._certify(min(found, key=_rank))
+        norm, given = self.comparison.norm, self.system(self.free.guess)
+        if self._beats(norm(given), norm(best.appraisal.system)):
+            other = self._certify(self._from(self._as_given(best)))
+            best = min(best, other, key=_rank)
+        return best
+
+    def _beats(self, cost: float, found: float) -> bool:
+        """Whether the guess, of the given cost, is admissible and better than what was found."""
+        if not cost < found * (1 - WORSE):
+            return False
+        return not self._unstable(self.free.guess) and not violated(self.free, self.free.guess)
+
+    def _as_given(self, like: Found) -> Found:
+        """The guess itself as a start."""
+        values = self.free.guess
+        appraisal = appraise(self.system(values), self.comparison)
+        return replace(like, values=values, appraisal=appraisal, start="guess")
+
+    def _from(self, fit: Found) -> Found:
+        """The H-infinity fit from another, its highest peaks on the grid."""
+        return self._improve(fit, fit.appraisal.with_peaks(HIGH * fit.appraisal.upper))
+
+    def _certify(self, found: Found) -> Found:
+        """Add the peaks between the points and solve again until the bound is near the grid."""
+        for _ in range(ROUNDS):
+            if not found.success or self._close(found):
+                return found
+            norm = found.appraisal.grid_norm
+            found = self._improve(found, found.appraisal.with_peaks(norm * (1 + 1e-3)))
+        if not found.success or self._close(found):
+            return found
+        gap = f"{found.appraisal.upper / found.appraisal.grid_norm - 1:.1%}"
+        status = f"the bound over the band stays {gap} above the grid; pass a finer omega"
+        return replace(found, success=False, status=status)
+
+    def _close(self, found: Found) -> bool:
+        """Whether the bound over the band is near the value on the grid."""
+        appraisal = found.appraisal
+        return appraisal.upper <= max(appraisal.grid_norm * (1 + GAP), self.negligible)
+
+    def _improve(self, found: Found, comparison: Comparison) -> Found:
+        """The H-infinity fit on a grid; an error that is rounding cannot be improved."""
+        system = self.system(found.values)
+        if comparison.norm(system) > self.negligible:
+            return self._solve("hinf", found.start, found.values, comparison)
+        appraisal, none = appraise(system, comparison), np.zeros_like(found.multipliers)
+        prices = np.zeros_like(found.prices)
+        cost = appraisal.grid_norm
+        return replace(found, cost=cost, appraisal=appraisal, multipliers=none, prices=prices)
+
+    def _solve(self, norm: str, start: str, values: Array, comparison: Comparison) -> Found:
+        """One programme; once more with the stability constraint if its solution needs it."""
+        optimum = self._programme(norm, values, comparison, stable=False)
+        if self._unstable(optimum.values):
+            outside = self._unstable(values)
+            inside = self._stabilised(comparison, optimum.values) if outside else values
+            optimum = self._programme(norm, inside, comparison, stable=True)
+        appraisal = appraise(self.system(optimum.values), comparison)
+        doubt = doubts(self.free, optimum.values, self.free.guess, appraisal, stable=self.stable)
+        cost, unit = optimum.cost, 1.0
+        if norm == "hinf":  # the programme minimises t, the cost is √t
+            cost = appraisal.grid_norm
+            unit = 1 / (2 * max(cost, self.negligible, 1e-300))
+        return Found(
+            values=optimum.values, multipliers=optimum.multipliers * unit,
+            prices=optimum.prices * unit, cost=cost, success=optimum.success and doubt is None,
+            status=optimum.status if doubt is None or not optimum.success else doubt,
+            start=start, appraisal=appraisal,
+        )  # fmt: skip
+
+    def _programme(
+        self, norm: str, values: Array, comparison: Comparison, *, stable: bool
+    ) -> Optimum:
+        lifted = lift(self.free, comparison, norm, values, stable=stable)
+        optimum = lifted.solve(self.options, f"match {norm}")
+        self.iterations += optimum.iterations
+        return optimum
+
+    def system(self, values: Array) -> StateSpace:
+        """The structure at the free values."""
+        return self.free.model.with_vector(self.free.full(values)).system()
+
+    def _unstable(self, values: Array) -> bool:
+        line = self.comparison.line
+        if not self.stable or line is None:
+            return False
+        return bool(self.system(values).poles().real.max() > line + 1e-6 * (1 + line))
+
+    def _stabilised(self, comparison: Comparison, values: Array) -> Array:
+        """Values near the given ones with all poles left of the line, if some are found."""
+        problem = Condensed.of(self.free, comparison, guarded=True)
+        return descend(problem, values, steps=100, tolerance=1e-4).values
+
+
+def _rank(found: Found) -> tuple[bool, float]:
+    """Order of results: solutions first, by increasing cost."""
+    return not found.success, found.cost
