@@ -99,18 +99,19 @@ def fits(starts=20):
     print(f"  casid         J {fit.cost:.1f}, reached from {np.sum(costs < 1.001 * fit.cost)}"
           f" starts, {seconds:.1f} s")  # fmt: skip
     free = free_parameters(model)
-    target, used = select(model, frf)
+    target = select(model, frf)
+    used, weight = target.W > 0, target.decibel_weight
     matrices = MatrixFunction(free)
     scale = free.scale[free.index]
     lower, upper = free.lower[free.index] / scale, free.upper[free.index] / scale
-    root = np.sqrt(target.weight)
+    root = np.sqrt(weight)
 
     def r(x):
-        G = matrices(x * scale).response(1j * target.omega)
-        return residuals(np.where(np.abs(G) > 0, G, 1e-9), target.G, target.weight)[:, used].ravel()
+        G = matrices(x * scale).response(target.s)
+        return residuals(np.where(np.abs(G) > 0, G, 1e-9), target.G, weight)[:, used].ravel()
 
     def jacobian(x):
-        G, slope = matrices(x * scale).response_slopes(1j * target.omega)
+        G, slope = matrices(x * scale).response_slopes(target.s)
         d = (slope / np.where(np.abs(G) > 0, G, 1e-9) * root)[:, used].T * scale
         return np.vstack([DB * d.real, np.sqrt(PHASE) * DEG * d.imag])
 

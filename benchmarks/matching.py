@@ -154,16 +154,6 @@ class Ring:
         names = self.truth.inputs, self.truth.outputs
         self.model = _ring_model(near, nx, nu, *names)
 
-    def box(self) -> BlackBox:
-        """A black box two states larger than the structure."""
-        nu, ny = self.truth.nu, self.truth.ny
-        return BlackBox(
-            system=self.truth, K=np.zeros((self.truth.nx, ny)), singular_values=np.ones(1),
-            pole=np.nan, past=1, future=1, transform="laguerre",
-            feedthrough=np.ones((ny, nu), dtype=bool), input_std=np.ones(nu),
-            output_std=np.ones(ny), band=(0.1, 20.0), records=(),
-        )  # fmt: skip
-
 
 def _ring_model(near, nx, nu, inputs, outputs) -> Model:
     names = [f"a{i}_{j}" for i, j in sorted(near)] + [
@@ -183,10 +173,10 @@ def _ring_model(near, nx, nu, inputs, outputs) -> Model:
     return type("RingModel", (Model,), body)()
 
 
-def timed(model: Model, box: BlackBox, norm: str, points: int) -> tuple[float, int, float]:
+def timed(model: Model, target: BlackBox | StateSpace, norm: str, omega: np.ndarray) -> tuple:
     """Seconds, iterations and cost of a whole match."""
     begin = time.process_time()
-    fit = match(model, box, norm=norm, omega=np.geomspace(*box.band, points))
+    fit = match(model, target, norm=norm, omega=omega)
     return time.process_time() - begin, fit.iterations, fit.cost
 
 
@@ -195,15 +185,15 @@ def measure_speed() -> None:
     heli, box, _ = helicopters()["UH-60"]
     small, large = Ring(10, 4, 8), Ring(12, 4, 8)
     rows = []
-    for label, model, target, points in (
-        ("UH-60, 64 parameters, 40 frequencies", heli, box, 40),
-        ("UH-60, 64 parameters, 80 frequencies", heli, box, 80),
-        ("ring of 10, 120 parameters, 40 frequencies", small.model, small.box(), 40),
-        ("ring of 10, 120 parameters, 100 frequencies", small.model, small.box(), 100),
-        ("ring of 12, 144 parameters, 100 frequencies", large.model, large.box(), 100),
+    for label, model, target, points, band in (
+        ("UH-60, 64 parameters, 40 frequencies", heli, box, 40, box.band),
+        ("UH-60, 64 parameters, 80 frequencies", heli, box, 80, box.band),
+        ("ring of 10, 120 parameters, 40 frequencies", small.model, small.truth, 40, (0.1, 20.0)),
+        ("ring of 10, 120 parameters, 100 frequencies", small.model, small.truth, 100, (0.1, 20.0)),
+        ("ring of 12, 144 parameters, 100 frequencies", large.model, large.truth, 100, (0.1, 20.0)),
     ):
         for norm in ("quadratic", "hinf"):
-            rows.append((label, norm, *timed(model, target, norm, points)))
+            rows.append((label, norm, *timed(model, target, norm, np.geomspace(*band, points))))
             print(*rows[-1], file=sys.stderr, flush=True)
     print(table(("match", "norm", "s", "iterations", "cost"), rows))
     compare_ways(heli, box)
@@ -220,13 +210,13 @@ def compare_ways(model: Model, box: BlackBox) -> None:
     rows.append(("lifted, IPOPT, exact Hessian", time.process_time() - begin,
                  solution.iterations, solution.f * lifted.unit**2))  # fmt: skip
     rows.append(("condensed, IPOPT, exact Hessian", *condensed_programme(free, comparison)))
-    problem = Condensed(free, comparison)
+    problem = Condensed.of(free, comparison)
     begin = time.process_time()
     down = descend(problem, free.guess, steps=100, tolerance=1e-6)
     rows.append(("condensed, Levenberg-Marquardt on the line itself", time.process_time() - begin,
                  "-", down.cost))  # fmt: skip
     begin = time.process_time()
-    best = starts(free, problem.guarded(), large=True)[0]
+    best = starts(Condensed.of(free, comparison, guarded=True), large=True)[0]
     rows.append(("condensed, Levenberg-Marquardt from the right", time.process_time() - begin,
                  "-", best.cost))  # fmt: skip
     print()
