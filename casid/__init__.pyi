@@ -20,7 +20,7 @@ from .bounds.resampling import (
     monte_carlo as monte_carlo,
     multistart as multistart,
 )
-from .chain import Chain as Chain, Identification as Identification, identify as identify
+from .chain import Identification as Identification, identify as identify
 from .commands.inspection import Inspection as Inspection, inspect_records as inspect_records
 from .consistency.kinematics import (
     KinematicCheck as KinematicCheck,
@@ -83,11 +83,16 @@ from .nlp import Progress as Progress, SolverOptions as SolverOptions
 from .record import Record as Record
 from .shooting.output_error import OutputError as OutputError, output_error as output_error
 from .shooting.precision import OutputErrorNotes as OutputErrorNotes
+from .stages.chain import Chain as Chain
+from .stages.listing import STAGES as STAGES
+from .stages.matching import Matching as Matching
+from .stages.stage import Stage as Stage, Task as Task
 from .structure.identifiability import (
     Identifiability as Identifiability,
     identifiability as identifiability,
 )
 from .structure.modelfile import load_model as load_model
+from .studies.runner import run_study as run_study
 from .studies.study import read_records as read_records
 from .studies.studyfile import read_study as read_study
 from .subspace.pbsid import BlackBox as BlackBox, pbsid as pbsid

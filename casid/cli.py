@@ -18,6 +18,7 @@ from casid.files import read_csv
 from casid.fit import AnyFit
 from casid.nlp import Progress
 from casid.report import Timing
+from casid.stages.listing import STAGES, in_tables, in_words
 from casid.structure.modelfile import load_model
 from casid.structure.overview import describe
 from casid.studies.runner import Outcome, run_study
@@ -59,27 +60,29 @@ for _command in COMMANDS:
     main.add_command(_command)
 
 
-@main.command()
+IDENTIFY = f"""Identify the structure a study names and write its report.
+
+Stages: {in_words(STAGES)}, report. Each result is kept when its stage ends: an interrupted study
+goes on where it stopped, and a stage is computed again only if something it depends on has changed.
+Their settings stand in the tables {in_tables(STAGES)} of the study.
+
+\b
+The output folder then holds
+  report.html      everything on one page, for screen and paper
+  fit.json         the identified model, for casid.Fit.load
+  parameters.csv   the parameter table
+  figures/         every figure as PNG and SVG
+  stages/          the result of each stage
+"""
+
+
+@main.command(help=IDENTIFY)
 @STUDY
 @OUTPUT
 @click.option("--fresh", is_flag=True, help="Compute every stage again, whatever was kept.")
 @VERBOSE
 def identify(study: Path, output: Path | None, fresh: bool, verbose: bool) -> None:
-    """Identify the structure a study names and write its report.
-
-    Stages: black box (pbsid), measured frequency response, quadratic match, H-infinity match,
-    output error, frequency-domain baseline, validation, report. Each result is kept when its stage
-    ends: an interrupted study goes on where it stopped, and a stage is computed again only
-    if something it depends on has changed.
-
-    \b
-    The output folder then holds
-      report.html      everything on one page, for screen and paper
-      fit.json         the identified model, for casid.Fit.load
-      parameters.csv   the parameter table
-      figures/         every figure as PNG and SVG
-      stages/          the result of each stage
-    """  # noqa: D301
+    """Identify the structure a study names and write its report."""
     console = terminal()
     with exits(console), logged(console, verbose), Monitor(console) as monitor:
         outcome = run_study(read_study(study, output), fresh=fresh, watch=monitor)
@@ -106,13 +109,12 @@ def bounds(study: Path, output: Path | None, verbose: bool) -> None:
     console = terminal()
     with exits(console), logged(console, verbose), Monitor(console) as monitor:
         asked = read_study(study, output)
-        if not asked.comparison:
+        if "bounds" not in asked.settings:
             raise ValueError(f"{study}: there is no table [bounds] with cases to compare")
-        outcome = run_study(asked, compare=True, watch=monitor)
+        outcome = run_study(asked, command="bounds", watch=monitor)
     if outcome.comparison is not None:
         console.print(case_table(outcome.comparison))
-    console.print(Text("Report: ").append(str(outcome.report.resolve()), style="bold"),
-                  soft_wrap=True)  # fmt: skip
+    _say_where(console, outcome)
 
 
 @main.command(short_help="Check a study or a model file; estimate nothing.")
@@ -140,10 +142,8 @@ def check(what: str, flights: tuple[str, ...], fixed: tuple[str, ...], verbose: 
         else:
             model = load_model(what)()
             records = [read_csv(f, inputs=model.inputs, outputs=model.outputs) for f in flights]
-            console.print(
-                Text(str(describe(model, records or None, fixed=fixed))),
-                no_wrap=True, overflow="ignore", crop=False,
-            )  # fmt: skip
+            text = Text(str(describe(model, records or None, fixed=fixed)))
+            console.print(text, no_wrap=True, overflow="ignore", crop=False)
 
 
 class Monitor:
@@ -203,14 +203,18 @@ def _conclude(console: Console, outcome: Outcome) -> None:
     fresh = [timing.seconds for timing in outcome.timings if not timing.kept]
     console.print(Text(_line("total", None, None, sum(fresh)), style="bold"))
     console.print(parameter_table(outcome.identification.output_error))
-    console.print(Text("Report: ").append(str(outcome.report.resolve()), style="bold"),
-                  soft_wrap=True)  # fmt: skip
+    _say_where(console, outcome)
+
+
+def _say_where(console: Console, outcome: Outcome) -> None:
+    path = str(outcome.report.resolve())
+    console.print(Text("Report: ").append(path, style="bold"), soft_wrap=True)
 
 
 def parameter_table(fit: AnyFit) -> Table:
     """Parameters of a fit for the terminal; * marks those on a bound."""
-    table = new_table(f"Parameters after {fit.method}", "name", "value", "std. error", "lower",
-                      "upper", "unit")  # fmt: skip
+    headings = ("name", "value", "std. error", "lower", "upper", "unit")
+    table = new_table(f"Parameters after {fit.method}", *headings)
     for row in fit.parameters:
         error = "fixed" if row.fixed else f"{row.std_error:.2g}"
         table.add_row(
@@ -227,16 +231,16 @@ def parameter_table(fit: AnyFit) -> Table:
 
 def case_table(comparison: BoundsComparison) -> Table:
     """Cases of a comparison for the terminal."""
-    table = new_table(f"Cases by {comparison.estimator}", "case", "cost", "increase", "predicted",
-                      "held", "validation RMS / std", "dearest")  # fmt: skip
+    headings = ("cost", "increase", "predicted", "held", "validation RMS / std", "largest price")
+    table = new_table(f"Cases by {comparison.estimator}", "case", *headings)
     for case in comparison.cases:
         if case.reason:
             table.add_row(Text(case.name), Text(f"failed: {case.reason}", style="red"))
             continue
-        dearest = max(case.shares, key=case.shares.__getitem__, default="")
-        figures = (f"{case.increase:.4g}", f"{case.predicted:.4g}", str(case.held))
-        table.add_row(Text(case.name), f"{case.cost:.7g}", *figures, f"{case.rms:.3g}",
-                      Text(dearest))  # fmt: skip
+        largest = max(case.shares, key=case.shares.__getitem__, default="")
+        figures = [f"{case.cost:.7g}", f"{case.increase:.4g}", f"{case.predicted:.4g}"]
+        figures += [str(case.held), f"{case.rms:.3g}"]
+        table.add_row(Text(case.name), *figures, Text(largest))
     return table
 
 
@@ -247,7 +251,7 @@ def _describe(console: Console, study: Study) -> None:
     table = new_table("Records", "record", "role", "samples", "seconds", "interval")
     for role, records in read_records(study).items():
         for record in records:
-            table.add_row(Text(record.name), role, str(record.N), f"{record.duration:g}",
-                          f"{record.dt:g}")  # fmt: skip
+            numbers = (str(record.N), f"{record.duration:g}", f"{record.dt:g}")
+            table.add_row(Text(record.name), role, *numbers)
     console.print(table)
     console.print("The study is in order.")

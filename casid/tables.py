@@ -10,6 +10,14 @@ from typing import Any
 from casid.limits import TEXT_BYTES, check_file
 
 
+def hint(name: str, known: Iterable[str]) -> str:
+    """What was meant by a name that is not known, or all names that are."""
+    known = tuple(known)
+    near = difflib.get_close_matches(name, known, n=1)
+    others = f"known are {', '.join(known)}" if known else "there are none"
+    return f"did you mean {near[0]!r}? {others[0].upper()}{others[1:]}" if near else others
+
+
 @dataclass(frozen=True)
 class Table:
     """A TOML table that knows its place, for messages."""
@@ -22,9 +30,7 @@ class Table:
         known = tuple(known)
         for key in self.content:
             if key not in known:
-                near = difflib.get_close_matches(key, known, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
-                raise ValueError(f"{self.place} unknown key {key!r}; {hint}")
+                raise ValueError(f"{self.place} unknown key {key!r}; {hint(key, known)}")
 
     def table(self, key: str, *, needed: bool = False) -> "Table":
         """Return a table within this one, empty if it is not there."""

@@ -219,7 +219,7 @@ def test_a_failed_case_is_a_row_with_its_reason():
 
 
 def test_a_wrong_estimator_or_case_is_refused_at_once():
-    with pytest.raises(ValueError, match="expected one of 'chain'"):
+    with pytest.raises(ValueError, match="expected one of 'match'"):
         compare_bounds(Mixture(), [record()], cases={"free": {}}, estimator="guess")
     with pytest.raises(ValueError, match="no parameter 'z'"):
         compare_bounds(Mixture(), [record()], cases={"free": {"z": 1.0}})

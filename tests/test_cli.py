@@ -114,7 +114,7 @@ def test_an_interrupted_study_says_that_the_same_command_goes_on(tmp_path, monke
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("casid.chain.Match.fit", interrupted)
+    monkeypatch.setattr("casid.matching.match.Match.fit", interrupted)
     result = casid("identify", write_study(tmp_path))
     assert result.exit_code == 130
     assert "the same command goes on" in result.output

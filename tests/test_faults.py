@@ -410,7 +410,7 @@ def test_when_ipopt_fails_the_chain_says_so_and_offers_its_best_iterate(stage, c
     assert (copy / "out/fit.json").exists() == (stage == "derivid")
     assert ("The frequency-domain fit is missing" in page) == (stage == "derivid")
     monkeypatch.setattr(
-        "casid.studies.runner.write_report", lambda _, folder: folder / "report.html"
+        "casid.studies.runner.write_report", lambda *_: copy / "out" / "report.html"
     )
     again = identify(copy / "study.toml")
     assert again.exit_code == 0

@@ -14,7 +14,7 @@ from truths.roll_study import Truth
 import casid
 from casid import files, limits
 from casid.jobs.store import Store
-from casid.studies import studyfile
+from casid.studies import settings
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted(Path(casid.__file__).parent.rglob("*.py"))
@@ -109,7 +109,7 @@ def test_the_limits_are_those_of_the_code():
     assert list(said.values()) == [
         *(f"{size // limits.MIB} MiB" for size in mib),
         f"{files.HEADER_CHARACTERS} characters",
-        f"{studyfile.MOST_POINTS}",
+        f"{settings.MOST_POINTS}",
         f"{limits.USER_SECONDS:g} s",
     ]
 

@@ -16,8 +16,9 @@ import numpy as np
 
 from casid.bounds.cases import Case, CaseSpec, read_cases
 from casid.bounds.prices import CaseResult, price_case
-from casid.bounds.trials import Data, Setup, Trial, run_trials, setup, starting_values
+from casid.bounds.trials import Data, Setup, Trial, named, run_trials, setup, starting_values
 from casid.errors import DataWarning
+from casid.estimator import Estimator
 from casid.files import write_text
 from casid.fit import AnyFit
 from casid.jobs.campaigns import Advance, Job
@@ -107,7 +108,7 @@ def compare_bounds(
     data: Data,
     *,
     cases: Mapping[str, CaseSpec],
-    estimator: str = "output_error",
+    estimator: str | Estimator = "output_error",
     validation: Sequence[Record] = (),
     start: Model | AnyFit | None = None,
     fixed: Sequence[str] = (),
@@ -124,12 +125,12 @@ def compare_bounds(
     model : Model
         Structure, and the guess that cases like "±20 %" refer to.
     data : sequence of Record, or targets
-        Records for "output_error" and "chain", what `match` or `derivid` takes for these.
+        Records for "output_error" and `Chain`, what `match` or `derivid` takes for these.
     cases : mapping
         Name and content of each case (`casid.bounds.cases`): ``{"free": {}, "signs": {"Lp": "<
         0"}}``.
     estimator : str
-        "match" (``norm="quadratic"`` or "hinf"), "output_error", "derivid" or "chain".
+        "match" (``norm="quadratic"`` or "hinf"), "output_error" or "derivid"; or an `Estimator`.
     validation : sequence of Record
         Unseen records to judge every case by.
     start : Model or Fit
@@ -171,7 +172,7 @@ def compare_bounds(
     results = tuple(price_case(case, done[case.name], base, shared.data, judged) for case in read)
     _warn_of_minima(results, freest)
     return BoundsComparison(
-        cases=results, freest=freest, estimator=estimator, structure=type(model).__name__,
+        cases=results, freest=freest, estimator=named(estimator), structure=type(model).__name__,
         validation=judged,
     )  # fmt: skip
 

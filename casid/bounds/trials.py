@@ -5,14 +5,13 @@ from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.baseline.derivid import Derivid
 from casid.bounds.cases import Case, constrained, feasible, plain
-from casid.chain import Chain
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, Fit
@@ -24,7 +23,6 @@ from casid.matching.targets import Target
 from casid.model import Model
 from casid.record import Record
 from casid.shooting.output_error import OutputError
-from casid.subspace.pbsid import pbsid
 from casid.values import digest
 
 Data: TypeAlias = Sequence[Record] | Sequence[Target] | Record | Target
@@ -40,8 +38,8 @@ class Setup:
     ----------
     reference : Reference
         The structure's class.
-    estimator : str
-        One of `ESTIMATORS`.
+    estimator : str or Estimator
+        One of `ESTIMATORS`, or the value itself.
     data : tuple
         Records or targets.
     fixed : tuple of str
@@ -51,7 +49,7 @@ class Setup:
     """
 
     reference: Reference
-    estimator: str
+    estimator: str | Estimator
     data: tuple[Any, ...]
     fixed: tuple[str, ...]
     settings: Mapping[str, Any]
@@ -100,28 +98,36 @@ class Trial:
 
 
 def setup(
-    model: Model, data: Data, *, estimator: str, fixed: Sequence[str], settings: Mapping[str, Any]
+    model: Model,
+    data: Data,
+    *,
+    estimator: str | Estimator,
+    fixed: Sequence[str],
+    settings: Mapping[str, Any],
 ) -> Setup:
     """What the fits of a structure to data share; what is the same for all is computed here.
 
     Raises
     ------
     ValueError
-        An unknown estimator; what `pbsid` refuses, of a chain.
+        An unknown estimator.
     """
-    if estimator not in ESTIMATORS:
+    if isinstance(estimator, str) and estimator not in ESTIMATORS:
         known = ", ".join(map(repr, ESTIMATORS))
         raise ValueError(f"estimator={estimator!r}: expected one of {known}")
     given = dict(settings)
     if "solver" in given:  # a callable does not travel
         given["solver"] = replace(given["solver"], progress=None)
     items = tuple(data) if isinstance(data, Sequence) else (data,)
-    if estimator == "chain" and given.get("black_box") is None:
-        given["black_box"] = pbsid(cast(tuple[Record, ...], items), **given.get("pbsid", {}))
     return Setup(
         reference=refer(type(model)), estimator=estimator, data=items, fixed=tuple(fixed),
         settings=given,
     )  # fmt: skip
+
+
+def named(estimator: str | Estimator) -> str:
+    """What tables call an estimator."""
+    return estimator if isinstance(estimator, str) else type(estimator).__name__
 
 
 def starting_values(
@@ -178,7 +184,8 @@ def work(job: Trial, start: Content | None) -> Content:
         model = replace(model, **known)
     inside, sizes = constrained(feasible(model, job.case, near), job.case)
     data = setup.data if job.draw is None else job.draw(setup.data)
-    estimator = ESTIMATORS[setup.estimator](**setup.settings)
+    chosen = setup.estimator
+    estimator = ESTIMATORS[chosen](**setup.settings) if isinstance(chosen, str) else chosen
     try:
         fit = estimator.fit(inside, data, fixed=setup.fixed, bounds=job.case.bounds, near=near)
     except ConvergenceError as error:
@@ -206,7 +213,6 @@ def _own(fit: AnyFit, cls: type[Model], sizes: Array) -> AnyFit:
 
 
 ESTIMATORS: Mapping[str, Callable[..., Estimator]] = {
-    "chain": Chain,
     "match": Match,
     "output_error": OutputError,
     "derivid": Derivid,

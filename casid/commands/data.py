@@ -62,6 +62,7 @@ UNIT = click.option(
 MODEL = click.option(
     "--model", "structure", metavar="MODEL.py:CLASS", help="Structure, models/six_dof.py:SixDof."
 )
+WRITTEN = "Write inputs, measured and simulated outputs (p, p_sim) as .csv, .mat or .parquet."
 TIME = click.option("--time", default="t", show_default=True, help="Column of instants.")
 
 
@@ -187,15 +188,13 @@ def inspect_command(
         first, *others = sources
         if first.endswith(".toml"):
             if others or inputs or outputs or units:
-                raise ValueError("a study says itself which records, channels and units: name it "
-                                 "alone")  # fmt: skip
+                raise ValueError("a study says which records, channels and units: name it alone")
             study = read_study(Path(first))
             records: Sequence[Record] = read_records(study)["identification"]
             model: Model | None = study.model
-            found = inspect_records(
-                records, model=model, fixed=study.fixed, bounds=study.bounds,
-                time=study.channels.time, stated=study.channels.units,
-            )  # fmt: skip
+            held: Any = {"fixed": study.fixed, "bounds": study.bounds}
+            named: Any = {"time": study.channels.time, "stated": study.channels.units}
+            found = inspect_records(records, model=model, **held, **named)
         else:
             model = None if structure is None else load_model(structure)()
             records = _records(sources, model, inputs, outputs, units, time)
@@ -258,12 +257,12 @@ def _channel_table(facts: RecordFacts, inputs: Sequence[str]) -> Table:
     even = "" if facts.equidistant else ", not equidistant"
     gaps = f", {len(facts.gaps)} gaps" if facts.gaps else ""
     lacking = any(each.missing for each in facts.channels)
-    table = new_table(
+    title = (
         f"{facts.name}: {facts.samples} samples in {facts.duration:.5g} s, every "
-        f"{facts.interval:.4g} s{even}{gaps}; quiet for {facts.quiet:.3g} s",
-        "channel", "", "unit", "lowest", "highest", "std", "noise", "5 %", "50 %", "95 % [rad/s]",
-        *(["missing"] if lacking else []),
-    )  # fmt: skip
+        f"{facts.interval:.4g} s{even}{gaps}; quiet for {facts.quiet:.3g} s"
+    )
+    headings = ["", "unit", "lowest", "highest", "std", "noise", "5 %", "50 %", "95 % [rad/s]"]
+    table = new_table(title, "channel", *headings, *(["missing"] if lacking else []))
     for each in facts.channels:
         numbers = [f"{value:.4g}" for value in (each.lowest, each.highest)]
         numbers += [f"{value:.2g}" for value in (each.deviation, each.noise)]
@@ -285,8 +284,8 @@ def _correlation_table(found: Inspection) -> Table:
 
 def kinematics_table(found: KinematicCheck) -> Table:
     """Scale, skew and bias of each rate and specific force, for the terminal."""
-    table = new_table("Kinematic consistency", "channel", "against", "scale [%]", "late [ms]",
-                      "bias", "unit")  # fmt: skip
+    headings = ("against", "scale [%]", "late [ms]", "bias", "unit")
+    table = new_table("Kinematic consistency", "channel", *headings)
     for each in found.channels:
         cells = ["not determined", "", ""]
         if each.determined:
@@ -316,8 +315,7 @@ def kinematics_table(found: KinematicCheck) -> Table:
     show_default=True,
     help="Trim that is removed first: the mean before an input moves, the mean, or nothing.",
 )
-@click.option("--output", "-o", metavar="FILE", help="Write inputs, measured and simulated outputs "
-              "(p, p_sim) as .csv, .mat or .parquet.")  # fmt: skip
+@click.option("--output", "-o", metavar="FILE", help=WRITTEN)
 def simulate(
     fit: str,
     record: str,
@@ -336,16 +334,16 @@ def simulate(
     with exits(console):
         model = _load(Path(fit), structure).model
         how: Any = None if detrend == "none" else detrend
-        flown = read_record(record, inputs=model.inputs, outputs=model.outputs, units=units,
-                            time=time, detrend=how)  # fmt: skip
+        names: Any = {"inputs": model.inputs, "outputs": model.outputs, "time": time}
+        flown = read_record(record, units=units, detrend=how, **names)
         found = validate({"model": model}, [flown])
-        table = new_table(f"{type(model).__name__} on {flown.name}, {flown.duration:.5g} s",
-                          "output", "rms error", "unit", "fit [%]", "Theil")  # fmt: skip
+        title = f"{type(model).__name__} on {flown.name}, {flown.duration:.5g} s"
+        table = new_table(title, "output", "rms error", "unit", "fit [%]", "Theil")
         for i, name in enumerate(found.outputs):
             numbers = (found.rms, found.fit, found.theil)
             rms, fitted, theil = (float(each["model"][0, i]) for each in numbers)
-            table.add_row(Text(name), f"{rms:.3g}", UNITS.get(name, ""), f"{fitted:.1f}",
-                          f"{theil:.3f}")  # fmt: skip
+            cells = (f"{rms:.3g}", UNITS.get(name, ""), f"{fitted:.1f}", f"{theil:.3f}")
+            table.add_row(Text(name), *cells)
         console.print(table, "")
         _advise(console, unit_advice([flown], time, units))
         if output is not None:
@@ -376,8 +374,8 @@ def new_model_command(name: str) -> None:
     console = terminal()
     with exits(console):
         path, structure = new_model(name)
-        console.print(Text(f"{path}: look at it with  casid check {path}:{structure}"),
-                      soft_wrap=True)  # fmt: skip
+        told = f"{path}: look at it with  casid check {path}:{structure}"
+        console.print(Text(told), soft_wrap=True)
 
 
 COMMANDS: tuple[click.Command, ...] = (convert, inspect_command, simulate, new_model_command)

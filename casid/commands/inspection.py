@@ -180,10 +180,10 @@ def _channel(record: Record, name: str) -> ChannelFacts:
     known = ~np.isnan(raw)
     t, values = record.t[known], raw[known]
     if len(values) < 4:  # nothing can be said
-        empty = np.full(3, np.nan)
-        return ChannelFacts(name=name, unit=UNITS.get(name, ""), lowest=np.nan, highest=np.nan,
-                            deviation=np.nan, noise=np.nan, missing=float(1 - known.mean()),
-                            clipped=0, band=empty)  # fmt: skip
+        empty = dict.fromkeys(("lowest", "highest", "deviation", "noise"), np.nan)
+        share, unit = float(1 - known.mean()), UNITS.get(name, "")
+        nowhere = np.full(3, np.nan)
+        return ChannelFacts(name=name, unit=unit, missing=share, clipped=0, band=nowhere, **empty)
     even = np.interp(np.linspace(t[0], t[-1], record.N), t, values)
     return ChannelFacts(
         name=name,

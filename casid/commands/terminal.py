@@ -27,8 +27,8 @@ def terminal() -> Console:
 
 def new_table(title: str, first: str, *headings: str) -> Table:
     """An empty table with numbers to the right; a cell too narrow for its text is folded."""
-    made = Table(title=Text(title, style="bold"), title_justify="left", box=SIMPLE_HEAD,
-                 show_edge=False, padding=0)  # fmt: skip
+    bold = Text(title, style="bold")
+    made = Table(title=bold, title_justify="left", box=SIMPLE_HEAD, show_edge=False, padding=0)
     made.add_column(Text(first), overflow="fold")
     for heading in headings:
         made.add_column(Text(heading), justify="right", overflow="fold")

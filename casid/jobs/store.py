@@ -8,12 +8,11 @@ and the index is written after the result: a crash leaves the stage as not done.
 import dataclasses
 import hashlib
 from pathlib import Path
+from typing import Any
 
 from casid.files import read_json, write_json
-from casid.fit import AnyFit, Fit
-from casid.frequency.estimation import FrequencyResponse
+from casid.fit import Fit
 from casid.model import Model
-from casid.subspace.pbsid import BlackBox
 from casid.values import decode, encode
 
 SHOWING = (
@@ -24,7 +23,7 @@ SHOWING = (
     "studies",
 )  # code that changes no result of a stage
 
-Result = AnyFit | BlackBox | FrequencyResponse
+Result = Any  # a fit, or a frozen value that `storable` marks
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,8 +76,8 @@ class Store:
         if content.get("casid") == "fit":
             return Fit.load(self.path(stage), model=self._model)
         result = decode(content["result"])
-        if not isinstance(result, BlackBox | FrequencyResponse):
-            raise ValueError(f"{self.path(stage)} holds no result of a stage")  # noqa: TRY004
+        if not dataclasses.is_dataclass(result):
+            raise ValueError(f"{self.path(stage)} holds no result of a stage")
         return result
 
     def _index(self) -> dict[str, Entry]:

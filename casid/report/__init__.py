@@ -1,6 +1,17 @@
 """Figures and the report page; the only import of matplotlib and of the page's libraries."""
 
-from casid.report.content import BASELINE, BLACK_BOX, MATCH, OUTPUT_ERROR, Content, DataFile, Timing
+from casid.report.content import (
+    BASELINE,
+    BLACK_BOX,
+    MATCH,
+    OUTPUT_ERROR,
+    Caution,
+    Content,
+    DataFile,
+    Drawing,
+    Section,
+    Timing,
+)
 from casid.report.figures import (
     plot_autocorrelation,
     plot_coherence,
@@ -24,8 +35,11 @@ __all__ = [
     "BLACK_BOX",
     "MATCH",
     "OUTPUT_ERROR",
+    "Caution",
     "Content",
     "DataFile",
+    "Drawing",
+    "Section",
     "Timing",
     "plot_autocorrelation",
     "plot_bounds",

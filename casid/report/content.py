@@ -1,16 +1,16 @@
-"""What a report is made of: frozen values only, nothing computed here."""
+"""What a report is made of: frozen values, and the sections in which stages show theirs."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from casid.bounds.compare import BoundsComparison
+from matplotlib.figure import Figure
+
 from casid.channels import UNITS
-from casid.consistency.kinematics import KinematicCheck
-from casid.fit import AnyFit
-from casid.frequency.estimation import FrequencyResponse
-from casid.subspace.pbsid import BlackBox
-from casid.validation import Validation
+from casid.fit import AnyFit, Fit
+from casid.model import Model
+from casid.validation import AnyModel
 
 BLACK_BOX, MATCH, OUTPUT_ERROR, BASELINE = (
     "black box",
@@ -18,6 +18,7 @@ BLACK_BOX, MATCH, OUTPUT_ERROR, BASELINE = (
     "output error",
     "frequency domain",
 )
+TEMPLATES = Path(__file__).parent / "templates"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +46,64 @@ class DataFile:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Drawing:
+    """A figure of a section; ``interactive`` says that zooming into it helps."""
+
+    name: str
+    caption: str
+    figure: Figure
+    interactive: bool = True
+
+
+@dataclass(frozen=True)
+class Caution:
+    """What makes the result less certain than it looks; the least ``rank`` is told first."""
+
+    text: str
+    rank: int = 50
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Section:
+    """A section of the page: what one stage shows.
+
+    Parameters
+    ----------
+    name : str
+        Its anchor.
+    title : str
+        Its heading; without one the section only leads, and cautions.
+    template : str
+        The body in Jinja's words. It knows ``content``, all of ``values``, ``figures()`` where the
+        drawings go, and the filters ``number(digits)``, ``percent``, ``price`` and ``word``.
+    values : mapping
+        What the template shows.
+    draw : callable
+        The drawings; called when the page is written.
+    place : int
+        Sections stand in the order of their places.
+    lead : str
+        A sentence for the summary.
+    cautions : tuple of Caution
+        For the box on top.
+    """
+
+    name: str
+    title: str = ""
+    template: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict)
+    draw: Callable[[], Iterable[Drawing]] = tuple
+    place: int = 85
+    lead: str = ""
+    cautions: tuple[Caution, ...] = ()
+
+
+def template(name: str) -> str:
+    """Text of one of the package's own templates."""
+    return (TEMPLATES / f"{name}.html.j2").read_text(encoding="utf-8")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Content:
     """All that a report shows.
 
@@ -52,20 +111,16 @@ class Content:
     ----------
     title : str
         Heading.
-    black_box : BlackBox
-        Result of the first stage.
-    quadratic, hinf, output_error : Fit
-        Results of the others.
-    baseline : Fit or None
-        The frequency-domain fit.
-    frequency_response : FrequencyResponse or None
-        What was measured.
-    comparison : BoundsComparison or None
-        What the study's cases cost.
-    validation : Validation
-        Of the models on unseen records, under the names of this module.
-    kinematics : KinematicCheck or None
-        Whether the channels of the records agree with each other.
+    model : Model
+        The structure at its guess.
+    results : mapping
+        What each stage found, by its name.
+    models : mapping
+        Those results that simulate, under the names of the figures, in the order of the stages.
+    model_file : path
+        Where the structure stands.
+    model_digest : str
+        SHA-256 of that file.
     data : tuple of DataFile
         Every record used.
     settings, versions : mapping
@@ -76,24 +131,14 @@ class Content:
         What the stages warned of.
     units : mapping
         SI unit by channel.
-    model_file : path
-        Where the structure stands.
-    model_digest : str
-        SHA-256 of that file.
     """
 
     title: str
-    black_box: BlackBox
-    quadratic: AnyFit
-    hinf: AnyFit
-    output_error: AnyFit
-    validation: Validation
+    model: Model
+    results: Mapping[str, Any]
+    models: Mapping[str, AnyModel]
     model_file: Path
     model_digest: str
-    baseline: AnyFit | None = None
-    frequency_response: FrequencyResponse | None = None
-    comparison: BoundsComparison | None = None
-    kinematics: KinematicCheck | None = None
     data: tuple[DataFile, ...] = ()
     settings: Mapping[str, str] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -102,7 +147,11 @@ class Content:
     units: Mapping[str, str] = field(default_factory=lambda: UNITS)
 
     @property
+    def structure(self) -> type[Model]:
+        """The structure's class."""
+        return type(self.model)
+
+    @property
     def fits(self) -> dict[str, AnyFit]:
         """Structured models by the names the figures use."""
-        fits = {MATCH: self.hinf, OUTPUT_ERROR: self.output_error}
-        return fits if self.baseline is None else fits | {BASELINE: self.baseline}
+        return {name: each for name, each in self.models.items() if isinstance(each, Fit)}

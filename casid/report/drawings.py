@@ -1,7 +1,7 @@
 """The static figures of a report, put together from the ``plot_*`` functions."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,12 @@ from matplotlib.figure import Figure
 
 from casid.arrays import Array
 from casid.bounds.compare import BoundsComparison
+from casid.fit import AnyFit
 from casid.folder import replacing
+from casid.frequency.estimation import FrequencyResponse
 from casid.linear import StateSpace
 from casid.record import Record
-from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Content
+from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Content, Drawing
 from casid.report.figures import (
     decibel,
     frequency_axis,
@@ -36,6 +38,8 @@ from casid.report.figures import (
     plot_singular_values,
 )
 from casid.report.prices import plot_bounds
+from casid.subspace.pbsid import BlackBox
+from casid.validation import Validation, state_space
 
 LOOK: dict[Any, Any] = {
     "font.family": ["DejaVu Sans"],  # comes with matplotlib
@@ -58,34 +62,9 @@ POINTS = 160  # of a model's response; matplotlib simplifies curves of 128 or mo
 PER_PAGE = 8  # outputs in a figure of time histories
 LAGS = 100  # samples of the autocorrelation
 ROWS = 16  # of the comparison of bounds
+USUAL = (0.1, 20.0)  # rad/s
 SLOW = 2.0  # rad/s, the reach of the enlarged plane of eigenvalues
 LEFT, RIGHT, TOP, BOTTOM, GAP = 0.66, 0.1, 0.42, 0.42, 0.1  # inches around and between axes
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Drawing:
-    """A figure with its place in the report; ``interactive`` says that zooming into it helps."""
-
-    section: str
-    name: str
-    caption: str
-    figure: Figure
-    interactive: bool = True
-
-
-def draw(content: Content) -> Iterator[Drawing]:
-    """All figures, one at a time."""
-    with rc_context(LOOK):
-        yield from _responses(content)
-        yield from _histories(content)
-        yield _rms(content)
-        yield from _whiteness(content)
-        if content.hinf.certificate is not None:
-            yield _match_error(content)
-        yield _singular_values(content)
-        yield _poles(content)
-        if content.comparison is not None:
-            yield _bounds(content.comparison)
 
 
 def save(drawing: Drawing, folder: str | Path) -> tuple[Path, Path]:
@@ -104,16 +83,16 @@ def save(drawing: Drawing, folder: str | Path) -> tuple[Path, Path]:
 
 
 def systems(content: Content) -> dict[str, StateSpace]:
-    """Every model by name; a discrete black box is left out of continuous figures."""
-    found = {name: fit.model.system() for name, fit in content.fits.items()}
-    black_box = content.black_box.system
-    return {BLACK_BOX: black_box, **found} if black_box.dt is None else found
+    """Every model by name; a discrete one is left out of continuous figures."""
+    found = {name: state_space(model) for name, model in content.models.items()}
+    return {name: system for name, system in found.items() if system.dt is None}
 
 
 def band(content: Content) -> tuple[float, float]:
-    """Frequencies [rad/s] on which the match was made, or that the records excite."""
-    certificate = content.hinf.certificate
-    return content.black_box.band if certificate is None else certificate.band
+    """Frequencies [rad/s] on which a match was made, or that the records excite."""
+    certificates = [fit.certificate for fit in content.fits.values()]
+    boxes = [each for each in content.models.values() if isinstance(each, BlackBox)]
+    return next((each.band for each in (*certificates, *boxes) if each is not None), USUAL)
 
 
 def with_states(system: StateSpace, states: Sequence[str]) -> StateSpace:
@@ -123,9 +102,10 @@ def with_states(system: StateSpace, states: Sequence[str]) -> StateSpace:
     return replace(system, C=C, D=D, outputs=tuple(states))
 
 
-def _responses(content: Content) -> Iterator[Drawing]:
+def draw_responses(content: Content) -> Iterator[Drawing]:
+    """Responses of every output, and of every state that is none, to every input."""
     shown = systems(content)
-    structure = type(content.output_error.model)
+    structure = content.model
     hidden = tuple(name for name in structure.states if name not in structure.outputs)
     omega = np.geomspace(*band(content), POINTS)
     for outputs in groups(structure.outputs):
@@ -144,16 +124,16 @@ def _response(
     outputs: Sequence[str],
     inputs: Sequence[str],
 ) -> Drawing:
-    measured = content.frequency_response
+    measured: FrequencyResponse | None = content.results.get("frequency")
     if measured is not None and not set(outputs) <= set(measured.outputs):
         measured = None
     heights = [3, 2] if measured is None else [3, 2, 1.1]
     rows = len(heights)
     figure = Figure(figsize=(WIDTH, 0.45 + 0.42 * sum(heights) * len(outputs)))
+    heights = heights * len(outputs)
     axes = figure.subplots(
-        rows * len(outputs), len(inputs), sharex=True, squeeze=False,
-        height_ratios=heights * len(outputs),
-    )  # fmt: skip
+        len(heights), len(inputs), sharex=True, squeeze=False, height_ratios=heights
+    )
     for i, output in enumerate(outputs):
         for j, channel in enumerate(inputs):
             column = list(axes[rows * i : rows * (i + 1), j])
@@ -167,7 +147,7 @@ def _response(
     _legend(figure, axes[0, 0])
     name = f"response_{'_'.join(outputs)}_from_{'_'.join(inputs)}"
     caption = f"Frequency responses from {_list(inputs)} to {_list(outputs)}"
-    return Drawing(section="responses", name=name, caption=caption, figure=_tidy(figure, axes))
+    return Drawing(name=name, caption=caption, figure=_tidy(figure, axes))
 
 
 def _pair(
@@ -179,7 +159,7 @@ def _pair(
 ) -> None:
     output, channel = pair
     near: Array | None = None
-    measured = content.frequency_response
+    measured: FrequencyResponse | None = content.results.get("frequency")
     curves = {}
     for name, system in shown.items():
         i, j = system.outputs.index(output), system.inputs.index(channel)
@@ -207,30 +187,31 @@ def _span(curves: Sequence[Array], least: float) -> tuple[float, float]:
 # ---- time --------------------------------------------------------------------------------------
 
 
-def _histories(content: Content) -> Iterator[Drawing]:
-    for k, record in enumerate(content.validation.measured):
+def draw_histories(validation: Validation, units: Mapping[str, str]) -> Iterator[Drawing]:
+    """Every record, with what each model makes of its inputs."""
+    for k, record in enumerate(validation.measured):
         for first in range(0, record.ny, PER_PAGE):
-            yield _history(content, k, record.outputs[first : first + PER_PAGE])
+            yield _history(validation, k, record.outputs[first : first + PER_PAGE], units)
 
 
-def _history(content: Content, k: int, outputs: Sequence[str]) -> Drawing:
+def _history(
+    validation: Validation, k: int, outputs: Sequence[str], units: Mapping[str, str]
+) -> Drawing:
     """Inputs and outputs of a record on one sheet of paper."""
-    validation = content.validation
     record = validation.measured[k]
     heights = [0.46] * record.nu + [0.84] * len(outputs)
     figure = Figure(figsize=(WIDTH, 0.7 + sum(heights)))
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
-    _inputs(list(axes[: record.nu, 0]), record, content.units)
+    _inputs(list(axes[: record.nu, 0]), record, units)
     for ax, channel in zip(axes[record.nu :, 0], outputs, strict=True):
         i = record.outputs.index(channel)
         simulated = {name: y[k][:, i] for name, y in validation.simulated.items()}
-        plot_history(ax, record.t, record.y[:, i], simulated, channel=channel, units=content.units)
+        plot_history(ax, record.t, record.y[:, i], simulated, channel=channel, units=units)
     for ax in axes[:, 0]:
         ax.set_ylabel(ax.get_ylabel().replace(" [", "\n["))
     axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
     _legend(figure, axes[-1, 0])
     return Drawing(
-        section="histories",
         name=f"history_{_file(record.name)}_{'_'.join(outputs)}",
         caption=f"{record.name}: inputs (deviations from trim), {_list(outputs)}",
         figure=_tidy(figure, axes, lines=2),
@@ -247,22 +228,24 @@ def _inputs(axes: Sequence[Axes], record: Record, units: Mapping[str, str]) -> N
         ax.yaxis.label.set_fontsize(6)
 
 
-def _rms(content: Content) -> Drawing:
-    records = content.validation.records
+def draw_rms(validation: Validation) -> Iterator[Drawing]:
+    """RMS errors of every record, as bars."""
+    records = validation.records
     figure = Figure(figsize=(WIDTH, 0.6 + 1.8 * len(records)))
     axes = figure.subplots(len(records), 1, sharex=True, squeeze=False)
     for k, ax in enumerate(axes[:, 0]):
-        plot_rms(ax, content.validation, record=k)
+        plot_rms(ax, validation, record=k)
         ax.grid(visible=False, axis="x")
         if len(records) > 1:
             ax.set_title(records[k], loc="left")
     _legend(figure, axes[0, 0])
     caption = "RMS simulation error of each model, divided by the largest among the models"
-    return Drawing(section="rms", name="rms", caption=caption, figure=_tidy(figure, axes))
+    yield Drawing(name="rms", caption=caption, figure=_tidy(figure, axes))
 
 
-def _whiteness(content: Content) -> Iterator[Drawing]:
-    validation = content.validation
+def draw_whiteness(validation: Validation) -> Iterator[Drawing]:
+    """Autocorrelations of the residuals of black box and refined structure."""
+    names = [name for name in (BLACK_BOX, OUTPUT_ERROR) if name in validation.models]
     for k, record in enumerate(validation.measured):
         rows = (record.ny + 1) // 2
         figure = Figure(figsize=(WIDTH, 0.6 + 1.25 * rows))
@@ -270,7 +253,7 @@ def _whiteness(content: Content) -> Iterator[Drawing]:
         for ax in axes.flat[record.ny :]:
             ax.set_visible(False)
         for i, (ax, output) in enumerate(zip(axes.flat, record.outputs, strict=False)):
-            for name in (BLACK_BOX, OUTPUT_ERROR):
+            for name in names:
                 residual = record.y[:, i] - validation.simulated[name][k][:, i]
                 lags = min(LAGS, record.N // 2)
                 plot_autocorrelation(ax, residual, record.dt, name=name, lags=lags)
@@ -281,7 +264,6 @@ def _whiteness(content: Content) -> Iterator[Drawing]:
             ax.set_xlabel("lag [s]")
         _legend(figure, axes[0, 0])
         yield Drawing(
-            section="whiteness",
             name=f"whiteness_{_file(record.name)}",
             caption=f"Autocorrelation of the residuals, record {record.name}; grey: the band that "
             "holds 99 % of a white sequence's",
@@ -289,26 +271,33 @@ def _whiteness(content: Content) -> Iterator[Drawing]:
         )
 
 
-def _match_error(content: Content) -> Drawing:
+def draw_match_error(fit: AnyFit) -> Iterator[Drawing]:
+    """Singular values of the error of a match, if it has a certificate."""
+    if fit.certificate is None:
+        return
     figure = Figure(figsize=(WIDTH * 0.8, 2.6))
     axes = figure.subplots(1, 1, squeeze=False)
-    plot_match_error(axes[0, 0], content.hinf)
+    plot_match_error(axes[0, 0], fit)
     _legend(figure, axes[0, 0])
     caption = "Singular values of the weighted error over the band; dots: the points matched"
-    return Drawing(section="match", name="match_error", caption=caption, interactive=False,
-                   figure=_tidy(figure, axes))  # fmt: skip
+    yield Drawing(
+        name="match_error", caption=caption, interactive=False, figure=_tidy(figure, axes)
+    )
 
 
-def _singular_values(content: Content) -> Drawing:
+def draw_singular_values(black_box: BlackBox) -> Iterator[Drawing]:
+    """Singular values that the order of a black box was read from."""
     figure = Figure(figsize=(WIDTH * 0.6, 2.4))
     axes = figure.subplots(1, 1, squeeze=False)
-    plot_singular_values(axes[0, 0], content.black_box)
+    plot_singular_values(axes[0, 0], black_box)
     caption = "Singular values of the predicted future; dotted: the order taken"
-    return Drawing(section="black_box", name="singular_values", caption=caption, interactive=False,
-                   figure=_tidy(figure, axes))  # fmt: skip
+    yield Drawing(
+        name="singular_values", caption=caption, interactive=False, figure=_tidy(figure, axes)
+    )
 
 
-def _poles(content: Content) -> Drawing:
+def draw_poles(content: Content) -> Iterator[Drawing]:
+    """Eigenvalues of all models, the slow ones enlarged."""
     figure = Figure(figsize=(WIDTH, 3.0))
     axes = figure.subplots(1, 2, squeeze=False)
     for ax in axes.flat:
@@ -316,20 +305,20 @@ def _poles(content: Content) -> Drawing:
     axes[0, 1].set(xlim=(-SLOW, 0.4 * SLOW), ylim=(-SLOW, SLOW))
     _legend(figure, axes[0, 0])
     caption = "Eigenvalues; right: the slow ones, enlarged"
-    return Drawing(section="modes", name="poles", caption=caption, figure=_tidy(figure, axes))
+    yield Drawing(name="poles", caption=caption, figure=_tidy(figure, axes))
 
 
-def _bounds(comparison: BoundsComparison) -> Drawing:
+def draw_bounds(comparison: BoundsComparison) -> Iterator[Drawing]:
+    """Values and intervals of the parameters whose bounds have the largest prices."""
     rows = min(ROWS, len(comparison.ranked()))
     figure = Figure(figsize=(WIDTH, 1.0 + 0.42 * rows))
     figure.subplots_adjust(left=0.16, right=0.9, top=1 - 0.4 / (1 + 0.42 * rows), bottom=0.06)
     plot_bounds(figure.subplots(), comparison, rows=rows)
     caption = (
-        "Values with 95 % intervals within the bounds of each case, the dearest parameters first; "
+        "Values with 95 % intervals within the bounds of each case, the largest prices first; "
         "filled: held by a bound"
     )
-    return Drawing(section="bounds", name="bounds", caption=caption, interactive=False,
-                   figure=figure)  # fmt: skip
+    yield Drawing(name="bounds", caption=caption, interactive=False, figure=figure)
 
 
 # ---- shared ------------------------------------------------------------------------------------
@@ -354,10 +343,9 @@ def _tidy(figure: Figure, axes: np.ndarray, *, lines: int = 1) -> Figure:
     left = LEFT + 0.14 * (lines - 1)
     between = left + 0.05
     wide = (width - left - RIGHT - between * (columns - 1)) / columns
-    figure.subplots_adjust(
-        left=left / width, right=1 - RIGHT / width, top=1 - TOP / height, bottom=BOTTOM / height,
-        hspace=gap / each, wspace=between / wide,
-    )  # fmt: skip
+    across = {"left": left / width, "right": 1 - RIGHT / width, "wspace": between / wide}
+    down = {"top": 1 - TOP / height, "bottom": BOTTOM / height, "hspace": gap / each}
+    figure.subplots_adjust(**across, **down)
     for ax in axes.flat:
         ax.yaxis.set_label_coords(-0.51 / wide, 0.5)
     return figure

@@ -143,9 +143,14 @@ def plot_coherence(ax: Axes, measured: FrequencyResponse, pair: tuple[int, int])
 
 
 def plot_history(
-    ax: Axes, t: Array, measured: Array, simulated: Mapping[str, Array], *, channel: str,
+    ax: Axes,
+    t: Array,
+    measured: Array,
+    simulated: Mapping[str, Array],
+    *,
+    channel: str,
     units: Mapping[str, str] = UNITS,
-) -> Axes:  # fmt: skip
+) -> Axes:
     """Draw one measured output and its simulations over time.
 
     Parameters

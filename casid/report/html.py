@@ -3,34 +3,23 @@
 import base64
 import gzip
 import re
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import jinja2
-import numpy as np
 from markupsafe import Markup
+from matplotlib import rc_context
 from plotly.offline import get_plotlyjs
 
-from casid.eigenmodes import modes
 from casid.files import write_text
-from casid.fit import ParameterEstimate
-from casid.report.content import Content
-from casid.report.drawings import Drawing, draw, save
+from casid.report.content import TEMPLATES, Caution, Content, Drawing, Section
+from casid.report.drawings import LOOK, save
 from casid.report.interactive import interactive
-from casid.report.verdicts import cautions, coloured, verdicts, word
+from casid.report.verdicts import word
+from casid.report.words import number, percent, price
 
 LONG_DECIMALS = re.compile(r"(\d\d\.\d)\d+")  # a tenth of a point is enough for a picture
-
-SECTIONS = {
-    "responses": "Frequency responses",
-    "histories": "Time histories of unseen records",
-    "rms": "RMS errors",
-    "whiteness": "Residuals",
-    "match": "Match",
-    "black_box": "Black box",
-    "modes": "Modes",
-    "bounds": "Comparison of bounds",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,70 +32,75 @@ class Picture:
     plot: Markup | None = None
 
 
-def write_report(content: Content, folder: str | Path) -> Path:
-    """Write report.html and figures/*.png, *.svg; returns the path of the page."""
+@dataclass(frozen=True, kw_only=True)
+class Chapter:
+    """A section as the page holds it."""
+
+    name: str
+    title: str
+    body: Markup
+
+
+def write_report(content: Content, sections: Sequence[Section], folder: str | Path) -> Path:
+    """Write report.html and figures/*.png, *.svg; returns the path of the page.
+
+    Parameters
+    ----------
+    content : Content
+        What all sections share.
+    sections : sequence of Section
+        What the stages show, in any order.
+    folder : path
+        Made if need be.
+    """
     folder = Path(folder)
-    pictures: dict[str, list[Picture]] = {section: [] for section in SECTIONS}
-    for drawing in draw(content):
-        pictures[drawing.section].append(_picture(drawing, folder / "figures"))
-    page = folder / "report.html"
-    write_text(page, render(content, pictures))
-    return page
+    shown = sorted((each for each in sections if each.title), key=lambda each: each.place)
+    page = _environment().get_template("report.html.j2")
+    chapters = [_chapter(section, content, folder / "figures") for section in shown]
+    text = page.render(
+        content=content,
+        chapters=chapters,
+        leads=[section.lead for section in sections if section.lead],
+        cautions=cautions(content, sections),
+        plotly=_compressed(get_plotlyjs()),
+    )
+    write_text(folder / "report.html", text)
+    return folder / "report.html"
 
 
-def render(content: Content, pictures: dict[str, list[Picture]]) -> str:
-    """Return the page's text."""
+def cautions(content: Content, sections: Sequence[Section]) -> tuple[str, ...]:
+    """What makes the result less certain than it looks, what matters most first."""
+    said = [caution for section in sections for caution in section.cautions]
+    said += [Caution(text) for text in content.warnings]
+    return tuple(dict.fromkeys(each.text for each in sorted(said, key=lambda each: each.rank)))
+
+
+def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("casid.report"),
+        loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=True,  # names come from users' files
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     environment.filters |= {"number": number, "percent": percent, "price": price, "word": word}
-    model = content.output_error.model
-    return environment.get_template("report.html.j2").render(
-        content=content,
-        pictures=pictures,
-        verdicts=verdicts(content),
-        cautions=cautions(content),
-        plotly=_compressed(get_plotlyjs()),
-        modes={name: modes(fit.model.system()) for name, fit in content.fits.items()},
-        units=content.units,
-        coloured=coloured(content.output_error),
-        structure=type(model),
-        trim={
-            name: getattr(model, name)
-            for name in (f.name for f in fields(model))
-            if name not in type(model).infos()
-        },
-    )
+    return environment
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """A number as a reader wants it: four digits, no needless exponent, a dash for NaN."""
-    if value is None or np.isnan(value):
-        return "–"
-    if np.isinf(value):
-        return "∞" if value > 0 else "−∞"
-    text = f"{value:.{digits}g}"
-    if "e" in text:
-        mantissa, exponent = text.split("e")
-        text = f"{mantissa}e{int(exponent)}"
-    return text.replace("-", "−")
+def body(section: Section, content: Content, pictures: Sequence[Picture] = ()) -> Markup:
+    """A section's template, filled."""
+    environment = _environment()
+    drawn = environment.get_template("figures.html.j2").render(pictures=pictures)
+    found = environment.from_string(section.template)
+    values = {"content": content, "figures": lambda: Markup(drawn)} | dict(section.values)
+    return Markup(found.render(values))
 
 
-def percent(row: ParameterEstimate) -> str:
-    """Standard error in percent of the value."""
-    if not np.isfinite(row.std_error) or row.value == 0 or row.fixed:
-        return "–"
-    share = 100 * row.std_error / abs(row.value)
-    return f"{share:.1f}" if share < 999.5 else "> 999"
-
-
-def price(row: ParameterEstimate) -> str:
-    """Price of the bound a parameter lies on."""
-    return number(row.multiplier, 3) if row.active else ""
+def _chapter(section: Section, content: Content, folder: Path) -> Chapter:
+    with rc_context(LOOK):
+        pictures = [_picture(drawing, folder) for drawing in section.draw()]
+    text = body(section, content, pictures)
+    return Chapter(name=section.name, title=section.title, body=text)
 
 
 def _compressed(text: str) -> str:

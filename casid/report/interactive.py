@@ -25,8 +25,8 @@ from casid.arrays import Array
 
 PIXELS = 104  # per inch of figure
 FONT = {"family": "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif", "size": 12}
-MARKS = {"o": "circle-open", "s": "square-open", "D": "diamond-open", "^": "triangle-up-open",
-         "v": "triangle-down-open"}  # fmt: skip
+SHAPES = {"o": "circle", "s": "square", "D": "diamond", "^": "triangle-up", "v": "triangle-down"}
+MARKS = {marker: f"{shape}-open" for marker, shape in SHAPES.items()}
 Trace = dict[str, Any]
 PATTERNS = {"": "", "///": "/", "...": ".", "xxx": "x", "\\\\\\": "\\"}
 
@@ -41,8 +41,8 @@ def interactive(figure: Figure) -> str:
         for trace in _traces(ax):
             label = trace["name"]
             named = not label or any(other["name"] == label for other in data)
-            data.append(trace | {"xaxis": x, "yaxis": y, "legendgroup": label,
-                                 "showlegend": not named})  # fmt: skip
+            place = {"xaxis": x, "yaxis": y, "legendgroup": label, "showlegend": not named}
+            data.append(trace | place)
         first = _leader(ax, shown)
         follows = {} if first == k else {"matches": _reference("x", first)}
         layout[_key("x", k)] = _axis(ax, "x", y) | follows
@@ -197,22 +197,18 @@ def _leader(ax: Axes, shown: list[Axes]) -> int:
 
 def _titles(ax: Axes, x: str, y: str) -> Iterator[dict[str, Any]]:
     if title := ax.get_title(loc="left"):
-        yield {
-            "text": f"<b>{_escape(title)}</b>", "x": 0, "y": 1,
-            "xref": f"{x} domain", "yref": f"{y} domain",
-            "xanchor": "left", "yanchor": "bottom", "showarrow": False, "font": {"size": 12},
-        }  # fmt: skip
+        look = {"text": f"<b>{_escape(title)}</b>", "showarrow": False, "font": {"size": 12}}
+        place = {"x": 0, "y": 1, "xref": f"{x} domain", "yref": f"{y} domain"}
+        yield look | place | {"xanchor": "left", "yanchor": "bottom"}
 
 
 def _bands(ax: Axes, x: str, y: str) -> Iterator[dict[str, Any]]:
     """Bands across the axes."""
     for band in (patch for patch in ax.patches if patch not in _bar_patches(ax)):
         (_, y0), (_, y1) = np.asarray(band.get_extents().transformed(ax.transData.inverted()))
-        yield {
-            "type": "rect", "x0": 0, "x1": 1, "y0": float(y0), "y1": float(y1),
-            "xref": f"{x} domain", "yref": y, "layer": "below",
-            "fillcolor": _color(band.get_facecolor()), "line": {"width": 0},
-        }  # fmt: skip
+        place = {"x0": 0, "x1": 1, "y0": float(y0), "y1": float(y1)}
+        look = {"type": "rect", "layer": "below", "fillcolor": _color(band.get_facecolor())}
+        yield place | look | {"xref": f"{x} domain", "yref": y, "line": {"width": 0}}
 
 
 def _levels(ax: Axes, x: str, y: str) -> Iterator[dict[str, Any]]:
@@ -221,11 +217,10 @@ def _levels(ax: Axes, x: str, y: str) -> Iterator[dict[str, Any]]:
         (x0, x1), (y0, y1) = (np.asarray(v, dtype=float).tolist() for v in line.get_data())
         level = y0 == y1
         dash = "dot" if line.get_linestyle() == ":" else "solid"
-        yield {
-            "type": "line", "x0": x0, "x1": x1, "y0": y0, "y1": y1,
-            "xref": f"{x} domain" if level else x, "yref": y if level else f"{y} domain",
-            "line": {"color": _color(line.get_color()), "width": 1, "dash": dash},
-        }  # fmt: skip
+        look = {"color": _color(line.get_color()), "width": 1, "dash": dash}
+        ends = {"type": "line", "x0": x0, "x1": x1, "y0": y0, "y1": y1, "line": look}
+        axes = (f"{x} domain", y) if level else (x, f"{y} domain")
+        yield ends | dict(zip(("xref", "yref"), axes, strict=True))
 
 
 def _bar_patches(ax: Axes) -> list[Any]:

@@ -16,10 +16,10 @@ REACH = 1.6  # of the largest value of a row: how far its axis goes
 
 
 def plot_bounds(ax: Axes, comparison: BoundsComparison, *, rows: int = 16) -> Axes:
-    """Draw values, 95 % intervals and bounds of the dearest parameters, one row each.
+    """Draw values, 95 % intervals and bounds of the most expensively held parameters, row by row.
 
     Every row is divided by the largest value any case gives the parameter, which stands at its
-    right; the dearest row is at the top. A bar is the range a case allows, a filled mark a value
+    right; the largest price is at the top. A bar is the range a case allows, a filled mark a value
     that its bounds hold.
 
     Parameters
@@ -61,8 +61,8 @@ def _draw_one(
     ax.plot([high, high], [y - height / 2, y + height / 2], color=colour, linewidth=0.8)
     if np.isfinite(row.std_error):
         spread = CONFIDENCE * row.std_error / size
-        ax.plot([row.value / size - spread, row.value / size + spread], [y, y], color=colour,
-                linewidth=1.2)  # fmt: skip
+        ends = [row.value / size - spread, row.value / size + spread]
+        ax.plot(ends, [y, y], color=colour, linewidth=1.2)
     face = colour if row.active else "white"
     ax.plot(row.value / size, y, "o", color=colour, markerfacecolor=face, markersize=4)
 

@@ -35,8 +35,8 @@ def plot_handling_qualities(
             continue
         ax, curve = (angle, read.phase_deg) if on_phase else (magnitude, read.gain_db)
         ax.axvline(omega, linestyle=("-", "--", ":")[number % 3], label=label, **MARK)
-        ax.plot([omega], [np.interp(np.log(omega), x, curve)], marker="o", markersize=4,
-                linestyle="", color=MARK["color"])  # fmt: skip
+        value = np.interp(np.log(omega), x, curve)
+        ax.plot([omega], [value], "o", markersize=4, color=MARK["color"])
     for level in (-180.0, *(() if read.kind == "loop" else (-135.0,))):
         angle.axhline(level, color="#777777", linewidth=0.8, linestyle=":")
     level = 0.0 if read.kind == "loop" else _six_above(read, x)

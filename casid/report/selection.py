@@ -1,6 +1,7 @@
 """The figure of how the black box's settings were chosen."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,10 +22,14 @@ def plot_order_selection(axes: Sequence[Axes], selection: OrderSelection) -> Seq
     chosen = selection.chosen
     for marker, pole in zip(MARKERS, sorted({c.pole for c in selection.candidates}), strict=False):
         found = _best_of_orders([c for c in selection.candidates if c.pole == pole])
-        scores.errorbar(
-            [c.order for c in found], [c.score for c in found], [c.error for c in found],
-            marker=marker, markersize=4, linewidth=1, elinewidth=0.6, label=f"a = {pole:g} rad/s",
-        )  # fmt: skip
+        at, score, error = zip(*((c.order, c.score, c.error) for c in found), strict=True)
+        look: dict[str, Any] = {
+            "marker": marker,
+            "markersize": 4,
+            "linewidth": 1,
+            "elinewidth": 0.6,
+        }
+        scores.errorbar(at, score, error, label=f"a = {pole:g} rad/s", **look)
     scores.plot(chosen.order, chosen.score, "o", markersize=13, fillstyle="none", color="#000000")
     scores.set(xlabel="order [-]", ylabel=f"{selection.criterion} [-]")
     scores.legend(fontsize="small")

@@ -1,19 +1,19 @@
 """What a reader should know first: a verdict per output, and what to be careful about."""
 
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from casid.fit import AnyFit
-from casid.report.content import OUTPUT_ERROR, Content
+from casid.report.content import OUTPUT_ERROR, Caution, Content
 from casid.shooting.precision import OutputErrorNotes
-from casid.validation import fit_percent, rms_error, theil_coefficient
+from casid.validation import Validation, fit_percent, rms_error, theil_coefficient
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
 # or 0.3 speaks for a good model. Below 0.1 residuals are a tenth of what is simulated.
 GOOD, FAIR = 0.1, 0.3
 NOISY = 1.2  # RMS error over standard deviation of the noise
-GAP = 0.01  # of the certificate, relative
 COLOURED = 1.5  # standard error for coloured residuals over that for white ones
 NAMED = 12  # names in a warning before it says how many more
 
@@ -44,10 +44,19 @@ class Verdict:
         """Whether the error is hardly more than the noise: no model could do better."""
         return self.rms <= NOISY * self.noise
 
+    @property
+    def caution(self) -> str:
+        """What to say of a poor one."""
+        told = ", but its error is that of the noise: it hardly moves." if self.noisy else "."
+        coefficient = f"(Theil's coefficient {self.theil:.2f})"
+        return f"Output {self.output} of the unseen records is predicted poorly {coefficient}{told}"
 
-def verdicts(content: Content) -> tuple[Verdict, ...]:
-    """A verdict per output of the refined model."""
-    validation, estimate = content.validation, content.output_error
+
+def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
+    """A verdict per output of the refined model; none without one."""
+    estimate = content.fits.get(OUTPUT_ERROR)
+    if estimate is None:
+        return ()
     deviations = () if estimate.R is None else np.sqrt(np.diag(estimate.R)).tolist()
     noise = dict(zip(type(estimate.model).outputs, deviations, strict=False))
     found = []
@@ -59,10 +68,16 @@ def verdicts(content: Content) -> tuple[Verdict, ...]:
             measure(y[there], y_model[there]) if there.any() else np.nan
             for measure in (rms_error, fit_percent, theil_coefficient)
         )
-        each = tuple(float(value) for value in validation.theil[OUTPUT_ERROR][:, i])
-        found.append(Verdict(output=output, unit=content.units.get(output, "-"), rms=rms, fit=fit,
-                             theil=theil, noise=noise.get(output, np.nan),
-                             records=each))  # fmt: skip
+        verdict = Verdict(
+            output=output,
+            unit=content.units.get(output, "-"),
+            rms=rms,
+            fit=fit,
+            theil=theil,
+            noise=noise.get(output, np.nan),
+            records=tuple(validation.theil[OUTPUT_ERROR][:, i].tolist()),
+        )
+        found.append(verdict)
     return tuple(found)
 
 
@@ -75,31 +90,21 @@ def word(theil: float) -> str:
     return "fair" if theil <= FAIR else "poor"
 
 
-def cautions(content: Content) -> tuple[str, ...]:
-    """What makes the result less certain than it looks."""
-    said = list(content.black_box.doubts())
-    said += [f"{fit.method}: {fit.status}" for fit in content.fits.values() if not fit.success]
-    if content.kinematics is not None:
-        said += [f"Kinematics: {remark}." for remark in content.kinematics.remarks]
-    said += _bounds(content.output_error)
-    said += _uncertain(content.output_error)
-    said += _certificate(content.hinf)
-    poor = [v for v in verdicts(content) if v.word in ("poor", "not judged")]
-    said += [f"Output {v.output} of the unseen records is predicted poorly "
-             f"(Theil's coefficient {v.theil:.2f})"
-             + (", but its error is that of the noise: it hardly moves." if v.noisy else ".")
-             for v in poor]  # fmt: skip
-    return (*said, *content.warnings)
+def unsolved(fit: AnyFit) -> Iterator[Caution]:
+    """A fit that is no solution."""
+    if not fit.success:
+        yield Caution(f"{fit.method}: {fit.status}", 0)
 
 
-def _bounds(fit: AnyFit) -> list[str]:
-    active = [row.name for row in fit.parameters if row.active]
-    if not active:
-        return []
-    return [
-        f"{_count(len(active), 'parameter lies', 'parameters lie')} on a bound: {_names(active)}. "
-        "The data ask for a value beyond it: look at the price in the table, then at the bound."
-    ]
+def on_bounds(fit: AnyFit) -> Iterator[Caution]:
+    """Parameters that their bounds hold."""
+    if active := [row.name for row in fit.parameters if row.active]:
+        count = _count(len(active), "parameter lies", "parameters lie")
+        yield Caution(
+            f"{count} on a bound: {_names(active)}. The data ask for a value beyond it: look at "
+            "the price in the table, then at the bound.",
+            20,
+        )
 
 
 def coloured(fit: AnyFit) -> dict[str, float]:
@@ -109,41 +114,33 @@ def coloured(fit: AnyFit) -> dict[str, float]:
     return dict(zip(fit.free_names, fit.notes.std_error_coloured.tolist(), strict=True))
 
 
-def _uncertain(fit: AnyFit) -> list[str]:
+def uncertain(fit: AnyFit) -> Iterator[Caution]:
+    """Errors that are larger than they look, and values of unknown sign."""
     rows = [row for row in fit.parameters if not row.fixed and not row.active]
     errors = {row.name: row.std_error for row in rows}
     wider = {name: error for name, error in coloured(fit).items() if errors.get(name, 0.0) > 0}
-    said = []
     typical = np.median([error / errors[name] for name, error in wider.items()]) if wider else 1.0
     if typical > COLOURED:
-        said.append(
+        yield Caution(
             "Residuals are correlated in time: quote the standard errors called coloured, "
-            f"typically {typical:.1f} times the others."
+            f"typically {typical:.1f} times the others.",
+            40,
         )
-    unsure = [row.name for row in rows
-              if max(row.std_error, wider.get(row.name, 0.0)) > abs(row.value)]  # fmt: skip
-    if unsure:
-        said.append(
-            f"The sign of {_count(len(unsure), 'parameter is', 'parameters is')} not determined "
-            f"(standard error above the value): {_names(unsure)}."
+    worst = {row.name: max(row.std_error, wider.get(row.name, 0.0)) for row in rows}
+    if unsure := [row.name for row in rows if worst[row.name] > abs(row.value)]:
+        count = _count(len(unsure), "parameter is", "parameters is")
+        yield Caution(
+            f"The sign of {count} not determined (standard error above the value): "
+            f"{_names(unsure)}.",
+            45,
         )
-    return said
-
-
-def _certificate(fit: AnyFit) -> list[str]:
-    certificate = fit.certificate
-    if certificate is None or certificate.upper_bound <= (1 + GAP) * certificate.grid_norm:
-        return []
-    return [
-        f"The H∞ norm is known to {certificate.upper_bound / certificate.grid_norm - 1:.1%} only: "
-        f"{certificate.grid_norm:.4g} on the grid, at most {certificate.upper_bound:.4g} between."
-    ]
 
 
 def _count(n: int, one: str, many: str) -> str:
     return f"{n} {one if n == 1 else many}"
 
 
-def _names(names: list[str]) -> str:
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + more
+def _names(names: Collection[str]) -> str:
+    named = list(names)
+    more = f" and {len(named) - NAMED} more" if len(named) > NAMED else ""
+    return ", ".join(named[:NAMED]) + more

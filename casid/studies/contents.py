@@ -3,6 +3,7 @@
 import os
 import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -10,41 +11,29 @@ from typing import Any
 
 import numpy as np
 
-from casid.bounds.compare import BoundsComparison
-from casid.chain import Identification
 from casid.channels import units_of
-from casid.fit import AnyFit
 from casid.record import Record
 from casid.report import Content, DataFile, Timing
-from casid.studies.study import Role, Study
-from casid.validation import Validation
+from casid.stages.stage import Found, Role
+from casid.studies.study import Study
 
 
 def content(
     study: Study,
     records: Mapping[Role, Sequence[Record]],
-    found: Identification[Any],
+    found: Found,
     *,
-    baseline: AnyFit | None,
-    validation: Validation,
-    comparison: BoundsComparison | None,
     timings: Sequence[Timing],
     warnings: Sequence[str],
 ) -> Content:
     """All that the report of a study shows, with the digests of what it rests on."""
     return Content(
         title=study.title,
-        black_box=found.black_box,
-        quadratic=found.quadratic,
-        hinf=found.hinf,
-        output_error=found.output_error,
-        validation=validation,
+        model=study.model,
+        results=found.results,
+        models=found.models,
         model_file=Path(os.path.relpath(study.model_file, study.path.parent)),
         model_digest=sha256(study.model_file.read_bytes()).hexdigest(),
-        baseline=baseline,
-        frequency_response=found.frequency_response,
-        comparison=comparison,
-        kinematics=found.kinematics,
         data=_data(study, records),
         settings=_settings(study),
         versions=_versions(),
@@ -56,8 +45,8 @@ def content(
 
 def _seen(study: Study) -> list[str]:
     """Warnings of validation records that an estimation has seen."""
-    used = {file.resolve() for role, each in study.roles.items() if role != "validation"
-            for file in each.files}  # fmt: skip
+    others = (each.files for role, each in study.roles.items() if role != "validation")
+    used = {file.resolve() for files in others for file in files}
     return [
         f"Record {file.stem} is for validation, but an estimation has seen it: its verdict is no "
         "proof."
@@ -99,11 +88,20 @@ def _settings(study: Study) -> dict[str, str]:
         said["fixed"] = ", ".join(study.fixed)
     if study.bounds:
         said["bounds"] = ", ".join(f"{k} [{a:g}, {b:g}]" for k, (a, b) in study.bounds.items())
-    said["match.targets"] = ", ".join(study.targets)
-    for table, options in study.options.items():
-        said |= {f"{table}.{key}": _shown(value) for key, value in options.items()}
-    for table, options in study.solver.items():
-        said |= {f"{table}.solver.{key}": str(value) for key, value in options.items()}
+    for table, value in study.settings.items():
+        said |= _written(table, value, next(s.settings for s in study.stages if s.table == table))
+    return said
+
+
+def _written(place: str, value: Any, default: Any) -> dict[str, str]:  # noqa: ANN401 - any settings
+    """Fields of settings that are not their defaults, as text."""
+    said: dict[str, str] = {}
+    for name in (each.name for each in fields(value)):
+        own, usual = getattr(value, name), getattr(default, name)
+        if is_dataclass(own):
+            said |= _written(f"{place}.{name}", own, usual)
+        elif _shown(own) != _shown(usual):
+            said[f"{place}.{name}"] = _shown(own)
     return said
 
 

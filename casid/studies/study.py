@@ -4,7 +4,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
@@ -12,11 +12,8 @@ from casid.consistency.plausibility import check_plausible
 from casid.exchange.formats import read_record
 from casid.files import Column, read_csv
 from casid.model import Model
-from casid.nlp import SolverOptions
 from casid.record import Hold, Record
-
-Role = Literal["identification", "frequency", "refinement", "validation"]
-ROLES: tuple[Role, ...] = get_args(Role)
+from casid.stages.stage import ROLES, Role, Stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,14 +70,10 @@ class Study:
         As in `match` and `output_error`.
     channels, roles, noise
         What is read, from where, and the noise that is added to it.
-    options : mapping
-        Options of each stage that the file names, ``{"pbsid": {"order": 18}}``.
-    solver : mapping
-        `SolverOptions` of each stage that names any.
-    targets : tuple of str
-        What the structure is matched to, of "black box" and "frequency response".
-    comparison : mapping
-        ``estimator`` and ``cases`` of a comparison of bounds; empty if the file asks for none.
+    stages : tuple of Stage
+        What is done.
+    settings : mapping
+        Of the stages whose tables the file has, by table.
     """
 
     path: Path
@@ -93,14 +86,8 @@ class Study:
     channels: Channels
     roles: Mapping[Role, RecordSet]
     noise: Noise | None
-    options: Mapping[str, Mapping[str, Any]]
-    solver: Mapping[str, Mapping[str, Any]]
-    targets: tuple[str, ...]
-    comparison: Mapping[str, Any] = field(default_factory=dict)
-
-    def solver_options(self, stage: str) -> SolverOptions:
-        """Solver options of a stage."""
-        return SolverOptions(**self.solver.get(stage, {}))
+    stages: tuple[Stage, ...]
+    settings: Mapping[str, Any]
 
 
 def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
@@ -114,8 +101,9 @@ def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
     ValueError
         All that `read_record`, `Record.detrend` and `check_plausible` refuse.
     """
-    raw = {role: tuple(_read(study, each, file) for file in each.files)
-           for role, each in study.roles.items()}  # fmt: skip
+    raw: dict[Role, list[Record]] = {}
+    for role, each in study.roles.items():
+        raw[role] = [_read(study, each, file) for file in each.files]
     done: dict[Role, tuple[Record, ...]] = {}
     for role in sorted(raw, key=lambda role: study.roles[role].detrend in ROLES):
         how: Any = study.roles[role].detrend

@@ -6,48 +6,30 @@ stage, whose keys are the keyword arguments of the stage's function.
 """
 
 import glob
-import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from types import NoneType
-from typing import Any, cast, get_args, get_origin, get_type_hints
+from typing import Any, cast, get_args
 
 import numpy as np
 
-from casid.arrays import Array
-from casid.baseline.derivid import Derivid
-from casid.bounds.cases import read_cases
-from casid.bounds.trials import ESTIMATORS
 from casid.errors import ModelError
 from casid.files import Column
-from casid.frequency.estimation import frequency_response
-from casid.matching.match import Match
-from casid.model import Bounds, Model, free_parameters
+from casid.model import Model, free_parameters
 from casid.record import Hold
-from casid.shooting.output_error import OutputError
+from casid.stages.listing import STAGES
+from casid.stages.stage import ROLES, Role, Stage, Task, check_task
 from casid.structure.modelfile import load_model, locate_model
-from casid.studies.study import ROLES, Channels, Noise, RecordSet, Role, Study
-from casid.subspace.pbsid import pbsid
+from casid.studies.settings import read_settings
+from casid.studies.study import Channels, Noise, RecordSet, Study
 from casid.tables import Table, read_toml
 
 REQUIRED: tuple[Role, ...] = ("identification", "validation")
 
-STAGES: Mapping[str, Callable[..., Any]] = {
-    "pbsid": pbsid,
-    "frequency": frequency_response,
-    "match": Match,
-    "output_error": OutputError,
-    "derivid": Derivid,
-}
-# What the study itself gives to a stage is no option of it.
-GIVEN = {"records", "norm", "solver"}
-MOST_POINTS = 10_000  # of a grid: a matching problem of millions of unknowns
-TARGETS = ("black box", "frequency response")
-SOLVER = ("tolerance", "max_iterations", "max_seconds", "ipopt")
 
-
-def read_study(path: str | Path, output: str | Path | None = None) -> Study:
+def read_study(
+    path: str | Path, output: str | Path | None = None, *, stages: Sequence[Stage] = STAGES
+) -> Study:
     """Read and check a study file; records are read by `read_records`.
 
     Parameters
@@ -56,25 +38,27 @@ def read_study(path: str | Path, output: str | Path | None = None) -> Study:
         The TOML file.
     output : path
         Folder of the results instead of the one the file names.
+    stages : sequence of Stage
+        What is done: ``(*STAGES, OWN)`` adds a stage of your own.
 
     Raises
     ------
     ValueError, ModelError
         Not TOML, an unknown key or role, an empty role, a model file that does not import or
-        whose matrices disagree in shape, a bound with lower > upper.
+        whose matrices disagree in shape, a bound with lower > upper, a table no stage would read.
     """
     path = Path(path)
     top = read_toml(path)
-    top.only(("study", "model", "channels", "records", "noise", "bounds", *STAGES))
+    tables = dict.fromkeys(stage.table for stage in stages if stage.table)
+    top.only(("study", "model", "channels", "records", "noise", *tables))
     model, model_file, fixed, bounds = _model(top.table("model", needed=True), path.parent)
     heading = top.table("study")
     heading.only(("title", "output"))
     folder = heading.take("output", str, "out")
-    options, solver = _options(top)
     noise = _noise(top.table("noise"), type(model)) if "noise" in top.content else None
     roles = _roles(top.table("records", needed=True), path.parent)
     _check_noise(roles, noise, path)
-    return Study(
+    study = Study(
         path=path,
         title=heading.take("title", str, path.stem),
         output=Path(output) if output is not None else path.parent / folder,
@@ -85,11 +69,29 @@ def read_study(path: str | Path, output: str | Path | None = None) -> Study:
         channels=_channels(top.table("channels"), type(model)),
         roles=roles,
         noise=noise,
-        options=options,
-        solver=solver,
-        targets=_targets(top.table("match"), roles),
-        comparison=_comparison(top, model, fixed, bounds),
+        stages=tuple(stages),
+        settings=_settings(top, stages),
     )
+    _check(study)
+    return study
+
+
+def _check(study: Study) -> None:
+    """Refuse, before any record is read, what the stages would refuse."""
+    task = Task(
+        model=study.model,
+        fixed=study.fixed,
+        bounds=study.bounds,
+        roles={role: cast(Any, each.files) for role, each in study.roles.items()},
+        stages=study.stages,
+        settings=study.settings,
+    )
+    try:
+        check_task(task)
+    except ModelError as error:
+        raise ModelError(f"{study.path}: {error}") from error
+    except ValueError as error:
+        raise ValueError(f"{study.path}: {error}") from error
 
 
 def _model(
@@ -237,112 +239,13 @@ def _check_noise(roles: Mapping[Role, RecordSet], noise: Noise | None, path: Pat
         raise ValueError(f"{path}: role {noisy[0]!r} wants noise, but there is no table [noise]")
 
 
-def _comparison(top: Table, model: Model, fixed: tuple[str, ...], bounds: Bounds) -> dict[str, Any]:
-    """Estimator and cases of a comparison of bounds."""
-    if "bounds" not in top.content:
-        return {}
-    table = top.table("bounds")
-    table.only(("estimator", "norm", "cases"))
-    estimator = table.take("estimator", str, "output_error")
-    if estimator not in ESTIMATORS:
-        raise ValueError(
-            f"{table.place} estimator = {estimator!r}, expected one of {', '.join(ESTIMATORS)}"
-        )
-    cases = dict(table.table("cases", needed=True).content)
-    try:
-        read_cases(model, cases, fixed, bounds)
-    except ModelError as error:
-        raise ModelError(f"{table.place} {error}") from error
-    norm = {"norm": table.take("norm", str, "hinf")} if estimator == "match" else {}
-    return {"estimator": estimator, "cases": cases, "settings": norm}
+# ---- stages -------------------------------------------------------------------------------------
 
 
-# ---- options of the stages ----------------------------------------------------------------------
-
-
-def _targets(table: Table, roles: Mapping[Role, RecordSet]) -> tuple[str, ...]:
-    targets = table.names("targets", TARGETS[:1])
-    if TARGETS[0] not in targets or not set(targets) <= set(TARGETS):
-        raise ValueError(
-            f"{table.place} targets = {list(targets)}, expected {TARGETS[0]!r} and perhaps "
-            f"{TARGETS[1]!r}"
-        )
-    if TARGETS[1] in targets and "frequency" not in roles:
-        raise ValueError(f"{table.place} {TARGETS[1]!r} needs records: write [records.frequency]")
-    return targets
-
-
-def _options(top: Table) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Any]]]:
-    options, solver = {}, {}
-    for stage, function in STAGES.items():
-        if stage not in top.content:
-            continue
-        table = top.table(stage)
-        parameters = inspect.signature(function).parameters.values()
-        keywords = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in GIVEN]
-        solves = "solver" in (p.name for p in parameters)
-        own = (*(("solver",) if solves else ()), *(("targets",) if stage == "match" else ()))
-        table.only((*keywords, *own))
-        hints = get_type_hints(function)
-        options[stage] = {
-            name: _value(table, name, hints[name]) for name in table.content if name not in own
-        }
-        if "solver" in table.content:
-            solver[stage] = _solver(table.table("solver"))
-    return options, solver
-
-
-def _solver(table: Table) -> dict[str, Any]:
-    table.only(SOLVER)
-    for name, kind, least in (
-        ("tolerance", (int, float), 1e-15),
-        ("max_iterations", int, 1),
-        ("max_seconds", (int, float), 1e-3),
-    ):
-        value = table.take(name, kind, least)
-        if not least <= value < np.inf:
-            raise ValueError(f"{table.place} {name} = {value}, expected at least {least:g}")
-    table.table("ipopt")
-    return dict(table.content)
-
-
-def _value(table: Table, name: str, hint: Any) -> Any:  # noqa: ANN401 - whatever the stage takes
-    if name == "omega":
-        return _grid(table, table.content[name])
-    kinds = {get_origin(kind) or kind for kind in (get_args(hint) or (hint,))}
-    if kinds <= {int, float, bool, NoneType}:  # what is no plain number, the stage checks
-        wanted = kinds - {NoneType} | ({int} if float in kinds else set())
-        table.take(name, tuple(sorted(wanted, key=str)))
-    return _frozen(table.content[name])
-
-
-def _frozen(value: Any) -> Any:  # noqa: ANN401
-    """Lists as tuples; a table of numbers as an array."""
-    if not isinstance(value, list):
-        return value
-    rows = [row for row in value if isinstance(row, list)]
-    if rows and all(isinstance(x, int | float) for row in rows for x in row):
-        return np.asarray(value, dtype=float)
-    return tuple(_frozen(item) for item in value)
-
-
-def _grid(table: Table, value: Any) -> Array:  # noqa: ANN401
-    """Frequencies [rad/s]: a list, or {from, to, points} spaced logarithmically."""
-    if isinstance(value, dict):
-        inner = table.table("omega")
-        inner.only(("from", "to", "points"))
-        low, high = (inner.take(key, (int, float)) for key in ("from", "to"))
-        points = inner.take("points", int, 40)
-        if low is None or high is None or not 0 < low < high < np.inf:
-            raise ValueError(f"{table.place} omega = {value!r}, expected 0 < from < to")
-        if not 2 <= points <= MOST_POINTS:
-            raise ValueError(f"{table.place} points = {points}, expected 2, at most {MOST_POINTS}")
-        return np.geomspace(low, high, points)
-    numeric = isinstance(value, list) and all(isinstance(x, int | float) for x in value)
-    grid = np.asarray(value if numeric else [], dtype=float)
-    if not len(grid) or not ((grid > 0) & np.isfinite(grid)).all():
-        raise ValueError(
-            f"{table.place} omega = {value!r}, expected frequencies > 0 in a list or "
-            "{from = 0.5, to = 12, points = 40}"
-        )
-    return grid
+def _settings(top: Table, stages: Sequence[Stage]) -> dict[str, Any]:
+    """Settings of the stages whose tables there are, and of their defaults nothing."""
+    own = {stage.table: stage for stage in stages if stage.table in top.content}
+    return {
+        name: read_settings(top.table(name), stage.settings, stage.given)
+        for name, stage in own.items()
+    }

@@ -2,15 +2,15 @@
 
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
-import jinja2
 import numpy as np
 import pytest
 from truths import uh60
 
 from casid import Fit, derivid, frequency_response
-from casid.report.html import number
+from casid.report.html import body
+from casid.report.words import number
+from casid.stages.baseline import BASELINE
 
 
 @pytest.fixture(scope="module")
@@ -20,14 +20,8 @@ def fit():
 
 
 def render(fit):
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("casid.report"), autoescape=True,
-        undefined=jinja2.StrictUndefined,
-    )  # fmt: skip
-    environment.filters["number"] = number
-    return environment.get_template("baseline.html.j2").render(
-        content=SimpleNamespace(baseline=fit)
-    )
+    (section,) = BASELINE.show(fit, None)
+    return str(body(section, None))
 
 
 def test_every_pair_and_parameter_stands_in_the_report(fit):

@@ -10,9 +10,11 @@ from truths.mixture import Inline, Mixture, record
 from truths.roll_study import write_study
 from truths.structures import black_box
 
-from casid import FrequencyResponse, Match, StateSpace, compare_bounds
+from casid import Chain, FrequencyResponse, StateSpace, compare_bounds
 from casid.cli import main
 from casid.report import plot_bounds
+from casid.stages.black_box import Pbsid
+from casid.stages.matching import Matching
 
 OMEGA = np.geomspace(0.2, 8.0, 25)
 OTHER = StateSpace([[-2.0, 1.0], [0.0, -0.7]], [[1.0], [1.0]], [[1.5, 0.4]], [[0.05]],
@@ -68,10 +70,12 @@ def test_prices_are_slopes_of_the_optimal_cost(name):
 
 @pytest.mark.slow
 def test_the_whole_chain_is_compared_with_one_black_box():
-    settings = {"pbsid": {"order": 2, "pole": 3.0, "past": 4, "future": 4},
-                "match": Match(omega=np.geomspace(0.7, 4.0, 20))}  # fmt: skip
+    settings = {
+        "pbsid": Pbsid(order=2, pole=3.0, past=4, future=4),
+        "match": Matching(omega=np.geomspace(0.7, 4.0, 20)),
+    }
     cases = {"free": {}, "tie": ["a = 2 b"]}
-    found = priced(cases, data=[record()], estimator="chain", **settings)
+    found = priced(cases, data=[record()], estimator=Chain(settings=settings))
     direct = priced(cases, data=[record()])
     for case in found.cases:
         assert case.reason == ""
@@ -179,10 +183,13 @@ def test_a_comparison_stays_in_the_report_until_the_study_changes(told, caplog):
     ("bounds", "why"),
     [
         ("", "no table [bounds]"),
-        ('[bounds]\nestimator = "guess"\n[bounds.cases]\nfree = {}\n', "expected one of chain"),
-        ("[bounds]\n", "there is no table [cases]"),
+        (
+            '[bounds]\nestimator = "guess"\n[bounds.cases]\nfree = {}\n',
+            "expected one of chain, match",
+        ),
+        ("[bounds]\n", "there is no table [bounds.cases]"),
         ('[bounds.cases.odd]\nZq = "< 0"\n', "no parameter 'Zq'"),
-        ("[bounds.cases]\n", "no cases"),
+        ("[bounds.cases]\n", "with cases to compare"),
     ],
 )
 def test_a_comparison_that_cannot_be_made_is_refused_at_once(bounds, why, tmp_path):

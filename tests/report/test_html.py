@@ -10,10 +10,12 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from truths.roll_study import write_study
 
+from casid import read_study, run_study
 from casid.channels import units_of
 from casid.fit import ParameterEstimate
 from casid.report import (
@@ -29,13 +31,12 @@ from casid.report import (
     write_report,
 )
 from casid.report import html as html_module
-from casid.report.drawings import draw
+from casid.report.drawings import LOOK
 from casid.report.figures import decibel, groups, input_pairs, phase, style
-from casid.report.html import number, percent
 from casid.report.interactive import interactive
-from casid.report.verdicts import cautions, verdicts, word
-from casid.studies.runner import run_study
-from casid.studies.studyfile import read_study
+from casid.report.verdicts import coloured, verdicts, word
+from casid.report.words import number, percent
+from casid.stages.listing import STAGES, sections
 
 MODELS = (BLACK_BOX, MATCH, OUTPUT_ERROR, BASELINE)
 CHROMIUM = shutil.which("chromium")
@@ -51,12 +52,13 @@ def study_folder(tmp_path_factory):
 def content(study_folder):
     """What the runner hands to the report at the end of a small study."""
     kept = []
-    honest = html_module.write_report
+
+    def keeping(content, sections, folder):
+        kept.append(content)
+        return write_report(content, sections, folder)
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "casid.studies.runner.write_report",
-            lambda content, folder: (kept.append(content), honest(content, folder))[1],
-        )
+        patch.setattr("casid.studies.runner.write_report", keeping)
         run_study(
             read_study(
                 write_study(
@@ -76,6 +78,29 @@ def content(study_folder):
 @pytest.fixture(scope="module")
 def page(content, study_folder):  # noqa: ARG001 - the study is run once, by content
     return study_folder / "out" / "report.html"
+
+
+def shown(content):
+    """The sections of what the stages found."""
+    return sections(STAGES, content.results, content)
+
+
+def draw(content):
+    """All figures."""
+    with rc_context(LOOK):
+        yield from (drawing for section in shown(content) for drawing in section.draw())
+
+
+def cautions(content):
+    return html_module.cautions(content, shown(content))
+
+
+def changed(content, **results):
+    """Content with other results of some stages."""
+    labels = {stage.label: stage.name for stage in STAGES if stage.label}
+    found = dict(content.results) | results
+    models = {label: found[labels[label]] for label in content.models}
+    return dataclasses.replace(content, results=found, models=models)
 
 
 def axes(rows=1):
@@ -133,15 +158,15 @@ def test_outputs_and_inputs_are_laid_out_as_in_the_paper():
 @pytest.mark.slow
 def test_rms_bars_have_the_heights_of_the_normalised_errors(content):
     ax = axes()[0]
-    plot_rms(ax, content.validation)
+    plot_rms(ax, content.results["validation"])
     heights = [bar.get_height() for bar in ax.containers[0]]
-    np.testing.assert_allclose(heights, content.validation.normalised[BLACK_BOX][0])
+    np.testing.assert_allclose(heights, content.results["validation"].normalised[BLACK_BOX][0])
 
 
 @pytest.mark.slow
 def test_a_measured_response_lies_within_its_band(content):
     top, bottom = axes(2)
-    plot_measured(top, bottom, content.frequency_response, (0, 0))
+    plot_measured(top, bottom, content.results["frequency"], (0, 0))
     curve = top.lines[0].get_xydata()
     band = np.vstack([path.vertices for path in top.collections[0].get_paths()])
     measured = curve[np.isfinite(curve[:, 1])]
@@ -167,7 +192,7 @@ def test_a_stick_in_degrees_is_shown_in_radians(content, tmp_path):
     angle = dataclasses.replace(content, units=units_of({"lat": "deg"}))
     labels = [ax.get_ylabel() for drawing in draw(angle) for ax in drawing.figure.axes]
     assert "lat\n[rad]" in labels
-    assert "lat rad." in write_report(angle, tmp_path).read_text(encoding="utf-8")
+    assert "lat rad." in write_report(angle, shown(angle), tmp_path).read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
@@ -229,15 +254,14 @@ def test_verdicts_follow_theils_coefficient(theil, said):
 
 @pytest.mark.slow
 def test_the_summary_warns_of_bounds_signs_and_wide_certificates(content):
-    fit = content.output_error
+    fit = content.results["output_error"]
     rows = [dataclasses.replace(row, std_error=1e3) for row in fit.parameters]
     rows[0] = dataclasses.replace(rows[0], active=True)
-    loose = dataclasses.replace(content.hinf.certificate, grid_norm=1.0, upper_bound=1.5)
-    worried = dataclasses.replace(
-        content,
+    loose = dataclasses.replace(content.results["hinf"].certificate, grid_norm=1.0, upper_bound=1.5)
+    worried = changed(
+        dataclasses.replace(content, warnings=("a record was short",)),
         output_error=dataclasses.replace(fit, parameters=tuple(rows), success=False),
-        hinf=dataclasses.replace(content.hinf, certificate=loose),
-        warnings=("a record was short",),
+        hinf=dataclasses.replace(content.results["hinf"], certificate=loose),
     )
     said = " ".join(cautions(worried))
     for words in (
@@ -249,14 +273,13 @@ def test_the_summary_warns_of_bounds_signs_and_wide_certificates(content):
 
 @pytest.mark.slow
 def test_the_summary_goes_by_the_larger_standard_error_and_says_if_residuals_are_coloured(content):
-    fit = content.output_error
+    fit = content.results["output_error"]
     rows = [dataclasses.replace(row, value=3.0, std_error=1.0) for row in fit.parameters]
 
     def said(ratio):
-        coloured = np.full(len(rows), ratio)
-        notes = dataclasses.replace(fit.notes, std_error_coloured=coloured)
+        notes = dataclasses.replace(fit.notes, std_error_coloured=np.full(len(rows), ratio))
         judged = dataclasses.replace(fit, parameters=tuple(rows), notes=notes)
-        return " ".join(cautions(dataclasses.replace(content, output_error=judged)))
+        return " ".join(cautions(changed(content, output_error=judged)))
 
     assert "coloured" not in said(1.2)
     assert "typically 2.0 times the others" in said(2.0)
@@ -266,7 +289,7 @@ def test_the_summary_goes_by_the_larger_standard_error_and_says_if_residuals_are
 
 @pytest.mark.slow
 def test_a_verdict_is_of_all_unseen_records_together(content):
-    validation = content.validation
+    validation = content.results["validation"]
     twice = dataclasses.replace(
         validation,
         records=validation.records * 2,
@@ -274,7 +297,7 @@ def test_a_verdict_is_of_all_unseen_records_together(content):
         simulated={name: ys * 2 for name, ys in validation.simulated.items()},
         theil={name: np.vstack([values, values]) for name, values in validation.theil.items()},
     )
-    for found in (verdicts(content), verdicts(dataclasses.replace(content, validation=twice))):
+    for found in (verdicts(validation, content), verdicts(twice, content)):
         assert [verdict.output for verdict in found] == ["p", "phi"]
         for name in ("rms", "fit", "theil"):  # the same record twice is no news
             np.testing.assert_allclose(
@@ -286,14 +309,15 @@ def test_a_verdict_is_of_all_unseen_records_together(content):
 
 @pytest.mark.slow
 def test_an_error_of_the_size_of_the_noise_is_not_held_against_the_model(content):
-    fit = content.output_error
-    found = verdicts(content)
+    fit = content.results["output_error"]
+    validation = content.results["validation"]
+    found = verdicts(validation, content)
     np.testing.assert_allclose([v.noise for v in found], np.sqrt(np.diag(fit.R)))
     noise = np.array([v.rms for v in found]) / [1.0, 1.5]
-    loud = dataclasses.replace(content, output_error=dataclasses.replace(fit, R=np.diag(noise**2)))
-    assert [v.noisy for v in verdicts(loud)] == [True, False]
-    unknown = dataclasses.replace(content, output_error=dataclasses.replace(fit, R=None))
-    assert not any(v.noisy for v in verdicts(unknown))
+    loud = changed(content, output_error=dataclasses.replace(fit, R=np.diag(noise**2)))
+    assert [v.noisy for v in verdicts(validation, loud)] == [True, False]
+    unknown = changed(content, output_error=dataclasses.replace(fit, R=None))
+    assert not any(v.noisy for v in verdicts(validation, unknown))
 
 
 # ---- the page ----------------------------------------------------------------------------------
@@ -322,16 +346,18 @@ def test_the_page_tells_what_is_needed_to_repeat_the_run(page, content, study_fo
 
 @pytest.mark.slow
 def test_names_and_paths_from_users_are_escaped(content, tmp_path):
-    record = dataclasses.replace(content.validation.measured[0], name=HOSTILE)
+    record = dataclasses.replace(content.results["validation"].measured[0], name=HOSTILE)
+    judged = dataclasses.replace(
+        content.results["validation"], records=(HOSTILE,), measured=(record,)
+    )
     hostile = dataclasses.replace(
-        content,
+        changed(content, validation=judged),
         title=HOSTILE,
-        validation=dataclasses.replace(content.validation, records=(HOSTILE,), measured=(record,)),
         data=(dataclasses.replace(content.data[0], name=HOSTILE, path=HOSTILE),),
         settings=MappingProxyType({HOSTILE: HOSTILE}),
         warnings=(HOSTILE,),
     )
-    text = write_report(hostile, tmp_path).read_text(encoding="utf-8")
+    text = write_report(hostile, shown(hostile), tmp_path).read_text(encoding="utf-8")
     assert "<img src=x" not in text
     assert (
         "&lt;img src=x onerror=&#34;document.title=1&#34;&gt;&amp;{{ 7*7 }}&lt;/script&gt;" in text
@@ -344,13 +370,13 @@ def test_names_and_paths_from_users_are_escaped(content, tmp_path):
 @pytest.mark.slow
 def test_the_page_tells_what_each_source_contributes_to_the_match(page, content):
     text = page.read_text(encoding="utf-8")
-    for row in content.hinf.notes.sources:
+    for row in content.results["hinf"].notes.sources:
         assert f'<th class="left">{row.name}</th><td>{len(row.grid)}</td>' in text
 
 
 def test_standard_errors_for_coloured_residuals_stand_beside_the_others(page, content):
-    found = html_module.coloured(content.output_error)
-    assert tuple(found) == content.output_error.free_names
+    found = coloured(content.results["output_error"])
+    assert tuple(found) == content.results["output_error"].free_names
     text = page.read_text(encoding="utf-8")
     for value in found.values():
         assert f'<td data-value="{value}">{number(value, 2)}</td>' in text
@@ -415,8 +441,9 @@ def test_in_a_browser_plots_draw_tables_sort_and_nothing_complains(page, tmp_pat
     assert found["problems"] == []
     assert found["drawn"] == found["wanted"] > 5
     assert found["curves"] > 20
-    rows = sorted(content.output_error.parameters, key=lambda row: row.value)
-    assert found["before"].split() == [row.name for row in content.output_error.parameters]
+    table = content.results["output_error"].parameters
+    rows = sorted(table, key=lambda row: row.value)
+    assert found["before"].split() == [row.name for row in table]
     assert found["up"].split() == [row.name for row in rows]
     assert found["down"].split() == [row.name for row in rows[::-1]]
 

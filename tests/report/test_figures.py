@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from truths.roll_study import write_study
 from truths.structures import SECOND, Lag, black_box
 
 from casid import Fit, match
 from casid.report import plot_match_error
-from casid.studies.runner import run_study
-from casid.studies.studyfile import read_study
 
 
 def test_singular_values_lie_under_the_bound_and_touch_the_grid_norm(tmp_path):
@@ -34,12 +31,3 @@ def test_a_fit_without_certificate_is_refused():
     bare = Fit(**{name: getattr(fit, name) for name in vars(fit)} | {"certificate": None})
     with pytest.raises(ValueError, match="has no certificate"):
         plot_match_error(Figure().subplots(), bare)
-
-
-@pytest.mark.slow
-def test_the_page_shows_the_figure_and_the_worst_pair(tmp_path):
-    run_study(read_study(write_study(tmp_path)))
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "Singular values of the weighted error over the band" in page
-    assert "Worst pair there" in page
-    assert (tmp_path / "out" / "figures" / "match_error.svg").exists()

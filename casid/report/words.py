@@ -1,0 +1,31 @@
+"""Numbers as a reader wants them."""
+
+import numpy as np
+
+from casid.fit import ParameterEstimate
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Four digits unless told otherwise, no needless exponent, a dash for NaN."""
+    if value is None or np.isnan(value):
+        return "–"
+    if np.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    text = f"{value:.{digits}g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        text = f"{mantissa}e{int(exponent)}"
+    return text.replace("-", "−")
+
+
+def percent(row: ParameterEstimate) -> str:
+    """Standard error in percent of the value."""
+    if not np.isfinite(row.std_error) or row.value == 0 or row.fixed:
+        return "–"
+    share = 100 * row.std_error / abs(row.value)
+    return f"{share:.1f}" if share < 999.5 else "> 999"
+
+
+def price(row: ParameterEstimate) -> str:
+    """Price of the bound a parameter lies on."""
+    return number(row.multiplier, 3) if row.active else ""

@@ -1,0 +1,50 @@
+"""The stage that fits measured responses in decibels and degrees, to compare with."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from casid.baseline.accuracy import DerividNotes
+from casid.baseline.derivid import Derivid
+from casid.fit import Fit
+from casid.frequency.estimation import FrequencyResponse
+from casid.report.content import BASELINE as LABEL
+from casid.report.content import Content, Section, template
+from casid.report.verdicts import unsolved
+from casid.stages.stage import Stage, Task
+
+
+def _measured(settings: Derivid, task: Task) -> FrequencyResponse:  # noqa: ARG001
+    found: FrequencyResponse = task.results["frequency"]
+    return found
+
+
+def _run(settings: Derivid, task: Task) -> Fit[Any, DerividNotes]:
+    start = task.results["quadratic"].model
+    return settings.fit(start, task.results["frequency"], **task.held)
+
+
+def _show(found: Fit[Any, DerividNotes], content: Content) -> Iterable[Section]:  # noqa: ARG001
+    yield Section(
+        name="baseline",
+        title="Frequency-domain fit",
+        place=20,
+        template=template("baseline"),
+        values={"found": found},
+        cautions=tuple(unsolved(found)),
+    )
+
+
+BASELINE = Stage(
+    name="derivid",
+    does="frequency-domain fit",
+    run=_run,
+    table="derivid",
+    settings=Derivid(),
+    needs=("frequency", "quadratic"),
+    structured=True,
+    optional=True,
+    label=LABEL,
+    start="quadratic",
+    data=_measured,
+    show=_show,
+)

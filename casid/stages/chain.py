@@ -1,0 +1,69 @@
+"""The stages up to output error as one estimator.
+
+M. Bergamasco, M. Lovera, "Rotorcraft system identification: a time/frequency domain approach",
+section 3: records to a black box (3.2), black box to structure (3.3), refinement on records (3.4).
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from casid.fit import AnyFit, Fit
+from casid.model import Bounds, M
+from casid.record import Record
+from casid.shooting.precision import OutputErrorNotes
+from casid.stages.black_box import BLACK_BOX
+from casid.stages.matching import HINF, QUADRATIC
+from casid.stages.refinement import OUTPUT_ERROR
+from casid.stages.spectra import FREQUENCY
+from casid.stages.stage import Role, Stage, Task, run_stages, several
+from casid.subspace.pbsid import BlackBox
+
+CHAIN: tuple[Stage, ...] = (BLACK_BOX, FREQUENCY, QUADRATIC, HINF, OUTPUT_ERROR)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Chain:
+    """All stages up to output error as one estimator.
+
+    Parameters
+    ----------
+    settings
+        As in `identify`.
+    black_box : BlackBox
+        Instead of one from the records.
+    refinement, sweeps : sequence of Record
+        As in `identify`.
+    """
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    black_box: BlackBox | None = None
+    refinement: tuple[Record, ...] = ()
+    sweeps: tuple[Record, ...] = ()
+
+    def fit(
+        self,
+        model: M,
+        data: Record | Sequence[Record],
+        *,
+        fixed: Collection[str] = (),
+        bounds: Bounds | None = None,
+        near: AnyFit | None = None,  # noqa: ARG002 - the stages before lead elsewhere
+    ) -> Fit[M, OutputErrorNotes]:
+        """The refined fit of `identify`."""
+        roles: dict[Role, tuple[Record, ...]] = {
+            "identification": several(data),
+            "frequency": self.sweeps,
+            "refinement": self.refinement,
+        }
+        task = Task(
+            model=model,
+            fixed=fixed,
+            bounds=bounds,
+            roles=roles,
+            stages=CHAIN,
+            settings=self.settings,
+        )
+        known = {} if self.black_box is None else {"pbsid": self.black_box}
+        found: Fit[M, OutputErrorNotes] = run_stages(task, known=known).results["output_error"]
+        return found

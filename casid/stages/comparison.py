@@ -1,0 +1,120 @@
+"""The stage that compares what bounds cost: one fit a case."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, cast
+
+from casid.bounds.cases import read_cases
+from casid.bounds.compare import BoundsComparison, compare_bounds
+from casid.estimator import Estimator
+from casid.files import write_text
+from casid.fit import AnyFit
+from casid.report.content import Content, Section, template
+from casid.report.drawings import draw_bounds
+from casid.stages.chain import CHAIN, Chain
+from casid.stages.stage import Stage, Task, records_of
+
+WHOLE = "chain"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Cases:
+    """What is compared.
+
+    Parameters
+    ----------
+    estimator : str
+        By which estimator: the table of its stage, or "chain" for all of them.
+    norm : str
+        Of a match.
+    cases : mapping
+        Name and content of each case (`casid.bounds.cases`).
+    """
+
+    estimator: str = "output_error"
+    norm: str | None = None
+    cases: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _check(settings: Cases, task: Task) -> None:
+    """Refuse what is no estimator and cases that are not understood."""
+    known = [WHOLE, *dict.fromkeys(each.table for each in task.stages if each.data is not None)]
+    if settings.estimator not in known:
+        raise ValueError(
+            f"[bounds] estimator = {settings.estimator!r}, expected one of {', '.join(known)}"
+        )
+    if not settings.cases:
+        raise ValueError("[bounds] there is no table [bounds.cases] with cases to compare")
+    read_cases(task.model, settings.cases, tuple(task.fixed), task.bounds)
+
+
+def _run(settings: Cases, task: Task) -> BoundsComparison:
+    estimator, data, start = _estimation(settings, task)
+    execution = task.execution
+    found = compare_bounds(
+        task.model,
+        data,
+        cases=settings.cases,
+        start=start,
+        fixed=tuple(task.fixed),
+        bounds=task.bounds,
+        estimator=estimator,
+        validation=task.records,
+        folder=execution.folder,
+        executor=execution.executor,
+        progress=execution.progress,
+    )
+    if execution.folder is not None:
+        found.to_csv(execution.folder.with_suffix(".csv"))
+        write_text(execution.folder.with_suffix(".md"), found.to_markdown() + "\n")
+    return found
+
+
+def _estimation(settings: Cases, task: Task) -> tuple[Estimator, Any, AnyFit]:
+    """Estimator, data and start of all cases."""
+    roles, results = task.roles, task.results
+    if settings.estimator == WHOLE:
+        tables = {each.table for each in CHAIN}
+        chain = Chain(
+            settings={name: own for name, own in task.settings.items() if name in tables},
+            black_box=results["pbsid"],
+            refinement=tuple(roles.get("refinement", ())),
+            sweeps=tuple(roles.get("frequency", ())),
+        )
+        return chain, tuple(roles["identification"]), results["quadratic"]
+    known = (each for each in task.stages[::-1] if each.data is not None)
+    stage = next(each for each in known if each.table == settings.estimator)
+    estimator = task.settings.get(stage.table, stage.settings)
+    if settings.norm is not None:
+        estimator = replace(estimator, norm=settings.norm)
+    take = cast(Callable[[Any, Task], Any], stage.data)
+    data = take(estimator, replace(task, records=records_of(stage, roles)))
+    return estimator, data, results[stage.start]
+
+
+def _show(found: BoundsComparison, content: Content) -> Iterable[Section]:  # noqa: ARG001
+    yield Section(
+        name="bounds",
+        title="Comparison of bounds",
+        place=30,
+        template=template("bounds"),
+        values={"found": found},
+        draw=partial(draw_bounds, found),
+    )
+
+
+COMPARISON = Stage(
+    name="bounds",
+    does="comparison of bounds",
+    run=_run,
+    table="bounds",
+    settings=Cases(),
+    role=("validation",),
+    needs=("output_error",),
+    optional=True,
+    kept=False,
+    command="bounds",
+    check=_check,
+    show=_show,
+)

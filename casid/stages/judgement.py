@@ -1,0 +1,81 @@
+"""The stage that judges all models on unseen records."""
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
+from casid.eigenmodes import modes
+from casid.report.content import Caution, Content, Section, template
+from casid.report.drawings import (
+    draw_histories,
+    draw_poles,
+    draw_responses,
+    draw_rms,
+    draw_whiteness,
+)
+from casid.report.verdicts import verdicts
+from casid.stages.stage import Stage, Task
+from casid.validation import Validation, validate
+
+
+def _run(settings: Any, task: Task) -> Validation:  # noqa: ANN401, ARG001 - it has none
+    return validate(task.models, task.records)
+
+
+def _show(found: Validation, content: Content) -> Iterable[Section]:
+    judged = verdicts(found, content)
+    poor = [each for each in judged if each.word in ("poor", "not judged")]
+    names = ", ".join(found.records)
+    yield Section(
+        name="verdicts",
+        title="Verdicts",
+        place=5,
+        template=template("verdicts"),
+        values={"found": found, "verdicts": judged},
+        lead=f"It was judged on records that no estimation had seen ({names}).",
+        cautions=tuple(Caution(each.caution, 15) for each in poor),
+    )
+    yield Section(
+        name="modes",
+        title="Modes",
+        place=40,
+        template=template("modes"),
+        values={"modes": {name: modes(fit.model.system()) for name, fit in content.fits.items()}},
+        draw=partial(draw_poles, content),
+    )
+    yield Section(
+        name="responses",
+        title="Frequency responses",
+        place=50,
+        template=template("responses"),
+        draw=partial(draw_responses, content),
+    )
+    yield Section(
+        name="histories",
+        title="Time histories of unseen records",
+        place=60,
+        template="{{ figures() }}",
+        draw=partial(draw_histories, found, content.units),
+    )
+    for name, title, place, draw in (
+        ("rms", "RMS errors", 70, draw_rms),
+        ("whiteness", "Residuals", 80, draw_whiteness),
+    ):
+        yield Section(
+            name=name,
+            title=title,
+            place=place,
+            template=template(name),
+            values={"found": found},
+            draw=partial(draw, found),
+        )
+
+
+VALIDATION = Stage(
+    name="validation",
+    does="validation on unseen records",
+    run=_run,
+    role=("validation",),
+    kept=False,
+    show=_show,
+)

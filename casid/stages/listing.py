@@ -1,0 +1,38 @@
+"""All stages, in their order: the one list that everything about stages is read from."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from casid.report.content import Content, Section
+from casid.stages.baseline import BASELINE
+from casid.stages.chain import CHAIN
+from casid.stages.comparison import COMPARISON
+from casid.stages.consistency import KINEMATICS
+from casid.stages.judgement import VALIDATION
+from casid.stages.stage import Stage
+
+STAGES: tuple[Stage, ...] = (
+    KINEMATICS,
+    *CHAIN,
+    BASELINE,
+    VALIDATION,
+    COMPARISON,
+)
+
+
+def sections(
+    stages: Iterable[Stage], results: Mapping[str, Any], content: Content
+) -> list[Section]:
+    """What the stages show of their results, in the order of the stages."""
+    found: Sequence[Stage] = [stage for stage in stages if stage.name in results]
+    return [each for stage in found for each in stage.show(results[stage.name], content)]
+
+
+def in_words(stages: Iterable[Stage]) -> str:
+    """What the stages of an identification do, one after the other, for a reader."""
+    return ", ".join(stage.does for stage in stages if not stage.command)
+
+
+def in_tables(stages: Iterable[Stage]) -> str:
+    """Tables of a study that hold the stages' settings, for a reader."""
+    return ", ".join(dict.fromkeys(f"[{stage.table}]" for stage in stages if stage.table))

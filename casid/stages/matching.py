@@ -1,0 +1,117 @@
+"""The stages that match the structure to the black box: quadratic norm, then H-infinity norm."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal
+
+from casid.fit import Certificate, Fit
+from casid.matching.appraisal import MatchNotes
+from casid.matching.match import Match
+from casid.matching.targets import Target
+from casid.report.content import MATCH, Caution, Content, Section, template
+from casid.report.drawings import draw_match_error
+from casid.report.verdicts import unsolved
+from casid.report.words import number
+from casid.stages.stage import Stage, Task
+
+GAP = 0.01  # of the certificate, relative
+SOURCES = {"black box": "pbsid", "frequency response": "frequency"}  # stages by name of target
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Matching(Match):
+    """A match, and what it is to.
+
+    Parameters
+    ----------
+    targets : tuple of str
+        "black box", and perhaps "frequency response".
+    """
+
+    targets: tuple[Literal["black box", "frequency response"], ...] = ("black box",)
+
+    def __post_init__(self) -> None:
+        if "black box" not in self.targets or not set(self.targets) <= set(SOURCES):
+            known = " and perhaps ".join(map(repr, SOURCES))
+            raise ValueError(f"targets = {list(self.targets)}, expected {known}")
+
+
+def targets(settings: Matching, task: Task) -> list[Target]:
+    """What the structure is matched to."""
+    return [task.results[SOURCES[name]] for name in settings.targets]
+
+
+def _check(settings: Matching, task: Task) -> None:
+    if len(settings.targets) > 1 and not task.roles.get("frequency"):
+        raise ValueError(
+            "[match] targets: 'frequency response' needs records: write [records.frequency]"
+        )
+
+
+def _quadratic(settings: Matching, task: Task) -> Fit[Any, MatchNotes]:
+    estimator = replace(settings, norm="quadratic")
+    return estimator.fit(task.model, targets(settings, task), **task.held)
+
+
+def _hinf(settings: Matching, task: Task) -> Fit[Any, MatchNotes]:
+    estimator, start = replace(settings, norm="hinf"), task.results["quadratic"].model
+    return estimator.fit(start, targets(settings, task), **task.held)
+
+
+def _show(found: Fit[Any, MatchNotes], content: Content) -> Iterable[Section]:  # noqa: ARG001
+    certificate, band = found.certificate, ""
+    if certificate is not None:
+        low, high = (number(edge, 3) for edge in certificate.band)
+        band = f" between {low} and {high} rad/s"
+    yield Section(
+        name="certificate",
+        title="Match and certificate",
+        place=90,
+        template=template("match"),
+        values={"found": found},
+        draw=partial(draw_match_error, found),
+        lead=f"The structure was matched to it in the H∞ norm{band}.",
+        cautions=(*unsolved(found), *_loose(certificate)),
+    )
+
+
+def _loose(certificate: Certificate | None) -> Iterator[Caution]:
+    """A certificate whose bound is far above the grid."""
+    if certificate is None:
+        return
+    grid, bound = certificate.grid_norm, certificate.upper_bound
+    if bound > (1 + GAP) * grid:
+        yield Caution(
+            f"The H∞ norm is known to {bound / grid - 1:.1%} only: {grid:.4g} on the grid, at most "
+            f"{bound:.4g} between."
+        )
+
+
+QUADRATIC = Stage(
+    name="quadratic",
+    does="quadratic match",
+    run=_quadratic,
+    table="match",
+    settings=Matching(),
+    given=("norm",),
+    needs=("pbsid",),
+    uses=("frequency",),
+    structured=True,
+    check=_check,
+)
+HINF = Stage(
+    name="hinf",
+    does="H-infinity match",
+    run=_hinf,
+    table="match",
+    settings=Matching(),
+    given=("norm",),
+    needs=("pbsid", "quadratic"),
+    uses=("frequency",),
+    structured=True,
+    label=MATCH,
+    start="quadratic",
+    data=targets,
+    show=_show,
+)

@@ -1,0 +1,59 @@
+"""The stage that refines the match on records, by output error."""
+
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any
+
+from casid.fit import Fit
+from casid.record import Record
+from casid.report.content import OUTPUT_ERROR as LABEL
+from casid.report.content import Content, Section, template
+from casid.report.verdicts import coloured, on_bounds, uncertain, unsolved
+from casid.shooting.output_error import OutputError
+from casid.shooting.precision import OutputErrorNotes
+from casid.stages.stage import Stage, Task
+
+
+def _records(settings: OutputError, task: Task) -> tuple[Record, ...]:  # noqa: ARG001
+    return task.records
+
+
+def _run(settings: OutputError, task: Task) -> Fit[Any, OutputErrorNotes]:
+    return settings.fit(task.results["hinf"].model, task.records, **task.held)
+
+
+def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Section]:
+    model, infos = found.model, type(found.model).infos()
+    plain = (f.name for f in fields(model) if f.name not in infos)
+    values = {
+        "found": found,
+        "others": {name: fit for name, fit in content.fits.items() if name != LABEL},
+        "coloured": coloured(found),
+        "trim": {name: getattr(model, name) for name in plain},
+    }
+    free = len(found.free_names) or len(found.parameters)
+    yield Section(
+        name="parameters",
+        title="Parameters",
+        place=10,
+        template=template("parameters"),
+        values=values,
+        lead=f"Its {free} free parameters were refined by output error.",
+        cautions=(*unsolved(found), *on_bounds(found), *uncertain(found)),
+    )
+
+
+OUTPUT_ERROR = Stage(
+    name="output_error",
+    does="output error",
+    run=_run,
+    table="output_error",
+    settings=OutputError(),
+    role=("refinement", "identification"),
+    needs=("hinf",),
+    structured=True,
+    label=LABEL,
+    start="output_error",
+    data=_records,
+    show=_show,
+)

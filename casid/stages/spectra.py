@@ -1,0 +1,18 @@
+"""The stage that estimates the frequency response of sweeps."""
+
+from casid.frequency.estimation import FrequencyResponse, SpectralAnalysis
+from casid.stages.stage import Stage, Task
+
+
+def _run(settings: SpectralAnalysis, task: Task) -> FrequencyResponse:
+    return settings.fit(task.records)
+
+
+FREQUENCY = Stage(
+    name="frequency",
+    does="measured frequency response",
+    run=_run,
+    table="frequency",
+    settings=SpectralAnalysis(),
+    role=("frequency",),
+)

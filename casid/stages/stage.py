@@ -1,0 +1,269 @@
+"""What a stage is, and how a list of them runs.
+
+A stage is one value: its settings (a frozen value, which its table in a study file becomes), what
+it takes from stages before it, what it computes, and the sections of the report that show it. The
+chain, the runner of studies, resuming, the report and the help of the command line read no more.
+"""
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, Protocol, TypeAlias, get_args
+
+from casid.errors import ConvergenceError
+from casid.jobs.campaigns import Advance
+from casid.model import Bounds, Model
+from casid.record import Record
+from casid.report.content import Content, Section
+from casid.tables import hint
+from casid.validation import AnyModel
+
+Role: TypeAlias = Literal["identification", "frequency", "refinement", "validation"]
+ROLES: tuple[Role, ...] = get_args(Role)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Execution:
+    """Where many fits run (any executor), in which folder they are kept, who is told."""
+
+    folder: Path | None = None
+    executor: Executor | None = None
+    progress: Callable[[Advance], None] | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Task:
+    """What a stage works on.
+
+    Parameters
+    ----------
+    model : Model
+        Structure and guess.
+    fixed, bounds
+        Parameters held, and bounds {name: (lower, upper)} instead of the model file's.
+    roles : mapping
+        Records by role.
+    records : tuple of Record
+        Those of the stage's own role.
+    results : mapping
+        What stages before this one found, by name.
+    models : mapping
+        Those results that simulate, by the label of their stage.
+    stages, settings
+        All of the study's, for a stage that repeats others.
+    execution : Execution
+        Where a stage of many fits runs them, and in which folder.
+    """
+
+    model: Model
+    fixed: Collection[str] = ()
+    bounds: Bounds | None = None
+    roles: Mapping[Role, Sequence[Record]] = field(default_factory=dict)
+    records: tuple[Record, ...] = ()
+    results: Mapping[str, Any] = field(default_factory=dict)
+    models: Mapping[str, AnyModel] = field(default_factory=dict)
+    stages: Sequence["Stage"] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    execution: Execution = Execution()
+
+    @property
+    def held(self) -> dict[str, Any]:
+        """What every fit is given: `fixed` and `bounds`."""
+        return {"fixed": self.fixed, "bounds": self.bounds}
+
+
+def _nothing(result: Any, content: Content) -> Iterable[Section]:  # noqa: ANN401, ARG001
+    return ()
+
+
+def _anything(settings: Any, task: Task) -> None:  # noqa: ANN401
+    """Refuse nothing."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Stage:
+    """One stage of a study.
+
+    Parameters
+    ----------
+    name : str
+        Of its result, in files and tables.
+    does : str
+        What it does, in a few words for the help.
+    run : callable
+        ``run(settings, task)`` returns the result: a `Fit`, or a frozen value marked `storable`.
+    table : str
+        The table of a study file that holds its settings; "" if it has none.
+    settings : frozen dataclass
+        What that table becomes: these values, but for the keys that stand in it.
+    given : tuple of str
+        Fields of the settings that the stage sets itself: no keys of the table.
+    role : tuple of str
+        Whose records it takes: the first of these roles that has any. None at all, no stage.
+    needs : tuple of str
+        Stages whose results it takes; it is left out if one of them was.
+    uses : tuple of str
+        Stages whose results it takes if there are any.
+    structured : bool
+        Whether the result depends on the structure, its guess and bounds.
+    optional : bool
+        Whether it runs only if the study has its table; if it then fails, all else is done first.
+    kept : bool
+        Whether the result is kept for the next run.
+    command : str
+        The command that runs the stage; "" for ``casid identify``. Such a stage keeps what it
+        finds itself, in the folder of its task's execution.
+    label : str
+        The result's name among the models that are compared; "" if it is none.
+    check : callable
+        ``check(settings, task)`` refuses what cannot be, before any stage runs; the task has no
+        results yet.
+    start : str
+        Of an estimator: the stage whose fit many fits by it start from.
+    data : callable
+        ``data(settings, task)`` returns what the settings, an `Estimator`, fit; None for a stage
+        that is no estimator.
+    show : callable
+        ``show(result, content)`` returns its sections of the report.
+    """
+
+    name: str
+    does: str
+    run: Callable[[Any, Task], Any]
+    table: str = ""
+    settings: Any = None
+    given: tuple[str, ...] = ()
+    role: tuple[Role, ...] = ()
+    needs: tuple[str, ...] = ()
+    uses: tuple[str, ...] = ()
+    structured: bool = False
+    optional: bool = False
+    kept: bool = True
+    command: str = ""
+    label: str = ""
+    check: Callable[[Any, Task], None] = _anything
+    start: str = ""
+    data: Callable[[Any, Task], Any] | None = None
+    show: Callable[[Any, Content], Iterable[Section]] = _nothing
+
+
+class LeftOutError(Exception):
+    """A stage is not run this time."""
+
+
+class Keep(Protocol):
+    """Runs a stage, or returns what an earlier run of it left."""
+
+    def __call__(self, stage: Stage, settings: Any, task: Task) -> Any:  # noqa: ANN401
+        """Return the stage's result, or raise `LeftOutError`."""
+        ...
+
+
+def compute(stage: Stage, settings: Any, task: Task) -> Any:  # noqa: ANN401 - of any stage
+    """Run a stage, no more."""
+    return stage.run(settings, task)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Found:
+    """What stages found by name, and why optional ones did not."""
+
+    results: Mapping[str, Any]
+    models: Mapping[str, AnyModel]
+    failures: Mapping[str, ConvergenceError]
+
+
+def run_stages(
+    task: Task, *, keep: Keep = compute, known: Mapping[str, Any] | None = None
+) -> Found:
+    """Run the stages of a task in turn.
+
+    A stage whose table is missing in the settings has its own defaults, or is left out if optional.
+
+    Parameters
+    ----------
+    task : Task
+        Structure, records by role, stages (each behind those it takes from) and their settings.
+    keep : callable
+        Runs each stage.
+    known : mapping
+        Results that need not be computed.
+
+    Raises
+    ------
+    ConvergenceError
+        From a stage on which others may rest.
+    """
+    results, models = dict(known or {}), dict[str, AnyModel]()
+    failures: dict[str, ConvergenceError] = {}
+    for stage in task.stages:
+        own = records_of(stage, task.roles)
+        if stage.name not in results and runs(stage, task.settings, results, own):
+            settings = task.settings.get(stage.table, stage.settings)
+            ready = replace(task, records=own, results=dict(results), models=dict(models))
+            try:
+                results[stage.name] = keep(stage, settings, ready)
+            except LeftOutError:
+                continue
+            except ConvergenceError as error:
+                if not stage.optional:
+                    raise
+                failures[stage.name] = error
+        if stage.label and stage.name in results:
+            models[stage.label] = results[stage.name]
+    return Found(results=results, models=models, failures=failures)
+
+
+def several(records: Record | Sequence[Record]) -> tuple[Record, ...]:
+    """Records, whether one or several were given."""
+    return (records,) if isinstance(records, Record) else tuple(records)
+
+
+def records_of(stage: Stage, roles: Mapping[Role, Sequence[Record]]) -> tuple[Record, ...]:
+    """Records of the first of a stage's roles that has any."""
+    return next((tuple(roles[role]) for role in stage.role if roles.get(role)), ())
+
+
+def runs(
+    stage: Stage, tables: Collection[str], before: Collection[str], own: Sequence[Record]
+) -> bool:
+    """Whether a stage is wanted, and has all it needs of the stages before it and of records."""
+    ready = all(name in before for name in stage.needs) and (bool(own) or not stage.role)
+    return ready and (not stage.optional or stage.table in tables)
+
+
+def check_task(task: Task) -> None:
+    """Refuse settings of no stage, those of a stage that would not run, and what stages refuse.
+
+    Raises
+    ------
+    ValueError
+        Naming the table, and those there are.
+    """
+    tables = [stage.table for stage in task.stages if stage.table]
+    before: list[str] = []
+    for stage in task.stages:
+        if runs(stage, task.settings, before, records_of(stage, task.roles)):
+            before.append(stage.name)
+    for table, value in task.settings.items():
+        if table not in tables:
+            raise ValueError(f"no stage has a table [{table}]; {hint(table, tables)}")
+        for stage in (each for each in task.stages if each.table == table):
+            kind = type(stage.settings)
+            if not isinstance(value, kind):
+                raise ValueError(  # noqa: TRY004 - a bad argument
+                    f"[{table}] is a {type(value).__name__}, expected {kind.__name__}"
+                )
+            if stage.name not in before:
+                raise ValueError(f"[{table}] would not be read: {_lacking(stage, task, before)}")
+            stage.check(value, task)
+
+
+def _lacking(stage: Stage, task: Task, before: Collection[str]) -> str:
+    """What a stage would need to run."""
+    if stage.role and not records_of(stage, task.roles):
+        return f"it needs records; write [records.{stage.role[0]}]"
+    missing = next(name for name in stage.needs if name not in before)
+    first = next((each for each in task.stages if each.name == missing), None)
+    return f"no stage is called {missing!r}" if first is None else _lacking(first, task, before)

@@ -1,0 +1,194 @@
+"""What runs the stages of a study: results that still hold are taken, new ones kept, both told."""
+
+import inspect
+import logging
+import time
+import warnings
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from casid.errors import ConvergenceError, DataWarning
+from casid.fit import Fit
+from casid.jobs.campaigns import Advance
+from casid.jobs.store import Entry, Store, source_digest
+from casid.nlp import Progress
+from casid.report.content import Timing
+from casid.stages.stage import Execution, LeftOutError, Stage, Task
+from casid.studies.study import Study
+from casid.values import digest
+
+T = TypeVar("T")
+LOG = logging.getLogger("casid")
+STALE = (
+    "The {does} in the folder of results is of an earlier state of the study and is not shown; "
+    "casid {command} makes it anew."
+)
+PACKAGE = Path(__file__).parents[1]
+
+
+class Watch(Protocol):
+    """Who is told how a study goes on."""
+
+    def begin(self, stage: str) -> None:
+        """Note that a stage begins."""
+
+    def progress(self, progress: Progress) -> None:
+        """Note an iteration within a stage."""
+
+    def end(self, timing: Timing) -> None:
+        """Note that a stage has ended."""
+
+
+class Silent:
+    """Tells nobody."""
+
+    def begin(self, stage: str) -> None:
+        """Do nothing."""
+
+    def progress(self, progress: Progress) -> None:
+        """Do nothing."""
+
+    def end(self, timing: Timing) -> None:
+        """Do nothing."""
+
+
+class Keeper:
+    """Runs the stages of one study.
+
+    Parameters
+    ----------
+    study : Study
+        Its folder holds what is kept.
+    watch : Watch
+        Told of every stage.
+    clock : list of Timing
+        Of what was done before; timings of the stages are added.
+    fresh : bool
+        Compute every stage again.
+    command : str
+        Stages of this command run; what those of others found earlier is shown while it holds.
+    """
+
+    def __init__(
+        self, study: Study, watch: Watch, clock: list[Timing], *, fresh: bool, command: str
+    ) -> None:
+        self._study, self._fresh, self._command = study, fresh, command
+        self._watch, self.clock = watch, clock
+        self.warnings: list[str] = []
+        self._store = Store(study.output / "stages", type(study.model))
+        self._keys: dict[str, str] = {}
+        self._source = source_digest()
+
+    def __call__(self, stage: Stage, settings: Any, task: Task) -> Any:  # noqa: ANN401 - of any stage
+        """Return the kept result of a stage, or compute and keep it."""
+        if stage.command:
+            return self._asked(stage, settings, task)
+        if not stage.kept:
+            return self.timed(stage.name, lambda: stage.run(settings, task))
+        key = self._keys[stage.name] = self._key(stage, settings, task)
+        kept = None if self._fresh else self._store.get(stage.name, key)
+        if kept is None:
+            return self._computed(stage, settings, task, key)
+        result, entry = kept
+        self.warnings += entry.warnings
+        self._note(stage.name, entry.seconds, result, kept=True)
+        return result
+
+    def timed(self, name: str, compute: Callable[[], T]) -> T:
+        """Compute a step that is not kept."""
+        self._watch.begin(name)
+        start = time.perf_counter()
+        result = compute()
+        self._note(name, time.perf_counter() - start, result)
+        return result
+
+    def _computed(self, stage: Stage, settings: Any, task: Task, key: str) -> Any:  # noqa: ANN401
+        self._watch.begin(stage.name)
+        start = time.perf_counter()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", DataWarning)
+            try:
+                result = stage.run(self._watched(settings), task)
+            except ConvergenceError as error:
+                raise self._with_best(stage, error) from error
+        seconds = time.perf_counter() - start
+        said = tuple(dict.fromkeys(str(each.message) for each in caught))
+        self.warnings += said
+        self._store.put(stage.name, result, Entry(key, seconds, said))
+        self._note(stage.name, seconds, result)
+        return result
+
+    def _with_best(self, stage: Stage, error: ConvergenceError) -> ConvergenceError:
+        """The error, its best iterate written to a file."""
+        if not isinstance(error.best, Fit):
+            return error
+        best = self._store.path(f"{stage.name}_best")
+        error.best.save(best)
+        return ConvergenceError(
+            f"{error}\nThe best iterate is kept in {best} (Fit.load reads it, and its values may "
+            "serve as [model.values]), and so is every stage before.",
+            error.best,
+        )
+
+    def _watched(self, settings: Any) -> Any:  # noqa: ANN401
+        """Settings whose solver, if they have one, tells its iterations."""
+        if not hasattr(settings, "solver"):
+            return settings
+        return replace(settings, solver=replace(settings.solver, progress=self._watch.progress))
+
+    def _asked(self, stage: Stage, settings: Any, task: Task) -> Any:  # noqa: ANN401
+        """What a stage of another command found, if it still holds; if asked for, run it."""
+        folder = self._study.output / stage.name
+
+        def progress(advance: Advance) -> None:
+            self._watch.end(Timing(stage=advance.name, seconds=advance.seconds))
+            done = f"{advance.done} of {advance.total}, {advance.left} left"
+            self._watch.begin(f"{stage.name}, {done}")
+
+        if stage.command == self._command:
+            ready = replace(task, execution=Execution(folder=folder, progress=progress))
+            return self.timed(stage.name, lambda: stage.run(settings, ready))
+        if not folder.exists():
+            raise LeftOutError
+        ready = replace(task, execution=Execution(folder=folder, executor=_Idle()))
+        try:
+            return stage.run(settings, ready)
+        except LeftOutError:
+            said = STALE.format(does=stage.does, command=stage.command)
+            LOG.warning(said)
+            self.warnings.append(said)
+            raise
+
+    def _note(self, name: str, seconds: float, result: object, *, kept: bool = False) -> None:
+        timing = Timing(stage=name, seconds=seconds, kept=kept)
+        if isinstance(result, Fit):
+            timing = replace(timing, iterations=result.iterations, cost=result.cost)
+        self.clock.append(timing)
+        self._watch.end(timing)
+
+    def _key(self, stage: Stage, settings: Any, task: Task) -> str:  # noqa: ANN401
+        """Digest of all a stage's result depends on."""
+        before = [self._keys.get(name, "") for name in (*stage.needs, *stage.uses)]
+        parts: list[Any] = [self._source, _own_source(stage), before, settings, task.records]
+        if stage.structured:
+            study = self._study
+            parts += [study.model_file.read_text(encoding="utf-8"), asdict(study.model)]
+            parts += [study.fixed, study.bounds]
+        return digest(*parts)
+
+
+class _Idle(Executor):
+    """Refuses all work: what is kept needs none."""
+
+    def submit(self, *_: Any, **__: Any) -> Future[Any]:  # noqa: ANN401 - of any work
+        """Refuse."""
+        raise LeftOutError
+
+
+def _own_source(stage: Stage) -> bytes:
+    """The file of a stage that is no part of casid; nothing of one that is."""
+    file = Path(inspect.getsourcefile(stage.run) or __file__)
+    return b"" if file.is_relative_to(PACKAGE) else file.read_bytes()

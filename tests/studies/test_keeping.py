@@ -1,0 +1,79 @@
+"""Keeping the results of stages, going on where a study stopped."""
+
+import warnings
+
+import pytest
+from truths.roll_study import write_study
+
+from casid import ConvergenceError, DataWarning, Model, read_study, run_study
+from casid.jobs.store import Entry, Store
+from casid.shooting.output_error import OutputError
+from casid.stages.black_box import Pbsid
+
+
+def test_a_stage_whose_file_was_lost_or_broken_is_not_taken(tmp_path):
+    store = Store(tmp_path, Model)
+    (tmp_path / "index.json").write_text('{"pbsid": {"key": "k", "seconds": 1, "warnings": []}}')
+    assert store.get("pbsid", "k") is None
+    (tmp_path / "pbsid.json").write_text('{"casid": "stage", "result": {"value": "os:system"')
+    assert store.get("pbsid", "k") is None
+    (tmp_path / "pbsid.json").write_text(
+        '{"casid": "stage", "result": {"value": "os:system", "fields": {"command": "true"}}}'
+    )
+    assert store.get("pbsid", "k") is None
+    assert Entry("k", 1.0).warnings == ()
+
+
+def _kept(outcome):
+    return [timing.stage for timing in outcome.timings if timing.kept]
+
+
+@pytest.mark.slow
+def test_a_changed_option_computes_its_stage_and_those_after_it_again(tmp_path):
+    run_study(read_study(write_study(tmp_path)))
+    changed = run_study(read_study(write_study(tmp_path, ("points = 20", "points = 21"))))
+    assert _kept(changed) == ["pbsid"]
+    again = run_study(read_study(write_study(tmp_path, ("points = 20", "points = 21"))))
+    assert _kept(again) == ["pbsid", "quadratic", "hinf", "output_error"]
+    fresh = run_study(read_study(write_study(tmp_path)), fresh=True)
+    assert _kept(fresh) == []
+
+
+@pytest.mark.slow
+def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    study = read_study(write_study(tmp_path))
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(OutputError, "fit", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run_study(study)
+    assert not (study.output / "fit.json").exists()
+    assert _kept(run_study(study)) == ["pbsid", "quadratic", "hinf"]
+    assert (study.output / "fit.json").exists()
+
+
+@pytest.mark.slow
+def test_what_a_stage_warns_of_is_in_the_report_of_a_later_run_too(tmp_path, monkeypatch):
+    study = read_study(write_study(tmp_path))
+    honest = Pbsid.fit
+
+    def worried(*arguments, **options):
+        warnings.warn("the controller is stiff near the pole", DataWarning, stacklevel=1)
+        return honest(*arguments, **options)
+
+    monkeypatch.setattr(Pbsid, "fit", worried)
+    for _ in range(2):
+        report = run_study(study).report
+        assert "the controller is stiff near the pole" in report.read_text(encoding="utf-8")
+
+
+def test_output_error_that_stops_early_leaves_its_best_iterate(tmp_path):
+    limit = ("[match]", "[output_error]\nsolver = { max_iterations = 1 }\n\n[match]")
+    study = read_study(write_study(tmp_path, limit))
+    with pytest.raises(ConvergenceError, match="iteration limit"):
+        run_study(study)
+    assert (study.output / "stages" / "output_error_best.json").exists()
+    assert {path.name for path in study.output.iterdir()} == {"stages", ".lock"}

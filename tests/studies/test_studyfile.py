@@ -1,0 +1,86 @@
+"""Reading a study: files, units, trim, noise, the model."""
+
+import numpy as np
+import pytest
+from truths.roll_study import TRIM, write_study
+
+from casid import ModelError, read_study
+from casid.structure.modelfile import load_model
+from casid.studies.study import read_records
+
+# ---- reading -----------------------------------------------------------------------------------
+
+
+def test_paths_are_relative_to_the_study_file(tmp_path, monkeypatch):
+    write_study(tmp_path)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    study = read_study("../study.toml")
+    assert study.model_file == tmp_path / "roll.py"
+    assert study.output.resolve() == tmp_path / "out"
+    assert [file.name for file in study.roles["identification"].files] == ["3211.csv", "sweep.csv"]
+
+
+def test_sticks_in_percent_become_fractions_and_trim_is_removed(tmp_path):
+    records = read_records(read_study(write_study(tmp_path)))
+    steps = records["identification"][0]
+    assert np.max(np.abs(steps.u)) == pytest.approx(0.05)  # of the truth, in fractions of travel
+    assert steps.trim["lat"] == pytest.approx(TRIM["lat"])
+
+
+def test_validation_takes_the_trim_of_the_identification_records(tmp_path):
+    records = read_records(read_study(write_study(tmp_path)))
+    means = np.mean([record.trim["phi"] for record in records["identification"]])
+    assert records["validation"][0].trim["phi"] == means
+    # At least 50 quiet samples a record with noise of 0.002: the mean is good to 0.0002.
+    assert means == pytest.approx(TRIM["phi"], abs=0.001)
+
+
+def test_noise_comes_from_the_seed_and_goes_to_the_roles_that_ask_for_it(tmp_path):
+    quiet = ("noise = true", "noise = false")
+    first = read_records(read_study(write_study(tmp_path)))
+    again = read_records(read_study(write_study(tmp_path)))
+    other = read_records(read_study(write_study(tmp_path, ("seed = 1", "seed = 2"))))
+    clean = read_records(read_study(write_study(tmp_path, quiet)))
+    y, y_again, y_other, y_clean = (
+        run["identification"][0].y for run in (first, again, other, clean)
+    )
+    np.testing.assert_array_equal(y, y_again)
+    assert not np.array_equal(y, y_other)
+    # 750 samples: the standard deviation of 0.002 is estimated to 2.6 %, four sigma 10 %.
+    np.testing.assert_allclose(np.std(y - y_clean, axis=0), 0.002, rtol=0.1)
+    totals = [
+        record.y + np.array([record.trim[name] for name in record.outputs])
+        for record in (first["validation"][0], clean["validation"][0])
+    ]
+    np.testing.assert_allclose(*totals, atol=1e-12)
+
+
+def test_a_record_in_two_roles_is_the_same_flight_in_both(tmp_path):
+    both = "[records.refinement]\nfiles = ['3211.csv']\nnoise = true\n\n[records.validation]"
+    study = read_study(write_study(tmp_path, ("[records.validation]", both)))
+    records = read_records(study)
+    np.testing.assert_array_equal(records["identification"][0].y, records["refinement"][0].y)
+
+
+def test_trim_values_guesses_and_bounds_of_the_study_reach_the_model(tmp_path):
+    own = "[model.trim]\ng = 9.7\n[model.values]\nLp = -3\n[model.bounds]\nLp = [-5, -1]\n[channels"
+    study = read_study(write_study(tmp_path, ("[channels", own)))
+    assert (study.model.g, study.model.Lp) == (9.7, -3.0)
+    assert study.bounds == {"Lp": (-5.0, -1.0)}
+
+
+def test_two_model_files_of_one_name_are_two_models(tmp_path):
+    for folder, guess in (("one", "-1.5"), ("two", "-2.5")):
+        (tmp_path / folder).mkdir()
+        write_study(tmp_path / folder)
+        text = (tmp_path / folder / "roll.py").read_text().replace("-1.5", guess)
+        (tmp_path / folder / "roll.py").write_text(text)
+    one, two = (load_model("roll.py:Roll", tmp_path / folder) for folder in ("one", "two"))
+    assert (one().Lp, two().Lp) == (-1.5, -2.5)
+
+
+def test_a_model_file_that_raises_is_named_with_its_line(tmp_path):
+    (tmp_path / "bad.py").write_text("x = 1\ny = x / 0\n")
+    with pytest.raises(ModelError, match=r"bad\.py, line 2 does not import: ZeroDivisionError"):
+        load_model("bad.py:Bad", tmp_path)
