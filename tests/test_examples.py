@@ -3,7 +3,7 @@
 import re
 import runpy
 import sys
-from importlib.metadata import version
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +71,8 @@ def test_every_link_of_the_readme_leads_to_a_file():
 
 def test_the_citation_names_the_version_of_the_package():
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"version: {version('casid')}\n" in citation
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert f"version: {project['version']}\n" in citation
 
 
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
