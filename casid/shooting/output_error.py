@@ -21,49 +21,21 @@ from casid.arrays import Array
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
 from casid.model import Bounds, Free, M, Model, free_parameters
-from casid.nlp import Solution, SolverOptions, solve
+from casid.nlp import SolverOptions
 from casid.record import Record, Records, stretches
 from casid.shooting.innovation import starting_gain
 from casid.shooting.intervals import lay_out
 from casid.shooting.likelihood import CovarianceKind
-from casid.shooting.nearby import predicted
-from casid.shooting.newton import Newton
 from casid.shooting.precision import OutputErrorNotes, Precision, precision
-from casid.shooting.programme import Programme
-from casid.shooting.sensitivity import Evaluator, Point
-from casid.shooting.starting import neighbouring_programme, noise_of, starting_programme
+from casid.shooting.search import IPOPT, Outcome, Search
+from casid.shooting.sensitivity import Evaluator
+from casid.shooting.starting import starting_programme
 from casid.subspace.pbsid import BlackBox
 
 LOG = logging.getLogger("casid")
 
-ROUNDS = 12  # of solves
-PREDICTIONS = 3  # of the solution beside another: which bounds hold is settled then
-ROUGH = 1e-4  # tolerance of the first, whose R is that of the start
-SETTLED = 4.0  # factor by which a variance may fall in the last round: the scales still fit
 GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
 LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
-
-IPOPT: dict[str, float | str] = {
-    "nlp_scaling_method": "none",
-    "mu_strategy": "monotone",
-    "acceptable_tol": 1e-5,  # where rounding ends the descent, as without noise
-    "acceptable_iter": 5,
-    "acceptable_obj_change_tol": 1e-12,
-}
-NEAR: dict[str, float | str] = {
-    "bound_push": 1e-9,
-    "bound_frac": 1e-9,
-    "bound_mult_init_val": 1e-2,  # the cost is a mean over samples: so are prices
-    "compl_inf_tol": 1e-10,  # and cheap bounds are to be reached too
-}
-WARM: dict[str, float | str] = {  # a warm round stays where it starts
-    "mu_init": 1e-6,
-    "warm_start_bound_push": 1e-9,
-    "warm_start_bound_frac": 1e-9,
-    "warm_start_slack_bound_push": 1e-9,
-    "warm_start_slack_bound_frac": 1e-9,
-    "warm_start_mult_bound_push": 1e-9,
-}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -123,7 +95,7 @@ class OutputError:
         length = float(interval)
         evaluator = Evaluator(free, lay_out(chosen, length), gain, gain_free)
         R = checked_covariance(self.R, evaluator.ny)
-        search = _Search(free, options)
+        search = Search(free, options)
         outcome = None if near is None else search.beside(near, evaluator, R, self.biases)
         if outcome is None:
             try:
@@ -230,94 +202,6 @@ def choose_interval(free: Free, records: Sequence[Record], filtering: bool = Fal
     return float(np.clip(length, shortest, max(LONGEST, shortest)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Outcome:
-    """Where the rounds of solves ended."""
-
-    programme: Programme
-    solution: Solution
-    iterations: int
-    rounds: int
-    settled: bool
-
-
-class _Search:
-    """Solve with R held at the start's, then for the likelihood with R concentrated out."""
-
-    def __init__(self, free: Free, options: SolverOptions) -> None:
-        self.free, self.options = free, options
-
-    def beside(
-        self, near: AnyFit, evaluator: Evaluator, R: Array | CovarianceKind, biases: bool
-    ) -> _Outcome | None:
-        """Estimate in one round from where a fit nearby leads; None if that does not succeed."""
-        begun = neighbouring_programme(evaluator, self.free, R, biases, near)
-        if evaluator.filtering or begun is None:
-            return None
-        first, point = begun
-        quiet = replace(self.options, progress=None)
-        guess = predicted(first, first.pack(point), PREDICTIONS, quiet)
-        if guess is None:
-            return None
-        x, multipliers = guess
-        options = replace(
-            self.options, ipopt=NEAR | {"mu_init": self.options.tolerance / 1000}
-            | dict(self.options.ipopt),
-        )  # fmt: skip
-        solution = self._solve(first, first.unpack(x), multipliers, 1, options, close=True)
-        outcome = _Outcome(first, solution, solution.iterations, 1, True)
-        return outcome if solution.success else None
-
-    def run(self, programme: Programme, point: Point, R: Array | CovarianceKind) -> _Outcome:
-        """Estimate; R is held if it is an array."""
-        if isinstance(R, np.ndarray):
-            solution = self._solve(programme, point, None, 1, self.options)
-            return _Outcome(programme, solution, solution.iterations, 1, True)
-        rough = replace(self.options, tolerance=max(ROUGH, self.options.tolerance))
-        solution = self._solve(programme, point, None, 1, rough)
-        iterations, evaluator = solution.iterations, programme.evaluator
-        noise = noise_of(evaluator, None, R)
-        for rounds in range(2, ROUNDS + 1):
-            if not solution.success:
-                return _Outcome(programme, solution, iterations, rounds - 1, False)
-            last, point = programme, programme.unpack(solution.x)
-            loose = last.variant(noise=noise)
-            programme = loose.variant(scales=loose.balanced(point))
-            before = programme.values(programme.pack(point)).R
-            warm = _carried(solution, last, programme)
-            solution = self._solve(programme, point, warm, rounds, self.options)
-            iterations += solution.iterations
-            now = programme.values(solution.x).R
-            kept = np.diag(now) > np.diag(before) / SETTLED
-            if solution.success and (noise.exact(now) or kept.all()):
-                return _Outcome(programme, solution, iterations, rounds, True)
-        return _Outcome(programme, solution, iterations, ROUNDS, False)
-
-    @staticmethod
-    def _solve(
-        programme: Programme,
-        point: Point,
-        warm: tuple[Array, Array] | None,
-        number: int,
-        options: SolverOptions,
-        *,
-        close: bool = False,
-    ) -> Solution:
-        if warm is not None:
-            options = replace(options, ipopt=WARM | dict(options.ipopt))
-        newton = Newton(programme, close=close)
-        warm = None if warm is None else newton.extended(warm)
-        problem = newton.problem(programme.pack(point))
-        solution = solve(problem, options, stage=f"output error, round {number}", warm=warm)
-        return newton.stripped(solution)
-
-
-def _carried(solution: Solution, last: Programme, programme: Programme) -> tuple[Array, Array]:
-    """Multipliers of one programme in the units of another."""
-    (x, g), (new_x, new_g) = last.units(), programme.units()
-    return solution.multipliers_x * new_x / x, solution.multipliers_g * new_g / g
-
-
 def checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | CovarianceKind:
     """R as an array, or the structure in which to estimate it."""
     if R is None:
@@ -334,7 +218,7 @@ def checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | Cov
     return R
 
 
-def _verdict(outcome: _Outcome, found: Precision) -> tuple[bool, str]:
+def _verdict(outcome: Outcome, found: Precision) -> tuple[bool, str]:
     """Whether this is a solution, and in words."""
     reasons = []
     if not outcome.solution.success:
@@ -361,7 +245,7 @@ def _unmoved(free: Free, status: str) -> Fit[Model, None]:
 
 
 def _result(
-    start: M, free: Free, outcome: _Outcome, interval: float, seconds: float
+    start: M, free: Free, outcome: Outcome, interval: float, seconds: float
 ) -> Fit[M, OutputErrorNotes]:
     programme, solution = outcome.programme, outcome.solution
     evaluator = programme.evaluator

@@ -153,6 +153,7 @@ def _smooth(
     P = np.linalg.inv(drift)
     diagonal, right = H.copy(), -g
     above: dict[int, Array] = {}
+    diagonal[np.setdiff1d(np.arange(J), links + 1)] += P  # a record begins near rest
     for j in links:
         diagonal[j] += slope[j].T @ P @ slope[j]
         diagonal[j + 1] += P
