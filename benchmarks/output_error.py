@@ -34,8 +34,8 @@ from casid.model import Free, free_parameters
 from casid.nlp import Problem, solve
 from casid.shooting.intervals import Layout, lay_out
 from casid.shooting.newton import Newton
-from casid.shooting.search import IPOPT
 from casid.shooting.programme import Programme
+from casid.shooting.search import IPOPT
 from casid.shooting.sensitivity import Evaluator, whiteners
 from casid.shooting.starting import starting_programme
 from models.six_dof import SixDof
