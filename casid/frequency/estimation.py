@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray, ComplexArray
+from casid.autoregression import filled
 from casid.errors import DataWarning
 from casid.files import read_json, write_json
 from casid.frequency.sampling import checked_grid, checked_windows, equidistant
@@ -32,6 +33,7 @@ from casid.values import storable
 
 GRID = 40  # frequencies unless given
 BELOW_NYQUIST = 0.9  # where they end at the latest
+KEPT = 0.5  # share of an input's power in the windows without long losses
 FEW_PERIODS = 2.0  # periods a window must hold to be trusted, T&R (7.41)
 
 
@@ -217,9 +219,10 @@ class SpectralAnalysis:
         if not active:
             raise ValueError(f"no input moves in any record ({', '.join(inputs)}): nothing excites")
         moving = [record.select(inputs=[inputs[i] for i in active]) for record in records]
-        lengths, parts = _parts(moving, omega, lengths, conditioned=self.conditioned)
-        usable = _usable(omega, lengths, parts)
+        lengths, parts, counted = _parts(moving, omega, lengths, conditioned=self.conditioned)
+        usable = _usable(omega, lengths, parts) & counted
         merged = composite(parts, usable)
+        number = merged.condition if self.conditioned else np.ones(len(omega))
         su, sy = standard_deviations(records)
         found = FrequencyResponse(
             omega=omega,
@@ -233,7 +236,7 @@ class SpectralAnalysis:
             multiple_coherence=merged.multiple_coherence,
             condition=merged.condition,
             windows=tuple(lengths),
-            flags=_flags(omega, lengths, usable, merged, conditioned=self.conditioned),
+            flags=_flags(omega, lengths[-1], usable, counted, number),
             records=tuple(record.name for record in records),
         )
         _warn(found, [name for i, name in enumerate(inputs) if i not in active])
@@ -253,9 +256,10 @@ def frequency_response(
     ----------
     records : Record or sequence of Record
         Sweeps or other manoeuvres, best one axis at a time, several of each; trim removed or not.
-        Non-equidistant records are interpolated (cubic spline) onto their median interval. Windows
-        with a missing output sample are left out, with a `DataWarning`. Inputs held by steps
-        ("zoh") are taken as steps, others as smooth.
+        Non-equidistant records are interpolated (cubic spline) onto their median interval, lost
+        samples are filled in (`casid.autoregression`), and windows that lack them for longer than
+        a period are left out, with a `DataWarning`. Inputs held by steps ("zoh") are taken as
+        steps, others as smooth.
     omega, windows, conditioned
         As in `SpectralAnalysis`.
 
@@ -268,8 +272,8 @@ def frequency_response(
     Raises
     ------
     ValueError
-        Frequencies beyond Nyquist's, windows longer than every record, a gap in time, no window
-        without missing samples.
+        Frequencies beyond Nyquist's, windows longer than every record, too few windows without long
+        losses.
     """
     analysis = SpectralAnalysis(omega=omega, windows=windows, conditioned=conditioned)
     return analysis.fit(records)
@@ -304,26 +308,32 @@ def _default_grid(records: Sequence[Record]) -> Array:
 
 def _parts(
     records: Sequence[Record], omega: Array, lengths: Sequence[float], *, conditioned: bool
-) -> tuple[list[float], list[Conditioned]]:
-    kept, parts = [], []
-    dropped = 0.0
+) -> tuple[list[float], list[Conditioned], BoolArray]:
+    """Window lengths with enough windows, their spectra, and where these are enough."""
+    whole = [filled(record) for record in records]
+    kept, parts, counted = [], [], []
     for length in lengths:
-        spectra = record_spectra(records, omega, length)
-        dropped = max(dropped, spectra.dropped)
-        # With fewer windows than inputs nothing is left to tell the inputs apart.
-        if spectra.count >= (records[0].nu if conditioned else 1):
+        spectra = record_spectra([r for r, _ in whole], omega, length, [lost for _, lost in whole])
+        # With fewer windows than inputs nothing is left to tell the inputs apart; without those
+        # in which an input moved nothing but leakage is left of it.
+        enough = spectra.count >= (records[0].nu if conditioned else 1)
+        enough &= spectra.kept >= KEPT
+        if enough.any():
             kept.append(length)
             parts.append(condition(spectra, conditioned=conditioned))
+            counted.append(enough)
     if not parts:
         raise ValueError(_nothing_left(records, lengths[0]))
-    if dropped:
+    share = max(float(lost.mean(axis=0).max()) for _, lost in whole)
+    if share:
         warnings.warn(
-            f"up to {100 * dropped:.0f} % of the windows hold missing output samples (NaN) and "
-            "are left out; leave a channel with many of them out with Record.select",
+            f"up to {100 * share:.2g} % of an output's samples are missing (NaN): filled in by a "
+            "short autoregression, and windows left out where they are missing for longer than a "
+            "period",
             DataWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
-    return kept, parts
+    return kept, parts, np.array(counted)
 
 
 def _nothing_left(records: Sequence[Record], length: float) -> str:
@@ -346,29 +356,21 @@ def _usable(omega: Array, lengths: Sequence[float], parts: Sequence[Conditioned]
 
 
 def _flags(
-    omega: Array,
-    lengths: Sequence[float],
-    usable: BoolArray,
-    merged: Conditioned,
-    *,
-    conditioned: bool,
+    omega: Array, longest: float, usable: BoolArray, counted: BoolArray, number: Array
 ) -> dict[str, tuple[int, ...]]:
-    periods = lengths[-1] * omega / (2 * np.pi)
-    some = usable.any(axis=0)
+    """Reasons to distrust points, and their positions."""
+    periods = longest * omega / (2 * np.pi)
+    some, known = usable.any(axis=0), counted.any(axis=0)
+    together = "inputs move together: condition number above"
     why = {
-        f"less than one period in the longest window ({lengths[-1]:g} s)": periods < 1,
-        f"less than {FEW_PERIODS:g} periods in the longest window ({lengths[-1]:g} s)": (
+        f"less than one period in the longest window ({longest:g} s)": periods < 1,
+        f"less than {FEW_PERIODS:g} periods in the longest window ({longest:g} s)": (
             (periods >= 1) & (periods < FEW_PERIODS)
         ),
+        "lost samples leave too few windows": ~known,
+        f"{together} {MEANINGLESS:g}, nothing separates them": (periods >= 1) & known & ~some,
+        f"{together} {SUSPECT:g}": some & (number > SUSPECT),
     }
-    if conditioned:
-        why |= {
-            f"inputs move together: condition number above {MEANINGLESS:g}, nothing separates "
-            "them": (periods >= 1) & ~some,
-            f"inputs move together: condition number above {SUSPECT:g}": (
-                some & (merged.condition > SUSPECT)
-            ),
-        }
     return {
         reason: tuple(int(k) for k in np.flatnonzero(at)) for reason, at in why.items() if at.any()
     }

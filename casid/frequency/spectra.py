@@ -38,17 +38,17 @@ class Spectra:
     """Averaged one-sided spectral densities of R records, per rad/s.
 
     ``Guu`` (R, K, nu, nu) holds the averages of conj(U_a) U_b, ``Guy`` (R, K, nu, ny) those of
-    conj(U_a) Y_i, ``Gyy`` (R, K, ny) those of |Y_i|²; ``averages`` (R,) counts the windows that
-    would fit without overlap, ``dropped`` is the share of windows left out for missing samples,
-    ``count`` the number used.
+    conj(U_a) Y_i, ``Gyy`` (R, K, ny) those of |Y_i|²; ``averages`` (R, K) counts the windows that
+    would fit without overlap, ``count`` (K,) those used; ``kept`` (K,) is the share of the power of
+    the input that lost most of it in windows left out for lost samples.
     """
 
     Guu: ComplexArray
     Guy: ComplexArray
     Gyy: Array
     averages: Array
-    dropped: float
-    count: int
+    count: Array
+    kept: Array
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,42 +81,70 @@ class Conditioned:
             return np.clip(np.abs(self.Gxy) ** 2 / (self.Gxx * self.Gyy), 0.0, 1.0)
 
 
-def record_spectra(records: Sequence[Record], omega: Array, length: float) -> Spectra:
+def record_spectra(
+    records: Sequence[Record], omega: Array, length: float, lost: Sequence[BoolArray] | None = None
+) -> Spectra:
     """Spectra of each record, averaged over overlapped Hann windows of one length.
 
-    A record shorter than the window is left out, and so is a window with a missing output sample.
+    A record shorter than the window is left out, and so is, at each frequency, a window in which
+    samples were lost for longer than a period; others weigh by their share of samples.
 
     Parameters
     ----------
     records : sequence of Record
-        Equidistant.
+        Equidistant, lost samples filled in.
     omega : (K,) array
         Frequencies [rad/s].
     length : float
         Window [s].
+    lost : sequence of (N, ny) bool array
+        Which output samples were lost; those that are NaN unless given.
     """
-    K, nu, ny = len(omega), records[0].nu, records[0].ny
-    sums = []
-    offered = used = 0
-    for record in records:
-        U, Y, n, all_ = _windowed(record, omega, length)
-        offered, used = offered + all_, used + n
-        scale = max(n, 1)
-        Guu = np.einsum("wka,wkb->kab", U.conj(), U) / scale
-        Guy = np.einsum("wka,wki->kai", U.conj(), Y) / scale
-        Gyy = np.einsum("wki,wki->ki", Y.conj(), Y).real / scale
+    lost = [np.isnan(record.y) for record in records] if lost is None else lost
+    sums, powers, counts = [], [], []
+    for record, gone in zip(records, lost, strict=True):
+        U, Y = _windowed(record, omega, length)
+        weight = _weights_of_windows(gone, record.dt, omega, length)  # (windows, K)
+        total = weight.sum(axis=0)
+        W = weight / np.where(total > 0, total, 1.0)
+        Guu = np.einsum("wk,wka,wkb->kab", W, U.conj(), U, optimize=True)
+        Guy = np.einsum("wk,wka,wki->kai", W, U.conj(), Y, optimize=True)
+        Gyy = np.einsum("wk,wki,wki->ki", W, Y.conj(), Y, optimize=True).real
         # n windows cover 1 + (n - 1)/3 lengths.
-        sums.append((Guu, Guy, Gyy, 1 + (n - 1) * STEP if n else 0.0))
+        averages = np.where(total > 0, 1 + np.maximum(total - 1, 0) * STEP, 0.0)
+        sums.append((Guu, Guy, Gyy, averages))
+        power = np.abs(U) ** 2
+        powers.append(np.array([np.einsum("wk,wka->ka", weight > 0, power), power.sum(axis=0)]))
+        counts.append((weight > 0).sum(axis=0))
     Guu, Guy, Gyy, averages = (np.array(column) for column in zip(*sums, strict=True))
-    shape = (len(records), K)
+    kept, every = np.sum(powers, axis=0)
     return Spectra(
-        Guu=Guu.reshape(*shape, nu, nu),
-        Guy=Guy.reshape(*shape, nu, ny),
-        Gyy=Gyy.reshape(*shape, ny),
+        Guu=Guu,
+        Guy=Guy,
+        Gyy=Gyy,
         averages=averages,
-        count=used,
-        dropped=1 - used / max(offered, 1),
+        count=np.sum(counts, axis=0),
+        kept=np.min(kept / np.where(every > 0, every, 1.0), axis=1, initial=1.0),
     )
+
+
+def _weights_of_windows(lost: BoolArray, dt: float, omega: Array, length: float) -> Array:
+    """Weight of each window at each frequency, (windows, K): 0 where too much is lost, else 1."""
+    M = round(length / dt)
+    starts = _starts(len(lost), M)
+    weight = np.ones((len(starts), len(omega)))
+    for w, i in enumerate(starts):
+        gone = lost[i : i + M]
+        if gone.any():
+            usable = 2 * np.pi / omega >= dt * max(map(longest_run, gone.T))
+            weight[w] = usable * (1 - gone.mean(axis=0).max())
+    return weight
+
+
+def longest_run(lost: BoolArray) -> int:
+    """Most samples in a row that are lost."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(int)))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))
 
 
 def transform(x: Array, dt: float, omega: Array) -> ComplexArray:
@@ -135,19 +163,17 @@ def transform(x: Array, dt: float, omega: Array) -> ComplexArray:
     return np.asarray(np.einsum("km,wmc->wkc", W, x, optimize=True))
 
 
-def _windowed(
-    record: Record, omega: Array, length: float
-) -> tuple[ComplexArray, ComplexArray, int, int]:
+def _windowed(record: Record, omega: Array, length: float) -> tuple[ComplexArray, ComplexArray]:
+    """Scaled transforms of inputs and outputs in every window, (windows, K, channels)."""
     M = round(length / record.dt)
     values = np.hstack([record.u, record.y])
     starts = _starts(len(values), M)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a channel without any sample stays NaN
-        values = values - np.nanmean(values, axis=0)
+        values = np.nan_to_num(values - np.nanmean(values, axis=0))
     stretches = np.array([values[i : i + M] for i in starts]).reshape(
         len(starts), M, record.nu + record.ny
     )
-    stretches = stretches[~np.isnan(stretches).any(axis=(1, 2))]
     taper = scipy.signal.get_window("hann", M)
     # Density: mean square per unit of frequency is 2 |X|² / (2π ∫ taper² dt), one-sided.
     density = np.sqrt(1 / (np.pi * record.dt * np.sum(taper**2)))
@@ -155,7 +181,7 @@ def _windowed(
     if record.hold == "zoh":  # the spectrum of the steps, not of a smooth input through the samples
         jh = 1j * omega * record.dt
         Z[..., : record.nu] *= ((1 - np.exp(-jh)) / jh)[:, None]
-    return Z[..., : record.nu], Z[..., record.nu :], len(stretches), len(starts)
+    return Z[..., : record.nu], Z[..., record.nu :]
 
 
 def _starts(N: int, M: int) -> Array:
@@ -174,14 +200,15 @@ def condition(spectra: Spectra, *, conditioned: bool) -> Conditioned:
     counts by its share of the conditioned input's power. When one axis moves at a time these are
     the figures of that axis's records, as in T&R; when all records are alike, those of all records.
     """
-    n = spectra.averages / spectra.averages.sum()
-    Guu = np.einsum("r,rkab->kab", n, spectra.Guu)
-    Guy = np.einsum("r,rkai->kai", n, spectra.Guy)
-    Gyy = np.einsum("r,rki->ki", n, spectra.Gyy)
+    n = _shares(spectra)
+    Guu = np.einsum("rk,rkab->kab", n, spectra.Guu)
+    Guy = np.einsum("rk,rkai->kai", n, spectra.Guy)
+    Gyy = np.einsum("rk,rki->ki", n, spectra.Gyy)
     level = np.sqrt(np.einsum("kaa->ka", Guu).real)
     safe = np.where(level > 0, level, 1.0)
     scale = safe[:, :, None] * safe[:, None, :]
     unit = Guu / scale  # ones on the diagonal: how correlated the inputs are, whatever their units
+    unit[~spectra.averages.any(axis=0)] = np.eye(unit.shape[1])
     number = np.linalg.cond(unit)
     if not conditioned:
         unit = unit * np.eye(unit.shape[1])
@@ -195,6 +222,11 @@ def condition(spectra: Spectra, *, conditioned: bool) -> Conditioned:
     return _pairs(spectra, H, Gyy, np.maximum(power, 0.0), number, conditioned=conditioned)
 
 
+def _shares(spectra: Spectra) -> Array:
+    """Share of each record in the averages, (R, K)."""
+    return np.asarray(spectra.averages / np.maximum(spectra.averages.sum(axis=0), 1e-300))
+
+
 def _pairs(
     spectra: Spectra,
     H: ComplexArray,
@@ -204,10 +236,10 @@ def _pairs(
     *,
     conditioned: bool,
 ) -> Conditioned:
-    total = spectra.averages.sum()
-    n = spectra.averages / total
+    total = np.maximum(spectra.averages.sum(axis=0), 1e-300)[:, None]
+    n = _shares(spectra)
     N = _residual(spectra, H, conditioned=conditioned)  # (R, K, ny, nu)
-    share = n[:, None, None] * power
+    share = n[:, :, None] * power
     total_power = np.sum(share, axis=0)
     share = share / np.where(
         total_power > 0, total_power, 1.0
@@ -216,13 +248,13 @@ def _pairs(
     Gxx = np.einsum("rkj,rkj->kj", share, power)[:, None, :] * np.ones_like(noise)
     output = np.abs(H) ** 2 * Gxx + noise
     coherence = np.abs(H) ** 2 * Gxx / np.where(output == 0, 1.0, output)
-    used = n > 0
-    effective = total / np.sum(share[used] ** 2 / n[used, None, None], axis=0)
+    spread = share**2 / np.where(n > 0, n, 1.0)[:, :, None]
+    effective = total / np.maximum(np.sum(spread, axis=0), 1e-300)
     lost = (H.shape[2] - 1) / total if conditioned else 0.0
     averages = np.maximum(effective * (1 - lost), 0.0)[:, None, :]
     with np.errstate(divide="ignore", invalid="ignore"):
         error = OVERLAP_FACTOR * np.sqrt((1 - coherence) / (2 * averages * coherence))
-    everywhere = np.einsum("r,rkij->kij", n, N).min(axis=2)
+    everywhere = np.einsum("rk,rkij->kij", n, N).min(axis=2)
     return Conditioned(
         Gxx=Gxx,
         Gxy=H * Gxx,

@@ -49,7 +49,7 @@ def test_a_jittered_record_keeps_its_missing_samples_missing():
     t = record.t + 0.1 * DT * rng.uniform(-1, 1, record.N)
     y = LAG.simulate(t, record.u)
     y[7000:7100] = np.nan
-    with pytest.warns(DataWarning, match="missing output samples"):
+    with pytest.warns(DataWarning, match="samples are missing"):
         found = frequency_response(
             [Record(t, record.u, y, ("u",), ("y",))], omega=np.array([2.0]), windows=[20.0]
         )

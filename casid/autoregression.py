@@ -1,0 +1,118 @@
+"""A short autoregression of a record: what it makes of lost samples, and which it calls outliers.
+
+The outputs are predicted one sample ahead from their own and the inputs' last few samples,
+
+    y(k) = Σ A_i y(k−i) + Σ B_i u(k−i) + c + e(k),        i = 1 … p, and B_0 u(k),
+
+by least squares. Lost samples are then those values that make the innovations e of all samples
+around them smallest, weighed by their covariance: what a smoother with this model gives, from both
+ends of a loss and from the other channels.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+
+from casid.arrays import Array, BoolArray
+from casid.record import Record
+
+REACH = 0.25  # time [s] that the lags reach back, within these limits
+LAGS = (2, 10)
+ROWS = 20_000  # samples that it is fitted to
+ROUNDS = 2  # of fitting and filling
+FAR = 6.0  # deviations of a normal distribution that make an outlier
+MAD = 1.482602218505602  # standard deviation of a normal distribution over its median deviation
+
+
+@dataclass(frozen=True, eq=False)
+class Autoregression:
+    """Coefficients by lag and the innovations' covariance.
+
+    ``A`` (p, ny, ny) multiplies past outputs, ``B`` (p + 1, ny, nu) the inputs from the present one
+    back, ``c`` (ny,) is the constant; ``R`` (ny, ny).
+    """
+
+    A: Array
+    B: Array
+    c: Array
+    R: Array
+
+    def innovations(self, u: Array, y: Array) -> Array:
+        """What the prediction misses from sample p on, (N - p, ny)."""
+        p = len(self.A)
+        e = y[p:] - self.c
+        for i in range(p + 1):
+            rows = slice(p - i, len(y) - i)
+            e = e - u[rows] @ self.B[i].T
+            if i:
+                e = e - y[rows] @ self.A[i - 1].T
+        return np.asarray(e)
+
+
+def autoregression(record: Record, y: Array, trusted: BoolArray) -> Autoregression:
+    """The autoregression of a record with these outputs, fitted where samples are trusted (N,)."""
+    p = int(np.clip(round(REACH / record.dt), *LAGS))
+    p = max(1, min(p, (record.N // 5 - 1 - record.nu) // (record.nu + record.ny)))
+    u, N = record.u, record.N
+    columns = [y[p - i : N - i] for i in range(1, p + 1)]
+    columns += [u[p - i : N - i] for i in range(p + 1)]
+    X = np.hstack([*columns, np.ones((N - p, 1))])
+    rows = np.flatnonzero(trusted[p:])
+    rows = rows[:ROWS] if len(rows) >= 2 * X.shape[1] else np.arange(len(X))
+    size = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-300)
+    theta = np.linalg.lstsq(X[rows] / size, y[p:][rows], rcond=1e-10)[0] / size[:, None]
+    e = y[p:][rows] - X[rows] @ theta
+    R = e.T @ e / len(rows)
+    floor = 1e-10 * np.maximum(np.var(y, axis=0), 1e-300)
+    ny, nu = record.ny, record.nu
+    A = theta[: p * ny].T.reshape(ny, p, ny).swapaxes(0, 1)
+    B = theta[p * ny : -1].T.reshape(ny, p + 1, nu).swapaxes(0, 1)
+    return Autoregression(A, B, theta[-1], R + np.diag(floor))
+
+
+def filled(record: Record) -> tuple[Record, BoolArray]:
+    """The record with its lost output samples filled in, and where they were (N, ny).
+
+    Equidistant records only; a channel without any sample stays lost.
+    """
+    lost = np.isnan(record.y)
+    if not lost.any():
+        return record, lost
+    there = ~lost.all(axis=0)
+    y = record.y.copy()
+    k = np.arange(record.N)
+    for i in np.flatnonzero(there):
+        y[:, i] = np.interp(k, k[~lost[:, i]], y[~lost[:, i], i])
+    part = record.select(outputs=[record.outputs[i] for i in np.flatnonzero(there)])
+    gone, known = lost[:, there], y[:, there]
+    for _ in range(ROUNDS):
+        model = autoregression(part, known, np.asarray(~gone.any(axis=1)))
+        known = _smoothed(model, part.u, known, gone)
+    y[:, there] = known
+    return replace(record, y=y), lost
+
+
+def _smoothed(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> Array:
+    """The outputs with the lost ones such that the weighed innovations are smallest."""
+    p, ny = len(model.A), y.shape[1]
+    W = np.linalg.inv(np.linalg.cholesky(model.R))  # whitens
+    e = model.innovations(u, y) @ W.T
+    at, of = np.nonzero(lost)
+    rows, columns, values = [], [], []
+    for i in range(p + 1):
+        slope = W if i == 0 else -W @ model.A[i - 1]  # of the innovation i samples later
+        inside = (at + i >= p) & (at + i < len(y))
+        n = np.flatnonzero(inside)
+        rows.append((((at[n] + i - p) * ny)[:, None] + np.arange(ny)).ravel())
+        columns.append(np.repeat(n, ny))
+        values.append(slope[:, of[n]].T.ravel())
+    shape = (e.size, len(at))
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    J = scipy.sparse.csc_matrix(entries, shape=shape)
+    normal = J.T @ J + 1e-12 * scipy.sparse.eye(len(at))
+    step = scipy.sparse.linalg.spsolve(normal.tocsc(), J.T @ e.ravel())
+    out = y.copy()
+    out[at, of] -= step
+    return out
