@@ -101,7 +101,7 @@ def _spectrum(t: Array, v: Array) -> tuple[Array, Array]:
 def gather(
     records: Sequence[Record], su: Array, sy: Array, past: int, a: float
 ) -> tuple[Stack, tuple[Segment, ...]]:
-    """Triangular factor of the columns of all records; a constant per segment projected out.
+    """Triangular factor of all columns of records; a constant per segment projected out.
 
     ``a`` is the Laguerre pole, NaN for the samples themselves.
     """
@@ -116,13 +116,15 @@ def gather(
                 else _laguerre_blocks(piece, su, sy, past, a)
             )
             part, n = accumulate(blocks, constant=True)
-            used = n * piece.dt
             segments.append(
                 Segment(
-                    record=record.name, start=float(piece.t[0]), duration=piece.duration,
-                    used=used, interpolated=interpolated,
+                    record=record.name,
+                    start=float(piece.t[0]),
+                    duration=piece.duration,
+                    used=n * piece.dt,
+                    interpolated=interpolated,
                 )
-            )  # fmt: skip
+            )
             if n:
                 R = triangular(np.vstack([R, part]))
                 count += n
@@ -154,15 +156,7 @@ def pieces_of(record: Record, a: float) -> Iterator[tuple[Record, int]]:
     On samples nothing is interpolated: columns that touch a missing sample are left out.
     """
     missing = np.isnan(record.y)
-    if np.isnan(a):
-        if not record.equidistant:
-            raise ValueError(
-                f'record {record.name!r} is not equidistant: transform="none" works on samples; '
-                'use transform="laguerre" or resample the record'
-            )
-        yield record, 0
-        return
-    if not missing.any():
+    if np.isnan(a) or not missing.any():
         yield record, 0
         return
     bad = _in_long_gap(record.t, missing, LONG_GAP / a)
@@ -173,6 +167,23 @@ def pieces_of(record: Record, a: float) -> Iterator[tuple[Record, int]]:
             y = _interpolated(record.t[cut], record.y[cut])
             piece = replace(record, t=record.t[cut], u=record.u[cut], y=y)
             yield piece, int(missing[cut].sum())
+
+
+def check_samples(records: Sequence[Record]) -> None:
+    """Raise where samples are not equidistant, or records not of one interval and hold."""
+    first = records[0]
+    for record in records:
+        if not record.equidistant:
+            raise ValueError(
+                f'record {record.name!r} is not equidistant: transform="none" works on samples; '
+                'use transform="laguerre" or resample the record'
+            )
+        if abs(record.dt - first.dt) > 1e-3 * first.dt or record.hold != first.hold:
+            raise ValueError(
+                f"records {first.name!r} and {record.name!r} are sampled every {first.dt:g} and "
+                f'{record.dt:g} s ("{first.hold}", "{record.hold}"): transform="none" needs one '
+                'interval and hold; use transform="laguerre" or resample them'
+            )
 
 
 def _in_long_gap(t: Array, missing: BoolArray, longest: float) -> BoolArray:

@@ -8,36 +8,40 @@ term may be masked.
 """
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.errors import DataWarning
 from casid.linear import StateSpace, from_zoh
-from casid.record import Record, Records, same_channels, standard_deviations, stretches
-from casid.subspace.columns import (
-    Feedthrough,
-    Segment,
-    excited_band,
-    feedthrough_mask,
-    gather,
-)
+from casid.record import Hold, Records
+from casid.subspace.campaign import Campaign, Windows
+from casid.subspace.columns import Feedthrough, Segment
 from casid.subspace.feedback import direct_term_is_ambiguous
-from casid.subspace.laguerre import support
-from casid.subspace.predictor import Stack
-from casid.subspace.realisation import subspace_model
-from casid.subspace.refining import Noise, Refine, Refinement, Uncertainty
-from casid.subspace.settings import OrderSelection, select_order
+from casid.subspace.held import undiscretised
+from casid.subspace.prediction import SampledUncertainty
+from casid.subspace.refinement import ResponseUncertainty
+from casid.subspace.refining import Estimate, refine_projected, refine_sampled
+from casid.subspace.sampled import ORDERS, WINDOWS, Stretches, are_candidates, choose_samples
+from casid.subspace.settings import (
+    Candidate,
+    Grid,
+    OrderSelection,
+    Refinement,
+    best_of,
+    choose_projections,
+    with_errors,
+)
 from casid.subspace.trust import data_doubts
 from casid.values import storable
 
+T = TypeVar("T")
 Transform = Literal["laguerre", "none"]
 
 PAST = 10  # samples at least, for the samples themselves
-BAND_END = 1.5  # of the Laguerre pole: the model is not trusted above it
+CLEARLY = 0.95  # of what projections leave unexplained: models of samples that leave less are taken
 
 
 @storable
@@ -72,12 +76,17 @@ class BlackBox:
     segments : tuple of Segment
         What was used of each record, and how many missing samples were interpolated.
     uncertainty : ResponseUncertainty, SampledUncertainty or None
-        Covariance of a refined black box; see `response_std`.
+        Covariance of a black box refined to maximum likelihood; see `response_std`.
     selection : OrderSelection or None
         How the settings were chosen from data, if they were.
     explained : (ny,) array or None
         Share of each output's power explained at a typical frequency of the band; None unless
         refined by Fourier transforms.
+    refinement : str
+        What followed the subspace estimate: "unrefined", "fourier" on projections; on samples
+        "linear", "prediction", "simulation" or "local simulation", see `Pbsid`.
+    hold : {"foh", "zoh"}
+        What the inputs of a discrete black box do between samples.
     """
 
     system: StateSpace
@@ -94,9 +103,11 @@ class BlackBox:
     records: tuple[str, ...]
     regularisation: float = 0.0
     segments: tuple[Segment, ...] = ()
-    uncertainty: Uncertainty = None
+    uncertainty: ResponseUncertainty | SampledUncertainty | None = None
     selection: OrderSelection | None = None
     explained: Array | None = None
+    refinement: str = "unrefined"
+    hold: Hold = "zoh"
 
     def doubts(self) -> tuple[str, ...]:
         """Why the records do not support a model; empty where they do, or where it is not known."""
@@ -115,8 +126,8 @@ class BlackBox:
         """
         if self.uncertainty is None:
             raise ValueError(
-                "this black box has no uncertainty: only one refined to maximum likelihood has; "
-                "call pbsid with refine=True"
+                f"this black box ({self.refinement}) has no uncertainty: only one refined to "
+                'maximum likelihood has; call pbsid with refine=True and transform="laguerre"'
             )
         return self.uncertainty.response_std(np.asarray(omega, dtype=float))
 
@@ -126,7 +137,7 @@ class BlackBox:
         return self.system.nx
 
     def continuous(self) -> "BlackBox":
-        """The continuous equivalent of a discrete black box: inputs held between samples (ZOH).
+        """The continuous equivalent of a discrete black box, for its inputs' hold.
 
         The gain K keeps the predictor's poles: A - KC is mapped by the same matrix logarithm.
 
@@ -138,11 +149,207 @@ class BlackBox:
         system = self.system
         if system.dt is None:
             return self
-        A, B = from_zoh(system.A, system.B, system.dt)
+        found = undiscretised(system, self.hold)
         predictor, _ = from_zoh(system.A - self.K @ system.C, system.B, system.dt)
-        K = np.linalg.lstsq(system.C.T, (A - predictor).T, rcond=None)[0].T
-        names = system.inputs, system.outputs
-        return replace(self, system=StateSpace(A, B, system.C, system.D, None, *names), K=K)
+        K = np.linalg.lstsq(system.C.T, (found.A - predictor).T, rcond=None)[0].T
+        return replace(self, system=found, K=K)
+
+
+@storable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Pbsid:
+    """Settings of `pbsid`; what is None is chosen from the records.
+
+    Parameters
+    ----------
+    order : int
+        Number of states.
+    past, future : int
+        Window lengths: Laguerre functions or samples; the future is as long as the past unless
+        given. On samples, with an order given, the past is 10 or 2 order/ny, whichever is larger.
+    pole : float
+        Laguerre pole a [rad/s] of the projections, faster than any unstable pole.
+    feedthrough : bool, (ny, nu) bool array or sequence of output names
+        Where a direct term is allowed. On samples a masked entry is left out of the regressions;
+        on projected data the response at infinite frequency is made zero there.
+    transform : {"laguerre", "none"}
+        Project the data on Laguerre functions (a continuous model), or use the samples themselves
+        (a discrete model; equidistant records of one interval). Unless this or the pole is given,
+        samples are tried where records are sampled hardly faster than their inputs move
+        (`casid.subspace.sampled`), and taken where they clearly predict better what was held out.
+    regularisation : float
+        Tikhonov factor of the regression, relative to its largest singular value.
+    refine : bool
+        Move the subspace model to the maximum likelihood, with the direct term zero where it is
+        masked: on projections of the records' Fourier transforms (`casid.subspace.refinement`) or,
+        where a controller feeds so much noise back into the inputs that these would be biased
+        (`casid.subspace.feedback`), of prediction errors; on samples of prediction errors
+        (`casid.subspace.prediction`), or, where the order is chosen, by what predicts best: those,
+        B, K and D alone, or simulation errors of constant or of local size, with K = 0. Only a
+        maximum of the likelihood has a covariance.
+    """
+
+    order: int | None = None
+    past: int | None = None
+    future: int | None = None
+    pole: float | None = None
+    feedthrough: Feedthrough = True
+    transform: Transform | None = None
+    regularisation: float | None = None
+    refine: bool = True
+
+    def __post_init__(self) -> None:
+        if self.transform not in (None, *get_args(Transform)):
+            raise ValueError(f'transform={self.transform!r}, expected "laguerre" or "none"')
+        if self.refine not in (True, False):
+            raise ValueError(f"refine={self.refine!r}, expected True or False")
+        if self.pole is None:
+            return
+        if not (np.isfinite(self.pole) and self.pole > 0):
+            raise ValueError(f"pole={self.pole}: expected a Laguerre pole > 0 rad/s")
+        if self.transform == "none":
+            raise ValueError(
+                f'pole={self.pole:g} belongs to Laguerre functions, transform="none" uses the '
+                "samples themselves: leave one of them out"
+            )
+
+    def fit(self, records: Records) -> BlackBox:
+        """Black box of one record or several; see `pbsid`."""
+        campaign = Campaign.of(records, self.feedthrough)
+        if self.transform == "none":
+            return self._sampled(campaign, *self._sample_settings(campaign))
+        free = self.transform is None and self.pole is None
+        try:
+            projected = self._projected(campaign)
+        except ValueError:
+            if not (free and are_candidates(campaign, None)):
+                raise
+            return self._sampled(campaign, *self._sample_settings(campaign))
+        if not (free and are_candidates(campaign, projected.system)):
+            return projected
+        return self._better(campaign, projected)
+
+    def _projected(self, campaign: Campaign) -> BlackBox:
+        """Black box of projections, settings that were not given chosen."""
+        order, past, pole, factor = self.order, self.past, self.pole, self.regularisation
+        selection = None
+        if order is None or past is None or pole is None:
+            grid = Grid(_said(order), _said(past), _said(pole), _said(factor))
+            selection = choose_projections(campaign, grid)
+            settings = selection.chosen
+        else:
+            factor = 1e-3 if factor is None else factor
+            settings = Candidate(order=order, past=past, pole=float(pole), regularisation=factor)
+        found = campaign.subspace(settings.order, self._windows(settings, len(campaign.sy)))
+        _check_unstable(found.system, settings.pole)
+        estimate = refine_projected(campaign, found, settings.pole, move=self.refine)
+        return self._black_box(campaign, settings, estimate, selection)
+
+    def _better(self, campaign: Campaign, projected: BlackBox) -> BlackBox:
+        """The black box of projections, or of samples if that predicts clearly better."""
+        tried = self._sample_candidates(campaign)
+        best = best_of(tried)
+        own = projected
+        windows = Windows(own.past, own.future, own.pole, own.regularisation)
+        rival = Stretches.of(campaign).score(own.order, windows, "fourier")
+        if best.score > (CLEARLY * rival.score if rival else 1.0):
+            return projected
+        return self._sampled(campaign, best, self._selection(campaign, tried, rival))
+
+    def _sample_candidates(self, campaign: Campaign) -> list[Candidate]:
+        ny, regularisation = len(campaign.sy), self.regularisation or 0.0
+        pasts = WINDOWS if self.past is None else (self.past,)
+        orders = [n for n in ORDERS if n <= pasts[0] * ny] if self.order is None else [self.order]
+        windows = [Windows(p, self.future or p, np.nan, regularisation) for p in pasts]
+        return choose_samples(campaign, orders, windows, move=self.refine)
+
+    def _sample_settings(self, campaign: Campaign) -> tuple[Candidate, OrderSelection | None]:
+        """Settings on samples; chosen unless an order is given."""
+        if self.order is not None:
+            past = self.past or max(PAST, -(-2 * self.order // len(campaign.sy)))
+            how: Refinement = "prediction" if self.refine else "unrefined"
+            given = Candidate(
+                order=self.order, past=past, pole=np.nan, refinement=how,
+                regularisation=self.regularisation or 0.0,
+            )  # fmt: skip
+            return given, None
+        tried = self._sample_candidates(campaign)
+        if not tried:
+            raise ValueError(
+                "no black box of samples can be judged on stretches held out: the records are too "
+                "short, or the aircraft is too unstable to be simulated; give an order"
+            )
+        return best_of(tried), self._selection(campaign, tried, None)
+
+    def _selection(
+        self, campaign: Campaign, tried: list[Candidate], rival: Candidate | None
+    ) -> OrderSelection:
+        all_tried = with_errors([*tried, rival] if rival else tried)
+        best = best_of(all_tried)
+        found = campaign.subspace(best.order, best.windows)
+        return OrderSelection(
+            chosen=best,
+            candidates=tuple(all_tried),
+            criterion="held-out stretches",
+            singular_values=found.singular_values,
+        )
+
+    def _sampled(
+        self, campaign: Campaign, settings: Candidate, selection: OrderSelection | None
+    ) -> BlackBox:
+        """Black box of samples."""
+        found = campaign.subspace(settings.order, self._windows(settings, len(campaign.sy)))
+        stack = campaign.stack(settings.past, settings.pole)
+        if campaign.mask.any() and direct_term_is_ambiguous(stack):
+            _warn_direct_term(np.array(found.system.outputs)[campaign.mask.any(axis=1)])
+        estimate = refine_sampled(campaign, found, settings.refinement)
+        return self._black_box(campaign, settings, estimate, selection)
+
+    def _windows(self, settings: Candidate, ny: int) -> Windows:
+        """The windows asked for, checked."""
+        order, past, future = settings.order, settings.past, self.future or settings.past
+        if order < 1 or past < 2 or future < 1:
+            raise ValueError(
+                f"order={order}, past={past}, future={future}: "
+                "expected order >= 1, past >= 2, future >= 1"
+            )
+        if order > min(past, future) * ny:
+            raise ValueError(
+                f"order {order} needs past and future of at least {-(-order // ny)} with {ny} "
+                f"outputs; they are {past} and {future}"
+            )
+        return Windows(past, future, settings.pole, settings.regularisation)
+
+    def _black_box(
+        self,
+        campaign: Campaign,
+        settings: Candidate,
+        estimate: Estimate,
+        selection: OrderSelection | None,
+    ) -> BlackBox:
+        windows = self._windows(settings, len(campaign.sy))
+        projected = not np.isnan(settings.pole)
+        return BlackBox(
+            system=estimate.system,
+            K=estimate.K,
+            singular_values=campaign.subspace(settings.order, windows).singular_values,
+            pole=settings.pole,
+            past=windows.past,
+            future=windows.future,
+            transform="laguerre" if projected else "none",
+            feedthrough=campaign.mask,
+            input_std=campaign.su,
+            output_std=campaign.sy,
+            band=campaign.band(settings.pole),
+            records=tuple(record.name for record in campaign.records),
+            regularisation=settings.regularisation,
+            segments=campaign.segments(windows.past, windows.pole),
+            uncertainty=estimate.uncertainty,
+            selection=selection,
+            explained=estimate.explained,
+            refinement=settings.refinement,
+            hold=campaign.records[0].hold,
+        )
 
 
 def pbsid(
@@ -153,46 +360,19 @@ def pbsid(
     future: int | None = None,
     pole: float | None = None,
     feedthrough: Feedthrough = True,
-    transform: Transform = "laguerre",
+    transform: Transform | None = None,
     regularisation: float | None = None,
-    refine: Refine = True,
-    noise: Noise = "constant",
+    refine: bool = True,
 ) -> BlackBox:
     """Identify a black box from the time histories of one or several manoeuvres.
 
     Parameters
     ----------
-    records : sequence of Record
+    records : Record or sequence of Record
         Same channels; lengths and sampling may differ. Missing outputs (NaN) are interpolated
         linearly over short gaps and split the record at long ones; the result counts both.
-    order : int
-        Number of states. Chosen by `select_order` unless given, like ``past``, ``pole`` and
-        ``regularisation``; with ``transform="none"`` it must be given.
-    past, future : int
-        Window lengths: Laguerre functions or samples; the future is as long as the past unless
-        given. On samples the past is 10 or 2 order/ny, whichever is larger, unless given.
-    pole : float
-        Laguerre pole a [rad/s], faster than any unstable pole.
-    feedthrough : bool, (ny, nu) bool array or sequence of output names
-        Where a direct term is allowed. On samples a masked entry is left out of the regressions;
-        on projected data the response at infinite frequency is made zero there.
-    transform : {"laguerre", "none"}
-        Project the data on Laguerre functions (a continuous model), or use the samples themselves
-        (a discrete model; equidistant records).
-    regularisation : float
-        Tikhonov factor of the regression, relative to its largest singular value.
-    refine : bool or {"linear", "simulation"}
-        Move the subspace model to the maximum likelihood: on samples of the prediction errors
-        (`casid.subspace.prediction`), on projections of the records' Fourier transforms
-        (`casid.subspace.refinement`), with the direct term zero where it is masked; without it a
-        masked direct term is only made small. Where a controller feeds so much noise back into the
-        inputs that their transforms would be biased (`casid.subspace.feedback`), prediction errors
-        follow. On samples only: "linear" moves B, K and D alone (`casid.subspace.regression`);
-        "simulation" minimises simulation errors (`casid.subspace.simulation`), for a stable system
-        in open loop whose model is to simulate, and K is zero then. Neither gives a covariance.
-    noise : {"constant", "local"}
-        On samples: whether the errors that the refinement minimises are of one size throughout, or
-        are divided by their local level, for amplitudes that vary much and errors that follow.
+    order, past, future, pole, feedthrough, transform, regularisation, refine
+        See `Pbsid`.
 
     Returns
     -------
@@ -201,183 +381,18 @@ def pbsid(
     Raises
     ------
     ValueError
-        Records too short for the windows, an order they cannot give, unequal channels.
+        Records too short for the windows, an order they cannot give, unequal channels; samples of
+        several intervals, or a Laguerre pole, with ``transform="none"``.
     """
-    records = stretches(records)
-    inputs, outputs = same_channels(records)
-    if transform not in get_args(Transform):
-        raise ValueError(f'transform={transform!r}, expected "laguerre" or "none"')
-    _check_refine(refine, noise, transform)
-    mask = feedthrough_mask(feedthrough, inputs, outputs)
-    if transform == "none":
-        settings = _sample_settings(order, past, regularisation, len(outputs))
-    else:
-        settings = _chosen(records, order, past, pole, regularisation, feedthrough)
-    future = settings.past if future is None else future
-    _check_windows(settings.order, settings.past, future, len(outputs))
-    su, sy = standard_deviations(records)
-    stack, segments = gather(records, su, sy, settings.past, settings.pole)
-    _check_columns(stack, segments, records, settings.pole)
-    found = subspace_model(
-        stack, su, sy, settings.pole, order=settings.order, future=future, feedthrough=mask,
-        regularisation=settings.regularisation, dt=records[0].dt,
-    )  # fmt: skip
-    start = replace(found.system, inputs=inputs, outputs=outputs)
-    band = _band(records, settings.pole)
-    task = Refinement(records, su, sy, mask, settings.pole, band, found.residual_covariance, noise)
-    if transform == "none":
-        if mask.any() and direct_term_is_ambiguous(stack):
-            _warn_direct_term(np.array(outputs)[mask.any(axis=1)])
-        starts = [(start, found.K)]
-        if refine == "simulation":
-            starts += _other_start(task, settings, start)
-        system, K, uncertainty, explained = task.samples(starts, refine)
-    else:
-        _check_unstable(start, settings.pole)
-        system, K, uncertainty, explained = task.projections(start, found.K, bool(refine))
-    return BlackBox(
-        system=system,
-        K=K,
-        singular_values=found.singular_values,
-        pole=settings.pole,
-        past=settings.past,
-        future=future,
-        transform=transform,
-        feedthrough=mask,
-        input_std=su,
-        output_std=sy,
-        band=band,
-        records=tuple(record.name for record in records),
-        regularisation=settings.regularisation,
-        segments=segments,
-        uncertainty=uncertainty,
-        selection=settings.selection,
-        explained=explained,
-    )
+    return Pbsid(
+        order=order, past=past, future=future, pole=pole, feedthrough=feedthrough,
+        transform=transform, regularisation=regularisation, refine=refine,
+    ).fit(records)  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Settings:
-    order: int
-    past: int
-    pole: float
-    regularisation: float
-    selection: OrderSelection | None = None
-
-
-def _sample_settings(
-    order: int | None, past: int | None, regularisation: float | None, ny: int
-) -> _Settings:
-    if order is None:
-        raise ValueError('transform="none" needs an order; the choice from data is for projections')
-    past = max(PAST, -(-2 * order // ny)) if past is None else past
-    return _Settings(order=order, past=past, pole=np.nan, regularisation=regularisation or 0.0)
-
-
-def _other_start(
-    task: Refinement, settings: _Settings, like: StateSpace
-) -> list[tuple[StateSpace, Array]]:
-    """Model and gain of half the window; none where that is too short for the order."""
-    past = settings.past // 2
-    if past < 2 or settings.order > past * like.ny:
-        return []
-    stack, _ = gather(task.records, task.su, task.sy, past, settings.pole)
-    try:
-        found = subspace_model(
-            stack, task.su, task.sy, settings.pole, order=settings.order, future=past,
-            feedthrough=task.mask, regularisation=settings.regularisation,
-            dt=task.records[0].dt,
-        )  # fmt: skip
-    except (ValueError, np.linalg.LinAlgError):  # the window asked for gave a model
-        return []
-    return [(replace(found.system, inputs=like.inputs, outputs=like.outputs), found.K)]
-
-
-def _chosen(
-    records: Sequence[Record],
-    order: int | None,
-    past: int | None,
-    pole: float | None,
-    regularisation: float | None,
-    feedthrough: Feedthrough,
-) -> _Settings:
-    """What the user said, and the choice from data for the rest."""
-    if pole is not None and not (np.isfinite(pole) and pole > 0):
-        raise ValueError(f"pole={pole}: expected a Laguerre pole > 0 rad/s")
-    if order is not None and past is not None and pole is not None:
-        return _Settings(
-            order=order, past=past, pole=float(pole),
-            regularisation=1e-3 if regularisation is None else regularisation,
-        )  # fmt: skip
-    selection = select_order(
-        records,
-        orders=None if order is None else [order],
-        pasts=None if past is None else [past],
-        poles=None if pole is None else [pole],
-        regularisations=None if regularisation is None else [regularisation],
-        feedthrough=feedthrough,
-    )
-    best = selection.chosen
-    return _Settings(
-        order=best.order, past=best.past, pole=best.pole, regularisation=best.regularisation,
-        selection=selection,
-    )  # fmt: skip
-
-
-def _band(records: Sequence[Record], a: float) -> tuple[float, float]:
-    low, high = excited_band(records)
-    return low, (high if np.isnan(a) else max(min(high, BAND_END * a), 2 * low))
-
-
-# ---- checks -------------------------------------------------------------------------------------
-
-
-def _check_refine(refine: Refine, noise: Noise, transform: str) -> None:
-    if noise not in get_args(Noise):
-        raise ValueError(f'noise={noise!r}, expected "constant" or "local"')
-    if noise == "local" and (transform != "none" or refine in (False, "linear")):
-        raise ValueError(
-            'noise="local" weighs the errors of samples: it needs transform="none" and refine=True '
-            'or "simulation"'
-        )
-    if refine not in (True, False, "linear", "simulation"):
-        raise ValueError(f'refine={refine!r}, expected True, False, "linear" or "simulation"')
-    if refine in ("linear", "simulation") and transform != "none":
-        raise ValueError(
-            f'refine="{refine}" is for samples (transform="none"); projections are refined by '
-            "Fourier transforms of whole records, which refine=True does"
-        )
-
-
-def _check_windows(order: int, past: int, future: int, ny: int) -> None:
-    if order < 1 or past < 2 or future < 1:
-        raise ValueError(
-            f"order={order}, past={past}, future={future}: "
-            "expected order >= 1, past >= 2, future >= 1"
-        )
-    if order > min(past, future) * ny:
-        raise ValueError(
-            f"order {order} needs past and future of at least {-(-order // ny)} with {ny} outputs; "
-            f"they are {past} and {future}"
-        )
-
-
-def _check_columns(
-    stack: Stack, segments: Sequence[Segment], records: Sequence[Record], a: float
-) -> None:
-    unknowns = stack.past * stack.nz + stack.nu
-    if stack.columns > unknowns:
-        return
-    longest = max(record.duration for record in records)
-    window = (
-        f"{stack.past + 1} samples" if np.isnan(a) else f"kernels of {support(a, stack.past):.2g} s"
-    )
-    shortest = min(segments, key=lambda segment: segment.used).record if segments else ""
-    raise ValueError(
-        f"record {shortest!r} is too short: {stack.columns} usable instants for {unknowns} "
-        f"unknowns ({window}, longest record {longest:.3g} s); lower past, raise the pole or give "
-        "longer records"
-    )
+def _said(value: T | None) -> list[T]:
+    """What there is to choose from if a value is given; nothing if not."""
+    return [] if value is None else [value]
 
 
 def _check_unstable(system: StateSpace, a: float) -> None:

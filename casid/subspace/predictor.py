@@ -155,19 +155,37 @@ def predictor_rows(
     return Xi, D
 
 
-def realise(
-    stack: Stack, Xi: Array, *, order: int, future: int, feedthrough: BoolArray
-) -> Realisation:
+@dataclass(frozen=True, eq=False)
+class Future:
+    """Predictions of y(p), y(p + 1), ... from the past z, and their principal directions.
+
+    ``map`` is (future ny, p nz); ``U`` holds left singular vectors of the predictions over all
+    columns, ``singular_values`` how much of them each explains.
+    """
+
+    map: Array
+    U: Array
+    singular_values: Array
+
+
+def predicted_future(stack: Stack, Xi: Array, future: int) -> Future:
+    """Predictions ``future`` steps ahead by VARX coefficients Ξ (ny, p nz)."""
+    ny, nz, p = stack.ny, stack.nz, stack.past
+    GammaK = np.zeros((future * ny, p * nz))
+    for j in range(min(future, p)):
+        GammaK[j * ny : (j + 1) * ny, j * nz :] = Xi[:, : (p - j) * nz]
+    U, s, _ = np.linalg.svd(GammaK @ stack.Z.T, full_matrices=False)
+    return Future(GammaK, U, s)
+
+
+def realise(stack: Stack, predicted: Future, *, order: int, feedthrough: BoolArray) -> Realisation:
     """States from the predictor, then the matrices by least squares (PBSIDopt).
 
     ``feedthrough`` drops the direct term of masked entries; pass all True for projected data.
     """
-    ny, nz, p = stack.ny, stack.nz, stack.past
-    GammaK = np.zeros((future * ny, p * nz))  # predictions of y(p), y(p + 1), ... from z
-    for j in range(min(future, p)):
-        GammaK[j * ny : (j + 1) * ny, j * nz :] = Xi[:, : (p - j) * nz]
-    U, s, _ = np.linalg.svd(GammaK @ stack.Z.T, full_matrices=False)
-    to_state = (U[:, :order] / np.sqrt(s[:order])).T @ GammaK  # x = Σ^{1/2} Vᵀ = to_state z
+    ny, U, s = stack.ny, predicted.U, predicted.singular_values
+    # x = Σ^{1/2} Vᵀ = to_state z
+    to_state = (U[:, :order] / np.sqrt(s[:order])).T @ predicted.map
     x, x_next = stack.Z @ to_state.T, stack.Z_next @ to_state.T
     C, D = np.empty((ny, order)), np.zeros((ny, stack.nu))
     for mask in np.unique(feedthrough, axis=0):

@@ -1,4 +1,4 @@
-"""From gathered columns to a model of the channels in their own units."""
+"""From gathered columns to models of the channels in their own units."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.linear import StateSpace
 from casid.subspace.laguerre import from_laguerre
-from casid.subspace.predictor import Stack, predictor_coefficients, realise
+from casid.subspace.predictor import Future, Stack, realise
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -20,19 +20,9 @@ class Subspace:
     residual_covariance: Array
 
 
-def subspace_model(
-    stack: Stack,
-    su: Array,
-    sy: Array,
-    a: float,
-    *,
-    order: int,
-    future: int,
-    feedthrough: BoolArray,
-    regularisation: float,
-    dt: float,
-) -> Subspace:
-    """Identify one order from gathered columns.
+@dataclass(frozen=True, eq=False)
+class Regressed:
+    """The predictor of gathered columns, from which models of any order follow.
 
     Parameters
     ----------
@@ -40,19 +30,33 @@ def subspace_model(
         Columns of the channels divided by ``su`` (nu,) and ``sy`` (ny,).
     a : float
         Laguerre pole of the projections [rad/s]; NaN for samples ``dt`` [s] apart.
-    order, future, feedthrough, regularisation
-        As in `casid.subspace.pbsid`.
+    mask : (ny, nu) bool array
+        Where a direct term is free.
+    predicted : Future
+        What the predictor says of the future.
     """
-    projected = not np.isnan(a)
-    Xi, _ = predictor_coefficients(stack, feedthrough, regularisation, at_one=projected)
-    direct = np.ones_like(feedthrough) if projected else feedthrough
-    found = realise(stack, Xi, order=order, future=future, feedthrough=direct)
-    C, D = sy[:, None] * found.C, sy[:, None] * found.D / su
-    system = StateSpace(found.A, found.B / su, C, D, 1.0 if projected else dt)
-    K: Array = found.K / sy
-    if projected:
-        system, K = from_laguerre(system, K, a)
-    R = found.residual_covariance * np.outer(sy, sy)
-    return Subspace(
-        system=system, K=K, singular_values=found.singular_values, residual_covariance=R
-    )
+
+    stack: Stack
+    su: Array
+    sy: Array
+    a: float
+    mask: BoolArray
+    dt: float
+    predicted: Future
+
+    def model(self, order: int) -> Subspace:
+        """Subspace estimate of that order."""
+        projected, su, sy = not np.isnan(self.a), self.su, self.sy
+        direct = np.ones_like(self.mask) if projected else self.mask
+        found = realise(self.stack, self.predicted, order=order, feedthrough=direct)
+        C, D = sy[:, None] * found.C, sy[:, None] * found.D / su
+        system = StateSpace(found.A, found.B / su, C, D, 1.0 if projected else self.dt)
+        K: Array = found.K / sy
+        if projected:
+            system, K = from_laguerre(system, K, self.a)
+        return Subspace(
+            system=system,
+            K=K,
+            singular_values=found.singular_values,
+            residual_covariance=found.residual_covariance * np.outer(sy, sy),
+        )

@@ -1,4 +1,4 @@
-"""Settings of the black box chosen from data: order, window, Laguerre pole, regularisation.
+"""Settings of the black box of projections chosen from data: order, window, pole, regularisation.
 
 Where every input is excited in two records or more, records are held out whole, one fold after the
 other, and predicted by the model of the rest; a free transient makes unstable models no special
@@ -12,26 +12,21 @@ leaving out one Fourier line after the other (M. Stone, J. R. Stat. Soc. B 39 (1
 every order the criterion before the refinement says which poles and windows are worth refining.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
+from typing import Literal
 
 import numpy as np
 
-from casid.arrays import Array, BoolArray
+from casid.arrays import Array
 from casid.linear import StateSpace
-from casid.record import Record, Records, same_channels, standard_deviations, stretches
-from casid.subspace.columns import (
-    Feedthrough,
-    feedthrough_mask,
-    gather,
-    output_bandwidth,
-    pieces_of,
-)
-from casid.subspace.fourier import Spectrum, spectra
+from casid.record import Record, Records
+from casid.subspace.campaign import Campaign, Windows
+from casid.subspace.columns import Feedthrough, output_bandwidth
+from casid.subspace.fourier import Spectrum
 from casid.subspace.laguerre import support
-from casid.subspace.predictor import Stack, triangular
-from casid.subspace.realisation import subspace_model
 from casid.subspace.refinement import information_criteria, refine, residual_powers
 from casid.values import storable
 
@@ -43,8 +38,14 @@ REGULARISATIONS = (1e-3, 1e-2)
 COST = 0.25  # of the longest record: what kernels past its end may cost
 FOLDS = 8
 BINS = 8
+OVERFLOW = 30.0  # exponent by which no mode grows between two samples
 STARTS = 2  # poles and windows refined at every order where nothing is held out
 EXCITED = 0.3  # of the largest standard deviation: what counts as exciting an input
+
+
+Refinement = Literal[
+    "fourier", "unrefined", "linear", "prediction", "simulation", "local simulation"
+]
 
 
 @storable
@@ -52,17 +53,33 @@ EXCITED = 0.3  # of the largest standard deviation: what counts as exciting an i
 class Candidate:
     """One choice of settings and its score, the lower the better.
 
-    ``folds`` are the scores record by record (of those held out, or of all), ``error`` the standard
-    error of their mean's distance from the best candidate.
+    ``folds`` are the scores record by record (of those held out, or of all) or stretch by stretch,
+    ``error`` the standard error of their mean's distance from the best candidate. ``pole`` is NaN
+    on samples; ``refinement`` says what follows the subspace estimate there.
     """
 
     order: int
     past: int
     pole: float
     regularisation: float
-    score: float
-    error: float
-    folds: tuple[float, ...]
+    score: float = np.nan
+    error: float = 0.0
+    folds: tuple[float, ...] = ()
+    refinement: Refinement = "fourier"
+
+    @property
+    def label(self) -> str:
+        """What candidates of other orders share: the pole, or the refinement on samples."""
+        return f"samples, {self.refinement}" if np.isnan(self.pole) else f"a = {self.pole:g} rad/s"
+
+    def scored(self, values: Sequence[float] | Array) -> "Candidate":
+        """The candidate with its scores fold by fold, and their mean."""
+        return replace(self, score=float(np.mean(values)), folds=tuple(map(float, values)))
+
+    @property
+    def windows(self) -> Windows:
+        """What its predictor is regressed with."""
+        return Windows(self.past, self.past, self.pole, self.regularisation)
 
 
 @storable
@@ -77,7 +94,8 @@ class OrderSelection:
     candidates : tuple of Candidate
         All that were tried, in that order.
     criterion : str
-        "held-out records" or "AICc".
+        "held-out records", "AICc" or, with black boxes of samples among the candidates,
+        "held-out stretches": the share of their power that a simulation leaves unexplained.
     singular_values : (min(future ny, ...),) array
         Of the predicted future at the chosen pole and past.
     """
@@ -90,16 +108,39 @@ class OrderSelection:
     def to_markdown(self) -> str:
         """The table of candidates, the chosen one marked."""
         lines = [
-            f"| order | past | pole [rad/s] | regularisation | {self.criterion} |",
+            f"| order | past | from | regularisation | {self.criterion} |",
             "|---|---|---|---|---|",
         ]
         for c in self.candidates:
             mark = " **chosen**" if c == self.chosen else ""
             lines.append(
-                f"| {c.order} | {c.past} | {c.pole:g} | {c.regularisation:g} "
+                f"| {c.order} | {c.past} | {c.label} | {c.regularisation:g} "
                 f"| {c.score:.4f} ± {c.error:.4f}{mark} |"
             )
         return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """What settings are chosen from; empty where the records say what is usual."""
+
+    orders: Sequence[int]
+    pasts: Sequence[int]
+    poles: Sequence[float]
+    regularisations: Sequence[float]
+
+    def windows(self, records: Sequence[Record]) -> list[Windows]:
+        """Poles and windows whose kernels cost at most a quarter of the longest record.
+
+        All of them where there is nothing to choose; with the first regularisation.
+        """
+        pairs = list(product(self.poles, self.pasts))
+        longest = max(record.duration for record in records)
+        fit = [(a, past) for a, past in pairs if support(a, past) <= COST * longest]
+        return [
+            Windows(past, past, a, self.regularisations[0])
+            for a, past in (pairs if len(pairs) == 1 else fit)
+        ]
 
 
 def select_order(
@@ -111,11 +152,11 @@ def select_order(
     regularisations: Sequence[float] | None = None,
     feedthrough: Feedthrough = True,
 ) -> OrderSelection:
-    """Choose the settings of `pbsid` from the records themselves; deterministic.
+    """Choose the settings of `pbsid` on projections from the records themselves; deterministic.
 
     Parameters
     ----------
-    records : sequence of Record
+    records : Record or sequence of Record
         The campaign.
     orders, pasts, poles, regularisations : sequence
         What to choose from; one entry fixes that setting. With records held out the order is
@@ -127,39 +168,34 @@ def select_order(
     Raises
     ------
     ValueError
-        No candidate can be identified from these records; the last reason is told.
+        No candidate can be identified from these records.
     """
-    records = stretches(records)
-    inputs, outputs = same_channels(records)
-    su, sy = standard_deviations(records)
-    mask = feedthrough_mask(feedthrough, inputs, outputs)
-    campaign = _Campaign(tuple(records), su, sy, mask)
+    grid = Grid(orders or (), pasts or (), poles or (), regularisations or ())
+    return choose_projections(Campaign.of(records, feedthrough), grid)
+
+
+def choose_projections(campaign: Campaign, grid: Grid) -> OrderSelection:
+    """`select_order` of a campaign."""
+    records, ny = campaign.records, len(campaign.sy)
+    poles = [float(a) for a in grid.poles] or usable_poles(records)
+    pasts = grid.pasts or PASTS
+    orders = grid.orders or _default_orders(ny, sorted(pasts)[len(pasts) // 2] * ny)
     held_out = held_out_suffices(records)
-    a_grid = usable_poles(records) if poles is None else [float(a) for a in poles]
-    p_grid = list(PASTS if pasts is None else pasts)
-    r_grid = list(REGULARISATIONS if regularisations is None else regularisations)
-    highest = sorted(p_grid)[len(p_grid) // 2] * len(outputs)
-    o_grid = _default_orders(len(outputs), highest) if orders is None else list(orders)
     search = _held_out_search if held_out else _akaike_search
-    tried = search(campaign, o_grid, p_grid, a_grid, r_grid)
+    tried = search(campaign, Grid(orders, pasts, poles, grid.regularisations or REGULARISATIONS))
     if not tried:
         raise ValueError(
             f"no settings can be identified from {len(records)} record(s), the longest of "
-            f"{max(r.duration for r in records):.3g} s: tried orders {o_grid}, past {p_grid}, "
-            f"poles {a_grid} rad/s; give longer records, or a lower order and past"
+            f"{max(r.duration for r in records):.3g} s: tried orders {orders}, past {pasts}, "
+            f"poles {poles} rad/s; give longer records, or a lower order and past"
         )
-    tried = _with_errors(tried)
+    tried = with_errors(tried)
     chosen = _parsimonious(tried)
-    stack, _ = gather(records, su, sy, chosen.past, chosen.pole)
-    found = subspace_model(
-        stack, su, sy, chosen.pole, order=chosen.order, future=chosen.past, feedthrough=mask,
-        regularisation=chosen.regularisation, dt=1.0,
-    )  # fmt: skip
     return OrderSelection(
         chosen=chosen,
         candidates=tuple(tried),
         criterion="held-out records" if held_out else "AICc",
-        singular_values=found.singular_values,
+        singular_values=campaign.subspace(chosen.order, chosen.windows).singular_values,
     )
 
 
@@ -169,163 +205,108 @@ def held_out_suffices(records: Sequence[Record]) -> bool:
     return bool(np.all((std >= EXCITED * std.max(axis=0)).sum(axis=0) >= 2))
 
 
-@dataclass(frozen=True, eq=False)
-class _Campaign:
-    """What all candidates share."""
-
-    records: tuple[Record, ...]
-    su: Array
-    sy: Array
-    mask: BoolArray
-
-    def model(self, stack: Stack, a: float, order: int, regularisation: float) -> StateSpace:
-        """Continuous subspace model from gathered columns."""
-        return subspace_model(
-            stack, self.su, self.sy, a, order=order, future=stack.past, feedthrough=self.mask,
-            regularisation=regularisation, dt=1.0,
-        ).system  # fmt: skip
-
-    def criteria(self, model: StateSpace, data: Sequence[Sequence[Spectrum]]) -> Array:
-        """Corrected Akaike criterion record by record."""
-        direct = int(self.mask.sum())
-        return information_criteria(model, data, self.su, self.sy, direct)
-
-    def windows(self, poles: Sequence[float], pasts: Sequence[int]) -> list[tuple[float, int]]:
-        """Poles and windows whose kernels cost at most a quarter of the longest record.
-
-        All of them where there is nothing to choose.
-        """
-        pairs = list(product(poles, pasts))
-        longest = max(record.duration for record in self.records)
-        fit = [(a, past) for a, past in pairs if support(a, past) <= COST * longest]
-        return pairs if len(pairs) == 1 else fit
-
-    def transforms(self, record: Record, poles: Sequence[float]) -> tuple[Spectrum, ...]:
-        """Fourier transforms of a record, as the refinement sees them, for all poles alike."""
-        pieces = [piece for piece, _ in pieces_of(record, min(poles))]
-        return spectra(pieces, self.su, self.sy, HIGHEST * max(poles))
+def _transforms(campaign: Campaign, poles: Sequence[float]) -> list[tuple[Spectrum, ...]]:
+    """Fourier transforms of every record, as the refinement sees them, for all poles alike."""
+    each = [campaign.part([record]) for record in campaign.records]
+    return [one.spectra(min(poles), HIGHEST * max(poles)) for one in each]
 
 
-def _held_out_search(
-    campaign: _Campaign,
-    orders: Sequence[int],
-    pasts: Sequence[int],
-    poles: Sequence[float],
-    regularisations: Sequence[float],
-) -> list[Candidate]:
+def _held_out_search(campaign: Campaign, grid: Grid) -> list[Candidate]:
     """Candidates by leaving out whole records, settings one after the other."""
-    data = [campaign.transforms(record, poles) for record in campaign.records]
-    first = sorted(pasts)[len(pasts) // 2]
-    tried = _held_out_scores(campaign, data, orders, [first], poles, regularisations[0])
-    best = _best(tried)
-    near = [order for order in orders if abs(order - best.order) <= 2]
-    rest = [past for past in pasts if past != first]
-    tried += _held_out_scores(campaign, data, near, rest, [best.pole], regularisations[0])
-    best = _best(tried)
-    for other in regularisations[1:]:
-        tried += _held_out_scores(campaign, data, [best.order], [best.past], [best.pole], other)
+    score = _HeldOut(campaign, _transforms(campaign, grid.poles))
+    first = sorted(grid.pasts)[len(grid.pasts) // 2]
+    tried = score(replace(grid, pasts=[first]))
+    best = best_of(tried)
+    near = [order for order in grid.orders if abs(order - best.order) <= 2]
+    rest = [past for past in grid.pasts if past != first]
+    tried += score(replace(grid, orders=near, pasts=rest, poles=[best.pole]))
+    best = best_of(tried)
+    last = replace(grid, orders=[best.order], pasts=[best.past], poles=[best.pole])
+    for other in grid.regularisations[1:]:
+        tried += score(replace(last, regularisations=[other]))
     return tried
 
 
-def _held_out_scores(
-    campaign: _Campaign,
-    data: Sequence[Sequence[Spectrum]],
-    orders: Sequence[int],
-    pasts: Sequence[int],
-    poles: Sequence[float],
-    regularisation: float,
-) -> list[Candidate]:
-    """One Candidate per combination that can be identified; ``data`` are spectra by record."""
-    found = []
-    folds = [range(i, len(data), FOLDS) for i in range(min(FOLDS, len(data)))]
-    for a, past in campaign.windows(poles, pasts):
-        stacks = [gather([r], campaign.su, campaign.sy, past, a)[0] for r in campaign.records]
-        kept = [
-            _joined([stack for i, stack in enumerate(stacks) if i not in fold]) for fold in folds
-        ]
-        for order in orders:
-            try:
-                models = [campaign.model(stack, a, order, regularisation) for stack in kept]
-            except (ValueError, np.linalg.LinAlgError):
-                continue
+@dataclass(frozen=True, eq=False)
+class _HeldOut:
+    """Scores of settings by leaving out whole records; ``data`` are spectra by record."""
+
+    campaign: Campaign
+    data: Sequence[Sequence[Spectrum]]
+
+    def __call__(self, grid: Grid) -> list[Candidate]:
+        """One Candidate per combination that can be identified."""
+        n = len(self.data)
+        folds = [range(i, n, FOLDS) for i in range(min(FOLDS, n))]
+        found = []
+        for windows, order in product(grid.windows(self.campaign.records), grid.orders):
+            models = [_model(self.campaign, order, windows, fold) for fold in folds]
             values = [
-                _log_power(model, [spectrum for i in fold for spectrum in data[i]], campaign)
+                _log_power(model, [s for i in fold for s in self.data[i]], self.campaign)
                 for model, fold in zip(models, folds, strict=True)
+                if model is not None
             ]
-            found.append(_candidate(order, past, a, regularisation, values))
-    return found
+            if len(values) == len(folds):
+                found.append(_candidate(order, windows, values))
+        return found
 
 
-def _akaike_search(
-    campaign: _Campaign,
-    orders: Sequence[int],
-    pasts: Sequence[int],
-    poles: Sequence[float],
-    regularisations: Sequence[float],
-) -> list[Candidate]:
+def _akaike_search(campaign: Campaign, grid: Grid) -> list[Candidate]:
     """Candidates by the corrected Akaike criterion of refined models, `STARTS` an order."""
-    data = [campaign.transforms(record, poles) for record in campaign.records]
-    starts: dict[int, list[tuple[Candidate, StateSpace]]] = {order: [] for order in orders}
-    for a, past in campaign.windows(poles, pasts):
-        stack, _ = gather(campaign.records, campaign.su, campaign.sy, past, a)
-        for order in orders:
-            start = _start(campaign, stack, a, order, regularisations[0])
-            if start is not None:
-                values = campaign.criteria(start, data)
-                candidate = _candidate(order, past, a, regularisations[0], values)
-                starts[order].append((candidate, start))
+    data = _transforms(campaign, grid.poles)
+    direct = int(campaign.mask.sum())
+    judge = partial(information_criteria, data=data, su=campaign.su, sy=campaign.sy, direct=direct)
+    windows = grid.windows(campaign.records)
     tried = []
-    for found in starts.values():
-        for like, start in sorted(found, key=lambda pair: pair[0].score)[:STARTS]:
-            tried += _refined(campaign, start, like, data)
-    best = _best(tried)
-    for other in regularisations[1:] if tried else []:
-        stack, _ = gather(campaign.records, campaign.su, campaign.sy, best.past, best.pole)
-        start = _start(campaign, stack, best.pole, best.order, other)
-        if start is not None:
-            tried += _refined(campaign, start, replace(best, regularisation=other), data)
+    for order in grid.orders:
+        starts = [(w, _model(campaign, order, w)) for w in windows]
+        found = [(w, model) for w, model in starts if model is not None]
+        for w, start in sorted(found, key=lambda pair: judge(pair[1]).mean())[:STARTS]:
+            tried += _refined(campaign, start, w, data, judge)
+    best = best_of(tried)
+    for other in grid.regularisations[1:] if tried else []:
+        w = replace(best.windows, regularisation=other)
+        again = _model(campaign, best.order, w)
+        if again is not None:
+            tried += _refined(campaign, again, w, data, judge)
     return tried
 
 
-def _start(
-    campaign: _Campaign, stack: Stack, a: float, order: int, regularisation: float
+def _model(
+    campaign: Campaign, order: int, windows: Windows, without: Sequence[int] = ()
 ) -> StateSpace | None:
     """Subspace model, None where there is none of these settings."""
     try:
-        return campaign.model(stack, a, order, regularisation)
+        model = campaign.subspace(order, windows, without).system
     except (ValueError, np.linalg.LinAlgError):
         return None
+    sampled = max(record.dt for record in campaign.records)
+    return model if model.poles().real.max() * sampled < OVERFLOW else None
 
 
 def _refined(
-    campaign: _Campaign, start: StateSpace, like: Candidate, data: Sequence[Sequence[Spectrum]]
+    campaign: Campaign,
+    start: StateSpace,
+    windows: Windows,
+    data: Sequence[Sequence[Spectrum]],
+    judge: Callable[[StateSpace], Array],
 ) -> list[Candidate]:
     """The candidate with the criterion of its refined model; none where that fails."""
     lines = [spectrum for record in data for spectrum in record]
     try:
-        model, _ = refine(start, lines, campaign.su, campaign.sy, campaign.mask, like.pole)
-    except np.linalg.LinAlgError:
+        model, _ = refine(start, lines, campaign.su, campaign.sy, campaign.mask, windows.pole)
+    except (ValueError, np.linalg.LinAlgError):
         return []
-    values = campaign.criteria(model, data)
-    return [_candidate(like.order, like.past, like.pole, like.regularisation, values)]
+    return [_candidate(start.nx, windows, judge(model))]
 
 
-def _candidate(
-    order: int, past: int, a: float, regularisation: float, values: Sequence[float] | Array
-) -> Candidate:
-    return Candidate(
-        order=order, past=past, pole=a, regularisation=regularisation,
-        score=float(np.mean(values)), error=0.0, folds=tuple(map(float, values)),
-    )  # fmt: skip
+def _candidate(order: int, windows: Windows, values: Sequence[float] | Array) -> Candidate:
+    w = windows
+    settings = Candidate(order=order, past=w.past, pole=w.pole, regularisation=w.regularisation)
+    return settings.scored(values)
 
 
-def _joined(stacks: Sequence[Stack]) -> Stack:
-    R = triangular(np.vstack([stack.R for stack in stacks]))
-    first = stacks[0]
-    return Stack(R, first.nu, first.ny, first.past, sum(stack.columns for stack in stacks))
-
-
-def _log_power(model: StateSpace, data: Sequence[Spectrum], campaign: _Campaign) -> float:
+def _log_power(model: StateSpace, data: Sequence[Spectrum], campaign: Campaign) -> float:
     """Mean logarithm of the residual power in bins of log ω, over outputs and bins."""
     omega, power = residual_powers(model, data, campaign.su, campaign.sy)
     edges = np.geomspace(omega.min(), omega.max() * (1 + 1e-9), BINS + 1)
@@ -339,16 +320,15 @@ def _log_power(model: StateSpace, data: Sequence[Spectrum], campaign: _Campaign)
     return total / count
 
 
-def _best(tried: Sequence[Candidate]) -> Candidate:
-    if not tried:
-        return Candidate(order=0, past=0, pole=np.nan, regularisation=0.0, score=np.inf, error=0.0,
-                         folds=())  # fmt: skip
-    return min(tried, key=lambda c: c.score)
+def best_of(tried: Sequence[Candidate]) -> Candidate:
+    """The candidate of the lowest score; a dummy for none."""
+    none = _candidate(0, Windows(0, 0, np.nan, 0.0), [np.inf])
+    return min(tried, key=lambda c: c.score, default=none)
 
 
-def _with_errors(tried: Sequence[Candidate]) -> list[Candidate]:
+def with_errors(tried: Sequence[Candidate]) -> list[Candidate]:
     """Standard error of each candidate's mean distance from the best, record by record."""
-    best = np.array(_best(tried).folds)
+    best = np.array(best_of(tried).folds)
     if len(best) < 2:
         return list(tried)
     spread = [np.std(np.array(c.folds) - best, ddof=1) / np.sqrt(len(best)) for c in tried]
@@ -357,7 +337,7 @@ def _with_errors(tried: Sequence[Candidate]) -> list[Candidate]:
 
 def _parsimonious(tried: Sequence[Candidate]) -> Candidate:
     """Among those within one standard error of the best, the best of the lowest order."""
-    best = _best(tried)
+    best = best_of(tried)
     fair = [c for c in tried if c.score - best.score <= c.error]
     lowest = min(c.order for c in fair)
     return min((c for c in fair if c.order == lowest), key=lambda c: c.score)

@@ -13,8 +13,6 @@ ed., sections 4.2 and 8.5.
 
 Errors may be divided by their local level. Where amplitudes vary, errors grow with them, and the
 large ones would otherwise drown what the rest of the record shows.
-
-The cost has local minima, so there may be several starts; the likeliest end counts.
 """
 
 from collections.abc import Sequence
@@ -25,14 +23,14 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.linear import StateSpace
 from casid.record import Record
-from casid.subspace.modal import Modal, from_modal, to_modal
+from casid.subspace.modal import from_modal, to_modal
 from casid.subspace.prediction import Stretch, fitted, stretches
 
-STEPS = 40  # Gauss-Newton steps a round: simulations settle more slowly than predictions
+STEPS = 15  # Gauss-Newton steps a round: simulations settle more slowly than predictions
 
 
 def refine_simulation(
-    starts: Sequence[StateSpace],
+    start: StateSpace,
     records: Sequence[Record],
     su: Array,
     sy: Array,
@@ -44,8 +42,8 @@ def refine_simulation(
 
     Parameters
     ----------
-    starts : sequence of StateSpace
-        Discrete, of one order; unstable poles are first moved into the unit circle.
+    start : StateSpace
+        Discrete; unstable poles are first moved into the unit circle.
     records : sequence of Record
         Equidistant, of one sampling interval; missing outputs (NaN) split them.
     su, sy : (nu,), (ny,) array
@@ -53,38 +51,20 @@ def refine_simulation(
     feedthrough : (ny, nu) bool array
         Where the direct term is free; elsewhere it is zero.
     local : bool
-        Whether errors are divided by their local level. The likeliest model without that is one
-        more start then.
+        Whether errors are then divided by their local level, in a second descent.
 
     Returns
     -------
     StateSpace
         Stable, in real modal coordinates.
     """
-    data = [
+    data: Sequence[Stretch] = [
         replace(each, v=each.v[:, : len(su)])
-        for each in stretches(records, su, sy, starts[0].nx + 2)
+        for each in stretches(records, su, sy, start.nx + 2)
     ]
     free = np.argwhere(feedthrough)
-    several = [to_modal(start, su, sy, feedthrough) for start in starts]
-    best = _likeliest(several, data, free, local=False)
-    if local:
-        best = _likeliest([*several, best], data, free, local=True)
-    return _discrete(best, su, sy, starts[0])
-
-
-def _likeliest(
-    starts: Sequence[Modal], data: Sequence[Stretch], free: np.ndarray, *, local: bool
-) -> Modal:
-    ends = [fitted(start, data, free, STEPS, local=local) for start in starts]
-    return min(ends, key=lambda end: _spread(end[1]))[0]
-
-
-def _spread(W: Array) -> float:
-    """Logarithm of the determinant of the errors' covariance, of its whitener."""
-    return float(-2 * np.linalg.slogdet(W)[1])
-
-
-def _discrete(modal: Modal, su: Array, sy: Array, like: StateSpace) -> StateSpace:
-    found = from_modal(modal, su, sy, like)
-    return StateSpace(found.A, found.B, found.C, found.D, like.dt, like.inputs, like.outputs)
+    modal = to_modal(start, su, sy, feedthrough)
+    for levelled in (False, True) if local else (False,):
+        modal, _, _ = fitted(modal, data, free, STEPS, local=levelled)
+    found = from_modal(modal, su, sy, start)
+    return StateSpace(found.A, found.B, found.C, found.D, start.dt, start.inputs, start.outputs)

@@ -1,0 +1,139 @@
+"""The records of a campaign as all estimates of a black box see them, gathered once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from casid.arrays import Array, BoolArray
+from casid.record import Record, Records, same_channels, several, standard_deviations
+from casid.subspace.columns import (
+    Feedthrough,
+    Segment,
+    check_samples,
+    excited_band,
+    feedthrough_mask,
+    gather,
+    pieces_of,
+)
+from casid.subspace.fourier import Spectrum, spectra
+from casid.subspace.laguerre import support
+from casid.subspace.predictor import Stack, predicted_future, predictor_coefficients, triangular
+from casid.subspace.realisation import Regressed, Subspace
+
+Columns = list[tuple[Stack, tuple[Segment, ...]]]  # of every record
+
+BAND_END = 1.5  # of the Laguerre pole: the model is not trusted above it
+
+
+@dataclass(frozen=True)
+class Windows:
+    """What a predictor is regressed with.
+
+    ``pole`` is the Laguerre pole [rad/s], NaN for the samples themselves; ``past`` and ``future``
+    are numbers of Laguerre functions or samples.
+    """
+
+    past: int
+    future: int
+    pole: float
+    regularisation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """Records of the same channels, their scales, and where a direct term is free.
+
+    ``su`` (nu,) and ``sy`` (ny,) are standard deviations over all records, ``mask`` is (ny, nu).
+    What was gathered or estimated from them is kept.
+    """
+
+    records: tuple[Record, ...]
+    su: Array
+    sy: Array
+    mask: BoolArray
+    _gathered: dict[object, Columns] = field(default_factory=dict, repr=False)
+    _regressed: dict[object, Regressed] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, records: Records, feedthrough: Feedthrough) -> "Campaign":
+        """One record or several of the same channels."""
+        names = same_channels(records)
+        records = several(records)
+        su, sy = standard_deviations(records)
+        return cls(records, su, sy, feedthrough_mask(feedthrough, *names))
+
+    def part(self, records: Sequence[Record]) -> "Campaign":
+        """Some of the records, or pieces of them, under the same scales."""
+        return Campaign(tuple(records), self.su, self.sy, self.mask)
+
+    def columns(self, past: int, a: float) -> Columns:
+        """Stack and segments of every record, for a Laguerre pole or, where NaN, for samples."""
+        key = past, str(a)
+        if key not in self._gathered:
+            if np.isnan(a):
+                check_samples(self.records)
+            self._gathered[key] = [gather([r], self.su, self.sy, past, a) for r in self.records]
+        return self._gathered[key]
+
+    def segments(self, past: int, a: float) -> tuple[Segment, ...]:
+        """What was used of every record."""
+        return tuple(segment for _, segments in self.columns(past, a) for segment in segments)
+
+    def stack(self, past: int, a: float, without: Sequence[int] = ()) -> Stack:
+        """Columns of all records but those with these numbers."""
+        kept = [s for i, (s, _) in enumerate(self.columns(past, a)) if i not in without]
+        R = triangular(np.vstack([each.R for each in kept]))
+        return replace(kept[0], R=R, columns=sum(each.columns for each in kept))
+
+    def subspace(self, order: int, windows: Windows, without: Sequence[int] = ()) -> Subspace:
+        """Subspace estimate from all records but those with these numbers; one regression each.
+
+        Raises
+        ------
+        ValueError
+            Records too short for the windows, or an order they cannot give.
+        """
+        w, key = windows, (str(windows), tuple(without))
+        if key not in self._regressed:
+            stack = self.stack(w.past, w.pole, without)
+            self._check(stack, w.pole)
+            projected = not np.isnan(w.pole)
+            Xi, _ = predictor_coefficients(stack, self.mask, w.regularisation, at_one=projected)
+            self._regressed[key] = Regressed(
+                stack, self.su, self.sy, w.pole, self.mask, self.records[0].dt,
+                predicted_future(stack, Xi, w.future),
+            )  # fmt: skip
+        found = self._regressed[key].model(order)
+        first = self.records[0]
+        system = replace(found.system, inputs=first.inputs, outputs=first.outputs)
+        return replace(found, system=system)
+
+    def pieces(self, a: float) -> list[Record]:
+        """Stretches of the records without long gaps, short ones interpolated."""
+        return [piece for record in self.records for piece, _ in pieces_of(record, a)]
+
+    def spectra(self, a: float, highest: float) -> tuple[Spectrum, ...]:
+        """Fourier transforms of the pieces up to ``highest`` [rad/s]."""
+        return spectra(self.pieces(a), self.su, self.sy, highest)
+
+    def band(self, a: float) -> tuple[float, float]:
+        """Frequencies [rad/s] that the records excite and the projections show."""
+        low, high = excited_band(self.records)
+        return low, (high if np.isnan(a) else max(min(high, BAND_END * a), 2 * low))
+
+    def _check(self, stack: Stack, a: float) -> None:
+        """Raise where there are no more columns than unknowns."""
+        unknowns = stack.past * stack.nz + stack.nu
+        if stack.columns > unknowns:
+            return
+        longest = max(record.duration for record in self.records)
+        samples = f"{stack.past + 1} samples"
+        window = samples if np.isnan(a) else f"kernels of {support(a, stack.past):.2g} s"
+        segments = self.segments(stack.past, a)
+        shortest = min(segments, key=lambda segment: segment.used).record if segments else ""
+        raise ValueError(
+            f"record {shortest!r} is too short: {stack.columns} usable instants for {unknowns} "
+            f"unknowns ({window}, longest record {longest:.3g} s); lower past, raise the pole or "
+            "give longer records"
+        )

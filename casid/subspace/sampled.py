@@ -1,0 +1,200 @@
+"""Black boxes of the samples themselves, chosen by the simulation of stretches held out.
+
+The second half of every record is cut into stretches. Each is simulated by the model of all that is
+before it and of the other records, from the initial state of least squares over what was learnt of
+its record, so that nothing is fitted to it; the stretches are judged as one. First the orders, with
+the subspace estimate as it is and with B, K and D regressed anew; then, at the best orders, what
+moves the poles as well. Simulations show most of all what a model leaves out where the process is
+slow or hardly damped, which is where samples have their place.
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.linear import StateSpace
+from casid.record import Record
+from casid.subspace.campaign import Campaign, Windows
+from casid.subspace.columns import excited_band
+from casid.subspace.feedback import fed_back_noise
+from casid.subspace.held import discretised
+from casid.subspace.refining import FED_BACK, Estimate, refine_projected, refine_sampled
+from casid.subspace.settings import Candidate, Refinement
+
+ORDERS = (*range(1, 11), *range(12, 21, 2))
+WINDOWS = (20, 10)  # samples; the shorter one where records do not suffice
+STRETCHES = 6
+REFINED = 2  # of the best orders: those whose poles are moved
+COARSE = 0.5  # rad a sample: inputs that reach higher leave nothing between the samples to model
+HUGE = 1e100  # what is larger is no simulation
+GROWTH = 2.0  # of an exponent over the longest record: what grows more cannot be simulated
+
+
+def are_candidates(campaign: Campaign, projected: StateSpace | None) -> bool:
+    """Whether a model of the samples can be better than one of projections, and be judged so.
+
+    The records are complete, of one interval, and sampled no faster than their inputs move; a
+    direct term is free where straight lines between samples need one; and the aircraft, as
+    projections show it, is stable enough for a simulation of whole records.
+    """
+    first, records = campaign.records[0], campaign.records
+    alike = all(
+        r.equidistant
+        and abs(r.dt - first.dt) <= 1e-3 * first.dt
+        and r.hold == first.hold
+        and np.isfinite(r.y).all()
+        for r in records
+    )
+    if not alike or excited_band(records)[1] * first.dt < COARSE:
+        return False
+    if first.hold == "foh" and (len(records) > 1 or not campaign.mask.all()):
+        return False
+    longest = max(record.duration for record in records)
+    return projected is None or float(projected.poles().real.max()) * longest < GROWTH
+
+
+def choose_samples(
+    campaign: Campaign, orders: Sequence[int], windows: Sequence[Windows], *, move: bool
+) -> list[Candidate]:
+    """Candidates with the share of the stretches' power that each leaves unexplained.
+
+    ``windows`` are tried one after the other until a model follows; ``move`` allows refinements.
+    """
+    judge = Stretches.of(campaign)
+    for each in windows:
+        tried = [
+            judge.score(order, each, how)
+            for order in orders
+            for how in (("unrefined", "linear") if move else ("unrefined",))
+        ]
+        found = [candidate for candidate in tried if candidate is not None]
+        if found:
+            break
+    else:
+        return []
+    if not move:
+        return found
+    ranked = sorted(found, key=lambda candidate: candidate.score)
+    best = list(dict.fromkeys(candidate.order for candidate in ranked))[:REFINED]
+    more: list[tuple[int, Refinement]] = [(order, "prediction") for order in best]
+    if not judge.fed_back(best[0], each):
+        more += [(best[0], "simulation"), (best[0], "local simulation")]
+    for order, how in more:
+        least = min(candidate.score for candidate in found)
+        candidate = judge.score(order, each, how, least)
+        found += [] if candidate is None else [candidate]
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Fold:
+    """A record up to the end of a stretch, ``known`` of its samples in the campaign learnt from."""
+
+    learnt: Campaign
+    shown: Record
+    known: int
+
+
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """What models are judged by; ``power`` (ny,) is that of the outputs in all stretches."""
+
+    campaign: Campaign
+    folds: tuple[_Fold, ...]
+    power: Array
+
+    @classmethod
+    def of(cls, campaign: Campaign) -> "Stretches":
+        """Cut every record into stretches, `STRETCHES` in all or one each."""
+        each = -(-STRETCHES // len(campaign.records))
+        folds, shown = [], []
+        for i, record in enumerate(campaign.records):
+            others = [r for j, r in enumerate(campaign.records) if j != i]
+            edges = np.linspace(record.N // 2, record.N, each + 1).astype(int)
+            for start, end in pairwise(edges):
+                learnt = campaign.part([*others, _until(record, start)])
+                folds.append(_Fold(learnt, _until(record, end), int(start)))
+            shown.append(record.y[edges[0] :])
+        y = np.vstack(shown)
+        return cls(campaign, tuple(folds), np.sum((y - y.mean(axis=0)) ** 2, axis=0))
+
+    def score(
+        self, order: int, windows: Windows, how: Refinement, least: float = np.inf
+    ) -> Candidate | None:
+        """The candidate; None where a fold gives no model, or errors exceed a share of ``least``.
+
+        Errors add up from fold to fold, so that what is too bad is not looked at further.
+        """
+        shares, share = [], np.inf
+        sums = np.zeros((3, len(self.power)))
+        for fold in self.folds:
+            try:
+                e = _simulation_errors(fold, _learnt(fold.learnt, order, windows, how).system)
+            except (ValueError, np.linalg.LinAlgError):
+                return None
+            sums += [e.sum(axis=0), (e**2).sum(axis=0), np.full(len(self.power), len(e))]
+            share = float(np.mean((sums[1] - sums[0] ** 2 / sums[2]) / self.power))
+            if not share < least:
+                return None
+            shares.append(float(len(self.folds) * np.mean((e**2).sum(axis=0) / self.power)))
+        tried = Candidate(
+            order=order, past=windows.past, pole=windows.pole,
+            regularisation=windows.regularisation, refinement=how,
+        )  # fmt: skip
+        return replace(tried.scored(shares), score=share)
+
+    def fed_back(self, order: int, windows: Windows) -> bool:
+        """Whether noise that a controller feeds back would bias simulations."""
+        c = self.campaign
+        found = c.subspace(order, windows)
+        return fed_back_noise(found.system, found.K, c.records, c.su, c.sy) > FED_BACK
+
+
+def _learnt(campaign: Campaign, order: int, windows: Windows, how: Refinement) -> Estimate:
+    found = campaign.subspace(order, windows)
+    if how != "fourier":
+        return refine_sampled(campaign, found, how)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what is said is said of the whole records
+        return refine_projected(campaign, found, windows.pole, move=True)
+
+
+def _until(record: Record, end: int) -> Record:
+    return replace(record, t=record.t[:end], u=record.u[:end], y=record.y[:end])
+
+
+def _simulation_errors(fold: _Fold, system: StateSpace) -> Array:
+    """Errors (N, ny) of a stretch, simulated from the initial state of what is before it."""
+    record, known = fold.shown, fold.known
+    if system.dt is None:
+        system = discretised(system, record.dt, record.hold)
+    u, y = (v - v[:known].mean(axis=0) for v in (record.u, record.y))
+    with np.errstate(over="ignore", invalid="ignore"):
+        left = y - _simulated(system, u)
+        basis = _observability(system, len(u))
+    if not (np.abs(left).max() < HUGE and np.abs(basis).max() < HUGE):
+        raise ValueError("an unstable model cannot be simulated so long")
+    columns = basis[:known].reshape(-1, system.nx)
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    x0 = np.linalg.lstsq(columns / size, left[:known].ravel(), rcond=1e-12)[0] / size
+    return np.asarray(left[known:] - basis[known:] @ x0)
+
+
+def _simulated(system: StateSpace, u: Array) -> Array:
+    """Outputs (N, ny) from rest."""
+    x, driven = np.zeros((len(u), system.nx)), u @ system.B.T
+    for k in range(len(u) - 1):
+        x[k + 1] = system.A @ x[k] + driven[k]
+    return np.asarray(x @ system.C.T + u @ system.D.T)
+
+
+def _observability(system: StateSpace, N: int) -> Array:
+    """C Aᵏ for k < N, (N, ny, nx); each doubling of the rows takes one product."""
+    rows, step = system.C[None], system.A
+    while len(rows) < N:
+        rows, step = np.concatenate([rows, rows @ step]), step @ step
+    return rows[:N]
