@@ -1,18 +1,18 @@
 """Four measured systems of the DaISy database: simulation of the last third, against other tools.
 
-    python benchmarks/daisy.py [FOLDER] [--only NAME ...] [--peers METHOD ...] [--ours METHOD ...]
-                               [--log FILE]
+    python benchmarks/daisy.py [FOLDER] [--only NAME ...] [--peers METHOD ...] [--log FILE]
 
 FOLDER (or CASID_DAISY) holds CD_player_arm.dat, robot_arm.dat, flutter.dat and steamgen.dat. The
 data are free for research, not to be redistributed: B. De Moor, P. De Gersem, B. De Schutter,
 W. Favoreel, "DAISY: a database for identification of systems", Journal A 38 (1997) 4-5;
 homes.esat.kuleuven.be/~smc/daisy.
 
-Every method chooses its order from the same grid, which ends where the windows of 20 samples do. It
+casid is called without options and chooses everything from the first two thirds by itself. Every
+other method chooses its order from the same grid, which ends where the windows of 20 samples do. It
 is chosen on the first two thirds: their second half is cut into six stretches, each simulated by
 the model of all that is before it, as the last third is by the model of both thirds, and the six
 are judged as one. A sweep visits every frequency once; no stretch is far from what was learnt. A
-package with several methods may choose one of them likewise: the rows `sippy_unipi` and "casid".
+package with several methods may choose one of them likewise: the row `sippy_unipi`.
 
 VAF: mean over outputs of the variance accounted for, %. Where orders are chosen, simulations start
 with the record, from the initial state of least squares over what the model was identified from, so
@@ -24,7 +24,6 @@ Sums of errors are kept in the log as they come, and a run that finds them there
 
 import argparse
 import os
-import sys
 import time
 import warnings
 from pathlib import Path
@@ -37,24 +36,11 @@ from tables import table
 
 from casid import Record, StateSpace, pbsid
 from casid.files import read_json, write_json
-from casid.jobs.store import source_digest
 
 ORDERS = (*range(1, 11), *range(12, 21, 2))
 HORIZON = 20
 STRETCHES = 6
-SAMPLES = {"past": HORIZON, "transform": "none"}
-OURS = {
-    "casid, projections": {},
-    "casid, unrefined": {"refine": False} | SAMPLES,
-    "casid, linear": {"refine": "linear"} | SAMPLES,
-    "casid, prediction": SAMPLES,
-    "casid, simulation": {"refine": "simulation"} | SAMPLES,
-    "casid, local": {"refine": "simulation", "noise": "local"} | SAMPLES,
-}
-CHOICES = {  # package: its methods
-    "sippy_unipi": [method for method in peers.METHODS if method != "nfoursid"],
-    "casid": list(OURS),
-}
+CHOICES = {"sippy_unipi": [method for method in peers.METHODS if method != "nfoursid"]}
 DATA = {  # name: file, columns of inputs, of outputs
     "CD player arm": ("CD_player_arm.dat", (0, 1), (2, 3)),
     "robot arm": ("robot_arm.dat", (0,), (1,)),
@@ -109,41 +95,33 @@ def simulate(system, u):
     return out
 
 
-def ours(u, y, orders, **options):
-    """Discrete models by order, and the seconds each took."""
+def ours(u, y):
+    """The discrete model of the automatic black box, what was chosen, and the seconds it took."""
     t = np.arange(len(u), dtype=float)
     inputs = [f"u{i}" for i in range(u.shape[1])]
     outputs = [f"y{i}" for i in range(y.shape[1])]
-    record = Record(t, u, y, inputs, outputs, "daisy", "zoh")
-    models = {}
-    for order in orders:
-        begin = time.perf_counter()
-        try:
-            found = pbsid([record], order=order, **options).system
-        except (ValueError, np.linalg.LinAlgError) as error:
-            print(f"{len(u)} samples, order {order}: {error}", file=sys.stderr)
-            continue
-        seconds = time.perf_counter() - begin
-        if found.dt is None:
-            found = StateSpace(*cont2discrete((found.A, found.B, found.C, found.D), 1.0)[:4], 1.0)
-        models[order] = peers.PeerModel(found, seconds)
-    return models
+    begin = time.perf_counter()
+    box = pbsid(Record(t, u, y, inputs, outputs, "daisy", "zoh"))
+    seconds = time.perf_counter() - begin
+    found = box.system
+    if found.dt is None:
+        found = StateSpace(*cont2discrete((found.A, found.B, found.C, found.D), 1.0)[:4], 1.0)
+    kind = "projections" if box.transform == "laguerre" else f"samples, {box.refinement}"
+    return found, f"{box.order} ({kind})", seconds
 
 
 class Log:
     """Seconds and sums of errors by data, method, samples learnt from and order, in a file.
 
-    Results of another version of casid or of the peers stay there and are not taken.
+    Results of other versions of the peers stay there and are not taken.
     """
 
     def __init__(self, path):
         self._path = path
         self._content = read_json(path) if path.exists() else {}
-        self._casid = source_digest()
 
     def _key(self, data, method, learnt):
-        version = self._casid if method in OURS else " ".join(peers.PACKAGES)
-        return f"{data}, {learnt} samples, {method} of {version}"
+        return f"{data}, {learnt} samples, {method} of {' '.join(peers.PACKAGES)}"
 
     def __contains__(self, what):
         return self._key(*what) in self._content
@@ -161,7 +139,7 @@ class Log:
         }
 
 
-def compare(u, y, name, methods, refinements, log):
+def compare(u, y, name, methods, log):
     """Rows of method, order, VAF where it was chosen and of the last third, seconds."""
     third = len(u) // 3
     both = slice(0, 2 * third)
@@ -169,7 +147,7 @@ def compare(u, y, name, methods, refinements, log):
     edges = np.linspace(third, 2 * third, STRETCHES + 1).astype(int).tolist()
     stretches = list(zip(edges, [*edges[1:], len(u)], strict=True))
     for end, after in track(stretches, name, transient=True):
-        for method, models in identified(u[:end], y[:end], name, methods, refinements, log):
+        for method, models in identified(u[:end], y[:end], name, methods, log):
             found = {}
             for order, model in models.items():
                 if after == len(u):
@@ -179,11 +157,11 @@ def compare(u, y, name, methods, refinements, log):
                 found[str(order)] = [model.seconds, sums.tolist()]
             log.write(name, method, end, found)
     chosen_on, rest = y[edges[0] : edges[-1]], y[edges[-1] :]
-    stages = [log.stage(name, [*methods, *refinements], end) for end in edges]
+    stages = [log.stage(name, methods, end) for end in edges]
     usable = set.intersection(*(set(stage) for stage in stages))
     scores = {key: vaf(sum(stage[key][1] for stage in stages[:-1]), chosen_on) for key in usable}
     rows = []
-    own = {method: [method] for method in (*methods, *refinements)}
+    own = {method: [method] for method in methods}
     for label, group in {**own, **CHOICES}.items():
         best = max((key for key in sorted(usable) if key[0] in group), key=scores.get, default=None)
         if best is not None:
@@ -191,19 +169,18 @@ def compare(u, y, name, methods, refinements, log):
             chosen = f"{best[1]}" if group == [label] else f"{best[1]} ({best[0]})"
             values = (f"{v:.5g}" for v in (scores[best], vaf(sums, rest)))
             rows.append([label, chosen, *values, seconds])
-    return rows
+    system, chosen, seconds = ours(u[both], y[both])
+    final = vaf(error_sums(system, u[2 * third :], y[2 * third :]), rest)
+    return [*rows, ["casid", chosen, "-", f"{final:.5g}", seconds]]
 
 
-def identified(u, y, name, methods, refinements, log):
+def identified(u, y, name, methods, log):
     """(method, models by order) of every method that is not in the log."""
     missing = [method for method in methods if (name, method, len(u)) not in log]
     if missing:
         models = peers.identify(u, y, ORDERS, horizon=HORIZON, feedthrough=True, methods=missing)
         for method in missing:
             yield method, {order: model for (of, order), model in models.items() if of == method}
-    for label in refinements:
-        if (name, label, len(u)) not in log:
-            yield label, ours(u, y, ORDERS, **OURS[label])
 
 
 def main():
@@ -211,7 +188,6 @@ def main():
     parser.add_argument("folder", type=Path, nargs="?", default=os.environ.get("CASID_DAISY"))
     parser.add_argument("--only", nargs="+", choices=list(DATA), default=list(DATA))
     parser.add_argument("--peers", nargs="+", choices=peers.METHODS, default=peers.METHODS)
-    parser.add_argument("--ours", nargs="+", choices=list(OURS), default=list(OURS))
     parser.add_argument("--log", type=Path, default=Path("out/daisy.json"))
     options = parser.parse_args()
     if options.folder is None:
@@ -222,7 +198,7 @@ def main():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             data = load(Path(options.folder), name)
-            rows = compare(*data, name, options.peers, options.ours, log)
+            rows = compare(*data, name, options.peers, log)
         print(f"\n{name}\n")
         print(table(["method", "order", "choice [%]", "VAF [%]", "time [s]"], rows), flush=True)
 

@@ -15,13 +15,14 @@ MARKERS = "osD^vP*X"
 def plot_order_selection(axes: Sequence[Axes], selection: OrderSelection) -> Sequence[Axes]:
     """Draw the candidates' scores against the order, and singular values, on two axes.
 
-    A line a pole through the best candidate of every order, its standard error as a bar; the
-    choice is ringed. The order chosen divides the singular values.
+    A line a pole, or refinement of samples, through the best candidate of every order, its standard
+    error as a bar; the choice is ringed. The order chosen divides the singular values.
     """
     scores, values = axes
     chosen = selection.chosen
-    for marker, pole in zip(MARKERS, sorted({c.pole for c in selection.candidates}), strict=False):
-        found = _best_of_orders([c for c in selection.candidates if c.pole == pole])
+    kinds = dict.fromkeys(c.label for c in sorted(selection.candidates, key=lambda c: c.pole))
+    for marker, label in zip(MARKERS, kinds, strict=False):
+        found = _best_of_orders([c for c in selection.candidates if c.label == label])
         at, score, error = zip(*((c.order, c.score, c.error) for c in found), strict=True)
         look: dict[str, Any] = {
             "marker": marker,
@@ -29,7 +30,7 @@ def plot_order_selection(axes: Sequence[Axes], selection: OrderSelection) -> Seq
             "linewidth": 1,
             "elinewidth": 0.6,
         }
-        scores.errorbar(at, score, error, label=f"a = {pole:g} rad/s", **look)
+        scores.errorbar(at, score, error, label=label, **look)
     scores.plot(chosen.order, chosen.score, "o", markersize=13, fillstyle="none", color="#000000")
     scores.set(xlabel="order [-]", ylabel=f"{selection.criterion} [-]")
     scores.legend(fontsize="small")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casid.arrays import Array, BoolArray
-from casid.record import Record, Records, same_channels, several, standard_deviations
+from casid.record import Record, Records, same_channels, standard_deviations, stretches
 from casid.subspace.columns import (
     Feedthrough,
     Segment,
@@ -59,7 +59,7 @@ class Campaign:
     def of(cls, records: Records, feedthrough: Feedthrough) -> "Campaign":
         """One record or several of the same channels."""
         names = same_channels(records)
-        records = several(records)
+        records = stretches(records)
         su, sy = standard_deviations(records)
         return cls(records, su, sy, feedthrough_mask(feedthrough, *names))
 

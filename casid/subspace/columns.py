@@ -19,7 +19,7 @@ from casid.values import storable
 Feedthrough = bool | Sequence[str] | BoolArray
 
 BLOCK = 4096  # columns held at once
-MOVING = 0.9  # of an output's power: below the bandwidth
+MOVING, EXCITING = 0.9, 0.99  # of an output's and an input's power: below the bandwidth
 LONG_GAP = 0.5  # of 1/a: missing samples over a longer time split a record
 
 
@@ -73,19 +73,27 @@ def output_bandwidth(records: Sequence[Record]) -> float:
 
     The median over outputs: neither a drifting one nor one that is mostly noise decides.
     """
+    ends = _ends_of_power(records, "y", MOVING)
+    return float(np.median(ends)) if ends else 2 * np.pi / records[0].duration
+
+
+def input_bandwidth(records: Sequence[Record]) -> float:
+    """Frequency [rad/s] that holds 99 % of the power of the slowest input over all records."""
+    return min(_ends_of_power(records, "u", EXCITING))
+
+
+def _ends_of_power(records: Sequence[Record], letter: str, part: float) -> list[float]:
+    """Frequency [rad/s] below which that part of a channel's power lies, channel by channel."""
     ends = []
-    for j in range(records[0].ny):
-        both = [
-            _spectrum(record.t[seen], record.y[seen, j])
-            for record in records
-            if (seen := np.isfinite(record.y[:, j])).sum() > 2
-        ]
+    for column in zip(*(getattr(record, letter).T for record in records), strict=True):
+        pairs = [(r.t, v, np.isfinite(v)) for r, v in zip(records, column, strict=True)]
+        both = [_spectrum(t[seen], v[seen]) for t, v, seen in pairs if seen.sum() > 2]
         if both:
             omega, energy = (np.concatenate(each) for each in zip(*both, strict=True))
             ascending = np.argsort(omega, kind="stable")
             share = np.cumsum(energy[ascending])
-            ends.append(omega[ascending][np.searchsorted(share, MOVING * share[-1])])
-    return float(np.median(ends)) if ends else 2 * np.pi / records[0].duration
+            ends.append(float(omega[ascending][np.searchsorted(share, part * share[-1])]))
+    return ends
 
 
 def _spectrum(t: Array, v: Array) -> tuple[Array, Array]:

@@ -257,9 +257,9 @@ class Pbsid:
         return self._sampled(campaign, best, self._selection(campaign, tried, rival))
 
     def _sample_candidates(self, campaign: Campaign) -> list[Candidate]:
-        ny, regularisation = len(campaign.sy), self.regularisation or 0.0
+        regularisation = self.regularisation or 0.0
         pasts = WINDOWS if self.past is None else (self.past,)
-        orders = [n for n in ORDERS if n <= pasts[0] * ny] if self.order is None else [self.order]
+        orders = ORDERS if self.order is None else (self.order,)
         windows = [Windows(p, self.future or p, np.nan, regularisation) for p in pasts]
         return choose_samples(campaign, orders, windows, move=self.refine)
 

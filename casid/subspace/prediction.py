@@ -136,8 +136,6 @@ def refine_samples(
     su: Array,
     sy: Array,
     feedthrough: BoolArray,
-    *,
-    local: bool = False,
 ) -> tuple[StateSpace, Array, SampledUncertainty]:
     """Refine a discrete black box on its records.
 
@@ -153,8 +151,6 @@ def refine_samples(
         Standard deviations of the channels.
     feedthrough : (ny, nu) bool array
         Where the direct term is free; elsewhere it stays as it is (zero).
-    local : bool
-        Whether prediction errors are divided by their local level.
 
     Returns
     -------
@@ -172,7 +168,7 @@ def refine_samples(
         np.hstack([system.D, np.zeros((ny, ny))]),
     )  # fmt: skip
     modal = to_modal(predictor, scales, sy, np.hstack([feedthrough, np.zeros((ny, ny), bool)]))
-    modal, W, data = fitted(modal, data, free, STEPS, local=local)
+    modal, W, data = fitted(modal, data, free, STEPS, local=False)
     H, _ = normal_equations(modal, data, W, free)
     rows = sum(stretch.y.size for stretch in data)
     used = len(H) + len(data) * (nx + ny)

@@ -23,6 +23,7 @@ from casid.subspace.trust import explained_share
 
 FED_BACK = 0.2  # bound on the relative bias from noise fed back, above which it is dealt with
 
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Model and innovation gain (nx, ny), with what is known about them."""

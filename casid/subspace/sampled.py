@@ -19,17 +19,17 @@ from casid.arrays import Array
 from casid.linear import StateSpace
 from casid.record import Record
 from casid.subspace.campaign import Campaign, Windows
-from casid.subspace.columns import excited_band
+from casid.subspace.columns import input_bandwidth
 from casid.subspace.feedback import fed_back_noise
 from casid.subspace.held import discretised
 from casid.subspace.refining import FED_BACK, Estimate, refine_projected, refine_sampled
 from casid.subspace.settings import Candidate, Refinement
 
 ORDERS = (*range(1, 11), *range(12, 21, 2))
-WINDOWS = (20, 10)  # samples; the shorter one where records do not suffice
+WINDOWS = (20, 10, 5)  # samples; the shorter ones where records do not suffice
 STRETCHES = 6
 REFINED = 2  # of the best orders: those whose poles are moved
-COARSE = 0.5  # rad a sample: inputs that reach higher leave nothing between the samples to model
+COARSE = 1 / 3  # rad a sample, of the inputs: where they reach less, projections lose nothing
 HUGE = 1e100  # what is larger is no simulation
 GROWTH = 2.0  # of an exponent over the longest record: what grows more cannot be simulated
 
@@ -49,7 +49,7 @@ def are_candidates(campaign: Campaign, projected: StateSpace | None) -> bool:
         and np.isfinite(r.y).all()
         for r in records
     )
-    if not alike or excited_band(records)[1] * first.dt < COARSE:
+    if not alike or input_bandwidth(records) * first.dt < COARSE:
         return False
     if first.hold == "foh" and (len(records) > 1 or not campaign.mask.all()):
         return False
@@ -69,6 +69,7 @@ def choose_samples(
         tried = [
             judge.score(order, each, how)
             for order in orders
+            if order <= each.past * len(campaign.sy)
             for how in (("unrefined", "linear") if move else ("unrefined",))
         ]
         found = [candidate for candidate in tried if candidate is not None]

@@ -59,8 +59,7 @@ def refine_simulation(
         Stable, in real modal coordinates.
     """
     data: Sequence[Stretch] = [
-        replace(each, v=each.v[:, : len(su)])
-        for each in stretches(records, su, sy, start.nx + 2)
+        replace(each, v=each.v[:, : len(su)]) for each in stretches(records, su, sy, start.nx + 2)
     ]
     free = np.argwhere(feedthrough)
     modal = to_modal(start, su, sy, feedthrough)

@@ -1,5 +1,6 @@
 import sys
 import warnings
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from casid import DataWarning, Record, StateSpace, pbsid
 from casid.record import standard_deviations
 from casid.subspace.columns import excited_band, feedthrough_mask, gather
 from casid.subspace.fourier import spectra
+from casid.subspace.pbsid import Pbsid
 from casid.subspace.refinement import refine
 
 
@@ -158,7 +160,8 @@ def test_mask_is_built_from_every_accepted_form():
         ({"order": 0, "past": 8, "pole": 6.0}, "expected order >= 1"),
         ({"order": 40, "past": 8, "pole": 6.0}, "order 40 needs past and future of at least 14"),
         ({"order": 5, "transform": "none", "past": 1}, "past >= 2"),
-        ({"transform": "none"}, 'transform="none" needs an order'),
+        ({"order": 5, "pole": 6.0, "transform": "none"}, "pole=6 belongs to Laguerre functions"),
+        ({"order": 5, "refine": "linear"}, "refine='linear', expected True or False"),
         ({"order": 5, "pole": -1.0}, "expected a Laguerre pole > 0"),
         ({"order": 5, "transform": "fourier"}, 'expected "laguerre" or "none"'),
     ],
@@ -182,16 +185,61 @@ def test_uneven_samples_are_refused_without_a_transform():
         pbsid([uneven], order=5, transform="none")
 
 
+def test_samples_of_two_intervals_or_holds_are_refused_by_name():
+    one, other = campaign()
+    held = replace(other, hold="zoh")
+    for wrong in (other.decimate(2), held):
+        with pytest.raises(ValueError, match=r"'r0' and 'r1' are sampled every 0.02.*resample"):
+            pbsid([one, wrong], order=5, transform="none")
+
+
+def test_records_of_two_intervals_are_one_campaign_of_projections():
+    one, other = campaign(noise=0.001, duration=40.0)
+    box = pbsid([one, other.decimate(2)], order=5, past=10, pole=6.0, feedthrough=["z"])
+    # Straight lines over two samples miss what the faster ones show: half a per cent of the input.
+    assert relative_error(box.system, unstable_plant()) < 0.05
+
+
 def test_an_unstable_pole_near_the_laguerre_pole_warns():
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        records = campaign(records=2)
     fast = StateSpace([[1.5]], [[1.0]], [[1.0]], [[0.0]])
     rng = np.random.default_rng(0)
     loops = [closed_loop_record(fast, rng, gain=np.array([[3.0]]), name=f"f{i}") for i in range(2)]
-    assert len(records) == 2
     with pytest.warns(DataWarning, match="raise pole"):
         pbsid(loops, order=1, past=4, pole=2.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataWarning)
+        pbsid(loops, order=1, past=4, pole=4.0)
+
+
+def test_settings_are_a_value_that_fits_what_the_function_fits():
+    settings = Pbsid(order=5, past=8, pole=6.0, feedthrough=["z"])
+    one, other = settings.fit(campaign()), pbsid(campaign(), **vars(settings))
+    np.testing.assert_array_equal(one.system.A, other.system.A)
+    with pytest.raises(FrozenInstanceError):
+        settings.order = 4
+
+
+def test_a_choice_gathers_no_record_twice_with_the_same_windows(monkeypatch):
+    seen = []
+
+    def counted(records, su, sy, past, a):
+        seen.extend((record.name, past, a) for record in records)
+        return gather(records, su, sy, past, a)
+
+    monkeypatch.setattr("casid.subspace.campaign.gather", counted)
+    box = pbsid(campaign(noise=0.02, records=3), order=5, feedthrough=["z"])
+    assert box.selection is not None
+    assert ("r0", box.past, box.pole) in seen
+    assert len(seen) == len(set(seen))
+
+
+def test_straight_lines_between_samples_are_undone_in_continuous_time():
+    plant, rng = unstable_plant(), np.random.default_rng(1)
+    stable = replace(plant, A=plant.A - 0.6 * np.eye(5))
+    t, u = 0.1 * np.arange(600), rng.standard_normal((600, 2))
+    record = Record(t, u, stable.simulate(t, u), plant.inputs, plant.outputs)
+    box = pbsid(record, order=5, transform="none", regularisation=0.0)
+    assert relative_error(box.continuous().system, stable) < 1e-6
 
 
 def test_refinement_does_not_turn_a_decaying_mode_into_a_growing_one():

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truths.systems import innovation_record, predictor
+from truths.systems import innovation_record, predictor, sampled
 
 from casid import Record, StateSpace, pbsid
 from casid.record import standard_deviations
@@ -58,9 +58,9 @@ def test_stretches_too_short_for_the_order_are_refused():
     y = record.y.copy()
     y[::9] = np.nan
     gappy = Record(record.t, record.u, y, record.inputs, record.outputs, hold="zoh")
-    for refine in (True, "linear", "simulation"):
+    for how in ("prediction", "linear", "simulation"):
         with pytest.raises(ValueError, match=r"no 10 samples in a row.*an order of 8"):
-            pbsid([gappy], order=8, past=4, transform="none", refine=refine)
+            sampled(gappy, 8, how, True, past=4)
 
 
 def test_refined_samples_are_more_accurate_than_the_subspace_estimate():
@@ -72,19 +72,3 @@ def test_refined_samples_are_more_accurate_than_the_subspace_estimate():
             box = pbsid([record], order=3, transform="none", feedthrough=False, refine=refine)
             found.append(np.abs(box.system.response(omega) - system.response(omega)))
     assert np.mean(np.square(errors[True])) < np.mean(np.square(errors[False]))
-
-
-def test_local_levels_make_predictions_of_growing_innovations_more_accurate():
-    omega, size = np.linspace(0.1, 2.5, 10), {"constant": [], "local": []}
-    for seed in range(6):
-        system, K, record, e = innovation_record(noise=1.0, seed=seed)
-        growing = 0.02 * 50 ** (np.arange(record.N) / record.N)
-        y = system.simulate(record.t, record.u, x0=np.array([1.0, -1.0, 0.5]))
-        noise = StateSpace(system.A, K, system.C, np.eye(2), 1.0)
-        y = y + noise.simulate(record.t, e * growing[:, None])
-        louder = replace(record, y=y)
-        for level, found in size.items():
-            box = pbsid([louder], order=3, transform="none", feedthrough=False, noise=level)
-            found.append(np.abs(box.system.response(omega) / system.response(omega) - 1))
-    # With stationary regressors the variances are as mean σ² times mean 1/σ² to 1: 41.
-    assert np.mean(np.square(size["local"])) < np.mean(np.square(size["constant"])) / 10

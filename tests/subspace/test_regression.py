@@ -1,10 +1,9 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from truths.systems import innovation_record, predictor
+from truths.systems import innovation_record, predictor, sampled
 
-from casid import Record, StateSpace, pbsid
+from casid import Record, StateSpace
 from casid.record import standard_deviations
 from casid.subspace.prediction import normal_equations, stretches
 from casid.subspace.regression import regress_inputs
@@ -85,7 +84,7 @@ def test_missing_samples_split_a_record_and_blocks_do_not_matter(monkeypatch):
 def test_a_direct_term_is_found_where_it_is_free_and_nowhere_else():
     system, _, record, _ = innovation_record(noise=0.01)
     direct = replace(record, y=record.y + record.u * np.array([0.0, 0.5]))
-    box = pbsid([direct], order=3, transform="none", feedthrough=["b"], refine="linear")
+    box = sampled(direct, 3, "linear", ["b"])
     np.testing.assert_allclose(box.system.D, [[0.0], [0.5]], atol=0.01)
     omega = np.linspace(0.1, 2.5, 10)
     truth = system.response(omega) + np.array([[0.0], [0.5]])
@@ -114,24 +113,14 @@ def swept(seed):
 
 
 def test_narrow_banded_records_are_better_simulated_by_inputs_regressed_than_by_those_of_pbsid():
-    error = {"linear": [], False: []}
+    error = {"linear": [], "unrefined": []}
     t = np.arange(430.0)
     u = np.sin(0.1 * t + 0.5 * 0.001 * t**2)[:, None]  # goes on where the record ends
     for seed in range(8):
         system, record = swept(seed)
         truth = system.simulate(t, u)
-        for refine, found in error.items():
-            box = pbsid([record], order=6, past=30, transform="none", feedthrough=False,
-                        refine=refine)  # fmt: skip
+        for how, found in error.items():
+            box = sampled(record, 6, how, past=30)
             found.append(np.std(box.system.simulate(t, u) - truth) / np.std(truth))
     assert np.median(error["linear"]) < 0.5
-    assert np.median(error["linear"]) < 0.1 * np.median(error[False])
-
-
-def test_projections_have_their_own_refinement():
-    with pytest.raises(ValueError, match='refine="linear" is for samples'):
-        pbsid([innovation_record()[2]], order=3, past=8, pole=1.0, refine="linear")
-    with pytest.raises(ValueError, match='expected True, False, "linear" or "simulation"'):
-        pbsid([innovation_record()[2]], order=3, transform="none", refine="Linear")
-    with pytest.raises(ValueError, match="refine=True or"):
-        pbsid([innovation_record()[2]], order=3, transform="none", refine="linear", noise="local")
+    assert np.median(error["linear"]) < 0.1 * np.median(error["unrefined"])

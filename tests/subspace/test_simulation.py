@@ -1,31 +1,12 @@
 import numpy as np
 import pytest
-from truths.systems import innovation_record, stepped_input
+from truths.systems import output_error_record, sampled, sampled_plant, stepped_input
 
-from casid import DataWarning, Record, StateSpace, pbsid
+from casid import Record, StateSpace
 from casid.record import standard_deviations
 from casid.subspace.simulation import refine_simulation
 
 OMEGA = np.linspace(0.1, 2.5, 10)
-
-
-def plant():
-    A = np.array([[0.8, 0.3, 0], [-0.3, 0.8, 0.1], [0, 0, 0.5]])
-    B, C = np.array([[1.0], [0.5], [1.0]]), np.array([[1.0, 0, 0.3], [0, 1.0, 0]])
-    return StateSpace(A, B, C, np.zeros((2, 1)), 1.0)
-
-
-def output_error_record(N=600, noise=0.3, seed=0):
-    """The plant from a state that is not zero, white noise and a constant on its outputs."""
-    rng, t = np.random.default_rng(seed), np.arange(N, dtype=float)
-    u = stepped_input(N, 1, rng, hold=3)
-    y = plant().simulate(t, u, x0=np.array([1.0, -1.0, 0.5])) + np.array([0.7, -0.4])
-    y += noise * rng.standard_normal(y.shape)
-    return Record(t, u, y, ("u",), ("a", "b"), hold="zoh")
-
-
-def samples(record, order=3, **options):
-    return pbsid([record], order=order, transform="none", feedthrough=False, **options)
 
 
 def simulation_error(system, record):
@@ -41,7 +22,7 @@ def simulation_error(system, record):
 
 
 def test_simulation_errors_approach_the_noise():
-    box = samples(output_error_record(), refine="simulation")
+    box = sampled(output_error_record(), 3, "simulation")
     # 12 parameters, 3 initial values and 2 constants of 1200 numbers; noise within 3/√1200.
     np.testing.assert_allclose(simulation_error(box.system, output_error_record()), 0.3, rtol=0.1)
     assert np.abs(box.system.poles()).max() < 1
@@ -50,24 +31,24 @@ def test_simulation_errors_approach_the_noise():
 
 
 def test_under_white_output_noise_simulation_errors_are_the_more_efficient():
-    errors = {refine: [] for refine in (False, True, "simulation")}
+    errors = {how: [] for how in ("unrefined", "prediction", "simulation")}
     for seed in range(8):
-        for refine, found in errors.items():
-            box = samples(output_error_record(seed=seed), refine=refine)
-            found.append(np.abs(box.system.response(OMEGA) - plant().response(OMEGA)))
-    size = {refine: np.mean(np.square(found)) for refine, found in errors.items()}
-    assert size["simulation"] < size[True]
-    assert size["simulation"] < size[False]
+        for how, found in errors.items():
+            box = sampled(output_error_record(seed=seed), 3, how)
+            found.append(np.abs(box.system.response(OMEGA) - sampled_plant().response(OMEGA)))
+    size = {how: np.mean(np.square(found)) for how, found in errors.items()}
+    assert size["simulation"] < size["prediction"]
+    assert size["simulation"] < size["unrefined"]
 
 
 def test_an_order_too_low_simulates_better_when_refined_for_it():
     both = output_error_record(noise=0.05)
     record = Record(both.t, both.u, both.y[:, :1], both.inputs, ("a",), hold="zoh")
     error = {
-        refine: simulation_error(samples(record, 2, refine=refine).system, record)[0]
-        for refine in (False, True, "simulation")
+        how: simulation_error(sampled(record, 2, how).system, record)[0]
+        for how in ("unrefined", "prediction", "simulation")
     }
-    assert error["simulation"] < min(error[True], error[False])
+    assert error["simulation"] < min(error["unrefined"], error["prediction"])
 
 
 def test_missing_samples_split_a_record_and_unstable_starts_are_moved_inside():
@@ -76,37 +57,11 @@ def test_missing_samples_split_a_record_and_unstable_starts_are_moved_inside():
     y[200, 0] = np.nan
     gappy = Record(record.t, record.u, y, record.inputs, record.outputs, hold="zoh")
     su, sy = standard_deviations([gappy])
-    truth = plant()
+    truth = sampled_plant()
     start = StateSpace(1.2 * truth.A, truth.B, truth.C, truth.D, 1.0)
-    found = refine_simulation([start], [gappy], su, sy, np.zeros((2, 1), dtype=bool))
+    found = refine_simulation(start, [gappy], su, sy, np.zeros((2, 1), dtype=bool))
     # The noise is some hundredth of the outputs; 600 samples: about 0.1 %, ten times that allowed.
     np.testing.assert_allclose(found.response(OMEGA), truth.response(OMEGA), atol=0.05)
-
-
-def test_a_simulated_black_box_says_that_it_has_no_covariance():
-    box = samples(innovation_record()[2], refine="simulation")
-    with pytest.raises(ValueError, match="call pbsid with refine=True"):
-        box.response_std(OMEGA)
-
-
-def test_projections_are_not_refined_by_simulation_errors_of_samples():
-    with pytest.raises(ValueError, match="Fourier transforms"):
-        pbsid([output_error_record()], order=3, past=8, pole=1.0, refine="simulation")
-    with pytest.raises(ValueError, match='expected True, False, "linear" or "simulation"'):
-        samples(output_error_record(), refine="simulate")
-
-
-def test_noise_fed_back_is_warned_of():
-    rng, N = np.random.default_rng(1), 2000
-    truth, x = plant(), np.zeros(3)
-    u, y = stepped_input(N, 1, rng, hold=3) * 0.3, np.zeros((N, 2))
-    for k in range(N):
-        y[k] = truth.C @ x + rng.standard_normal(2)
-        u[k] -= 0.3 * y[max(k - 1, 0), 0]
-        x = truth.A @ x + truth.B @ u[k]
-    record = Record(np.arange(N, dtype=float), u, y, ("u",), ("a", "b"), hold="zoh")
-    with pytest.warns(DataWarning, match="prediction errors, removes that"):
-        samples(record, refine="simulation")
 
 
 def growing_noise(N=600):
@@ -135,36 +90,27 @@ def pole_bound(record, noise):
 
 
 def test_local_levels_reach_the_cramer_rao_bound_of_noise_that_grows():
-    noise, ratios = growing_noise(), {"constant": [], "local": []}
+    noise, ratios = growing_noise(), {"simulation": [], "local simulation": []}
     for seed in range(20):
         record = first_order_record(noise, seed)
-        for level, found in ratios.items():
-            (pole,) = samples(record, 1, refine="simulation", noise=level).system.poles().real
+        for how, found in ratios.items():
+            (pole,) = sampled(record, 1, how).system.poles().real
             found.append((pole - 0.8) / pole_bound(record, noise))
-    size = {level: np.sqrt(np.mean(np.square(found))) for level, found in ratios.items()}
+    size = {how: np.sqrt(np.mean(np.square(found))) for how, found in ratios.items()}
     # 20 seeds: the root mean square of unit errors is 1 within 3/√40.
-    assert size["local"] == pytest.approx(1.0, abs=0.5)
-    assert size["constant"] > 3
+    assert size["local simulation"] == pytest.approx(1.0, abs=0.5)
+    assert size["simulation"] > 3
 
 
 def test_local_levels_of_constant_noise_change_little():
     noise, distance = np.full(600, 0.3), []
     for seed in range(8):
         record = first_order_record(noise, seed)
-        poles = [samples(record, 1, refine="simulation", noise=level).system.poles().real[0]
-                 for level in ("constant", "local")]  # fmt: skip
+        kinds = ("simulation", "local simulation")
+        poles = [sampled(record, 1, how).system.poles().real[0] for how in kinds]
         distance.append((poles[1] - poles[0]) / pole_bound(record, noise))
     # Levels known within 10 % cost about 1 % of the variance: a tenth of the standard deviation.
     assert np.sqrt(np.mean(np.square(distance))) < 0.4
-
-
-def test_local_levels_need_errors_to_be_minimised():
-    for options in ({"refine": False}, {"refine": True, "transform": "laguerre"}):
-        with pytest.raises(ValueError, match="refine=True or"):
-            pbsid([output_error_record()], order=3, **{"transform": "none", **options},
-                  noise="local")  # fmt: skip
-    with pytest.raises(ValueError, match='expected "constant" or "local"'):
-        samples(output_error_record(), noise="loud")
 
 
 def test_a_predictor_without_modes_is_refused_and_its_model_still_simulates():
@@ -173,6 +119,6 @@ def test_a_predictor_without_modes_is_refused_and_its_model_still_simulates():
     record = output_error_record(noise=0.1)
     single = Record(record.t, record.u, record.y[:, :1], ("u",), ("a",), hold="zoh")
     with pytest.raises(ValueError, match=r"cannot be told from one another.*lengthen the past"):
-        samples(single, order=12, past=12)
-    box = samples(single, order=12, past=12, refine="simulation")
+        sampled(single, 12, "prediction", past=12)
+    box = sampled(single, 12, "simulation", past=12)
     assert simulation_error(box.system, single) == pytest.approx(0.1, rel=0.1)

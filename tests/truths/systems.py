@@ -4,7 +4,9 @@ import numpy as np
 
 from casid import BlackBox, Record, StateSpace
 from casid.linear import foh_step
+from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.modal import to_modal
+from casid.subspace.refining import refine_sampled
 
 OMEGA = np.geomspace(0.3, 8.0, 25)
 
@@ -93,16 +95,14 @@ def campaign(noise=0.0, seed=0, records=2, **options):
 
 def innovation_record(N=600, noise=0.1, seed=0):
     """An innovation model of three states with its gain, and a record of it."""
-    rng = np.random.default_rng(seed)
-    A = np.array([[0.8, 0.3, 0], [-0.3, 0.8, 0.1], [0, 0, 0.5]])
-    B, C = np.array([[1.0], [0.5], [1.0]]), np.array([[1.0, 0, 0.3], [0, 1.0, 0]])
+    rng, system = np.random.default_rng(seed), sampled_plant()
+    A, B, C = system.A, system.B, system.C
     K = np.array([[0.3, 0.0], [0.1, 0.2], [0.0, 0.1]])
     e, u = noise * rng.standard_normal((N, 2)), stepped_input(N, 1, rng, hold=3)
     x, y = np.array([1.0, -1.0, 0.5]), np.empty((N, 2))
     for k in range(N):
         y[k] = C @ x + e[k]
         x = A @ x + B @ u[k] + K @ e[k]
-    system = StateSpace(A, B, C, np.zeros((2, 1)), 1.0)
     return system, K, Record(np.arange(N, dtype=float), u, y, ("u",), ("a", "b"), hold="zoh"), e
 
 
@@ -133,3 +133,27 @@ def same(a, b):
         np.testing.assert_array_equal(getattr(a, attribute), getattr(b, attribute))
     names = ("inputs", "outputs", "hold", "trim")
     assert [getattr(a, name) for name in names] == [getattr(b, name) for name in names]
+
+
+def sampled(record, order, how, feedthrough=False, past=None):
+    """Subspace estimate of a record's samples, and what one refinement makes of it."""
+    campaign = Campaign.of(record, feedthrough)
+    past = past or max(10, -(-2 * order // record.ny))
+    found = campaign.subspace(order, Windows(past, past, np.nan, 0.0))
+    return refine_sampled(campaign, found, how)
+
+
+def sampled_plant():
+    """Three states every second, one input, two outputs."""
+    A = np.array([[0.8, 0.3, 0], [-0.3, 0.8, 0.1], [0, 0, 0.5]])
+    B, C = np.array([[1.0], [0.5], [1.0]]), np.array([[1.0, 0, 0.3], [0, 1.0, 0]])
+    return StateSpace(A, B, C, np.zeros((2, 1)), 1.0)
+
+
+def output_error_record(N=600, noise=0.3, seed=0):
+    """The plant from a state that is not zero, white noise and a constant on its outputs."""
+    rng, t = np.random.default_rng(seed), np.arange(N, dtype=float)
+    u = stepped_input(N, 1, rng, hold=3)
+    y = sampled_plant().simulate(t, u, x0=np.array([1.0, -1.0, 0.5])) + np.array([0.7, -0.4])
+    y += noise * rng.standard_normal(y.shape)
+    return Record(t, u, y, ("u",), ("a", "b"), hold="zoh")

@@ -1,0 +1,113 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.systems import output_error_record, stepped_input
+
+from casid import Record, StateSpace, pbsid
+from casid.subspace.campaign import Campaign
+from casid.subspace.sampled import STRETCHES, Stretches, are_candidates
+
+
+def resonant(N=600, noise=0.02, seed=0):
+    """Two modes of 0.6 and 1.9 rad a sample, hardly damped, and a record that shows both."""
+    rng = np.random.default_rng(seed)
+    poles = np.array([0.99, 0.98]) * np.exp(1j * np.array([0.6, 1.9]))
+    A = np.zeros((4, 4))
+    for i, z in enumerate(poles):
+        A[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[z.real, -z.imag], [z.imag, z.real]]
+    system = StateSpace(A, [[1.0], [0.0], [0.5], [0.5]], [[0.2, 0.1, 0.3, 0.0]], [[0.0]], 1.0)
+    t, u = np.arange(N, dtype=float), stepped_input(N, 1, rng, hold=1)
+    y = system.simulate(t, u)
+    y = y + noise * np.std(y) * rng.standard_normal(y.shape)
+    return system, Record(t, u, y, ("u",), ("y",), "resonant", "zoh")
+
+
+@pytest.fixture(scope="module")
+def chosen():
+    system, record = resonant()
+    return system, record, pbsid(record)
+
+
+def test_coarse_samples_of_hardly_damped_modes_are_chosen_without_a_word(chosen):
+    system, record, box = chosen
+    assert box.transform == "none"
+    assert box.selection.criterion == "held-out stretches"
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal((300, 1))
+    t = np.arange(300.0)
+    y, found = (each.simulate(t, u) for each in (system, box.system))
+    projected = pbsid(record, transform="laguerre").system.simulate(t, u, hold="zoh")
+    # Noise of 2 % over 600 samples, a few parameters: some tenths of a per cent.
+    assert np.std(found - y) < 0.01 * np.std(y)
+    assert np.std(found - y) < np.std(projected - y)
+
+
+def test_the_choice_is_the_candidate_that_leaves_least_of_the_stretches(chosen):
+    *_, box = chosen
+    best = min(box.selection.candidates, key=lambda c: c.score)
+    assert best == box.selection.chosen
+    assert (best.order, best.refinement) == (box.order, box.refinement)
+    rivals = [c for c in box.selection.candidates if c.refinement == "fourier"]
+    assert best.score < min(c.score for c in rivals)
+    assert all(len(c.folds) == STRETCHES for c in box.selection.candidates)
+    assert "samples, " in box.selection.to_markdown()
+
+
+def test_stretches_are_simulated_from_what_was_learnt_alone():
+    _, record = resonant()
+    judge = Stretches.of(Campaign.of(record, True))
+    assert [fold.known for fold in judge.folds] == [300, 350, 400, 450, 500, 550]
+    for fold in judge.folds:
+        assert max(r.N for r in fold.learnt.records) == fold.known
+        assert fold.known + 50 == fold.shown.N
+    two = Stretches.of(Campaign.of([record, replace(record, name="again")], True))
+    assert [fold.known for fold in two.folds] == [300, 400, 500] * 2
+    assert [len(fold.learnt.records) for fold in two.folds] == [2] * 6
+
+
+def test_records_sampled_faster_than_their_inputs_move_are_left_to_projections():
+    t, rng = np.arange(0, 40, 0.02), np.random.default_rng(0)
+    lines = [np.cos(2 * np.pi * k / 40 * t + rng.uniform(0, 7)) for k in range(2, 60, 5)]
+    u = np.sum(lines, axis=0)[:, None]
+    plant = StateSpace([[-0.5, 2.0], [-2.0, -0.5]], [[1.0], [0.5]], [[1.0, 0.0]], [[0.0]])
+    y = plant.simulate(t, u)
+    fast = Record(t, u, y + 0.05 * rng.standard_normal(y.shape), ("u",), ("y",))
+    assert not are_candidates(Campaign.of(fast, True), None)
+    box = pbsid(fast)
+    assert (box.transform, box.refinement) == ("laguerre", "fourier")
+
+
+def test_samples_are_no_candidates_where_they_cannot_be_judged():
+    _, record = resonant()
+    assert are_candidates(Campaign.of(record, True), None)
+    growing = StateSpace([[0.1]], [[1.0]], [[1.0]], [[0.0]])
+    assert not are_candidates(Campaign.of(record, True), growing)
+    assert not are_candidates(Campaign.of([record, record.decimate(2)], True), None)
+    lines = replace(record, hold="foh")
+    assert are_candidates(Campaign.of(lines, True), None)
+    assert not are_candidates(Campaign.of(lines, False), None)
+    y = record.y.copy()
+    y[7] = np.nan
+    assert not are_candidates(Campaign.of(replace(record, y=y), True), None)
+
+
+def test_slow_records_that_suit_no_laguerre_pole_are_identified_from_samples():
+    record = output_error_record(N=120, noise=0.05)
+    with pytest.raises(ValueError, match="suit no Laguerre pole"):
+        pbsid(record.between(0, 30), transform="laguerre")
+    assert pbsid(record.between(0, 59), feedthrough=False).transform == "none"
+
+
+def test_simulations_are_no_candidates_under_feedback_of_noise():
+    rng, N = np.random.default_rng(1), 600
+    system, _ = resonant()
+    A, x = 0.6 * system.A, np.zeros(4)
+    r, u, y = rng.standard_normal((N, 1)), np.zeros((N, 1)), np.zeros((N, 1))
+    for k in range(N):
+        y[k] = system.C @ x + rng.standard_normal(1)
+        u[k] = 0.3 * r[k] - 0.8 * y[max(k - 1, 0)]
+        x = A @ x + system.B @ u[k]
+    record = Record(np.arange(N, dtype=float), u, y, ("u",), ("y",), "loop", "zoh")
+    box = pbsid(record, feedthrough=False, transform="none")
+    assert not [c for c in box.selection.candidates if "simulation" in c.refinement]
