@@ -1,35 +1,12 @@
 """The stage that identifies a black box from records."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable
 from functools import partial
 
-from casid.record import Record
 from casid.report.content import Caution, Content, Section, template
 from casid.report.drawings import draw_singular_values
 from casid.stages.stage import Stage, Task
-from casid.subspace.columns import Feedthrough
-from casid.subspace.pbsid import BlackBox, Transform, pbsid
-from casid.subspace.refining import Noise, Refine
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Pbsid:
-    """Settings of `pbsid`."""
-
-    order: int | None = None
-    past: int | None = None
-    future: int | None = None
-    pole: float | None = None
-    feedthrough: Feedthrough = True
-    transform: Transform = "laguerre"
-    regularisation: float | None = None
-    refine: Refine = True
-    noise: Noise = "constant"
-
-    def fit(self, records: Sequence[Record]) -> BlackBox:
-        """The black box of the records; see `pbsid`."""
-        return pbsid(records, **{f.name: getattr(self, f.name) for f in fields(self)})
+from casid.subspace.pbsid import BlackBox, Pbsid
 
 
 def _run(settings: Pbsid, task: Task) -> BlackBox:
