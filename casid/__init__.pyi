@@ -11,8 +11,12 @@ from .baseline.loes import (
     transfer_function as transfer_function,
 )
 from .bounds.compare import BoundsComparison as BoundsComparison, compare_bounds as compare_bounds
-from .bounds.profile import Profile as Profile, profile as profile
-from .bounds.reduction import Reduction as Reduction, reduce_structure as reduce_structure
+from .bounds.profiles import Profile as Profile, profile_parameters as profile_parameters
+from .bounds.reduction import (
+    Reduction as Reduction,
+    ReductionRule as ReductionRule,
+    reduce_structure as reduce_structure,
+)
 from .bounds.resampling import (
     Ensemble as Ensemble,
     Multistart as Multistart,
@@ -68,6 +72,7 @@ from .frequency.responses import (
     merge_responses as merge_responses,
     read_frequency_csv as read_frequency_csv,
 )
+from .jobs.campaigns import CampaignProgress as CampaignProgress, Execution as Execution
 from .linear import StateSpace as StateSpace
 from .matching.appraisal import MatchNotes as MatchNotes
 from .matching.match import Match as Match, match as match

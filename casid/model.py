@@ -9,7 +9,8 @@ trim values as plain fields and writes the matrices as methods. The same methods
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Self, TypeAlias, TypeVar, dataclass_transform
+from functools import lru_cache
+from typing import Any, ClassVar, Self, TypeAlias, TypeVar, cast, dataclass_transform
 
 import casadi as ca
 import numpy as np
@@ -174,11 +175,13 @@ class Model:
         ModelError
             A method that raises, matrices whose shapes disagree, a delay for no input.
         """
-        lam = ca.SX.sym("lam", len(self.parameter_names()))
-        symbolic = self.with_vector(lam)
-        A, B, C, D, tau, c = _expressions(symbolic)
-        names = ["A", "B", "C", "D", "tau", "c"]
-        return ca.Function("matrices", [lam], [A, B, C, D, tau, c], ["lam"], names)
+        infos, cls = self.infos(), cast(Any, type(self))
+        trim = tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in infos)
+        try:
+            hash(trim)
+        except TypeError:  # a field that its owner may change
+            return _function.__wrapped__(cls, trim)
+        return _function(cls, trim)
 
     def system(self) -> StateSpace:
         """The state-space model at the present parameter values."""
@@ -202,6 +205,15 @@ class Model:
 
 
 M = TypeVar("M", bound=Model)  # a user's structure
+
+
+@lru_cache(maxsize=64)
+def _function(cls: type[Model], trim: tuple[tuple[str, Any], ...]) -> ca.Function:
+    """`Model.matrices` of a structure at a trim; its methods run once, not at every value."""
+    lam = ca.SX.sym("lam", len(cls.parameter_names()))
+    expressions = _expressions(cls(**dict(trim)).with_vector(lam))
+    names = ["A", "B", "C", "D", "tau", "c"]
+    return ca.Function("matrices", [lam], list(expressions), ["lam"], names)
 
 
 def matrix(rows: Rows) -> ca.SX:

@@ -1,9 +1,13 @@
 """Solve a nonlinear programme with IPOPT; the only call of ``casadi.nlpsol``."""
 
 import logging
+import signal
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from types import FrameType
 from typing import Any
 
 import casadi as ca
@@ -67,7 +71,7 @@ class SolverOptions:
     max_seconds : float
         Wall-clock limit per solve [s].
     progress : callable
-        Called with a `Progress` after every iteration.
+        Called with a `Progress` after every iteration; it does not travel to other processes.
     ipopt : mapping
         Options passed to IPOPT unread, for those who know them.
     """
@@ -77,6 +81,9 @@ class SolverOptions:
     max_seconds: float = 1e4
     progress: Callable[[Progress], None] | None = field(default=None, compare=False)
     ipopt: Mapping[str, float | str] = field(default_factory=dict)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"progress": None}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -163,7 +170,8 @@ def solve(
     }  # fmt: skip
     if warm is not None:
         arguments |= {"lam_x0": warm[0], "lam_g0": warm[1]}
-    found = solver(**arguments)
+    with _interruptible():
+        found = solver(**arguments)
     stats = solver.stats()
     word = "Maximum_WallTime_Exceeded" if watcher.late else stats["return_status"]
     success, meaning = STATUS.get(word, (False, str(word)))
@@ -183,6 +191,35 @@ def solve(
         iterations=int(stats["iter_count"]),
         seconds=seconds,
     )
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Raise an interrupt from the keyboard that CasADi took for a failure of the model."""
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield
+        return
+    interrupted = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal interrupted
+        try:
+            before(number, frame)
+        except KeyboardInterrupt:
+            interrupted = True
+            raise
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    except Exception:
+        if not interrupted:
+            raise
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if interrupted:
+        raise KeyboardInterrupt
 
 
 def _settings(

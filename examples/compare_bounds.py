@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casid import compare_bounds, match, pbsid, read_records, read_study, report
+from casid import OutputError, compare_bounds, match, pbsid, read_records, read_study, report
 
 ROOT = Path(__file__).parent.parent
 OUT = ROOT / "out" / "bounds"
@@ -56,7 +56,7 @@ def main():
     }
     comparison = compare_bounds(
         guess, records["refinement"], cases=cases, start=start_of(study, records),
-        validation=records["validation"], **study.options["output_error"],
+        validation=records["validation"], estimator=OutputError(**study.options["output_error"]),
     )  # fmt: skip
     comparison.to_csv(OUT / "bounds.csv")
     figure = Figure(figsize=(7.4, 8), layout="constrained")

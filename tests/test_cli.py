@@ -104,7 +104,7 @@ def test_a_solver_that_stops_early_gives_code_three_and_keeps_what_there_was(tmp
     assert "No convergence" in result.stderr
     assert "max_iterations" in result.stderr
     stages = {path.name for path in (tmp_path / "out/stages").iterdir()}
-    assert stages == {"pbsid.json", "quadratic_best.json", "index.json"}
+    assert stages == {"pbsid.json", "quadratic_best.json"}
     best = json.loads((tmp_path / "out/stages/quadratic_best.json").read_text())
     assert best["success"] is False
 

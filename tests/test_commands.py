@@ -18,8 +18,8 @@ from casid.cli import main
 from casid.commands.terminal import new_table
 from casid.exchange.formats import read_record, read_table
 from casid.fit import Fit, parameter_table
-from casid.jobs.store import Entry, Store
-from casid.model import Model, free_parameters
+from casid.jobs.store import Done, Store
+from casid.model import free_parameters
 from casid.structure.modelfile import load_model
 
 FLIGHT = Path(__file__).parent.parent / "examples/ah1s/data/3211_lat.csv"
@@ -94,7 +94,8 @@ def test_a_response_becomes_a_table():
 
 def test_the_response_a_study_measured_becomes_a_table(folder):
     (folder / "out").mkdir()
-    Store(folder / "out", Model).put("frequency", FrequencyResponse.load("frf.json"), Entry("k", 1))
+    measured = FrequencyResponse.load("frf.json")
+    Store(folder / "out").put("frequency", "k", Done(result=measured))
     assert casid("convert", "out/frequency.json", "frf.csv").exit_code == 0
     assert read_table("frf.csv")["p_lat_coherence"].tolist() == [0.9, 0.9, 0.9]
 

@@ -41,15 +41,15 @@ omega = { from = 0.6, to = 5, points = 20 }
 IDENTIFY = "from casid.cli import main; main()"
 COMPARE = """
 import sys
-from casid import compare_bounds
+from casid import Execution, OutputError, compare_bounds
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
 
 study = read_study(sys.argv[2])
 cases = {"free": {}, "signs": {"Lv": "< 0"}, "narrow": {"Lp": (-2.5, -1.0)}}
 result = compare_bounds(
-    study.model, read_records(study)["identification"], cases=cases, interval=2.0,
-    folder=study.output / "bounds",
+    study.model, read_records(study)["identification"], cases=cases,
+    estimator=OutputError(interval=2.0), execution=Execution(folder=study.output / "bounds"),
 )
 result.to_csv(study.output / "bounds.csv")
 """
@@ -342,7 +342,8 @@ def test_a_clock_that_jumps_changes_no_result(days, copy, tmp_path):
         ["cc", "-shared", "-fPIC", "-o", clock, tmp_path / "clock.c", "-ldl"], check=True
     )
     expected = results(copy)
-    (copy / "out/stages/index.json").unlink()  # all to be computed again
+    for kept in (copy / "out/stages").glob("*.json"):  # all to be computed again
+        kept.unlink()
     jump = {"LD_PRELOAD": str(clock), "JUMP_AFTER": "20", "JUMP_BY": str(days * 86400)}
     assert start(IDENTIFY, copy / "study.toml", **jump).wait(120) == 0
     assert results(copy) == expected
@@ -380,10 +381,9 @@ def rewind(folder, stage):
         study = folder / "study.toml"
         study.write_text(study.read_text(encoding="utf-8") + BASELINE, encoding="utf-8")
     before = order[: order.index(stage)]
-    index = folder / "out/stages/index.json"
-    done = json.loads(index.read_text(encoding="utf-8"))
-    kept = {name: entry for name, entry in done.items() if name in before}
-    index.write_text(json.dumps(kept), encoding="utf-8")
+    for kept in (folder / "out/stages").glob("*.json"):
+        if kept.stem not in before:
+            kept.unlink()
     (folder / "out/fit.json").unlink()
     return before
 
@@ -404,7 +404,8 @@ def test_when_ipopt_fails_the_chain_says_so_and_offers_its_best_iterate(stage, c
     best = Fit.load(copy / f"out/stages/{stage}_best.json", model=structure)
     assert best.success is False
     assert structure.infos()["Lp"].lower <= best["Lp"].value <= structure.infos()["Lp"].upper
-    assert set(json.loads((copy / "out/stages/index.json").read_text("utf-8"))) == set(before)
+    kept = {path.stem for path in (copy / "out/stages").glob("*.json")}
+    assert kept == {*before, f"{stage}_best"}
     # Nothing rests on the baseline: the model and the report are there without it.
     page = (copy / "out/report.html").read_text(encoding="utf-8")
     assert (copy / "out/fit.json").exists() == (stage == "derivid")

@@ -54,7 +54,8 @@ def strategies(tmp_path_factory):
     study = read_study(write_study(tmp_path_factory.mktemp("results")))
     black_box = pbsid(read_records(study)["identification"], **study.options["pbsid"])
     fit = saved(match(study.model, black_box, norm="quadratic"), study.path.with_name("fit.json"))
-    stage = {"casid": "stage", "result": encode(black_box)}
+    rest = {"key": "k", "reason": "", "seconds": 1.0, "warnings": encode(()), "source": ""}
+    stage = {"casid": "result", **rest, "result": encode(black_box)}
     measured = FrequencyResponse(
         omega=np.array([1.0, 2.0]), G=np.ones((2, 2, 1)), coherence=np.ones((2, 2, 1)),
         random_error=np.zeros((2, 2, 1)), inputs=("lat",), outputs=("p", "phi"),
@@ -70,7 +71,7 @@ def strategies(tmp_path_factory):
         "convert fit": altered(fit),
         "simulate": altered(fit),
         "convert response": altered(response),
-        "convert stage": altered({"casid": "stage", "result": encode(measured)}),
+        "convert stage": altered({"casid": "result", **rest, "result": encode(measured)}),
     }
 
 

@@ -13,7 +13,7 @@ from truths.roll_study import Truth
 
 import casid
 from casid import files, limits
-from casid.jobs.store import Store
+from casid.jobs.store import Done, Store
 from casid.studies import settings
 
 ROOT = Path(__file__).parents[1]
@@ -56,12 +56,13 @@ def _is_os(owner):
 def test_a_stored_result_makes_nothing_but_results(value, tmp_path):
     target = tmp_path / "owned.txt"
     fields = {"path": str(target), "text": "owned", "command": f"touch {target}"}
-    result = {"value": value, "fields": fields}
-    index = {"pbsid": {"key": "k", "seconds": 0.0, "warnings": []}}
-    (tmp_path / "index.json").write_text(json.dumps(index), encoding="utf-8")
-    content = json.dumps({"casid": "stage", "result": result})
-    (tmp_path / "pbsid.json").write_text(content, encoding="utf-8")
-    assert Store(tmp_path, Truth).get("pbsid", "k") is None
+    store = Store(tmp_path, (Truth,))
+    store.put("pbsid", "k", Done(result=1.0))
+    assert store.get("pbsid", "k").result == 1.0
+    content = json.loads((tmp_path / "pbsid.json").read_text(encoding="utf-8"))
+    content["result"] = {"value": value, "fields": fields}
+    (tmp_path / "pbsid.json").write_text(json.dumps(content), encoding="utf-8")
+    assert store.get("pbsid", "k") is None
     assert not target.exists()
 
 

@@ -6,8 +6,7 @@ relaxing, and predict by how much the cost would fall.
 """
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,14 +15,15 @@ import numpy as np
 
 from casid.bounds.cases import Case, CaseSpec, read_cases
 from casid.bounds.prices import CaseResult, price_case
-from casid.bounds.trials import Data, Setup, Trial, named, run_trials, setup, starting_values
+from casid.bounds.trials import Data, Setup, Trial, in_words, run_trials, setup, starting_values
 from casid.errors import DataWarning
 from casid.estimator import Estimator
 from casid.files import write_text
 from casid.fit import AnyFit
-from casid.jobs.campaigns import Advance, Job
+from casid.jobs.campaigns import Execution, Job
 from casid.model import Bounds, Model
 from casid.record import Record
+from casid.shooting.output_error import OutputError
 from casid.tabulation import csv_text, markdown_table
 from casid.validation import Validation, validate
 
@@ -41,7 +41,7 @@ class BoundsComparison:
     freest : str
         The case the others are measured against: the one within which most others lie.
     estimator : str
-        What was minimised.
+        The estimator's name in words.
     structure : str
         Name of the structure's class.
     validation : Validation or None
@@ -72,7 +72,7 @@ class BoundsComparison:
         return tuple(dict.fromkeys([*first, *names]))
 
     def priced(self) -> tuple[str, ...]:
-        """Parameters and relations that cost some case something, the dearest first."""
+        """Parameters and relations that cost some case something, largest price first."""
         shares: dict[str, float] = {}
         for case in self.cases:
             for label, share in case.shares.items():
@@ -108,15 +108,12 @@ def compare_bounds(
     data: Data,
     *,
     cases: Mapping[str, CaseSpec],
-    estimator: str | Estimator = "output_error",
-    validation: Sequence[Record] = (),
+    estimator: Estimator = OutputError(),
+    validation: Record | Sequence[Record] = (),
     start: Model | AnyFit | None = None,
     fixed: Sequence[str] = (),
     bounds: Bounds | None = None,
-    folder: str | Path | None = None,
-    executor: Executor | None = None,
-    progress: Callable[[Advance], None] | None = None,
-    **settings: Any,  # noqa: ANN401 - the estimator checks them
+    execution: Execution = Execution(),
 ) -> BoundsComparison:
     """Estimate a structure under several sets of bounds and price every bound.
 
@@ -124,29 +121,22 @@ def compare_bounds(
     ----------
     model : Model
         Structure, and the guess that cases like "±20 %" refer to.
-    data : sequence of Record, or targets
-        Records for "output_error" and `Chain`, what `match` or `derivid` takes for these.
+    data
+        Records or targets, whatever the estimator takes.
     cases : mapping
         Name and content of each case (`casid.bounds.cases`): ``{"free": {}, "signs": {"Lp": "<
         0"}}``.
-    estimator : str
-        "match" (``norm="quadratic"`` or "hinf"), "output_error" or "derivid"; or an `Estimator`.
-    validation : sequence of Record
+    estimator : Estimator
+        `OutputError`, `Match`, `Derivid`, `Chain` or another, with its settings.
+    validation : Record or sequence of Record
         Unseen records to judge every case by.
     start : Model or Fit
         Where the freest case starts, e.g. ``match(...)``; the guess unless given. Every other case
         starts from the fit of a case that contains it.
     fixed, bounds
         As in the estimators; they hold in all cases.
-    folder : path
-        Where each case is kept when it is done; an interrupted comparison goes on from there.
-    executor : Executor
-        Where cases run: any of ``concurrent.futures``, or Dask's ``Client.get_executor()``. Unless
-        given, up to four run in this process and more of them in one process per processor.
-    progress : callable
-        Called with an `Advance` after every case; the "casid" logger tells the same.
-    settings
-        Further keyword arguments of the estimator.
+    execution : Execution
+        Where cases run and are kept.
 
     Returns
     -------
@@ -156,25 +146,29 @@ def compare_bounds(
     Raises
     ------
     ValueError, ModelError
-        A case that is not understood, an unknown estimator.
+        A case that is not understood, no estimator.
     """
     read = read_cases(model, cases, fixed, bounds)
-    shared = setup(model, data, estimator=estimator, fixed=fixed, settings=settings)
+    shared = setup(model, data, estimator=estimator, fixed=fixed)
     jobs = _jobs(read, shared, model, start)
-    done = run_trials(jobs, type(model), folder=folder, executor=executor, progress=progress)
+    done = run_trials(jobs, type(model), execution)
     fits = {name: each.result for name, each in done.items() if not each.reason}
     freest = jobs[0].name
     judged = None
-    if validation and fits:
+    unseen = [validation] if isinstance(validation, Record) else validation
+    if unseen and fits:
         ordered = {case.name: fits[case.name] for case in read if case.name in fits}
-        judged = validate(ordered, validation)
+        judged = validate(ordered, unseen)
     base = {case.name: case for case in read}[freest], fits.get(freest)
     results = tuple(price_case(case, done[case.name], base, shared.data, judged) for case in read)
     _warn_of_minima(results, freest)
     return BoundsComparison(
-        cases=results, freest=freest, estimator=named(estimator), structure=type(model).__name__,
+        cases=results,
+        freest=freest,
+        estimator=in_words(type(estimator).__name__),
+        structure=type(model).__name__,
         validation=judged,
-    )  # fmt: skip
+    )
 
 
 def _jobs(

@@ -12,7 +12,7 @@ from casid.arrays import ComplexArray
 from casid.bounds.cases import Case
 from casid.bounds.trials import aicc
 from casid.fit import AnyFit, ConstraintEstimate, ParameterEstimate
-from casid.jobs.campaigns import Done
+from casid.jobs.store import Done
 from casid.record import standard_deviations
 from casid.validation import Validation
 

@@ -5,11 +5,8 @@ ed., section 12.3.4: the parameter with the worst insensitivity or Cramér-Rao f
 rest is fitted again, and it ends when the fit suffers.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,9 +14,12 @@ from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY
 from casid.bounds.cases import read_cases
 from casid.bounds.trials import Data, Setup, Trial, aicc, run_trials, setup, starting_values
 from casid.errors import ConvergenceError, ModelError
+from casid.estimator import Estimator
 from casid.fit import AnyFit, ParameterEstimate
-from casid.jobs.campaigns import Advance, Done, Job
+from casid.jobs.campaigns import Execution, Job
+from casid.jobs.store import Done
 from casid.model import Bounds, Model
+from casid.shooting.output_error import OutputError
 from casid.tabulation import csv_text, markdown_table
 
 CRITERIA = ("aicc", "cost")
@@ -84,39 +84,18 @@ class Reduction:
         return markdown_table(heading, rows)
 
 
-def reduce_structure(
-    model: Model,
-    data: Data,
-    *,
-    estimator: str = "output_error",
-    criterion: str | None = None,
-    rise: float = 0.05,
-    protect: Sequence[str] = (),
-    replay: Mapping[str, float] | None = None,
-    candidates: int = 1,
-    start: Model | AnyFit | None = None,
-    fixed: Sequence[str] = (),
-    bounds: Bounds | None = None,
-    folder: str | Path | None = None,
-    executor: Executor | None = None,
-    progress: Callable[[Advance], None] | None = None,
-    **settings: Any,  # noqa: ANN401 - the estimator checks them
-) -> Reduction:
-    """Hold the worst determined parameter, fit the rest, and go on until the fit suffers.
-
-    A parameter is held at zero if its bounds allow that, else at its value. It ends when all
-    figures are within their guidelines (insensitivity 10 %, Cramér-Rao 20 %) or a step is rejected;
-    a fit that fails is a step too, and its parameter is left alone from then on.
+@dataclass(frozen=True, kw_only=True)
+class ReductionRule:
+    """What a reduction tries, and when it ends.
 
     Parameters
     ----------
-    model, data, estimator, start, fixed, bounds, folder, executor, progress, settings
-        As in `compare_bounds`; not "match", which gives no standard errors. Each fit starts from
-        the one before.
     criterion : str
         "aicc": a step must lower the corrected Akaike criterion; "cost": it must not raise the cost
         by more than ``rise`` of the whole structure's. Unless given, the first where the cost is a
         likelihood.
+    rise : float
+        Share of the cost.
     protect : sequence of str
         Parameters that are never held.
     replay : mapping
@@ -127,29 +106,69 @@ def reduce_structure(
     Raises
     ------
     ModelError
-        An unknown parameter or criterion, a match.
+        Another criterion.
+    """
+
+    criterion: str | None = None
+    rise: float = 0.05
+    protect: Sequence[str] = ()
+    replay: Mapping[str, float] | None = None
+    candidates: int = 1
+
+    def __post_init__(self) -> None:
+        if self.criterion not in (None, *CRITERIA):
+            raise ModelError(f"criterion={self.criterion!r}: expected one of {', '.join(CRITERIA)}")
+
+
+def reduce_structure(
+    model: Model,
+    data: Data,
+    *,
+    estimator: Estimator = OutputError(),
+    rule: ReductionRule = ReductionRule(),
+    start: Model | AnyFit | None = None,
+    fixed: Sequence[str] = (),
+    bounds: Bounds | None = None,
+    execution: Execution = Execution(),
+) -> Reduction:
+    """Hold the worst determined parameter, fit the rest, and go on until the fit suffers.
+
+    A parameter is held at zero if its bounds allow that, else at its value. It ends when all
+    figures are within their guidelines (insensitivity 10 %, Cramér-Rao 20 %) or a step is rejected;
+    a fit that fails is a step too, and its parameter is left alone from then on.
+
+    Parameters
+    ----------
+    model, data, estimator, start, fixed, bounds, execution
+        As in `compare_bounds`; not `Match`, which gives no standard errors. Each fit starts from
+        the one before.
+    rule : ReductionRule
+        What is tried, and when the fit suffers.
+
+    Raises
+    ------
+    ModelError
+        An unknown parameter, an estimator without standard errors.
     ConvergenceError
         The fit of the whole structure failed.
     """
-    _check(model, estimator, criterion, (*protect, *(replay or {})))
-    shared = setup(model, data, estimator=estimator, fixed=fixed, settings=settings)
+    replay = rule.replay
+    _check_known(model, (*rule.protect, *(replay or {})))
+    shared = setup(model, data, estimator=estimator, fixed=fixed)
 
     def fits(holds: Sequence[Mapping[str, float]], near: Model | AnyFit | None) -> list[Done]:
         jobs = [_job(shared, model, bounds, held, near) for held in holds]
-        done = run_trials(jobs, type(model), folder=folder, executor=executor, progress=progress)
-        return list(done.values())
+        return list(run_trials(jobs, type(model), execution).values())
 
     (whole,) = fits([{}], start)
-    if whole.reason:
-        raise ConvergenceError(f"reduce_structure: nothing held: {whole.reason}", whole.result)
-    full: AnyFit = whole.result
-    criterion = criterion or ("cost" if full.R is None else "aicc")
-    limit = full.cost + rise * abs(full.cost)
-    fit, held, passed, steps = full, dict[str, float](), set(protect), list[Step]()
-    while rows := _worst(fit, {*held, *passed}, replay, candidates):
+    full = _whole(whole)
+    criterion = rule.criterion or ("cost" if full.R is None else "aicc")
+    limit = full.cost + rule.rise * abs(full.cost)
+    fit, held, passed, steps = full, dict[str, float](), set(rule.protect), list[Step]()
+    while rows := _worst(fit, {*held, *passed}, replay, rule.candidates):
         values = [_value(row, replay) for row in rows]
         tried = fits([held | {r.name: v} for r, v in zip(rows, values, strict=True)], fit)
-        done, row, value = min(zip(tried, rows, values, strict=True), key=_dearness)
+        done, row, value = min(zip(tried, rows, values, strict=True), key=_cost)
         better = replay is not None or _stands(criterion, done.result, fit, limit, shared)
         step = _step(row, value, done, shared, accepted=not done.reason and better)
         steps.append(step)
@@ -170,16 +189,24 @@ def figures(row: ParameterEstimate) -> tuple[float, float]:
     return row.insensitivity / size, 2 * row.std_error / size
 
 
-def _check(model: Model, estimator: str, criterion: str | None, names: Sequence[str]) -> None:
-    if estimator == "match":
-        raise ModelError("a match gives no standard errors to reduce by; take another estimator")
-    if criterion not in (None, *CRITERIA):
-        raise ModelError(f"criterion={criterion!r}: expected one of {', '.join(CRITERIA)}")
+def _check_known(model: Model, names: Sequence[str]) -> None:
     if unknown := [name for name in names if name not in model.parameter_names()]:
         raise ModelError(
             f"{type(model).__name__} has no parameter {unknown[0]!r}; it has "
             f"{', '.join(model.parameter_names())}"
         )
+
+
+def _whole(done: Done) -> AnyFit:
+    """The fit of the whole structure, if it can be reduced."""
+    if done.reason:
+        raise ConvergenceError(f"reduce_structure: nothing held: {done.reason}", done.result)
+    fit: AnyFit = done.result
+    if all(np.isnan(row.std_error) for row in fit.parameters if not row.fixed):
+        raise ModelError(
+            f"{fit.method} gives no standard errors to reduce by; take another estimator"
+        )
+    return fit
 
 
 def _job(
@@ -214,7 +241,7 @@ def _value(row: ParameterEstimate, replay: Mapping[str, float] | None) -> float:
     return 0.0 if row.lower <= 0 <= row.upper else row.value
 
 
-def _dearness(tried: tuple[Done, ParameterEstimate, float]) -> float:
+def _cost(tried: tuple[Done, ParameterEstimate, float]) -> float:
     return np.inf if tried[0].reason else float(tried[0].result.cost)
 
 

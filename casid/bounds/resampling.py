@@ -1,9 +1,7 @@
 """The same fit many times: from other starts, with other noise, with the residuals shuffled."""
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +10,13 @@ from casid.arrays import Array
 from casid.bounds.cases import read_cases
 from casid.bounds.trials import Data, Draw, Setup, Trial, run_trials, setup, starting_values
 from casid.errors import ConvergenceError
+from casid.estimator import Estimator
 from casid.fit import AnyFit
-from casid.jobs.campaigns import Advance, Done
+from casid.jobs.campaigns import Execution
+from casid.jobs.store import Done
 from casid.model import Bounds, Model, free_parameters
 from casid.record import Record, stretches
+from casid.shooting.output_error import OutputError
 from casid.tabulation import csv_text, markdown_table
 
 SAME = 1e-6  # relative difference of costs that are the same minimum
@@ -131,25 +132,21 @@ def multistart(
     starts: int = 10,
     spread: float = 0.5,
     seed: int = 0,
-    estimator: str = "output_error",
-    start: Model | None = None,
+    estimator: Estimator = OutputError(),
     fixed: Sequence[str] = (),
     bounds: Bounds | None = None,
-    folder: str | Path | None = None,
-    executor: Executor | None = None,
-    progress: Callable[[Advance], None] | None = None,
-    **settings: Any,  # noqa: ANN401 - the estimator checks them
+    execution: Execution = Execution(),
 ) -> Multistart:
     """Fit from many starts and keep the best.
 
     Parameters
     ----------
-    model, data, estimator, start, fixed, bounds, folder, executor, progress, settings
+    model, data, estimator, fixed, bounds, execution
         As in `compare_bounds`.
     starts : int
-        How many; the first is the start itself.
+        How many; the first is the model's own values.
     spread : float
-        Standard deviation of the others about it, of each parameter's typical magnitude.
+        Standard deviation of the others about them, of each parameter's typical magnitude.
     seed : int
         Of the draws.
 
@@ -158,9 +155,9 @@ def multistart(
     ConvergenceError
         No start led to a minimum.
     """
-    shared = setup(model, data, estimator=estimator, fixed=fixed, settings=settings)
+    shared = setup(model, data, estimator=estimator, fixed=fixed)
     (case,) = read_cases(model, {"start": {}}, fixed, bounds)
-    free = free_parameters(start or model, fixed, bounds)
+    free = free_parameters(model, fixed, bounds)
     inside = free.index
     models = [free.model.with_vector(free.full(free.guess))]
     for k in range(1, starts):
@@ -172,7 +169,7 @@ def multistart(
         Trial(setup=shared, values=starting_values(model, each)[0], case=case).job(f"start {k}")
         for k, each in enumerate(models)
     ]
-    done = run_trials(jobs, type(model), folder=folder, executor=executor, progress=progress)
+    done = run_trials(jobs, type(model), execution)
     found = list(done.values())
     good: list[AnyFit] = [each.result for each in found if not each.reason]
     if not good:
@@ -220,17 +217,15 @@ class BlockDraw:
 
 def monte_carlo(
     model: Model,
-    records: Sequence[Record],
+    records: Record | Sequence[Record],
     *,
     noise: Mapping[str, float],
     runs: int = 50,
     seed: int = 0,
+    estimator: Estimator = OutputError(),
     fixed: Sequence[str] = (),
     bounds: Bounds | None = None,
-    folder: str | Path | None = None,
-    executor: Executor | None = None,
-    progress: Callable[[Advance], None] | None = None,
-    **settings: Any,  # noqa: ANN401 - the estimator checks them
+    execution: Execution = Execution(),
 ) -> Ensemble:
     """Simulate a model on the inputs of records, add noise, estimate; many times.
 
@@ -238,35 +233,33 @@ def monte_carlo(
     ----------
     model : Model
         The truth; every fit starts from it.
-    records : sequence of Record
+    records : Record or sequence of Record
         Inputs; of the outputs only which samples are missing.
     noise : mapping
         Standard deviation of every output's white noise.
     runs, seed : int
         Run k draws its noise from seed and k alone.
-    fixed, bounds, folder, executor, progress, settings
-        As in `compare_bounds`, of `output_error`.
+    estimator, fixed, bounds, execution
+        As in `compare_bounds`; an estimator from records.
     """
     clean = [_simulated(model, record) for record in stretches(records)]
     draws: list[Draw] = [NoiseDraw(dict(noise), (seed, run)) for run in range(runs)]
-    shared = setup(model, clean, estimator="output_error", fixed=fixed, settings=settings)
-    done = _drawn(model, None, shared, draws, bounds, folder, executor, progress)
+    shared = setup(model, clean, estimator=estimator, fixed=fixed)
+    done = _drawn(model, None, shared, draws, bounds, execution)
     return _ensemble(model, done, fixed, bounds)
 
 
 def bootstrap(
     fit: AnyFit,
-    records: Sequence[Record],
+    records: Record | Sequence[Record],
     *,
     runs: int = 50,
     block: float = 1.0,
     seed: int = 0,
+    estimator: Estimator = OutputError(),
     fixed: Sequence[str] = (),
     bounds: Bounds | None = None,
-    folder: str | Path | None = None,
-    executor: Executor | None = None,
-    progress: Callable[[Advance], None] | None = None,
-    **settings: Any,  # noqa: ANN401 - the estimator checks them
+    execution: Execution = Execution(),
 ) -> Ensemble:
     """Put the residuals of an output-error fit back in blocks and estimate again; many times.
 
@@ -277,38 +270,38 @@ def bootstrap(
     ----------
     fit : Fit
         Of these records, by `output_error`.
-    records : sequence of Record
+    records : Record or sequence of Record
         In the same order.
     runs, seed : int
         Run k draws its blocks from seed and k alone.
     block : float
         Length of the blocks [s]: longer than the residuals are correlated.
-    fixed, bounds, folder, executor, progress, settings
-        As in `compare_bounds`, of `output_error`.
+    estimator, fixed, bounds, execution
+        As in `compare_bounds`; an estimator from records.
 
     Raises
     ------
     ValueError
         A fit that is not one of these records.
     """
-    records = stretches(records)
-    if fit.initial_states is None or fit.biases is None or len(fit.biases) != len(records):
+    flown = stretches(records)
+    if fit.initial_states is None or fit.biases is None or len(fit.biases) != len(flown):
         raise ValueError(
-            f"bootstrap needs an output-error fit of these {len(records)} records; this is one by "
+            f"bootstrap needs an output-error fit of these {len(flown)} records; this is one by "
             f"{fit.method}"
         )
     model = fit.model
     simulated = [
         _simulated(model, record, x0, bias)
-        for record, x0, bias in zip(records, fit.initial_states, fit.biases, strict=True)
+        for record, x0, bias in zip(flown, fit.initial_states, fit.biases, strict=True)
     ]
     residuals = tuple(
         record.select(model.inputs, model.outputs).y - clean.y
-        for record, clean in zip(records, simulated, strict=True)
+        for record, clean in zip(flown, simulated, strict=True)
     )
     draws: list[Draw] = [BlockDraw(residuals, block, (seed, run)) for run in range(runs)]
-    shared = setup(model, simulated, estimator="output_error", fixed=fixed, settings=settings)
-    done = _drawn(model, fit, shared, draws, bounds, folder, executor, progress)
+    shared = setup(model, simulated, estimator=estimator, fixed=fixed)
+    done = _drawn(model, fit, shared, draws, bounds, execution)
     return _ensemble(model, done, fixed, bounds)
 
 
@@ -322,18 +315,21 @@ def _simulated(
 
 
 def _drawn(
-    model: Model, near: AnyFit | None, shared: Setup, draws: Sequence[Draw], bounds: Bounds | None,
-    folder: str | Path | None, executor: Executor | None,
-    progress: Callable[[Advance], None] | None,
-) -> list[Done]:  # fmt: skip
+    model: Model,
+    near: AnyFit | None,
+    shared: Setup,
+    draws: Sequence[Draw],
+    bounds: Bounds | None,
+    execution: Execution,
+) -> list[Done]:
+    """Fits to all draws, in order."""
     (case,) = read_cases(model, {"draw": {}}, shared.fixed, bounds)
     values, content = starting_values(model, near)
     jobs = [
         Trial(setup=shared, values=values, case=case, near=content, draw=draw).job(f"run {k}")
         for k, draw in enumerate(draws)
     ]
-    done = run_trials(jobs, type(model), folder=folder, executor=executor, progress=progress)
-    return list(done.values())
+    return list(run_trials(jobs, type(model), execution).values())
 
 
 def _ensemble(

@@ -1,32 +1,28 @@
 """One fit as a job: structure, case, data and estimator in, a fit out, in any process."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from casid.arrays import Array
-from casid.baseline.derivid import Derivid
 from casid.bounds.cases import Case, constrained, feasible, plain
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, Fit
-from casid.jobs.campaigns import Advance, Done, Job, Shelf, UnfinishedError, run_jobs
-from casid.jobs.store import source_digest
+from casid.jobs.campaigns import Execution, Job, UnfinishedError, run_jobs
+from casid.jobs.origins import source_digest
+from casid.jobs.store import Done
 from casid.jobs.transport import Reference, can_travel, refer, refuse_while_loading, resolve
-from casid.matching.match import Match
 from casid.matching.targets import Target
 from casid.model import Model
 from casid.record import Record
-from casid.shooting.output_error import OutputError
-from casid.values import digest
+from casid.values import decode, digest, encode
 
 Data: TypeAlias = Sequence[Record] | Sequence[Target] | Record | Target
-Content: TypeAlias = Mapping[str, Any]  # of a fit
 Draw: TypeAlias = Callable[[tuple[Any, ...]], tuple[Any, ...]]
 
 
@@ -38,29 +34,24 @@ class Setup:
     ----------
     reference : Reference
         The structure's class.
-    estimator : str or Estimator
-        One of `ESTIMATORS`, or the value itself.
+    estimator : Estimator
+        With all its settings.
     data : tuple
         Records or targets.
     fixed : tuple of str
         Parameters held.
-    settings : mapping
-        Further keyword arguments of the estimator.
     """
 
     reference: Reference
-    estimator: str | Estimator
+    estimator: Estimator
     data: tuple[Any, ...]
     fixed: tuple[str, ...]
-    settings: Mapping[str, Any]
 
     @cached_property
     def key(self) -> str:
         """Digest of all of it, and of the code that computes results."""
-        return digest(
-            source_digest(), self.reference.name, self.reference.text, self.estimator, self.data,
-            self.fixed, self.settings,
-        )  # fmt: skip
+        structure = (self.reference.name, self.reference.digest)
+        return digest(source_digest(), structure, self.estimator, self.data, self.fixed)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -75,8 +66,8 @@ class Trial:
         All of the structure's fields: the start, unless a job gives a better one, and the trim.
     case : Case
         Bounds and relations.
-    near : mapping or None
-        Content of a fit nearby, for a job that starts from no other.
+    near : JSON or None
+        A fit nearby, encoded, for a job that starts from no other.
     draw : callable or None
         Makes the fit's own data from the study's; it must survive pickling.
     """
@@ -84,115 +75,83 @@ class Trial:
     setup: Setup
     values: Mapping[str, Any]
     case: Case
-    near: Content | None = None
+    near: Any = None
     draw: Draw | None = None
 
     def job(self, name: str, after: Sequence[Job] = ()) -> Job:
         """The job of that name that starts from the nearest of ``after``."""
         case = (dict(self.case.bounds), [asdict(relation) for relation in self.case.relations])
-        near = None if self.near is None else {**self.near, "seconds": 0.0}
         key = digest(
-            self.setup.key, dict(self.values), case, near, self.draw, [job.key for job in after]
+            self.setup.key, self.values, case, self.near, self.draw, [job.key for job in after]
         )
         return Job(name=name, key=key, payload=self, after=tuple(job.name for job in after))
 
 
-def setup(
-    model: Model,
-    data: Data,
-    *,
-    estimator: str | Estimator,
-    fixed: Sequence[str],
-    settings: Mapping[str, Any],
-) -> Setup:
+def setup(model: Model, data: Data, *, estimator: Estimator, fixed: Sequence[str]) -> Setup:
     """What the fits of a structure to data share; what is the same for all is computed here.
 
     Raises
     ------
     ValueError
-        An unknown estimator.
+        No estimator; what its preparation refuses.
     """
-    if isinstance(estimator, str) and estimator not in ESTIMATORS:
-        known = ", ".join(map(repr, ESTIMATORS))
-        raise ValueError(f"estimator={estimator!r}: expected one of {known}")
-    given = dict(settings)
-    if "solver" in given:  # a callable does not travel
-        given["solver"] = replace(given["solver"], progress=None)
+    if isinstance(estimator, type) or not callable(getattr(estimator, "fit", None)):
+        raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
+            f'estimator={estimator!r}: expected an estimator with its settings, Match(norm="hinf") '
+            "or OutputError()"
+        )
     items = tuple(data) if isinstance(data, Sequence) else (data,)
-    return Setup(
-        reference=refer(type(model)), estimator=estimator, data=items, fixed=tuple(fixed),
-        settings=given,
-    )  # fmt: skip
+    prepare = getattr(estimator, "prepared", None)
+    shared = estimator if prepare is None else prepare(items)
+    return Setup(reference=refer(type(model)), estimator=shared, data=items, fixed=tuple(fixed))
 
 
-def named(estimator: str | Estimator) -> str:
-    """What tables call an estimator."""
-    return estimator if isinstance(estimator, str) else type(estimator).__name__
-
-
-def starting_values(
-    model: Model, start: Model | AnyFit | None
-) -> tuple[dict[str, Any], Content | None]:
-    """All fields of a model with the parameters of a start, and the start's content if a fit."""
+def starting_values(model: Model, start: Model | AnyFit | None) -> tuple[dict[str, Any], Any]:
+    """All fields of a model with the parameters of a start, and the start encoded if a fit."""
     values = {each.name: getattr(model, each.name) for each in fields(model)}
     guess = start.model if isinstance(start, Fit) else start
     if guess is not None:
         values |= {name: getattr(guess, name) for name in model.parameter_names()}
-    return values, start.content() if isinstance(start, Fit) else None
+    # How long the start took makes no other result.
+    return values, encode(replace(start, seconds=0.0)) if isinstance(start, Fit) else None
 
 
 def run_trials(
-    jobs: Sequence[Job],
-    structure: type[Model],
-    *,
-    folder: str | Path | None = None,
-    executor: Executor | None = None,
-    progress: Callable[[Advance], None] | None = None,
+    jobs: Sequence[Job], structure: type[Model], execution: Execution
 ) -> dict[str, Done]:
     """Do all jobs; the result of each is a `Fit`, or None where there is nothing to show.
 
     A class that other processes cannot read keeps the fits in this one.
     """
     refuse_while_loading()
-    done = run_jobs(
-        work, jobs, shelf=Shelf(folder), executor=executor, progress=progress,
-        here=not can_travel(structure),
-    )  # fmt: skip
-    return {
-        name: each
-        if each.result is None
-        else replace(each, result=Fit.from_content(each.result, model=structure))
-        for name, each in done.items()
-    }
+    return run_jobs(work, jobs, execution, also=(structure,), here=not can_travel(structure))
 
 
-def work(job: Trial, start: Content | None) -> Content:
-    """Fit; ``start`` is the content of a fit nearby.
+def work(job: Trial, start: Any) -> AnyFit:  # noqa: ANN401 - JSON is any
+    """Fit; ``start`` is a fit nearby, encoded.
 
     Raises
     ------
     UnfinishedError
-        No convergence; with the content of the best iterate.
+        No convergence; with the best iterate.
     """
     setup = job.setup
     cls = resolve(setup.reference)
     model = cls(**job.values)
-    start = job.near if start is None else start
-    near = None if start is None else Fit.from_content(start, model=cls)
+    near: AnyFit | None = decode(job.near if start is None else start, (cls,))
     if near is not None:
         known = {name: getattr(near.model, name) for name in cls.parameter_names()}
         model = replace(model, **known)
     inside, sizes = constrained(feasible(model, job.case, near), job.case)
     data = setup.data if job.draw is None else job.draw(setup.data)
-    chosen = setup.estimator
-    estimator = ESTIMATORS[chosen](**setup.settings) if isinstance(chosen, str) else chosen
+    bounds = job.case.bounds
     try:
-        fit = estimator.fit(inside, data, fixed=setup.fixed, bounds=job.case.bounds, near=near)
+        fit = setup.estimator.fit(inside, data, fixed=setup.fixed, bounds=bounds, near=near)
     except ConvergenceError as error:
         best = error.best
-        content = _own(best, cls, sizes).content() if isinstance(best, Fit) else None
-        raise UnfinishedError(str(error), content) from error
-    return _own(fit, cls, sizes).content()
+        shown = _own(best, cls, sizes) if isinstance(best, Fit) else None
+        raise UnfinishedError(str(error), shown) from error
+    return _own(fit, cls, sizes)
 
 
 def _own(fit: AnyFit, cls: type[Model], sizes: Array) -> AnyFit:
@@ -212,11 +171,9 @@ def _own(fit: AnyFit, cls: type[Model], sizes: Array) -> AnyFit:
     return replace(fit, model=plain(fit.model, cls), constraints=constraints)
 
 
-ESTIMATORS: Mapping[str, Callable[..., Estimator]] = {
-    "match": Match,
-    "output_error": OutputError,
-    "derivid": Derivid,
-}
+def in_words(name: str) -> str:
+    """``OutputError`` as "output error"."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
 
 
 # ---- what a fit says about its likelihood --------------------------------------------------------

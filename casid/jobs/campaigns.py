@@ -5,9 +5,7 @@ job starts from the same place, and a study gives the same result on any number 
 after an interruption. Each result is a file of its own, written whole or not at all.
 """
 
-import hashlib
 import logging
-import re
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -19,13 +17,14 @@ from concurrent.futures import (
     Future,
     wait,
 )
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from casid.errors import DataWarning
-from casid.files import read_json, write_json
-from casid.jobs.workers import Borrowed, Here, Own, Workers, processors
+from casid.jobs.store import Done, Store
+from casid.jobs.workers import OtherExecutor, OwnProcesses, SameProcess, Workers, processors
+from casid.values import decode, encode
 
 LOG = logging.getLogger("casid")
 
@@ -63,20 +62,8 @@ class Job:
     after: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Done:
-    """What became of a job; ``reason`` says why it failed, and is empty if it did not."""
-
-    result: Any
-    reason: str = ""
-    seconds: float = 0.0
-    warnings: tuple[str, ...] = ()
-    kept: bool = False
-    source: str = ""
-
-
 @dataclass(frozen=True, kw_only=True)
-class Advance:
+class CampaignProgress:
     """How far a campaign is; ``remaining`` [s] is expected from the pace so far."""
 
     name: str
@@ -102,53 +89,32 @@ class Advance:
         )
 
 
-class Shelf:
-    """Finished jobs of one study in one folder, a file each; without a folder none is kept.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Execution:
+    """Where many fits run, where their results are kept, and who is told.
 
-    Results must be plain values and arrays.
+    Parameters
+    ----------
+    folder : path
+        Where each result is kept as soon as it is there; interrupted work goes on from there.
+    executor : Executor
+        Any of ``concurrent.futures``, or Dask's ``Client.get_executor()``. Unless given, up to four
+        fits run in this process and more of them in one process per processor.
+    progress : callable
+        Called with a `CampaignProgress` after every fit; the "casid" logger tells the same.
     """
 
-    def __init__(self, folder: str | Path | None) -> None:
-        self.folder = None if folder is None else Path(folder)
-
-    def path(self, name: str) -> Path:
-        """File of a job."""
-        short = re.sub(r"[^A-Za-z0-9.+-]+", "_", name)[:40].strip("_")
-        unique = hashlib.sha256(name.encode()).hexdigest()[:8]
-        return (self.folder or Path()) / f"{short}.{unique}.json"
-
-    def get(self, name: str, key: str) -> Done | None:
-        """What is kept of a job; None unless it was finished with the same key."""
-        if self.folder is None or not self.path(name).exists():
-            return None
-        try:
-            content = read_json(self.path(name))
-            if content["casid"] != "job" or content["key"] != key:
-                return None
-            return Done(
-                result=content["result"], reason=content["reason"], seconds=content["seconds"],
-                warnings=tuple(content["warnings"]), source=content["source"], kept=True,
-            )  # fmt: skip
-        except (ValueError, TypeError, LookupError):  # another version's file: compute it again
-            return None
-
-    def put(self, name: str, key: str, done: Done) -> None:
-        """Keep a finished job."""
-        if self.folder is None:
-            return
-        content = {"casid": "job", "name": name, "key": key, "reason": done.reason,
-                   "seconds": done.seconds, "warnings": list(done.warnings),
-                   "source": done.source, "result": done.result}  # fmt: skip
-        write_json(self.path(name), content)
+    folder: str | Path | None = None
+    executor: Executor | None = None
+    progress: Callable[[CampaignProgress], None] | None = None
 
 
 def run_jobs(
     work: Callable[[Any, Any], Any],
     jobs: Sequence[Job],
+    execution: Execution = Execution(),
     *,
-    shelf: Shelf,
-    executor: Executor | None = None,
-    progress: Callable[[Advance], None] | None = None,
+    also: Sequence[type] = (),
     here: bool = False,
 ) -> dict[str, Done]:
     """Do all jobs; one that fails leaves its reason.
@@ -156,17 +122,14 @@ def run_jobs(
     Parameters
     ----------
     work : callable
-        ``work(payload, start)`` with the result the job starts from, or None; a function of a
-        module, so that other processes find it.
+        ``work(payload, start)`` with the encoded result the job starts from, or None; a function of
+        a module, so that other processes find it.
     jobs : sequence of Job
         In the order in which to begin them; one stands after those it starts from.
-    shelf : Shelf
-        Where results are kept and found.
-    executor : Executor
-        Any of ``concurrent.futures``; without one, up to four jobs run in this process, more of
-        them in one process per processor.
-    progress : callable
-        Called with an `Advance` after every job.
+    execution : Execution
+        Where they run.
+    also : sequence of type
+        Classes that results may hold beside casid's own.
     here : bool
         Without an executor, stay in this process however many the jobs.
 
@@ -174,17 +137,21 @@ def run_jobs(
     -------
     dict
         By name, in the order of the jobs.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        The user's; what is finished is kept, what is not is no result.
     """
-    done = {job.name: kept for job in jobs if (kept := shelf.get(job.name, job.key)) is not None}
-    campaign = _Campaign(work, jobs, done, shelf, progress)
-    if len(done) < len(jobs):
-        if executor is not None:
-            campaign.run(Borrowed(executor))
-        elif here or len(jobs) <= FEW:
-            campaign.run(Here())
-        else:
-            with Own(min(processors(), len(jobs) - len(done))) as pool:
-                campaign.run(pool)
+    campaign = _Campaign(work, jobs, execution, Store(execution.folder, also))
+    missing = len(jobs) - len(campaign.done)
+    if missing and execution.executor is not None:
+        campaign.run(OtherExecutor(execution.executor))
+    elif missing and (here or len(jobs) <= FEW):
+        campaign.run(SameProcess())
+    elif missing:
+        with OwnProcesses(min(processors(), missing)) as pool:
+            campaign.run(pool)
     return {job.name: campaign.done[job.name] for job in jobs}
 
 
@@ -195,13 +162,14 @@ class _Campaign:
         self,
         work: Callable[[Any, Any], Any],
         jobs: Sequence[Job],
-        done: dict[str, Done],
-        shelf: Shelf,
-        progress: Callable[[Advance], None] | None,
+        execution: Execution,
+        store: Store,
     ) -> None:
-        self.work, self.jobs, self.done, self.shelf = work, jobs, done, shelf
-        self.progress = progress
-        self.kept = len(done)
+        self.work, self.jobs, self.store = work, jobs, store
+        self.progress = execution.progress
+        kept = {job.name: store.get(job.name, job.key) for job in jobs}
+        self.done = {name: done for name, done in kept.items() if done is not None}
+        self.kept = len(self.done)
         self.begin = time.perf_counter()
         self.attempts: dict[str, int] = {}
 
@@ -218,7 +186,7 @@ class _Campaign:
             finished, _ = wait(running, return_when=FIRST_COMPLETED)
             broken = [future for future in finished if isinstance(_error(future), BrokenExecutor)]
             for future in finished.difference(broken):
-                self._finish(running.pop(future), _outcome(future), keep=_error(future) is None)
+                self._finish(running.pop(future), self._outcome(future), keep=not _error(future))
             if broken:
                 self._died(running, workers)
 
@@ -239,8 +207,17 @@ class _Campaign:
     def _start(self, job: Job) -> tuple[Any, str]:
         for name in job.after:
             if not self.done[name].reason:
-                return self.done[name].result, name
+                return encode(self.done[name].result), name
         return None, ""
+
+    def _outcome(self, future: "Future[Done]") -> Done:
+        error = _error(future)
+        if isinstance(error, KeyboardInterrupt):  # in a process of the user's executor
+            raise error
+        if error is not None:
+            return Done(result=None, reason=f"{type(error).__name__}: {error}")
+        done = future.result()
+        return replace(done, result=decode(done.result, self.store.also))
 
     def _died(self, running: dict[Future[Done], Job], workers: "Workers") -> None:
         """A process died; which job killed it shows when they are tried again, one at a time."""
@@ -257,10 +234,10 @@ class _Campaign:
     def _finish(self, job: Job, done: Done, *, keep: bool) -> None:
         self.done[job.name] = done
         if keep:
-            self.shelf.put(job.name, job.key, done)
+            self.store.put(job.name, job.key, done)
         elapsed = time.perf_counter() - self.begin
         left, fresh = len(self.jobs) - len(self.done), len(self.done) - self.kept
-        advance = Advance(
+        advance = CampaignProgress(
             name=job.name, done=len(self.done), total=len(self.jobs), seconds=done.seconds,
             failed=sum(1 for each in self.done.values() if each.reason),
             elapsed=elapsed, remaining=elapsed / fresh * left,
@@ -271,7 +248,7 @@ class _Campaign:
 
 
 def _attempt(work: Callable[[Any, Any], Any], job: Job, start: Any, source: str) -> Done:  # noqa: ANN401
-    """Do one job where it is sent; a failure is a result too."""
+    """Do one job where it is sent; a failure is a result too. The result travels encoded."""
     begin = time.perf_counter()
     result, reason = None, ""
     with warnings.catch_warnings(record=True) as caught:
@@ -284,19 +261,13 @@ def _attempt(work: Callable[[Any, Any], Any], job: Job, start: Any, source: str)
             reason = f"{type(error).__name__}: {error}"
     said = tuple(dict.fromkeys(str(each.message) for each in caught))
     seconds = time.perf_counter() - begin
+    result = encode(result)
     return Done(result=result, reason=reason, seconds=seconds, warnings=said, source=source)
 
 
 def _error(future: "Future[Done]") -> BaseException | None:
-    """What became of the sending, not of the job itself: a lost process, a payload too large."""
+    """Why a job did not come back: a lost process, a payload too large; not its own failure."""
     return CancelledError("cancelled") if future.cancelled() else future.exception()
-
-
-def _outcome(future: "Future[Done]") -> Done:
-    error = _error(future)
-    if error is None:
-        return future.result()
-    return Done(result=None, reason=f"{type(error).__name__}: {error}")
 
 
 def _clock(seconds: float) -> str:

@@ -1,102 +1,92 @@
-"""Results of a study's stages on disk, so that an interrupted study goes on where it stopped.
+"""Results on disk, so that interrupted work goes on where it stopped.
 
-Every stage has a file and a key; the key is a digest of all the stage depends on, so a result is
-taken again only if nothing it rests on has changed. `casid.files.write_text` replaces files whole,
-and the index is written after the result: a crash leaves the stage as not done.
+Stages of a study and the jobs of a campaign are kept alike: a file each, written whole or not at
+all, with a key in it, a digest of all the result depends on. A result is taken again only if
+nothing it rests on has changed.
 """
 
-import dataclasses
 import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from casid.files import read_json, write_json
-from casid.fit import Fit
-from casid.model import Model
 from casid.values import decode, encode
 
-SHOWING = (
-    "cli.py",
-    "commands",
-    "jobs",
-    "report",
-    "studies",
-)  # code that changes no result of a stage
-
-Result = Any  # a fit, or a frozen value that `storable` marks
+PLAIN = re.compile(r"[a-z0-9_]{1,40}")  # names that are file names on every system
+DAMAGED = (ValueError, TypeError, LookupError, AttributeError, RecursionError)
 
 
-@dataclasses.dataclass(frozen=True)
-class Entry:
-    """What the index says of a finished stage; ``warnings`` are those it gave."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Done:
+    """Result of a stage or a job.
 
-    key: str
-    seconds: float
+    Parameters
+    ----------
+    result
+        What it found; of one that failed what it has to show, or None.
+    reason : str
+        Why it failed; empty if it did not.
+    seconds : float
+        How long it took.
+    warnings : tuple of str
+        What it warned of.
+    source : str
+        Job from whose result it started.
+    kept : bool
+        Whether it was done in an earlier run.
+    """
+
+    result: Any
+    reason: str = ""
+    seconds: float = 0.0
     warnings: tuple[str, ...] = ()
+    source: str = ""
+    kept: bool = False
 
 
 class Store:
-    """Finished stages of one study in one folder."""
+    """Results in one folder; without a folder none is kept.
 
-    def __init__(self, folder: str | Path, model: type[Model]) -> None:
-        self.folder = Path(folder)
-        self._model = model
+    Parameters
+    ----------
+    folder : path or None
+        Made when the first result is kept.
+    also : sequence of type
+        Classes that results may hold beside casid's own: the user's structure.
+    """
 
-    def get(self, stage: str, key: str) -> tuple[Result, Entry] | None:
-        """Result and entry of a stage; None unless it was finished with the same key."""
-        entry = self._index().get(stage)
-        if entry is None or entry.key != key:
+    def __init__(self, folder: str | Path | None, also: Sequence[type] = ()) -> None:
+        self.folder = None if folder is None else Path(folder)
+        self.also = also
+
+    def path(self, name: str) -> Path:
+        """File of a result."""
+        if not PLAIN.fullmatch(name):
+            short = re.sub(r"[^A-Za-z0-9.+-]+", "_", name)[:40].strip("_")
+            name = f"{short}.{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+        return (self.folder or Path()) / f"{name}.json"
+
+    def get(self, name: str, key: str) -> Done | None:
+        """What is kept under a name; None unless it was finished with the same key."""
+        if self.folder is None or not self.path(name).exists():
             return None
         try:
-            return self._read(stage), entry
-        except (
-            ValueError,
-            TypeError,
-            LookupError,
-            AttributeError,
-            RecursionError,
-        ):  # another version's file: compute it again
+            content = read_json(self.path(name))
+            if content["casid"] != "result" or content["key"] != key:
+                return None
+            parts = {part: decode(content[part], self.also) for part in PARTS}
+            return Done(**parts, kept=True)
+        except DAMAGED:  # or another version's file: compute it again
             return None
 
-    def put(self, stage: str, result: Result, entry: Entry) -> None:
-        """Keep a finished stage."""
-        if isinstance(result, Fit):
-            result.save(self.path(stage))
-        else:
-            write_json(self.path(stage), {"casid": "stage", "result": encode(result)})
-        index = self._index() | {stage: entry}
-        write_json(self.folder / "index.json", {k: dataclasses.asdict(v) for k, v in index.items()})
-
-    def path(self, stage: str) -> Path:
-        """File of a stage's result."""
-        return self.folder / f"{stage}.json"
-
-    def _read(self, stage: str) -> Result:
-        content = read_json(self.path(stage))
-        if content.get("casid") == "fit":
-            return Fit.load(self.path(stage), model=self._model)
-        result = decode(content["result"])
-        if not dataclasses.is_dataclass(result):
-            raise ValueError(f"{self.path(stage)} holds no result of a stage")
-        return result
-
-    def _index(self) -> dict[str, Entry]:
-        try:
-            content = read_json(self.folder / "index.json")
-            return {
-                stage: Entry(e["key"], e["seconds"], tuple(e["warnings"]))
-                for stage, e in content.items()
-            }
-        except (ValueError, TypeError, KeyError):
-            return {}
+    def put(self, name: str, key: str, done: Done) -> None:
+        """Keep a result."""
+        if self.folder is not None:
+            parts = {part: encode(getattr(done, part)) for part in PARTS}
+            write_json(self.path(name), {"casid": "result", "name": name, "key": key} | parts)
 
 
-def source_digest() -> str:
-    """Digest of the code that computes results: a result of another version is not taken."""
-    folder = Path(__file__).parents[1]
-    sha = hashlib.sha256()
-    for file in sorted(folder.rglob("*.py")):
-        place = file.relative_to(folder)
-        if place.parts[0] not in SHOWING:
-            sha.update(place.as_posix().encode() + file.read_bytes())
-    return sha.hexdigest()
+PARTS = ("reason", "seconds", "warnings", "source", "result")

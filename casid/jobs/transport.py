@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from casid.errors import ModelError
+from casid.jobs.origins import structure_digest
 from casid.model import Model
 from casid.structure.modelfile import load_model
 
@@ -25,12 +26,14 @@ _LOADING: list[str] = []
 class Reference:
     """A structure's class: its name, the file it stands in and the text of that file.
 
-    ``path`` is empty for a class without a file, which cannot leave its process.
+    ``path`` is empty for a class without a file, which cannot leave its process. ``digest`` is of
+    the file and of the user's modules that it imports.
     """
 
     name: str
     path: str
     text: str
+    digest: str = ""
 
     @property
     def key(self) -> tuple[str, str]:
@@ -47,9 +50,9 @@ def refer(cls: type[Model]) -> Reference:
     text = ""
     if path is not None and Path(path).is_file():
         text = Path(path).read_text(encoding="utf-8")
-    reference = Reference(
-        name=cls.__qualname__, path=str(Path(path).resolve()) if path and text else "", text=text
-    )
+    place = str(Path(path).resolve()) if path and text else ""
+    rest = structure_digest(place) if place else ""
+    reference = Reference(name=cls.__qualname__, path=place, text=text, digest=rest)
     _KNOWN[reference.key] = cls
     return reference
 

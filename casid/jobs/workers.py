@@ -2,11 +2,13 @@
 
 import multiprocessing
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future
 from concurrent.futures import ProcessPoolExecutor as Pool
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import Any, Protocol
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -20,7 +22,7 @@ def processors() -> int:
 
 
 class Workers(Protocol):
-    """Whoever does jobs."""
+    """An executor of jobs."""
 
     @property
     def slots(self) -> int:
@@ -36,7 +38,7 @@ class Workers(Protocol):
         ...
 
 
-class Here:
+class SameProcess:
     """In this process, one job at a time."""
 
     slots = 1
@@ -52,7 +54,7 @@ class Here:
         return True
 
 
-class Borrowed:
+class OtherExecutor:
     """The user's executor; as many jobs as there are."""
 
     slots = sys.maxsize
@@ -74,11 +76,12 @@ class Borrowed:
         return False
 
 
-class Own:
+class OwnProcesses:
     """Processes of our own; new ones when one has died."""
 
     def __init__(self, count: int) -> None:
         self.slots, self._count = 2 * count, count
+        self._others = set(multiprocessing.active_children())
         self._pool = self._new()
 
     def _new(self) -> Pool:
@@ -89,10 +92,13 @@ class Own:
                 pool.submit(processors)
         return pool
 
-    def __enter__(self) -> "Own":
+    def __enter__(self) -> "OwnProcesses":
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:  # interrupted: what still runs is no result
+            for process in set(multiprocessing.active_children()) - self._others:
+                process.terminate()
         self._pool.shutdown(cancel_futures=True)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":  # noqa: ANN401
@@ -109,19 +115,31 @@ class Own:
 
 @contextmanager
 def _surroundings() -> Iterator[None]:
-    """What processes started here find: one BLAS thread each, and nobody's script to run again.
+    """What processes started here find: one BLAS thread, no interrupts, no script to run again.
 
     A new process imports the script it was started from; one without ``if __name__ ==
-    "__main__"`` would begin its study once more in every process. Jobs need nothing of it.
+    "__main__"`` would begin its study once more in every process. Jobs need nothing of it. An
+    interrupt from the keyboard reaches all processes of a terminal: this one ends the others.
     """
     added = [name for name in ONE_THREAD if name not in os.environ]
     os.environ.update(dict.fromkeys(added, "1"))
     main = vars(sys.modules["__main__"])
     hidden: Mapping[str, Any] = {key: main.pop(key) for key in ("__file__",) if key in main}
     spec, main["__spec__"] = main.get("__spec__"), None
+    mask = _block_interrupts()
     try:
         yield
     finally:
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         main.update(hidden, __spec__=spec)
         for name in added:
             del os.environ[name]
+
+
+def _block_interrupts() -> set[signal.Signals | int] | None:
+    """Hold interrupts back, as new processes then do for good; what was held back before."""
+    if not hasattr(signal, "pthread_sigmask"):  # no POSIX system
+        return None
+    resource_tracker.ensure_running()  # starting it later would let them through again
+    return signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

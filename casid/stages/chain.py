@@ -5,7 +5,7 @@ section 3: records to a black box (3.2), black box to structure (3.3), refinemen
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from casid.fit import AnyFit, Fit
@@ -40,6 +40,13 @@ class Chain:
     black_box: BlackBox | None = None
     refinement: tuple[Record, ...] = ()
     sweeps: tuple[Record, ...] = ()
+
+    def prepared(self, data: Record | Sequence[Record]) -> "Chain":
+        """The same with its black box estimated: many fits to the same records share it."""
+        if self.black_box is not None:
+            return self
+        own = self.settings.get(BLACK_BOX.table, BLACK_BOX.settings)
+        return replace(self, black_box=own.fit(several(data)))
 
     def fit(
         self,

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, cast
 
 from casid.bounds.cases import read_cases
@@ -51,7 +52,6 @@ def _check(settings: Cases, task: Task) -> None:
 
 def _run(settings: Cases, task: Task) -> BoundsComparison:
     estimator, data, start = _estimation(settings, task)
-    execution = task.execution
     found = compare_bounds(
         task.model,
         data,
@@ -61,13 +61,12 @@ def _run(settings: Cases, task: Task) -> BoundsComparison:
         bounds=task.bounds,
         estimator=estimator,
         validation=task.records,
-        folder=execution.folder,
-        executor=execution.executor,
-        progress=execution.progress,
+        execution=task.execution,
     )
-    if execution.folder is not None:
-        found.to_csv(execution.folder.with_suffix(".csv"))
-        write_text(execution.folder.with_suffix(".md"), found.to_markdown() + "\n")
+    if task.execution.folder is not None:
+        folder = Path(task.execution.folder)
+        found.to_csv(folder.with_suffix(".csv"))
+        write_text(folder.with_suffix(".md"), found.to_markdown() + "\n")
     return found
 
 

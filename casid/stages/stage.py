@@ -6,13 +6,11 @@ chain, the runner of studies, resuming, the report and the help of the command l
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Literal, Protocol, TypeAlias, get_args
 
 from casid.errors import ConvergenceError
-from casid.jobs.campaigns import Advance
+from casid.jobs.campaigns import Execution
 from casid.model import Bounds, Model
 from casid.record import Record
 from casid.report.content import Content, Section
@@ -21,15 +19,6 @@ from casid.validation import AnyModel
 
 Role: TypeAlias = Literal["identification", "frequency", "refinement", "validation"]
 ROLES: tuple[Role, ...] = get_args(Role)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Execution:
-    """Where many fits run (any executor), in which folder they are kept, who is told."""
-
-    folder: Path | None = None
-    executor: Executor | None = None
-    progress: Callable[[Advance], None] | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

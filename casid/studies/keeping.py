@@ -12,11 +12,12 @@ from typing import Any, Protocol, TypeVar
 
 from casid.errors import ConvergenceError, DataWarning
 from casid.fit import Fit
-from casid.jobs.campaigns import Advance
-from casid.jobs.store import Entry, Store, source_digest
+from casid.jobs.campaigns import CampaignProgress, Execution
+from casid.jobs.origins import source_digest, structure_digest
+from casid.jobs.store import Done, Store
 from casid.nlp import Progress
 from casid.report.content import Timing
-from casid.stages.stage import Execution, LeftOutError, Stage, Task
+from casid.stages.stage import LeftOutError, Stage, Task
 from casid.studies.study import Study
 from casid.values import digest
 
@@ -78,7 +79,7 @@ class Keeper:
         self._study, self._fresh, self._command = study, fresh, command
         self._watch, self.clock = watch, clock
         self.warnings: list[str] = []
-        self._store = Store(study.output / "stages", type(study.model))
+        self._store = Store(study.output / "stages", (type(study.model),))
         self._keys: dict[str, str] = {}
         self._source = source_digest()
 
@@ -92,10 +93,9 @@ class Keeper:
         kept = None if self._fresh else self._store.get(stage.name, key)
         if kept is None:
             return self._computed(stage, settings, task, key)
-        result, entry = kept
-        self.warnings += entry.warnings
-        self._note(stage.name, entry.seconds, result, kept=True)
-        return result
+        self.warnings += kept.warnings
+        self._note(stage.name, kept.seconds, kept.result, kept=True)
+        return kept.result
 
     def timed(self, name: str, compute: Callable[[], T]) -> T:
         """Compute a step that is not kept."""
@@ -117,7 +117,8 @@ class Keeper:
         seconds = time.perf_counter() - start
         said = tuple(dict.fromkeys(str(each.message) for each in caught))
         self.warnings += said
-        self._store.put(stage.name, result, Entry(key, seconds, said))
+        done = Done(result=result, seconds=seconds, warnings=said)
+        self._store.put(stage.name, key, done)
         self._note(stage.name, seconds, result)
         return result
 
@@ -143,7 +144,7 @@ class Keeper:
         """What a stage of another command found, if it still holds; if asked for, run it."""
         folder = self._study.output / stage.name
 
-        def progress(advance: Advance) -> None:
+        def progress(advance: CampaignProgress) -> None:
             self._watch.end(Timing(stage=advance.name, seconds=advance.seconds))
             done = f"{advance.done} of {advance.total}, {advance.left} left"
             self._watch.begin(f"{stage.name}, {done}")
@@ -175,7 +176,7 @@ class Keeper:
         parts: list[Any] = [self._source, _own_source(stage), before, settings, task.records]
         if stage.structured:
             study = self._study
-            parts += [study.model_file.read_text(encoding="utf-8"), asdict(study.model)]
+            parts += [structure_digest(study.model_file), asdict(study.model)]
             parts += [study.fixed, study.bounds]
         return digest(*parts)
 

@@ -10,7 +10,16 @@ from truths.mixture import Inline, Mixture, record
 from truths.roll_study import write_study
 from truths.structures import black_box
 
-from casid import Chain, FrequencyResponse, StateSpace, compare_bounds
+from casid import (
+    Chain,
+    Derivid,
+    Execution,
+    FrequencyResponse,
+    Match,
+    OutputError,
+    StateSpace,
+    compare_bounds,
+)
 from casid.cli import main
 from casid.report import plot_bounds
 from casid.stages.black_box import Pbsid
@@ -19,6 +28,7 @@ from casid.stages.matching import Matching
 OMEGA = np.geomspace(0.2, 8.0, 25)
 OTHER = StateSpace([[-2.0, 1.0], [0.0, -0.7]], [[1.0], [1.0]], [[1.5, 0.4]], [[0.05]],
                    inputs=("u",), outputs=("y",))  # fmt: skip
+HERE = Execution(executor=Inline())
 TARGET = black_box(OTHER, (0.2, 8.0))
 
 
@@ -33,13 +43,13 @@ def measured(system=OTHER):
 
 def priced(cases, **arguments):
     data = arguments.pop("data")
-    return compare_bounds(Mixture(), data, cases=cases, executor=Inline(), **arguments)
+    return compare_bounds(Mixture(), data, cases=cases, execution=HERE, **arguments)
 
 
 ESTIMATORS = {
-    "hinf": {"data": TARGET, "estimator": "match", "norm": "hinf", "omega": OMEGA},
-    "derivid": {"data": measured(), "estimator": "derivid", "starts": 2},
-    "output_error": {"data": [record()], "estimator": "output_error"},
+    "hinf": {"data": TARGET, "estimator": Match(omega=OMEGA)},
+    "derivid": {"data": measured(), "estimator": Derivid(starts=2)},
+    "output_error": {"data": [record()], "estimator": OutputError()},
 }
 
 

@@ -5,23 +5,9 @@ import warnings
 import pytest
 from truths.roll_study import write_study
 
-from casid import ConvergenceError, DataWarning, Model, read_study, run_study
-from casid.jobs.store import Entry, Store
+from casid import ConvergenceError, DataWarning, read_study, run_study
 from casid.shooting.output_error import OutputError
 from casid.stages.black_box import Pbsid
-
-
-def test_a_stage_whose_file_was_lost_or_broken_is_not_taken(tmp_path):
-    store = Store(tmp_path, Model)
-    (tmp_path / "index.json").write_text('{"pbsid": {"key": "k", "seconds": 1, "warnings": []}}')
-    assert store.get("pbsid", "k") is None
-    (tmp_path / "pbsid.json").write_text('{"casid": "stage", "result": {"value": "os:system"')
-    assert store.get("pbsid", "k") is None
-    (tmp_path / "pbsid.json").write_text(
-        '{"casid": "stage", "result": {"value": "os:system", "fields": {"command": "true"}}}'
-    )
-    assert store.get("pbsid", "k") is None
-    assert Entry("k", 1.0).warnings == ()
 
 
 def _kept(outcome):

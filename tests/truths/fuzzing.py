@@ -201,9 +201,7 @@ def check_stage(content):
     stages = FOLDER / "stages"
     stages.mkdir(exist_ok=True)
     (stages / "pbsid.json").write_text(json.dumps(content), encoding="utf-8")
-    index = {"pbsid": {"key": "k", "seconds": 0.0, "warnings": []}}
-    (stages / "index.json").write_text(json.dumps(index), encoding="utf-8")
-    Store(stages, _structure()).get("pbsid", "k")  # a result or None, whatever is there
+    Store(stages, (_structure(),)).get("pbsid", "k")  # a result or None, whatever is there
 
 
 def check_study(data):

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from truths.mixture import NOISE, TRUTH, Inline, Mixture, least_squares, record
 
-from casid import bootstrap, monte_carlo, multistart, output_error
+from casid import Execution, bootstrap, monte_carlo, multistart, output_error
 
+HERE = Execution(executor=Inline())
 RUNS = 40
 SPREAD = 4 / np.sqrt(2 * (RUNS - 1))  # four standard deviations of a standard deviation
 
@@ -21,13 +22,13 @@ def test_all_starts_of_a_linear_problem_end_in_one_minimum():
     assert len({start.a for start in found.starts}) == 4
     assert found.starts[0] == Mixture()
     assert len(found.to_csv().splitlines()) == 5
-    again = multistart(Mixture(), [record()], starts=4, spread=1.0, executor=Inline())
+    again = multistart(Mixture(), [record()], starts=4, spread=1.0, execution=HERE)
     np.testing.assert_array_equal(again.costs, found.costs)
 
 
 @pytest.mark.slow
 def test_monte_carlo_scatters_as_the_cramer_rao_bound_says():
-    found = monte_carlo(TRUTH, [record()], noise={"y": NOISE}, runs=RUNS, executor=Inline())
+    found = monte_carlo(TRUTH, [record()], noise={"y": NOISE}, runs=RUNS, execution=HERE)
     assert found.names == ("a", "b", "d")
     assert not any(found.reasons)
     np.testing.assert_allclose(found.scatter / expected(), 1, atol=SPREAD)
@@ -41,7 +42,7 @@ def test_monte_carlo_scatters_as_the_cramer_rao_bound_says():
 @pytest.mark.slow
 def test_a_bootstrap_of_white_residuals_scatters_as_the_standard_errors():
     fit = output_error(Mixture(), [record()])
-    found = bootstrap(fit, [record()], runs=RUNS, block=0.2, executor=Inline())
+    found = bootstrap(fit, [record()], runs=RUNS, block=0.2, execution=HERE)
     np.testing.assert_allclose(found.scatter / expected(), 1, atol=SPREAD)
     np.testing.assert_array_equal(found.reference, fit.model.vector())
 

@@ -6,12 +6,9 @@ D. G. Watts, Nonlinear Regression Analysis and Its Applications, 1988, chapter 6
 bound is its parabola at the estimate.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.interpolate
@@ -21,9 +18,11 @@ from casid.arrays import Array
 from casid.bounds.cases import CaseSpec, read_cases
 from casid.bounds.trials import Data, Trial, run_trials, setup, starting_values
 from casid.errors import ConvergenceError, ModelError
+from casid.estimator import Estimator
 from casid.fit import AnyFit
-from casid.jobs.campaigns import Advance
+from casid.jobs.campaigns import Execution
 from casid.model import Bounds, Model
+from casid.shooting.output_error import OutputError
 from casid.tabulation import csv_text, markdown_table
 
 FREE = "free"  # name of the job with nothing held
@@ -88,32 +87,26 @@ class Profile:
         return markdown_table(heading, rows)
 
 
-def profile(
+def profile_parameters(
     model: Model,
     data: Data,
     *,
-    parameter: str | tuple[str, str],
-    values: Sequence[float] | tuple[Sequence[float], Sequence[float]],
-    estimator: str = "output_error",
+    values: Mapping[str, Sequence[float]],
+    estimator: Estimator = OutputError(),
     level: float = 0.95,
     start: Model | AnyFit | None = None,
     fixed: Sequence[str] = (),
     bounds: Bounds | None = None,
-    folder: str | Path | None = None,
-    executor: Executor | None = None,
-    progress: Callable[[Advance], None] | None = None,
-    **settings: Any,  # noqa: ANN401 - the estimator checks them
+    execution: Execution = Execution(),
 ) -> Profile:
     """Profile the cost over one parameter, or over a grid of two.
 
     Parameters
     ----------
-    model, data, estimator, start, fixed, bounds, folder, executor, progress, settings
+    model, data, estimator, start, fixed, bounds, execution
         As in `compare_bounds`. Every point starts from the fit with nothing held.
-    parameter : str or pair of str
-        What is held.
-    values : sequence of float, or a pair of them
-        Where; of a pair all combinations.
+    values : mapping
+        What is held and where, ``{"Lp": [-3.0, -2.5]}``; of two parameters all combinations.
     level : float
         Confidence of the intervals.
 
@@ -124,24 +117,27 @@ def profile(
     ConvergenceError
         The fit with nothing held failed.
     """
-    names = (parameter,) if isinstance(parameter, str) else tuple(parameter)
-    axes: Any = (values,) if isinstance(parameter, str) else values
-    points = np.array(list(product(*axes)), dtype=float).reshape(-1, len(names))
+    names = tuple(values)
+    if not 1 <= len(names) <= 2:
+        raise ModelError(f"values name {len(names)} parameters, expected one or two")
+    points = np.array(list(product(*values.values())), dtype=float).reshape(-1, len(names))
     if not len(points):
         raise ModelError(f"no values of {' and '.join(names)} given")
     specs: dict[str, CaseSpec] = {FREE: {}}
     for point in points:
         specs[_label(names, point)] = dict(zip(names, map(float, point), strict=True))
     cases = read_cases(model, specs, fixed, bounds)
-    shared = setup(model, data, estimator=estimator, fixed=fixed, settings=settings)
+    shared = setup(model, data, estimator=estimator, fixed=fixed)
     begin, near = starting_values(model, start)
     first = Trial(setup=shared, values=begin, case=cases[0], near=near).job(FREE)
     jobs = [first] + [
         Trial(setup=shared, values=begin, case=case).job(case.name, [first]) for case in cases[1:]
     ]
-    done = run_trials(jobs, type(model), folder=folder, executor=executor, progress=progress)
+    done = run_trials(jobs, type(model), execution)
     if done[FREE].reason:
-        raise ConvergenceError(f"profile: nothing held: {done[FREE].reason}", done[FREE].result)
+        raise ConvergenceError(
+            f"profile_parameters: nothing held: {done[FREE].reason}", done[FREE].result
+        )
     found = [done[_label(names, point)] for point in points]
     fits = [None if each.reason else each.result for each in found]
     return _profile(names, points, done[FREE].result, fits, [e.reason for e in found], level)

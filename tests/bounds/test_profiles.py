@@ -5,10 +5,11 @@ import pytest
 import scipy.stats
 from truths.mixture import NOISE, Inline, Mixture, least_squares, record
 
-from casid import ModelError, profile
+from casid import Execution, ModelError, OutputError, profile_parameters
 
 QUANTILE = scipy.stats.chi2.ppf(0.95, 1)
-KNOWN = {"R": np.array([[NOISE**2]]), "executor": Inline()}
+HERE = Execution(executor=Inline())
+KNOWN = {"estimator": OutputError(R=np.array([[NOISE**2]])), "execution": HERE}
 
 
 def solved():
@@ -21,7 +22,7 @@ def test_the_profile_of_a_linear_problem_is_the_parabola_of_its_covariance():
     free, covariance, _, _ = solved()
     sigma = np.sqrt(covariance[0, 0])
     values = free[0] + sigma * np.array([-3, -1, 0, 2, 3])
-    found = profile(Mixture(), [record()], parameter="a", values=values, **KNOWN)
+    found = profile_parameters(Mixture(), [record()], values={"a": values}, **KNOWN)
     rise = 0.5 * ((values - free[0]) / sigma) ** 2
     np.testing.assert_allclose(found.cost - found.fit.cost, rise, atol=1e-5)
     np.testing.assert_allclose(found.parabola - found.fit.cost, rise, atol=1e-5)
@@ -40,7 +41,7 @@ def test_the_interval_is_exact_when_the_noise_is_estimated_too():
     v = covariance[1, 1]
     half = np.sqrt(v * squares * np.expm1(QUANTILE / n))
     values = free[1] + half * np.array([-1.5, 1.5])
-    found = profile(Mixture(), [record()], parameter="b", values=values, executor=Inline())
+    found = profile_parameters(Mixture(), record(), values={"b": values}, execution=HERE)
     # a cubic of two points and their slopes stands for the logarithm
     np.testing.assert_allclose(found.intervals["b"], [free[1] - half, free[1] + half], rtol=1e-3)
 
@@ -50,8 +51,8 @@ def test_a_grid_over_two_parameters_gives_the_interval_of_each():
     sigma = np.sqrt(np.diag(covariance))
     rho = covariance[0, 1] / sigma[0] / sigma[1]
     steps = np.array([-3.0, 0.0, 3.0])
-    axes = (free[0] + sigma[0] * steps, free[1] + sigma[1] * rho * steps)
-    found = profile(Mixture(), [record()], parameter=("a", "b"), values=axes, **KNOWN)
+    axes = {"a": free[0] + sigma[0] * steps, "b": free[1] + sigma[1] * rho * steps}
+    found = profile_parameters(Mixture(), [record()], values=axes, **KNOWN)
     assert found.points.shape == (9, 2)
     np.testing.assert_allclose(found.cost, found.parabola, atol=1e-4)
     expected = free[0] + sigma[0] * np.sqrt(QUANTILE) * np.array([-1, 1])
@@ -61,13 +62,15 @@ def test_a_grid_over_two_parameters_gives_the_interval_of_each():
 def test_values_on_one_side_leave_the_other_open():
     free, covariance, _, _ = solved()
     value = free[0] + 3 * np.sqrt(covariance[0, 0])
-    found = profile(Mixture(), [record()], parameter="a", values=[value], **KNOWN)
+    found = profile_parameters(Mixture(), [record()], values={"a": [value]}, **KNOWN)
     assert found.intervals["a"][0] == -np.inf
     assert np.isfinite(found.intervals["a"][1])
 
 
 def test_a_profile_of_nothing_or_of_strangers_is_refused():
     with pytest.raises(ModelError, match="no values of a"):
-        profile(Mixture(), [record()], parameter="a", values=[])
+        profile_parameters(Mixture(), [record()], values={"a": []})
+    with pytest.raises(ModelError, match="name 3 parameters, expected one or two"):
+        profile_parameters(Mixture(), [record()], values={name: [1.0] for name in "abd"})
     with pytest.raises(ModelError, match="no parameter 'z'"):
-        profile(Mixture(), [record()], parameter="z", values=[1.0])
+        profile_parameters(Mixture(), [record()], values={"z": [1.0]})

@@ -15,14 +15,15 @@ import numpy as np
 import pytest
 from truths.mixture import CASES, Inline, Mixture, record
 
-from casid import ModelError, compare_bounds
+from casid import Execution, ModelError, OutputError, compare_bounds
 from casid.bounds.cases import read_cases
 from casid.bounds.trials import Trial, setup, starting_values
-from casid.jobs.campaigns import Advance, Job, Shelf, UnfinishedError, run_jobs
+from casid.jobs.campaigns import CampaignProgress, Job, UnfinishedError, run_jobs
+from casid.jobs.store import Store
 from casid.jobs.transport import can_travel, refer, resolve
 from casid.structure.modelfile import load_model
 
-TESTS = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 
 
 def add(payload, start):
@@ -46,7 +47,7 @@ def results(done):
 
 def test_a_job_starts_from_the_nearest_that_succeeded():
     jobs = [job("a", 1), job("b", None, "a"), job("c", 10, "b", "a"), job("d", 100, "c", "a")]
-    done = run_jobs(add, jobs, shelf=Shelf(None))
+    done = run_jobs(add, jobs)
     assert results(done) == {
         "a": (1, "", ""), "b": (None, "ValueError: nothing to add", "a"), "c": (11, "", "a"),
         "d": (111, "", "c"),
@@ -54,31 +55,24 @@ def test_a_job_starts_from_the_nearest_that_succeeded():
 
 
 def test_an_unfinished_job_shows_its_best_but_starts_no_other():
-    done = run_jobs(add, [job("a", "best"), job("b", 1, "a")], shelf=Shelf(None))
+    done = run_jobs(add, [job("a", "best"), job("b", 1, "a")])
     assert results(done) == {"a": (7, "halfway", ""), "b": (1, "", "")}
 
 
 def test_finished_jobs_are_taken_from_the_folder_unless_their_key_differs(tmp_path):
-    shelf = Shelf(tmp_path / "study")
-    first = run_jobs(add, [job("a", 1), job("b", None)], shelf=shelf)
-    again = run_jobs(add, [job("a", 5), job("b", 5)], shelf=shelf)
+    kept = Execution(folder=tmp_path / "study")
+    first = run_jobs(add, [job("a", 1), job("b", None)], kept)
+    again = run_jobs(add, [job("a", 5), job("b", 5)], kept)
     assert results(again) == results(first)
     assert again["a"].kept
-    assert run_jobs(add, [job("a", 5, key="other")], shelf=shelf)["a"].result == 5
-    (tmp_path / "study" / shelf.path("b").name).write_text("{", encoding="utf-8")
-    assert run_jobs(add, [job("b", 3)], shelf=shelf)["b"].result == 3
-
-
-def test_names_that_look_alike_have_files_of_their_own(tmp_path):
-    shelf = Shelf(tmp_path)
-    assert shelf.path("±20 %") != shelf.path("+20 %")
-    assert shelf.path("a/../b").parent == tmp_path
+    assert run_jobs(add, [job("a", 5, key="other")], kept)["a"].result == 5
+    Store(kept.folder).path("b").write_text("{", encoding="utf-8")
+    assert run_jobs(add, [job("b", 3)], kept)["b"].result == 3
 
 
 def test_progress_tells_how_long_the_rest_may_take():
-    seen: list[Advance] = []
-    run_jobs(add, [job("a", 1), job("b", None), job("c", 2)], shelf=Shelf(None),
-             progress=seen.append)  # fmt: skip
+    seen: list[CampaignProgress] = []
+    run_jobs(add, [job("a", 1), job("b", None), job("c", 2)], Execution(progress=seen.append))
     assert [(each.done, each.total, each.failed) for each in seen] == [
         (1, 3, 0), (2, 3, 1), (3, 3, 1)]  # fmt: skip
     assert seen[0].remaining == pytest.approx(2 * seen[0].elapsed)
@@ -91,14 +85,14 @@ def test_progress_tells_how_long_the_rest_may_take():
 def test_any_executor_gives_the_same_results(executor):
     jobs = [job("a", 1), job("b", None, "a"), job("c", 10, "b", "a"), job("d", 3, "a")]
     with executor() as pool:
-        done = run_jobs(add, jobs, shelf=Shelf(None), executor=pool)
-    assert results(done) == results(run_jobs(add, jobs, shelf=Shelf(None)))
+        done = run_jobs(add, jobs, Execution(executor=pool))
+    assert results(done) == results(run_jobs(add, jobs))
 
 
 @pytest.mark.slow
 def test_a_job_that_kills_its_process_is_a_row_and_the_others_go_on():
     jobs = [job(str(k), k) for k in range(5)] + [job("bad", "die"), job("after", 1, "bad")]
-    done = run_jobs(add, jobs, shelf=Shelf(None))
+    done = run_jobs(add, jobs)
     assert done["bad"].reason == "the process it ran in died"
     assert [done[str(k)].result for k in range(5)] == list(range(5))
     assert done["after"].result == 1
@@ -114,7 +108,7 @@ class Broken(Executor):
 
 
 def test_an_executor_that_fails_leaves_reasons_and_nothing_in_the_folder(tmp_path):
-    done = run_jobs(add, [job("a", 1)], shelf=Shelf(tmp_path), executor=Broken())
+    done = run_jobs(add, [job("a", 1)], Execution(folder=tmp_path, executor=Broken()))
     assert done["a"].reason == "RuntimeError: network down"
     assert not list(tmp_path.iterdir())
 
@@ -124,11 +118,12 @@ def test_an_executor_that_fails_leaves_reasons_and_nothing_in_the_folder(tmp_pat
 SCRIPT = """
 import sys, time
 sys.path[:0] = [{root!r}, {tests!r}]
-from casid import compare_bounds
+from casid import Execution, compare_bounds
 from truths.mixture import CASES, Inline, Mixture, record
 
 if __name__ == "__main__":
-    found = compare_bounds(Mixture(), [record()], cases=CASES, folder={folder!r}, {more})
+    found = compare_bounds(Mixture(), [record()], cases=CASES,
+                           execution=Execution(folder={folder!r}, {more}))
     found.to_csv({folder!r} + ".csv")
 """
 
@@ -165,7 +160,9 @@ def test_a_killed_study_resumes_to_the_result_of_an_uninterrupted_one(tmp_path):
 @pytest.mark.slow
 def test_a_dask_cluster_runs_the_same_call(tmp_path):
     distributed = pytest.importorskip("distributed")
-    here = compare_bounds(Mixture(), [record()], cases=CASES, executor=Inline())
+    here = compare_bounds(
+        Mixture(), [record()], cases=CASES, execution=Execution(executor=Inline())
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Dask's own, about ports and closing loops
         cluster = distributed.LocalCluster(
@@ -174,7 +171,10 @@ def test_a_dask_cluster_runs_the_same_call(tmp_path):
         )  # fmt: skip
         with cluster, distributed.Client(cluster) as client:
             there = compare_bounds(
-                Mixture(), [record()], cases=CASES, executor=client.get_executor()
+                Mixture(),
+                record(),
+                cases=CASES,
+                execution=Execution(executor=client.get_executor()),
             )
     assert there.to_markdown() == here.to_markdown()
 
@@ -230,8 +230,9 @@ def test_a_trial_of_other_data_options_or_code_has_another_key():
     def key(data=(0,), model=None, **settings):
         model = model or Mixture()
         (case,) = read_cases(model, {"free": {}})
-        shared = setup(model, [record(s) for s in data], estimator="output_error", fixed=(),
-                       settings=settings)  # fmt: skip
+        shared = setup(
+            model, [record(s) for s in data], estimator=OutputError(**settings), fixed=()
+        )
         return Trial(setup=shared, values=starting_values(model, None)[0], case=case).job("x").key
 
     keys = [key(), key((1,)), key(model=Mixture(a=0.7)), key(interval=1.0), key(R=np.eye(1))]

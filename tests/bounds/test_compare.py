@@ -7,7 +7,7 @@ import pytest
 from truths.mixture import NOISE, Inline, Mixture, least_squares, record
 from truths.structures import black_box
 
-from casid import StateSpace, compare_bounds
+from casid import Execution, Match, OutputError, StateSpace, compare_bounds
 
 OMEGA = np.geomspace(0.2, 8.0, 25)
 
@@ -15,7 +15,8 @@ OMEGA = np.geomspace(0.2, 8.0, 25)
 OTHER = StateSpace([[-2.0, 1.0], [0.0, -0.7]], [[1.0], [1.0]], [[1.5, 0.4]], [[0.05]],
                    inputs=("u",), outputs=("y",))  # fmt: skip
 TARGET = black_box(OTHER, (0.2, 8.0))
-MATCHED = {"estimator": "match", "norm": "quadratic", "omega": OMEGA, "shift": 0.0}
+MATCHED = Match(norm="quadratic", omega=OMEGA, shift=0.0)
+HERE = Execution(executor=Inline())
 
 
 S = 1j * OMEGA
@@ -52,7 +53,7 @@ CLOSED = {  # rows and right-hand sides of what holds the optimum
 
 @pytest.fixture(scope="module")
 def matched():
-    return compare_bounds(Mixture(), TARGET, cases=CASES, executor=Inline(), **MATCHED)
+    return compare_bounds(Mixture(), TARGET, cases=CASES, estimator=MATCHED, execution=HERE)
 
 
 def multipliers(case):
@@ -110,13 +111,15 @@ CLOSED_A = ("bound", "fixed")
 # ---- output error --------------------------------------------------------------------------------
 
 
-KNOWN = {"estimator": "output_error", "R": np.array([[NOISE**2]])}
+KNOWN = OutputError(R=np.array([[NOISE**2]]))
 FLOWN = {"free": {}, "bound": {"a": "< 0.97"}, "tie": ["a = 2 b"], "signs": {"d": "> 0"}}
 
 
 @pytest.fixture(scope="module")
 def flown():
-    return compare_bounds(Mixture(), [record()], cases=FLOWN, validation=[record(1)], **KNOWN)
+    return compare_bounds(
+        Mixture(), [record()], cases=FLOWN, validation=[record(1)], estimator=KNOWN
+    )
 
 
 def test_output_error_prices_are_those_of_constrained_least_squares(flown):
@@ -183,7 +186,12 @@ def test_tables_are_the_same_every_time_and_in_any_process(tmp_path):
     cases = {f"a < {k}": {"a": f"< {k}"} for k in (0.99, 0.98, 0.97, 0.96)}
     texts = []
     for name, executor in (("one", Inline()), ("two", None)):  # five cases: processes
-        found = compare_bounds(Mixture(), [record()], cases={"free": {}} | cases, executor=executor)
+        found = compare_bounds(
+            Mixture(),
+            [record()],
+            cases={"free": {}} | cases,
+            execution=Execution(executor=executor),
+        )
         found.to_csv(tmp_path / f"{name}.csv")
         files = (f"{name}.csv", f"{name}_cases.csv")
         texts.append([(tmp_path / file).read_text() for file in files] + [found.to_markdown()])
@@ -219,7 +227,7 @@ def test_a_failed_case_is_a_row_with_its_reason():
 
 
 def test_a_wrong_estimator_or_case_is_refused_at_once():
-    with pytest.raises(ValueError, match="expected one of 'match'"):
+    with pytest.raises(ValueError, match="expected an estimator with its settings"):
         compare_bounds(Mixture(), [record()], cases={"free": {}}, estimator="guess")
     with pytest.raises(ValueError, match="no parameter 'z'"):
         compare_bounds(Mixture(), [record()], cases={"free": {"z": 1.0}})

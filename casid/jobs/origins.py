@@ -1,0 +1,84 @@
+"""What a result rests on beside data and settings: code of casid, of the user, of libraries."""
+
+import ast
+import hashlib
+import importlib.util
+import sys
+import sysconfig
+from collections.abc import Iterator
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+
+from casid.values import digest
+
+SHOWING = ("cli.py", "commands", "jobs", "report", "studies")  # change no result of a stage
+LIBRARIES = ("casadi", "numpy", "scipy")  # whose versions change results
+
+
+@lru_cache(maxsize=1)
+def source_digest() -> str:
+    """Digest of the code that computes results, and of the libraries it computes with."""
+    folder = Path(__file__).parents[1]
+    sha = hashlib.sha256(repr([(name, version(name)) for name in LIBRARIES]).encode())
+    for file in sorted(folder.rglob("*.py")):
+        place = file.relative_to(folder)
+        if place.parts[0] not in SHOWING:
+            sha.update(place.as_posix().encode() + file.read_bytes())
+    return sha.hexdigest()
+
+
+def structure_digest(path: str | Path) -> str:
+    """Digest of a model file and of all modules of the user's that it imports, however deep.
+
+    Modules of Python's own library, of installed packages and of casid do not count.
+    """
+    seen: dict[Path, bytes] = {}
+    waiting = [Path(path).resolve()]
+    while waiting:
+        file = waiting.pop()
+        if file not in seen:
+            seen[file] = file.read_bytes()
+            waiting += [each for each in imported_files(file) if _is_users(each)]
+    return digest(sorted(seen.values()))
+
+
+def imported_files(file: Path) -> Iterator[Path]:
+    """Files of the modules that the import statements of a file name, wherever they stand."""
+    try:
+        tree = ast.parse(file.read_bytes())
+    except (SyntaxError, ValueError):  # it is no Python: there is nothing to follow
+        return
+    for node in ast.walk(tree):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [each.name for each in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names = [node.module, *(f"{node.module}.{each.name}" for each in node.names)]
+        for name in names:
+            yield from _files_of(name)
+
+
+def _files_of(name: str) -> Iterator[Path]:
+    """Source file of a module, those of its packages before it."""
+    parts = name.split(".")
+    for count in range(1, len(parts) + 1):
+        whole = ".".join(parts[:count])
+        try:
+            known = getattr(sys.modules.get(whole), "__spec__", None)
+            spec = known or importlib.util.find_spec(whole)
+        except (ImportError, AttributeError, ValueError):  # no package, or half a module
+            return
+        if spec is None or not spec.origin or not spec.origin.endswith(".py"):
+            return
+        yield Path(spec.origin).resolve()
+
+
+@lru_cache(maxsize=1)
+def _libraries() -> tuple[Path, ...]:
+    places = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
+    return (*(Path(place).resolve() for place in places), Path(__file__).resolve().parents[1])
+
+
+def _is_users(file: Path) -> bool:
+    return not any(file.is_relative_to(folder) for folder in _libraries())
