@@ -162,20 +162,17 @@ def _bandwidth(
     top = min(2 * np.exp(x180), found.omega[-1])
     read = (found.omega >= np.nanmin([*both, np.exp(x180)])) & (found.omega <= top)
     remarks += _doubts(gamma[read])
-    return replace(
-        found, phase_deg=phase, omega_180=float(np.exp(x180)), bandwidth_phase=float(by_phase),
-        bandwidth_gain=float(by_gain), bandwidth=float(np.min(both)), phase_delay=delay,
-        phase_delay_line=line, remarks=tuple(remarks),
-    )  # fmt: skip
+    found = replace(found, phase_deg=phase, omega_180=float(np.exp(x180)), remarks=tuple(remarks))
+    found = replace(found, phase_delay=delay, phase_delay_line=line, bandwidth=float(np.min(both)))
+    return replace(found, bandwidth_phase=float(by_phase), bandwidth_gain=float(by_gain))
 
 
 def _phase_delay(x: Array, phase: Array, x180: float) -> tuple[float, float, list[str]]:
     """τ_p from the end points and from a line through ω_180 and the points up to 2ω_180."""
     omega_180 = np.exp(x180)
     if x180 + np.log(2) > x[-1] + 1e-9:
-        return np.nan, np.nan, [
-            f"2ω_180 = {2 * omega_180:.3g} rad/s lies beyond the grid: no phase delay"
-        ]  # fmt: skip
+        beyond = f"2ω_180 = {2 * omega_180:.3g} rad/s lies beyond the grid: no phase delay"
+        return np.nan, np.nan, [beyond]
     fine = np.linspace(omega_180, 2 * omega_180, 41)
     curve = np.interp(np.log(fine), x, phase)
     delay = -(curve[-1] + 180) / (np.degrees(1) * 2 * omega_180)
@@ -212,11 +209,10 @@ def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
     near = [int(np.argmin(np.abs(x - place))) for place in places]
     remarks += _doubts(gamma[near])
     known = np.isfinite(phase_margin) and np.isfinite(gain_margin)
-    return replace(
-        found, omega_180=omega_180, crossover=crossover, phase_margin=phase_margin,
-        gain_margin=gain_margin, satisfactory=wide and not len(lost) if known else None,
-        remarks=tuple(remarks),
-    )  # fmt: skip
+    satisfactory = wide and not len(lost) if known else None
+    found = replace(found, omega_180=omega_180, crossover=crossover, satisfactory=satisfactory)
+    found = replace(found, phase_margin=phase_margin, gain_margin=gain_margin)
+    return replace(found, remarks=tuple(remarks))
 
 
 def _phase_margin(at: Array, x: Array, phase: Array) -> Array:

@@ -8,20 +8,20 @@ M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy.optimize
+from scipy.optimize import least_squares
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.errors import ConvergenceError
 from casid.frequency.estimation import FrequencyResponse, holding
-from casid.matching.mismatch import DB, DEG, PHASE, log_ratio, pair_weights, residuals
+from casid.matching.mismatch import DB, DEG, TURN, log_ratio, pair_weights, residuals
 from casid.record import several
 
-DELAYS = np.array(
-    [0.0, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4]
-)  # starts, in periods of the fastest point
+# Delays to start from, in periods of the fastest point.
+DELAYS = np.array([0.0, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4])
 REFINED = 3  # starts that are carried to the end
 SWEEPS = 8  # Sanathanan-Koerner iterations of a start
 
@@ -206,24 +206,21 @@ class _Problem:
         columns += [-(self.s**k) / bottom for k in range(n - 1, -1, -1)]
         columns += [-self.s] if self.delay else []
         d = np.sqrt(self.weight)[:, None] * np.column_stack(columns)
-        return np.vstack([DB * d.real, np.sqrt(PHASE) * DEG * d.imag])
+        return np.vstack([DB * d.real, TURN * d.imag])
 
     def solve(self) -> Array:
-        starts = sorted(
-            (start for periods in DELAYS[: None if self.delay else 1]
-             if (start := self._start(periods * 2 * np.pi / abs(self.s[-1]))) is not None),
-            key=lambda start: float(np.sum(self.residual(start) ** 2)),
-        )  # fmt: skip
+        delays = DELAYS[: None if self.delay else 1] * 2 * np.pi / abs(self.s[-1])
+        starts = [start for tau in delays if (start := self._start(tau)) is not None]
+        starts.sort(key=lambda start: float(np.sum(self.residual(start) ** 2)))
         lower = np.full(sum(self.order) + 1 + self.delay, -np.inf)
         if self.delay:
             lower[-1] = 0.0
+        fit = partial(least_squares, self.residual, jac=self.jacobian, x_scale="jac", max_nfev=500)
         found = []
         for start in starts[:REFINED]:
             inside = start if not self.delay else np.append(start[:-1], max(start[-1], 1e-6))
-            result = scipy.optimize.least_squares(
-                self.residual, inside, self.jacobian, bounds=(lower, np.inf), x_scale="jac",
-                xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=500,
-            )  # fmt: skip
+            limits = (lower, np.inf)
+            result = fit(x0=inside, bounds=limits, xtol=1e-12, ftol=1e-12, gtol=1e-12)
             if result.status > 0:
                 found.append(result)
         if not found:

@@ -105,15 +105,14 @@ def _checked(problem: Condensed, found: Optimum) -> Optimum:
     with np.errstate(over="ignore", invalid="ignore"):
         cost = float(pair_costs(problem, found.values).sum())
     silent = (c.W > 0) & (problem.matrices(found.values).response(c.s) == 0)
+    status = found.status
     if silent.any():
         i, j = np.argwhere(silent.any(axis=0))[0]
         pair = problem.free.model.outputs[i], problem.free.model.inputs[j]
         status = f"{pair[0]} does not respond to {pair[1]} in the model; leave that pair out"
-    elif not abs(cost - found.cost) <= AGREES * (1 + cost):
-        status = f"solved, but the model's own cost there is {cost:.6g}, not {found.cost:.6g}"
-    else:
+    elif abs(cost - found.cost) <= AGREES * (1 + cost):
         return replace(found, cost=cost)
+    elif found.success:
+        status = f"solved, but the model's own cost there is {cost:.6g}, not {found.cost:.6g}"
     cost = cost if np.isfinite(cost) else np.inf
-    return replace(
-        found, cost=cost, success=False, status=status if found.success else found.status
-    )
+    return replace(found, cost=cost, success=False, status=status)

@@ -175,8 +175,9 @@ class _Descent:
         self._entry = np.inf
 
     def close(self, x: Array, cost: float) -> bool:
-        """Whether x, the next iterate, is close; its cost is per observation."""
-        if self._last is not None:
+        """Whether x is close, the next iterate or the last again; its cost is per observation."""
+        again = self._last is not None and np.array_equal(x, self._last[0])
+        if self._last is not None and not again:
             step = float(np.abs(x - self._last[0]).max())
             self._early |= self._close and step > LEAP * self._entry
             if not self._close:

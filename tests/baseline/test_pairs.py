@@ -1,0 +1,65 @@
+"""Which points count, and how much, against the definition of the cost."""
+
+import numpy as np
+import pytest
+from truths.structures import TRUTH, HoverRoll
+
+from casid import FrequencyResponse
+from casid.baseline.pairs import select, thin
+from casid.matching.mismatch import residuals
+
+OMEGA = np.geomspace(0.3, 12.0, 20)
+
+
+def measured(coherence=0.9):
+    G = TRUTH.system().response(OMEGA)
+    return FrequencyResponse(
+        omega=OMEGA, G=G, coherence=np.full(G.shape, coherence), random_error=np.zeros(G.shape),
+        inputs=TRUTH.inputs, outputs=TRUTH.outputs, input_std=np.ones(1), output_std=np.ones(2),
+    )  # fmt: skip
+
+
+def test_the_cost_of_the_comparison_is_j():
+    frf = measured(0.7)
+    comparison = select(HoverRoll(), frf)
+    # W_γ 20/n_ω with n_ω = 20: what T&R weigh every point with.
+    W = (1.58 * (1 - np.exp(-0.7))) ** 2
+    np.testing.assert_allclose(comparison.decibel_weight, W, rtol=1e-12)
+    off = frf.G * 10 ** (0.5 / 20)
+    J = np.sum(residuals(off, comparison.G, comparison.decibel_weight) ** 2)
+    assert pytest.approx(2 * 20 * W * 0.25) == J  # two pairs, half a decibel
+
+
+def test_its_mean_square_error_is_the_cost_to_first_order():
+    comparison = select(HoverRoll(), measured())
+    near = TRUTH.with_vector(TRUTH.vector() * (1 + 1e-6)).system()
+    error = comparison.error(near)
+    z = near.response(OMEGA) / comparison.G - 1
+    J = np.sum(comparison.decibel_weight * (20 / np.log(10)) ** 2 * np.abs(z) ** 2)
+    assert np.linalg.norm(error) ** 2 / len(OMEGA) == pytest.approx(J, rel=1e-12)
+
+
+def test_pairs_of_few_coherent_points_are_left_out():
+    frf = measured()
+    frf = FrequencyResponse(**{
+        name: getattr(frf, name) for name in frf.__dataclass_fields__ if name != "coherence"
+    }, coherence=np.where(np.arange(20)[:, None, None] < [[4], [5]], 0.9, 0.3))  # fmt: skip
+    used = select(HoverRoll(), frf).W > 0
+    assert used.sum(axis=0).tolist() == [[0], [5]]
+
+
+def test_channels_in_another_order_are_found():
+    frf = measured()
+    swapped = FrequencyResponse(
+        omega=OMEGA, G=frf.G[:, ::-1], coherence=frf.coherence[:, ::-1], inputs=frf.inputs,
+        random_error=frf.random_error[:, ::-1], outputs=frf.outputs[::-1],
+        input_std=frf.input_std, output_std=frf.output_std,
+    )  # fmt: skip
+    np.testing.assert_array_equal(select(HoverRoll(), swapped).G, select(HoverRoll(), frf).G)
+
+
+def test_thinning_takes_the_nearest_measured_points():
+    frf = thin(measured(), 3)
+    middle = np.sqrt(OMEGA[0] * OMEGA[-1])
+    nearest = OMEGA[np.argmin(np.abs(np.log(OMEGA / middle)))]
+    np.testing.assert_allclose(frf.omega, [OMEGA[0], nearest, OMEGA[-1]])

@@ -1,0 +1,78 @@
+"""The order of the solves: what counts as done, and that nothing ends worse than it began."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
+
+from casid import ConvergenceError, StateSpace, match
+from casid.matching import search
+from casid.matching.initial import Start
+
+
+def test_the_gap_is_looked_at_after_the_last_round(monkeypatch):
+    # Nothing has to be added to the grid, so no round is needed.
+    monkeypatch.setattr(search, "ROUNDS", 0)
+    fit = match(Lag(), black_box(SECOND), norm="hinf")
+    assert fit.success
+    assert fit.certificate.upper_bound <= 1.01 * fit.certificate.grid_norm
+
+
+def test_a_gap_that_stays_is_told(monkeypatch):
+    monkeypatch.setattr(search, "ROUNDS", 0)
+    monkeypatch.setattr(search, "HIGH", 10.0)  # no peak is high enough to be added before
+    few = np.geomspace(0.1, 10.0, 3)
+    with pytest.raises(ConvergenceError, match="above the grid; pass a finer omega") as caught:
+        match(HoverRoll(), black_box(ACTUATOR), norm="hinf", omega=few)
+    certificate = caught.value.best.certificate
+    assert certificate.upper_bound > 1.01 * certificate.grid_norm
+
+
+ACTUATOR = StateSpace(
+    [[-0.2, 0, 9.81, 0], [-0.3, -2.5, 0, 12.0], [0, 1, 0, 0], [0, 0, 0, -8.0]],
+    [[0], [0], [0], [8.0]], [[0, 1.0, 0, 0], [0, 0, 1.0, 0]], np.zeros((2, 1)),
+    inputs=("lat",), outputs=("p", "phi"), delay=np.array([0.05]),
+)  # fmt: skip
+
+
+POOR = np.array([15.0, -20.0])
+
+
+@pytest.mark.parametrize("norm", ["quadratic", "hinf"])
+def test_a_match_never_ends_worse_than_its_guess(monkeypatch, norm):
+    good = match(Lag(), black_box(SECOND), norm=norm)
+    solve = search.Search._solve
+
+    def stuck(self, norm, start, values, comparison):
+        """A solver that gets nowhere from the misleading start."""
+        found = solve(self, norm, start, values, comparison)
+        if start != "misled":
+            return found
+        bad = search.appraise(self.system(POOR), comparison)
+        return replace(found, values=POOR, cost=1e3, appraisal=bad)
+
+    misled = Start(name="misled", values=POOR, cost=1e3)
+    monkeypatch.setattr(search, "starts", lambda *_, **__: (misled,))
+    monkeypatch.setattr(search.Search, "_solve", stuck)
+    monkeypatch.setattr(search.Search, "_certify", lambda _, found: found)
+    again = match(good.model, black_box(SECOND), norm=norm)
+    assert again.cost <= good.cost * (1 + 1e-6)
+    assert again.notes.start == "guess"
+
+
+@pytest.mark.parametrize("norm", ["quadratic", "hinf"])
+def test_a_match_from_its_own_result_is_the_same(norm):
+    fit = match(HoverRoll(), black_box(ACTUATOR), norm=norm)
+    again = match(fit.model, black_box(ACTUATOR), norm=norm)
+    assert again.cost <= fit.cost * (1 + 1e-6)
+    np.testing.assert_allclose(again.model.vector(), fit.model.vector(), rtol=1e-4)
+
+
+def test_a_guess_right_of_the_line_does_not_count():
+    # Its response may be near the target's while it is no model of it.
+    right = HoverRoll(Yv=0.0, Lv=-1.0, Lp=0.0, Llat=12.0, tau=0.07)
+    target = black_box(TRUTH.system())
+    assert right.system().poles()[0].real > match(HoverRoll(), target).certificate.shift
+    fit = match(right, target, norm="quadratic")
+    assert fit.model.system().poles()[0].real <= fit.certificate.shift
