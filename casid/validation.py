@@ -4,32 +4,23 @@ Measures as in M. Bergamasco, M. Lovera, "Rotorcraft system identification: a ti
 approach", Fig. 11 (RMS divided by the largest among the models), and R. Jategaonkar, Flight Vehicle
 System Identification, chapter 11 (Theil's coefficient, whiteness of the residuals).
 
-The simulated output is linear in what is not known of a record,
-
-    y(t) = y_forced(t) + Φ(t) z + b,
-
-so initial state and biases are one linear least-squares problem, outputs weighted by the inverse of
-their standard deviations. Growing modes would swamp the columns of Φ = C exp(A t) in a long
-record, therefore the state is split (real Schur form, Sylvester equation) into a part that is
-simulated forward from its value at the start and a fast growing part that is simulated backward
-from its value at the end. Every column then is bounded, and nothing is lost however unstable the
-model.
+A model is simulated over each record; where one grows too much over it, all are predicted piece by
+piece, over a horizon that the result states (`casid.prediction`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 
 from casid.arrays import Array
 from casid.fit import AnyFit, Fit
 from casid.linear import StateSpace
 from casid.model import Model
-from casid.record import Hold, Record, Records, same_channels, standard_deviations, stretches
+from casid.prediction import Outlook, Prediction, growth_rate, outlook, predict
+from casid.record import Record, Records, same_channels, standard_deviations, stretches
 from casid.subspace.pbsid import BlackBox
 
-RANK = 1e-10  # singular values below this share of the largest are directions without effect
 LAGS = 40  # largest lag of the whiteness test
 BAND = 2.5758293035489004  # 99 % band of a white sequence's autocorrelations, in 1/√N
 
@@ -63,9 +54,15 @@ class Validation:
     initial_states : mapping to tuple of (nx,) array
         Estimated state at the first sample; meaningless where a mode leaves no trace in the record.
     biases : mapping to (records, ny) array
-        Estimated constant of each output.
+        Estimated constant of each output, the mean over all predictions.
+    horizon : tuple of float
+        How far ahead models were predicted in each record [s], each time from a state estimated on
+        the past alone; infinite where they were simulated over all of it.
+    growth : mapping to float
+        Rate [1/s] of each model's fastest growing mode; 0 of a stable one.
 
-    A model that lacks an output of the records has NaN there.
+    A model that lacks an output of the records has NaN there, and so have all models before the
+    first prediction.
     """
 
     models: tuple[str, ...]
@@ -81,10 +78,30 @@ class Validation:
     simulated: Mapping[str, tuple[Array, ...]]
     initial_states: Mapping[str, tuple[Array, ...]]
     biases: Mapping[str, Array]
+    horizon: tuple[float, ...]
+    growth: Mapping[str, float]
+
+    @property
+    def predicted(self) -> str:
+        """How far ahead, from what, and why, if there were predictions; "" if all was simulated."""
+        far = sorted({each for each in self.horizon if np.isfinite(each)})
+        if not far:
+            return ""
+        reach = f"{far[0]:.3g}" if len(far) == 1 else f"{far[0]:.3g} to {far[-1]:.3g}"
+        growing = [
+            f"{name} e-fold in {1 / rate:.2g} s" for name, rate in self.growth.items() if rate
+        ]
+        why = f": unstable models grow ({', '.join(growing)})" if growing else ""
+        return (
+            f"Predicted up to {reach} s ahead, each time from a state estimated on the past alone, "
+            f"not simulated over the whole record{why}."
+        )
 
 
-def validate(models: Mapping[str, AnyModel], records: Records) -> Validation:
-    """Simulate each model on each record and measure what is left.
+def validate(
+    models: Mapping[str, AnyModel], records: Records, *, horizon: float | None = None
+) -> Validation:
+    """Simulate or predict each model on each record and measure what is left.
 
     Parameters
     ----------
@@ -93,6 +110,11 @@ def validate(models: Mapping[str, AnyModel], records: Records) -> Validation:
         takes its inputs from the records by name, and is judged on the outputs it has.
     records : Record or sequence of Record
         Best ones not used in the estimation. All with the same channels.
+    horizon : float
+        Predict so far ahead [s], each time from a state estimated on the past; infinite, simulate
+        in any case. Unless given, a record is simulated if no model grows by more than ten e-folds
+        over it; else all models are predicted, a tenth of the record ahead or as long as the least
+        unstable of those that grow takes for three e-folds.
 
     Returns
     -------
@@ -102,16 +124,21 @@ def validate(models: Mapping[str, AnyModel], records: Records) -> Validation:
     ------
     ValueError
         No model, no record, a model whose inputs the records lack, no output in common, a discrete
-        model whose interval is not that of the records, a model with NaN in it.
+        model whose interval is not that of the records, a model with NaN in it, a horizon that does
+        not fit the records.
     """
     if not models:
         raise ValueError('no models given; expected {"name": model, ...}')
     records = stretches(records)
     inputs, outputs = same_channels(records)
     scale = standard_deviations(records)[1]
+    systems = {name: state_space(model) for name, model in models.items()}
+    for name, system in systems.items():
+        _check(name, system, records)
+    far = [outlook(list(systems.values()), record, horizon) for record in records]
     predictions = {
-        name: [_predict(name, state_space(model), record, scale) for record in records]
-        for name, model in models.items()
+        name: [_predicted(name, system, *each, scale) for each in zip(records, far, strict=True)]
+        for name, system in systems.items()
     }
     simulated = {name: tuple(p.y for p in ps) for name, ps in predictions.items()}
     rms = {name: _each(rms_error, records, ys) for name, ys in simulated.items()}
@@ -131,7 +158,36 @@ def validate(models: Mapping[str, AnyModel], records: Records) -> Validation:
         simulated=simulated,
         initial_states={name: tuple(p.x0 for p in ps) for name, ps in predictions.items()},
         biases={name: np.array([p.b for p in ps]) for name, ps in predictions.items()},
+        horizon=tuple(each.horizon for each in far),
+        growth={name: growth_rate(system) for name, system in systems.items()},
     )
+
+
+def _check(name: str, system: StateSpace, records: Sequence[Record]) -> None:
+    """Refuse a model that cannot be simulated on the records."""
+    for letter in "ABCD":
+        if not np.isfinite(getattr(system, letter)).all():
+            raise ValueError(f"model {name!r}: {letter} is not finite; it cannot be simulated")
+    record = records[0]
+    if missing := [channel for channel in system.inputs if channel not in record.inputs]:
+        raise ValueError(
+            f"model {name!r} has input {missing[0]!r}, record {record.name!r} has inputs "
+            f"{', '.join(record.inputs)}"
+        )
+    if not set(system.outputs) & set(record.outputs):
+        raise ValueError(
+            f"model {name!r} has outputs {', '.join(system.outputs)}, record {record.name!r} has "
+            f"{', '.join(record.outputs)}: none in common"
+        )
+
+
+def _predicted(
+    name: str, system: StateSpace, record: Record, far: Outlook, scale: Array
+) -> Prediction:
+    try:
+        return predict(system, record, scale, far)
+    except ValueError as error:
+        raise ValueError(f"model {name!r}, record {record.name!r}: {error}") from error
 
 
 def state_space(model: AnyModel) -> StateSpace:
@@ -141,120 +197,6 @@ def state_space(model: AnyModel) -> StateSpace:
     if isinstance(model, Fit):
         return model.model.system()
     return model.system() if isinstance(model, Model) else model.system
-
-
-# ---- prediction ----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class _Prediction:
-    y: Array  # (N, ny of the record), NaN where the model has no such output
-    x0: Array
-    b: Array
-
-
-def _predict(name: str, system: StateSpace, record: Record, scale: Array) -> _Prediction:
-    """Simulation with the initial state and biases that suit the record best."""
-    for letter in "ABCD":
-        if not np.isfinite(getattr(system, letter)).all():
-            raise ValueError(f"model {name!r}: {letter} is not finite; it cannot be simulated")
-    if missing := [channel for channel in system.inputs if channel not in record.inputs]:
-        raise ValueError(
-            f"model {name!r} has input {missing[0]!r}, record {record.name!r} has inputs "
-            f"{', '.join(record.inputs)}"
-        )
-    shared = [i for i, output in enumerate(record.outputs) if output in system.outputs]
-    if not shared:
-        raise ValueError(
-            f"model {name!r} has outputs {', '.join(system.outputs)}, record {record.name!r} has "
-            f"{', '.join(record.outputs)}: none in common"
-        )
-    rows = [system.outputs.index(record.outputs[i]) for i in shared]
-    u = record.u[:, [record.inputs.index(channel) for channel in system.inputs]]
-    try:
-        states, direct = _states(system, record.t, u, record.hold)
-    except ValueError as error:
-        raise ValueError(f"model {name!r}, record {record.name!r}: {error}") from error
-    response = system.C[rows] @ states  # (N, outputs shared, 1 + nx)
-    forced, free = response[:, :, 0] + direct[:, rows], response[:, :, 1:]
-    z, b = _fit_unknowns(record.y[:, shared] - forced, free, scale[shared])
-    y, biases = np.full(record.y.shape, np.nan), np.full(record.ny, np.nan)
-    y[:, shared], biases[shared] = forced + free @ z + b, b
-    return _Prediction(y, states[0, :, 0] + states[0, :, 1:] @ z, biases)
-
-
-def _states(system: StateSpace, t: Array, u: Array, hold: Hold) -> tuple[Array, Array]:
-    """Forced and free responses of the state, all bounded, and the direct term of the outputs.
-
-    Returns
-    -------
-    states : (N, nx, 1 + nx) array
-        Column 0: the response to u with slow modes at zero at the start and fast growing ones at
-        zero at the end; the others: free responses to a unit of either.
-    direct : (N, ny) array
-        D u(t - τ).
-    """
-    steps = system.steps(t, u, hold)
-    V, ns = _split(system, float(t[-1] - t[0]))
-    maps = [np.linalg.solve(V, Ad @ V) for Ad in steps.maps]
-    forcing = np.linalg.solve(V, steps.forcing.T).T
-    n, nx = len(steps.which), system.nx
-    z = np.zeros((n + 1, nx, 1 + nx))
-    z[0, :ns, 1 : 1 + ns] = np.eye(ns)
-    z[n, ns:, 1 + ns :] = np.eye(nx - ns)
-    forward = [Ad[:ns, :ns] for Ad in maps]
-    backward = [np.linalg.inv(Ad[ns:, ns:]) for Ad in maps]
-    for k in range(n):
-        z[k + 1, :ns] = forward[steps.which[k]] @ z[k, :ns]
-        z[k + 1, :ns, 0] += forcing[k, :ns]
-    for k in range(n - 1, -1, -1):
-        ahead = z[k + 1, ns:].copy()
-        ahead[:, 0] -= forcing[k, ns:]
-        z[k, ns:] = backward[steps.which[k]] @ ahead
-    return V @ z, steps.direct
-
-
-def _split(system: StateSpace, span: float) -> tuple[Array, int]:
-    """Coordinates V and a number ns: V⁻¹ A V is block diagonal, slow modes first.
-
-    Fast is what grows more than about e² over the record; the border lies in the widest gap between
-    the growth rates near there, so that the Sylvester equation is well conditioned.
-    """
-    poles = np.linalg.eigvals(system.A)
-    if system.dt is None:
-        rates, border = poles.real, np.array([0.5, 5.0]) / span
-    else:
-        rates, border = np.abs(poles), np.exp(np.array([0.5, 5.0]) * system.dt / span)
-    near = np.sort(rates[(rates > border[0]) & (rates < border[1])])
-    edges = np.concatenate([border[:1], near, border[1:]])
-    widest = int(np.argmax(np.diff(edges)))
-    limit = edges[widest : widest + 2].mean()
-
-    def slow(real: float, imag: float) -> bool:
-        return bool((real if system.dt is None else np.hypot(real, imag)) < limit)
-
-    S, Z, ns = scipy.linalg.schur(system.A, output="real", sort=slow)
-    X = scipy.linalg.solve_sylvester(S[:ns, :ns], -S[ns:, ns:], -S[:ns, ns:])
-    V = Z.copy()
-    V[:, ns:] += Z[:, :ns] @ X
-    return V, ns
-
-
-def _fit_unknowns(residual: Array, free: Array, scale: Array) -> tuple[Array, Array]:
-    """Least squares for free responses z (nx,) and biases b (ny,); missing samples are left out.
-
-    Columns are scaled to one; directions without effect on the outputs get zero.
-    """
-    N, ny, nx = free.shape
-    biases = np.broadcast_to(np.eye(ny), (N, ny, ny))
-    columns = (np.concatenate([free, biases], axis=2) / scale[:, None]).reshape(N * ny, nx + ny)
-    target = (residual / scale).ravel()
-    there = ~np.isnan(target)
-    columns, target = columns[there], target[there]
-    size = np.linalg.norm(columns, axis=0)
-    size[size == 0] = 1.0
-    solution = np.linalg.lstsq(columns / size, target, rcond=RANK)[0] / size
-    return solution[:nx], solution[nx:]
 
 
 # ---- measures ------------------------------------------------------------------------------------

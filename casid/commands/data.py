@@ -327,8 +327,9 @@ def simulate(
 ) -> None:
     """Simulate a fitted model with the inputs of a record, and measure what it misses.
 
-    Initial state and constant biases are estimated from the record, parameters are not. Theil's
-    coefficient is 0 for a perfect prediction, 1 for a useless one.
+    Initial state and constant biases are estimated from the record, parameters are not. A model
+    that grows too much over it is predicted piece by piece instead, which the output then says.
+    Theil's coefficient is 0 for a perfect prediction, 1 for a useless one.
     """
     console = terminal()
     with exits(console):
@@ -345,6 +346,8 @@ def simulate(
             cells = (f"{rms:.3g}", UNITS.get(name, ""), f"{fitted:.1f}", f"{theil:.3f}")
             table.add_row(Text(name), *cells)
         console.print(table, "")
+        if found.predicted:
+            console.print(Text(found.predicted, style="yellow"), soft_wrap=True)
         _advise(console, unit_advice([flown], time, units))
         if output is not None:
             write_table(output, _histories(flown, found.simulated["model"][0]))

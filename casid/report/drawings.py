@@ -213,9 +213,16 @@ def _history(
     _legend(figure, axes[-1, 0])
     return Drawing(
         name=f"history_{_file(record.name)}_{'_'.join(outputs)}",
-        caption=f"{record.name}: inputs (deviations from trim), {_list(outputs)}",
+        caption=f"{record.name}: inputs (deviations from trim), {_list(outputs)}"
+        + _ahead(validation, k),
         figure=_tidy(figure, axes, lines=2),
     )
+
+
+def _ahead(validation: Validation, k: int) -> str:
+    """How far ahead a record was predicted, if it was not simulated."""
+    far = validation.horizon[k]
+    return "" if np.isinf(far) else f"; predicted up to {far:.3g} s ahead, not simulated"
 
 
 def _inputs(axes: Sequence[Axes], record: Record, units: Mapping[str, str]) -> None:
@@ -239,7 +246,8 @@ def draw_rms(validation: Validation) -> Iterator[Drawing]:
         if len(records) > 1:
             ax.set_title(records[k], loc="left")
     _legend(figure, axes[0, 0])
-    caption = "RMS simulation error of each model, divided by the largest among the models"
+    far = "simulation" if not validation.predicted else "prediction"
+    caption = f"RMS {far} error of each model, divided by the largest among the models"
     yield Drawing(name="rms", caption=caption, figure=_tidy(figure, axes))
 
 

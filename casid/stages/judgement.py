@@ -26,6 +26,9 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
     judged = verdicts(found, content)
     poor = [each for each in judged if each.word in ("poor", "not judged")]
     names = ", ".join(found.records)
+    said = [Caution(each.caution, 15) for each in poor]
+    if found.predicted:
+        said.append(Caution(f"Unseen records: {found.predicted}", 16))
     yield Section(
         name="verdicts",
         title="Verdicts",
@@ -33,7 +36,7 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
         template=template("verdicts"),
         values={"found": found, "verdicts": judged},
         lead=f"It was judged on records that no estimation had seen ({names}).",
-        cautions=tuple(Caution(each.caution, 15) for each in poor),
+        cautions=tuple(said),
     )
     yield Section(
         name="modes",

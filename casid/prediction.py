@@ -1,0 +1,219 @@
+"""What a model makes of a record's inputs: simulated over all of it, or predicted piece by piece.
+
+The output is linear in what is not known of a record,
+
+    y(t) = y_forced(t) + Φ(t) z + b,
+
+so initial state and biases are one linear least-squares problem, outputs weighted by the inverse of
+their standard deviations.
+
+A model that grows by more than a few e-folds over a record cannot be simulated from its first
+state. It is judged by predictions instead: of pieces as long as a stated horizon, each from a state
+that is estimated on the past before it and nothing else. On that past growing modes would swamp the
+columns of Φ = C exp(A t), therefore the state is split (real Schur form, Sylvester equation) into a
+part that runs forward from its value at the start of the past and a fast growing part that runs
+backward from its value at the end of it, where the prediction begins.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from casid.arrays import Array
+from casid.linear import StateSpace
+from casid.record import Record
+
+RANK = 1e-10  # singular values below this share of the largest are directions without effect
+GROWTH = 10.0  # e-folds over a record that a simulation from its first state may grow
+AHEAD = 0.1  # of a record: the horizon of predictions at most
+FOLDS = 3.0  # e-folds that the least unstable model grows over the horizon at most
+PAST = 3.0  # horizons before a prediction that its state is estimated on
+PER_UNKNOWN = 3.0  # measurements on that past at least
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """How far models are predicted in one record.
+
+    ``horizon`` [s] is infinite for a simulation over all of it. Predictions go from the samples
+    ``starts``, each from a state estimated on so many samples before it, ``past``.
+    """
+
+    horizon: float
+    starts: tuple[int, ...] = ()
+    past: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Outputs of a model (N, ny of the record), state at the first sample used, mean biases (ny,).
+
+    NaN where the model has no such output, and before the first piece that can be predicted.
+    """
+
+    y: Array
+    x0: Array
+    b: Array
+
+
+def growth_rate(system: StateSpace) -> float:
+    """Rate [1/s] of the fastest growing mode; 0 of a stable system."""
+    poles = system.poles()
+    if system.dt is None:
+        return max(0.0, float(poles.real.max(initial=0.0)))
+    return max(0.0, float(np.log(np.abs(poles).max(initial=1.0)) / system.dt))
+
+
+def outlook(systems: Sequence[StateSpace], record: Record, horizon: float | None) -> Outlook:
+    """How far all of these models are predicted in a record.
+
+    They are simulated if none grows too much over it, unless a horizon [s] is given. One horizon
+    serves them all: the least unstable of those that grow too much sets it.
+
+    Raises
+    ------
+    ValueError
+        A horizon that leaves no past to estimate a state on, or no sample to predict.
+    """
+    length, pace = record.duration, record.dt
+    fast = [rate for rate in map(growth_rate, systems) if rate * length > GROWTH]
+    if horizon is None:
+        horizon = min(AHEAD * length, FOLDS / min(fast)) if fast else np.inf
+    if np.isinf(horizon):
+        return Outlook(np.inf)
+    unknowns = max(each.nx for each in systems) + record.ny
+    past = max(round(PAST * horizon / pace), int(PER_UNKNOWN * unknowns))
+    ahead = int(horizon / pace + 1e-9)
+    starts = tuple(range(past, record.N - 1, max(ahead, 1)))
+    if ahead < 1 or not starts:
+        raise ValueError(
+            f"record {record.name!r} of {length:g} s is too short to predict {horizon:g} s ahead "
+            f"from {past * pace:g} s of past; give another horizon"
+        )
+    return Outlook(horizon, starts, past)
+
+
+def predict(system: StateSpace, record: Record, scale: Array, far: Outlook) -> Prediction:
+    """Outputs of a model over a record; ``scale`` (ny,) weighs the outputs.
+
+    Raises
+    ------
+    ValueError
+        A discrete model whose interval is not the record's.
+    """
+    follower = _Follower(system, record, scale)
+    y, mean = np.full(record.y.shape, np.nan), np.full(record.ny, np.nan)
+    if np.isinf(far.horizon):
+        x, bias = follower.estimate(0, record.N - 1)
+        first, biases = x[0], [bias]
+        y[:, follower.shared] = follower.outputs(x, 0) + bias
+    else:
+        first, biases = np.zeros(0), []
+        for start, end in zip(far.starts, (*far.starts[1:], record.N - 1), strict=True):
+            x, bias = follower.estimate(start - far.past, start)
+            first = first if len(first) else x[0]
+            ahead = follower.forward(x[-1], start, end)
+            y[start + 1 : end + 1, follower.shared] = follower.outputs(ahead, start)[1:] + bias
+            biases.append(bias)
+    mean[follower.shared] = np.mean(biases, axis=0)
+    return Prediction(y, first, mean)
+
+
+class _Follower:
+    """Estimates and continues the state of one model along one record."""
+
+    def __init__(self, system: StateSpace, record: Record, scale: Array) -> None:
+        self.shared = [i for i, name in enumerate(record.outputs) if name in system.outputs]
+        rows = [system.outputs.index(record.outputs[i]) for i in self.shared]
+        u = record.u[:, [record.inputs.index(channel) for channel in system.inputs]]
+        self.system, self.steps = system, system.steps(record.t, u, record.hold)
+        self.C, self.direct = system.C[rows], self.steps.direct[:, rows]
+        self.t, self.y, self.scale = record.t, record.y[:, self.shared], scale[self.shared]
+
+    def outputs(self, x: Array, begin: int) -> Array:
+        """Outputs without biases of states (n, nx) from a sample on."""
+        return np.asarray(x @ self.C.T + self.direct[begin : begin + len(x)])
+
+    def forward(self, x: Array, begin: int, end: int) -> Array:
+        """States from one sample to another."""
+        found = [x]
+        for k in range(begin, end):
+            found.append(self.steps.maps[self.steps.which[k]] @ found[-1] + self.steps.forcing[k])
+        return np.array(found)
+
+    def estimate(self, begin: int, end: int) -> tuple[Array, Array]:
+        """States (n, nx) and biases that suit the measurements between two samples best."""
+        states = self._states(begin, end)
+        response = self.C @ states  # (n, outputs shared, 1 + nx)
+        residual = self.y[begin : end + 1] - response[:, :, 0] - self.direct[begin : end + 1]
+        z, bias = _fit_unknowns(residual, response[:, :, 1:], self.scale)
+        return states[:, :, 0] + states[:, :, 1:] @ z, bias
+
+    def _states(self, begin: int, end: int) -> Array:
+        """Forced and free responses of the state between two samples, all bounded, (n, nx, 1 + nx).
+
+        Column 0: the response to u with slow modes at zero at the start and fast growing ones at
+        zero at the end; the others: free responses to a unit of either.
+        """
+        which, n, nx = self.steps.which[begin:end], end - begin, self.system.nx
+        V, ns = _split(self.system, float(self.t[end] - self.t[begin]))
+        maps = [np.linalg.solve(V, Ad @ V) for Ad in self.steps.maps]
+        forcing = np.linalg.solve(V, self.steps.forcing[begin:end].T).T
+        z = np.zeros((n + 1, nx, 1 + nx))
+        z[0, :ns, 1 : 1 + ns] = np.eye(ns)
+        z[n, ns:, 1 + ns :] = np.eye(nx - ns)
+        slow = [Ad[:ns, :ns] for Ad in maps]
+        fast = [np.linalg.inv(Ad[ns:, ns:]) for Ad in maps]
+        for k in range(n):
+            z[k + 1, :ns] = slow[which[k]] @ z[k, :ns]
+            z[k + 1, :ns, 0] += forcing[k, :ns]
+        for k in range(n - 1, -1, -1):
+            ahead = z[k + 1, ns:].copy()
+            ahead[:, 0] -= forcing[k, ns:]
+            z[k, ns:] = fast[which[k]] @ ahead
+        return np.asarray(V @ z)
+
+
+def _split(system: StateSpace, span: float) -> tuple[Array, int]:
+    """Coordinates V and a number ns: V⁻¹ A V is block diagonal, slow modes first.
+
+    Fast is what grows more than about e² over the record; the border lies in the widest gap between
+    the growth rates near there, so that the Sylvester equation is well conditioned.
+    """
+    poles = np.linalg.eigvals(system.A)
+    if system.dt is None:
+        rates, border = poles.real, np.array([0.5, 5.0]) / span
+    else:
+        rates, border = np.abs(poles), np.exp(np.array([0.5, 5.0]) * system.dt / span)
+    near = np.sort(rates[(rates > border[0]) & (rates < border[1])])
+    edges = np.concatenate([border[:1], near, border[1:]])
+    widest = int(np.argmax(np.diff(edges)))
+    limit = edges[widest : widest + 2].mean()
+
+    def slow(real: float, imag: float) -> bool:
+        return bool((real if system.dt is None else np.hypot(real, imag)) < limit)
+
+    S, Z, ns = scipy.linalg.schur(system.A, output="real", sort=slow)
+    X = scipy.linalg.solve_sylvester(S[:ns, :ns], -S[ns:, ns:], -S[:ns, ns:])
+    V = Z.copy()
+    V[:, ns:] += Z[:, :ns] @ X
+    return V, ns
+
+
+def _fit_unknowns(residual: Array, free: Array, scale: Array) -> tuple[Array, Array]:
+    """Least squares for free responses z (nx,) and biases b (ny,); missing samples are left out.
+
+    Columns are scaled to one; directions without effect on the outputs get zero.
+    """
+    N, ny, nx = free.shape
+    biases = np.broadcast_to(np.eye(ny), (N, ny, ny))
+    columns = (np.concatenate([free, biases], axis=2) / scale[:, None]).reshape(N * ny, nx + ny)
+    target = (residual / scale).ravel()
+    there = ~np.isnan(target)
+    columns, target = columns[there], target[there]
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0] = 1.0
+    solution = np.linalg.lstsq(columns / size, target, rcond=RANK)[0] / size
+    return solution[:nx], solution[nx:]
