@@ -12,6 +12,7 @@ ends of a loss and from the other channels.
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.ndimage
 import scipy.sparse
 import scipy.sparse.linalg
 
@@ -22,7 +23,10 @@ REACH = 0.25  # time [s] that the lags reach back, within these limits
 LAGS = (2, 10)
 ROWS = 20_000  # samples that it is fitted to
 ROUNDS = 2  # of fitting and filling
+PASSES = 8  # at most, in which outliers are looked for
+FEWEST = 50  # samples of a channel in which outliers are looked for
 FAR = 6.0  # deviations of a normal distribution that make an outlier
+SLIGHT = 0.05  # of a channel's deviation: what is less does no harm
 MAD = 1.482602218505602  # standard deviation of a normal distribution over its median deviation
 
 
@@ -55,15 +59,16 @@ def autoregression(record: Record, y: Array, trusted: BoolArray) -> Autoregressi
     """The autoregression of a record with these outputs, fitted where samples are trusted (N,)."""
     p = int(np.clip(round(REACH / record.dt), *LAGS))
     p = max(1, min(p, (record.N // 5 - 1 - record.nu) // (record.nu + record.ny)))
-    u, N = record.u, record.N
-    columns = [y[p - i : N - i] for i in range(1, p + 1)]
-    columns += [u[p - i : N - i] for i in range(p + 1)]
-    X = np.hstack([*columns, np.ones((N - p, 1))])
     rows = np.flatnonzero(trusted[p:])
-    rows = rows[:ROWS] if len(rows) >= 2 * X.shape[1] else np.arange(len(X))
+    unknowns = p * (record.ny + record.nu) + record.nu + 1
+    rows = p + (rows if len(rows) >= 2 * unknowns else np.arange(record.N - p))
+    rows = rows[:: -(-len(rows) // ROWS)]
+    columns = [y[rows - i] for i in range(1, p + 1)]
+    columns += [record.u[rows - i] for i in range(p + 1)]
+    X = np.hstack([*columns, np.ones((len(rows), 1))])
     size = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-300)
-    theta = np.linalg.lstsq(X[rows] / size, y[p:][rows], rcond=1e-10)[0] / size[:, None]
-    e = y[p:][rows] - X[rows] @ theta
+    theta = np.linalg.lstsq(X / size, y[rows], rcond=1e-10)[0] / size[:, None]
+    e = y[rows] - X @ theta
     R = e.T @ e / len(rows)
     floor = 1e-10 * np.maximum(np.var(y, axis=0), 1e-300)
     ny, nu = record.ny, record.nu
@@ -92,6 +97,36 @@ def filled(record: Record) -> tuple[Record, BoolArray]:
         known = _smoothed(model, part.u, known, gone)
     y[:, there] = known
     return replace(record, y=y), lost
+
+
+def outliers(record: Record) -> BoolArray:
+    """Samples of outputs that neither those before and after nor the other channels bear out.
+
+    Six robust deviations (median of absolute deviations) of the innovations away from what fills
+    them in from both sides, (N, ny). What lasts, as a gust or a step does, is none.
+    """
+    there = np.flatnonzero(np.isfinite(record.y).sum(axis=0) > FEWEST)
+    part = record.select(outputs=[record.outputs[i] for i in there])
+    found = np.zeros(record.y.shape, dtype=bool)
+    if not len(there) or record.N < FEWEST:
+        return found
+    for _ in range(PASSES):
+        y = np.where(found[:, there], np.nan, part.y)
+        whole, lost = filled(replace(part, y=y))
+        model = autoregression(part, whole.y, np.asarray(~lost.any(axis=1)))
+        e = model.innovations(part.u, whole.y)
+        e, p = np.where(lost[-len(e) :], np.nan, e), part.N - len(e)
+        limit = FAR * MAD * np.nanmedian(np.abs(e), axis=0)
+        limit = np.maximum(limit, SLIGHT * np.std(whole.y, axis=0))
+        far = np.vstack([np.zeros((p, len(there)), dtype=bool), np.abs(e) > limit])
+        if not far.any():
+            break
+        again = _smoothed(model, part.u, whole.y, far)
+        size = np.where(far, np.abs(whole.y - again) / limit, 0.0)
+        # An outlier spoils the predictions of all channels after it: the largest one first.
+        around = scipy.ndimage.maximum_filter1d(size.max(axis=1), 2 * p + 1)
+        found[:, there] |= (size > 1) & (size == around[:, None])
+    return found
 
 
 def _smoothed(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> Array:

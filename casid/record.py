@@ -106,6 +106,19 @@ class Record:
         usual = max(self.dt, float(np.quantile(steps, USUAL)))
         return np.flatnonzero(steps > 2.001 * usual)
 
+    def stretches(self) -> tuple["Record", ...]:
+        """The manoeuvre between its gaps in time, where nobody knows what the inputs did.
+
+        Rows that are missing for longer than twice the usual sampling interval make a gap.
+        Stretches of fewer than 16 samples are left out; without gaps it is the record itself.
+        """
+        gaps = self.gaps()
+        if not len(gaps):
+            return (self,)
+        spans = [(a, b) for a, b in pairwise([0, *map(int, gaps + 1), self.N]) if b - a >= FEWEST]
+        parts = [self.take(slice(*span)) for span in spans]
+        return tuple(replace(each, name=f"{self.name} {k}") for k, each in enumerate(parts, 1))
+
     def channel(self, name: str) -> Array:
         """Samples of one channel, (N,)."""
         if name in self.inputs:
@@ -140,6 +153,10 @@ class Record:
                 f"{end:g} s; it lasts from {self.t[0]:g} s to {self.t[-1]:g} s"
             )
         return self.take(keep)
+
+    def mask(self, where: BoolArray) -> "Record":
+        """The same manoeuvre with some output samples missing: ``where`` (N, ny) is true."""
+        return replace(self, y=np.where(where, np.nan, self.y))
 
     def decimate(self, step: int) -> "Record":
         """Every ``step``-th sample, unfiltered; the hold then applies between these."""
@@ -215,9 +232,8 @@ def several(items: T | Iterable[T]) -> tuple[T, ...]:
 def stretches(records: Records) -> tuple[Record, ...]:
     """Records without gaps in time; every estimator takes its records through here.
 
-    Rows that are missing for longer than twice the usual sampling interval end a stretch: nobody
-    knows what the inputs did there. Each stretch counts as a record with an initial state of its
-    own; a `DataWarning` names the gaps. Stretches of fewer than 16 samples are left out.
+    A record with gaps counts as its `Record.stretches`, each with an initial state of its own; a
+    `DataWarning` says so.
 
     Raises
     ------
@@ -227,30 +243,26 @@ def stretches(records: Records) -> tuple[Record, ...]:
     return tuple(piece for record in several(records) for piece in _pieces(record))
 
 
-def _pieces(record: Record) -> list[Record]:
+def _pieces(record: Record) -> tuple[Record, ...]:
+    pieces = record.stretches()
+    if len(pieces) == 1 and pieces[0] is record:
+        return pieces
     gaps = record.gaps()
-    if not len(gaps):
-        return [record]
-    edges = [0, *map(int, gaps + 1), record.N]
-    spans = [(a, b) for a, b in pairwise(edges) if b - a >= FEWEST]
-    lost = record.N - sum(b - a for a, b in spans)
-    longest = int(gaps[np.argmax(record.t[gaps + 1] - record.t[gaps])])
+    wide = np.diff(record.t)[gaps]
+    lost = record.N - sum(piece.N for piece in pieces)
     said = (
-        f"record {record.name!r} has {len(gaps)} gaps in time, the longest of "
-        f"{record.t[longest + 1] - record.t[longest]:.3g} s after {record.t[longest]:.4g} s"
+        f"record {record.name!r} has {len(gaps)} gap{'s' * (len(gaps) > 1)} in time, the longest "
+        f"of {wide.max():.3g} s after {record.t[gaps[np.argmax(wide)]]:.4g} s"
     )
-    if not spans:
+    if not pieces:
         raise ValueError(f"{said}, and no stretch of {FEWEST} samples between them; leave it out")
     warnings.warn(
-        f"{said}: taken as {len(spans)} stretches, each with an initial state of its own"
+        f"{said}: taken as {len(pieces)} stretches, each with an initial state of its own"
         + f"; {lost} samples in shorter ones are left out" * bool(lost),
         DataWarning,
         stacklevel=4,
     )
-    return [
-        replace(record.take(slice(a, b)), name=f"{record.name} {k}")
-        for k, (a, b) in enumerate(spans, 1)
-    ]
+    return pieces
 
 
 def same_channels(records: Records) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -82,6 +82,17 @@ def test_what_is_in_the_way_is_said_with_the_culprit(damage, words):
         assert word in said
 
 
+def test_an_outlier_is_listed_and_makes_no_good_channel_noise():
+    record = swept().with_noise({"p": 0.001, "r": 0.001}, np.random.default_rng(2))
+    y = record.y.copy()
+    y[300, 0] += 200 * np.ptp(y[:, 0])
+    found = inspect_records(replace(record, y=y))
+    assert facts(found, "p").outliers == (pytest.approx(record.t[300]),)
+    assert facts(found, "p").noise == pytest.approx(0.001, rel=0.2)
+    assert any(f"p has 1 outlier, the first at {record.t[300]:.4g} s" in x for x in found.advice)
+    assert not any("mostly noise" in said for said in found.advice)
+
+
 def test_what_the_user_stated_is_believed():
     record = replace(swept(), u=100 * swept().u)
     assert any("'lat' reaches" in said for said in inspect_records([record, record]).advice)

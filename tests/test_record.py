@@ -178,7 +178,7 @@ def test_rows_missing_for_longer_than_two_intervals_end_a_stretch():
     one, two = np.arange(100) != 50, ~np.isin(np.arange(100), (50, 51))
     assert len(stretches(whole.take(one))) == 1  # one row lost: twice the interval
     with pytest.warns(
-        DataWarning, match=r"'a' has 1 gaps in time, the longest of 0.3 s after 4.9 s"
+        DataWarning, match=r"'a' has 1 gap in time, the longest of 0.3 s after 4.9 s"
     ):
         parts = stretches([whole.take(two)])
     assert [(part.name, part.N, part.t[0]) for part in parts] == [
@@ -218,7 +218,7 @@ def test_a_dropout_of_five_seconds_is_the_flight_cut_in_two(estimate):
     noise = {"ay": 0.05, "p": 0.005, "phi": 0.005}
     whole = flown(t=0.02 * np.arange(1750), seed=1).with_noise(noise, np.random.default_rng(3))
     lost = whole.take((whole.t < 15) | (whole.t > 20))
-    with pytest.warns(DataWarning, match="1 gaps in time, the longest of 5.0"):
+    with pytest.warns(DataWarning, match="1 gap in time, the longest of 5.0"):
         found = estimate(lost)
     expected = estimate([whole.between(0, 14.99), whole.between(20.01, 40)])
     np.testing.assert_allclose(found, expected, rtol=1e-9)

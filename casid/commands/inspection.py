@@ -2,10 +2,12 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from casid.arrays import Array
+from casid.autoregression import outliers
 from casid.channels import UNITS
 from casid.consistency.flightpath import noise
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
@@ -37,6 +39,8 @@ class ChannelFacts:
         Standard deviation of white noise on it, from third differences.
     missing : float
         Share of missing samples.
+    outliers : tuple of float
+        Instants [s] of samples that nothing before, after or beside them bears out.
     clipped : int
         Longest run of equal samples at an extreme, where that looks like saturation; else 0.
     band : (3,) array
@@ -50,6 +54,7 @@ class ChannelFacts:
     deviation: float
     noise: float
     missing: float
+    outliers: tuple[float, ...]
     clipped: int
     band: Array
 
@@ -163,6 +168,11 @@ def _facts(record: Record) -> RecordFacts:
     steps = np.diff(record.t)
     wide = np.flatnonzero(steps > GAP * record.dt)
     quiet = record.t[min(record.quiet_samples(), record.N - 1)] - record.t[0]
+    marks = outliers(record).T
+    far = {
+        name: tuple(record.t[mark].tolist())
+        for name, mark in zip(record.outputs, marks, strict=True)
+    }
     return RecordFacts(
         name=record.name,
         samples=record.N,
@@ -171,19 +181,21 @@ def _facts(record: Record) -> RecordFacts:
         equidistant=record.equidistant,
         quiet=float(quiet),
         gaps=tuple((float(record.t[k]), float(steps[k])) for k in wide),
-        channels=tuple(_channel(record, name) for name in (*record.inputs, *record.outputs)),
+        channels=tuple(
+            _channel(record, name, far.get(name, ())) for name in (*record.inputs, *record.outputs)
+        ),
     )
 
 
-def _channel(record: Record, name: str) -> ChannelFacts:
+def _channel(record: Record, name: str, far: tuple[float, ...]) -> ChannelFacts:
     raw = record.channel(name) + record.trim.get(name, 0.0)
     known = ~np.isnan(raw)
     t, values = record.t[known], raw[known]
     if len(values) < 4:  # nothing can be said
-        empty = dict.fromkeys(("lowest", "highest", "deviation", "noise"), np.nan)
+        numbers = ("lowest", "highest", "deviation", "noise")
+        empty: dict[str, Any] = dict.fromkeys(numbers, np.nan) | {"band": np.full(3, np.nan)}
         share, unit = float(1 - known.mean()), UNITS.get(name, "")
-        nowhere = np.full(3, np.nan)
-        return ChannelFacts(name=name, unit=unit, missing=share, clipped=0, band=nowhere, **empty)
+        return ChannelFacts(name=name, unit=unit, missing=share, outliers=(), clipped=0, **empty)
     even = np.interp(np.linspace(t[0], t[-1], record.N), t, values)
     return ChannelFacts(
         name=name,
@@ -193,6 +205,7 @@ def _channel(record: Record, name: str) -> ChannelFacts:
         deviation=float(values.std()),
         noise=noise(values),
         missing=float(1 - known.mean()),
+        outliers=far,
         clipped=_clipped(values, stick=name in record.inputs),
         band=_band(even, record.duration),
     )
@@ -266,6 +279,12 @@ def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
             said.append(
                 f"{facts.name}: {channel.name} stays at its extreme {kind} for {channel.clipped} "
                 "samples: saturated? Cut the record there or leave it out"
+            )
+        if n := len(channel.outliers):
+            said.append(
+                f"{facts.name}: {channel.name} has {n} outlier{'s' * (n > 1)}, the first at "
+                f"{channel.outliers[0]:.4g} s; mark as missing what no instrument measures "
+                "(Record.mask)"
             )
         if channel.missing:
             said.append(f"{facts.name}: {channel.name} lacks {channel.missing:.1%} of its samples")

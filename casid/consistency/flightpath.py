@@ -24,8 +24,9 @@ import scipy.interpolate
 import scipy.signal
 
 from casid.arrays import Array
+from casid.autoregression import FAR, MAD
 from casid.frequency.sampling import equidistant
-from casid.record import Record, stretches
+from casid.record import Record
 
 GRAVITY = 9.80665  # m/s^2
 MOST = 60_000  # samples that are looked at
@@ -65,7 +66,7 @@ class Flight:
 
 def looked_at(records: Sequence[Record]) -> list[Record]:
     """Stretches of records without long gaps, cut where there are more samples than are used."""
-    pieces = [piece for piece in stretches(records) if piece.N >= SHORTEST]
+    pieces = [each for record in records for each in record.stretches() if each.N >= SHORTEST]
     share = min(1.0, MOST / max(sum(piece.N for piece in pieces), 1))
     return [piece.take(slice(max(int(share * piece.N), SHORTEST))) for piece in pieces]
 
@@ -301,8 +302,13 @@ def _innovations(gain: float, e: Array, X: Array) -> tuple[Array, Array]:
 
 
 def noise(x: Array) -> float:
-    """Standard deviation of white noise on a smooth signal, from its third differences."""
-    return float(np.sqrt(np.mean(np.diff(x, 3) ** 2) / 20))
+    """Standard deviation of white noise on a smooth signal, from its third differences.
+
+    Differences beyond six robust deviations are those of outliers, and left out.
+    """
+    size = np.abs(np.diff(x, 3))
+    limit = FAR * MAD * np.median(size)
+    return float(np.sqrt(np.mean(size[size <= limit] ** 2 if limit else size**2) / 20))
 
 
 def _normal(parts: Sequence[Block], prior: Array, pull: Array) -> tuple[Array, Array]:

@@ -22,6 +22,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casid.arrays import BoolArray
+from casid.autoregression import outliers
 from casid.consistency.flightpath import (
     ATTITUDES,
     FORCES,
@@ -35,7 +37,7 @@ from casid.consistency.flightpath import (
     reconstruct,
     signals,
 )
-from casid.record import Records, several
+from casid.record import Record, Records, several
 
 KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
 SIGNIFICANT = 3.0  # standard errors
@@ -147,16 +149,19 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
     -------
     KinematicCheck
     """
-    flights = [signals(record, trim or {}) for record in looked_at(several(records))]
+    pieces = looked_at(several(records))
+    marks = [outliers(piece) for piece in pieces]
+    pieces = [piece.mask(where) for piece, where in zip(pieces, marks, strict=True)]
+    flights = [signals(piece, trim or {}) for piece in pieces]
     names = set.intersection(*(set(flight.values) for flight in flights)) if flights else set()
-    notes = []
+    notes = _marked(pieces, marks)
     if _perturbed(flights, names):
         names -= {*VELOCITIES, *FORCES}
         notes.append(
             "az has no gravity in it, so the records are perturbations: velocities are not "
             "checked, attitudes roughly, as about level flight; give the trim, or total values"
         )
-    notes += _unchecked(names)
+    notes += _unchecked(names, pieces)
     equations = [name for name in (*ATTITUDES, *VELOCITIES) if NEEDED[name] <= names]
     turned = _turned(flights, names)
     if turned or not equations:
@@ -184,17 +189,33 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
     )
 
 
-def _unchecked(names: set[str]) -> list[str]:
+def _marked(pieces: Sequence[Record], marks: Sequence[BoolArray]) -> list[str]:
+    """Notes on outliers, which are left out here and nowhere else."""
     notes = []
-    for rate, attitude in (("p", "phi"), ("q", "theta")):
-        if rate in names and attitude not in names:
-            notes.append(f"{rate} was not checked: there is no {attitude}")
+    for i, name in enumerate(pieces[0].outputs if pieces else ()):
+        at = [piece.t[where[:, i]] for piece, where in zip(pieces, marks, strict=True)]
+        if count := sum(map(len, at)):
+            first = next(each[0] for each in at if len(each))
+            notes.append(f"{name} has {count} outliers, left out here; the first at {first:.4g} s")
+    return notes
+
+
+def _unchecked(names: set[str], pieces: Sequence[Record]) -> list[str]:
+    """Notes on what was not checked, and whether its reference is absent or has few samples."""
+
+    def absence(name: str) -> str:
+        shares = [np.isnan(p.channel(name)).mean() for p in pieces if name in p.outputs]
+        return f"{max(shares):.0%} of {name} is missing" if shares else f"there is no {name}"
+
+    notes = [
+        f"{rate} was not checked: {absence(attitude)}"
+        for rate, attitude in (("p", "phi"), ("q", "theta"))
+        if rate in names and attitude not in names
+    ]
     lacking = sorted(NEEDED["u"] - names)
     if lacking and {*FORCES} & names:
-        notes.append(
-            "specific forces were checked against gravity in trim only: there is no "
-            + ", ".join(lacking)
-        )
+        why = ", ".join(map(absence, lacking))
+        notes.append(f"specific forces were checked against gravity in trim only: {why}")
     return notes
 
 
