@@ -18,6 +18,7 @@ from casid.shooting.precision import OutputErrorNotes
 from casid.stages.listing import STAGES
 from casid.stages.stage import Role, Stage, Task, check_task, run_stages, several
 from casid.subspace.pbsid import BlackBox
+from casid.threads import one_thread
 from casid.validation import Validation
 
 
@@ -74,6 +75,7 @@ class Identification(Generic[M_co]):
         return self.results.get("validation")
 
 
+@one_thread
 def identify(
     model: M,
     records: Record | Sequence[Record],

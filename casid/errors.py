@@ -1,5 +1,7 @@
 """The typed failures of casid; a bad argument is a plain ``ValueError``."""
 
+import warnings
+from inspect import currentframe
 from typing import Any
 
 
@@ -17,3 +19,11 @@ class ConvergenceError(RuntimeError):
 
 class DataWarning(UserWarning):
     """The data make a result less trustworthy than it looks; the message says what to do."""
+
+
+def warn(message: str) -> None:
+    """Issue a `DataWarning` for the line outside casid that led here."""
+    frame, level = currentframe(), 1
+    while frame is not None and str(frame.f_globals.get("__name__")).startswith("casid."):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, DataWarning, stacklevel=level)

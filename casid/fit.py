@@ -1,6 +1,5 @@
 """The result of an estimation: the model with its estimates and what is known about them."""
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 import numpy as np
 
 from casid.arrays import Array, BoolArray
-from casid.errors import DataWarning, ModelError
+from casid.errors import ModelError, warn
 from casid.files import number, read_json, write_json
 from casid.model import Free, M, Model
 from casid.values import decode, encode, seal, storable
@@ -251,11 +250,7 @@ def _first_version(content: Any, model: type[M], place: str | Path) -> Fit[M, An
         if old[name] is not None:
             old[name] = np.array(old[name], dtype=float)
     old |= {"cost": number(old["cost"]), "free_names": tuple(old["free_names"])}
-    warnings.warn(
-        f"{place} was saved by casid 0.1: its notes are left out; estimate again to have them",
-        DataWarning,
-        stacklevel=4,
-    )
+    warn(f"{place} was saved by casid 0.1: its notes are left out; estimate again to have them")
     return Fit(**old)
 
 

@@ -1,6 +1,5 @@
 """One manoeuvre: inputs and outputs at the instants they were measured."""
 
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray
-from casid.errors import DataWarning
+from casid.errors import warn
 
 Hold = Literal["foh", "zoh"]
 T = TypeVar("T")
@@ -256,11 +255,9 @@ def _pieces(record: Record) -> tuple[Record, ...]:
     )
     if not pieces:
         raise ValueError(f"{said}, and no stretch of {FEWEST} samples between them; leave it out")
-    warnings.warn(
+    warn(
         f"{said}: taken as {len(pieces)} stretches, each with an initial state of its own"
-        + f"; {lost} samples in shorter ones are left out" * bool(lost),
-        DataWarning,
-        stacklevel=4,
+        + f"; {lost} samples in shorter ones are left out" * bool(lost)
     )
     return pieces
 

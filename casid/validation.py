@@ -20,6 +20,7 @@ from casid.model import Model
 from casid.prediction import Outlook, Prediction, growth_rate, outlook, predict
 from casid.record import Record, Records, same_channels, standard_deviations, stretches
 from casid.subspace.pbsid import BlackBox
+from casid.threads import one_thread
 
 LAGS = 40  # largest lag of the whiteness test
 BAND = 2.5758293035489004  # 99 % band of a white sequence's autocorrelations, in 1/√N
@@ -98,6 +99,7 @@ class Validation:
         )
 
 
+@one_thread
 def validate(
     models: Mapping[str, AnyModel], records: Records, *, horizon: float | None = None
 ) -> Validation:

@@ -25,6 +25,7 @@ from casid.matching.mismatch import DB, GOOD, TURN, residual_slopes
 from casid.matching.targets import in_channels
 from casid.model import Bounds, M, free_parameters
 from casid.nlp import SolverOptions
+from casid.threads import one_thread
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,6 +60,7 @@ class Derivid:
     seed: int = 0
     solver: SolverOptions = SolverOptions()
 
+    @one_thread
     def fit(
         self,
         model: M,

@@ -5,7 +5,6 @@ bounds (Boyd & Vandenberghe, Convex Optimization, section 5.6), so they say whic
 relaxing, and predict by how much the cost would fall.
 """
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from casid.bounds.cases import Case, CaseSpec, read_cases
 from casid.bounds.prices import CaseResult, price_case
 from casid.bounds.trials import Data, Setup, Trial, in_words, run_trials, setup, starting_values
-from casid.errors import DataWarning
+from casid.errors import warn
 from casid.estimator import Estimator
 from casid.files import write_text
 from casid.fit import AnyFit
@@ -194,12 +193,11 @@ def _warn_of_minima(results: Sequence[CaseResult], freest: str) -> None:
     """A case within the freest cannot fit better, unless the freest found another minimum."""
     for case in results:
         if case.freedom and case.increase < -WORSE * (1 + abs(case.cost)):
-            warnings.warn(
+            warn(
                 f"case {case.name!r} lies within {freest!r}, yet its cost is lower by "
                 f"{-case.increase:.3g}: the fit of {freest!r} is a local minimum; start it from "
-                "that case's model",
-                DataWarning, stacklevel=3,
-            )  # fmt: skip
+                "that case's model"
+            )
 
 
 # ---- tables --------------------------------------------------------------------------------------

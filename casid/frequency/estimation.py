@@ -5,7 +5,6 @@ its programs FRESPID, MISOSA and COMPOSITE do is one function here, `frequency_r
 spectra themselves are computed in `casid.frequency.spectra`, which also lists the departures.
 """
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
-from casid.errors import DataWarning
+from casid.errors import warn
 from casid.files import read_json, write_json
 from casid.frequency.sampling import checked_grid, checked_windows, equidistant
 from casid.frequency.spectra import (
@@ -29,6 +28,7 @@ from casid.frequency.spectra import (
 )
 from casid.record import Record, Records, same_channels, several, standard_deviations, stretches
 from casid.subspace.columns import excited_band
+from casid.threads import one_thread
 from casid.values import storable
 
 GRID = 40  # frequencies unless given
@@ -206,6 +206,7 @@ class SpectralAnalysis:
     windows: Sequence[float] | None = None
     conditioned: bool = True
 
+    @one_thread
     def fit(self, records: Records) -> FrequencyResponse:
         """Frequency response of the records; see `frequency_response`."""
         records = stretches(records)
@@ -326,12 +327,10 @@ def _parts(
         raise ValueError(_nothing_left(records, lengths[0]))
     share = max(float(lost.mean(axis=0).max()) for _, lost in whole)
     if share:
-        warnings.warn(
+        warn(
             f"up to {100 * share:.2g} % of an output's samples are missing (NaN): filled in by a "
             "short autoregression, and windows left out where they are missing for longer than a "
-            "period",
-            DataWarning,
-            stacklevel=5,
+            "period"
         )
     return kept, parts, np.array(counted)
 
@@ -381,17 +380,11 @@ def _warn(found: FrequencyResponse, still: Sequence[str]) -> None:
         worst = np.nanmax(found.condition[list(at)]) if "condition" in reason else np.nan
         number = "" if np.isnan(worst) else f" (up to {worst:.3g})"
         lost = np.isnan(found.G[list(at)]).all()
-        warnings.warn(
+        warn(
             f"{len(at)} of {len(found.omega)} frequencies, {found.omega[at[0]]:.3g} to "
             f"{found.omega[at[-1]]:.3g} rad/s: {reason}{number}"
             + ("; they are NaN" if lost else "")
-            + ("; add records that move the inputs one at a time" if "inputs" in reason else ""),
-            DataWarning,
-            stacklevel=4,
+            + ("; add records that move the inputs one at a time" if "inputs" in reason else "")
         )
     if still:
-        warnings.warn(
-            f"input {still[0]!r} never moves: its column of the response is NaN",
-            DataWarning,
-            stacklevel=4,
-        )
+        warn(f"input {still[0]!r} never moves: its column of the response is NaN")

@@ -1,6 +1,5 @@
 """Records, grid and window lengths made fit for spectra, or refused."""
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -8,7 +7,7 @@ import numpy as np
 import scipy.interpolate
 
 from casid.arrays import Array, BoolArray
-from casid.errors import DataWarning
+from casid.errors import warn
 from casid.record import Record
 
 
@@ -39,11 +38,9 @@ def checked_grid(omega: Array, records: Sequence[Record]) -> Array:
     longest = max(record.duration for record in records)
     apart = 1 + (omega[-1] - omega[0]) * longest / (2 * np.pi)
     if len(omega) > apart:
-        warnings.warn(
+        warn(
             f"{len(omega)} frequencies between {omega[0]:g} and {omega[-1]:g} rad/s are finer than "
-            f"a record of {longest:g} s allows (about {apart:.0f}): neighbours repeat each other",
-            DataWarning,
-            stacklevel=4,
+            f"a record of {longest:g} s allows (about {apart:.0f}): neighbours repeat each other"
         )
     return omega
 

@@ -20,6 +20,7 @@ from casid.matching.targets import Target, Weight, compare
 from casid.model import Bounds, M, free_parameters
 from casid.nlp import SolverOptions
 from casid.record import several
+from casid.threads import one_thread
 
 LOG = logging.getLogger("casid")
 
@@ -60,6 +61,7 @@ class Match:
     stable_shift: bool = True
     solver: SolverOptions = SolverOptions()
 
+    @one_thread
     def fit(
         self,
         model: M,

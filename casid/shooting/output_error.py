@@ -31,6 +31,7 @@ from casid.shooting.search import IPOPT, Outcome, Search
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
 from casid.subspace.pbsid import BlackBox
+from casid.threads import one_thread
 
 LOG = logging.getLogger("casid")
 
@@ -66,6 +67,7 @@ class OutputError:
     process_noise: bool | Array | BlackBox = False
     solver: SolverOptions = SolverOptions()
 
+    @one_thread
     def fit(
         self,
         model: M,

@@ -20,6 +20,7 @@ from casid.studies.contents import content
 from casid.studies.keeping import Keeper, Silent, Watch
 from casid.studies.study import Study, read_records
 from casid.tabulation import csv_text
+from casid.threads import one_thread
 from casid.validation import Validation
 
 
@@ -43,6 +44,7 @@ class Outcome:
         return self.identification.results.get("bounds")
 
 
+@one_thread
 def run_study(
     study: Study, *, fresh: bool = False, command: str = "", watch: Watch | None = None
 ) -> Outcome:

@@ -7,14 +7,13 @@ of them. Departures: the projections are computed exactly from the samples
 term may be masked.
 """
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar, get_args
 
 import numpy as np
 
 from casid.arrays import Array, BoolArray
-from casid.errors import DataWarning
+from casid.errors import warn
 from casid.linear import StateSpace, from_zoh
 from casid.record import Hold, Records
 from casid.subspace.campaign import Campaign, Windows
@@ -35,6 +34,7 @@ from casid.subspace.settings import (
     with_errors,
 )
 from casid.subspace.trust import data_doubts
+from casid.threads import one_thread
 from casid.values import storable
 
 T = TypeVar("T")
@@ -213,6 +213,7 @@ class Pbsid:
                 "samples themselves: leave one of them out"
             )
 
+    @one_thread
     def fit(self, records: Records) -> BlackBox:
         """Black box of one record or several; see `pbsid`."""
         campaign = Campaign.of(records, self.feedthrough)
@@ -398,19 +399,15 @@ def _said(value: T | None) -> list[T]:
 def _check_unstable(system: StateSpace, a: float) -> None:
     fastest = float(system.poles().real.max())
     if fastest > 0.5 * a:
-        warnings.warn(
+        warn(
             f"the black box has an unstable pole at {fastest:.2g} 1/s, near the Laguerre pole "
-            f"a = {a:g} rad/s, which must exceed it clearly; raise pole",
-            DataWarning,
-            stacklevel=3,
+            f"a = {a:g} rad/s, which must exceed it clearly; raise pole"
         )
 
 
 def _warn_direct_term(outputs: Array) -> None:
-    warnings.warn(
+    warn(
         "the records show feedback, and present inputs that go with present outputs: a direct term "
         f"of {', '.join(outputs)} cannot be told from one of the controller and may be badly "
-        "biased; if the aircraft has none, say so (feedthrough=False or the outputs that have one)",
-        DataWarning,
-        stacklevel=3,
+        "biased; if the aircraft has none, say so (feedthrough=False or the outputs that have one)"
     )

@@ -1,13 +1,12 @@
 """What follows the subspace estimate: which likelihood, and whether a controller spoils it."""
 
 import contextlib
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
 from casid.arrays import Array
-from casid.errors import DataWarning
+from casid.errors import warn
 from casid.linear import StateSpace
 from casid.subspace.campaign import Campaign
 from casid.subspace.feedback import fed_back_noise
@@ -83,9 +82,7 @@ def refine_projected(campaign: Campaign, found: Subspace, pole: float, *, move: 
 
 
 def _warn_fed_back(remedy: str) -> None:
-    warnings.warn(
+    warn(
         "the controller feeds so much of the outputs' noise back into the inputs that the black "
-        f"box is biased; {remedy}; a smaller pole or less feedback helps too",
-        DataWarning,
-        stacklevel=4,
+        f"box is biased; {remedy}; a smaller pole or less feedback helps too"
     )

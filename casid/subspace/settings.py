@@ -28,6 +28,7 @@ from casid.subspace.columns import Feedthrough, output_bandwidth
 from casid.subspace.fourier import Spectrum
 from casid.subspace.laguerre import support
 from casid.subspace.refinement import information_criteria, refine, residual_powers
+from casid.threads import one_thread
 from casid.values import storable
 
 HIGHEST = 2.0  # of the Laguerre pole: frequencies above it are not looked at
@@ -143,6 +144,7 @@ class Grid:
         ]
 
 
+@one_thread
 def select_order(
     records: Records,
     *,

@@ -1,0 +1,67 @@
+"""Threads of linear algebra while casid computes, by what the libraries report."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+from truths.structures import Lag
+from truths.systems import LAG, white
+
+from casid import frequency_response, match, output_error, pbsid, select_order, validate
+
+RECORD = replace(white(LAG, np.random.default_rng(0), duration=60.0, noise=0.05), outputs=("x",))
+OMEGA = np.array([1.5, 2.0, 3.0])
+PBSID = {"order": 1, "past": 5, "future": 5, "pole": 2.0, "feedthrough": False}
+CALLS = {
+    "pbsid": lambda records: pbsid(records, **PBSID),
+    "select_order": lambda records: select_order(records, orders=[1], pasts=[5], poles=[2.0]),
+    "frequency_response": lambda records: frequency_response(records, omega=OMEGA),
+    "output_error": lambda records: output_error(Lag(), records, interval=5.0),
+    "match": lambda target: match(Lag(), target, norm="quadratic"),
+    "validate": lambda records: validate({"truth": Lag()}, records),
+}
+
+
+def threads():
+    """Threads of every library of linear algebra in this process."""
+    return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+
+class Watched(Sequence):
+    """A sequence that notes how many threads there are whenever somebody reads it."""
+
+    def __init__(self, *items):
+        self.items, self.seen = items, set()
+
+    def __len__(self):
+        return len(self.items)
+
+    def __getitem__(self, index):
+        self.seen |= threads()
+        return self.items[index]
+
+
+@pytest.fixture(autouse=True)
+def two_threads():
+    """What the environment would have set."""
+    with threadpool_limits(2, user_api="blas"):
+        if threads() != {2}:
+            pytest.skip("a library here has one thread only")
+        yield
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_estimators_compute_with_one_thread_and_restore_the_rest(name):
+    frequency = [frequency_response([RECORD], omega=OMEGA)]
+    data = Watched(*frequency) if name == "match" else Watched(RECORD)
+    CALLS[name](data)
+    assert data.seen == {1}
+    assert threads() == {2}
+
+
+def test_an_error_restores_the_threads_too():
+    with pytest.raises(ValueError, match="order"):
+        pbsid([RECORD], **(PBSID | {"order": -1}))
+    assert threads() == {2}
