@@ -106,6 +106,7 @@ class OutputError:
                 status = str(error)
                 raise ConvergenceError(f"output error: {status}", _unmoved(free, status)) from error
             outcome = search.run(programme, point, R)
+        outcome = search.around(outcome)
         return _result(model, free, outcome, length, time.perf_counter() - begin)
 
 

@@ -101,10 +101,18 @@ class Programme:
         self.jacobian_pattern = Pattern(*self._jacobian_entries(), size=self.size, rows=rows)
         self._forget()
 
-    def variant(self, *, scales: Scales | None = None, noise: Noise | None = None) -> "Programme":
-        """The same problem in other units or with another R."""
+    def variant(
+        self,
+        *,
+        scales: Scales | None = None,
+        noise: Noise | None = None,
+        evaluator: Evaluator | None = None,
+        free: Free | None = None,
+    ) -> "Programme":
+        """The same problem in other units, with another R, evaluator or bounds."""
         other = copy.copy(self)
         other.scales, other.noise = scales or self.scales, noise or self.noise
+        other.evaluator, other.free = evaluator or self.evaluator, free or self.free
         other._forget()
         return other
 

@@ -12,6 +12,7 @@ from casid.arrays import Array
 from casid.fit import AnyFit
 from casid.model import Free
 from casid.nlp import Solution, SolverOptions, solve
+from casid.shooting.delays import neighbours
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.nearby import predicted
 from casid.shooting.newton import Newton
@@ -22,6 +23,9 @@ from casid.shooting.starting import neighbouring_programme, noise_of
 ROUNDS = 12  # of solves
 PREDICTIONS = 3  # of the solution beside another: which bounds hold is settled then
 ROUGH = 1e-4  # tolerance of the first, whose R is that of the start
+MOVES = 5  # of delays across whole samples, at most
+GAIN = 1e-4  # of log-likelihood, that makes another stretch better
+MARGIN = 0.02  # of a stretch between whole samples, from its ends to a start in it
 SETTLED = 4.0  # factor by which a variance may fall in the last round: the scales still fit
 
 IPOPT: dict[str, float | str] = {
@@ -56,6 +60,12 @@ class Outcome:
     iterations: int
     rounds: int
     settled: bool
+
+    @property
+    def cost(self) -> float:
+        """Negative log-likelihood; infinite without success."""
+        programme, solution = self.programme, self.solution
+        return programme.n * programme.values(solution.x).cost if solution.success else np.inf
 
 
 class Search:
@@ -106,6 +116,46 @@ class Search:
             if solution.success and (noise.exact(now) or kept.all()):
                 return Outcome(programme, solution, iterations, rounds, True)
         return Outcome(programme, solution, iterations, ROUNDS, False)
+
+    def around(self, outcome: Outcome) -> Outcome:
+        """The outcome, or a better one beyond the whole samples next to its delays."""
+        for _ in range(MOVES):
+            best, solution = outcome, outcome.solution
+            lam = outcome.programme.unpack(solution.x).lam
+            own = outcome.programme.variant(free=self.free)
+            for free, delays in neighbours(own, lam, solution.success):
+                other = self._inside(outcome, free, delays)
+                if other.solution.success and other.cost < best.cost - GAIN:
+                    best = other
+            if best is outcome:
+                break
+            outcome = best
+        return outcome
+
+    def _inside(self, outcome: Outcome, free: Free, delays: Array) -> Outcome:
+        """The best within a stretch between whole samples, from an outcome without."""
+        last, n = outcome.programme, len(free.index)
+        point, noise = last.unpack(outcome.solution.x), last.noise
+        if not outcome.settled and noise.given is not None:
+            noise = replace(noise, given=None)
+        low, high = free.lower[free.index], free.upper[free.index]
+        margin = MARGIN * np.minimum(high - low, free.scale[free.index])
+        lam = point.lam.copy()
+        lam[:n] = np.clip(lam[:n], low + margin, high - margin)
+        point = replace(point, lam=lam)
+        evaluator = last.evaluator.within(delays)
+        loose = last.variant(noise=noise, evaluator=evaluator, free=free)
+        programme = loose.variant(scales=loose.balanced(point))
+        warm = _carried(outcome.solution, last, programme)
+        rounds = outcome.rounds + 1
+        solution = self._solve(programme, point, warm, rounds, self.options)
+        iterations = outcome.iterations + solution.iterations
+        bounds = self.free.lower[free.index], self.free.upper[free.index]
+        prices = solution.multipliers_x.copy()  # none for the end of a stretch
+        prices[:n] *= (low == bounds[0]) * (prices[:n] < 0) + (high == bounds[1]) * (prices[:n] > 0)
+        solution = replace(solution, multipliers_x=prices)
+        programme = programme.variant(free=self.free)
+        return Outcome(programme, solution, iterations, rounds, True)
 
     @staticmethod
     def _solve(

@@ -11,6 +11,7 @@ the maps. All intervals advance together, one dense product a step; the Gram mat
 over blocks of samples, so memory does not grow with the length of an interval.
 """
 
+import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -19,10 +20,12 @@ import numpy as np
 from casid.arrays import Array
 from casid.intersample import DelayedInput, delayed_input
 from casid.model import Free
+from casid.record import Record
 from casid.shooting.intervals import Layout
 from casid.shooting.stepping import Steps
-from casid.shooting.unknowns import FilterFunction
+from casid.shooting.unknowns import FilterFunction, FilterMatrices
 
+LATE = 1e-6  # of a sampling interval: the delay that stands for 0 if it may grow
 BLOCK = 16  # samples of every interval whose Jacobian rows are held at once
 BATCH_BYTES = 8e6  # of Jacobian rows held at once: they stay in the cache
 PIECE_BYTES = 64e6  # of a record's total derivatives held at once
@@ -122,22 +125,36 @@ class Evaluator:
         model = free.model
         self.nx, self.nu, self.ny = len(model.states), len(model.inputs), len(model.outputs)
         self.nf = self.matrices.nf
+        self._within: Array | None = None
         self._held: tuple[bytes, list[DelayedInput]] | None = None
 
-    def held(self, tau: Array) -> list[DelayedInput]:
+    def within(self, delays: Array | None) -> "Evaluator":
+        """The same, samples passed as for these delays (nu,) instead of τ; NaN follows τ."""
+        other = copy.copy(self)
+        other._within, other._held = delays, None
+        return other
+
+    def held(self, m: FilterMatrices) -> list[DelayedInput]:
         """Delayed inputs of every record."""
-        key = tau.tobytes()
+        key = m.tau.tobytes()
         if self._held is None or self._held[0] != key:
-            self._held = (
-                key,
-                [delayed_input(r.t, r.u, tau, r.hold) for r in self.layout.records],
-            )
+            self._held = key, [self._held_by(m, record) for record in self.layout.records]
         return self._held[1]
+
+    def _held_by(self, m: FilterMatrices, record: Record) -> DelayedInput:
+        """Delayed inputs; a delay on its bound 0 counts as one to come, but where outputs jump."""
+        late = m.tau_lam.any(axis=1)
+        if record.hold == "zoh":
+            late &= ~m.D.any(axis=0)
+        within = np.where(late, np.maximum(m.tau, LATE * record.dt), m.tau)
+        if self._within is not None:
+            within = np.where(np.isnan(self._within), within, self._within)
+        return delayed_input(record.t, record.u, m.tau, record.hold, within)
 
     def simulate(self, point: Point) -> Motion:
         """States and residuals over all intervals."""
         layout, m = self.layout, self.matrices(point.lam)
-        steps = Steps(m, layout, self.held(m.tau), self.filtering, slopes=False)
+        steps = Steps(m, layout, self.held(m), self.filtering, slopes=False)
         seen = layout.patterns[layout.pattern]
         bias = np.repeat(point.bias, [record.N for record in layout.records], axis=0)
         r = steps.inputs[:, : self.nu] @ m.D.T + bias - layout.y
@@ -178,7 +195,7 @@ class Sweep:
         layout = evaluator.layout
         self.e, self.layout, self.motion, self.W = evaluator, layout, motion, W
         self.matrices = m = evaluator.matrices(point.lam)
-        self.steps = Steps(m, layout, evaluator.held(m.tau), evaluator.filtering, slopes=True)
+        self.steps = Steps(m, layout, evaluator.held(m), evaluator.filtering, slopes=True)
         self.ns = evaluator.nf + evaluator.nx + (evaluator.ny if evaluator.filtering else 0)
         late = -m.D[:, :, None] * m.tau_lam
         self.drive = np.concatenate([m.C_lam, m.D_lam, late], axis=1)

@@ -1,0 +1,86 @@
+"""Delays about whole samples: kinks and jumps of the likelihood, and estimates free of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.closed_roll import TRUTH, flown
+from truths.intersample_study import BOUNDS, SIGMA, H, Roll, Smooth, flight
+
+from casid import output_error
+from casid.model import free_parameters
+from casid.shooting.delays import neighbours
+from casid.shooting.intervals import lay_out
+from casid.shooting.sensitivity import Evaluator
+from casid.shooting.starting import starting_programme
+
+
+def flights(structure, hold, delay, seed):
+    """Two noisy records of a helicopter that hears its stick so many samples late."""
+    rng = np.random.default_rng([5, seed])
+    return [flight(structure(tau=delay * H), hold, delay, rng) for _ in range(2)]
+
+
+@pytest.mark.parametrize(
+    ("structure", "hold", "delay", "off"),
+    [
+        (Roll, "foh", 1.0, 0.6),  # a kink of the output
+        (Roll, "foh", 0.0, 0.6),
+        (Smooth, "foh", 2.0, -0.7),  # smooth
+        (Smooth, "zoh", 2.0, 0.6),  # kinks of the states
+        (Roll, "zoh", 1.0, 0.6),  # jumps of the output
+        (Roll, "zoh", 2.0, -0.7),
+        (Roll, "zoh", 0.0, 0.6),
+    ],
+)
+def test_a_free_delay_of_whole_samples_is_right_to_a_tenth_of_one(structure, hold, delay, off):
+    truth = structure(tau=delay * H)
+    fit = output_error(
+        replace(truth, tau=(delay + off) * H), flights(structure, hold, delay, 0), bounds=BOUNDS
+    )
+    assert fit.success
+    assert abs(fit.model.tau / H - delay) < 0.1
+
+
+def stretches(model, hold):
+    """Bounds of τ in samples, and the delay within, that are to be tried about a model."""
+    record = replace(flown(model, x0=(0.0, 0.0, 0.0)), hold=hold)
+    free = free_parameters(model, bounds={"tau": (0.0, 0.25)})
+    evaluator = Evaluator(free, lay_out([record], 2.0))
+    programme, point = starting_programme(evaluator, free, np.diag(SIGMA**2), True)
+    found = []
+    for bounded, within in neighbours(programme, point.lam, solved=True):
+        assert np.isnan(within[1])  # the other stick's
+        found.append((bounded.lower[-1] / 0.02, bounded.upper[-1] / 0.02, within[0] / 0.02))
+    return np.round(found, 3).tolist()
+
+
+def test_stretches_between_whole_samples_are_tried_where_the_likelihood_breaks_nearby():
+    near, far = replace(TRUTH, tau=3.05 * 0.02), replace(TRUTH, tau=3.5 * 0.02)
+    assert stretches(near, "foh") == [[2.0, 3.0, 2.5]]
+    assert stretches(far, "foh") == []
+    assert stretches(far, "zoh") == [[2.0, 3.0, 2.5], [4.0, 5.0, 4.5]]  # its output jumps
+    smooth = replace(near, Ylat=0.0)
+    assert stretches(replace(TRUTH, tau=0.03 * 0.02), "foh") == []  # nothing below zero
+    assert stretches(smooth, "foh") == [[2.0, 3.0, 2.5]]  # Ylat may become a direct term
+
+
+def test_within_a_stretch_the_estimator_is_analytic_in_the_delay():
+    # Steps passing samples bend the residuals; held within a stretch they do not, beyond its ends.
+    model, late = replace(TRUTH, tau=0.06), 0.02 * np.array([2.5, 0.0])
+    record = replace(flown(model, x0=(0.0, 0.0, 0.0)), hold="zoh")
+    free = free_parameters(model)
+    evaluator = Evaluator(free, lay_out([record], 1e9))
+    _, point = starting_programme(evaluator, free, np.diag(SIGMA**2), True)
+
+    def second_difference(e, step=1e-4):
+        moved = []
+        for k in (-1, 0, 1):
+            lam = point.lam.copy()
+            lam[-1] += k * step
+            moved.append(e.simulate(replace(point, lam=lam)).residuals)
+        return np.abs(moved[0] - 2 * moved[1] + moved[2]).max() / step
+
+    # A second difference over the step falls with it where all is smooth, and stays at a kink.
+    assert second_difference(evaluator.within(late)) < 0.05
+    assert second_difference(evaluator) > 5.0
