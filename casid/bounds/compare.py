@@ -5,20 +5,20 @@ bounds (Boyd & Vandenberghe, Convex Optimization, section 5.6), so they say whic
 relaxing, and predict by how much the cost would fall.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from casid.bounds.cases import Case, CaseSpec, read_cases
+from casid.bounds.cases import Case, CaseSpec
 from casid.bounds.prices import CaseResult, price_case
-from casid.bounds.trials import Data, Setup, Trial, in_words, run_trials, setup, starting_values
+from casid.bounds.trials import Data, Fits, in_words
 from casid.errors import warn
 from casid.estimator import Estimator
 from casid.files import write_text
-from casid.fit import AnyFit
+from casid.fit import AnyFit, Fit
 from casid.jobs.campaigns import Execution, Job
 from casid.model import Bounds, Model
 from casid.record import Record
@@ -81,13 +81,15 @@ class BoundsComparison:
     def to_csv(self, path: str | Path) -> None:
         """Write one row a case and parameter, and beside it PATH_cases.csv with one row a case."""
         path = Path(path)
-        write_text(path, csv_text(PARAMETERS, _parameter_rows(self)))
-        write_text(path.with_name(f"{path.stem}_cases.csv"), csv_text(CASES, _case_rows(self)))
+        write_text(path, csv_text(PARAMETERS, list(_parameter_rows(self))))
+        write_text(
+            path.with_name(f"{path.stem}_cases.csv"), csv_text(CASES, list(_case_rows(self)))
+        )
 
     def to_markdown(self) -> str:
         """The cases, then parameters and relations by price; * marks those held, ± one sigma."""
-        heading = ("case", "cost", "increase", "predicted", "held", "AICc", "LR", "p",
-                   "validation", "eigenvalues [1/s]")  # fmt: skip
+        figures = ("cost", "increase", "predicted", "held", "AICc", "LR", "p", "validation")
+        heading = ("case", *figures, "eigenvalues [1/s]")
         cases = [_case_cells(case) for case in self.cases]
         names = [case.name for case in self.cases]
         prices = [f"price in {name}" for name in names if name != self.freest]
@@ -147,19 +149,17 @@ def compare_bounds(
     ValueError, ModelError
         A case that is not understood, no estimator.
     """
-    read = read_cases(model, cases, fixed, bounds)
-    shared = setup(model, data, estimator=estimator, fixed=fixed)
-    jobs = _jobs(read, shared, model, start)
-    done = run_trials(jobs, type(model), execution)
-    fits = {name: each.result for name, each in done.items() if not each.reason}
-    freest = jobs[0].name
-    judged = None
+    fits = Fits(model, data, estimator, fixed, bounds, execution)
+    read = fits.cases(cases)
+    jobs = _jobs(read, fits, start)
+    done = fits.run(jobs)
+    good = {case.name: done[case.name].result for case in read if not done[case.name].reason}
+    freest, judged = jobs[0].name, None
     unseen = [validation] if isinstance(validation, Record) else validation
-    if unseen and fits:
-        ordered = {case.name: fits[case.name] for case in read if case.name in fits}
-        judged = validate(ordered, unseen)
-    base = {case.name: case for case in read}[freest], fits.get(freest)
-    results = tuple(price_case(case, done[case.name], base, shared.data, judged) for case in read)
+    if unseen and good:
+        judged = validate(good, unseen)
+    base = next(case for case in read if case.name == freest), good.get(freest)
+    results = tuple(price_case(case, done[case.name], base, fits.data, judged) for case in read)
     _warn_of_minima(results, freest)
     return BoundsComparison(
         cases=results,
@@ -170,22 +170,20 @@ def compare_bounds(
     )
 
 
-def _jobs(
-    cases: Sequence[Case], shared: Setup, model: Model, start: Model | AnyFit | None
-) -> list[Job]:
+def _jobs(cases: Sequence[Case], fits: Fits, start: Model | AnyFit | None) -> list[Job]:
     """One job a case, the freest first; each after a wider one, or the freest if that failed.
 
     The wider one is that halfway down the ladder of cases that contain it: near, and a ladder of n
     cases takes log n rounds on many processors.
     """
     order = sorted(cases, key=lambda case: -sum(other.within(case) for other in cases))
-    values, near = starting_values(model, start)
+    guess = start.model if isinstance(start, Fit) else start
     jobs: list[Job] = []
-    for k, case in enumerate(order):
+    for case in order:
         wider = [job for job, other in zip(jobs, order, strict=False) if case.within(other)]
         halfway = wider[(len(wider) - 1) // 2 :][:1]
-        trial = Trial(setup=shared, values=values, case=case, near=None if k else near)
-        jobs.append(trial.job(case.name, [*halfway, *jobs[:1]]))
+        after = [*halfway, *jobs[:1]]
+        jobs.append(fits.job(case, guess if jobs else start, after=after))
     return jobs
 
 
@@ -202,35 +200,26 @@ def _warn_of_minima(results: Sequence[CaseResult], freest: str) -> None:
 
 # ---- tables --------------------------------------------------------------------------------------
 
-PARAMETERS = ("case", "kind", "name", "unit", "guess", "value", "std_error", "lower", "upper",
-              "active", "multiplier", "share")  # fmt: skip
-CASES = ("case", "reason", "cost", "increase", "predicted", "held", "aicc", "statistic", "freedom",
-         "p_value", "validation_rms", "start", "eigenvalues")  # fmt: skip
+ROW = ("name", "unit", "guess", "value", "std_error", "lower", "upper", "active", "multiplier")
+FIGURES = ("reason", "cost", "increase", "predicted", "held", "aicc", "statistic", "freedom")
+PARAMETERS = ("case", "kind", *ROW, "share")
+CASES = ("case", *FIGURES, "p_value", "validation_rms", "start", "eigenvalues")
+ABSENT = {"unit": "", "guess": np.nan, "std_error": np.nan}  # of a relation
 
 
-def _parameter_rows(comparison: BoundsComparison) -> list[list[Any]]:
-    rows: list[list[Any]] = []
+def _parameter_rows(comparison: BoundsComparison) -> Iterator[list[Any]]:
     for case in comparison.cases:
-        rows += [
-            [case.name, "parameter", row.name, row.unit, row.guess, row.value, row.std_error,
-             row.lower, row.upper, row.active, row.multiplier, case.shares.get(row.name, 0.0)]
-            for row in case.parameters
-        ]  # fmt: skip
-        rows += [
-            [case.name, "relation", row.text, "", np.nan, row.value, np.nan, row.lower, row.upper,
-             row.active, row.multiplier, case.shares.get(row.text, 0.0)]
-            for row in case.relations
-        ]  # fmt: skip
-    return rows
+        for kind, rows in (("parameter", case.parameters), ("relation", case.relations)):
+            for row in rows:
+                values = [getattr(row, name, ABSENT.get(name)) for name in ROW]
+                yield [case.name, kind, *values, case.shares.get(row.name, 0.0)]
 
 
-def _case_rows(comparison: BoundsComparison) -> list[list[Any]]:
-    return [
-        [case.name, case.reason, case.cost, case.increase, case.predicted, case.held, case.aicc,
-         case.statistic, case.freedom, case.p_value, case.rms, case.start,
-         " ".join(f"{pole:.6g}" for pole in case.eigenvalues)]
-        for case in comparison.cases
-    ]  # fmt: skip
+def _case_rows(comparison: BoundsComparison) -> Iterator[list[Any]]:
+    for case in comparison.cases:
+        poles = " ".join(f"{pole:.6g}" for pole in case.eigenvalues)
+        figures = [getattr(case, name) for name in FIGURES]
+        yield [case.name, *figures, case.p_value, case.rms, case.start, poles]
 
 
 def _case_cells(case: CaseResult) -> list[str]:
@@ -239,11 +228,9 @@ def _case_cells(case: CaseResult) -> list[str]:
     poles = [pole for pole in case.eigenvalues if pole.imag >= 0]
     shown = ", ".join(f"{p.real:.3g} ± {p.imag:.3g}j" if p.imag else f"{p.real:.3g}" for p in poles)
     test = f"{case.statistic:.4g} ({case.freedom})" if np.isfinite(case.statistic) else ""
-    figures = (case.increase, case.predicted, case.held, case.aicc)
-    return [
-        case.name, f"{case.cost:.8g}", *(_short(figure) for figure in figures), test,
-        _short(case.p_value), _short(case.rms), shown,
-    ]  # fmt: skip
+    figures = map(_short, (case.increase, case.predicted, case.held, case.aicc))
+    after = map(_short, (case.p_value, case.rms))
+    return [case.name, f"{case.cost:.8g}", *figures, test, *after, shown]
 
 
 def _cells(comparison: BoundsComparison, name: str) -> list[str]:
@@ -261,12 +248,10 @@ def _cells(comparison: BoundsComparison, name: str) -> list[str]:
     return [*values, *prices]
 
 
-def _relation_cells(case: CaseResult) -> list[list[str]]:
-    return [
-        [case.name, f"{item.text}{'*' if item.active else ''}", f"{item.value:.4g}",
-         _short(case.shares.get(item.text, 0.0))]
-        for item in case.relations
-    ]  # fmt: skip
+def _relation_cells(case: CaseResult) -> Iterator[list[str]]:
+    for row in case.relations:
+        price = _short(case.shares.get(row.name, 0.0))
+        yield [case.name, f"{row.name}{'*' if row.active else ''}", f"{row.value:.4g}", price]
 
 
 def _short(value: float) -> str:

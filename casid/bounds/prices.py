@@ -17,18 +17,6 @@ from casid.record import standard_deviations
 from casid.validation import Validation
 
 
-@dataclass(frozen=True, kw_only=True)
-class RelationEstimate:
-    """A tie or inequality of a case; ``multiplier`` prices it per unit of its value."""
-
-    text: str
-    value: float
-    lower: float
-    upper: float
-    active: bool
-    multiplier: float
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CaseResult:
     """What one case costs.
@@ -41,7 +29,7 @@ class CaseResult:
         Of a failed case the best iterate, if there is one.
     parameters : tuple of ParameterEstimate
         One row a parameter; a fixed value has equal bounds and a multiplier as a bound has.
-    relations : tuple of RelationEstimate
+    relations : tuple of ConstraintEstimate
         Ties and inequalities between parameters.
     held : int
         Number of directions in which bounds and relations hold the parameters.
@@ -71,7 +59,7 @@ class CaseResult:
     reason: str = ""
     fit: AnyFit | None = None
     parameters: tuple[ParameterEstimate, ...] = ()
-    relations: tuple[RelationEstimate, ...] = ()
+    relations: tuple[ConstraintEstimate, ...] = ()
     held: int = 0
     cost: float = np.nan
     increase: float = np.nan
@@ -87,19 +75,28 @@ class CaseResult:
 
 
 def price_case(
-    case: Case, done: Done, base: tuple[Case, AnyFit | None], data: Sequence[Any],
+    case: Case,
+    done: Done,
+    base: tuple[Case, AnyFit | None],
+    data: Sequence[Any],
     validation: Validation | None,
-) -> CaseResult:  # fmt: skip
+) -> CaseResult:
     """The result of a case, measured against the freest and its fit."""
     fit: AnyFit | None = done.result
     if fit is None or done.reason:
         return CaseResult(name=case.name, reason=done.reason, fit=fit, start=done.source)
-    held = fit.held
     found = CaseResult(
-        name=case.name, fit=fit, parameters=_parameters(fit, case), start=done.source,
-        relations=_relations(fit, case), held=held, cost=fit.cost, aicc=aicc(fit, data),
-        rms=relative_rms(validation, case.name), eigenvalues=fit.model.system().poles(),
-    )  # fmt: skip
+        name=case.name,
+        fit=fit,
+        parameters=_parameters(fit, case),
+        relations=_relations(fit, case),
+        held=fit.held,
+        cost=fit.cost,
+        aicc=aicc(fit, data),
+        rms=relative_rms(validation, case.name),
+        eigenvalues=fit.model.system().poles(),
+        start=done.source,
+    )
     freest, free = base
     if free is None:
         return found
@@ -108,7 +105,7 @@ def price_case(
     found = replace(found, increase=increase, predicted=sum(shares.values()), shares=shares)
     if fit.R is None or not case.within(freest):  # no likelihood, or no test
         return found
-    freedom, statistic = max(held - free.held, 0), max(2 * increase, 0.0)
+    freedom, statistic = max(fit.held - free.held, 0), max(2 * increase, 0.0)
     p_value = float(scipy.stats.chi2.sf(statistic, freedom)) if freedom else 1.0
     return replace(found, statistic=statistic, freedom=freedom, p_value=p_value)
 
@@ -128,34 +125,24 @@ def _own(fit: AnyFit, case: Case) -> tuple[list[ConstraintEstimate], list[Constr
     return rows[:first], rows[first:]
 
 
-def _relations(fit: AnyFit, case: Case) -> tuple[RelationEstimate, ...]:
+def _relations(fit: AnyFit, case: Case) -> tuple[ConstraintEstimate, ...]:
+    """Rows of the case's relations between parameters."""
     rows = zip(_own(fit, case)[1], case.relations, strict=True)
-    return tuple(
-        RelationEstimate(
-            text=relation.text, value=row.value, lower=relation.lower, upper=relation.upper,
-            active=row.active, multiplier=row.multiplier,
-        )
-        for row, relation in rows if len(relation.names) > 1
-    )  # fmt: skip
+    return tuple(row for row, relation in rows if len(relation.names) > 1)
 
 
 def _parameters(fit: AnyFit, case: Case) -> tuple[ParameterEstimate, ...]:
     """Rows of the parameters; a fixed value has equal bounds and the price of its tie."""
-    ties = {
-        relation.names[0]: row
-        for row, relation in zip(_own(fit, case)[1], case.relations, strict=True)
-        if len(relation.names) == 1
-    }
-    rows = []
-    for row in fit.parameters:
-        if row.name in ties:
-            value, price = ties[row.name].lower, ties[row.name].multiplier
-            row = replace(  # noqa: PLW2901 - the same row, as a reader wants it
-                row, value=value, lower=value, upper=value, active=True, multiplier=price,
-                std_error=np.nan,
-            )  # fmt: skip
-        rows.append(row)
-    return tuple(rows)
+    relations = zip(_own(fit, case)[1], case.relations, strict=True)
+    ties = {tie.names[0]: row for row, tie in relations if len(tie.names) == 1}
+    return tuple(_tied(row, ties[row.name]) if row.name in ties else row for row in fit.parameters)
+
+
+def _tied(row: ParameterEstimate, tie: ConstraintEstimate) -> ParameterEstimate:
+    """A parameter's row as the tie to a value has it."""
+    at, price = tie.lower, tie.multiplier
+    row = replace(row, value=at, lower=at, upper=at, active=True, multiplier=price)
+    return replace(row, std_error=np.nan)
 
 
 def _shares(here: tuple[Case, AnyFit], there: tuple[Case, AnyFit]) -> dict[str, float]:

@@ -15,12 +15,13 @@ import scipy.interpolate
 import scipy.stats
 
 from casid.arrays import Array
-from casid.bounds.cases import CaseSpec, read_cases
-from casid.bounds.trials import Data, Trial, run_trials, setup, starting_values
+from casid.bounds.cases import CaseSpec
+from casid.bounds.trials import Data, Fits
 from casid.errors import ConvergenceError, ModelError
 from casid.estimator import Estimator
-from casid.fit import AnyFit
+from casid.fit import AnyFit, Fit
 from casid.jobs.campaigns import Execution
+from casid.jobs.store import Done
 from casid.model import Bounds, Model
 from casid.shooting.output_error import OutputError
 from casid.tabulation import csv_text, markdown_table
@@ -78,11 +79,10 @@ class Profile:
 
     def to_markdown(self) -> str:
         """The intervals."""
-        rows = [
-            [name, f"{self.fit[name].value:.5g}", *(f"{x:.5g}" for x in self.intervals[name]),
-             *(f"{x:.5g}" for x in self.cramer_rao[name])]
-            for name in self.names
-        ]  # fmt: skip
+        rows = []
+        for name in self.names:
+            limits = (self.fit[name].value, *self.intervals[name], *self.cramer_rao[name])
+            rows.append([name, *(f"{x:.5g}" for x in limits)])
         heading = ("parameter", "estimate", "profile, low", "high", "Cramér-Rao, low", "high")
         return markdown_table(heading, rows)
 
@@ -126,21 +126,16 @@ def profile_parameters(
     specs: dict[str, CaseSpec] = {FREE: {}}
     for point in points:
         specs[_label(names, point)] = dict(zip(names, map(float, point), strict=True))
-    cases = read_cases(model, specs, fixed, bounds)
-    shared = setup(model, data, estimator=estimator, fixed=fixed)
-    begin, near = starting_values(model, start)
-    first = Trial(setup=shared, values=begin, case=cases[0], near=near).job(FREE)
-    jobs = [first] + [
-        Trial(setup=shared, values=begin, case=case).job(case.name, [first]) for case in cases[1:]
-    ]
-    done = run_trials(jobs, type(model), execution)
-    if done[FREE].reason:
-        raise ConvergenceError(
-            f"profile_parameters: nothing held: {done[FREE].reason}", done[FREE].result
-        )
+    many = Fits(model, data, estimator, fixed, bounds, execution)
+    free, *held = many.cases(specs)
+    first = many.job(free, start)
+    guess = start.model if isinstance(start, Fit) else start
+    done = many.run([first, *(many.job(case, guess, after=[first]) for case in held)])
+    whole = done.pop(FREE)
+    if whole.reason:
+        raise ConvergenceError(f"profile_parameters: nothing held: {whole.reason}", whole.result)
     found = [done[_label(names, point)] for point in points]
-    fits = [None if each.reason else each.result for each in found]
-    return _profile(names, points, done[FREE].result, fits, [e.reason for e in found], level)
+    return _profile(names, points, whole.result, found, level)
 
 
 def _label(names: Sequence[str], point: Array) -> str:
@@ -150,9 +145,9 @@ def _label(names: Sequence[str], point: Array) -> str:
 
 
 def _profile(
-    names: tuple[str, ...], points: Array, free: AnyFit, fits: Sequence[AnyFit | None],
-    reasons: Sequence[str], level: float,
-) -> Profile:  # fmt: skip
+    names: tuple[str, ...], points: Array, free: AnyFit, found: Sequence[Done], level: float
+) -> Profile:
+    fits = [None if each.reason else each.result for each in found]
     cost = np.array([np.nan if fit is None else fit.cost for fit in fits])
     unknown = np.full(len(names), np.nan)
     slope = np.array([unknown if fit is None else _slopes(fit, len(names)) for fit in fits])
@@ -167,10 +162,17 @@ def _profile(
         half = float(np.sqrt(quantile)) * error
         expected[name] = (estimate - half, estimate + half)
     return Profile(
-        names=names, points=points, cost=cost, slope=slope, reasons=tuple(reasons), fit=free,
-        level=level, parabola=_parabola(free, names, points), intervals=intervals,
+        names=names,
+        points=points,
+        cost=cost,
+        slope=slope,
+        reasons=tuple(each.reason for each in found),
+        fit=free,
+        level=level,
+        parabola=_parabola(free, names, points),
+        intervals=intervals,
         cramer_rao=expected,
-    )  # fmt: skip
+    )
 
 
 def _slopes(fit: AnyFit, count: int) -> Array:

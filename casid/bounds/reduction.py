@@ -7,16 +7,16 @@ rest is fitted again, and it ends when the fit suffers.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY
-from casid.bounds.cases import read_cases
-from casid.bounds.trials import Data, Setup, Trial, aicc, run_trials, setup, starting_values
+from casid.bounds.trials import Data, Fits, aicc
 from casid.errors import ConvergenceError, ModelError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, ParameterEstimate
-from casid.jobs.campaigns import Execution, Job
+from casid.jobs.campaigns import Execution
 from casid.jobs.store import Done
 from casid.model import Bounds, Model
 from casid.shooting.output_error import OutputError
@@ -74,12 +74,12 @@ class Reduction:
 
     def to_markdown(self) -> str:
         """One row a step."""
-        rows = [
-            [step.parameter, f"{step.value:.4g}", f"{step.insensitivity:.3g}",
-             f"{step.cramer_rao:.3g}", f"{step.cost:.8g}", f"{step.aicc:.8g}",
-             "yes" if step.accepted else step.reason or "no"]
-            for step in self.steps
-        ]  # fmt: skip
+        rows = []
+        for step in self.steps:
+            figures = [f"{step.insensitivity:.3g}", f"{step.cramer_rao:.3g}"]
+            costs = [f"{step.cost:.8g}", f"{step.aicc:.8g}"]
+            verdict = "yes" if step.accepted else step.reason or "no"
+            rows.append([step.parameter, f"{step.value:.4g}", *figures, *costs, verdict])
         heading = ("held", "at", "insensitivity [%]", "Cramér-Rao [%]", "cost", "AICc", "accepted")
         return markdown_table(heading, rows)
 
@@ -154,11 +154,12 @@ def reduce_structure(
     """
     replay = rule.replay
     _check_known(model, (*rule.protect, *(replay or {})))
-    shared = setup(model, data, estimator=estimator, fixed=fixed)
+    many = Fits(model, data, estimator, fixed, bounds, execution)
 
     def fits(holds: Sequence[Mapping[str, float]], near: Model | AnyFit | None) -> list[Done]:
-        jobs = [_job(shared, model, bounds, held, near) for held in holds]
-        return list(run_trials(jobs, type(model), execution).values())
+        specs = {f"{len(each)} {list(each)[-1]}" if each else "0": dict(each) for each in holds}
+        jobs = [many.job(case, near) for case in many.cases(specs)]
+        return list(many.run(jobs).values())
 
     (whole,) = fits([{}], start)
     full = _whole(whole)
@@ -169,8 +170,8 @@ def reduce_structure(
         values = [_value(row, replay) for row in rows]
         tried = fits([held | {r.name: v} for r, v in zip(rows, values, strict=True)], fit)
         done, row, value = min(zip(tried, rows, values, strict=True), key=_cost)
-        better = replay is not None or _stands(criterion, done.result, fit, limit, shared)
-        step = _step(row, value, done, shared, accepted=not done.reason and better)
+        better = replay is not None or _stands(criterion, done.result, fit, limit, many.data)
+        step = _step(row, value, done, many.data, accepted=not done.reason and better)
         steps.append(step)
         if step.accepted:
             fit, held = done.result, held | {row.name: value}
@@ -209,16 +210,6 @@ def _whole(done: Done) -> AnyFit:
     return fit
 
 
-def _job(
-    shared: Setup, model: Model, bounds: Bounds | None, held: Mapping[str, float],
-    start: Model | AnyFit | None,
-) -> Job:  # fmt: skip
-    name = f"{len(held)} {list(held)[-1]}" if held else "0"
-    (case,) = read_cases(model, {name: dict(held)}, shared.fixed, bounds)
-    values, near = starting_values(model, start)
-    return Trial(setup=shared, values=values, case=case, near=near).job(name)
-
-
 def _worst(
     fit: AnyFit, out: set[str], replay: Mapping[str, float] | None, count: int
 ) -> list[ParameterEstimate]:
@@ -246,23 +237,27 @@ def _cost(tried: tuple[Done, ParameterEstimate, float]) -> float:
 
 
 def _stands(
-    criterion: str, found: AnyFit | None, before: AnyFit, limit: float, shared: Setup
+    criterion: str, found: AnyFit | None, before: AnyFit, limit: float, data: Sequence[Any]
 ) -> bool:
+    """Whether the fit is as good as before, by the criterion."""
     if found is None:
         return False
     if criterion == "cost":
         return found.cost <= limit
-    return aicc(found, shared.data) < aicc(before, shared.data)
+    return aicc(found, data) < aicc(before, data)
 
 
 def _step(
-    row: ParameterEstimate, value: float, done: Done, shared: Setup, *, accepted: bool
+    row: ParameterEstimate, value: float, done: Done, data: Sequence[Any], *, accepted: bool
 ) -> Step:
     insensitivity, cramer_rao = figures(row)
-    cost, criterion = np.nan, np.nan
-    if not done.reason:
-        cost, criterion = done.result.cost, aicc(done.result, shared.data)
     return Step(
-        parameter=row.name, value=value, insensitivity=insensitivity, cramer_rao=cramer_rao,
-        cost=cost, aicc=criterion, accepted=accepted, reason=done.reason,
-    )  # fmt: skip
+        parameter=row.name,
+        value=value,
+        insensitivity=insensitivity,
+        cramer_rao=cramer_rao,
+        cost=np.nan if done.reason else done.result.cost,
+        aicc=np.nan if done.reason else aicc(done.result, data),
+        accepted=accepted,
+        reason=done.reason,
+    )

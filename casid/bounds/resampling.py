@@ -7,13 +7,11 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.bounds.cases import read_cases
-from casid.bounds.trials import Data, Draw, Setup, Trial, run_trials, setup, starting_values
+from casid.bounds.trials import Data, Draw, Fits
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit
 from casid.jobs.campaigns import Execution
-from casid.jobs.store import Done
 from casid.model import Bounds, Model, free_parameters
 from casid.record import Record, stretches
 from casid.shooting.output_error import OutputError
@@ -155,8 +153,8 @@ def multistart(
     ConvergenceError
         No start led to a minimum.
     """
-    shared = setup(model, data, estimator=estimator, fixed=fixed)
-    (case,) = read_cases(model, {"start": {}}, fixed, bounds)
+    many = Fits(model, data, estimator, fixed, bounds, execution)
+    (case,) = many.cases({"start": {}})
     free = free_parameters(model, fixed, bounds)
     inside = free.index
     models = [free.model.with_vector(free.full(free.guess))]
@@ -165,11 +163,8 @@ def multistart(
         moved = free.guess + spread * free.scale[inside] * rng.standard_normal(len(inside))
         moved = np.clip(moved, free.lower[inside], free.upper[inside])
         models.append(free.model.with_vector(free.full(moved)))
-    jobs = [
-        Trial(setup=shared, values=starting_values(model, each)[0], case=case).job(f"start {k}")
-        for k, each in enumerate(models)
-    ]
-    done = run_trials(jobs, type(model), execution)
+    jobs = [many.job(case, each, name=f"start {k}") for k, each in enumerate(models)]
+    done = many.run(jobs)
     found = list(done.values())
     good: list[AnyFit] = [each.result for each in found if not each.reason]
     if not good:
@@ -244,9 +239,7 @@ def monte_carlo(
     """
     clean = [_simulated(model, record) for record in stretches(records)]
     draws: list[Draw] = [NoiseDraw(dict(noise), (seed, run)) for run in range(runs)]
-    shared = setup(model, clean, estimator=estimator, fixed=fixed)
-    done = _drawn(model, None, shared, draws, bounds, execution)
-    return _ensemble(model, done, fixed, bounds)
+    return _ensemble(Fits(model, clean, estimator, fixed, bounds, execution), draws, None)
 
 
 def bootstrap(
@@ -300,9 +293,7 @@ def bootstrap(
         for record, clean in zip(flown, simulated, strict=True)
     )
     draws: list[Draw] = [BlockDraw(residuals, block, (seed, run)) for run in range(runs)]
-    shared = setup(model, simulated, estimator=estimator, fixed=fixed)
-    done = _drawn(model, fit, shared, draws, bounds, execution)
-    return _ensemble(model, done, fixed, bounds)
+    return _ensemble(Fits(model, simulated, estimator, fixed, bounds, execution), draws, fit)
 
 
 def _simulated(
@@ -314,38 +305,25 @@ def _simulated(
     return replace(own, y=np.where(np.isfinite(own.y), y, np.nan))
 
 
-def _drawn(
-    model: Model,
-    near: AnyFit | None,
-    shared: Setup,
-    draws: Sequence[Draw],
-    bounds: Bounds | None,
-    execution: Execution,
-) -> list[Done]:
+def _ensemble(many: Fits, draws: Sequence[Draw], start: AnyFit | None) -> Ensemble:
     """Fits to all draws, in order."""
-    (case,) = read_cases(model, {"draw": {}}, shared.fixed, bounds)
-    values, content = starting_values(model, near)
-    jobs = [
-        Trial(setup=shared, values=values, case=case, near=content, draw=draw).job(f"run {k}")
-        for k, draw in enumerate(draws)
-    ]
-    return list(run_trials(jobs, type(model), execution).values())
-
-
-def _ensemble(
-    model: Model, done: Sequence[Done], fixed: Sequence[str], bounds: Bounds | None
-) -> Ensemble:
-    names = free_parameters(model, fixed, bounds).names
-    fits: list[AnyFit | None] = [None if each.reason else each.result for each in done]
+    (case,) = many.cases({"draw": {}})
+    jobs = [many.job(case, start, draw=draw, name=f"run {k}") for k, draw in enumerate(draws)]
+    done = list(many.run(jobs).values())
+    names = free_parameters(many.model, many.fixed, many.bounds).names
 
     def column(attribute: str) -> Array:
-        return np.array([
-            [np.nan if fit is None else getattr(fit[name], attribute) for name in names]
-            for fit in fits
-        ])  # fmt: skip
+        unknown = [np.nan] * len(names)
+        rows = [
+            unknown if each.reason else [getattr(each.result[name], attribute) for name in names]
+            for each in done
+        ]
+        return np.array(rows).reshape(-1, len(names))
 
     return Ensemble(
-        names=names, reference=np.array([float(getattr(model, name)) for name in names]),
-        values=column("value"), std_errors=column("std_error"),
+        names=names,
+        reference=np.array([float(getattr(many.model, name)) for name in names]),
+        values=column("value"),
+        std_errors=column("std_error"),
         reasons=tuple(each.reason for each in done),
-    )  # fmt: skip
+    )

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from casid.arrays import Array
-from casid.bounds.cases import Case, constrained, feasible, plain
+from casid.bounds.cases import Case, CaseSpec, constrained, feasible, plain, read_cases
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, Fit
@@ -18,7 +18,7 @@ from casid.jobs.origins import source_digest
 from casid.jobs.store import Done
 from casid.jobs.transport import Reference, can_travel, refer, refuse_while_loading, resolve
 from casid.matching.targets import Target
-from casid.model import Model
+from casid.model import Bounds, Model
 from casid.record import Record
 from casid.values import decode, digest, encode
 
@@ -78,53 +78,80 @@ class Trial:
     near: Any = None
     draw: Draw | None = None
 
-    def job(self, name: str, after: Sequence[Job] = ()) -> Job:
-        """The job of that name that starts from the nearest of ``after``."""
-        case = (dict(self.case.bounds), [asdict(relation) for relation in self.case.relations])
-        key = digest(
-            self.setup.key, self.values, case, self.near, self.draw, [job.key for job in after]
-        )
-        return Job(name=name, key=key, payload=self, after=tuple(job.name for job in after))
 
+class Fits:
+    """Many fits of one structure to the same data; what is the same for all is computed once.
 
-def setup(model: Model, data: Data, *, estimator: Estimator, fixed: Sequence[str]) -> Setup:
-    """What the fits of a structure to data share; what is the same for all is computed here.
+    Parameters
+    ----------
+    model, data, estimator, fixed, bounds, execution
+        As in `compare_bounds`.
 
     Raises
     ------
     ValueError
         No estimator; what its preparation refuses.
     """
-    if isinstance(estimator, type) or not callable(getattr(estimator, "fit", None)):
-        raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
-            f'estimator={estimator!r}: expected an estimator with its settings, Match(norm="hinf") '
-            "or OutputError()"
+
+    def __init__(
+        self,
+        model: Model,
+        data: Data,
+        estimator: Estimator,
+        fixed: Sequence[str],
+        bounds: Bounds | None,
+        execution: Execution,
+    ) -> None:
+        if isinstance(estimator, type) or not callable(getattr(estimator, "fit", None)):
+            raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
+                f"estimator={estimator!r}: expected an estimator with its settings, "
+                'Match(norm="hinf") or OutputError()'
+            )
+        self.model, self.fixed, self.bounds = model, tuple(fixed), bounds
+        self.data = tuple(data) if isinstance(data, Sequence) else (data,)
+        prepare = getattr(estimator, "prepared", None)
+        shared = estimator if prepare is None else prepare(self.data)
+        self._setup = Setup(
+            reference=refer(type(model)), estimator=shared, data=self.data, fixed=self.fixed
         )
-    items = tuple(data) if isinstance(data, Sequence) else (data,)
-    prepare = getattr(estimator, "prepared", None)
-    shared = estimator if prepare is None else prepare(items)
-    return Setup(reference=refer(type(model)), estimator=shared, data=items, fixed=tuple(fixed))
+        self._execution = execution
 
+    def cases(self, specs: Mapping[str, CaseSpec]) -> tuple[Case, ...]:
+        """Cases as a user wrote them."""
+        return read_cases(self.model, specs, self.fixed, self.bounds)
 
-def starting_values(model: Model, start: Model | AnyFit | None) -> tuple[dict[str, Any], Any]:
-    """All fields of a model with the parameters of a start, and the start encoded if a fit."""
-    values = {each.name: getattr(model, each.name) for each in fields(model)}
-    guess = start.model if isinstance(start, Fit) else start
-    if guess is not None:
-        values |= {name: getattr(guess, name) for name in model.parameter_names()}
-    # How long the start took makes no other result.
-    return values, encode(replace(start, seconds=0.0)) if isinstance(start, Fit) else None
+    def job(
+        self,
+        case: Case,
+        start: Model | AnyFit | None = None,
+        *,
+        after: Sequence[Job] = (),
+        draw: Draw | None = None,
+        name: str | None = None,
+    ) -> Job:
+        """The fit of a case from a start, or from the nearest of the jobs it comes after."""
+        values = {each.name: getattr(self.model, each.name) for each in fields(self.model)}
+        guess, near = start, None
+        if isinstance(start, Fit):  # how long that took makes no other result
+            guess, near = start.model, encode(replace(start, seconds=0.0))
+        if guess is not None:
+            values |= {each: getattr(guess, each) for each in self.model.parameter_names()}
+        trial = Trial(setup=self._setup, values=values, case=case, near=near, draw=draw)
+        said = (dict(case.bounds), [asdict(relation) for relation in case.relations])
+        before = [job.key for job in after]
+        key = digest(self._setup.key, values, said, near, draw, before)
+        names = tuple(job.name for job in after)
+        return Job(name=name or case.name, key=key, payload=trial, after=names)
 
+    def run(self, jobs: Sequence[Job]) -> dict[str, Done]:
+        """Do all jobs; the result of each is a `Fit`, or None where there is nothing to show.
 
-def run_trials(
-    jobs: Sequence[Job], structure: type[Model], execution: Execution
-) -> dict[str, Done]:
-    """Do all jobs; the result of each is a `Fit`, or None where there is nothing to show.
-
-    A class that other processes cannot read keeps the fits in this one.
-    """
-    refuse_while_loading()
-    return run_jobs(work, jobs, execution, also=(structure,), here=not can_travel(structure))
+        A class that other processes cannot read keeps the fits in this one.
+        """
+        refuse_while_loading()
+        structure = type(self.model)
+        here = not can_travel(structure)
+        return run_jobs(work, jobs, self._execution, also=(structure,), here=here)
 
 
 def work(job: Trial, start: Any) -> AnyFit:  # noqa: ANN401 - JSON is any

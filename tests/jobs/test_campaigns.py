@@ -16,8 +16,7 @@ import pytest
 from truths.mixture import CASES, Inline, Mixture, record
 
 from casid import Execution, ModelError, OutputError, compare_bounds
-from casid.bounds.cases import read_cases
-from casid.bounds.trials import Trial, setup, starting_values
+from casid.bounds.trials import Fits
 from casid.jobs.campaigns import CampaignProgress, Job, UnfinishedError, run_jobs
 from casid.jobs.store import Store
 from casid.jobs.transport import can_travel, refer, resolve
@@ -229,11 +228,9 @@ def test_a_class_within_a_function_stays_and_its_study_runs_here():
 def test_a_trial_of_other_data_options_or_code_has_another_key():
     def key(data=(0,), model=None, **settings):
         model = model or Mixture()
-        (case,) = read_cases(model, {"free": {}})
-        shared = setup(
-            model, [record(s) for s in data], estimator=OutputError(**settings), fixed=()
-        )
-        return Trial(setup=shared, values=starting_values(model, None)[0], case=case).job("x").key
+        records = [record(s) for s in data]
+        many = Fits(model, records, OutputError(**settings), (), None, Execution())
+        return many.job(*many.cases({"free": {}})).key
 
     keys = [key(), key((1,)), key(model=Mixture(a=0.7)), key(interval=1.0), key(R=np.eye(1))]
     assert len(set(keys)) == len(keys)
