@@ -28,7 +28,9 @@ def select(
     model, frf, pairs, coherence
         As in `derivid`.
     """
-    G, gamma, _ = in_channels(model, frf)
+    names = frf.outputs, frf.inputs
+    G = in_channels(model, *names, frf.G)
+    gamma = in_channels(model, *names, frf.coherence)
     gamma = np.where(np.isfinite(gamma), gamma, 0.0)
     known = np.isfinite(G) & (np.abs(G) > 0)
     if pairs is None:

@@ -8,15 +8,16 @@ of `casid.matching.lifted`, their order and the checks are those of `casid.match
 import logging
 import time
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from casid.arrays import Array
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
 from casid.matching.appraisal import MatchNotes
 from casid.matching.delays import with_nonnegative_delays
+from casid.matching.reach import reachable, stated_errors
 from casid.matching.search import Found, Search
-from casid.matching.targets import Target, Weight, compare
+from casid.matching.targets import REACHABLE, Target, Weight, compare
 from casid.model import Bounds, M, free_parameters
 from casid.nlp import SolverOptions
 from casid.record import several
@@ -41,10 +42,12 @@ class Match:
     shift : float
         σ >= 0 [1/s], right of all poles of the black box: frequencies below about σ are blurred.
         The default is the least that leaves a margin of a tenth of the rightmost pole's modulus.
-    weight : None, "relative", array, or a sequence of one a target
+    weight : None, "relative", "reachable", array, or a sequence of one a target
         On top of the default scaling by standard deviations, std(u)/std(y), an array that
         broadcasts to (K, ny, nu), zeros being masks, linear in ω between the grid's points.
-        "relative" divides every output's error by the size of its response at that frequency.
+        "relative" divides every output's error by the size of its response at that frequency,
+        "reachable" every pair's by what a first quadratic fit leaves of it, smoothed over ±0.35
+        nepers of frequency, at least its stated error and 5 % of its output's response.
     source_weight : sequence of float
         Factor on the error of each target, one unless given.
     stable_shift : bool
@@ -76,15 +79,18 @@ class Match:
             raise ValueError(f"norm={self.norm!r}: expected one of {', '.join(map(repr, NORMS))}")
         begin = time.perf_counter()
         free = with_nonnegative_delays(free_parameters(model, fixed, bounds))
+        targets: tuple[Target, ...] = several(data)
         comparison = compare(
             model,
-            several(data),
+            targets,
             omega=self.omega,
             shift=self.shift,
             weight=self.weight,
             source_weight=self.source_weight,
         )
         search = Search(free, comparison, stable=self.stable_shift, options=self.solver)
+        if isinstance(self.weight, str) and self.weight == REACHABLE:
+            search = _reweighted(search, targets)
         fits = search.quadratic()
         found = search.hinf(fits) if self.norm == "hinf" else fits[0]
         fit = _result(search, found, self.norm, model, time.perf_counter() - begin)
@@ -138,6 +144,18 @@ def match(
     """
     matching = Match(norm=norm, omega=omega, shift=shift, weight=weight, solver=solver)
     return matching.fit(model, target, fixed=fixed, bounds=bounds)
+
+
+def _reweighted(search: Search, targets: Sequence[Target]) -> Search:
+    """The solves with weights by what the quadratic fit reaches, from there."""
+    first, model = search.quadratic()[0].values, search.free.model
+    sources = search.comparison.sources
+    stated = [stated_errors(model, *pair) for pair in zip(targets, sources, strict=True)]
+    comparison = reachable(search.comparison, search.system(first), stated)
+    free = replace(search.free, model=model.with_vector(search.free.full(first)))
+    again = Search(free, comparison, stable=search.stable, options=search.options)
+    again.iterations = search.iterations
+    return again
 
 
 def _result(

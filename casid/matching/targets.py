@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar, cast
 
 import numpy as np
 
-from casid.arrays import Array, ComplexArray
+from casid.arrays import Array
 from casid.frequency.estimation import FrequencyResponse
 from casid.linear import StateSpace
 from casid.matching.comparison import Comparison, Source
@@ -16,6 +16,11 @@ from casid.subspace.pbsid import BlackBox
 
 Target: TypeAlias = BlackBox | FrequencyResponse | StateSpace
 Weight: TypeAlias = str | Array | None
+
+REACHABLE = "reachable"
+NAMED = ("relative", REACHABLE)  # weights by name; the second begins as the first
+
+T = TypeVar("T", bound=np.ndarray)
 
 POINTS = 40  # of the default grid over the band
 MARGIN = 0.1  # of the shift from the rightmost pole, relative to pole and band
@@ -67,7 +72,7 @@ def compare(
         points that lie in its range.
     shift : float
         σ [1/s]; from the poles of black boxes and systems unless given.
-    weight : None, "relative", array, or a sequence of one a target
+    weight : None, "relative", "reachable", array, or a sequence of one a target
         See `casid.matching.match.match`.
     source_weight : sequence of float
         Factor on the error of each target; one unless given.
@@ -166,25 +171,24 @@ def _from_measured(model: Model, target: FrequencyResponse, omega: Array | None)
             "no point of the measured response lies in the range of omega, "
             f"{target.omega.min():.4g} to {target.omega.max():.4g} rad/s is measured"
         )
-    values, coherence, _ = in_channels(model, target)
-    values, coherence = values[keep], coherence[keep]
+    names = target.outputs, target.inputs
+    values = in_channels(model, *names, target.G[keep])
+    coherence = in_channels(model, *names, target.coherence[keep])
     good = np.isfinite(values) & (coherence >= COHERENCE)
     G = np.where(good, values, 0.0)
     W = np.where(good, np.sqrt(coherence_weight(coherence)), 0.0)
     return Source.measured(target.omega[keep], G, W)
 
 
-def in_channels(model: Model, frf: FrequencyResponse) -> tuple[ComplexArray, Array, Array]:
-    """Response, coherence and random error in the model's channels, NaN where none, (K, ny, nu)."""
-    shape = (len(frf.omega), len(model.outputs), len(model.inputs))
-    G, coherence, error = np.full(shape, np.nan, dtype=complex), *np.full((2, *shape), np.nan)
+def in_channels(model: Model, outputs: Sequence[str], inputs: Sequence[str], values: T) -> T:
+    """Values (K, outputs, inputs) of pairs in the model's channels, NaN where none."""
+    shape = (len(values), len(model.outputs), len(model.inputs))
+    found = np.full(shape, np.nan, dtype=values.dtype)
     for i, output in enumerate(model.outputs):
         for j, name in enumerate(model.inputs):
-            if output in frf.outputs and name in frf.inputs:
-                at = frf.index(output, name)
-                G[:, i, j], coherence[:, i, j] = frf.G[:, *at], frf.coherence[:, *at]
-                error[:, i, j] = frf.random_error[:, *at]
-    return G, coherence, error
+            if output in outputs and name in inputs:
+                found[:, i, j] = values[:, outputs.index(output), inputs.index(name)]
+    return cast("T", found)
 
 
 def _weighted(
@@ -193,18 +197,25 @@ def _weighted(
     """The source with scaling and the caller's weight on top of mask and coherence."""
     W = factor * source.W * input_scale
     if isinstance(weight, str):
-        if weight != "relative":
-            raise ValueError(f'weight={weight!r}: expected None, "relative" or an array')
-        size = np.linalg.norm(source.G * (source.W > 0) * input_scale, axis=2)  # (K, ny)
-        if not (size > 0).any():
-            raise ValueError("the target is zero on the whole grid: relative error has no meaning")
-        # A zero of the response must not make its weight infinite.
-        floor = np.where(size.max(axis=0) > 0, 1e-3 * size.max(axis=0), np.inf)
-        W = W / np.maximum(size, floor)[:, :, None]
+        if weight not in NAMED:
+            raise ValueError(
+                f'weight={weight!r}: expected None, "relative", "reachable" or an array'
+            )
+        W = W / row_sizes(source, input_scale)[:, :, None]
     else:
         W = W / output_scale[:, None]
         W = W if weight is None else W * _checked_weight(weight, source.G.shape)
     return replace(source, W=W, node_weights=W)
+
+
+def row_sizes(source: Source, input_scale: Array) -> Array:
+    """Size of every output's response to inputs of typical size at each frequency, (K, ny)."""
+    size = np.linalg.norm(source.G * (source.W > 0) * input_scale, axis=2)
+    if not (size > 0).any():
+        raise ValueError("the target is zero on the whole grid: relative error has no meaning")
+    # A zero of the response must not make its weight infinite.
+    floor = np.where(size.max(axis=0) > 0, 1e-3 * size.max(axis=0), np.inf)
+    return np.asarray(np.maximum(size, floor))
 
 
 def _sorted(weight: Weight, omega: Array | None) -> Weight:
@@ -301,6 +312,10 @@ def _per_target(weight: Weight | Sequence[Weight], count: int) -> list[Weight]:
     if isinstance(weight, list | tuple):
         if len(weight) != count:
             raise ValueError(f"{len(weight)} weights for {count} targets")
+        if any(isinstance(each, str) and each == REACHABLE for each in weight):
+            raise ValueError(
+                f'weight="{REACHABLE}" is for all targets at once, not for one of them'
+            )
         return list(weight)
     return [weight] * count  # type: ignore[list-item]
 
