@@ -2,6 +2,7 @@
 # make paper   the paper's comparison on two helicopters; results in out/paper
 # make test    the tests that take minutes at most
 # make slow    the long tests
+# make mutants how many of 400 broken programs the tests notice (an hour and more; may be stopped)
 # make docs    the documentation, site/index.html
 # make picture the picture of README and documentation
 # make lint    formatting, rules, types and import layers
@@ -11,7 +12,7 @@ PYTHON ?= python3
 VENV ?= .venv
 STAMP := $(VENV)/.installed
 
-.PHONY: study paper test slow docs picture lint install clean
+.PHONY: study paper test slow mutants docs picture lint install clean
 
 study: install
 	$(VENV)/bin/casid identify examples/uh60/study.toml
@@ -24,6 +25,9 @@ test: install
 
 slow: install
 	$(VENV)/bin/pytest -m campaign
+
+mutants: install
+	$(VENV)/bin/python benchmarks/mutants.py
 
 docs: install
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
