@@ -27,10 +27,12 @@ STATS = WORK / "mutmut-stats.json"
 SEED = "casid"
 PAGE = """# Do the tests notice?
 
-A fixed sample of {count} changes to the numerical packages (an operator, a number, a condition, an argument at a time; drawn
-by [mutmut](https://mutmut.readthedocs.io)), each run against the tests of its package that take seconds at most. Functions with a
-decorator, messages of errors and what only logs are left out. Changes that no test can tell from the original stand with the
-reason in `benchmarks/mutants.toml` and are not counted. Made by `make mutants`.
+A fixed sample of {count} changes to the numerical packages, drawn by
+[mutmut](https://mutmut.readthedocs.io): an operator, a number, a condition or an argument at a
+time, each run against the tests of its package that take seconds at most. Functions with a
+decorator, messages of errors and what only logs are left out. Changes that no test can tell from
+the original stand with the reason in `benchmarks/mutants.toml` and are not counted. Made by
+`make mutants`.
 
 | package | mutants | killed | survived | equivalent | share killed |
 |---|---|---|---|---|---|
