@@ -129,3 +129,7 @@ def distinct(times: Array) -> tuple[Array, np.ndarray]:
         return times[:1] * 0 + times.sum() / max(len(times), 1), np.zeros(len(times), dtype=int)
     _, first, place = np.unique(np.round(times / unit), return_index=True, return_inverse=True)
     return times[first], place
+
+
+# What a simulation needs of this, for files that simulate without casid.
+PARTS = (DelayedInput, delayed_input, integrals, integral_slopes, break_forcing, distinct)

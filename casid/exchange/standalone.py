@@ -12,10 +12,7 @@ from casid.files import write_text
 from casid.linear import StateSpace
 
 # What a continuous model's simulation is made of; the file holds the very text of it.
-PARTS = (
-    linear.step_groups, intersample.DelayedInput, intersample.delayed_input, intersample.integrals,
-    intersample.integral_slopes, intersample.break_forcing, intersample.distinct,
-)  # fmt: skip
+PARTS = (linear.step_groups, *intersample.PARTS)
 
 HEAD = '''"""{title}
 

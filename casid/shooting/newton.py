@@ -6,13 +6,14 @@ than one unit of log-likelihood, the curvature of outputs and end states is adde
 
     Σ_i (2 / n_i) g_i g_iᵀ,    g_i the gradient of channel i's ½ Σ r²/R_ii,
 
-off the Hessian H of held R. These are dense; so each channel has a rider z_i, a variable on which
-neither cost nor constraints depend, and IPOPT solves with the sparse [H, -g√(2/n); -gᵀ√(2/n), 1],
-from which the elimination of z leaves just that. All is evaluated by NumPy on the blocks of all
-intervals.
+off the Hessian H of held R. These are dense; so each channel has an auxiliary variable z_i, on
+which neither cost nor constraints depend, and IPOPT solves with the sparse
+[H, -g√(2/n); -gᵀ√(2/n), 1], from which the elimination of z leaves just that. All is evaluated by
+NumPy on the blocks of all intervals.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -30,7 +31,7 @@ LEAP = 10.0  # times the step into the neighbourhood: too long for one within
 
 
 class Newton:
-    """Cost, constraints and derivatives of a programme for IPOPT, the riders behind its variables.
+    """Cost, constraints and derivatives of a programme for IPOPT, auxiliary variables last.
 
     Parameters
     ----------
@@ -46,20 +47,20 @@ class Newton:
         self.programme = programme
         self._descent = _Descent(programme.n, close)
         noise, e = programme.noise, programme.evaluator
-        self.riders = e.ny if noise.concentrated and not e.filtering else 0
+        self.auxiliary = e.ny if noise.concentrated and not e.filtering else 0
         self._functions: list[ca.Function] = []
 
     def problem(self, start: Array) -> Problem:
         """The problem for `casid.nlp.solve`, from the programme's scaled variables."""
         own, m = self.programme.size, self.programme.jacobian_pattern.rows
-        n = own + self.riders
+        n = own + self.auxiliary
         f, g, functions, hessian = self._evaluated(n, m)
         symbol = ca.MX.sym("x", n)
         (lower, upper), (lower_c, upper_c) = self.programme.limits()
         nowhere, closed = np.full(n - len(lower), np.inf), np.zeros(m - len(lower_c))
         return Problem(
             x=symbol, f=f(symbol), g=g(symbol) if m else ca.MX(0, 1),
-            x0=np.concatenate([start, np.zeros(self.riders)]),
+            x0=np.concatenate([start, np.zeros(self.auxiliary)]),
             lower_x=np.concatenate([lower, -nowhere]), upper_x=np.concatenate([upper, nowhere]),
             lower_g=np.concatenate([closed, lower_c]), upper_g=np.concatenate([closed, upper_c]),
             hessian=hessian, functions=functions,
@@ -69,39 +70,40 @@ class Newton:
         self, n: int, m: int
     ) -> tuple[ca.Function, ca.Function, dict[str, ca.Function], ca.Function]:
         """Cost, constraints, their first derivatives and the Hessian, of all n variables."""
-        own, programme, still = self.programme.size, self.programme, np.zeros(self.riders)
+        own, programme, still = self.programme.size, self.programme, np.zeros(self.auxiliary)
         x, p, one, g = (ca.Sparsity.dense(k, 1) if k else ca.Sparsity(0, 0) for k in (n, 0, 1, m))
-        J = ca.horzcat(programme.jacobian_pattern.sparsity, ca.Sparsity(m, self.riders))
+        J = ca.horzcat(programme.jacobian_pattern.sparsity, ca.Sparsity(m, self.auxiliary))
         pattern = Pattern(*self.places(), size=n)
 
-        def cost(x: Array) -> float:
-            return programme.values(x[:own]).cost
+        def cost(x: Array) -> list[Any]:
+            return [programme.values(x[:own]).cost]
 
-        def constraints(x: Array) -> Array:
-            return programme.values(x[:own]).g
+        def constraints(x: Array) -> list[Any]:
+            return [programme.values(x[:own]).g]
 
-        f_of = NumPyFunction("f", [x], [one], lambda x: [cost(x)])
-        g_of = NumPyFunction("g", [x], [g], lambda x: [constraints(x)])
-        grad = NumPyFunction(
-            "nlp_grad_f", [x, p], [one, x],
-            lambda x, _: [cost(x), np.concatenate([programme.gradient(x[:own]), still])],
-        )  # fmt: skip
-        jac = NumPyFunction(
-            "nlp_jac_g", [x, p], [g, J], lambda x, _: [constraints(x), programme.jacobian(x[:own])]
-        )
-        hess = NumPyFunction(
-            "nlp_hess_l", [x, p, one, g], [pattern.sparsity],
-            lambda x, _, f, lam: [pattern.order(self._hessian(x[:own], float(f[0]), lam))],
-        )  # fmt: skip
+        def gradient(x: Array, _: Array) -> list[Any]:
+            return [*cost(x), np.concatenate([programme.gradient(x[:own]), still])]
+
+        def jacobian(x: Array, _: Array) -> list[Any]:
+            return [*constraints(x), programme.jacobian(x[:own])]
+
+        def hessian(x: Array, _: Array, f: Array, lam: Array) -> list[Any]:
+            return [pattern.order(self._hessian(x[:own], float(f[0]), lam))]
+
+        f_of = NumPyFunction("f", [x], [one], cost)
+        g_of = NumPyFunction("g", [x], [g], constraints)
+        grad = NumPyFunction("nlp_grad_f", [x, p], [one, x], gradient)
+        jac = NumPyFunction("nlp_jac_g", [x, p], [g, J], jacobian)
+        hess = NumPyFunction("nlp_hess_l", [x, p, one, g], [pattern.sparsity], hessian)
         self._functions = [f_of, g_of, grad, jac, hess]  # CasADi does not keep them alive
         return f_of, g_of, {"nlp_grad_f": grad, "nlp_jac_g": jac}, hess
 
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the entries of the Hessian's upper triangle."""
         own = self.programme.size
-        riders = own + np.arange(self.riders)
-        beside = grid(np.arange(own)[None], riders[None])
-        return stack([self.programme.hessian_places(), beside, (riders, riders)])
+        auxiliary = own + np.arange(self.auxiliary)
+        beside = grid(np.arange(own)[None], auxiliary[None])
+        return stack([self.programme.hessian_places(), beside, (auxiliary, auxiliary)])
 
     def _hessian(self, x: Array, f: float, multipliers: Array) -> Array:
         """Entries of IPOPT's Hessian at its iterate x: Newton's if that is close."""
@@ -115,20 +117,20 @@ class Newton:
         """
         programme, blocks = self.programme, self.programme.blocks(x)
         Hll, Hln = blocks.Hll, blocks.Hln
-        pull: Array = np.zeros((programme.size, self.riders))
+        pull: Array = np.zeros((programme.size, self.auxiliary))
         gaps = programme.values(x).g[: len(programme.links) * programme.evaluator.nx]
         meet = np.abs(gaps).max(initial=0.0) < MEET
         if multipliers is not None and meet and not programme.evaluator.filtering:
             more = self._curvature(x, multipliers[: len(gaps)])
             Hll, Hln = Hll + more.Hll, Hln + more.Hln
-            if self.riders:
+            if self.auxiliary:
                 pull = self._pull(more)
         core = programme.hessian_parts(blocks, Hll, Hln) / programme.n
-        return np.concatenate([core, -pull.ravel(), np.ones(self.riders)])
+        return np.concatenate([core, -pull.ravel(), np.ones(self.auxiliary)])
 
     def matrix(self, x: Array, multipliers: Array) -> scipy.sparse.csc_array:
-        """The Hessian of the whole cost's Lagrangian, symmetric, with the riders."""
-        n = self.programme.size + self.riders
+        """The Hessian of the whole cost's Lagrangian, symmetric, with the auxiliary variables."""
+        n = self.programme.size + self.auxiliary
         entries = self.programme.n * self.hessian(x, multipliers)
         upper = scipy.sparse.csc_array((entries, self.places()), (n, n))
         return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
@@ -139,13 +141,11 @@ class Newton:
         mu = np.zeros((programme.J, len(s.state)))
         mu[programme.links] = programme.n * multipliers.reshape(-1, len(s.state)) / s.state
         found = curvature(programme.blocks(x).sweep, mu)
-        return Curvature(
-            found.Hll * np.outer(s.lam, s.lam), found.Hln * np.outer(s.lam, s.state),
-            found.gl * s.lam, found.gb * s.bias, found.gn * s.state,
-        )  # fmt: skip
+        Hll, Hln = found.Hll * np.outer(s.lam, s.lam), found.Hln * np.outer(s.lam, s.state)
+        return Curvature(Hll, Hln, found.gl * s.lam, found.gb * s.bias, found.gn * s.state)
 
     def _pull(self, found: Curvature) -> Array:
-        """Columns of the riders: every channel's g √(2/n), per observation."""
+        """Columns of the auxiliary variables: every channel's g √(2/n), per observation."""
         programme, noise = self.programme, self.programme.noise
         parts = [found.gl, *(part.reshape(len(part), -1) for part in (found.gb, found.gn))]
         g = np.hstack(parts if programme.biases else parts[::2]).T
@@ -154,7 +154,7 @@ class Newton:
 
     def extended(self, multipliers: tuple[Array, Array]) -> tuple[Array, Array]:
         """Multipliers of the programme's own bounds and constraints, as those of the problem."""
-        return np.concatenate([multipliers[0], np.zeros(self.riders)]), multipliers[1]
+        return np.concatenate([multipliers[0], np.zeros(self.auxiliary)]), multipliers[1]
 
     def stripped(self, solution: Solution) -> Solution:
         """A solution of the problem in the programme's own variables."""

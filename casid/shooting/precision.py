@@ -158,12 +158,11 @@ def quadratic_model(
     nf, more = programme.evaluator.nf, H.shape[0] - programme.size
     g = np.append(programme.n * programme.gradient(x), np.zeros(more))[:, None]
     free = scipy.sparse.csc_array((G.shape[0], more))
-    return eliminate(
-        np.block([[H[:nf, :nf].toarray(), g[:nf]], [g[:nf].T, np.zeros((1, 1))]]),
-        H[nf:, nf:], np.hstack([H[nf:, :nf].toarray(), g[nf:]]),
-        scipy.sparse.csc_array(scipy.sparse.hstack([G[:, nf:], free])),
-        np.hstack([G[:, :nf].toarray(), programme.values(x).g[: G.shape[0], None]]),
-    )  # fmt: skip
+    own = np.block([[H[:nf, :nf].toarray(), g[:nf]], [g[:nf].T, np.zeros((1, 1))]])
+    cross = np.hstack([H[nf:, :nf].toarray(), g[nf:]])
+    tied = scipy.sparse.csc_array(scipy.sparse.hstack([G[:, nf:], free]))
+    gaps = np.hstack([G[:, :nf].toarray(), programme.values(x).g[: G.shape[0], None]])
+    return eliminate(own, H[nf:, nf:], cross, tied, gaps)
 
 
 def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) -> Array:

@@ -72,7 +72,7 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """What a batch of intervals has to say; ``index`` are rows of the layout.
+    """Gram matrices and end states of some intervals; ``index`` are rows of the layout.
 
     Parameters
     ----------
@@ -272,18 +272,19 @@ class Sweep:
         size = max(1, int(rows / count[mine].max()))
         for k in range(0, len(mine), size):
             index = np.sort(mine[k : k + size])  # rows of the layout: the longest first
-            place = start[index] - start[index].min()
-            slope = np.empty((int(count[index].sum()), self.e.ny, follow.shape[2]))
-            moves = follow[index]
+            yield self._total(index, follow[index])
 
-            def keep(
-                j: int, k: int, rows: Array,
-                slope: Array = slope, place: np.ndarray = place, moves: Array = moves,
-            ) -> None:  # fmt: skip
-                slope[place[j] + k : place[j] + k + len(rows)] = rows[:, :, :-1] @ moves[j]
+    def _total(self, index: np.ndarray, moves: Array) -> Array:
+        """Total derivatives (n, ny, nf) of the whitened residuals of adjacent intervals."""
+        start, count = self.layout.start[index], self.layout.count[index]
+        place = start - start.min()
+        slope = np.empty((int(count.sum()), self.e.ny, moves.shape[2]))
 
-            self.run(index, keep)
-            yield slope
+        def keep(j: int, k: int, rows: Array) -> None:
+            slope[place[j] + k : place[j] + k + len(rows)] = rows[:, :, :-1] @ moves[j]
+
+        self.run(index, keep)
+        return slope
 
     def _block(self, at: np.ndarray, S: Array) -> Array:
         """Sensitivities before each of K samples and after the last, (K + 1, nx, n, ns)."""

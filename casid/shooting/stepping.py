@@ -14,7 +14,7 @@ entire, and no exponential is computed per sample.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from casid.intersample import ORDER, DelayedInput, distinct, integral_slopes
 from casid.record import Hold
 from casid.shooting.intervals import Layout
 from casid.shooting.unknowns import FilterMatrices
+
+Slopes: TypeAlias = tuple[Array, Array]  # a value and its derivative
 
 MANY = 8  # distinct intervals within a factor of two that are worth interpolating
 EXACT = 1e-15  # interpolation error, relative
@@ -249,9 +251,8 @@ class _Group:
     """Steps of similar length: one, or the nodes between which the others are interpolated."""
 
     def __init__(
-        self, maps: _Maps, nodes: slice, weights: Array, columns: np.ndarray,
-        jump: tuple[Array, Array],
-    ) -> None:  # fmt: skip
+        self, maps: _Maps, nodes: slice, weights: Array, columns: np.ndarray, jump: Slopes
+    ) -> None:
         self.weights, self.columns, self.jump = weights, columns, jump[0][:, columns]
         self.Ad, self.G, self.gain = maps.E[nodes], maps.G[nodes], maps.gain[nodes]
         self.P1 = maps.P[1, nodes, :, :, 0]

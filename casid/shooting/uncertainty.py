@@ -6,6 +6,7 @@ V. Klein, E. A. Morelli, Aircraft System Identification: Theory and Practice, AI
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import scipy.fft
@@ -15,6 +16,8 @@ import scipy.sparse.linalg
 
 from casid.arrays import Array, BoolArray
 from casid.values import storable
+
+Sparse: TypeAlias = scipy.sparse.csc_array
 
 RIDGE = 1e-13  # on nuisance blocks, relative; an unobservable nuisance must not stop the rest
 MANY = 500  # neighbours of a nuisance variable (the bias of a long record) that would fill factors
@@ -40,10 +43,9 @@ class Collinearity:
 
 
 def eliminate(
-    H: Array, H_nuisance: scipy.sparse.csc_array, H_cross: Array, G: scipy.sparse.csc_array,
-    G_cross: Array,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Fisher information of λ with nuisance variables ν eliminated, and what follows λ.
+    H: Array, H_nuisance: Sparse, H_cross: Array, G: Sparse, G_cross: Array
+) -> tuple[Array, Array]:
+    """Fisher information of λ with nuisance variables ν eliminated, and the derivatives of these.
 
     The log-likelihood is quadratic with Hessian [H, crossᵀ; cross, H_nuisance] under the linear
     constraints G ν + G_cross λ = 0 (continuity); its Schur complement by the KKT system is the
@@ -77,9 +79,8 @@ def eliminate(
 
 
 def _in_two_steps(
-    H: Array, H_nuisance: scipy.sparse.csc_array, H_cross: Array, G: scipy.sparse.csc_array,
-    G_cross: Array, late: BoolArray,
-) -> tuple[Array, Array]:  # fmt: skip
+    H: Array, H_nuisance: Sparse, H_cross: Array, G: Sparse, G_cross: Array, late: BoolArray
+) -> tuple[Array, Array]:
     """Eliminate the other nuisance variables first, then the ``late`` ones among themselves."""
     nf = len(H)
     inner, early = H_nuisance[late][:, late].toarray(), ~late
@@ -213,8 +214,8 @@ def _double_sum(C: Array, s: Array) -> Array:
     weight[0] /= 2
     if n % 2 == 0:
         weight[-1] /= 2
-    return np.real(np.einsum("kai,kab,kbj->ij", S.conj() * weight[:, None, None],
-                             spectrum, S, optimize=True))  # fmt: skip
+    weighted = S.conj() * weight[:, None, None]
+    return np.real(np.einsum("kai,kab,kbj->ij", weighted, spectrum, S, optimize=True))
 
 
 def _autocovariance(residuals: Sequence[Array]) -> Array:

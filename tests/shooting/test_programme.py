@@ -108,7 +108,7 @@ def test_newtons_hessian_is_that_of_the_lagrangian(kind, monkeypatch):
 
     def dense(entries):
         row, col = newton.places()
-        H = np.zeros((programme.size + newton.riders,) * 2)
+        H = np.zeros((programme.size + newton.auxiliary,) * 2)
         H[row, col] = entries
         return H + np.triu(H, 1).T
 
