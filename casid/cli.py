@@ -13,9 +13,10 @@ from rich.text import Text
 
 from casid.bounds.compare import BoundsComparison
 from casid.commands.data import COMMANDS
-from casid.commands.terminal import exits, logged, new_table, terminal
+from casid.commands.terminal import Commands, exits, logged, new_table, terminal
 from casid.files import read_csv
 from casid.fit import AnyFit
+from casid.interrupts import check_interrupt
 from casid.nlp import Progress
 from casid.report import Timing
 from casid.stages.listing import STAGES, in_tables, in_words
@@ -43,7 +44,9 @@ OUTPUT = click.option(
 VERBOSE = click.option("--verbose", "-v", is_flag=True, help="Say what each stage does.")
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
+)
 @click.version_option(version("casid"))
 def main() -> None:
     """Identify rotorcraft models from flight records, in the time and frequency domains.
@@ -170,10 +173,12 @@ class Monitor:
 
     def begin(self, stage: str) -> None:
         """Show that a stage runs."""
+        check_interrupt()
         self._stage, self._since, self._last = stage, time.perf_counter(), None
 
     def progress(self, progress: Progress) -> None:
         """Show the iteration it is at."""
+        check_interrupt()
         self._last = progress
 
     def end(self, timing: Timing) -> None:

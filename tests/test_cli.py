@@ -117,7 +117,7 @@ def test_an_interrupted_study_says_that_the_same_command_goes_on(tmp_path, monke
     monkeypatch.setattr("casid.matching.match.Match.fit", interrupted)
     result = casid("identify", write_study(tmp_path))
     assert result.exit_code == 130
-    assert "the same command goes on" in result.output
+    assert "the same command goes on" in result.stderr
     assert (tmp_path / "out/stages/pbsid.json").exists()
 
 

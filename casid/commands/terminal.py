@@ -6,15 +6,28 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import click
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from casid.errors import ConvergenceError
+from casid.interrupts import end_interrupted
 
-BAD_INPUT, NO_CONVERGENCE, INTERRUPTED = 2, 3, 130
+BAD_INPUT, NO_CONVERGENCE = 2, 3
 ENDLESS = 10_000  # columns of a file or pipe
+
+
+class Commands(click.Group):
+    """A group of commands that all end alike when they are interrupted."""
+
+    def invoke(self, ctx: click.Context) -> Any:  # noqa: ANN401 - as click has it
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            end_interrupted()
 
 
 def terminal() -> Console:
@@ -50,9 +63,6 @@ def exits(console: Console) -> Iterator[None]:
         remedy = "earlier results are kept; make room or see to the file, then run the same again"
         complain(console, "Cannot read or write", f"{error}; {remedy}")
         sys.exit(BAD_INPUT)
-    except KeyboardInterrupt:
-        console.print("Interrupted; stages that had ended are kept, the same command goes on.")
-        sys.exit(INTERRUPTED)
 
 
 def complain(console: Console, what: str, error: Exception | str) -> None:

@@ -1,0 +1,26 @@
+"""The command ``casid``: Ctrl-C is caught before anything that takes time is imported."""
+
+import signal
+
+from casid.interrupts import INTERRUPTED, Interrupt, end_interrupted
+
+
+def main() -> None:
+    """Run the command line; an interruption at any moment is one line and an exit code."""
+    interrupt = Interrupt()
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        from casid.cli import main as command  # noqa: PLC0415 - takes a second
+
+        command(prog_name="casid")
+    except SystemExit as end:
+        if not interrupt.asked or end.code == INTERRUPTED:
+            raise
+    except BaseException:
+        if not interrupt.asked:
+            raise
+    end_interrupted()
+
+
+if __name__ == "__main__":
+    main()

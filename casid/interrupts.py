@@ -1,0 +1,38 @@
+"""Ctrl-C: what it sets off, and how a command ends after it."""
+
+import signal
+import sys
+from types import FrameType
+from typing import NoReturn
+
+INTERRUPTED = 130  # exit code, as of a shell
+SAID = "Interrupted; what had ended is kept, the same command goes on."
+
+
+class Interrupt:
+    """A handler of SIGINT that remembers that it was called.
+
+    Code of others may swallow the exception that it raises, within a callback for instance.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self, _: int, __: FrameType | None) -> None:
+        """Remember, and raise KeyboardInterrupt."""
+        self.asked = True
+        raise KeyboardInterrupt
+
+
+def check_interrupt() -> None:
+    """Raise the KeyboardInterrupt that somebody has swallowed."""
+    handler = signal.getsignal(signal.SIGINT)
+    if isinstance(handler, Interrupt) and handler.asked:
+        raise KeyboardInterrupt
+
+
+def end_interrupted() -> NoReturn:
+    """End the process, once and with one line."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    print(SAID, file=sys.stderr)  # noqa: T201 - rich may not be there yet
+    sys.exit(INTERRUPTED)

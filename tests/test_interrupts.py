@@ -1,0 +1,80 @@
+"""Ctrl-C at any moment: exit code 130, one line, and all that had ended is kept."""
+
+import subprocess
+import sys
+
+import pytest
+from truths.roll_study import write_study
+
+# Sends the process an interrupt when a module is looked for the first time, or when a method of
+# casid is called for the n-th time.
+PROGRAM = """
+import os, signal, sys
+
+moment, *words = sys.argv[1:]
+sys.argv = ["casid", *words]
+
+
+def strike():
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == moment:
+            sys.meta_path.remove(self)
+            strike()
+
+
+if ":" in moment:
+    place, name, count = moment.split(":")
+    module, _, owner = place.rpartition(".")
+    found = getattr(__import__(module, fromlist=[owner]), owner)
+    honest, calls = getattr(found, name), []
+
+    def counted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == int(count):
+            strike()
+        return honest(*arguments, **options)
+
+    setattr(found, name, counted)
+else:
+    sys.meta_path.insert(0, Finder())
+from casid.__main__ import main
+
+main()
+"""
+BEFORE = {  # what is kept by then
+    "click": set(),
+    "casadi": set(),
+    "scipy.signal": set(),
+    "casid.studies.runner": set(),
+    "casid.files.Path:read_text:1": set(),
+    "casid.nlp._Watcher:eval:1": {"pbsid"},
+    "casid.nlp._Watcher:eval:20": {"pbsid", "quadratic"},
+    "casid.report.html.Markup:__new__:3": {"pbsid", "quadratic", "hinf", "output_error"},
+    "matplotlib.backends.backend_svg": {"pbsid", "quadratic", "hinf", "output_error"},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", BEFORE)
+def test_an_interruption_at_any_moment_is_one_line_and_keeps_what_had_ended(moment, tmp_path):
+    study = write_study(tmp_path)
+    command = [sys.executable, "-c", PROGRAM, moment, "identify", str(study)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 130, done.stderr
+    lines = [
+        line for line in done.stderr.splitlines() if "do not agree with kinematics" not in line
+    ]
+    assert lines == ["Interrupted; what had ended is kept, the same command goes on."]
+    assert "Traceback" not in done.stdout
+    assert {path.stem for path in tmp_path.glob("out/stages/*.json")} == BEFORE[moment]
+    assert not list(tmp_path.glob("out/**/*.partial"))
+
+
+def test_the_package_runs_as_a_module():
+    command = [sys.executable, "-m", "casid", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.startswith("Usage: casid [OPTIONS] COMMAND")
