@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray
 from casid.errors import warn
+from casid.samples import SLOWER, Between, at_instants, check_samples, resampled, usual_interval
 
 Hold = Literal["foh", "zoh"]
 T = TypeVar("T")
 
-USUAL = 0.95  # share of sampling intervals that are not longer than the usual one
 FEWEST = 16  # samples of a stretch between gaps
 QUIET = 0.02  # share of an input's range that still counts as trim
 
@@ -62,8 +62,9 @@ class Record:
             object.__setattr__(self, attribute, values)
         object.__setattr__(self, "inputs", tuple(self.inputs))
         object.__setattr__(self, "outputs", tuple(self.outputs))
-        _check_shapes(self)
-        _check_values(self)
+        if self.hold not in get_args(Hold):
+            raise ValueError(f'record {self.name!r}: hold={self.hold!r}, expected "foh" or "zoh"')
+        check_samples(self.name, self.t, self.u, self.y, (self.inputs, self.outputs))
 
     @property
     def N(self) -> int:
@@ -101,9 +102,7 @@ class Record:
 
         Usual is the median, or what one interval in twenty exceeds where sampling is irregular.
         """
-        steps = np.diff(self.t)
-        usual = max(self.dt, float(np.quantile(steps, USUAL)))
-        return np.flatnonzero(steps > 2.001 * usual)
+        return np.flatnonzero(np.diff(self.t) > 2.001 * usual_interval(self.t))
 
     def stretches(self) -> tuple["Record", ...]:
         """The manoeuvre between its gaps in time, where nobody knows what the inputs did.
@@ -143,7 +142,94 @@ class Record:
         """The same manoeuvre with some of its samples."""
         return replace(self, t=self.t[rows], u=self.u[rows], y=self.y[rows])
 
+    def resample(self, dt: float) -> "Record":
+        """The same manoeuvre at equidistant instants, every ``dt`` [s].
+
+        Outputs follow a cubic spline, inputs what they do between samples (`hold`); what was lost
+        stays lost. Where ``dt`` is longer than the interval by half or more, all channels pass a
+        symmetric filter first, so that nothing above the new Nyquist frequency is folded back.
+
+        Raises
+        ------
+        ValueError
+            No positive interval, one longer than the record, a gap in time.
+        """
+        if not 0 < dt < self.duration:
+            raise ValueError(f"record {self.name!r}: dt={dt}, expected 0 to {self.duration:g} s")
+        if len(self.gaps()):
+            raise ValueError(
+                f"record {self.name!r} has gaps in time; resample each of its stretches()"
+            )
+        t, values = resampled(self.t, self._columns(), dt)
+        slower = dt >= SLOWER * self.dt
+        u, y = values[:, : self.nu], values[:, self.nu :]
+        return replace(self, t=t, u=u, y=y, hold="foh" if slower else self.hold)
+
+    def shift(self, by: Mapping[str, float]) -> "Record":
+        """Channels moved in time [s]: -0.06 for one that is 0.06 s late.
+
+        Samples at the ends that a shifted channel does not reach are left out.
+        """
+        late = [by.get(name, 0.0) for name in (*self.inputs, *self.outputs)]
+        for name in by:
+            self.channel(name)
+        kept = self.cut(self.t[0] + max(0.0, *late) - 1e-9, self.t[-1] + min(0.0, *late) + 1e-9)
+        columns = zip(self._columns(), [*kept.u.T, *kept.y.T], late, strict=True)
+        x = np.array(
+            [
+                at_instants(self.t, x, kept.t - lag, how) if lag else same
+                for (x, how), same, lag in columns
+            ]
+        ).T
+        return replace(kept, u=x[:, : self.nu], y=x[:, self.nu :])
+
+    def join(self, other: "Record", *, clock: float = 0.0) -> "Record":
+        """The record with the channels of another logger, at the instants of this one.
+
+        Parameters
+        ----------
+        other : Record
+            Of the same flight, with other channels.
+        clock : float
+            Added to its time [s], so that both run on one clock.
+
+        Raises
+        ------
+        ValueError
+            No time in common, a channel that both have.
+        """
+        t = other.t + clock
+        mine = self.cut(float(t[0]), float(t[-1]))
+        x = np.array([at_instants(t, x, mine.t, how) for x, how in other._columns()]).T
+        return replace(
+            mine,
+            u=np.hstack([mine.u, x[:, : other.nu]]),
+            y=np.hstack([mine.y, x[:, other.nu :]]),
+            inputs=(*self.inputs, *other.inputs),
+            outputs=(*self.outputs, *other.outputs),
+            trim={**self.trim, **other.trim},
+        )
+
+    def _columns(self) -> list[tuple[Array, Between]]:
+        """Every channel with what it does between samples."""
+        held: list[tuple[Array, Between]] = [(x, self.hold) for x in self.u.T]
+        return [*held, *((x, "smooth") for x in self.y.T)]
+
+    def rename(self, names: Mapping[str, str]) -> "Record":
+        """The same manoeuvre with other names for some channels, ``{"old": "new"}``."""
+        for name in names:
+            self.channel(name)
+        new = {name: names.get(name, name) for name in (*self.inputs, *self.outputs)}
+        groups = (self.inputs, self.outputs)
+        inputs, outputs = (tuple(new[name] for name in group) for group in groups)
+        trim = {new.get(name, name): value for name, value in self.trim.items()}
+        return replace(self, inputs=inputs, outputs=outputs, trim=trim)
+
     def between(self, start: float, end: float) -> "Record":
+        """`cut`, by its older name."""
+        return self.cut(start, end)
+
+    def cut(self, start: float, end: float) -> "Record":
         """Return the samples with ``start <= t <= end`` [s]."""
         keep = (self.t >= start) & (self.t <= end)
         if (n := int(keep.sum())) < 2:
@@ -305,50 +391,3 @@ def _position(name: str, names: tuple[str, ...], kind: str, record: str) -> int:
     if name not in names:
         raise ValueError(f"record {record!r} has no {kind} {name!r}; it has {', '.join(names)}")
     return names.index(name)
-
-
-def _check_shapes(record: Record) -> None:
-    t, u, y = record.t, record.u, record.y
-    if t.ndim != 1 or len(t) < 2:
-        raise ValueError(
-            f"record {record.name!r}: t has shape {t.shape}, expected (N,) with N >= 2"
-        )
-    for letter, values, names in (("u", u, record.inputs), ("y", y, record.outputs)):
-        if values.shape != (len(t), len(names)):
-            raise ValueError(
-                f"record {record.name!r}: {letter} has shape {values.shape}, expected "
-                f"(N, n{letter}) = ({len(t)}, {len(names)}) for {names}; arrays are time-first: "
-                f"pass {letter}.T if time runs along columns"
-            )
-    names = (*record.inputs, *record.outputs)
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise ValueError(f"record {record.name!r}: channel {twice[0]!r} is named twice")
-    if record.hold not in get_args(Hold):
-        raise ValueError(f'record {record.name!r}: hold={record.hold!r}, expected "foh" or "zoh"')
-
-
-def _check_values(record: Record) -> None:
-    t = record.t
-    if not np.isfinite(t).all():
-        k = int(np.flatnonzero(~np.isfinite(t))[0])
-        raise ValueError(f"record {record.name!r}: t[{k}] = {t[k]}; time must be finite")
-    if (back := np.flatnonzero(np.diff(t) <= 0)).size:
-        k = int(back[0]) + 1
-        raise ValueError(
-            f"record {record.name!r}: time does not increase at sample {k} "
-            f"({t[k - 1]:g} s, then {t[k]:g} s); sort the samples and drop repeated ones"
-        )
-    bad = np.argwhere(~np.isfinite(record.u))
-    if len(bad):
-        k, i = bad[0]
-        raise ValueError(
-            f"record {record.name!r}: input {record.inputs[i]!r} is {record.u[k, i]} at sample {k} "
-            "(inputs must be known everywhere); cut the record there or repair the channel"
-        )
-    infinite = np.argwhere(np.isinf(record.y))
-    if len(infinite):
-        k, i = infinite[0]
-        raise ValueError(
-            f"record {record.name!r}: output {record.outputs[i]!r} is {record.y[k, i]} at sample "
-            f"{k}; mark a missing sample with NaN"
-        )

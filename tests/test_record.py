@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from truths.closed_roll import Roll, flown
+from truths.flights import flight
 
 from casid import (
     DataWarning,
     Record,
     frequency_response,
     identifiability,
+    kinematic_check,
     output_error,
     pbsid,
     validate,
@@ -222,3 +224,72 @@ def test_a_dropout_of_five_seconds_is_the_flight_cut_in_two(estimate):
         found = estimate(lost)
     expected = estimate([whole.between(0, 14.99), whole.between(20.01, 40)])
     np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+# ---- the same flight otherwise -------------------------------------------------------------------
+
+
+def test_a_resampled_record_has_the_same_response_and_keeps_its_losses():
+    record = flown(t=0.02 * np.arange(1500), seed=2)
+    y = record.y.copy()
+    y[700:750, 1] = np.nan
+    slow = replace(record, y=y).resample(0.05)
+    assert (slow.dt, slow.duration) == (pytest.approx(0.05), pytest.approx(29.95))
+    lost = np.isnan(slow.y[:, 1])
+    assert 18 <= lost.sum() <= 21  # 1 s
+    assert not np.isnan(slow.y[:, [0, 2]]).any()
+    omega = np.array([2.0, 4.0])
+    wanted = frequency_response(record, omega=omega, windows=[10.0]).G
+    found = frequency_response(record.resample(0.05), omega=omega, windows=[10.0]).G
+    # Windows lie a little otherwise, so that leakage of the other input differs.
+    np.testing.assert_allclose(found, wanted, atol=0.005 * np.abs(wanted).max())
+    with pytest.raises(ValueError, match="dt=0, expected 0 to"):
+        record.resample(0)
+    with pytest.raises(ValueError, match=r"resample each of its stretches\(\)"):
+        record.take((record.t < 5) | (record.t > 6)).resample(0.05)
+
+
+def test_steps_stay_steps_when_sampled_faster():
+    t = 0.1 * np.arange(30)
+    record = Record(t, np.floor(t)[:, None], np.sin(t)[:, None], ("u",), ("y",), hold="zoh")
+    fast = record.resample(0.02)
+    assert fast.hold == "zoh"
+    np.testing.assert_array_equal(fast.u[:, 0], np.floor(fast.t + 1e-9))
+    np.testing.assert_allclose(fast.y[:, 0], np.sin(fast.t), atol=1e-6)
+
+
+def test_a_late_channel_is_shifted_back():
+    record = flight(0, {"p": (0.0, 0.0, 0.06)}, outputs=("p", "q", "r", "phi", "theta"))
+    back = record.shift({"p": -0.06})
+    p = {each.channel: each for each in kinematic_check(back).channels}["p"]
+    assert p.skew == pytest.approx(0.0, abs=1e-4)
+    assert back.t[-1] == pytest.approx(record.t[-1] - 0.06)
+    np.testing.assert_array_equal(back.channel("q"), record.channel("q")[: back.N])
+    with pytest.raises(ValueError, match="no channel 'beta'"):
+        record.shift({"beta": 0.1})
+
+
+def test_two_loggers_with_two_clocks_are_one_flight():
+    record = flown(seed=4)
+    late = replace(record.select([], ["phi"]), t=record.t + 100.003).between(101, 111)
+    both = record.select(outputs=["ay", "p"]).join(late, clock=-100.003)
+    assert (both.inputs, both.outputs) == (record.inputs, record.outputs)
+    rows = slice(*np.searchsorted(record.t, [both.t[0] - 1e-9, both.t[-1] + 1e-9]))
+    np.testing.assert_allclose(both.y, record.y[rows], atol=1e-7)
+    with pytest.raises(ValueError, match="'lat' is named twice"):
+        record.join(record)
+    with pytest.raises(ValueError, match="has 0 samples between 100"):
+        record.join(late.rename({"phi": "psi"}))
+
+
+def test_channels_are_renamed_with_their_trim_and_masked_by_sample():
+    record = flown(seed=1).detrend("first")
+    other = record.rename({"p": "roll rate", "lat": "stick"})
+    assert (other.inputs, other.outputs[1]) == (("stick", "ped"), "roll rate")
+    assert other.trim["roll rate"] == record.trim["p"]
+    with pytest.raises(ValueError, match="no channel 'q'"):
+        record.rename({"q": "p"})
+    where = np.zeros(record.y.shape, dtype=bool)
+    where[5, 2] = True
+    assert np.isnan(record.mask(where).y).sum() == 1
+    assert np.isnan(record.mask(where).y[5, 2])

@@ -1,0 +1,143 @@
+"""Samples of one record: what they must be, and what they are at other instants."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+import scipy.interpolate
+import scipy.signal
+
+from casid.arrays import Array
+
+Between = Literal["zoh", "foh", "smooth"]  # steps, straight lines, a cubic spline
+
+USUAL = 0.95  # share of sampling intervals that are not longer than the usual one
+SLOWER = 1.5  # intervals that are longer by this factor need a filter first
+PASS = 0.8  # of the new Nyquist frequency: what is above it is taken out before sampling slower
+
+
+def usual_interval(t: Array) -> float:
+    """The median interval, or what one in twenty exceeds where sampling is irregular."""
+    steps = np.diff(t)
+    return max(float(np.median(steps)), float(np.quantile(steps, USUAL)))
+
+
+def at_instants(t: Array, x: Array, instants: Array, between: Between) -> Array:
+    """One channel at other instants, NaN where it was not measured.
+
+    That is before its first and after its last sample, and wherever its samples (which may be
+    rarer than the record's) lie more than twice their usual interval apart.
+
+    Parameters
+    ----------
+    t, x : (N,) array
+        Instants [s] and values, NaN where missing.
+    instants : (M,) array
+        Where it is wanted [s].
+    between : {"zoh", "foh", "smooth"}
+        What it does between samples.
+    """
+    known = ~np.isnan(x)
+    t, x = t[known], x[known]
+    if len(t) < 4:
+        return np.full(len(instants), np.nan)
+    usual = usual_interval(t)
+    slack = 1e-6 * usual
+    after = np.clip(np.searchsorted(t, instants + slack, side="right"), 1, len(t) - 1)
+    before = after - 1
+    if between == "smooth":
+        values = scipy.interpolate.make_interp_spline(t, x, k=3)(instants)
+    elif between == "foh":
+        values = np.interp(instants, t, x)
+    else:
+        values = np.where(instants + slack >= t[-1], x[-1], x[before])
+    on = np.minimum(np.abs(instants - t[before]), np.abs(instants - t[after])) <= slack
+    lost = (t[after] - t[before] > 2.001 * usual) & ~on
+    lost |= (instants < t[0] - slack) | (instants > t[-1] + slack)
+    return np.where(lost, np.nan, values)
+
+
+def resampled(t: Array, columns: Sequence[tuple[Array, Between]], dt: float) -> tuple[Array, Array]:
+    """Instants every ``dt`` [s] and the columns there, (M,) and (M, columns).
+
+    Where they are slower than the samples by half or more, all columns pass one filter first.
+    """
+    grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + 1e-6) + 1)
+    plain = np.array([at_instants(t, x, grid, how) for x, how in columns]).T
+    own = float(np.median(np.diff(t)))
+    if dt < SLOWER * own:
+        return grid, plain
+    even = t[0] + own * np.arange(int((t[-1] - t[0]) / own + 1e-6) + 1)
+    fast = np.array([at_instants(t, x, even, how) for x, how in columns])
+    for x in fast:
+        if (known := ~np.isnan(x)).any():
+            x[~known] = np.interp(even[~known], even[known], x[known])
+    slow = [at_instants(even, x, grid, "smooth") for x in smoothed(fast.T, dt / own).T]
+    return grid, np.where(np.isnan(plain), np.nan, np.array(slow).T)
+
+
+def smoothed(x: Array, ratio: float) -> Array:
+    """Equidistant columns without what an interval ``ratio`` times as long would fold back.
+
+    A symmetric filter, so that nothing is late; alike for all channels, so that responses stay.
+    """
+    half = int(np.ceil(8 * ratio))
+    k = np.arange(-half, half + 1)
+    taps = np.sinc(PASS * k / ratio) * np.hanning(2 * half + 3)[1:-1]
+    padded = np.pad(x, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
+    filtered = scipy.signal.fftconvolve(padded, (taps / taps.sum())[:, None], mode="valid", axes=0)
+    return np.asarray(filtered)
+
+
+# ---- what they must be -------------------------------------------------------------------------
+
+
+def check_samples(
+    record: str, t: Array, u: Array, y: Array, names: tuple[tuple[str, ...], tuple[str, ...]]
+) -> None:
+    """Refuse arrays that are no record: shapes, time that goes back, values that are none."""
+    if t.ndim != 1 or len(t) < 2:
+        raise ValueError(f"record {record!r}: t has shape {t.shape}, expected (N,) with N >= 2")
+    for letter, values, own in zip("uy", (u, y), names, strict=True):
+        if values.shape != (len(t), len(own)):
+            raise ValueError(
+                f"record {record!r}: {letter} has shape {values.shape}, expected "
+                f"(N, n{letter}) = ({len(t)}, {len(own)}) for {own}; arrays are time-first: "
+                f"pass {letter}.T if time runs along columns"
+            )
+    every = (*names[0], *names[1])
+    if twice := [name for name in every if every.count(name) > 1]:
+        raise ValueError(f"record {record!r}: channel {twice[0]!r} is named twice")
+    _check_time(record, t)
+    _check_values(record, u, y, names)
+
+
+def _check_time(record: str, t: Array) -> None:
+    if not np.isfinite(t).all():
+        k = int(np.flatnonzero(~np.isfinite(t))[0])
+        raise ValueError(f"record {record!r}: t[{k}] = {t[k]}; time must be finite")
+    if (back := np.flatnonzero(np.diff(t) <= 0)).size:
+        k = int(back[0]) + 1
+        raise ValueError(
+            f"record {record!r}: time does not increase at sample {k} "
+            f"({t[k - 1]:g} s, then {t[k]:g} s); sort the samples and drop repeated ones"
+        )
+
+
+def _check_values(
+    record: str, u: Array, y: Array, names: tuple[tuple[str, ...], tuple[str, ...]]
+) -> None:
+    bad = np.argwhere(~np.isfinite(u))
+    if len(bad):
+        k, i = bad[0]
+        raise ValueError(
+            f"record {record!r}: input {names[0][i]!r} is {u[k, i]} at sample {k} "
+            "(inputs must be known everywhere); cut the record there or repair the channel"
+        )
+    infinite = np.argwhere(np.isinf(y))
+    if len(infinite):
+        k, i = infinite[0]
+        raise ValueError(
+            f"record {record!r}: output {names[1][i]!r} is {y[k, i]} at sample "
+            f"{k}; mark a missing sample with NaN"
+        )

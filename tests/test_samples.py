@@ -1,0 +1,46 @@
+"""Channels at other instants against the signals they were sampled from."""
+
+import numpy as np
+import pytest
+
+from casid.samples import at_instants, resampled, usual_interval
+
+T = 0.02 * np.arange(500)
+
+
+def test_a_spline_follows_a_smooth_signal_and_steps_and_lines_do_what_they_say():
+    at = np.array([1.0, 1.005, 1.013])
+    x = np.sin(3 * T)
+    # A cubic spline errs by 5/384 h⁴ times the fourth derivative, 1.7e-7.
+    np.testing.assert_allclose(at_instants(T, x, at, "smooth"), np.sin(3 * at), atol=3e-7)
+    np.testing.assert_allclose(at_instants(T, 2 * T, at, "foh"), 2 * at, atol=1e-12)
+    np.testing.assert_array_equal(at_instants(T, 50 * T, at, "zoh"), [50, 50, 50])
+    assert at_instants(T, T, T[[-1]], "zoh") == T[-1]
+
+
+def test_what_was_not_measured_is_not_made_up_but_a_rare_channel_is_no_gap():
+    x = np.sin(T)
+    x[np.arange(500) % 4 > 0] = np.nan  # a quarter of the rate
+    assert np.isfinite(at_instants(T, x, T[:497], "smooth")).all()
+    x[200:240] = np.nan
+    found = at_instants(T, x, T, "smooth")
+    assert np.isnan(found[197:240]).all()
+    np.testing.assert_allclose(found[[196, 240]], np.sin(T[[196, 240]]), atol=1e-12)
+    assert np.isnan(at_instants(T, np.sin(T), np.array([-0.1, 10.1]), "foh")).all()
+    assert np.isnan(at_instants(T, np.full(500, np.nan), T, "smooth")).all()
+
+
+def test_slower_sampling_keeps_what_it_can_hold_and_folds_nothing_back():
+    # New Nyquist frequency 31 rad/s: 5 rad/s stays, 60 rad/s would come back as 2.8 rad/s.
+    slow, fast = np.sin(5 * T), np.sin(60 * T)
+    t, y = resampled(T, [(slow, "smooth"), (fast, "smooth")], 0.1)
+    np.testing.assert_allclose(np.diff(t), 0.1)
+    inside = slice(10, -10)
+    np.testing.assert_allclose(y[inside, 0], np.sin(5 * t[inside]), atol=1e-3)
+    assert np.abs(y[inside, 1]).max() < 0.01
+
+
+def test_the_usual_interval_is_the_median_unless_sampling_is_irregular():
+    assert usual_interval(np.delete(T, [50, 51, 52])) == pytest.approx(0.02)
+    t = np.cumsum(np.where(np.arange(100) % 5, 0.01, 0.03))
+    assert usual_interval(t) == pytest.approx(0.03)
