@@ -278,7 +278,7 @@ def test_two_loggers_with_two_clocks_are_one_flight():
     np.testing.assert_allclose(both.y, record.y[rows], atol=1e-7)
     with pytest.raises(ValueError, match="'lat' is named twice"):
         record.join(record)
-    with pytest.raises(ValueError, match="has 0 samples between 100"):
+    with pytest.raises(ValueError, match="has 0 samples between 101"):
         record.join(late.rename({"phi": "psi"}))
 
 
