@@ -32,16 +32,12 @@ MAD = 1.482602218505602  # standard deviation of a normal distribution over its 
 
 @dataclass(frozen=True, eq=False)
 class Autoregression:
-    """Coefficients by lag and the innovations' covariance.
+    """Coefficients by lag and the innovations' covariance."""
 
-    ``A`` (p, ny, ny) multiplies past outputs, ``B`` (p + 1, ny, nu) the inputs from the present one
-    back, ``c`` (ny,) is the constant; ``R`` (ny, ny).
-    """
-
-    A: Array
-    B: Array
-    c: Array
-    R: Array
+    A: Array  # (p, ny, ny) on past outputs
+    B: Array  # (p + 1, ny, nu) on inputs, the present one first
+    c: Array  # (ny,) constant
+    R: Array  # (ny, ny)
 
     def innovations(self, u: Array, y: Array) -> Array:
         """What the prediction misses from sample p on, (N - p, ny)."""
@@ -78,9 +74,9 @@ def autoregression(record: Record, y: Array, trusted: BoolArray) -> Autoregressi
 
 
 def filled(record: Record) -> tuple[Record, BoolArray]:
-    """The record with its lost output samples filled in, and where they were (N, ny).
+    """An equidistant record with its lost outputs filled in, and where they were (N, ny).
 
-    Equidistant records only; a channel without any sample stays lost.
+    A channel without any sample stays lost.
     """
     lost = np.isnan(record.y)
     if not lost.any():

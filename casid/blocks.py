@@ -19,32 +19,16 @@ from casid.nlp import Problem
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Block:
-    """f += f(w; d) and lower <= g(w; d) <= upper for every column of index and data.
+    """f += f(w; d) and lower <= g(w; d) <= upper for every column of index and data."""
 
-    Parameters
-    ----------
-    w : (nw,) SX
-        The block's variables.
-    d : (nd,) SX
-        The block's data.
-    f, g : SX
-        Scalar objective and (ng,) constraints.
-    index : (nw, K) integer array
-        Where each of the block's variables sits in the programme's vector.
-    data : (nd, K) array
-        Values of ``d``.
-    lower, upper : (ng,) array
-        Bounds of ``g``.
-    """
-
-    w: ca.SX
-    d: ca.SX
-    f: ca.SX
-    g: ca.SX
-    index: np.ndarray
-    data: Array
-    lower: Array
-    upper: Array
+    w: ca.SX  # (nw,) variables of the block
+    d: ca.SX  # (nd,) its data
+    f: ca.SX  # scalar objective
+    g: ca.SX  # (ng,) constraints
+    index: np.ndarray  # (nw, K) where each of w sits in the programme's vector
+    data: Array  # (nd, K) values of d
+    lower: Array  # (ng,) bounds of g
+    upper: Array  # (ng,)
 
     @property
     def count(self) -> int:

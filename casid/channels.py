@@ -25,13 +25,7 @@ SI = {unit: factor for row in MEASURES.values() for unit, factor in row.items()}
 
 
 def factor_of(channel: str, unit: str) -> float:
-    """What one of a channel's unit is in SI.
-
-    Raises
-    ------
-    ValueError
-        An unknown unit.
-    """
+    """What one of a channel's unit is in SI; ValueError for an unknown unit."""
     if unit not in SI:
         raise ValueError(f"channel {channel!r}: unknown unit {unit!r}; known are {', '.join(SI)}")
     return SI[unit]

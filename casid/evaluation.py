@@ -21,28 +21,14 @@ from casid.model import Free
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Matrices:
-    """Matrices, delays and constraints of a structure at some λ, and their derivatives.
+    """Matrices, delays and constraints of a structure at some λ, and their derivatives."""
 
-    Parameters
-    ----------
-    N : (nx + ny, nx + nu) array
-        [A B; C D].
-    tau, c : (nu,), (nc,) array
-        Delays [s] and values of the constraints.
-    dN : (nf, N.size) sparse array
-        Derivative of N, its entries row by row, by the free parameters.
-    dtau, dc : (nf, nu), (nf, nc) array
-        Derivatives of ``tau`` and ``c``.
-    nx : int
-        Number of states.
-    """
-
-    N: Array
-    tau: Array
-    c: Array
+    N: Array  # (nx + ny, nx + nu): [A B; C D]
+    tau: Array  # (nu,) delays [s]
+    c: Array  # (nc,) values of the constraints
     dN: scipy.sparse.csr_array  # noqa: N815 - the derivative of N
-    dtau: Array
-    dc: Array
+    dtau: Array  # (nf, nu)
+    dc: Array  # (nf, nc)
     nx: int
 
     @property
@@ -57,13 +43,7 @@ class Matrices:
         return np.asarray(self.dN.toarray().reshape(-1, *self.N.shape))
 
     def response(self, s: ComplexArray) -> ComplexArray:
-        """G at points s (K,) of the complex plane, (K, ny, nu).
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            A pole on one of the points.
-        """
+        """G (K, ny, nu) at points s (K,) of the complex plane; LinAlgError for a pole on one."""
         A, B, C, D = self.blocks
         X = np.linalg.solve(s[:, None, None] * np.eye(self.nx) - A, B)
         return np.asarray((C @ X + D) * np.exp(-s[:, None, None] * self.tau))

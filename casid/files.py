@@ -81,13 +81,7 @@ def read_csv(
 
 
 def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, Array]:
-    """Named columns of a CSV file with a header line, as they stand there.
-
-    Raises
-    ------
-    ValueError
-        Not a table of numbers, rows of another length than the header, or an unknown column.
-    """
+    """Named columns of a table of numbers with a header, CSV; ValueError for anything else."""
     path = Path(path)
     columns = csv_columns(path)
     values = _csv_values(path, columns, [_find(name, columns, path) for name in names])
@@ -123,13 +117,7 @@ def read_mat(
 
 
 def places(inputs: Channels, outputs: Channels, time: str | float, name: str) -> dict[str, Column]:
-    """Where each channel stands in a file, by its name; the time too if it is a column.
-
-    Raises
-    ------
-    ValueError
-        No input or no output, or one that is the time.
-    """
+    """Where each channel stands in a file, by name, and the time if it is a column, never both."""
     if not inputs or not outputs:
         raise ValueError(f"record {name!r}: name at least one input and one output to read")
     found: dict[str, Column] = {}
@@ -157,12 +145,9 @@ def build(
     units: Mapping[str, str] | None,
     name: str,
 ) -> Record:
-    """A record of the columns that ``read`` returns, in SI units.
+    """A record in SI units of the columns that ``read`` returns.
 
-    Raises
-    ------
-    ValueError
-        Unknown units, columns that differ in length, values no instrument measures.
+    ValueError: unknown units, columns that differ in length, values no instrument measures.
     """
     table = {each: read(column) for each, column in places(inputs, outputs, time, name).items()}
     for channel, unit in (units or {}).items():
@@ -185,13 +170,7 @@ def build(
 
 
 def read_variables(path: str | Path) -> dict[str, Any]:
-    """All variables of a MATLAB file by name; version 7.3 needs h5py.
-
-    Raises
-    ------
-    ValueError
-        Not a MATLAB file, or more numbers in it than are read.
-    """
+    """Variables of a MATLAB file by name (7.3 needs h5py); ValueError if damaged or too large."""
     path = Path(path)
     check_file(path, TABLE_BYTES, "a MATLAB file")
     if is_hdf(path):

@@ -281,16 +281,10 @@ def parameter_table(
     insensitivity: Array | None = None,
     guess: Model | None = None,
 ) -> tuple[ParameterEstimate, ...]:
-    """Rows of the parameter table from the free values.
+    """Rows of the parameter table from free values, multipliers, errors: (nf,), in physical units.
 
-    Parameters
-    ----------
-    free : Free
-        Which parameters were free, and their bounds.
-    values, multipliers, std_error, insensitivity : (nf,) array
-        Of the free parameters, in physical units; a missing one is NaN.
-    guess : Model
-        What the estimator started from; the model of ``free`` unless given.
+    What is missing is NaN; ``guess`` is what the estimator started from, the model of ``free``
+    unless given.
     """
     model = free.model
     full = free.full(np.asarray(values, dtype=float))
@@ -326,15 +320,7 @@ def parameter_table(
 
 
 def constraint_table(model: Model, prices: Array) -> tuple[ConstraintEstimate, ...]:
-    """Rows of the model's constraints.
-
-    Parameters
-    ----------
-    model : Model
-        At the estimates.
-    prices : (m,) array
-        Derivative of the optimal cost by the position of each constraint, per unit of its value.
-    """
+    """Rows of the constraints at the estimates; prices (m,): slopes of the cost by their values."""
     rows = []
     for item, price in zip(model.constraints(), prices, strict=True):
         value = float(item.value)

@@ -16,12 +16,7 @@ PARTIAL = ".partial"
 def replacing(path: str | Path) -> Iterator[Path]:
     """A temporary file beside a path, which takes its place when the block ends without an error.
 
-    Whatever ends the process earlier leaves the old file as it was.
-
-    Raises
-    ------
-    OSError
-        Naming the path, not the temporary file.
+    Whatever ends the process earlier leaves the old file as it was. An OSError names the path.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -52,12 +47,8 @@ def claimed(folder: str | Path) -> Iterator[Path]:
     """A folder made if need be and held against other runs; what a killed run left is cleared.
 
     The lock is released by the system however the process ends. Windows has none: there, two runs
-    in one folder replace each other's files, each of them whole.
-
-    Raises
-    ------
-    ValueError
-        The folder cannot be made or written to, or another run holds it.
+    in one folder replace each other's files, each of them whole. ValueError: the folder cannot be
+    made or written to, or another run holds it.
     """
     folder = Path(folder)
     try:

@@ -22,12 +22,9 @@ def is_hdf(path: Path) -> bool:
 
 
 def read_hdf(path: Path) -> dict[str, Any]:
-    """All numeric variables of a version 7.3 file by name; arrays as MATLAB shows them.
+    """Numeric variables of a version 7.3 file by name, arrays as MATLAB shows them.
 
-    Raises
-    ------
-    ValueError
-        h5py is missing, the file is damaged, or it holds more numbers than are read.
+    ValueError: h5py is missing, the file is damaged, or it holds more numbers than are read.
     """
     try:
         h5py = importlib.import_module("h5py")

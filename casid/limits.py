@@ -16,22 +16,7 @@ TEXT_BYTES = 4 * MIB  # of a study file or a model file
 
 
 def check_file(path: Path, limit: int, what: str) -> None:
-    """Refuse what is no ordinary file, and one too large to be what it is taken for.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    limit : int
-        Largest size [bytes].
-    what : str
-        What the file is read as, for the message.
-
-    Raises
-    ------
-    ValueError
-        No such file, a folder or device, or a file above the limit.
-    """
+    """Refuse what is no ordinary file, or larger [bytes] than ``what`` it is taken for may be."""
     try:
         found = path.stat()
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
@@ -61,14 +46,9 @@ class OutOfTimeError(Exception):
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Interrupt Python code that takes longer.
+    """Interrupt Python code that takes longer, by OutOfTimeError.
 
     Only the main thread of a POSIX system can be interrupted; elsewhere there is no limit.
-
-    Raises
-    ------
-    OutOfTimeError
-        The time is over.
     """
     if (
         not hasattr(signal, "setitimer")

@@ -1,9 +1,4 @@
-"""Linear state-space models with input delays: response, simulation, discretisation.
-
-    dx/dt = A x + B u(t - τ)        y = C x + D u(t - τ)
-
-Continuous when ``dt`` is None.
-"""
+"""Linear state-space models with input delays: dx/dt = A x + B u(t - τ), y = C x + D u(t - τ)."""
 
 from dataclasses import dataclass, field
 
@@ -185,10 +180,7 @@ class Steps:
 
 
 def step_groups(t: Array) -> tuple[Array, np.ndarray]:
-    """Distinct sampling intervals [s], and which of them each interval is.
-
-    Intervals that differ by rounding of the instants alone count as one.
-    """
+    """Distinct sampling intervals [s], rounding of instants apart, and which each interval is."""
     steps = np.diff(t)
     rounding = 8 * np.finfo(float).eps * np.abs(t).max() / steps.max()
     digits = int(-np.log10(np.clip(rounding, 1e-15, 1e-3)))
@@ -199,10 +191,9 @@ def step_groups(t: Array) -> tuple[Array, np.ndarray]:
 
 
 def foh_step(A: Array, B: Array, h: float) -> tuple[Array, Array, Array]:
-    """Exact one-step map for an input that is linear over the step.
+    """A_d, B0, B1 of x(t + h) = A_d x(t) + B0 u(t) + B1 u(t + h), exact for inputs linear between.
 
-    Returns A_d, B0, B1 of x(t + h) = A_d x(t) + B0 u(t) + B1 u(t + h), from one exponential of the
-    augmented matrix (Van Loan 1978).
+    One exponential of the augmented matrix (Van Loan 1978).
     """
     nx, nu = B.shape
     block = np.zeros((nx + 2 * nu, nx + 2 * nu))
@@ -217,10 +208,7 @@ def foh_step(A: Array, B: Array, h: float) -> tuple[Array, Array, Array]:
 def from_zoh(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
     """Continuous A, B whose zero-order-hold discretisation is the given pair.
 
-    Raises
-    ------
-    ValueError
-        An eigenvalue on the closed negative real axis: no real logarithm.
+    ValueError: an eigenvalue on the closed negative real axis, which has no real logarithm.
     """
     nx, nu = B.shape
     poles = np.linalg.eigvals(A)

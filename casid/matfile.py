@@ -20,13 +20,7 @@ PACKED = 65536  # bytes of a compressed element that hold its head
 
 
 def numeric_variables(path: Path) -> dict[str, bool]:
-    """Names of all variables, and whether each is a real array of numbers.
-
-    Raises
-    ------
-    ValueError
-        The file is damaged.
-    """
+    """Names of all variables, and whether each is a real array; ValueError for a damaged file."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         order = ">" if data[126:128] == b"MI" else "<"
         try:

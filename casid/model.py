@@ -237,25 +237,13 @@ def matrix(rows: Rows) -> ca.SX:
 
 @dataclass(frozen=True, eq=False)
 class Free:
-    """The free parameters of one estimation; fixed ones are numbers and no variables.
+    """The free parameters of one estimation; fixed ones are numbers and no variables."""
 
-    Parameters
-    ----------
-    model : Model
-        The guess; fixed parameters keep its values.
-    index : (nf,) integer array
-        Positions of the free parameters in λ.
-    lower, upper : (n_λ,) array
-        Bounds of all parameters.
-    scale : (n_λ,) array
-        Typical magnitudes.
-    """
-
-    model: Model
-    index: np.ndarray
-    lower: Array
-    upper: Array
-    scale: Array
+    model: Model  # the guess; fixed parameters keep its values
+    index: np.ndarray  # (nf,) positions of the free parameters in λ
+    lower: Array  # (n_λ,) bounds of all parameters
+    upper: Array  # (n_λ,)
+    scale: Array  # (n_λ,) typical magnitudes
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -290,21 +278,9 @@ class Free:
 def free_parameters(
     model: Model, fixed: Collection[str] = (), bounds: Bounds | None = None
 ) -> Free:
-    """Which parameters are free, between which bounds.
+    """Which parameters are free, between which bounds; equal bounds fix one, too.
 
-    Parameters
-    ----------
-    model : Model
-        Structure and guess.
-    fixed : collection of str
-        Parameters held at the model's values.
-    bounds : mapping
-        ``{name: (lower, upper)}``, instead of the model file's; equal bounds fix a parameter.
-
-    Raises
-    ------
-    ModelError
-        An unknown name, lower > upper, or nothing left to estimate.
+    ModelError: an unknown name, lower > upper, or nothing left to estimate.
     """
     bounds = dict(bounds or {})
     _check_choice(model, fixed, bounds)

@@ -88,11 +88,11 @@ class SolverOptions:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Problem:
-    """min f(x) subject to lower_x <= x <= upper_x, lower_g <= g(x) <= upper_g.
+    """min f(x) subject to lower_x <= x <= upper_x, lower_g <= g(x) <= upper_g, in SX or MX.
 
-    ``x``, ``f``, ``g`` are SX or MX expressions. ``hessian``, if given, is a function of IPOPT's
-    (x, p, lam_f, lam_g) that replaces the exact Hessian of the Lagrangian (its upper triangle);
-    ``functions`` may replace others of CasADi's own ("nlp_f", "nlp_g", "nlp_grad_f", "nlp_jac_g").
+    ``hessian`` is a function of IPOPT's (x, p, lam_f, lam_g) that replaces the exact one of the
+    Lagrangian (upper triangle), ``functions`` are others ("nlp_f", "nlp_g", "nlp_grad_f",
+    "nlp_jac_g").
     """
 
     x: Any

@@ -35,27 +35,20 @@ PER_UNKNOWN = 3.0  # measurements on that past at least
 
 @dataclass(frozen=True)
 class Outlook:
-    """How far models are predicted in one record.
+    """How far models are predicted in one record."""
 
-    ``horizon`` [s] is infinite for a simulation over all of it. Predictions go from the samples
-    ``starts``, each from a state estimated on so many samples before it, ``past``.
-    """
-
-    horizon: float
-    starts: tuple[int, ...] = ()
-    past: int = 0
+    horizon: float  # [s], infinite for a simulation over all of it
+    starts: tuple[int, ...] = ()  # samples at which predictions begin
+    past: int = 0  # samples before each, on which its state is estimated
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Outputs of a model (N, ny of the record), state at the first sample used, mean biases (ny,).
+    """Outputs of a model over a record, NaN where it has none or nothing can be predicted yet."""
 
-    NaN where the model has no such output, and before the first piece that can be predicted.
-    """
-
-    y: Array
-    x0: Array
-    b: Array
+    y: Array  # (N, ny of the record)
+    x0: Array  # state at the first sample used
+    b: Array  # (ny,) mean biases
 
 
 def growth_rate(system: StateSpace) -> float:
@@ -70,12 +63,8 @@ def outlook(systems: Sequence[StateSpace], record: Record, horizon: float | None
     """How far all of these models are predicted in a record.
 
     They are simulated if none grows too much over it, unless a horizon [s] is given. One horizon
-    serves them all: the least unstable of those that grow too much sets it.
-
-    Raises
-    ------
-    ValueError
-        A horizon that leaves no past to estimate a state on, or no sample to predict.
+    serves them all: the least unstable of those that grow too much sets it. ValueError: a horizon
+    that leaves no past to estimate a state on, or no sample to predict.
     """
     length, pace = record.duration, record.dt
     fast = [rate for rate in map(growth_rate, systems) if rate * length > GROWTH]
@@ -96,13 +85,7 @@ def outlook(systems: Sequence[StateSpace], record: Record, horizon: float | None
 
 
 def predict(system: StateSpace, record: Record, scale: Array, far: Outlook) -> Prediction:
-    """Outputs of a model over a record; ``scale`` (ny,) weighs the outputs.
-
-    Raises
-    ------
-    ValueError
-        A discrete model whose interval is not the record's.
-    """
+    """Outputs of a model over a record; ``scale`` (ny,) weighs them, the intervals must agree."""
     follower = _Follower(system, record, scale)
     y, mean = np.full(record.y.shape, np.nan), np.full(record.ny, np.nan)
     if np.isinf(far.horizon):

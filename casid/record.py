@@ -318,12 +318,7 @@ def stretches(records: Records) -> tuple[Record, ...]:
     """Records without gaps in time; every estimator takes its records through here.
 
     A record with gaps counts as its `Record.stretches`, each with an initial state of its own; a
-    `DataWarning` says so.
-
-    Raises
-    ------
-    ValueError
-        A record with nothing but gaps.
+    `DataWarning` says so. ValueError: a record with nothing but gaps.
     """
     return tuple(piece for record in several(records) for piece in _pieces(record))
 
@@ -349,13 +344,7 @@ def _pieces(record: Record) -> tuple[Record, ...]:
 
 
 def same_channels(records: Records) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Inputs and outputs shared by all records.
-
-    Raises
-    ------
-    ValueError
-        No record, or records whose channels differ in name or order.
-    """
+    """Inputs and outputs that all records share, in name and order; ValueError if they do not."""
     if not (records := several(records)):
         raise ValueError("no records given; at least one is needed")
     first = records[0]
@@ -369,10 +358,9 @@ def same_channels(records: Records) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def standard_deviations(records: Sequence[Record]) -> tuple[Array, Array]:
-    """Standard deviation of every input (nu,) and output (ny,) over all records.
+    """Standard deviation of every input (nu,) and output (ny,) over all records, mean removed.
 
-    The mean of all samples is removed first; missing samples are left out. A channel that never
-    moves (but for rounding) or has no sample has 1, so that dividing by it is harmless.
+    A channel that never moves (but for rounding) or has no sample has 1: dividing is harmless.
     """
     u, y = (np.vstack([getattr(record, letter) for record in records]) for letter in "uy")
     return _spread(u), _spread(y)

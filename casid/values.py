@@ -17,13 +17,7 @@ _STORABLE: dict[str, type] = {}
 
 
 def storable(cls: type[T]) -> type[T]:
-    """Register a frozen dataclass as one that files may hold; a class decorator.
-
-    Raises
-    ------
-    ValueError
-        Another class has that name.
-    """
+    """Register a frozen dataclass as one that files may hold; each name once."""
     known = _STORABLE.setdefault(cls.__name__, cls)
     if (known.__module__, known.__qualname__) != (cls.__module__, cls.__qualname__):
         raise ValueError(f"files know {cls.__name__!r} as that of {known.__module__}; rename one")
@@ -70,19 +64,9 @@ def _encode_plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any
 
 
 def decode(content: Any, also: Sequence[type] = ()) -> Any:  # noqa: ANN401 - JSON is any
-    """Invert `encode`.
+    """Invert `encode`; ``also`` are classes that may occur beside the registered ones.
 
-    Parameters
-    ----------
-    content : JSON
-        As `encode` made it.
-    also : sequence of type
-        Classes that this content may hold beside the registered ones: a user's structure.
-
-    Raises
-    ------
-    ValueError, TypeError, LookupError, AttributeError
-        A value this version of casid does not know.
+    ValueError, TypeError, LookupError or AttributeError: a value this version does not know.
     """
     if isinstance(content, list):
         return [decode(item, also) for item in content]
@@ -120,12 +104,8 @@ _DECODERS: Mapping[str, Callable[[Mapping[str, Any], Sequence[type]], Any]] = {
 def digest(*parts: Any) -> str:  # noqa: ANN401 - any value casid knows
     """Digest of values that a result depends on: arrays by their bytes.
 
-    Fields of a dataclass that are not compared (``compare=False``) do not count.
-
-    Raises
-    ------
-    TypeError
-        A value without a content of its own, such as a function.
+    Fields that are not compared (``compare=False``) do not count. TypeError: a value without a
+    content of its own, such as a function.
     """
     sha = hashlib.sha256()
     _feed(sha.update, parts)

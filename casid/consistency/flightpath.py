@@ -124,27 +124,13 @@ def _integral(f: Array, dt: float) -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Instruments:
-    """Instruments with which the flights obey kinematics.
+    """Instruments with which the flights obey kinematics."""
 
-    Parameters
-    ----------
-    channels : tuple of str
-        Rates and specific forces.
-    unknowns : (channels, 3) array
-        Of each: gain 1/(1 + scale), bias after that gain, skew [s].
-    errors : (channels, 3) array
-        Their standard errors.
-    against : mapping
-        The equations in which each channel stands.
-    left : mapping
-        What each equation leaves of its attitude or velocity, one array a flight.
-    """
-
-    channels: tuple[str, ...]
-    unknowns: Array
-    errors: Array
-    against: dict[str, tuple[str, ...]]
-    left: dict[str, list[Array]]
+    channels: tuple[str, ...]  # rates and specific forces
+    unknowns: Array  # (channels, 3): gain 1/(1 + scale), bias after that gain, skew [s]
+    errors: Array  # (channels, 3) standard errors
+    against: dict[str, tuple[str, ...]]  # the equations in which each channel stands
+    left: dict[str, list[Array]]  # of each equation's attitude or velocity, one array a flight
 
 
 Block = tuple[str, Array, Array]  # equation, residual (N,), slopes of the prediction (N, unknowns)
@@ -153,14 +139,8 @@ Block = tuple[str, Array, Array]  # equation, residual (N,), slopes of the predi
 def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instruments:
     """Gain, bias and skew of each rate and specific force by Gauss-Newton steps.
 
-    The filters' gains and the weights of the equations are fitted between the steps.
-
-    Parameters
-    ----------
-    flights : sequence of Flight
-        All with the same channels.
-    equations : sequence of str
-        The attitudes and velocities whose equations are used.
+    Between the steps the filters' gains and the weights of the ``equations`` (named by attitude or
+    velocity) are fitted.
     """
     problem = _Reconstruction(flights, tuple(equations))
     n = len(problem.channels)

@@ -1,20 +1,8 @@
 """Whether rates, attitudes, specific forces and velocities agree: flight path reconstruction.
 
-Rigid-body kinematics ties channels of one flight together whatever the aircraft does:
-
-    φ' = p + (q sin φ + r cos φ) tan θ        u' = ax − g sin θ + r v − q w
-    θ' = q cos φ − r sin φ                    v' = ay + g cos θ sin φ + p w − r u
-    ψ' = (q sin φ + r cos φ)/cos θ            w' = az + g cos θ cos φ + q u − p v
-
-V. Klein, E. A. Morelli, Aircraft System Identification: Theory and Practice, chapter 10;
-R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 10. A rate or a specific
-force is taken as
-
-    measured(t) = (1 + scale) true(t − skew) + bias,
-
-attitudes and velocities as right but for noise: kinematics sees only how channels stand to each
-other, so a scale of 5 % on p may as well be one of -5 % on φ.
-
+Rigid-body kinematics ties channels of one flight together whatever the aircraft does; equations,
+sources and the model of an instrument stand in `casid.consistency.flightpath`. Kinematics sees only
+how channels stand to each other, so a scale of 5 % on p may as well be one of -5 % on φ.
 """
 
 from collections.abc import Mapping, Sequence

@@ -18,28 +18,15 @@ FULL = 2.0  # travels of a stick that no stick has
 
 @dataclass(frozen=True, kw_only=True)
 class Doubt:
-    """A channel that is hardly in the unit it is taken for: what it does, and which may be right.
-
-    ``units`` has the likelier one first, then the one it was taken for.
-    """
+    """A channel that is hardly in the unit it is taken for: what it does, and what may be right."""
 
     channel: str
     said: str
-    units: tuple[str, str]
+    units: tuple[str, str]  # the likelier, the one it was taken for
 
 
 def unit_doubts(record: Record, time: str = "t", stated: Collection[str] = ()) -> list[Doubt]:
-    """Doubts about time, angles, rates and sticks of a record, in SI units if at all.
-
-    Parameters
-    ----------
-    record : Record
-        Trim removed or not.
-    time : str
-        Name of the time column.
-    stated : collection of str
-        Columns whose unit the user has stated: what is stated is believed.
-    """
+    """Doubts about time, angles, rates and sticks of a record, columns of ``stated`` unit apart."""
     return [doubt for doubt in _doubts(record, time) if doubt.channel not in stated]
 
 
@@ -69,23 +56,9 @@ def check_plausible(
 ) -> None:
     """Refuse records that nothing can be learnt from, and units that must be others.
 
-    Parameters
-    ----------
-    identification : sequence of Record
-        Every channel must move in one of these.
-    records : sequence of Record
-        All that the study reads.
-    units : mapping
-        The units the user has stated; what is stated is believed.
-    time : str
-        Name of the time column.
-
-    Raises
-    ------
-    ValueError
-        A sampling interval of a second or more, or angles and rates too large for radians, whose
-        unit nobody stated; a record of a few samples; an input or output that is constant in every
-        record of identification.
+    ValueError: a sampling interval of a second or more, or angles and rates too large for radians,
+    whose unit nobody stated; a record of a few samples; a channel constant in all of
+    ``identification``.
     """
     for record in records:
         for doubt in unit_doubts(record, time, units):

@@ -243,13 +243,7 @@ def _column(frame: Any, name: str) -> Array:  # noqa: ANN401
 
 
 def optional(module: str, what: str) -> Any:  # noqa: ANN401 - a module
-    """Import a package that casid does not depend on.
-
-    Raises
-    ------
-    ValueError
-        It is not installed.
-    """
+    """Import a package that casid does not depend on; ValueError where it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError as error:

@@ -88,21 +88,9 @@ def describe(
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
 ) -> Overview:
-    """Lay a structure open at its guess.
+    """Lay a structure open at its guess; ModelError for whatever is wrong with its file.
 
-    Parameters
-    ----------
-    model : Model
-        Structure, guess and trim.
-    records : Record or sequence of Record
-        The excitation for which identifiability is judged; one 3-2-1-1 a control unless given.
-    fixed, bounds
-        Parameters held, and bounds {name: (lower, upper)} instead of the model file's.
-
-    Raises
-    ------
-    ModelError
-        Whatever is wrong with the model file.
+    Identifiability is judged for the records, one 3-2-1-1 a control unless given.
     """
     free = free_parameters(model, fixed, bounds)
     system = free.model.system()
