@@ -2,15 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.record import Record, Records, same_channels, standard_deviations, stretches
 from casid.subspace.columns import (
+    BAND_END,
     Feedthrough,
     Segment,
+    check_independent,
+    check_pole,
     check_samples,
+    completed,
     excited_band,
     feedthrough_mask,
     gather,
@@ -21,9 +26,8 @@ from casid.subspace.laguerre import support
 from casid.subspace.predictor import Stack, predicted_future, predictor_coefficients, triangular
 from casid.subspace.realisation import Regressed, Subspace
 
+EVERY = slice(None)
 Columns = list[tuple[Stack, tuple[Segment, ...]]]  # of every record
-
-BAND_END = 1.5  # of the Laguerre pole: the model is not trusted above it
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,7 @@ class Campaign:
         """One record or several of the same channels."""
         names = same_channels(records)
         records = stretches(records)
+        check_independent(records)
         su, sy = standard_deviations(records)
         return cls(records, su, sy, feedthrough_mask(feedthrough, *names))
 
@@ -67,13 +72,23 @@ class Campaign:
         """Some of the records, or pieces of them, under the same scales."""
         return Campaign(tuple(records), self.su, self.sy, self.mask)
 
+    @cached_property
+    def complete(self) -> tuple[Record, ...]:
+        """The records with missing samples filled in."""
+        return tuple(completed(record) for record in self.records)
+
     def columns(self, past: int, a: float) -> Columns:
         """Stack and segments of every record, for a Laguerre pole or, where NaN, for samples."""
         key = past, str(a)
         if key not in self._gathered:
             if np.isnan(a):
                 check_samples(self.records)
-            self._gathered[key] = [gather([r], self.su, self.sy, past, a) for r in self.records]
+            else:
+                check_pole(self.records, a)
+            pairs = zip(self.records, self.complete, strict=True)
+            self._gathered[key] = [
+                gather([record], self.su, self.sy, past, a, [whole]) for record, whole in pairs
+            ]
         return self._gathered[key]
 
     def segments(self, past: int, a: float) -> tuple[Segment, ...]:
@@ -109,13 +124,14 @@ class Campaign:
         system = replace(found.system, inputs=first.inputs, outputs=first.outputs)
         return replace(found, system=system)
 
-    def pieces(self, a: float) -> list[Record]:
-        """Stretches of the records without long gaps, short ones interpolated."""
-        return [piece for record in self.records for piece, _ in pieces_of(record, a)]
+    def pieces(self, a: float, which: slice = EVERY) -> list[Record]:
+        """Stretches of the records without long gaps, short ones filled in."""
+        pairs = zip(self.records[which], self.complete[which], strict=True)
+        return [piece for record, whole in pairs for piece, _ in pieces_of(record, whole, a)]
 
-    def spectra(self, a: float, highest: float) -> tuple[Spectrum, ...]:
+    def spectra(self, a: float, highest: float, which: slice = EVERY) -> tuple[Spectrum, ...]:
         """Fourier transforms of the pieces up to ``highest`` [rad/s]."""
-        return spectra(self.pieces(a), self.su, self.sy, highest)
+        return spectra(self.pieces(a, which), self.su, self.sy, highest)
 
     def band(self, a: float) -> tuple[float, float]:
         """Frequencies [rad/s] that the records excite and the projections show."""

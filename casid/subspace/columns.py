@@ -11,6 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from casid.arrays import Array, BoolArray
+from casid.autoregression import filled
 from casid.record import Record
 from casid.subspace.laguerre import project_blocks, support
 from casid.subspace.predictor import Stack, accumulate, triangular
@@ -20,7 +21,9 @@ Feedthrough = bool | Sequence[str] | BoolArray
 
 BLOCK = 4096  # columns held at once
 MOVING, EXCITING = 0.9, 0.99  # of an output's and an input's power: below the bandwidth
-LONG_GAP = 0.5  # of 1/a: missing samples over a longer time split a record
+BAND_END = 1.5  # of the Laguerre pole: the model is not trusted above it
+DEPENDENT = 1e-5  # of the largest singular value of channels: they are one fewer than they seem
+LONG_GAP = np.pi / BAND_END  # of 1/a, half a period there: a longer loss splits a record
 
 
 @storable
@@ -107,17 +110,23 @@ def _spectrum(t: Array, v: Array) -> tuple[Array, Array]:
 
 
 def gather(
-    records: Sequence[Record], su: Array, sy: Array, past: int, a: float
+    records: Sequence[Record],
+    su: Array,
+    sy: Array,
+    past: int,
+    a: float,
+    complete: Sequence[Record] = (),
 ) -> tuple[Stack, tuple[Segment, ...]]:
     """Triangular factor of all columns of records; a constant per segment projected out.
 
-    ``a`` is the Laguerre pole, NaN for the samples themselves.
+    ``a`` is the Laguerre pole, NaN for the samples themselves; ``complete`` are the records without
+    missing samples, if they are known.
     """
     nz = len(su) + len(sy)
     R: Array = np.zeros((0, (past + 1) * nz))
     count, segments = 0, []
-    for record in records:
-        for piece, interpolated in pieces_of(record, a):
+    for record, whole in zip(records, complete or map(completed, records), strict=True):
+        for piece, interpolated in pieces_of(record, whole, a):
             blocks = (
                 _sample_blocks(piece, su, sy, past)
                 if np.isnan(a)
@@ -158,22 +167,37 @@ def _sample_blocks(record: Record, su: Array, sy: Array, past: int) -> Iterator[
         yield rows[np.isfinite(rows).all(axis=1)]
 
 
-def pieces_of(record: Record, a: float) -> Iterator[tuple[Record, int]]:
-    """Stretches of a record without long gaps, and how many samples were interpolated in each.
+def completed(record: Record) -> Record:
+    """The record with its missing samples filled in: by a short autoregression, or linearly.
 
-    On samples nothing is interpolated: columns that touch a missing sample are left out.
+    The autoregression (`casid.autoregression`) takes equidistant samples.
+    """
+    if record.equidistant or not np.isnan(record.y).any():
+        return filled(record)[0]
+    y = record.y.copy()
+    for column in y.T:
+        gap = np.isnan(column)
+        if gap.any() and not gap.all():
+            column[gap] = np.interp(record.t[gap], record.t[~gap], column[~gap])
+    return replace(record, y=y)
+
+
+def pieces_of(record: Record, whole: Record, a: float) -> Iterator[tuple[Record, int]]:
+    """Stretches of a record without long gaps, and how many samples were filled in in each.
+
+    ``whole`` is the record without missing samples, see `completed`. On samples nothing is filled
+    in: columns that touch a missing sample are left out.
     """
     missing = np.isnan(record.y)
     if np.isnan(a) or not missing.any():
         yield record, 0
         return
-    bad = _in_long_gap(record.t, missing, LONG_GAP / a)
+    bad = _in_long_gap(record.t, missing, LONG_GAP / a) | np.isnan(whole.y).any(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], bad, [True]]).astype(int)))
     for start, end in zip(edges[::2], edges[1::2], strict=True):
         if end - start > 1:
             cut = slice(start, end)
-            y = _interpolated(record.t[cut], record.y[cut])
-            piece = replace(record, t=record.t[cut], u=record.u[cut], y=y)
+            piece = replace(record, t=record.t[cut], u=record.u[cut], y=whole.y[cut])
             yield piece, int(missing[cut].sum())
 
 
@@ -194,6 +218,43 @@ def check_samples(records: Sequence[Record]) -> None:
             )
 
 
+def check_pole(records: Sequence[Record], a: float) -> None:
+    """Raise where no record is sampled fast enough to show Laguerre functions of that pole."""
+    fastest = np.pi / min(record.dt for record in records)
+    if a > fastest:
+        raise ValueError(
+            f"pole={a:g}: samples every {np.pi / fastest:g} s show nothing above {fastest:.3g} "
+            "rad/s; lower the pole, or leave it to be chosen"
+        )
+
+
+def check_independent(records: Sequence[Record]) -> None:
+    """Raise where an input is a sum of multiples of other inputs, or an output of other outputs.
+
+    Nothing then tells their effects apart, and the regressions divide by rounding.
+    """
+    for kind in ("input", "output"):
+        values = [record.u if kind == "input" else record.y for record in records]
+        whole = np.vstack([v - np.nanmean(v, axis=0) for v in values if len(v) > 1])
+        whole = whole[np.isfinite(whole).all(axis=1)]
+        size = np.linalg.norm(whole, axis=0)
+        moving = np.flatnonzero(size > 0)
+        if len(moving) < 2 or len(whole) <= len(moving):
+            continue
+        _, s, Vt = np.linalg.svd(triangular(whole[:, moving] / size[moving]))
+        if s[-1] < DEPENDENT * s[0]:
+            names = records[0].inputs if kind == "input" else records[0].outputs
+            part = np.abs(Vt[-1])
+            found = [
+                names[i] for i, share in zip(moving, part, strict=True) if share > 0.1 * part.max()
+            ]
+            raise ValueError(
+                f"{kind}s {' and '.join(found)} depend on one another in all records, one is a "
+                "multiple or a sum of the rest: nothing tells them apart; leave one out "
+                "(Record.select)"
+            )
+
+
 def _in_long_gap(t: Array, missing: BoolArray, longest: float) -> BoolArray:
     """Samples in a gap of some channel that is longer than allowed, or at a record's end."""
     bad = np.zeros(len(t), dtype=bool)
@@ -204,12 +265,3 @@ def _in_long_gap(t: Array, missing: BoolArray, longest: float) -> BoolArray:
             if open_end or t[end] - t[start - 1] > longest:
                 bad[start:end] = True
     return bad
-
-
-def _interpolated(t: Array, y: Array) -> Array:
-    filled = y.copy()
-    for column in filled.T:
-        gap = np.isnan(column)
-        if gap.any():
-            column[gap] = np.interp(t[gap], t[~gap], column[~gap])
-    return filled

@@ -77,7 +77,8 @@ def spectra(
     found = []
     for record in records:
         lines = highest * record.duration / (2 * np.pi)
-        pieces = max(int(np.ceil(max(lines / LINES, record.N / SAMPLES))), 1)
+        pieces = int(np.ceil(max(lines / LINES, record.N / SAMPLES)))
+        pieces = max(min(pieces, record.N // 4), 1)
         edges = np.linspace(0, record.N - 1, pieces + 1).astype(int)
         for start, end in pairwise(edges):
             found.append(_spectrum(record, slice(start, end + 1), su, sy, highest))

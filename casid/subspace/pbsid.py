@@ -7,12 +7,12 @@ of them. Departures: the projections are computed exactly from the samples
 term may be masked.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeVar, get_args
 
 import numpy as np
 
-from casid.arrays import Array, BoolArray
+from casid.arrays import Array, BoolArray, ComplexArray
 from casid.errors import warn
 from casid.linear import StateSpace, from_zoh
 from casid.record import Hold, Records
@@ -33,7 +33,7 @@ from casid.subspace.settings import (
     choose_projections,
     with_errors,
 )
-from casid.subspace.trust import data_doubts
+from casid.subspace.trust import data_doubts, growth_doubts
 from casid.threads import one_thread
 from casid.values import storable
 
@@ -82,6 +82,8 @@ class BlackBox:
     explained : (ny,) array or None
         Share of each output's power explained at a typical frequency of the band; None unless
         refined by Fourier transforms.
+    doubtful : complex array
+        Growing modes that the likelihood does not need.
     refinement : str
         What followed the subspace estimate: "unrefined", "fourier" on projections; on samples
         "linear", "prediction", "simulation" or "local simulation", see `Pbsid`.
@@ -106,12 +108,19 @@ class BlackBox:
     uncertainty: ResponseUncertainty | SampledUncertainty | None = None
     selection: OrderSelection | None = None
     explained: Array | None = None
+    doubtful: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
     refinement: str = "unrefined"
     hold: Hold = "zoh"
 
     def doubts(self) -> tuple[str, ...]:
-        """Why the records do not support a model; empty where they do, or where it is not known."""
-        return () if self.explained is None else data_doubts(self.explained, self.system.outputs)
+        """Why the records do not support a model, or some mode of it; empty where they do.
+
+        Empty, too, where it is not known: without refinement, and on samples.
+        """
+        growth = growth_doubts(self.doubtful)
+        if self.explained is None:
+            return growth
+        return (*data_doubts(self.explained, self.system.outputs), *growth)
 
     def response_std(self, omega: Array) -> tuple[Array, Array]:
         """Relative standard deviation of abs(G) and standard deviation of its phase [rad].
@@ -243,6 +252,7 @@ class Pbsid:
             settings = Candidate(order=order, past=past, pole=float(pole), regularisation=factor)
         found = campaign.subspace(settings.order, self._windows(settings, len(campaign.sy)))
         _check_unstable(found.system, settings.pole)
+        _check_used(campaign.segments(settings.past, settings.pole))
         estimate = refine_projected(campaign, found, settings.pole, move=self.refine)
         return self._black_box(campaign, settings, estimate, selection)
 
@@ -348,6 +358,7 @@ class Pbsid:
             uncertainty=estimate.uncertainty,
             selection=selection,
             explained=estimate.explained,
+            doubtful=estimate.doubtful,
             refinement=settings.refinement,
             hold=campaign.records[0].hold,
         )
@@ -402,6 +413,18 @@ def _check_unstable(system: StateSpace, a: float) -> None:
         warn(
             f"the black box has an unstable pole at {fastest:.2g} 1/s, near the Laguerre pole "
             f"a = {a:g} rad/s, which must exceed it clearly; raise pole"
+        )
+
+
+def _check_used(segments: tuple[Segment, ...]) -> None:
+    """Warn of records that gave nothing."""
+    used = {each.record: 0.0 for each in segments}
+    for each in segments:
+        used[each.record] += each.used
+    if idle := [name for name, seconds in used.items() if seconds == 0]:
+        warn(
+            f"nothing of record {', '.join(idle)} is used: between its long gaps (NaN) it is "
+            "shorter than the Laguerre kernels; raise the pole, lower past, or repair the record"
         )
 
 

@@ -293,6 +293,11 @@ def _basis(modal: Modal, spectrum: Lines, delta: ComplexArray) -> ComplexArray:
     )
 
 
+def highest_growth(data: Sequence[Spectrum]) -> float:
+    """Rate [1/s] at which a mode that starts decaying may grow: see `refine`."""
+    return 2 / max(float(2 * np.pi / spectrum.omega[0]) for spectrum in data)
+
+
 def _ceiling(modal: Modal, data: Sequence[Spectrum], fastest: float) -> Array:
     """Largest real part each mode may take, (nm,).
 
@@ -300,8 +305,7 @@ def _ceiling(modal: Modal, data: Sequence[Spectrum], fastest: float) -> Array:
     by causal prediction, that knows which is which. A mode that starts stable may at most grow by
     exp(2) over the longest record, which the transient hides.
     """
-    longest = max(2 * np.pi / spectrum.omega[0] for spectrum in data)
-    slow = np.where(modal.lam.real > 0, np.inf, 2 / longest)
+    slow = np.where(modal.lam.real > 0, np.inf, highest_growth(data))
     size = np.abs(modal.lam)
     return np.asarray(np.where(size > fastest, -LEAST_DAMPING * size, slow))
 

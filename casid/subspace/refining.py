@@ -1,11 +1,11 @@
 """What follows the subspace estimate: which likelihood, and whether a controller spoils it."""
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, ComplexArray
 from casid.errors import warn
 from casid.linear import StateSpace
 from casid.subspace.campaign import Campaign
@@ -18,7 +18,7 @@ from casid.subspace.refinement import ResponseUncertainty, refine
 from casid.subspace.regression import regress_inputs
 from casid.subspace.settings import HIGHEST, Refinement
 from casid.subspace.simulation import refine_simulation
-from casid.subspace.trust import explained_share
+from casid.subspace.trust import doubtful_growth, explained_share
 
 FED_BACK = 0.2  # bound on the relative bias from noise fed back, above which it is dealt with
 
@@ -31,6 +31,7 @@ class Estimate:
     K: Array
     uncertainty: ResponseUncertainty | SampledUncertainty | None = None
     explained: Array | None = None
+    doubtful: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
 
 
 def refine_sampled(campaign: Campaign, found: Subspace, how: Refinement) -> Estimate:
@@ -75,10 +76,11 @@ def refine_projected(campaign: Campaign, found: Subspace, pole: float, *, move: 
             held, gain, sampled = refine_held(refined, K, pieces)
             gain = riccati_gain(held.A, held.C, gain, R)
             share = explained_share(held, data, su, sy, campaign.band(pole))
-            return Estimate(held, gain, sampled, share)
+            modes = doubtful_growth(held, data, su, sy, mask)
+            return Estimate(held, gain, sampled, share, modes)
         except ValueError as error:
             _warn_fed_back(f"prediction errors would remove that, but: {error}")
-    return Estimate(refined, K, uncertainty, share)
+    return Estimate(refined, K, uncertainty, share, doubtful_growth(refined, data, su, sy, mask))
 
 
 def _warn_fed_back(remedy: str) -> None:

@@ -4,11 +4,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 from casid.subspace.fourier import Spectrum
-from casid.subspace.refinement import residual_powers
+from casid.subspace.modal import covariance_factor, to_modal
+from casid.subspace.refinement import (
+    highest_growth,
+    noise_weights,
+    normal_equations,
+    residual_powers,
+)
 
+CERTAIN = 2.8  # standard errors that a growth rate must be away from zero: 99.5 % of a normal one
 COHERENCE = 0.6  # of inputs and an output, below which a response is not usable; T&R section 7.5
 
 
@@ -29,6 +36,48 @@ def explained_share(
     inside = (omega >= band[0]) & (omega <= band[1])
     ratio = np.maximum(left[inside], 1e-300) / np.maximum(whole[inside], 1e-300)
     return np.asarray(1 - np.exp(np.mean(np.log(ratio), axis=0)))
+
+
+def doubtful_growth(
+    system: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array, feedthrough: BoolArray
+) -> ComplexArray:
+    """Growing modes (Im >= 0) of a refined model that the likelihood of its data does not need.
+
+    Those whose growth rate is not `CERTAIN` by its standard error, the larger one of that under the
+    residual spectra and of that from how far record by record pulls the estimate apart, which what
+    is nonlinear does; and those at the limit to which a mode that was found decaying may grow.
+    """
+    modal = to_modal(system, su, sy, feedthrough)
+    growing = np.flatnonzero(modal.lam.real > 0)
+    if not len(growing):
+        return np.zeros(0, dtype=complex)
+    free = np.argwhere(feedthrough)
+    pairs = zip(data, noise_weights(modal, data), strict=True)
+    parts = [normal_equations(modal, [lines], [weight], free) for lines, weight in pairs]
+    factor = covariance_factor(np.sum([H for H, _ in parts], axis=0))[: len(modal.lam)]
+    count = len(parts)
+    plain = np.linalg.norm(factor, axis=1) / np.sqrt(2)
+    whole = covariance_factor(np.sum([H for H, _ in parts], axis=0))
+    pulls = factor @ (whole.T @ np.array([gradient for _, gradient in parts]).T)
+    robust = np.linalg.norm(pulls, axis=1) * np.sqrt(count / max(count - 1, 1))
+    error, limit = np.maximum(plain, robust), highest_growth(data)
+    rates = modal.lam.real
+    unsure = (rates < CERTAIN * error) | (np.abs(rates - limit) < 1e-3 * limit)
+    return np.asarray(modal.lam[(rates > 0) & unsure])
+
+
+def growth_doubts(modes: ComplexArray) -> tuple[str, ...]:
+    """Why growing modes are not to be believed; empty for none."""
+    if not len(modes):
+        return ()
+    names = ", ".join(
+        f"{m.real:+.3g}" + (f" ± {m.imag:.3g}j" if m.imag else "") + " rad/s" for m in modes
+    )
+    return (
+        f"The black box grows at {names}, which the likelihood does not need: what the records "
+        "show there may as well decay. Do not take the aircraft for unstable because of that; "
+        "another order, or longer records, shows what is true.",
+    )
 
 
 def data_doubts(explained: Array, outputs: Sequence[str]) -> tuple[str, ...]:

@@ -200,6 +200,52 @@ def test_records_of_two_intervals_are_one_campaign_of_projections():
     assert relative_error(box.system, unstable_plant()) < 0.05
 
 
+@pytest.mark.parametrize("letter", ["u", "y"])
+def test_dependent_channels_are_named(letter):
+    records = campaign(noise=0.0)
+    kind, names = ("inputs", ("a", "b", "again")) if letter == "u" else ("outputs", None)
+    names = names or ("x", "y", "z", "again")
+    twice = []
+    for record in records:
+        values = getattr(record, letter)
+        more = np.column_stack([values, 2 * values[:, 0] - values[:, 1]])
+        twice.append(replace(record, **{letter: more, kind: names}))
+    one, other = names[:2]
+    with pytest.raises(ValueError, match=f"{kind} {one} and {other} and again depend on one"):
+        pbsid(twice, order=5, past=8, pole=6.0)
+
+
+def test_a_pole_faster_than_the_samples_is_refused():
+    for settings in ({"order": 5, "past": 8}, {}):
+        with pytest.raises(ValueError, match=r"every 0.02 s show nothing|no settings can"):
+            pbsid(campaign(), pole=1e6, **settings)
+
+
+def test_short_losses_do_little_harm():
+    plant = unstable_plant()
+    errors = {True: [], False: []}
+    for seed in range(3):
+        clean = campaign(noise=0.02, records=3, duration=30.0, seed=seed)
+        lossy = []
+        for record in clean:
+            y = record.y.copy()
+            y[np.arange(record.N) % 100 < 4] = np.nan  # four samples every two seconds
+            lossy.append(replace(record, y=y))
+        for whole, records in ((True, clean), (False, lossy)):
+            box = pbsid(records, order=5, past=10, pole=8.0, feedthrough=["z"])
+            G, found = plant.response(OMEGA), box.system.response(OMEGA)
+            errors[whole].append(np.linalg.norm(found - G) / np.linalg.norm(G))
+    assert np.mean(errors[False]) < 1.15 * np.mean(errors[True])
+
+
+def test_a_record_of_which_nothing_is_used_is_named():
+    records = campaign(noise=0.01, duration=40.0)
+    y = records[1].y.copy()
+    y[np.arange(len(y)) % 100 < 40] = np.nan
+    with pytest.warns(DataWarning, match="nothing of record r1 is used"):
+        pbsid([records[0], replace(records[1], y=y)], order=5, past=8, pole=6.0)
+
+
 def test_an_unstable_pole_near_the_laguerre_pole_warns():
     fast = StateSpace([[1.5]], [[1.0]], [[1.0]], [[0.0]])
     rng = np.random.default_rng(0)
@@ -222,9 +268,9 @@ def test_settings_are_a_value_that_fits_what_the_function_fits():
 def test_a_choice_gathers_no_record_twice_with_the_same_windows(monkeypatch):
     seen = []
 
-    def counted(records, su, sy, past, a):
+    def counted(records, su, sy, past, a, complete):
         seen.extend((record.name, past, a) for record in records)
-        return gather(records, su, sy, past, a)
+        return gather(records, su, sy, past, a, complete)
 
     monkeypatch.setattr("casid.subspace.campaign.gather", counted)
     box = pbsid(campaign(noise=0.02, records=3), order=5, feedthrough=["z"])

@@ -1,11 +1,13 @@
 from pathlib import Path
 
 import numpy as np
-from truths.systems import campaign
+import pytest
+from truths.systems import campaign, closed_loop_record
 from truths.uh60 import sweeps
 
-from casid import Record, pbsid
-from casid.subspace.trust import data_doubts
+from casid import Record, StateSpace, pbsid
+from casid.subspace.campaign import Campaign
+from casid.subspace.trust import data_doubts, doubtful_growth, growth_doubts
 
 FLIGHT = Path(__file__).parents[1] / "data" / "trex550.npz"
 
@@ -55,3 +57,44 @@ def test_most_outputs_condemn_the_data_and_a_few_do_not():
     (said,) = data_doubts(np.array([0.9, 0.3, -0.1]), names)
     assert "q 30%, r 0%" in said
     assert "p 90%" not in said
+
+
+def slow_plant(rate):
+    """A slow mode of that growth rate beside a fast one."""
+    A = [[rate, 0.0], [0.0, -3.0]]
+    return StateSpace(A, [[0.3], [3.0]], [[1.0, 1.0]], [[0.0]], None, ("u",), ("y",))
+
+
+def doubted(plant, model, noise=0.05):
+    rng = np.random.default_rng(3)
+    options = {"duration": 20.0, "noise": noise, "gain": np.array([[2.0]])}
+    records = [closed_loop_record(plant, rng, **options) for _ in range(4)]
+    campaign = Campaign.of(records, False)
+    data = campaign.spectra(10.0, 20.0)
+    return doubtful_growth(model, data, campaign.su, campaign.sy, campaign.mask)
+
+
+def test_growth_that_is_there_is_not_doubted():
+    assert len(doubted(slow_plant(0.4), slow_plant(0.4))) == 0
+
+
+def test_growth_within_its_standard_error_is_doubted():
+    # 20 s of a mode at 0 see rates of some 0.01/s; the model says 0.002.
+    assert doubted(slow_plant(0.0), slow_plant(0.002), noise=0.3) == pytest.approx([0.002])
+    assert len(doubted(slow_plant(-0.1), slow_plant(-0.1))) == 0
+
+
+def test_growth_at_the_limit_of_the_refinement_is_doubted_by_name():
+    limit = 2 / 20.0
+    (mode,) = doubted(slow_plant(0.4), slow_plant(limit))
+    assert mode.real == pytest.approx(limit)
+    (said,) = growth_doubts(np.array([mode, 0.2 + 3j]))
+    assert "+0.1 rad/s" in said
+    assert "+0.2 ± 3j rad/s" in said
+    assert growth_doubts(np.zeros(0, dtype=complex)) == ()
+
+
+def test_a_sound_unstable_campaign_raises_no_doubt():
+    box = pbsid(campaign(noise=0.02), order=5, past=10, pole=6.0, feedthrough=["z"])
+    assert box.system.poles().real.max() > 0
+    assert box.doubts() == ()
