@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.signal
+import scipy.stats
 
 from casid import BlackBox, Fit, Model, Record, Rows, Scalar, StateSpace, parameter
 from casid.fit import parameter_table
 from casid.linear import foh_step
 from casid.model import free_parameters
-from casid.validation import Validation, validate
+from casid.validation import Validation, _whiteness, validate
 
 DT = 0.02
 T = DT * np.arange(600)
@@ -204,3 +206,17 @@ def test_an_unobservable_mode_does_no_harm():
 def test_what_cannot_be_validated_is_named(models, message):
     with pytest.raises(ValueError, match=message):
         validate(models, [flown()])
+
+
+@pytest.mark.parametrize("offset", [0.0, 3.0])
+def test_whiteness_is_the_share_of_autocorrelations_within_the_99_percent_band(offset):
+    rng = np.random.default_rng(4)
+    e = scipy.signal.lfilter([1.0, 0.45, 0.3], [1.0], rng.standard_normal(500))
+    centred = e - e.mean()
+    full = scipy.signal.correlate(centred, centred)[499:]
+    rho = np.abs(full[1:41] / full[0])
+    within = {
+        p: np.mean(rho <= scipy.stats.norm.ppf(1 - p / 2) / np.sqrt(500)) for p in (0.05, 0.01)
+    }
+    assert within[0.05] < within[0.01] < 1
+    assert _whiteness(e + offset, np.zeros(500)) == pytest.approx(within[0.01])

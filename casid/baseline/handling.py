@@ -149,10 +149,10 @@ def _bandwidth(
         )
     x180 = crossings[0]
     phase = found.phase_deg - 360 * np.round((np.interp(x180, x, found.phase_deg) + 180) / 360)
-    before = x <= x180
-    at_phase = _passing(x[before], phase[before], -135.0, downwards=True, turns=False)
-    at_gain = _passing(x[before], gain[before], np.interp(x180, x, gain) + 6, turns=False)
-    by_phase, by_gain = (np.exp(at[-1]) if len(at) else np.nan for at in (at_phase, at_gain))
+    at_phase = _passing(x, phase, -135.0, downwards=True, turns=False)
+    at_gain = _passing(x, gain, np.interp(x180, x, gain) + 6, turns=False)
+    before = [at[at <= x180] for at in (at_phase, at_gain)]
+    by_phase, by_gain = (np.exp(at[-1]) if len(at) else np.nan for at in before)
     both = [by_phase] if attitude_command else [by_phase, by_gain]
     delay, line, remarks = _phase_delay(x, phase, x180)
     if np.isnan(by_phase):

@@ -165,3 +165,30 @@ def test_the_figure_marks_what_was_read(kind):
     assert sorted(marks) == pytest.approx(sorted(wanted))
     assert f"{read.bandwidth:.2f}" in magnitude.get_title() or kind == "loop"
     plt.close(figure)
+
+
+def test_of_several_crossings_the_last_before_minus_180_counts():
+    # Phase [deg] and gain [dB] at six points, linear in log ω between them.
+    omega = np.array([1.0, 2.0, 3.0, 4.0, 8.0, 16.0])
+    phase = np.array([-120.0, -140.0, -125.0, -145.0, -185.0, -230.0])
+    gain = np.array([20.0, 2.0, 14.0, 6.0, -2.0, -12.0])
+    G = 10 ** (gain / 20) * np.exp(1j * np.radians(phase))
+    read = handling_qualities(response(lambda _: G, omega), ("phi", "lat"))
+    assert read.omega_180 == pytest.approx(4 * 2 ** (35 / 40))
+    assert read.bandwidth_phase == pytest.approx(3 * (4 / 3) ** (10 / 20))
+    at_180 = 6 - 8 * 35 / 40  # and 6 dB more are passed twice between 1 and 3 rad/s, then here:
+    assert read.bandwidth_gain == pytest.approx(4 * 2 ** ((6 - (at_180 + 6)) / 8))
+
+
+@pytest.mark.parametrize(
+    ("end", "factor", "said"),
+    [("low", 0.9, False), ("low", 1.1, True), ("high", 0.9, True), ("high", 1.1, False)],
+)
+def test_coherence_counts_from_the_bandwidth_to_twice_omega_180(end, factor, said):
+    omega = np.geomspace(0.5, 30.0, 400)
+    frf = response(roll, omega)
+    read = handling_qualities(frf, ("phi", "lat"))
+    place = factor * {"low": read.bandwidth, "high": 2 * read.omega_180}[end]
+    coherence = np.where(np.abs(np.log(omega / place)) < 0.02, 0.3, 1.0)[:, None, None]
+    remarks = handling_qualities(replace(frf, coherence=coherence), ("phi", "lat")).remarks
+    assert any("coherence falls to 0.30" in each for each in remarks) is said

@@ -1,10 +1,13 @@
 """Ensembles of linear least squares scatter as their covariance says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from truths.mixture import NOISE, TRUTH, Inline, Mixture, least_squares, record
 
-from casid import Execution, bootstrap, monte_carlo, multistart, output_error
+from casid import Ensemble, Execution, bootstrap, monte_carlo, multistart, output_error
+from casid.bounds.resampling import BlockDraw
 
 HERE = Execution(executor=Inline())
 RUNS = 40
@@ -64,3 +67,24 @@ def test_only_an_output_error_fit_of_the_records_is_bootstrapped():
     fit = output_error(Mixture(), [record()])
     with pytest.raises(ValueError, match="these 2 records"):
         bootstrap(fit, [record(), record(1)])
+
+
+def test_scatter_is_the_unbiased_standard_deviation_and_coverage_counts_intervals():
+    found = Ensemble(
+        names=("a",), reference=np.array([2.0]), values=np.array([[1.0], [2.0], [4.5], [np.nan]]),
+        std_errors=np.array([[0.6], [0.1], [1.0], [1.0]]), reasons=("", "", "", "lost"),
+    )  # fmt: skip
+    assert found.bias == pytest.approx(0.5)
+    assert found.scatter == pytest.approx(np.sqrt((1.5**2 + 0.5**2 + 2**2) / 2))
+    assert found.coverage == pytest.approx(2 / 3)  # 1 ± 1.18 and 2 ± 0.2, not 4.5 ± 1.96
+
+
+def test_blocks_keep_the_order_of_their_residuals_and_begin_anywhere():
+    r = record()
+    flat = replace(r, y=np.zeros_like(r.y))
+    number = np.arange(r.N, dtype=float)[:, None]
+    (drawn,) = BlockDraw((number,), 0.5, (0, 1))((flat,))  # 20 Hz: blocks of 10
+    blocks = drawn.y.reshape(-1, 10)
+    np.testing.assert_array_equal(np.diff(blocks, axis=1) % r.N, 1)
+    assert len(set(blocks[:, 0])) > 30  # of 40, drawn out of 400
+    assert (np.diff(blocks[:, 0]) % r.N != 10).any()

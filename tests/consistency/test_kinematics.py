@@ -238,3 +238,15 @@ def test_a_study_says_in_log_result_and_report_what_does_not_agree(tmp_path, cap
     report = outcome.report.read_text(encoding="utf-8")
     assert "Kinematic consistency of the data" in report
     assert "Kinematics: p is 0.8" in report
+
+
+def test_a_channel_in_another_unit_has_a_scale_and_an_error_that_many_times_larger():
+    record = flight(0, ERRORS, NOISE, ATTITUDES)
+    plain, double = (
+        {each.channel: each for each in kinematic_check([data]).channels}
+        for data in (record, times(record, "p", 2.0))
+    )
+    assert 1 + double["p"].scale == pytest.approx(2 * (1 + plain["p"].scale), rel=1e-3)
+    assert double["p"].scale_error == pytest.approx(2 * plain["p"].scale_error, rel=1e-2)
+    assert double["p"].bias_error == pytest.approx(2 * plain["p"].bias_error, rel=1e-2)
+    assert double["p"].skew_error == pytest.approx(plain["p"].skew_error, rel=1e-2)

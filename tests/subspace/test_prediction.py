@@ -6,8 +6,14 @@ from truths.systems import innovation_record, predictor, sampled
 
 from casid import Record, StateSpace, pbsid
 from casid.record import standard_deviations
-from casid.subspace.modal import moved
-from casid.subspace.prediction import normal_equations, prediction_errors, refine_samples, stretches
+from casid.subspace.modal import Modal, moved
+from casid.subspace.prediction import (
+    SampledUncertainty,
+    normal_equations,
+    prediction_errors,
+    refine_samples,
+    stretches,
+)
 
 
 def test_prediction_errors_of_the_truth_are_its_innovations():
@@ -72,3 +78,18 @@ def test_refined_samples_are_more_accurate_than_the_subspace_estimate():
             box = pbsid([record], order=3, transform="none", feedthrough=False, refine=refine)
             found.append(np.abs(box.system.response(omega) - system.response(omega)))
     assert np.mean(np.square(errors[True])) < np.mean(np.square(errors[False]))
+
+
+def test_standard_deviations_of_a_sampled_response_are_those_of_its_logarithm():
+    # The predictor c (b u + k y)/(z - μ) belongs to G = c b/(z - μ - c k), whose log has the
+    # derivatives 1/(z - μ - c k) by μ, 1/b by b and c/(z - μ - c k) by k.
+    mu, b, k, c, h = 0.5, 0.4, 0.3, 0.8, 0.05
+    errors = np.array([0.01, 0.02, 0.03, 0.0])
+    modal = Modal(*(np.array(v, dtype=complex) for v in ([mu], [[b, k]], [[c]])), np.zeros((1, 2)))
+    found = SampledUncertainty(modal, np.zeros((0, 2), dtype=int), np.diag(errors), 1, h)
+    omega = np.array([0.5, 5.0, 40.0])
+    r = 1 / (np.exp(1j * omega * h) - mu - c * k)
+    by = np.array([errors[0] * r, np.full(3, errors[1] / b), errors[2] * c * r])
+    size, phase = found.response_std(omega)
+    np.testing.assert_allclose(size[:, 0, 0], np.linalg.norm(by.real, axis=0), rtol=1e-12)
+    np.testing.assert_allclose(phase[:, 0, 0], np.linalg.norm(by.imag, axis=0), rtol=1e-12)

@@ -5,8 +5,13 @@ from truths.systems import campaign, innovation_record, unstable_plant
 from casid import StateSpace, pbsid
 from casid.record import standard_deviations
 from casid.subspace.fourier import spectra
-from casid.subspace.modal import from_modal, schur, to_modal
-from casid.subspace.refinement import information_criteria, refine, residual_powers
+from casid.subspace.modal import Modal, from_modal, schur, to_modal
+from casid.subspace.refinement import (
+    ResponseUncertainty,
+    information_criteria,
+    refine,
+    residual_powers,
+)
 
 OMEGA = np.geomspace(0.5, 6.0, 12)
 
@@ -93,3 +98,15 @@ def test_a_long_record_is_transformed_in_pieces_of_limited_size(monkeypatch):
     )
     monkeypatch.setattr("casid.subspace.fourier.SAMPLES", record.N / 4)
     assert len(spectra([record], su, sy, 10.0)) == 4
+
+
+def test_standard_deviations_of_a_response_are_those_of_its_logarithm():
+    # G = c b/(jω - λ): d log G = dλ/(jω - λ) + db/b + dc/c, and dλ alone moves the phase.
+    omega, (lam, b, c), errors = np.array([0.3, 2.0, 9.0]), (-2.0, 3.0, 1.5), (0.1, 0.2, 0.3)
+    modal = Modal(*(np.array(v, dtype=complex) for v in ([lam], [[b]], [[c]])), np.zeros((1, 1)))
+    none, one = np.zeros((0, 2), dtype=int), np.ones(1)
+    size, phase = ResponseUncertainty(modal, none, np.diag(errors), one, one).response_std(omega)
+    r = errors[0] / (1j * omega - lam)
+    expected = np.sqrt(r.real**2 + (errors[1] / b) ** 2 + (errors[2] / c) ** 2)
+    np.testing.assert_allclose(size[:, 0, 0], expected, rtol=1e-12)
+    np.testing.assert_allclose(phase[:, 0, 0], np.abs(r.imag), rtol=1e-12)
