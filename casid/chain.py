@@ -4,11 +4,14 @@ M. Bergamasco, M. Lovera, "Rotorcraft system identification: a time/frequency do
 section 3: records to a black box (3.2), black box to structure (3.3), refinement on records (3.4).
 """
 
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic
 
+from casid.consistency.flights import repeats
 from casid.consistency.kinematics import KinematicCheck
+from casid.errors import DataWarning
 from casid.fit import Fit, M_co
 from casid.frequency.estimation import FrequencyResponse
 from casid.matching.appraisal import MatchNotes
@@ -136,6 +139,8 @@ def identify(
         settings={} if settings is None else settings,
     )
     check_task(task)
+    for said in repeats({role: each for role, each in roles.items() if each}).told():
+        warnings.warn(said, DataWarning, stacklevel=2)
     found = run_stages(task)
     for failure in found.failures.values():
         raise failure

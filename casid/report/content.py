@@ -8,6 +8,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from casid.channels import UNITS
+from casid.consistency.flights import Repeats
 from casid.fit import AnyFit, Fit
 from casid.model import Model
 from casid.validation import AnyModel
@@ -129,6 +130,8 @@ class Content:
         Of the stages.
     warnings : tuple of str
         What the stages warned of.
+    repeats : Repeats
+        Flights that serve twice.
     units : mapping
         SI unit by channel.
     """
@@ -144,6 +147,7 @@ class Content:
     versions: Mapping[str, str] = field(default_factory=dict)
     timings: tuple[Timing, ...] = ()
     warnings: tuple[str, ...] = ()
+    repeats: Repeats = field(default_factory=Repeats)
     units: Mapping[str, str] = field(default_factory=lambda: UNITS)
 
     @property

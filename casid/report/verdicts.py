@@ -20,7 +20,7 @@ NAMED = 12  # names in a warning before it says how many more
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """How well the refined model predicts one output of the unseen records, taken together.
+    """How well the refined model predicts one output of the validation records, taken together.
 
     ``records`` has Theil's coefficient of each of them, ``noise`` is the standard deviation of the
     noise in the records of the estimation (NaN if unknown).
@@ -48,8 +48,8 @@ class Verdict:
     def caution(self) -> str:
         """What to say of a poor one."""
         told = ", but its error is that of the noise: it hardly moves." if self.noisy else "."
-        coefficient = f"(Theil's coefficient {self.theil:.2f})"
-        return f"Output {self.output} of the unseen records is predicted poorly {coefficient}{told}"
+        poorly = f"is predicted poorly (Theil's coefficient {self.theil:.2f})"
+        return f"Output {self.output} of the validation records {poorly}{told}"
 
 
 def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:

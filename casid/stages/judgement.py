@@ -26,16 +26,18 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
     judged = verdicts(found, content)
     poor = [each for each in judged if each.word in ("poor", "not judged")]
     names = ", ".join(found.records)
-    said = [Caution(each.caution, 15) for each in poor]
+    new = "estimations had seen" if content.repeats.seen else "no estimation had seen"
+    said = [Caution(each, 3) for each in content.repeats.told()]
+    said += [Caution(each.caution, 15) for each in poor]
     if found.predicted:
-        said.append(Caution(f"Unseen records: {found.predicted}", 16))
+        said.append(Caution(f"Validation records: {found.predicted}", 16))
     yield Section(
         name="verdicts",
         title="Verdicts",
         place=5,
         template=template("verdicts"),
         values={"found": found, "verdicts": judged},
-        lead=f"It was judged on records that no estimation had seen ({names}).",
+        lead=f"It was judged on records that {new} ({names}).",
         cautions=tuple(said),
     )
     yield Section(
@@ -55,7 +57,7 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
     )
     yield Section(
         name="histories",
-        title="Time histories of unseen records",
+        title="Time histories of the validation records",
         place=60,
         template="{{ figures() }}",
         draw=partial(draw_histories, found, content.units),

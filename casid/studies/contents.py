@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from casid.channels import units_of
+from casid.consistency.flights import Repeats
 from casid.record import Record
 from casid.report import Content, DataFile, Timing
 from casid.stages.stage import Found, Role
@@ -21,8 +22,8 @@ from casid.studies.study import Study
 def content(
     study: Study,
     records: Mapping[Role, Sequence[Record]],
+    again: Repeats,
     found: Found,
-    *,
     timings: Sequence[Timing],
     warnings: Sequence[str],
 ) -> Content:
@@ -38,21 +39,10 @@ def content(
         settings=_settings(study),
         versions=_versions(),
         timings=tuple(timings),
-        warnings=tuple(dict.fromkeys([*_seen(study), *warnings])),
+        warnings=tuple(dict.fromkeys(warnings)),
+        repeats=again,
         units=units_of(study.channels.units),
     )
-
-
-def _seen(study: Study) -> list[str]:
-    """Warnings of validation records that an estimation has seen."""
-    others = (each.files for role, each in study.roles.items() if role != "validation")
-    used = {file.resolve() for files in others for file in files}
-    return [
-        f"Record {file.stem} is for validation, but an estimation has seen it: its verdict is no "
-        "proof."
-        for file in study.roles["validation"].files
-        if file.resolve() in used
-    ]
 
 
 def _data(study: Study, records: Mapping[Role, Sequence[Record]]) -> tuple[DataFile, ...]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from casid.bounds.compare import BoundsComparison
 from casid.chain import Identification
+from casid.consistency.flights import Repeats
 from casid.errors import ConvergenceError
 from casid.files import write_text
 from casid.fit import AnyFit, ParameterEstimate
@@ -18,7 +19,7 @@ from casid.stages.listing import sections
 from casid.stages.stage import Found, Role, Task, run_stages
 from casid.studies.contents import content
 from casid.studies.keeping import Keeper, Silent, Watch
-from casid.studies.study import Study, read_records
+from casid.studies.study import Study, read_flights
 from casid.tabulation import csv_text
 from casid.threads import one_thread
 from casid.validation import Validation
@@ -78,15 +79,17 @@ def run_study(
     watch = watch or Silent()
     started = time.perf_counter()
     watch.begin("records")
-    records = read_records(study)
+    records, again = read_flights(study)
     clock = [Timing(stage="records", seconds=time.perf_counter() - started)]
     watch.end(clock[0])
     with claimed(study.output):
         keeper = Keeper(study, watch, clock, fresh=fresh, command=command)
-        return _run(study, records, keeper)
+        return _run(study, records, again, keeper)
 
 
-def _run(study: Study, records: Mapping[Role, Sequence[Record]], keeper: Keeper) -> Outcome:
+def _run(
+    study: Study, records: Mapping[Role, Sequence[Record]], again: Repeats, keeper: Keeper
+) -> Outcome:
     task = Task(
         model=study.model,
         fixed=study.fixed,
@@ -103,7 +106,7 @@ def _run(study: Study, records: Mapping[Role, Sequence[Record]], keeper: Keeper)
     if "output_error" in found.results:
         found.results["output_error"].save(study.output / "fit.json")
         write_parameters(study.output / "parameters.csv", found.results["output_error"])
-    report = keeper.timed("report", lambda: _report(study, records, found, keeper))
+    report = keeper.timed("report", lambda: _report(study, records, again, found, keeper))
     for failure in found.failures.values():
         raise ConvergenceError(
             f"{failure}\nThe report is written without it: {report}", failure.best
@@ -116,9 +119,13 @@ def _run(study: Study, records: Mapping[Role, Sequence[Record]], keeper: Keeper)
 
 
 def _report(
-    study: Study, records: Mapping[Role, Sequence[Record]], found: Found, keeper: Keeper
+    study: Study,
+    records: Mapping[Role, Sequence[Record]],
+    again: Repeats,
+    found: Found,
+    keeper: Keeper,
 ) -> Path:
-    shown = content(study, records, found, timings=keeper.clock, warnings=keeper.warnings)
+    shown = content(study, records, again, found, keeper.clock, keeper.warnings)
     return write_report(shown, sections(study.stages, found.results, shown), study.output)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.consistency.flights import Repeats, repeats
 from casid.consistency.plausibility import check_plausible
 from casid.exchange.formats import read_record
 from casid.files import Column, read_csv
@@ -101,9 +102,17 @@ def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
     ValueError
         All that `read_record`, `Record.detrend` and `check_plausible` refuse.
     """
+    return read_flights(study)[0]
+
+
+def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]:
+    """What `read_records` returns, and which of the records are the same flight."""
+    _check_names(study)
+    files = {file: None for each in study.roles.values() for file in each.files}
+    measured = {file: _read(study, file) for file in files}
     raw: dict[Role, list[Record]] = {}
     for role, each in study.roles.items():
-        raw[role] = [_read(study, each, file) for file in each.files]
+        raw[role] = [_prepared(study, each, measured[file]) for file in each.files]
     done: dict[Role, tuple[Record, ...]] = {}
     for role in sorted(raw, key=lambda role: study.roles[role].detrend in ROLES):
         how: Any = study.roles[role].detrend
@@ -114,9 +123,9 @@ def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
         done[role] = tuple(record.detrend(how) for record in raw[role])
     every = {record.name: record for records in done.values() for record in records}
     channels = study.channels
-    _check_names(study)
     check_plausible(done["identification"], tuple(every.values()), channels.units, channels.time)
-    return {role: done[role] for role in ROLES if role in done}
+    flown = {role: [measured[file] for file in each.files] for role, each in study.roles.items()}
+    return {role: done[role] for role in ROLES if role in done}, repeats(flown)
 
 
 def _check_names(study: Study) -> None:
@@ -130,7 +139,7 @@ def _check_names(study: Study) -> None:
             )
 
 
-def _read(study: Study, role: RecordSet, file: Path) -> Record:
+def _read(study: Study, file: Path) -> Record:
     channels = study.channels
     inputs, outputs = (
         {name: channels.columns.get(name, name) for name in names}
@@ -138,9 +147,13 @@ def _read(study: Study, role: RecordSet, file: Path) -> Record:
     )
     time = channels.time if channels.dt is None else channels.dt
     read = read_record if file.suffix.lower() in {".mat", ".parquet"} else read_csv
-    record = read(
+    return read(
         file, inputs=inputs, outputs=outputs, time=time, units=channels.units, hold=channels.hold
     )
+
+
+def _prepared(study: Study, role: RecordSet, record: Record) -> Record:
+    """A record with the noise and the sampling of its role."""
     if role.noise and study.noise is not None:
         rng = np.random.default_rng([study.noise.seed, zlib.crc32(record.name.encode())])
         record = record.with_noise(study.noise.std, rng)

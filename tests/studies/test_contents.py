@@ -11,3 +11,17 @@ def test_a_validation_record_that_an_estimation_has_seen_is_told(tmp_path):
     study = read_study(write_study(tmp_path, ('["random.csv"]', '["sweep.csv"]')))
     text = run_study(study).report.read_text(encoding="utf-8")
     assert "Record sweep is for validation, but an estimation has seen it" in text
+
+
+@pytest.mark.slow
+def test_a_copy_under_another_name_is_no_unseen_record_and_no_second_flight(tmp_path):
+    path = write_study(tmp_path)
+    (tmp_path / "copy.csv").write_bytes((tmp_path / "sweep.csv").read_bytes())
+    text = path.read_text(encoding="utf-8").replace('["random.csv"]', '["copy.csv"]')
+    path.write_text(text.replace('"sweep.csv"]', '"sweep.csv", "again.csv"]'), encoding="utf-8")
+    (tmp_path / "again.csv").write_bytes((tmp_path / "3211.csv").read_bytes())
+    page = run_study(read_study(path)).report.read_text(encoding="utf-8")
+    assert "Record copy is for validation, but an estimation has seen it (as sweep)" in page
+    assert "Records 3211 and again are the same flight: it counts twice" in page
+    assert "judged on records that estimations had seen (copy)" in page
+    assert "no estimation had seen" not in page

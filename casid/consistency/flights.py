@@ -1,0 +1,89 @@
+"""Flights that serve twice: recognised by what was measured, whatever the records are called."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from casid.record import Record
+
+GRAIN = 1e-4  # of a channel's standard deviation: measurements nearer than that are the same
+SHARED = 0.5  # of a record's different samples: more of them in another make it the same flight
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repeats:
+    """Flights that serve twice.
+
+    Parameters
+    ----------
+    seen : mapping
+        Records for validation that an estimation has seen, each with the name it had there.
+    twice : tuple of (str, str)
+        Records of one role that are one flight.
+    """
+
+    seen: Mapping[str, str] = field(default_factory=dict)
+    twice: tuple[tuple[str, str], ...] = ()
+
+    def told(self) -> list[str]:
+        """A sentence for each of them."""
+        said = []
+        for name, other in self.seen.items():
+            same = "" if name == other else f" (as {other})"
+            said.append(
+                f"Record {name} is for validation, but an estimation has seen it{same}: its "
+                "verdict is no proof."
+            )
+        for name, other in self.twice:
+            said.append(
+                f"Records {name} and {other} are the same flight: it counts twice, and standard "
+                "errors come out too small by up to √2; leave one of them out."
+            )
+        return said
+
+
+def repeats(roles: Mapping[Any, Sequence[Record]]) -> Repeats:
+    """Which records of these roles are pieces of the same flight.
+
+    Samples are compared in all channels together, trim included and time left out, so that a copy,
+    a piece and a file of another format or precision are recognised.
+
+    Parameters
+    ----------
+    roles : mapping to sequence of Record
+        As measured: without noise added, not decimated. Those of "validation" are to be new.
+    """
+    every = {(role, r.name): r for role, records in roles.items() for r in records}
+    prints = dict(zip(every, _fingerprints(list(every.values())), strict=True))
+    seen: dict[str, str] = {}
+    twice: dict[tuple[str, str], None] = {}
+    for (role, name), own in prints.items():
+        for (other_role, other), theirs in prints.items():
+            least = min(len(own), len(theirs))
+            if len(own & theirs) <= SHARED * least or (role, name) == (other_role, other):
+                continue
+            if role == "validation" != other_role:
+                seen.setdefault(name, other)
+            elif role == other_role and (other, name) not in twice:
+                twice[name, other] = None
+    return Repeats(seen=seen, twice=tuple(twice))
+
+
+def _fingerprints(records: Sequence[Record]) -> list[set[bytes]]:
+    """The different samples of every record, rounded alike in all of them."""
+    tables = []
+    for record in records:
+        names = (*record.inputs, *record.outputs)
+        offset = np.array([record.trim.get(name, 0.0) for name in names])
+        tables.append(np.column_stack([record.u, record.y]) + offset)
+    scale: dict[int, np.ndarray] = {}
+    for width in {table.shape[1] for table in tables}:
+        size = np.nanstd(np.vstack([each for each in tables if each.shape[1] == width]), axis=0)
+        scale[width] = np.where(size > 0, GRAIN * size, 1.0)
+    return [_rows(np.floor(table / scale[table.shape[1]] + 0.5)) for table in tables]
+
+
+def _rows(table: np.ndarray) -> set[bytes]:
+    return {row.tobytes() for row in np.nan_to_num(table, nan=-(2.0**60)) + 0.0}
