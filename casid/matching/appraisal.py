@@ -21,30 +21,16 @@ RUNAWAY = 1e4  # scales by which an unbounded parameter may leave its guess
 @storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MatchedSource:
-    """One target of a match and the error left against it.
-
-    Parameters
-    ----------
-    name : str
-        Of the target.
-    grid : (points,) array
-        Frequencies that were matched [rad/s].
-    omega, sigma : (K,), (K, n) array
-        All singular values of the weighted error over the band.
-    entries : int
-        Weighted entries of the response over the grid.
-    norm, sum_of_squares, share : float
-        Largest singular value over the grid, the sum of squares, and its share of all targets'.
-    """
+    """One target of a match and the error left against it."""
 
     name: str
-    grid: Array
-    omega: Array
-    sigma: Array
-    entries: int
-    norm: float
+    grid: Array  # (points,) frequencies that were matched [rad/s]
+    omega: Array  # (K,) over the band [rad/s]
+    sigma: Array  # (K, n) all singular values of the weighted error there
+    entries: int  # weighted entries of the response over the grid
+    norm: float  # largest singular value over the grid
     sum_of_squares: float
-    share: float
+    share: float  # of the sum of squares of all targets
 
     def __post_init__(self) -> None:
         seal(self)
@@ -73,24 +59,12 @@ class MatchNotes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Appraisal:
-    """The error of one model over all sources of a comparison.
-
-    Parameters
-    ----------
-    system : StateSpace
-        The model.
-    comparison : Comparison
-        What it is compared with.
-    bands : tuple of Band
-        Bounds over the band of every source.
-    grid_norm : float
-        Largest singular value over the points.
-    """
+    """The error of one model over all sources of a comparison."""
 
     system: StateSpace
     comparison: Comparison
-    bands: tuple[Band, ...]
-    grid_norm: float
+    bands: tuple[Band, ...]  # bounds over the band of every source
+    grid_norm: float  # largest singular value over the points
 
     @property
     def upper(self) -> float:
@@ -180,16 +154,8 @@ def doubts(
 ) -> str | None:
     """Why not to believe a solution that the solver calls one; None when nothing speaks against it.
 
-    Parameters
-    ----------
-    free : Free
-        The parameters.
-    values, guess : (nf,) array
-        Their estimates and where they came from.
-    appraisal : Appraisal
-        Of the model at the estimates.
-    stable : bool
-        Whether its poles had to stay left of the line.
+    Values (nf,) of the parameters with the guess they came from, and the appraisal of their model,
+    whose poles had to stay left of the line if ``stable``.
     """
     return (
         _runaway(free, values, guess)

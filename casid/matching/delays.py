@@ -25,13 +25,7 @@ def delay_parameters(free: Free) -> tuple[list[int], list[int]]:
 
 
 def with_nonnegative_delays(free: Free) -> Free:
-    """The same with lower bounds of at least zero on parameters that are a delay themselves.
-
-    Raises
-    ------
-    ModelError
-        A delay whose upper bound is negative.
-    """
+    """The same with lower bounds of at least zero on parameters that are a delay themselves."""
     lower, at = free.lower.copy(), free.index[delay_parameters(free)[0]]
     lower[at] = np.maximum(lower[at], 0.0)
     if (bad := np.flatnonzero(lower > free.upper)).size:

@@ -26,45 +26,25 @@ DAMPING = (1e-2, 1e-9, 1e12)  # first, least and largest of Levenberg and Marqua
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Descent:
-    """Where a descent ended.
+    """Where a descent ended."""
 
-    Free values (nf,), cost, real part of the rightmost pole, number of steps, and whether further
-    ones would have gained nothing.
-    """
-
-    values: Array
+    values: Array  # (nf,) in physical units
     cost: float
-    abscissa: float
+    abscissa: float  # real part of the rightmost pole
     steps: int = 0
-    settled: bool = False
+    settled: bool = False  # whether further steps would have gained nothing
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Condensed:
-    """Residuals of a structure, and their derivatives, as functions of its scaled free parameters.
-
-    Parameters
-    ----------
-    free : Free
-        The parameters.
-    comparison : Comparison
-        Points, responses, weights.
-    norm : {"quadratic", "decibel"}
-        Whether the residuals are the weighted error, or weighted decibels and degrees.
-    matrices : MatrixFunction
-        The structure in numbers.
-    penalty : float
-        Weight of a violated constraint.
-    guarded : bool
-        Whether poles right of the line are penalised, which drives them back.
-    """
+    """Residuals of a structure and their derivatives as functions of its scaled free parameters."""
 
     free: Free
     comparison: Comparison
-    norm: str
+    norm: str  # quadratic: the weighted error; decibel: weighted decibels and degrees
     matrices: MatrixFunction
-    penalty: float
-    guarded: bool = False
+    penalty: float  # weight of a violated constraint
+    guarded: bool = False  # whether poles right of the line are penalised, which drives them back
 
     @classmethod
     def of(cls, free: Free, comparison: Comparison, *, guarded: bool = False) -> "Condensed":

@@ -42,19 +42,7 @@ class Found:
 
 
 class Search:
-    """The solves of one match; counts their iterations.
-
-    Parameters
-    ----------
-    free : Free
-        The parameters.
-    comparison : Comparison
-        Points, responses, weights.
-    stable : bool
-        Whether poles have to stay left of the line.
-    options : SolverOptions
-        Of every solve.
-    """
+    """The solves of one match; counts their iterations. Poles stay left of the line if stable."""
 
     def __init__(
         self, free: Free, comparison: Comparison, *, stable: bool, options: SolverOptions

@@ -27,32 +27,20 @@ from casid.shooting.stepping import groups
 class Curvature:
     """Second derivatives, and each channel's share of the cost's gradient, in physical units.
 
-    Parameters
-    ----------
-    Hll : (nf, nf) array
-        By the parameters.
-    Hln : (J, nf, nx) array
-        By the parameters and the node of every interval, in chronological order.
-    gl, gb, gn : (ny, nf), (ny, records, ny), (ny, J, nx) array
-        Gradient of every channel's ½ Σ r²/R by parameters, biases and nodes.
+    The gradients are those of ½ Σ r²/R; J intervals stand in chronological order.
     """
 
-    Hll: Array
-    Hln: Array
-    gl: Array
-    gb: Array
-    gn: Array
+    Hll: Array  # (nf, nf) by the parameters
+    Hln: Array  # (J, nf, nx) by the parameters and the node of every interval
+    gl: Array  # (ny, nf) gradient by the parameters
+    gb: Array  # (ny, records, ny) by the biases
+    gn: Array  # (ny, J, nx) by the nodes
 
 
 def curvature(sweep: Sweep, mu: Array) -> Curvature:
     """Curvature of an output-error model (no innovations) over all intervals.
 
-    Parameters
-    ----------
-    sweep : Sweep
-        Model, intervals and where they are evaluated.
-    mu : (J, nx) array
-        Multiplier of every interval's end state, in chronological order; 0 at a record's end.
+    ``mu`` (J, nx) multiplies the end states in chronological order; 0 at a record's end.
     """
     e, layout, motion, m = sweep.e, sweep.layout, sweep.motion, sweep.matrices
     rho = np.empty_like(motion.residuals)
@@ -74,12 +62,11 @@ def curvature(sweep: Sweep, mu: Array) -> Curvature:
 
 
 def _costates(sweep: Sweep, jumps: Array, mu: Array) -> tuple[Array, Array, Array]:
-    """Costates weighted for the trapezoidal rule, at all samples (N, nx) and at the ends (J, nx).
+    """Costates weighted for the trapezoidal rule at all samples (N, nx) and at the ends (J, nx).
 
-    The third, (N, nx), is unweighted, one step after every sample.
-
-    The rule takes the costate before a sample's jump for the step that ends there and the one
-    after it for the step that begins; the last step of an interval ends at its end state.
+    The third, (N, nx), is unweighted, one step after every sample. The rule takes the costate
+    before a sample's jump for the step that ends there and the one after it for the step that
+    begins; the last step of an interval ends at its end state.
     """
     layout = sweep.layout
     half = layout.classes[layout.step][:, None] / 2

@@ -22,20 +22,9 @@ EDGE = 1e-6  # of a sampling interval: on a whole sample
 def neighbours(programme: Programme, lam: Array, solved: bool) -> Iterator[tuple[Free, Array]]:
     """Stretches between whole samples that a delay of its own parameter may belong to as well.
 
-    Parameters
-    ----------
-    programme : Programme
-        With the bounds to stay in.
-    lam : (nf,) array
-        Where a solve has ended.
-    solved : bool
-        Whether with success: its own stretch need not be tried.
-
-    Yields
-    ------
-    (Free, (nu,) array)
-        Bounds that hold the parameter in the stretch, and for `Evaluator.within` the delay in its
-        middle; NaN for other inputs.
+    Bounds that hold the parameter in the stretch, and for `Evaluator.within` the delay in its
+    middle (nu,), NaN for other inputs. ``lam`` (nf,) is where a solve has ended, ``solved`` with
+    success: its own stretch need not be tried.
     """
     m, free = programme.evaluator.matrices(lam), programme.free
     for a in range(len(free.index)):

@@ -21,10 +21,7 @@ def starting_gain(
 ) -> tuple[Array | None, bool]:
     """Start of the gain K (nx, ny), None for output error, and whether it is free.
 
-    Raises
-    ------
-    ValueError
-        A gain of the wrong shape, or a discrete black box.
+    ValueError: a gain of the wrong shape, or a discrete black box.
     """
     shape = len(free.model.states), len(free.model.outputs)
     model = free.model.with_vector(free.full(free.guess))

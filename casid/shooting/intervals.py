@@ -13,43 +13,19 @@ from casid.record import Record
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Intervals of all records, the longest first, over the concatenated samples.
+    """Intervals of all records, the longest first, over the concatenated samples."""
 
-    Parameters
-    ----------
-    records : tuple of Record
-        With the model's channels, in the model's order.
-    y : (N, ny) array
-        All outputs; missing samples are 0.
-    pattern : (N,) integer array
-        Which channels each sample has: row of ``patterns``.
-    patterns : (n_patterns, ny) bool array
-        True where a channel was measured; row 0 is the complete sample.
-    step : (N,) integer array
-        Class of the step from each sample to the next; a record's last sample repeats its last.
-    classes : (n,) array
-        Length of each class of steps [s].
-    record : (J,) integer array
-        Record of each interval.
-    start, count : (J,) integer array
-        First sample, number of samples.
-    node : (J,) integer array
-        Chronological number of each interval.
-    last : (J,) bool array
-        Whether the interval ends its record.
-    """
-
-    records: tuple[Record, ...]
-    y: Array
-    pattern: np.ndarray
-    patterns: BoolArray
-    step: np.ndarray
-    classes: Array
-    record: np.ndarray
-    start: np.ndarray
-    count: np.ndarray
-    node: np.ndarray
-    last: BoolArray
+    records: tuple[Record, ...]  # with the model's channels, in its order
+    y: Array  # (N, ny) all outputs; missing samples are 0
+    pattern: np.ndarray  # (N,) which channels each sample has: row of patterns
+    patterns: BoolArray  # (n_patterns, ny) where a channel was measured; row 0: everywhere
+    step: np.ndarray  # (N,) class of the step to the next sample; the last repeats its own
+    classes: Array  # (n,) length of each class of steps [s]
+    record: np.ndarray  # (J,) record of each interval
+    start: np.ndarray  # (J,) first sample
+    count: np.ndarray  # (J,) number of samples
+    node: np.ndarray  # (J,) chronological number of each interval
+    last: BoolArray  # (J,) whether the interval ends its record
 
     @property
     def observations(self) -> int:

@@ -22,27 +22,13 @@ EM_STEPS, EM_SETTLED = 500, 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """What is known of R before the residuals are seen.
+    """What is known of R before the residuals are seen."""
 
-    Parameters
-    ----------
-    patterns : (P, ny) bool array
-        Measured channels of every pattern.
-    counts : (P,) integer array
-        Samples of every pattern.
-    floor : (ny,) array
-        Smallest standard deviation believed of each channel.
-    kind : {"diagonal", "full"}
-        Structure of an estimated R.
-    given : (ny, ny) array or None
-        R, if it is not estimated.
-    """
-
-    patterns: BoolArray
-    counts: np.ndarray
-    floor: Array
-    kind: CovarianceKind = "diagonal"
-    given: Array | None = None
+    patterns: BoolArray  # (P, ny) measured channels of every pattern
+    counts: np.ndarray  # (P,) samples of every pattern
+    floor: Array  # (ny,) smallest standard deviation believed of each channel
+    kind: CovarianceKind = "diagonal"  # structure of an estimated R
+    given: Array | None = None  # (ny, ny) R, if it is not estimated
 
     @property
     def concentrated(self) -> bool:

@@ -20,20 +20,8 @@ def predicted(
 ) -> tuple[Array, tuple[Array, Array]] | None:
     """Scaled variables of the solution to expect, and multipliers of bounds and constraints.
 
-    Parameters
-    ----------
-    programme : Programme
-        With the new bounds and ties.
-    x : (n,) array
-        Scaled variables near a solution; λ may lie outside the bounds.
-    steps : int
-        Quadratic models to minimise, each about the solution of the last.
-    options : SolverOptions
-        Tolerance.
-
-    Returns
-    -------
-    None if a quadratic programme has no solution.
+    From ``x`` (n,), scaled variables near a solution, by ``steps`` quadratic models, each about the
+    solution of the last; λ may lie outside the bounds. None if one of them has no solution.
     """
     newton, count = Newton(programme), len(programme.links) * programme.evaluator.nx
     bounds, prices = np.zeros(len(x)), np.zeros(len(programme.values(x).g))

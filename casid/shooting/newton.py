@@ -31,16 +31,10 @@ LEAP = 10.0  # times the step into the neighbourhood: too long for one within
 
 
 class Newton:
-    """Cost, constraints and derivatives of a programme for IPOPT, auxiliary variables last.
+    """Cost, constraints and derivatives of a programme for IPOPT, the riders behind its variables.
 
-    Parameters
-    ----------
-    programme : Programme
-        In the scales to solve it in.
-    close : bool
-        Whether the start is as close to the solution as Newton's steps need.
-
-    It must outlive the problems made by it.
+    It must outlive the problems made by it. ``close`` says that the start is as near the solution
+    as Newton's steps need.
     """
 
     def __init__(self, programme: Programme, *, close: bool = False) -> None:

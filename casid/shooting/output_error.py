@@ -157,13 +157,10 @@ def output_error(
 
 
 def select_records(free: Free, records: Records, biases: bool) -> list[Record]:
-    """Records with the model's channels, in the model's order.
+    """Records with the model's channels, in its order.
 
-    Raises
-    ------
-    ValueError
-        No records, a channel missing, a record too short for its own initial state and biases,
-        fewer measurements in all than unknowns.
+    ValueError: no records, a channel missing, a record too short for its own initial state and
+    biases, fewer measurements in all than unknowns.
     """
     model = free.model
     chosen = [record.select(model.inputs, model.outputs) for record in stretches(records)]

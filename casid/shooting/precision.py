@@ -53,27 +53,13 @@ class OutputErrorNotes:
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """Covariances of the free parameters and what spoils them, physical units.
+    """Covariances of the free parameters and what spoils them, physical units."""
 
-    Parameters
-    ----------
-    covariance : (n, n) array
-        Cramér-Rao bound; infinite where the records do not determine a parameter.
-    coloured : (n, n) array
-        The same, corrected for the correlation of the residuals in time.
-    insensitivity : (n,) array
-        1/√F_ii, F the information with initial states and biases eliminated.
-    collinear : tuple of Collinearity
-        Combinations the records hardly determine, the worst first.
-    undetermined : tuple of str
-        Parameters in directions without information.
-    """
-
-    covariance: Array
-    coloured: Array
-    insensitivity: Array
-    collinear: tuple[Collinearity, ...]
-    undetermined: tuple[str, ...]
+    covariance: Array  # (n, n) Cramér-Rao bound; infinite where not determined
+    coloured: Array  # (n, n) corrected for the correlation of the residuals in time
+    insensitivity: Array  # (n,) 1/√F_ii, initial states and biases eliminated from F
+    collinear: tuple[Collinearity, ...]  # hardly determined combinations, the worst first
+    undetermined: tuple[str, ...]  # parameters in directions without information
 
     def notes(self, rounds: int, nodes: int, K: Array | None) -> OutputErrorNotes:
         """What is said of it in the fit."""
@@ -145,14 +131,9 @@ def quadratic_model(
 
     Biases and nodes ν follow so as to minimise it on the continuity constraints, which they meet
     whatever the gaps at x. ``hessian`` is that of the whole cost; variables beyond the programme's
-    own follow too.
-
-    Returns
-    -------
-    (nf + 1, nf + 1) array
-        Up to a constant the cost is half its quadratic form.
-    (nn + m, nf + 1) array
-        ν moves by its product with [d; 1]; its last rows give the continuity's multipliers.
+    own follow too. Up to a constant the cost is half the form of the first array (nf + 1, nf + 1);
+    ν moves by the product of the second (nn + m, nf + 1) with [d; 1], its last rows give the
+    continuity's multipliers.
     """
     H, G = scipy.sparse.csc_array(hessian), programme.continuity_matrix(x)
     nf, more = programme.evaluator.nf, H.shape[0] - programme.size

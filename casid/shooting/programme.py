@@ -69,21 +69,7 @@ class Scales:
 
 
 class Programme:
-    """One weighted least-squares problem over all intervals, for IPOPT.
-
-    Parameters
-    ----------
-    evaluator : Evaluator
-        Residuals and their derivatives.
-    free : Free
-        Parameters and bounds.
-    scales : Scales
-        Units of the variables.
-    noise : Noise
-        R, or how it is estimated.
-    biases : bool
-        Whether biases are variables.
-    """
+    """One weighted least-squares problem over all intervals, for IPOPT."""
 
     def __init__(
         self, evaluator: Evaluator, free: Free, scales: Scales, noise: Noise, biases: bool

@@ -33,22 +33,12 @@ SHORT = 2.0**-8  # of the longest: intervals below are interpolated down to zero
 
 @dataclass(frozen=True, eq=False)
 class Breaks:
-    """The breaks of delayed inputs in columns, for all samples.
+    """The breaks of delayed inputs in columns, for all samples."""
 
-    Parameters
-    ----------
-    jumps : (N, n) array
-        What changes in the step after each sample, spread over the columns.
-    channel, order : (n,) integer array
-        Input of every column, and the p of its P_p.
-    rest : (n,) array
-        Time its breaks leave until the next sample [s]; of irregular records, a node.
-    """
-
-    jumps: Array
-    channel: np.ndarray
-    order: np.ndarray
-    rest: Array
+    jumps: Array  # (N, n) changes in the step after each sample, spread over the columns
+    channel: np.ndarray  # (n,) input of every column
+    order: np.ndarray  # (n,) the p of its P_p
+    rest: Array  # (n,) time left until the next sample [s]; of irregular records, a node
 
 
 def collect_breaks(held: Sequence[DelayedInput], holds: Sequence[Hold], A: Array) -> Breaks:
@@ -82,16 +72,8 @@ def collect_breaks(held: Sequence[DelayedInput], holds: Sequence[Hold], A: Array
 class Steps:
     """The steps of all sampling intervals of a layout at one parameter set.
 
-    Parameters
-    ----------
-    matrices : FilterMatrices
-        Of the model.
-    layout : Layout
-        Sampling intervals and holds.
-    held : sequence of DelayedInput
-        Inputs of every record.
-    filtering, slopes : bool
-        Whether innovations drive the states, and whether derivatives are wanted.
+    ``held`` are the inputs of every record, ``filtering`` says whether innovations drive the
+    states, ``slopes`` whether derivatives are wanted.
     """
 
     def __init__(
@@ -151,10 +133,7 @@ class Steps:
         return new
 
     def force(self, at: np.ndarray, x: Array, r: Array) -> Array:
-        """What drives the derivatives of the states over the steps from samples ``at``.
-
-        (nx, rows, nf), from states x and residuals r there.
-        """
+        """What drives the derivatives of the states over the steps from samples, (nx, rows, nf)."""
         V, jumps = np.concatenate([x, self.inputs[at]], axis=1), self._breaks.jumps[at]
         parts: list[tuple[Any, Array]] = []
         for group, mine, kind in self._parts(self._step[at]):

@@ -32,30 +32,22 @@ Columns = list[tuple[Stack, tuple[Segment, ...]]]  # of every record
 
 @dataclass(frozen=True)
 class Windows:
-    """What a predictor is regressed with.
+    """What a predictor is regressed with."""
 
-    ``pole`` is the Laguerre pole [rad/s], NaN for the samples themselves; ``past`` and ``future``
-    are numbers of Laguerre functions or samples.
-    """
-
-    past: int
-    future: int
-    pole: float
+    past: int  # number of Laguerre functions or samples
+    future: int  # likewise
+    pole: float  # Laguerre pole [rad/s], NaN for the samples themselves
     regularisation: float
 
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """Records of the same channels, their scales, and where a direct term is free.
-
-    ``su`` (nu,) and ``sy`` (ny,) are standard deviations over all records, ``mask`` is (ny, nu).
-    What was gathered or estimated from them is kept.
-    """
+    """Records of the same channels, with what was gathered or estimated from them."""
 
     records: tuple[Record, ...]
-    su: Array
-    sy: Array
-    mask: BoolArray
+    su: Array  # (nu,) standard deviations over all records
+    sy: Array  # (ny,) likewise
+    mask: BoolArray  # (ny, nu) where a direct term is free
     _gathered: dict[object, Columns] = field(default_factory=dict, repr=False)
     _regressed: dict[object, Regressed] = field(default_factory=dict, repr=False)
 
@@ -104,10 +96,7 @@ class Campaign:
     def subspace(self, order: int, windows: Windows, without: Sequence[int] = ()) -> Subspace:
         """Subspace estimate from all records but those with these numbers; one regression each.
 
-        Raises
-        ------
-        ValueError
-            Records too short for the windows, or an order they cannot give.
+        ValueError: records too short for the windows, or an order they cannot give.
         """
         w, key = windows, (str(windows), tuple(without))
         if key not in self._regressed:

@@ -31,19 +31,8 @@ def fed_back_noise(
 ) -> float:
     """Bound on the relative bias that noise fed back by a controller gives the response.
 
-    Parameters
-    ----------
-    system, K : StateSpace, (nx, ny) array
-        Continuous or discrete, A - KC stable.
-    records : sequence of Record
-        Without missing samples.
-    su, sy : (nu,), (ny,) array
-        Standard deviations of the channels.
-
-    Returns
-    -------
-    float
-        The largest over inputs, for the average output; 0 where no feedback shows.
+    The largest over inputs, for the average output; 0 where no feedback shows. A - KC is stable,
+    no sample is missing.
     """
     lags = min(LAGS, max(int(MEMORY / max(record.dt for record in records)), 2))
     rows, targets, errors = [], [], []

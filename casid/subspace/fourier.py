@@ -43,16 +43,12 @@ class Lines(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Transforms of one stretch, divided by √T and the channels' standard deviations.
+    """Transforms of one stretch, divided by √T and the channels' standard deviations."""
 
-    ``omega`` is (K,) [rad/s], ``U`` (K, nu) and ``Y`` (K, ny) complex, ``h`` the sampling interval
-    [s], None for the continuous form; ``hold`` is that of the inputs.
-    """
-
-    omega: Array
-    U: ComplexArray
-    Y: ComplexArray
-    h: float | None
+    omega: Array  # (K,) [rad/s]
+    U: ComplexArray  # (K, nu)
+    Y: ComplexArray  # (K, ny)
+    h: float | None  # sampling interval [s], None for the continuous form
     hold: Hold
 
     def pole_factors(self, lam: ComplexArray) -> tuple[ComplexArray, ...]:

@@ -29,10 +29,7 @@ def carried_gain(system: StateSpace, K: Array, refined: StateSpace, R: Array) ->
 def riccati_gain(A: Array, C: Array, K: Array, R: Array) -> Array:
     """Stabilising continuous gain of process noise K R Kᵀ, correlated with the residuals.
 
-    Raises
-    ------
-    ValueError
-        There is none: a mode on the imaginary axis that the outputs do not show.
+    ValueError: there is none; a mode on the imaginary axis that the outputs do not show.
     """
     R = R + 1e-9 * np.trace(R) / len(R) * np.eye(len(R))
     S = K @ R

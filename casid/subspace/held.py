@@ -22,13 +22,7 @@ def discretised(system: StateSpace, h: float, hold: Hold) -> StateSpace:
 
 
 def undiscretised(system: StateSpace, hold: Hold) -> StateSpace:
-    """Inverse of `discretised`.
-
-    Raises
-    ------
-    ValueError
-        A discrete pole on the negative real axis, which has no continuous equivalent.
-    """
+    """Inverse of `discretised`; ValueError for a discrete pole on the negative real axis."""
     h = float(system.dt or 1.0)
     A, _ = from_zoh(system.A, system.B, h)
     _, I0, I1 = _held(A, h, hold)
@@ -43,12 +37,8 @@ def refine_held(
     """`refine_samples` for a continuous model of inputs that are held between the samples.
 
     What is left of a masked direct term in continuous time is dropped. ``K`` comes back as the
-    discrete gain by the step's input integral, approximately the continuous one.
-
-    Raises
-    ------
-    ValueError
-        Records of unequal sampling, or a refined pole without a continuous equivalent.
+    discrete gain by the step's input integral, approximately the continuous one. ValueError:
+    records of unequal sampling, or a refined pole without a continuous equivalent.
     """
     records, mask = pieces.records, pieces.mask
     h, hold = records[0].dt, records[0].hold

@@ -22,15 +22,12 @@ RIDGE = 1e-13  # of the size of each transient: what two that look alike are tol
 @storable
 @dataclass(frozen=True, eq=False)
 class Modal:
-    """A real model by its modes: one of each complex pair (Im λ > 0), and the real ones.
+    """A real model of scaled channels by its modes: one of each complex pair (Im λ > 0)."""
 
-    ``lam`` (nm,), ``B`` (nm, nu), ``C`` (ny, nm) complex, ``D`` (ny, nu); channels are scaled.
-    """
-
-    lam: ComplexArray
-    B: ComplexArray
-    C: ComplexArray
-    D: Array
+    lam: ComplexArray  # (nm,)
+    B: ComplexArray  # (nm, nu)
+    C: ComplexArray  # (ny, nm)
+    D: Array  # (ny, nu)
 
     @property
     def real(self) -> BoolArray:
@@ -49,10 +46,7 @@ class Modal:
 def to_modal(system: StateSpace, su: Array, sy: Array, feedthrough: BoolArray) -> Modal:
     """Modes of a system with scaled channels, balanced between B and C.
 
-    Raises
-    ------
-    ValueError
-        Modes so close to one another that no basis of modes exists.
+    ValueError: modes so close to one another that no basis of modes exists.
     """
     lam, V = np.linalg.eig(system.A)
     if np.linalg.cond(V) > DEFECTIVE:
@@ -187,20 +181,10 @@ def descend(
     steps: int,
     settled: float,
 ) -> Modal:
-    """Levenberg-Marquardt steps until the cost settles.
+    """Levenberg-Marquardt steps until the cost, squared residuals, decreases by less than settled.
 
-    Parameters
-    ----------
-    modal : Modal
-        The start.
-    cost, normal : function
-        Squared residuals of a model; their Gauss-Newton matrix and descent direction.
-    tidy : function
-        Moves a trial model back to where it is allowed to be.
-    free : (nfree, 2) int array
-        Which entries of D are parameters.
-    steps, settled
-        At most so many steps; a relative decrease of the cost that ends them.
+    ``normal`` gives the Gauss-Newton matrix and the descent direction, ``tidy`` moves a trial model
+    back to where it is allowed to be, ``free`` (nfree, 2) are the entries of D that are parameters.
     """
     damping, value = 1e-3, cost(modal)
     for _ in range(steps):

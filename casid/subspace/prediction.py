@@ -53,36 +53,31 @@ LEAST = 1e-3  # of the errors' standard deviation: local levels are not smaller
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Consecutive samples without a gap, scaled: inputs and outputs v (N, nu + ny), outputs y.
+    """Consecutive samples without a gap, scaled."""
 
-    The errors of sample k count ``weight[k]`` times, (N, 1).
-    """
-
-    v: Array
-    y: Array
-    weight: Array
+    v: Array  # (N, nu + ny) inputs and outputs
+    y: Array  # (N, ny)
+    weight: Array  # (N, 1) of each sample's errors
 
 
 @storable
 @dataclass(frozen=True, eq=False)
 class SampledUncertainty:
-    """Covariance of a refined black box of samples ``h`` [s] apart, in modal coordinates.
+    """Covariance of a refined black box of samples, in modal coordinates.
 
-    ``factor`` (parameters, rank) times its transpose is the covariance of the predictor's
-    (μ, [B - KD, K], C, free D).
+    ``factor`` times its transpose is the covariance of (μ, [B - KD, K], C, free D).
     """
 
     modal: Modal
     free: np.ndarray
-    factor: Array
+    factor: Array  # (parameters, rank)
     nu: int
-    h: float
+    h: float  # sampling interval [s]
 
     def response_std(self, omega: Array) -> tuple[Array, Array]:
-        """Relative standard deviation of abs(G) and standard deviation of its phase [rad].
+        """Standard deviations of abs(G), relative, and of the phase of G [rad], both (K, ny, nu).
 
-        Both (K, ny, nu), from the derivative of log G with respect to the parameters. With W the
-        predictor's response to u and y, G = (I - W_y)⁻¹ W_u.
+        With W the predictor's response to u and y, G = (I - W_y)⁻¹ W_u.
         """
         omega = np.atleast_1d(omega)
         ny = len(self.modal.D)
@@ -137,27 +132,11 @@ def refine_samples(
     sy: Array,
     feedthrough: BoolArray,
 ) -> tuple[StateSpace, Array, SampledUncertainty]:
-    """Refine a discrete black box on its records.
+    """Refine a discrete black box on its records; A - KC is stable before and after.
 
-    Parameters
-    ----------
-    system : StateSpace
-        The start, discrete.
-    K : (nx, ny) array
-        Its innovation gain; A - KC is stable.
-    records : sequence of Record
-        Equidistant, of one sampling interval; missing outputs (NaN) split them.
-    su, sy : (nu,), (ny,) array
-        Standard deviations of the channels.
-    feedthrough : (ny, nu) bool array
-        Where the direct term is free; elsewhere it stays as it is (zero).
-
-    Returns
-    -------
-    StateSpace, (nx, ny) array
-        Model and gain; A - KC is stable.
-    SampledUncertainty
-        The asymptotic covariance.
+    The records are equidistant, of one interval; missing outputs split them. Channels are scaled by
+    ``su`` (nu,) and ``sy`` (ny,); the direct term stays as it is where ``feedthrough`` (ny, nu) is
+    False. Also returns the asymptotic covariance.
     """
     nu, ny, nx = len(su), len(sy), system.nx
     data: Sequence[Stretch] = stretches(records, su, sy, nx + 2)
@@ -187,14 +166,8 @@ def fitted(
 ) -> tuple[Modal, Array, Sequence[Stretch]]:
     """Maximum likelihood by at most ``steps`` steps in each of `ROUNDS` rounds.
 
-    Returns
-    -------
-    Modal
-        Its poles within the disc of `RADIUS`.
-    (ny, ny) array
-        W with Wᵀ W the inverse covariance of its errors.
-    sequence of Stretch
-        The data, errors weighted by their local level if ``local``.
+    The model's poles stay within the disc of `RADIUS`; W (ny, ny), Wᵀ W the inverse covariance of
+    its errors; the data, whose errors are weighted by their local level if ``local``.
     """
     modal = _inside(modal)
     W: Array = np.eye(len(modal.D))

@@ -18,23 +18,13 @@ from casid.arrays import Array, BoolArray
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Triangular factor of all columns of a campaign.
+    """Triangular factor of all columns of a campaign."""
 
-    Parameters
-    ----------
-    R : (p + 1) nz x (p + 1) nz array
-        Upper triangular; RᵀR is the Gram matrix of the columns (z(0), ..., z(p)).
-    nu, ny, past : int
-        Sizes; nz = nu + ny.
-    columns : int
-        How many columns went in.
-    """
-
-    R: Array
+    R: Array  # upper triangular; RᵀR is the Gram matrix of the columns (z(0), ..., z(p))
     nu: int
     ny: int
     past: int
-    columns: int
+    columns: int  # how many went in
 
     @property
     def nz(self) -> int:
@@ -63,10 +53,7 @@ class Stack:
 
 
 def accumulate(blocks: Iterable[Array], *, constant: bool) -> tuple[Array, int]:
-    """Triangular factor of stacked blocks of columns (as rows), one after the other.
-
-    With ``constant`` a constant regressor is projected out of all of them together.
-    """
+    """Triangular factor of blocks of columns (as rows); a constant is projected out or not."""
     R: Array | None = None
     count = 0
     for block in blocks:
@@ -109,19 +96,10 @@ def predictor_coefficients(
 ) -> tuple[Array, Array]:
     """VARX coefficients Ξ (ny, p nz) and direct term D (ny, nu) of y(p) = Ξ z + D u(p) + e(p).
 
-    Parameters
-    ----------
-    stack : Stack
-        The data.
-    feedthrough : (ny, nu) bool array
-        Where the plant may have a direct term.
-    regularisation : float
-        Tikhonov factor relative to the largest singular value.
-    at_one : bool
-        False: the direct term of a masked entry is dropped, the condition on sampled data. True:
-        the plant's response at z = 1 (s = ∞) is zero there, the condition on projected data.
-        With M = I - Σ Ξ^y it reads M⁻¹(D + Σ Ξ^u) = 0, linear row by row in M⁻¹ y for a given M,
-        so the regression runs twice.
+    The regularisation is relative to the largest singular value. Where ``feedthrough`` (ny, nu) is
+    False the direct term is dropped, the condition on samples; with ``at_one`` the plant's response
+    at z = 1 (s = ∞) is zero there, that on projections. With M = I - Σ Ξ^y it reads
+    M⁻¹(D + Σ Ξ^u) = 0, linear row by row in M⁻¹ y for a given M, so the regression runs twice.
     """
     free = predictor_rows(stack, np.ones_like(feedthrough), stack.y, regularisation, at_one=at_one)
     if feedthrough.all():
@@ -157,15 +135,11 @@ def predictor_rows(
 
 @dataclass(frozen=True, eq=False)
 class Future:
-    """Predictions of y(p), y(p + 1), ... from the past z, and their principal directions.
+    """Predictions of y(p), y(p + 1), ... from the past z, and their principal directions."""
 
-    ``map`` is (future ny, p nz); ``U`` holds left singular vectors of the predictions over all
-    columns, ``singular_values`` how much of them each explains.
-    """
-
-    map: Array
-    U: Array
-    singular_values: Array
+    map: Array  # (future ny, p nz)
+    U: Array  # left singular vectors of the predictions over all columns
+    singular_values: Array  # how much of the predictions each explains
 
 
 def predicted_future(stack: Stack, Xi: Array, future: int) -> Future:

@@ -48,22 +48,16 @@ SETTLED = 1e-5  # relative decrease of the cost that ends a round
 @storable
 @dataclass(frozen=True, eq=False)
 class ResponseUncertainty:
-    """Covariance of a refined black box, kept as a factor in modal coordinates.
-
-    ``factor`` (parameters, rank) times its transpose is the covariance of (λ, B, C, free D).
-    """
+    """Covariance of a refined black box, kept as a factor in modal coordinates."""
 
     modal: Modal
     free: np.ndarray
-    factor: Array
+    factor: Array  # (parameters, rank), times its transpose the covariance of (λ, B, C, free D)
     su: Array
     sy: Array
 
     def response_std(self, omega: Array) -> tuple[Array, Array]:
-        """Relative standard deviation of abs(G) and standard deviation of its phase [rad].
-
-        Both (K, ny, nu), from the derivative of log G with respect to the parameters.
-        """
+        """Standard deviations of abs(G), relative, and of the phase of G [rad], (K, ny, nu)."""
         omega = np.atleast_1d(omega)
         none = np.zeros((len(omega), len(self.sy)), dtype=complex)
         unit = partial(Spectrum, omega, Y=none, h=None, hold="foh")
@@ -86,28 +80,12 @@ def refine(
     feedthrough: BoolArray,
     fastest: float = np.inf,
 ) -> tuple[StateSpace, ResponseUncertainty]:
-    """Refine a continuous black box on Fourier transforms of its records.
+    """Refine a continuous black box on scaled Fourier transforms; real modal form, and covariance.
 
-    Parameters
-    ----------
-    system : StateSpace
-        The start, continuous.
-    data : sequence of Spectrum
-        Transforms scaled by the standard deviations.
-    su, sy : (nu,), (ny,) array
-        Standard deviations of the channels.
-    feedthrough : (ny, nu) bool array
-        Where the direct term is free; elsewhere it is zero.
-    fastest : float
-        No mode with abs(λ) above this [rad/s] may be unstable: data and Laguerre pole cannot show
-        such a mode, and a spurious one would spoil every use of the model.
-
-    Returns
-    -------
-    StateSpace
-        In real modal coordinates.
-    ResponseUncertainty
-        Its covariance under the estimated residual spectra.
+    Channels are scaled by ``su`` (nu,) and ``sy`` (ny,), the direct term is free where
+    ``feedthrough`` (ny, nu) is, zero elsewhere. No mode with abs(λ) above ``fastest`` [rad/s] may
+    be unstable: data and Laguerre pole cannot show it, and a spurious one spoils every use of the
+    model.
     """
     free = np.argwhere(feedthrough)
     modal = to_modal(system, su, sy, feedthrough)

@@ -56,9 +56,9 @@ def refine_sampled(campaign: Campaign, found: Subspace, how: Refinement) -> Esti
 
 
 def refine_projected(campaign: Campaign, found: Subspace, pole: float, *, move: bool) -> Estimate:
-    """By Fourier transforms; by prediction errors where a controller would bias those.
+    """By Fourier transforms, by prediction errors where a controller would bias those, or not.
 
-    Without ``move`` the subspace estimate itself, and a warning where it is biased.
+    Without ``move`` it is the subspace estimate itself, and a warning where it is biased.
     """
     system, K, R = found.system, found.K, found.residual_covariance
     su, sy, mask = campaign.su, campaign.sy, campaign.mask

@@ -35,27 +35,11 @@ def regress_inputs(
     feedthrough: BoolArray,
     R: Array,
 ) -> tuple[StateSpace, Array]:
-    """B, K and D anew, the dynamics of the predictor and C as they are.
+    """B, K and D of a discrete model anew, the predictor's stable dynamics A - KC and C kept.
 
-    Parameters
-    ----------
-    system : StateSpace
-        The subspace estimate, discrete.
-    K : (nx, ny) array
-        Its innovation gain; A - KC is stable and stays as it is.
-    records : sequence of Record
-        Equidistant, of one sampling interval; missing outputs (NaN) split them.
-    su, sy : (nu,), (ny,) array
-        Standard deviations of the channels.
-    feedthrough : (ny, nu) bool array
-        Where the direct term is free; elsewhere it is zero.
-    R : (ny, ny) array
-        Covariance of the prediction errors, what outputs are weighed by.
-
-    Returns
-    -------
-    StateSpace, (nx, ny) array
-        Model and gain.
+    Records are equidistant, of one interval; missing outputs split them. Channels are scaled by
+    ``su`` (nu,), ``sy`` (ny,) and errors weighed by their covariance R; the direct term is free
+    where ``feedthrough`` (ny, nu) is, zero elsewhere.
     """
     n, nu, ny = system.nx, len(su), len(sy)
     F, C = system.A - K @ system.C, system.C / sy[:, None]

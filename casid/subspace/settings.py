@@ -52,21 +52,16 @@ Refinement = Literal[
 @storable
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """One choice of settings and its score, the lower the better.
-
-    ``folds`` are the scores record by record (of those held out, or of all) or stretch by stretch,
-    ``error`` the standard error of their mean's distance from the best candidate. ``pole`` is NaN
-    on samples; ``refinement`` says what follows the subspace estimate there.
-    """
+    """One choice of settings and its score, the lower the better."""
 
     order: int
     past: int
-    pole: float
+    pole: float  # [rad/s], NaN on samples
     regularisation: float
     score: float = np.nan
-    error: float = 0.0
-    folds: tuple[float, ...] = ()
-    refinement: Refinement = "fourier"
+    error: float = 0.0  # standard error of the mean distance from the best candidate
+    folds: tuple[float, ...] = ()  # scores by record (held out, or all) or stretch
+    refinement: Refinement = "fourier"  # what follows the subspace estimate on samples
 
     @property
     def label(self) -> str:
@@ -354,12 +349,8 @@ def _default_orders(ny: int, possible: int) -> list[int]:
 def usable_poles(records: Sequence[Record]) -> list[float]:
     """Laguerre poles [rad/s] worth trying: somewhat faster than the outputs move.
 
-    Their kernels cost at most a quarter of the longest record, and their band is sampled.
-
-    Raises
-    ------
-    ValueError
-        Records too short for how slowly they are sampled.
+    Their kernels cost at most a quarter of the longest record, and their band is sampled, else
+    records are too short for how slowly they are sampled: ValueError.
     """
     longest = max(record.duration for record in records)
     slowest = support(1.0, min(PASTS)) / (COST * longest)

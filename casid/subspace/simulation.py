@@ -38,25 +38,12 @@ def refine_simulation(
     *,
     local: bool = False,
 ) -> StateSpace:
-    """Refine a discrete black box by the simulation of its records.
+    """Refine a discrete black box by the simulation of its records; stable, in modal coordinates.
 
-    Parameters
-    ----------
-    start : StateSpace
-        Discrete; unstable poles are first moved into the unit circle.
-    records : sequence of Record
-        Equidistant, of one sampling interval; missing outputs (NaN) split them.
-    su, sy : (nu,), (ny,) array
-        Standard deviations of the channels.
-    feedthrough : (ny, nu) bool array
-        Where the direct term is free; elsewhere it is zero.
-    local : bool
-        Whether errors are then divided by their local level, in a second descent.
-
-    Returns
-    -------
-    StateSpace
-        Stable, in real modal coordinates.
+    Unstable poles are first moved into the unit circle. The records are equidistant, of one
+    interval; missing outputs split them. Channels are scaled by ``su`` (nu,), ``sy`` (ny,); the
+    direct term is free where ``feedthrough`` (ny, nu) is, zero elsewhere. In a second descent
+    errors are divided by their ``local`` level, if asked.
     """
     data: Sequence[Stretch] = [
         replace(each, v=each.v[:, : len(su)]) for each in stretches(records, su, sy, start.nx + 2)
