@@ -20,35 +20,27 @@ CRAMER_RAO, INSENSITIVITY = 20.0, 10.0  # guidelines, % of the value
 @storable
 @dataclass(frozen=True, kw_only=True)
 class PairCost:
-    """Cost J of one pair; ``band`` is the range of its ``points`` [rad/s].
-
-    ``misses`` names the guidelines it does not meet.
-    """
+    """Cost J of one pair."""
 
     output: str
     input: str
     J: float
     points: int
-    band: tuple[float, float]
-    misses: tuple[str, ...]
+    band: tuple[float, float]  # of the points [rad/s]
+    misses: tuple[str, ...]  # guidelines it does not meet
 
 
 @storable
 @dataclass(frozen=True, kw_only=True)
 class ParameterAccuracy:
-    """Accuracy of one parameter.
-
-    Cramér-Rao figure 2 √(H⁻¹)ᵢᵢ and insensitivity in % of the value, as T&R define them; ``misses``
-    names the guidelines it does not meet ("CR", "I"). ``scatter`` is the standard deviation that
-    the response's random errors cause.
-    """
+    """Accuracy of one parameter: figures in % of the value, as T&R define them."""
 
     name: str
     value: float
-    cramer_rao_percent: float
-    insensitivity_percent: float
-    scatter: float
-    misses: tuple[str, ...]
+    cramer_rao_percent: float  # 2 √(H⁻¹)ᵢᵢ
+    insensitivity_percent: float  # 1/√Hᵢᵢ
+    scatter: float  # standard deviation that the response's random errors cause
+    misses: tuple[str, ...]  # guidelines it does not meet: CR, I
 
 
 @storable
@@ -101,21 +93,11 @@ class DerividNotes:
 def accuracy(
     jacobian: Array, active: BoolArray, ties: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """√(H⁻¹)ᵢᵢ, 1/√Hᵢᵢ and H⁻¹ of the cost Σ r², H = 2 JᵀJ, T&R chapter 12.
+    """√(H⁻¹)ᵢᵢ, 1/√Hᵢᵢ (nf,) and H⁻¹ of the cost Σ r², H = 2 JᵀJ, T&R chapter 12.
 
-    Parameters
-    ----------
-    jacobian : (residuals, nf) array
-        dr/dλ.
-    active : (nf,) bool array
-        Parameters on a bound: known, and without uncertainty (NaN).
-    ties : (m, nf) array
-        Gradients of relations that hold between the parameters.
-
-    Returns
-    -------
-    (nf,), (nf,), (nf, nf) array
-        Infinite where the data do not tell parameters apart.
+    ``jacobian`` is dr/dλ (residuals, nf), ``active`` (nf,) the parameters on a bound: known,
+    without uncertainty (NaN). ``ties`` (m, nf) are gradients of relations that hold. Infinite where
+    the data do not tell parameters apart.
     """
     H = 2 * jacobian.T @ jacobian
     size = np.sqrt(np.diag(H))

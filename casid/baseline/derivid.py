@@ -141,13 +141,7 @@ def derivid(
 
 
 def _one_response(data: FrequencyResponse | Sequence[FrequencyResponse]) -> FrequencyResponse:
-    """The one response of the data.
-
-    Raises
-    ------
-    ValueError
-        Several, or something else.
-    """
+    """The one response of the data; ValueError for several, or something else."""
     several = list(data) if isinstance(data, Sequence) else [data]
     if len(several) != 1:
         raise ValueError(

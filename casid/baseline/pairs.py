@@ -21,13 +21,7 @@ FEWEST = 5  # points with coherence that make a pair worth fitting
 def select(
     model: Model, frf: FrequencyResponse, pairs: Pairs | None = None, coherence: float = 0.6
 ) -> Comparison:
-    """The response in the model's channels; its mean square error is J to first order.
-
-    Parameters
-    ----------
-    model, frf, pairs, coherence
-        As in `derivid`.
-    """
+    """The response in the model's channels; its mean square error is J to first order."""
     names = frf.outputs, frf.inputs
     G = in_channels(model, *names, frf.G)
     gamma = in_channels(model, *names, frf.coherence)

@@ -29,15 +29,7 @@ Minima: TypeAlias = tuple[tuple[StartCost, Array], ...]
 
 
 def descents(problem: Condensed, count: int, seed: int) -> Minima:
-    """Descend from that many starting points on the relative error, then on the cost.
-
-    Parameters
-    ----------
-    problem : Condensed
-        The relative error's squares.
-    count, seed : int
-        Number of starts, and seed of those at random.
-    """
+    """Descend from ``count`` points on the relative error, then on the cost; random by ``seed``."""
     found, cost = [], decibels(problem)
     for number, (name, start) in enumerate(_points(problem, count, seed)):
         began = time.perf_counter()

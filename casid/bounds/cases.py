@@ -42,21 +42,11 @@ WIDTH = 1e-9  # of a tie, for a solver that wants an interior
 
 @dataclass(frozen=True)
 class Case:
-    """What one case says, checked and worked out for one structure.
-
-    Parameters
-    ----------
-    name : str
-        Its heading.
-    bounds : mapping
-        ``{name: (lower, upper)}`` of all parameters that are not fixed everywhere.
-    relations : tuple of Relation
-        Ties, fixed values and inequalities.
-    """
+    """What one case says, checked and worked out for one structure."""
 
     name: str
-    bounds: Mapping[str, tuple[float, float]]
-    relations: tuple[Relation, ...]
+    bounds: Mapping[str, tuple[float, float]]  # of all parameters that are not fixed everywhere
+    relations: tuple[Relation, ...]  # ties, fixed values and inequalities
 
     def within(self, other: "Case") -> bool:
         """Whether all this case allows is allowed by the other, as far as their wording shows."""
@@ -86,21 +76,10 @@ def read_cases(
     fixed: Sequence[str] = (),
     bounds: Bounds | None = None,
 ) -> tuple[Case, ...]:
-    """Cases from what a user wrote.
+    """Cases from what a user wrote; ``fixed`` and ``bounds`` hold in all of them.
 
-    Parameters
-    ----------
-    model : Model
-        Structure, and the guess that "±20 %" and "fixed" refer to.
-    specs : mapping
-        Name and content of each case.
-    fixed, bounds
-        As in the estimators; they hold in all cases.
-
-    Raises
-    ------
-    ModelError
-        An unknown parameter, a text that is not understood, bounds that exclude each other.
+    The model is the guess that "±20 %" and "fixed" refer to. ModelError: an unknown parameter, a
+    text that is not understood, bounds that exclude each other.
     """
     if not specs:
         raise ModelError('no cases given; expected {"free": {}, "signs": {"Lp": "< 0"}, ...}')
@@ -288,15 +267,9 @@ def _values(model: Model) -> dict[str, Any]:
 def feasible(model: Model, case: Case, near: AnyFit | None = None) -> Model:
     """The point of a case next to a model: bounded least squares.
 
-    Parameters
-    ----------
-    model : Model
-        Anywhere.
-    case : Case
-        Where it is moved; relations that contradict each other are met as well as can be.
-    near : Fit
-        Fit at the model's values, under wider bounds. Distance then is its information, so that the
-        point is the optimum of the case to second order. Without one, parameters count by size.
+    Relations that contradict each other are met as well as can be. ``near`` is the fit at the
+    model's values, under wider bounds. Distance then is its information, so that the point is the
+    optimum of the case to second order. Without one, parameters count by size.
     """
     names = model.parameter_names()
     scale = free_parameters(model, (), dict(case.bounds)).scale

@@ -25,24 +25,12 @@ RELATIONS = {"=": "=", "==": "=", "<": "<", "<=": "<", ">": ">", ">=": ">"}
 
 @dataclass(frozen=True)
 class Relation:
-    """lower <= Σ coefficient · parameter <= upper; equal bounds make a tie.
+    """lower <= Σ coefficient · parameter <= upper; equal bounds make a tie."""
 
-    Parameters
-    ----------
-    text : str
-        As it was written.
-    names : tuple of str
-        Parameters it is about.
-    coefficients : tuple of float
-        Their factors.
-    lower, upper : float
-        Infinite on an open side.
-    """
-
-    text: str
+    text: str  # as it was written
     names: tuple[str, ...]
     coefficients: tuple[float, ...]
-    lower: float
+    lower: float  # infinite on an open side
     upper: float
 
     @property
@@ -61,13 +49,7 @@ class Relation:
 
 
 def parse_relation(text: str) -> Relation:
-    """Read one relation.
-
-    Raises
-    ------
-    ModelError
-        What is not a linear relation between parameters, with the place where it goes wrong.
-    """
+    """Read one relation; ModelError says where it is not a linear one between parameters."""
     reader = _Reader(text)
     sides, marks = [reader.sum()], []
     while reader.peek() in RELATIONS:

@@ -28,24 +28,12 @@ Draw: TypeAlias = Callable[[tuple[Any, ...]], tuple[Any, ...]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Setup:
-    """What all fits of a study share.
+    """What all fits of a study share."""
 
-    Parameters
-    ----------
-    reference : Reference
-        The structure's class.
-    estimator : Estimator
-        With all its settings.
-    data : tuple
-        Records or targets.
-    fixed : tuple of str
-        Parameters held.
-    """
-
-    reference: Reference
+    reference: Reference  # the structure's class
     estimator: Estimator
-    data: tuple[Any, ...]
-    fixed: tuple[str, ...]
+    data: tuple[Any, ...]  # records or targets
+    fixed: tuple[str, ...]  # parameters held
 
     @cached_property
     def key(self) -> str:
@@ -56,41 +44,20 @@ class Setup:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Trial:
-    """What one fit needs.
+    """What one fit needs."""
 
-    Parameters
-    ----------
-    setup : Setup
-        What it shares with the others.
-    values : mapping
-        All of the structure's fields: the start, unless a job gives a better one, and the trim.
-    case : Case
-        Bounds and relations.
-    near : JSON or None
-        A fit nearby, encoded, for a job that starts from no other.
-    draw : callable or None
-        Makes the fit's own data from the study's; it must survive pickling.
-    """
-
-    setup: Setup
-    values: Mapping[str, Any]
+    setup: Setup  # what it shares with the others
+    values: Mapping[str, Any]  # all fields: the start, unless a job gives a better, and the trim
     case: Case
-    near: Any = None
-    draw: Draw | None = None
+    near: Any = None  # a fit nearby, encoded, for a job that starts from no other
+    draw: Draw | None = None  # makes the fit's own data from the study's; picklable
 
 
 class Fits:
     """Many fits of one structure to the same data; what is the same for all is computed once.
 
-    Parameters
-    ----------
-    model, data, estimator, fixed, bounds, execution
-        As in `compare_bounds`.
-
-    Raises
-    ------
-    ValueError
-        No estimator; what its preparation refuses.
+    Settings are those of `compare_bounds`. ValueError: no estimator, or what its preparation
+    refuses.
     """
 
     def __init__(
@@ -155,13 +122,7 @@ class Fits:
 
 
 def work(job: Trial, start: Any) -> AnyFit:  # noqa: ANN401 - JSON is any
-    """Fit; ``start`` is a fit nearby, encoded.
-
-    Raises
-    ------
-    UnfinishedError
-        No convergence; with the best iterate.
-    """
+    """Fit from ``start``, a fit nearby, encoded; UnfinishedError has the best iterate."""
     setup = job.setup
     cls = resolve(setup.reference)
     model = cls(**job.values)

@@ -27,36 +27,18 @@ PER_PERIOD = 5.0  # samples in a period of the fastest input
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ChannelFacts:
-    """One channel of one record.
-
-    Parameters
-    ----------
-    name, unit : str
-        As in the record; the unit is that of the channel's usual name.
-    lowest, highest, deviation : float
-        Extremes and standard deviation.
-    noise : float
-        Standard deviation of white noise on it, from third differences.
-    missing : float
-        Share of missing samples.
-    outliers : tuple of float
-        Instants [s] of samples that nothing before, after or beside them bears out.
-    clipped : int
-        Longest run of equal samples at an extreme, where that looks like saturation; else 0.
-    band : (3,) array
-        Frequencies [rad/s] below which 5, 50 and 95 % of its power lie; NaN if it never moves.
-    """
+    """One channel of one record."""
 
     name: str
-    unit: str
+    unit: str  # of the channel's usual name
     lowest: float
     highest: float
     deviation: float
-    noise: float
-    missing: float
-    outliers: tuple[float, ...]
-    clipped: int
-    band: Array
+    noise: float  # standard deviation, from third differences
+    missing: float  # share of samples
+    outliers: tuple[float, ...]  # instants [s] of samples that nothing around or beside bears out
+    clipped: int  # longest run of equal samples at an extreme, if saturated
+    band: Array  # (3,) [rad/s] below which 5, 50, 95 % of its power lie; NaN at rest
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

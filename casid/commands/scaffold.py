@@ -64,17 +64,10 @@ class {name}(Model):
 
 
 def new_model(name: str) -> tuple[Path, str]:
-    """Write a model file that checks; return its path and the name of its class.
+    """Write a model file that checks; its path and the name of its class.
 
-    Parameters
-    ----------
-    name : str
-        ``my_roll``, ``my_roll.py`` or a path with folders that are there; the class is ``MyRoll``.
-
-    Raises
-    ------
-    ValueError
-        A name that Python does not take, a file that is there, a folder that is not.
+    The name is ``my_roll``, ``my_roll.py`` or a path with folders that are there; the class is then
+    ``MyRoll``. ValueError: no name for Python, a file that is there, a folder that is not.
     """
     path = Path(name)
     path = path if path.suffix == ".py" else path.with_name(f"{path.name}.py")

@@ -35,38 +35,29 @@ FIELDS = ("Gxx", "Gxy", "Gyy", "random_error", "multiple_coherence", "condition"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Spectra:
-    """Averaged one-sided spectral densities of R records, per rad/s.
+    """Averaged one-sided spectral densities of R records, per rad/s."""
 
-    ``Guu`` (R, K, nu, nu) holds the averages of conj(U_a) U_b, ``Guy`` (R, K, nu, ny) those of
-    conj(U_a) Y_i, ``Gyy`` (R, K, ny) those of |Y_i|²; ``averages`` (R, K) counts the windows that
-    would fit without overlap, ``count`` (K,) those used; ``kept`` (K,) is the share of the power of
-    the input that lost most of it in windows left out for lost samples.
-    """
-
-    Guu: ComplexArray
-    Guy: ComplexArray
-    Gyy: Array
-    averages: Array
-    count: Array
-    kept: Array
+    Guu: ComplexArray  # (R, K, nu, nu) averages of conj(U_a) U_b
+    Guy: ComplexArray  # (R, K, nu, ny) of conj(U_a) Y_i
+    Gyy: Array  # (R, K, ny) of |Y_i|²
+    averages: Array  # (R, K) windows that would fit without overlap
+    count: Array  # (K,) windows used
+    kept: Array  # (K,) power kept of the input that lost most in windows left out
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Conditioned:
-    """What one window length says of every pair.
+    """What one window length says of every pair, other inputs' parts removed.
 
-    ``Gxx``, ``Gyy`` (K, ny, nu) and ``Gxy`` (K, ny, nu) are the spectra of each input and output
-    with the other inputs' parts removed, so that Gxy/Gxx is the response and |Gxy|²/(Gxx Gyy) the
-    partial coherence; ``random_error`` (K, ny, nu), ``multiple_coherence`` (K, ny), ``condition``
-    (K,) of the inputs' coherence matrix.
+    Gxy/Gxx is the response, |Gxy|²/(Gxx Gyy) the partial coherence.
     """
 
-    Gxx: Array
-    Gxy: ComplexArray
-    Gyy: Array
-    random_error: Array
-    multiple_coherence: Array
-    condition: Array
+    Gxx: Array  # (K, ny, nu)
+    Gxy: ComplexArray  # (K, ny, nu)
+    Gyy: Array  # (K, ny, nu)
+    random_error: Array  # (K, ny, nu)
+    multiple_coherence: Array  # (K, ny)
+    condition: Array  # (K,) of the inputs' coherence matrix
 
     @property
     def response(self) -> ComplexArray:
@@ -84,21 +75,11 @@ class Conditioned:
 def record_spectra(
     records: Sequence[Record], omega: Array, length: float, lost: Sequence[BoolArray] | None = None
 ) -> Spectra:
-    """Spectra of each record, averaged over overlapped Hann windows of one length.
+    """Spectra of each record, averaged over overlapped Hann windows of one length [s].
 
-    A record shorter than the window is left out, and so is, at each frequency, a window in which
+    The records are equidistant, lost samples (N, ny) filled in: those that are NaN unless told. A
+    record shorter than the window is left out, and so is, at each frequency, a window in which
     samples were lost for longer than a period; others weigh by their share of samples.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Equidistant, lost samples filled in.
-    omega : (K,) array
-        Frequencies [rad/s].
-    length : float
-        Window [s].
-    lost : sequence of (N, ny) bool array
-        Which output samples were lost; those that are NaN unless given.
     """
     lost = [np.isnan(record.y) for record in records] if lost is None else lost
     sums, powers, counts = [], [], []
@@ -148,16 +129,9 @@ def longest_run(lost: BoolArray) -> int:
 
 
 def transform(x: Array, dt: float, omega: Array) -> ComplexArray:
-    """Fourier transforms ∫ x exp(-jωt) dt of stretches of samples, (windows, K, channels).
+    """Fourier transforms ∫ x exp(-jωt) dt of tapered stretches x (windows, M, channels).
 
-    Parameters
-    ----------
-    x : (windows, M, channels) array
-        Samples, tapered.
-    dt : float
-        Sampling interval [s].
-    omega : (K,) array
-        Frequencies [rad/s], in any spacing.
+    (windows, K, channels), at frequencies [rad/s] in any spacing.
     """
     W = dt * np.exp(-1j * np.outer(omega, dt * np.arange(x.shape[1])))  # (K, M)
     return np.asarray(np.einsum("km,wmc->wkc", W, x, optimize=True))
@@ -284,16 +258,8 @@ def composite(parts: Sequence[Conditioned], usable: BoolArray, iterations: int =
 
         Σ_w W_w [(Gxx/Gxx_w - 1)² + (Gyy/Gyy_w - 1)² + |Gxy - Gxy_w|²/|Gxy_w|² + 5 (γ²/γ_w² - 1)²],
 
-    W_w = (ε_w / min ε)⁻⁴. NaN where no window may be used.
-
-    Parameters
-    ----------
-    parts : sequence of Conditioned
-        One a window length.
-    usable : (windows, K) bool array
-        Where each length may be used.
-    iterations : int
-        Gauss-Newton steps; the residuals are small and the start is their weighted mean.
+    W_w = (ε_w / min ε)⁻⁴, over the ``usable`` windows (windows, K); NaN where there is none. The
+    residuals are small and the start is their weighted mean, so that few iterations do.
     """
     stacked = {name: np.array([getattr(part, name) for part in parts]) for name in FIELDS}
     W = _weights(stacked["random_error"], usable)  # (windows, K, ny, nu)

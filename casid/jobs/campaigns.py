@@ -42,24 +42,12 @@ class UnfinishedError(RuntimeError):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Job:
-    """One job of a campaign.
+    """One job of a campaign."""
 
-    Parameters
-    ----------
-    name : str
-        Different from all others.
-    key : str
-        Digest of all its result depends on; a kept result of another key is not taken.
-    payload
-        What the work is given; it must survive pickling.
-    after : tuple of str
-        Jobs to start from, the nearest first: the first that has a result is taken.
-    """
-
-    name: str
-    key: str
-    payload: Any
-    after: tuple[str, ...] = ()
+    name: str  # different from all others
+    key: str  # digest of all its result depends on; else a kept result is not taken
+    payload: Any  # what the work is given; it must survive pickling
+    after: tuple[str, ...] = ()  # jobs to start from: the first that has a result
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,31 +105,12 @@ def run_jobs(
     also: Sequence[type] = (),
     here: bool = False,
 ) -> dict[str, Done]:
-    """Do all jobs; one that fails leaves its reason.
+    """Do all jobs in turn, each after those it starts from; one that fails leaves its reason.
 
-    Parameters
-    ----------
-    work : callable
-        ``work(payload, start)`` with the encoded result the job starts from, or None; a function of
-        a module, so that other processes find it.
-    jobs : sequence of Job
-        In the order in which to begin them; one stands after those it starts from.
-    execution : Execution
-        Where they run.
-    also : sequence of type
-        Classes that results may hold beside casid's own.
-    here : bool
-        Without an executor, stay in this process however many the jobs.
-
-    Returns
-    -------
-    dict
-        By name, in the order of the jobs.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        The user's; what is finished is kept, what is not is no result.
+    ``work(payload, start)``, a function of a module so that other processes find it, gets the
+    encoded result the job starts from, or None. Results may hold the classes ``also``, beside
+    casid's own. With ``here`` and no executor all stay in this process. Of a KeyboardInterrupt, the
+    user's, what is finished is kept.
     """
     campaign = _Campaign(work, jobs, execution, Store(execution.folder, also))
     missing = len(jobs) - len(campaign.done)

@@ -21,41 +21,20 @@ DAMAGED = (ValueError, TypeError, LookupError, AttributeError, RecursionError)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Done:
-    """Result of a stage or a job.
+    """Result of a stage or a job."""
 
-    Parameters
-    ----------
-    result
-        What it found; of one that failed what it has to show, or None.
-    reason : str
-        Why it failed; empty if it did not.
-    seconds : float
-        How long it took.
-    warnings : tuple of str
-        What it warned of.
-    source : str
-        Job from whose result it started.
-    kept : bool
-        Whether it was done in an earlier run.
-    """
-
-    result: Any
-    reason: str = ""
+    result: Any  # what it found; of one that failed what it has to show, or None
+    reason: str = ""  # why it failed; empty if it did not
     seconds: float = 0.0
-    warnings: tuple[str, ...] = ()
-    source: str = ""
-    kept: bool = False
+    warnings: tuple[str, ...] = ()  # what it warned of
+    source: str = ""  # job from whose result it started
+    kept: bool = False  # whether it was done in an earlier run
 
 
 class Store:
-    """Results in one folder; without a folder none is kept.
+    """Results in one folder, made when the first is kept; without a folder none is.
 
-    Parameters
-    ----------
-    folder : path or None
-        Made when the first result is kept.
-    also : sequence of type
-        Classes that results may hold beside casid's own: the user's structure.
+    ``also`` are classes that results may hold beside casid's own: the user's structure.
     """
 
     def __init__(self, folder: str | Path | None, also: Sequence[type] = ()) -> None:

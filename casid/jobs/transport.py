@@ -24,16 +24,12 @@ _LOADING: list[str] = []
 
 @dataclass(frozen=True, kw_only=True)
 class Reference:
-    """A structure's class: its name, the file it stands in and the text of that file.
-
-    ``path`` is empty for a class without a file, which cannot leave its process. ``digest`` is of
-    the file and of the user's modules that it imports.
-    """
+    """A structure's class: its name, the file it stands in and the text of that file."""
 
     name: str
-    path: str
+    path: str  # empty for a class without a file, which cannot leave its process
     text: str
-    digest: str = ""
+    digest: str = ""  # of the file and of the user's modules that it imports
 
     @property
     def key(self) -> tuple[str, str]:
@@ -58,22 +54,13 @@ def refer(cls: type[Model]) -> Reference:
 
 
 def can_travel(cls: type[Model]) -> bool:
-    """Whether other processes can read the class; one of the running script had better not.
-
-    Reading it would run the script again.
-    """
+    """Whether other processes can read the class, without running the script of this one again."""
     reference = refer(cls)
     return bool(reference.path) and cls.__module__ != "__main__" and cls.__qualname__.isidentifier()
 
 
 def resolve(reference: Reference) -> type[Model]:
-    """The class that a reference names.
-
-    Raises
-    ------
-    ModelError
-        A class without a file, or one within a function or class; a file that does not import.
-    """
+    """The class of a reference; ModelError for one without a file, or not at its top level."""
     if reference.key not in _KNOWN:
         if not reference.path or not reference.name.isidentifier():
             raise ModelError(

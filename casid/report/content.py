@@ -68,35 +68,18 @@ class Caution:
 class Section:
     """A section of the page: what one stage shows.
 
-    Parameters
-    ----------
-    name : str
-        Its anchor.
-    title : str
-        Its heading; without one the section only leads, and cautions.
-    template : str
-        The body in Jinja's words. It knows ``content``, all of ``values``, ``figures()`` where the
-        drawings go, and the filters ``number(digits)``, ``percent``, ``price`` and ``word``.
-    values : mapping
-        What the template shows.
-    draw : callable
-        The drawings; called when the page is written.
-    place : int
-        Sections stand in the order of their places.
-    lead : str
-        A sentence for the summary.
-    cautions : tuple of Caution
-        For the box on top.
+    The template, in Jinja's words, knows ``content``, all of ``values``, ``figures()`` where the
+    drawings go, and the filters ``number(digits)``, ``percent``, ``price`` and ``word``.
     """
 
-    name: str
-    title: str = ""
+    name: str  # its anchor
+    title: str = ""  # its heading; without one the section only leads, and cautions
     template: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
-    draw: Callable[[], Iterable[Drawing]] = tuple
-    place: int = 85
-    lead: str = ""
-    cautions: tuple[Caution, ...] = ()
+    draw: Callable[[], Iterable[Drawing]] = tuple  # called when the page is written
+    place: int = 85  # in whose order sections stand
+    lead: str = ""  # a sentence for the summary
+    cautions: tuple[Caution, ...] = ()  # for the box on top
 
 
 def template(name: str) -> str:
@@ -106,47 +89,19 @@ def template(name: str) -> str:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Content:
-    """All that a report shows.
-
-    Parameters
-    ----------
-    title : str
-        Heading.
-    model : Model
-        The structure at its guess.
-    results : mapping
-        What each stage found, by its name.
-    models : mapping
-        Those results that simulate, under the names of the figures, in the order of the stages.
-    model_file : path
-        Where the structure stands.
-    model_digest : str
-        SHA-256 of that file.
-    data : tuple of DataFile
-        Every record used.
-    settings, versions : mapping
-        Name and value, as text.
-    timings : tuple of Timing
-        Of the stages.
-    warnings : tuple of str
-        What the stages warned of.
-    repeats : Repeats
-        Flights that serve twice.
-    units : mapping
-        SI unit by channel.
-    """
+    """All that a report shows."""
 
     title: str
-    model: Model
-    results: Mapping[str, Any]
-    models: Mapping[str, AnyModel]
+    model: Model  # at its guess
+    results: Mapping[str, Any]  # what each stage found, by its name
+    models: Mapping[str, AnyModel]  # those that simulate, by figures' name
     model_file: Path
-    model_digest: str
-    data: tuple[DataFile, ...] = ()
+    model_digest: str  # SHA-256 of that file
+    data: tuple[DataFile, ...] = ()  # every record used
     settings: Mapping[str, str] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
-    timings: tuple[Timing, ...] = ()
-    warnings: tuple[str, ...] = ()
+    timings: tuple[Timing, ...] = ()  # of the stages
+    warnings: tuple[str, ...] = ()  # what the stages warned of
     repeats: Repeats = field(default_factory=Repeats)
     units: Mapping[str, str] = field(default_factory=lambda: UNITS)
 

@@ -340,10 +340,7 @@ def _legend(figure: Figure, ax: Axes) -> None:
 
 
 def _tidy(figure: Figure, axes: np.ndarray, *, lines: int = 1) -> Figure:
-    """Place axes by the inch, labels of so many lines beside them.
-
-    A layout engine takes longer than all the drawing.
-    """
+    """Place axes by the inch (a layout engine is slow), labels of so many lines beside them."""
     width, height = figure.get_size_inches()
     rows, columns = axes.shape
     gap = GAP + (0.14 if any(ax.get_title(loc="left") for ax in axes[1:].flat) else 0.0)

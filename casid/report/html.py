@@ -44,14 +44,7 @@ class Chapter:
 def write_report(content: Content, sections: Sequence[Section], folder: str | Path) -> Path:
     """Write report.html and figures/*.png, *.svg; returns the path of the page.
 
-    Parameters
-    ----------
-    content : Content
-        What all sections share.
-    sections : sequence of Section
-        What the stages show, in any order.
-    folder : path
-        Made if need be.
+    The sections may come in any order; the folder is made if need be.
     """
     folder = Path(folder)
     shown = sorted((each for each in sections if each.title), key=lambda each: each.place)

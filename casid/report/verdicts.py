@@ -20,19 +20,15 @@ NAMED = 12  # names in a warning before it says how many more
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """How well the refined model predicts one output of the validation records, taken together.
-
-    ``records`` has Theil's coefficient of each of them, ``noise`` is the standard deviation of the
-    noise in the records of the estimation (NaN if unknown).
-    """
+    """How well the refined model predicts one output of the unseen records, taken together."""
 
     output: str
     unit: str
     rms: float
     fit: float
     theil: float
-    noise: float
-    records: tuple[float, ...]
+    noise: float  # standard deviation in the records of the estimation, NaN if unknown
+    records: tuple[float, ...]  # Theil's coefficient of each
 
     @property
     def word(self) -> str:

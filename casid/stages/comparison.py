@@ -21,21 +21,11 @@ WHOLE = "chain"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Cases:
-    """What is compared.
+    """What is compared."""
 
-    Parameters
-    ----------
-    estimator : str
-        By which estimator: the table of its stage, or "chain" for all of them.
-    norm : str
-        Of a match.
-    cases : mapping
-        Name and content of each case (`casid.bounds.cases`).
-    """
-
-    estimator: str = "output_error"
-    norm: str | None = None
-    cases: Mapping[str, Any] = field(default_factory=dict)
+    estimator: str = "output_error"  # table of its stage, or chain for all of them
+    norm: str | None = None  # of a match
+    cases: Mapping[str, Any] = field(default_factory=dict)  # as casid.bounds.cases reads them
 
 
 def _check(settings: Cases, task: Task) -> None:

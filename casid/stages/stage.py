@@ -166,23 +166,10 @@ class Found:
 def run_stages(
     task: Task, *, keep: Keep = compute, known: Mapping[str, Any] | None = None
 ) -> Found:
-    """Run the stages of a task in turn.
+    """Run the stages of a task in turn, each behind those it takes from, through ``keep``.
 
-    A stage whose table is missing in the settings has its own defaults, or is left out if optional.
-
-    Parameters
-    ----------
-    task : Task
-        Structure, records by role, stages (each behind those it takes from) and their settings.
-    keep : callable
-        Runs each stage.
-    known : mapping
-        Results that need not be computed.
-
-    Raises
-    ------
-    ConvergenceError
-        From a stage on which others may rest.
+    A stage whose table is missing in the settings has its own defaults, or is left out if optional;
+    ``known`` results are not computed. ConvergenceError comes from one on which others may rest.
     """
     results, models = dict(known or {}), dict[str, AnyModel]()
     failures: dict[str, ConvergenceError] = {}
@@ -223,13 +210,7 @@ def runs(
 
 
 def check_task(task: Task) -> None:
-    """Refuse settings of no stage, those of a stage that would not run, and what stages refuse.
-
-    Raises
-    ------
-    ValueError
-        Naming the table, and those there are.
-    """
+    """Refuse settings of no stage, those of a stage that would not run, and what stages refuse."""
     tables = [stage.table for stage in task.stages if stage.table]
     before: list[str] = []
     for stage in task.stages:

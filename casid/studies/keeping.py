@@ -57,20 +57,11 @@ class Silent:
 
 
 class Keeper:
-    """Runs the stages of one study.
+    """Runs the stages of one study and keeps what they find in its folder.
 
-    Parameters
-    ----------
-    study : Study
-        Its folder holds what is kept.
-    watch : Watch
-        Told of every stage.
-    clock : list of Timing
-        Of what was done before; timings of the stages are added.
-    fresh : bool
-        Compute every stage again.
-    command : str
-        Stages of this command run; what those of others found earlier is shown while it holds.
+    The watch is told of every stage, the clock's timings are those of what was done before, to
+    which these are added; with ``fresh`` every stage is computed again. What other commands' stages
+    found earlier is shown while it holds.
     """
 
     def __init__(

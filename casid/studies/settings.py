@@ -27,22 +27,10 @@ MOST_POINTS = 10_000  # of a grid: a matching problem of millions of unknowns
 
 
 def read_settings(table: Table, defaults: S, given: Collection[str] = ()) -> S:
-    """The settings that a table makes of the defaults.
+    """The settings that a table makes of the defaults, but for fields ``given`` elsewhere.
 
-    Parameters
-    ----------
-    table : Table
-        Its keys are fields of the defaults.
-    defaults : frozen dataclass
-        What stands where there is no key.
-    given : collection of str
-        Fields that are no keys.
-
-    Raises
-    ------
-    ValueError
-        An unknown key, with the nearest one; a value of another kind than the field's; what the
-        settings themselves refuse.
+    ValueError: an unknown key, with the nearest one; a value of another kind than the field's; what
+    the settings themselves refuse.
     """
     kinds = {
         name: kind

@@ -19,13 +19,10 @@ from casid.stages.stage import ROLES, Role, Stage
 
 @dataclass(frozen=True, kw_only=True)
 class RecordSet:
-    """The files of one role and how they are read.
-
-    ``detrend`` is "first", "mean", "none" or the name of another role whose trim is taken.
-    """
+    """The files of one role and how they are read."""
 
     files: tuple[Path, ...]
-    detrend: str = "first"
+    detrend: str = "first"  # first, mean, none, or the role whose trim is taken
     noise: bool = False
     decimate: int = 1
 
@@ -53,42 +50,20 @@ class Noise:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Study:
-    """All that a study file says, checked.
-
-    Parameters
-    ----------
-    path : path
-        The study file.
-    title : str
-        Heading of the report.
-    output : path
-        Folder of the results.
-    model : Model
-        Structure, guess and trim.
-    model_file : path
-        Where the structure stands.
-    fixed, bounds
-        As in `match` and `output_error`.
-    channels, roles, noise
-        What is read, from where, and the noise that is added to it.
-    stages : tuple of Stage
-        What is done.
-    settings : mapping
-        Of the stages whose tables the file has, by table.
-    """
+    """All that a study file says, checked."""
 
     path: Path
-    title: str
-    output: Path
-    model: Model
+    title: str  # heading of the report
+    output: Path  # folder of the results
+    model: Model  # structure, guess and trim
     model_file: Path
     fixed: tuple[str, ...]
     bounds: Mapping[str, tuple[float, float]]
     channels: Channels
-    roles: Mapping[Role, RecordSet]
-    noise: Noise | None
+    roles: Mapping[Role, RecordSet]  # the records' files
+    noise: Noise | None  # what is added to the records
     stages: tuple[Stage, ...]
-    settings: Mapping[str, Any]
+    settings: Mapping[str, Any]  # by table, of stages that have one
 
 
 def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
