@@ -127,11 +127,7 @@ class Solution:
 
 
 def solve(
-    problem: Problem,
-    options: SolverOptions,
-    *,
-    stage: str,
-    warm: tuple[Array, Array] | None = None,
+    problem: Problem, options: SolverOptions, *, stage: str, warm: tuple[Array, Array] | None = None
 ) -> Solution:
     """Solve one programme.
 
@@ -223,10 +219,7 @@ def _interruptible() -> Iterator[None]:
 
 
 def _settings(
-    problem: Problem,
-    options: SolverOptions,
-    watcher: "_Watcher",
-    warm: tuple[Array, Array] | None,
+    problem: Problem, options: SolverOptions, watcher: "_Watcher", warm: tuple[Array, Array] | None
 ) -> dict[str, Any]:
     ipopt: dict[str, Any] = {
         "print_level": 0,

@@ -202,13 +202,7 @@ def _shares(spectra: Spectra) -> Array:
 
 
 def _pairs(
-    spectra: Spectra,
-    H: ComplexArray,
-    Gyy: Array,
-    power: Array,
-    number: Array,
-    *,
-    conditioned: bool,
+    spectra: Spectra, H: ComplexArray, Gyy: Array, power: Array, number: Array, *, conditioned: bool
 ) -> Conditioned:
     total = np.maximum(spectra.averages.sum(axis=0), 1e-300)[:, None]
     n = _shares(spectra)

@@ -115,12 +115,7 @@ class Lifted:
 
 
 def lift(
-    free: Free,
-    comparison: Comparison,
-    norm: str,
-    values: Array,
-    *,
-    stable: bool = False,
+    free: Free, comparison: Comparison, norm: str, values: Array, *, stable: bool = False
 ) -> Lifted:
     """Build the programme around a start.
 

@@ -11,13 +11,7 @@ from casid.stages.consistency import KINEMATICS
 from casid.stages.judgement import VALIDATION
 from casid.stages.stage import Stage
 
-STAGES: tuple[Stage, ...] = (
-    KINEMATICS,
-    *CHAIN,
-    BASELINE,
-    VALIDATION,
-    COMPARISON,
-)
+STAGES: tuple[Stage, ...] = (KINEMATICS, *CHAIN, BASELINE, VALIDATION, COMPARISON)
 
 
 def sections(

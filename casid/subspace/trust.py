@@ -20,11 +20,7 @@ COHERENCE = 0.6  # of inputs and an output, below which a response is not usable
 
 
 def explained_share(
-    system: StateSpace,
-    data: Sequence[Spectrum],
-    su: Array,
-    sy: Array,
-    band: tuple[float, float],
+    system: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array, band: tuple[float, float]
 ) -> Array:
     """Share of each output's power that a model explains at a typical frequency of a band, (ny,).
 
