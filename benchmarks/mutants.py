@@ -40,10 +40,10 @@ the original stand with the reason in `benchmarks/mutants.toml` and are not coun
 """
 
 
-def mutmut(*arguments):
-    """Run the tool in the repository; returns its output."""
+def mutmut(*arguments, **options):
+    """Run the tool in the repository; returns what it printed, if that is captured."""
     run = [sys.executable, "-m", "mutmut", *arguments]
-    return subprocess.run(run, cwd=ROOT, text=True, stdout=subprocess.PIPE, check=False).stdout
+    return subprocess.run(run, cwd=ROOT, text=True, check=False, **options).stdout
 
 
 def results():
@@ -80,7 +80,7 @@ def keep_own_tests():
 
 def change(name):
     """Lines a mutant takes away and adds."""
-    lines = mutmut("show", name).splitlines()
+    lines = mutmut("show", name, stdout=subprocess.PIPE).splitlines()
     return [line for line in lines if line[:1] in "+-" and line[:3] not in ("+++", "---")]
 
 
@@ -115,7 +115,8 @@ def main():
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     parser.add_argument("modules", nargs="*")
     wanted = parser.parse_args()
-    mutmut("run", "none")  # writes the mutants and finds which tests reach what
+    # Writes the mutants and finds which tests reach what; "nothing matches" is the end of it.
+    mutmut("run", "none", stderr=subprocess.DEVNULL)
     chosen = sample(results(), wanted.count, wanted.modules)
     keep_own_tests()
     codes = results()

@@ -1,47 +1,51 @@
-"""The command line."""
+"""The command line: what commands there are; each is imported when it is asked for."""
 
-import time
+from collections.abc import Mapping
+from importlib import import_module
 from importlib.metadata import version
-from pathlib import Path
+from typing import Any
 
 import click
-from rich.console import Console, RenderableType
-from rich.live import Live
-from rich.spinner import Spinner
-from rich.table import Table
-from rich.text import Text
 
-from casid.bounds.compare import BoundsComparison
-from casid.commands.data import COMMANDS
-from casid.commands.terminal import Commands, exits, logged, new_table, terminal
-from casid.files import read_csv
-from casid.fit import AnyFit
-from casid.interrupts import check_interrupt
-from casid.nlp import Progress
-from casid.report import Timing
-from casid.stages.listing import STAGES, in_tables, in_words
-from casid.structure.modelfile import load_model
-from casid.structure.overview import describe
-from casid.studies.runner import Outcome, run_study
-from casid.studies.study import Study, read_records
-from casid.studies.studyfile import read_study
+from casid.interrupts import end_interrupted
 
-WIDE = 24  # column of stages
+COMMANDS: Mapping[str, tuple[str, str]] = {  # place, and what the list of commands says
+    "bounds": ("study:bounds", "Compare the cases of a study's table [bounds], price bounds."),
+    "check": ("study:check", "Check a study or a model file; estimate nothing."),
+    "convert": ("data:convert", "Turn records, responses and fits into other tools' files."),
+    "identify": ("study:identify", "Identify the structure a study names and write its report."),
+    "inspect": ("data:inspect_command", "Look at records before anything is identified."),
+    "new-model": ("data:new_model_command", "Write a commented model file to start from."),
+    "simulate": ("data:simulate", "Simulate a fitted model on a record and compare."),
+}
 
 
-def _path(_: click.Context, __: click.Parameter, value: str | None) -> Path | None:
-    return None if value is None else Path(value)
+class Commands(click.Group):
+    """A group whose commands are imported late and all end alike when they are interrupted."""
 
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - as click has it
+        """Names in alphabetical order."""
+        return sorted(COMMANDS)
 
-STUDY = click.argument("study", callback=_path, metavar="STUDY.toml")
-OUTPUT = click.option(
-    "--output",
-    "-o",
-    callback=_path,
-    metavar="FOLDER",
-    help="Folder of the results, instead of the one the study names.",
-)
-VERBOSE = click.option("--verbose", "-v", is_flag=True, help="Say what each stage does.")
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Import a command."""
+        if cmd_name not in COMMANDS:
+            return None
+        module, _, name = COMMANDS[cmd_name][0].partition(":")
+        command: click.Command = getattr(import_module(f"casid.commands.{module}"), name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """List the commands without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, said) for name, (_, said) in COMMANDS.items()])
+
+    def invoke(self, ctx: click.Context) -> Any:  # noqa: ANN401 - as click has it
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            end_interrupted()
 
 
 @click.group(
@@ -57,206 +61,3 @@ def main() -> None:
     \b
     Exit codes: 0 success, 1 internal error, 2 bad input, 3 a solver did not converge.
     """  # noqa: D301 - click's own mark for a paragraph left as it is
-
-
-for _command in COMMANDS:
-    main.add_command(_command)
-
-
-IDENTIFY = f"""Identify the structure a study names and write its report.
-
-Stages: {in_words(STAGES)}, report. Each result is kept when its stage ends: an interrupted study
-goes on where it stopped, and a stage is computed again only if something it depends on has changed.
-Their settings stand in the tables {in_tables(STAGES)} of the study.
-
-\b
-The output folder then holds
-  report.html      everything on one page, for screen and paper
-  fit.json         the identified model, for casid.Fit.load
-  parameters.csv   the parameter table
-  figures/         every figure as PNG and SVG
-  stages/          the result of each stage
-"""
-
-
-@main.command(help=IDENTIFY)
-@STUDY
-@OUTPUT
-@click.option("--fresh", is_flag=True, help="Compute every stage again, whatever was kept.")
-@VERBOSE
-def identify(study: Path, output: Path | None, fresh: bool, verbose: bool) -> None:
-    """Identify the structure a study names and write its report."""
-    console = terminal()
-    with exits(console), logged(console, verbose), Monitor(console) as monitor:
-        outcome = run_study(read_study(study, output), fresh=fresh, watch=monitor)
-    _conclude(console, outcome)
-
-
-@main.command()
-@STUDY
-@OUTPUT
-@VERBOSE
-def bounds(study: Path, output: Path | None, verbose: bool) -> None:
-    """Compare the cases of a study's table [bounds] and price every bound.
-
-    The study is identified first, as by casid identify; what that kept is taken. Every case is
-    kept when it is done: an interrupted comparison goes on where it stopped.
-
-    \b
-    The output folder then also holds
-      report.html      with a section about the cases
-      bounds.csv       one row a case and parameter; bounds_cases.csv: one row a case
-      bounds.md        both tables, for reading
-      bounds/          the result of each case
-    """  # noqa: D301
-    console = terminal()
-    with exits(console), logged(console, verbose), Monitor(console) as monitor:
-        asked = read_study(study, output)
-        if "bounds" not in asked.settings:
-            raise ValueError(f"{study}: there is no table [bounds] with cases to compare")
-        outcome = run_study(asked, command="bounds", watch=monitor)
-    if outcome.comparison is not None:
-        console.print(case_table(outcome.comparison))
-    _say_where(console, outcome)
-
-
-@main.command(short_help="Check a study or a model file; estimate nothing.")
-@click.argument("what", metavar="STUDY.toml|MODEL.py:CLASS")
-@click.option(
-    "--record",
-    "flights",
-    multiple=True,
-    metavar="CSV",
-    help="With a model: judge identifiability for this flight (t and the model's channels).",
-)
-@click.option("--fixed", multiple=True, metavar="NAME", help="With a model: hold this parameter.")
-@VERBOSE
-def check(what: str, flights: tuple[str, ...], fixed: tuple[str, ...], verbose: bool) -> None:
-    """Check a study file, its model and its records, or a model file, without estimating anything.
-
-    Of a model (models/six_dof.py:SixDof) this prints the matrices with names and with numbers at
-    the guess, the parameters, the eigenvalues, what the outputs do not see, and which parameters
-    the excitation cannot tell apart: one 3-2-1-1 a control, or the records given.
-    """
-    console = terminal()
-    with exits(console), logged(console, verbose):
-        if what.endswith(".toml"):
-            _describe(console, read_study(Path(what)))
-        else:
-            model = load_model(what)()
-            records = [read_csv(f, inputs=model.inputs, outputs=model.outputs) for f in flights]
-            text = Text(str(describe(model, records or None, fixed=fixed)))
-            console.print(text, no_wrap=True, overflow="ignore", crop=False)
-
-
-class Monitor:
-    """Shows the stage that runs (iteration, cost, seconds) and a line for each that has ended."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._spinner = Spinner("dots")
-        self._stage, self._since = "", 0.0
-        self._last: Progress | None = None
-        self._live = Live(
-            console=console, refresh_per_second=8, transient=True, get_renderable=self._now
-        )
-
-    def __enter__(self) -> "Monitor":
-        heading = f"{'stage':<{WIDE}}{'iterations':>11}{'cost':>14}{'seconds':>10}"
-        self._console.print(Text(heading, style="bold"))
-        self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stage = ""
-        self._live.stop()
-
-    def begin(self, stage: str) -> None:
-        """Show that a stage runs."""
-        check_interrupt()
-        self._stage, self._since, self._last = stage, time.perf_counter(), None
-
-    def progress(self, progress: Progress) -> None:
-        """Show the iteration it is at."""
-        check_interrupt()
-        self._last = progress
-
-    def end(self, timing: Timing) -> None:
-        """Leave a line about it."""
-        self._stage = ""
-        line = _line(timing.stage, timing.iterations, timing.cost, timing.seconds)
-        self._console.print(Text(line + ("  kept" if timing.kept else "")))
-
-    def _now(self) -> RenderableType:
-        if not self._stage:
-            return Text("")
-        seconds, last = time.perf_counter() - self._since, self._last
-        line = _line(self._stage, None, None, seconds)
-        if last is not None:
-            line = _line(last.stage, last.iteration, last.cost, seconds)
-        self._spinner.update(text=Text(line))
-        return self._spinner
-
-
-def _line(stage: str, iterations: int | None, cost: float | None, seconds: float) -> str:
-    steps = "" if iterations is None else str(iterations)
-    value = "" if cost is None else f"{cost:.6g}"
-    return f"{stage:<{WIDE}}{steps:>11}{value:>14}{seconds:>10.2f}"
-
-
-def _conclude(console: Console, outcome: Outcome) -> None:
-    fresh = [timing.seconds for timing in outcome.timings if not timing.kept]
-    console.print(Text(_line("total", None, None, sum(fresh)), style="bold"))
-    console.print(parameter_table(outcome.identification.output_error))
-    _say_where(console, outcome)
-
-
-def _say_where(console: Console, outcome: Outcome) -> None:
-    path = str(outcome.report.resolve())
-    console.print(Text("Report: ").append(path, style="bold"), soft_wrap=True)
-
-
-def parameter_table(fit: AnyFit) -> Table:
-    """Parameters of a fit for the terminal; * marks those on a bound."""
-    headings = ("name", "value", "std. error", "lower", "upper", "unit")
-    table = new_table(f"Parameters after {fit.method}", *headings)
-    for row in fit.parameters:
-        error = "fixed" if row.fixed else f"{row.std_error:.2g}"
-        table.add_row(
-            row.name,
-            f"{row.value:.4g}{'*' if row.active else ' '}",
-            error,
-            f"{row.lower:g}",
-            f"{row.upper:g}",
-            Text(row.unit),
-            style="yellow" if row.active else None,
-        )
-    return table
-
-
-def case_table(comparison: BoundsComparison) -> Table:
-    """Cases of a comparison for the terminal."""
-    headings = ("cost", "increase", "predicted", "held", "validation RMS / std", "largest price")
-    table = new_table(f"Cases by {comparison.estimator}", "case", *headings)
-    for case in comparison.cases:
-        if case.reason:
-            table.add_row(Text(case.name), Text(f"failed: {case.reason}", style="red"))
-            continue
-        largest = max(case.shares, key=case.shares.__getitem__, default="")
-        figures = [f"{case.cost:.7g}", f"{case.increase:.4g}", f"{case.predicted:.4g}"]
-        figures += [str(case.held), f"{case.rms:.3g}"]
-        table.add_row(Text(case.name), *figures, Text(largest))
-    return table
-
-
-def _describe(console: Console, study: Study) -> None:
-    structure = type(study.model)
-    free = len(structure.parameter_names()) - len(study.fixed)
-    console.print(Text(f"{study.title}: structure {structure.__name__}, {free} free parameters"))
-    table = new_table("Records", "record", "role", "samples", "seconds", "interval")
-    for role, records in read_records(study).items():
-        for record in records:
-            numbers = (str(record.N), f"{record.duration:g}", f"{record.dt:g}")
-            table.add_row(Text(record.name), role, *numbers)
-    console.print(table)
-    console.print("The study is in order.")

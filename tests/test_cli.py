@@ -1,13 +1,15 @@
 """The command line: what it prints, what it leaves behind, what its exit codes say."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 from click.testing import CliRunner
 from truths.roll_study import write_study
 
 from casid import Fit
-from casid.cli import main
+from casid.cli import COMMANDS, main
 from casid.structure.modelfile import load_model
 
 
@@ -236,3 +238,30 @@ def test_a_study_that_is_not_there_gives_code_two(tmp_path):
     result = casid("identify", tmp_path / "nothing.toml")
     assert result.exit_code == 2
     assert "nothing.toml" in " ".join(result.stderr.split())
+
+
+# ---- starting ----------------------------------------------------------------------------------
+
+
+def test_help_lists_every_command_and_imports_nothing_that_computes_or_draws():
+    code = "from casid.cli import main; import sys; main(['--help'], standalone_mode=False)"
+    run = subprocess.run([sys.executable, "-c", f"{code}; print(*sys.modules)"],
+                         capture_output=True, text=True, check=True)  # fmt: skip
+    *shown, modules = run.stdout.splitlines()
+    listed = {line.split()[0] for line in shown[shown.index("Commands:") + 1 :] if line}
+    assert listed == set(COMMANDS)
+    heavy = {"casadi", "matplotlib", "plotly", "numpy", "scipy", "scipy.signal", "rich"}
+    assert not heavy & set(modules.split())
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_found_and_helps(name):
+    result = casid(name, "--help")
+    assert result.exit_code == 0
+    assert result.output.startswith(f"Usage: main {name} ")
+
+
+def test_an_unknown_command_is_refused():
+    result = casid("identfy")
+    assert result.exit_code == 2
+    assert "No such command 'identfy'" in result.output

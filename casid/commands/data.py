@@ -69,7 +69,7 @@ TIME = click.option("--time", default="t", show_default=True, help="Column of in
 # ---- convert -----------------------------------------------------------------------------------
 
 
-@click.command(short_help="Turn records, responses and fits into other tools' files.")
+@click.command()
 @click.argument("source", metavar="FROM")
 @click.argument("target", metavar="TO")
 @UNIT
@@ -150,7 +150,7 @@ def _load(source: Path, structure: str | None) -> AnyFit:
 # ---- inspect -----------------------------------------------------------------------------------
 
 
-@click.command("inspect", short_help="Look at records before anything is identified.")
+@click.command("inspect")
 @click.argument("sources", nargs=-1, required=True, metavar="RECORD...|STUDY.toml")
 @click.option(
     "--inputs",
@@ -302,7 +302,7 @@ def kinematics_table(found: KinematicCheck) -> Table:
 # ---- simulate ----------------------------------------------------------------------------------
 
 
-@click.command(short_help="Simulate a fitted model on a record and compare.")
+@click.command()
 @click.argument("fit", metavar="FIT.json")
 @click.argument("record", metavar="RECORD")
 @MODEL
@@ -367,7 +367,7 @@ def _histories(record: Record, simulated: np.ndarray) -> dict[str, Any]:
 # ---- new-model ---------------------------------------------------------------------------------
 
 
-@click.command("new-model", short_help="Write a commented model file to start from.")
+@click.command("new-model")
 @click.argument("name")
 def new_model_command(name: str) -> None:
     """Write NAME.py, a small structure with comments, to be changed into yours.
@@ -379,6 +379,3 @@ def new_model_command(name: str) -> None:
         path, structure = new_model(name)
         told = f"{path}: look at it with  casid check {path}:{structure}"
         console.print(Text(told), soft_wrap=True)
-
-
-COMMANDS: tuple[click.Command, ...] = (convert, inspect_command, simulate, new_model_command)

@@ -6,28 +6,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import click
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from casid.errors import ConvergenceError
-from casid.interrupts import end_interrupted
 
 BAD_INPUT, NO_CONVERGENCE = 2, 3
 ENDLESS = 10_000  # columns of a file or pipe
-
-
-class Commands(click.Group):
-    """A group of commands that all end alike when they are interrupted."""
-
-    def invoke(self, ctx: click.Context) -> Any:  # noqa: ANN401 - as click has it
-        """Run a command."""
-        try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            end_interrupted()
 
 
 def terminal() -> Console:
