@@ -205,7 +205,7 @@ def _residual_slopes(
     c, weight = problem.comparison, problem.comparison.decibel_weight
     G, slope = problem.matrices(values).response_slopes(c.s)
     rows = residual_slopes(G, slope, c.G, weight)[:, :, weight > 0]
-    error = in_channels(problem.free.model, frf.outputs, frf.inputs, frf.random_error)
+    error = in_channels(problem.free.model, frf.outputs, frf.inputs, frf.error)
     error = (np.sqrt(weight) * error)[weight > 0]
     return rows.reshape(len(rows), -1).T, np.concatenate([DB * error, TURN * error])
 

@@ -191,7 +191,7 @@ def frequency_table(response: FrequencyResponse) -> dict[str, Array]:
         phase = np.angle(response.G[:, i, j])
         known = np.isfinite(phase)
         phase[known] = np.unwrap(phase[known])
-        quality = (each[:, i, j] for each in (response.coherence, response.random_error))
+        quality = (each[:, i, j] for each in (response.coherence, response.error))
         values = (gain[:, i, j], np.degrees(phase), *quality)
         table |= dict(zip(columns, values, strict=True))
     return table
@@ -221,7 +221,7 @@ def write_frequency(path: str | Path, response: FrequencyResponse) -> None:
         content: dict[str, Any] = {
             name: getattr(response, name) for name in ("omega", "inputs", "outputs")
         }
-        for name, field in (("response", "G"), ("coherence",) * 2, ("random_error",) * 2):
+        for name, field in (("response", "G"), ("coherence",) * 2, ("random_error", "error")):
             content[name] = np.moveaxis(getattr(response, field), 0, 2)
         _save_mat(path, content)
 

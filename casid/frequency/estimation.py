@@ -17,7 +17,14 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
 from casid.errors import warn
 from casid.files import read_json, write_json
-from casid.frequency.sampling import checked_grid, checked_windows, equidistant
+from casid.frequency.leakage import leakage
+from casid.frequency.sampling import (
+    FEW_PERIODS,
+    checked_grid,
+    checked_windows,
+    default_grid,
+    equidistant,
+)
 from casid.frequency.spectra import (
     MEANINGLESS,
     SUSPECT,
@@ -27,14 +34,12 @@ from casid.frequency.spectra import (
     record_spectra,
 )
 from casid.record import Record, Records, same_channels, several, standard_deviations, stretches
-from casid.subspace.columns import excited_band
 from casid.threads import one_thread
 from casid.values import storable
 
-GRID = 40  # frequencies unless given
-BELOW_NYQUIST = 0.9  # where they end at the latest
 KEPT = 0.5  # share of an input's power in the windows without long losses
-FEW_PERIODS = 2.0  # periods a window must hold to be trusted, T&R (7.41)
+PAIRWISE = ("G", "coherence", "random_error", "leakage")  # fields by frequency, output, input
+POINTWISE = ("omega", *PAIRWISE, "multiple_coherence", "condition")
 
 
 @storable
@@ -53,6 +58,8 @@ class FrequencyResponse:
     random_error : (K, ny, nu) array
         Normalised random error of abs(G), one standard deviation; the same number is that of the
         phase in rad.
+    leakage : (K, ny, nu) array
+        What the windows' finite length adds to that error; zero unless given.
     inputs, outputs : tuple of str
         Channel names.
     input_std, output_std : (nu,), (ny,) array
@@ -77,6 +84,7 @@ class FrequencyResponse:
     outputs: tuple[str, ...]
     input_std: Array
     output_std: Array
+    leakage: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     multiple_coherence: Array = field(default_factory=lambda: np.zeros((0, 0)))
     condition: Array = field(default_factory=lambda: np.zeros(0))
     windows: tuple[float, ...] = ()
@@ -93,11 +101,13 @@ class FrequencyResponse:
         K, ny, nu = len(omega), len(self.outputs), len(self.inputs)
         if omega.ndim != 1 or not K or not (omega > 0).all() or (np.diff(omega) <= 0).any():
             raise ValueError("omega: expected increasing frequencies above 0 rad/s, (K,)")
+        if not self.leakage.size:
+            object.__setattr__(self, "leakage", np.zeros((K, ny, nu)))
         if not self.multiple_coherence.size:
             object.__setattr__(self, "multiple_coherence", np.full((K, ny), np.nan))
         if not self.condition.size:
             object.__setattr__(self, "condition", np.full(K, np.nan))
-        pairs = dict.fromkeys(("G", "coherence", "random_error"), (K, ny, nu))
+        pairs = dict.fromkeys(PAIRWISE, (K, ny, nu))
         rest = {"input_std": (nu,), "output_std": (ny,), "multiple_coherence": (K, ny)}
         wanted: dict[str, tuple[int, ...]] = {**pairs, **rest, "condition": (K,)}
         for name, shape in wanted.items():
@@ -109,6 +119,11 @@ class FrequencyResponse:
                     f"{name} has shape {values.shape}, expected {shape}: "
                     f"{K} frequencies, {ny} outputs, {nu} inputs"
                 )
+
+    @property
+    def error(self) -> Array:
+        """Deviation of abs(G), relative, and of the phase [rad]: noise and leakage."""
+        return np.asarray(np.hypot(self.random_error, self.leakage))
 
     def index(self, output: str, input: str) -> tuple[int, int]:
         """Row and column of one pair."""
@@ -133,8 +148,7 @@ class FrequencyResponse:
         """Return the points at these positions in ``omega``, in increasing order."""
         place = {int(old): new for new, old in enumerate(index)}
         flags = {why: tuple(place[k] for k in at if k in place) for why, at in self.flags.items()}
-        names = ("omega", "G", "coherence", "random_error", "multiple_coherence", "condition")
-        arrays = {name: getattr(self, name)[list(place)] for name in names}
+        arrays = {name: getattr(self, name)[list(place)] for name in POINTWISE}
         return replace(self, **arrays, flags={why: at for why, at in flags.items() if at})
 
     def save(self, path: str | Path) -> None:
@@ -211,7 +225,7 @@ class SpectralAnalysis:
         """Frequency response of the records; see `frequency_response`."""
         records = stretches(records)
         inputs, outputs = same_channels(records)
-        grid = _default_grid(records) if self.omega is None else self.omega
+        grid = default_grid(records) if self.omega is None else self.omega
         omega = checked_grid(grid, records)
         records = [equidistant(record, omega[-1]) for record in records]
         lengths = checked_windows(self.windows, records, omega)
@@ -230,6 +244,7 @@ class SpectralAnalysis:
             G=_columns(merged.response, active, len(inputs)),
             coherence=_columns(merged.coherence, active, len(inputs)),
             random_error=_columns(merged.random_error, active, len(inputs)),
+            leakage=_columns(leakage(parts, usable, lengths), active, len(inputs)),
             inputs=inputs,
             outputs=outputs,
             input_std=su,
@@ -300,13 +315,6 @@ def _columns(values: Any, active: Sequence[int], nu: int) -> Any:  # noqa: ANN40
     return full
 
 
-def _default_grid(records: Sequence[Record]) -> Array:
-    durations = [record.duration for record in records]
-    low = FEW_PERIODS * 2 * np.pi / min(max(durations) / 2, sum(durations) / 5)
-    high = min(excited_band(records)[1], BELOW_NYQUIST * np.pi / max(r.dt for r in records))
-    return np.geomspace(low, max(high, 2 * low), GRID)
-
-
 def _parts(
     records: Sequence[Record], omega: Array, lengths: Sequence[float], *, conditioned: bool
 ) -> tuple[list[float], list[Conditioned], BoolArray]:
@@ -339,8 +347,8 @@ def _nothing_left(records: Sequence[Record], length: float) -> str:
     gaps = [r.outputs[i] for r in records for i in np.flatnonzero(np.isnan(r.y).any(axis=0))]
     why = f"missing samples (NaN) in {gaps[0]!r} leave too few" if gaps else "there are too few"
     return (
-        f"{why} windows of {length:g} s to separate {records[0].nu} inputs; use shorter windows or "
-        "more records, or leave channels with missing samples out with Record.select"
+        f"{why} windows of {length:g} s to separate {records[0].nu} inputs; use shorter windows, "
+        "more records or Record.select"
     )
 
 

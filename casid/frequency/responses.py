@@ -113,7 +113,7 @@ def merge_responses(
     inputs = tuple(dict.fromkeys(name for one in responses for name in one.inputs))
     shape = (len(first.omega), len(outputs), len(inputs))
     G = np.full(shape, np.nan, dtype=complex)
-    coherence, error = np.full(shape, np.nan), np.full(shape, np.nan)
+    coherence, error, leaks = (np.full(shape, np.nan) for _ in range(3))
     sizes: tuple[dict[str, float], dict[str, float]] = ({}, {})
     for one in reversed(responses):
         sizes[0].update(zip(one.inputs, one.input_std, strict=True))
@@ -122,13 +122,15 @@ def merge_responses(
         columns = [inputs.index(name) for name in one.inputs]
         place = np.ix_(range(shape[0]), rows, columns)
         there = np.isfinite(one.G)
-        for whole, part in ((G, one.G), (coherence, one.coherence), (error, one.random_error)):
+        parts = (one.G, one.coherence, one.random_error, one.leakage)
+        for whole, part in zip((G, coherence, error, leaks), parts, strict=True):
             whole[place] = np.where(there, part, whole[place])
     return FrequencyResponse(
         omega=first.omega,
         G=G,
         coherence=coherence,
         random_error=error,
+        leakage=leaks,
         inputs=inputs,
         outputs=outputs,
         input_std=_sizes(inputs, sizes[0]),

@@ -9,6 +9,19 @@ import scipy.interpolate
 from casid.arrays import Array, BoolArray
 from casid.errors import warn
 from casid.record import Record
+from casid.subspace.columns import excited_band
+
+GRID = 40  # frequencies unless given
+BELOW_NYQUIST = 0.9  # where they end at the latest
+FEW_PERIODS = 2.0  # periods a window must hold to be trusted, T&R (7.41)
+
+
+def default_grid(records: Sequence[Record]) -> Array:
+    """Frequencies [rad/s] from two periods of the longest window to what the inputs excite."""
+    durations = [record.duration for record in records]
+    low = FEW_PERIODS * 2 * np.pi / min(max(durations) / 2, sum(durations) / 5)
+    high = min(excited_band(records)[1], BELOW_NYQUIST * np.pi / max(r.dt for r in records))
+    return np.geomspace(low, max(high, 2 * low), GRID)
 
 
 def default_windows(records: Sequence[Record], omega: Array, count: int = 5) -> tuple[float, ...]:

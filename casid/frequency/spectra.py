@@ -256,7 +256,7 @@ def composite(parts: Sequence[Conditioned], usable: BoolArray, iterations: int =
     residuals are small and the start is their weighted mean, so that few iterations do.
     """
     stacked = {name: np.array([getattr(part, name) for part in parts]) for name in FIELDS}
-    W = _weights(stacked["random_error"], usable)  # (windows, K, ny, nu)
+    W = window_weights(stacked["random_error"], usable)  # (windows, K, ny, nu)
     means = {name: _mean(W, stacked[name]) for name in ("Gxx", "Gyy", "Gxy", "random_error")}
     # Relative to the weighted means: four unknowns of order one, the phase of the mean removed.
     a, b, z = (_relative(W, stacked[name], means[name]) for name in ("Gxx", "Gyy", "Gxy"))
@@ -290,7 +290,7 @@ def _relative(W: Array, values: Any, mean: Any) -> Any:  # noqa: ANN401 - real o
     return np.where(counts, values, 1.0) / np.where(counts, mean, 1.0)
 
 
-def _weights(error: Array, usable: BoolArray) -> Array:
+def window_weights(error: Array, usable: BoolArray) -> Array:
     """W_w of every window length, adding up to one; zero where it may not be used."""
     known = np.where(np.isfinite(error), np.maximum(error, 1e-6), 1e6)
     trusted = np.where(usable[:, :, None, None], known, np.inf)

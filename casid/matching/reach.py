@@ -60,7 +60,7 @@ def stated_errors(model: Model, target: Target, source: Source) -> Array:
     """
     if isinstance(target, FrequencyResponse):
         at = np.searchsorted(target.omega, source.omega)
-        relative = np.sqrt(2) * target.random_error[at]  # of gain and phase
+        relative = np.sqrt(2) * target.error[at]  # of gain and phase
         names = target.outputs, target.inputs
     elif isinstance(target, BlackBox) and target.uncertainty is not None:
         relative = np.hypot(*target.response_std(source.omega))

@@ -118,7 +118,7 @@ def plot_measured(
         Frequencies and phase [deg] of a response whose turn to take.
     """
     i, j = pair
-    omega, G, error = measured.omega, measured.G[:, i, j], measured.random_error[:, i, j]
+    omega, G, error = measured.omega, measured.G[:, i, j], measured.error[:, i, j]
     reference = None if near is None else np.interp(omega, *near)
     angles = phase(G, reference)
     spread = np.minimum(2 * error, 0.99)

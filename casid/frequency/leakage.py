@@ -1,0 +1,60 @@
+"""How far windows of finite length bias a frequency response.
+
+A window of length L smears the response over a bandwidth of 1/L and cuts off what began before it:
+both leave an error that falls as 1/L². Two lengths of ratio √2 therefore differ by about as much as
+the longer one is biased; what noise makes of that difference is known from their random errors.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from casid.arrays import Array, BoolArray
+from casid.frequency.spectra import Conditioned, window_weights
+
+RATIO = np.sqrt(2)  # of the two lengths that are compared
+SHORTER = 0.9  # as a share of a length: the other one of its pair at most
+
+
+def leakage(parts: Sequence[Conditioned], usable: BoolArray, lengths: Sequence[float]) -> Array:
+    """Bias of the composite's response relative to its magnitude, (K, ny, nu).
+
+    It may be all in the gain or all in the phase [rad], so it counts in full for both. Smoothed
+    over three neighbouring frequencies; zero where it is less than noise would show, and where a
+    single length leaves nothing to compare.
+
+    Parameters
+    ----------
+    parts : sequence of Conditioned
+        One a window length, in increasing order.
+    usable : (windows, K) bool array
+        Where each may be used.
+    lengths : sequence of float
+        Window lengths [s].
+    """
+    L = np.array(lengths)
+    pairs = {i: j for i in range(len(L)) if (j := _shorter(L, i)) is not None}
+    W = window_weights(np.array([part.random_error for part in parts]), usable)
+    total = np.zeros(W.shape[1:])
+    for w in range(len(L) if pairs else 0):
+        i = w if w in pairs else min(pairs)
+        total += W[w] * _squared(parts[i], parts[pairs[i]], L[i] / L[pairs[i]]) * (L[i] / L[w]) ** 4
+    padded = np.pad(total, ((1, 1), (0, 0), (0, 0)), mode="edge")
+    smooth = (padded[:-2] + padded[1:-1] + padded[2:]) / 3
+    return np.asarray(np.sqrt(smooth))
+
+
+def _shorter(lengths: Array, i: int) -> int | None:
+    """Position of the length nearest to that of i over √2, if there is a shorter one."""
+    found = np.flatnonzero(lengths < SHORTER * lengths[i])
+    if not len(found):
+        return None
+    return int(found[np.argmin(np.abs(np.log(lengths[found] * RATIO / lengths[i])))])
+
+
+def _squared(part: Conditioned, shorter: Conditioned, ratio: float) -> Array:
+    """Squared relative bias of a window's response, less what its noise alone would show."""
+    size = np.abs(part.response) ** 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        difference = np.abs(part.response - shorter.response) ** 2 / size - part.random_error**2
+    return np.asarray(np.fmax(np.nan_to_num(difference, posinf=0.0), 0.0) / (ratio**2 - 1) ** 2)

@@ -1,0 +1,65 @@
+"""Bias of windows against the true one, and against noise that is none."""
+
+import numpy as np
+import pytest
+from truths.systems import LAG, white
+
+from casid import Record, StateSpace, frequency_response
+from casid.frequency.leakage import leakage
+from casid.frequency.spectra import Conditioned
+
+LIGHT = StateSpace([[0, 1], [-4, -0.4]], [[0], [4]], [[1, 0]], [[0]], None, ("u",), ("y",))
+
+
+def swept(system, *, linear):
+    """A sweep from 0.3 to 15 rad/s that begins and ends abruptly, without noise."""
+    t = 0.02 * np.arange(3001)
+    rate = np.log(15 / 0.3)
+    phase = 0.3 * t + 14.7 * t**2 / 120 if linear else 18 / rate * np.expm1(rate * t / 60)
+    u = np.sin(phase)[:, None]
+    return Record(t, u, system.simulate(t, u), ("u",), ("y",), "sweep")
+
+
+@pytest.mark.parametrize("system", [LAG, LIGHT], ids=["lag", "light damping"])
+@pytest.mark.parametrize("linear", [True, False], ids=["linear", "logarithmic"])
+def test_the_stated_error_of_a_noise_free_sweep_is_that_of_its_windows(system, linear):
+    found = frequency_response(swept(system, linear=linear))
+    error = np.abs(found.G / system.response(found.omega) - 1)[:, 0, 0] / np.sqrt(2)
+    score = error / found.error[:, 0, 0]
+    assert 0.5 < np.sqrt(np.mean(score**2)) < 1.1
+    assert score.max() < 3
+    low = slice(0, 4)
+    if linear and system is LAG:  # coherence of 0.99, 2 dB off
+        assert (error / found.random_error[:, 0, 0])[low].min() > 5
+        assert score[low].max() < 1.5
+
+
+def test_noise_is_not_taken_for_leakage():
+    inflation, inside = [], []
+    for seed in range(12):
+        record = white(LAG, np.random.default_rng(seed), noise=0.5)
+        found = frequency_response(record, omega=np.geomspace(0.7, 15, 30))
+        inflation.append(found.error / found.random_error)
+        gain = np.log(np.abs(found.G / LAG.response(found.omega)))
+        inside.append(np.abs(gain) < 1.96 * found.error)
+    assert np.median(inflation) < 1.15
+    # 360 points, of which neighbours are alike: 0.95 ± 0.02.
+    assert 0.91 < np.mean(inside) < 0.99
+
+
+def test_a_bias_that_falls_with_the_square_of_the_length_is_found_exactly():
+    lengths, c = [10.0, 10 * np.sqrt(2), 20.0], 8.0 * np.exp(0.3j)
+    parts = []
+    for length in lengths:
+        one = np.ones((1, 1, 1))
+        G = 2.0 * (1 + c / length**2) * one
+        parts.append(
+            Conditioned(Gxx=one, Gxy=G, Gyy=np.abs(G) ** 2, random_error=1e-9 * one,
+                        multiple_coherence=np.ones((1, 1)), condition=np.ones(1))
+        )  # fmt: skip
+    for k in (1, 2):  # one window alone counts
+        usable = (np.arange(3) == k)[:, None]
+        bias = leakage(parts, usable, lengths).item()
+        wanted = np.abs(c) / lengths[k] ** 2 / np.abs(1 + c / lengths[k] ** 2)
+        assert bias == pytest.approx(wanted, rel=1e-6)
+    assert leakage(parts[:1], usable[:1], lengths[:1]).item() == 0.0
