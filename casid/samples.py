@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-import scipy.interpolate
-import scipy.signal
+import scipy
 
 from casid.arrays import Array
 
