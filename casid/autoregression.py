@@ -74,10 +74,8 @@ def autoregression(record: Record, y: Array, trusted: BoolArray) -> Autoregressi
 
 
 def filled(record: Record) -> tuple[Record, BoolArray]:
-    """An equidistant record with its lost outputs filled in, and where they were (N, ny).
-
-    A channel without any sample stays lost.
-    """
+    """An equidistant record with its lost outputs filled in, and where they were (N, ny)."""
+    # A channel without any sample stays lost.
     lost = np.isnan(record.y)
     if not lost.any():
         return record, lost

@@ -113,10 +113,6 @@ def identify(
     stages : sequence of Stage
         What is done.
 
-    Returns
-    -------
-    Identification
-
     Raises
     ------
     ConvergenceError

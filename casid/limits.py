@@ -46,10 +46,8 @@ class OutOfTimeError(Exception):
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Interrupt Python code that takes longer, by OutOfTimeError.
-
-    Only the main thread of a POSIX system can be interrupted; elsewhere there is no limit.
-    """
+    """Interrupt Python code that takes longer, by OutOfTimeError."""
+    # Only the main thread of a POSIX system can be interrupted; elsewhere there is no limit.
     if (
         not hasattr(signal, "setitimer")
         or threading.current_thread() is not threading.main_thread()

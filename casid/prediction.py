@@ -160,11 +160,9 @@ class _Follower:
 
 
 def _split(system: StateSpace, span: float) -> tuple[Array, int]:
-    """Coordinates V and a number ns: V⁻¹ A V is block diagonal, slow modes first.
-
-    Fast is what grows more than about e² over the record; the border lies in the widest gap between
-    the growth rates near there, so that the Sylvester equation is well conditioned.
-    """
+    """Coordinates V and a number ns: V⁻¹ A V is block diagonal, slow modes first."""
+    # Fast is what grows more than about e² over the record; the border lies in the widest gap
+    # between the growth rates near there, so that the Sylvester equation is well conditioned.
     poles = np.linalg.eigvals(system.A)
     if system.dt is None:
         rates, border = poles.real, np.array([0.5, 5.0]) / span
@@ -186,10 +184,8 @@ def _split(system: StateSpace, span: float) -> tuple[Array, int]:
 
 
 def _fit_unknowns(residual: Array, free: Array, scale: Array) -> tuple[Array, Array]:
-    """Least squares for free responses z (nx,) and biases b (ny,); missing samples are left out.
-
-    Columns are scaled to one; directions without effect on the outputs get zero.
-    """
+    """Least squares for free responses z (nx,) and biases b (ny,); missing samples are left out."""
+    # Columns are scaled to one; directions without effect on the outputs get zero.
     N, ny, nx = free.shape
     biases = np.broadcast_to(np.eye(ny), (N, ny, ny))
     columns = (np.concatenate([free, biases], axis=2) / scale[:, None]).reshape(N * ny, nx + ny)

@@ -358,10 +358,8 @@ def same_channels(records: Records) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def standard_deviations(records: Sequence[Record]) -> tuple[Array, Array]:
-    """Standard deviation of every input (nu,) and output (ny,) over all records, mean removed.
-
-    A channel that never moves (but for rounding) or has no sample has 1: dividing is harmless.
-    """
+    """Standard deviation of every input (nu,) and output (ny,) over all records, mean removed."""
+    # A channel that never moves (but for rounding) or has no sample has 1: dividing is harmless.
     u, y = (np.vstack([getattr(record, letter) for record in records]) for letter in "uy")
     return _spread(u), _spread(y)
 

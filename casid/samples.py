@@ -57,10 +57,8 @@ def at_instants(t: Array, x: Array, instants: Array, between: Between) -> Array:
 
 
 def resampled(t: Array, columns: Sequence[tuple[Array, Between]], dt: float) -> tuple[Array, Array]:
-    """Instants every ``dt`` [s] and the columns there, (M,) and (M, columns).
-
-    Where they are slower than the samples by half or more, all columns pass one filter first.
-    """
+    """Instants every ``dt`` [s] and the columns there, (M,) and (M, columns)."""
+    # Where they are slower than the samples by half or more, all columns pass one filter first.
     grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + 1e-6) + 1)
     plain = np.array([at_instants(t, x, grid, how) for x, how in columns]).T
     own = float(np.median(np.diff(t)))
@@ -76,10 +74,8 @@ def resampled(t: Array, columns: Sequence[tuple[Array, Between]], dt: float) -> 
 
 
 def smoothed(x: Array, ratio: float) -> Array:
-    """Equidistant columns without what an interval ``ratio`` times as long would fold back.
-
-    A symmetric filter, so that nothing is late; alike for all channels, so that responses stay.
-    """
+    """Equidistant columns without what an interval ``ratio`` times as long would fold back."""
+    # A symmetric filter, so that nothing is late; alike for all channels, so that responses stay.
     half = int(np.ceil(8 * ratio))
     k = np.arange(-half, half + 1)
     taps = np.sinc(PASS * k / ratio) * np.hanning(2 * half + 3)[1:-1]

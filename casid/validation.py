@@ -118,10 +118,6 @@ def validate(
         over it; else all models are predicted, a tenth of the record ahead or as long as the least
         unstable of those that grow takes for three e-folds.
 
-    Returns
-    -------
-    Validation
-
     Raises
     ------
     ValueError

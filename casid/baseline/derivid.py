@@ -111,15 +111,12 @@ def derivid(
 
     Parameters
     ----------
-    model : Model
-        Structure and guess; its channels are found in the response by name.
+    model, fixed, bounds
+        As in `Estimator.fit`; channels are found in the response by name. Delays are kept at >= 0.
     target : FrequencyResponse
         What to fit; several are merged first (`merge_responses`).
     pairs, n_omega, band, starts, solver
         As in `Derivid`, which has the rarer settings too.
-    fixed, bounds
-        Parameters held, and bounds {name: (lower, upper)} instead of the model file's. Delays are
-        kept at >= 0 in any case.
 
     Returns
     -------
@@ -129,12 +126,9 @@ def derivid(
 
     Raises
     ------
-    ValueError
-        A pair that was not measured, an empty band, bad arguments.
-    ModelError
-        A parameter on which no pair depends, wrong bounds.
-    ConvergenceError
-        No start converged; ``best`` is the best iterate.
+    ValueError, ModelError, ConvergenceError
+        A pair that was not measured, an empty band, bad arguments; a parameter on which no pair
+        depends, wrong bounds; no start that converged (``best`` is the best iterate).
     """
     estimator = Derivid(pairs=pairs, n_omega=n_omega, band=band, starts=starts, solver=solver)
     return estimator.fit(model, target, fixed=fixed, bounds=bounds)

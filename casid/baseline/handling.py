@@ -104,10 +104,6 @@ def handling_qualities(
     attitude_command : bool
         Whether the stick commands attitude, so that the gain bandwidth does not count.
 
-    Returns
-    -------
-    HandlingQualities
-
     Raises
     ------
     ValueError

@@ -304,10 +304,8 @@ def _metric(near: AnyFit | None, names: Sequence[str], scale: Array) -> Array:
 
 
 def _nearest(x0: Array, metric: Array, limits: Array, rows: Array, sides: Array) -> Array:
-    """The x next to x0 within its limits (n, 2), with rows @ x within its sides (m, 2).
-
-    The values of the rows are variables of their own, held to the rows by a stiff residual.
-    """
+    """The x next to x0 within its limits (n, 2), with rows @ x within its sides (m, 2)."""
+    # The values of the rows are variables of their own, held to the rows by a stiff residual.
     n, m = len(x0), len(rows)
     stiff = STIFF * np.abs(metric).max()
     left = np.block([[metric, np.zeros((n, m))], [stiff * rows, -stiff * np.eye(m)]])

@@ -171,11 +171,9 @@ def compare_bounds(
 
 
 def _jobs(cases: Sequence[Case], fits: Fits, start: Model | AnyFit | None) -> list[Job]:
-    """One job a case, the freest first; each after a wider one, or the freest if that failed.
-
-    The wider one is that halfway down the ladder of cases that contain it: near, and a ladder of n
-    cases takes log n rounds on many processors.
-    """
+    """One job a case, the freest first; each after a wider one, or the freest if that failed."""
+    # The wider one is that halfway down the ladder of cases that contain it: near, and a ladder of
+    # n cases takes log n rounds on many processors.
     order = sorted(cases, key=lambda case: -sum(other.within(case) for other in cases))
     guess = start.model if isinstance(start, Fit) else start
     jobs: list[Job] = []

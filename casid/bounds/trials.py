@@ -111,10 +111,8 @@ class Fits:
         return Job(name=name or case.name, key=key, payload=trial, after=names)
 
     def run(self, jobs: Sequence[Job]) -> dict[str, Done]:
-        """Do all jobs; the result of each is a `Fit`, or None where there is nothing to show.
-
-        A class that other processes cannot read keeps the fits in this one.
-        """
+        """Do all jobs; the result of each is a `Fit`, or None where there is nothing to show."""
+        # A class that other processes cannot read keeps the fits in this one.
         refuse_while_loading()
         structure = type(self.model)
         here = not can_travel(structure)

@@ -194,10 +194,8 @@ def _channel(record: Record, name: str, far: tuple[float, ...]) -> ChannelFacts:
 
 
 def _clipped(values: Array, *, stick: bool) -> int:
-    """Longest run of equal samples at an extreme, if it is one of saturation.
-
-    A stick rests where the pilot holds it, so only its stops count: 0, 1 and -1 of full travel.
-    """
+    """Longest run of equal samples at an extreme, if it is one of saturation."""
+    # A stick rests where the pilot holds it, so only its stops count: 0, 1 and -1 of full travel.
     longest = 0
     for extreme in (values.min(), values.max()):
         if np.ptp(values) == 0 or (stick and abs(extreme) not in (0.0, 1.0)):

@@ -235,10 +235,8 @@ class _Reconstruction:
         return [(each, e / size[each], X / size[each]) for each, e, X in parts]
 
     def fit_gains(self, blocks: Sequence[Block], scaling: Array) -> None:
-        """Take the gains with the smallest innovations, no less than the rates' noise asks for.
-
-        Without that floor a bias explains a random walk too well now and then: K = 0.
-        """
+        """Take the gains with the smallest innovations, no less than the rates' noise asks for."""
+        # Without that floor a bias explains a random walk too well now and then: K = 0.
         for each in self.equations:
             mine = [e for name, e, _ in blocks if name == each]
             sizes = [
@@ -282,10 +280,8 @@ def _innovations(gain: float, e: Array, X: Array) -> tuple[Array, Array]:
 
 
 def noise(x: Array) -> float:
-    """Standard deviation of white noise on a smooth signal, from its third differences.
-
-    Differences beyond six robust deviations are those of outliers, and left out.
-    """
+    """Standard deviation of white noise on a smooth signal, from its third differences."""
+    # Differences beyond six robust deviations are those of outliers, and left out.
     size = np.abs(np.diff(x, 3))
     limit = FAR * MAD * np.median(size)
     return float(np.sqrt(np.mean(size[size <= limit] ** 2 if limit else size**2) / 20))

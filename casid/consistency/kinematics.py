@@ -132,10 +132,6 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
         are not there are left out. What `Record.detrend` subtracted is added again.
     trim : mapping
         Added to channels that were recorded as perturbations.
-
-    Returns
-    -------
-    KinematicCheck
     """
     pieces = looked_at(several(records))
     marks = [outliers(piece) for piece in pieces]

@@ -25,12 +25,10 @@ def default_grid(records: Sequence[Record]) -> Array:
 
 
 def default_windows(records: Sequence[Record], omega: Array, count: int = 5) -> tuple[float, ...]:
-    """Window lengths [s] by the rules of T&R section 10.3.
-
-    From 20 periods of the highest frequency to min(half the longest record, a fifth of all records
-    together, so that at least five windows are averaged), in equal ratios and over a factor of two
-    at least.
-    """
+    """Window lengths [s] by the rules of T&R section 10.3."""
+    # From 20 periods of the highest frequency to min(half the longest record, a fifth of all
+    # records together, so that at least five windows are averaged), in equal ratios and over a
+    # factor of two at least.
     total = sum(record.duration for record in records)
     longest = min(max(record.duration for record in records) / 2, total / 5)
     shortest = min(20 * 2 * np.pi / omega[-1], longest / 2)

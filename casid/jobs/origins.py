@@ -29,10 +29,8 @@ def source_digest() -> str:
 
 
 def structure_digest(path: str | Path) -> str:
-    """Digest of a model file and of all modules of the user's that it imports, however deep.
-
-    Modules of Python's own library, of installed packages and of casid do not count.
-    """
+    """Digest of a model file and of all modules of the user's that it imports, however deep."""
+    # Modules of Python's own library, of installed packages and of casid do not count.
     seen: dict[Path, bytes] = {}
     waiting = [Path(path).resolve()]
     while waiting:

@@ -117,16 +117,14 @@ def match(
 
     Parameters
     ----------
-    model : Model
-        Structure and guess; its channels are found in the target by name.
+    model, fixed, bounds
+        As in `Estimator.fit`; the model's channels are found in the target by name.
     target : BlackBox, FrequencyResponse, StateSpace, or several of them
         What to match. A state-space model counts as a black box that means something everywhere.
-        Measured responses enter at their own points of s = jω, weighted by
-        coherence (pairs below 0.6 are left out), black boxes on s = σ + jω.
+        Measured responses enter at their own points of s = jω, weighted by coherence (pairs below
+        0.6 are left out), black boxes on s = σ + jω.
     norm, omega, shift, weight, solver
         As in `Match`, which has the rarer settings too.
-    fixed, bounds
-        Parameters held, and bounds {name: (lower, upper)} instead of the model file's.
 
     Returns
     -------
@@ -137,10 +135,9 @@ def match(
 
     Raises
     ------
-    ValueError, ModelError
-        A channel no target has, a grid outside the band, a shift left of a pole, wrong bounds.
-    ConvergenceError
-        No solution that passes the checks; ``best`` is the best iterate as a `Fit`.
+    ValueError, ModelError, ConvergenceError
+        A channel no target has, a grid outside the band, a shift left of a pole, wrong bounds; no
+        solution that passes the checks (``best`` is the best iterate as a `Fit`).
     """
     matching = Match(norm=norm, omega=omega, shift=shift, weight=weight, solver=solver)
     return matching.fit(model, target, fixed=fixed, bounds=bounds)

@@ -34,10 +34,8 @@ def log_ratio(G: ComplexArray, measured: ComplexArray) -> ComplexArray:
 
 
 def residuals(G: ComplexArray, measured: ComplexArray, weight: Array) -> Array:
-    """Weighted gain and phase errors whose squares add up to J, (2, ...).
-
-    The weights W_γ 20/n_ω may be zero.
-    """
+    """Weighted gain and phase errors whose squares add up to J, (2, ...)."""
+    # The weights W_γ 20/n_ω may be zero.
     used, root = weight > 0, np.sqrt(weight)
     e = log_ratio(np.where(used, G, 1), np.where(used, measured, 1))
     return np.stack([root * DB * e.real, root * TURN * e.imag])

@@ -216,11 +216,9 @@ def plot_singular_values(ax: Axes, black_box: BlackBox) -> Axes:
 
 
 def plot_match_error(ax: Axes, fit: AnyFit) -> Axes:
-    """Draw the singular values of the weighted matching error against the certificate.
-
-    Of every source over its band, the largest in full and the others thin; the points that were
-    matched, the bound over the band, and the frequency that holds the optimum.
-    """
+    """Draw the singular values of the weighted matching error against the certificate."""
+    # Of every source over its band, the largest in full and the others thin; the points that were
+    # matched, the bound over the band, and the frequency that holds the optimum.
     certificate = fit.certificate
     if certificate is None:
         raise ValueError(f"a fit by {fit.method} has no certificate: draw that of a match")

@@ -42,10 +42,8 @@ class Chapter:
 
 
 def write_report(content: Content, sections: Sequence[Section], folder: str | Path) -> Path:
-    """Write report.html and figures/*.png, *.svg; returns the path of the page.
-
-    The sections may come in any order; the folder is made if need be.
-    """
+    """Write report.html and figures/*.png, *.svg; returns the path of the page."""
+    # The sections may come in any order; the folder is made if need be.
     folder = Path(folder)
     shown = sorted((each for each in sections if each.title), key=lambda each: each.place)
     page = _environment().get_template("report.html.j2")

@@ -13,11 +13,9 @@ MARKERS = "osD^vP*X"
 
 
 def plot_order_selection(axes: Sequence[Axes], selection: OrderSelection) -> Sequence[Axes]:
-    """Draw the candidates' scores against the order, and singular values, on two axes.
-
-    A line a pole, or refinement of samples, through the best candidate of every order, its standard
-    error as a bar; the choice is ringed. The order chosen divides the singular values.
-    """
+    """Draw the candidates' scores against the order, and singular values, on two axes."""
+    # A line a pole, or refinement of samples, through the best candidate of every order, its
+    # standard error as a bar; the choice is ringed. The order chosen divides the singular values.
     scores, values = axes
     chosen = selection.chosen
     kinds = dict.fromkeys(c.label for c in sorted(selection.candidates, key=lambda c: c.pole))

@@ -36,10 +36,8 @@ def starting_gain(
 
 
 def kalman_gain(model: Model, records: list[Record]) -> Array:
-    """Stationary Kalman gain for disturbances of the inputs' size and 10 % measurement noise.
-
-    Not an estimate: a gain that makes the predictor stable, whatever the aircraft, to start from.
-    """
+    """Stationary Kalman gain for disturbances of the inputs' size and 10 % measurement noise."""
+    # Not an estimate: a gain that makes the predictor stable, whatever the aircraft, to start from.
     system, h = model.system(), float(np.median([record.dt for record in records]))
     nx, ny = system.nx, system.ny
     u, y = (np.concatenate([getattr(record, name) for record in records]) for name in "uy")
@@ -57,11 +55,9 @@ def kalman_gain(model: Model, records: list[Record]) -> Array:
 
 
 def black_box_gain(model: Model, black_box: BlackBox) -> Array:
-    """Gain K (nx, ny) of a black box in the states and outputs of a model.
-
-    The states of both are compared through their responses to the inputs on the black box's band,
-    on a line right of all poles: x_model = T x_blackbox by least squares, K = T K̂.
-    """
+    """Gain K (nx, ny) of a black box in the states and outputs of a model."""
+    # The states of both are compared through their responses to the inputs on the black box's band,
+    # on a line right of all poles: x_model = T x_blackbox by least squares, K = T K̂.
     system, box = model.system(), black_box.system
     if box.dt is not None:
         raise ValueError(

@@ -105,10 +105,8 @@ class Newton:
         return f * self.hessian(x, multipliers / f if close and f > 0 else None)
 
     def hessian(self, x: Array, multipliers: Array | None) -> Array:
-        """Entries of the Hessian of the cost and the constraints, per observation.
-
-        Gauss-Newton's without multipliers, or where the intervals do not meet.
-        """
+        """Entries of the Hessian of the cost and the constraints, per observation."""
+        # Gauss-Newton's without multipliers, or where the intervals do not meet.
         programme, blocks = self.programme, self.programme.blocks(x)
         Hll, Hln = blocks.Hll, blocks.Hln
         pull: Array = np.zeros((programme.size, self.auxiliary))

@@ -126,16 +126,12 @@ def output_error(
 
     Parameters
     ----------
-    model : Model
-        Structure and start, e.g. ``match(...).model``.
+    model, fixed, bounds
+        As in `Estimator.fit`; the start is, for example, ``match(...).model``.
     records : Record or sequence of Record
         With at least the model's channels, by name; NaN in y and any sampling are welcome.
     interval, R, biases, process_noise, solver
         As in `OutputError`.
-    fixed : collection of str
-        Parameters held at the model's values.
-    bounds : mapping
-        ``{name: (lower, upper)}`` instead of the model file's.
 
     Returns
     -------
@@ -145,10 +141,9 @@ def output_error(
 
     Raises
     ------
-    ValueError, ModelError
-        No records, a missing channel, a record too short, an R that is no covariance.
-    ConvergenceError
-        IPOPT stopped early; ``best`` is the `Fit` so far.
+    ValueError, ModelError, ConvergenceError
+        No records, a missing channel, a record too short, an R that is no covariance; IPOPT stopped
+        early (``best`` is the `Fit` so far).
     """
     estimator = OutputError(
         interval=interval, R=R, biases=biases, process_noise=process_noise, solver=solver

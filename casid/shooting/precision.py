@@ -104,10 +104,8 @@ def unknown_names(programme: Programme) -> tuple[str, ...]:
 
 
 def held(programme: Programme, x: Array) -> Array:
-    """Gradients by the scaled unknowns of what holds them, (m, nf).
-
-    Parameters on a bound do not move, nor do ties and inequalities with no room left.
-    """
+    """Gradients by the scaled unknowns of what holds them, (m, nf)."""
+    # Parameters on a bound do not move, nor do ties and inequalities with no room left.
     free = programme.free
     n = len(free.index)
     values, span = programme.unpack(x).lam[:n], free.scale[free.index]

@@ -171,10 +171,8 @@ class Programme:
         return self._blocks[1]
 
     def balanced(self, point: Point) -> Scales:
-        """Scales that make the curvature per observation one, at most the present ones.
-
-        IPOPT's tolerance is then relative to the noise, whatever the noise is.
-        """
+        """Scales that make the curvature per observation one, at most the present ones."""
+        # IPOPT's tolerance is then relative to the noise, whatever the noise is.
         blocks, s = self.blocks(self.pack(point)), self.scales
         H = np.diag(blocks.Hll), np.diag(blocks.Hbb.sum(axis=0)), np.diag(blocks.Hnn.sum(axis=0))
         unit = [1 / np.sqrt(np.maximum(h / self.n, 1.0)) for h in H]

@@ -42,10 +42,8 @@ def noise_of(evaluator: Evaluator, given: Array | None, kind: CovarianceKind) ->
 def starting_programme(
     evaluator: Evaluator, free: Free, R: Array | CovarianceKind, biases: bool
 ) -> tuple[Programme, Point]:
-    """The first programme, and the point to start it from.
-
-    Its R is held: as given, or that of the starting residuals in the structure named.
-    """
+    """The first programme, and the point to start it from."""
+    # Its R is held: as given, or that of the starting residuals in the structure named.
     start = _start(evaluator, free)
     if isinstance(R, np.ndarray):
         noise = noise_of(evaluator, R, "diagonal")
@@ -62,10 +60,9 @@ def starting_programme(
 def neighbouring_programme(
     evaluator: Evaluator, free: Free, R: Array | CovarianceKind, biases: bool, near: AnyFit
 ) -> tuple[Programme, Point] | None:
-    """The programme of another fit's records, and that fit as a point of it.
-
-    λ is the fit's, whatever the bounds. None if the fit has no noise and biases for these records.
-    """
+    """The programme of another fit's records, and that fit as a point of it."""
+    # λ is the fit's, whatever the bounds. None if the fit has no noise and biases for these
+    # records.
     if near.R is None or near.biases is None:
         return None
     if near.biases.shape != (len(evaluator.layout.records), evaluator.ny):
@@ -122,11 +119,9 @@ def _drift(e: Evaluator, lam: Array) -> Array:
 
 
 def _accumulated(A: Array, Q: Array, T: float) -> Array:
-    """∫ e^{As} Q e^{Aᵀs} ds over [0, T], (nx, nx), positive semidefinite however stiff A is.
-
-    Over a step with ‖A‖ h <= 1 by Van Loan's exponential, whose growing half would swamp the
-    other over longer ones, and from there by doubling.
-    """
+    """∫ e^{As} Q e^{Aᵀs} ds over [0, T], (nx, nx), positive semidefinite however stiff A is."""
+    # Over a step with ‖A‖ h <= 1 by Van Loan's exponential, whose growing half would swamp the
+    # other over longer ones, and from there by doubling.
     nx = len(Q)
     doublings = max(0, int(np.ceil(np.log2(max(float(np.linalg.norm(A, 2)) * T, 1e-300)))))
     block = np.zeros((2 * nx, 2 * nx))

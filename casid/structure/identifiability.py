@@ -119,10 +119,6 @@ def identifiability(
     seed : int
         Of that move.
 
-    Returns
-    -------
-    Identifiability
-
     Raises
     ------
     ValueError, ModelError
@@ -189,11 +185,9 @@ def _record_information(at: Matrices, record: Record, sy: Array) -> Array:
 
 
 def _spectrum(record: Record) -> tuple[Array, ComplexArray, Array]:
-    """Frequencies 2πk/T that hold nearly all of the inputs' energy, and the inputs' transforms.
-
-    Of very many some are taken, denser where they are low; the last array says how many each
-    stands for.
-    """
+    """Frequencies 2πk/T that hold nearly all of the inputs' energy, and the inputs' transforms."""
+    # Of very many some are taken, denser where they are low; the last array says how many each
+    # stands for.
     t = record.t - record.t[0]
     omega = 2 * np.pi / (record.duration + record.dt) * np.arange(1, max(2, record.N // 2))
     if record.equidistant:
@@ -285,11 +279,9 @@ def _judge(names: tuple[str, ...], F: Array, scale: Array) -> Identifiability:
 
 
 def _groups(null: Array, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    """Parameters in each combination that is not felt, with as few in each as can be.
-
-    Gauss-Jordan with the largest pivot gives a basis of the null space in which every combination
-    has one parameter of its own.
-    """
+    """Parameters in each combination that is not felt, with as few in each as can be."""
+    # Gauss-Jordan with the largest pivot gives a basis of the null space in which every combination
+    # has one parameter of its own.
     rows = null.T.copy()
     for k in range(len(rows)):
         i, j = map(int, np.unravel_index(np.argmax(np.abs(rows[k:])), rows[k:].shape))

@@ -88,10 +88,8 @@ def describe(
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
 ) -> Overview:
-    """Lay a structure open at its guess; ModelError for whatever is wrong with its file.
-
-    Identifiability is judged for the records, one 3-2-1-1 a control unless given.
-    """
+    """Lay a structure open at its guess; ModelError for whatever is wrong with its file."""
+    # Identifiability is judged for the records, one 3-2-1-1 a control unless given.
     free = free_parameters(model, fixed, bounds)
     system = free.model.system()
     flown = excitation(system) if records is None else several(records)
@@ -112,11 +110,9 @@ def describe(
 
 
 def excitation(system: StateSpace, unit: float = 0.7, dt: float = 0.02) -> list[Record]:
-    """One 3-2-1-1 a control of 5 % of its travel, 16 s, and the model's response to it.
-
-    The response is the one that stays bounded, over and over again, less its mean: how large it is
-    must not depend on how fast a guess diverges.
-    """
+    """One 3-2-1-1 a control of 5 % of its travel, 16 s, and the model's response to it."""
+    # The response is the one that stays bounded, over and over again, less its mean: how large it
+    # is must not depend on how fast a guess diverges.
     t = dt * np.arange(round(16 / dt))
     edges = 2 + unit * np.array([0, 3, 5, 6, 7])
     signal = 0.05 * np.array([0, 1, -1, 1, -1, 0])[np.searchsorted(edges, t, side="right")]

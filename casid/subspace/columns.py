@@ -56,11 +56,9 @@ def feedthrough_mask(
 
 
 def excited_band(records: Sequence[Record]) -> tuple[float, float]:
-    """Frequencies [rad/s] where every input is excited in one record at least.
-
-    From two periods in the longest record to the frequency above which the input's spectrum (the
-    largest over the records) stays 40 dB below its peak.
-    """
+    """Frequencies [rad/s] where every input is excited in one record at least."""
+    # From two periods in the longest record to the frequency above which the input's spectrum (the
+    # largest over the records) stays 40 dB below its peak.
     low = 2 * 2 * np.pi / max(record.duration for record in records)
     highs = []
     for j in range(records[0].nu):
@@ -72,10 +70,8 @@ def excited_band(records: Sequence[Record]) -> tuple[float, float]:
 
 
 def output_bandwidth(records: Sequence[Record]) -> float:
-    """Frequency [rad/s] below which the outputs move: 90 % of their power over all records.
-
-    The median over outputs: neither a drifting one nor one that is mostly noise decides.
-    """
+    """Frequency [rad/s] below which the outputs move: 90 % of their power over all records."""
+    # The median over outputs: neither a drifting one nor one that is mostly noise decides.
     ends = _ends_of_power(records, "y", MOVING)
     return float(np.median(ends)) if ends else 2 * np.pi / records[0].duration
 
@@ -168,10 +164,8 @@ def _sample_blocks(record: Record, su: Array, sy: Array, past: int) -> Iterator[
 
 
 def completed(record: Record) -> Record:
-    """The record with its missing samples filled in: by a short autoregression, or linearly.
-
-    The autoregression (`casid.autoregression`) takes equidistant samples.
-    """
+    """The record with its missing samples filled in: by a short autoregression, or linearly."""
+    # The autoregression (`casid.autoregression`) takes equidistant samples.
     if record.equidistant or not np.isnan(record.y).any():
         return filled(record)[0]
     y = record.y.copy()
@@ -229,10 +223,8 @@ def check_pole(records: Sequence[Record], a: float) -> None:
 
 
 def check_independent(records: Sequence[Record]) -> None:
-    """Raise where an input is a sum of multiples of other inputs, or an output of other outputs.
-
-    Nothing then tells their effects apart, and the regressions divide by rounding.
-    """
+    """Raise where an input is a sum of multiples of other inputs, or an output of other outputs."""
+    # Nothing then tells their effects apart, and the regressions divide by rounding.
     for kind in ("input", "output"):
         values = [record.u if kind == "input" else record.y for record in records]
         whole = np.vstack([v - np.nanmean(v, axis=0) for v in values if len(v) > 1])

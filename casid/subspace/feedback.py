@@ -29,11 +29,9 @@ LEVEL = 1e-3  # of the tests for feedback and for a direct term
 def fed_back_noise(
     system: StateSpace, K: Array, records: Sequence[Record], su: Array, sy: Array
 ) -> float:
-    """Bound on the relative bias that noise fed back by a controller gives the response.
-
-    The largest over inputs, for the average output; 0 where no feedback shows. A - KC is stable,
-    no sample is missing.
-    """
+    """Bound on the relative bias that noise fed back by a controller gives the response."""
+    # The largest over inputs, for the average output; 0 where no feedback shows. A - KC is stable,
+    # no sample is missing.
     lags = min(LAGS, max(int(MEMORY / max(record.dt for record in records)), 2))
     rows, targets, errors = [], [], []
     most = ENOUGH // len(records) + 1
@@ -80,11 +78,9 @@ def prediction_errors(system: StateSpace, K: Array, record: Record) -> Array:
 
 
 def direct_term_is_ambiguous(stack: Stack) -> bool:
-    """Whether samples show feedback and a correlation of present inputs with present outputs.
-
-    Then a direct term of the plant cannot be told from one of the controller: both give the
-    innovations of u and y the same correlation. Two likelihood-ratio tests at `LEVEL`.
-    """
+    """Whether samples show feedback and a correlation of present inputs with present outputs."""
+    # Then a direct term of the plant cannot be told from one of the controller: both give the
+    # innovations of u and y the same correlation. Two likelihood-ratio tests at `LEVEL`.
     nu, nz, p = stack.nu, stack.nz, stack.past
     Z = stack.Z.reshape(len(stack.R), p, nz)
     inputs, outputs = Z[:, :, :nu].reshape(len(Z), -1), Z[:, :, nu:].reshape(len(Z), -1)

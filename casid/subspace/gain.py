@@ -9,12 +9,10 @@ from casid.linear import StateSpace
 
 
 def carried_gain(system: StateSpace, K: Array, refined: StateSpace, R: Array) -> Array:
-    """Innovation gain of the refined model: the old one seen in its modes, made stabilising.
-
-    The old gain, carried over by the modes' order, gives the process-noise covariance K R Kᵀ; the
-    filter Riccati equation then returns the gain itself where A - KC is stable, and the stable one
-    of the same spectrum where it is not.
-    """
+    """Innovation gain of the refined model: the old one seen in its modes, made stabilising."""
+    # The old gain, carried over by the modes' order, gives the process-noise covariance K R Kᵀ; the
+    # filter Riccati equation then returns the gain itself where A - KC is stable, and the stable
+    # one of the same spectrum where it is not.
     lam_old, V_old = np.linalg.eig(system.A)
     lam, V = np.linalg.eig(refined.A)
     modal_gain = np.linalg.solve(V_old, K.astype(complex))

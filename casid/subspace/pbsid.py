@@ -386,10 +386,6 @@ def pbsid(
     order, past, future, pole, feedthrough, transform, regularisation, refine
         See `Pbsid`.
 
-    Returns
-    -------
-    BlackBox
-
     Raises
     ------
     ValueError

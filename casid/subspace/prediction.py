@@ -269,11 +269,9 @@ def _whitener(modal: Modal, data: Sequence[Stretch], W: Array) -> Array:
 
 
 def _levelled(modal: Modal, data: Sequence[Stretch], W: Array) -> list[Stretch]:
-    """The data with errors weighted by the inverse of their local level.
-
-    The level is that of all outputs' whitened errors. The weights' geometric mean is one, so that
-    the covariance of weighted errors still is the likelihood.
-    """
+    """The data with errors weighted by the inverse of their local level."""
+    # The level is that of all outputs' whitened errors. The weights' geometric mean is one, so that
+    # the covariance of weighted errors still is the likelihood.
     pairs = zip(prediction_errors(modal, data, W), data, strict=True)
     power = [np.mean((E @ W.T / s.weight) ** 2, axis=1, keepdims=True) for E, s in pairs]
     least = LEAST**2 * np.mean(np.vstack(power))

@@ -200,10 +200,8 @@ def noise_weights(modal: Modal, data: Sequence[Spectrum]) -> list[Array]:
 
 
 def _smoothed(at: Array, omega: Array, power: Array) -> Array:
-    """Local mean of power (K, ny) over logarithms of frequency, at those asked for.
-
-    Powers are first summed over intervals much narrower than the kernel: the work is linear in K.
-    """
+    """Local mean of power (K, ny) over logarithms of frequency, at those asked for."""
+    # Powers are first summed over intervals much narrower than the kernel: the work is linear in K.
     place = np.floor(omega / (WIDTH / FINE)).astype(int)
     _, which, count = np.unique(place, return_inverse=True, return_counts=True)
     sums = [np.bincount(which, weights=column) for column in (omega, *power.T)]
@@ -230,10 +228,8 @@ def _transient(modal: Modal, spectrum: Spectrum, w: Array) -> tuple[ComplexArray
 def normal_equations(
     modal: Modal, data: Sequence[Spectrum], weights: Sequence[Array], free: np.ndarray
 ) -> tuple[Array, Array]:
-    """Re Σ Jᴴ W J and Re Σ Jᴴ W E, transients eliminated.
-
-    Parameters are λ, B, C by mode (real parts, then imaginary ones) and the free entries of D.
-    """
+    """Re Σ Jᴴ W J and Re Σ Jᴴ W E, transients eliminated."""
+    # Parameters are λ, B, C by mode (real parts, then imaginary ones) and the free entries of D.
     n = len(modal.lam) + int((~modal.real).sum())
     ny, nu = modal.D.shape
     size = n + n * nu + ny * n + len(free)
@@ -277,12 +273,10 @@ def highest_growth(data: Sequence[Spectrum]) -> float:
 
 
 def _ceiling(modal: Modal, data: Sequence[Spectrum], fastest: float) -> Array:
-    """Largest real part each mode may take, (nm,).
-
-    With free end states a growing mode explains as much as a decaying one: it is the start, found
-    by causal prediction, that knows which is which. A mode that starts stable may at most grow by
-    exp(2) over the longest record, which the transient hides.
-    """
+    """Largest real part each mode may take, (nm,)."""
+    # With free end states a growing mode explains as much as a decaying one: it is the start, found
+    # by causal prediction, that knows which is which. A mode that starts stable may at most grow by
+    # exp(2) over the longest record, which the transient hides.
     slow = np.where(modal.lam.real > 0, np.inf, highest_growth(data))
     size = np.abs(modal.lam)
     return np.asarray(np.where(size > fastest, -LEAST_DAMPING * size, slow))

@@ -35,12 +35,10 @@ class Estimate:
 
 
 def refine_sampled(campaign: Campaign, found: Subspace, how: Refinement) -> Estimate:
-    """Model of samples: the subspace estimate itself, or moved by one of four criteria.
-
-    "linear" moves B, K and D alone (`casid.subspace.regression`), "prediction" everything to the
-    maximum likelihood of prediction errors, "simulation" from there to that of simulation errors;
-    "local simulation" goes on with these divided by their local level. Simulations have K = 0.
-    """
+    """Model of samples: the subspace estimate itself, or moved by one of four criteria."""
+    # "linear" moves B, K and D alone (`casid.subspace.regression`), "prediction" everything to the
+    # maximum likelihood of prediction errors, "simulation" from there to that of simulation errors;
+    # "local simulation" goes on with these divided by their local level. Simulations have K = 0.
     system, K = found.system, found.K
     data = campaign.records, campaign.su, campaign.sy, campaign.mask
     if how == "unrefined":

@@ -35,12 +35,10 @@ GROWTH = 2.0  # of an exponent over the longest record: what grows more cannot b
 
 
 def are_candidates(campaign: Campaign, projected: StateSpace | None) -> bool:
-    """Whether a model of the samples can be better than one of projections, and be judged so.
-
-    The records are complete, of one interval, and sampled no faster than their inputs move; a
-    direct term is free where straight lines between samples need one; and the aircraft, as
-    projections show it, is stable enough for a simulation of whole records.
-    """
+    """Whether a model of the samples can be better than one of projections, and be judged so."""
+    # The records are complete, of one interval, and sampled no faster than their inputs move; a
+    # direct term is free where straight lines between samples need one; and the aircraft, as
+    # projections show it, is stable enough for a simulation of whole records.
     first, records = campaign.records[0], campaign.records
     alike = all(
         r.equidistant

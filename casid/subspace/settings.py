@@ -126,10 +126,8 @@ class Grid:
     regularisations: Sequence[float]
 
     def windows(self, records: Sequence[Record]) -> list[Windows]:
-        """Poles and windows whose kernels cost at most a quarter of the longest record.
-
-        All of them where there is nothing to choose; with the first regularisation.
-        """
+        """Poles and windows whose kernels cost at most a quarter of the longest record."""
+        # All of them where there is nothing to choose; with the first regularisation.
         pairs = list(product(self.poles, self.pasts))
         longest = max(record.duration for record in records)
         fit = [(a, past) for a, past in pairs if support(a, past) <= COST * longest]

@@ -77,11 +77,9 @@ def growth_doubts(modes: ComplexArray) -> tuple[str, ...]:
 
 
 def data_doubts(explained: Array, outputs: Sequence[str]) -> tuple[str, ...]:
-    """Why the records do not support a model; empty where they do.
-
-    They do not where the inputs explain most outputs with a coherence below `COHERENCE`. A few such
-    outputs are common: attitudes hardly move at the upper end of the band.
-    """
+    """Why the records do not support a model; empty where they do."""
+    # They do not where the inputs explain most outputs with a coherence below `COHERENCE`. A few
+    # such outputs are common: attitudes hardly move at the upper end of the band.
     weak = [
         f"{name} {max(share, 0):.0%}"
         for name, share in zip(outputs, explained, strict=True)
