@@ -7,6 +7,7 @@ import numpy as np
 
 from casid.fit import AnyFit
 from casid.report.content import OUTPUT_ERROR, Caution, Content
+from casid.report.evidence import noise_levels
 from casid.shooting.precision import OutputErrorNotes
 from casid.validation import Validation, fit_percent, rms_error, theil_coefficient
 
@@ -20,14 +21,15 @@ NAMED = 12  # names in a warning before it says how many more
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """How well the refined model predicts one output of the unseen records, taken together."""
+    """How well the refined model predicts one output of the validation records, taken together."""
 
     output: str
     unit: str
     rms: float
     fit: float
     theil: float
-    noise: float  # standard deviation in the records of the estimation, NaN if unknown
+    noise: float  # standard deviation of what changes too fast for an aircraft
+    residual: float  # standard deviation of what the estimation left in its own records
     records: tuple[float, ...]  # Theil's coefficient of each
 
     @property
@@ -54,7 +56,8 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
     if estimate is None:
         return ()
     deviations = () if estimate.R is None else np.sqrt(np.diag(estimate.R)).tolist()
-    noise = dict(zip(type(estimate.model).outputs, deviations, strict=False))
+    residual = dict(zip(type(estimate.model).outputs, deviations, strict=False))
+    noise = noise_levels(validation.measured).tolist()
     found = []
     for i, output in enumerate(validation.outputs):
         y = np.concatenate([record.y[:, i] for record in validation.measured])
@@ -70,7 +73,8 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
             rms=rms,
             fit=fit,
             theil=theil,
-            noise=noise.get(output, np.nan),
+            noise=noise[i],
+            residual=residual.get(output, np.nan),
             records=tuple(validation.theil[OUTPUT_ERROR][:, i].tolist()),
         )
         found.append(verdict)
@@ -99,7 +103,7 @@ def on_bounds(fit: AnyFit) -> Iterator[Caution]:
         yield Caution(
             f"{count} on a bound: {_names(active)}. The data ask for a value beyond it: look at "
             "the price in the table, then at the bound.",
-            20,
+            10,
         )
 
 

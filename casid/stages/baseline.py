@@ -9,6 +9,7 @@ from casid.fit import Fit
 from casid.frequency.estimation import FrequencyResponse
 from casid.report.content import BASELINE as LABEL
 from casid.report.content import Content, Section, template
+from casid.report.evidence import misfit
 from casid.report.verdicts import unsolved
 from casid.stages.stage import Stage, Task
 
@@ -30,7 +31,7 @@ def _show(found: Fit[Any, DerividNotes], content: Content) -> Iterable[Section]:
         place=20,
         template=template("baseline"),
         values={"found": found},
-        cautions=tuple(unsolved(found)),
+        cautions=(*unsolved(found), *misfit(found)),
     )
 
 

@@ -13,6 +13,7 @@ from casid.report.drawings import (
     draw_rms,
     draw_whiteness,
 )
+from casid.report.evidence import differences, disagreement
 from casid.report.verdicts import verdicts
 from casid.stages.stage import Stage, Task
 from casid.validation import Validation, validate
@@ -28,9 +29,10 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
     names = ", ".join(found.records)
     new = "estimations had seen" if content.repeats.seen else "no estimation had seen"
     said = [Caution(each, 3) for each in content.repeats.told()]
-    said += [Caution(each.caution, 15) for each in poor]
+    said += [*disagreement(found), *differences(content)]
+    said += [Caution(each.caution, 20) for each in poor]
     if found.predicted:
-        said.append(Caution(f"Validation records: {found.predicted}", 16))
+        said.append(Caution(f"Validation records: {found.predicted}", 21))
     yield Section(
         name="verdicts",
         title="Verdicts",

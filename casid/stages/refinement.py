@@ -8,6 +8,7 @@ from casid.fit import Fit
 from casid.record import Record
 from casid.report.content import OUTPUT_ERROR as LABEL
 from casid.report.content import Content, Section, template
+from casid.report.evidence import few
 from casid.report.verdicts import coloured, on_bounds, uncertain, unsolved
 from casid.shooting.output_error import OutputError
 from casid.shooting.precision import OutputErrorNotes
@@ -39,7 +40,7 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
         template=template("parameters"),
         values=values,
         lead=f"Its {free} free parameters were refined by output error.",
-        cautions=(*unsolved(found), *on_bounds(found), *uncertain(found)),
+        cautions=(*unsolved(found), *on_bounds(found), *few(found, content), *uncertain(found)),
     )
 
 

@@ -32,6 +32,7 @@ from casid.report import (
 )
 from casid.report import html as html_module
 from casid.report.drawings import LOOK
+from casid.report.evidence import noise_levels
 from casid.report.figures import decibel, groups, input_pairs, phase, style
 from casid.report.interactive import interactive
 from casid.report.verdicts import coloured, verdicts, word
@@ -312,12 +313,15 @@ def test_an_error_of_the_size_of_the_noise_is_not_held_against_the_model(content
     fit = content.results["output_error"]
     validation = content.results["validation"]
     found = verdicts(validation, content)
-    np.testing.assert_allclose([v.noise for v in found], np.sqrt(np.diag(fit.R)))
-    noise = np.array([v.rms for v in found]) / [1.0, 1.5]
-    loud = changed(content, output_error=dataclasses.replace(fit, R=np.diag(noise**2)))
-    assert [v.noisy for v in verdicts(validation, loud)] == [True, False]
-    unknown = changed(content, output_error=dataclasses.replace(fit, R=None))
-    assert not any(v.noisy for v in verdicts(validation, unknown))
+    np.testing.assert_allclose([v.residual for v in found], np.sqrt(np.diag(fit.R)))
+    np.testing.assert_allclose([v.noise for v in found], noise_levels(validation.measured))
+    loud = [
+        dataclasses.replace(v, noise=v.rms / size) for v, size in zip(found, [1, 1.5], strict=True)
+    ]
+    assert [v.noisy for v in loud] == [True, False]
+    assert [v.caution.endswith("it hardly moves.") for v in loud] == [True, False]
+    unknown = verdicts(validation, changed(content, output_error=dataclasses.replace(fit, R=None)))
+    assert np.isnan([v.residual for v in unknown]).all()
 
 
 # ---- the page ----------------------------------------------------------------------------------

@@ -84,12 +84,12 @@ omega = { from = 0.5, to = 5, points = 20 }
 TRIM = {"lat": 0.5, "p": 0.01, "phi": -0.02}
 
 
-def write_study(folder: Path, *changes: tuple[str, str]) -> Path:
-    """Write model, records and study; ``changes`` replace text of the study file."""
+def write_study(folder: Path, *changes: tuple[str, str], truth: Model | None = None) -> Path:
+    """Write model, records of a truth and study; ``changes`` replace text of the study file."""
     (folder / "roll.py").write_text(MODEL, encoding="utf-8")
     t = np.arange(0, 30, 0.04)
     for name, u in {"3211": _steps(t), "sweep": _sweep(t), "random": _random(t)}.items():
-        y = Truth().system().simulate(t, u[:, None])
+        y = (truth or Truth()).system().simulate(t, u[:, None])
         record = Record(t, u[:, None], y, ("lat",), ("p", "phi"), name, trim=TRIM)
         write_csv(folder / f"{name}.csv", record)
         _to_percent(folder / f"{name}.csv")

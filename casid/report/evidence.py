@@ -1,0 +1,131 @@
+"""What speaks against a result: structure and data, one estimate and another, too little data."""
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.baseline.accuracy import DerividNotes
+from casid.consistency.flightpath import noise
+from casid.eigenmodes import modes
+from casid.fit import AnyFit
+from casid.record import Record
+from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Caution, Content
+from casid.validation import Validation
+
+WORSE = 2.0  # RMS error of the structure over that of the black box
+APART = 4.0  # standard errors of a difference: by chance once in 16 000
+WORST = 2.0  # of the guideline for J on average: what a single pair may have
+PER_UNKNOWN = 20.0  # measurements
+NAMED = 5  # before it says how many more
+
+
+def noise_levels(records: Sequence[Record]) -> Array:
+    """Standard deviation (ny,) of what changes too fast for an aircraft, the median of records."""
+    levels = np.full((len(records), records[0].ny), np.nan)
+    for k, record in enumerate(records):
+        for i in range(record.ny):
+            known = record.y[np.isfinite(record.y[:, i]), i]
+            if len(known) > 8:
+                levels[k, i] = noise(known)
+    return np.asarray(np.nanmedian(levels, axis=0)) if len(records) > 1 else levels[0]
+
+
+def disagreement(validation: Validation) -> Iterator[Caution]:
+    """Outputs that the records allow to predict much better than the structure does."""
+    if not {BLACK_BOX, OUTPUT_ERROR} <= set(validation.models):
+        return
+    sizes = [_pooled(validation.rms[name]) for name in (OUTPUT_ERROR, BLACK_BOX)]
+    level = noise_levels(validation.measured)
+    said = []
+    for name, own, other, floor in zip(validation.outputs, *sizes, level, strict=True):
+        least = np.fmax(other, floor)  # nobody need predict noise
+        if own > WORSE * least:
+            said.append(
+                (own / least, f"{name} {own / least:.1f} times ({own:.2g} for {other:.2g})")
+            )
+    if said:
+        yield Caution(
+            "Structure and data disagree: the black box predicts the validation records better, "
+            f"{_names([text for _, text in sorted(said, reverse=True)])}. "
+            "Parameters make up for what the structure lacks; try a richer one.",
+            5,
+        )
+
+
+def _pooled(rms: Array) -> Array:
+    """Of all records together, (ny,)."""
+    return np.asarray(np.sqrt(np.nanmean(rms**2, axis=0)))
+
+
+def differences(content: Content) -> Iterator[Caution]:
+    """Parameters on which two fits differ by more than their errors allow."""
+    for (one, first), (other, second) in combinations(content.fits.items(), 2):
+        common = [row.name for row in first.parameters if not row.fixed]
+        apart = {}
+        for name in common:
+            a, b = first[name], second[name]
+            spread = np.hypot(a.std_error, b.std_error)
+            if np.isfinite(spread) and spread > 0 and abs(a.value - b.value) > APART * spread:
+                apart[name] = abs(a.value - b.value) / spread
+        if apart:
+            worst = sorted(apart, key=apart.__getitem__, reverse=True)
+            opposite = sum(first[name].value * second[name].value < 0 for name in apart)
+            yield Caution(
+                f"{one.capitalize()} and {other} differ by more than their errors allow on "
+                f"{len(apart)} of {len(common)} parameters ({opposite} of opposite sign): "
+                f"{_names([f'{name} {apart[name]:.0f}σ' for name in worst])}. Errors do not cover "
+                "what the structure lacks: neither value is known to its standard error.",
+                8,
+            )
+
+
+def misfit(fit: AnyFit) -> Iterator[Caution]:
+    """A frequency-domain fit whose cost is above the usual limits."""
+    if not isinstance(fit.notes, DerividNotes):
+        return
+    limit, worst = fit.notes.guidelines.J, max(fit.notes.pairs, key=lambda pair: pair.J)
+    if fit.notes.average > limit or WORST * limit < worst.J:
+        yield Caution(
+            f"The frequency-domain fit misses the usual limits: J is {fit.notes.average:.0f} on "
+            f"average (up to {limit:.0f} is satisfactory) and {worst.J:.0f} at worst, "
+            f"{worst.output} from {worst.input}.",
+            12,
+        )
+
+
+def few(fit: AnyFit, content: Content) -> Iterator[Caution]:
+    """Too few measurements for the unknowns, or records shorter than the slowest mode."""
+    roles = {file.role for file in content.data}
+    role = "refinement" if "refinement" in roles else "identification"
+    files = [file for file in content.data if file.role == role]
+    if not files:
+        return
+    model = type(fit.model)
+    measured = sum(file.samples for file in files) * len(model.outputs)
+    unknowns = len(fit.free_names) + len(files) * (len(model.states) + len(model.outputs))
+    if measured < PER_UNKNOWN * unknowns:
+        yield Caution(
+            f"Few data: {measured} measurements for {unknowns} unknowns (parameters, and initial "
+            "state and biases of every record); fly more.",
+            14,
+        )
+    longest = max(file.seconds for file in files)
+    slow = {
+        mode.name if mode.name != "-" else f"at {mode.frequency:.2g} rad/s": length
+        for mode in modes(fit.model.system())
+        if (length := min(mode.period, 2 * np.pi * mode.time_constant)) > longest
+    }
+    if slow:
+        told = [f"{name} ({length:.0f} s)" for name, length in slow.items()]
+        yield Caution(
+            f"Few data: no record of the estimation ({longest:.0f} s at most) is as long as one "
+            f"period of {_names(told)}; what these modes rest on is poorly known.",
+            14,
+        )
+
+
+def _names(said: Sequence[str]) -> str:
+    more = f" and {len(said) - NAMED} more" if len(said) > NAMED else ""
+    return ", ".join(said[:NAMED]) + more

@@ -1,0 +1,78 @@
+"""What the box of cautions leads with: a study that must raise each, and one that must not."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.roll_study import write_study
+
+from casid import Model, Record, Rows, Scalar, parameter, read_study, run_study
+from casid.report.evidence import noise_levels
+
+MEASURED = (
+    ("[records.validation]", "[records.frequency]\nfiles = ['sweep.csv']\nnoise = true\n\n"
+     "[records.validation]"),
+    ("[match]", "[frequency]\nomega = {from = 0.6, to = 5, points = 20}\n\n[derivid]\n\n[match]"),
+)  # fmt: skip
+NARROW = ("[channels.units]", "[model.bounds]\nLp = [-0.7, 0]\n\n[channels.units]")
+SPARSE = ("[records.validation]", "[records.refinement]\nfiles = ['3211.csv']\nnoise = true\n"
+          "decimate = 20\n\n[records.validation]")  # fmt: skip
+LEADS = (
+    "Structure and data disagree: the black box predicts the validation records better",
+    "Output error and frequency domain differ by more than their errors allow",
+    "on a bound: Lp",
+    "The frequency-domain fit misses the usual limits: J is",
+    "Few data: 76 measurements for 9 unknowns",
+)
+
+
+class Lagged(Model):
+    """The roll axis behind a rotor, a lag that the study's structure lacks."""
+
+    states, inputs, outputs = ("v", "p", "phi", "a"), ("lat",), ("p", "phi")
+    T: Scalar = parameter(default=1.0, unit="s")
+
+    def A(self) -> Rows:
+        lag = -1 / self.T
+        return [[-0.12, 0, 9.80665, 0], [-0.06, -2.2, 0, 10], [0, 1, 0, 0], [0, 0, 0, lag]]
+
+    def B(self) -> Rows:
+        return [[0], [0], [0], [1 / self.T]]
+
+
+def cautions(folder, *changes, truth=None):
+    """Lines of the box on top of the report."""
+    page = run_study(read_study(write_study(folder, *changes, truth=truth))).report
+    text = page.read_text(encoding="utf-8")
+    box = text.partition('class="cautions"')[2].partition("</ul>")[0]
+    return re.findall(r"<li>(.*?)</li>", box, flags=re.DOTALL)
+
+
+@pytest.mark.slow
+def test_a_structure_that_lacks_a_rotor_leads_the_box_with_what_matters(tmp_path):
+    said = cautions(tmp_path, *MEASURED, NARROW, SPARSE, truth=Lagged())
+    assert len(said) > len(LEADS)
+    for told, lead in zip(said, LEADS, strict=False):
+        assert lead in told
+
+
+@pytest.mark.slow
+def test_the_right_structure_raises_none_of_them(tmp_path):
+    said = " ".join(cautions(tmp_path, *MEASURED))
+    assert said  # kinematics: the records have a bias
+    for lead in LEADS:
+        assert lead[:16] not in said
+
+
+def test_noise_is_what_changes_too_fast_and_not_the_residual():
+    t = 0.02 * np.arange(2000)
+    rng = np.random.default_rng(2)
+    slow = np.column_stack([np.sin(t), np.sin(3 * t)])
+    y = slow + rng.standard_normal((2000, 2)) * [0.01, 0.002]
+    y[::50, 0] = np.nan
+    record = Record(t, np.sin(t)[:, None], y, ("u",), ("a", "b"), "one")
+    # 2000 samples, of whose third differences some 300 are independent: 4 %, three sigma.
+    np.testing.assert_allclose(noise_levels([record]), [0.01, 0.002], rtol=0.12)
+    quiet = replace(record, y=slow, name="two")
+    assert noise_levels([quiet])[0] < 1e-4
