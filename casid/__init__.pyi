@@ -1,5 +1,6 @@
 """Public names, read by type checkers and by casid/__init__.py."""
 
+from .autoregression import outliers as outliers
 from .baseline.accuracy import DerividNotes as DerividNotes
 from .baseline.derivid import Derivid as Derivid, derivid as derivid
 from .baseline.handling import (

@@ -80,8 +80,8 @@ def smoothed(x: Array, ratio: float) -> Array:
     k = np.arange(-half, half + 1)
     taps = np.sinc(PASS * k / ratio) * np.hanning(2 * half + 3)[1:-1]
     padded = np.pad(x, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
-    filtered = scipy.signal.fftconvolve(padded, (taps / taps.sum())[:, None], mode="valid", axes=0)
-    return np.asarray(filtered)
+    taps /= taps.sum()
+    return np.column_stack([np.convolve(column, taps, mode="valid") for column in padded.T])
 
 
 # ---- what they must be -------------------------------------------------------------------------
