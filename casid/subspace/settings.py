@@ -9,7 +9,10 @@ whose score is within one standard error of the best.
 Where records are too few for that, holding out stretches of them leaves too little to learn from,
 and the score is the corrected Akaike criterion of the refined model, the large-sample equivalent of
 leaving out one Fourier line after the other (M. Stone, J. R. Stat. Soc. B 39 (1977) 44-47). At
-every order the criterion before the refinement says which poles and windows are worth refining.
+every order the criterion before the refinement says which poles and windows are worth refining. Of
+one record the lowest order is taken whose criterion, of all observations, is within 6 of the best:
+those that follow noise seldom gain more (K. P. Burnham, D. R. Anderson, Model Selection and
+Multimodel Inference, 2nd ed., section 2.6).
 """
 
 from collections.abc import Callable, Sequence
@@ -39,6 +42,7 @@ REGULARISATIONS = (1e-3, 1e-2)
 COST = 0.25  # of the longest record: what kernels past its end may cost
 FOLDS = 8
 BINS = 8
+SUPPORT = 6.0  # of AICc, of one record: what is no closer to the best has much less support
 OVERFLOW = 30.0  # exponent by which no mode grows between two samples
 STARTS = 2  # poles and windows refined at every order where nothing is held out
 EXCITED = 0.3  # of the largest standard deviation: what counts as exciting an input
@@ -264,7 +268,10 @@ def _akaike_search(campaign: Campaign, grid: Grid) -> list[Candidate]:
         again = _model(campaign, best.order, w)
         if again is not None:
             tried += _refined(campaign, again, w, data, judge)
-    return tried
+    if len(data) > 1:
+        return tried
+    N = 2 * len(campaign.sy) * sum(len(spectrum.omega) for spectrum in data[0])
+    return [replace(c, error=SUPPORT / N) for c in tried]
 
 
 def _model(
@@ -322,7 +329,10 @@ def best_of(tried: Sequence[Candidate]) -> Candidate:
 
 
 def with_errors(tried: Sequence[Candidate]) -> list[Candidate]:
-    """Standard error of each candidate's mean distance from the best, record by record."""
+    """Standard error of each candidate's mean distance from the best, record by record.
+
+    That of a single record is left as it is.
+    """
     best = np.array(best_of(tried).folds)
     if len(best) < 2:
         return list(tried)

@@ -2,13 +2,14 @@ import numpy as np
 import pytest
 from truths.systems import campaign, innovation_record, unstable_plant
 
-from casid import StateSpace, pbsid
+from casid import Record, StateSpace, pbsid
 from casid.record import standard_deviations
 from casid.subspace.fourier import spectra
 from casid.subspace.modal import Modal, from_modal, schur, to_modal
 from casid.subspace.refinement import (
     ResponseUncertainty,
     information_criteria,
+    known_weights,
     refine,
     residual_powers,
 )
@@ -34,17 +35,55 @@ def sampled(seed):
     return covered(truth, box, np.linspace(0.1, 2.5, 12))
 
 
+def multisine(seed, duration):
+    """Two states under twelve lines, white noise of a tenth on both outputs."""
+    rng, t = np.random.default_rng(seed), np.arange(0, duration, 0.02)
+    lines = 2 * np.pi / duration * np.unique(np.round(np.geomspace(0.1, 2.5, 12) * duration))
+    phases = np.random.default_rng(99).uniform(0, 7, len(lines))
+    u = np.cos(t[:, None] * lines + phases).sum(axis=1)[:, None]
+    truth = StateSpace([[-0.8, 2.0], [-2.0, -0.8]], [[1.0], [0.5]], np.eye(2), [[0.0], [0.0]])
+    y = truth.simulate(t, u)
+    y = y + 0.1 * np.std(y, axis=0) * rng.standard_normal(y.shape)
+    return truth, Record(t, u, y, ("u",), ("a", "b"))
+
+
+@pytest.mark.parametrize("duration", [20.0, 40.0])
+def test_stated_errors_are_those_of_many_records_of_few_lines(duration):
+    errors, omega = [], np.geomspace(0.7, 12.0, 12)
+    for seed in range(40):
+        truth, record = multisine(seed, duration)
+        box = pbsid(record, order=2, past=8, pole=6.0)
+        size, phase = box.response_std(omega)
+        error = np.log(box.system.response(omega) / truth.response(omega))
+        errors.append([error.real / size, error.imag / phase])
+    # 40 records of some six independent parameters: the root mean square is known within 5 %.
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.09)
+    assert 0.92 <= np.mean(np.abs(errors) < 1.96) <= 0.98
+
+
+def test_weights_of_many_lines_are_those_of_a_known_spectrum():
+    record = campaign(records=1, duration=200.0)[0]
+    su, sy = standard_deviations([record])
+    data = spectra([record], su, sy, 20.0)
+    (one,) = [known_weights([lines], [np.ones((len(lines.omega), 3))])[0] for lines in data[:1]]
+    spacing = np.diff(data[0].omega)[0]
+    n = 2 * np.sqrt(np.pi) * 0.35 * data[0].omega / spacing  # lines in a Gaussian window over log ω
+    inside = (data[0].omega > 3) & (data[0].omega < 5)
+    expected = np.sqrt((n - 1) / (n + 1))[inside]
+    np.testing.assert_allclose(one[inside, 0], expected, rtol=0.01)
+
+
 def test_a_few_campaigns_agree_with_the_standard_deviation_of_the_response():
     # 8 campaigns of some 20 independent parameters: the share's own error is about 2.5 %.
-    assert 0.87 <= np.mean([projected(seed) for seed in range(8)]) <= 0.995
+    assert 0.9 <= np.mean([projected(seed) for seed in range(8)]) <= 0.99
 
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("run", [projected, sampled])
-def test_95_percent_intervals_cover_90_to_99_percent_of_the_truth(run):
+def test_95_percent_intervals_cover_92_to_98_percent_of_the_truth(run):
     share = np.mean([run(seed) for seed in range(60)])
     print(f"{run.__name__}: {share:.1%}")  # noqa: T201 - quoted in the documentation
-    assert 0.90 <= share <= 0.99
+    assert 0.92 <= share <= 0.98
 
 
 def test_residuals_of_the_truth_vanish_whatever_the_end_states():

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from truths.systems import OMEGA, campaign, relative_error, unstable_plant
 from truths.uh60 import EXAMPLE, INPUTS, NOISE, OUTPUTS, sweeps
 
-from casid import Record, pbsid, read_csv, select_order
+from casid import Record, StateSpace, pbsid, read_csv, select_order
 from casid.record import standard_deviations
 from casid.report import plot_order_selection
 from casid.subspace.columns import gather, output_bandwidth
@@ -87,6 +87,21 @@ def test_one_record_is_judged_by_the_information_criterion():
     found = select_order(record, feedthrough=["z"], **GRID)
     assert found.criterion == "AICc"
     assert 4 <= found.chosen.order <= 6
+
+
+def test_one_records_order_does_not_follow_its_noise():
+    plant = StateSpace([[-0.8, 2.0], [-2.0, -0.8]], [[1.0], [0.5]], np.eye(2), [[0.0], [0.0]])
+    orders = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        t = np.arange(0, 40, 0.02)
+        u = np.cos(t[:, None] * np.geomspace(0.6, 15, 12) + rng.uniform(0, 7, 12)).sum(axis=1)
+        y = plant.simulate(t, u[:, None])
+        y = y + 0.1 * np.std(y, axis=0) * rng.standard_normal(y.shape)
+        record = Record(t, u[:, None], y, ("u",), ("a", "b"))
+        orders.append(select_order(record, orders=[1, 2, 3, 4, 5, 6], pasts=[8]).chosen.order)
+    assert max(orders) <= 3
+    assert np.median(orders) == 2
 
 
 def test_regularisation_is_chosen_like_the_rest(flights):
