@@ -9,6 +9,7 @@ import pytest
 
 from casid import (
     Certificate,
+    Constraint,
     ConstraintEstimate,
     DataWarning,
     Fit,
@@ -19,7 +20,7 @@ from casid import (
     Scalar,
     parameter,
 )
-from casid.fit import parameter_table
+from casid.fit import constraint_table, parameter_table
 from casid.matching.appraisal import Peak
 from casid.model import free_parameters
 
@@ -155,3 +156,27 @@ def test_rows_are_found_by_name():
     with pytest.raises(KeyError, match="no parameter 'q'; the model has a, b, c"):
         fit()["q"]
     assert replace(fit(), success=False).success is False
+
+
+class Ruled(Lag):
+    def constraints(self) -> tuple[Constraint, ...]:
+        return (
+            Constraint("upper", self.b + self.c, -np.inf, 2.5),
+            Constraint("free", self.b - self.c, 0.0, 9.0),
+            Constraint("tie", self.a + self.b, 1.0, 1.0),
+        )
+
+
+def test_constraints_are_active_on_either_bound_and_carry_their_price_then():
+    upper, free, tie = constraint_table(Ruled(), np.array([-0.3, 0.2, 0.1]))
+    assert (upper.value, upper.active, upper.multiplier) == (2.5, True, -0.3)
+    assert (free.value, free.active, free.multiplier) == (1.5, False, 0.0)
+    assert (tie.value, tie.active, tie.multiplier) == (1.0, True, 0.1)
+    (lower,) = (row for row in constraint_table(Ruled(b=0.5), np.ones(3)) if row.name == "free")
+    assert (lower.value, lower.active, lower.multiplier) == (0.0, True, 1.0)
+
+
+def test_a_file_says_its_kind_and_version(tmp_path):
+    fit().save(tmp_path / "fit.json")
+    content = json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))
+    assert (content["casid"], content["version"]) == ("fit", 2)

@@ -214,3 +214,13 @@ def test_simulation_refuses_what_does_not_fit():
         replace(SYSTEM, dt=0.2, delay=np.zeros(2)).simulate(t, u)
     with pytest.raises(ValueError, match=r"no multiples of the interval 0\.1 s"):
         replace(SYSTEM, dt=0.1).simulate(t, u)
+
+
+def test_a_discrete_model_follows_its_own_interval_only():
+    system = StateSpace([[0.9]], [[1.0]], [[1.0]], [[0.0]], 0.02)
+    t = 0.02 * np.arange(50)
+    late = t + np.where(np.arange(50) >= 20, 0.01, 0.0)  # one interval of 0.03 s
+    with pytest.raises(ValueError, match="cannot follow samples"):
+        system.simulate(late, np.zeros((50, 1)))
+    decay = system.simulate(t, np.zeros((50, 1)), np.array([1.0]))[:, 0]
+    np.testing.assert_allclose(decay, 0.9 ** np.arange(50), rtol=1e-12)

@@ -293,3 +293,18 @@ def test_channels_are_renamed_with_their_trim_and_masked_by_sample():
     where[5, 2] = True
     assert np.isnan(record.mask(where).y).sum() == 1
     assert np.isnan(record.mask(where).y[5, 2])
+
+
+def test_two_samples_make_a_record_and_one_does_not():
+    two = Record(np.array([0.0, 0.1]), np.zeros((2, 1)), np.ones((2, 1)), ("u",), ("y",))
+    assert (two.N, two.dt, two.quiet_samples()) == (2, 0.1, 2)
+    with pytest.raises(ValueError, match="t"):
+        Record(np.array([0.0]), np.zeros((1, 1)), np.ones((1, 1)), ("u",), ("y",))
+
+
+def test_an_input_that_moves_at_once_is_quiet_for_one_sample():
+    t = 0.1 * np.arange(6)
+    u = np.array([0.0, 1.0, 1.0, 0.0, 1.0, 1.0])[:, None]
+    assert Record(t, u, np.zeros((6, 1)), ("u",), ("y",)).quiet_samples() == 1
+    slow = np.array([0.0, 0.01, 0.019, 0.021, 1.0, 1.0])[:, None]
+    assert Record(t, slow, np.zeros((6, 1)), ("u",), ("y",)).quiet_samples() == 3  # 2 % of 1

@@ -8,7 +8,7 @@ from truths import uh60
 from truths.systems import DT, LAG, white
 
 from casid import DataWarning, Record, frequency_response
-from casid.frequency.sampling import default_windows
+from casid.frequency.sampling import _near, default_windows, equidistant
 
 
 def test_window_lengths_follow_the_rules():
@@ -105,3 +105,27 @@ def test_the_grid_goes_from_what_the_windows_hold_to_what_the_sweep_excites(coun
     # the whole record, which finds its spectrum, fades it out earlier.
     assert 0.9 * 8.8 < omega[-1] < 10.0
     assert len(omega) == 40
+
+
+def test_an_output_without_samples_leaves_the_others_interpolated():
+    t = 0.05 * np.arange(60) + 0.01 * (np.arange(60) % 2)
+    y = np.column_stack([np.full(60, np.nan), np.sin(t), np.cos(t)])
+    y[30, 2] = np.nan
+    found = equidistant(Record(t, np.sin(t)[:, None], y, ("u",), ("a", "b", "c")), 2.0)
+    assert found.equidistant
+    assert np.isnan(found.y[:, 0]).all()
+    # A cubic spline: error of (dt)⁴/384 of a unit's fourth derivative, 3e-8, more at the ends.
+    np.testing.assert_allclose(found.y[:, 1], np.sin(found.t), atol=1e-5)
+    lost = np.isnan(found.y[:, 2])
+    assert lost.any()
+    assert np.abs(found.t[lost] - t[30]).max() < 0.1
+    np.testing.assert_allclose(found.y[~lost, 2], np.cos(found.t[~lost]), atol=1e-5)
+
+
+def test_samples_near_any_missing_one_are_marked_by_brute_force():
+    rng = np.random.default_rng(0)
+    t, missing = np.sort(rng.uniform(0, 10, 300)), np.sort(rng.uniform(0, 10, 8))
+    apart = np.abs(t[:, None] - missing).min(axis=1)
+    np.testing.assert_array_equal(_near(t, missing, 0.2), apart < 0.2)
+    first = _near(np.array([0.0, 0.1, 5.0]), np.array([0.05, 9.0]), 0.2)
+    np.testing.assert_array_equal(first, [True, True, False])

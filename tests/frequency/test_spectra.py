@@ -6,7 +6,14 @@ import scipy.optimize
 import scipy.signal
 from truths.systems import DT, LAG, TWO, white
 
-from casid.frequency.spectra import Conditioned, composite, condition, record_spectra, transform
+from casid.frequency.spectra import (
+    Conditioned,
+    _weights_of_windows,
+    composite,
+    condition,
+    record_spectra,
+    transform,
+)
 
 
 def test_the_transform_gives_the_values_of_the_chirp_z_transform():
@@ -79,3 +86,11 @@ def test_the_composite_of_one_window_is_that_window():
     merged = composite([part], np.ones((1, 2), dtype=bool))
     for name in ("Gxx", "Gxy", "Gyy", "random_error", "multiple_coherence"):
         np.testing.assert_allclose(getattr(merged, name), getattr(part, name), rtol=1e-9)
+
+
+def test_a_window_counts_by_what_is_left_of_its_worst_output():
+    lost = np.zeros((100, 2), dtype=bool)
+    lost[3:7, 0] = lost[5, 1] = True  # windows of 40 samples from 0, 20, ...
+    weights = _weights_of_windows(lost, 0.1, np.array([1.0, 12.0, 20.0]), 4.0)
+    np.testing.assert_allclose(weights[0], [0.9, 0.9, 0.0])  # 0.4 s missing: up to 2π/0.4 rad/s
+    np.testing.assert_allclose(weights[1:], 1.0)
