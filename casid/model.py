@@ -33,6 +33,8 @@ from casid.linear import StateSpace
 Scalar: TypeAlias = float | ca.SX
 Rows: TypeAlias = Sequence[Sequence[Scalar]]
 
+NO_DELAY = 1e-6  # s, rounding of a delay on its bound
+
 Bounds: TypeAlias = Mapping[str, tuple[float, float]]
 
 
@@ -195,7 +197,7 @@ class Model:
                     "of parameters: casadi.sin, not math.sin)"
                 )
         for name, delay in zip(self.inputs, tau.ravel(), strict=True):
-            if not delay >= -1e-6:  # rounding of a delay on its bound
+            if not delay >= -NO_DELAY:
                 raise ModelError(
                     f"{type(self).__name__}.delays: that of {name!r} is {delay} s, expected 0 "
                     "or more"
@@ -280,7 +282,7 @@ def free_parameters(
 ) -> Free:
     """Which parameters are free, between which bounds; equal bounds fix one, too.
 
-    ModelError: an unknown name, lower > upper, or nothing left to estimate.
+    ModelError: an unknown name, lower > upper, nothing to estimate, a delay that may be negative.
     """
     bounds = dict(bounds or {})
     _check_choice(model, fixed, bounds)
@@ -289,21 +291,51 @@ def free_parameters(
     for name, pair in limits.items():
         check_pair(name, pair)
     lower, upper = (np.array([pair[i] for pair in limits.values()], dtype=float) for i in (0, 1))
-    held = np.array([name in fixed for name in infos])
+    held = np.array([name in fixed for name in infos], dtype=bool)
     guess = model.vector()
     for i, name in enumerate(infos):  # equal bounds fix the value, whatever the guess says
         if lower[i] == upper[i] and name not in fixed:
             guess[i], held[i] = lower[i], True
     index = np.flatnonzero(~held)
+    if not infos:
+        raise ModelError(f"{type(model).__name__} has no parameters: there is nothing to estimate")
     if not len(index):
         raise ModelError("every parameter is fixed: nothing is left to estimate; free one")
+    model = model.with_vector(guess)
+    _check_delays(model, np.where(held, guess, lower), np.where(held, guess, upper))
     given = [info.scale for info in infos.values()]
     widths = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
     typical = np.maximum(np.abs(guess), 0.1 * widths)
     scale = np.array(
         [s or (value if value > 0 else 1.0) for s, value in zip(given, typical, strict=True)]
     )
-    return Free(model.with_vector(guess), index, lower, upper, scale)
+    return Free(model, index, lower, upper, scale)
+
+
+def _check_delays(model: Model, lower: Array, upper: Array) -> None:
+    """Refuse bounds (n_λ,) between which a delay may be negative.
+
+    Where a delay is not linear in the parameters, or constraints between them may keep it positive,
+    it is looked at in the guess alone.
+    """
+    lam, at = ca.SX.sym("lam", len(lower)), model.vector()
+    tau, c = model.matrices()(lam)[4:]
+    slopes = ca.jacobian(tau, lam)
+    values, J = (part.full() for part in ca.Function("delays", [lam], [tau, slopes])(at))
+    tied = ca.jacobian(c, lam).sparsity().get_triplet()[1]
+    names = model.parameter_names()
+    for j, (delay, row) in enumerate(zip(values.ravel(), J, strict=True)):
+        moved, least = np.flatnonzero(row), float(delay)
+        kept = len(moved) > 1 and not set(tied).isdisjoint(moved)
+        if not kept and not ca.depends_on(slopes[j, :], lam):
+            lowest = np.where(row > 0, lower, upper)[moved]
+            least += float(row[moved] @ (lowest - at[moved]))
+        if least < -NO_DELAY:
+            raise ModelError(
+                f"{type(model).__name__}.delays: that of {model.inputs[j]!r} may be {least:g} s "
+                f"between the bounds of {', '.join(names[i] for i in moved)}; a delay is 0 s or "
+                "more: bound it there"
+            )
 
 
 def _check_choice(model: Model, fixed: Collection[str], bounds: Bounds) -> None:

@@ -134,6 +134,81 @@ def test_a_wrong_choice_of_free_parameters_is_told(choice, message):
         free_parameters(Roll(), **choice)
 
 
+class Delayed(Roll):
+    late: Scalar = parameter(default=0.1, lower=0.0, upper=0.2, unit="s")
+
+    def delays(self) -> Mapping[str, Scalar]:
+        return {"lat": self.tau, "ped": 0.5 * self.late - self.tau + 0.15}
+
+
+class Kept(Delayed):
+    def constraints(self) -> Sequence[Constraint]:
+        return [Constraint("pedals", 0.5 * self.late - self.tau, -0.15, np.inf)]
+
+
+class Curved(Roll):
+    def delays(self) -> Mapping[str, Scalar]:
+        return {"lat": self.tau**2 + 0.01}
+
+
+@pytest.mark.parametrize(
+    ("model", "choice", "message"),
+    [
+        (Roll(), {"bounds": {"tau": (-np.inf, 0.2)}}, r"'lat' may be -inf s between .* of tau;"),
+        (Roll(), {"bounds": {"tau": (-0.01, 0.2)}}, r"'lat' may be -0\.01 s .* bound it there"),
+        (Roll(tau=-0.05), {"fixed": ["tau"]}, r"'lat' may be -0\.05 s"),
+        (Roll(), {"bounds": {"tau": (-0.05, -0.05)}}, r"'lat' may be -0\.05 s"),
+        (Delayed(), {}, r"'ped' may be -0\.05 s between the bounds of tau, late"),
+        (Kept(), {"bounds": {"tau": (-0.1, 0.2)}}, r"'lat' may be -0\.1 s"),
+        (Delayed(tau=0.2), {"fixed": ["tau"]}, r"'ped' may be -0\.05 s between the bounds of tau"),
+    ],
+)
+def test_a_delay_that_may_be_negative_is_refused(model, choice, message):
+    with pytest.raises(ModelError, match=message):
+        free_parameters(model, **choice)
+
+
+@pytest.mark.parametrize(
+    ("model", "choice"),
+    [(Roll(), {}), (Delayed(), {"bounds": {"tau": (0, 0.15)}}), (Kept(), {}), (Curved(), {}),
+     (Delayed(tau=0.1), {"fixed": ["tau"]}), (Roll(tau=-1e-9), {"fixed": ["tau"]})],
+)  # fmt: skip
+def test_a_delay_that_stays_at_zero_or_more_is_not(model, choice):
+    assert len(free_parameters(model, **choice).index)
+
+
+def test_a_model_without_parameters_is_told():
+    class Bare(Model):
+        states, inputs, outputs = ("p",), ("lat",), ("p",)
+
+        def A(self) -> Rows:
+            return [[-1.0]]
+
+        def B(self) -> Rows:
+            return [[2.0]]
+
+    assert Bare().system().A == [[-1.0]]
+    with pytest.raises(ModelError, match="Bare has no parameters: there is nothing to estimate"):
+        free_parameters(Bare())
+
+
+def test_the_methods_of_a_structure_run_once_for_all_its_values():
+    runs = []
+
+    class Counted(Roll):
+        scale: float = 1.0
+
+        def B(self) -> Rows:
+            runs.append(self.scale)
+            return [[0, 0.5], [self.Llat * self.scale, 0], [0, 0]]
+
+    for Lp in (-3.0, -2.0, -1.0):
+        assert Counted(Lp=Lp).system().A[1, 1] == Lp
+    assert Counted(scale=2.0).system().B[1, 0] == 40.0  # another trim, other matrices
+    assert Counted().system().B[1, 0] == 20.0
+    assert runs == [1.0, 2.0]
+
+
 def test_a_class_in_place_of_a_model_is_told():
     with pytest.raises(ModelError, match=r"Roll is a class, expected a model: call it, Roll\(\)"):
         free_parameters(Roll)

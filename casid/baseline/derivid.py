@@ -18,7 +18,6 @@ from casid.baseline.search import Minima, descents, pair_costs, solve
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, holding, parameter_table
 from casid.frequency.estimation import FrequencyResponse
-from casid.matching.delays import with_nonnegative_delays
 from casid.matching.descent import Condensed, check_effects
 from casid.matching.lifted import Optimum
 from casid.matching.mismatch import DB, GOOD, TURN, residual_slopes
@@ -78,7 +77,7 @@ class Derivid:
                 "expected at least 1, at least 2 and a coherence in [0, 1)"
             )
         frf = _one_response(data)
-        free = with_nonnegative_delays(free_parameters(model, fixed, bounds))
+        free = free_parameters(model, fixed, bounds)
         measured = thin(frf if self.band is None else frf.between(*self.band), self.n_omega)
         problem = Condensed.of(free, select(model, measured, self.pairs, self.coherence))
         check_effects(problem)

@@ -14,7 +14,7 @@ bounds of the model file; a pair of bounds and "free" replace them.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
@@ -25,6 +25,7 @@ from casid.arrays import Array
 from casid.bounds.relations import Relation, parse_relation
 from casid.errors import ModelError
 from casid.fit import AnyFit
+from casid.matching.delays import delay_parameters
 from casid.model import Bounds, Constraint, Model, free_parameters
 
 CaseSpec: TypeAlias = Mapping[str, Any] | Sequence[str] | str
@@ -88,14 +89,15 @@ def read_cases(
         name: (float(free.lower[i]), float(free.upper[i]))
         for name, i in zip(free.names, free.index, strict=True)
     }
-    return tuple(_Writer(model, name, limits).read(spec) for name, spec in specs.items())
+    delays = {free.names[i] for i in delay_parameters(free)[0]}
+    return tuple(_Writer(model, name, limits, delays).read(spec) for name, spec in specs.items())
 
 
 class _Writer:
     """Collects what one case says."""
 
-    def __init__(self, model: Model, name: str, limits: Bounds) -> None:
-        self.model, self.name = model, name
+    def __init__(self, model: Model, name: str, limits: Bounds, delays: Collection[str]) -> None:
+        self.model, self.name, self.delays = model, name, delays
         self.bounds, self.relations = dict(limits), list[Relation]()
 
     def read(self, spec: CaseSpec) -> Case:
@@ -150,7 +152,7 @@ class _Writer:
         elif content.strip() == "fixed":
             self._fix(parameter, guess)
         elif content.strip() == "free":
-            self.bounds[parameter] = (-np.inf, np.inf)
+            self.bounds[parameter] = (0.0 if parameter in self.delays else -np.inf, np.inf)
         elif around := AROUND.fullmatch(content):
             self._tighten(parameter, *self._interval(parameter, guess, around))
         elif content.strip()[:1] in "<>=≤≥":

@@ -20,6 +20,7 @@ from casid.jobs.transport import Reference, can_travel, refer, refuse_while_load
 from casid.matching.targets import Target
 from casid.model import Bounds, Model
 from casid.record import Record
+from casid.shooting.precision import OutputErrorNotes
 from casid.values import decode, digest, encode
 
 Data: TypeAlias = Sequence[Record] | Sequence[Target] | Record | Target
@@ -170,13 +171,12 @@ def aicc(fit: AnyFit, records: Sequence[Record]) -> float:
 
         AICc = 2 J + 2 k n / (n - k - 1)
 
-    n counts the measurements; k the directions in which parameters are free, the initial states and
-    biases of every record and the noise variances (N. Sugiura, Commun. Stat. A7, 1978).
+    n counts the measurements; k the directions in which parameters are free and all that was
+    estimated beside them (N. Sugiura, Commun. Stat. A7, 1978).
     """
-    if fit.R is None or fit.initial_states is None or fit.biases is None:
+    if not isinstance(fit.notes, OutputErrorNotes):
         return np.nan
     outputs = type(fit.model).outputs
     n = sum(int(np.isfinite(record.channel(name)).sum()) for record in records for name in outputs)
-    k = len(fit.free_names) - fit.held
-    k += fit.initial_states.size + fit.biases.size + len(fit.R)
+    k = len(fit.free_names) - fit.held + fit.notes.nuisances
     return 2 * fit.cost + 2 * k * n / (n - k - 1) if n > k + 1 else np.inf

@@ -1,11 +1,7 @@
-"""Delays of a structure, kept at zero or more: by bounds, or by constraints where composed."""
-
-from dataclasses import replace
+"""Delays of a structure: those that are parameters, and those composed of several."""
 
 import casadi as ca
-import numpy as np
 
-from casid.errors import ModelError
 from casid.model import Free
 
 
@@ -22,13 +18,3 @@ def delay_parameters(free: Free) -> tuple[list[int], list[int]]:
         elif row.nnz():
             composed.append(j)
     return bare, composed
-
-
-def with_nonnegative_delays(free: Free) -> Free:
-    """The same with lower bounds of at least zero on parameters that are a delay themselves."""
-    lower, at = free.lower.copy(), free.index[delay_parameters(free)[0]]
-    lower[at] = np.maximum(lower[at], 0.0)
-    if (bad := np.flatnonzero(lower > free.upper)).size:
-        name = free.model.parameter_names()[bad[0]]
-        raise ModelError(f"{name} is a delay with upper bound {free.upper[bad[0]]:g} < 0; raise it")
-    return replace(free, lower=lower)

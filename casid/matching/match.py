@@ -14,7 +14,6 @@ from casid.arrays import Array
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
 from casid.matching.appraisal import MatchNotes
-from casid.matching.delays import with_nonnegative_delays
 from casid.matching.reach import reachable, stated_errors
 from casid.matching.search import Found, Search
 from casid.matching.targets import REACHABLE, Target, Weight, compare
@@ -78,7 +77,7 @@ class Match:
         if self.norm not in NORMS:
             raise ValueError(f"norm={self.norm!r}: expected one of {', '.join(map(repr, NORMS))}")
         begin = time.perf_counter()
-        free = with_nonnegative_delays(free_parameters(model, fixed, bounds))
+        free = free_parameters(model, fixed, bounds)
         targets: tuple[Target, ...] = several(data)
         comparison = compare(
             model,

@@ -31,6 +31,12 @@ class Noise:
     given: Array | None = None  # (ny, ny) R, if it is not estimated
 
     @property
+    def unknowns(self) -> int:
+        """How many variances and covariances are estimated."""
+        ny = len(self.floor)
+        return {"diagonal": ny, "full": ny * (ny + 1) // 2}[self.kind] * (self.given is None)
+
+    @property
     def concentrated(self) -> bool:
         """Whether every channel's variance is estimated alone."""
         return self.given is None and self.kind == "diagonal"

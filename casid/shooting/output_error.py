@@ -265,7 +265,7 @@ def _result(
         iterations=outcome.iterations,
         seconds=seconds,
         method="filter error" if evaluator.filtering else "output error",
-        notes=found.notes(outcome.rounds, programme.J, K),
+        notes=found.notes(outcome.rounds, programme.J, programme.nuisances, K),
         constraints=constraint_table(model, prices),
         held=held_directions(free, lam, parameters),
         covariance=found.covariance,

@@ -29,6 +29,8 @@ class OutputErrorNotes:
     ----------
     rounds, nodes : int
         Solves until R settled, and shooting nodes.
+    nuisances : int
+        Numbers estimated beside λ: initial states, biases, the noise's variances and the gain.
     std_error_coloured, covariance_coloured : (nf,), (nf, nf) array
         Corrected for the correlation of the residuals in time.
     correlation : (nf, nf) array
@@ -41,6 +43,7 @@ class OutputErrorNotes:
 
     rounds: int
     nodes: int
+    nuisances: int
     std_error_coloured: Array
     covariance_coloured: Array
     correlation: Array
@@ -61,11 +64,12 @@ class Precision:
     collinear: tuple[Collinearity, ...]  # hardly determined combinations, the worst first
     undetermined: tuple[str, ...]  # parameters in directions without information
 
-    def notes(self, rounds: int, nodes: int, K: Array | None) -> OutputErrorNotes:
+    def notes(self, rounds: int, nodes: int, nuisances: int, K: Array | None) -> OutputErrorNotes:
         """What is said of it in the fit."""
         return OutputErrorNotes(
             rounds=rounds,
             nodes=nodes,
+            nuisances=nuisances,
             std_error_coloured=np.sqrt(np.diag(self.coloured)),
             covariance_coloured=self.coloured,
             correlation=correlation(self.covariance),

@@ -114,6 +114,13 @@ class Programme:
         return self.first_node + self.J * self.evaluator.nx
 
     @property
+    def nuisances(self) -> int:
+        """How many numbers are estimated beside λ, those on continuity constraints left out."""
+        e = self.evaluator
+        local = self.records * (e.nx + self.biases * e.ny)
+        return local + self.noise.unknowns + e.nf - len(self.free.index)
+
+    @property
     def first_node(self) -> int:
         """Position of the first node among the variables: behind λ and the biases."""
         return self.evaluator.nf + self.biases * self.records * self.evaluator.ny

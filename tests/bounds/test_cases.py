@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from truths.mixture import Mixture, least_squares, record
+from truths.structures import HoverRoll
 
 from casid import ModelError, output_error
 from casid.bounds.cases import constrained, feasible, plain, read_cases
@@ -37,6 +38,12 @@ def test_a_fixed_value_is_a_tie_with_a_price(content, value):
     (relation,) = case({"a": content}).relations
     assert relation.names == ("a",)
     assert relation.lower == relation.upper == value
+
+
+def test_a_free_delay_stays_at_zero_or_more():
+    asked = case({"tau": "free", "Lv": "free"}, HoverRoll())
+    assert asked.bounds["tau"] == (0.0, np.inf)
+    assert asked.bounds["Lv"] == (-np.inf, np.inf)
 
 
 def test_all_parameters_and_exceptions_to_that():

@@ -153,7 +153,7 @@ def test_the_likelihood_ratio_is_twice_the_increase(flown):
 
 def test_aicc_counts_what_is_free(flown):
     r = record()
-    n, nuisance = r.N, 2 + 1 + 1  # initial states, bias, noise variance
+    n, nuisance = r.N, 2 + 1  # initial states, bias; R is given
     for name, free in (("free", 3), ("tie", 2), ("bound", 2)):
         k = free + nuisance
         expected = 2 * flown[name].cost + 2 * k * n / (n - k - 1)

@@ -1,0 +1,58 @@
+"""Single fits as jobs, and what a fit says about its likelihood."""
+
+import numpy as np
+import pytest
+from truths.closed_roll import TRUTH, flown
+from truths.mixture import NOISE as SIGMA
+from truths.mixture import Mixture, record
+
+from casid import ConvergenceError, OutputError, SolverOptions
+from casid.bounds.trials import aicc, in_words
+
+NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}
+
+
+def expected(fit, k, n):
+    """N. Sugiura's corrected criterion with k numbers from n measurements."""
+    return 2 * fit.cost + 2 * k * n / (n - k - 1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "beside"),
+    [
+        ({}, 2 * 2 + 2 * 1 + 1),  # initial states, biases, one variance
+        ({"biases": False}, 2 * 2 + 1),
+        ({"R": np.array([[SIGMA**2]])}, 2 * 2 + 2 * 1),
+        ({"R": np.array([[SIGMA**2]]), "biases": False}, 2 * 2),
+    ],
+)
+def test_aicc_counts_what_was_estimated_and_no_more(settings, beside):
+    records = [record(0), record(1)]
+    fit = OutputError(**settings).fit(Mixture(), records)
+    n = sum(each.N for each in records)
+    assert aicc(fit, records) == pytest.approx(expected(fit, 3 + beside, n), rel=1e-12)
+
+
+def flight():
+    return flown().between(0.0, 6.0).with_noise(NOISE, np.random.default_rng(1))
+
+
+@pytest.mark.parametrize(("R", "variances"), [("diagonal", 3), ("full", 6)])
+def test_aicc_counts_covariances(R, variances):
+    fit = OutputError(R=R).fit(TRUTH, flight(), fixed=("tau",))
+    k = len(fit.free_names) - fit.held + 3 + 3 + variances
+    assert aicc(fit, [flight()]) == pytest.approx(expected(fit, k, flight().y.size), rel=1e-12)
+
+
+def test_aicc_counts_a_free_gain():
+    R, few = np.diag(list(NOISE.values())) ** 2, SolverOptions(max_iterations=1)
+    with pytest.raises(ConvergenceError) as stopped:  # what is counted does not depend on success
+        OutputError(R=R, process_noise=True, solver=few).fit(TRUTH, flight())
+    fit = stopped.value.best
+    k = len(fit.free_names) - fit.held + 3 + 3 + 3 * 3
+    assert aicc(fit, [flight()]) == pytest.approx(expected(fit, k, flight().y.size), rel=1e-12)
+
+
+def test_names_of_estimators_are_words():
+    assert in_words("OutputError") == "output error"
+    assert in_words("Match") == "match"
