@@ -4,9 +4,10 @@
 
 mutmut (its settings stand in pyproject.toml) breaks one expression at a time and runs the tests of
 the package that reach it, or all that reach it where its own do not. What was done before is kept
-in mutants/ until the function changes, so a run may be stopped and started again. Survivors are
-listed with their change; those that no test can tell from the original stand with the reason
-in mutants.toml beside this file. The table is written to docs/mutants.md.
+in mutants/ until the function changes, so a run may be stopped and started again; survivors are
+tried again, for there may be new tests. They are listed with their change; those that no test can
+tell from the original stand with the reason in mutants.toml beside this file. The table is written
+to docs/mutants.md.
 """
 
 import argparse
@@ -119,8 +120,8 @@ def main():
     mutmut("run", "none", stderr=subprocess.DEVNULL)
     chosen = sample(results(), wanted.count, wanted.modules)
     keep_own_tests()
-    codes = results()
-    left = [name for name in chosen if codes[name] is None]
+    codes, alive = results(), {"not checked", "survived", "no tests"}
+    left = [name for name in chosen if status_by_exit_code[codes[name]] in alive]
     if left:
         mutmut("run", "--max-children", str(wanted.processes), *left)
     codes = results()

@@ -220,3 +220,9 @@ def test_whiteness_is_the_share_of_autocorrelations_within_the_99_percent_band(o
     }
     assert within[0.05] < within[0.01] < 1
     assert _whiteness(e + offset, np.zeros(500)) == pytest.approx(within[0.01])
+
+
+def test_whiteness_needs_four_samples_that_differ():
+    assert _whiteness(np.array([1.0, -1.0, 1.0, -1.0]), np.zeros(4)) == 1  # 0.75 < 2.58/2
+    assert np.isnan(_whiteness(np.array([1.0, -1.0, 1.0]), np.zeros(3)))
+    assert np.isnan(_whiteness(np.ones(50), np.zeros(50)))

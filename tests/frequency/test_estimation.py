@@ -306,3 +306,9 @@ def test_shapes_are_checked(measured):
         )  # fmt: skip
     with pytest.raises(ValueError, match="no pair"):
         measured.index("ax", "nothing")
+
+
+def test_a_number_stands_only_beside_a_reason_that_has_one():
+    record = white(LAG, np.random.default_rng(0), duration=60.0)
+    with pytest.warns(DataWarning, match=r"less than 2 periods in the longest window \(\d+ s\)$"):
+        frequency_response(record, omega=np.array([1.0, 2.0, 3.0]))
