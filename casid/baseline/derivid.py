@@ -55,7 +55,7 @@ class Derivid:
     coherence: float = 0.6
     n_omega: int = 20
     band: tuple[float, float] | None = None
-    starts: int = 5
+    starts: int = 10
     seed: int = 0
     solver: SolverOptions = SolverOptions()
 
@@ -101,7 +101,7 @@ def derivid(
     pairs: Pairs | None = None,
     n_omega: int = 20,
     band: tuple[float, float] | None = None,
-    starts: int = 5,
+    starts: int = 10,
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     solver: SolverOptions = SolverOptions(),
