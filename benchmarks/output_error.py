@@ -245,7 +245,7 @@ def measure_growth() -> None:
 
 
 def bo105_estimates(runs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors (runs, 64) of the Bo105's parameters, and their plain and corrected standard errors.
+    """Errors (runs, 64) of the Bo105's parameters, and their Cramér-Rao bounds and standard errors.
 
     The structure is the truth's, flown in closed loop; noise is white and new in every run. Bounds
     are out of reach, since a bound would do better than the bound of Cramér and Rao.
@@ -259,8 +259,8 @@ def bo105_estimates(runs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         records = [record.with_noise(bo105.NOISE, rng) for record in clean]
         fit = output_error(truth, records, interval=1.0, bounds=bounds)
         found[0, run] = fit.model.vector() - truth.vector()
-        found[1, run] = [row.std_error for row in fit.parameters]
-        found[2, run] = fit.notes.std_error_coloured
+        found[1, run] = [row.cramer_rao for row in fit.parameters]
+        found[2, run] = [row.std_error for row in fit.parameters]
     return found[0], found[1], found[2]
 
 

@@ -28,7 +28,8 @@ class ParameterEstimate:
     respect to the position of the bound, per unit of the parameter. It is >= 0 on a lower bound,
     <= 0 on an upper one and 0 for a parameter inside its bounds. ``std_error`` is one standard
     deviation, others on their bounds held there; NaN on a bound, and where the estimator has no
-    noise model. ``insensitivity`` is 1/sqrt(F_ii).
+    noise model. That of output error allows for residuals correlated in time and across outputs;
+    ``cramer_rao`` takes them for white and the model for true. ``insensitivity`` is 1/sqrt(F_ii).
     """
 
     name: str
@@ -42,6 +43,7 @@ class ParameterEstimate:
     insensitivity: float
     unit: str
     fixed: bool = False
+    cramer_rao: float = np.nan
 
 
 @storable
@@ -107,7 +109,7 @@ class Fit(Generic[M_co, N_co]):
     certificate : Certificate or None
         Of a match.
     covariance : (nf, nf) array or None
-        Of the free parameters, in the order of ``free_names``.
+        Of the free parameters, in the order of ``free_names``; as ``std_error``.
     free_names : tuple of str
         Names of the free parameters.
     R : (ny, ny) array or None
@@ -238,7 +240,10 @@ def _first_version(content: Any, model: type[M], place: str | Path) -> Fit[M, An
         return {k: v if k in texts else number(v) for k, v in values.items()}
 
     old["model"], old["notes"] = model(**stored["values"]), None
-    old["parameters"] = tuple(ParameterEstimate(**row(each)) for each in old["parameters"])
+    old["parameters"] = tuple(
+        ParameterEstimate(cramer_rao=number(each["std_error"]), **row(each))
+        for each in old["parameters"]
+    )
     old["constraints"] = tuple(
         ConstraintEstimate(**row(each)) for each in notes.get("constraints", ())
     )
@@ -250,7 +255,10 @@ def _first_version(content: Any, model: type[M], place: str | Path) -> Fit[M, An
         if old[name] is not None:
             old[name] = np.array(old[name], dtype=float)
     old |= {"cost": number(old["cost"]), "free_names": tuple(old["free_names"])}
-    warn(f"{place} was saved by casid 0.1: its notes are left out; estimate again to have them")
+    warn(
+        f"{place} was saved by casid 0.1: its notes are left out, and its standard errors "
+        "take residuals for white; estimate again to have both"
+    )
     return Fit(**old)
 
 
@@ -279,6 +287,7 @@ def parameter_table(
     multipliers: Array,
     std_error: Array | None = None,
     insensitivity: Array | None = None,
+    cramer_rao: Array | None = None,
     guess: Model | None = None,
 ) -> tuple[ParameterEstimate, ...]:
     """Rows of the parameter table from free values, multipliers, errors: (nf,), in physical units.
@@ -312,6 +321,7 @@ def parameter_table(
                 multiplier=pick(multipliers, i, 0.0) if active else 0.0,
                 std_error=np.nan if active else pick(std_error, i, 0.0),
                 insensitivity=pick(insensitivity, i, np.nan),
+                cramer_rao=np.nan if active else pick(cramer_rao, i, np.nan),
                 unit=info.unit,
                 fixed=i not in position,
             )

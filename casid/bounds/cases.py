@@ -27,6 +27,7 @@ from casid.errors import ModelError
 from casid.fit import AnyFit
 from casid.matching.delays import delay_parameters
 from casid.model import Bounds, Constraint, Model, free_parameters
+from casid.shooting.precision import OutputErrorNotes
 
 CaseSpec: TypeAlias = Mapping[str, Any] | Sequence[str] | str
 
@@ -295,11 +296,11 @@ def feasible(model: Model, case: Case, near: AnyFit | None = None) -> Model:
 def _metric(near: AnyFit | None, names: Sequence[str], scale: Array) -> Array:
     """Root M of the information, MᵀM in units of the scale, as far as the fit knows it."""
     metric = np.eye(len(names))
-    if near is None or near.covariance is None:
+    if near is None or not isinstance(near.notes, OutputErrorNotes):
         return metric
     inside = [k for k, name in enumerate(near.free_names) if not near[name].active]
     at = np.ix_(*[[names.index(near.free_names[k]) for k in inside]] * 2)
-    covariance = near.covariance[np.ix_(inside, inside)] / np.outer(scale, scale)[at]
+    covariance = near.notes.cramer_rao[np.ix_(inside, inside)] / np.outer(scale, scale)[at]
     if np.isfinite(covariance).all() and np.linalg.cond(covariance) < SINGULAR:  # no ties
         metric[at] = np.linalg.cholesky(np.linalg.inv(covariance)).T
     return metric

@@ -198,11 +198,12 @@ def _warn_of_minima(results: Sequence[CaseResult], freest: str) -> None:
 
 # ---- tables --------------------------------------------------------------------------------------
 
-ROW = ("name", "unit", "guess", "value", "std_error", "lower", "upper", "active", "multiplier")
+ERRORS = ("std_error", "cramer_rao")
+ROW = ("name", "unit", "guess", "value", *ERRORS, "lower", "upper", "active", "multiplier")
 FIGURES = ("reason", "cost", "increase", "predicted", "held", "aicc", "statistic", "freedom")
 PARAMETERS = ("case", "kind", *ROW, "share")
 CASES = ("case", *FIGURES, "p_value", "validation_rms", "start", "eigenvalues")
-ABSENT = {"unit": "", "guess": np.nan, "std_error": np.nan}  # of a relation
+ABSENT = {"unit": "", "guess": np.nan} | dict.fromkeys(ERRORS, np.nan)  # of a relation
 
 
 def _parameter_rows(comparison: BoundsComparison) -> Iterator[list[Any]]:

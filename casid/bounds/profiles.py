@@ -24,6 +24,7 @@ from casid.jobs.campaigns import Execution
 from casid.jobs.store import Done
 from casid.model import Bounds, Model
 from casid.shooting.output_error import OutputError
+from casid.shooting.precision import OutputErrorNotes
 from casid.tabulation import csv_text, markdown_table
 
 FREE = "free"  # name of the job with nothing held
@@ -154,7 +155,7 @@ def _profile(
     known, quantile = free.R is not None, float(scipy.stats.chi2.ppf(level, 1))
     intervals, expected = {}, {}
     for k, name in enumerate(names):
-        estimate, error = free[name].value, free[name].std_error
+        estimate, error = free[name].value, free[name].cramer_rao
         intervals[name] = (np.nan, np.nan)
         if known:
             x, J, dJ = _lowest(points[:, k], cost, slope[:, k])
@@ -209,9 +210,9 @@ def _interval(
 
 def _parabola(free: AnyFit, names: Sequence[str], points: Array) -> Array:
     """Cost of the points by the Cramér-Rao bound: ½ dᵀ C⁻¹ d above the least."""
-    if free.R is None or free.covariance is None or not set(names) <= set(free.free_names):
+    if not isinstance(free.notes, OutputErrorNotes) or not set(names) <= set(free.free_names):
         return np.full(len(points), np.nan)
     index = [free.free_names.index(name) for name in names]
-    C = free.covariance[np.ix_(index, index)]
+    C = free.notes.cramer_rao[np.ix_(index, index)]
     d = points - np.array([free[name].value for name in names])
     return np.asarray(free.cost + 0.5 * np.einsum("ni,ij,nj->n", d, np.linalg.pinv(C), d))

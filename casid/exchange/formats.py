@@ -237,7 +237,7 @@ def write_fit_mat(path: str | Path, fit: AnyFit) -> None:
     """
     system = fit.model.system()
     rows = fit.parameters
-    numbers = ("value", "std_error", "lower", "upper")
+    numbers = ("value", "std_error", "cramer_rao", "lower", "upper")
     content: dict[str, Any] = {
         "output_units": tuple(UNITS.get(name, "") for name in system.outputs),
         "parameters": tuple(row.name for row in rows),

@@ -8,14 +8,13 @@ import numpy as np
 from casid.fit import AnyFit
 from casid.report.content import OUTPUT_ERROR, Caution, Content
 from casid.report.evidence import noise_levels
-from casid.shooting.precision import OutputErrorNotes
 from casid.validation import Validation, fit_percent, rms_error, theil_coefficient
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
 # or 0.3 speaks for a good model. Below 0.1 residuals are a tenth of what is simulated.
 GOOD, FAIR = 0.1, 0.3
 NOISY = 1.2  # RMS error over standard deviation of the noise
-COLOURED = 1.5  # standard error for coloured residuals over that for white ones
+COLOURED = 1.5  # standard error over the Cramér-Rao bound, that of white residuals
 NAMED = 12  # names in a warning before it says how many more
 
 
@@ -107,27 +106,18 @@ def on_bounds(fit: AnyFit) -> Iterator[Caution]:
         )
 
 
-def coloured(fit: AnyFit) -> dict[str, float]:
-    """Standard errors of the free parameters that allow for residuals correlated in time."""
-    if not isinstance(fit.notes, OutputErrorNotes):
-        return {}
-    return dict(zip(fit.free_names, fit.notes.std_error_coloured.tolist(), strict=True))
-
-
 def uncertain(fit: AnyFit) -> Iterator[Caution]:
     """Errors that are larger than they look, and values of unknown sign."""
     rows = [row for row in fit.parameters if not row.fixed and not row.active]
-    errors = {row.name: row.std_error for row in rows}
-    wider = {name: error for name, error in coloured(fit).items() if errors.get(name, 0.0) > 0}
-    typical = np.median([error / errors[name] for name, error in wider.items()]) if wider else 1.0
+    ratios = [row.std_error / row.cramer_rao for row in rows if row.cramer_rao > 0]
+    typical = float(np.median(ratios)) if ratios else 1.0
     if typical > COLOURED:
         yield Caution(
-            "Residuals are correlated in time: quote the standard errors called coloured, "
-            f"typically {typical:.1f} times the others.",
+            "Residuals are correlated in time: the structure leaves dynamics out. The standard "
+            f"errors allow for that; they are typically {typical:.1f} times the Cramér-Rao bound.",
             40,
         )
-    worst = {row.name: max(row.std_error, wider.get(row.name, 0.0)) for row in rows}
-    if unsure := [row.name for row in rows if worst[row.name] > abs(row.value)]:
+    if unsure := [row.name for row in rows if row.std_error > abs(row.value)]:
         count = _count(len(unsure), "parameter is", "parameters is")
         yield Caution(
             f"The sign of {count} not determined (standard error above the value): "

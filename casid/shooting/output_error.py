@@ -137,7 +137,8 @@ def output_error(
     -------
     Fit
         ``cost`` is the negative logarithm of the likelihood, ½ Σ (rᵀR⁻¹r + log det R), less its
-        constant ½ n log 2π; ``std_error`` the Cramér-Rao bound.
+        constant ½ n log 2π; ``std_error`` allows for residuals correlated in time and across
+        outputs, ``cramer_rao`` does not.
 
     Raises
     ------
@@ -250,12 +251,12 @@ def _result(
     lam = np.clip(point.lam[:n], free.lower[free.index], free.upper[free.index])
     model, ties = start.with_vector(free.full(lam)), free.model.constraints()
     multipliers = -programme.n * solution.multipliers_x[:n] / programme.scales.lam[:n]
-    std = np.sqrt(np.diag(found.covariance))
+    std, white = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     success, status = _verdict(outcome, found)
     prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :]
     K = evaluator.matrices(point.lam).K if evaluator.filtering else None
     firsts = np.searchsorted(programme.record, np.arange(programme.records))
-    parameters = parameter_table(free, lam, multipliers, std, found.insensitivity)
+    parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white)
     fit = Fit(
         model=model,
         parameters=parameters,

@@ -31,10 +31,10 @@ class OutputErrorNotes:
         Solves until R settled, and shooting nodes.
     nuisances : int
         Numbers estimated beside λ: initial states, biases, the noise's variances and the gain.
-    std_error_coloured, covariance_coloured : (nf,), (nf, nf) array
-        Corrected for the correlation of the residuals in time.
+    cramer_rao : (nf, nf) array
+        Covariance of the estimates if residuals were white: the inverse information.
     correlation : (nf, nf) array
-        Of the estimates.
+        Of the estimates by it.
     collinear : tuple of Collinearity
         Combinations the records hardly determine, the worst first.
     K : (nx, ny) array or None
@@ -44,8 +44,7 @@ class OutputErrorNotes:
     rounds: int
     nodes: int
     nuisances: int
-    std_error_coloured: Array
-    covariance_coloured: Array
+    cramer_rao: Array
     correlation: Array
     collinear: tuple[Collinearity, ...]
     K: Array | None = None
@@ -58,8 +57,8 @@ class OutputErrorNotes:
 class Precision:
     """Covariances of the free parameters and what spoils them, physical units."""
 
-    covariance: Array  # (n, n) Cramér-Rao bound; infinite where not determined
-    coloured: Array  # (n, n) corrected for the correlation of the residuals in time
+    cramer_rao: Array  # (n, n) bound for white residuals; infinite where not determined
+    covariance: Array  # (n, n) corrected for the residuals' correlation in time and across outputs
     insensitivity: Array  # (n,) 1/√F_ii, initial states and biases eliminated from F
     collinear: tuple[Collinearity, ...]  # hardly determined combinations, the worst first
     undetermined: tuple[str, ...]  # parameters in directions without information
@@ -70,9 +69,8 @@ class Precision:
             rounds=rounds,
             nodes=nodes,
             nuisances=nuisances,
-            std_error_coloured=np.sqrt(np.diag(self.coloured)),
-            covariance_coloured=self.coloured,
-            correlation=correlation(self.covariance),
+            cramer_rao=self.cramer_rao,
+            correlation=correlation(self.cramer_rao),
             collinear=self.collinear,
             K=K,
         )
@@ -83,19 +81,22 @@ def precision(programme: Programme, x: Array) -> Precision:
     names = unknown_names(programme)
     F, follow = information(programme, x)
     ties = held(programme, x)
-    scaled = bound(F, ties)
-    lost = tuple(name for name, v in zip(names, np.diag(scaled), strict=True) if np.isinf(v))
-    coloured = np.full_like(scaled, np.nan) if lost else _coloured(programme, x, scaled, follow)
+    alone = np.diag(programme.blocks(x).Hll)  # information with the other variables known
+    scaled = bound(F, ties, alone)
+    unknown = np.isinf(np.diag(scaled))
+    lost = tuple(name for name, out in zip(names, unknown, strict=True) if out)
+    known = np.where(unknown | unknown[:, None], 0.0, scaled)
+    robust = np.where(np.isfinite(scaled), _coloured(programme, x, known, follow), scaled)
     n = len(programme.free.index)
     unit = np.outer(programme.scales.lam, programme.scales.lam)
     diagonal = np.diag(F)[:n]
     with np.errstate(divide="ignore"):
         insensitivity = programme.scales.lam[:n] / np.sqrt(np.maximum(diagonal, 0.0))
     return Precision(
-        covariance=(scaled * unit)[:n, :n],
-        coloured=(coloured * unit)[:n, :n],
+        cramer_rao=(scaled * unit)[:n, :n],
+        covariance=(robust * unit)[:n, :n],
         insensitivity=insensitivity,
-        collinear=collinearities(F, ties, names),
+        collinear=collinearities(F, ties, names, alone),
         undetermined=lost,
     )
 

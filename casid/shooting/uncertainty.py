@@ -22,9 +22,11 @@ Sparse: TypeAlias = scipy.sparse.csc_array
 RIDGE = 1e-13  # on nuisance blocks, relative; an unobservable nuisance must not stop the rest
 MANY = 500  # neighbours of a nuisance variable (the bias of a long record) that would fill factors
 SINGULAR = 1e-11  # eigenvalue of the information scaled to unit diagonal that counts as zero
+GONE = 1e-10  # share of a parameter's information that is rounding if no more is left
 CONDITION = 30.0  # condition index above which parameters are collinear (Belsley 1991)
 SHARE = 0.5  # of a parameter's variance, for it to be named
 LAGS = 0.2  # longest lag of the residuals' correlation, of the record (Klein & Morelli)
+RUN = 5  # lags without a significant correlation that end it
 MOST_LAGS = 5000  # samples; at 50 Hz the correlation of residuals is over long before
 
 
@@ -100,7 +102,7 @@ def _in_two_steps(
     return (F + F.T) / 2, np.vstack([total, rest[first:]])
 
 
-def bound(F: Array, ties: Array) -> Array:
+def bound(F: Array, ties: Array, alone: Array | None = None) -> Array:
     """Cramér-Rao bound of the covariance, (nf, nf), on the tangent space of the ties.
 
     Parameters
@@ -109,16 +111,17 @@ def bound(F: Array, ties: Array) -> Array:
         Fisher information.
     ties : (m, nf) array
         Gradients of equality constraints that hold between the parameters.
+    alone : (nf,) array
+        Information of every parameter were all else known. What little of it is left in F after
+        initial states and biases took their share may be rounding.
 
     Directions without information have infinite variance: the rows of the parameters in them are
     infinite on the diagonal and NaN elsewhere.
     """
-    unit, scaled, Z = _scaled(F, ties)
-    values, vectors = np.linalg.eigh(Z.T @ scaled @ Z)
-    lost = values <= SINGULAR * len(F)
-    root = Z @ vectors[:, ~lost] / np.sqrt(values[~lost])
+    unit, values, directions, lost = _directions(F, ties, alone)
+    root = directions[:, ~lost] / np.sqrt(values[~lost])
     covariance = root @ root.T * np.outer(unit, unit)
-    unknown = np.flatnonzero((np.abs(Z @ vectors[:, lost]) > 1e-3).any(axis=1))
+    unknown = np.flatnonzero((np.abs(directions[:, lost]) > 1e-3).any(axis=1))
     covariance[unknown], covariance[:, unknown] = np.nan, np.nan
     covariance[unknown, unknown] = np.inf
     return np.asarray(covariance)
@@ -131,17 +134,16 @@ def correlation(covariance: Array) -> Array:
         return np.asarray(covariance / np.outer(std, std))
 
 
-def collinearities(F: Array, ties: Array, names: Sequence[str]) -> tuple[Collinearity, ...]:
+def collinearities(
+    F: Array, ties: Array, names: Sequence[str], alone: Array | None = None
+) -> tuple[Collinearity, ...]:
     """Which parameters are determined only in combination, the worst combination first.
 
     Condition indices and variance shares of the information scaled to unit diagonal (Belsley,
     Conditioning Diagnostics, 1991): an index over 30 with two or more shares over a half, or a
     direction with no information at all.
     """
-    _, scaled, Z = _scaled(F, ties)
-    values, vectors = np.linalg.eigh(Z.T @ scaled @ Z)
-    directions = Z @ vectors
-    lost = values <= SINGULAR * len(F)
+    _, values, directions, lost = _directions(F, ties, alone)
     floor = np.where(lost, SINGULAR * values.max() * 1e-3, values)
     parts = directions**2 / floor
     shares = parts / np.maximum(parts.sum(axis=1, keepdims=True), 1e-300)
@@ -161,13 +163,23 @@ def collinearities(F: Array, ties: Array, names: Sequence[str]) -> tuple[Colline
     return tuple(found)
 
 
-def _scaled(F: Array, ties: Array) -> tuple[Array, Array, Array]:
-    """Units that give F unit diagonal, F in them, and a basis of the ties' tangent space."""
+def _directions(
+    F: Array, ties: Array, alone: Array | None
+) -> tuple[Array, Array, Array, BoolArray]:
+    """Principal directions of F in units that give it unit diagonal, on the ties' tangent space.
+
+    The units (nf,), the information (n,) in every direction (nf, n), and which have none: what F
+    has there is rounding of the information ``alone`` that initial states and biases took away.
+    """
     diagonal = np.diag(F)
-    unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    scaled = F * np.outer(unit, unit)
+    alone = np.maximum(diagonal, diagonal if alone is None else alone)
+    left = np.where(diagonal > GONE * alone, diagonal, alone)
+    unit = 1 / np.sqrt(np.where(left > 0, left, 1.0))
     Z = scipy.linalg.null_space(ties * unit) if len(ties) else np.eye(len(F))
-    return unit, scaled, Z
+    values, vectors = np.linalg.eigh(Z.T @ (F * np.outer(unit, unit)) @ Z)
+    directions = Z @ vectors
+    rounding = np.maximum(directions.T**2 @ (alone * unit**2), 1.0)
+    return unit, values, directions, values <= SINGULAR * len(F) * rounding
 
 
 def coloured_covariance(
@@ -178,9 +190,8 @@ def coloured_covariance(
         P [ Σ_i Σ_j s_iᵀ C(j - i) s_j ] P,    s = W ∂y/∂λ,   C(m) = mean of r̃_i r̃_{i+m}ᵀ
 
     with P the white-noise covariance (Klein & Morelli, section 6.1.3; E. A. Morelli, V. Klein,
-    J. Aircraft 34(2), 1997) and r̃ the whitened residuals. C is pooled over the records, tapered
-    linearly to zero at a fifth of the longest (at most `MOST_LAGS` samples), and the double sum is
-    taken over the spectrum, piece by piece: memory does not grow with the records.
+    J. Aircraft 34(2), 1997) and r̃ the whitened residuals; C as in `residual_covariance`. The double
+    sum is taken over the spectrum, piece by piece: memory does not grow with the records.
 
     Parameters
     ----------
@@ -191,7 +202,7 @@ def coloured_covariance(
     slopes : iterable of iterables of (n, ny, nf) array
         Their total derivatives by λ, in the same order: of every record, one piece after another.
     """
-    C = _autocovariance(residuals)
+    C = residual_covariance(residuals)
     middle = np.zeros_like(covariance)
     lags = len(C) - 1
     for pieces in slopes:
@@ -199,8 +210,9 @@ def coloured_covariance(
         for piece in pieces:
             s = np.concatenate([past, piece])
             middle += _double_sum(C, s) - _double_sum(C, past)
-            past = s[-lags:]
-    return np.asarray(covariance @ ((middle + middle.T) / 2) @ covariance)
+            past = s[max(len(s) - lags, 0) :]
+    values, vectors = np.linalg.eigh(covariance @ (middle + middle.T) @ covariance / 2)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)  # the taper may leave < 0
 
 
 def _double_sum(C: Array, s: Array) -> Array:
@@ -218,19 +230,43 @@ def _double_sum(C: Array, s: Array) -> Array:
     return np.real(np.einsum("kai,kab,kbj->ij", weighted, spectrum, S, optimize=True))
 
 
-def _autocovariance(residuals: Sequence[Array]) -> Array:
-    """C(m), m = 0 .. lags, tapered: (lags + 1, ny, ny), C(m)[a, b] = mean of r_a(i) r_b(i + m)."""
-    longest = max(len(r) for r in residuals)
-    lags = min(max(1, int(LAGS * longest)), MOST_LAGS)
-    ny = residuals[0].shape[1]
-    C, count = np.zeros((lags + 1, ny, ny)), 0
-    for r in residuals:
-        n = scipy.fft.next_fast_len(len(r) + lags + 1, real=True)
-        R = scipy.fft.rfft(r, n, axis=0)
-        for a in range(ny):
-            C[:, a] += scipy.fft.irfft(R[:, [a]].conj() * R, n, axis=0)[: lags + 1]
-        count += len(r)
-    return C / count * (1 - np.arange(lags + 1) / (lags + 1))[:, None, None]
+def residual_covariance(residuals: Sequence[Array]) -> Array:
+    """C(m), m = 0 .. lags, C(m)[a, b] = mean of r_a(i) r_b(i + m): (lags + 1, ny, ny).
+
+    Sample values as far as the residuals are correlated, which is to where no channel's correlation
+    is significant at the next lags, then tapered to zero over as many again (D. N. Politis, J.
+    Nonparametric Statistics 15, 2003). White residuals have C(0) alone. Sample values at all lags
+    would be those of residuals that the fit has made orthogonal to the slopes.
+    """
+    C, count = _autocovariance(residuals)
+    size = np.maximum(np.einsum("aa->a", C[0]), 1e-300)
+    small = np.abs(np.einsum("maa->ma", C)) <= 2 * np.sqrt(np.log10(count) / count) * size
+    silent = np.append(small.all(axis=1), np.ones(RUN, dtype=bool))
+    runs = np.lib.stride_tricks.sliding_window_view(silent[1:], RUN).all(axis=1)
+    reach = int(np.argmax(runs))  # lags up to which something is correlated
+    taper = np.clip(2 - np.arange(len(C)) / max(reach, 0.5), 0.0, 1.0)
+    return np.asarray((C * taper[:, None, None])[: 2 * reach + 1])
+
+
+def _autocovariance(residuals: Sequence[Array]) -> tuple[Array, int]:
+    """Sample values of C(m), pooled over the records, and the number of samples.
+
+    Each is a mean over the pairs of residuals that are there: missing ones are 0.
+    """
+    lags = min(max(1, int(LAGS * max(len(r) for r in residuals))), MOST_LAGS)
+    C, pairs = (
+        sum(_lagged_products(part, lags) for part in parts)
+        for parts in (residuals, [(r != 0).astype(float) for r in residuals])
+    )
+    return C / np.maximum(np.round(pairs), 1), sum(len(r) for r in residuals)
+
+
+def _lagged_products(r: Array, lags: int) -> Array:
+    """Σ_i r_a(i) r_b(i + m) of one record, (lags + 1, ny, ny)."""
+    n = scipy.fft.next_fast_len(len(r) + lags + 1, real=True)
+    R = scipy.fft.rfft(r, n, axis=0)
+    columns = [scipy.fft.irfft(R[:, [a]].conj() * R, n, axis=0) for a in range(r.shape[1])]
+    return np.stack([column[: lags + 1] for column in columns], axis=1)
 
 
 def _spectrum(C: Array, n: int) -> Array:

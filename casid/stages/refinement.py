@@ -9,7 +9,7 @@ from casid.record import Record
 from casid.report.content import OUTPUT_ERROR as LABEL
 from casid.report.content import Content, Section, template
 from casid.report.evidence import few
-from casid.report.verdicts import coloured, on_bounds, uncertain, unsolved
+from casid.report.verdicts import on_bounds, uncertain, unsolved
 from casid.shooting.output_error import OutputError
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.stage import Stage, Task
@@ -29,7 +29,6 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
     values = {
         "found": found,
         "others": {name: fit for name, fit in content.fits.items() if name != LABEL},
-        "coloured": coloured(found),
         "trim": {name: getattr(model, name) for name in plain},
     }
     free = len(found.free_names) or len(found.parameters)

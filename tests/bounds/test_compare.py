@@ -134,11 +134,11 @@ def test_output_error_prices_are_those_of_constrained_least_squares(flown):
         assert case.predicted == pytest.approx(case.increase, rel=1e-4)
         assert multipliers(case)[0] == pytest.approx(-gap / spread, rel=1e-4)
         held = covariance - np.outer(covariance @ e, covariance @ e) / spread
-        errors = np.array([row.std_error for row in case.parameters])
+        errors = np.array([row.cramer_rao for row in case.parameters])
         inside = ~np.isnan(errors)
         assert inside.sum() == (2 if name == "bound" else 3)
         np.testing.assert_allclose(errors[inside], np.sqrt(np.diag(held)[:3])[inside], rtol=1e-4)
-    free_errors = [row.std_error for row in flown["free"].parameters]
+    free_errors = [row.cramer_rao for row in flown["free"].parameters]
     np.testing.assert_allclose(free_errors, np.sqrt(np.diag(covariance)[:3]), rtol=1e-4)
 
 

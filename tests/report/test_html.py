@@ -35,7 +35,7 @@ from casid.report.drawings import LOOK
 from casid.report.evidence import noise_levels
 from casid.report.figures import decibel, groups, input_pairs, phase, style
 from casid.report.interactive import interactive
-from casid.report.verdicts import coloured, verdicts, word
+from casid.report.verdicts import verdicts, word
 from casid.report.words import number, percent
 from casid.stages.listing import STAGES, sections
 
@@ -273,19 +273,21 @@ def test_the_summary_warns_of_bounds_signs_and_wide_certificates(content):
 
 
 @pytest.mark.slow
-def test_the_summary_goes_by_the_larger_standard_error_and_says_if_residuals_are_coloured(content):
+def test_the_summary_goes_by_standard_errors_and_says_if_residuals_are_coloured(content):
     fit = content.results["output_error"]
-    rows = [dataclasses.replace(row, value=3.0, std_error=1.0) for row in fit.parameters]
 
     def said(ratio):
-        notes = dataclasses.replace(fit.notes, std_error_coloured=np.full(len(rows), ratio))
-        judged = dataclasses.replace(fit, parameters=tuple(rows), notes=notes)
+        rows = [
+            dataclasses.replace(row, value=3.0, std_error=ratio, cramer_rao=1.0)
+            for row in fit.parameters
+        ]
+        judged = dataclasses.replace(fit, parameters=tuple(rows))
         return " ".join(cautions(changed(content, output_error=judged)))
 
-    assert "coloured" not in said(1.2)
-    assert "typically 2.0 times the others" in said(2.0)
+    assert "correlated" not in said(1.2)
+    assert "typically 2.0 times the Cramér-Rao bound" in said(2.0)
     assert "sign of" not in said(2.0)  # 3 ± 2
-    assert f"sign of {len(rows)} parameters is not determined" in said(4.0)
+    assert f"sign of {len(fit.parameters)} parameters is not determined" in said(4.0)
 
 
 @pytest.mark.slow
@@ -378,12 +380,11 @@ def test_the_page_tells_what_each_source_contributes_to_the_match(page, content)
         assert f'<th class="left">{row.name}</th><td>{len(row.grid)}</td>' in text
 
 
-def test_standard_errors_for_coloured_residuals_stand_beside_the_others(page, content):
-    found = coloured(content.results["output_error"])
-    assert tuple(found) == content.results["output_error"].free_names
+def test_standard_errors_and_the_cramer_rao_bound_stand_side_by_side(page, content):
     text = page.read_text(encoding="utf-8")
-    for value in found.values():
-        assert f'<td data-value="{value}">{number(value, 2)}</td>' in text
+    for row in content.results["output_error"].parameters:
+        for value in (row.std_error, row.cramer_rao):
+            assert f'<td data-value="{value}">{number(value, 2)}</td>' in text
 
 
 # ---- in a browser ------------------------------------------------------------------------------

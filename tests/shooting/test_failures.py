@@ -244,3 +244,37 @@ def test_wrong_records_are_explained():
         output_error(TRUTH, [replace(noisy(), y=noisy().y * [1, np.nan, 1])])
     with pytest.raises(ModelError, match="every parameter is fixed"):
         output_error(TRUTH, [noisy()], fixed=TRUTH.parameter_names())
+
+
+class Loaded(type(TRUTH)):
+    """Roll with constant forces, as the response to a third input that never moves."""
+
+    inputs = ("lat", "ped", "one")
+
+    L0: Scalar = parameter(default=0.0, unit="rad/s^2")
+    Y0: Scalar = parameter(default=0.0, unit="m/s^2")
+
+    def B(self):
+        return [[self.Ylat, 0, self.Y0], [self.Llat, self.Lped, self.L0], [0, 0, 0]]
+
+    def D(self):
+        return [[self.Ylat, 0, 0], [0, 0, 0], [0, 0, 0]]
+
+
+def test_constant_forces_beside_output_biases_are_not_determined_and_no_success():
+    # A shift of the states, taken back by biases and initial states, is a constant force.
+    records = [
+        replace(r, u=np.column_stack([r.u, np.ones(r.N)]), inputs=Loaded.inputs)
+        for r in (noisy(1), noisy(2))
+    ]
+    with pytest.raises(ConvergenceError, match="do not determine L0, Y0") as caught:
+        output_error(Loaded(), records)
+    best = caught.value.best
+    assert not best.success
+    assert np.isinf([best["L0"].std_error, best["Y0"].std_error, best["Y0"].cramer_rao]).all()
+    alone = output_error(TRUTH, [noisy(1), noisy(2)])
+    for row in alone.parameters:  # the others are as if the forces were not there
+        assert best[row.name].value == pytest.approx(row.value, abs=1e-3 * row.std_error)
+        assert best[row.name].std_error == pytest.approx(row.std_error, rel=1e-3)
+    known = output_error(Loaded(), records, biases=False)
+    assert np.isfinite([row.std_error for row in known.parameters]).all()

@@ -70,4 +70,4 @@ def test_estimates_and_standard_errors_are_those_of_single_shooting_least_square
     np.testing.assert_allclose(fit.model.vector(), values[:7], rtol=1e-4)
     np.testing.assert_allclose(fit.initial_states[0], values[7:10], rtol=1e-4)
     np.testing.assert_allclose(fit.biases[0], values[10:], rtol=1e-4)
-    np.testing.assert_allclose([row.std_error for row in fit.parameters], std[:7], rtol=1e-4)
+    np.testing.assert_allclose([row.cramer_rao for row in fit.parameters], std[:7], rtol=1e-4)

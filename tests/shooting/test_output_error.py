@@ -25,10 +25,10 @@ def test_the_interval_does_not_move_the_estimate(interval):
     reference = output_error(TRUTH, records)
     fit = output_error(TRUTH, records, interval=interval)
     # Same optimum, solver tolerance 1e-8 relative to a curvature of order one.
-    std = np.array([row.std_error for row in reference.parameters])
+    std = np.array([row.cramer_rao for row in reference.parameters])
     assert np.abs((fit.model.vector() - reference.model.vector()) / std).max() < 1e-3
     np.testing.assert_allclose(fit.cost, reference.cost, rtol=1e-8)
-    np.testing.assert_allclose([row.std_error for row in fit.parameters], std, rtol=1e-4)
+    np.testing.assert_allclose([row.cramer_rao for row in fit.parameters], std, rtol=1e-4)
 
 
 def test_noise_covariance_and_parameters_come_out_within_their_scatter():

@@ -1,6 +1,7 @@
 """Bounds, collinearity and coloured residuals against closed forms and brute force."""
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse
 
 from casid.shooting.uncertainty import (
@@ -9,6 +10,7 @@ from casid.shooting.uncertainty import (
     coloured_covariance,
     correlation,
     eliminate,
+    residual_covariance,
 )
 
 RNG = np.random.default_rng(8)
@@ -94,31 +96,47 @@ def test_orthogonal_parameters_are_not_collinear():
     assert collinearities(np.diag([1.0, 1e6, 1e-6]), NONE, ("a", "b", "c")) == ()
 
 
+def autoregressive(n, A, rng):
+    """n samples of z(t) = A z(t - 1) + white noise of variance one."""
+    z = np.zeros((n + 100, len(A)))
+    for t in range(1, len(z)):
+        z[t] = A @ z[t - 1] + rng.standard_normal(len(A))
+    return z[100:]
+
+
 def test_coloured_covariance_is_the_double_sum():
-    ny, nf = 2, 3
-    residuals = [RNG.standard_normal((n, ny)).cumsum(axis=0) for n in (31, 20)]
+    ny, nf, A = 2, 3, np.array([[0.7, 0.3], [-0.2, 0.5]])
+    residuals = [autoregressive(n, A, RNG) for n in (310, 200)]
     slopes = [RNG.standard_normal((len(r), ny, nf)) for r in residuals]
     covariance = np.diag([1.0, 2.0, 3.0])
-    lags = int(0.2 * 31)
-    count = sum(len(r) for r in residuals)
+    C = residual_covariance(residuals)
+    lags = len(C) - 1
+    assert lags > 3
     middle = np.zeros((nf, nf))
-    C = {}
-    for m in range(-lags, lags + 1):
-        products = [
-            np.outer(r[i], r[i + m])
-            for r in residuals
-            for i in range(max(0, -m), min(len(r), len(r) - m))
-        ]
-        C[m] = sum(products) / count * (1 - abs(m) / (lags + 1))
     for s in slopes:
         for i in range(len(s)):
             for j in range(max(0, i - lags), min(len(s), i + lags + 1)):
-                middle += s[i].T @ C[j - i] @ s[j]
+                middle += s[i].T @ (C[j - i] if j >= i else C[i - j].T) @ s[j]
     expected = covariance @ middle @ covariance
-    for pieces in (1, 3, 12):  # the last: shorter than the longest lag
+    for pieces in (1, 3, 8):  # the last: shorter than the longest lag
         parts = [np.array_split(s, pieces) for s in slopes]
         found = coloured_covariance(covariance, residuals, parts)
         np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_covariance_of_residuals_is_that_of_their_process():
+    A = np.array([[0.7, 0.3], [-0.2, 0.5]])
+    C = residual_covariance([autoregressive(20000, A, RNG) for _ in range(2)])
+    now = scipy.linalg.solve_discrete_lyapunov(A, np.eye(2))  # E z(t) z(t)ᵀ
+    for m in (0, 1, 5):  # E z(t) z(t + m)ᵀ = now (Aᵀ)^m; some 10⁴ independent samples
+        expected = now @ np.linalg.matrix_power(A.T, m)
+        np.testing.assert_allclose(C[m], expected, rtol=0, atol=4 * now.max() / 100)
+    beyond = now @ np.linalg.matrix_power(A.T, len(C))
+    assert np.abs(beyond).max() < 4 * now.max() / 100
+    assert not C[-1].any()
+    white = [RNG.standard_normal((400, 3)) for _ in range(3)]
+    np.testing.assert_allclose(residual_covariance(white)[0], np.eye(3), atol=4 / np.sqrt(1200))
+    assert len(residual_covariance(white)) == 1
 
 
 def test_white_residuals_need_no_correction():
@@ -126,6 +144,5 @@ def test_white_residuals_need_no_correction():
     s = RNG.standard_normal((n, 1, nf))
     covariance = np.linalg.inv(np.einsum("nai,naj->ij", s, s))
     found = coloured_covariance(covariance, [RNG.standard_normal((n, 1))], [[s]])
-    # A sum over 2·4000 tapered lags of independent terms of 1/√n each: √(2·4000/3/n) = 37 % of a
-    # product of slopes that is itself uncorrelated, 1/√n: under 1 %, and C(0) to 1 %.
-    np.testing.assert_allclose(np.diag(found), np.diag(covariance), rtol=0.05)
+    # The variance of 20000 residuals scatters by 1 %.
+    np.testing.assert_allclose(np.diag(found), np.diag(covariance), rtol=0.04)

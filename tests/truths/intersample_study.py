@@ -75,7 +75,8 @@ def estimate(hold, direct, delay, run, records=2):
 
 
 def campaign_run(hold, direct, delay, run):
-    """Errors and standard errors of the free parameters."""
+    """Errors of the free parameters, their bounds of Cramér and Rao, and the standard errors."""
     fit, truth = estimate(hold, direct, delay, run)
     rows = [row for row in fit.parameters if row.name in fit.free_names]
-    return [r.value - getattr(truth, r.name) for r in rows], [r.std_error for r in rows]
+    errors = [row.value - getattr(truth, row.name) for row in rows]
+    return errors, [row.cramer_rao for row in rows], [row.std_error for row in rows]
