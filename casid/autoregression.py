@@ -6,7 +6,8 @@ The outputs are predicted one sample ahead from their own and the inputs' last f
 
 by least squares. Lost samples are then those values that make the innovations e of all samples
 around them smallest, weighed by their covariance: what a smoother with this model gives, from both
-ends of a loss and from the other channels.
+ends of a loss and from the other channels. A sample lost here and there, or all between those of a
+slower channel, are read off a cubic spline instead.
 """
 
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ import scipy.sparse.linalg
 
 from casid.arrays import Array, BoolArray
 from casid.record import Record
+from casid.samples import at_instants
 
 REACH = 0.25  # time [s] that the lags reach back, within these limits
 LAGS = (2, 10)
@@ -79,18 +81,20 @@ def filled(record: Record) -> tuple[Record, BoolArray]:
     lost = np.isnan(record.y)
     if not lost.any():
         return record, lost
-    there = ~lost.all(axis=0)
-    y = record.y.copy()
+    known = np.column_stack([at_instants(record.t, x, record.t, "smooth") for x in record.y.T])
+    known = np.where(lost, known, record.y)
+    gone = np.isnan(known)
+    there = ~gone.all(axis=0)
+    if not gone[:, there].any():
+        return replace(record, y=known), lost
     k = np.arange(record.N)
     for i in np.flatnonzero(there):
-        y[:, i] = np.interp(k, k[~lost[:, i]], y[~lost[:, i], i])
+        known[:, i] = np.interp(k, k[~gone[:, i]], known[~gone[:, i], i])
     part = record.select(outputs=[record.outputs[i] for i in np.flatnonzero(there)])
-    gone, known = lost[:, there], y[:, there]
     for _ in range(ROUNDS):
-        model = autoregression(part, known, np.asarray(~gone.any(axis=1)))
-        known = _smoothed(model, part.u, known, gone)
-    y[:, there] = known
-    return replace(record, y=y), lost
+        model = autoregression(part, known[:, there], np.asarray(~gone[:, there].any(axis=1)))
+        known[:, there] = _smoothed(model, part.u, known[:, there], gone[:, there])
+    return replace(record, y=known), lost
 
 
 def outliers(record: Record) -> BoolArray:

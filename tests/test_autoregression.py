@@ -30,7 +30,7 @@ def test_a_noise_free_flight_is_filled_in_over_half_a_second():
 
 def test_filled_samples_minimise_the_weighed_innovations():
     _, _, record, _ = innovation_record(N=300)
-    holed = lose(record, (slice(100, 103), 0), (101, 1), (200, 1))
+    holed = lose(record, (slice(100, 104), 0), (slice(102, 105), 1), (slice(200, 202), 1))
     whole, lost = filled(holed)
     model = autoregression(record.take(slice(None)), whole.y, np.ones(record.N, dtype=bool))
     # The model that filled them was fitted before: a step of its own from where it ended.

@@ -110,16 +110,17 @@ def record_spectra(
 
 
 def _weights_of_windows(lost: BoolArray, dt: float, omega: Array, length: float) -> Array:
-    """Weight of each window at each frequency, (windows, K): 0 where too much is lost, else 1."""
+    """Weight of each window at each frequency, (windows, K): 0 where too much is lost.
+
+    Else its share of samples over that of the record's best one: a channel at a rate of its own
+    costs nothing but what its noise shows.
+    """
     M = round(length / dt)
-    starts = _starts(len(lost), M)
-    weight = np.ones((len(starts), len(omega)))
-    for w, i in enumerate(starts):
-        gone = lost[i : i + M]
-        if gone.any():
-            usable = 2 * np.pi / omega >= dt * max(map(longest_run, gone.T))
-            weight[w] = usable * (1 - gone.mean(axis=0).max())
-    return weight
+    pieces = [lost[i : i + M] for i in _starts(len(lost), M)]
+    present = np.array([1 - gone.mean(axis=0).max() for gone in pieces])
+    runs = np.array([max(map(longest_run, gone.T)) if gone.any() else 0 for gone in pieces])
+    usable = 2 * np.pi / omega >= dt * runs[:, None]
+    return np.asarray(usable * (present / max(present.max(initial=0.0), 1e-300))[:, None])
 
 
 def longest_run(lost: BoolArray) -> int:

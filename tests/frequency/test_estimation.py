@@ -210,6 +210,25 @@ def test_losses_cost_next_to_nothing_and_the_stated_error_covers_what_they_do():
     assert 0.90 < np.mean(inside) < 0.985  # windows share samples: errors are stated a little large
 
 
+def test_channels_at_rates_of_their_own_cost_what_their_noise_shows():
+    omega = np.geomspace(0.7, 12.0, 40)
+    truth = uh60.oracle().response(omega)
+    rng = np.random.default_rng(0)
+    records = [uh60.linear_sweep(axis).with_noise(uh60.NOISE, rng) for axis in uh60.INPUTS]
+    step = np.array([{"a": 2, "p": 1, "q": 1, "r": 1}.get(name[0], 4) for name in uh60.OUTPUTS])
+    step[uh60.OUTPUTS.index("phi")] = 4  # rates at 50 Hz, specific forces 25, attitudes 12.5
+    rare = [each.mask(np.arange(each.N)[:, None] % step > 0) for each in records]
+    whole = frequency_response(records, omega=omega)
+    with pytest.warns(DataWarning, match="samples are missing"):
+        slow = frequency_response(rare, omega=omega)
+    seen = (whole.coherence >= 0.6) & (slow.coherence >= 0.6)
+    clean, found = (np.abs(each.G / truth - 1)[seen] for each in (whole, slow))
+    # Noise of attitudes has four times the density, that of specific forces twice.
+    assert np.sqrt(np.mean(found**2)) < 1.5 * np.sqrt(np.mean(clean**2))
+    inside = np.abs(np.log(np.abs(slow.G / truth))[seen]) < 1.96 * slow.error[seen]
+    assert 0.9 < np.mean(inside) < 0.99
+
+
 def test_windows_that_lack_samples_for_longer_than_a_period_are_left_out():
     record = white(LAG, np.random.default_rng(17), duration=1000.0)
     y = record.y.copy()
