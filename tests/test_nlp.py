@@ -1,5 +1,9 @@
 """The solver's door: known optima, multipliers, limits and what IPOPT says of them."""
 
+import os
+import pickle
+import signal
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -117,3 +121,31 @@ def test_the_time_limit_stops_it_with_the_last_iterate():
     assert not found.success
     assert found.status == "time limit reached; raise max_seconds"
     assert np.isfinite(found.x).all()
+
+
+def test_an_interrupt_during_a_solve_is_no_failure_of_the_model():
+    def interrupt(progress):
+        if progress.iteration == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        solve(rosenbrock(), SolverOptions(progress=interrupt), stage="test")
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_handler_that_only_notes_the_interrupt_lets_the_solve_go_on():
+    noted = []
+    before = signal.signal(signal.SIGINT, lambda *_: noted.append("interrupt"))
+    try:
+        send = SolverOptions(progress=lambda _: os.kill(os.getpid(), signal.SIGINT))
+        assert solve(rosenbrock(), send, stage="test").success
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert noted
+
+
+def test_solver_options_travel_without_whoever_watches():
+    back = pickle.loads(pickle.dumps(SolverOptions(tolerance=1e-5, progress=print)))
+    assert back == SolverOptions(tolerance=1e-5)
+    assert back.progress is None

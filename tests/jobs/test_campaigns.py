@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from truths.mixture import CASES, Inline, Mixture, record
 
-from casid import Execution, ModelError, OutputError, compare_bounds
+from casid import Execution, ModelError, OutputError, SolverOptions, compare_bounds
 from casid.bounds.trials import Fits
 from casid.jobs.campaigns import CampaignProgress, Job, UnfinishedError, run_jobs
 from casid.jobs.store import Store
@@ -176,6 +176,86 @@ def test_a_dask_cluster_runs_the_same_call(tmp_path):
                 execution=Execution(executor=client.get_executor()),
             )
     assert there.to_markdown() == here.to_markdown()
+
+
+# ---- interrupts ----------------------------------------------------------------------------------
+
+
+def test_an_interrupted_case_is_no_result_and_the_next_run_goes_on(tmp_path):
+    seen = []
+
+    def interrupt(progress):
+        seen.append(progress.iteration)
+        if len(seen) == 4:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    watched = OutputError(solver=SolverOptions(progress=interrupt))
+    given = {"cases": {"free": {}, "tie": ["a = 2 b"]}, "execution": Execution(folder=tmp_path)}
+    with pytest.raises(KeyboardInterrupt):
+        compare_bounds(Mixture(), record(), estimator=watched, **given)
+    kept = {path.name for path in tmp_path.glob("*.json")}
+    assert kept < {"free.json", "tie.json"}
+    found = compare_bounds(Mixture(), record(), **given)
+    assert not any(case.reason for case in found.cases)
+
+
+INTERRUPTED = """
+import sys
+sys.path[:0] = [{root!r}, {tests!r}]
+from casid import Execution, compare_bounds
+from truths.mixture import Mixture, record
+
+if __name__ == "__main__":
+    cases = {{str(k): {{"a": [0.01 * k, 2.0]}} for k in range(60)}}
+    compare_bounds(Mixture(), record(), cases=cases, execution=Execution(folder={folder!r}))
+"""
+
+
+def left(group):
+    """Whether a process of a group lives."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.slow
+def test_an_interrupt_ends_all_processes_with_one_traceback_and_keeps_what_is_finished(tmp_path):
+    text = INTERRUPTED.format(root=str(TESTS.parent), tests=str(TESTS), folder=str(tmp_path))
+    process = subprocess.Popen(
+        [sys.executable, "-c", text], stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 100
+    while not list(tmp_path.glob("*.json")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to every process
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode not in {0, None}
+    assert said.count("Traceback") == 1
+    assert said.rstrip().endswith("KeyboardInterrupt")
+    kept = list(tmp_path.glob("*.json"))
+    assert 1 <= len(kept) < 60
+    assert all(json.loads(path.read_text(encoding="utf-8"))["reason"] == "" for path in kept)
+    deadline = time.monotonic() + 30
+    while left(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not left(process.pid)
+
+
+class Interrupted(Inline):
+    """A process of the user's executor takes the interrupt."""
+
+    def submit(self, fn, /, *args, **kwargs):  # noqa: ARG002
+        future = Future()
+        future.set_exception(KeyboardInterrupt())
+        return future
+
+
+def test_an_interrupt_in_an_executor_of_the_users_is_one(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs(add, [job("a", 1)], Execution(folder=tmp_path, executor=Interrupted()))
+    assert not list(tmp_path.iterdir())
 
 
 # ---- classes on their way ------------------------------------------------------------------------

@@ -1,5 +1,7 @@
 """Keeping the results of stages, going on where a study stopped."""
 
+import importlib
+import sys
 import warnings
 
 import pytest
@@ -63,3 +65,22 @@ def test_output_error_that_stops_early_leaves_its_best_iterate(tmp_path):
         run_study(study)
     assert (study.output / "stages" / "output_error_best.json").exists()
     assert {path.name for path in study.output.iterdir()} == {"stages", ".lock"}
+
+
+@pytest.mark.slow
+def test_a_changed_module_that_the_model_imports_computes_again(tmp_path, monkeypatch):
+    study = write_study(tmp_path)
+    model = (tmp_path / "roll.py").read_text(encoding="utf-8")
+    model = model.replace("from casid", "from damping_of_roll import damping\nfrom casid")
+    model = model.replace("self.Lp, 0]", "damping(self.Lp), 0]")
+    (tmp_path / "roll.py").write_text(model, encoding="utf-8")
+    helper = tmp_path / "damping_of_roll.py"
+    helper.write_text("def damping(Lp):\n    return Lp\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    run_study(read_study(study))
+    assert _kept(run_study(read_study(study))) == ["pbsid", "quadratic", "hinf", "output_error"]
+    helper.write_text("def damping(Lp):\n    return 1.25 * Lp\n", encoding="utf-8")
+    sys.modules.pop("damping_of_roll")
+    importlib.invalidate_caches()
+    assert _kept(run_study(read_study(study))) == ["pbsid"]
+    sys.modules.pop("damping_of_roll")
