@@ -82,6 +82,12 @@ class SolverOptions:
     progress: Callable[[Progress], None] | None = field(default=None, compare=False)
     ipopt: Mapping[str, float | str] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name, least in (("tolerance", 1e-15), ("max_iterations", 1), ("max_seconds", 0)):
+            value = getattr(self, name)
+            if not least <= value < np.inf:
+                raise ValueError(f"{name} = {value}, expected at least {least:g}, and finite")
+
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"progress": None}
 

@@ -1,6 +1,6 @@
 """The stage that compares what bounds cost: one fit a case."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from casid.fit import AnyFit
 from casid.report.content import Content, Section, template
 from casid.report.drawings import draw_bounds
 from casid.stages.chain import CHAIN, Chain
-from casid.stages.stage import Stage, Task, records_of
+from casid.stages.stage import Stage, Task, lacking, records_of, runnable
 
 WHOLE = "chain"
 
@@ -35,9 +35,27 @@ def _check(settings: Cases, task: Task) -> None:
         raise ValueError(
             f"[bounds] estimator = {settings.estimator!r}, expected one of {', '.join(known)}"
         )
+    stage = _stage(settings, task)
+    if stage is not None and any(name not in runnable(task) for name in stage.needs):
+        raise ValueError(
+            f"[bounds] by {settings.estimator}: {lacking(stage, task, runnable(task))}"
+        )
+    if settings.norm is not None and "norm" not in (() if stage is None else stage.given):
+        raise ValueError(f"[bounds] {settings.estimator} has no norm; leave it out")
     if not settings.cases:
         raise ValueError("[bounds] there is no table [bounds.cases] with cases to compare")
+    for name, case in settings.cases.items():
+        if not isinstance(case, Mapping | Sequence):
+            raise ValueError(  # noqa: TRY004 - bad input
+                f"[bounds.cases] {name} = {case!r}, expected a table, relations or text"
+            )
     read_cases(task.model, settings.cases, tuple(task.fixed), task.bounds)
+
+
+def _stage(settings: Cases, task: Task) -> Stage | None:
+    """The last stage of the estimator's table; None for all stages together."""
+    known = (each for each in task.stages[::-1] if each.data is not None)
+    return next((each for each in known if each.table == settings.estimator), None)
 
 
 def _run(settings: Cases, task: Task) -> BoundsComparison:
@@ -63,7 +81,8 @@ def _run(settings: Cases, task: Task) -> BoundsComparison:
 def _estimation(settings: Cases, task: Task) -> tuple[Estimator, Any, AnyFit]:
     """Estimator, data and start of all cases."""
     roles, results = task.roles, task.results
-    if settings.estimator == WHOLE:
+    stage = _stage(settings, task)
+    if stage is None:
         tables = {each.table for each in CHAIN}
         chain = Chain(
             settings={name: own for name, own in task.settings.items() if name in tables},
@@ -72,8 +91,6 @@ def _estimation(settings: Cases, task: Task) -> tuple[Estimator, Any, AnyFit]:
             sweeps=tuple(roles.get("frequency", ())),
         )
         return chain, tuple(roles["identification"]), results["quadratic"]
-    known = (each for each in task.stages[::-1] if each.data is not None)
-    stage = next(each for each in known if each.table == settings.estimator)
     estimator = task.settings.get(stage.table, stage.settings)
     if settings.norm is not None:
         estimator = replace(estimator, norm=settings.norm)

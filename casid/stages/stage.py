@@ -209,13 +209,19 @@ def runs(
     return ready and (not stage.optional or stage.table in tables)
 
 
-def check_task(task: Task) -> None:
-    """Refuse settings of no stage, those of a stage that would not run, and what stages refuse."""
-    tables = [stage.table for stage in task.stages if stage.table]
+def runnable(task: Task) -> list[str]:
+    """Names of the stages that will run."""
     before: list[str] = []
     for stage in task.stages:
         if runs(stage, task.settings, before, records_of(stage, task.roles)):
             before.append(stage.name)
+    return before
+
+
+def check_task(task: Task) -> None:
+    """Refuse settings of no stage, those of a stage that would not run, and what stages refuse."""
+    tables = [stage.table for stage in task.stages if stage.table]
+    before = runnable(task)
     for table, value in task.settings.items():
         if table not in tables:
             raise ValueError(f"no stage has a table [{table}]; {hint(table, tables)}")
@@ -226,14 +232,14 @@ def check_task(task: Task) -> None:
                     f"[{table}] is a {type(value).__name__}, expected {kind.__name__}"
                 )
             if stage.name not in before:
-                raise ValueError(f"[{table}] would not be read: {_lacking(stage, task, before)}")
+                raise ValueError(f"[{table}] would not be read: {lacking(stage, task, before)}")
             stage.check(value, task)
 
 
-def _lacking(stage: Stage, task: Task, before: Collection[str]) -> str:
+def lacking(stage: Stage, task: Task, before: Collection[str]) -> str:
     """What a stage would need to run."""
     if stage.role and not records_of(stage, task.roles):
         return f"it needs records; write [records.{stage.role[0]}]"
     missing = next(name for name in stage.needs if name not in before)
     first = next((each for each in task.stages if each.name == missing), None)
-    return f"no stage is called {missing!r}" if first is None else _lacking(first, task, before)
+    return f"no stage is called {missing!r}" if first is None else lacking(first, task, before)

@@ -59,7 +59,29 @@ def _value(table: Table, key: str, kind: Any, default: Any) -> Any:  # noqa: ANN
     if not fitting or (fitting == {Literal} and value not in words):
         wanted = [repr(word) for word in words] + sorted(_name(each) for each in kinds - {Literal})
         raise ValueError(f"{table.place} {key} = {value!r}, expected {' or '.join(wanted)}")
+    if isinstance(value, list) and not any(_holds(member, value) for member in _members(kind)):
+        told = str(kind).replace("collections.abc.", "").replace(" | None", "")
+        raise ValueError(f"{table.place} {key} = {value!r}, expected {told}")
     return _frozen(value)
+
+
+def _holds(kind: Any, value: list[Any]) -> bool:  # noqa: ANN401 - one member of a union
+    """Whether a list is as long as a tuple wants it, and of plain elements as wanted."""
+    elements = [each for each in get_args(kind) if each is not Ellipsis]
+    origin = get_origin(kind) or kind
+    if origin not in LISTS or origin is np.ndarray or not elements:
+        return origin is np.ndarray
+    if origin is not tuple or Ellipsis in get_args(kind):
+        elements = elements[:1] * len(value)
+    fitting = zip(value, elements, strict=False)
+    return len(value) == len(elements) and all(_plain(*pair) for pair in fitting)
+
+
+def _plain(item: Any, kind: Any) -> bool:  # noqa: ANN401
+    """Whether an element is of its kind, if that is a plain one."""
+    if kind is float:
+        return isinstance(item, int | float) and not isinstance(item, bool)
+    return kind not in {int, str, bool} or type(item) is kind
 
 
 def _name(kind: Any) -> str:  # noqa: ANN401 - a class
