@@ -14,15 +14,16 @@ from casid.model import free_parameters
 
 
 class Held(HoverRoll):
-    """A delay of two parts, and an inequality that the guess violates."""
+    """A delay of two parts and an inequality between them, both violated below."""
 
-    lag: Scalar = parameter(default=-0.05, lower=-0.2, upper=0.3, unit="s")
+    lag: Scalar = parameter(default=0.0, lower=-0.2, upper=0.3, unit="s")
 
     def delays(self):
         return {"lat": self.tau + self.lag}
 
     def constraints(self):
-        return [Constraint("damped", self.Yv - 2 * self.Lp, lower=5.0, upper=np.inf)]
+        late = self.tau + 2 * self.lag
+        return [Constraint("damped", self.Yv - 2 * self.Lp + late, lower=5.0, upper=np.inf)]
 
 
 def condensed(model=None, target=TRUTH, **changes):
@@ -35,7 +36,9 @@ def condensed(model=None, target=TRUTH, **changes):
 @pytest.mark.parametrize("guarded", [False, True])
 def test_derivatives_are_those_of_differences(norm, guarded):
     problem = condensed(norm=norm, guarded=guarded)
-    x = problem.clip(problem.free.guess / problem.scale + 0.03)
+    values = problem.free.guess + 0.03
+    values[-2:] = 0.02, -0.05  # a delay of -30 ms
+    x = problem.clip(values / problem.scale)
     r, J = problem.jacobian(x)
     np.testing.assert_allclose(r, problem.residual(x)[0], rtol=1e-12, atol=1e-15)
     h = 1e-6
