@@ -104,12 +104,10 @@ class Campaign:
             self._check(stack, w.pole)
             projected = not np.isnan(w.pole)
             Xi, _ = predictor_coefficients(stack, self.mask, w.regularisation, at_one=projected)
-            self._regressed[key] = Regressed(
-                stack, self.su, self.sy, w.pole, self.mask, self.records[0].dt,
-                predicted_future(stack, Xi, w.future),
-            )  # fmt: skip
-        found = self._regressed[key].model(order)
-        first = self.records[0]
+            future, scales = predicted_future(stack, Xi, w.future), (self.su, self.sy)
+            made = Regressed(stack, *scales, w.pole, self.mask, self.records[0].dt, future)
+            self._regressed[key] = made
+        found, first = self._regressed[key].model(order), self.records[0]
         system = replace(found.system, inputs=first.inputs, outputs=first.outputs)
         return replace(found, system=system)
 

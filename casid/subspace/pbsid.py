@@ -7,21 +7,19 @@ of them. Departures: the projections are computed exactly from the samples
 term may be masked.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Literal, TypeVar, get_args
 
 import numpy as np
 
-from casid.arrays import Array, BoolArray, ComplexArray
+from casid.arrays import Array
 from casid.errors import warn
-from casid.linear import StateSpace, from_zoh
-from casid.record import Hold, Records
+from casid.linear import StateSpace
+from casid.record import Records
+from casid.subspace.blackbox import BlackBox
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.columns import Feedthrough, Segment
 from casid.subspace.feedback import direct_term_is_ambiguous
-from casid.subspace.held import undiscretised
-from casid.subspace.prediction import SampledUncertainty
-from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.refining import Estimate, refine_projected, refine_sampled
 from casid.subspace.sampled import ORDERS, WINDOWS, Stretches, are_candidates, choose_samples
 from casid.subspace.settings import (
@@ -33,135 +31,16 @@ from casid.subspace.settings import (
     choose_projections,
     with_errors,
 )
-from casid.subspace.trust import data_doubts, growth_doubts
 from casid.threads import one_thread
 from casid.values import storable
+
+__all__ = ["BlackBox", "Pbsid", "pbsid"]
 
 T = TypeVar("T")
 Transform = Literal["laguerre", "none"]
 
 PAST = 10  # samples at least, for the samples themselves
 CLEARLY = 0.95  # of what projections leave unexplained: models of samples that leave less are taken
-
-
-@storable
-@dataclass(frozen=True, eq=False, kw_only=True)
-class BlackBox:
-    """An unstructured model in innovation form, with the settings that gave it.
-
-    Parameters
-    ----------
-    system : StateSpace
-        Continuous (``dt`` None) from Laguerre-projected data, discrete from the samples themselves.
-    K : (nx, ny) array
-        Innovation gain, continuous or discrete as ``system``; A - KC is stable.
-    singular_values : array
-        Of the predicted future; their drop suggests the order.
-    pole : float
-        The Laguerre pole a [rad/s]; NaN for ``transform="none"``.
-    past, future : int
-        Window lengths.
-    transform : {"laguerre", "none"}
-        What the data went through.
-    feedthrough : (ny, nu) bool array
-        Where the direct term was free.
-    input_std, output_std : (nu,), (ny,) array
-        Standard deviations of the channels over the records.
-    band : (float, float)
-        Frequencies [rad/s] in which the records excite the aircraft and the model means something.
-    records : tuple of str
-        Names of the records used.
-    regularisation : float
-        Tikhonov factor of the regression, relative to its largest singular value.
-    segments : tuple of Segment
-        What was used of each record, and how many missing samples were interpolated.
-    uncertainty : ResponseUncertainty, SampledUncertainty or None
-        Covariance of a black box refined to maximum likelihood; see `response_std`.
-    selection : OrderSelection or None
-        How the settings were chosen from data, if they were.
-    explained : (ny,) array or None
-        Share of each output's power explained at a typical frequency of the band; None unless
-        refined by Fourier transforms.
-    doubtful : complex array
-        Growing modes that the likelihood does not need.
-    refinement : str
-        What followed the subspace estimate: "unrefined", "fourier" on projections; on samples
-        "linear", "prediction", "simulation" or "local simulation", see `Pbsid`.
-    hold : {"foh", "zoh"}
-        What the inputs of a discrete black box do between samples.
-    """
-
-    system: StateSpace
-    K: Array
-    singular_values: Array
-    pole: float
-    past: int
-    future: int
-    transform: str
-    feedthrough: BoolArray
-    input_std: Array
-    output_std: Array
-    band: tuple[float, float]
-    records: tuple[str, ...]
-    regularisation: float = 0.0
-    segments: tuple[Segment, ...] = ()
-    uncertainty: ResponseUncertainty | SampledUncertainty | None = None
-    selection: OrderSelection | None = None
-    explained: Array | None = None
-    doubtful: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
-    refinement: str = "unrefined"
-    hold: Hold = "zoh"
-
-    def doubts(self) -> tuple[str, ...]:
-        """Why the records do not support a model, or some mode of it; empty where they do.
-
-        Empty, too, where it is not known: without refinement, and on samples.
-        """
-        growth = growth_doubts(self.doubtful)
-        if self.explained is None:
-            return growth
-        return (*data_doubts(self.explained, self.system.outputs), *growth)
-
-    def response_std(self, omega: Array) -> tuple[Array, Array]:
-        """Relative standard deviation of abs(G) and standard deviation of its phase [rad].
-
-        Both (K, ny, nu). They hold what noise, and whatever else the linear model cannot follow,
-        does to the estimate of a model of this order; not the error of a wrong order.
-
-        Raises
-        ------
-        ValueError
-            The black box was not refined, or not to maximum likelihood.
-        """
-        if self.uncertainty is None:
-            raise ValueError(
-                f"this black box ({self.refinement}) has no uncertainty: only one refined to "
-                'maximum likelihood has; call pbsid with refine=True and transform="laguerre"'
-            )
-        return self.uncertainty.response_std(np.asarray(omega, dtype=float))
-
-    @property
-    def order(self) -> int:
-        """Number of states."""
-        return self.system.nx
-
-    def continuous(self) -> "BlackBox":
-        """The continuous equivalent of a discrete black box, for its inputs' hold.
-
-        The gain K keeps the predictor's poles: A - KC is mapped by the same matrix logarithm.
-
-        Raises
-        ------
-        ValueError
-            A discrete pole on the negative real axis, which has no continuous equivalent.
-        """
-        system = self.system
-        if system.dt is None:
-            return self
-        found = undiscretised(system, self.hold)
-        predictor, _ = from_zoh(system.A - self.K @ system.C, system.B, system.dt)
-        K = np.linalg.lstsq(system.C.T, (found.A - predictor).T, rcond=None)[0].T
-        return replace(self, system=found, K=K)
 
 
 @storable
@@ -249,7 +128,7 @@ class Pbsid:
             settings = selection.chosen
         else:
             factor = 1e-3 if factor is None else factor
-            settings = Candidate(order=order, past=past, pole=float(pole), regularisation=factor)
+            settings = Candidate.of(order, Windows(past, past, float(pole), factor))
         found = campaign.subspace(settings.order, self._windows(settings, len(campaign.sy)))
         _check_unstable(found.system, settings.pole)
         _check_used(campaign.segments(settings.past, settings.pole))
@@ -279,11 +158,8 @@ class Pbsid:
         if self.order is not None:
             past = self.past or max(PAST, -(-2 * self.order // len(campaign.sy)))
             how: Refinement = "prediction" if self.refine else "unrefined"
-            given = Candidate(
-                order=self.order, past=past, pole=np.nan, refinement=how,
-                regularisation=self.regularisation or 0.0,
-            )  # fmt: skip
-            return given, None
+            windows = Windows(past, past, np.nan, self.regularisation or 0.0)
+            return Candidate.of(self.order, windows, how), None
         tried = self._sample_candidates(campaign)
         if not tried:
             raise ValueError(

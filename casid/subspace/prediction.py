@@ -142,10 +142,9 @@ def refine_samples(
     data: Sequence[Stretch] = stretches(records, su, sy, nx + 2)
     free = np.argwhere(np.hstack([feedthrough, np.zeros((ny, ny), dtype=bool)]))
     scales = np.concatenate([su, sy])
-    predictor = StateSpace(
-        system.A - K @ system.C, np.hstack([system.B - K @ system.D, K]), system.C,
-        np.hstack([system.D, np.zeros((ny, ny))]),
-    )  # fmt: skip
+    both = np.hstack([system.B - K @ system.D, K])
+    direct = np.hstack([system.D, np.zeros((ny, ny))])
+    predictor = StateSpace(system.A - K @ system.C, both, system.C, direct)
     modal = to_modal(predictor, scales, sy, np.hstack([feedthrough, np.zeros((ny, ny), bool)]))
     modal, W, data = fitted(modal, data, free, STEPS, local=False)
     H, _ = normal_equations(modal, data, W, free)
@@ -153,11 +152,9 @@ def refine_samples(
     used = len(H) + len(data) * (nx + ny)
     factor = covariance_factor(H) * np.sqrt(rows / max(rows - used, 1))
     found = from_modal(modal, scales, sy, predictor)
-    D, gain = found.D[:, :nu], found.B[:, nu:]
-    refined = StateSpace(
-        found.A + gain @ found.C, found.B[:, :nu] + gain @ D, found.C, D, system.dt,
-        system.inputs, system.outputs,
-    )  # fmt: skip
+    C, D, gain = found.C, found.D[:, :nu], found.B[:, nu:]
+    A, B = found.A + gain @ C, found.B[:, :nu] + gain @ D
+    refined = replace(system, A=A, B=B, C=C, D=D, states=())
     return refined, gain, SampledUncertainty(modal, free, factor, nu, float(system.dt or 1.0))
 
 
@@ -180,8 +177,11 @@ def fitted(
             modal,
             cost=partial(_cost, data=data, W=W),
             normal=partial(normal_equations, data=data, W=W, free=free),
-            tidy=_inside, free=free, steps=steps, settled=SETTLED,
-        )  # fmt: skip
+            tidy=_inside,
+            free=free,
+            steps=steps,
+            settled=SETTLED,
+        )
     return modal, _whitener(modal, data, W), data
 
 

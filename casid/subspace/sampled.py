@@ -140,11 +140,7 @@ class Stretches:
             if not share < least:
                 return None
             shares.append(float(len(self.folds) * np.mean((e**2).sum(axis=0) / self.power)))
-        tried = Candidate(
-            order=order, past=windows.past, pole=windows.pole,
-            regularisation=windows.regularisation, refinement=how,
-        )  # fmt: skip
-        return replace(tried.scored(shares), score=share)
+        return replace(Candidate.of(order, windows, how).scored(shares), score=share)
 
     def fed_back(self, order: int, windows: Windows) -> bool:
         """Whether noise that a controller feeds back would bias simulations."""

@@ -72,6 +72,12 @@ class Candidate:
         """What candidates of other orders share: the pole, or the refinement on samples."""
         return f"samples, {self.refinement}" if np.isnan(self.pole) else f"a = {self.pole:g} rad/s"
 
+    @classmethod
+    def of(cls, order: int, w: Windows, how: Refinement = "fourier") -> "Candidate":
+        """Settings that have no score yet."""
+        found = cls(order=order, past=w.past, pole=w.pole, regularisation=w.regularisation)
+        return replace(found, refinement=how)
+
     def scored(self, values: Sequence[float] | Array) -> "Candidate":
         """The candidate with its scores fold by fold, and their mean."""
         return replace(self, score=float(np.mean(values)), folds=tuple(map(float, values)))
@@ -246,7 +252,7 @@ class _HeldOut:
                 if model is not None
             ]
             if len(values) == len(folds):
-                found.append(_candidate(order, windows, values))
+                found.append(Candidate.of(order, windows).scored(values))
         return found
 
 
@@ -299,13 +305,7 @@ def _refined(
         model, _ = refine(start, lines, campaign.su, campaign.sy, campaign.mask, windows.pole)
     except (ValueError, np.linalg.LinAlgError):
         return []
-    return [_candidate(start.nx, windows, judge(model))]
-
-
-def _candidate(order: int, windows: Windows, values: Sequence[float] | Array) -> Candidate:
-    w = windows
-    settings = Candidate(order=order, past=w.past, pole=w.pole, regularisation=w.regularisation)
-    return settings.scored(values)
+    return [Candidate.of(start.nx, windows).scored(judge(model))]
 
 
 def _log_power(model: StateSpace, data: Sequence[Spectrum], campaign: Campaign) -> float:
@@ -324,7 +324,7 @@ def _log_power(model: StateSpace, data: Sequence[Spectrum], campaign: Campaign) 
 
 def best_of(tried: Sequence[Candidate]) -> Candidate:
     """The candidate of the lowest score; a dummy for none."""
-    none = _candidate(0, Windows(0, 0, np.nan, 0.0), [np.inf])
+    none = Candidate.of(0, Windows(0, 0, np.nan, 0.0)).scored([np.inf])
     return min(tried, key=lambda c: c.score, default=none)
 
 
