@@ -1,6 +1,6 @@
 """Many jobs on any executor, each result kept as soon as it is there.
 
-A job may start from the result of another, so the jobs form a tree: whoever finishes first, every
+A job may start from the result of another, so the jobs form a tree: whichever finishes first, every
 job starts from the same place, and a study gives the same result on any number of processes, and
 after an interruption. Each result is a file of its own, written whole or not at all.
 """

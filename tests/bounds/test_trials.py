@@ -6,8 +6,8 @@ from truths.closed_roll import TRUTH, flown
 from truths.mixture import NOISE as SIGMA
 from truths.mixture import Mixture, record
 
-from casid import ConvergenceError, OutputError, SolverOptions
-from casid.bounds.trials import aicc, in_words
+from casid import ConvergenceError, Execution, OutputError, SolverOptions
+from casid.bounds.trials import Fits, aicc, in_words
 
 NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}
 
@@ -56,3 +56,15 @@ def test_aicc_counts_a_free_gain():
 def test_names_of_estimators_are_words():
     assert in_words("OutputError") == "output error"
     assert in_words("Match") == "match"
+
+
+def test_a_trial_of_other_data_options_or_code_has_another_key():
+    def key(data=(0,), model=None, **settings):
+        model = model or Mixture()
+        records = [record(s) for s in data]
+        many = Fits(model, records, OutputError(**settings), (), None, Execution())
+        return many.job(*many.cases({"free": {}})).key
+
+    keys = [key(), key((1,)), key(model=Mixture(a=0.7)), key(interval=1.0), key(R=np.eye(1))]
+    assert len(set(keys)) == len(keys)
+    assert key() == keys[0]

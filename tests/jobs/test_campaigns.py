@@ -2,7 +2,6 @@
 
 import json
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -11,16 +10,12 @@ import warnings
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
-import numpy as np
 import pytest
 from truths.mixture import CASES, Inline, Mixture, record
 
-from casid import Execution, ModelError, OutputError, SolverOptions, compare_bounds
-from casid.bounds.trials import Fits
+from casid import Execution, OutputError, SolverOptions, compare_bounds
 from casid.jobs.campaigns import CampaignProgress, Job, UnfinishedError, run_jobs
 from casid.jobs.store import Store
-from casid.jobs.transport import can_travel, refer, resolve
-from casid.structure.modelfile import load_model
 
 TESTS = Path(__file__).parents[1]
 
@@ -256,62 +251,3 @@ def test_an_interrupt_in_an_executor_of_the_users_is_one(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run_jobs(add, [job("a", 1)], Execution(folder=tmp_path, executor=Interrupted()))
     assert not list(tmp_path.iterdir())
-
-
-# ---- classes on their way ------------------------------------------------------------------------
-
-MODEL = """
-from casid import Model, Rows, Scalar, parameter
-
-class Lag(Model):
-    states, inputs, outputs = ("x",), ("u",), ("x",)
-    a: Scalar = parameter(default=2.0, lower=0.1, upper=9.0, unit="1/s")
-
-    def A(self) -> Rows:
-        return [[-self.a]]
-
-    def B(self) -> Rows:
-        return [[1.0]]
-"""
-
-
-def test_a_class_travels_as_the_text_of_its_file(tmp_path):
-    path = tmp_path / "lag.py"
-    path.write_text(MODEL, encoding="utf-8")
-    cls = load_model(f"{path}:Lag", "/")
-    reference = refer(cls)
-    assert can_travel(cls)
-    assert resolve(reference) is cls  # here it is known
-    path.unlink()  # a machine without the file
-    code = (
-        "import pickle, sys; from casid.jobs.transport import resolve; "
-        "print(resolve(pickle.load(sys.stdin.buffer))().a)"
-    )
-    run = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(reference),
-                         capture_output=True, check=True)  # fmt: skip
-    assert run.stdout.strip() == b"2.0"
-
-
-def test_a_class_within_a_function_stays_and_its_study_runs_here():
-    class Local(Mixture):
-        """Nobody else can import this."""
-
-    assert not can_travel(Local)
-    found = compare_bounds(Local(), [record()], cases=CASES)
-    assert not any(case.reason for case in found.cases)
-    reference = refer(Local)
-    unknown = type(reference)(name=reference.name, path="", text="")
-    with pytest.raises(ModelError, match="no file of its own"):
-        resolve(unknown)
-
-
-def test_a_trial_of_other_data_options_or_code_has_another_key():
-    def key(data=(0,), model=None, **settings):
-        model = model or Mixture()
-        records = [record(s) for s in data]
-        many = Fits(model, records, OutputError(**settings), (), None, Execution())
-        return many.job(*many.cases({"free": {}})).key
-
-    keys = [key(), key((1,)), key(model=Mixture(a=0.7)), key(interval=1.0), key(R=np.eye(1))]
-    assert len(set(keys)) == len(keys)
-    assert key() == keys[0]

@@ -100,7 +100,7 @@ def compared():
     return compare_bounds(Mixture(), [record()], cases=cases)
 
 
-def test_the_figure_has_a_row_a_parameter_the_dearest_first(compared):
+def test_the_figure_has_a_row_a_parameter_the_largest_price_first(compared):
     ax = Figure().subplots()
     assert plot_bounds(ax, compared, rows=2) is ax
     labels = [label.get_text() for label in ax.get_yticklabels()]
