@@ -18,7 +18,7 @@ from casid.linear import StateSpace
 from casid.record import Records
 from casid.subspace.blackbox import BlackBox
 from casid.subspace.campaign import Campaign, Windows
-from casid.subspace.columns import Feedthrough, Segment
+from casid.subspace.columns import Feedthrough, Segment, check_pole
 from casid.subspace.feedback import direct_term_is_ambiguous
 from casid.subspace.refining import Estimate, refine_projected, refine_sampled
 from casid.subspace.sampled import ORDERS, WINDOWS, Stretches, are_candidates, choose_samples
@@ -122,6 +122,8 @@ class Pbsid:
         """Black box of projections, settings that were not given chosen."""
         order, past, pole, factor = self.order, self.past, self.pole, self.regularisation
         selection = None
+        if pole is not None:
+            check_pole(campaign.records, pole)
         if order is None or past is None or pole is None:
             grid = Grid(_said(order), _said(past), _said(pole), _said(factor))
             selection = choose_projections(campaign, grid)

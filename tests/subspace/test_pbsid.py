@@ -217,7 +217,7 @@ def test_dependent_channels_are_named(letter):
 
 def test_a_pole_faster_than_the_samples_is_refused():
     for settings in ({"order": 5, "past": 8}, {}):
-        with pytest.raises(ValueError, match=r"every 0.02 s show nothing|no settings can"):
+        with pytest.raises(ValueError, match=r"every 0\.02 s show nothing"):
             pbsid(campaign(), pole=1e6, **settings)
 
 
@@ -236,6 +236,16 @@ def test_short_losses_do_little_harm():
             G, found = plant.response(OMEGA), box.system.response(OMEGA)
             errors[whole].append(np.linalg.norm(found - G) / np.linalg.norm(G))
     assert np.mean(errors[False]) < 1.15 * np.mean(errors[True])
+
+
+def test_outputs_of_a_slower_instrument_need_no_word():
+    records = []
+    for record in campaign(noise=0.01, records=2, duration=30.0, dt=0.01):
+        y = record.y.copy()
+        y[np.arange(record.N) % 4 != 0, 0] = np.nan  # 25 Hz among 100 Hz
+        records.append(replace(record, y=y))
+    box = pbsid(records, order=5, past=10, pole=8.0, feedthrough=["z"])
+    assert relative_error(box.system, unstable_plant()) < 0.1
 
 
 def test_a_record_of_which_nothing_is_used_is_named():
