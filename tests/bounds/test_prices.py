@@ -1,0 +1,38 @@
+"""Shares of the price of bounds, where the cost is quadratic and the prediction is exact."""
+
+import numpy as np
+import pytest
+from truths.mixture import NOISE, Inline, Mixture, least_squares, record
+
+from casid import Constraint, Execution, OutputError, compare_bounds
+
+
+class Ruled(Mixture):
+    """A sum of gains that the structure itself keeps below what the data want."""
+
+    def constraints(self) -> tuple[Constraint, ...]:
+        return (Constraint("sum", self.a + self.b, -np.inf, 1.5),)
+
+
+def cost(*rows):
+    """Least half sum of squares under equations (coefficients of a, b, d; value)."""
+    X, y = least_squares()
+    n = X.shape[1]
+    C = np.array([[*row, *np.zeros(n - 3)] for row, _ in rows])
+    system = np.block([[X.T @ X, C.T], [C, np.zeros((len(C), len(C)))]])
+    x = np.linalg.solve(system, np.concatenate([X.T @ y, [value for _, value in rows]]))[:n]
+    return 0.5 * np.sum((y - X @ x) ** 2)
+
+
+def test_the_structures_own_constraint_has_its_share_when_a_bound_frees_it():
+    known = OutputError(R=NOISE**2 * np.eye(1))  # the cost is quadratic then
+    here = Execution(executor=Inline())
+    cases = {"free": {}, "low": {"a": "< 0.8"}}
+    found = compare_bounds(Ruled(), [record()], cases=cases, estimator=known, execution=here)
+    free, low = found.cases
+    assert [row.active for row in (*free.fit.constraints, *low.fit.constraints)] == [True, False]
+    increase = cost(((1.0, 0.0, 0.0), 0.8)) - cost(((1.0, 1.0, 0.0), 1.5))
+    assert low.increase == pytest.approx(increase, rel=1e-6)
+    assert set(low.shares) == {"a", "sum"}
+    assert sum(low.shares.values()) == pytest.approx(increase, rel=1e-6)
+    assert 0.1 < low.shares["sum"] / increase < 0.9
