@@ -27,7 +27,10 @@ def predicted(
     bounds, prices = np.zeros(len(x)), np.zeros(len(programme.values(x).g))
     nf = programme.evaluator.nf
     for _ in range(steps):
-        F, follow = quadratic_model(programme, x, newton.matrix(x, prices))
+        try:
+            F, follow = quadratic_model(programme, x, newton.matrix(x, prices))
+        except RuntimeError:  # an exactly singular factor
+            return None
         found = _step(programme, x, F, options)
         if not found.success:
             return None

@@ -36,6 +36,8 @@ from casid.threads import one_thread
 LOG = logging.getLogger("casid")
 
 GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
+SHORTEN = 2.5  # factor between intervals tried one after the other
+MANY = 2.0  # measurements for every unknown, at least
 LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
 
 
@@ -94,20 +96,39 @@ class OutputError:
             raise ValueError(
                 f"interval={interval}: expected seconds above 0, or None to have it chosen"
             )
-        length = float(interval)
-        evaluator = Evaluator(free, lay_out(chosen, length), gain, gain_free)
-        R = checked_covariance(self.R, evaluator.ny)
-        search = Search(free, options)
+        R = checked_covariance(self.R, len(model.outputs))
+        length, search = float(interval), Search(free, options)
+        while True:
+            evaluator = Evaluator(free, lay_out(chosen, length), gain, gain_free)
+            outcome = self._searched(search, evaluator, R, near)
+            shorter = length / SHORTEN
+            if outcome.solution.success or not self._may_shorten(evaluator, chosen, shorter):
+                break
+            LOG.info(
+                "output error: %s; trying intervals of %.3g s", outcome.solution.status, shorter
+            )
+            length = shorter
+        return _result(model, free, outcome, length, time.perf_counter() - begin)
+
+    def _searched(
+        self, search: Search, evaluator: Evaluator, R: Array | CovarianceKind, near: AnyFit | None
+    ) -> Outcome:
+        """Where the rounds of solves end, from a fit nearby if that leads somewhere."""
         outcome = None if near is None else search.beside(near, evaluator, R, self.biases)
         if outcome is None:
             try:
-                programme, point = starting_programme(evaluator, free, R, self.biases)
+                programme, point = starting_programme(evaluator, search.free, R, self.biases)
             except ConvergenceError as error:
-                status = str(error)
-                raise ConvergenceError(f"output error: {status}", _unmoved(free, status)) from error
+                best = _unmoved(search.free, str(error))
+                raise ConvergenceError(f"output error: {error}", best) from error
             outcome = search.run(programme, point, R)
-        outcome = search.around(outcome)
-        return _result(model, free, outcome, length, time.perf_counter() - begin)
+        return search.around(outcome)
+
+    def _may_shorten(self, evaluator: Evaluator, records: list[Record], length: float) -> bool:
+        """Whether intervals chosen here are to be tried shorter, as far as they can be."""
+        shortest = max(SHORTEST, 4 * max(record.dt for record in records))
+        longest = max(record.duration for record in records)
+        return self.interval is None and not evaluator.filtering and shortest <= length < longest
 
 
 def output_error(
@@ -171,10 +192,10 @@ def select_records(free: Free, records: Records, biases: bool) -> list[Record]:
                 f"alone need {needed}: leave it out"
             )
     unknowns = len(free.index) + needed * len(chosen)
-    if sum(counts) <= unknowns:
+    if sum(counts) < MANY * unknowns:
         raise ValueError(
             f"the records have {sum(counts)} measurements for {unknowns} unknowns (parameters, "
-            "initial states, biases): add records, or fix parameters"
+            "initial states, biases), too few to estimate from: add records, or fix parameters"
         )
     for i, name in enumerate(model.outputs):
         if not any(np.isfinite(record.y[:, i]).any() for record in chosen):

@@ -79,7 +79,10 @@ class Precision:
 def precision(programme: Programme, x: Array) -> Precision:
     """Precision of the free parameters at scaled variables x."""
     names = unknown_names(programme)
-    F, follow = information(programme, x)
+    try:
+        F, follow = information(programme, x)
+    except (RuntimeError, np.linalg.LinAlgError):  # SciPy's word for an exactly singular factor
+        return _no_precision(programme, names)
     ties = held(programme, x)
     alone = np.diag(programme.blocks(x).Hll)  # information with the other variables known
     scaled = bound(F, ties, alone)
@@ -99,6 +102,13 @@ def precision(programme: Programme, x: Array) -> Precision:
         collinear=collinearities(F, ties, names, alone),
         undetermined=lost,
     )
+
+
+def _no_precision(programme: Programme, names: tuple[str, ...]) -> Precision:
+    """What is said where the likelihood degenerates: nothing is determined."""
+    n = len(programme.free.index)
+    nothing = np.where(np.eye(n, dtype=bool), np.inf, np.nan)
+    return Precision(nothing, nothing, np.full(n, np.inf), (), names)
 
 
 def unknown_names(programme: Programme) -> tuple[str, ...]:

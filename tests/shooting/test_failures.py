@@ -16,9 +16,11 @@ from truths.closed_roll import (
     with_response,
 )
 
+import casid.shooting.precision
 from casid import Constraint, ConvergenceError, ModelError, Scalar, SolverOptions, parameter
 from casid.model import free_parameters
 from casid.shooting.output_error import OutputError, choose_interval, output_error
+from casid.shooting.search import Search
 
 NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}
 
@@ -278,3 +280,43 @@ def test_constant_forces_beside_output_biases_are_not_determined_and_no_success(
         assert best[row.name].std_error == pytest.approx(row.std_error, rel=1e-3)
     known = output_error(Loaded(), records, biases=False)
     assert np.isfinite([row.std_error for row in known.parameters]).all()
+
+
+def test_an_exactly_singular_factor_is_told_with_the_best_fit(monkeypatch):
+    def singular(*_):
+        raise RuntimeError("Factor is exactly singular")
+
+    monkeypatch.setattr(casid.shooting.precision, "eliminate", singular)
+    with pytest.raises(ConvergenceError, match="do not determine Yv") as caught:
+        output_error(TRUTH, [noisy()])
+    best = caught.value.best
+    assert not best.success
+    assert best.model.Lp == pytest.approx(TRUTH.Lp, rel=0.1)
+    assert all(np.isinf(row.std_error) for row in best.parameters)
+
+
+def test_intervals_chosen_here_are_shortened_until_a_solve_ends(monkeypatch):
+    run, tried = Search.run, []
+
+    def stopping(search, programme, point, R):
+        """A solver that reaches its limit on intervals above one second."""
+        length = programme.evaluator.layout.count.max() * 0.02
+        tried.append(length)
+        outcome = run(search, programme, point, R)
+        stopped = replace(outcome.solution, success=length < 1.0, status="iteration limit reached")
+        return replace(outcome, solution=stopped)
+
+    monkeypatch.setattr(Search, "run", stopping)
+    monkeypatch.setattr(Search, "around", lambda _, outcome: outcome)
+    stable = replace(TRUTH, Lv=-0.01)
+    fit = output_error(stable, [noisy()])
+    assert fit.success
+    assert fit.interval < 1.0
+    assert tried[0] > tried[-1]
+    with pytest.raises(ConvergenceError, match="iteration limit reached"):
+        output_error(stable, [noisy()], interval=2.0)  # the user's own stays
+
+
+def test_five_samples_are_too_few():
+    with pytest.raises(ValueError, match="too few to estimate from"):
+        output_error(TRUTH, [noisy().between(3.0, 3.09)])
