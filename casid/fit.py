@@ -1,6 +1,6 @@
 """The result of an estimation: the model with its estimates and what is known about them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
@@ -150,14 +150,9 @@ class Fit(Generic[M_co, N_co]):
         known = ", ".join(row.name for row in self.parameters)
         raise KeyError(f"no parameter {name!r}; the model has {known}")
 
-    def content(self) -> dict[str, Any]:
-        """All of it as JSON, without the structure's class."""
-        content: dict[str, Any] = encode(self)["fields"]
-        return content
-
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON, whole or not at all."""
-        write_json(path, {"casid": "fit", "version": 2} | self.content())
+        write_json(path, {"casid": "fit", "version": 2} | encode(self)["fields"])
 
     @classmethod
     def load(cls, path: str | Path, *, model: type[M]) -> "Fit[M, Any]":
@@ -173,42 +168,20 @@ class Fit(Generic[M_co, N_co]):
         content = read_json(path)
         if content.get("casid") != "fit":
             raise ValueError(f"{path}: not a fit saved by casid")
-        if content.get("version") == 1:
-            return _guarded(_first_version, content, model, path)
-        return cls.from_content(content, model=model, place=path)
-
-    @classmethod
-    def from_content(
-        cls,
-        content: Any,  # noqa: ANN401 - as a file has it
-        *,
-        model: type[M],
-        place: str | Path = "content",
-    ) -> "Fit[M, Any]":
-        """The fit whose `content` this is; ``place`` is named in messages."""
-        return _guarded(_decoded, content, model, place)
+        try:
+            read = _first_version if content.get("version") == 1 else _decoded
+            found = read(content, model, path)
+            _check_types(found)
+        except (LookupError, TypeError, AttributeError, OverflowError) as error:
+            raise ValueError(
+                f"{path}: not as casid saves a fit ({type(error).__name__}: {error}); was the "
+                "file edited?"
+            ) from error
+        return found
 
 
 AnyFit: TypeAlias = Fit[Model, Any]
 NUMERIC = tuple(each.name for each in fields(ParameterEstimate) if each.type is float)
-
-
-def _guarded(
-    read: Callable[[Any, type[M], str | Path], Fit[M, Any]],
-    content: Any,  # noqa: ANN401
-    model: type[M],
-    place: str | Path,
-) -> Fit[M, Any]:
-    """Read a fit; whatever a damaged file makes fail is told as such."""
-    try:
-        found = read(content, model, place)
-        _check_types(found)
-    except (LookupError, TypeError, AttributeError, OverflowError) as error:
-        raise ValueError(
-            f"{place}: not as casid saves a fit ({type(error).__name__}: {error}); was the "
-            "file edited?"
-        ) from error
-    return found
 
 
 def _decoded(content: Any, model: type[M], place: str | Path) -> Fit[M, Any]:  # noqa: ANN401

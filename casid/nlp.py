@@ -156,16 +156,7 @@ def solve(
     """
     start = time.perf_counter()
     watcher = _Watcher(problem, options, stage, start)
-    nlp: Any = {"x": problem.x, "f": problem.f, "g": problem.g}
-    try:
-        solver = ca.nlpsol("solver", "ipopt", nlp, _settings(problem, options, watcher, warm))
-    except RuntimeError as error:
-        if not options.ipopt or "IPOPT option" not in str(error):
-            raise
-        reason = str(error).splitlines()[-1].partition(": ")[2]
-        raise ValueError(
-            f"IPOPT refuses the options {dict(options.ipopt)}: {reason}; its own list has them all"
-        ) from error
+    solver = _solver(problem, options, watcher, warm)
     arguments = {
         "x0": problem.x0, "lbx": problem.lower_x, "ubx": problem.upper_x,
         "lbg": problem.lower_g, "ubg": problem.upper_g,
@@ -193,6 +184,25 @@ def solve(
         iterations=int(stats["iter_count"]),
         seconds=seconds,
     )
+
+
+def _solver(
+    problem: Problem,
+    options: SolverOptions,
+    watcher: "_Watcher",
+    warm: tuple[Array, Array] | None,
+) -> ca.Function:
+    """The programme as a function of CasADi's; options that IPOPT refuses are told."""
+    nlp: Any = {"x": problem.x, "f": problem.f, "g": problem.g}
+    try:
+        return ca.nlpsol("solver", "ipopt", nlp, _settings(problem, options, watcher, warm))
+    except RuntimeError as error:
+        if not options.ipopt or "IPOPT option" not in str(error):
+            raise
+        reason = str(error).splitlines()[-1].partition(": ")[2]
+        raise ValueError(
+            f"IPOPT refuses the options {dict(options.ipopt)}: {reason}; its own list has them all"
+        ) from error
 
 
 @contextmanager
