@@ -1,4 +1,4 @@
-"""The matching error against its certificate, drawn and on the page."""
+"""Curves, bars and bands: what each draws."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,91 @@ from matplotlib.figure import Figure
 from truths.structures import SECOND, Lag, black_box
 
 from casid import Fit, match
-from casid.report import plot_match_error
+from casid.report import (
+    BASELINE,
+    BLACK_BOX,
+    MATCH,
+    OUTPUT_ERROR,
+    plot_history,
+    plot_magnitude,
+    plot_match_error,
+    plot_measured,
+    plot_phase,
+    plot_rms,
+)
+from casid.report.figures import decibel, groups, input_pairs, phase, style
+
+MODELS = (BLACK_BOX, MATCH, OUTPUT_ERROR, BASELINE)
+
+
+def axes(rows=1):
+    return Figure().subplots(rows, 1, squeeze=False)[:, 0]
+
+
+def test_magnitude_and_phase_of_an_integrator_are_its_textbook_ones():
+    omega = np.array([0.1, 1.0, 10.0])
+    G = 1 / (1j * omega)
+    np.testing.assert_allclose(decibel(G), [20, 0, -20], atol=1e-12)
+    np.testing.assert_allclose(phase(G), -90, atol=1e-12)
+    top, bottom = axes(2)
+    plot_magnitude(top, omega, G, name=BLACK_BOX)
+    plot_phase(bottom, omega, G, name=BLACK_BOX)
+    np.testing.assert_allclose(top.lines[0].get_ydata(), [20, 0, -20], atol=1e-12)
+    assert (top.get_ylabel(), bottom.get_ylabel()) == ("magnitude [dB]", "phase [deg]")
+
+
+def test_phase_is_taken_on_the_turn_of_its_neighbour():
+    omega = np.geomspace(0.1, 10, 50)
+    G = np.exp(-1j * omega) / (1j * omega) ** 2
+    np.testing.assert_allclose(phase(G, phase(G) + 720) - phase(G), 720, atol=1e-9)
+
+
+def test_phase_passes_over_pairs_that_were_not_measured():
+    G = np.array([1j, np.nan, -1.0])
+    np.testing.assert_allclose(phase(G), [90, np.nan, 180])
+    assert np.isnan(phase(np.full(3, np.nan + 0j))).all()
+
+
+def test_a_history_keeps_the_gap_of_missing_samples():
+    ax = axes()[0]
+    t, y = np.arange(4.0), np.array([0.0, np.nan, 2.0, 3.0])
+    assert plot_history(ax, t, y, {OUTPUT_ERROR: y}, channel="q") is ax
+    assert np.isnan(ax.lines[0].get_ydata()[1])
+    assert ax.get_ylabel() == "q [rad/s]"
+
+
+def test_styles_differ_in_dash_and_not_in_colour_alone():
+    looks = [style(name) for name in MODELS]
+    assert len({str(look["linestyle"]) for look in looks}) == len(looks)
+    assert len({look["color"] for look in looks}) == len(looks)
+
+
+def test_outputs_and_inputs_are_laid_out_as_in_the_paper():
+    outputs = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "beta")
+    assert groups(outputs) == [("ax", "ay", "az"), ("phi", "theta"), ("p", "q", "r"), ("beta",)]
+    assert input_pairs(("col", "lat", "lon", "ped")) == [("col", "lat"), ("ped", "lon")]
+    assert input_pairs(("elevator", "aileron", "rudder")) == [("elevator", "aileron"), ("rudder",)]
+
+
+@pytest.mark.slow
+def test_rms_bars_have_the_heights_of_the_normalised_errors(content):
+    ax = axes()[0]
+    plot_rms(ax, content.results["validation"])
+    heights = [bar.get_height() for bar in ax.containers[0]]
+    np.testing.assert_allclose(heights, content.results["validation"].normalised[BLACK_BOX][0])
+
+
+@pytest.mark.slow
+def test_a_measured_response_lies_within_its_band(content):
+    top, bottom = axes(2)
+    plot_measured(top, bottom, content.results["frequency"], (0, 0))
+    curve = top.lines[0].get_xydata()
+    band = np.vstack([path.vertices for path in top.collections[0].get_paths()])
+    measured = curve[np.isfinite(curve[:, 1])]
+    assert len(measured) > 10
+    for omega, value in measured:
+        edges = band[np.isclose(band[:, 0], omega), 1]
+        assert edges.min() <= value <= edges.max()
 
 
 def test_singular_values_lie_under_the_bound_and_touch_the_grid_norm(tmp_path):

@@ -22,7 +22,7 @@ from casid.jobs.store import Done, Store
 from casid.model import free_parameters
 from casid.structure.modelfile import load_model
 
-FLIGHT = Path(__file__).parent.parent / "examples/ah1s/data/3211_lat.csv"
+FLIGHT = Path(__file__).parents[2] / "examples/ah1s/data/3211_lat.csv"
 
 
 def casid(*arguments):

@@ -1,0 +1,50 @@
+"""Figures put together: units, labels, paper."""
+
+import dataclasses
+import re
+
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from truths.pages import draw, shown
+
+from casid.channels import units_of
+from casid.report import (
+    write_report,
+)
+
+
+@pytest.mark.slow
+def test_every_figure_names_the_unit_of_every_axis(content):
+    for drawing in draw(content):
+        for ax in drawing.figure.axes:
+            labels = [ax.get_ylabel()] if ax.get_ylabel() else []
+            if ax.xaxis.get_tick_params().get("labelbottom", True) and ax.get_xlabel():
+                labels.append(ax.get_xlabel())
+            assert all(re.search(r"\[.+\]", label) for label in labels), (drawing.name, labels)
+        assert any(ax.get_ylabel() for ax in drawing.figure.axes)
+
+
+@pytest.mark.slow
+def test_a_stick_in_degrees_is_shown_in_radians(content, tmp_path):
+    angle = dataclasses.replace(content, units=units_of({"lat": "deg"}))
+    labels = [ax.get_ylabel() for drawing in draw(angle) for ax in drawing.figure.axes]
+    assert "lat\n[rad]" in labels
+    assert "lat rad." in write_report(angle, shown(angle), tmp_path).read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_no_label_covers_another_or_leaves_the_paper(content):
+    for drawing in draw(content):
+        canvas = FigureCanvasAgg(drawing.figure)
+        canvas.draw()
+        paper, pen = drawing.figure.bbox, canvas.get_renderer()
+        names, ticks = [], []
+        for ax in drawing.figure.axes:
+            if ax.get_visible() and ax.get_ylabel():
+                names.append(ax.yaxis.label.get_window_extent(pen))
+                inside = ax.get_ylim()
+                ticks += [tick.label1.get_window_extent(pen) for tick in ax.yaxis.get_major_ticks()
+                          if inside[0] <= tick.get_loc() <= inside[1]]  # fmt: skip
+        for name in names:
+            assert name.x0 >= paper.x0, drawing.name
+            assert name.count_overlaps([*names, *ticks]) == 1, drawing.name  # itself

@@ -1,0 +1,93 @@
+"""Verdicts and what to be careful about."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from truths.pages import cautions, changed
+
+from casid.report import (
+    OUTPUT_ERROR,
+)
+from casid.report.evidence import noise_levels
+from casid.report.verdicts import verdicts, word
+
+
+@pytest.mark.parametrize(
+    ("theil", "said"), [(0.05, "good"), (0.2, "fair"), (0.7, "poor"), (np.nan, "not judged")]
+)
+def test_verdicts_follow_theils_coefficient(theil, said):
+    assert word(theil) == said
+
+
+@pytest.mark.slow
+def test_the_summary_warns_of_bounds_signs_and_wide_certificates(content):
+    fit = content.results["output_error"]
+    rows = [dataclasses.replace(row, std_error=1e3) for row in fit.parameters]
+    rows[0] = dataclasses.replace(rows[0], active=True)
+    loose = dataclasses.replace(content.results["hinf"].certificate, grid_norm=1.0, upper_bound=1.5)
+    worried = changed(
+        dataclasses.replace(content, warnings=("a record was short",)),
+        output_error=dataclasses.replace(fit, parameters=tuple(rows), success=False),
+        hinf=dataclasses.replace(content.results["hinf"], certificate=loose),
+    )
+    said = " ".join(cautions(worried))
+    for words in (
+        "1 parameter lies on a bound: Yv", "sign of 3 parameters is not determined",
+        "known to 50.0% only", "a record was short",
+    ):  # fmt: skip
+        assert words in said
+
+
+@pytest.mark.slow
+def test_the_summary_goes_by_standard_errors_and_says_if_residuals_are_coloured(content):
+    fit = content.results["output_error"]
+
+    def said(ratio):
+        rows = [
+            dataclasses.replace(row, value=3.0, std_error=ratio, cramer_rao=1.0)
+            for row in fit.parameters
+        ]
+        judged = dataclasses.replace(fit, parameters=tuple(rows))
+        return " ".join(cautions(changed(content, output_error=judged)))
+
+    assert "correlated" not in said(1.2)
+    assert "typically 2.0 times the Cramér-Rao bound" in said(2.0)
+    assert "sign of" not in said(2.0)  # 3 ± 2
+    assert f"sign of {len(fit.parameters)} parameters is not determined" in said(4.0)
+
+
+@pytest.mark.slow
+def test_a_verdict_is_of_all_unseen_records_together(content):
+    validation = content.results["validation"]
+    twice = dataclasses.replace(
+        validation,
+        records=validation.records * 2,
+        measured=validation.measured * 2,
+        simulated={name: ys * 2 for name, ys in validation.simulated.items()},
+        theil={name: np.vstack([values, values]) for name, values in validation.theil.items()},
+    )
+    for found in (verdicts(validation, content), verdicts(twice, content)):
+        assert [verdict.output for verdict in found] == ["p", "phi"]
+        for name in ("rms", "fit", "theil"):  # the same record twice is no news
+            np.testing.assert_allclose(
+                [getattr(verdict, name) for verdict in found],
+                getattr(validation, name)[OUTPUT_ERROR][0],
+            )
+    assert all(len(set(verdict.records)) == 1 < len(verdict.records) for verdict in found)
+
+
+@pytest.mark.slow
+def test_an_error_of_the_size_of_the_noise_is_not_held_against_the_model(content):
+    fit = content.results["output_error"]
+    validation = content.results["validation"]
+    found = verdicts(validation, content)
+    np.testing.assert_allclose([v.residual for v in found], np.sqrt(np.diag(fit.R)))
+    np.testing.assert_allclose([v.noise for v in found], noise_levels(validation.measured))
+    loud = [
+        dataclasses.replace(v, noise=v.rms / size) for v, size in zip(found, [1, 1.5], strict=True)
+    ]
+    assert [v.noisy for v in loud] == [True, False]
+    assert [v.caution.endswith("it hardly moves.") for v in loud] == [True, False]
+    unknown = verdicts(validation, changed(content, output_error=dataclasses.replace(fit, R=None)))
+    assert np.isnan([v.residual for v in unknown]).all()

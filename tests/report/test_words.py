@@ -1,0 +1,26 @@
+"""Numbers as readers want them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from casid.fit import ParameterEstimate
+from casid.report.words import number, percent
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(1234.5, "1234"), (-0.5, "−0.5"), (1e-7, "1e−7"), (np.nan, "–"), (-np.inf, "−∞"), (None, "–")],
+)
+def test_numbers_are_written_for_readers(value, text):
+    assert number(value) == text
+
+
+def test_a_standard_error_far_above_the_value_is_not_spelt_out():
+    row = ParameterEstimate(
+        name="Xu", value=1e-9, guess=0.0, lower=-1.0, upper=0.0, active=False, multiplier=0.0,
+        std_error=0.1, insensitivity=0.1, unit="1/s",
+    )  # fmt: skip
+    assert percent(row) == "> 999"
+    assert percent(dataclasses.replace(row, value=0.0)) == "–"
