@@ -1,4 +1,3 @@
-import sys
 import warnings
 from dataclasses import FrozenInstanceError, replace
 
@@ -15,7 +14,7 @@ from truths.systems import (
 
 from casid import DataWarning, Record, StateSpace, pbsid
 from casid.record import standard_deviations
-from casid.subspace.columns import excited_band, feedthrough_mask, gather
+from casid.subspace.columns import gather
 from casid.subspace.fourier import spectra
 from casid.subspace.pbsid import Pbsid
 from casid.subspace.refinement import refine
@@ -120,38 +119,6 @@ def test_random_sampling_instants_need_no_resampling():
         records.append(Record(t, u, stable.simulate(t, u), plant.inputs, plant.outputs, f"r{i}"))
     box = pbsid(records, order=5, past=10, pole=6.0, feedthrough=["z"])
     assert relative_error(box.system, stable) < 5e-3
-
-
-def test_stack_of_blocks_is_the_stack_of_all_columns(monkeypatch):
-    records = campaign(noise=0.02)
-    su, sy = standard_deviations(records)
-    whole, _ = gather(records, su, sy, 6, 6.0)
-    monkeypatch.setattr(sys.modules["casid.subspace.columns"], "BLOCK", 100)
-    parts, _ = gather(records, su, sy, 6, 6.0)
-    assert parts.columns == whole.columns
-    np.testing.assert_allclose(parts.R.T @ parts.R, whole.R.T @ whole.R, rtol=1e-9, atol=1e-8)
-
-
-def test_band_spans_what_every_input_excites():
-    t = np.arange(0, 60, 0.02)
-    fast, slow = np.sin(6.0 * t), np.sin(2.0 * t)
-    y = np.zeros((len(t), 1))
-    low, high = excited_band([Record(t, np.column_stack([fast, slow]), y, ("f", "s"), ("y",))])
-    assert low == pytest.approx(4 * np.pi / t[-1])
-    assert 2.0 <= high < 3.0
-
-
-def test_mask_is_built_from_every_accepted_form():
-    inputs, outputs = ("a", "b"), ("x", "y")
-    assert feedthrough_mask(True, inputs, outputs).all()
-    assert not feedthrough_mask(False, inputs, outputs).any()
-    np.testing.assert_array_equal(
-        feedthrough_mask(["y"], inputs, outputs), [[False, False], [True, True]]
-    )
-    with pytest.raises(ValueError, match="feedthrough names 'q', no output"):
-        feedthrough_mask(["q"], inputs, outputs)
-    with pytest.raises(ValueError, match="expected \\(2, 2\\)"):
-        feedthrough_mask(np.ones((1, 2), dtype=bool), inputs, outputs)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from truths.systems import campaign, innovation_record, unstable_plant
 from casid import Record, StateSpace, pbsid
 from casid.record import standard_deviations
 from casid.subspace.fourier import spectra
-from casid.subspace.modal import Modal, from_modal, schur, to_modal
+from casid.subspace.modal import Modal
 from casid.subspace.refinement import (
     ResponseUncertainty,
     information_criteria,
@@ -93,13 +93,6 @@ def test_residuals_of_the_truth_vanish_whatever_the_end_states():
     assert power.max() < 1e-16  # rounding, where the outputs' powers are of order one
 
 
-def test_modal_coordinates_are_the_same_system():
-    plant = unstable_plant()
-    su, sy = np.array([2.0, 0.5]), np.array([1.0, 3.0, 0.2])
-    back = from_modal(to_modal(plant, su, sy, plant.D != 0), su, sy, plant)
-    np.testing.assert_allclose(back.response(OMEGA), plant.response(OMEGA), rtol=1e-10)
-
-
 def test_refinement_lowers_the_likelihood_of_no_start_and_masks_the_direct_term():
     records = campaign(noise=0.05)
     su, sy = standard_deviations(records)
@@ -115,28 +108,6 @@ def test_refinement_lowers_the_likelihood_of_no_start_and_masks_the_direct_term(
     )
     assert after < before
     assert after <= truth + 1e-3  # the maximum is at least as likely as the truth
-
-
-def test_transients_of_different_size_are_eliminated_alike():
-    rng = np.random.default_rng(0)
-    J, scale = rng.standard_normal((50, 7)), np.array([1.0, 2e-3, 1e-9, 1, 1, 1, 1])
-    left = J[:, 3:] - J[:, :3] @ np.linalg.lstsq(J[:, :3], J[:, 3:])[0]
-    found = schur((J * scale).T @ (J * scale), 3)
-    np.testing.assert_allclose(found, left.T @ left, rtol=1e-8, atol=1e-8)
-
-
-def test_a_long_record_is_transformed_in_pieces_of_limited_size(monkeypatch):
-    record = campaign(records=1, duration=30.0)[0]
-    su, sy = standard_deviations([record])
-    assert len(spectra([record], su, sy, 10.0)) == 1
-    several = spectra([record] * 2, su, sy, 2 * np.pi * 1200 / record.duration)
-    assert len(several) == 6  # 1200 lines in pieces of 500 at most
-    assert all(len(each.omega) <= 500 for each in several)
-    assert [each.omega[0] for each in several] == pytest.approx(
-        [6 * np.pi / record.duration] * 6, rel=0.01
-    )
-    monkeypatch.setattr("casid.subspace.fourier.SAMPLES", record.N / 4)
-    assert len(spectra([record], su, sy, 10.0)) == 4
 
 
 def test_standard_deviations_of_a_response_are_those_of_its_logarithm():

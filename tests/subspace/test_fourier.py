@@ -1,0 +1,20 @@
+import numpy as np
+import pytest
+from truths.systems import campaign
+
+from casid.record import standard_deviations
+from casid.subspace.fourier import spectra
+
+
+def test_a_long_record_is_transformed_in_pieces_of_limited_size(monkeypatch):
+    record = campaign(records=1, duration=30.0)[0]
+    su, sy = standard_deviations([record])
+    assert len(spectra([record], su, sy, 10.0)) == 1
+    several = spectra([record] * 2, su, sy, 2 * np.pi * 1200 / record.duration)
+    assert len(several) == 6  # 1200 lines in pieces of 500 at most
+    assert all(len(each.omega) <= 500 for each in several)
+    assert [each.omega[0] for each in several] == pytest.approx(
+        [6 * np.pi / record.duration] * 6, rel=0.01
+    )
+    monkeypatch.setattr("casid.subspace.fourier.SAMPLES", record.N / 4)
+    assert len(spectra([record], su, sy, 10.0)) == 4
