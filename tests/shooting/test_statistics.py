@@ -201,12 +201,16 @@ def test_estimates_from_flights_by_brute_force_are_efficient_whatever_the_hold_a
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 2.25, 6.5])
 @pytest.mark.parametrize("direct", [True, False], ids=["direct term", "no direct term"])
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
-def test_a_hundred_flights_by_brute_force_are_estimated_without_bias(hold, direct, delay):
-    errors, white, std = brute_force_campaign(hold, direct, delay, range(100))
-    assert 0.95 < efficiency(errors, white) < 1.10
-    assert 0.92 < coverage(errors, std) < 0.98
-    # A mean of a hundred scatters by 0.1 sigma.
-    assert np.abs(errors.mean(axis=0) / white.mean(axis=0)).max() < 0.3
+def test_hundreds_of_flights_by_brute_force_are_estimated_without_bias(hold, direct):
+    ratios, shares = [], []
+    for delay in (0.0, 0.3, 1.0, 2.25, 6.5):
+        errors, white, std = brute_force_campaign(hold, direct, delay, range(100))
+        ratios.append(efficiency(errors, white))
+        shares.append(coverage(errors, std))
+        # A mean of a hundred scatters by 0.1 sigma.
+        assert np.abs(errors.mean(axis=0) / white.mean(axis=0)).max() < 0.3
+    # Six or seven correlated parameters: a hundred runs scatter by 4 %, five hundred by 2 %.
+    assert 0.95 < np.mean(ratios) < 1.10
+    assert 0.92 < np.mean(shares) < 0.98
