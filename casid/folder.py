@@ -63,8 +63,10 @@ def claimed(folder: str | Path) -> Iterator[Path]:
         ) from error
     with lock:
         if not _taken(lock):
+            lock.seek(0)
+            holder = lock.read(100) or "process unknown"
             raise ValueError(
-                f"output {folder}: another run is writing there ({_holder(lock)}); wait for its "
+                f"output {folder}: another run is writing there ({holder}); wait for its "
                 "end, or name another folder by --output"
             )
         for left in [*folder.glob(f".*{PARTIAL}"), *folder.glob(f"*/.*{PARTIAL}")]:
@@ -85,8 +87,3 @@ def _taken(lock: IO[str]) -> bool:
     lock.write(f"process {os.getpid()}")
     lock.flush()
     return True
-
-
-def _holder(lock: IO[str]) -> str:
-    lock.seek(0)
-    return lock.read(100) or "process unknown"

@@ -15,18 +15,8 @@ from typing import Any, ClassVar, Self, TypeAlias, TypeVar, cast, dataclass_tran
 import casadi as ca
 import numpy as np
 
+from casid import declaration
 from casid.arrays import Array
-from casid.declaration import (
-    check_delays,
-    check_lengths,
-    check_names,
-    check_order,
-    check_pair,
-    check_parameter,
-    check_rows,
-    scalar,
-    written,
-)
 from casid.errors import ModelError
 from casid.linear import StateSpace
 
@@ -58,7 +48,7 @@ class Constraint:
     upper: float = 0.0
 
     def __post_init__(self) -> None:
-        check_order(str(self.name), self.lower, self.upper)
+        declaration.check_order(str(self.name), self.lower, self.upper)
 
 
 def parameter(
@@ -103,11 +93,11 @@ class Model:
 
     def __init_subclass__(cls) -> None:
         for attribute in ("states", "inputs", "outputs"):
-            check_names(cls, attribute, getattr(cls, attribute, None))
+            declaration.check_names(cls, attribute, getattr(cls, attribute, None))
         reserved = {*dir(Model), "states", "inputs", "outputs"}
         for name, declared in vars(cls).items():
             if "parameter" in getattr(declared, "metadata", {}):
-                check_parameter(cls, name, declared, reserved)
+                declaration.check_parameter(cls, name, declared, reserved)
         dataclass(frozen=True, kw_only=True, eq=True)(cls)
 
     # ---- what a structure writes ----------------------------------------------------------------
@@ -226,15 +216,12 @@ def matrix(rows: Rows) -> ca.SX:
     ModelError
         No rows, or rows of different length.
     """
-    check_lengths(rows)
+    declaration.check_lengths(rows)
     entries = [
-        [scalar(value, f"entry [{i}][{j}]") for j, value in enumerate(row)]
+        [declaration.scalar(value, f"entry [{i}][{j}]") for j, value in enumerate(row)]
         for i, row in enumerate(rows)
     ]
     return ca.sparsify(ca.vertcat(*[ca.horzcat(*row) for row in entries]))
-
-
-# ---- which parameters an estimator may move ----------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,7 +276,7 @@ def free_parameters(
     infos = model.infos()
     limits = {name: bounds.get(name, (info.lower, info.upper)) for name, info in infos.items()}
     for name, pair in limits.items():
-        check_pair(name, pair)
+        declaration.check_pair(name, pair)
     lower, upper = (np.array([pair[i] for pair in limits.values()], dtype=float) for i in (0, 1))
     held = np.array([name in fixed for name in infos], dtype=bool)
     guess = model.vector()
@@ -354,7 +341,7 @@ def _check_choice(model: Model, fixed: Collection[str], bounds: Bounds) -> None:
 
 def _expressions(symbolic: Model) -> tuple[ca.SX, ...]:
     cls = type(symbolic)
-    built = {letter: written(symbolic, letter, matrix) for letter in "ABCD"}
+    built = {letter: declaration.written(symbolic, letter, matrix) for letter in "ABCD"}
     nx, nu, ny = len(cls.states), len(cls.inputs), len(cls.outputs)
     wanted = {"A": (nx, nx), "B": (nx, nu), "C": (ny, nx), "D": (ny, nu)}
     for letter, shape in wanted.items():
@@ -363,16 +350,20 @@ def _expressions(symbolic: Model) -> tuple[ca.SX, ...]:
                 f"{cls.__name__}.{letter} has shape {built[letter].shape}, expected {shape}: "
                 f"{nx} states, {nu} inputs, {ny} outputs"
             )
-    check_rows(cls, built)
-    delays = written(symbolic, "delays", check_delays)
+    declaration.check_rows(cls, built)
+    delays = declaration.written(symbolic, "delays", declaration.check_delays)
     if unknown := [name for name in delays if name not in cls.inputs]:
         raise ModelError(
             f"{cls.__name__}.delays names {unknown[0]!r}, which is no input; "
             f"inputs are {', '.join(cls.inputs)}"
         )
     where = f"{cls.__name__}.delays: that of"
-    tau = [scalar(delays.get(name, 0.0), f"{where} {name!r}") for name in cls.inputs]
-    return (*built.values(), ca.vertcat(*tau), written(symbolic, "constraints", _values))
+    tau = [declaration.scalar(delays.get(name, 0.0), f"{where} {name!r}") for name in cls.inputs]
+    return (
+        *built.values(),
+        ca.vertcat(*tau),
+        declaration.written(symbolic, "constraints", _values),
+    )
 
 
 def _values(constraints: Sequence[Constraint]) -> ca.SX:
@@ -380,5 +371,5 @@ def _values(constraints: Sequence[Constraint]) -> ca.SX:
     for item in constraints:
         if not isinstance(item, Constraint):
             raise ModelError(f"it holds {item!r}, expected Constraint(name, value, lower, upper)")
-    values = [scalar(item.value, f"the value of {item.name!r}") for item in constraints]
+    values = [declaration.scalar(item.value, f"the value of {item.name!r}") for item in constraints]
     return ca.vertcat(ca.SX(0, 1), *values)

@@ -84,9 +84,6 @@ def smoothed(x: Array, ratio: float) -> Array:
     return np.column_stack([np.convolve(column, taps, mode="valid") for column in padded.T])
 
 
-# ---- what they must be -------------------------------------------------------------------------
-
-
 def check_samples(
     record: str, t: Array, u: Array, y: Array, names: tuple[tuple[str, ...], tuple[str, ...]]
 ) -> None:

@@ -197,9 +197,6 @@ def state_space(model: AnyModel) -> StateSpace:
     return model.system() if isinstance(model, Model) else model.system
 
 
-# ---- measures ------------------------------------------------------------------------------------
-
-
 def _each(
     measure: Callable[[Array, Array], float], records: Sequence[Record], simulated: Sequence[Array]
 ) -> Array:

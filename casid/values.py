@@ -35,9 +35,6 @@ def seal(value: object) -> None:
             object.__setattr__(value, each.name, sealed)
 
 
-# ---- JSON ----------------------------------------------------------------------------------------
-
-
 def encode(value: Any) -> Any:  # noqa: ANN401 - JSON is any
     """Plain JSON of numbers, texts, arrays, tuples, mappings and frozen dataclasses."""
     if isinstance(value, list):
@@ -96,9 +93,6 @@ _DECODERS: Mapping[str, Callable[[Mapping[str, Any], Sequence[type]], Any]] = {
     },
     "float": lambda content, _: float(content["float"]),
 }
-
-
-# ---- digests -------------------------------------------------------------------------------------
 
 
 def digest(*parts: Any) -> str:  # noqa: ANN401 - any value casid knows

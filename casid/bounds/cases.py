@@ -227,9 +227,6 @@ def _number(text: str) -> float:
     return float(text.replace("−", "-").replace(" ", ""))
 
 
-# ---- the case as a model -------------------------------------------------------------------------
-
-
 def constrained(model: Model, case: Case) -> tuple[Model, Array]:
     """A model whose structure has the case's relations beside its own, and their units.
 

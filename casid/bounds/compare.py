@@ -196,8 +196,6 @@ def _warn_of_minima(results: Sequence[CaseResult], freest: str) -> None:
             )
 
 
-# ---- tables --------------------------------------------------------------------------------------
-
 ERRORS = ("std_error", "cramer_rao")
 ROW = ("name", "unit", "guess", "value", *ERRORS, "lower", "upper", "active", "multiplier")
 FIGURES = ("reason", "cost", "increase", "predicted", "held", "aicc", "statistic", "freedom")

@@ -85,11 +85,12 @@ def price_case(
     fit: AnyFit | None = done.result
     if fit is None or done.reason:
         return CaseResult(name=case.name, reason=done.reason, fit=fit, start=done.source)
+    rows = zip(_own(fit, case)[1], case.relations, strict=True)
     found = CaseResult(
         name=case.name,
         fit=fit,
         parameters=_parameters(fit, case),
-        relations=_relations(fit, case),
+        relations=tuple(row for row, relation in rows if len(relation.names) > 1),
         held=fit.held,
         cost=fit.cost,
         aicc=aicc(fit, data),
@@ -123,12 +124,6 @@ def _own(fit: AnyFit, case: Case) -> tuple[list[ConstraintEstimate], list[Constr
     rows = list(fit.constraints)
     first = len(rows) - len(case.relations)
     return rows[:first], rows[first:]
-
-
-def _relations(fit: AnyFit, case: Case) -> tuple[ConstraintEstimate, ...]:
-    """Rows of the case's relations between parameters."""
-    rows = zip(_own(fit, case)[1], case.relations, strict=True)
-    return tuple(row for row, relation in rows if len(relation.names) > 1)
 
 
 def _parameters(fit: AnyFit, case: Case) -> tuple[ParameterEstimate, ...]:

@@ -163,9 +163,6 @@ def in_words(name: str) -> str:
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
 
 
-# ---- what a fit says about its likelihood --------------------------------------------------------
-
-
 def aicc(fit: AnyFit, records: Sequence[Record]) -> float:
     """Corrected Akaike criterion of a fit to records; NaN unless its cost is a likelihood.
 

@@ -15,15 +15,7 @@ from casid.commands.inspection import Inspection, RecordFacts, inspect_records, 
 from casid.commands.scaffold import new_model
 from casid.commands.terminal import exits, new_table, terminal
 from casid.consistency.kinematics import KinematicCheck
-from casid.exchange.formats import (
-    MatVersion,
-    in_si,
-    read_record,
-    read_table,
-    write_fit_mat,
-    write_frequency,
-    write_table,
-)
+from casid.exchange import formats
 from casid.exchange.standalone import write_module
 from casid.files import read_json
 from casid.fit import AnyFit, Fit
@@ -66,9 +58,6 @@ WRITTEN = "Write inputs, measured and simulated outputs (p, p_sim) as .csv, .mat
 TIME = click.option("--time", default="t", show_default=True, help="Column of instants.")
 
 
-# ---- convert -----------------------------------------------------------------------------------
-
-
 @click.command()
 @click.argument("source", metavar="FROM")
 @click.argument("target", metavar="TO")
@@ -76,13 +65,17 @@ TIME = click.option("--time", default="t", show_default=True, help="Column of in
 @MODEL
 @click.option(
     "--mat-version",
-    type=click.Choice(get_args(MatVersion)),
+    type=click.Choice(get_args(formats.MatVersion)),
     default="5",
     show_default=True,
     help="Of a record written as .mat.",
 )
 def convert(
-    source: str, target: str, units: dict[str, str], structure: str | None, mat_version: MatVersion
+    source: str,
+    target: str,
+    units: dict[str, str],
+    structure: str | None,
+    mat_version: formats.MatVersion,
 ) -> None:
     """Turn a file into another format; suffixes say which. TO is replaced if it is there.
 
@@ -102,8 +95,8 @@ def convert(
                 raise ValueError("--unit is for records; a response or a fit is in SI already")
             done = _convert_result(Path(source), Path(target), structure)
         else:
-            table = in_si(read_table(source), units)
-            write_table(target, table, version=mat_version)
+            table = formats.in_si(formats.read_table(source), units)
+            formats.write_table(target, table, version=mat_version)
             rows = len(next(iter(table.values())))
             done = f"{rows} samples of {', '.join(table)}"
         console.print(Text(f"{target}: {done}"), soft_wrap=True)
@@ -113,11 +106,11 @@ def _convert_result(source: Path, target: Path, structure: str | None) -> str:
     content = read_json(source)
     if content.get("casid") != "fit":
         response = _response(source, content)
-        write_frequency(target, response)
+        formats.write_frequency(target, response)
         return f"{len(response.omega)} frequencies, {len(response.outputs)} outputs"
     fit = _load(source, structure)
     if target.suffix == ".mat":
-        write_fit_mat(target, fit)
+        formats.write_fit_mat(target, fit)
     elif target.suffix == ".py":
         write_module(target, fit.model.system(), title=f"{type(fit.model).__name__}, {fit.method}")
     else:
@@ -145,9 +138,6 @@ def _load(source: Path, structure: str | None) -> AnyFit:
     if structure is None:
         raise ValueError(f"{source} is a fit: name its structure, --model models/six_dof.py:SixDof")
     return Fit.load(source, model=load_model(structure))
-
-
-# ---- inspect -----------------------------------------------------------------------------------
 
 
 @click.command("inspect")
@@ -210,7 +200,7 @@ def _records(
     units: Mapping[str, str],
     time: str,
 ) -> list[Record]:
-    columns = [name for name in read_table(sources[0]) if name != time]
+    columns = [name for name in formats.read_table(sources[0]) if name != time]
     if not inputs:
         known = CONTROLS if model is None else model.inputs
         inputs = tuple(name for name in known if name in columns or model is not None)
@@ -224,7 +214,7 @@ def _records(
         extra = [name for name in ("u", "v", "w") if name in columns]
         outputs = known if model is None else tuple(dict.fromkeys((*model.outputs, *extra)))
     return [
-        read_record(source, inputs=inputs, outputs=outputs, time=time, units=units)
+        formats.read_record(source, inputs=inputs, outputs=outputs, time=time, units=units)
         for source in sources
     ]
 
@@ -299,9 +289,6 @@ def kinematics_table(found: KinematicCheck) -> Table:
     return table
 
 
-# ---- simulate ----------------------------------------------------------------------------------
-
-
 @click.command()
 @click.argument("fit", metavar="FIT.json")
 @click.argument("record", metavar="RECORD")
@@ -336,7 +323,7 @@ def simulate(
         model = _load(Path(fit), structure).model
         how: Any = None if detrend == "none" else detrend
         names: Any = {"inputs": model.inputs, "outputs": model.outputs, "time": time}
-        flown = read_record(record, units=units, detrend=how, **names)
+        flown = formats.read_record(record, units=units, detrend=how, **names)
         found = validate({"model": model}, [flown])
         title = f"{type(model).__name__} on {flown.name}, {flown.duration:.5g} s"
         table = new_table(title, "output", "rms error", "unit", "fit [%]", "Theil")
@@ -350,7 +337,7 @@ def simulate(
             console.print(Text(found.predicted, style="yellow"), soft_wrap=True)
         _advise(console, unit_advice([flown], time, units))
         if output is not None:
-            write_table(output, _histories(flown, found.simulated["model"][0]))
+            formats.write_table(output, _histories(flown, found.simulated["model"][0]))
             console.print(Text(f"Time histories: {output}"), soft_wrap=True)
 
 
@@ -362,9 +349,6 @@ def _histories(record: Record, simulated: np.ndarray) -> dict[str, Any]:
         trim = record.trim.get(name, 0.0)
         columns |= {name: record.y[:, i] + trim, f"{name}_sim": simulated[:, i] + trim}
     return columns
-
-
-# ---- new-model ---------------------------------------------------------------------------------
 
 
 @click.command("new-model")

@@ -143,9 +143,6 @@ def inspect_records(
     )
 
 
-# ---- facts -------------------------------------------------------------------------------------
-
-
 def _facts(record: Record) -> RecordFacts:
     steps = np.diff(record.t)
     wide = np.flatnonzero(steps > GAP * record.dt)
@@ -224,9 +221,6 @@ def _correlation(records: Sequence[Record]) -> Array:
     size = np.sqrt(np.sum(u**2, axis=0))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(u.T @ u / np.outer(size, size))
-
-
-# ---- advice ------------------------------------------------------------------------------------
 
 
 def unit_advice(records: Sequence[Record], time: str, stated: Collection[str]) -> list[str]:

@@ -152,7 +152,9 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
         if iteration in REGAIN:
             problem.fit_gains(blocks, x[::3])
         parts = problem.whitened(blocks)
-        step = _solved(*_normal(parts, prior, start - x)).reshape(n, 3)
+        information, slope = _normal(parts, prior, start - x)
+        scaled, size = _scaled(information)
+        step = (np.linalg.lstsq(scaled, slope / size, rcond=1e-14)[0] / size).reshape(n, 3)
         step[:, 2] = np.clip(step[:, 2], -LATE / 4, LATE / 4)
         x = x + step.ravel()
         x[2::3] = np.clip(x[2::3], -LATE, LATE)
@@ -295,11 +297,6 @@ def _normal(parts: Sequence[Block], prior: Array, pull: Array) -> tuple[Array, A
         information = information + X.T @ X
         slope = slope + X.T @ e
     return information, slope
-
-
-def _solved(information: Array, slope: Array) -> Array:
-    scaled, size = _scaled(information)
-    return np.asarray(np.linalg.lstsq(scaled, slope / size, rcond=1e-14)[0] / size)
 
 
 def _variances(information: Array, scores: Array) -> Array:

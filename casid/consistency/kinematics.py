@@ -229,9 +229,6 @@ def _turned(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:
     return tuple(said)
 
 
-# ---- judgement ---------------------------------------------------------------------------------
-
-
 def _judged(solution: Instruments, name: str, spread: float, rough: set[str]) -> ChannelCheck:
     i = solution.channels.index(name)
     gain, bias, skew = map(float, solution.unknowns[i])

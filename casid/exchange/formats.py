@@ -9,21 +9,10 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 import scipy.io
 
+from casid import files
 from casid.arrays import Array
 from casid.channels import UNITS, factor_of
 from casid.exchange.objects import from_dataframe, optional, to_dataframe
-from casid.files import (
-    Channels,
-    Detrend,
-    check_names,
-    csv_columns,
-    header_hint,
-    read_columns,
-    read_csv,
-    read_mat,
-    read_variables,
-    write_text,
-)
 from casid.fit import AnyFit
 from casid.folder import replacing
 from casid.frequency.estimation import FrequencyResponse
@@ -37,17 +26,14 @@ NAMED = ("states", "inputs", "outputs")
 VARIABLE = re.compile(r"[A-Za-z]\w{0,62}", flags=re.ASCII)  # what MATLAB takes for a name
 
 
-# ---- records -----------------------------------------------------------------------------------
-
-
 def read_record(
     path: str | Path,
     *,
-    inputs: Channels,
-    outputs: Channels,
+    inputs: files.Channels,
+    outputs: files.Channels,
     time: str | float = "t",
     units: Mapping[str, str] | None = None,
-    detrend: Detrend = None,
+    detrend: files.Detrend = None,
     hold: Hold = "foh",
     name: str | None = None,
 ) -> Record:
@@ -59,8 +45,8 @@ def read_record(
         As in `read_csv` and `read_mat`.
     """
     readers: dict[str, Callable[..., Record]] = {
-        ".csv": read_csv,
-        ".mat": read_mat,
+        ".csv": files.read_csv,
+        ".mat": files.read_mat,
         ".parquet": read_parquet,
     }
     read = readers[_suffix(path, TABLES)]
@@ -71,11 +57,11 @@ def read_record(
 def read_parquet(
     path: str | Path,
     *,
-    inputs: Channels | None = None,
-    outputs: Channels | None = None,
+    inputs: files.Channels | None = None,
+    outputs: files.Channels | None = None,
     time: str | float = "t",
     units: Mapping[str, str] | None = None,
-    detrend: Detrend = None,
+    detrend: files.Detrend = None,
     hold: Hold | None = None,
     name: str | None = None,
 ) -> Record:
@@ -116,9 +102,6 @@ def write_mat(path: str | Path, record: Record, *, version: MatVersion = "5") ->
     _save_table(path, {"t": record.t} | record.totals(), version)
 
 
-# ---- tables, whatever is input or output -------------------------------------------------------
-
-
 def read_table(path: str | Path) -> dict[str, Array]:
     """All columns of a CSV or Parquet file, all vectors of one length of a MATLAB file.
 
@@ -130,17 +113,17 @@ def read_table(path: str | Path) -> dict[str, Array]:
     path = Path(path)
     suffix = _suffix(path, TABLES)
     if suffix == ".csv":
-        columns = csv_columns(path)
-        if hint := header_hint(columns):
+        columns = files.csv_columns(path)
+        if hint := files.header_hint(columns):
             raise ValueError(f"{path}: its first line is {', '.join(columns)[:200]}{hint}")
-        return read_columns(path, columns)
+        return files.read_columns(path, columns)
     if suffix == ".parquet":
         frame = _parquet(path)
         frame = frame.reset_index() if frame.index.name else frame
         table = {str(name): _numbers(frame[name], path, str(name)) for name in frame.columns}
     else:
         table = _vectors(path)
-    check_names(path, table)
+    files.check_names(path, table)
     return table
 
 
@@ -164,7 +147,7 @@ def write_table(path: str | Path, table: Mapping[str, Array], *, version: MatVer
     else:
         rows = np.column_stack(list(table.values())).tolist()  # floats write themselves exactly
         lines = [",".join(table), *(",".join(map(repr, row)) for row in rows)]
-        write_text(path, "\n".join(lines) + "\n")
+        files.write_text(path, "\n".join(lines) + "\n")
 
 
 def in_si(table: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, Array]:
@@ -172,9 +155,6 @@ def in_si(table: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, Arr
     if lacking := [name for name in units if name not in table]:
         raise ValueError(f"there is no column {lacking[0]!r}; there are {', '.join(table)}")
     return {name: x * factor_of(name, units.get(name, "1")) for name, x in table.items()}
-
-
-# ---- frequency responses -----------------------------------------------------------------------
 
 
 def frequency_table(response: FrequencyResponse) -> dict[str, Array]:
@@ -226,9 +206,6 @@ def write_frequency(path: str | Path, response: FrequencyResponse) -> None:
         _save_mat(path, content)
 
 
-# ---- fitted models -----------------------------------------------------------------------------
-
-
 def write_fit_mat(path: str | Path, fit: AnyFit) -> None:
     """Write a fitted model as a MATLAB file of version 5.
 
@@ -250,9 +227,6 @@ def write_fit_mat(path: str | Path, fit: AnyFit) -> None:
     content |= {name: getattr(fit, name) for name in ("method", "cost")}
     content |= {name: np.array([getattr(row, name) for row in rows], float) for name in numbers}
     _save_mat(path, content)
-
-
-# ---- helpers -----------------------------------------------------------------------------------
 
 
 def _suffix(path: str | Path, known: Sequence[str]) -> str:
@@ -284,7 +258,7 @@ def _numbers(column: Any, path: Path, name: str) -> Array:  # noqa: ANN401
 
 def _vectors(path: Path) -> dict[str, Array]:
     found = {}
-    for name, value in read_variables(path).items():
+    for name, value in files.read_variables(path).items():
         array = np.asarray(value)
         if array.dtype.kind in "fiub" and array.ndim <= 2 and max(array.shape, default=0) > 1:
             if array.size == max(array.shape):

@@ -9,14 +9,7 @@ import logging
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    wait,
-)
+from concurrent import futures
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -93,7 +86,7 @@ class Execution:
     """
 
     folder: str | Path | None = None
-    executor: Executor | None = None
+    executor: futures.Executor | None = None
     progress: Callable[[CampaignProgress], None] | None = None
 
 
@@ -144,7 +137,7 @@ class _Campaign:
 
     def run(self, workers: "Workers") -> None:
         """Until every job is done."""
-        running: dict[Future[Done], Job] = {}
+        running: dict[futures.Future[Done], Job] = {}
         while True:
             flying = {job.name for job in running.values()}
             slots = 1 if self._suspects() else workers.slots
@@ -152,8 +145,10 @@ class _Campaign:
                 running[workers.submit(_attempt, self.work, job, *self._start(job))] = job
             if not running:
                 return
-            finished, _ = wait(running, return_when=FIRST_COMPLETED)
-            broken = [future for future in finished if isinstance(_error(future), BrokenExecutor)]
+            finished, _ = futures.wait(running, return_when=futures.FIRST_COMPLETED)
+            broken = [
+                future for future in finished if isinstance(_error(future), futures.BrokenExecutor)
+            ]
             for future in finished.difference(broken):
                 self._finish(running.pop(future), self._outcome(future), keep=not _error(future))
             if broken:
@@ -179,7 +174,7 @@ class _Campaign:
                 return encode(self.done[name].result), name
         return None, ""
 
-    def _outcome(self, future: "Future[Done]") -> Done:
+    def _outcome(self, future: "futures.Future[Done]") -> Done:
         error = _error(future)
         if isinstance(error, KeyboardInterrupt):  # in a process of the user's executor
             raise error
@@ -188,7 +183,7 @@ class _Campaign:
         done = future.result()
         return replace(done, result=decode(done.result, self.store.also))
 
-    def _died(self, running: dict[Future[Done], Job], workers: "Workers") -> None:
+    def _died(self, running: dict[futures.Future[Done], Job], workers: "Workers") -> None:
         """A process died; which job killed it shows when they are tried again, one at a time."""
         suspects = list(running.values())
         running.clear()
@@ -234,9 +229,9 @@ def _attempt(work: Callable[[Any, Any], Any], job: Job, start: Any, source: str)
     return Done(result=result, reason=reason, seconds=seconds, warnings=said, source=source)
 
 
-def _error(future: "Future[Done]") -> BaseException | None:
+def _error(future: "futures.Future[Done]") -> BaseException | None:
     """Why a job did not come back: a lost process, a payload too large; not its own failure."""
-    return CancelledError("cancelled") if future.cancelled() else future.exception()
+    return futures.CancelledError("cancelled") if future.cancelled() else future.exception()
 
 
 def _clock(seconds: float) -> str:

@@ -37,7 +37,10 @@ def structure_digest(path: str | Path) -> str:
         file = waiting.pop()
         if file not in seen:
             seen[file] = file.read_bytes()
-            waiting += [each for each in imported_files(file) if _is_users(each)]
+            others = _libraries()  # not the user's
+            waiting += [
+                each for each in imported_files(file) if not any(map(each.is_relative_to, others))
+            ]
     return digest(sorted(seen.values()))
 
 
@@ -76,7 +79,3 @@ def _files_of(name: str) -> Iterator[Path]:
 def _libraries() -> tuple[Path, ...]:
     places = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
     return (*(Path(place).resolve() for place in places), Path(__file__).resolve().parents[1])
-
-
-def _is_users(file: Path) -> bool:
-    return not any(file.is_relative_to(folder) for folder in _libraries())

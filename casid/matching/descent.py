@@ -154,6 +154,7 @@ def descend(problem: Condensed, values: Array, *, steps: int, tolerance: float) 
     """
     x = problem.clip(values / problem.scale)
     here = _try(problem, x)
+    line = np.inf if problem.comparison.line is None else problem.comparison.line
     damping = DAMPING[0]
     done, settled = 0, False
     while done < steps and not settled and np.isfinite(here.cost):
@@ -164,7 +165,7 @@ def descend(problem: Condensed, values: Array, *, steps: int, tolerance: float) 
         while damping < DAMPING[2]:
             trial = problem.clip(x + _step(problem, x, normal, gradient, damping))
             there = _try(problem, trial)
-            if there.cost < here.cost and _allowed(problem, here, there):
+            if there.cost < here.cost and there.abscissa < max(line, here.abscissa):
                 x, here = trial, there
                 break
             damping *= 4
@@ -180,11 +181,6 @@ def _try(problem: Condensed, x: Array) -> Descent:
         return Descent(values=x, cost=np.inf, abscissa=np.inf)
     cost = float(r @ r)
     return Descent(values=x, cost=cost if np.isfinite(cost) else np.inf, abscissa=abscissa)
-
-
-def _allowed(problem: Condensed, here: Descent, there: Descent) -> bool:
-    line = problem.comparison.line
-    return line is None or there.abscissa < max(line, here.abscissa)
 
 
 def _step(problem: Condensed, x: Array, normal: Array, gradient: Array, damping: float) -> Array:

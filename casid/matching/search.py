@@ -130,8 +130,10 @@ class Search:
         optimum = self._programme(norm, values, comparison, stable=False)
         if self._unstable(optimum.values):
             outside = self._unstable(values)
-            inside = self._stabilised(comparison, optimum.values) if outside else values
-            optimum = self._programme(norm, inside, comparison, stable=True)
+            if outside:  # values near the given ones with all poles left of the line, if found
+                guarded = Condensed.of(self.free, comparison, guarded=True)
+                values = descend(guarded, optimum.values, steps=100, tolerance=1e-4).values
+            optimum = self._programme(norm, values, comparison, stable=True)
         appraisal = appraise(self.system(optimum.values), comparison)
         doubt = doubts(self.free, optimum.values, self.free.guess, appraisal, stable=self.stable)
         cost, unit = optimum.cost, 1.0
@@ -162,11 +164,6 @@ class Search:
         if not self.stable or line is None:
             return False
         return bool(self.system(values).poles().real.max() > line + 1e-6 * (1 + line))
-
-    def _stabilised(self, comparison: Comparison, values: Array) -> Array:
-        """Values near the given ones with all poles left of the line, if some are found."""
-        problem = Condensed.of(self.free, comparison, guarded=True)
-        return descend(problem, values, steps=100, tolerance=1e-4).values
 
 
 def _rank(found: Found) -> tuple[bool, float]:

@@ -17,26 +17,8 @@ from casid.folder import replacing
 from casid.frequency.estimation import FrequencyResponse
 from casid.linear import StateSpace
 from casid.record import Record
+from casid.report import figures
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Content, Drawing
-from casid.report.figures import (
-    decibel,
-    frequency_axis,
-    groups,
-    input_pairs,
-    phase,
-    phase_axis,
-    plot_autocorrelation,
-    plot_coherence,
-    plot_history,
-    plot_input,
-    plot_magnitude,
-    plot_match_error,
-    plot_measured,
-    plot_phase,
-    plot_poles,
-    plot_rms,
-    plot_singular_values,
-)
 from casid.report.prices import plot_bounds
 from casid.subspace.pbsid import BlackBox
 from casid.validation import Validation, state_space
@@ -79,9 +61,6 @@ def save(drawing: Drawing, folder: str | Path) -> tuple[Path, Path]:
     return png, svg
 
 
-# ---- frequency responses -----------------------------------------------------------------------
-
-
 def systems(content: Content) -> dict[str, StateSpace]:
     """Every model by name; a discrete one is left out of continuous figures."""
     found = {name: state_space(model) for name, model in content.models.items()}
@@ -108,12 +87,12 @@ def draw_responses(content: Content) -> Iterator[Drawing]:
     structure = content.model
     hidden = tuple(name for name in structure.states if name not in structure.outputs)
     omega = np.geomspace(*band(content), POINTS)
-    for outputs in groups(structure.outputs):
-        for inputs in input_pairs(structure.inputs):
+    for outputs in figures.groups(structure.outputs):
+        for inputs in figures.input_pairs(structure.inputs):
             yield _response(content, shown, omega, outputs, inputs)
     inner = {name: with_states(s, hidden) for name, s in shown.items() if name in content.fits}
-    for outputs in groups(hidden):
-        for inputs in input_pairs(structure.inputs):
+    for outputs in figures.groups(hidden):
+        for inputs in figures.input_pairs(structure.inputs):
             yield _response(content, inner, omega, outputs, inputs)
 
 
@@ -141,7 +120,7 @@ def _response(
             column[0].set_title(f"{output} / {channel}", loc="left", fontweight="bold", pad=3)
     for ax in axes[-1]:
         ax.set_xlabel("ω [rad/s]")
-        frequency_axis(ax, omega[0], omega[-1])
+        figures.frequency_axis(ax, omega[0], omega[-1])
     for ax in axes[:, 1:].flat:
         ax.set_ylabel("")
     _legend(figure, axes[0, 0])
@@ -164,27 +143,26 @@ def _pair(
     for name, system in shown.items():
         i, j = system.outputs.index(output), system.inputs.index(channel)
         curves[name] = system.response(omega)[:, i, j]
-        near = phase(curves[name]) if near is None else near
+        near = figures.phase(curves[name]) if near is None else near
     if len(column) == 3 and measured is not None and near is not None:
         place = measured.outputs.index(output), measured.inputs.index(channel)
-        plot_measured(column[0], column[1], measured, place, near=(omega, near))
-        plot_coherence(column[2], measured, place)
+        figures.plot_measured(column[0], column[1], measured, place, near=(omega, near))
+        figures.plot_coherence(column[2], measured, place)
     for name, G in curves.items():
-        plot_magnitude(column[0], omega, G, name=name)
-        plot_phase(column[1], omega, G, name=name, near=near)
+        figures.plot_magnitude(column[0], omega, G, name=name)
+        figures.plot_phase(column[1], omega, G, name=name, near=near)
     # The models set the limits: a band of two sigma has no lower end where coherence is lost.
-    low, high = _span([decibel(G) for G in curves.values()], least=20.0)
+    low, high = _span([figures.decibel(G) for G in curves.values()], least=20.0)
     column[0].set_ylim(low - 3, high + 3)
-    phase_axis(column[1], *_span([phase(G, near) for G in curves.values()], least=60.0))
+    figures.phase_axis(
+        column[1], *_span([figures.phase(G, near) for G in curves.values()], least=60.0)
+    )
 
 
 def _span(curves: Sequence[Array], least: float) -> tuple[float, float]:
     low, high = float(np.min(curves)), float(np.max(curves))
     more = max(0.0, least - (high - low)) / 2
     return low - more, high + more
-
-
-# ---- time --------------------------------------------------------------------------------------
 
 
 def draw_histories(validation: Validation, units: Mapping[str, str]) -> Iterator[Drawing]:
@@ -206,7 +184,7 @@ def _history(
     for ax, channel in zip(axes[record.nu :, 0], outputs, strict=True):
         i = record.outputs.index(channel)
         simulated = {name: y[k][:, i] for name, y in validation.simulated.items()}
-        plot_history(ax, record.t, record.y[:, i], simulated, channel=channel, units=units)
+        figures.plot_history(ax, record.t, record.y[:, i], simulated, channel=channel, units=units)
     for ax in axes[:, 0]:
         ax.set_ylabel(ax.get_ylabel().replace(" [", "\n["))
     axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
@@ -230,7 +208,7 @@ def _inputs(axes: Sequence[Axes], record: Record, units: Mapping[str, str]) -> N
     largest = float(np.ptp(record.u, axis=0).max())
     for ax, channel in zip(axes, record.inputs, strict=True):
         u = record.channel(channel)
-        plot_input(ax, record.t, u, channel=channel, units=units)
+        figures.plot_input(ax, record.t, u, channel=channel, units=units)
         ax.set_ylim(_span([u], least=0.2 * largest or 1.0))
         ax.yaxis.label.set_fontsize(6)
 
@@ -241,7 +219,7 @@ def draw_rms(validation: Validation) -> Iterator[Drawing]:
     figure = Figure(figsize=(WIDTH, 0.6 + 1.8 * len(records)))
     axes = figure.subplots(len(records), 1, sharex=True, squeeze=False)
     for k, ax in enumerate(axes[:, 0]):
-        plot_rms(ax, validation, record=k)
+        figures.plot_rms(ax, validation, record=k)
         ax.grid(visible=False, axis="x")
         if len(records) > 1:
             ax.set_title(records[k], loc="left")
@@ -264,7 +242,7 @@ def draw_whiteness(validation: Validation) -> Iterator[Drawing]:
             for name in names:
                 residual = record.y[:, i] - validation.simulated[name][k][:, i]
                 lags = min(LAGS, record.N // 2)
-                plot_autocorrelation(ax, residual, record.dt, name=name, lags=lags)
+                figures.plot_autocorrelation(ax, residual, record.dt, name=name, lags=lags)
             ax.set_title(output, loc="left", fontweight="bold", pad=3)
         for ax in axes[:, 1]:
             ax.set_ylabel("")
@@ -285,7 +263,7 @@ def draw_match_error(fit: AnyFit) -> Iterator[Drawing]:
         return
     figure = Figure(figsize=(WIDTH * 0.8, 2.6))
     axes = figure.subplots(1, 1, squeeze=False)
-    plot_match_error(axes[0, 0], fit)
+    figures.plot_match_error(axes[0, 0], fit)
     _legend(figure, axes[0, 0])
     caption = "Singular values of the weighted error over the band; dots: the points matched"
     yield Drawing(
@@ -297,7 +275,7 @@ def draw_singular_values(black_box: BlackBox) -> Iterator[Drawing]:
     """Singular values that the order of a black box was read from."""
     figure = Figure(figsize=(WIDTH * 0.6, 2.4))
     axes = figure.subplots(1, 1, squeeze=False)
-    plot_singular_values(axes[0, 0], black_box)
+    figures.plot_singular_values(axes[0, 0], black_box)
     caption = "Singular values of the predicted future; dotted: the order taken"
     yield Drawing(
         name="singular_values", caption=caption, interactive=False, figure=_tidy(figure, axes)
@@ -309,7 +287,7 @@ def draw_poles(content: Content) -> Iterator[Drawing]:
     figure = Figure(figsize=(WIDTH, 3.0))
     axes = figure.subplots(1, 2, squeeze=False)
     for ax in axes.flat:
-        plot_poles(ax, systems(content))
+        figures.plot_poles(ax, systems(content))
     axes[0, 1].set(xlim=(-SLOW, 0.4 * SLOW), ylim=(-SLOW, SLOW))
     _legend(figure, axes[0, 0])
     caption = "Eigenvalues; right: the slow ones, enlarged"
@@ -327,9 +305,6 @@ def draw_bounds(comparison: BoundsComparison) -> Iterator[Drawing]:
         "filled: held by a bound"
     )
     yield Drawing(name="bounds", caption=caption, interactive=False, figure=figure)
-
-
-# ---- shared ------------------------------------------------------------------------------------
 
 
 def _legend(figure: Figure, ax: Axes) -> None:

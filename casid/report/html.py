@@ -48,12 +48,13 @@ def write_report(content: Content, sections: Sequence[Section], folder: str | Pa
     shown = sorted((each for each in sections if each.title), key=lambda each: each.place)
     page = _environment().get_template("report.html.j2")
     chapters = [_chapter(section, content, folder / "figures") for section in shown]
+    packed = gzip.compress(get_plotlyjs().encode(), mtime=0)  # the library, to four tenths
     text = page.render(
         content=content,
         chapters=chapters,
         leads=[section.lead for section in sections if section.lead],
         cautions=cautions(content, sections),
-        plotly=_compressed(get_plotlyjs()),
+        plotly=base64.b64encode(packed).decode("ascii"),
     )
     write_text(folder / "report.html", text)
     return folder / "report.html"
@@ -92,11 +93,6 @@ def _chapter(section: Section, content: Content, folder: Path) -> Chapter:
         pictures = [_picture(drawing, folder) for drawing in section.draw()]
     text = body(section, content, pictures)
     return Chapter(name=section.name, title=section.title, body=text)
-
-
-def _compressed(text: str) -> str:
-    """Text as gzip in base64: the plotting library shrinks to four tenths."""
-    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode("ascii")
 
 
 def _picture(drawing: Drawing, folder: Path) -> Picture:

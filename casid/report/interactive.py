@@ -9,6 +9,7 @@ Lines keep the style that goes with their label, axes their place, scale, limits
 import base64
 import json
 from collections.abc import Iterator
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -59,9 +60,6 @@ def interactive(figure: Figure) -> str:
         "legend": {"orientation": "h", "x": 0.04, "xanchor": "left", "y": 1.0, "yanchor": "top"},
     }
     return json.dumps({"data": data, "layout": layout}, allow_nan=False)
-
-
-# ---- curves ------------------------------------------------------------------------------------
 
 
 def _traces(ax: Axes) -> Iterator[Trace]:
@@ -144,9 +142,6 @@ def _bars(ax: Axes, container: BarContainer) -> Trace:
     }
 
 
-# ---- axes --------------------------------------------------------------------------------------
-
-
 def _axis(ax: Axes, letter: str, anchor: str) -> dict[str, Any]:
     box = ax.get_position()
     axis, (low, high) = (ax.xaxis, ax.get_xlim()) if letter == "x" else (ax.yaxis, ax.get_ylim())
@@ -197,7 +192,11 @@ def _leader(ax: Axes, shown: list[Axes]) -> int:
 
 def _titles(ax: Axes, x: str, y: str) -> Iterator[dict[str, Any]]:
     if title := ax.get_title(loc="left"):
-        look = {"text": f"<b>{_escape(title)}</b>", "showarrow": False, "font": {"size": 12}}
+        look = {
+            "text": f"<b>{escape(title, quote=False)}</b>",
+            "showarrow": False,
+            "font": {"size": 12},
+        }
         place = {"x": 0, "y": 1, "xref": f"{x} domain", "yref": f"{y} domain"}
         yield look | place | {"xanchor": "left", "yanchor": "bottom"}
 
@@ -245,7 +244,3 @@ def _short(values: Array) -> dict[str, str]:
 def _color(color: Any) -> str:  # noqa: ANN401 - any of matplotlib's
     red, green, blue, alpha = to_rgba(color)
     return f"rgba({255 * red:.0f},{255 * green:.0f},{255 * blue:.0f},{alpha:.2f})"
-
-
-def _escape(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator
 
 from casid.bounds.compare import BoundsComparison
-from casid.bounds.prices import CaseResult
 from casid.fit import ParameterEstimate
 
 COLOURS = ("#000000", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#777777")
@@ -34,7 +33,7 @@ def plot_bounds(ax: Axes, comparison: BoundsComparison, *, rows: int = 16) -> Ax
     names = comparison.ranked()[:rows]
     labels, sizes = [], []
     for y, name in enumerate(names):
-        each = [_row(case, name) for case in shown]
+        each = [next(row for row in case.parameters if row.name == name) for case in shown]
         size = max(*(abs(row.value) for row in each), 1e-300)
         for k, row in enumerate(each):
             height = y + 0.8 * ((k + 0.5) / len(each) - 0.5)
@@ -45,10 +44,6 @@ def plot_bounds(ax: Axes, comparison: BoundsComparison, *, rows: int = 16) -> Ax
         ax.plot([], [], "o", color=COLOURS[k % len(COLOURS)], markersize=4, label=case.name)
     _decorate(ax, labels, sizes)
     return ax
-
-
-def _row(case: CaseResult, name: str) -> ParameterEstimate:
-    return next(row for row in case.parameters if row.name == name)
 
 
 def _draw_one(

@@ -39,7 +39,8 @@ def plot_handling_qualities(
         ax.plot([omega], [value], "o", markersize=4, color=MARK["color"])
     for level in (-180.0, *(() if read.kind == "loop" else (-135.0,))):
         angle.axhline(level, color="#777777", linewidth=0.8, linestyle=":")
-    level = 0.0 if read.kind == "loop" else _six_above(read, x)
+    above = np.interp(np.log(read.omega_180), x, read.gain_db) + 6
+    level = 0.0 if read.kind == "loop" else float(above)
     magnitude.axhline(level, color="#777777", linewidth=0.8, linestyle=":")
     magnitude.set(ylabel="gain [dB]", title=_title(read))
     angle.set(ylabel="phase [deg]", xlabel="ω [rad/s]")
@@ -61,10 +62,6 @@ def _loop(read: HandlingQualities) -> list[tuple[str, float, bool]]:
         (f"phase margin {read.phase_margin:.0f}° (45° wanted)", read.crossover, True),
         (f"gain margin {read.gain_margin:.1f} dB (6 dB wanted)", read.omega_180, False),
     ]
-
-
-def _six_above(read: HandlingQualities, x: np.ndarray) -> float:
-    return float(np.interp(np.log(read.omega_180), x, read.gain_db) + 6)
 
 
 def _title(read: HandlingQualities) -> str:

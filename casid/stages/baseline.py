@@ -6,17 +6,11 @@ from typing import Any
 from casid.baseline.accuracy import DerividNotes
 from casid.baseline.derivid import Derivid
 from casid.fit import Fit
-from casid.frequency.estimation import FrequencyResponse
 from casid.report.content import BASELINE as LABEL
 from casid.report.content import Content, Section, template
 from casid.report.evidence import misfit
 from casid.report.verdicts import unsolved
 from casid.stages.stage import Stage, Task
-
-
-def _measured(settings: Derivid, task: Task) -> FrequencyResponse:  # noqa: ARG001
-    found: FrequencyResponse = task.results["frequency"]
-    return found
 
 
 def _run(settings: Derivid, task: Task) -> Fit[Any, DerividNotes]:
@@ -46,6 +40,6 @@ BASELINE = Stage(
     optional=True,
     label=LABEL,
     start="quadratic",
-    data=_measured,
+    data=lambda _, task: task.results["frequency"],
     show=_show,
 )

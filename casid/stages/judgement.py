@@ -5,14 +5,8 @@ from functools import partial
 from typing import Any
 
 from casid.eigenmodes import modes
+from casid.report import drawings
 from casid.report.content import Caution, Content, Section, template
-from casid.report.drawings import (
-    draw_histories,
-    draw_poles,
-    draw_responses,
-    draw_rms,
-    draw_whiteness,
-)
 from casid.report.evidence import differences, disagreement
 from casid.report.verdicts import verdicts
 from casid.stages.stage import Stage, Task
@@ -48,25 +42,25 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
         place=40,
         template=template("modes"),
         values={"modes": {name: modes(fit.model.system()) for name, fit in content.fits.items()}},
-        draw=partial(draw_poles, content),
+        draw=partial(drawings.draw_poles, content),
     )
     yield Section(
         name="responses",
         title="Frequency responses",
         place=50,
         template=template("responses"),
-        draw=partial(draw_responses, content),
+        draw=partial(drawings.draw_responses, content),
     )
     yield Section(
         name="histories",
         title="Time histories of the validation records",
         place=60,
         template="{{ figures() }}",
-        draw=partial(draw_histories, found, content.units),
+        draw=partial(drawings.draw_histories, found, content.units),
     )
     for name, title, place, draw in (
-        ("rms", "RMS errors", 70, draw_rms),
-        ("whiteness", "Residuals", 80, draw_whiteness),
+        ("rms", "RMS errors", 70, drawings.draw_rms),
+        ("whiteness", "Residuals", 80, drawings.draw_whiteness),
     ):
         yield Section(
             name=name,

@@ -62,14 +62,6 @@ class Task:
         return {"fixed": self.fixed, "bounds": self.bounds}
 
 
-def _nothing(result: Any, content: Content) -> Iterable[Section]:  # noqa: ANN401, ARG001
-    return ()
-
-
-def _anything(settings: Any, task: Task) -> None:  # noqa: ANN401
-    """Refuse nothing."""
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stage:
     """One stage of a study.
@@ -131,10 +123,10 @@ class Stage:
     kept: bool = True
     command: str = ""
     label: str = ""
-    check: Callable[[Any, Task], None] = _anything
+    check: Callable[[Any, Task], None] = lambda _, task: None  # noqa: ARG005
     start: str = ""
     data: Callable[[Any, Task], Any] | None = None
-    show: Callable[[Any, Content], Iterable[Section]] = _nothing
+    show: Callable[[Any, Content], Iterable[Section]] = lambda _, content: ()  # noqa: ARG005
 
 
 class LeftOutError(Exception):

@@ -145,9 +145,6 @@ def identifiability(
     return _judge(free.names, F, free.scale[free.index])
 
 
-# ---- information -------------------------------------------------------------------------------
-
-
 def _moved(free: Free, spread: float, rng: np.random.Generator) -> Free:
     """The same free parameters about a guess moved within the bounds."""
     scale = free.scale[free.index]
@@ -245,9 +242,6 @@ def _real(J: ComplexArray) -> Array:
     """Rows of real and imaginary parts, (rows, columns)."""
     flat = J.reshape(-1, J.shape[-1])
     return np.concatenate([flat.real, flat.imag])
-
-
-# ---- judgement ---------------------------------------------------------------------------------
 
 
 def _judge(names: tuple[str, ...], F: Array, scale: Array) -> Identifiability:

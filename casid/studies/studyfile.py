@@ -239,9 +239,6 @@ def _check_noise(roles: Mapping[Role, RecordSet], noise: Noise | None, path: Pat
         raise ValueError(f"{path}: role {noisy[0]!r} wants noise, but there is no table [noise]")
 
 
-# ---- stages -------------------------------------------------------------------------------------
-
-
 def _settings(top: Table, stages: Sequence[Stage]) -> dict[str, Any]:
     """Settings of the stages whose tables there are, and of their defaults nothing."""
     own = {stage.table: stage for stage in stages if stage.table in top.content}

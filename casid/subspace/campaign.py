@@ -8,26 +8,14 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.record import Record, Records, same_channels, standard_deviations, stretches
-from casid.subspace.columns import (
-    BAND_END,
-    Feedthrough,
-    Segment,
-    check_independent,
-    check_pole,
-    check_samples,
-    completed,
-    excited_band,
-    feedthrough_mask,
-    gather,
-    pieces_of,
-)
+from casid.subspace import columns as blocks
 from casid.subspace.fourier import Spectrum, spectra
 from casid.subspace.laguerre import support
 from casid.subspace.predictor import Stack, predicted_future, predictor_coefficients, triangular
 from casid.subspace.realisation import Regressed, Subspace
 
 EVERY = slice(None)
-Columns = list[tuple[Stack, tuple[Segment, ...]]]  # of every record
+Columns = list[tuple[Stack, tuple[blocks.Segment, ...]]]  # of every record
 
 
 @dataclass(frozen=True)
@@ -52,13 +40,13 @@ class Campaign:
     _regressed: dict[object, Regressed] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, records: Records, feedthrough: Feedthrough) -> "Campaign":
+    def of(cls, records: Records, feedthrough: blocks.Feedthrough) -> "Campaign":
         """One record or several of the same channels."""
         names = same_channels(records)
         records = stretches(records)
-        check_independent(records)
+        blocks.check_independent(records)
         su, sy = standard_deviations(records)
-        return cls(records, su, sy, feedthrough_mask(feedthrough, *names))
+        return cls(records, su, sy, blocks.feedthrough_mask(feedthrough, *names))
 
     def part(self, records: Sequence[Record]) -> "Campaign":
         """Some of the records, or pieces of them, under the same scales."""
@@ -67,23 +55,24 @@ class Campaign:
     @cached_property
     def complete(self) -> tuple[Record, ...]:
         """The records with missing samples filled in."""
-        return tuple(completed(record) for record in self.records)
+        return tuple(blocks.completed(record) for record in self.records)
 
     def columns(self, past: int, a: float) -> Columns:
         """Stack and segments of every record, for a Laguerre pole or, where NaN, for samples."""
         key = past, str(a)
         if key not in self._gathered:
             if np.isnan(a):
-                check_samples(self.records)
+                blocks.check_samples(self.records)
             else:
-                check_pole(self.records, a)
+                blocks.check_pole(self.records, a)
             pairs = zip(self.records, self.complete, strict=True)
             self._gathered[key] = [
-                gather([record], self.su, self.sy, past, a, [whole]) for record, whole in pairs
+                blocks.gather([record], self.su, self.sy, past, a, [whole])
+                for record, whole in pairs
             ]
         return self._gathered[key]
 
-    def segments(self, past: int, a: float) -> tuple[Segment, ...]:
+    def segments(self, past: int, a: float) -> tuple[blocks.Segment, ...]:
         """What was used of every record."""
         return tuple(segment for _, segments in self.columns(past, a) for segment in segments)
 
@@ -114,7 +103,7 @@ class Campaign:
     def pieces(self, a: float, which: slice = EVERY) -> list[Record]:
         """Stretches of the records without long gaps, short ones filled in."""
         pairs = zip(self.records[which], self.complete[which], strict=True)
-        return [piece for record, whole in pairs for piece, _ in pieces_of(record, whole, a)]
+        return [piece for record, whole in pairs for piece, _ in blocks.pieces_of(record, whole, a)]
 
     def spectra(self, a: float, highest: float, which: slice = EVERY) -> tuple[Spectrum, ...]:
         """Fourier transforms of the pieces up to ``highest`` [rad/s]."""
@@ -122,8 +111,8 @@ class Campaign:
 
     def band(self, a: float) -> tuple[float, float]:
         """Frequencies [rad/s] that the records excite and the projections show."""
-        low, high = excited_band(self.records)
-        return low, (high if np.isnan(a) else max(min(high, BAND_END * a), 2 * low))
+        low, high = blocks.excited_band(self.records)
+        return low, (high if np.isnan(a) else max(min(high, blocks.BAND_END * a), 2 * low))
 
     def _check(self, stack: Stack, a: float) -> None:
         """Raise where there are no more columns than unknowns."""

@@ -84,9 +84,6 @@ def _backward_step(A_L: Array, b: Array, h: float, hold: Hold) -> tuple[Array, A
     return E, F0, F1
 
 
-# ---- bilinear maps ------------------------------------------------------------------------------
-
-
 def from_laguerre(system: StateSpace, K_o: Array, a: float) -> tuple[StateSpace, Array]:
     """Continuous model and gain of a transformed one (A_o, B_o, C_o, D_o), K_o: paper (6) inverted.
 

@@ -27,18 +27,7 @@ from scipy.signal import lfilter
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 from casid.record import Record
-from casid.subspace.modal import (
-    Modal,
-    covariance_factor,
-    descend,
-    from_modal,
-    mixed,
-    output_derivative,
-    pair,
-    schur,
-    to_complex,
-    to_modal,
-)
+from casid.subspace import modal as modes
 from casid.subspace.refinement import log_spread, response_derivative
 from casid.values import storable
 
@@ -68,7 +57,7 @@ class SampledUncertainty:
     ``factor`` times its transpose is the covariance of (μ, [B - KD, K], C, free D).
     """
 
-    modal: Modal
+    modal: modes.Modal
     free: np.ndarray
     factor: Array  # (parameters, rank)
     nu: int
@@ -145,13 +134,15 @@ def refine_samples(
     both = np.hstack([system.B - K @ system.D, K])
     direct = np.hstack([system.D, np.zeros((ny, ny))])
     predictor = StateSpace(system.A - K @ system.C, both, system.C, direct)
-    modal = to_modal(predictor, scales, sy, np.hstack([feedthrough, np.zeros((ny, ny), bool)]))
+    modal = modes.to_modal(
+        predictor, scales, sy, np.hstack([feedthrough, np.zeros((ny, ny), bool)])
+    )
     modal, W, data = fitted(modal, data, free, STEPS, local=False)
     H, _ = normal_equations(modal, data, W, free)
     rows = sum(stretch.y.size for stretch in data)
     used = len(H) + len(data) * (nx + ny)
-    factor = covariance_factor(H) * np.sqrt(rows / max(rows - used, 1))
-    found = from_modal(modal, scales, sy, predictor)
+    factor = modes.covariance_factor(H) * np.sqrt(rows / max(rows - used, 1))
+    found = modes.from_modal(modal, scales, sy, predictor)
     C, D, gain = found.C, found.D[:, :nu], found.B[:, nu:]
     A, B = found.A + gain @ C, found.B[:, :nu] + gain @ D
     refined = replace(system, A=A, B=B, C=C, D=D, states=())
@@ -159,8 +150,8 @@ def refine_samples(
 
 
 def fitted(
-    modal: Modal, data: Sequence[Stretch], free: np.ndarray, steps: int, *, local: bool
-) -> tuple[Modal, Array, Sequence[Stretch]]:
+    modal: modes.Modal, data: Sequence[Stretch], free: np.ndarray, steps: int, *, local: bool
+) -> tuple[modes.Modal, Array, Sequence[Stretch]]:
     """Maximum likelihood by at most ``steps`` steps in each of `ROUNDS` rounds.
 
     The model's poles stay within the disc of `RADIUS`; W (ny, ny), Wᵀ W the inverse covariance of
@@ -173,7 +164,7 @@ def fitted(
         if local:
             data = _levelled(modal, data, W)
             W = _whitener(modal, data, W)
-        modal = descend(
+        modal = modes.descend(
             modal,
             cost=partial(_cost, data=data, W=W),
             normal=partial(normal_equations, data=data, W=W, free=free),
@@ -185,13 +176,10 @@ def fitted(
     return modal, _whitener(modal, data, W), data
 
 
-def _inside(modal: Modal) -> Modal:
+def _inside(modal: modes.Modal) -> modes.Modal:
     """The predictor's poles within the disc of `RADIUS`."""
     shrink = np.minimum(1, RADIUS / np.maximum(np.abs(modal.lam), 1e-9))
     return replace(modal, lam=np.asarray(modal.lam * shrink))
-
-
-# ---- signals ------------------------------------------------------------------------------------
 
 
 def _filtered(lam: ComplexArray, w: Array | ComplexArray) -> ComplexArray:
@@ -202,10 +190,10 @@ def _filtered(lam: ComplexArray, w: Array | ComplexArray) -> ComplexArray:
     return out
 
 
-def _real(phi: ComplexArray, modal: Modal) -> Array:
+def _real(phi: ComplexArray, modal: modes.Modal) -> Array:
     """Real basis of a modal signal (N, nm, c); see `casid.subspace.modal.pair`."""
     conjugate = np.where(modal.real[:, None], 0.0, phi.conj())
-    return np.asarray(pair(phi, conjugate, modal.real).real)
+    return np.asarray(modes.pair(phi, conjugate, modal.real).real)
 
 
 def _centred(signal: Array, weight: Array) -> Array:
@@ -214,7 +202,7 @@ def _centred(signal: Array, weight: Array) -> Array:
     return np.asarray(weight * (signal - mean))
 
 
-def _decay(modal: Modal, N: int) -> ComplexArray:
+def _decay(modal: modes.Modal, N: int) -> ComplexArray:
     """μ^k, (N, nm)."""
     start = np.zeros((N, len(modal.lam)), dtype=complex)
     start[0] = 1.0
@@ -224,51 +212,47 @@ def _decay(modal: Modal, N: int) -> ComplexArray:
     return out
 
 
-def _states(modal: Modal, stretch: Stretch, W: Array) -> tuple[ComplexArray, ComplexArray, Array]:
+def _states(
+    modal: modes.Modal, stretch: Stretch, W: Array
+) -> tuple[ComplexArray, ComplexArray, Array]:
     """States and their decay (N, nm) from the best initial state, and weighted errors (N, ny)."""
     decay = _decay(modal, len(stretch.v))
     forced = _filtered(modal.lam, stretch.v @ modal.B.T)
     basis = _centred(_real(decay[:, :, None], modal), stretch.weight)
-    e = _centred(stretch.y - _outputs(modal, forced, stretch), stretch.weight)
+    twice = np.where(modal.real, 1.0, 2.0)
+    y = (forced @ (modal.C * twice).T).real + stretch.v @ modal.D.T
+    e = _centred(stretch.y - y, stretch.weight)
     n = basis.shape[1]
     G = basis.T @ np.hstack([basis, e])
     P = W.T @ W
-    T = np.array([mixed(np.eye(n, dtype=complex), modal, o, 1).real for o in range(len(W))])
+    T = np.array([modes.mixed(np.eye(n, dtype=complex), modal, o, 1).real for o in range(len(W))])
     left = np.einsum("op,oij,ik,pkl->jl", P, T, G[:, :n], T, optimize=True)
     right = np.einsum("op,oij,ip->j", P, T, G[:, n:], optimize=True)
     small = 1e-13 * np.trace(left) / n * np.eye(n)
     x0 = np.linalg.solve(left + small, right)
     seen = np.stack([basis @ each @ x0 for each in T], axis=1)
-    return forced + decay * to_complex(modal, x0, 1)[:, 0], decay, e - seen
+    return forced + decay * modes.to_complex(modal, x0, 1)[:, 0], decay, e - seen
 
 
-def _size(modal: Modal) -> int:
+def _size(modal: modes.Modal) -> int:
     """Number of signals derivatives are made of."""
     n, nv = len(modal.lam) + int((~modal.real).sum()), int(modal.D.shape[1])
     return n * (3 + nv) + nv
 
 
-def _outputs(modal: Modal, x: ComplexArray, stretch: Stretch) -> Array:
-    twice = np.where(modal.real, 1.0, 2.0)
-    return np.asarray((x @ (modal.C * twice).T).real + stretch.v @ modal.D.T)
-
-
-# ---- likelihood ---------------------------------------------------------------------------------
-
-
-def prediction_errors(modal: Modal, data: Sequence[Stretch], W: Array) -> list[Array]:
+def prediction_errors(modal: modes.Modal, data: Sequence[Stretch], W: Array) -> list[Array]:
     """Weighted errors (N, ny) of every stretch with its best initial state and constant."""
     return [_states(modal, each, W)[2] for each in data]
 
 
-def _whitener(modal: Modal, data: Sequence[Stretch], W: Array) -> Array:
+def _whitener(modal: modes.Modal, data: Sequence[Stretch], W: Array) -> Array:
     """W (ny, ny) with Wᵀ W the inverse covariance of prediction errors; from the one before."""
     E = np.vstack(prediction_errors(modal, data, W))
     R = E.T @ E / len(E) + FLOOR**2 * np.eye(len(W))
     return np.asarray(np.linalg.inv(np.linalg.cholesky(R)))
 
 
-def _levelled(modal: Modal, data: Sequence[Stretch], W: Array) -> list[Stretch]:
+def _levelled(modal: modes.Modal, data: Sequence[Stretch], W: Array) -> list[Stretch]:
     """The data with errors weighted by the inverse of their local level."""
     # The level is that of all outputs' whitened errors. The weights' geometric mean is one, so that
     # the covariance of weighted errors still is the likelihood.
@@ -280,12 +264,12 @@ def _levelled(modal: Modal, data: Sequence[Stretch], W: Array) -> list[Stretch]:
     return [replace(s, weight=typical / each) for s, each in zip(data, level, strict=True)]
 
 
-def _cost(modal: Modal, data: Sequence[Stretch], W: Array) -> float:
+def _cost(modal: modes.Modal, data: Sequence[Stretch], W: Array) -> float:
     return sum(float(np.sum((E @ W.T) ** 2)) for E in prediction_errors(modal, data, W))
 
 
 def normal_equations(
-    modal: Modal, data: Sequence[Stretch], W: Array, free: np.ndarray
+    modal: modes.Modal, data: Sequence[Stretch], W: Array, free: np.ndarray
 ) -> tuple[Array, Array]:
     """Σ Jᵀ R⁻¹ J and Σ Jᵀ R⁻¹ e, initial states and constants eliminated.
 
@@ -298,7 +282,7 @@ def normal_equations(
     q = _size(modal)
     T = np.zeros((ny, q, n + size))
     for o in range(ny):
-        J, where = output_derivative(np.eye(q, dtype=complex), modal, o, free)
+        J, where = modes.output_derivative(np.eye(q, dtype=complex), modal, o, free)
         T[o][:, where] = J.real
     seen = np.einsum("io,oqp->iqp", W, T)  # whitened outputs' derivatives, in signals
 
@@ -325,5 +309,5 @@ def normal_equations(
             G[:-1, :-1] += seen[i].T @ gram[:, :q] @ seen[i]
             G[:-1, -1] += seen[i].T @ gram[:, q + i]
         G[-1, :-1] = G[:-1, -1]
-        total += schur(G, n)
+        total += modes.schur(G, n)
     return total[:-1, :-1], total[:-1, -1]

@@ -106,7 +106,8 @@ def predictor_coefficients(
         return free
     if not at_one:
         return predictor_rows(stack, feedthrough, stack.y, regularisation, at_one=False)
-    M = np.eye(stack.ny) - _output_sum(stack, free[0])
+    blocks = free[0].reshape(stack.ny, stack.past, stack.nz)[:, :, stack.nu :]
+    M = np.eye(stack.ny) - blocks.sum(axis=1)
     y = np.linalg.solve(M, stack.y.T).T
     Xi, D = predictor_rows(stack, feedthrough, y, regularisation, at_one=True)
     return M @ Xi, M @ D
@@ -178,7 +179,7 @@ def realise(stack: Stack, predicted: Future, *, order: int, feedthrough: BoolArr
 
 def stable_gain(A: Array, C: Array, K: Array, w: Array, e: Array) -> Array:
     """K itself if A - KC is stable, else the stationary Kalman gain of the residuals w and e."""
-    if spectral_radius(A - K @ C) < 1:
+    if np.abs(np.linalg.eigvals(A - K @ C)).max() < 1:
         return K
     Q, S, R = w.T @ w, w.T @ e, e.T @ e
     try:
@@ -189,13 +190,3 @@ def stable_gain(A: Array, C: Array, K: Array, w: Array, e: Array) -> Array:
             "lower the order or add regularisation"
         ) from error
     return np.linalg.solve(C @ P @ C.T + R, C @ P @ A.T + S.T).T
-
-
-def spectral_radius(A: Array) -> float:
-    """Largest absolute eigenvalue."""
-    return float(np.abs(np.linalg.eigvals(A)).max())
-
-
-def _output_sum(stack: Stack, Xi: Array) -> Array:
-    blocks = Xi.reshape(stack.ny, stack.past, stack.nz)[:, :, stack.nu :]
-    return np.asarray(blocks.sum(axis=1))

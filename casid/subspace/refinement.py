@@ -20,21 +20,8 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
+from casid.subspace import modal as modes
 from casid.subspace.fourier import Lines, Spectrum
-from casid.subspace.modal import (
-    Modal,
-    covariance_factor,
-    descend,
-    eliminator,
-    from_modal,
-    gram,
-    mixed,
-    output_derivative,
-    pair,
-    schur,
-    to_complex,
-    to_modal,
-)
 from casid.values import storable
 
 WIDTH = 0.35  # of the smoothing of residual spectra, in natural logarithms of ω
@@ -50,7 +37,7 @@ SETTLED = 1e-5  # relative decrease of the cost that ends a round
 class ResponseUncertainty:
     """Covariance of a refined black box, kept as a factor in modal coordinates."""
 
-    modal: Modal
+    modal: modes.Modal
     free: np.ndarray
     factor: Array  # (parameters, rank), times its transpose the covariance of (λ, B, C, free D)
     su: Array
@@ -88,13 +75,13 @@ def refine(
     model.
     """
     free = np.argwhere(feedthrough)
-    modal = to_modal(system, su, sy, feedthrough)
+    modal = modes.to_modal(system, su, sy, feedthrough)
     ceiling = _ceiling(modal, data, fastest)
     modal = replace(modal, lam=_capped(modal.lam, ceiling, fastest))
     weights: list[Array] = []
     for _ in range(ROUNDS):
         weights = noise_weights(modal, data)
-        modal = descend(
+        modal = modes.descend(
             modal,
             cost=partial(_cost, data=data, weights=weights),
             normal=partial(normal_equations, data=data, weights=weights, free=free),
@@ -105,8 +92,8 @@ def refine(
     rows = 2 * sum(len(s.omega) for s in data) * len(sy)
     used = len(H) + len(data) * system.nx
     inflate = rows / max(rows - used, 1)  # residuals are smaller than noise by what was fitted
-    factor = covariance_factor(H) * np.sqrt(inflate / 2)  # Fisher = 2 Re Σ Jᴴ W J
-    refined = from_modal(modal, su, sy, system)
+    factor = modes.covariance_factor(H) * np.sqrt(inflate / 2)  # Fisher = 2 Re Σ Jᴴ W J
+    refined = modes.from_modal(modal, su, sy, system)
     return refined, ResponseUncertainty(modal, free, factor, su, sy)
 
 
@@ -114,7 +101,7 @@ def residual_powers(
     system: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array
 ) -> tuple[Array, Array]:
     """Frequencies (K,) and squared residuals (K, ny) of all spectra with their best transients."""
-    modal = to_modal(system, su, sy, np.ones((system.ny, system.nu), dtype=bool))
+    modal = modes.to_modal(system, su, sy, np.ones((system.ny, system.nu), dtype=bool))
     omega = np.concatenate([spectrum.omega for spectrum in data])
     return omega, np.vstack([np.abs(E) ** 2 for E in _residuals(modal, data)])
 
@@ -155,7 +142,7 @@ class _Factors:
     drift_c: ComplexArray
 
 
-def _factors(modal: Modal, spectrum: Lines) -> _Factors:
+def _factors(modal: modes.Modal, spectrum: Lines) -> _Factors:
     """``slope`` and ``drift`` are the derivatives of ``r`` and ``transient`` by λ."""
     r, slope, transient, drift = spectrum.pole_factors(modal.lam)
     conjugates = spectrum.pole_factors(modal.lam.conj())
@@ -163,23 +150,20 @@ def _factors(modal: Modal, spectrum: Lines) -> _Factors:
     return _Factors(r, rc, slope, slope_c, transient, transient_c, drift, drift_c)
 
 
-# ---- Gauss-Newton -------------------------------------------------------------------------------
-
-
-def _forced(modal: Modal, spectrum: Lines) -> tuple[ComplexArray, ComplexArray]:
+def _forced(modal: modes.Modal, spectrum: Lines) -> tuple[ComplexArray, ComplexArray]:
     """Output residual without transient (K, ny), and the transient's basis (K, n)."""
     f, U = _factors(modal, spectrum), spectrum.U
     X, Xc = f.r * (U @ modal.B.T), f.rc * (U @ modal.B.conj().T)
     E = spectrum.Y - X @ modal.C.T - Xc @ modal.C.conj().T - U @ modal.D.T
-    return E, pair(f.transient[:, :, None], f.transient_c[:, :, None], modal.real)
+    return E, modes.pair(f.transient[:, :, None], f.transient_c[:, :, None], modal.real)
 
 
-def _residuals(modal: Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
+def _residuals(modal: modes.Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
     """Residuals (K, ny) of every spectrum with its best transient."""
     found = []
     for spectrum in data:
         E, basis = _forced(modal, spectrum)
-        columns = [mixed(basis, modal, o, 1) for o in range(len(modal.C))]
+        columns = [modes.mixed(basis, modal, o, 1) for o in range(len(modal.C))]
         P = np.vstack([*(c.real for c in columns), *(c.imag for c in columns)])
         e = E.T.ravel()
         target = np.concatenate([e.real, e.imag])
@@ -189,7 +173,7 @@ def _residuals(modal: Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
     return found
 
 
-def noise_weights(modal: Modal, data: Sequence[Spectrum]) -> list[Array]:
+def noise_weights(modal: modes.Modal, data: Sequence[Spectrum]) -> list[Array]:
     """1/√Φ (K, ny) of every spectrum, Φ the residual spectrum smoothed over log ω."""
     residuals = _residuals(modal, data)
     omega = np.log(np.concatenate([s.omega for s in data]))
@@ -232,24 +216,26 @@ def _nearness(at: Array, omega: Array, power: Array) -> tuple[Array, Array, Arra
     return kernel, np.asarray(count, dtype=float), np.array(sums[1:]).T.astype(float)
 
 
-def _cost(modal: Modal, data: Sequence[Spectrum], weights: Sequence[Array]) -> float:
+def _cost(modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array]) -> float:
     """Weighted squared residuals with the best transients."""
     pairs = zip(data, weights, strict=True)
     return sum(_transient(modal, spectrum, w)[1] for spectrum, w in pairs)
 
 
-def _transient(modal: Modal, spectrum: Spectrum, w: Array) -> tuple[ComplexArray, float]:
+def _transient(modal: modes.Modal, spectrum: Spectrum, w: Array) -> tuple[ComplexArray, float]:
     """The best transient δ (nm,) of one spectrum, and the weighted squared residual it leaves."""
     E, basis = _forced(modal, spectrum)
     n = basis.shape[1]
     G = np.zeros((n + 1, n + 1))
     for o in range(len(modal.C)):
-        G += gram(w[:, [o]] * np.hstack([mixed(basis, modal, o, 1), E[:, [o]]]))
-    return to_complex(modal, eliminator(G, n)[:, 0], 1)[:, 0], float(schur(G, n)[0, 0])
+        G += modes.gram(w[:, [o]] * np.hstack([modes.mixed(basis, modal, o, 1), E[:, [o]]]))
+    return modes.to_complex(modal, modes.eliminator(G, n)[:, 0], 1)[:, 0], float(
+        modes.schur(G, n)[0, 0]
+    )
 
 
 def normal_equations(
-    modal: Modal, data: Sequence[Spectrum], weights: Sequence[Array], free: np.ndarray
+    modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array], free: np.ndarray
 ) -> tuple[Array, Array]:
     """Re Σ Jᴴ W J and Re Σ Jᴴ W E, transients eliminated."""
     # Parameters are λ, B, C by mode (real parts, then imaginary ones) and the free entries of D.
@@ -262,14 +248,14 @@ def normal_equations(
         basis = _basis(modal, spectrum, _transient(modal, spectrum, w)[0])
         E, _ = _forced(modal, spectrum)
         for o in range(ny):
-            J, where = output_derivative(basis, modal, o, free)
+            J, where = modes.output_derivative(basis, modal, o, free)
             where = np.append(where, n + size)
-            G[np.ix_(where, where)] += gram(w[:, [o]] * np.hstack([J, E[:, [o]]]))
-        total += schur(G, n)
+            G[np.ix_(where, where)] += modes.gram(w[:, [o]] * np.hstack([J, E[:, [o]]]))
+        total += modes.schur(G, n)
     return total[:-1, :-1], total[:-1, -1]
 
 
-def _basis(modal: Modal, spectrum: Lines, delta: ComplexArray) -> ComplexArray:
+def _basis(modal: modes.Modal, spectrum: Lines, delta: ComplexArray) -> ComplexArray:
     """Signals that span all derivatives: of the transient, λ, B, then of C, then of D."""
     f, U, real = _factors(modal, spectrum), spectrum.U, modal.real
     BU, BUc = U @ modal.B.T, U @ modal.B.conj().T
@@ -277,10 +263,10 @@ def _basis(modal: Modal, spectrum: Lines, delta: ComplexArray) -> ComplexArray:
     poles_c = f.slope_c * BUc + f.drift_c * delta.conj()
     return np.hstack(
         [
-            pair(f.transient[:, :, None], f.transient_c[:, :, None], real),
-            pair(poles[:, :, None], poles_c[:, :, None], real),
-            pair(f.r[:, :, None] * U[:, None], f.rc[:, :, None] * U[:, None], real),
-            pair(
+            modes.pair(f.transient[:, :, None], f.transient_c[:, :, None], real),
+            modes.pair(poles[:, :, None], poles_c[:, :, None], real),
+            modes.pair(f.r[:, :, None] * U[:, None], f.rc[:, :, None] * U[:, None], real),
+            modes.pair(
                 (f.r * BU + f.transient * delta)[:, :, None],
                 (f.rc * BUc + f.transient_c * delta.conj())[:, :, None],
                 real,
@@ -295,7 +281,7 @@ def highest_growth(data: Sequence[Spectrum]) -> float:
     return 2 / max(float(2 * np.pi / spectrum.omega[0]) for spectrum in data)
 
 
-def _ceiling(modal: Modal, data: Sequence[Spectrum], fastest: float) -> Array:
+def _ceiling(modal: modes.Modal, data: Sequence[Spectrum], fastest: float) -> Array:
     """Largest real part each mode may take, (nm,)."""
     # With free end states a growing mode explains as much as a decaying one: it is the start, found
     # by causal prediction, that knows which is which. A mode that starts stable may at most grow by
@@ -312,7 +298,7 @@ def _capped(lam: ComplexArray, ceiling: Array, fastest: float) -> ComplexArray:
 
 
 def response_derivative(
-    modal: Modal, free: np.ndarray, lines: Callable[[ComplexArray], Lines], K: int
+    modal: modes.Modal, free: np.ndarray, lines: Callable[[ComplexArray], Lines], K: int
 ) -> tuple[ComplexArray, ComplexArray]:
     """G (K, ny, nu) of the scaled channels and its derivatives (K, ny, nu, parameters).
 
@@ -329,6 +315,6 @@ def response_derivative(
         E, _ = _forced(modal, unit)
         G[:, :, j] = -E
         for o in range(ny):
-            J, where = output_derivative(basis, modal, o, free)
+            J, where = modes.output_derivative(basis, modal, o, free)
             dG[:, o, j, where[n:] - n] = J[:, n:]
     return G, dG

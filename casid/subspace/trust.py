@@ -6,14 +6,9 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
+from casid.subspace import refinement
 from casid.subspace.fourier import Spectrum
 from casid.subspace.modal import covariance_factor, to_modal
-from casid.subspace.refinement import (
-    highest_growth,
-    noise_weights,
-    normal_equations,
-    residual_powers,
-)
 
 CERTAIN = 2.8  # standard errors that a growth rate must be away from zero: 99.5 % of a normal one
 COHERENCE = 0.6  # of inputs and an output, below which a response is not usable; T&R section 7.5
@@ -27,7 +22,7 @@ def explained_share(
     One minus the geometric mean over frequencies of residual power over power, which is what a
     multiple coherence is: a resonance that is explained does not hide a band that is not.
     """
-    omega, left = residual_powers(system, data, su, sy)
+    omega, left = refinement.residual_powers(system, data, su, sy)
     whole = np.vstack([np.abs(spectrum.Y) ** 2 for spectrum in data])
     inside = (omega >= band[0]) & (omega <= band[1])
     ratio = np.maximum(left[inside], 1e-300) / np.maximum(whole[inside], 1e-300)
@@ -48,15 +43,15 @@ def doubtful_growth(
     if not len(growing):
         return np.zeros(0, dtype=complex)
     free = np.argwhere(feedthrough)
-    pairs = zip(data, noise_weights(modal, data), strict=True)
-    parts = [normal_equations(modal, [lines], [weight], free) for lines, weight in pairs]
+    pairs = zip(data, refinement.noise_weights(modal, data), strict=True)
+    parts = [refinement.normal_equations(modal, [lines], [weight], free) for lines, weight in pairs]
     factor = covariance_factor(np.sum([H for H, _ in parts], axis=0))[: len(modal.lam)]
     count = len(parts)
     plain = np.linalg.norm(factor, axis=1) / np.sqrt(2)
     whole = covariance_factor(np.sum([H for H, _ in parts], axis=0))
     pulls = factor @ (whole.T @ np.array([gradient for _, gradient in parts]).T)
     robust = np.linalg.norm(pulls, axis=1) * np.sqrt(count / max(count - 1, 1))
-    error, limit = np.maximum(plain, robust), highest_growth(data)
+    error, limit = np.maximum(plain, robust), refinement.highest_growth(data)
     rates = modal.lam.real
     unsure = (rates < CERTAIN * error) | (np.abs(rates - limit) < 1e-3 * limit)
     return np.asarray(modal.lam[(rates > 0) & unsure])
