@@ -163,17 +163,10 @@ def _profile(
         half = float(np.sqrt(quantile)) * error
         expected[name] = (estimate - half, estimate + half)
     return Profile(
-        names=names,
-        points=points,
-        cost=cost,
-        slope=slope,
-        reasons=tuple(each.reason for each in found),
-        fit=free,
-        level=level,
-        parabola=_parabola(free, names, points),
-        intervals=intervals,
-        cramer_rao=expected,
-    )
+        names=names, points=points, cost=cost, slope=slope,
+        reasons=tuple(each.reason for each in found), fit=free, level=level,
+        parabola=_parabola(free, names, points), intervals=intervals, cramer_rao=expected,
+    )  # fmt: skip
 
 
 def _slopes(fit: AnyFit, count: int) -> Array:

@@ -162,17 +162,10 @@ def _result(
     model = guess.with_vector(free.full(values))
     parameters = parameter_table(free, values, found.multipliers, guess=guess)
     return Fit(
-        model=model,
-        parameters=parameters,
-        cost=found.cost,
-        status=found.status,
-        success=found.success,
-        iterations=search.iterations,
-        seconds=seconds,
-        method=f"match {norm}",
-        notes=found.appraisal.notes(found.start),
+        model=model, parameters=parameters, cost=found.cost, status=found.status,
+        success=found.success, iterations=search.iterations, seconds=seconds,
+        method=f"match {norm}", notes=found.appraisal.notes(found.start),
         constraints=constraint_table(model, found.prices),
-        held=held_directions(free, values, parameters),
-        certificate=found.appraisal.certificate(),
+        held=held_directions(free, values, parameters), certificate=found.appraisal.certificate(),
         free_names=free.names,
-    )
+    )  # fmt: skip

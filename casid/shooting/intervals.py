@@ -49,18 +49,10 @@ def lay_out(records: Sequence[Record], interval: float) -> Layout:
     classes, step = distinct(np.concatenate([_steps(record) for record in records]))
     table = table[order]
     return Layout(
-        records=tuple(records),
-        y=np.where(np.isfinite(y), y, 0.0),
-        pattern=pattern,
-        patterns=patterns,
-        step=step,
-        classes=classes,
-        record=table[:, 0],
-        start=table[:, 1],
-        count=table[:, 2],
-        node=order,
-        last=table[:, 3].astype(bool),
-    )
+        records=tuple(records), y=np.where(np.isfinite(y), y, 0.0), pattern=pattern,
+        patterns=patterns, step=step, classes=classes, record=table[:, 0], start=table[:, 1],
+        count=table[:, 2], node=order, last=table[:, 3].astype(bool),
+    )  # fmt: skip
 
 
 def _patterns(seen: BoolArray) -> tuple[BoolArray, np.ndarray]:

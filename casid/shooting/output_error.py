@@ -279,24 +279,14 @@ def _result(
     firsts = np.searchsorted(programme.record, np.arange(programme.records))
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white)
     fit = Fit(
-        model=model,
-        parameters=parameters,
-        cost=programme.n * final.cost,
-        status=status,
-        success=success,
-        iterations=outcome.iterations,
-        seconds=seconds,
+        model=model, parameters=parameters, cost=programme.n * final.cost, status=status,
+        success=success, iterations=outcome.iterations, seconds=seconds,
         method="filter error" if evaluator.filtering else "output error",
         notes=found.notes(outcome.rounds, programme.J, programme.nuisances, K),
-        constraints=constraint_table(model, prices),
-        held=held_directions(free, lam, parameters),
-        covariance=found.covariance,
-        free_names=free.names,
-        R=final.R,
-        initial_states=point.nodes[firsts],
-        biases=point.bias,
-        interval=interval,
-    )
+        constraints=constraint_table(model, prices), held=held_directions(free, lam, parameters),
+        covariance=found.covariance, free_names=free.names, R=final.R,
+        initial_states=point.nodes[firsts], biases=point.bias, interval=interval,
+    )  # fmt: skip
     if not success:
         raise ConvergenceError(f"output error: {status}", fit)
     return fit

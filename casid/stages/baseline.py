@@ -30,16 +30,7 @@ def _show(found: Fit[Any, DerividNotes], content: Content) -> Iterable[Section]:
 
 
 BASELINE = Stage(
-    name="derivid",
-    does="frequency-domain fit",
-    run=_run,
-    table="derivid",
-    settings=Derivid(),
-    needs=("frequency", "quadratic"),
-    structured=True,
-    optional=True,
-    label=LABEL,
-    start="quadratic",
-    data=lambda _, task: task.results["frequency"],
-    show=_show,
-)
+    name="derivid", does="frequency-domain fit", run=_run, table="derivid", settings=Derivid(),
+    needs=("frequency", "quadratic"), structured=True, optional=True, label=LABEL,
+    start="quadratic", data=lambda _, task: task.results["frequency"], show=_show,
+)  # fmt: skip

@@ -111,16 +111,7 @@ def _show(found: BoundsComparison, content: Content) -> Iterable[Section]:  # no
 
 
 COMPARISON = Stage(
-    name="bounds",
-    does="comparison of bounds",
-    run=_run,
-    table="bounds",
-    settings=Cases(),
-    role=("validation",),
-    needs=("output_error",),
-    optional=True,
-    kept=False,
-    command="bounds",
-    check=_check,
-    show=_show,
-)
+    name="bounds", does="comparison of bounds", run=_run, table="bounds", settings=Cases(),
+    role=("validation",), needs=("output_error",), optional=True, kept=False, command="bounds",
+    check=_check, show=_show,
+)  # fmt: skip

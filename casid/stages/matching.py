@@ -101,17 +101,7 @@ QUADRATIC = Stage(
     check=_check,
 )
 HINF = Stage(
-    name="hinf",
-    does="H-infinity match",
-    run=_hinf,
-    table="match",
-    settings=Matching(),
-    given=("norm",),
-    needs=("pbsid", "quadratic"),
-    uses=("frequency",),
-    structured=True,
-    label=MATCH,
-    start="quadratic",
-    data=targets,
-    show=_show,
-)
+    name="hinf", does="H-infinity match", run=_hinf, table="match", settings=Matching(),
+    given=("norm",), needs=("pbsid", "quadratic"), uses=("frequency",), structured=True,
+    label=MATCH, start="quadratic", data=targets, show=_show,
+)  # fmt: skip

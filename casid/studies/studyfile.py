@@ -59,19 +59,12 @@ def read_study(
     roles = _roles(top.table("records", needed=True), path.parent)
     _check_noise(roles, noise, path)
     study = Study(
-        path=path,
-        title=heading.take("title", str, path.stem),
-        output=Path(output) if output is not None else path.parent / folder,
-        model=model,
-        model_file=model_file,
-        fixed=fixed,
-        bounds=bounds,
-        channels=_channels(top.table("channels"), type(model)),
-        roles=roles,
-        noise=noise,
-        stages=tuple(stages),
-        settings=_settings(top, stages),
-    )
+        path=path, title=heading.take("title", str, path.stem),
+        output=Path(output) if output is not None else path.parent / folder, model=model,
+        model_file=model_file, fixed=fixed, bounds=bounds,
+        channels=_channels(top.table("channels"), type(model)), roles=roles, noise=noise,
+        stages=tuple(stages), settings=_settings(top, stages),
+    )  # fmt: skip
     _check(study)
     return study
 

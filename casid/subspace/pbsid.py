@@ -219,27 +219,18 @@ class Pbsid:
         windows = self._windows(settings, len(campaign.sy))
         projected = not np.isnan(settings.pole)
         return BlackBox(
-            system=estimate.system,
-            K=estimate.K,
+            system=estimate.system, K=estimate.K,
             singular_values=campaign.subspace(settings.order, windows).singular_values,
-            pole=settings.pole,
-            past=windows.past,
-            future=windows.future,
-            transform="laguerre" if projected else "none",
-            feedthrough=campaign.mask,
-            input_std=campaign.su,
-            output_std=campaign.sy,
-            band=campaign.band(settings.pole),
+            pole=settings.pole, past=windows.past, future=windows.future,
+            transform="laguerre" if projected else "none", feedthrough=campaign.mask,
+            input_std=campaign.su, output_std=campaign.sy, band=campaign.band(settings.pole),
             records=tuple(record.name for record in campaign.records),
             regularisation=settings.regularisation,
             segments=campaign.segments(windows.past, windows.pole),
-            uncertainty=estimate.uncertainty,
-            selection=selection,
-            explained=estimate.explained,
-            doubtful=estimate.doubtful,
-            refinement=settings.refinement,
+            uncertainty=estimate.uncertainty, selection=selection, explained=estimate.explained,
+            doubtful=estimate.doubtful, refinement=settings.refinement,
             hold=campaign.records[0].hold,
-        )
+        )  # fmt: skip
 
 
 def pbsid(
