@@ -22,19 +22,10 @@ def usual_interval(t: Array) -> float:
 
 
 def at_instants(t: Array, x: Array, instants: Array, between: Between) -> Array:
-    """One channel at other instants, NaN where it was not measured.
+    """One channel x (N,) of instants t (N,) at others (M,) [s], NaN where it was not measured.
 
-    That is before its first and after its last sample, and wherever its samples (which may be
-    rarer than the record's) lie more than twice their usual interval apart.
-
-    Parameters
-    ----------
-    t, x : (N,) array
-        Instants [s] and values, NaN where missing.
-    instants : (M,) array
-        Where it is wanted [s].
-    between : {"zoh", "foh", "smooth"}
-        What it does between samples.
+    That is before its first and after its last sample, and wherever its samples (which may be rarer
+    than the record's) lie more than twice their usual interval apart.
     """
     known = ~np.isnan(x)
     t, x = t[known], x[known]

@@ -149,12 +149,7 @@ def _one_response(data: FrequencyResponse | Sequence[FrequencyResponse]) -> Freq
 
 
 def _result(
-    problem: Condensed,
-    model: M,
-    frf: FrequencyResponse,
-    found: Minima,
-    best: Optimum,
-    seconds: float,
+    problem: Condensed, model: M, frf: FrequencyResponse, found: Minima, best: Optimum, took: float
 ) -> Fit[M, DerividNotes]:
     free, values = problem.free, best.values
     solved = model.with_vector(free.full(values))
@@ -176,7 +171,7 @@ def _result(
         status=best.status,
         success=best.success,
         iterations=best.iterations,
-        seconds=seconds,
+        seconds=took,
         method="derivid",
         notes=DerividNotes(
             pairs=pairs,

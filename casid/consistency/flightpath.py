@@ -133,6 +133,7 @@ class Instruments:
     left: dict[str, list[Array]]  # of each equation's attitude or velocity, one array a flight
 
 
+Terms = tuple[dict[str, Array], Array]  # factors of rates and forces, the rest
 Block = tuple[str, Array, Array]  # equation, residual (N,), slopes of the prediction (N, unknowns)
 
 
@@ -210,10 +211,7 @@ class _Reconstruction:
         return found
 
     def _derivative(
-        self,
-        terms: tuple[dict[str, Array], Array],
-        moved: Mapping[str, tuple[Array, Array]],
-        table: Array,
+        self, terms: Terms, moved: Mapping[str, tuple[Array, Array]], table: Array
     ) -> Array:
         """Slopes of one equation's right-hand side by the unknowns, and itself, (N, n + 1)."""
         factors, rest = terms

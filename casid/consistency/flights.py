@@ -14,18 +14,10 @@ SHARED = 0.5  # of a record's different samples: more of them in another make it
 
 @dataclass(frozen=True, kw_only=True)
 class Repeats:
-    """Flights that serve twice.
+    """Flights that serve twice."""
 
-    Parameters
-    ----------
-    seen : mapping
-        Records for validation that an estimation has seen, each with the name it had there.
-    twice : tuple of (str, str)
-        Records of one role that are one flight.
-    """
-
-    seen: Mapping[str, str] = field(default_factory=dict)
-    twice: tuple[tuple[str, str], ...] = ()
+    seen: Mapping[str, str] = field(default_factory=dict)  # by an estimation
+    twice: tuple[tuple[str, str], ...] = ()  # records of one role that are one flight
 
     def told(self) -> list[str]:
         """A sentence for each of them."""
@@ -45,15 +37,11 @@ class Repeats:
 
 
 def repeats(roles: Mapping[Any, Sequence[Record]]) -> Repeats:
-    """Which records of these roles are pieces of the same flight.
+    """Which records of these roles, as measured, are pieces of the same flight.
 
     Samples are compared in all channels together, trim included and time left out, so that a copy,
-    a piece and a file of another format or precision are recognised.
-
-    Parameters
-    ----------
-    roles : mapping to sequence of Record
-        As measured: without noise added, not decimated. Those of "validation" are to be new.
+    a piece and a file of another format or precision are recognised. Those of "validation" are to
+    be new.
     """
     every = {(role, r.name): r for role, records in roles.items() for r in records}
     prints = dict(zip(every, _fingerprints(list(every.values())), strict=True))

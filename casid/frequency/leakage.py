@@ -21,16 +21,8 @@ def leakage(parts: Sequence[Conditioned], usable: BoolArray, lengths: Sequence[f
 
     It may be all in the gain or all in the phase [rad], so it counts in full for both. Smoothed
     over three neighbouring frequencies; zero where it is less than noise would show, and where a
-    single length leaves nothing to compare.
-
-    Parameters
-    ----------
-    parts : sequence of Conditioned
-        One a window length, in increasing order.
-    usable : (windows, K) bool array
-        Where each may be used.
-    lengths : sequence of float
-        Window lengths [s].
+    single length leaves nothing to compare. Lengths [s] and parts increase; ``usable`` is (windows,
+    K).
     """
     L = np.array(lengths)
     pairs = {i: j for i in range(len(L)) if (j := _shorter(L, i)) is not None}

@@ -25,14 +25,8 @@ LEAST = 0.05  # of its row's response: a misfit below this counts as this
 def reachable(comparison: Comparison, system: StateSpace, stated: Sequence[Array]) -> Comparison:
     """A comparison with relative weights, its pairs divided by the misfit of a model instead.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With relative weights.
-    system : StateSpace
-        What a quadratic fit to it reached.
-    stated : sequence of (K, ny, nu) array
-        Standard deviation of every source's response; 0 where unknown.
+    The system is what a quadratic fit to it reached; ``stated`` (K, ny, nu) are standard deviations
+    of every source's response, 0 where unknown.
     """
     scale = comparison.input_scale
     sources = []

@@ -33,61 +33,30 @@ PIECE_BYTES = 64e6  # of a record's total derivatives held at once
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Where residuals are evaluated.
+    """Where residuals are evaluated."""
 
-    Parameters
-    ----------
-    lam : (nf,) array
-        Free parameters.
-    bias : (records, ny) array
-        Output biases.
-    nodes : (J, nx) array
-        State at the start of every interval, in chronological order.
-    """
-
-    lam: Array
-    bias: Array
-    nodes: Array
+    lam: Array  # (nf,) free parameters
+    bias: Array  # (records, ny) output biases
+    nodes: Array  # (J, nx) state at the start of every interval, in chronological order
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a simulation of all intervals gives.
+    """What a simulation of all intervals gives."""
 
-    Parameters
-    ----------
-    states : (N, nx) array
-        At every sample.
-    residuals : (N, ny) array
-        C x + D u + b - y, 0 where a channel is missing.
-    ends : (J, nx) array
-        One step after each interval's last sample, in the order of the layout; those of a record's
-        last interval mean nothing.
-    """
-
-    states: Array
-    residuals: Array
-    ends: Array
+    states: Array  # (N, nx) at every sample
+    residuals: Array  # (N, ny) C x + D u + b - y, 0 where a channel is missing
+    ends: Array  # (J, nx) one step after each interval's last sample, in the layout's order
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Gram matrices and end states of some intervals; ``index`` are rows of the layout.
-
-    Parameters
-    ----------
-    gram : (n, nc, nc) array
-        [J r]ᵀ R⁻¹ [J r]; columns are λ (nf), the node (nx), the biases (ny) and the residual.
-    ends : (n, nx) array
-        State one step after the last sample.
-    slopes : (n, nx, nf + nx + ny) array
-        Its derivative by λ, node and biases.
-    """
+    """Gram matrices and end states of some intervals; ``index`` are rows of the layout."""
 
     index: np.ndarray
-    gram: Array
-    ends: Array
-    slopes: Array
+    gram: Array  # (n, nc, nc) [J r]ᵀ R⁻¹ [J r]; columns: λ, the node, the biases, the residual
+    ends: Array  # (n, nx) state one step after the last sample
+    slopes: Array  # (n, nx, nf + nx + ny) its derivative by λ, node and biases
 
 
 def whiteners(R: Array, layout: Layout) -> Array:
@@ -104,16 +73,8 @@ def whiteners(R: Array, layout: Layout) -> Array:
 class Evaluator:
     """Residuals and Gauss-Newton blocks of one model over one layout.
 
-    Parameters
-    ----------
-    free : Free
-        Structure and free parameters.
-    layout : Layout
-        Records and intervals.
-    gain : (nx, ny) array or None
-        Innovation gain K [state/s per output]; None is output error.
-    gain_free : bool
-        Whether K's entries are unknowns, ``gain`` being their start.
+    ``gain`` is the innovation gain K (nx, ny) [state/s per output], or the start of its entries if
+    these are free; None is output error.
     """
 
     def __init__(
@@ -177,18 +138,8 @@ class Sweep:
     """Passes over batches of intervals that turn states into rows of the Jacobian.
 
     The states being known, all that drives the sensitivities over a block of samples is one dense
-    product; only S⁺ = A_d S + F goes sample by sample.
-
-    Parameters
-    ----------
-    evaluator : Evaluator
-        Model and intervals.
-    point : Point
-        Where.
-    motion : Motion
-        What `Evaluator.simulate` gave there.
-    W : (n_patterns, ny, ny) array
-        See `whiteners`.
+    product; only S⁺ = A_d S + F goes sample by sample. W (n_patterns, ny, ny) is that of
+    `whiteners`.
     """
 
     def __init__(self, evaluator: Evaluator, point: Point, motion: Motion, W: Array) -> None:
@@ -225,8 +176,8 @@ class Sweep:
     def influence(self, follow: Array) -> Iterator[Iterator[Array]]:
         """Total derivative by λ of every record's whitened residuals, (N, ny, nf) in pieces of N.
 
-        ``follow`` (J, nf + nx + ny, nf) says how λ, node and biases of every interval (rows of the
-        layout) move with λ.
+        ``follow`` (J, nf + nx + ny, nf) says how λ, node and biases of each of the layout's
+        intervals move.
         """
         return (self._totals(record, follow) for record in range(len(self.layout.records)))
 

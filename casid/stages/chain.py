@@ -63,14 +63,8 @@ class Chain:
             "frequency": self.sweeps,
             "refinement": self.refinement,
         }
-        task = Task(
-            model=model,
-            fixed=fixed,
-            bounds=bounds,
-            roles=roles,
-            stages=CHAIN,
-            settings=self.settings,
-        )
+        held: Any = {"fixed": fixed, "bounds": bounds}
+        task = Task(model=model, roles=roles, stages=CHAIN, settings=self.settings, **held)
         known = {} if self.black_box is None else {"pbsid": self.black_box}
         found: Fit[M, OutputErrorNotes] = run_stages(task, known=known).results["output_error"]
         return found

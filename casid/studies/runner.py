@@ -16,7 +16,7 @@ from casid.folder import claimed
 from casid.record import Record
 from casid.report import Timing, write_report
 from casid.stages.listing import sections
-from casid.stages.stage import Found, Role, Task, run_stages
+from casid.stages.stage import Role, Task, run_stages
 from casid.studies.contents import content
 from casid.studies.keeping import Keeper, Silent, Watch
 from casid.studies.study import Study, read_flights
@@ -106,7 +106,12 @@ def _run(
     if "output_error" in found.results:
         found.results["output_error"].save(study.output / "fit.json")
         write_parameters(study.output / "parameters.csv", found.results["output_error"])
-    report = keeper.timed("report", lambda: _report(study, records, again, found, keeper))
+
+    def write() -> Path:
+        shown = content(study, records, again, found, keeper.clock, keeper.warnings)
+        return write_report(shown, sections(study.stages, found.results, shown), study.output)
+
+    report = keeper.timed("report", write)
     for failure in found.failures.values():
         raise ConvergenceError(
             f"{failure}\nThe report is written without it: {report}", failure.best
@@ -116,17 +121,6 @@ def _run(
         timings=tuple(keeper.clock),
         report=report,
     )
-
-
-def _report(
-    study: Study,
-    records: Mapping[Role, Sequence[Record]],
-    again: Repeats,
-    found: Found,
-    keeper: Keeper,
-) -> Path:
-    shown = content(study, records, again, found, keeper.clock, keeper.warnings)
-    return write_report(shown, sections(study.stages, found.results, shown), study.output)
 
 
 def write_parameters(path: str | Path, fit: AnyFit) -> None:
