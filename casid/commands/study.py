@@ -68,7 +68,10 @@ def identify(study: Path, output: Path | None, fresh: bool, verbose: bool) -> No
     console = terminal()
     with exits(console), logged(console, verbose), Monitor(console) as monitor:
         outcome = run_study(read_study(study, output), fresh=fresh, watch=monitor)
-    _conclude(console, outcome)
+    fresh_times = [timing.seconds for timing in outcome.timings if not timing.kept]
+    console.print(Text(_line("total", None, None, sum(fresh_times)), style="bold"))
+    console.print(parameter_table(outcome.identification.output_error))
+    _say_where(console, outcome)
 
 
 @click.command()
@@ -181,13 +184,6 @@ def _line(stage: str, iterations: int | None, cost: float | None, seconds: float
     steps = "" if iterations is None else str(iterations)
     value = "" if cost is None else f"{cost:.6g}"
     return f"{stage:<{WIDE}}{steps:>11}{value:>14}{seconds:>10.2f}"
-
-
-def _conclude(console: Console, outcome: Outcome) -> None:
-    fresh = [timing.seconds for timing in outcome.timings if not timing.kept]
-    console.print(Text(_line("total", None, None, sum(fresh)), style="bold"))
-    console.print(parameter_table(outcome.identification.output_error))
-    _say_where(console, outcome)
 
 
 def _say_where(console: Console, outcome: Outcome) -> None:

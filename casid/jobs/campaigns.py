@@ -140,7 +140,8 @@ class _Campaign:
         running: dict[futures.Future[Done], Job] = {}
         while True:
             flying = {job.name for job in running.values()}
-            slots = 1 if self._suspects() else workers.slots
+            # A job that may have killed its process is tried alone.
+            slots = 1 if any(name not in self.done for name in self.attempts) else workers.slots
             for job in self._ready(flying)[: max(slots - len(running), 0)]:
                 running[workers.submit(_attempt, self.work, job, *self._start(job))] = job
             if not running:
@@ -163,10 +164,6 @@ class _Campaign:
             and all(name in self.done for name in job.after)
         ]
         return sorted(ready, key=lambda job: job.name not in self.attempts)
-
-    def _suspects(self) -> bool:
-        """Whether a job may have killed its process and has not been tried alone yet."""
-        return any(name not in self.done for name in self.attempts)
 
     def _start(self, job: Job) -> tuple[Any, str]:
         for name in job.after:

@@ -138,7 +138,9 @@ def lift(
     E = _errors(at, X, comparison)
     unit = _largest(E) if norm == "hinf" else 0.0
     unit = unit or _largest(comparison.W * comparison.G) or 1.0
-    state_scale = _state_scale(X)
+    size = np.sqrt(np.mean(np.abs(X) ** 2, axis=(0, 2)))
+    floor = 1e-6 * size.max()
+    state_scale = np.maximum(size, floor) if floor > 0 else np.ones_like(size)
     parts = [(values / scale, free.lower[free.index] / scale, free.upper[free.index] / scale)]
     if norm == "hinf":
         parts.append((np.array([START]), np.zeros(1), np.full(1, np.inf)))
@@ -177,12 +179,6 @@ def _errors(at: Matrices, X: ComplexArray, comparison: Comparison) -> ComplexArr
 
 def _largest(E: ComplexArray) -> float:
     return float(np.linalg.norm(E, 2, axis=(1, 2)).max())
-
-
-def _state_scale(X: ComplexArray) -> Array:
-    size = np.sqrt(np.mean(np.abs(X) ** 2, axis=(0, 2)))
-    floor = 1e-6 * size.max()
-    return np.asarray(np.maximum(size, floor) if floor > 0 else np.ones_like(size))
 
 
 def _local_start(norm: str, X: ComplexArray, E: ComplexArray) -> tuple[Array, Array]:

@@ -77,8 +77,10 @@ class Search:
         best = self._certify(min(found, key=_rank))
         norm, given = self.comparison.norm, self.system(self.free.guess)
         if self._beats(norm(given), norm(best.appraisal.system)):
-            other = self._certify(self._from(self._as_given(best)))
-            best = min(best, other, key=_rank)
+            values = self.free.guess
+            known = appraise(self.system(values), self.comparison)
+            start = replace(best, values=values, appraisal=known, start="guess")
+            best = min(best, self._certify(self._from(start)), key=_rank)
         return best
 
     def _beats(self, cost: float, found: float) -> bool:
@@ -86,12 +88,6 @@ class Search:
         if not cost < found * (1 - WORSE):
             return False
         return not self._unstable(self.free.guess) and not violated(self.free, self.free.guess)
-
-    def _as_given(self, like: Found) -> Found:
-        """The guess itself as a start."""
-        values = self.free.guess
-        appraisal = appraise(self.system(values), self.comparison)
-        return replace(like, values=values, appraisal=appraisal, start="guess")
 
     def _from(self, fit: Found) -> Found:
         """The H-infinity fit from another, its highest peaks on the grid."""

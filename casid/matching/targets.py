@@ -136,13 +136,6 @@ def _reach(system: StateSpace) -> tuple[float, float]:
     return float(moduli.min() / BEYOND), float(moduli.max() * BEYOND)
 
 
-def _present(
-    model: Model, outputs: Sequence[str], inputs: Sequence[str]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the model's outputs, and of its inputs, a target has."""
-    return np.isin(model.outputs, outputs), np.isin(model.inputs, inputs)
-
-
 def _from_system(model: Model, target: _Known, omega: Array | None, sigma: float) -> Source:
     low, high = target.band
     grid = np.geomspace(low, high, POINTS) if omega is None else _grid(omega)
@@ -155,7 +148,8 @@ def _from_system(model: Model, target: _Known, omega: Array | None, sigma: float
         )
     system = _select(target.system, model)
     G = system.response(grid, sigma)
-    present = np.outer(*_present(model, target.outputs, target.inputs))
+    known = np.isin(model.outputs, target.outputs), np.isin(model.inputs, target.inputs)
+    present = np.outer(*known)
     W = np.broadcast_to(present.astype(float), G.shape)
     weights = {"W": W, "nodes": grid, "node_weights": W}
     return Source(name=target.name, omega=grid, shift=sigma, G=G, system=system, **weights)

@@ -44,7 +44,8 @@ def interactive(figure: Figure) -> str:
             named = not label or any(other["name"] == label for other in data)
             place = {"xaxis": x, "yaxis": y, "legendgroup": label, "showlegend": not named}
             data.append(trace | place)
-        first = _leader(ax, shown)
+        group = ax.get_shared_x_axes().get_siblings(ax)  # zooming one of them moves them all
+        first = min(shown.index(other) for other in group if other in shown) + 1
         follows = {} if first == k else {"matches": _reference("x", first)}
         layout[_key("x", k)] = _axis(ax, "x", y) | follows
         layout[_key("y", k)] = _axis(ax, "y", x)
@@ -182,12 +183,6 @@ def _ticks(axis: Axis, letter: str) -> dict[str, Any]:
     params = axis.get_tick_params()
     hidden = letter == "x" and not params.get("labelbottom", True)
     return look | {"showticklabels": not hidden}
-
-
-def _leader(ax: Axes, shown: list[Axes]) -> int:
-    """Number of the first of the axes that share x: zooming one of them moves them all."""
-    group = ax.get_shared_x_axes().get_siblings(ax)
-    return min(shown.index(other) for other in group if other in shown) + 1
 
 
 def _titles(ax: Axes, x: str, y: str) -> Iterator[dict[str, Any]]:

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from casid.subspace.settings import Candidate, OrderSelection
+from casid.subspace.settings import OrderSelection
 
 MARKERS = "osD^vP*X"
 
@@ -20,15 +20,12 @@ def plot_order_selection(axes: Sequence[Axes], selection: OrderSelection) -> Seq
     chosen = selection.chosen
     kinds = dict.fromkeys(c.label for c in sorted(selection.candidates, key=lambda c: c.pole))
     for marker, label in zip(MARKERS, kinds, strict=False):
-        found = _best_of_orders([c for c in selection.candidates if c.label == label])
+        own = [c for c in selection.candidates if c.label == label]
+        of_order = [[c for c in own if c.order == n] for n in sorted({c.order for c in own})]
+        found = [min(each, key=lambda c: c.score) for each in of_order]
         at, score, error = zip(*((c.order, c.score, c.error) for c in found), strict=True)
-        look: dict[str, Any] = {
-            "marker": marker,
-            "markersize": 4,
-            "linewidth": 1,
-            "elinewidth": 0.6,
-        }
-        scores.errorbar(at, score, error, label=label, **look)
+        look: dict[str, Any] = {"markersize": 4, "linewidth": 1, "elinewidth": 0.6}
+        scores.errorbar(at, score, error, label=label, marker=marker, **look)
     scores.plot(chosen.order, chosen.score, "o", markersize=13, fillstyle="none", color="#000000")
     scores.set(xlabel="order [-]", ylabel=f"{selection.criterion} [-]")
     scores.legend(fontsize="small")
@@ -39,8 +36,3 @@ def plot_order_selection(axes: Sequence[Axes], selection: OrderSelection) -> Seq
     for ax in axes:
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     return axes
-
-
-def _best_of_orders(candidates: Sequence[Candidate]) -> list[Candidate]:
-    orders = sorted({c.order for c in candidates})
-    return [min((c for c in candidates if c.order == n), key=lambda c: c.score) for n in orders]

@@ -41,7 +41,9 @@ def neighbours(programme: Programme, lam: Array, solved: bool) -> Iterator[tuple
                 within = np.full(len(m.tau), np.nan)
                 within[heard] = (low + high) / 2
                 upper = max(upper, lower + EDGE * (high - low) / abs(slope))
-                yield _bounded(free, i, lower, upper), within
+                bounds = free.lower.copy(), free.upper.copy()
+                bounds[0][i], bounds[1][i] = lower, upper
+                yield replace(free, lower=bounds[0], upper=bounds[1]), within
 
 
 def _broken(
@@ -76,10 +78,3 @@ def _stretch(tau: float, steps: list[float]) -> tuple[float, float]:
     whole = [np.floor(tau / h) for h in steps]
     low = max(n * h for n, h in zip(whole, steps, strict=True))
     return float(low), float(min((n + 1) * h for n, h in zip(whole, steps, strict=True)))
-
-
-def _bounded(free: Free, i: int, lower: float, upper: float) -> Free:
-    """The same with other bounds of the parameter at position i of λ."""
-    low, high = free.lower.copy(), free.upper.copy()
-    low[i], high[i] = lower, upper
-    return replace(free, lower=low, upper=high)

@@ -139,7 +139,10 @@ def identifiability(
     nf = len(free.index)
     F = np.zeros((nf, nf))
     if records:
-        F += _records_information(moved, records)
+        at, model = MatrixFunction(moved)(moved.guess), moved.model
+        chosen = [record.select(model.inputs, model.outputs) for record in records]
+        sy = standard_deviations(chosen)[1]
+        F += sum(_record_information(at, r, sy) for r in chosen)
     for response in responses:
         F += _response_information(moved, response)
     return _judge(free.names, F, free.scale[free.index])
@@ -151,13 +154,6 @@ def _moved(free: Free, spread: float, rng: np.random.Generator) -> Free:
     values = free.guess + spread * scale * rng.uniform(-1, 1, len(scale))
     values = np.clip(values, free.lower[free.index], free.upper[free.index])
     return replace(free, model=free.model.with_vector(free.full(values)))
-
-
-def _records_information(free: Free, records: Sequence[Record]) -> Array:
-    model, at = free.model, MatrixFunction(free)(free.guess)
-    chosen = [record.select(model.inputs, model.outputs) for record in records]
-    sy = standard_deviations(chosen)[1]
-    return np.asarray(sum(_record_information(at, r, sy) for r in chosen))
 
 
 def _record_information(at: Matrices, record: Record, sy: Array) -> Array:

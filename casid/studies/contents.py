@@ -18,6 +18,8 @@ from casid.report import Content, DataFile, Timing
 from casid.stages.stage import Found, Role
 from casid.studies.study import Study
 
+PACKAGES = ("casid", "casadi", "numpy", "scipy", "matplotlib", "plotly")
+
 
 def content(
     study: Study,
@@ -28,11 +30,12 @@ def content(
     warnings: Sequence[str],
 ) -> Content:
     """All that the report of a study shows, with the digests of what it rests on."""
+    versions = {"Python": platform.python_version()} | {name: version(name) for name in PACKAGES}
     return Content(
         title=study.title, model=study.model, results=found.results, models=found.models,
         model_file=Path(os.path.relpath(study.model_file, study.path.parent)),
         model_digest=sha256(study.model_file.read_bytes()).hexdigest(), data=_data(study, records),
-        settings=_settings(study), versions=_versions(), timings=tuple(timings),
+        settings=_settings(study), versions=versions, timings=tuple(timings),
         warnings=tuple(dict.fromkeys(warnings)), repeats=again,
         units=units_of(study.channels.units),
     )  # fmt: skip
@@ -94,8 +97,3 @@ def _shown(value: object) -> str:
     if isinstance(value, np.ndarray):
         return np.array2string(value, precision=4, threshold=1000, separator=", ")
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-
-
-def _versions() -> dict[str, str]:
-    packages = ("casid", "casadi", "numpy", "scipy", "matplotlib", "plotly")
-    return {"Python": platform.python_version()} | {name: version(name) for name in packages}
