@@ -1,8 +1,4 @@
-"""The whole method in one call: black box, quadratic match, H-infinity match, output error.
-
-M. Bergamasco, M. Lovera, "Rotorcraft system identification: a time/frequency domain approach",
-section 3: records to a black box (3.2), black box to structure (3.3), refinement on records (3.4).
-"""
+"""The whole method in one call; its stages and sources are those of `casid.stages.chain`."""
 
 import warnings
 from collections.abc import Collection, Mapping, Sequence
@@ -95,18 +91,15 @@ def identify(
 
     Parameters
     ----------
-    model : Model
-        Structure and trim.
+    model, fixed, bounds
+        As in `Estimator.fit`.
     records : Record or sequence of Record
         What the black box is identified from.
     refinement : Record or sequence of Record
         What output error refines the match on; ``records`` unless given.
-    sweeps : Record or sequence of Record
-        What the frequency response is estimated from; none, no frequency response.
-    unseen : Record or sequence of Record
-        What the models are judged on; none, no validation.
-    fixed, bounds
-        As in `match`.
+    sweeps, unseen : Record or sequence of Record
+        What the frequency response is estimated from, and what the models are judged on; none, no
+        frequency response, no validation.
     settings : mapping
         Of stages, by the name of their table in a study file: ``{"pbsid": Pbsid(order=18)}``. An
         optional stage runs if its table is there.
@@ -115,10 +108,8 @@ def identify(
 
     Raises
     ------
-    ConvergenceError
-        From the stage that did not converge; ``best`` is its last iterate.
-    ValueError, ModelError
-        All that the stages refuse.
+    ValueError, ModelError, ConvergenceError
+        All that the stages refuse; of one that did not converge, ``best`` is its last iterate.
     """
     roles: dict[Role, tuple[Record, ...]] = {
         "identification": several(records),

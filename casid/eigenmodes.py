@@ -28,16 +28,12 @@ class Mode:
     ----------
     name : str
         "-" where no name fits.
-    pole : complex
-        Eigenvalue [rad/s].
-    frequency : float
-        Its modulus [rad/s].
+    pole, frequency : complex, float
+        Eigenvalue and its modulus [rad/s].
     damping : float
         Damping ratio; ±1 for a real pole.
-    time_constant : float
-        1/|Re λ| [s].
-    period : float
-        2π/|Im λ| [s], inf for a real pole.
+    time_constant, period : float
+        1/|Re λ| and 2π/|Im λ| [s], inf for a real pole.
     half : float
         Time in which the amplitude halves [s]; negative: in which it doubles.
     shares : mapping

@@ -66,10 +66,8 @@ class SolverOptions:
     ----------
     tolerance : float
         Relative optimality tolerance.
-    max_iterations : int
-        Limit per solve.
-    max_seconds : float
-        Wall-clock limit per solve [s].
+    max_iterations, max_seconds : int, float
+        Limit per solve, and wall-clock limit per solve [s].
     progress : callable
         Called with a `Progress` after every iteration; it does not travel to other processes.
     ipopt : mapping

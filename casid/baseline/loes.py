@@ -106,17 +106,13 @@ def transfer_function(
         Whether a delay τ >= 0 is estimated too.
     pair : (output, input)
         Which pair; may be left out of a response that has one.
-    band : (float, float)
-        Frequencies to fit [rad/s]; all unless given.
-    coherence : float
-        Points below it are left out.
+    band, coherence : (float, float), float
+        Frequencies to fit [rad/s], all unless given; points of less coherence are left out.
 
     Raises
     ------
-    ValueError
-        An order that makes no sense, a pair without enough coherent points.
-    ConvergenceError
-        No start led to a fit.
+    ValueError, ConvergenceError
+        An order that makes no sense, a pair without enough coherent points; no start led to a fit.
     """
     degrees = [float(degree) for degree in order]
     if len(degrees) != 2 or not all(each >= 0 and each.is_integer() for each in degrees):

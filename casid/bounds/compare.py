@@ -120,8 +120,8 @@ def compare_bounds(
 
     Parameters
     ----------
-    model : Model
-        Structure, and the guess that cases like "±20 %" refer to.
+    model, fixed, bounds
+        As in `Estimator.fit`, in all cases; the guess is what cases like "±20 %" refer to.
     data
         Records or targets, whatever the estimator takes.
     cases : mapping
@@ -134,8 +134,6 @@ def compare_bounds(
     start : Model or Fit
         Where the freest case starts, e.g. ``match(...)``; the guess unless given. Every other case
         starts from the fit of a case that contains it.
-    fixed, bounds
-        As in the estimators; they hold in all cases.
     execution : Execution
         Where cases run and are kept.
 

@@ -113,10 +113,8 @@ def profile_parameters(
 
     Raises
     ------
-    ModelError
-        No value, an unknown parameter, a value outside its bounds.
-    ConvergenceError
-        The fit with nothing held failed.
+    ModelError, ConvergenceError
+        No value, an unknown parameter, a value outside its bounds; the fit with nothing held fails.
     """
     names = tuple(values)
     if not 1 <= len(names) <= 2:

@@ -147,10 +147,8 @@ def reduce_structure(
 
     Raises
     ------
-    ModelError
-        An unknown parameter, an estimator without standard errors.
-    ConvergenceError
-        The fit of the whole structure failed.
+    ModelError, ConvergenceError
+        An unknown parameter, an estimator without standard errors; no fit of the whole structure.
     """
     replay = rule.replay
     _check_known(model, (*rule.protect, *(replay or {})))

@@ -104,10 +104,8 @@ def inspect_records(
     ----------
     records : Record or sequence of Record
         With the same channels, trim removed or not.
-    model : Model
-        Structure and guess whose identifiability is judged.
-    fixed, bounds
-        As in `identifiability`.
+    model, fixed, bounds
+        Structure whose identifiability is judged; as in `identifiability`.
     time : str
         Name of the time column.
     stated : collection of str

@@ -21,17 +21,8 @@ from casid.record import Hold, Record
 def to_control(system: StateSpace, *, pade: int | None = None) -> Any:  # noqa: ANN401
     """A `control.StateSpace` with the same names.
 
-    Parameters
-    ----------
-    system : StateSpace
-        Continuous or discrete.
-    pade : int
-        Order of the Padé approximation of delays, for continuous models; see `without_delay`.
-
-    Raises
-    ------
-    ValueError
-        A continuous model with delays, and no ``pade``.
+    ``pade`` is the order of the Padé approximation of delays (see `without_delay`), without which a
+    continuous model with delays is refused (ValueError).
     """
     import control  # noqa: PLC0415 - slow to import, and only wanted here
 

@@ -27,18 +27,12 @@ class Task:
 
     Parameters
     ----------
-    model : Model
-        Structure and guess.
-    fixed, bounds
-        Parameters held, and bounds {name: (lower, upper)} instead of the model file's.
-    roles : mapping
-        Records by role.
-    records : tuple of Record
-        Those of the stage's own role.
-    results : mapping
-        What stages before this one found, by name.
-    models : mapping
-        Those results that simulate, by the label of their stage.
+    model, fixed, bounds
+        As in `Estimator.fit`.
+    roles, records : mapping, tuple of Record
+        Records by role, and those of the stage's own role.
+    results, models : mapping
+        What stages before this one found, by name, and those that simulate, by their stage's label.
     stages, settings
         All of the study's, for a stage that repeats others.
     execution : Execution
@@ -68,24 +62,20 @@ class Stage:
 
     Parameters
     ----------
-    name : str
-        Of its result, in files and tables.
-    does : str
-        What it does, in a few words for the help.
+    name, does : str
+        The name of its result, in files and tables; what it does, in a few words for the help.
     run : callable
         ``run(settings, task)`` returns the result: a `Fit`, or a frozen value marked `storable`.
-    table : str
-        The table of a study file that holds its settings; "" if it has none.
-    settings : frozen dataclass
-        What that table becomes: these values, but for the keys that stand in it.
+    table, settings : str, frozen dataclass
+        The table of a study file that holds its settings, "" if it has none, and what that table
+        becomes: these values, but for the keys that stand in it.
     given : tuple of str
         Fields of the settings that the stage sets itself: no keys of the table.
     role : tuple of str
         Whose records it takes: the first of these roles that has any. None at all, no stage.
-    needs : tuple of str
-        Stages whose results it takes; it is left out if one of them was.
-    uses : tuple of str
-        Stages whose results it takes if there are any.
+    needs, uses : tuple of str
+        Stages whose results it takes: it is left out if one of ``needs`` was; of ``uses``, those
+        there are.
     structured : bool
         Whether the result depends on the structure, its guess and bounds.
     optional : bool

@@ -106,18 +106,14 @@ def identifiability(
 
     Parameters
     ----------
-    model : Model
-        Structure and guess.
+    model, fixed, bounds
+        As in `Estimator.fit`.
     data : Record, FrequencyResponse or BlackBox, or several
         Of records the inputs, sampling, missing samples and sizes of the outputs count; initial
         states and biases are taken as unknown. Of responses the frequencies and, if measured, where
         coherence is sufficient.
-    fixed, bounds
-        Parameters held, and bounds {name: (lower, upper)} instead of the model file's.
-    spread : float
-        How far the guess is moved, at random, in units of each parameter's scale.
-    seed : int
-        Of that move.
+    spread, seed : float, int
+        How far the guess is moved, at random, in units of each parameter's scale; of that move.
 
     Raises
     ------

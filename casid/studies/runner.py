@@ -70,11 +70,9 @@ def run_study(
 
     Raises
     ------
-    ConvergenceError
-        A stage did not converge; its best iterate and all stages before it are kept. If it is an
-        optional one, on which nothing rests, all else is done first.
-    ValueError, ModelError
-        Bad input.
+    ValueError, ModelError, ConvergenceError
+        Bad input; a stage that did not converge: its best iterate and all stages before it are
+        kept. If it is an optional one, on which nothing rests, all else is done first.
     """
     watch = watch or Silent()
     started = time.perf_counter()
