@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 from truths import uh60
 
-from casid import pbsid
 from casid.cli import main
 from casid.record import standard_deviations
 from casid.structure.modelfile import load_model
@@ -101,7 +100,7 @@ def test_the_black_box_of_the_uh60_has_the_response_of_its_linear_model():
     study = read_study(ROOT / "examples/uh60/study.toml")
     records = read_records(study)["identification"]
     known = uh60.oracle()
-    found = pbsid(records, **study.options["pbsid"]).system
+    found = study.settings["pbsid"].fit(records).system
     omega = np.geomspace(0.5, 12.0, 40)
     G, G_hat = known.response(omega), found.response(omega)
     u_std, y_std = standard_deviations(records)

@@ -15,7 +15,7 @@ from truths import fuzzing
 from truths.fuzzing import altered, damaged
 from truths.roll_study import write_study
 
-from casid import FrequencyResponse, limits, match, pbsid
+from casid import FrequencyResponse, limits, match
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
 from casid.values import encode
@@ -52,7 +52,7 @@ def saved(fit, path):
 def strategies(tmp_path_factory):
     """What every job is fed with; results to damage come from a study that is run."""
     study = read_study(write_study(tmp_path_factory.mktemp("results")))
-    black_box = pbsid(read_records(study)["identification"], **study.options["pbsid"])
+    black_box = study.settings["pbsid"].fit(read_records(study)["identification"])
     fit = saved(match(study.model, black_box, norm="quadratic"), study.path.with_name("fit.json"))
     rest = {"key": "k", "reason": "", "seconds": 1.0, "warnings": encode(()), "source": ""}
     stage = {"casid": "result", **rest, "result": encode(black_box)}
