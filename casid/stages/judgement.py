@@ -36,6 +36,11 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
         lead=f"It was judged on records that {new} ({names}).",
         cautions=tuple(said),
     )
+    yield from _compared(found, content)
+
+
+def _compared(found: Validation, content: Content) -> Iterable[Section]:
+    """All models side by side: modes, responses, time histories, errors, residuals."""
     yield Section(
         name="modes",
         title="Modes",
