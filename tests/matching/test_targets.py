@@ -271,7 +271,7 @@ def test_fixed_parameters_are_no_variables():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"weight": "log"}, 'expected None, "relative" or an array'),
+        ({"weight": "log"}, 'expected None, "relative", "reachable" or an array'),
         ({"weight": np.ones((7, 2, 2))}, r"expected \(K, ny, nu\) = \(40, 2, 2\)"),
         ({"weight": -np.ones((2, 2))}, "negative or non-finite"),
         ({"weight": np.zeros((2, 2))}, "no point of the target weighs on output 'p'"),
