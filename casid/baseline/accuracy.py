@@ -90,16 +90,14 @@ class DerividNotes:
     guidelines: Guidelines = Guidelines()
 
 
-def accuracy(
-    jacobian: Array, active: BoolArray, ties: Array | None = None
-) -> tuple[Array, Array, Array]:
+def accuracy(J: Array, active: BoolArray, ties: Array | None = None) -> tuple[Array, Array, Array]:
     """√(H⁻¹)ᵢᵢ, 1/√Hᵢᵢ (nf,) and H⁻¹ of the cost Σ r², H = 2 JᵀJ, T&R chapter 12.
 
-    ``jacobian`` is dr/dλ (residuals, nf), ``active`` (nf,) the parameters on a bound: known,
+    ``J`` is dr/dλ (residuals, nf), ``active`` (nf,) the parameters on a bound: known,
     without uncertainty (NaN). ``ties`` (m, nf) are gradients of relations that hold. Infinite where
     the data do not tell parameters apart.
     """
-    H = 2 * jacobian.T @ jacobian
+    H = 2 * J.T @ J
     size = np.sqrt(np.diag(H))
     with np.errstate(divide="ignore"):
         insensitivity = np.where(size > 0, 1 / size, np.inf)

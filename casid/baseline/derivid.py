@@ -186,12 +186,10 @@ def _result(
     )
 
 
-def _residual_slopes(
-    problem: Condensed, values: Array, frf: FrequencyResponse
-) -> tuple[Array, Array]:
+def _residual_slopes(problem: Condensed, x: Array, frf: FrequencyResponse) -> tuple[Array, Array]:
     """dr/dλ of the cost Σ r² at free values, and the residuals' own random errors."""
     c, weight = problem.comparison, problem.comparison.decibel_weight
-    G, slope = problem.matrices(values).response_slopes(c.s)
+    G, slope = problem.matrices(x).response_slopes(c.s)
     rows = residual_slopes(G, slope, c.G, weight)[:, :, weight > 0]
     error = in_channels(problem.free.model, frf.outputs, frf.inputs, frf.error)
     error = (np.sqrt(weight) * error)[weight > 0]

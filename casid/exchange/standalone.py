@@ -14,61 +14,7 @@ from casid.linear import StateSpace
 # What a continuous model's simulation is made of; the file holds the very text of it.
 PARTS = (linear.step_groups, *intersample.PARTS)
 
-HEAD = '''"""{title}
-
-    dx/dt = A x + B u(t - DELAY)        y = C x + D u(t - DELAY)
-
-Written by casid {version}; needs NumPy only. The model is in perturbations about the trim it was
-identified at: subtract the trim from the inputs, add it to the outputs.
-
-    y = simulate(t, u)        t (N,) s, u (N, {nu}), y (N, {ny})
-"""
-
-from __future__ import annotations
-
-from typing import NamedTuple
-
-import numpy as np
-
-ROUNDING = {rounding}  # of the shortest interval: what falls together so closely is one instant
-STATES = {states}
-INPUTS = {inputs}
-OUTPUTS = {outputs}
-UNITS = {units}
-
-{matrices}
-DELAY = np.array({delay})  # of each input [s]
-
-
-def simulate(t, u, x0=None, hold="foh"):
-    """Outputs (N, {ny}) at the instants t [s], exact for inputs held as said and then delayed.
-
-    Parameters: t (N,) increasing, any spacing; u (N, {nu}), at rest before the first sample;
-    x0 ({nx},), zero unless given; hold "foh" (straight lines between samples) or "zoh" (steps).
-    """
-    t, u = np.asarray(t, dtype=float), np.asarray(u, dtype=float)
-    if u.shape != (len(t), len(INPUTS)):
-        raise ValueError(f"u has shape {{u.shape}}, expected {{(len(t), len(INPUTS))}}")
-    if (np.diff(t) <= 0).any() or len(t) < 2:
-        raise ValueError("t: expected increasing instants [s], two or more")
-    if hold not in ("foh", "zoh"):
-        raise ValueError(f'hold={{hold!r}}, expected "foh" or "zoh"')
-    x = np.zeros(len(STATES)) if x0 is None else np.asarray(x0, dtype=float)
-    if x.shape != (len(STATES),):
-        raise ValueError(f"x0 has shape {{x.shape}}, expected {{(len(STATES),)}}")
-    held = delayed_input(t, u, DELAY, hold)
-    widths, which = step_groups(t)
-    E, P1, P2 = integrals(A, widths)
-    forcing = break_forcing(held, A, B, 2 if hold == "foh" else 1)
-    states = np.empty((len(t), len(STATES)))
-    states[0] = x
-    for k, i in enumerate(which):
-        steady = P1[i] @ (B @ held.value[k]) + P2[i] @ (B @ held.slope[k])
-        states[k + 1] = E[i] @ states[k] + steady + forcing[k]
-    return states @ C.T + held.value @ D.T
-
-
-'''
+HEAD = Path(__file__).with_name("simulation.py.txt")
 
 
 def write_module(path: str | Path, system: StateSpace, *, title: str = "") -> None:
@@ -103,7 +49,7 @@ def module_text(system: StateSpace, title: str) -> str:
         )
     plain = "".join(each for each in title if each.isprintable() and each not in "\\\"'")
     names = (*system.states, *system.inputs, *system.outputs)
-    head = HEAD.format(
+    head = HEAD.read_text(encoding="utf-8").format(
         title=plain,
         version=version("casid"),
         nx=system.nx,

@@ -149,17 +149,15 @@ def response_size(comparison: Comparison) -> float:
     return _largest(comparison.W * comparison.G)
 
 
-def doubts(
-    free: Free, values: Array, guess: Array, appraisal: Appraisal, *, stable: bool
-) -> str | None:
+def doubts(free: Free, x: Array, guess: Array, appraisal: Appraisal, *, stable: bool) -> str | None:
     """Why not to believe a solution that the solver calls one; None when nothing speaks against it.
 
     Values (nf,) of the parameters with the guess they came from, and the appraisal of their model,
     whose poles had to stay left of the line if ``stable``.
     """
     return (
-        _runaway(free, values, guess)
-        or violated(free, values)
+        _runaway(free, x, guess)
+        or violated(free, x)
         or (_right_of_line(appraisal) if stable else None)
         or _explains_nothing(appraisal)
     )

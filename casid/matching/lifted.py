@@ -210,15 +210,13 @@ Pair: TypeAlias = tuple[ca.SX, ca.SX]  # real and imaginary part
 Cost: TypeAlias = tuple[ca.SX, list[ca.SX], list[ca.SX], ca.SX]
 
 
-def _points_block(
-    free: Free, comparison: Comparison, norm: str, state_scale: Array, unit: float
-) -> Block:
+def _points_block(free: Free, comparison: Comparison, norm: str, size: Array, unit: float) -> Block:
     """Constraints and cost of one point, repeated over all of them."""
     K, ny, nu = comparison.G.shape
     lam = ca.SX.sym("lam", len(free.index))
-    A, B, C, D, tau = _matrices(free, lam, comparison.input_scale, state_scale)
+    A, B, C, D, tau = _matrices(free, lam, comparison.input_scale, size)
     sigma, omega, rate = ca.SX.sym("sigma"), ca.SX.sym("omega"), ca.SX.sym("rate")
-    X, G = _complex("X", len(state_scale), nu), _complex("G", ny, nu)
+    X, G = _complex("X", len(size), nu), _complex("G", ny, nu)
     W = ca.SX.sym("W", ny, nu)
     decay = ca.exp(-sigma * tau)
     delay = (ca.diag(decay * ca.cos(omega * tau)), -ca.diag(decay * ca.sin(omega * tau)))

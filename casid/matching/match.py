@@ -154,16 +154,14 @@ def _reweighted(search: Search, targets: Sequence[Target]) -> Search:
     return again
 
 
-def _result(
-    search: Search, found: Found, norm: str, guess: M, seconds: float
-) -> Fit[M, MatchNotes]:
+def _result(search: Search, found: Found, norm: str, guess: M, took: float) -> Fit[M, MatchNotes]:
     """The result, its certificate and its tables."""
     free, values = search.free, found.values
     model = guess.with_vector(free.full(values))
     parameters = parameter_table(free, values, found.multipliers, guess=guess)
     return Fit(
         model=model, parameters=parameters, cost=found.cost, status=found.status,
-        success=found.success, iterations=search.iterations, seconds=seconds,
+        success=found.success, iterations=search.iterations, seconds=took,
         method=f"match {norm}", notes=found.appraisal.notes(found.start),
         constraints=constraint_table(model, found.prices),
         held=held_directions(free, values, parameters), certificate=found.appraisal.certificate(),

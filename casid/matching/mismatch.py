@@ -41,13 +41,11 @@ def residuals(G: ComplexArray, measured: ComplexArray, weight: Array) -> Array:
     return np.stack([root * DB * e.real, root * TURN * e.imag])
 
 
-def residual_slopes(
-    G: ComplexArray, slope: ComplexArray, measured: ComplexArray, weight: Array
-) -> Array:
-    """Derivatives of `residuals` from those of the model, ``slope`` (nf, ...); (nf, 2, ...)."""
+def residual_slopes(G: ComplexArray, dG: ComplexArray, data: ComplexArray, weight: Array) -> Array:
+    """Derivatives of `residuals` from those of the model, ``dG`` (nf, ...); (nf, 2, ...)."""
     used, root = weight > 0, np.sqrt(weight)
-    floor = TINY * np.abs(np.where(used, measured, 1)) ** 2
-    e = slope * np.where(used, np.conj(G) / (np.abs(G) ** 2 + floor), 0) * root
+    floor = TINY * np.abs(np.where(used, data, 1)) ** 2
+    e = dG * np.where(used, np.conj(G) / (np.abs(G) ** 2 + floor), 0) * root
     return np.stack([DB * e.real, TURN * e.imag], axis=1)
 
 

@@ -143,10 +143,8 @@ class Search:
             start=start, appraisal=appraisal,
         )  # fmt: skip
 
-    def _programme(
-        self, norm: str, values: Array, comparison: Comparison, *, stable: bool
-    ) -> Optimum:
-        lifted = lift(self.free, comparison, norm, values, stable=stable)
+    def _programme(self, norm: str, values: Array, against: Comparison, *, stable: bool) -> Optimum:
+        lifted = lift(self.free, against, norm, values, stable=stable)
         optimum = lifted.solve(self.options, f"match {norm}")
         self.iterations += optimum.iterations
         return optimum

@@ -172,27 +172,24 @@ def draw_histories(validation: Validation, units: Mapping[str, str]) -> Iterator
             yield _history(validation, k, record.outputs[first : first + PER_PAGE], units)
 
 
-def _history(
-    validation: Validation, k: int, outputs: Sequence[str], units: Mapping[str, str]
-) -> Drawing:
+def _history(found: Validation, k: int, names: Sequence[str], units: Mapping[str, str]) -> Drawing:
     """Inputs and outputs of a record on one sheet of paper."""
-    record = validation.measured[k]
-    heights = [0.46] * record.nu + [0.84] * len(outputs)
+    record = found.measured[k]
+    heights = [0.46] * record.nu + [0.84] * len(names)
     figure = Figure(figsize=(WIDTH, 0.7 + sum(heights)))
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
     _inputs(list(axes[: record.nu, 0]), record, units)
-    for ax, channel in zip(axes[record.nu :, 0], outputs, strict=True):
+    for ax, channel in zip(axes[record.nu :, 0], names, strict=True):
         i = record.outputs.index(channel)
-        simulated = {name: y[k][:, i] for name, y in validation.simulated.items()}
+        simulated = {name: y[k][:, i] for name, y in found.simulated.items()}
         figures.plot_history(ax, record.t, record.y[:, i], simulated, channel=channel, units=units)
     for ax in axes[:, 0]:
         ax.set_ylabel(ax.get_ylabel().replace(" [", "\n["))
     axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
     _legend(figure, axes[-1, 0])
     return Drawing(
-        name=f"history_{_file(record.name)}_{'_'.join(outputs)}",
-        caption=f"{record.name}: inputs (deviations from trim), {_list(outputs)}"
-        + _ahead(validation, k),
+        name=f"history_{_file(record.name)}_{'_'.join(names)}",
+        caption=f"{record.name}: inputs (deviations from trim), {_list(names)}" + _ahead(found, k),
         figure=_tidy(figure, axes, lines=2),
     )
 

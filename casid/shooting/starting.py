@@ -135,9 +135,7 @@ def _accumulated(A: Array, Q: Array, T: float) -> Array:
     return np.asarray(total)
 
 
-def _smooth(
-    H: Array, g: Array, slope: Array, ends: Array, links: np.ndarray, drift: Array
-) -> Array:
+def _smooth(H: Array, g: Array, slope: Array, ends: Array, link: np.ndarray, drift: Array) -> Array:
     """Nodes minimising the residuals and, weighted by drift⁻¹, the gaps between intervals."""
     J, nx = g.shape
     if not all(np.isfinite(part).all() for part in (H, g, slope, ends, drift)):
@@ -148,8 +146,8 @@ def _smooth(
     P = np.linalg.inv(drift)
     diagonal, right = H.copy(), -g
     above: dict[int, Array] = {}
-    diagonal[np.setdiff1d(np.arange(J), links + 1)] += P  # a record begins near rest
-    for j in links:
+    diagonal[np.setdiff1d(np.arange(J), link + 1)] += P  # a record begins near rest
+    for j in link:
         diagonal[j] += slope[j].T @ P @ slope[j]
         diagonal[j + 1] += P
         above[j] = -slope[j].T @ P

@@ -14,12 +14,10 @@ from casid.stages.stage import Stage
 STAGES: tuple[Stage, ...] = (KINEMATICS, *CHAIN, BASELINE, VALIDATION, COMPARISON)
 
 
-def sections(
-    stages: Iterable[Stage], results: Mapping[str, Any], content: Content
-) -> list[Section]:
+def sections(stages: Iterable[Stage], results: Mapping[str, Any], page: Content) -> list[Section]:
     """What the stages show of their results, in the order of the stages."""
     found: Sequence[Stage] = [stage for stage in stages if stage.name in results]
-    return [each for stage in found for each in stage.show(results[stage.name], content)]
+    return [each for stage in found for each in stage.show(results[stage.name], page)]
 
 
 def in_words(stages: Iterable[Stage]) -> str:

@@ -66,18 +66,16 @@ class Spectrum:
         return r, slope / (z - E) + r * grow, transient, transient * grow
 
 
-def spectra(
-    records: Sequence[Record], su: Array, sy: Array, highest: float
-) -> tuple[Spectrum, ...]:
-    """Transforms of every record up to ``highest`` [rad/s]; outputs must have no NaN."""
+def spectra(records: Sequence[Record], su: Array, sy: Array, top: float) -> tuple[Spectrum, ...]:
+    """Transforms of every record up to ``top`` [rad/s]; outputs must have no NaN."""
     found = []
     for record in records:
-        lines = highest * record.duration / (2 * np.pi)
+        lines = top * record.duration / (2 * np.pi)
         pieces = int(np.ceil(max(lines / LINES, record.N / SAMPLES)))
         pieces = max(min(pieces, record.N // 4), 1)
         edges = np.linspace(0, record.N - 1, pieces + 1).astype(int)
         for start, end in pairwise(edges):
-            found.append(_spectrum(record, slice(start, end + 1), su, sy, highest))
+            found.append(_spectrum(record, slice(start, end + 1), su, sy, top))
     return tuple(found)
 
 

@@ -60,7 +60,7 @@ def regress_inputs(
 
 
 def _rows(
-    F: Array, C: Array, stretch: Stretch, feedthrough: BoolArray, whitener: Array
+    F: Array, C: Array, stretch: Stretch, feedthrough: BoolArray, W: Array
 ) -> Iterator[Array]:
     """Whitened rows of a stretch: derivatives by x(0), c, the columns of (G, K) and D, then y."""
     ny, nu = feedthrough.shape
@@ -78,5 +78,5 @@ def _rows(
         direct[:, free[:, 0], np.arange(len(free))] = v[:, free[:, 1]]
         constant = np.broadcast_to(np.eye(ny), (len(y), ny, ny))
         rows = [seen[:, :, :n], constant, seen[:, :, n:], direct, y[:, :, None]]
-        block = np.einsum("op,kpc->koc", whitener, np.concatenate(rows, axis=2))
+        block = np.einsum("op,kpc->koc", W, np.concatenate(rows, axis=2))
         yield block.reshape(len(y) * ny, -1)
