@@ -87,17 +87,11 @@ def price_case(
         return CaseResult(name=case.name, reason=done.reason, fit=fit, start=done.source)
     rows = zip(_own(fit, case)[1], case.relations, strict=True)
     found = CaseResult(
-        name=case.name,
-        fit=fit,
-        parameters=_parameters(fit, case),
-        relations=tuple(row for row, relation in rows if len(relation.names) > 1),
-        held=fit.held,
-        cost=fit.cost,
-        aicc=aicc(fit, data),
-        rms=relative_rms(validation, case.name),
-        eigenvalues=fit.model.system().poles(),
-        start=done.source,
-    )
+        name=case.name, fit=fit, parameters=_parameters(fit, case),
+        relations=tuple(row for row, relation in rows if len(relation.names) > 1), held=fit.held,
+        cost=fit.cost, aicc=aicc(fit, data), rms=relative_rms(validation, case.name),
+        eigenvalues=fit.model.system().poles(), start=done.source,
+    )  # fmt: skip
     freest, free = base
     if free is None:
         return found

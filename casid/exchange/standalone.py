@@ -50,19 +50,13 @@ def module_text(system: StateSpace, title: str) -> str:
     plain = "".join(each for each in title if each.isprintable() and each not in "\\\"'")
     names = (*system.states, *system.inputs, *system.outputs)
     head = HEAD.read_text(encoding="utf-8").format(
-        title=plain,
-        version=version("casid"),
-        nx=system.nx,
-        nu=system.nu,
-        ny=system.ny,
-        states=_literal(system.states),
-        inputs=_literal(system.inputs),
+        title=plain, version=version("casid"), nx=system.nx, nu=system.nu, ny=system.ny,
+        states=_literal(system.states), inputs=_literal(system.inputs),
         outputs=_literal(system.outputs),
         units=_literal({name: UNITS[name] for name in names if name in UNITS}),
         matrices="\n".join(f"{letter} = {_matrix(getattr(system, letter))}" for letter in "ABCD"),
-        delay=system.delay.tolist(),
-        rounding=intersample.ROUNDING,
-    )
+        delay=system.delay.tolist(), rounding=intersample.ROUNDING,
+    )  # fmt: skip
     return head + "\n\n".join(inspect.getsource(part) for part in PARTS)
 
 

@@ -240,21 +240,15 @@ class SpectralAnalysis:
         number = merged.condition if self.conditioned else np.ones(len(omega))
         su, sy = standard_deviations(records)
         found = FrequencyResponse(
-            omega=omega,
-            G=_columns(merged.response, active, len(inputs)),
+            omega=omega, G=_columns(merged.response, active, len(inputs)),
             coherence=_columns(merged.coherence, active, len(inputs)),
             random_error=_columns(merged.random_error, active, len(inputs)),
-            leakage=_columns(leakage(parts, usable, lengths), active, len(inputs)),
-            inputs=inputs,
-            outputs=outputs,
-            input_std=su,
-            output_std=sy,
-            multiple_coherence=merged.multiple_coherence,
-            condition=merged.condition,
-            windows=tuple(lengths),
-            flags=_flags(omega, lengths[-1], usable, counted, number),
+            leakage=_columns(leakage(parts, usable, lengths), active, len(inputs)), inputs=inputs,
+            outputs=outputs, input_std=su, output_std=sy,
+            multiple_coherence=merged.multiple_coherence, condition=merged.condition,
+            windows=tuple(lengths), flags=_flags(omega, lengths[-1], usable, counted, number),
             records=tuple(record.name for record in records),
-        )
+        )  # fmt: skip
         _warn(found, [name for i, name in enumerate(inputs) if i not in active])
         return found
 

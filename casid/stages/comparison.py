@@ -61,16 +61,9 @@ def _stage(settings: Cases, task: Task) -> Stage | None:
 def _run(settings: Cases, task: Task) -> BoundsComparison:
     estimator, data, start = _estimation(settings, task)
     found = compare_bounds(
-        task.model,
-        data,
-        cases=settings.cases,
-        start=start,
-        fixed=tuple(task.fixed),
-        bounds=task.bounds,
-        estimator=estimator,
-        validation=task.records,
-        execution=task.execution,
-    )
+        task.model, data, cases=settings.cases, start=start, fixed=tuple(task.fixed),
+        bounds=task.bounds, estimator=estimator, validation=task.records, execution=task.execution,
+    )  # fmt: skip
     if task.execution.folder is not None:
         folder = Path(task.execution.folder)
         found.to_csv(folder.with_suffix(".csv"))
