@@ -300,11 +300,9 @@ def free_parameters(
 
 
 def _check_delays(model: Model, lower: Array, upper: Array) -> None:
-    """Refuse bounds (n_λ,) between which a delay may be negative.
-
-    Where a delay is not linear in the parameters, or constraints between them may keep it positive,
-    it is looked at in the guess alone.
-    """
+    """Refuse bounds (n_λ,) between which a delay may be negative."""
+    # Where a delay is not linear in the parameters, or constraints between them may keep it
+    # positive, it is looked at in the guess alone.
     lam, at = ca.SX.sym("lam", len(lower)), model.vector()
     tau, c = model.matrices()(lam)[4:]
     slopes = ca.jacobian(tau, lam)

@@ -22,11 +22,9 @@ def usual_interval(t: Array) -> float:
 
 
 def at_instants(t: Array, x: Array, instants: Array, between: Between) -> Array:
-    """One channel x (N,) of instants t (N,) at others (M,) [s], NaN where it was not measured.
-
-    That is before its first and after its last sample, and wherever its samples (which may be rarer
-    than the record's) lie more than twice their usual interval apart.
-    """
+    """One channel x (N,) of instants t (N,) at others (M,) [s], NaN where it was not measured."""
+    # That is before its first and after its last sample, and wherever its samples (which may be
+    # rarer than the record's) lie more than twice their usual interval apart.
     known = ~np.isnan(x)
     t, x = t[known], x[known]
     if len(t) < 4:

@@ -37,12 +37,10 @@ class Repeats:
 
 
 def repeats(roles: Mapping[Any, Sequence[Record]]) -> Repeats:
-    """Which records of these roles, as measured, are pieces of the same flight.
-
-    Samples are compared in all channels together, trim included and time left out, so that a copy,
-    a piece and a file of another format or precision are recognised. Those of "validation" are to
-    be new.
-    """
+    """Which records of these roles, as measured, are pieces of the same flight."""
+    # Samples are compared in all channels together, trim included and time left out, so that a
+    # copy, a piece and a file of another format or precision are recognised. Those of "validation"
+    # are to be new.
     every = {(role, r.name): r for role, records in roles.items() for r in records}
     prints = dict(zip(every, _fingerprints(list(every.values())), strict=True))
     seen: dict[str, str] = {}

@@ -110,11 +110,9 @@ def record_spectra(
 
 
 def _weights_of_windows(lost: BoolArray, dt: float, omega: Array, length: float) -> Array:
-    """Weight of each window at each frequency, (windows, K): 0 where too much is lost.
-
-    Else its share of samples over that of the record's best one: a channel at a rate of its own
-    costs nothing but what its noise shows.
-    """
+    """Weight of each window at each frequency, (windows, K): 0 where too much is lost."""
+    # Else its share of samples over that of the record's best one: a channel at a rate of its own
+    # costs nothing but what its noise shows.
     M = round(length / dt)
     pieces = [lost[i : i + M] for i in _starts(len(lost), M)]
     present = np.array([1 - gone.mean(axis=0).max() for gone in pieces])

@@ -8,15 +8,8 @@ import scipy.sparse
 
 from casid.arrays import Array
 from casid.fit import ACTIVE, holding
+from casid.shooting import uncertainty
 from casid.shooting.programme import Programme
-from casid.shooting.uncertainty import (
-    Collinearity,
-    bound,
-    collinearities,
-    coloured_covariance,
-    correlation,
-    eliminate,
-)
 from casid.values import seal, storable
 
 
@@ -46,7 +39,7 @@ class OutputErrorNotes:
     nuisances: int
     cramer_rao: Array
     correlation: Array
-    collinear: tuple[Collinearity, ...]
+    collinear: tuple[uncertainty.Collinearity, ...]
     K: Array | None = None
 
     def __post_init__(self) -> None:
@@ -60,7 +53,7 @@ class Precision:
     cramer_rao: Array  # (n, n) bound for white residuals; infinite where not determined
     covariance: Array  # (n, n) corrected for the residuals' correlation in time and across outputs
     insensitivity: Array  # (n,) 1/√F_ii, initial states and biases eliminated from F
-    collinear: tuple[Collinearity, ...]  # hardly determined combinations, the worst first
+    collinear: tuple[uncertainty.Collinearity, ...]  # hardly determined, the worst first
     undetermined: tuple[str, ...]  # parameters in directions without information
 
     def notes(self, rounds: int, nodes: int, nuisances: int, K: Array | None) -> OutputErrorNotes:
@@ -70,7 +63,7 @@ class Precision:
             nodes=nodes,
             nuisances=nuisances,
             cramer_rao=self.cramer_rao,
-            correlation=correlation(self.cramer_rao),
+            correlation=uncertainty.correlation(self.cramer_rao),
             collinear=self.collinear,
             K=K,
         )
@@ -85,7 +78,7 @@ def precision(programme: Programme, x: Array) -> Precision:
         return _no_precision(programme, names)
     ties = held(programme, x)
     alone = np.diag(programme.blocks(x).Hll)  # information with the other variables known
-    scaled = bound(F, ties, alone)
+    scaled = uncertainty.bound(F, ties, alone)
     unknown = np.isinf(np.diag(scaled))
     lost = tuple(name for name, out in zip(names, unknown, strict=True) if out)
     known = np.where(unknown | unknown[:, None], 0.0, scaled)
@@ -99,7 +92,7 @@ def precision(programme: Programme, x: Array) -> Precision:
         cramer_rao=(scaled * unit)[:n, :n],
         covariance=(robust * unit)[:n, :n],
         insensitivity=insensitivity,
-        collinear=collinearities(F, ties, names, alone),
+        collinear=uncertainty.collinearities(F, ties, names, alone),
         undetermined=lost,
     )
 
@@ -156,7 +149,7 @@ def quadratic_model(
     cross = np.hstack([H[nf:, :nf].toarray(), g[nf:]])
     tied = scipy.sparse.csc_array(scipy.sparse.hstack([G[:, nf:], free]))
     gaps = np.hstack([G[:, :nf].toarray(), programme.values(x).g[: G.shape[0], None]])
-    return eliminate(own, H[nf:, nf:], cross, tied, gaps)
+    return uncertainty.eliminate(own, H[nf:, nf:], cross, tied, gaps)
 
 
 def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) -> Array:
@@ -172,4 +165,6 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) 
     white = np.einsum("nab,nb->na", sweep.W[layout.pattern], sweep.motion.residuals)
     edges = np.cumsum([0, *(record.N for record in layout.records)])
     residuals = [white[a:b] for a, b in itertools.pairwise(edges)]
-    return coloured_covariance(covariance, residuals, sweep.influence(move[layout.node]))
+    return uncertainty.coloured_covariance(
+        covariance, residuals, sweep.influence(move[layout.node])
+    )

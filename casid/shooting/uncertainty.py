@@ -249,10 +249,8 @@ def residual_covariance(residuals: Sequence[Array]) -> Array:
 
 
 def _autocovariance(residuals: Sequence[Array]) -> tuple[Array, int]:
-    """Sample values of C(m), pooled over the records, and the number of samples.
-
-    Each is a mean over the pairs of residuals that are there: missing ones are 0.
-    """
+    """Sample values of C(m), pooled over the records, and the number of samples."""
+    # Each is a mean over the pairs of residuals that are there: missing ones are 0.
     lags = min(max(1, int(LAGS * max(len(r) for r in residuals))), MOST_LAGS)
     C, pairs = (
         sum(_lagged_products(part, lags) for part in parts)

@@ -85,10 +85,8 @@ class BlackBox:
     hold: Hold = "zoh"
 
     def doubts(self) -> tuple[str, ...]:
-        """Why the records do not support a model, or some mode of it; empty where they do.
-
-        Empty, too, where it is not known: without refinement, and on samples.
-        """
+        """Why the records do not support a model, or some mode of it; empty where they do."""
+        # Empty, too, where it is not known: without refinement, and on samples.
         growth = growth_doubts(self.doubtful)
         if self.explained is None:
             return growth

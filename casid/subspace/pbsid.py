@@ -16,21 +16,13 @@ from casid.arrays import Array
 from casid.errors import warn
 from casid.linear import StateSpace
 from casid.record import Records
+from casid.subspace import settings as choice
 from casid.subspace.blackbox import BlackBox
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.columns import Feedthrough, Segment, check_pole
 from casid.subspace.feedback import direct_term_is_ambiguous
 from casid.subspace.refining import Estimate, refine_projected, refine_sampled
 from casid.subspace.sampled import ORDERS, WINDOWS, Stretches, are_candidates, choose_samples
-from casid.subspace.settings import (
-    Candidate,
-    Grid,
-    OrderSelection,
-    Refinement,
-    best_of,
-    choose_projections,
-    with_errors,
-)
 from casid.threads import one_thread
 from casid.values import storable
 
@@ -125,12 +117,12 @@ class Pbsid:
         if pole is not None:
             check_pole(campaign.records, pole)
         if order is None or past is None or pole is None:
-            grid = Grid(_said(order), _said(past), _said(pole), _said(factor))
-            selection = choose_projections(campaign, grid)
+            grid = choice.Grid(_said(order), _said(past), _said(pole), _said(factor))
+            selection = choice.choose_projections(campaign, grid)
             settings = selection.chosen
         else:
             factor = 1e-3 if factor is None else factor
-            settings = Candidate.of(order, Windows(past, past, float(pole), factor))
+            settings = choice.Candidate.of(order, Windows(past, past, float(pole), factor))
         found = campaign.subspace(settings.order, self._windows(settings, len(campaign.sy)))
         _check_unstable(found.system, settings.pole)
         _check_used(campaign.segments(settings.past, settings.pole))
@@ -140,7 +132,7 @@ class Pbsid:
     def _better(self, campaign: Campaign, projected: BlackBox) -> BlackBox:
         """The black box of projections, or of samples if that predicts clearly better."""
         tried = self._sample_candidates(campaign)
-        best = best_of(tried)
+        best = choice.best_of(tried)
         own = projected
         windows = Windows(own.past, own.future, own.pole, own.regularisation)
         rival = Stretches.of(campaign).score(own.order, windows, "fourier")
@@ -148,35 +140,37 @@ class Pbsid:
             return projected
         return self._sampled(campaign, best, self._selection(campaign, tried, rival))
 
-    def _sample_candidates(self, campaign: Campaign) -> list[Candidate]:
+    def _sample_candidates(self, campaign: Campaign) -> list[choice.Candidate]:
         regularisation = self.regularisation or 0.0
         pasts = WINDOWS if self.past is None else (self.past,)
         orders = ORDERS if self.order is None else (self.order,)
         windows = [Windows(p, self.future or p, np.nan, regularisation) for p in pasts]
         return choose_samples(campaign, orders, windows, move=self.refine)
 
-    def _sample_settings(self, campaign: Campaign) -> tuple[Candidate, OrderSelection | None]:
+    def _sample_settings(
+        self, campaign: Campaign
+    ) -> tuple[choice.Candidate, choice.OrderSelection | None]:
         """Settings on samples; chosen unless an order is given."""
         if self.order is not None:
             past = self.past or max(PAST, -(-2 * self.order // len(campaign.sy)))
-            how: Refinement = "prediction" if self.refine else "unrefined"
+            how: choice.Refinement = "prediction" if self.refine else "unrefined"
             windows = Windows(past, past, np.nan, self.regularisation or 0.0)
-            return Candidate.of(self.order, windows, how), None
+            return choice.Candidate.of(self.order, windows, how), None
         tried = self._sample_candidates(campaign)
         if not tried:
             raise ValueError(
                 "no black box of samples can be judged on stretches held out: the records are too "
                 "short, or the aircraft is too unstable to be simulated; give an order"
             )
-        return best_of(tried), self._selection(campaign, tried, None)
+        return choice.best_of(tried), self._selection(campaign, tried, None)
 
     def _selection(
-        self, campaign: Campaign, tried: list[Candidate], rival: Candidate | None
-    ) -> OrderSelection:
-        all_tried = with_errors([*tried, rival] if rival else tried)
-        best = best_of(all_tried)
+        self, campaign: Campaign, tried: list[choice.Candidate], rival: choice.Candidate | None
+    ) -> choice.OrderSelection:
+        all_tried = choice.with_errors([*tried, rival] if rival else tried)
+        best = choice.best_of(all_tried)
         found = campaign.subspace(best.order, best.windows)
-        return OrderSelection(
+        return choice.OrderSelection(
             chosen=best,
             candidates=tuple(all_tried),
             criterion="held-out stretches",
@@ -184,7 +178,10 @@ class Pbsid:
         )
 
     def _sampled(
-        self, campaign: Campaign, settings: Candidate, selection: OrderSelection | None
+        self,
+        campaign: Campaign,
+        settings: choice.Candidate,
+        selection: choice.OrderSelection | None,
     ) -> BlackBox:
         """Black box of samples."""
         found = campaign.subspace(settings.order, self._windows(settings, len(campaign.sy)))
@@ -194,7 +191,7 @@ class Pbsid:
         estimate = refine_sampled(campaign, found, settings.refinement)
         return self._black_box(campaign, settings, estimate, selection)
 
-    def _windows(self, settings: Candidate, ny: int) -> Windows:
+    def _windows(self, settings: choice.Candidate, ny: int) -> Windows:
         """The windows asked for, checked."""
         order, past, future = settings.order, settings.past, self.future or settings.past
         if order < 1 or past < 2 or future < 1:
@@ -212,9 +209,9 @@ class Pbsid:
     def _black_box(
         self,
         campaign: Campaign,
-        settings: Candidate,
+        settings: choice.Candidate,
         estimate: Estimate,
-        selection: OrderSelection | None,
+        selection: choice.OrderSelection | None,
     ) -> BlackBox:
         windows = self._windows(settings, len(campaign.sy))
         projected = not np.isnan(settings.pole)

@@ -184,11 +184,9 @@ def noise_weights(modal: modes.Modal, data: Sequence[Spectrum]) -> list[Array]:
 
 
 def known_weights(data: Sequence[Spectrum], weights: Sequence[Array]) -> list[Array]:
-    """Weights as they count in a covariance, less where few lines tell a residual spectrum.
-
-    Of n lines, 1/Φ is estimated too large by n/(n - 1) in the mean, and estimates weighed by it
-    scatter by (n + 1)/n more than those weighed by Φ itself.
-    """
+    """Weights as they count in a covariance, less where few lines tell a residual spectrum."""
+    # Of n lines, 1/Φ is estimated too large by n/(n - 1) in the mean, and estimates weighed by it
+    # scatter by (n + 1)/n more than those weighed by Φ itself.
     omega = np.log(np.concatenate([s.omega for s in data]))
     found = []
     for spectrum, weight in zip(data, weights, strict=True):

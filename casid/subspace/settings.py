@@ -329,10 +329,8 @@ def best_of(tried: Sequence[Candidate]) -> Candidate:
 
 
 def with_errors(tried: Sequence[Candidate]) -> list[Candidate]:
-    """Standard error of each candidate's mean distance from the best, record by record.
-
-    That of a single record is left as it is.
-    """
+    """Standard error of each candidate's mean distance from the best, record by record."""
+    # That of a single record is left as it is.
     best = np.array(best_of(tried).folds)
     if len(best) < 2:
         return list(tried)
