@@ -217,9 +217,7 @@ def _first_version(content: Any, model: type[M], place: str | Path) -> Fit[M, An
         ParameterEstimate(cramer_rao=number(each["std_error"]), **row(each))
         for each in old["parameters"]
     )
-    old["constraints"] = tuple(
-        ConstraintEstimate(**row(each)) for each in notes.get("constraints", ())
-    )
+    old["constraints"] = tuple(ConstraintEstimate(**row(c)) for c in notes.get("constraints", ()))
     old["held"] = sum(each.active for each in (*old["parameters"], *old["constraints"]))
     if old["certificate"] is not None:
         band = tuple(map(float, old["certificate"].pop("band")))

@@ -89,9 +89,7 @@ class Validation:
         if not far:
             return ""
         reach = f"{far[0]:.3g}" if len(far) == 1 else f"{far[0]:.3g} to {far[-1]:.3g}"
-        growing = [
-            f"{name} e-fold in {1 / rate:.2g} s" for name, rate in self.growth.items() if rate
-        ]
+        growing = [f"{name} e-fold in {1 / r:.2g} s" for name, r in self.growth.items() if r]
         why = f": unstable models grow ({', '.join(growing)})" if growing else ""
         return (
             f"Predicted up to {reach} s ahead, each time from a state estimated on the past alone, "

@@ -138,9 +138,7 @@ def profile_parameters(
 
 
 def _label(names: Sequence[str], point: Array) -> str:
-    return ", ".join(
-        f"{name} = {value!r}" for name, value in zip(names, point.tolist(), strict=True)
-    )
+    return ", ".join(f"{name} = {x!r}" for name, x in zip(names, point.tolist(), strict=True))
 
 
 def _profile(

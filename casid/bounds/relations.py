@@ -103,9 +103,7 @@ class _Affine:
         return _Affine(self.constant + sign * other.constant, factors)
 
     def times(self, factor: float) -> "_Affine":
-        return _Affine(
-            self.constant * factor, {name: a * factor for name, a in self.factors.items()}
-        )
+        return _Affine(self.constant * factor, {k: a * factor for k, a in self.factors.items()})
 
 
 class _Reader:

@@ -116,9 +116,7 @@ class Ensemble:
         """One row a parameter."""
         claimed = np.nanmean(self.std_errors, axis=0)
         columns = (self.reference, self.bias, self.scatter, claimed, self.coverage)
-        rows = [
-            [name, *(f"{column[k]:.4g}" for column in columns)] for k, name in enumerate(self.names)
-        ]
+        rows = [[name, *(f"{c[k]:.4g}" for c in columns)] for k, name in enumerate(self.names)]
         heading = ("parameter", "reference", "bias", "scatter", "mean std. error", "coverage")
         return markdown_table(heading, rows)
 

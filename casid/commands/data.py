@@ -266,9 +266,7 @@ def _channel_table(facts: RecordFacts, inputs: Sequence[str]) -> Table:
 def _correlation_table(found: Inspection) -> Table:
     table = new_table("Correlation of inputs", "", *found.inputs)
     for name, row in zip(found.inputs, found.correlation, strict=True):
-        table.add_row(
-            Text(name), *(f"{value:+.2f}" if np.isfinite(value) else "-" for value in row)
-        )
+        table.add_row(Text(name), *(f"{x:+.2f}" if np.isfinite(x) else "-" for x in row))
     return table
 
 

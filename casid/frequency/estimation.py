@@ -372,9 +372,7 @@ def _flags(
         f"{together} {MEANINGLESS:g}, nothing separates them": (periods >= 1) & known & ~some,
         f"{together} {SUSPECT:g}": some & (number > SUSPECT),
     }
-    return {
-        reason: tuple(int(k) for k in np.flatnonzero(at)) for reason, at in why.items() if at.any()
-    }
+    return {word: tuple(int(k) for k in np.flatnonzero(at)) for word, at in why.items() if at.any()}
 
 
 def _warn(found: FrequencyResponse, still: Sequence[str]) -> None:

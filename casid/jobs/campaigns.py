@@ -147,9 +147,7 @@ class _Campaign:
             if not running:
                 return
             finished, _ = futures.wait(running, return_when=futures.FIRST_COMPLETED)
-            broken = [
-                future for future in finished if isinstance(_error(future), futures.BrokenExecutor)
-            ]
+            broken = [each for each in finished if isinstance(_error(each), futures.BrokenExecutor)]
             for future in finished.difference(broken):
                 self._finish(running.pop(future), self._outcome(future), keep=not _error(future))
             if broken:

@@ -281,9 +281,7 @@ def _groups(null: Array, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
 def _prominent(row: Array, names: Sequence[str], share: float) -> tuple[str, ...]:
     """Names of the entries above a share of the largest."""
     sizes = np.abs(row)
-    return tuple(
-        name for name, size in zip(names, sizes, strict=True) if size > share * sizes.max()
-    )
+    return tuple(name for name, s in zip(names, sizes, strict=True) if s > share * sizes.max())
 
 
 def _listed(names: Sequence[str]) -> str:

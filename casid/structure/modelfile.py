@@ -41,7 +41,7 @@ def load_model(reference: str, folder: str | Path = ".") -> type[Model]:
             f"{path} has no model class {name!r}; it has {', '.join(structures) or 'none'}"
         )
     required = [
-        f.name for f in fields(found) if f.init and f.default is f.default_factory is MISSING
+        x.name for x in fields(found) if x.init and x.default is x.default_factory is MISSING
     ]
     if required:
         raise ModelError(

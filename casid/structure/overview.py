@@ -152,7 +152,5 @@ def _grid(
     """Text table: a title, column names, and a name before every row."""
     table = [["", *columns], *([name, *row] for name, row in zip(rows, cells, strict=True))]
     width = [max(len(row[j]) for row in table) for j in range(len(table[0]))]
-    lines = [
-        "  " + "  ".join(cell.rjust(w) for cell, w in zip(row, width, strict=True)) for row in table
-    ]
+    lines = ["  " + "  ".join(c.rjust(w) for c, w in zip(row, width, strict=True)) for row in table]
     return "\n".join([title, *lines])

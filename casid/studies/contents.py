@@ -61,9 +61,7 @@ def _settings(study: Study) -> dict[str, str]:
     digest = sha256(study.path.read_bytes()).hexdigest()
     said: dict[str, str] = {"study file": f"{study.path.name}, SHA-256 {digest}"}
     if study.channels.units:
-        said["channels.units"] = ", ".join(
-            f"{k} {unit}" for k, unit in study.channels.units.items()
-        )
+        said["channels.units"] = ", ".join(f"{k} {u}" for k, u in study.channels.units.items())
     said["channels.hold"] = study.channels.hold
     if study.noise is not None:
         std = ", ".join(f"{name} {value:g}" for name, value in study.noise.std.items())

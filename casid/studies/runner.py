@@ -98,9 +98,7 @@ def _run(
     )
     found = run_stages(task, keep=keeper)
     does = {stage.name: stage.does for stage in study.stages}
-    keeper.warnings += [
-        f"The {does[name]} is missing. {error}" for name, error in found.failures.items()
-    ]
+    keeper.warnings += [f"The {does[name]} is missing. {e}" for name, e in found.failures.items()]
     if "output_error" in found.results:
         found.results["output_error"].save(study.output / "fit.json")
         write_parameters(study.output / "parameters.csv", found.results["output_error"])

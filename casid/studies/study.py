@@ -136,6 +136,4 @@ def _prepared(study: Study, role: RecordSet, record: Record) -> Record:
 
 
 def _common_trim(records: Sequence[Record]) -> dict[str, float]:
-    return {
-        name: float(np.mean([record.trim[name] for record in records])) for name in records[0].trim
-    }
+    return {name: float(np.mean([r.trim[name] for r in records])) for name in records[0].trim}

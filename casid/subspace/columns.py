@@ -237,9 +237,7 @@ def check_independent(records: Sequence[Record]) -> None:
         if s[-1] < DEPENDENT * s[0]:
             names = records[0].inputs if kind == "input" else records[0].outputs
             part = np.abs(Vt[-1])
-            found = [
-                names[i] for i, share in zip(moving, part, strict=True) if share > 0.1 * part.max()
-            ]
+            found = [names[i] for i, s in zip(moving, part, strict=True) if s > 0.1 * part.max()]
             raise ValueError(
                 f"{kind}s {' and '.join(found)} depend on one another in all records, one is a "
                 "multiple or a sum of the rest: nothing tells them apart; leave one out "
