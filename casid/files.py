@@ -145,10 +145,7 @@ def build(
     units: Mapping[str, str] | None,
     name: str,
 ) -> Record:
-    """A record in SI units of the columns that ``read`` returns.
-
-    ValueError: unknown units, columns that differ in length, values no instrument measures.
-    """
+    """A record in SI units of what ``read`` returns; ValueError for wrong units or values."""
     table = {each: read(column) for each, column in places(inputs, outputs, time, name).items()}
     for channel, unit in (units or {}).items():
         if channel not in table:

@@ -22,10 +22,7 @@ def is_hdf(path: Path) -> bool:
 
 
 def read_hdf(path: Path) -> dict[str, Any]:
-    """Numeric variables of a version 7.3 file by name, arrays as MATLAB shows them.
-
-    ValueError: h5py is missing, the file is damaged, or it holds more numbers than are read.
-    """
+    """Numeric variables of a version 7.3 file by name; ValueError if damaged, large, no h5py."""
     try:
         h5py = importlib.import_module("h5py")
     except ImportError as error:

@@ -10,10 +10,7 @@ SAID = "Interrupted; what had ended is kept, the same command goes on."
 
 
 class Interrupt:
-    """A handler of SIGINT that remembers that it was called.
-
-    Code of others may swallow the exception that it raises, within a callback for instance.
-    """
+    """A handler of SIGINT that remembers its call: others may swallow the exception it raises."""
 
     def __init__(self) -> None:
         self.asked = False

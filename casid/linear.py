@@ -206,10 +206,7 @@ def foh_step(A: Array, B: Array, h: float) -> tuple[Array, Array, Array]:
 
 
 def from_zoh(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
-    """Continuous A, B whose zero-order-hold discretisation is the given pair.
-
-    ValueError: an eigenvalue on the closed negative real axis, which has no real logarithm.
-    """
+    """Continuous A, B of a zero-order-hold pair; ValueError for an eigenvalue on (-∞, 0]."""
     nx, nu = B.shape
     poles = np.linalg.eigvals(A)
     if np.any((np.abs(poles.imag) < 1e-12) & (poles.real <= 0)):

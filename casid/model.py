@@ -267,10 +267,7 @@ class Free:
 def free_parameters(
     model: Model, fixed: Collection[str] = (), bounds: Bounds | None = None
 ) -> Free:
-    """Which parameters are free, between which bounds; equal bounds fix one, too.
-
-    ModelError: an unknown name, lower > upper, nothing to estimate, a delay that may be negative.
-    """
+    """Which parameters are free in which bounds, equal ones fixing; ModelError if none can be."""
     bounds = dict(bounds or {})
     _check_choice(model, fixed, bounds)
     infos = model.infos()

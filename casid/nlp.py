@@ -255,10 +255,7 @@ def _settings(
 
 
 class _Watcher(ca.Callback):
-    """Tell the caller about every iteration of IPOPT, and stop it when its time is over.
-
-    IPOPT's own limit goes by the clock of the day, which may be set while it runs.
-    """
+    """Tells of IPOPT's iterations and stops it in time, whose own limit goes by the wall clock."""
 
     def __init__(self, problem: Problem, options: SolverOptions, stage: str, start: float) -> None:
         ca.Callback.__init__(self)

@@ -61,10 +61,7 @@ def _encode_plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any
 
 
 def decode(content: Any, also: Sequence[type] = ()) -> Any:  # noqa: ANN401 - JSON is any
-    """Invert `encode`; ``also`` are classes that may occur beside the registered ones.
-
-    ValueError, TypeError, LookupError or AttributeError: a value this version does not know.
-    """
+    """Invert `encode`, with classes beside the registered ones; raises on a value not known."""
     if isinstance(content, list):
         return [decode(item, also) for item in content]
     if not isinstance(content, dict):

@@ -128,10 +128,7 @@ def longest_run(lost: BoolArray) -> int:
 
 
 def transform(x: Array, dt: float, omega: Array) -> ComplexArray:
-    """Fourier transforms ∫ x exp(-jωt) dt of tapered stretches x (windows, M, channels).
-
-    (windows, K, channels), at frequencies [rad/s] in any spacing.
-    """
+    """∫ x exp(-jωt) dt of tapered stretches: (windows, M, channels) to (windows, K, channels)."""
     W = dt * np.exp(-1j * np.outer(omega, dt * np.arange(x.shape[1])))  # (K, M)
     return np.asarray(np.einsum("km,wmc->wkc", W, x, optimize=True))
 

@@ -32,10 +32,7 @@ class Done:
 
 
 class Store:
-    """Results in one folder, made when the first is kept; without a folder none is.
-
-    ``also`` are classes that results may hold beside casid's own: the user's structure.
-    """
+    """Results in a folder, made with the first; ``also`` are the user's classes they may hold."""
 
     def __init__(self, folder: str | Path | None, also: Sequence[type] = ()) -> None:
         self.folder = None if folder is None else Path(folder)

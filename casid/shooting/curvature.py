@@ -38,10 +38,7 @@ class Curvature:
 
 
 def curvature(sweep: Sweep, mu: Array) -> Curvature:
-    """Curvature of an output-error model (no innovations) over all intervals.
-
-    ``mu`` (J, nx) multiplies the end states in chronological order; 0 at a record's end.
-    """
+    """Curvature of output error over all intervals; ``mu`` (J, nx) multiplies their end states."""
     e, layout, motion, m = sweep.e, sweep.layout, sweep.motion, sweep.matrices
     rho = np.empty_like(motion.residuals)
     for p, mine in groups(layout.pattern, len(sweep.W)):
@@ -107,10 +104,7 @@ def _moments(sweep: Sweep, weight: Array, last: Array) -> tuple[Array, Array]:
 
 
 def _delayed(sweep: Sweep, after: Array, rho: Array) -> Array:
-    """Half the second derivatives (nf, nf) through the delayed inputs.
-
-    ``after`` (N, nx) are the costates one step after each sample.
-    """
+    """Half the second derivatives through delayed inputs; ``after`` (N, nx): costates a step on."""
     m, nu = sweep.matrices, sweep.e.nu
     bend, mixed = sweep.steps.delay_moments(after)
     through = np.einsum("im,ima->ma", mixed, m.B_lam)

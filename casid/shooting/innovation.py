@@ -19,10 +19,7 @@ NOISE_SHARE = 0.1  # of an output's root mean square, taken for its measurement 
 def starting_gain(
     free: Free, records: list[Record], process_noise: bool | Array | BlackBox
 ) -> tuple[Array | None, bool]:
-    """Start of the gain K (nx, ny), None for output error, and whether it is free.
-
-    ValueError: a gain of the wrong shape, or a discrete black box.
-    """
+    """Start of the gain K (nx, ny), None for output error, and whether it is free."""
     shape = len(free.model.states), len(free.model.outputs)
     model = free.model.with_vector(free.full(free.guess))
     if isinstance(process_noise, BlackBox):

@@ -144,10 +144,7 @@ class Steps:
         return _joined(parts, len(at))
 
     def carry(self, step: np.ndarray, S: Array, heard: Array | None) -> Array:
-        """Derivatives (nx, n, ns) of the states one step on, but for what drives them.
-
-        ``heard`` (ny, n, ns) are those of the residuals that were measured, of a filter.
-        """
+        """Derivatives (nx, n, ns) of the states, and ``heard`` of the residuals, one step on."""
         parts: list[tuple[Any, Array]] = []
         for group, mine, kind in self._parts(step):
             part = group.carry(group.Ad, S[:, mine], kind)
@@ -200,10 +197,7 @@ class _Maps:
         return P[..., 0] @ M, slope
 
     def jump(self, breaks: Breaks, first: int) -> tuple[Array, Array]:
-        """What a unit jump in each column does: (nx, columns) and its derivative by the unknowns.
-
-        The lengths from number ``first`` on are those of the breaks.
-        """
+        """What a unit jump at each break (lengths from ``first`` on) does, (nx, n), and slopes."""
         m, c = self.matrices, breaks.channel
         self._ahead = self.P[:, first:]
         P, b = self._ahead[breaks.order, np.arange(len(c))], m.B[:, c]

@@ -83,10 +83,7 @@ class Campaign:
         return replace(kept[0], R=R, columns=sum(each.columns for each in kept))
 
     def subspace(self, order: int, windows: Windows, without: Sequence[int] = ()) -> Subspace:
-        """Subspace estimate from all records but those with these numbers; one regression each.
-
-        ValueError: records too short for the windows, or an order they cannot give.
-        """
+        """Subspace estimate but for some records; ValueError if too short for windows or order."""
         w, key = windows, (str(windows), tuple(without))
         if key not in self._regressed:
             stack = self.stack(w.past, w.pole, without)

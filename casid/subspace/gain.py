@@ -25,10 +25,7 @@ def carried_gain(system: StateSpace, K: Array, refined: StateSpace, R: Array) ->
 
 
 def riccati_gain(A: Array, C: Array, K: Array, R: Array) -> Array:
-    """Stabilising continuous gain of process noise K R Kᵀ, correlated with the residuals.
-
-    ValueError: there is none; a mode on the imaginary axis that the outputs do not show.
-    """
+    """Stabilising gain of process noise K R Kᵀ, correlated with residuals; ValueError if none."""
     R = R + 1e-9 * np.trace(R) / len(R) * np.eye(len(R))
     S = K @ R
     Q = K @ R @ K.T + 1e-9 * np.trace(K @ R @ K.T) / len(A) * np.eye(len(A))

@@ -44,10 +44,7 @@ class Modal:
 
 
 def to_modal(system: StateSpace, su: Array, sy: Array, feedthrough: BoolArray) -> Modal:
-    """Modes of a system with scaled channels, balanced between B and C.
-
-    ValueError: modes so close to one another that no basis of modes exists.
-    """
+    """Balanced modes of a system of scaled channels; ValueError for modes too close for a basis."""
     lam, V = np.linalg.eig(system.A)
     if np.linalg.cond(V) > DEFECTIVE:
         raise ValueError(

@@ -52,10 +52,7 @@ class Stretch:
 @storable
 @dataclass(frozen=True, eq=False)
 class SampledUncertainty:
-    """Covariance of a refined black box of samples, in modal coordinates.
-
-    ``factor`` times its transpose is the covariance of (μ, [B - KD, K], C, free D).
-    """
+    """Covariance, factor factorᵀ, of μ, [B - KD, K], C and free D in modal coordinates."""
 
     modal: modes.Modal
     free: np.ndarray

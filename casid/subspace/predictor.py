@@ -154,10 +154,7 @@ def predicted_future(stack: Stack, Xi: Array, future: int) -> Future:
 
 
 def realise(stack: Stack, predicted: Future, *, order: int, feedthrough: BoolArray) -> Realisation:
-    """States from the predictor, then the matrices by least squares (PBSIDopt).
-
-    ``feedthrough`` drops the direct term of masked entries; pass all True for projected data.
-    """
+    """States from the predictor, matrices by least squares (PBSIDopt); D masked on samples."""
     ny, U, s = stack.ny, predicted.U, predicted.singular_values
     # x = Σ^{1/2} Vᵀ = to_state z
     to_state = (U[:, :order] / np.sqrt(s[:order])).T @ predicted.map

@@ -298,10 +298,7 @@ def _capped(lam: ComplexArray, ceiling: Array, fastest: float) -> ComplexArray:
 def response_derivative(
     modal: modes.Modal, free: np.ndarray, lines: Callable[[ComplexArray], Lines], K: int
 ) -> tuple[ComplexArray, ComplexArray]:
-    """G (K, ny, nu) of the scaled channels and its derivatives (K, ny, nu, parameters).
-
-    ``lines`` makes the transforms at the K frequencies from those of the inputs.
-    """
+    """G (K, ny, nu) of scaled channels and its slopes; ``lines`` transforms what inputs do."""
     ny, nu = modal.D.shape
     n = len(modal.lam) + int((~modal.real).sum())
     size = n + n * nu + ny * n + len(free)

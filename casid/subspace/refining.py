@@ -54,10 +54,7 @@ def refine_sampled(campaign: Campaign, found: Subspace, how: Refinement) -> Esti
 
 
 def refine_projected(campaign: Campaign, found: Subspace, pole: float, *, move: bool) -> Estimate:
-    """By Fourier transforms, by prediction errors where a controller would bias those, or not.
-
-    Without ``move`` it is the subspace estimate itself, and a warning where it is biased.
-    """
+    """By Fourier transforms, or under feedback by prediction errors; unrefined without ``move``."""
     system, K, R = found.system, found.K, found.residual_covariance
     su, sy, mask = campaign.su, campaign.sy, campaign.mask
     pieces = campaign.part(campaign.pieces(pole))

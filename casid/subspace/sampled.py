@@ -58,10 +58,7 @@ def are_candidates(campaign: Campaign, projected: StateSpace | None) -> bool:
 def choose_samples(
     campaign: Campaign, orders: Sequence[int], windows: Sequence[Windows], *, move: bool
 ) -> list[Candidate]:
-    """Candidates with the share of the stretches' power that each leaves unexplained.
-
-    ``windows`` are tried one after the other until a model follows; ``move`` allows refinements.
-    """
+    """Candidates, each with the power it leaves, for the first windows that give a model."""
     judge = Stretches.of(campaign)
     for each in windows:
         tried = [
