@@ -1,8 +1,7 @@
 """Fit a structure to measured frequency responses in decibels and degrees.
 
-The frequency-domain baseline of rotorcraft identification: cost, coherence weighting, accuracy
-figures and guidelines are those of M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System
-Identification, 2nd ed. (*T&R*), chapters 12 and 13; the search is `casid.baseline.search`.
+Cost, coherence weighting, accuracy figures and guidelines are those of M. B. Tischler, R. K.
+Remple, Aircraft and Rotorcraft System Identification, 2nd ed. (*T&R*), chapters 12 and 13.
 """
 
 import time

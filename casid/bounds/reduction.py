@@ -1,8 +1,7 @@
 """Reduce a structure: drop what the data do not determine, one parameter after the other.
 
-The practice of M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd
-ed., section 12.3.4: the parameter with the worst insensitivity or Cramér-Rao figure goes first, the
-rest is fitted again, and it ends when the fit suffers.
+M. B. Tischler, R. K. Remple, Aircraft and Rotorcraft System Identification, 2nd ed., section
+12.3.4: the worst insensitivity or Cramér-Rao figure goes first, and it ends when the fit suffers.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,8 +1,7 @@
 """Model classes on their way to other processes.
 
-A class from a user's file cannot be pickled: nobody else can import that file by name. What
-travels instead is where the file is and what stands in it; the other side reads the file, or a
-copy of it on a machine that does not have it.
+A class from a user's file cannot be pickled. What travels instead is where the file is and what
+stands in it; the other side reads the file, or a copy of it on a machine that does not have it.
 """
 
 import hashlib

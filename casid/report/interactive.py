@@ -1,9 +1,8 @@
 """The figures of a report as interactive plots: the same artists, handed on to plotly.
 
-One conversion for every figure, so that the static picture and the interactive plot cannot differ.
-Plain dictionaries in the words of plotly.js: the Python package's own objects take longer to check
-every attribute than matplotlib takes to draw.
-Lines keep the style that goes with their label, axes their place, scale, limits and ticks.
+One conversion for every figure, so that the static picture and the interactive plot cannot differ,
+in plain dictionaries in the words of plotly.js: the Python package's own objects take longer to
+check every attribute than matplotlib takes to draw.
 """
 
 import base64

@@ -1,8 +1,8 @@
-"""Where multiple shooting starts: nodes that follow the data, and the units of the variables.
+"""Starting point of multiple shooting: nodes that follow the data, and the variables' units.
 
-The starting model's states are smoothed over the records: the nodes minimise the residuals plus
-the gaps between intervals, weighted by what a share of the inputs' effect may do over an interval.
-So a poor start, or an unstable one, does not run away from the measurements.
+The starting model's states are smoothed over the records: the nodes minimise the residuals plus the
+gaps between intervals, weighted by what a share of the inputs' effect may do over an interval. So a
+poor start, or an unstable one, does not run away from the measurements.
 """
 
 from dataclasses import replace

@@ -1,8 +1,7 @@
 """What a stage is, and how a list of them runs.
 
 A stage is one value: its settings (a frozen value, which its table in a study file becomes), what
-it takes from stages before it, what it computes, and the sections of the report that show it. The
-chain, the runner of studies, resuming, the report and the help of the command line read no more.
+it takes from stages before it, what it computes, and the sections of the report that show it.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence

@@ -1,8 +1,7 @@
-"""Studies from TOML files.
+"""Studies from TOML files, paths in which are relative to the file.
 
-Paths in the file are relative to the file. Tables: ``[study]``, ``[model]``, ``[channels]``,
-``[records.ROLE]``, ``[noise]``, ``[bounds]`` with cases to compare and one of options for each
-stage, whose keys are the keyword arguments of the stage's function.
+Tables: ``[study]``, ``[model]``, ``[channels]``, ``[records.ROLE]``, ``[noise]``, ``[bounds]`` with
+cases to compare and one of options for each stage, whose keys are fields of the stage's settings.
 """
 
 import glob

@@ -1,7 +1,7 @@
 """What a controller does to an estimate: noise it feeds back into the inputs.
 
-Methods that take the inputs as given are biased by the part of them that the controller made of
-the outputs' noise. With v that noise, |bias| <= |Φ_vu|/Φ_u at every frequency, and by Schwarz
+Methods that take the inputs as given are biased by the part of them that the controller made of the
+outputs' noise v: |bias| <= |Φ_vu|/Φ_u at every frequency, and by Schwarz
 
     |bias|/|G| <= √(Φ_fed/Φ_u) √(Φ_v/(|G|² Φ_u)),
 

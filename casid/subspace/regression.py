@@ -1,15 +1,13 @@
 """Where inputs and innovations enter a black box of samples, by one linear regression.
 
 PBSIDopt takes B and K from a regression between states that are themselves estimates. Given the
-predictor's dynamics F = A - KC and the output matrix C, prediction errors are linear in all that
-is left,
+predictor's dynamics F = A - KC and the output matrix C, prediction errors are linear in the rest,
 
     x⁺ = F x + G u + K y        ŷ = C x + D u + c        G = B - KD
 
-so that G, K, D and the initial state and constant of every stretch follow from the records by least
-squares, without a second guess at the poles. Short or narrow-banded records support this where they
-do not support a refinement of everything. Source: L. Ljung, System Identification, 2nd ed., section
-10.6, there for B and D of a subspace estimate.
+so that G, K, D and the initial state and constant of every stretch follow from least squares, which
+short or narrow-banded records support where they do not support a refinement of everything. Source:
+L. Ljung, System Identification, 2nd ed., section 10.6, there for B and D of a subspace estimate.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,11 +1,10 @@
 """Black boxes of the samples themselves, chosen by the simulation of stretches held out.
 
-The second half of every record is cut into stretches. Each is simulated by the model of all that is
-before it and of the other records, from the initial state of least squares over what was learnt of
-its record, so that nothing is fitted to it; the stretches are judged as one. First the orders, with
-the subspace estimate as it is and with B, K and D regressed anew; then, at the best orders, what
-moves the poles as well. Simulations show most of all what a model leaves out where the process is
-slow or hardly damped, which is where samples have their place.
+The second half of every record is cut into stretches. Each is simulated by the model of all before
+it and of the other records, from the initial state of least squares over what was learnt of its
+record; the stretches are judged as one. First the orders, with the subspace estimate as it is and
+with B, K and D regressed anew; then, at the best orders, what moves the poles as well. Simulations
+show most what a model leaves out where the process is slow or hardly damped: the place of samples.
 """
 
 import warnings

@@ -1,18 +1,13 @@
 """Settings of the black box of projections chosen from data: order, window, pole, regularisation.
 
 Where every input is excited in two records or more, records are held out whole, one fold after the
-other, and predicted by the model of the rest; a free transient makes unstable models no special
-case (`casid.subspace.fourier`). The score is the mean logarithm of the residual power in frequency
-bins: the log-likelihood with an unknown residual spectrum. The settings chosen are the lowest order
-whose score is within one standard error of the best.
+other, and predicted by the model of the rest, with a free transient (`casid.subspace.fourier`). The
+score is the mean logarithm of the residual power in frequency bins: the log-likelihood with an
+unknown residual spectrum. Chosen is the lowest order within one standard error of the best.
 
-Where records are too few for that, holding out stretches of them leaves too little to learn from,
-and the score is the corrected Akaike criterion of the refined model, the large-sample equivalent of
-leaving out one Fourier line after the other (M. Stone, J. R. Stat. Soc. B 39 (1977) 44-47). At
-every order the criterion before the refinement says which poles and windows are worth refining. Of
-one record the lowest order is taken whose criterion, of all observations, is within 6 of the best:
-those that follow noise seldom gain more (K. P. Burnham, D. R. Anderson, Model Selection and
-Multimodel Inference, 2nd ed., section 2.6).
+Where records are too few for that, the score is the corrected Akaike criterion of the refined
+model, the large-sample equivalent of leaving out one Fourier line after the other (M. Stone, J. R.
+Stat. Soc. B 39 (1977) 44-47); the criterion before the refinement says what is worth refining.
 """
 
 from collections.abc import Callable, Sequence

@@ -7,12 +7,9 @@ from the inputs alone, the model of output error,
     x⁺ = A x + B u        ŷ = C x + D u + c        min log det Σ (y - ŷ)(y - ŷ)ᵀ
 
 with the initial state and a constant c free for every stretch: `casid.subspace.prediction` with K =
-0. It is unbiased in open loop whatever the noise, and efficient where that is white; under feedback
-it is biased, and it cannot follow an unstable system. Source: L. Ljung, System Identification, 2nd
-ed., sections 4.2 and 8.5.
-
-Errors may be divided by their local level. Where amplitudes vary, errors grow with them, and the
-large ones would otherwise drown what the rest of the record shows.
+0. Unbiased in open loop whatever the noise, biased under feedback, and unable to follow an unstable
+system. Source: L. Ljung, System Identification, 2nd ed., sections 4.2 and 8.5. Errors may be
+divided by their local level, or large ones would drown what the rest of a record shows.
 """
 
 from collections.abc import Sequence
