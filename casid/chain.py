@@ -117,14 +117,8 @@ def identify(
         "refinement": several(refinement or ()),
         "validation": several(unseen),
     }
-    task = Task(
-        model=model,
-        fixed=fixed,
-        bounds=bounds,
-        roles=roles,
-        stages=stages,
-        settings={} if settings is None else settings,
-    )
+    held: Any = {"fixed": fixed, "bounds": bounds}
+    task = Task(model=model, roles=roles, stages=stages, settings=settings or {}, **held)
     check_task(task)
     for said in repeats({role: each for role, each in roles.items() if each}).told():
         warnings.warn(said, DataWarning, stacklevel=2)

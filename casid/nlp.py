@@ -185,10 +185,7 @@ def solve(
 
 
 def _solver(
-    problem: Problem,
-    options: SolverOptions,
-    watcher: "_Watcher",
-    warm: tuple[Array, Array] | None,
+    problem: Problem, options: SolverOptions, watcher: "_Watcher", warm: tuple[Array, Array] | None
 ) -> ca.Function:
     """The programme as a function of CasADi's; options that IPOPT refuses are told."""
     nlp: Any = {"x": problem.x, "f": problem.f, "g": problem.g}

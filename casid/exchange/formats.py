@@ -44,12 +44,8 @@ def read_record(
     path, inputs, outputs, time, units, detrend, hold, name
         As in `read_csv` and `read_mat`.
     """
-    readers: dict[str, Callable[..., Record]] = {
-        ".csv": files.read_csv,
-        ".mat": files.read_mat,
-        ".parquet": read_parquet,
-    }
-    read = readers[_suffix(path, TABLES)]
+    kinds: Any = {".csv": files.read_csv, ".mat": files.read_mat, ".parquet": read_parquet}
+    read: Callable[..., Record] = kinds[_suffix(path, TABLES)]
     table: dict[str, Any] = {"inputs": inputs, "outputs": outputs, "time": time, "units": units}
     return read(path, **table, detrend=detrend, hold=hold, name=name)
 

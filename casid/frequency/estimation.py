@@ -17,14 +17,8 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
 from casid.errors import warn
 from casid.files import read_json, write_json
+from casid.frequency import sampling
 from casid.frequency.leakage import leakage
-from casid.frequency.sampling import (
-    FEW_PERIODS,
-    checked_grid,
-    checked_windows,
-    default_grid,
-    equidistant,
-)
 from casid.frequency.spectra import (
     MEANINGLESS,
     SUSPECT,
@@ -225,10 +219,10 @@ class SpectralAnalysis:
         """Frequency response of the records; see `frequency_response`."""
         records = stretches(records)
         inputs, outputs = same_channels(records)
-        grid = default_grid(records) if self.omega is None else self.omega
-        omega = checked_grid(grid, records)
-        records = [equidistant(record, omega[-1]) for record in records]
-        lengths = checked_windows(self.windows, records, omega)
+        grid = sampling.default_grid(records) if self.omega is None else self.omega
+        omega = sampling.checked_grid(grid, records)
+        records = [sampling.equidistant(record, omega[-1]) for record in records]
+        lengths = sampling.checked_windows(self.windows, records, omega)
         moves = [any(np.ptp(record.channel(name)) for record in records) for name in inputs]
         active = [i for i, moving in enumerate(moves) if moving]
         if not active:
@@ -349,7 +343,7 @@ def _nothing_left(records: Sequence[Record], length: float) -> str:
 def _usable(omega: Array, lengths: Sequence[float], parts: Sequence[Conditioned]) -> BoolArray:
     """Where each window holds enough periods; the longest is used down to one."""
     periods = np.outer(lengths, omega) / (2 * np.pi)
-    enough = periods >= FEW_PERIODS
+    enough = periods >= sampling.FEW_PERIODS
     enough[-1] = periods[-1] >= 1
     # Leakage lends short windows a separation of the inputs that long ones show not to be there.
     separated = np.all([np.isfinite(part.Gxy).all(axis=(1, 2)) for part in parts], axis=0)
@@ -365,8 +359,8 @@ def _flags(
     together = "inputs move together: condition number above"
     why = {
         f"less than one period in the longest window ({longest:g} s)": periods < 1,
-        f"less than {FEW_PERIODS:g} periods in the longest window ({longest:g} s)": (
-            (periods >= 1) & (periods < FEW_PERIODS)
+        f"less than {sampling.FEW_PERIODS:g} periods in the longest window ({longest:g} s)": (
+            (periods >= 1) & (periods < sampling.FEW_PERIODS)
         ),
         "lost samples leave too few windows": ~known,
         f"{together} {MEANINGLESS:g}, nothing separates them": (periods >= 1) & known & ~some,

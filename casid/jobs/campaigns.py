@@ -121,11 +121,7 @@ class _Campaign:
     """Submits jobs whose turn it is, writes down what comes back."""
 
     def __init__(
-        self,
-        work: Callable[[Any, Any], Any],
-        jobs: Sequence[Job],
-        execution: Execution,
-        store: Store,
+        self, work: Callable[..., Any], jobs: Sequence[Job], execution: Execution, store: Store
     ) -> None:
         self.work, self.jobs, self.store = work, jobs, store
         self.progress = execution.progress

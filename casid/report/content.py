@@ -13,12 +13,8 @@ from casid.fit import AnyFit, Fit
 from casid.model import Model
 from casid.validation import AnyModel
 
-BLACK_BOX, MATCH, OUTPUT_ERROR, BASELINE = (
-    "black box",
-    "H∞ match",
-    "output error",
-    "frequency domain",
-)
+BLACK_BOX, MATCH = "black box", "H∞ match"
+OUTPUT_ERROR, BASELINE = "output error", "frequency domain"
 TEMPLATES = Path(__file__).parent / "templates"
 
 

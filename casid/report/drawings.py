@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib import rc_context
@@ -23,6 +23,7 @@ from casid.report.prices import plot_bounds
 from casid.subspace.pbsid import BlackBox
 from casid.validation import Validation, state_space
 
+Systems: TypeAlias = Mapping[str, StateSpace]
 LOOK: dict[Any, Any] = {
     "font.family": ["DejaVu Sans"],  # comes with matplotlib
     "font.size": 8.0,
@@ -97,11 +98,7 @@ def draw_responses(content: Content) -> Iterator[Drawing]:
 
 
 def _response(
-    content: Content,
-    shown: Mapping[str, StateSpace],
-    omega: Array,
-    outputs: Sequence[str],
-    inputs: Sequence[str],
+    content: Content, shown: Systems, omega: Array, outputs: Sequence[str], inputs: Sequence[str]
 ) -> Drawing:
     measured: FrequencyResponse | None = content.results.get("frequency")
     if measured is not None and not set(outputs) <= set(measured.outputs):
@@ -130,11 +127,7 @@ def _response(
 
 
 def _pair(
-    column: Sequence[Axes],
-    content: Content,
-    shown: Mapping[str, StateSpace],
-    omega: Array,
-    pair: tuple[str, str],
+    column: Sequence[Axes], content: Content, shown: Systems, omega: Array, pair: tuple[str, str]
 ) -> None:
     output, channel = pair
     near: Array | None = None

@@ -112,11 +112,8 @@ def _run(
         raise ConvergenceError(
             f"{failure}\nThe report is written without it: {report}", failure.best
         ) from failure
-    return Outcome(
-        identification=Identification(results=found.results),
-        timings=tuple(keeper.clock),
-        report=report,
-    )
+    named: Identification[Any] = Identification(results=found.results)
+    return Outcome(identification=named, timings=tuple(keeper.clock), report=report)
 
 
 def write_parameters(path: str | Path, fit: AnyFit) -> None:

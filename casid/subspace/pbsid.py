@@ -181,7 +181,7 @@ class Pbsid:
         self,
         campaign: Campaign,
         settings: choice.Candidate,
-        selection: choice.OrderSelection | None,
+        chosen: choice.OrderSelection | None,
     ) -> BlackBox:
         """Black box of samples."""
         found = campaign.subspace(settings.order, self._windows(settings, len(campaign.sy)))
@@ -189,7 +189,7 @@ class Pbsid:
         if campaign.mask.any() and direct_term_is_ambiguous(stack):
             _warn_direct_term(np.array(found.system.outputs)[campaign.mask.any(axis=1)])
         estimate = refine_sampled(campaign, found, settings.refinement)
-        return self._black_box(campaign, settings, estimate, selection)
+        return self._black_box(campaign, settings, estimate, chosen)
 
     def _windows(self, settings: choice.Candidate, ny: int) -> Windows:
         """The windows asked for, checked."""

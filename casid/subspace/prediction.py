@@ -116,24 +116,22 @@ def refine_samples(
     records: Sequence[Record],
     su: Array,
     sy: Array,
-    feedthrough: BoolArray,
+    mask: BoolArray,
 ) -> tuple[StateSpace, Array, SampledUncertainty]:
     """Refine a discrete black box on its records; A - KC is stable before and after.
 
     The records are equidistant, of one interval; missing outputs split them. Channels are scaled by
-    ``su`` (nu,) and ``sy`` (ny,); the direct term stays as it is where ``feedthrough`` (ny, nu) is
+    ``su`` (nu,) and ``sy`` (ny,); the direct term stays as it is where ``mask`` (ny, nu) is
     False. Also returns the asymptotic covariance.
     """
     nu, ny, nx = len(su), len(sy), system.nx
     data: Sequence[Stretch] = stretches(records, su, sy, nx + 2)
-    free = np.argwhere(np.hstack([feedthrough, np.zeros((ny, ny), dtype=bool)]))
+    free = np.argwhere(np.hstack([mask, np.zeros((ny, ny), dtype=bool)]))
     scales = np.concatenate([su, sy])
     both = np.hstack([system.B - K @ system.D, K])
     direct = np.hstack([system.D, np.zeros((ny, ny))])
     predictor = StateSpace(system.A - K @ system.C, both, system.C, direct)
-    modal = modes.to_modal(
-        predictor, scales, sy, np.hstack([feedthrough, np.zeros((ny, ny), bool)])
-    )
+    modal = modes.to_modal(predictor, scales, sy, np.hstack([mask, np.zeros((ny, ny), bool)]))
     modal, W, data = fitted(modal, data, free, STEPS, local=False)
     H, _ = normal_equations(modal, data, W, free)
     rows = sum(stretch.y.size for stretch in data)
