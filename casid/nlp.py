@@ -232,12 +232,8 @@ def _interruptible() -> Iterator[None]:
 def _settings(
     problem: Problem, options: SolverOptions, watcher: "_Watcher", warm: tuple[Array, Array] | None
 ) -> dict[str, Any]:
-    ipopt: dict[str, Any] = {
-        "print_level": 0,
-        "sb": "yes",
-        "tol": options.tolerance,
-        "max_iter": options.max_iterations,
-    }
+    ipopt: dict[str, Any] = {"print_level": 0, "sb": "yes", "tol": options.tolerance}
+    ipopt["max_iter"] = options.max_iterations
     if warm is not None:
         ipopt |= {"warm_start_init_point": "yes", "mu_init": 1e-4}
     settings: dict[str, Any] = {"print_time": False, "ipopt": ipopt | dict(options.ipopt)}

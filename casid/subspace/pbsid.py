@@ -178,10 +178,7 @@ class Pbsid:
         )
 
     def _sampled(
-        self,
-        campaign: Campaign,
-        settings: choice.Candidate,
-        chosen: choice.OrderSelection | None,
+        self, campaign: Campaign, settings: choice.Candidate, chosen: choice.OrderSelection | None
     ) -> BlackBox:
         """Black box of samples."""
         found = campaign.subspace(settings.order, self._windows(settings, len(campaign.sy)))

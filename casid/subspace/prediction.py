@@ -111,12 +111,7 @@ def stretches(records: Sequence[Record], su: Array, sy: Array, shortest: int) ->
 
 
 def refine_samples(
-    system: StateSpace,
-    K: Array,
-    records: Sequence[Record],
-    su: Array,
-    sy: Array,
-    mask: BoolArray,
+    system: StateSpace, K: Array, records: Sequence[Record], su: Array, sy: Array, mask: BoolArray
 ) -> tuple[StateSpace, Array, SampledUncertainty]:
     """Refine a discrete black box on its records; A - KC is stable before and after.
 
