@@ -249,7 +249,7 @@ def test_a_choice_gathers_no_record_twice_with_the_same_windows(monkeypatch):
         seen.extend((record.name, past, a) for record in records)
         return gather(records, su, sy, past, a, complete)
 
-    monkeypatch.setattr("casid.subspace.campaign.gather", counted)
+    monkeypatch.setattr("casid.subspace.columns.gather", counted)
     box = pbsid(campaign(noise=0.02, records=3), order=5, feedthrough=["z"])
     assert box.selection is not None
     assert ("r0", box.past, box.pole) in seen
