@@ -16,7 +16,7 @@ from casid.folder import claimed
 from casid.record import Record
 from casid.report import Timing, write_report
 from casid.stages.listing import sections
-from casid.stages.stage import Role, Task, run_stages
+from casid.stages.stage import Role, run_stages
 from casid.studies.contents import content
 from casid.studies.keeping import Keeper, Silent, Watch
 from casid.studies.study import Study, read_flights
@@ -88,15 +88,7 @@ def run_study(
 def _run(
     study: Study, records: Mapping[Role, Sequence[Record]], again: Repeats, keeper: Keeper
 ) -> Outcome:
-    task = Task(
-        model=study.model,
-        fixed=study.fixed,
-        bounds=study.bounds,
-        roles=records,
-        stages=study.stages,
-        settings=study.settings,
-    )
-    found = run_stages(task, keep=keeper)
+    found = run_stages(study.task(records), keep=keeper)
     does = {stage.name: stage.does for stage in study.stages}
     keeper.warnings += [f"The {does[name]} is missing. {e}" for name, e in found.failures.items()]
     if "output_error" in found.results:

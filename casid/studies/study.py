@@ -14,7 +14,7 @@ from casid.exchange.formats import read_record
 from casid.files import Column, read_csv
 from casid.model import Model
 from casid.record import Hold, Record
-from casid.stages.stage import ROLES, Role, Stage
+from casid.stages.stage import ROLES, Role, Stage, Task
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +64,11 @@ class Study:
     noise: Noise | None  # what is added to the records
     stages: tuple[Stage, ...]
     settings: Mapping[str, Any]  # by table, of stages that have one
+
+    def task(self, roles: Mapping[Role, Any]) -> Task:
+        """What the stages work on, with these records by role."""
+        held: Any = {"fixed": self.fixed, "bounds": self.bounds, "settings": self.settings}
+        return Task(model=self.model, roles=roles, stages=self.stages, **held)
 
 
 def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:

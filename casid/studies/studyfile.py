@@ -17,7 +17,7 @@ from casid.files import Column
 from casid.model import Model, free_parameters
 from casid.record import Hold
 from casid.stages.listing import STAGES
-from casid.stages.stage import ROLES, Role, Stage, Task, check_task
+from casid.stages.stage import ROLES, Role, Stage, check_task
 from casid.structure.modelfile import load_model, locate_model
 from casid.studies.settings import read_settings
 from casid.studies.study import Channels, Noise, RecordSet, Study
@@ -70,16 +70,8 @@ def read_study(
 
 def _check(study: Study) -> None:
     """Refuse, before any record is read, what the stages would refuse."""
-    task = Task(
-        model=study.model,
-        fixed=study.fixed,
-        bounds=study.bounds,
-        roles={role: cast(Any, each.files) for role, each in study.roles.items()},
-        stages=study.stages,
-        settings=study.settings,
-    )
     try:
-        check_task(task)
+        check_task(study.task({role: each.files for role, each in study.roles.items()}))
     except ModelError as error:
         raise ModelError(f"{study.path}: {error}") from error
     except ValueError as error:

@@ -16,7 +16,6 @@ from truths.closed_roll import (
     with_response,
 )
 
-import casid.shooting.precision
 from casid import Constraint, ConvergenceError, ModelError, Scalar, SolverOptions, parameter
 from casid.model import free_parameters
 from casid.shooting.output_error import OutputError, choose_interval, output_error
@@ -286,7 +285,7 @@ def test_an_exactly_singular_factor_is_told_with_the_best_fit(monkeypatch):
     def singular(*_):
         raise RuntimeError("Factor is exactly singular")
 
-    monkeypatch.setattr(casid.shooting.precision, "eliminate", singular)
+    monkeypatch.setattr("casid.shooting.uncertainty.eliminate", singular)
     with pytest.raises(ConvergenceError, match="do not determine Yv") as caught:
         output_error(TRUTH, [noisy()])
     best = caught.value.best
