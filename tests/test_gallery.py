@@ -197,8 +197,11 @@ def test_identified_from_noisy_sweeps_the_hybrid_models_beat_the_quasi_steady_on
     rigid = fit_measured(SixDof, measured, validation)
     for structure in (HybridFlap, HybridFlapLag):
         hybrid = fit_measured(structure, measured, validation)
-        assert hybrid.on_axis.max() <= 40
-        assert hybrid.off_axis.mean() <= 150
+        # Tischler and Remple: up to 100 a model is good, up to 50 it can hardly be told from the
+        # aircraft; a single pair may be worse.
+        assert hybrid.on_axis.mean() <= 50
+        assert hybrid.on_axis.max() <= 100
+        assert hybrid.off_axis.mean() <= 100
         assert (hybrid.rms[p_and_q] < 0.7 * rigid.rms[p_and_q]).all()
 
 
