@@ -29,7 +29,8 @@ def check_interrupt() -> None:
 
 
 def end_interrupted() -> NoReturn:
-    """End the process, once and with one line."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """End the process, once and with one line; in somebody else's, SIGINT stays as it is."""
+    if isinstance(signal.getsignal(signal.SIGINT), Interrupt):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     print(SAID, file=sys.stderr)  # noqa: T201 - rich may not be there yet
     sys.exit(INTERRUPTED)

@@ -1,6 +1,7 @@
 """The command line: what it prints, what it leaves behind, what its exit codes say."""
 
 import json
+import signal
 import subprocess
 import sys
 
@@ -117,7 +118,9 @@ def test_an_interrupted_study_says_that_the_same_command_goes_on(tmp_path, monke
         raise KeyboardInterrupt
 
     monkeypatch.setattr("casid.matching.match.Match.fit", interrupted)
+    before = signal.getsignal(signal.SIGINT)
     result = casid("identify", write_study(tmp_path))
+    assert signal.getsignal(signal.SIGINT) is before  # of the process that called the command
     assert result.exit_code == 130
     assert "the same command goes on" in result.stderr
     assert (tmp_path / "out/stages/pbsid.json").exists()
