@@ -22,7 +22,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "examples")]
 
 from compare_bounds import linearised  # noqa: E402 - found through the line above
 
-from casid import OutputError, compare_bounds  # noqa: E402
+from casid import compare_bounds  # noqa: E402
 from casid.jobs.workers import processors  # noqa: E402
 from casid.studies.study import read_records  # noqa: E402
 from casid.studies.studyfile import read_study  # noqa: E402
@@ -62,7 +62,7 @@ def main() -> None:
     study = read_study(ROOT / "examples/uh60/study.toml")
     records = read_records(study)
     model = linearised(study.model)
-    estimator = OutputError(**study.options["output_error"])
+    estimator = study.settings["output_error"]
     shared = {"start": study.model, "estimator": estimator}
     print("all eight records at 50 Hz:")
     ladder(model, records["identification"], shared)

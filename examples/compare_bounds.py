@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from casid import OutputError, compare_bounds, match, pbsid, read_records, read_study, report
+from casid import compare_bounds, read_records, read_study, report
 
 ROOT = Path(__file__).parent.parent
 OUT = ROOT / "out" / "bounds"
@@ -37,8 +37,9 @@ def linearised(model):
 
 def start_of(study, records):
     """The quadratic match to the black box: where output error starts."""
-    black_box = pbsid(records["identification"], **study.options["pbsid"])
-    return match(study.model, black_box, norm="quadratic", **study.options["match"])
+    black_box = study.settings["pbsid"].fit(records["identification"])
+    quadratic = replace(study.settings["match"], norm="quadratic")
+    return quadratic.fit(study.model, black_box)
 
 
 def main():
@@ -56,7 +57,7 @@ def main():
     }
     comparison = compare_bounds(
         guess, records["refinement"], cases=cases, start=start_of(study, records),
-        validation=records["validation"], estimator=OutputError(**study.options["output_error"]),
+        validation=records["validation"], estimator=study.settings["output_error"],
     )  # fmt: skip
     comparison.to_csv(OUT / "bounds.csv")
     figure = Figure(figsize=(7.4, 8), layout="constrained")
