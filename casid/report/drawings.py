@@ -77,7 +77,8 @@ def band(content: Content) -> tuple[float, float]:
 
 def with_states(system: StateSpace, states: Sequence[str]) -> StateSpace:
     """The same system with some of its states as outputs."""
-    C = np.array([[float(name == state) for name in system.states] for state in states])
+    C = np.array([np.array(system.states) == state for state in states], dtype=float)
+    C = C.reshape(len(states), len(system.states))  # of no states too
     D = np.zeros((len(states), system.nu))
     return replace(system, C=C, D=D, outputs=tuple(states))
 

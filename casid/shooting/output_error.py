@@ -200,7 +200,18 @@ def select_records(free: Free, records: Records, biases: bool) -> list[Record]:
     for i, name in enumerate(model.outputs):
         if not any(np.isfinite(record.y[:, i]).any() for record in chosen):
             raise ValueError(f"output {name!r} is missing in every sample of every record")
+        if all(np.nanmax(y) == np.nanmin(y) for y in _known(chosen, i)):
+            raise ValueError(
+                f"output {name!r} never moves in any record: a dead channel would be fitted exactly "
+                "and ruin all else; mark its samples as missing (NaN) or leave the output out"
+            )
     return chosen
+
+
+def _known(records: Sequence[Record], output: int) -> list[Array]:
+    """Samples of one output in the records that have any."""
+    columns = [record.y[:, output] for record in records]
+    return [column for column in columns if np.isfinite(column).any()]
 
 
 def choose_interval(free: Free, records: Sequence[Record], filtering: bool = False) -> float:

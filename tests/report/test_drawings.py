@@ -3,14 +3,17 @@
 import dataclasses
 import re
 
+import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from truths.pages import draw, shown
 
+from casid import StateSpace
 from casid.channels import units_of
 from casid.report import (
     write_report,
 )
+from casid.report.drawings import with_states
 
 
 @pytest.mark.slow
@@ -48,3 +51,19 @@ def test_no_label_covers_another_or_leaves_the_paper(content):
         for name in names:
             assert name.x0 >= paper.x0, drawing.name
             assert name.count_overlaps([*names, *ticks]) == 1, drawing.name  # itself
+
+
+@pytest.mark.parametrize("states", [(), ("r",), ("r", "p")])
+def test_states_beside_the_outputs_become_outputs_be_there_any_or_none(states):
+    system = StateSpace(
+        A=np.diag([-1.0, -2.0]), B=np.eye(2), C=np.eye(2), D=np.zeros((2, 2)),
+        inputs=("lat", "ped"), outputs=("p", "r"), states=("p", "r"),
+    )  # fmt: skip
+    shown = with_states(system, states)
+    omega = np.array([0.5, 3.0])
+    found, whole = shown.response(omega), system.response(omega)
+    assert found.shape == (2, len(states), 2)
+    for i, name in enumerate(states):
+        np.testing.assert_allclose(
+            found[:, i], system.response(np.array([0.5, 3.0]))[:, "pr".index(name)]
+        )

@@ -319,3 +319,12 @@ def test_intervals_chosen_here_are_shortened_until_a_solve_ends(monkeypatch):
 def test_five_samples_are_too_few():
     with pytest.raises(ValueError, match="too few to estimate from"):
         output_error(TRUTH, [noisy().between(3.0, 3.09)])
+
+
+@pytest.mark.parametrize("level", [0.0, 0.7])
+def test_an_output_that_never_moves_is_refused_by_name(level):
+    record = noisy()
+    y = record.y.copy()
+    y[:, 0] = level
+    with pytest.raises(ValueError, match=f"output '{TRUTH.outputs[0]}' never moves in any record"):
+        output_error(TRUTH, [replace(record, y=y)])
