@@ -202,8 +202,8 @@ def select_records(free: Free, records: Records, biases: bool) -> list[Record]:
             raise ValueError(f"output {name!r} is missing in every sample of every record")
         if all(np.nanmax(y) == np.nanmin(y) for y in _known(chosen, i)):
             raise ValueError(
-                f"output {name!r} never moves in any record: a dead channel would be fitted exactly "
-                "and ruin all else; mark its samples as missing (NaN) or leave the output out"
+                f"output {name!r} never moves in any record: a dead channel, fitted exactly, "
+                "ruins all else; mark its samples as missing (NaN) or leave the output out"
             )
     return chosen
 
