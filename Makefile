@@ -1,7 +1,7 @@
 # make study   identify the helicopter of examples/uh60; results in out/uh60
 # make paper   the paper's comparison on two helicopters; results in out/paper
-# make test    the tests that take minutes at most
-# make slow    the long tests
+# make test    the quick tests, a few minutes
+# make slow    the slow tests, an hour and more
 # make mutants how many of 400 broken programs the tests notice (an hour and more; may be stopped)
 # make docs    the documentation, site/index.html
 # make picture the picture of README and documentation
@@ -21,10 +21,10 @@ paper: install
 	$(VENV)/bin/python examples/paper.py
 
 test: install
-	$(VENV)/bin/pytest -n auto -m "not campaign"
+	$(VENV)/bin/pytest -n auto -m "not slow and not campaign"
 
 slow: install
-	$(VENV)/bin/pytest -m campaign
+	$(VENV)/bin/pytest -m "slow or campaign"
 
 mutants: install
 	$(VENV)/bin/python benchmarks/mutants.py

@@ -145,7 +145,7 @@ def test_a_handler_that_only_notes_the_interrupt_lets_the_solve_go_on():
     assert noted
 
 
-def test_solver_options_travel_without_whoever_watches():
+def test_solver_options_travel_without_their_progress():
     back = pickle.loads(pickle.dumps(SolverOptions(tolerance=1e-5, progress=print)))
     assert back == SolverOptions(tolerance=1e-5)
     assert back.progress is None

@@ -31,7 +31,7 @@ LEAP = 10.0  # times the step into the neighbourhood: too long for one within
 
 
 class Newton:
-    """Cost, constraints and derivatives of a programme for IPOPT, the riders behind its variables.
+    """Cost, constraints and derivatives of a programme for IPOPT; auxiliary variables come last.
 
     It must outlive the problems made by it. ``close`` says that the start is as near the solution
     as Newton's steps need.
