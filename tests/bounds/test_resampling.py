@@ -19,6 +19,7 @@ def expected():
     return np.sqrt(np.diag(np.linalg.inv(X.T @ X))[:3])
 
 
+@pytest.mark.slow
 def test_all_starts_of_a_linear_problem_end_in_one_minimum():
     found = multistart(Mixture(), [record()], starts=4, spread=1.0)
     assert found.agreeing == 4

@@ -130,6 +130,7 @@ def test_a_model_is_judged_by_what_was_flown():
     assert "no output feels Xcol" in said
 
 
+@pytest.mark.slow
 def test_a_million_samples_take_seconds():
     found = inspect_records([swept(n=1_000_000)])
     assert found.records[0].samples == 1_000_000

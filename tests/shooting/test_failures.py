@@ -7,9 +7,9 @@ import pytest
 from truths.closed_roll import (
     TRUTH,
     Roll,
-    excitation,
     flown,
     jittered,
+    noisy,
     off,
     relative_error,
     with_holes,
@@ -18,19 +18,13 @@ from truths.closed_roll import (
 
 from casid import Constraint, ConvergenceError, ModelError, Scalar, SolverOptions, parameter
 from casid.model import free_parameters
-from casid.shooting.output_error import OutputError, choose_interval, output_error
+from casid.shooting.output_error import choose_interval, output_error
 from casid.shooting.search import Search
-
-NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}
-
-
-def noisy(seed=1):
-    return flown(seed=seed).with_noise(NOISE, np.random.default_rng(seed))
-
 
 # ---- data ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_holes_irregular_sampling_and_records_of_any_length_are_no_obstacle():
     def retold(record):
         """The same flight for the input between these samples, holes where they were."""
@@ -87,24 +81,6 @@ def test_a_bound_is_kept_and_its_multiplier_is_its_price():
     assert fit["Lp"].multiplier == pytest.approx(slope, rel=1e-2)
 
 
-@pytest.mark.parametrize("R", [None, np.diag([0.05, 0.005, 0.005]) ** 2])
-def test_the_start_from_a_neighbour_changes_the_effort_only(R):
-    records = [noisy(1), noisy(2)]
-    wide = output_error(off(), records, R=R)
-    bounds = {"Lp": (-1.9, 0.0), "Lv": (-1.0, -0.16)}
-    cold = output_error(off(), records, R=R, bounds=bounds)
-    warm = OutputError(R=R).fit(off(), records, bounds=bounds, near=wide)
-    assert warm.iterations <= cold.iterations / 2
-    # Each bound's share of the barrier is at most 1e-8 per observation.
-    n = sum(record.y.size for record in records)
-    assert warm.cost == pytest.approx(cold.cost, abs=2e-8 * n)
-    for one, other in zip(warm.parameters, cold.parameters, strict=True):
-        # Both stop with slopes per observation of 1e-8 at most, a fraction of 1e-4 of these prices.
-        assert one.value == pytest.approx(other.value, rel=1e-6)
-        assert one.multiplier == pytest.approx(other.multiplier, rel=1e-4, abs=1e-3)
-        assert one.active == other.active == (one.name in bounds)
-
-
 def test_intervals_are_as_long_as_the_fastest_growing_mode_lets_them():
     records = [flown(seed=1)]
     wide = {"Lv": (-1000.0, 1000.0)}
@@ -117,52 +93,6 @@ def test_intervals_are_as_long_as_the_fastest_growing_mode_lets_them():
     assert chosen(0.0) == 5.0
     assert chosen(-3.0) == pytest.approx(1 / growth)
     assert chosen(500.0) == 0.5
-
-
-# ---- information --------------------------------------------------------------------------------
-
-
-class Twin(Roll):
-    """Two parameters that only show as a sum."""
-
-    Lextra: Scalar = parameter(default=0.5, lower=-10.0, upper=10.0, unit="rad/s^2")
-
-    def B(self):
-        return [[self.Ylat, 0], [self.Llat + self.Lextra, self.Lped], [0, 0]]
-
-
-def test_parameters_that_show_only_together_are_named():
-    with pytest.raises(ConvergenceError, match="do not determine Llat, Lextra") as caught:
-        output_error(Twin(), [noisy()])
-    best = caught.value.best
-    assert np.isinf(best["Llat"].std_error)
-    assert np.isinf(best["Lextra"].std_error)
-    assert best["Lp"].std_error < 0.1
-    assert best["Llat"].value + best["Lextra"].value == pytest.approx(TRUTH.Llat, rel=0.01)
-    assert output_error(Twin(), [noisy()], fixed=("Lextra",)).success
-
-
-def test_a_control_that_never_moves_is_named_and_the_rest_estimated():
-    record = noisy()
-    still = replace(record, u=record.u * [1, 0])
-    with pytest.raises(ConvergenceError, match=r"do not determine Lped .* add a manoeuvre"):
-        output_error(TRUTH, [still])
-
-
-def test_culprits_of_a_near_singular_information_are_named():
-    record = noisy()
-    pedal_as_stick = 0.5 * record.u[:, :1] + 0.002 * excitation(record.t, 9)[:, 1:]
-    record = replace(record, u=np.hstack([record.u[:, :1], pedal_as_stick]))
-    record = with_response(record, TRUTH).with_noise(NOISE, np.random.default_rng(2))
-    fit = output_error(TRUTH, [record], fixed=("tau",))
-    worst = fit.notes.collinear[0]
-    assert {"Llat", "Lped"} <= set(worst.names)
-    assert not {"Yv", "Lv", "Ylat"} & set(worst.names)
-    assert worst.condition > 30
-    names = list(fit.free_names)
-    i, j = names.index("Llat"), names.index("Lped")
-    assert fit.notes.correlation[i][j] < -0.9  # what one takes the other gives
-    assert output_error(TRUTH, [noisy()]).notes.collinear == ()
 
 
 # ---- refusals -----------------------------------------------------------------------------------
@@ -245,53 +175,6 @@ def test_wrong_records_are_explained():
         output_error(TRUTH, [replace(noisy(), y=noisy().y * [1, np.nan, 1])])
     with pytest.raises(ModelError, match="every parameter is fixed"):
         output_error(TRUTH, [noisy()], fixed=TRUTH.parameter_names())
-
-
-class Loaded(type(TRUTH)):
-    """Roll with constant forces, as the response to a third input that never moves."""
-
-    inputs = ("lat", "ped", "one")
-
-    L0: Scalar = parameter(default=0.0, unit="rad/s^2")
-    Y0: Scalar = parameter(default=0.0, unit="m/s^2")
-
-    def B(self):
-        return [[self.Ylat, 0, self.Y0], [self.Llat, self.Lped, self.L0], [0, 0, 0]]
-
-    def D(self):
-        return [[self.Ylat, 0, 0], [0, 0, 0], [0, 0, 0]]
-
-
-def test_constant_forces_beside_output_biases_are_not_determined_and_no_success():
-    # A shift of the states, taken back by biases and initial states, is a constant force.
-    records = [
-        replace(r, u=np.column_stack([r.u, np.ones(r.N)]), inputs=Loaded.inputs)
-        for r in (noisy(1), noisy(2))
-    ]
-    with pytest.raises(ConvergenceError, match="do not determine L0, Y0") as caught:
-        output_error(Loaded(), records)
-    best = caught.value.best
-    assert not best.success
-    assert np.isinf([best["L0"].std_error, best["Y0"].std_error, best["Y0"].cramer_rao]).all()
-    alone = output_error(TRUTH, [noisy(1), noisy(2)])
-    for row in alone.parameters:  # the others are as if the forces were not there
-        assert best[row.name].value == pytest.approx(row.value, abs=1e-3 * row.std_error)
-        assert best[row.name].std_error == pytest.approx(row.std_error, rel=1e-3)
-    known = output_error(Loaded(), records, biases=False)
-    assert np.isfinite([row.std_error for row in known.parameters]).all()
-
-
-def test_an_exactly_singular_factor_is_told_with_the_best_fit(monkeypatch):
-    def singular(*_):
-        raise RuntimeError("Factor is exactly singular")
-
-    monkeypatch.setattr("casid.shooting.uncertainty.eliminate", singular)
-    with pytest.raises(ConvergenceError, match="do not determine Yv") as caught:
-        output_error(TRUTH, [noisy()])
-    best = caught.value.best
-    assert not best.success
-    assert best.model.Lp == pytest.approx(TRUTH.Lp, rel=0.1)
-    assert all(np.isinf(row.std_error) for row in best.parameters)
 
 
 def test_intervals_chosen_here_are_shortened_until_a_solve_ends(monkeypatch):

@@ -191,6 +191,7 @@ def brute_force_campaign(hold, direct, delay, runs):
     return np.moveaxis([campaign_run(hold, direct, delay, run) for run in runs], 1, 0)
 
 
+@pytest.mark.slow
 def test_estimates_from_flights_by_brute_force_are_efficient_whatever_the_hold_and_the_delay():
     cases = [("foh", True, 2.25), ("foh", False, 0.3), ("zoh", True, 6.5), ("zoh", False, 2.25)]
     found = [brute_force_campaign(*case, range(3)) for case in cases]

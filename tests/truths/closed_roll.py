@@ -7,6 +7,7 @@ import numpy as np
 from casid import Model, Record, Rows, Scalar, parameter
 
 T = 0.02 * np.arange(600)
+NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}  # m/s^2, rad/s, rad
 
 
 class Roll(Model):
@@ -77,6 +78,11 @@ def flown(model=TRUTH, t=T, seed=0, x0=(0.3, -0.02, 0.01), bias=(0.1, 0.01, -0.0
             break
         u = new
     return Record(t, u, y + np.array(bias), model.inputs, model.outputs, f"record {seed}")
+
+
+def noisy(seed=1):
+    """The same with noise of its own."""
+    return flown(seed=seed).with_noise(NOISE, np.random.default_rng(seed))
 
 
 def off(model=TRUTH, share=0.3):

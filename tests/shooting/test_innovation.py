@@ -1,0 +1,54 @@
+"""Starts of the innovation gain against filters by other means."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+from truths.closed_roll import TRUTH, flown
+from truths.systems import known_black_box
+
+from casid.model import free_parameters
+from casid.shooting.innovation import NOISE_SHARE, black_box_gain, kalman_gain, starting_gain
+from casid.shooting.starting import SURPRISE
+
+
+def test_the_kalman_gain_is_the_fixed_point_of_the_filters_recursion():
+    record = flown(seed=1)
+    system, h = TRUTH.system(), record.dt
+    K = kalman_gain(TRUTH, [record])
+    Q = SURPRISE**2 * system.B @ np.diag(np.mean(record.u**2, axis=0)) @ system.B.T
+    Q += 1e-6 * np.trace(Q) / 3 * np.eye(3)
+    R = np.diag(NOISE_SHARE**2 * np.mean(record.y**2, axis=0))
+    Ad, P, C = scipy.linalg.expm(system.A * h), np.eye(3), system.C
+    for _ in range(5000):
+        gain = P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
+        P = Ad @ (P - gain @ C @ P) @ Ad.T + Q * h
+    # K e held over the interval does to the states what the filter's gain does.
+    E = scipy.linalg.expm(np.block([[system.A, np.eye(3)], [np.zeros((3, 6))]]) * h)
+    np.testing.assert_allclose(E[:3, 3:] @ K, Ad @ gain, rtol=1e-6, atol=1e-9)
+    assert np.abs(np.linalg.eigvals(Ad - Ad @ gain @ C)).max() < 1
+
+
+def test_the_gain_of_a_black_box_is_turned_into_the_models_states():
+    system = TRUTH.system()
+    K, T = np.arange(1.0, 10.0).reshape(3, 3), np.random.default_rng(2).standard_normal((3, 3))
+    inverse = np.linalg.inv(T)
+    turned = replace(system, A=inverse @ system.A @ T, B=inverse @ system.B, C=system.C @ T,
+                     delay=np.zeros(2))  # fmt: skip
+    box = replace(known_black_box(turned), K=inverse @ K)
+    np.testing.assert_allclose(black_box_gain(replace(TRUTH, tau=0.0), box), K, rtol=1e-6)
+
+
+def test_what_is_asked_for_decides_gain_and_freedom():
+    free, records = free_parameters(TRUTH), [flown(seed=1)]
+    assert starting_gain(free, records, False) == (None, False)
+    gain, moves = starting_gain(free, records, True)
+    np.testing.assert_array_equal(gain, kalman_gain(TRUTH, records))
+    assert moves
+    own, moves = starting_gain(free, records, np.ones((3, 3)))
+    np.testing.assert_array_equal(own, 1.0)
+    assert not moves
+    sampled = replace(known_black_box(TRUTH.system()), system=replace(TRUTH.system(), dt=0.02))
+    with pytest.raises(ValueError, match="this black box is discrete"):
+        starting_gain(free, records, sampled)

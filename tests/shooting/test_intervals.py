@@ -1,0 +1,18 @@
+"""Records cut into intervals."""
+
+import numpy as np
+from truths.closed_roll import flown, with_holes
+
+from casid.shooting.intervals import lay_out
+
+
+def test_intervals_cover_every_sample_once():
+    records = [flown(seed=1), with_holes(flown(seed=2).between(0, 5)), flown(seed=3)]
+    layout = lay_out(records, 0.7)
+    covered = np.concatenate(
+        [np.arange(a, a + n) for a, n in zip(layout.start, layout.count, strict=True)]
+    )
+    np.testing.assert_array_equal(np.sort(covered), np.arange(sum(r.N for r in records)))
+    assert (np.diff(layout.count) <= 0).all()
+    assert layout.last.sum() == len(records)
+    assert layout.observations == sum(int(np.isfinite(r.y).sum()) for r in records)

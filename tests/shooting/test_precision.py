@@ -1,0 +1,140 @@
+"""What the records determine, and what they do not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.closed_roll import (
+    NOISE,
+    TRUTH,
+    Roll,
+    excitation,
+    noisy,
+    with_holes,
+    with_response,
+)
+
+from casid import ConvergenceError, Scalar, parameter
+from casid.model import free_parameters
+from casid.shooting.intervals import lay_out
+from casid.shooting.output_error import output_error
+from casid.shooting.precision import precision
+from casid.shooting.sensitivity import Evaluator
+from casid.shooting.starting import starting_programme
+
+
+class Twin(Roll):
+    """Two parameters that only show as a sum."""
+
+    Lextra: Scalar = parameter(default=0.5, lower=-10.0, upper=10.0, unit="rad/s^2")
+
+    def B(self):
+        return [[self.Ylat, 0], [self.Llat + self.Lextra, self.Lped], [0, 0]]
+
+
+def test_parameters_that_show_only_together_are_named():
+    with pytest.raises(ConvergenceError, match="do not determine Llat, Lextra") as caught:
+        output_error(Twin(), [noisy()])
+    best = caught.value.best
+    assert np.isinf(best["Llat"].std_error)
+    assert np.isinf(best["Lextra"].std_error)
+    assert best["Lp"].std_error < 0.1
+    assert best["Llat"].value + best["Lextra"].value == pytest.approx(TRUTH.Llat, rel=0.01)
+    assert output_error(Twin(), [noisy()], fixed=("Lextra",)).success
+
+
+def test_a_control_that_never_moves_is_named_and_the_rest_estimated():
+    record = noisy()
+    still = replace(record, u=record.u * [1, 0])
+    with pytest.raises(ConvergenceError, match=r"do not determine Lped .* add a manoeuvre"):
+        output_error(TRUTH, [still])
+
+
+def test_culprits_of_a_near_singular_information_are_named():
+    record = noisy()
+    pedal_as_stick = 0.5 * record.u[:, :1] + 0.002 * excitation(record.t, 9)[:, 1:]
+    record = replace(record, u=np.hstack([record.u[:, :1], pedal_as_stick]))
+    record = with_response(record, TRUTH).with_noise(NOISE, np.random.default_rng(2))
+    fit = output_error(TRUTH, [record], fixed=("tau",))
+    worst = fit.notes.collinear[0]
+    assert {"Llat", "Lped"} <= set(worst.names)
+    assert not {"Yv", "Lv", "Ylat"} & set(worst.names)
+    assert worst.condition > 30
+    names = list(fit.free_names)
+    i, j = names.index("Llat"), names.index("Lped")
+    assert fit.notes.correlation[i][j] < -0.9  # what one takes the other gives
+    assert output_error(TRUTH, [noisy()]).notes.collinear == ()
+
+
+def test_an_exactly_singular_factor_is_told_with_the_best_fit(monkeypatch):
+    def singular(*_):
+        raise RuntimeError("Factor is exactly singular")
+
+    monkeypatch.setattr("casid.shooting.uncertainty.eliminate", singular)
+    with pytest.raises(ConvergenceError, match="do not determine Yv") as caught:
+        output_error(TRUTH, [noisy()])
+    best = caught.value.best
+    assert not best.success
+    assert best.model.Lp == pytest.approx(TRUTH.Lp, rel=0.1)
+    assert all(np.isinf(row.std_error) for row in best.parameters)
+
+
+class Loaded(type(TRUTH)):
+    """Roll with constant forces, as the response to a third input that never moves."""
+
+    inputs = ("lat", "ped", "one")
+
+    L0: Scalar = parameter(default=0.0, unit="rad/s^2")
+    Y0: Scalar = parameter(default=0.0, unit="m/s^2")
+
+    def B(self):
+        return [[self.Ylat, 0, self.Y0], [self.Llat, self.Lped, self.L0], [0, 0, 0]]
+
+    def D(self):
+        return [[self.Ylat, 0, 0], [0, 0, 0], [0, 0, 0]]
+
+
+def test_constant_forces_beside_output_biases_are_not_determined_and_no_success():
+    # A shift of the states, taken back by biases and initial states, is a constant force.
+    records = [
+        replace(r, u=np.column_stack([r.u, np.ones(r.N)]), inputs=Loaded.inputs)
+        for r in (noisy(1), noisy(2))
+    ]
+    with pytest.raises(ConvergenceError, match="do not determine L0, Y0") as caught:
+        output_error(Loaded(), records)
+    best = caught.value.best
+    assert not best.success
+    assert np.isinf([best["L0"].std_error, best["Y0"].std_error, best["Y0"].cramer_rao]).all()
+    alone = output_error(TRUTH, [noisy(1), noisy(2)])
+    for row in alone.parameters:  # the others are as if the forces were not there
+        assert best[row.name].value == pytest.approx(row.value, abs=1e-3 * row.std_error)
+        assert best[row.name].std_error == pytest.approx(row.std_error, rel=1e-3)
+    known = output_error(Loaded(), records, biases=False)
+    assert np.isfinite([row.std_error for row in known.parameters]).all()
+
+
+def test_information_is_that_of_least_squares_with_all_else_projected_out():
+    # One interval: residuals of λ, the initial state and the biases, by differences.
+    record, R = with_holes(noisy().between(0, 4)), np.diag([0.05, 0.005, 0.005]) ** 2
+    free = free_parameters(TRUTH)
+    evaluator = Evaluator(free, lay_out([record], 1e9))
+    programme, point = starting_programme(evaluator, free, R, True)
+    x = programme.pack(point)
+    whiten = np.sqrt(np.diag(np.linalg.inv(R)))
+
+    def residuals(x):
+        return (evaluator.simulate(programme.unpack(x)).residuals * whiten).ravel()
+
+    h = 1e-6
+    J = np.transpose([(residuals(x + h * e) - residuals(x - h * e)) / (2 * h) for e in
+                      np.eye(len(x))])  # fmt: skip
+    n = len(free.index)
+    own, rest = J[:, :n], J[:, n:]
+    projected = own - rest @ np.linalg.lstsq(rest, own, rcond=None)[0]
+    covariance = np.linalg.inv(projected.T @ projected)
+    found = precision(programme, x)
+    unit = np.outer(programme.scales.lam[:n], programme.scales.lam[:n])
+    np.testing.assert_allclose(found.cramer_rao, covariance * unit, rtol=1e-4)
+    alone = 1 / np.linalg.norm(projected, axis=0)
+    np.testing.assert_allclose(found.insensitivity, alone * programme.scales.lam[:n], rtol=1e-5)
+    assert found.undetermined == ()

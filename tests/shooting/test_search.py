@@ -1,0 +1,59 @@
+"""Rounds of solves."""
+
+import numpy as np
+import pytest
+from truths.closed_roll import (
+    noisy,
+    off,
+)
+
+from casid import SolverOptions
+from casid.model import free_parameters
+from casid.shooting.intervals import lay_out
+from casid.shooting.output_error import OutputError, output_error
+from casid.shooting.search import Search
+from casid.shooting.sensitivity import Evaluator
+from casid.shooting.starting import starting_programme
+
+
+@pytest.mark.parametrize("R", [None, np.diag([0.05, 0.005, 0.005]) ** 2])
+def test_the_start_from_a_neighbour_changes_the_effort_only(R):
+    records = [noisy(1), noisy(2)]
+    wide = output_error(off(), records, R=R)
+    bounds = {"Lp": (-1.9, 0.0), "Lv": (-1.0, -0.16)}
+    cold = output_error(off(), records, R=R, bounds=bounds)
+    warm = OutputError(R=R).fit(off(), records, bounds=bounds, near=wide)
+    assert warm.iterations <= cold.iterations / 2
+    # Each bound's share of the barrier is at most 1e-8 per observation.
+    n = sum(record.y.size for record in records)
+    assert warm.cost == pytest.approx(cold.cost, abs=2e-8 * n)
+    for one, other in zip(warm.parameters, cold.parameters, strict=True):
+        # Both stop with slopes per observation of 1e-8 at most, a fraction of 1e-4 of these prices.
+        assert one.value == pytest.approx(other.value, rel=1e-6)
+        assert one.multiplier == pytest.approx(other.multiplier, rel=1e-4, abs=1e-3)
+        assert one.active == other.active == (one.name in bounds)
+
+
+def test_rounds_end_where_the_covariance_is_that_of_its_residuals():
+    free, records = free_parameters(off(share=0.1)), [noisy(1), noisy(2)]
+    evaluator = Evaluator(free, lay_out(records, 2.0))
+    programme, point = starting_programme(evaluator, free, None, True)
+    outcome = Search(free, SolverOptions()).run(programme, point, "diagonal")
+    assert outcome.settled
+    assert outcome.rounds > 1
+    end = outcome.programme.unpack(outcome.solution.x)
+    r = evaluator.simulate(end).residuals
+    R = outcome.programme.values(outcome.solution.x).R
+    np.testing.assert_allclose(np.diag(R), np.mean(r**2, axis=0), rtol=1e-9)
+    # The likelihood of residuals whose variance is their own: n/2 (1 + log R) a channel.
+    cost = len(r) / 2 * np.sum(1 + np.log(np.diag(R)))
+    assert outcome.cost == pytest.approx(cost, rel=1e-9)
+
+
+def test_an_outcome_without_success_costs_everything():
+    free = free_parameters(off())
+    evaluator = Evaluator(free, lay_out([noisy()], 2.0))
+    programme, point = starting_programme(evaluator, free, None, True)
+    outcome = Search(free, SolverOptions(max_iterations=2)).run(programme, point, "diagonal")
+    assert not outcome.settled
+    assert outcome.cost == np.inf
