@@ -82,21 +82,32 @@ def clean_records(*, dt: float = 0.02, duration: float = 30.0) -> list[Record]:
     return [_fly(stick, sign, dt, duration) for stick in SixDof.inputs for sign in (1.0, -1.0)]
 
 
-def _fly(stick: str, sign: float, dt: float, duration: float) -> Record:
-    system = truth().system()
-    plant = StateSpace(system.A, system.B, system.C, system.D)
+def feedback() -> np.ndarray:
+    """Sticks per output, (4, 8)."""
     gain = np.zeros((4, 8))
     for (name, output), value in FEEDBACK.items():
         gain[SixDof.inputs.index(name), SixDof.outputs.index(output)] = value
-    N, late = round(duration / dt) + 1, round(DELAY / dt)
+    return gain
+
+
+def reference(stick: str, sign: float, dt: float, N: int) -> np.ndarray:
+    """What the pilot wants of the sticks, (N, 4): a 3-2-1-1 on one of them."""
     t = dt * np.arange(N)
     step = 1.0 if stick == "col" else 0.7  # s
     edges = 2.0 + step * np.array([0, 3, 5, 6, 7])
     level = np.array([1.0, -1.0, 1.0, -1.0])
-    reference = np.zeros((N, 4))
+    wanted = np.zeros((N, 4))
     for a, b, value in zip(edges[:-1], edges[1:], level, strict=True):
         inside = (t >= a) & (t < b)
-        reference[inside, SixDof.inputs.index(stick)] = sign * value * AMPLITUDE[stick]
+        wanted[inside, SixDof.inputs.index(stick)] = sign * value * AMPLITUDE[stick]
+    return wanted
+
+
+def _fly(stick: str, sign: float, dt: float, duration: float) -> Record:
+    system = truth().system()
+    plant = StateSpace(system.A, system.B, system.C, system.D)
+    N, late, gain = round(duration / dt) + 1, round(DELAY / dt), feedback()
+    wanted = reference(stick, sign, dt, N)
     Ad, B0, B1 = foh_step(plant.A, plant.B, dt)
     lag = np.exp(-dt / 0.06)
     x, u = np.zeros(8), np.zeros((N + 1, 4))
@@ -104,6 +115,7 @@ def _fly(stick: str, sign: float, dt: float, duration: float) -> Record:
     for k in range(N):
         now, after = u[max(k - late, 0)], u[max(k + 1 - late, 0)]
         y[k] = plant.C @ x + plant.D @ now
-        u[k + 1] = lag * u[k] + (1 - lag) * (reference[k] - gain @ y[k])
+        u[k + 1] = lag * u[k] + (1 - lag) * (wanted[k] - gain @ y[k])
         x = Ad @ x + B0 @ now + B1 @ after
-    return Record(t, u[:N], y, SixDof.inputs, SixDof.outputs, f"3211_{stick}{'+-'[sign < 0]}")
+    name = f"3211_{stick}{'+-'[sign < 0]}"
+    return Record(dt * np.arange(N), u[:N], y, SixDof.inputs, SixDof.outputs, name)

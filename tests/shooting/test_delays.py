@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, flown
-from truths.intersample_study import BOUNDS, SIGMA, H, Roll, Smooth, flight
 
+from benchmarks.between_samples import BOUNDS, SIGMA, H, Roll, Smooth, flight
 from casid import output_error
 from casid.model import free_parameters
 from casid.shooting.delays import neighbours

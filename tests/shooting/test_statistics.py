@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, excitation, with_response
-from truths.intersample_study import campaign_run
 
+from benchmarks.between_samples import DELAYS, campaign_run
 from benchmarks.output_error import bo105_estimates
 from casid import Model, Record, Rows, Scalar, StateSpace, parameter
 from casid.linear import foh_step
@@ -206,7 +206,7 @@ def test_estimates_from_flights_by_brute_force_are_efficient_whatever_the_hold_a
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
 def test_hundreds_of_flights_by_brute_force_are_estimated_without_bias(hold, direct):
     ratios, shares = [], []
-    for delay in (0.0, 0.3, 1.0, 2.25, 6.5):
+    for delay in DELAYS:
         errors, white, std = brute_force_campaign(hold, direct, delay, range(100))
         ratios.append(efficiency(errors, white))
         shares.append(coverage(errors, std))
