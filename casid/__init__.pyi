@@ -87,6 +87,9 @@ from .model import (
 )
 from .nlp import Progress as Progress, SolverOptions as SolverOptions
 from .record import Record as Record
+from .report.plots import compare as compare
+from .report.tables import summary as summary
+from .residuals import Residuals as Residuals, residuals as residuals
 from .shooting.output_error import OutputError as OutputError, output_error as output_error
 from .shooting.precision import OutputErrorNotes as OutputErrorNotes
 from .stages.chain import Chain as Chain

@@ -8,6 +8,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 import numpy as np
 
 from casid.arrays import Array, BoolArray
+from casid.display import Shown
 from casid.errors import ModelError, warn
 from casid.files import number, read_json, write_json
 from casid.model import Free, M, Model
@@ -81,8 +82,8 @@ class Certificate:
 
 
 @storable
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Fit(Generic[M_co, N_co]):
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Fit(Shown, Generic[M_co, N_co]):
     """An estimated model.
 
     Parameters
@@ -138,6 +139,16 @@ class Fit(Generic[M_co, N_co]):
     initial_states: Array | None = None
     biases: Array | None = None
     interval: float | None = None
+
+    def headline(self) -> str:
+        """Structure, method, outcome."""
+        held = sum(row.active for row in self.parameters)
+        bounds = f", {held} on their bounds" if held else ""
+        outcome = "solved" if self.success else f"NOT SOLVED ({self.status})"
+        return (
+            f"{type(self.model).__name__} by {self.method}: {outcome}, cost {self.cost:.6g}, "
+            f"{len(self.free_names)} free parameters{bounds}"
+        )
 
     def __post_init__(self) -> None:
         seal(self)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray
+from casid.display import Shown, listed
 from casid.errors import warn
 from casid.samples import SLOWER, Between, at_instants, check_samples, resampled, usual_interval
 
@@ -19,8 +20,8 @@ FEWEST = 16  # samples of a stretch between gaps
 QUIET = 0.02  # share of an input's range that still counts as trim
 
 
-@dataclass(frozen=True, eq=False)
-class Record:
+@dataclass(frozen=True, eq=False, repr=False)
+class Record(Shown):
     """One manoeuvre, SI units and radians.
 
     Parameters
@@ -54,6 +55,15 @@ class Record:
     name: str = ""
     hold: Hold = "foh"
     trim: Mapping[str, float] = field(default_factory=dict)
+
+    def headline(self) -> str:
+        """Duration, sampling, channels."""
+        lost = float(np.isnan(self.y).mean())
+        missing = f", {100 * lost:.2g} % of the outputs missing" if lost else ""
+        return (
+            f"{self.name!r}, {self.duration:.4g} s, {self.N} samples at {1 / self.dt:.4g} Hz, "
+            f"inputs {listed(self.inputs)}, outputs {listed(self.outputs, 10)}{missing}"
+        )
 
     def __post_init__(self) -> None:
         for attribute in ("t", "u", "y"):

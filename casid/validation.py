@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
+from casid.display import Shown, listed
 from casid.fit import AnyFit, Fit
 from casid.linear import StateSpace
 from casid.model import Model
@@ -28,8 +29,8 @@ BAND = 2.5758293035489004  # 99 % band of a white sequence's autocorrelations, i
 AnyModel = Model | AnyFit | BlackBox | StateSpace
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Validation:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Validation(Shown):
     """Measures of every model on every record; each mapping goes from a model's name to an array.
 
     Parameters
@@ -81,6 +82,14 @@ class Validation:
     biases: Mapping[str, Array]
     horizon: tuple[float, ...]
     growth: Mapping[str, float]
+
+    def headline(self) -> str:
+        """Models, records, mean fit over outputs and records."""
+        fits = (f"{name} {np.nanmean(self.fit[name]):.3g} %" for name in self.models)
+        return (
+            f"records {listed(self.records)}, outputs {listed(self.outputs, 10)}; mean fit: "
+            + ", ".join(fits)
+        )
 
     @property
     def predicted(self) -> str:

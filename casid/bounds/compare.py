@@ -15,6 +15,7 @@ import numpy as np
 from casid.bounds.cases import Case, CaseSpec
 from casid.bounds.prices import CaseResult, price_case
 from casid.bounds.trials import Data, Fits, in_words
+from casid.display import Shown
 from casid.errors import warn
 from casid.estimator import Estimator
 from casid.files import write_text
@@ -29,8 +30,8 @@ from casid.validation import Validation, validate
 WORSE = 1e-6  # of the cost: a wider case that fits worse than this has found another minimum
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class BoundsComparison:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class BoundsComparison(Shown):
     """What each case of a comparison costs, in the order the cases were given.
 
     Parameters
@@ -52,6 +53,14 @@ class BoundsComparison:
     estimator: str
     structure: str
     validation: Validation | None = None
+
+    def headline(self) -> str:
+        """Structure, estimator, cases with their increase of the cost."""
+        each = (
+            f"{case.name} {'failed' if case.reason else f'+{case.increase:.4g}'}"
+            for case in self.cases
+        )
+        return f"{self.structure} by {self.estimator}, increase of the cost: {', '.join(each)}"
 
     def __getitem__(self, name: str) -> CaseResult:
         """Result of one case."""

@@ -17,6 +17,7 @@ import scipy.stats
 from casid.arrays import Array
 from casid.bounds.cases import CaseSpec
 from casid.bounds.trials import Data, Fits
+from casid.display import Shown
 from casid.errors import ConvergenceError, ModelError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, Fit
@@ -30,8 +31,8 @@ from casid.tabulation import csv_text, markdown_table
 FREE = "free"  # name of the job with nothing held
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Profile:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Profile(Shown):
     """Least cost with some parameters held.
 
     Parameters
@@ -68,6 +69,14 @@ class Profile:
     parabola: Array
     intervals: Mapping[str, tuple[float, float]]
     cramer_rao: Mapping[str, tuple[float, float]]
+
+    def headline(self) -> str:
+        """Estimates with their intervals."""
+        each = (
+            f"{name} = {self.fit[name].value:.4g} [{low:.4g}, {high:.4g}]"
+            for name, (low, high) in self.intervals.items()
+        )
+        return f"{', '.join(each)} at {100 * self.level:.3g} %, {len(self.points)} points"
 
     def to_csv(self) -> str:
         """One row a point."""

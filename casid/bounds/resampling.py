@@ -8,6 +8,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.bounds.trials import Data, Draw, Fits
+from casid.display import Shown, listed
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit
@@ -58,8 +59,8 @@ class Multistart:
         return csv_text([*names, "cost", "reason"], rows)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Ensemble:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Ensemble(Shown):
     """Estimates from many draws of the data.
 
     Parameters
@@ -79,6 +80,12 @@ class Ensemble:
     values: Array
     std_errors: Array
     reasons: tuple[str, ...]
+
+    def headline(self) -> str:
+        """How many draws of how many parameters."""
+        failed = sum(bool(reason) for reason in self.reasons)
+        draws = f"{len(self.values)} draws" + (f", {failed} failed" if failed else "")
+        return f"{draws}, of {len(self.names)} parameters: {listed(self.names)}"
 
     @property
     def bias(self) -> Array:

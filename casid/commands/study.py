@@ -62,15 +62,20 @@ The output folder then holds
 @STUDY
 @OUTPUT
 @click.option("--fresh", is_flag=True, help="Compute every stage again, whatever was kept.")
+@click.option("--parameters", is_flag=True, help="Print the table of parameters too.")
 @VERBOSE
-def identify(study: Path, output: Path | None, fresh: bool, verbose: bool) -> None:
+def identify(
+    study: Path, output: Path | None, fresh: bool, parameters: bool, verbose: bool
+) -> None:
     """Identify the structure a study names and write its report."""
     console = terminal()
     with exits(console), logged(console, verbose), Monitor(console) as monitor:
         outcome = run_study(read_study(study, output), fresh=fresh, watch=monitor)
     fresh_times = [timing.seconds for timing in outcome.timings if not timing.kept]
     console.print(Text(_line("total", None, None, sum(fresh_times)), style="bold"))
-    console.print(parameter_table(outcome.identification.output_error))
+    if parameters:
+        console.print(parameter_table(outcome.identification.output_error))
+    _judge(console, outcome)
     _say_where(console, outcome)
 
 
@@ -184,6 +189,21 @@ def _line(stage: str, iterations: int | None, cost: float | None, seconds: float
     steps = "" if iterations is None else str(iterations)
     value = "" if cost is None else f"{cost:.6g}"
     return f"{stage:<{WIDE}}{steps:>11}{value:>14}{seconds:>10.2f}"
+
+
+def _judge(console: Console, outcome: Outcome) -> None:
+    """Print what the report begins with: a verdict per output, then what to be careful about."""
+    if outcome.verdicts:
+        headings = ("verdict", "fit %", "Theil", "RMS error", "noise", "unit")
+        table = new_table("On unseen records", "output", *headings)
+        for each in outcome.verdicts:
+            figures = (f"{each.fit:.3g}", f"{each.theil:.2f}", f"{each.rms:.3g}")
+            style = "yellow" if each.word == "poor" else None
+            noise = f"{each.noise:.2g}"
+            table.add_row(each.output, each.word, *figures, noise, Text(each.unit), style=style)
+        console.print(table)
+    for caution in outcome.cautions:
+        console.print(Text("! ", style="bold yellow").append(caution, style="default"))
 
 
 def _say_where(console: Console, outcome: Outcome) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from matplotlib import rc_context
@@ -19,28 +19,12 @@ from casid.linear import StateSpace
 from casid.record import Record
 from casid.report import figures
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Content, Drawing
+from casid.report.look import LOOK, WIDTH
 from casid.report.prices import plot_bounds
 from casid.subspace.pbsid import BlackBox
 from casid.validation import Validation, state_space
 
 Systems: TypeAlias = Mapping[str, StateSpace]
-LOOK: dict[Any, Any] = {
-    "font.family": ["DejaVu Sans"],  # comes with matplotlib
-    "font.size": 8.0,
-    "axes.titlesize": 9.0,
-    "axes.grid": True,
-    "axes.grid.which": "both",
-    "grid.color": "#e4e4e4",
-    "grid.linewidth": 0.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "casid",
-    "path.simplify_threshold": 0.5,
-}
-WIDTH = 7.4  # inches: the printable width of A4
 POINTS = 160  # of a model's response; matplotlib simplifies curves of 128 or more
 PER_PAGE = 8  # outputs in a figure of time histories
 LAGS = 100  # samples of the autocorrelation

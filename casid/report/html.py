@@ -14,8 +14,9 @@ from plotly.offline import get_plotlyjs
 
 from casid.files import write_text
 from casid.report.content import TEMPLATES, Caution, Content, Drawing, Section
-from casid.report.drawings import LOOK, save
+from casid.report.drawings import save
 from casid.report.interactive import interactive
+from casid.report.look import LOOK
 from casid.report.verdicts import word
 from casid.report.words import number, percent, price
 

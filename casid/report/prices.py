@@ -42,7 +42,18 @@ def plot_bounds(ax: Axes, comparison: BoundsComparison, *, rows: int = 16) -> Ax
         sizes.append(f"{size:.3g}")
     for k, case in enumerate(shown):
         ax.plot([], [], "o", color=COLOURS[k % len(COLOURS)], markersize=4, label=case.name)
-    _decorate(ax, labels, sizes)
+    _decorate(ax, labels, sizes, "largest value")
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
+    return ax
+
+
+def plot_parameters(ax: Axes, rows: Sequence[ParameterEstimate]) -> Axes:
+    """Draw values, 95 % intervals and bounds of one fit, each divided by the value's size."""
+    sizes = [float(np.nanmax([abs(row.value), row.std_error, 1e-300])) for row in rows]
+    for y, (row, size) in enumerate(zip(rows, sizes, strict=True)):
+        _draw_one(ax, row, y, 0.6, size, "#D55E00" if row.active else "#0072B2")
+    labels = [f"{row.name} [{row.unit}]" for row in rows]
+    _decorate(ax, labels, [f"{row.value:.3g}" for row in rows], "value")
     return ax
 
 
@@ -62,9 +73,9 @@ def _draw_one(
     ax.plot(row.value / size, y, "o", color=colour, markerfacecolor=face, markersize=4)
 
 
-def _decorate(ax: Axes, labels: Sequence[str], sizes: Sequence[str]) -> None:
+def _decorate(ax: Axes, labels: Sequence[str], sizes: Sequence[str], what: str) -> None:
     ax.set_yticks(range(len(labels)), labels)
-    ax.set(xlim=(-REACH, REACH), ylim=(len(labels) - 0.4, -0.6), xlabel="value / largest value [-]")
+    ax.set(xlim=(-REACH, REACH), ylim=(len(labels) - 0.4, -0.6), xlabel=f"value / {what} [-]")
     ax.axvline(0, color="#777777", linewidth=0.8, zorder=0)
     ax.grid(visible=False, axis="y")
     for y in range(1, len(labels)):
@@ -72,5 +83,4 @@ def _decorate(ax: Axes, labels: Sequence[str], sizes: Sequence[str]) -> None:
     right = ax.secondary_yaxis("right")
     right.yaxis.set_major_locator(FixedLocator(list(range(len(sizes)))))
     right.set_yticklabels(list(sizes))
-    right.set_ylabel("largest value")
-    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
+    right.set_ylabel(what)

@@ -14,7 +14,9 @@ from casid.files import write_text
 from casid.fit import AnyFit, ParameterEstimate
 from casid.folder import claimed
 from casid.record import Record
-from casid.report import Timing, write_report
+from casid.report import Content, Timing, write_report
+from casid.report.html import cautions
+from casid.report.verdicts import Verdict, verdicts
 from casid.stages.listing import sections
 from casid.stages.stage import Role, run_stages
 from casid.studies.contents import content
@@ -27,11 +29,27 @@ from casid.validation import Validation
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Outcome:
-    """What a study found and where it lies."""
+    """What a study found, what to think of it, and where it lies.
+
+    Parameters
+    ----------
+    identification : Identification
+        The result of each stage.
+    timings : tuple of Timing
+        Effort of each stage.
+    report : Path
+        The page.
+    verdicts : tuple of Verdict
+        On each output of the unseen records; none without such records.
+    cautions : tuple of str
+        What makes the result less certain than it looks, what matters most first.
+    """
 
     identification: Identification[Any]
     timings: tuple[Timing, ...]
     report: Path
+    verdicts: tuple[Verdict, ...] = ()
+    cautions: tuple[str, ...] = ()
 
     @property
     def validation(self) -> Validation:
@@ -95,17 +113,25 @@ def _run(
         found.results["output_error"].save(study.output / "fit.json")
         write_parameters(study.output / "parameters.csv", found.results["output_error"])
 
-    def write() -> Path:
+    def write() -> tuple[Path, Content, tuple[str, ...]]:
         shown = content(study, records, again, found, keeper.clock, keeper.warnings)
-        return write_report(shown, sections(study.stages, found.results, shown), study.output)
+        told = sections(study.stages, found.results, shown)
+        return write_report(shown, told, study.output), shown, cautions(shown, told)
 
-    report = keeper.timed("report", write)
+    report, shown, said = keeper.timed("report", write)
     for failure in found.failures.values():
         raise ConvergenceError(
             f"{failure}\nThe report is written without it: {report}", failure.best
         ) from failure
     named: Identification[Any] = Identification(results=found.results)
-    return Outcome(identification=named, timings=tuple(keeper.clock), report=report)
+    judged = found.results.get("validation")
+    return Outcome(
+        identification=named,
+        timings=tuple(keeper.clock),
+        report=report,
+        verdicts=() if judged is None else verdicts(judged, shown),
+        cautions=said,
+    )
 
 
 def write_parameters(path: str | Path, fit: AnyFit) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
+from casid.display import Shown
 from casid.linear import StateSpace, from_zoh
 from casid.record import Hold
 from casid.subspace.columns import Segment
@@ -17,8 +18,8 @@ from casid.values import storable
 
 
 @storable
-@dataclass(frozen=True, eq=False, kw_only=True)
-class BlackBox:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class BlackBox(Shown):
     """An unstructured model in innovation form, with the settings that gave it.
 
     Parameters
@@ -83,6 +84,17 @@ class BlackBox:
     doubtful: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
     refinement: str = "unrefined"
     hold: Hold = "zoh"
+
+    def headline(self) -> str:
+        """Order, band, where it comes from, what is doubtful."""
+        kind = "continuous" if self.system.dt is None else f"discrete, {self.system.dt:.4g} s"
+        doubts = self.doubts()
+        return (
+            f"order {self.order}, {kind}, {len(self.system.outputs)} outputs from "
+            f"{len(self.system.inputs)} inputs, {self.band[0]:.3g} to {self.band[1]:.3g} rad/s, "
+            f"{self.refinement}, {len(self.records)} records"
+            + (f"; doubtful: {'; '.join(doubts)}" if doubts else "")
+        )
 
     def doubts(self) -> tuple[str, ...]:
         """Why the records do not support a model, or some mode of it; empty where they do."""

@@ -5,7 +5,7 @@ import dataclasses
 from matplotlib import rc_context
 
 from casid.report import html
-from casid.report.drawings import LOOK
+from casid.report.look import LOOK
 from casid.stages.listing import STAGES, sections
 
 

@@ -1,0 +1,51 @@
+"""Values that show themselves: a line in a console, a table in a notebook, a figure on demand."""
+
+from abc import abstractmethod
+from importlib import import_module
+from typing import Any
+
+
+class Shown:
+    """A value with a headline of its own; what draws and tabulates it stands in `casid.report`."""
+
+    @abstractmethod
+    def headline(self) -> str:
+        """What it is, in a line."""
+
+    def __repr__(self) -> str:
+        """Name of the class and the headline."""
+        return f"{type(self).__name__}({self.headline()})"
+
+    def _repr_html_(self) -> str:
+        """Headline and table, as a notebook shows them."""
+        return str(_drawn_above("tables").html(self))
+
+    def plot(self, ax: Any = None, **choice: Any) -> Any:  # noqa: ANN401 - matplotlib stays unloaded
+        """Draw it; returns the axes, an array of several.
+
+        Parameters
+        ----------
+        ax : Axes or sequence of Axes
+            Where; a new figure of ``matplotlib.pyplot`` unless given.
+        **choice
+            What to draw, where there is a choice: ``channels=("lat", "p")`` of a record,
+            ``pair=("p", "lat")`` of a frequency response or a black box, ``rows=16`` of
+            parameters.
+
+        Raises
+        ------
+        ValueError
+            Another number of axes than the figure has; an unknown channel.
+        """
+        return _drawn_above("plots").plot(self, ax, **choice)
+
+
+def _drawn_above(name: str) -> Any:  # noqa: ANN401
+    """A module of the report, found when asked: values know nothing of what draws them."""
+    return import_module(f"casid.report.{name}")
+
+
+def listed(names: tuple[str, ...], most: int = 6) -> str:
+    """Names in a line, the first six and how many more."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

@@ -1,0 +1,21 @@
+"""How all figures look."""
+
+from typing import Any
+
+LOOK: dict[Any, Any] = {
+    "font.family": ["DejaVu Sans"],  # comes with matplotlib
+    "font.size": 8.0,
+    "axes.titlesize": 9.0,
+    "axes.grid": True,
+    "axes.grid.which": "both",
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "casid",
+    "path.simplify_threshold": 0.5,
+}
+WIDTH = 7.4  # inches: the printable width of A4

@@ -1,0 +1,317 @@
+"""Values as figures: ``value.plot()``, and `compare`, which draws several together.
+
+Everything is drawn by the ``plot_*`` functions of `casid.report.figures`; here are the sheets.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import singledispatch
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from scipy.interpolate import CubicHermiteSpline
+
+from casid.arrays import Array
+from casid.bounds.compare import BoundsComparison
+from casid.bounds.profiles import Profile
+from casid.bounds.resampling import Ensemble
+from casid.channels import UNITS
+from casid.fit import Fit
+from casid.frequency.estimation import FrequencyResponse
+from casid.linear import StateSpace
+from casid.record import Record, Records
+from casid.report import figures
+from casid.report.content import BLACK_BOX
+from casid.report.look import LOOK, WIDTH
+from casid.report.prices import CONFIDENCE, plot_bounds, plot_parameters
+from casid.residuals import Residuals
+from casid.subspace.blackbox import BlackBox
+from casid.validation import AnyModel, Validation, state_space, validate
+
+POINTS = 160  # of a response
+GREY = "#777777"
+
+
+def plot(value: object, ax: Any = None, **choice: Any) -> Any:  # noqa: ANN401 - see Shown.plot
+    """Draw a value on the axes given or on new ones; returns them."""
+    with rc_context(LOOK):
+        return _draw(value, ax, **choice)
+
+
+def compare(
+    models: Mapping[str, AnyModel],
+    data: FrequencyResponse | Records,
+    *,
+    pair: tuple[str, str] | None = None,
+    channels: Sequence[str] = (),
+    ax: Any = None,  # noqa: ANN401
+) -> Any:  # noqa: ANN401
+    """Draw models over measurements; returns the axes.
+
+    Parameters
+    ----------
+    models : mapping
+        Name and model: `Fit`, `Model`, `BlackBox` or `StateSpace`.
+    data : FrequencyResponse, Record or sequence of Record
+        Over responses: magnitude, phase and coherence of one pair. Over records: time histories,
+        simulated or predicted as `validate` does, the fit of each in the legend.
+    pair : (str, str)
+        Output and input of the response; the pair of the largest mean coherence unless given.
+    channels : sequence of str
+        Outputs of the records; all unless given.
+    ax : Axes or sequence of Axes
+        Three for a response; an output and record each for histories, outputs of the first record
+        first; new ones unless given.
+
+    Raises
+    ------
+    ValueError
+        No model, unknown channels, another number of axes, and what `validate` raises.
+    """
+    if not models:
+        raise ValueError('no models given; expected {"name": model, ...}')
+    with rc_context(LOOK):
+        if isinstance(data, FrequencyResponse):
+            systems = {name: state_space(model) for name, model in models.items()}
+            return _pair(data, systems, pair or _clearest(data), ax)
+        return _histories(validate(models, data), channels, ax)
+
+
+@singledispatch
+def _draw(value: object, ax: Any) -> Any:  # noqa: ANN401, ARG001
+    raise TypeError(f"a {type(value).__name__} has no figure; expected a result of casid")
+
+
+@_draw.register
+def _(value: Record, ax: Any, channels: Sequence[str] = ()) -> Any:  # noqa: ANN401
+    names = _known(channels, (*value.inputs, *value.outputs))
+    axes = _axes(ax, len(names), 1, height=0.9)
+    for each, name in zip(axes, names, strict=True):
+        figures.plot_input(each, value.t, value.channel(name), channel=name, units=UNITS)
+    axes[-1].set_xlabel("t [s]")
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: FrequencyResponse, ax: Any, pair: tuple[str, str] | None = None) -> Any:  # noqa: ANN401
+    if pair is not None:
+        return _pair(value, {}, pair, ax)
+    axes = _axes(ax, len(value.outputs), len(value.inputs), height=1.2)
+    for each, (output, channel) in zip(axes, _pairs(value), strict=True):
+        i, j = value.index(output, channel)
+        G, width = value.G[:, i, j], np.minimum(2 * value.error[:, i, j], 0.99)
+        _band(each, value.omega, G, width)
+        figures.plot_magnitude(each, value.omega, G, name=figures.MEASURED)
+        _title(each, output, channel, value.omega)
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: BlackBox, ax: Any, pair: tuple[str, str] | None = None) -> Any:  # noqa: ANN401
+    system, omega = value.continuous().system, np.geomspace(*value.band, POINTS)
+    G = system.response(omega)
+    spread = np.zeros(G.shape)
+    if value.uncertainty is not None:
+        spread = np.minimum(2 * value.response_std(omega)[0], 0.99)
+    pairs = [(pair[0], pair[1])] if pair else _pairs(system)
+    shape = (1, 1) if pair else (len(system.outputs), len(system.inputs))
+    axes = _axes(ax, *shape, height=1.2 if not pair else 2.4)
+    for each, (output, channel) in zip(axes, pairs, strict=True):
+        _known((output, channel), (*system.outputs, *system.inputs))
+        i, j = system.outputs.index(output), system.inputs.index(channel)
+        _band(each, omega, G[:, i, j], spread[:, i, j])
+        figures.plot_magnitude(each, omega, G[:, i, j], name=BLACK_BOX)
+        _title(each, output, channel, omega)
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: Fit, ax: Any, rows: int = 100) -> Any:  # type: ignore[type-arg] # noqa: ANN401
+    free = [row for row in value.parameters if not row.fixed][:rows]
+    axes = _axes(ax, 1, 1, height=0.6 + 0.18 * len(free))
+    plot_parameters(axes[0], free)
+    axes[0].set_title(value.headline(), loc="left", wrap=True)
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: Validation, ax: Any) -> Any:  # noqa: ANN401
+    axes = _axes(ax, len(value.records), 1, height=1.8)
+    for k, each in enumerate(axes):
+        figures.plot_rms(each, value, record=k)
+        each.set_title(value.records[k], loc="left")
+    axes[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=len(value.models))
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: BoundsComparison, ax: Any, rows: int = 16) -> Any:  # noqa: ANN401
+    shown = min(rows, len(value.ranked()))
+    axes = _axes(ax, 1, 1, height=1.0 + 0.42 * shown)
+    plot_bounds(axes[0], value, rows=rows)
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: Profile, ax: Any) -> Any:  # noqa: ANN401
+    axes = _axes(ax, 1, 1, height=2.8)
+    rise = value.cost - value.fit.cost
+    at = [value.fit[name].value for name in value.names]
+    if len(value.names) == 1:
+        x, name = value.points[:, 0], value.names[0]
+        axes[0].plot(x, rise, "o", color="#0072B2", label="profile")
+        there = np.flatnonzero(np.isfinite(rise))[np.argsort(x[np.isfinite(rise)])]
+        curve = CubicHermiteSpline(x[there], rise[there], value.slope[there, 0])
+        fine = np.linspace(x[there].min(), x[there].max(), POINTS)
+        axes[0].plot(fine, curve(fine), color="#0072B2")
+        axes[0].plot(x, value.parabola - value.fit.cost, "x", color=GREY, label="Cramér-Rao")
+        low, high = value.intervals[name]
+        axes[0].axvspan(low, high, color="#0072B2", alpha=0.12, linewidth=0)
+        axes[0].set(xlabel=_unit(value.fit, name), ylabel="rise of the cost [-]")
+        axes[0].axvline(at[0], color="#000000", linewidth=0.8)
+        axes[0].legend()
+    else:
+        there = np.isfinite(rise)
+        drawn = axes[0].tricontour(*value.points[there].T, rise[there], colors="#0072B2")
+        axes[0].clabel(drawn, fontsize=7)
+        axes[0].plot(*at, "+", color="#000000")
+        first, second = (_unit(value.fit, name) for name in value.names)
+        axes[0].set(xlabel=first, ylabel=second, title="rise of the cost [-]")
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: Ensemble, ax: Any) -> Any:  # noqa: ANN401
+    axes = _axes(ax, 1, 1, height=0.8 + 0.22 * len(value.names))
+    good = ~np.isnan(value.values).any(axis=1)
+    size = np.maximum(np.nanmean(value.std_errors, axis=0), 1e-300)
+    away = (value.values[good] - value.reference) / size
+    axes[0].boxplot(away, orientation="horizontal", tick_labels=list(value.names), whis=(2.5, 97.5))
+    for edge in (-CONFIDENCE, CONFIDENCE):
+        axes[0].axvline(edge, color=GREY, linestyle=":")
+    axes[0].set(xlabel="(estimate - reference) / mean standard error [-]")
+    axes[0].invert_yaxis()
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: Residuals, ax: Any) -> Any:  # noqa: ANN401
+    columns = 1 + len(value.inputs)
+    axes = _axes(ax, len(value.outputs), columns, height=1.1)
+    grid = axes.reshape(len(value.outputs), columns)
+    look: dict[str, Any] = {"color": GREY, "alpha": 0.15, "linewidth": 0}
+    for i, row in enumerate(grid):
+        curves = [value.auto[:, i], *value.cross[:, i].T]
+        bands = [value.auto_band, *value.cross_band[i]]
+        for each, curve, band in zip(row, curves, bands, strict=True):
+            each.plot(value.lag, curve, color="#0072B2")
+            each.axhspan(-band, band, **look)
+        row[0].set_ylabel(value.outputs[i])
+        row[0].set_ylim(-0.3, 1.05)
+    for each, name in zip(grid[0], ("autocorrelation", *value.inputs), strict=True):
+        each.set_title(name, loc="left")
+    for each in grid[-1]:
+        each.set_xlabel("lag [s]")
+    return _same(ax, axes)
+
+
+def _pair(
+    measured: FrequencyResponse,
+    systems: Mapping[str, StateSpace],
+    pair: tuple[str, str],
+    ax: Any,  # noqa: ANN401
+) -> Any:  # noqa: ANN401
+    """Magnitude, phase, coherence of one pair, models over it."""
+    place, omega = measured.index(*pair), measured.omega
+    axes = _axes(ax, 3, 1, height=1.8)
+    figures.plot_measured(axes[0], axes[1], measured, place)
+    figures.plot_coherence(axes[2], measured, place)
+    near = figures.phase(measured.G[:, place[0], place[1]])
+    for name, system in systems.items():
+        _known(pair, (*system.outputs, *system.inputs))
+        i, j = system.outputs.index(pair[0]), system.inputs.index(pair[1])
+        G = system.response(omega)[:, i, j]
+        figures.plot_magnitude(axes[0], omega, G, name=name)
+        figures.plot_phase(axes[1], omega, G, name=name, near=near)
+    axes[1].set_ylabel("phase [deg]")
+    axes[0].set_title(f"{pair[0]} / {pair[1]}", loc="left")
+    axes[0].legend(ncols=4)
+    axes[2].set_xlabel("ω [rad/s]")
+    for each in axes:
+        figures.frequency_axis(each, omega[0], omega[-1])
+    return _same(ax, axes)
+
+
+def _histories(found: Validation, channels: Sequence[str], ax: Any) -> Any:  # noqa: ANN401
+    """Outputs of each record below each other, models over them."""
+    names = _known(channels, found.outputs)
+    axes = _axes(ax, len(names), len(found.records), height=1.2)
+    grid = axes.reshape(len(names), len(found.records))
+    for k, record in enumerate(found.measured):
+        for each, name in zip(grid[:, k], names, strict=True):
+            i = record.outputs.index(name)
+            drawn = {model: y[k][:, i] for model, y in found.simulated.items()}
+            figures.plot_history(each, record.t, record.y[:, i], drawn, channel=name)
+            good = [f"{model} {found.fit[model][k, i]:.3g} %" for model in drawn]
+            each.legend(["measured", *good], loc="upper right", fontsize="xx-small", ncols=2)
+        grid[0, k].set_title(record.name, loc="left")
+        grid[-1, k].set_xlabel("t [s]")
+    return _same(ax, axes)
+
+
+def _axes(ax: Any, rows: int, columns: int, *, height: float) -> Any:  # noqa: ANN401
+    """The axes given, if there are as many as needed; else those of a new figure, in one row."""
+    if ax is None:
+        size = WIDTH, 0.6 + height * rows
+        _, made = plt.subplots(
+            rows, columns, sharex=rows > 1, squeeze=False, figsize=size, layout="constrained"
+        )
+        return made.ravel()
+    given = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
+    if len(given) != rows * columns:
+        raise ValueError(
+            f"this figure has {rows * columns} axes, {len(given)} given: pass plt.subplots({rows}, "
+            f"{columns})[1], none, or choose less to draw"
+        )
+    return given
+
+
+def _same(ax: Any, axes: Any) -> Any:  # noqa: ANN401
+    """As the axes were given: one alone, or an array."""
+    return axes[0] if isinstance(ax, Axes) or len(axes) == 1 else axes
+
+
+def _known(wanted: Sequence[str], known: Sequence[str]) -> Sequence[str]:
+    """What was asked for, all if nothing was."""
+    if missing := [name for name in wanted if name not in known]:
+        raise ValueError(f"no channel {missing[0]!r}; there are {', '.join(known)}")
+    return wanted or known
+
+
+def _pairs(value: FrequencyResponse | StateSpace) -> list[tuple[str, str]]:
+    return [(output, channel) for output in value.outputs for channel in value.inputs]
+
+
+def _clearest(data: FrequencyResponse) -> tuple[str, str]:
+    """The pair of the largest mean coherence."""
+    mean = np.nanmean(data.coherence, axis=0)
+    i, j = np.unravel_index(np.argmax(mean), mean.shape)
+    return data.outputs[int(i)], data.inputs[int(j)]
+
+
+def _band(ax: Axes, omega: Array, G: Any, width: Array) -> None:  # noqa: ANN401
+    """Two standard deviations around a magnitude."""
+    low, high = (figures.decibel(G) + figures.decibel(1 + sign * width) for sign in (-1, 1))
+    ax.fill_between(omega, low, high, color="#000000", alpha=0.15, linewidth=0)
+
+
+def _title(ax: Axes, output: str, channel: str, omega: Array) -> None:
+    ax.set_title(f"{output} / {channel}", loc="left", fontsize=7)
+    ax.set_ylabel("")
+    figures.frequency_axis(ax, omega[0], omega[-1])
+
+
+def _unit(fit: Any, name: str) -> str:  # noqa: ANN401
+    return f"{name} [{fit[name].unit}]"

@@ -1,0 +1,169 @@
+"""Values as tables: of a notebook, of the console, of a page."""
+
+from collections.abc import Sequence
+from functools import singledispatch
+
+import jinja2
+import numpy as np
+
+from casid.bounds.compare import BoundsComparison
+from casid.bounds.profiles import Profile
+from casid.bounds.resampling import Ensemble
+from casid.display import Shown
+from casid.eigenmodes import modes
+from casid.fit import Fit
+from casid.frequency.estimation import FrequencyResponse
+from casid.record import Record
+from casid.report.words import number, percent
+from casid.residuals import Residuals
+from casid.subspace.blackbox import BlackBox
+from casid.tabulation import markdown_table
+from casid.validation import Validation
+
+Cells = tuple[Sequence[str], Sequence[Sequence[str]]]  # heading and rows
+PAGE = jinja2.Template(
+    "<p><b>{{ kind }}</b> {{ headline }}</p><table><thead><tr>{% for cell in heading %}<th>"
+    "{{ cell }}</th>{% endfor %}</tr></thead><tbody>{% for row in rows %}<tr>{% for cell in row %}"
+    "<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>",
+    autoescape=True,  # names come from users' files
+)
+
+
+def html(value: Shown) -> str:
+    """Headline and table of a value, as HTML."""
+    heading, rows = cells(value)
+    kind = type(value).__name__
+    return str(PAGE.render(kind=kind, headline=value.headline(), heading=heading, rows=rows))
+
+
+def summary(value: Shown) -> str:
+    """Headline and table of a value as text, in Markdown.
+
+    Parameters
+    ----------
+    value : Record, FrequencyResponse, BlackBox, Fit, Validation, Residuals, BoundsComparison, \
+Profile or Ensemble
+        Of a fit: every parameter with its standard error, the Cramér-Rao bound, its bounds, and
+        what holds it.
+    """
+    heading, rows = cells(value)
+    return f"{value!r}\n\n{markdown_table(heading, rows)}"
+
+
+@singledispatch
+def cells(value: object) -> Cells:
+    """Heading and rows of a value's table."""
+    raise TypeError(f"a {type(value).__name__} has no table; expected a result of casid")
+
+
+@cells.register
+def _(value: Record) -> Cells:
+    rows = []
+    for name in (*value.inputs, *value.outputs):
+        x = value.channel(name)
+        there = x[np.isfinite(x)]
+        figures = (there.min(), there.max(), there.std()) if len(there) else (np.nan,) * 3
+        kind = "input" if name in value.inputs else "output"
+        rows.append([name, kind, *map(_short, figures), f"{100 * (1 - len(there) / len(x)):.3g} %"])
+    return ("channel", "kind", "least", "largest", "std. deviation", "missing"), rows
+
+
+@cells.register
+def _(value: FrequencyResponse) -> Cells:
+    rows = []
+    for i, output in enumerate(value.outputs):
+        usual = value.coherence[:, i] >= 0.6
+        rows.append([output, *(_spans(value.omega, column) for column in usual.T)])
+    return ("coherence ≥ 0.6, rad/s", *value.inputs), rows
+
+
+@cells.register
+def _(value: BlackBox) -> Cells:
+    system = value.continuous().system
+    found = modes(system)
+    rows = [[_pole(mode.pole), mode.words, _seen(mode.observable)] for mode in found]
+    return ("eigenvalue [1/s]", "mode", "seen"), rows
+
+
+@cells.register
+def _(value: Fit) -> Cells:  # type: ignore[type-arg] # the dispatch reads the class alone
+    rows = []
+    for row in value.parameters:
+        held = "fixed" if row.fixed else "on bound" if row.active else ""
+        figures = map(number, (row.value, row.std_error, row.cramer_rao, row.lower, row.upper))
+        name, *rest = (row.name, *figures)
+        rows.append([name, rest[0], row.unit, rest[1], percent(row), *rest[2:], held])
+    heading = ("parameter", "value", "unit", "std. error", "%", "Cramér-Rao", "lower", "upper")
+    return (*heading, "held"), rows
+
+
+@cells.register
+def _(value: Validation) -> Cells:
+    rows = []
+    for name in value.models:
+        for k, record in enumerate(value.records):
+            rows.append([name, record, *(f"{x:.3g}" for x in value.fit[name][k])])
+    return ("fit [%] of", "record", *value.outputs), rows
+
+
+@cells.register
+def _(value: BoundsComparison) -> Cells:
+    rows = []
+    for case in value.cases:
+        if case.reason:
+            rows.append([case.name, f"failed: {case.reason}", *[""] * 4])
+            continue
+        figures = (case.cost, case.increase, case.predicted, case.p_value)
+        rows.append([case.name, *(number(x, 6) for x in figures), str(case.held)])
+    return ("case", "cost", "increase", "predicted", "p", "held"), rows
+
+
+@cells.register
+def _(value: Profile) -> Cells:
+    rows = [
+        [name, *map(_short, (value.fit[name].value, *value.intervals[name]))]
+        for name in value.names
+    ]
+    return ("parameter", "estimate", f"{100 * value.level:.3g} %, low", "high"), rows
+
+
+@cells.register
+def _(value: Ensemble) -> Cells:
+    limits, claimed = value.interval(), np.nanmean(value.std_errors, axis=0)
+    columns = (value.reference, value.bias, value.scatter, claimed, *limits.T)
+    rows = [[name, *(_short(c[k]) for c in columns)] for k, name in enumerate(value.names)]
+    heading = ("parameter", "reference", "bias", "scatter", "mean std. error", "2.5 %", "97.5 %")
+    return heading, rows
+
+
+@cells.register
+def _(value: Residuals) -> Cells:
+    inside = value.inside()
+    rows = [
+        [name, _short(value.rms[i]), *(f"{100 * share:.0f} %" for share in inside[i])]
+        for i, name in enumerate(value.outputs)
+    ]
+    return ("output", "RMS", "white", *(f"no trace of {name}" for name in value.inputs)), rows
+
+
+def _short(value: float) -> str:
+    return number(float(value))
+
+
+def _seen(observable: bool) -> str:
+    return "yes" if observable else "no"
+
+
+def _pole(pole: complex) -> str:
+    turn = f" ± {pole.imag:.3g}j" if pole.imag else ""
+    return f"{pole.real:.3g}{turn}"
+
+
+def _spans(omega: np.ndarray, usual: np.ndarray) -> str:
+    """The longest run of usable frequencies [rad/s]."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], usual.astype(int), [0]))))
+    runs = edges.reshape(-1, 2)
+    if not len(runs):
+        return "–"
+    first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    return f"{omega[first]:.3g} to {omega[last - 1]:.3g}"

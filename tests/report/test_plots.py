@@ -1,0 +1,59 @@
+"""Figures of values: what is drawn is what the value holds, on the axes given or on new ones."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from truths.shown import Roll, record, values
+
+from casid import compare
+
+
+@pytest.fixture(autouse=True)
+def _closed():
+    plt.switch_backend("Agg")
+    yield
+    plt.close("all")
+
+
+def first(axes):
+    return np.atleast_1d(np.asarray(axes, dtype=object)).ravel()[0]
+
+
+@pytest.mark.parametrize("name", list(values()))
+def test_every_value_draws_itself_on_new_axes(name):
+    figure = first(values()[name].plot()).figure
+    figure.canvas.draw()
+    assert any(ax.lines or ax.patches or ax.collections for ax in figure.axes)
+
+
+@pytest.mark.parametrize("name", ["BlackBox", "Fit", "BoundsComparison", "Profile", "Ensemble"])
+def test_a_figure_of_one_sheet_takes_the_axes_given(name):
+    _, ax = plt.subplots()
+    assert values()[name].plot(ax) is ax
+
+
+def test_a_record_draws_its_channels():
+    _, axes = plt.subplots(2)
+    record().plot(axes)
+    np.testing.assert_array_equal(axes[1].lines[0].get_ydata(), record().y[:, 0])
+    assert record().plot(channels=("p",)).get_ylabel() == "p [rad/s]"
+    with pytest.raises(ValueError, match=r"2 axes, 1 given: pass plt.subplots\(2, 1\)"):
+        record().plot(axes[0])
+    with pytest.raises(ValueError, match="no channel 'q'; there are lat, p"):
+        record().plot(channels=("q",))
+
+
+def test_comparisons_draw_each_model_over_the_measurement():
+    fit, box = values()["Fit"], values()["BlackBox"]
+    axes = compare({"fit": fit, "black box": box, "guess": Roll()}, record())
+    labels = [text.get_text() for text in first(axes).get_legend().get_texts()]
+    assert [label.split()[0] for label in labels] == ["measured", "fit", "black", "guess"]
+    axes = compare({"fit": fit}, values()["FrequencyResponse"])
+    drawn = {line.get_label(): line for line in axes[0].lines}
+    omega = drawn["fit"].get_xdata()
+    G = fit["Llat"].value / (1j * omega - fit["Lp"].value)  # by hand
+    np.testing.assert_allclose(drawn["fit"].get_ydata(), 20 * np.log10(abs(G)), atol=1e-9)
+    with pytest.raises(ValueError, match="no models given"):
+        compare({}, record())
+    with pytest.raises(ValueError, match="no pair"):
+        compare({"fit": fit}, values()["FrequencyResponse"], pair=("q", "lat"))

@@ -1,0 +1,72 @@
+"""Residuals: correlations by hand, and the level of both tests over many records."""
+
+import numpy as np
+import pytest
+
+from casid import Record, StateSpace, residuals, validate
+
+DT, N = 0.05, 1200
+ROLL = StateSpace([[-2.0]], [[4.0]], [[1.0]], [[0.0]], None, ("lat",), ("p",))
+
+
+def flown(rng, *, colour=0.0, missed=0.0, noise=0.1, n=N):
+    """A roll axis under a coloured stick; ``missed``: what the model does not know of the input."""
+    t = DT * np.arange(n)
+    u = np.zeros((n, 1))
+    e = np.zeros(n)
+    for k in range(1, n):
+        u[k] = 0.9 * u[k - 1] + rng.standard_normal()
+        e[k] = colour * e[k - 1] + rng.standard_normal()
+    late = np.vstack([np.zeros((4, 1)), u[:-4]])
+    y = ROLL.simulate(t, u) + noise * e[:, None] + missed * late
+    return Record(t, u, y, ("lat",), ("p",), "stick")
+
+
+def test_correlations_are_those_of_the_definition():
+    record = flown(np.random.default_rng(0), n=200)
+    found = residuals(ROLL, record, lags=7)
+    assert found.rms[0] == pytest.approx(0.1, rel=0.15)
+    # Without noise in state or bias the residual is what the simulation leaves: sums by hand.
+    left = record.y[:, 0] - validate({"m": ROLL}, record).simulated["m"][0][:, 0]
+    e, u = left - left.mean(), record.u[:, 0] - record.u.mean()
+    for k, lag in ((7, 0), (10, 3), (14, 7)):
+        assert found.lag[k] == pytest.approx(DT * lag)
+        by_hand = sum(e[i] * e[i - lag] for i in range(lag, 200)) / (e @ e)
+        assert found.auto[k, 0] == pytest.approx(by_hand, abs=1e-12)
+        by_hand = sum(e[i] * u[i - lag] for i in range(lag, 200)) / np.sqrt((e @ e) * (u @ u))
+        assert found.cross[k, 0, 0] == pytest.approx(by_hand, abs=1e-12)
+
+
+def test_what_the_model_misses_is_traced_to_its_input_and_lag():
+    found = residuals(ROLL, flown(np.random.default_rng(1), missed=0.3))
+    peak = found.lag[np.argmax(np.abs(found.cross[:, 0, 0]))]
+    assert peak == pytest.approx(4 * DT)
+    assert "p of lat" in found.headline()
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_of_a_true_model_99_percent_of_the_correlations_are_inside_their_bands(colour):
+    # 25 records of 26 lags; neighbouring lags are correlated when the noise is, hence the room.
+    rng = np.random.default_rng(2)
+    shares = [residuals(ROLL, flown(rng, colour=colour)).inside()[0] for _ in range(25)]
+    white, apart = np.mean(shares, axis=0)
+    assert 0.96 < apart <= 1.0
+    assert (0.97 < white < 1.0) if colour == 0 else (white < 0.5)
+
+
+def test_missing_samples_are_passed_over():
+    record = flown(np.random.default_rng(3))
+    y = record.y.copy()
+    y[100:140] = np.nan
+    broken = Record(record.t, record.u, y, record.inputs, record.outputs, "gap")
+    whole, holed = residuals(ROLL, record), residuals(ROLL, broken)
+    assert np.isfinite(holed.auto).all()
+    np.testing.assert_allclose(holed.auto, whole.auto, atol=0.1)
+
+
+def test_records_of_two_rates_and_too_many_lags_are_refused():
+    record = flown(np.random.default_rng(4), n=100)
+    with pytest.raises(ValueError, match="resample all records alike"):
+        residuals(ROLL, [record, record.decimate(2)])
+    with pytest.raises(ValueError, match="lags=60: expected 1 to 49"):
+        residuals(ROLL, record, lags=60)

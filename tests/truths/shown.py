@@ -1,0 +1,74 @@
+"""One value of every kind that shows itself, small enough for every test."""
+
+from functools import cache
+
+import numpy as np
+
+from casid import (
+    Model,
+    Record,
+    Rows,
+    Scalar,
+    StateSpace,
+    bootstrap,
+    compare_bounds,
+    frequency_response,
+    output_error,
+    parameter,
+    pbsid,
+    profile_parameters,
+    residuals,
+    validate,
+)
+
+DT = 0.05
+
+
+class Roll(Model):
+    """Roll rate from the stick."""
+
+    states = ("p",)
+    inputs = ("lat",)
+    outputs = ("p",)
+
+    Lp: Scalar = parameter(default=-1.0, lower=-20.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=2.0, lower=0.0, upper=50.0, unit="rad/s^2")
+
+    def A(self) -> Rows:
+        return [[self.Lp]]
+
+    def B(self) -> Rows:
+        return [[self.Llat]]
+
+
+TRUTH = StateSpace([[-2.5]], [[5.0]], [[1.0]], [[0.0]], None, ("lat",), ("p",))
+
+
+def record(name="roll", seed=0, n=800):
+    rng = np.random.default_rng(seed)
+    u = 0.1 * np.repeat(rng.choice([-1.0, 1.0], size=n // 16 + 1), 16)[:n, None]
+    t = DT * np.arange(n)
+    y = TRUTH.simulate(t, u) + 0.01 * rng.standard_normal((n, 1))
+    return Record(t, u, y, ("lat",), ("p",), name)
+
+
+@cache
+def values():
+    """Name of each class, and a value."""
+    flown = record()
+    fit = output_error(Roll(), flown)
+    box = pbsid(flown, order=1)
+    cases = {"free": {}, "held": {"Lp": "> -2"}}
+    at = fit["Lp"].value + fit["Lp"].std_error * np.linspace(-3, 3, 5)
+    found = [
+        flown,
+        frequency_response(flown),
+        box,
+        fit,
+        validate({"output error": fit, "black box": box}, record("unseen", 1)),
+        residuals(fit, flown),
+        compare_bounds(Roll(), flown, cases=cases),
+        profile_parameters(Roll(), flown, values={"Lp": at.tolist()}),
+        bootstrap(fit, flown, runs=4, seed=0),
+    ]
+    return {type(each).__name__: each for each in found}
