@@ -8,10 +8,10 @@ from typing import Literal, TypeAlias, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from casid import samples
 from casid.arrays import Array, BoolArray
 from casid.display import Shown, listed
 from casid.errors import warn
-from casid.samples import SLOWER, Between, at_instants, check_samples, resampled, usual_interval
 
 Hold = Literal["foh", "zoh"]
 T = TypeVar("T")
@@ -27,7 +27,8 @@ class Record(Shown):
     Parameters
     ----------
     t : (N,) array
-        Instants [s], strictly increasing, not necessarily equidistant.
+        Instants [s], strictly increasing, not necessarily equidistant. Of samples closer together
+        than 5 % of the usual interval one is kept, with a `DataWarning`.
     u : (N, nu) array
         Inputs, finite.
     y : (N, ny) array
@@ -74,7 +75,24 @@ class Record(Shown):
         object.__setattr__(self, "outputs", tuple(self.outputs))
         if self.hold not in get_args(Hold):
             raise ValueError(f'record {self.name!r}: hold={self.hold!r}, expected "foh" or "zoh"')
-        check_samples(self.name, self.t, self.u, self.y, (self.inputs, self.outputs))
+        samples.check_samples(self.name, self.t, self.u, self.y, (self.inputs, self.outputs))
+        if (close := samples.close_together(self.t)).any():
+            self._merge(close)
+
+    def _merge(self, close: BoolArray) -> None:
+        """Leave out rows that hardly follow the one before: a curve through both would swing."""
+        rows = np.flatnonzero(close)
+        named = ", ".join(map(str, rows[:5])) + " ..." * (len(rows) > 5)
+        warn(
+            f"record {self.name!r}: {len(rows)} of {self.N} samples follow the one before within "
+            f"{samples.CLOSE:.0%} of the usual interval of {self.dt:.3g} s and are left out (rows "
+            f"{named}, the first at {self.t[rows[0]]:.6g} s); look at the clocks of the log"
+        )
+        for attribute, values in zip(
+            "tuy", samples.merged(self.t, self.u, self.y, close), strict=True
+        ):
+            values.setflags(write=False)
+            object.__setattr__(self, attribute, values)
 
     @property
     def N(self) -> int:
@@ -112,7 +130,7 @@ class Record(Shown):
 
         Usual is the median, or what one interval in twenty exceeds where sampling is irregular.
         """
-        return np.flatnonzero(np.diff(self.t) > 2.001 * usual_interval(self.t))
+        return np.flatnonzero(np.diff(self.t) > 2.001 * samples.usual_interval(self.t))
 
     def stretches(self) -> tuple["Record", ...]:
         """The manoeuvre between its gaps in time, where nobody knows what the inputs did.
@@ -170,8 +188,8 @@ class Record(Shown):
             raise ValueError(
                 f"record {self.name!r} has gaps in time; resample each of its stretches()"
             )
-        t, values = resampled(self.t, self._columns(), dt)
-        slower = dt >= SLOWER * self.dt
+        t, values = samples.resampled(self.t, self._columns(), dt)
+        slower = dt >= samples.SLOWER * self.dt
         u, y = values[:, : self.nu], values[:, self.nu :]
         return replace(self, t=t, u=u, y=y, hold="foh" if slower else self.hold)
 
@@ -187,7 +205,7 @@ class Record(Shown):
         columns = zip(self._columns(), [*kept.u.T, *kept.y.T], late, strict=True)
         x = np.array(
             [
-                at_instants(self.t, x, kept.t - lag, how) if lag else same
+                samples.at_instants(self.t, x, kept.t - lag, how) if lag else same
                 for (x, how), same, lag in columns
             ]
         ).T
@@ -210,7 +228,7 @@ class Record(Shown):
         """
         t = other.t + clock
         mine = self.cut(float(t[0]), float(t[-1]))
-        x = np.array([at_instants(t, x, mine.t, how) for x, how in other._columns()]).T
+        x = np.array([samples.at_instants(t, x, mine.t, how) for x, how in other._columns()]).T
         return replace(
             mine,
             u=np.hstack([mine.u, x[:, : other.nu]]),
@@ -220,9 +238,9 @@ class Record(Shown):
             trim={**self.trim, **other.trim},
         )
 
-    def _columns(self) -> list[tuple[Array, Between]]:
+    def _columns(self) -> list[tuple[Array, samples.Between]]:
         """Every channel with what it does between samples."""
-        held: list[tuple[Array, Between]] = [(x, self.hold) for x in self.u.T]
+        held: list[tuple[Array, samples.Between]] = [(x, self.hold) for x in self.u.T]
         return [*held, *((x, "smooth") for x in self.y.T)]
 
     def rename(self, names: Mapping[str, str]) -> "Record":

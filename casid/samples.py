@@ -6,12 +6,13 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 
 Between = Literal["zoh", "foh", "smooth"]  # steps, straight lines, a cubic spline
 
 USUAL = 0.95  # share of sampling intervals that are not longer than the usual one
 SLOWER = 1.5  # intervals that are longer by this factor need a filter first
+CLOSE = 0.05  # of the median interval: a curve through two samples so close swings far beyond both
 PASS = 0.8  # of the new Nyquist frequency: what is above it is taken out before sampling slower
 
 
@@ -91,6 +92,26 @@ def check_samples(
         raise ValueError(f"record {record!r}: channel {twice[0]!r} is named twice")
     _check_time(record, t)
     _check_values(record, u, y, names)
+
+
+def close_together(t: Array) -> BoolArray:
+    """Samples (N,) that follow the last one kept at hardly any distance."""
+    least = CLOSE * float(np.median(np.diff(t)))
+    close = np.zeros(len(t), dtype=bool)
+    last = t[0]
+    for k in range(1, len(t)) if (np.diff(t) < least).any() else ():
+        close[k] = t[k] - last < least
+        last = last if close[k] else t[k]
+    return close
+
+
+def merged(t: Array, u: Array, y: Array, close: BoolArray) -> tuple[Array, Array, Array]:
+    """Samples without those marked; outputs missing in the one before are taken from them."""
+    # Of several sensors on nearly the same clock nothing is lost.
+    y = y.copy()
+    for k in np.flatnonzero(close)[::-1]:
+        y[k - 1] = np.where(np.isnan(y[k - 1]), y[k], y[k - 1])
+    return t[~close], u[~close], y[~close]
 
 
 def _check_time(record: str, t: Array) -> None:

@@ -226,6 +226,34 @@ def test_a_dropout_of_five_seconds_is_the_flight_cut_in_two(estimate):
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
+# ---- stamps that nearly agree --------------------------------------------------------------------
+
+
+def test_samples_at_nearly_the_same_instant_are_one_and_told():
+    whole = flown(t=0.02 * np.arange(1500), seed=2)
+    twice = np.insert(np.arange(whole.N), [401, 801], [400, 800])
+    t = whole.t[twice]
+    t[[401, 802]] += 1e-5
+    y = whole.y[twice]
+    y[401] += 0.01  # noise of the second reading
+    with pytest.warns(DataWarning, match=r"2 of 1502 samples .*rows 401, 802, .* 8.00001 s"):
+        doubled = replace(whole, t=t, u=whole.u[twice], y=y)
+    for letter in "tuy":
+        np.testing.assert_array_equal(getattr(doubled, letter), getattr(whole, letter))
+    np.testing.assert_allclose(doubled.resample(0.01).y[::2], whole.y, atol=1e-12)
+
+
+def test_sensors_on_nearly_one_clock_fill_each_others_samples():
+    t = np.sort(np.concatenate([0.1 * np.arange(20), 0.1 * np.arange(20) + 1e-4]))
+    t = np.concatenate([t, 2.0 + 0.1 * np.arange(40)])  # one sensor goes on alone
+    y = np.full((80, 2), np.nan)
+    y[0:40:2, 0], y[1:40:2, 1], y[40:] = 1.0, 2.0, 3.0
+    with pytest.warns(DataWarning, match=r"20 of 80 samples .*rows 1, 3, 5, 7, 9 \.\.\."):
+        both = Record(t, np.zeros((80, 1)), y, ("u",), ("a", "b"))
+    np.testing.assert_allclose(both.t, 0.1 * np.arange(60), atol=1e-12)
+    np.testing.assert_array_equal(both.y[:20], np.tile([1.0, 2.0], (20, 1)))
+
+
 # ---- the same flight otherwise -------------------------------------------------------------------
 
 

@@ -14,7 +14,8 @@ def number(value: float | None, digits: int = 4) -> str:
     text = f"{value:.{digits}g}"
     if "e" in text:
         mantissa, exponent = text.split("e")
-        text = f"{mantissa}e{int(exponent)}"
+        plain = 0 <= int(exponent) < 4  # 100 %, not 1e2 %
+        text = f"{float(text):.0f}" if plain else f"{mantissa}e{int(exponent)}"
     return text.replace("-", "−")
 
 

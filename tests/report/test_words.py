@@ -17,6 +17,10 @@ def test_numbers_are_written_for_readers(value, text):
     assert number(value) == text
 
 
+def test_a_whole_hundred_needs_no_exponent():
+    assert [number(100 * share, 2) for share in (1.0, 0.99, 100.0)] == ["100", "99", "1e4"]
+
+
 def test_a_standard_error_far_above_the_value_is_not_spelt_out():
     row = ParameterEstimate(
         name="Xu", value=1e-9, guess=0.0, lower=-1.0, upper=0.0, active=False, multiplier=0.0,
