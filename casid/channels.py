@@ -12,8 +12,8 @@ UNITS = {  # in which a channel of that name is
 }
 
 DEGREE = 0.017453292519943295  # rad
-MEASURES = {  # SI unit -> what one of each unit is in it; a PWM signal travels 1000 µs
-    "1": {"1": 1.0, "-": 1.0, "%": 0.01, "pwm": 1e-3},
+MEASURES = {  # SI unit -> what one of each unit is in it; PWM travels 1000 µs, u16 has 16 bits
+    "1": {"1": 1.0, "-": 1.0, "%": 0.01, "pwm": 1e-3, "u16": 1 / 65535},
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "rad": {"rad": 1.0, "deg": DEGREE},
     "rad/s": {"rad/s": 1.0, "deg/s": DEGREE, "dps": DEGREE},

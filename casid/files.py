@@ -29,7 +29,8 @@ HEADER_CHARACTERS = 2**17  # a longer first line is no header
 LARGEST, SMALLEST = 1e30, 1e-30  # magnitudes of a channel that still measure something
 
 Detrend: TypeAlias = Literal["first", "mean"] | Mapping[str, float] | None
-Column: TypeAlias = str | tuple[str, int]  # a column or variable; a column of a MATLAB array
+Place: TypeAlias = str | tuple[str, int]  # a column or variable; a column of a MATLAB array
+Column: TypeAlias = Place | Mapping[str, float]  # or a sum of columns, each times its factor
 Channels: TypeAlias = Sequence[str] | Mapping[str, Column]
 
 
@@ -52,7 +53,8 @@ def read_csv(
         Comma-separated values; an empty cell or ``nan`` is a missing sample.
     inputs, outputs : sequence of str, or mapping
         The columns to take, in that order; others are left unread. A mapping gives a channel
-        another name than its column, ``{"lat": "LAT_STICK"}``.
+        another name than its column, ``{"lat": "LAT_STICK"}``, or makes it a sum of columns, each
+        times its factor, ``{"roll": {"m1": -0.5, "m2": 0.5}}``.
     time : str or float
         The column of instants, or the sampling interval [s] where there is none.
     units : mapping
@@ -73,9 +75,10 @@ def read_csv(
     """
     path = Path(path)
     name = name or path.stem
-    wanted = dict.fromkeys(map(str, places(inputs, outputs, time, name).values()))
+    each = places(inputs, outputs, time, name).values()
+    wanted = dict.fromkeys(str(place) for column in each for place in _summed(column))
     table = read_columns(path, list(wanted))
-    at: Callable[[Column], Array] = lambda column: table[str(column)]  # noqa: E731
+    at: Callable[[Place], Array] = lambda place: table[str(place)]  # noqa: E731
     record = build(at, inputs, outputs, time, units, name)
     return replace(record, hold=hold).detrend(detrend)
 
@@ -137,8 +140,17 @@ def places(inputs: Channels, outputs: Channels, time: str | float, name: str) ->
     return found
 
 
+def _summed(column: Column) -> Mapping[Place, float]:
+    """What a channel is the sum of, with factors."""
+    if not isinstance(column, Mapping):
+        return {column: 1.0}
+    if not column:
+        raise ValueError("a channel is the sum of no columns; name at least one with its factor")
+    return {place: float(factor) for place, factor in column.items()}
+
+
 def build(
-    read: Callable[[Column], Array],
+    read: Callable[[Place], Array],
     inputs: Channels,
     outputs: Channels,
     time: str | float,
@@ -146,7 +158,10 @@ def build(
     name: str,
 ) -> Record:
     """A record in SI units of what ``read`` returns; ValueError for wrong units or values."""
-    table = {each: read(column) for each, column in places(inputs, outputs, time, name).items()}
+    table: dict[str, Array] = {}
+    for channel, column in places(inputs, outputs, time, name).items():
+        parts = [factor * read(place) for place, factor in _summed(column).items()]
+        table[channel] = np.sum(parts, axis=0) if len(parts) > 1 else parts[0]
     for channel, unit in (units or {}).items():
         if channel not in table:
             raise ValueError(
@@ -159,8 +174,8 @@ def build(
             f"record {name!r}: channels differ in length ({lengths}); those of one record have one "
             "length"
         )
-    for channel, column in table.items():
-        _check_magnitude(name, channel, column)
+    for channel, values in table.items():
+        _check_magnitude(name, channel, values)
     u, y = (np.column_stack([table[each] for each in group]) for group in (inputs, outputs))
     t = table[time] if isinstance(time, str) else time * np.arange(len(u))
     return Record(t, u, y, tuple(inputs), tuple(outputs), name)
@@ -342,7 +357,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _mat_column(variables: Mapping[str, Any], path: Path, place: Column) -> Array:
+def _mat_column(variables: Mapping[str, Any], path: Path, place: Place) -> Array:
     variable, column = (place, None) if isinstance(place, str) else place
     if variable not in variables:
         known = ", ".join(key for key in variables if not key.startswith("__"))

@@ -96,6 +96,22 @@ def test_an_unreadable_csv_is_told_with_file_and_column(tmp_path, text, options,
         read_csv(csv(tmp_path, text), **CHANNELS, **options)
 
 
+def test_a_channel_may_be_a_sum_of_columns(tmp_path):
+    rows = "".join(f"{k},{65535 * (k % 2)},{65535 * k / 8},{k},{-2 * k}\n" for k in range(8))
+    file = csv(tmp_path, "t,m1,m2,p,phi\n" + rows)
+    mixed = {"lat": {"m1": -0.5, "m2": 0.5}}
+    record = read_csv(
+        file, inputs=mixed, outputs={"p": {"p": -1}, "phi": "phi"}, units={"lat": "u16"}
+    )
+    k = np.arange(8)
+    np.testing.assert_allclose(record.u[:, 0], k / 16 - (k % 2) / 2, atol=1e-15)
+    np.testing.assert_array_equal(record.y, np.column_stack([-k, -2 * k]))
+    with pytest.raises(ValueError, match="no column 'm3'; it has t, m1, m2, p, phi"):
+        read_csv(file, inputs={"lat": {"m1": 1, "m3": 1}}, outputs=["p"])
+    with pytest.raises(ValueError, match="sum of no columns"):
+        read_csv(file, inputs={"lat": {}}, outputs=["p"])
+
+
 def test_a_file_that_is_not_there_or_no_text_is_told(tmp_path):
     with pytest.raises(ValueError, match=r"none\.csv: cannot read it as CSV"):
         read_csv(tmp_path / "none.csv", **CHANNELS)

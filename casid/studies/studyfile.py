@@ -150,14 +150,17 @@ def _channels(table: Table, structure: type[Model]) -> Channels:
 
 
 def _column(table: Table, name: str) -> Column:
-    match table.take(name, (list, str)):
+    match table.take(name, (list, str, dict)):
         case [str(variable), int(column)]:
             return variable, column
         case str(column):
             return column
+        case {**factors} if factors:
+            return table.numbers(name)
         case value:
             raise ValueError(
-                f'{table.place} {name} = {value!r}, expected "column" or ["variable", column]'
+                f'{table.place} {name} = {value!r}, expected "column", ["variable", column] or '
+                "{ column = factor, ... }"
             )
 
 

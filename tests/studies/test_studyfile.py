@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from truths.roll_study import TRIM, write_study
 
-from casid import ModelError, read_study
+from casid import ModelError, read_csv, read_study
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_records
 
@@ -26,6 +26,19 @@ def test_sticks_in_percent_become_fractions_and_trim_is_removed(tmp_path):
     steps = records["identification"][0]
     assert np.max(np.abs(steps.u)) == pytest.approx(0.05)  # of the truth, in fractions of travel
     assert steps.trim["lat"] == pytest.approx(TRIM["lat"])
+
+
+def test_a_channel_of_a_study_may_be_a_sum_of_columns(tmp_path):
+    plain = read_records(read_study(write_study(tmp_path)))["identification"][0]
+    columns = "[channels.columns]\nlat = { lat = 0.5, phi = 2.0 }\n[records.identification]"
+    study = read_study(write_study(tmp_path, ("[records.identification]", columns)))
+    mixed, lat = read_records(study)["identification"][0].totals()["lat"], plain.totals()["lat"]
+    phi = read_csv(study.roles["identification"].files[0], inputs=["lat"], outputs=["phi"]).y[:, 0]
+    np.testing.assert_allclose(mixed, 0.5 * lat + 0.02 * phi, atol=1e-12)  # lat is in percent
+    with pytest.raises(ValueError, match=r"\[lat\]: phi = .x., expected int or float"):
+        read_study(
+            write_study(tmp_path, ("[records.identification]", columns.replace("2.0", '"x"')))
+        )
 
 
 def test_validation_takes_the_trim_of_the_identification_records(tmp_path):
