@@ -81,7 +81,6 @@ from .model import (
     Constraint as Constraint,
     Model as Model,
     Rows as Rows,
-    Scalar as Scalar,
     matrix as matrix,
     parameter as parameter,
 )
@@ -90,6 +89,7 @@ from .record import Record as Record
 from .report.plots import compare as compare
 from .report.tables import summary as summary
 from .residuals import Residuals as Residuals, residuals as residuals
+from .sensors import Scalar as Scalar, Sensor as Sensor
 from .shooting.output_error import OutputError as OutputError, output_error as output_error
 from .shooting.precision import OutputErrorNotes as OutputErrorNotes
 from .stages.chain import Chain as Chain

@@ -15,12 +15,12 @@ from typing import Any, ClassVar, Self, TypeAlias, TypeVar, cast, dataclass_tran
 import casadi as ca
 import numpy as np
 
-from casid import declaration
+from casid import declaration, sensors
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.linear import StateSpace
+from casid.sensors import Scalar, Sensor
 
-Scalar: TypeAlias = float | ca.SX
 Rows: TypeAlias = Sequence[Sequence[Scalar]]
 
 NO_DELAY = 1e-6  # s, rounding of a delay on its bound
@@ -90,10 +90,12 @@ class Model:
     states: ClassVar[tuple[str, ...]]
     inputs: ClassVar[tuple[str, ...]]
     outputs: ClassVar[tuple[str, ...]]
+    late_outputs: ClassVar[tuple[str, ...]] = ()  # outputs whose sensors have a delay
 
     def __init_subclass__(cls) -> None:
         for attribute in ("states", "inputs", "outputs"):
             declaration.check_names(cls, attribute, getattr(cls, attribute, None))
+        cls.states = sensors.all_states(cls)
         reserved = {*dir(Model), "states", "inputs", "outputs"}
         for name, declared in vars(cls).items():
             if "parameter" in getattr(declared, "metadata", {}):
@@ -112,11 +114,12 @@ class Model:
 
     def C(self) -> Rows:
         """Output matrix, (ny, nx); unless written, the states of the outputs' names."""
-        if missing := [name for name in self.outputs if name not in self.states]:
+        states = sensors.own_states(self.states, self.outputs)
+        if missing := [name for name in self.outputs if name not in states]:
             raise ModelError(
                 f"{type(self).__name__} has no method C, and output {missing[0]!r} is no state"
             )
-        return [[float(state == name) for state in self.states] for name in self.outputs]
+        return [[float(state == name) for state in states] for name in self.outputs]
 
     def D(self) -> Rows:
         """Direct matrix, (ny, nu); zero unless written."""
@@ -124,6 +127,10 @@ class Model:
 
     def delays(self) -> Mapping[str, Scalar]:
         """Pure delay of each input named [s]; none unless written."""
+        return {}
+
+    def sensors(self) -> Mapping[str, Sensor]:
+        """Place, delay and scale of what measures each output named; ideal unless written."""
         return {}
 
     def constraints(self) -> Sequence[Constraint]:
@@ -337,7 +344,8 @@ def _check_choice(model: Model, fixed: Collection[str], bounds: Bounds) -> None:
 def _expressions(symbolic: Model) -> tuple[ca.SX, ...]:
     cls = type(symbolic)
     built = {letter: declaration.written(symbolic, letter, matrix) for letter in "ABCD"}
-    nx, nu, ny = len(cls.states), len(cls.inputs), len(cls.outputs)
+    nx = len(sensors.own_states(cls.states, cls.outputs))
+    nu, ny = len(cls.inputs), len(cls.outputs)
     wanted = {"A": (nx, nx), "B": (nx, nu), "C": (ny, nx), "D": (ny, nu)}
     for letter, shape in wanted.items():
         if built[letter].shape != shape:
@@ -345,6 +353,9 @@ def _expressions(symbolic: Model) -> tuple[ca.SX, ...]:
                 f"{cls.__name__}.{letter} has shape {built[letter].shape}, expected {shape}: "
                 f"{nx} states, {nu} inputs, {ny} outputs"
             )
+    built = declaration.written(
+        symbolic, "sensors", lambda found: sensors.measured(symbolic, built, found)
+    )
     declaration.check_rows(cls, built)
     delays = declaration.written(symbolic, "delays", declaration.check_delays)
     if unknown := [name for name in delays if name not in cls.inputs]:

@@ -38,6 +38,7 @@ REGAIN = (2, 5, 8)  # iterations after which the filters' gains are fitted anew
 LATE = 0.5  # largest skew [s]
 BATCH = 1.0  # time [s] over which innovations may be correlated
 PRIOR = np.array([1.0, np.inf, LATE])  # of gain, bias and skew, so that nothing is singular
+FAR_OFF = 10.0  # from the centre of gravity [m], a prior too
 ROUNDING = 1e-9  # of a channel's range: no record is more exact
 
 RATES, FORCES = ("p", "q", "r"), ("ax", "ay", "az")
@@ -131,6 +132,8 @@ class Instruments:
     errors: Array  # (channels, 3) standard errors
     against: dict[str, tuple[str, ...]]  # the equations in which each channel stands
     left: dict[str, list[Array]]  # of each equation's attitude or velocity, one array a flight
+    place: Array  # (3,) of the accelerometers, from where velocities are measured [m]
+    place_errors: Array  # (3,)
 
 
 Terms = tuple[dict[str, Array], Array]  # factors of rates and forces, the rest
@@ -145,29 +148,32 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
     """
     problem = _Reconstruction(flights, tuple(equations))
     n = len(problem.channels)
-    start = np.tile([1.0, 0.0, 0.0], n)
-    prior = np.tile(PRIOR**-2.0, n)
+    start = np.append(np.tile([1.0, 0.0, 0.0], n), np.zeros(3))
+    prior = np.append(np.tile(PRIOR**-2.0, n), np.full(3, FAR_OFF**-2.0))
+    skews = slice(2, 3 * n, 3)
     x = start.copy()
     for iteration in range(ITERATIONS):
         blocks = problem.blocks(x)
         if iteration in REGAIN:
-            problem.fit_gains(blocks, x[::3])
+            problem.fit_gains(blocks, x[: 3 * n : 3])
         parts = problem.whitened(blocks)
         information, slope = _normal(parts, prior, start - x)
         scaled, size = _scaled(information)
-        step = (np.linalg.lstsq(scaled, slope / size, rcond=1e-14)[0] / size).reshape(n, 3)
-        step[:, 2] = np.clip(step[:, 2], -LATE / 4, LATE / 4)
-        x = x + step.ravel()
-        x[2::3] = np.clip(x[2::3], -LATE, LATE)
+        step = np.linalg.lstsq(scaled, slope / size, rcond=1e-14)[0] / size
+        step[skews] = np.clip(step[skews], -LATE / 4, LATE / 4)
+        x = x + step
+        x[skews] = np.clip(x[skews], -LATE, LATE)
     blocks = problem.blocks(x)
     parts = problem.whitened(blocks)
-    variance = _variances(_normal(parts, prior, start - x)[0], problem.scores(parts))
+    errors = np.sqrt(_variances(_normal(parts, prior, start - x)[0], problem.scores(parts)))
     return Instruments(
         channels=problem.channels,
-        unknowns=x.reshape(n, 3),
-        errors=np.sqrt(variance).reshape(n, 3),
+        unknowns=x[:-3].reshape(n, 3),
+        errors=errors[:-3].reshape(n, 3),
         against=problem.against(),
         left={each: [e for name, e, _ in blocks if name == each] for each in equations},
+        place=x[-3:],
+        place_errors=errors[-3:],
     )
 
 
@@ -197,15 +203,20 @@ class _Reconstruction:
 
     def blocks(self, x: Array) -> list[Block]:
         """Residuals and slopes of each equation and flight at these unknowns."""
-        table = x.reshape(-1, 3)
+        table, place = x[:-3].reshape(-1, 3), x[-3:]
         found = []
         for flight, splines, terms in zip(self.flights, self.splines, self.terms, strict=True):
             moved = {}
             for name, (_, _, skew) in zip(self.channels, table, strict=True):
                 at = np.clip(flight.t + skew, 0.0, flight.t[-1])
                 moved[name] = (splines[name](at), splines[name](at, nu=1))
+            lever = _lever(moved)
             for each in self.equations:
-                F = _integral(self._derivative(terms[each], moved, table), flight.dt)
+                f = self._derivative(terms[each], moved, table)
+                if each in VELOCITIES and lever is not None:
+                    f[:, -4:-1] = -lever[VELOCITIES.index(each)]
+                    f[:, -1] += f[:, -4:-1] @ place
+                F = _integral(f, flight.dt)
                 e = flight.values[each] - F[:, -1]
                 found.append((each, e - e.mean(), F[:, :-1]))
         return found
@@ -214,8 +225,9 @@ class _Reconstruction:
         self, terms: Terms, moved: Mapping[str, tuple[Array, Array]], table: Array
     ) -> Array:
         """Slopes of one equation's right-hand side by the unknowns, and itself, (N, n + 1)."""
+        # Those by the place of the accelerometers come later.
         factors, rest = terms
-        f = np.zeros((len(rest), table.size + 1))
+        f = np.zeros((len(rest), table.size + 4))
         f[:, -1] = rest
         for i, (name, (gain, bias, _)) in enumerate(zip(self.channels, table, strict=True)):
             if name in factors:
@@ -263,6 +275,19 @@ class _Reconstruction:
         return np.concatenate(
             [np.add.reduceat(X * e[:, None], np.arange(0, len(e), n), axis=0) for _, e, X in parts]
         )
+
+
+def _lever(moved: Mapping[str, tuple[Array, Array]]) -> Array | None:
+    """L of a_s − a = L r, (3, N, 3), for r from the centre of gravity; None without all rates."""
+    if not {*RATES} <= set(moved):
+        return None
+    (p, dp), (q, dq), (r, dr) = (moved[name] for name in RATES)
+    rows = [
+        [-(q**2 + r**2), p * q - dr, p * r + dq],
+        [p * q + dr, -(p**2 + r**2), q * r - dp],
+        [p * r - dq, q * r + dp, -(p**2 + q**2)],
+    ]
+    return np.moveaxis(np.array(rows), 1, 2)
 
 
 def _innovations(gain: float, e: Array, X: Array) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casid.arrays import BoolArray
+from casid.arrays import Array, BoolArray
 from casid.autoregression import outliers
 from casid.consistency.flightpath import (
     ATTITUDES,
@@ -31,6 +31,7 @@ KNOWN = 0.05  # standard error of a scale below which a channel counts as checke
 SIGNIFICANT = 3.0  # standard errors
 SCALE, SKEW, BIAS = 0.02, 0.01, 0.1  # what matters: relative, s, of the channel's deviation
 ROUGH = 0.1  # the scale that matters where an equation lacks a channel
+AWAY, SEEN = 0.2, 0.5  # m: an accelerometer's place that matters, and its largest error
 LEVEL = 0.005  # rad
 REST = 0.5  # s of quiet that a trim is taken from
 MUCH = 0.3  # share of an attitude's movement left unexplained that matters
@@ -101,6 +102,9 @@ class KinematicCheck:
         Root mean square of what each equation leaves, in the unit of its attitude or velocity.
     notes : tuple of str
         What was not checked, and why.
+    place, place_error : tuple of float
+        From where velocities are measured to where specific forces are: forward, right, down [m];
+        NaN where the records do not tell.
     further : tuple of str
         Remarks that belong to no single comparison: gravity in trim, angles that are no radians.
     """
@@ -109,6 +113,8 @@ class KinematicCheck:
     residuals: Mapping[str, float]
     notes: tuple[str, ...] = ()
     further: tuple[str, ...] = ()
+    place: tuple[float, ...] = (np.nan,) * 3
+    place_error: tuple[float, ...] = (np.nan,) * 3
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -162,6 +168,9 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
         for each in checks
         if not each.determined
     ]
+    known = solution.place_errors < SEEN
+    place = np.where(known, solution.place, np.nan)
+    errors = np.where(known, solution.place_errors, np.nan)
     return KinematicCheck(
         channels=checks,
         residuals={
@@ -169,7 +178,13 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
             for each, e in solution.left.items()
         },
         notes=tuple(notes),
-        further=(*_against_gravity(flights, names), *_unexplained(solution, spread)),
+        further=(
+            *_against_gravity(flights, names),
+            *_unexplained(solution, spread),
+            *_misplaced(place, errors),
+        ),
+        place=tuple(map(float, place)),
+        place_error=tuple(map(float, errors)),
     )
 
 
@@ -291,6 +306,18 @@ def _unexplained(solution: Instruments, spread: Mapping[str, float]) -> tuple[st
                 "its movement is left; look at the signs, units and axes of all"
             )
     return tuple(said)
+
+
+def _misplaced(place: Array, errors: Array) -> tuple[str, ...]:
+    """Remark on accelerometers that are not where velocities are measured."""
+    if not (np.abs(place) > np.maximum(AWAY, SIGNIFICANT * errors)).any():
+        return ()
+    axes = zip(place, errors, ("forward", "right", "down"), strict=True)
+    where = ", ".join(f"{r:.2f} ± {e:.1g} m {axis}" for r, e, axis in axes if np.isfinite(r))
+    return (
+        f"ax ay az read as accelerometers {where} of where velocities are measured: move them to "
+        "the centre of gravity, or give the structure their place",
+    )
 
 
 def _against_gravity(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truths.flights import ERRORS, FORCES, NOISE, RATES, STATES, flight, scores
+from truths.flights import ERRORS, FORCES, NOISE, RATES, STATES, flight, scores, truth
 from truths.places import EXAMPLES
 from truths.roll_study import write_study
 
@@ -250,3 +250,21 @@ def test_a_channel_in_another_unit_has_a_scale_and_an_error_that_many_times_larg
     assert double["p"].scale_error == pytest.approx(2 * plain["p"].scale_error, rel=1e-2)
     assert double["p"].bias_error == pytest.approx(2 * plain["p"].bias_error, rel=1e-2)
     assert double["p"].skew_error == pytest.approx(plain["p"].skew_error, rel=1e-2)
+
+
+def test_accelerometers_away_from_the_centre_of_gravity_are_remarked():
+    place = np.array([1.5, 0.0, -0.5])
+    signals, t = truth(2)
+    h = 1e-4
+    w = np.array([signals(t)[name] for name in RATES]).T
+    slope = np.array([(signals(t + h)[n] - signals(t - h)[n]) / (2 * h) for n in RATES]).T
+    record = flight(2)
+    more = np.cross(slope, place) + np.cross(w, np.cross(w, place))
+    y = record.y + more @ np.array([[float(n == o) for o in record.outputs] for n in FORCES])
+    moved = replace(record, y=y).with_noise(NOISE, np.random.default_rng(4))
+    check = kinematic_check(moved)
+    assert len(check.remarks) == 1
+    assert "accelerometers" in check.remarks[0]
+    errors = (np.array(check.place) - place) / check.place_error
+    assert np.abs(errors).max() < 3.0
+    assert max(check.place_error) < 0.2

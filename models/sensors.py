@@ -1,0 +1,32 @@
+"""Accelerometers that are not at the centre of gravity, for any structure with ax, ay or az.
+
+A mixin, to stand before the structure:
+
+    class Boom(Accelerometers, SixDof):
+        \"\"\"Six degrees of freedom, the accelerometers forward of the centre of gravity.\"\"\"
+
+Its parameters are the place [m] from the centre of gravity, forward, right, down. Where it is
+known, give it and hold it: ``fixed=("x_acc", "y_acc", "z_acc")``.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from casid import Scalar, Sensor, parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accelerometers:
+    """Specific forces measured at (x_acc, y_acc, z_acc)."""
+
+    outputs: ClassVar[tuple[str, ...]]
+
+    x_acc: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="m")
+    y_acc: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="m")
+    z_acc: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="m")
+
+    def sensors(self) -> Mapping[str, Sensor]:
+        """One place for all that the structure measures."""
+        place = Sensor(x=self.x_acc, y=self.y_acc, z=self.z_acc)
+        return {name: place for name in ("ax", "ay", "az") if name in self.outputs}

@@ -1,0 +1,126 @@
+"""Sensors against rigid-body kinematics written in the frequency domain."""
+
+import numpy as np
+import pytest
+
+from casid import Model, ModelError, Rows, Scalar, Sensor, parameter
+from models.lateral_directional import LateralDirectional
+from models.sensors import Accelerometers
+from models.six_dof import SixDof
+
+OMEGA = np.geomspace(0.3, 15.0, 12)
+TRIM = {"U0": 40.9, "V0": 2.8, "W0": 2.1, "P0": 0.02, "Q0": -0.03, "R0": 0.1, "theta0": 0.05}
+
+
+class Boom(Accelerometers, SixDof):
+    """Accelerometers somewhere."""
+
+
+class LateRoll(SixDof):
+    """Roll angle late, pitch rate with a scale."""
+
+    late_outputs = ("phi",)
+    tau_phi: Scalar = parameter(default=0.06, lower=0.002, upper=0.2, unit="s")
+
+    def sensors(self):
+        return {"phi": Sensor(delay=self.tau_phi), "q": Sensor(scale=1.1)}
+
+
+class Vane(Model):
+    """Heave and pitch with an angle-of-attack vane on a boom."""
+
+    states = ("w", "q")
+    inputs = ("lon",)
+    outputs = ("alpha", "w")
+    Zw: Scalar = parameter(default=-0.6, lower=-3.0, upper=0.0, unit="1/s")
+
+    def A(self) -> Rows:
+        return [[self.Zw, 40.0], [-0.02, -1.0]]
+
+    def B(self) -> Rows:
+        return [[-5.0], [8.0]]
+
+    def C(self) -> Rows:
+        return [[1 / 40.0, 0], [1, 0]]
+
+    def sensors(self):
+        return {"alpha": Sensor(x=3.0, airspeed=40.0), "w": Sensor(x=3.0)}
+
+
+def spread(structure):
+    """A model none of whose derivatives is zero."""
+    rng = np.random.default_rng(3)
+    values = structure(**TRIM)
+    return values.with_vector(values.vector() + 0.1 * rng.uniform(0.2, 1.0, len(values.vector())))
+
+
+def test_specific_forces_away_from_the_centre_are_those_of_a_rigid_body():
+    model = spread(Boom)
+    r = np.array([model.x_acc, model.y_acc, model.z_acc])
+    assert np.abs(r).min() > 0.01
+    base = SixDof(**TRIM)
+    base = base.with_vector(model.vector()[: len(base.vector())])
+    assert base.Lp == model.Lp
+    G, at = (each.system().response(OMEGA) for each in (base, model))
+    rates, trim = np.moveaxis(G[:, 3:6], 1, -1), np.array([0.02, -0.03, 0.1])
+    turning = 1j * OMEGA[:, None, None] * np.cross(rates, r)
+    # The linear part of (W + w) x ((W + w) x r).
+    turning += np.cross(trim, np.cross(rates, r)) + np.cross(rates, np.cross(trim, r))
+    np.testing.assert_allclose(at[:, :3], G[:, :3] + np.moveaxis(turning, -1, 1), rtol=1e-10)
+    np.testing.assert_allclose(at[:, 3:], G[:, 3:], rtol=1e-12)
+
+
+def test_mixin_gives_a_structure_with_one_specific_force_its_share():
+    class Side(Accelerometers, LateralDirectional):
+        """Sideways only."""
+
+    model = Side(x_acc=1.5, z_acc=-0.5)
+    C, base = model.system().C, LateralDirectional().system()
+    # ay_s = ay + r' x - p' z
+    expected = base.C[0] + 1.5 * base.A[2] + 0.5 * base.A[1]
+    np.testing.assert_allclose(C[0], expected, rtol=1e-12, atol=1e-12)
+
+
+def test_delay_of_an_output_is_a_delay_in_the_band_and_scale_is_a_factor():
+    model = spread(LateRoll)
+    assert model.states[-3:] == ("phi_late1", "phi_late2", "phi_late3")
+    base = SixDof(**TRIM)
+    base = base.with_vector(model.vector()[: len(base.vector())])
+    G, at = (each.system().response(OMEGA) for each in (base, model))
+    x = (model.tau_phi * OMEGA)[:, None]
+    error = np.abs(at[:, 6] / (G[:, 6] * np.exp(-1j * x)) - 1)
+    assert (error <= 1.2 * x**6 / 7200 + 1e-9).all()
+    np.testing.assert_allclose(at[:, 4], 1.1 * G[:, 4], rtol=1e-10)
+
+
+def test_vane_on_a_boom_feels_pitch_rate():
+    system = Vane().system()
+    np.testing.assert_allclose(system.C, [[1 / 40, -3 / 40], [1, -3]])
+
+
+@pytest.mark.parametrize(
+    ("found", "message"),
+    [
+        ({"ped": Sensor(x=1.0)}, "no output"),
+        ({"phi": Sensor(x=1.0)}, "ax, ay, az"),
+        ({"phi": Sensor(delay=0.1)}, "late_outputs"),
+        ({"ax": 1.5}, "Sensor"),
+        ([("ax", Sensor())], "sensors by output"),
+    ],
+)
+def test_sensor_that_means_nothing_is_refused(found, message):
+    class Wrong(SixDof):
+        """Sensors as given."""
+
+        def sensors(self):
+            return found
+
+    with pytest.raises(ModelError, match=message):
+        Wrong().matrices()
+
+
+def test_late_output_needs_a_delay_and_a_name():
+    with pytest.raises(ModelError, match="expected a tuple of outputs"):
+        type("Wrong", (SixDof,), {"late_outputs": ("psi",)})
+    with pytest.raises(ModelError, match="no delay above 0"):
+        type("Wrong", (SixDof,), {"late_outputs": ("phi",)})().matrices()
