@@ -12,6 +12,7 @@ from casid import samples
 from casid.arrays import Array, BoolArray
 from casid.display import Shown, listed
 from casid.errors import warn
+from casid.values import digest
 
 Hold = Literal["foh", "zoh"]
 T = TypeVar("T")
@@ -345,10 +346,20 @@ def several(items: T | Iterable[T]) -> tuple[T, ...]:
 def stretches(records: Records) -> tuple[Record, ...]:
     """Records without gaps in time; every estimator takes its records through here.
 
-    A record with gaps counts as its `Record.stretches`, each with an initial state of its own; a
-    `DataWarning` says so. ValueError: a record with nothing but gaps.
+    A record with gaps counts as its `Record.stretches`, each with an initial state of its own. A
+    `DataWarning` says so, and that two records hold the same samples, whatever their names.
+    ValueError: a record with nothing but gaps.
     """
-    return tuple(piece for record in several(records) for piece in _pieces(record))
+    pieces = tuple(piece for record in several(records) for piece in _pieces(record))
+    seen: dict[str, Record] = {}
+    for piece in pieces:
+        other = seen.setdefault(digest(piece.u, piece.y), piece)
+        if other is not piece:
+            warn(
+                f"records {other.name!r} and {piece.name!r} hold the same samples: one flight "
+                "counts twice, and errors come out too small by up to √2; leave one out"
+            )
+    return pieces
 
 
 def _pieces(record: Record) -> tuple[Record, ...]:

@@ -336,3 +336,11 @@ def test_an_input_that_moves_at_once_is_quiet_for_one_sample():
     assert Record(t, u, np.zeros((6, 1)), ("u",), ("y",)).quiet_samples() == 1
     slow = np.array([0.0, 0.01, 0.019, 0.021, 1.0, 1.0])[:, None]
     assert Record(t, slow, np.zeros((6, 1)), ("u",), ("y",)).quiet_samples() == 3  # 2 % of 1
+
+
+def test_a_flight_given_twice_is_told_whatever_its_name():
+    one = record()
+    with pytest.warns(DataWarning, match="records 'one' and 'two' hold the same samples"):
+        stretches([replace(one, name="one"), replace(one, name="two")])
+    other = replace(one, y=one.y + 1e-9, name="two")
+    assert len(stretches([one, other])) == 2

@@ -6,13 +6,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import scipy.stats
 
-from casid.arrays import ComplexArray
+from casid.arrays import Array, ComplexArray
 from casid.bounds.cases import Case
+from casid.bounds.robust import p_value, price_p_values, weights
 from casid.bounds.trials import aicc
 from casid.fit import AnyFit, ConstraintEstimate, ParameterEstimate
 from casid.jobs.store import Done
+from casid.model import free_parameters
 from casid.record import standard_deviations
 from casid.validation import Validation
 
@@ -40,13 +41,16 @@ class CaseResult:
         index 0 being the freest case. It is exact where the cost is quadratic.
     shares : mapping
         What each parameter's bounds, or each relation, contribute to ``predicted``.
+    price_p_values : mapping
+        Of each of them, how probable so large a multiplier is if the data do not mind it.
     aicc : float
         Corrected Akaike criterion; NaN unless the cost is a likelihood.
     statistic, freedom, p_value : float, int, float
-        Likelihood ratio of the case within the freest: twice the increase is χ² with as many
-        degrees of freedom as directions are held beside those of the freest case. Of inequalities
-        this is the test on condition of which are active (P. C. Wollan, R. L. Dykstra, Conditional
-        tests with an order restriction as a null hypothesis, Springer LNS 37, 1986).
+        Likelihood ratio of the case within the freest: twice the increase, a sum of as many χ² of
+        one degree of freedom as directions are held beside those of the freest case, each weighed
+        by what the estimates' variance is of that by the information (`casid.bounds.robust`). Of
+        inequalities this is the test on condition of which are active (P. C. Wollan, R. L. Dykstra,
+        Conditional tests with an order restriction as a null hypothesis, Springer LNS 37, 1986).
     rms : float
         Of the validation residuals, each output divided by its standard deviation.
     eigenvalues : (nx,) complex array
@@ -65,6 +69,7 @@ class CaseResult:
     increase: float = np.nan
     predicted: float = np.nan
     shares: Mapping[str, float] = field(default_factory=dict)
+    price_p_values: Mapping[str, float] = field(default_factory=dict)
     aicc: float = np.nan
     statistic: float = np.nan
     freedom: int = 0
@@ -100,9 +105,12 @@ def price_case(
     found = replace(found, increase=increase, predicted=sum(shares.values()), shares=shares)
     if fit.R is None or not case.within(freest):  # no likelihood, or no test
         return found
-    freedom, statistic = max(fit.held - free.held, 0), max(2 * increase, 0.0)
-    p_value = float(scipy.stats.chi2.sf(statistic, freedom)) if freedom else 1.0
-    return replace(found, statistic=statistic, freedom=freedom, p_value=p_value)
+    labels, A, prices = _held(fit, case)
+    w, statistic = weights(free, A), max(2 * increase, 0.0)
+    return replace(
+        found, statistic=statistic, freedom=len(w), p_value=p_value(statistic, w),
+        price_p_values=dict(zip(labels, price_p_values(free, A, prices).tolist(), strict=True)),
+    )  # fmt: skip
 
 
 def relative_rms(validation: Validation | None, name: str) -> float:
@@ -118,6 +126,21 @@ def _own(fit: AnyFit, case: Case) -> tuple[list[ConstraintEstimate], list[Constr
     rows = list(fit.constraints)
     first = len(rows) - len(case.relations)
     return rows[:first], rows[first:]
+
+
+def _held(fit: AnyFit, case: Case) -> tuple[list[str], Array, Array]:
+    """What holds the fit: names, gradients by its free parameters (m, nf), multipliers (m,)."""
+    outside = set(type(fit.model).parameter_names()) - set(fit.free_names)
+    free, (own, relations) = free_parameters(fit.model, outside, case.bounds), _own(fit, case)
+    bounds = [fit[name] for name in fit.free_names]
+    slopes = free.constraint_slopes(free.guess) if own else np.zeros((0, len(bounds)))
+    rows = np.array([relation.row(free.names) for relation in case.relations])
+    gradients = np.vstack([np.eye(len(bounds)), slopes, rows.reshape(-1, len(bounds))])
+    held = [row for row in (*bounds, *own, *relations)]
+    active = np.array([row.active for row in held])
+    single = {r.text: r.names[0] for r in case.relations if len(r.names) == 1}
+    names = [single.get(row.name, row.name) for row in held if row.active]
+    return names, gradients[active], np.array([row.multiplier for row in held if row.active])
 
 
 def _parameters(fit: AnyFit, case: Case) -> tuple[ParameterEstimate, ...]:

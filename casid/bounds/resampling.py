@@ -14,11 +14,13 @@ from casid.estimator import Estimator
 from casid.fit import AnyFit
 from casid.jobs.campaigns import Execution
 from casid.model import Bounds, Model, free_parameters
-from casid.record import Record, stretches
+from casid.record import Record, several, stretches
+from casid.shooting.likelihood import Noise, moments_of
 from casid.shooting.output_error import OutputError
 from casid.tabulation import csv_text, markdown_table
 
 SAME = 1e-6  # relative difference of costs that are the same minimum
+SAME_COST = 1e-3  # of log-likelihood a sample, between a fit and its own records
 COVERED = 1.96  # standard errors of a 95 % interval
 
 
@@ -155,9 +157,11 @@ def multistart(
 
     Raises
     ------
-    ConvergenceError
-        No start led to a minimum.
+    ValueError, ConvergenceError
+        No start, a negative spread; no start led to a minimum.
     """
+    if starts < 1 or not spread >= 0:
+        raise ValueError(f"starts={starts}, spread={spread}: expected 1 or more, 0 or above")
     many = Fits(model, data, estimator, fixed, bounds, execution)
     (case,) = many.cases({"start": {}})
     free = free_parameters(model, fixed, bounds)
@@ -238,11 +242,18 @@ def monte_carlo(
     noise : mapping
         Standard deviation of every output's white noise.
     runs, seed : int
-        Run k draws its noise from seed and k alone.
+        Run k draws its noise from seed and k alone; two runs at least.
     estimator, fixed, bounds, execution
         As in `compare_bounds`; an estimator from records.
+
+    Raises
+    ------
+    ValueError
+        Too few runs.
     """
-    clean = [_simulated(model, record) for record in stretches(records)]
+    _check_runs(runs)
+    flown = [piece for record in several(records) for piece in record.stretches()]
+    clean = [_simulated(model, record) for record in flown]
     draws: list[Draw] = [NoiseDraw(dict(noise), (seed, run)) for run in range(runs)]
     return _ensemble(Fits(model, clean, estimator, fixed, bounds, execution), draws, None)
 
@@ -271,7 +282,7 @@ def bootstrap(
     records : Record or sequence of Record
         In the same order.
     runs, seed : int
-        Run k draws its blocks from seed and k alone.
+        Run k draws its blocks from seed and k alone; two runs at least.
     block : float
         Length of the blocks [s]: longer than the residuals are correlated.
     estimator, fixed, bounds, execution
@@ -280,13 +291,17 @@ def bootstrap(
     Raises
     ------
     ValueError
-        A fit that is not one of these records.
+        A fit that is not one of these records; too few runs, no length of blocks.
     """
+    _check_runs(runs)
+    if not block > 0:
+        raise ValueError(f"block={block}: expected seconds above 0, longer than the correlation")
     flown = stretches(records)
-    if fit.initial_states is None or fit.biases is None or len(fit.biases) != len(flown):
+    if fit.method != "output error" or fit.initial_states is None or fit.biases is None:
+        raise ValueError(f"bootstrap needs an output-error fit; this is one by {fit.method}")
+    if len(fit.biases) != len(flown):
         raise ValueError(
-            f"bootstrap needs an output-error fit of these {len(flown)} records; this is one by "
-            f"{fit.method}"
+            f"the fit is one of {len(fit.biases)} records; bootstrap was given {len(flown)}"
         )
     model = fit.model
     simulated = [
@@ -297,8 +312,28 @@ def bootstrap(
         record.select(model.inputs, model.outputs).y - clean.y
         for record, clean in zip(flown, simulated, strict=True)
     )
+    _check_residuals(fit, residuals)
     draws: list[Draw] = [BlockDraw(residuals, block, (seed, run)) for run in range(runs)]
     return _ensemble(Fits(model, simulated, estimator, fixed, bounds, execution), draws, fit)
+
+
+def _check_runs(runs: int) -> None:
+    if runs < 2:
+        raise ValueError(f"runs={runs}: expected 2 or more; a scatter takes at least two fits")
+
+
+def _check_residuals(fit: AnyFit, residuals: Sequence[Array]) -> None:
+    """ValueError unless these residuals have the likelihood that the fit ended with."""
+    every = np.concatenate(residuals)
+    patterns, kind = np.unique(np.isfinite(every), axis=0, return_inverse=True)
+    pattern, R = kind.ravel(), np.asarray(fit.R)
+    noise = Noise(patterns, np.bincount(pattern), np.zeros(len(R)), given=R)
+    cost = noise.cost(R, moments_of(np.nan_to_num(every), pattern, len(patterns)))
+    if not abs(cost - fit.cost) <= SAME_COST * len(every):
+        raise ValueError(
+            f"the fit is not one of these records: it ended with a cost of {fit.cost:.6g}, with "
+            f"these it has {cost:.6g}; give the records it was estimated from, in their order"
+        )
 
 
 def _simulated(

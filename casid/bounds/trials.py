@@ -10,6 +10,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.bounds.cases import Case, CaseSpec, constrained, feasible, plain, read_cases
+from casid.bounds.robust import weights
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, Fit
@@ -168,12 +169,14 @@ def aicc(fit: AnyFit, records: Sequence[Record]) -> float:
 
         AICc = 2 J + 2 k n / (n - k - 1)
 
-    n counts the measurements; k the directions in which parameters are free and all that was
-    estimated beside them (N. Sugiura, Commun. Stat. A7, 1978).
+    n counts the measurements; k the directions in which parameters are free, each by the variance
+    its estimate has over that by the information (K. Takeuchi, Suri-Kagaku 153, 1976), and all that
+    was estimated beside them (N. Sugiura, Commun. Stat. A7, 1978).
     """
     if not isinstance(fit.notes, OutputErrorNotes):
         return np.nan
     outputs = type(fit.model).outputs
     n = sum(int(np.isfinite(record.channel(name)).sum()) for record in records for name in outputs)
-    k = len(fit.free_names) - fit.held + fit.notes.nuisances
+    w = weights(fit, np.eye(len(fit.free_names)))
+    k = (w.sum() if len(w) else len(fit.free_names) - fit.held) + fit.notes.nuisances
     return 2 * fit.cost + 2 * k * n / (n - k - 1) if n > k + 1 else np.inf

@@ -59,15 +59,48 @@ def test_draws_depend_on_seed_and_run_alone_and_keep_gaps():
     first = monte_carlo(TRUTH, gappy, noise={"y": NOISE}, runs=3)
     more = monte_carlo(TRUTH, gappy, noise={"y": NOISE}, runs=2)
     np.testing.assert_array_equal(first.values[:2], more.values)
-    other = monte_carlo(TRUTH, gappy, noise={"y": NOISE}, runs=1, seed=1)
+    other = monte_carlo(TRUTH, gappy, noise={"y": NOISE}, runs=2, seed=1)
     assert not np.isclose(other.values[0], first.values[0], rtol=1e-6).all()
     assert len(first.to_csv().splitlines()) == 4
 
 
 def test_only_an_output_error_fit_of_the_records_is_bootstrapped():
     fit = output_error(Mixture(), [record()])
-    with pytest.raises(ValueError, match="these 2 records"):
+    with pytest.raises(ValueError, match="of 1 records; bootstrap was given 2"):
         bootstrap(fit, [record(), record(1)])
+    # the same manoeuvre with other noise, and another one
+    for other in (with_noise(record(), 7), record(1)):
+        with pytest.raises(ValueError, match="not one of these records"):
+            bootstrap(fit, other)
+    with pytest.raises(ValueError, match="by derivid"):
+        bootstrap(replace(fit, method="derivid"), record())
+
+
+def with_noise(flight, seed):
+    return flight.with_noise({"y": NOISE}, np.random.default_rng(seed))
+
+
+def test_a_bootstrap_takes_records_with_missing_samples_and_a_given_covariance():
+    r = record()
+    y = r.y.copy()
+    y[10:50] = np.nan
+    gappy = replace(r, y=y)
+    fit = output_error(Mixture(), gappy, R=np.array([[NOISE**2]]))
+    assert np.isfinite(bootstrap(fit, gappy, runs=2, execution=HERE).values).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [({"runs": 0}, "runs=0"), ({"runs": 1}, "runs=1"), ({"block": 0.0}, "block=0.0")],
+)
+def test_ensembles_of_nothing_are_refused(settings, said):
+    fit = output_error(Mixture(), record())
+    with pytest.raises(ValueError, match=said):
+        bootstrap(fit, record(), **settings)
+    with pytest.raises(ValueError, match="runs=1"):
+        monte_carlo(TRUTH, record(), noise={"y": NOISE}, runs=1)
+    with pytest.raises(ValueError, match="starts=0"):
+        multistart(Mixture(), record(), starts=0)
 
 
 def test_scatter_is_the_unbiased_standard_deviation_and_coverage_counts_intervals():

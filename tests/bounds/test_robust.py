@@ -1,0 +1,74 @@
+"""Weights of the likelihood ratio against linear least squares by hand, p-values against draws."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.mixture import NOISE, Inline, Mixture, least_squares, record
+
+from casid import Execution, OutputError, compare_bounds, output_error
+from casid.bounds.robust import p_value, price_p_values, weights
+from casid.fit import Fit
+
+KNOWN = OutputError(R=np.array([[NOISE**2]]))
+RNG = np.random.default_rng(4)
+ROOT = RNG.standard_normal((3, 3))
+TRUE = ROOT @ ROOT.T  # covariance that the estimates really have
+
+
+@pytest.fixture(scope="module")
+def fit() -> Fit:
+    """A fit to records whose covariance is not the inverse information."""
+    found = output_error(Mixture(), record(), R=KNOWN.R)
+    scale = np.sqrt(np.diag(found.notes.cramer_rao))
+    return replace(found, covariance=TRUE * np.outer(scale, scale))
+
+
+def test_one_combination_has_the_ratio_of_its_variances(fit):
+    for a in np.eye(3), RNG.standard_normal((3, 3)):
+        for row in a:
+            P, V = fit.notes.cramer_rao, fit.covariance
+            (w,) = weights(fit, row[None])
+            assert w == pytest.approx((row @ V @ row) / (row @ P @ row), rel=1e-9)
+
+
+def test_the_likelihood_ratio_is_distributed_as_the_weights_say(fit):
+    # Estimates drawn with the true covariance; the ratio is the quadratic form of the information.
+    A = np.array([[1.0, -2.0, 0.0], [0.0, 1.0, 3.0]])
+    P, V = fit.notes.cramer_rao, fit.covariance
+    draws = np.random.default_rng(5).multivariate_normal(np.zeros(3), V, 200_000) @ A.T
+    ratio = np.einsum("ni,ij,nj->n", draws, np.linalg.inv(A @ P @ A.T), draws)
+    w = weights(fit, A)
+    assert len(w) == 2
+    assert w.sum() == pytest.approx(ratio.mean(), rel=0.02)  # scatters by 0.4 %
+    rejected = np.mean([p_value(x, w) < 0.05 for x in ratio[:20_000]])
+    assert rejected == pytest.approx(0.05, abs=0.01)  # the approximation's own error
+    prices = draws @ np.linalg.inv(A @ P @ A.T)  # of equations, the gradient of half the form
+    shares = np.mean([price_p_values(fit, A, row) < 0.05 for row in prices[:20_000]], axis=0)
+    np.testing.assert_allclose(shares, 0.05, atol=0.006)  # 20 000 draws scatter by 0.0015
+
+
+def test_rows_that_repeat_or_hold_nothing_do_not_count(fit):
+    A = np.array([[1.0, -2.0, 0.0], [-2.0, 4.0, 0.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(weights(fit, A), weights(fit, A[:1]), rtol=1e-9)
+    assert not len(weights(replace(fit, notes=None), A))
+    assert p_value(3.0, np.zeros(0)) == 1.0
+
+
+def test_a_price_is_as_surprising_as_its_multiplier_is_many_sigmas():
+    X, y = least_squares()
+    x, C = np.linalg.lstsq(X, y)[0], np.linalg.inv(X.T @ X)
+    cases = {"free": {}, "bound": {"a": "< 0.97"}, "tie": {"constraints": ["a = 2 b"]}}
+    cases["value"] = {"b": 0.6}
+    here = Execution(executor=Inline())
+    found = compare_bounds(Mixture(), record(), cases=cases, estimator=KNOWN, execution=here)
+    rows = {"bound": ("a", [1, 0, 0], 0.97), "tie": ("a = 2 b", [1, -2, 0], 0.0)}
+    rows["value"] = ("b", [0, 1, 0], 0.6)
+    for name, (label, row, right) in rows.items():
+        case = found[name]
+        assert set(case.price_p_values) == {label}
+        # white residuals, one thing held: price and ratio are the same test
+        assert case.price_p_values[label] == pytest.approx(case.p_value, rel=0.02)
+        e = np.array([*row, 0, 0, 0], dtype=float)
+        expected = p_value((e @ x - right) ** 2 / (e @ C @ e), np.ones(1))
+        assert np.log(case.p_value) == pytest.approx(np.log(expected), rel=0.15)
