@@ -206,7 +206,7 @@ def _warn_of_minima(results: Sequence[CaseResult], freest: str) -> None:
 ERRORS = ("std_error", "cramer_rao")
 ROW = ("name", "unit", "guess", "value", *ERRORS, "lower", "upper", "active", "multiplier")
 FIGURES = ("reason", "cost", "increase", "predicted", "held", "aicc", "statistic", "freedom")
-PARAMETERS = ("case", "kind", *ROW, "share")
+PARAMETERS = ("case", "kind", *ROW, "share", "p_value")
 CASES = ("case", *FIGURES, "p_value", "validation_rms", "start", "eigenvalues")
 ABSENT = {"unit": "", "guess": np.nan} | dict.fromkeys(ERRORS, np.nan)  # of a relation
 
@@ -216,7 +216,8 @@ def _parameter_rows(comparison: BoundsComparison) -> Iterator[list[Any]]:
         for kind, rows in (("parameter", case.parameters), ("relation", case.relations)):
             for row in rows:
                 values = [getattr(row, name, ABSENT.get(name)) for name in ROW]
-                yield [case.name, kind, *values, case.shares.get(row.name, 0.0)]
+                p_value = case.price_p_values.get(row.name, np.nan)
+                yield [case.name, kind, *values, case.shares.get(row.name, 0.0), p_value]
 
 
 def _case_rows(comparison: BoundsComparison) -> Iterator[list[Any]]:
@@ -248,14 +249,20 @@ def _cells(comparison: BoundsComparison, name: str) -> list[str]:
             error = f" ± {row.std_error:.2g}" if np.isfinite(row.std_error) else ""
             values.append(f"{row.value:.4g}{error}{'*' if row.active else ''}")
         if case.name != comparison.freest:
-            prices.append(_short(case.shares.get(name, np.nan)))
+            prices.append(_price(case, name))
     return [*values, *prices]
+
+
+def _price(case: CaseResult, label: str) -> str:
+    """A share and how surprising it is, "12.3 (p 0.04)"; nothing for what costs nothing."""
+    p = case.price_p_values.get(label, np.nan)
+    return _short(case.shares.get(label, np.nan)) + (f" (p {p:.2g})" if np.isfinite(p) else "")
 
 
 def _relation_cells(case: CaseResult) -> Iterator[list[str]]:
     for row in case.relations:
-        price = _short(case.shares.get(row.name, 0.0))
-        yield [case.name, f"{row.name}{'*' if row.active else ''}", f"{row.value:.4g}", price]
+        mark = "*" if row.active else ""
+        yield [case.name, f"{row.name}{mark}", f"{row.value:.4g}", _price(case, row.name)]
 
 
 def _short(value: float) -> str:

@@ -107,10 +107,9 @@ def price_case(
         return found
     labels, A, prices = _held(fit, case)
     w, statistic = weights(free, A), max(2 * increase, 0.0)
-    return replace(
-        found, statistic=statistic, freedom=len(w), p_value=p_value(statistic, w),
-        price_p_values=dict(zip(labels, price_p_values(free, A, prices).tolist(), strict=True)),
-    )  # fmt: skip
+    surprises = dict(zip(labels, price_p_values(free, A, prices).tolist(), strict=True))
+    found = replace(found, statistic=statistic, freedom=len(w), price_p_values=surprises)
+    return replace(found, p_value=p_value(statistic, w))
 
 
 def relative_rms(validation: Validation | None, name: str) -> float:
@@ -136,7 +135,7 @@ def _held(fit: AnyFit, case: Case) -> tuple[list[str], Array, Array]:
     slopes = free.constraint_slopes(free.guess) if own else np.zeros((0, len(bounds)))
     rows = np.array([relation.row(free.names) for relation in case.relations])
     gradients = np.vstack([np.eye(len(bounds)), slopes, rows.reshape(-1, len(bounds))])
-    held = [row for row in (*bounds, *own, *relations)]
+    held: list[ParameterEstimate | ConstraintEstimate] = [*bounds, *own, *relations]
     active = np.array([row.active for row in held])
     single = {r.text: r.names[0] for r in case.relations if len(r.names) == 1}
     names = [single.get(row.name, row.name) for row in held if row.active]

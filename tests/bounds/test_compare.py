@@ -8,6 +8,7 @@ from truths.mixture import NOISE, Inline, Mixture, least_squares, record
 from truths.structures import black_box
 
 from casid import Execution, Match, OutputError, StateSpace, compare_bounds
+from casid.bounds.robust import weights
 
 OMEGA = np.geomspace(0.2, 8.0, 25)
 
@@ -155,7 +156,10 @@ def test_aicc_counts_what_is_free(flown):
     r = record()
     n, nuisance = r.N, 2 + 1  # initial states, bias; R is given
     for name, free in (("free", 3), ("tie", 2), ("bound", 2)):
-        k = free + nuisance
+        w = weights(flown[name].fit, np.eye(3))
+        np.testing.assert_allclose(w, 1, atol=0.2)  # white: variance of 400 residuals, R given
+        assert len(w) == free
+        k = w.sum() + nuisance
         expected = 2 * flown[name].cost + 2 * k * n / (n - k - 1)
         assert flown[name].aicc == pytest.approx(expected, rel=1e-12)
 

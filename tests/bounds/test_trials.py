@@ -1,5 +1,7 @@
 """Single fits as jobs, and what a fit says about its likelihood."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, flown
@@ -10,6 +12,11 @@ from casid import ConvergenceError, Execution, OutputError, SolverOptions
 from casid.bounds.trials import Fits, aicc, in_words
 
 NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}
+
+
+def as_white(fit):
+    """The fit as if its residuals were white: every free direction counts one."""
+    return replace(fit, covariance=fit.notes.cramer_rao)
 
 
 def expected(fit, k, n):
@@ -30,7 +37,7 @@ def test_aicc_counts_what_was_estimated_and_no_more(settings, beside):
     records = [record(0), record(1)]
     fit = OutputError(**settings).fit(Mixture(), records)
     n = sum(each.N for each in records)
-    assert aicc(fit, records) == pytest.approx(expected(fit, 3 + beside, n), rel=1e-12)
+    assert aicc(as_white(fit), records) == pytest.approx(expected(fit, 3 + beside, n), rel=1e-12)
 
 
 def flight():
@@ -41,7 +48,9 @@ def flight():
 def test_aicc_counts_covariances(R, variances):
     fit = OutputError(R=R).fit(TRUTH, flight(), fixed=("tau",))
     k = len(fit.free_names) - fit.held + 3 + 3 + variances
-    assert aicc(fit, [flight()]) == pytest.approx(expected(fit, k, flight().y.size), rel=1e-12)
+    assert aicc(as_white(fit), [flight()]) == pytest.approx(
+        expected(fit, k, flight().y.size), rel=1e-12
+    )
 
 
 def test_aicc_counts_a_free_gain():
@@ -50,7 +59,17 @@ def test_aicc_counts_a_free_gain():
         OutputError(R=R, process_noise=True, solver=few).fit(TRUTH, flight())
     fit = stopped.value.best
     k = len(fit.free_names) - fit.held + 3 + 3 + 3 * 3
-    assert aicc(fit, [flight()]) == pytest.approx(expected(fit, k, flight().y.size), rel=1e-12)
+    assert aicc(as_white(fit), [flight()]) == pytest.approx(
+        expected(fit, k, flight().y.size), rel=1e-12
+    )
+
+
+def test_aicc_counts_a_parameter_by_the_variance_its_estimate_has():
+    # Takeuchi's trace of P⁻¹ V: the fit's own over all its free directions, here 4, 1 and 9.
+    fit, r = OutputError().fit(Mixture(), record()), record()
+    unit = np.linalg.cholesky(fit.notes.cramer_rao)
+    wide = replace(fit, covariance=unit @ np.diag([4.0, 1.0, 9.0]) @ unit.T)
+    assert aicc(wide, [r]) == pytest.approx(expected(fit, 14 + 2 + 1 + 1, r.N), rel=1e-9)
 
 
 def test_names_of_estimators_are_words():
