@@ -3,7 +3,7 @@
 import pytest
 from truths.roll_study import write_study
 
-from casid import Chain, Matching, OutputError, Pbsid, identify, read_records, read_study
+from casid import Chain, identify, read_records, read_study
 
 
 @pytest.mark.slow
@@ -24,8 +24,3 @@ def test_identify_does_what_the_study_does_and_judges_unseen_records(tmp_path):
     chain = Chain(settings=study.settings, black_box=found.black_box)
     again = chain.fit(study.model, records["identification"])
     assert again.cost == pytest.approx(found.output_error.cost, rel=1e-9)
-
-
-def test_settings_of_the_chain_are_values_of_its_stages():
-    settings = {"pbsid": Pbsid(order=3), "match": Matching(), "output_error": OutputError()}
-    assert Chain(settings=settings).settings["pbsid"].order == 3

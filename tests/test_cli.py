@@ -1,7 +1,6 @@
 """The command line: what it prints, what it leaves behind, what its exit codes say."""
 
 import json
-import signal
 import subprocess
 import sys
 
@@ -9,70 +8,14 @@ import pytest
 from click.testing import CliRunner
 from truths.roll_study import write_study
 
-from casid import Fit
 from casid.cli import COMMANDS, main
-from casid.structure.modelfile import load_model
 
 
 def casid(*arguments):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-@pytest.fixture(scope="module")
-def identified(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("roll")
-    return folder, casid("identify", write_study(folder))
-
-
 # ---- success -----------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_study_ends_with_report_table_and_code_zero(identified):
-    folder, result = identified
-    assert result.exit_code == 0, result.output
-    for file in ("report.html", "fit.json", "parameters.csv", "figures/rms.png"):
-        assert (folder / "out" / file).stat().st_size > 0
-    assert "Llat" in result.output
-    assert str(folder / "out" / "report.html") in result.output
-
-
-@pytest.mark.slow
-def test_each_stage_leaves_a_line_of_iterations_cost_and_seconds(identified):
-    _, result = identified
-    line = next(line for line in result.output.splitlines() if line.startswith("hinf"))
-    stage, iterations, cost, seconds = line.split()
-    assert (stage, int(iterations) > 0, float(cost) > 0, float(seconds) > 0) == (
-        "hinf", True, True, True,
-    )  # fmt: skip
-
-
-@pytest.mark.slow
-def test_the_saved_fit_is_the_truth_within_its_standard_errors(identified):
-    folder, _ = identified
-    fit = Fit.load(folder / "out" / "fit.json", model=load_model("roll.py:Roll", folder))
-    truth = {"Yv": -0.12, "Lv": -0.06, "Lp": -2.2, "Llat": 10.0}
-    for name, value in truth.items():  # four sigma: one false alarm in 4000 studies
-        assert abs(fit[name].value - value) < 4 * fit[name].std_error
-
-
-@pytest.mark.slow
-def test_parameters_csv_has_a_row_for_each_parameter(identified):
-    folder, _ = identified
-    header, *rows = (folder / "out" / "parameters.csv").read_text().splitlines()
-    assert header.startswith("name,value,guess,lower,upper,active,multiplier,std_error")
-    assert [row.split(",")[0] for row in rows] == ["Yv", "Lv", "Lp", "Llat"]
-
-
-@pytest.mark.slow
-def test_a_second_run_takes_what_was_kept(identified):
-    folder, _ = identified
-    stamp = (folder / "out/stages/output_error.json").stat().st_mtime_ns
-    result = casid("identify", folder / "study.toml")
-    assert result.exit_code == 0
-    kept = [line.split()[0] for line in result.output.splitlines() if line.endswith("kept")]
-    assert kept == ["pbsid", "quadratic", "hinf", "output_error"]
-    assert (folder / "out/stages/output_error.json").stat().st_mtime_ns == stamp
 
 
 def test_help_names_the_subcommands_and_the_exit_codes():
@@ -89,14 +32,6 @@ def test_each_subcommand_explains_itself(command):
     assert "STUDY.toml" in result.output
 
 
-def test_check_lists_the_records_and_computes_nothing(tmp_path):
-    result = casid("check", write_study(tmp_path))
-    assert result.exit_code == 0
-    for name in ("3211", "sweep", "random"):
-        assert name in result.output
-    assert not (tmp_path / "out").exists()
-
-
 # ---- no convergence ----------------------------------------------------------------------------
 
 
@@ -110,20 +45,6 @@ def test_a_solver_that_stops_early_gives_code_three_and_keeps_what_there_was(tmp
     assert stages == {"pbsid.json", "quadratic_best.json"}
     best = json.loads((tmp_path / "out/stages/quadratic_best.json").read_text())
     assert best["success"] is False
-
-
-@pytest.mark.slow
-def test_an_interrupted_study_says_that_the_same_command_goes_on(tmp_path, monkeypatch):
-    def interrupted(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("casid.matching.match.Match.fit", interrupted)
-    before = signal.getsignal(signal.SIGINT)
-    result = casid("identify", write_study(tmp_path))
-    assert signal.getsignal(signal.SIGINT) is before  # of the process that called the command
-    assert result.exit_code == 130
-    assert "the same command goes on" in result.stderr
-    assert (tmp_path / "out/stages/pbsid.json").exists()
 
 
 # ---- bad input ---------------------------------------------------------------------------------

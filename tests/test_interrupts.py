@@ -72,9 +72,3 @@ def test_an_interruption_at_any_moment_is_one_line_and_keeps_what_had_ended(mome
     assert "Traceback" not in done.stdout
     assert {path.stem for path in tmp_path.glob("out/stages/*.json")} == BEFORE[moment]
     assert not list(tmp_path.glob("out/**/*.partial"))
-
-
-def test_the_package_runs_as_a_module():
-    command = [sys.executable, "-m", "casid", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.startswith("Usage: casid [OPTIONS] COMMAND")

@@ -130,7 +130,7 @@ class BlackBox(Shown):
     def continuous(self) -> "BlackBox":
         """The continuous equivalent of a discrete black box, for its inputs' hold.
 
-        The gain K keeps the predictor's poles: A - KC is mapped by the same matrix logarithm.
+        The gain brings A - KC as near as it can to the logarithm of the discrete predictor's.
 
         Raises
         ------

@@ -3,14 +3,12 @@
 from dataclasses import replace
 
 import control
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import scipy.optimize
 
 from casid import FrequencyResponse
 from casid.baseline.handling import handling_qualities
-from casid.report import plot_handling_qualities
 
 OMEGA = np.geomspace(0.1, 40.0, 800)
 
@@ -149,22 +147,6 @@ def test_an_unmeasured_pair_is_refused():
     frf = replace(frf, G=np.full_like(frf.G, np.nan))
     with pytest.raises(ValueError, match="measured at 0 frequencies"):
         handling_qualities(frf, ("phi", "lat"))
-
-
-@pytest.mark.parametrize("kind", ["attitude", "loop"])
-def test_the_figure_marks_what_was_read(kind):
-    figure, (magnitude, angle) = plt.subplots(2, 1)
-    read = handling_qualities(response(roll), ("phi", "lat"), kind=kind)
-    plot_handling_qualities(magnitude, angle, read)
-    marks = [line.get_xdata()[0] for ax in (magnitude, angle) for line in ax.lines
-             if line.get_marker() == "o"]  # fmt: skip
-    wanted = (
-        [read.crossover, read.omega_180] if kind == "loop"
-        else [read.bandwidth_phase, read.omega_180, read.bandwidth_gain]
-    )  # fmt: skip
-    assert sorted(marks) == pytest.approx(sorted(wanted))
-    assert f"{read.bandwidth:.2f}" in magnitude.get_title() or kind == "loop"
-    plt.close(figure)
 
 
 def test_of_several_crossings_the_last_before_minus_180_counts():

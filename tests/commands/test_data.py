@@ -1,6 +1,5 @@
 """The commands about files: what they print and leave behind, and their exit codes."""
 
-import io
 import subprocess
 import sys
 from pathlib import Path
@@ -9,14 +8,11 @@ import numpy as np
 import pytest
 import scipy.io
 from click.testing import CliRunner
-from rich.console import Console
 from truths.roll_study import write_study
 
-from casid import FrequencyResponse, inspect_records, read_csv
-from casid.channels import CONTROLS
+from casid import FrequencyResponse, read_csv
 from casid.cli import main
-from casid.commands.terminal import new_table
-from casid.exchange.formats import read_record, read_table
+from casid.exchange.formats import read_table
 from casid.fit import Fit, parameter_table
 from casid.jobs.store import Done, Store
 from casid.model import free_parameters
@@ -150,27 +146,6 @@ def test_inspect_shows_channels_sampling_and_kinematics():
         assert word in result.output
 
 
-def test_nothing_is_cut_where_the_output_is_no_terminal():
-    found = inspect_records([read_record(FLIGHT, inputs=CONTROLS, outputs=("p", "phi"))])
-    said = casid("inspect", FLIGHT, "--outputs", "p,phi").output
-    for each in found.records[0].channels:
-        numbers = f"{each.lowest:.4g} {each.highest:.4g} {each.deviation:.2g} {each.noise:.2g}"
-        row = next(line.split() for line in said.splitlines() if line.startswith(f"{each.name} "))
-        assert row[3:7] == numbers.split()
-    for heading in ("channel", "95 % [rad/s]", "Correlation", "scale [%]", "late [ms]"):
-        assert heading in said
-    assert "…" not in said
-
-
-def test_a_narrow_terminal_folds_what_does_not_fit():
-    shown = io.StringIO()
-    table = new_table("title", "channel", "lowest [rad/s]", "highest")
-    table.add_row("a_channel_of_a_long_name", "-0.00873612", "-1.2345e-123")
-    Console(file=shown, width=40).print(table)
-    assert "…" not in shown.getvalue()
-    assert all(len(line) <= 40 for line in shown.getvalue().splitlines())
-
-
 @pytest.mark.usefixtures("folder")
 def test_inspect_judges_a_model_and_takes_units():
     result = casid("inspect", "3211.csv", "sweep.csv", "--model", "roll.py:Roll", "--unit", "lat=%")
@@ -236,36 +211,3 @@ def test_simulate_doubts_a_stick_beyond_full_travel():
 
 
 # ---- new-model ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["my_roll", "hover2.py"])
-def test_a_new_model_passes_the_check(name, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    result = casid("new-model", name)
-    assert result.exit_code == 0
-    reference = result.output.split()[-1]
-    checked = casid("check", reference)
-    assert checked.exit_code == 0, checked.output
-    assert "rank 5 of 5" in checked.output
-
-
-def test_a_new_model_has_no_finding_of_ruff(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    casid("new-model", "my_roll")
-    run = subprocess.run([sys.executable, "-m", "ruff", "check", "--isolated", "my_roll.py"],
-                         capture_output=True, text=True, check=False)  # fmt: skip
-    assert run.returncode == 0, run.stdout
-
-
-def test_a_new_model_never_overwrites(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.py").write_text("precious")
-    assert "there already" in refused(casid("new-model", "mine"))
-    assert (tmp_path / "mine.py").read_text() == "precious"
-
-
-@pytest.mark.parametrize("name", ["2fast", "a-b", "class", "nowhere/mine", "model", "_", "ÿes"])
-def test_a_name_python_does_not_take_is_refused(name, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert refused(casid("new-model", name)).startswith("Bad input")
-    assert list(tmp_path.iterdir()) == []

@@ -5,7 +5,6 @@ import csv
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from matplotlib.figure import Figure
 from truths.mixture import Inline, Mixture, record
 from truths.roll_study import write_study
 from truths.structures import black_box
@@ -21,7 +20,6 @@ from casid import (
     compare_bounds,
 )
 from casid.cli import main
-from casid.report import plot_bounds
 from casid.stages.black_box import Pbsid
 from casid.stages.matching import Matching
 
@@ -91,33 +89,6 @@ def test_the_whole_chain_is_compared_with_one_black_box():
         assert case.reason == ""
         assert case.cost == pytest.approx(direct[case.name].cost, rel=1e-6)
         assert case.fit.method == "output error"
-
-
-@pytest.fixture(scope="module")
-def compared():
-    cases = {"free": {}, "bound": {"a": "< 0.97"}, "tie": ["a = 2 b"],
-             "impossible": ["a + b <= -1", "a >= 0", "b >= 0"]}  # fmt: skip
-    return compare_bounds(Mixture(), [record()], cases=cases)
-
-
-def test_the_figure_has_a_row_a_parameter_the_largest_price_first(compared):
-    ax = Figure().subplots()
-    assert plot_bounds(ax, compared, rows=2) is ax
-    labels = [label.get_text() for label in ax.get_yticklabels()]
-    assert labels == [f"{name} [-]" for name in compared.ranked()[:2]]
-    names = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert names == ["free", "bound", "tie"]  # the failed case has nothing to show
-    low, high = ax.get_ylim()
-    assert low > high  # from the top
-
-
-def test_a_held_value_is_filled_and_has_no_interval(compared):
-    ax = Figure().subplots()
-    plot_bounds(ax, compared)
-    marks = [line for line in ax.lines if line.get_marker() == "o" and len(line.get_xdata())]
-    filled = [line for line in marks if line.get_markerfacecolor() != "white"]
-    assert len(marks) == 9
-    assert len(filled) == 1
 
 
 # ---- from the command line -----------------------------------------------------------------------

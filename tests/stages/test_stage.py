@@ -141,11 +141,3 @@ def test_a_stage_that_rests_on_one_that_is_not_there_is_told(tmp_path):
     with pytest.raises(ValueError, match="no stage is called 'nothing'") as caught:
         read_study(path, stages=(*STAGES, lost))
     assert not isinstance(caught.value, ModelError)
-
-
-def test_names_and_tables_of_stages_are_their_own():
-    names = [stage.name for stage in STAGES]
-    assert len(set(names)) == len(names)
-    for k, stage in enumerate(STAGES):
-        assert set(stage.needs) | set(stage.uses) <= set(names[:k])
-        assert (stage.settings is None) == (stage.table == "")

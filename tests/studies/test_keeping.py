@@ -7,7 +7,7 @@ import warnings
 import pytest
 from truths.roll_study import write_study
 
-from casid import ConvergenceError, DataWarning, read_study, run_study
+from casid import DataWarning, read_study, run_study
 from casid.shooting.output_error import OutputError
 from casid.stages.black_box import Pbsid
 
@@ -56,15 +56,6 @@ def test_what_a_stage_warns_of_is_in_the_report_of_a_later_run_too(tmp_path, mon
     for _ in range(2):
         report = run_study(study).report
         assert "the controller is stiff near the pole" in report.read_text(encoding="utf-8")
-
-
-def test_output_error_that_stops_early_leaves_its_best_iterate(tmp_path):
-    limit = ("[match]", "[output_error]\nsolver = { max_iterations = 1 }\n\n[match]")
-    study = read_study(write_study(tmp_path, limit))
-    with pytest.raises(ConvergenceError, match="iteration limit"):
-        run_study(study)
-    assert (study.output / "stages" / "output_error_best.json").exists()
-    assert {path.name for path in study.output.iterdir()} == {"stages", ".lock"}
 
 
 @pytest.mark.slow

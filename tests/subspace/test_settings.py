@@ -1,15 +1,12 @@
 from dataclasses import replace
 
-import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from truths.systems import OMEGA, campaign, relative_error, unstable_plant
 from truths.uh60 import EXAMPLE, INPUTS, NOISE, OUTPUTS, sweeps
 
 from casid import Record, StateSpace, pbsid, read_csv, select_order
 from casid.record import standard_deviations
-from casid.report import plot_order_selection
 from casid.subspace.columns import gather, output_bandwidth
 from casid.subspace.laguerre import support
 from casid.subspace.settings import COST, PASTS, held_out_suffices, usable_poles
@@ -118,16 +115,6 @@ def test_table_marks_the_choice(selection):
     marked = [line for line in lines if "chosen" in line]
     assert len(marked) == 1
     assert marked[0].startswith(f"| {selection.chosen.order} | {selection.chosen.past} |")
-
-
-def test_figure_shows_every_pole_and_the_choice(selection):
-    mpl.use("Agg")
-    axes = plot_order_selection(Figure().subplots(1, 2), selection)
-    labels = [text.get_text() for text in axes[0].get_legend().get_texts()]
-    assert labels == ["a = 6 rad/s", "a = 8 rad/s"]
-    ring = axes[0].lines[-1]
-    assert ring.get_xdata()[0] == selection.chosen.order
-    assert axes[1].lines[1].get_xdata()[0] == selection.chosen.order + 0.5
 
 
 def test_kernels_cost_at_most_a_quarter_of_a_16_s_record_and_the_loss_is_reported():

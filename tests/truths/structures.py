@@ -69,3 +69,14 @@ TRUTH = HoverRoll(Yv=-0.2, Lv=-0.3, Lp=-2.5, Llat=12.0, tau=0.07)
 # More than a lag can follow.
 SECOND = StateSpace([[-1.0, 1.0], [0.0, -3.0]], [[0.5], [2.0]], [[1.0, 0.2]], [[0.0]],
                     inputs=("u",), outputs=("x",))  # fmt: skip
+
+
+def structure(**parts):
+    """A lag with one part replaced by a faulty one."""
+    lag = {
+        "states": ("x",), "inputs": ("u",), "outputs": ("x",),
+        "__annotations__": {"a": Scalar}, "__module__": __name__,
+        "a": parameter(default=-1.0, unit="1/s"),
+        "A": lambda self: [[self.a]], "B": lambda _: [[1]],
+    }  # fmt: skip
+    return type("Lag", (Model,), lag | parts)

@@ -1,0 +1,158 @@
+"""The commands about studies and structures: what they print, what they leave behind."""
+
+import signal
+
+import click.testing
+import pytest
+from click.testing import CliRunner
+from truths.roll_study import write_study
+
+from casid import Fit, write_csv
+from casid.cli import main
+from casid.structure.modelfile import load_model
+from casid.structure.overview import excitation
+from models.short_period import ShortPeriod
+
+
+def run(*arguments):
+    return click.testing.CliRunner().invoke(main, ["check", *map(str, arguments)])
+
+
+def test_check_prints_the_structure_of_a_model_file():
+    result = run("models/short_period.py:ShortPeriod", "--fixed", "Zq")
+    assert result.exit_code == 0
+    for text in ("A at the guess", "Zq+41.15", "damping +0.80", "rank 6 of 6"):
+        assert text in result.output
+
+
+def test_check_judges_a_flight(tmp_path):
+    (record,) = excitation(ShortPeriod().system())
+    write_csv(tmp_path / "flight.csv", record)
+    result = run("models/short_period.py:ShortPeriod", "--record", tmp_path / "flight.csv")
+    assert result.exit_code == 0
+    assert "identifiability from flight" in result.output
+    missing = run("models/six_dof.py:SixDof", "--record", tmp_path / "flight.csv")
+    assert missing.exit_code == 2
+
+
+GOOD = """
+from casid import Model, Rows, Scalar, parameter
+
+class Lag(Model):
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a: Scalar = parameter(default=-1.0, unit="1/s")
+
+    def A(self) -> Rows:
+        return [[self.a]]
+
+    def B(self) -> Rows:
+        return [[1]]
+"""
+
+
+@pytest.mark.parametrize(
+    ("good", "bad", "message"),
+    [
+        ("[[self.a]]", "[[self.aa]]", "Lag.A uses 'aa', which Lag does not declare; did you mean"),
+        ("[[self.a]]", "[[self.a], [1, 2]]", "Lag.A: row 1 has 2 entries, the others have 1"),
+        ("[[self.a]]", "[[0]]\n    def B(self): return [[0]]", "state 'x' has no dynamics"),
+        ('outputs = ("x",), ("u",), ("x",)', 'outputs = ("x",), ("u",), ("y",)', "'y' is no state"),
+        ("    def A", "    def C(self): return [[0]]\n    def A", "output 'x' is always zero"),
+        (', unit="1/s"', "", "Lag.a has no unit"),
+        (
+            "    def A",
+            '    def delays(self): return {"v": 1}\n    def A',
+            "names 'v', which is no in",
+        ),
+        ("(default=-1.0", "(default=-1.0, lower=2, upper=1", "Lag.a: lower bound 2.0 > upper"),
+        ("import Model, Rows", "import Modell, Rows", "does not import: ImportError"),
+    ],
+)
+def test_check_tells_what_is_wrong_with_a_model_file(tmp_path, good, bad, message):
+    file = tmp_path / "lag.py"
+    file.write_text(GOOD.replace("    def B", "    def B0") if "def B" in bad else GOOD)
+    assert good in file.read_text()
+    file.write_text(file.read_text().replace(good, bad, 1))
+    result = run(f"{file}:Lag")
+    assert result.exit_code == 2
+    assert message in " ".join(result.stderr.split())
+
+
+def casid(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("roll")
+    return folder, casid("identify", write_study(folder))
+
+
+@pytest.mark.slow
+def test_a_study_ends_with_report_table_and_code_zero(identified):
+    folder, result = identified
+    assert result.exit_code == 0, result.output
+    for file in ("report.html", "fit.json", "parameters.csv", "figures/rms.png"):
+        assert (folder / "out" / file).stat().st_size > 0
+    assert "Llat" in result.output
+    assert str(folder / "out" / "report.html") in result.output
+
+
+@pytest.mark.slow
+def test_each_stage_leaves_a_line_of_iterations_cost_and_seconds(identified):
+    _, result = identified
+    line = next(line for line in result.output.splitlines() if line.startswith("hinf"))
+    stage, iterations, cost, seconds = line.split()
+    assert (stage, int(iterations) > 0, float(cost) > 0, float(seconds) > 0) == (
+        "hinf", True, True, True,
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_saved_fit_is_the_truth_within_its_standard_errors(identified):
+    folder, _ = identified
+    fit = Fit.load(folder / "out" / "fit.json", model=load_model("roll.py:Roll", folder))
+    truth = {"Yv": -0.12, "Lv": -0.06, "Lp": -2.2, "Llat": 10.0}
+    for name, value in truth.items():  # four sigma: one false alarm in 4000 studies
+        assert abs(fit[name].value - value) < 4 * fit[name].std_error
+
+
+@pytest.mark.slow
+def test_a_second_run_takes_what_was_kept(identified):
+    folder, _ = identified
+    stamp = (folder / "out/stages/output_error.json").stat().st_mtime_ns
+    result = casid("identify", folder / "study.toml")
+    assert result.exit_code == 0
+    kept = [line.split()[0] for line in result.output.splitlines() if line.endswith("kept")]
+    assert kept == ["pbsid", "quadratic", "hinf", "output_error"]
+    assert (folder / "out/stages/output_error.json").stat().st_mtime_ns == stamp
+
+
+def test_check_lists_the_records_and_computes_nothing(tmp_path):
+    result = casid("check", write_study(tmp_path))
+    assert result.exit_code == 0
+    for name in ("3211", "sweep", "random"):
+        assert name in result.output
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_an_interrupted_study_says_that_the_same_command_goes_on(tmp_path, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("casid.matching.match.Match.fit", interrupted)
+    before = signal.getsignal(signal.SIGINT)
+    result = casid("identify", write_study(tmp_path))
+    assert signal.getsignal(signal.SIGINT) is before  # of the process that called the command
+    assert result.exit_code == 130
+    assert "the same command goes on" in result.stderr
+    assert (tmp_path / "out/stages/pbsid.json").exists()
+
+
+@pytest.mark.slow
+def test_parameters_csv_has_a_row_for_each_parameter(identified):
+    folder, _ = identified
+    header, *rows = (folder / "out" / "parameters.csv").read_text().splitlines()
+    assert header.startswith("name,value,guess,lower,upper,active,multiplier,std_error")
+    assert [row.split(",")[0] for row in rows] == ["Yv", "Lv", "Lp", "Llat"]

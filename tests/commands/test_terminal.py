@@ -1,0 +1,77 @@
+"""What every command does alike."""
+
+import io
+import logging
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from rich.console import Console
+
+from casid import ConvergenceError, ModelError, inspect_records
+from casid.channels import CONTROLS
+from casid.cli import main
+from casid.commands.terminal import exits, logged, new_table, terminal
+from casid.exchange.formats import read_record
+
+FLIGHT = Path(__file__).parents[2] / "examples/ah1s/data/3211_lat.csv"
+
+
+def casid(*arguments):
+    return CliRunner().invoke(main, [str(each) for each in arguments])
+
+
+def test_nothing_is_cut_where_the_output_is_no_terminal():
+    found = inspect_records([read_record(FLIGHT, inputs=CONTROLS, outputs=("p", "phi"))])
+    said = casid("inspect", FLIGHT, "--outputs", "p,phi").output
+    for each in found.records[0].channels:
+        numbers = f"{each.lowest:.4g} {each.highest:.4g} {each.deviation:.2g} {each.noise:.2g}"
+        row = next(line.split() for line in said.splitlines() if line.startswith(f"{each.name} "))
+        assert row[3:7] == numbers.split()
+    for heading in ("channel", "95 % [rad/s]", "Correlation", "scale [%]", "late [ms]"):
+        assert heading in said
+    assert "…" not in said
+
+
+def test_a_narrow_terminal_folds_what_does_not_fit():
+    shown = io.StringIO()
+    table = new_table("title", "channel", "lowest [rad/s]", "highest")
+    table.add_row("a_channel_of_a_long_name", "-0.00873612", "-1.2345e-123")
+    Console(file=shown, width=40).print(table)
+    assert "…" not in shown.getvalue()
+    assert all(len(line) <= 40 for line in shown.getvalue().splitlines())
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        (ValueError("no input 'lat'"), 2, "Bad input: no input 'lat'"),
+        (ModelError("Lag.A is wrong"), 2, "Bad input: Lag.A is wrong"),
+        (ConvergenceError("limit reached", None), 3, "No convergence: limit reached"),
+        (OSError(28, "No space left"), 2, "No space left; earlier results are kept; make room"),
+    ],
+)
+def test_what_a_user_can_mend_is_a_message_and_an_exit_code(error, code, told, capsys):
+    with pytest.raises(SystemExit) as caught, exits(terminal()):
+        raise error
+    assert caught.value.code == code
+    said = capsys.readouterr()
+    assert told in said.err
+    assert said.out == ""
+
+
+def test_what_nobody_can_mend_is_no_message():
+    with pytest.raises(ZeroDivisionError), exits(terminal()):
+        raise ZeroDivisionError
+
+
+def test_the_log_shows_only_when_wanted_and_is_left_as_it_was(capsys):
+    logger = logging.getLogger("casid")
+    before = logger.level, list(logger.handlers)
+    for verbose in (False, True):
+        with logged(terminal(), verbose):
+            logger.info("a stage runs, verbose: %s", verbose)
+        assert (logger.level, logger.handlers) == before
+    said = capsys.readouterr().out
+    assert "verbose: True" in said
+    assert "verbose: False" not in said

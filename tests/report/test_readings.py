@@ -1,0 +1,39 @@
+"""The figure of a handling-qualities reading."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from casid import FrequencyResponse
+from casid.baseline.handling import handling_qualities
+from casid.report import plot_handling_qualities
+
+OMEGA = np.geomspace(0.1, 40.0, 800)
+
+
+def response(function, omega=OMEGA, coherence=1.0, name="phi"):
+    G = np.asarray(function(1j * omega), dtype=complex)[:, None, None]
+    return FrequencyResponse(
+        omega=omega, G=G, coherence=np.full(G.shape, coherence), random_error=np.zeros(G.shape),
+        inputs=("lat",), outputs=(name,), input_std=np.ones(1), output_std=np.ones(1),
+    )  # fmt: skip
+
+
+def roll(s, lag=0.3, delay=0.1):
+    return 5 * np.exp(-delay * s) / (s * (lag * s + 1))
+
+
+@pytest.mark.parametrize("kind", ["attitude", "loop"])
+def test_the_figure_marks_what_was_read(kind):
+    figure, (magnitude, angle) = plt.subplots(2, 1)
+    read = handling_qualities(response(roll), ("phi", "lat"), kind=kind)
+    plot_handling_qualities(magnitude, angle, read)
+    marks = [line.get_xdata()[0] for ax in (magnitude, angle) for line in ax.lines
+             if line.get_marker() == "o"]  # fmt: skip
+    wanted = (
+        [read.crossover, read.omega_180] if kind == "loop"
+        else [read.bandwidth_phase, read.omega_180, read.bandwidth_gain]
+    )  # fmt: skip
+    assert sorted(marks) == pytest.approx(sorted(wanted))
+    assert f"{read.bandwidth:.2f}" in magnitude.get_title() or kind == "loop"
+    plt.close(figure)

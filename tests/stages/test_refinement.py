@@ -1,0 +1,42 @@
+"""The stage of output error."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+from truths.closed_roll import TRUTH, noisy, off
+
+from casid import OutputError, output_error
+from casid.report import OUTPUT_ERROR as LABEL
+from casid.stages.refinement import OUTPUT_ERROR
+from casid.stages.stage import Task, records_of
+
+
+def test_it_goes_on_from_the_match_on_its_own_records_or_those_of_identification():
+    start, records = off(share=0.1), (noisy(1),)
+    task = Task(
+        model=TRUTH, records=records, results={"hinf": SimpleNamespace(model=start)},
+        fixed=("Lped",), bounds={"Lp": (-5.0, -0.5)},
+    )  # fmt: skip
+    own = OutputError(interval=2.0)
+    found = OUTPUT_ERROR.run(own, task)
+    direct = output_error(start, records, interval=2.0, fixed=task.fixed, bounds=task.bounds)
+    assert found.model == direct.model
+    assert found["Lped"].fixed
+    assert found["Lp"].lower == -5.0
+    assert OUTPUT_ERROR.data(own, task) == records
+    roles = {"identification": (1,), "refinement": (2,)}
+    assert records_of(OUTPUT_ERROR, roles) == (2,)
+    assert records_of(OUTPUT_ERROR, {"identification": (1,)}) == (1,)
+
+
+def test_its_section_counts_what_was_free_and_warns_of_bounds():
+    fit = output_error(TRUTH, noisy(1), bounds={"Lp": (-2.0, 0.0)}, fixed=("tau",))
+    other = replace(fit, method="match")
+    page = SimpleNamespace(fits={LABEL: fit, "match": other}, data=())
+    (section,) = OUTPUT_ERROR.show(fit, page)
+    assert section.lead == "Its 6 free parameters were refined by output error."
+    assert section.values["others"] == {"match": other}
+    said = " ".join(each.text for each in section.cautions)
+    assert "1 parameter lies on a bound: Lp." in said
+    assert fit["Lp"].value == pytest.approx(-2.0)

@@ -1,0 +1,51 @@
+"""A study from its file to its report."""
+
+import csv
+from dataclasses import fields
+
+import pytest
+from truths.closed_roll import TRUTH, noisy
+from truths.roll_study import write_study
+
+from casid import ConvergenceError, output_error, read_study, run_study
+from casid.fit import ParameterEstimate
+from casid.studies.runner import write_parameters
+
+
+def test_output_error_that_stops_early_leaves_its_best_iterate(tmp_path):
+    limit = ("[match]", "[output_error]\nsolver = { max_iterations = 1 }\n\n[match]")
+    study = read_study(write_study(tmp_path, limit))
+    with pytest.raises(ConvergenceError, match="iteration limit"):
+        run_study(study)
+    assert (study.output / "stages" / "output_error_best.json").exists()
+    assert {path.name for path in study.output.iterdir()} == {"stages", ".lock"}
+
+
+@pytest.mark.slow
+def test_an_optional_stage_that_fails_leaves_everything_else_and_raises_last(tmp_path):
+    path = write_study(
+        tmp_path,
+        ("[records.validation]",
+         "[records.frequency]\nfiles = ['sweep.csv']\nnoise = true\n\n[records.validation]"),
+        ("[match]", "[frequency]\nomega = {from = 0.6, to = 5, points = 20}\n\n"
+                    "[derivid]\nsolver = { max_iterations = 1 }\n\n[match]"),
+    )  # fmt: skip
+    study = read_study(path)
+    with pytest.raises(ConvergenceError, match="The report is written without it"):
+        run_study(study)
+    page = (study.output / "report.html").read_text(encoding="utf-8")
+    assert "The frequency-domain fit is missing." in page
+    assert (study.output / "fit.json").exists()
+
+
+def test_the_table_of_parameters_reads_back_as_it_was(tmp_path):
+    fit = output_error(TRUTH, noisy(1), fixed=("tau",))
+    write_parameters(tmp_path / "parameters.csv", fit)
+    with (tmp_path / "parameters.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == [each.name for each in fields(ParameterEstimate)]
+    for row, told in zip(fit.parameters, rows, strict=True):
+        assert told["name"] == row.name
+        for name in ("value", "std_error", "lower", "upper"):
+            assert float(told[name]) == pytest.approx(getattr(row, name), rel=1e-9, nan_ok=True)
+        assert told["fixed"] == str(row.fixed).lower()

@@ -1,0 +1,50 @@
+"""Records as a study has them: units, trim, noise."""
+
+import numpy as np
+import pytest
+from truths.roll_study import TRIM, write_study
+
+from casid import read_study
+from casid.studies.study import read_records
+
+
+def test_sticks_in_percent_become_fractions_and_trim_is_removed(tmp_path):
+    records = read_records(read_study(write_study(tmp_path)))
+    steps = records["identification"][0]
+    assert np.max(np.abs(steps.u)) == pytest.approx(0.05)  # of the truth, in fractions of travel
+    assert steps.trim["lat"] == pytest.approx(TRIM["lat"])
+
+
+def test_validation_takes_the_trim_of_the_identification_records(tmp_path):
+    records = read_records(read_study(write_study(tmp_path)))
+    means = np.mean([record.trim["phi"] for record in records["identification"]])
+    assert records["validation"][0].trim["phi"] == means
+    # At least 50 quiet samples a record with noise of 0.002: the mean is good to 0.0002.
+    assert means == pytest.approx(TRIM["phi"], abs=0.001)
+
+
+def test_noise_comes_from_the_seed_and_goes_to_the_roles_that_ask_for_it(tmp_path):
+    quiet = ("noise = true", "noise = false")
+    first = read_records(read_study(write_study(tmp_path)))
+    again = read_records(read_study(write_study(tmp_path)))
+    other = read_records(read_study(write_study(tmp_path, ("seed = 1", "seed = 2"))))
+    clean = read_records(read_study(write_study(tmp_path, quiet)))
+    y, y_again, y_other, y_clean = (
+        run["identification"][0].y for run in (first, again, other, clean)
+    )
+    np.testing.assert_array_equal(y, y_again)
+    assert not np.array_equal(y, y_other)
+    # 750 samples: the standard deviation of 0.002 is estimated to 2.6 %, four sigma 10 %.
+    np.testing.assert_allclose(np.std(y - y_clean, axis=0), 0.002, rtol=0.1)
+    totals = [
+        record.y + np.array([record.trim[name] for name in record.outputs])
+        for record in (first["validation"][0], clean["validation"][0])
+    ]
+    np.testing.assert_allclose(*totals, atol=1e-12)
+
+
+def test_a_record_in_two_roles_is_the_same_flight_in_both(tmp_path):
+    both = "[records.refinement]\nfiles = ['3211.csv']\nnoise = true\n\n[records.validation]"
+    study = read_study(write_study(tmp_path, ("[records.validation]", both)))
+    records = read_records(study)
+    np.testing.assert_array_equal(records["identification"][0].y, records["refinement"][0].y)

@@ -1,0 +1,55 @@
+"""What follows the subspace estimate."""
+
+import numpy as np
+import pytest
+from truths.systems import campaign, innovation_record, relative_error, unstable_plant
+
+from casid.subspace.campaign import Campaign, Windows
+from casid.subspace.refining import refine_projected, refine_sampled
+
+
+@pytest.mark.parametrize("how", ["unrefined", "linear", "prediction", "simulation"])
+def test_each_criterion_is_least_for_its_own_estimate(how):
+    # Prediction and simulation errors of the four, on the samples they come from.
+    _, _, record, _ = innovation_record(N=400)
+    made = Campaign.of(record, False)
+    found = made.subspace(3, Windows(10, 10, np.nan, 0.0))
+    estimate = refine_sampled(made, found, how)
+    if how == "unrefined":
+        assert estimate.system is found.system
+        assert estimate.K is found.K
+    if how == "linear":  # the predictor's dynamics and C stay
+        kept, moved = (each.system.A - each.K @ each.system.C for each in (found, estimate))
+        np.testing.assert_allclose(moved, kept, atol=1e-9)
+        np.testing.assert_allclose(estimate.system.C, found.system.C)
+    assert (estimate.uncertainty is not None) is (how == "prediction")
+    assert estimate.K.any() == (how != "simulation")
+
+    def errors(system, K):
+        x, e = np.zeros(3), np.empty_like(record.y)
+        for k in range(record.N):
+            e[k] = record.y[k] - system.C @ x - system.D @ record.u[k]
+            x = system.A @ x + system.B @ record.u[k] + K @ e[k]
+        return np.linalg.slogdet(np.cov(e[20:].T))[1]
+
+    if how == "prediction":
+        assert errors(estimate.system, estimate.K) <= errors(found.system, found.K) + 1e-3
+    if how == "simulation":
+        none = np.zeros_like(found.K)
+        assert errors(estimate.system, none) < errors(found.system, none)
+
+
+def test_projections_move_only_if_asked_and_then_to_the_truth():
+    flights = campaign(noise=0.02)
+    made = Campaign.of(flights, ["z"])
+    found = made.subspace(5, Windows(10, 10, 6.0, 0.0))
+    still = refine_projected(made, found, 6.0, move=False)
+    assert still.system is found.system
+    assert still.uncertainty is None
+    moved = refine_projected(made, found, 6.0, move=True)
+    assert moved.uncertainty is not None
+    assert (moved.explained > 0.9).all()
+    truth = unstable_plant()
+    assert relative_error(moved.system, truth) < relative_error(found.system, truth)
+    predictor = moved.system.A - moved.K @ moved.system.C
+    assert np.linalg.eigvals(predictor).real.max() < 0

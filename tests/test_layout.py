@@ -1,0 +1,44 @@
+"""Tests mirror the package: a module with behaviour has a test file of its own."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+MODULES = sorted((ROOT / "casid").rglob("*.py"))
+NAMES = {"__main__.py": "main"}
+
+
+def behaves(path):
+    """Whether a module computes anything: packages' own files only re-export."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    made = any(isinstance(node, ast.FunctionDef | ast.ClassDef) for node in ast.walk(tree))
+    return made and path.name != "__init__.py"
+
+
+def test_of(path):
+    """Where its tests are."""
+    place = path.relative_to(ROOT / "casid")
+    return ROOT / "tests" / place.with_name(f"test_{NAMES.get(path.name, path.stem)}.py")
+
+
+def test_modules_without_behaviour_are_few_and_known():
+    still = [path for path in MODULES if not behaves(path) and path.name != "__init__.py"]
+    assert [path.name for path in still] == ["arrays.py"]  # names of types
+
+
+@pytest.mark.parametrize("path", [*filter(behaves, MODULES)], ids=lambda path: path.stem)
+def test_every_module_has_tests_of_its_own(path):
+    text = test_of(path).read_text(encoding="utf-8")
+    assert "def test_" in text
+
+
+def test_no_test_imports_another():
+    for path in (ROOT / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = (
+                [node.module or ""] if isinstance(node, ast.ImportFrom)
+                else [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            )  # fmt: skip
+            assert not any(part.startswith("test_") for n in names for part in n.split(".")), path
