@@ -15,7 +15,7 @@ def behaves(path):
     return made and path.name != "__init__.py"
 
 
-def test_of(path):
+def file_of(path):
     """Where its tests are."""
     place = path.relative_to(ROOT / "casid")
     return ROOT / "tests" / place.with_name(f"test_{NAMES.get(path.name, path.stem)}.py")
@@ -24,9 +24,9 @@ def test_of(path):
 def test_every_module_with_behaviour_has_tests_of_its_own():
     assert len(MODULES) > 100
     without = [
-        str(test_of(path))
+        str(file_of(path))
         for path in filter(behaves, MODULES)
-        if not test_of(path).exists() or "def test_" not in test_of(path).read_text("utf-8")
+        if not file_of(path).exists() or "def test_" not in file_of(path).read_text("utf-8")
     ]
     assert without == []
 
