@@ -1,9 +1,9 @@
 """Profile of the cost: what holding one parameter, or two, at given values costs.
 
 The profile over a parameter has its exact slope at every point, the multiplier of the tie that
-holds it, so a few points give the confidence interval that the likelihood implies (D. M. Bates,
-D. G. Watts, Nonlinear Regression Analysis and Its Applications, 1988, chapter 6). The Cramér-Rao
-bound is its parabola at the estimate.
+holds it, so a few fits find the confidence interval that the likelihood implies (D. M. Bates,
+D. G. Watts, Nonlinear Regression Analysis and Its Applications, 1988, chapter 6): signed roots of
+twice the rise are nearly straight lines. The Cramér-Rao bound is the parabola at the estimate.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,23 +11,25 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-import scipy.interpolate
 import scipy.stats
 
 from casid.arrays import Array
 from casid.bounds.cases import CaseSpec
+from casid.bounds.robust import weights
 from casid.bounds.trials import Data, Fits
 from casid.display import Shown
 from casid.errors import ConvergenceError, ModelError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, Fit
 from casid.jobs.campaigns import Execution
-from casid.jobs.store import Done
 from casid.model import Bounds, Model
 from casid.shooting.output_error import OutputError
 from casid.shooting.precision import OutputErrorNotes
 from casid.tabulation import csv_text, markdown_table
 
+ROUNDS = 12  # fits for an end, at most
+SETTLED = 1e-2  # of the root's goal: what is left is taken along the tangent
+LEAP = 3.0  # times the distance from the estimate: the longest step
 FREE = "free"  # name of the job with nothing held
 
 
@@ -53,10 +55,13 @@ class Profile(Shown):
         Confidence of the intervals.
     parabola : (n,) array
         The cost that the Cramér-Rao bound expects at the points; NaN without a likelihood.
-    intervals, cramer_rao : mapping
-        By parameter, (low, high) where the profile of the likelihood rises by half the χ² quantile
-        with one degree of freedom, and estimate ± that many standard errors. A side is infinite
-        where the values do not reach far enough, NaN without a likelihood.
+    intervals : mapping
+        By parameter, (low, high) where the cost, least over all others, has risen by half the χ²
+        quantile with one degree of freedom, times what the variance of the estimate is of its
+        Cramér-Rao bound; or the parameter's own bound before that. NaN without a likelihood,
+        infinite where no fit succeeds that far out.
+    standard, cramer_rao : mapping
+        Estimate ± quantile times ``std_error``, and times the Cramér-Rao bound.
     """
 
     names: tuple[str, ...]
@@ -68,6 +73,7 @@ class Profile(Shown):
     level: float
     parabola: Array
     intervals: Mapping[str, tuple[float, float]]
+    standard: Mapping[str, tuple[float, float]]
     cramer_rao: Mapping[str, tuple[float, float]]
 
     def headline(self) -> str:
@@ -91,9 +97,10 @@ class Profile(Shown):
         """The intervals."""
         rows = []
         for name in self.names:
-            limits = (self.fit[name].value, *self.intervals[name], *self.cramer_rao[name])
-            rows.append([name, *(f"{x:.5g}" for x in limits)])
-        heading = ("parameter", "estimate", "profile, low", "high", "Cramér-Rao, low", "high")
+            limits = (self.intervals[name], self.standard[name], self.cramer_rao[name])
+            cells = [f"{low:.5g} to {high:.5g}" for low, high in limits]
+            rows.append([name, f"{self.fit[name].value:.5g}", *cells])
+        heading = ("parameter", "estimate", "by profile", "by standard error", "by Cramér-Rao")
         return markdown_table(heading, rows)
 
 
@@ -116,15 +123,19 @@ def profile_parameters(
     model, data, estimator, start, fixed, bounds, execution
         As in `compare_bounds`. Every point starts from the fit with nothing held.
     values : mapping
-        What is held and where, ``{"Lp": [-3.0, -2.5]}``; of two parameters all combinations.
+        What is held and where, ``{"Lp": [-3.0, -2.5]}``; of two parameters all combinations. The
+        intervals do not depend on it: their ends are found by fits that hold one parameter.
     level : float
         Confidence of the intervals.
 
     Raises
     ------
-    ModelError, ConvergenceError
-        No value, an unknown parameter, a value outside its bounds; the fit with nothing held fails.
+    ValueError, ModelError, ConvergenceError
+        A level outside 0 to 1;
+        no value, an unknown parameter, a value outside its bounds; the fit with nothing held fails.
     """
+    if not 0 < level < 1:
+        raise ValueError(f"level={level}: expected a confidence between 0 and 1")
     names = tuple(values)
     if not 1 <= len(names) <= 2:
         raise ModelError(f"values name {len(names)} parameters, expected one or two")
@@ -143,67 +154,74 @@ def profile_parameters(
     if whole.reason:
         raise ConvergenceError(f"profile_parameters: nothing held: {whole.reason}", whole.result)
     found = [done[_label(names, point)] for point in points]
-    return _profile(names, points, whole.result, found, level)
+    fits: list[AnyFit | None] = [None if each.reason else each.result for each in found]
+    quantile = float(np.sqrt(scipy.stats.chi2.ppf(level, 1)))
+    errors = [
+        {name: quantile * getattr(whole.result[name], error) for name in names}
+        for error in ("std_error", "cramer_rao")
+    ]
+    value = {name: whole.result[name].value for name in names}
+    around = [{n: (value[n] - half[n], value[n] + half[n]) for n in names} for half in errors]
+    return Profile(
+        names=names,
+        points=points,
+        cost=np.array([np.nan if fit is None else fit.cost for fit in fits]),
+        slope=np.array([_slopes(fit, len(names)) for fit in fits]),
+        reasons=tuple(each.reason for each in found),
+        fit=whole.result,
+        level=level,
+        parabola=_parabola(whole.result, names, points),
+        intervals={name: _interval(many, whole.result, name, quantile) for name in names},
+        standard=around[0],
+        cramer_rao=around[1],
+    )
 
 
 def _label(names: Sequence[str], point: Array) -> str:
     return ", ".join(f"{name} = {x!r}" for name, x in zip(names, point.tolist(), strict=True))
 
 
-def _profile(
-    names: tuple[str, ...], points: Array, free: AnyFit, found: Sequence[Done], level: float
-) -> Profile:
-    fits = [None if each.reason else each.result for each in found]
-    cost = np.array([np.nan if fit is None else fit.cost for fit in fits])
-    unknown = np.full(len(names), np.nan)
-    slope = np.array([unknown if fit is None else _slopes(fit, len(names)) for fit in fits])
-    known, quantile = free.R is not None, float(scipy.stats.chi2.ppf(level, 1))
-    intervals, expected = {}, {}
-    for k, name in enumerate(names):
-        estimate, error = free[name].value, free[name].cramer_rao
-        intervals[name] = (np.nan, np.nan)
-        if known:
-            x, J, dJ = _lowest(points[:, k], cost, slope[:, k])
-            intervals[name] = _interval((estimate, free.cost), (x, J, dJ), quantile / 2)
-        half = float(np.sqrt(quantile)) * error
-        expected[name] = (estimate - half, estimate + half)
-    return Profile(
-        names=names, points=points, cost=cost, slope=slope,
-        reasons=tuple(each.reason for each in found), fit=free, level=level,
-        parabola=_parabola(free, names, points), intervals=intervals, cramer_rao=expected,
-    )  # fmt: skip
-
-
-def _slopes(fit: AnyFit, count: int) -> Array:
+def _slopes(fit: AnyFit | None, count: int) -> Array:
     """Prices of the ties that hold the point: the last relations of its case."""
+    if fit is None:
+        return np.full(count, np.nan)
     return np.array([row.multiplier for row in fit.constraints[-count:]])
 
 
-def _lowest(x: Array, J: Array, dJ: Array) -> tuple[Array, Array, Array]:
-    """At every value of one axis the lowest cost over the other, in increasing order."""
-    rows = []
-    for value in np.unique(x[np.isfinite(J)]):
-        at = np.flatnonzero((x == value) & np.isfinite(J))
-        rows.append(at[np.argmin(J[at])])
-    return x[rows], J[rows], dJ[rows]
+def _interval(many: Fits, free: AnyFit, name: str, quantile: float) -> tuple[float, float]:
+    """Where the cost, least over all other parameters, has risen by half the quantile squared."""
+    if free.R is None:
+        return np.nan, np.nan
+    w = weights(free, np.eye(len(free.free_names))[[free.free_names.index(name)]])
+    goal = quantile * float(np.sqrt(w.sum() if len(w) else 1.0))
+    return _end(many, free, name, -goal), _end(many, free, name, goal)
 
 
-def _interval(
-    best: tuple[float, float], known: tuple[Array, Array, Array], rise: float
-) -> tuple[float, float]:
-    """Where the cubic through the points, with their slopes, has risen by ``rise``."""
-    estimate, least = best
-    x, J, dJ = known
-    apart = np.abs(x - estimate) > 1e-9 * (1 + abs(estimate))
-    order = np.argsort(np.append(x[apart], estimate))
-    x, J = np.append(x[apart], estimate)[order], np.append(J[apart], least)[order]
-    dJ = np.append(dJ[apart], 0.0)[order]
-    if len(x) < 2:
-        return -np.inf, np.inf
-    curve = scipy.interpolate.CubicHermiteSpline(x, J - least - rise, dJ)
-    crossings = np.asarray(curve.roots(extrapolate=False))
-    below, above = crossings[crossings < estimate], crossings[crossings > estimate]
-    return float(below.max(initial=-np.inf)), float(above.min(initial=np.inf))
+def _end(many: Fits, free: AnyFit, name: str, goal: float) -> float:
+    """One end, by Newton's steps along the root z of twice the rise, its sign that of the goal."""
+    row = free[name]
+    side, limit = np.sign(goal), row.upper if goal > 0 else row.lower
+    first = row.cramer_rao if row.cramer_rao > 0 else row.insensitivity
+    near, far, x = row.value, side * np.inf, row.value + goal * first
+    for _ in range(ROUNDS):
+        x = float(min(x * side, limit * side) * side)
+        if x == near:  # already on its bound
+            return x
+        (case,) = many.cases({f"{name} = {x!r}": {name: x}})
+        done = many.run([many.job(case, free)])[case.name]
+        if done.reason:
+            far, x = x, (near + x) / 2
+            continue
+        z = side * float(np.sqrt(max(2 * (done.result.cost - free.cost), 0.0)))
+        step = z * (goal - z) / float(_slopes(done.result, 1)[0])
+        if abs(goal - z) <= SETTLED * abs(goal) or (x == limit and abs(z) < abs(goal)):
+            return x if x == limit else x + step
+        near, far = (x, far) if abs(z) < abs(goal) else (near, x)
+        longest = LEAP * abs(x - row.value)
+        x += float(np.clip(step, -longest, longest))
+        if not min(near, far) < x < max(near, far):
+            x = (near + far) / 2
+    return float(side * np.inf)
 
 
 def _parabola(free: AnyFit, names: Sequence[str], points: Array) -> Array:

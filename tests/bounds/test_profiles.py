@@ -1,9 +1,11 @@
 """Profiles of linear least squares have closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.stats
-from truths.mixture import NOISE, Inline, Mixture, least_squares, record
+from truths.mixture import NOISE, TRUTH, Inline, Mixture, least_squares, record
 
 from casid import Execution, ModelError, OutputError, profile_parameters
 
@@ -29,10 +31,31 @@ def test_the_profile_of_a_linear_problem_is_the_parabola_of_its_covariance():
     np.testing.assert_allclose(found.slope[:, 0], (values - free[0]) / sigma**2,
                                atol=1e-4 / sigma)  # fmt: skip
     expected = free[0] + sigma * np.sqrt(QUANTILE) * np.array([-1, 1])
-    np.testing.assert_allclose(found.intervals["a"], expected, rtol=1e-4)
     np.testing.assert_allclose(found.cramer_rao["a"], expected, rtol=1e-4)
+    half = np.sqrt(QUANTILE) * found.fit["a"].std_error * np.array([-1, 1])
+    np.testing.assert_allclose(found.standard["a"], found.fit["a"].value + half, rtol=1e-12)
+    np.testing.assert_allclose(found.intervals["a"], found.standard["a"], rtol=1e-5)
     assert "Cramér-Rao" in found.to_markdown()
     assert len(found.to_csv().splitlines()) == 6
+
+
+def test_the_interval_allows_for_correlated_residuals_and_does_not_depend_on_the_values():
+    # Noise of a first-order process with the white noise's variance.
+    rng, r = np.random.default_rng(2), record()
+    e = np.zeros(r.N)
+    for k in range(1, r.N):
+        e[k] = 0.8 * e[k - 1] + 0.6 * NOISE * rng.standard_normal()
+    clean = TRUTH.system().simulate(r.t, r.u)
+    coloured = replace(r, y=clean + e[:, None])
+    free, far = (
+        profile_parameters(Mixture(), coloured, values={"a": [value]}, **KNOWN)
+        for value in (1.0, 1.5)
+    )
+    row = free.fit["a"]
+    assert row.std_error > 1.3 * row.cramer_rao
+    expected = row.value + np.sqrt(QUANTILE) * row.std_error * np.array([-1, 1])
+    np.testing.assert_allclose(free.intervals["a"], expected, rtol=1e-4)
+    assert far.intervals == free.intervals
 
 
 def test_the_interval_is_exact_when_the_noise_is_estimated_too():
@@ -42,8 +65,8 @@ def test_the_interval_is_exact_when_the_noise_is_estimated_too():
     half = np.sqrt(v * squares * np.expm1(QUANTILE / n))
     values = free[1] + half * np.array([-1.5, 1.5])
     found = profile_parameters(Mixture(), record(), values={"b": values}, execution=HERE)
-    # a cubic of two points and their slopes stands for the logarithm
-    np.testing.assert_allclose(found.intervals["b"], [free[1] - half, free[1] + half], rtol=1e-3)
+    # twice the rise is weighed by the variance of the residuals' own process over the fit's: 1
+    np.testing.assert_allclose(found.intervals["b"], [free[1] - half, free[1] + half], rtol=1e-4)
 
 
 def test_a_grid_over_two_parameters_gives_the_interval_of_each():
@@ -55,16 +78,22 @@ def test_a_grid_over_two_parameters_gives_the_interval_of_each():
     found = profile_parameters(Mixture(), [record()], values=axes, **KNOWN)
     assert found.points.shape == (9, 2)
     np.testing.assert_allclose(found.cost, found.parabola, atol=1e-4)
-    expected = free[0] + sigma[0] * np.sqrt(QUANTILE) * np.array([-1, 1])
-    np.testing.assert_allclose(found.intervals["a"], expected, rtol=1e-3)
+    for k, name in enumerate("ab"):  # least over the other, whatever the grid
+        variance = found.fit.covariance[k, k]
+        expected = free[k] + np.sqrt(QUANTILE * variance) * np.array([-1, 1])
+        np.testing.assert_allclose(found.intervals[name], expected, rtol=1e-3)
 
 
-def test_values_on_one_side_leave_the_other_open():
+def test_an_interval_ends_on_a_bound_that_comes_first():
     free, covariance, _, _ = solved()
-    value = free[0] + 3 * np.sqrt(covariance[0, 0])
-    found = profile_parameters(Mixture(), [record()], values={"a": [value]}, **KNOWN)
-    assert found.intervals["a"][0] == -np.inf
-    assert np.isfinite(found.intervals["a"][1])
+    sigma = np.sqrt(covariance[0, 0])
+    limit = float(free[0] + 0.5 * sigma)
+    found = profile_parameters(
+        Mixture(a=free[0] - sigma), record(), values={"a": [limit - sigma]},
+        bounds={"a": (-9.0, limit)}, **KNOWN,
+    )  # fmt: skip
+    assert found.intervals["a"][1] == limit
+    assert found.intervals["a"][0] < free[0] - 1.5 * sigma
 
 
 def test_a_profile_of_nothing_or_of_strangers_is_refused():
@@ -72,5 +101,7 @@ def test_a_profile_of_nothing_or_of_strangers_is_refused():
         profile_parameters(Mixture(), [record()], values={"a": []})
     with pytest.raises(ModelError, match="name 3 parameters, expected one or two"):
         profile_parameters(Mixture(), [record()], values={name: [1.0] for name in "abd"})
+    with pytest.raises(ValueError, match=r"level=95: expected"):
+        profile_parameters(Mixture(), [record()], values={"a": [1.0]}, level=95)
     with pytest.raises(ModelError, match="no parameter 'z'"):
         profile_parameters(Mixture(), [record()], values={"z": [1.0]})
