@@ -93,12 +93,12 @@ def check_rows(cls: Any, built: Mapping[str, ca.SX]) -> None:  # noqa: ANN401 - 
             )
 
 
-def written(symbolic: Any, method: str, convert: Callable[[Any], Any]) -> Any:  # noqa: ANN401
+def written(symbolic: Any, method: str, convert: Callable[[Any], Any], *arguments: Any) -> Any:  # noqa: ANN401
     """What a method of the user's class gives; whatever it raises is told with its name."""
     where = f"{type(symbolic).__name__}.{method}"
     try:
         with time_limit(limits.USER_SECONDS):
-            return convert(getattr(symbolic, method)())
+            return convert(getattr(symbolic, method)(*arguments))
     except ModelError as error:
         raise ModelError(f"{where}: {error}") from error
     except AttributeError as error:

@@ -92,11 +92,15 @@ class Model:
     outputs: ClassVar[tuple[str, ...]]
     late_outputs: ClassVar[tuple[str, ...]] = ()  # outputs whose sensors have a delay
 
-    def __init_subclass__(cls) -> None:
+    def __init_subclass__(cls, *, base: bool = False) -> None:
+        if base:  # one more base of structures, with nothing declared
+            dataclass(frozen=True, kw_only=True, eq=True)(cls)
+            return
         for attribute in ("states", "inputs", "outputs"):
             declaration.check_names(cls, attribute, getattr(cls, attribute, None))
         cls.states = sensors.all_states(cls)
-        reserved = {*dir(Model), "states", "inputs", "outputs"}
+        bases = [each for each in cls.__mro__ if each.__module__.startswith("casid.")]
+        reserved = {*(n for each in bases for n in vars(each)), "states", "inputs", "outputs"}
         for name, declared in vars(cls).items():
             if "parameter" in getattr(declared, "metadata", {}):
                 declaration.check_parameter(cls, name, declared, reserved)

@@ -157,6 +157,14 @@ class Record(Shown):
         names = (*self.inputs, *self.outputs)
         return {name: self.channel(name) + self.trim.get(name, 0.0) for name in names}
 
+    def total(self) -> "Record":
+        """The same manoeuvre in total values: what was subtracted as trim added back."""
+        u, y = (
+            values + [self.trim.get(name, 0.0) for name in names]
+            for values, names in ((self.u, self.inputs), (self.y, self.outputs))
+        )
+        return replace(self, u=u, y=y, trim={})
+
     def select(
         self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None
     ) -> "Record":

@@ -41,7 +41,7 @@ class Newton:
         self.programme = programme
         self._descent = _Descent(programme.n, close)
         noise, e = programme.noise, programme.evaluator
-        self.auxiliary = e.ny if noise.concentrated and not e.filtering else 0
+        self.auxiliary = e.ny if noise.concentrated and e.curved else 0
         self._functions: list[ca.Function] = []
 
     def problem(self, start: Array) -> Problem:
@@ -112,7 +112,7 @@ class Newton:
         pull: Array = np.zeros((programme.size, self.auxiliary))
         gaps = programme.values(x).g[: len(programme.links) * programme.evaluator.nx]
         meet = np.abs(gaps).max(initial=0.0) < MEET
-        if multipliers is not None and meet and not programme.evaluator.filtering:
+        if multipliers is not None and meet and programme.evaluator.curved:
             more = self._curvature(x, multipliers[: len(gaps)])
             Hll, Hln = Hll + more.Hll, Hln + more.Hln
             if self.auxiliary:

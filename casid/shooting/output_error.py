@@ -22,10 +22,13 @@ from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
 from casid.model import Bounds, Free, M, Model, free_parameters
 from casid.nlp import SolverOptions
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Record, Records, stretches
 from casid.shooting.innovation import starting_gain
+from casid.shooting.integration import Integration
 from casid.shooting.intervals import lay_out
 from casid.shooting.likelihood import CovarianceKind
+from casid.shooting.nonlinear import NonlinearEvaluator
 from casid.shooting.precision import OutputErrorNotes, Precision, precision
 from casid.shooting.search import IPOPT, Outcome, Search
 from casid.shooting.sensitivity import Evaluator
@@ -99,7 +102,12 @@ class OutputError:
         R = checked_covariance(self.R, len(model.outputs))
         length, search = float(interval), Search(free, options)
         while True:
-            evaluator = Evaluator(free, lay_out(chosen, length), gain, gain_free)
+            layout = lay_out(chosen, length)
+            evaluator = (
+                NonlinearEvaluator(free, layout)
+                if isinstance(model, NonlinearModel)
+                else Evaluator(free, layout, gain, gain_free)
+            )
             outcome = self._searched(search, evaluator, R, near)
             shorter = length / SHORTEN
             if outcome.solution.success or not self._may_shorten(evaluator, chosen, shorter):
@@ -108,7 +116,9 @@ class OutputError:
                 "output error: %s; trying intervals of %.3g s", outcome.solution.status, shorter
             )
             length = shorter
-        return _result(model, free, outcome, length, time.perf_counter() - begin)
+        outcome, steps = search.integrated(outcome)
+        seconds = time.perf_counter() - begin
+        return _result(model, free, outcome, length, seconds, steps)
 
     def _searched(
         self, search: Search, evaluator: Evaluator, R: Array | CovarianceKind, near: AnyFit | None
@@ -181,6 +191,8 @@ def select_records(free: Free, records: Records, biases: bool) -> list[Record]:
     """
     model = free.model
     chosen = [record.select(model.inputs, model.outputs) for record in stretches(records)]
+    if isinstance(model, NonlinearModel):
+        chosen = [record.total() for record in chosen]
     if not chosen:
         raise ValueError("no records: output error needs at least one")
     needed = len(model.states) + biases * len(model.outputs)
@@ -273,7 +285,12 @@ def _unmoved(free: Free, status: str) -> Fit[Model, None]:
 
 
 def _result(
-    start: M, free: Free, outcome: Outcome, interval: float, seconds: float
+    start: M,
+    free: Free,
+    outcome: Outcome,
+    interval: float,
+    seconds: float,
+    steps: Integration | None = None,
 ) -> Fit[M, OutputErrorNotes]:
     programme, solution = outcome.programme, outcome.solution
     evaluator = programme.evaluator
@@ -293,7 +310,9 @@ def _result(
         model=model, parameters=parameters, cost=programme.n * final.cost, status=status,
         success=success, iterations=outcome.iterations, seconds=seconds,
         method="filter error" if evaluator.filtering else "output error",
-        notes=found.notes(outcome.rounds, programme.J, programme.nuisances, K),
+        notes=replace(
+            found.notes(outcome.rounds, programme.J, programme.nuisances, K), integration=steps
+        ),
         constraints=constraint_table(model, prices), held=held_directions(free, lam, parameters),
         covariance=found.covariance, free_names=free.names, R=final.R,
         initial_states=point.nodes[firsts], biases=point.bias, interval=interval,

@@ -9,6 +9,7 @@ import scipy.sparse
 from casid.arrays import Array
 from casid.fit import ACTIVE, holding
 from casid.shooting import uncertainty
+from casid.shooting.nonlinear import Integration
 from casid.shooting.programme import Programme
 from casid.values import seal, storable
 
@@ -32,6 +33,8 @@ class OutputErrorNotes:
         Combinations the records hardly determine, the worst first.
     K : (nx, ny) array or None
         Gain of the innovations, of a filter error.
+    integration : Integration or None
+        How a nonlinear structure was integrated, and what that may have moved.
     """
 
     rounds: int
@@ -41,6 +44,7 @@ class OutputErrorNotes:
     correlation: Array
     collinear: tuple[uncertainty.Collinearity, ...]
     K: Array | None = None
+    integration: Integration | None = None
 
     def __post_init__(self) -> None:
         seal(self)

@@ -187,7 +187,7 @@ class Programme:
 
     def _sum(self, point: Point, values: "Values") -> Blocks:
         e, s = self.evaluator, self.scales
-        sweep = Sweep(e, point, values.motion, whiteners(values.R, e.layout))
+        sweep = e.sweep(point, values.motion, whiteners(values.R, e.layout))
         nf, nx = e.nf, e.nx
         unit = np.concatenate([s.lam, s.state, s.bias, [1.0]])
         G = np.empty((self.J, len(unit), len(unit)))

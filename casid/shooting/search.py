@@ -13,9 +13,11 @@ from casid.fit import AnyFit
 from casid.model import Free
 from casid.nlp import Solution, SolverOptions, solve
 from casid.shooting.delays import neighbours
+from casid.shooting.integration import Integration, factor_wanted, integration
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.nearby import predicted
 from casid.shooting.newton import Newton
+from casid.shooting.nonlinear import NonlinearEvaluator
 from casid.shooting.programme import Programme
 from casid.shooting.sensitivity import Evaluator, Point
 from casid.shooting.starting import neighbouring_programme, noise_of
@@ -116,6 +118,24 @@ class Search:
             if solution.success and (noise.exact(now) or kept.all()):
                 return Outcome(programme, solution, iterations, rounds, True)
         return Outcome(programme, solution, iterations, ROUNDS, False)
+
+    def integrated(self, outcome: Outcome) -> tuple[Outcome, Integration | None]:
+        """The outcome with integration steps short enough, and what shorter ones would change."""
+        while isinstance(evaluator := outcome.programme.evaluator, NonlinearEvaluator):
+            if not outcome.solution.success:
+                break
+            found = integration(outcome.programme, outcome.solution.x)
+            if (factor := factor_wanted(found)) == 1:
+                return outcome, found
+            last, solution = outcome.programme, outcome.solution
+            programme = last.variant(evaluator=evaluator.finer(factor))
+            warm, rounds = (solution.multipliers_x, solution.multipliers_g), outcome.rounds + 1
+            new = self._solve(programme, last.unpack(solution.x), warm, rounds, self.options)
+            outcome = replace(
+                outcome, programme=programme, solution=new, rounds=rounds,
+                iterations=outcome.iterations + new.iterations,
+            )  # fmt: skip
+        return outcome, None
 
     def around(self, outcome: Outcome) -> Outcome:
         """The outcome, or a better one beyond the whole samples next to its delays."""

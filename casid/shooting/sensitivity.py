@@ -14,6 +14,7 @@ over blocks of samples, so memory does not grow with the length of an interval.
 import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -77,11 +78,14 @@ class Evaluator:
     these are free; None is output error.
     """
 
+    smoothings: ClassVar[int] = 1  # rounds until the first nodes follow the data
+
     def __init__(
         self, free: Free, layout: Layout, gain: Array | None = None, gain_free: bool = False
     ) -> None:
         self.layout, self.gain = layout, gain
         self.filtering = gain is not None
+        self.curved = gain is None  # whether `casid.shooting.curvature` knows what comes of it
         self.matrices = FilterFunction(free, gain, gain_free)
         model = free.model
         self.nx, self.nu, self.ny = len(model.states), len(model.inputs), len(model.outputs)
@@ -89,11 +93,23 @@ class Evaluator:
         self._within: Array | None = None
         self._held: tuple[bytes, list[DelayedInput]] | None = None
 
-    def within(self, delays: Array | None) -> "Evaluator":
+    def within(self, delays: Array | None) -> Self:
         """The same, samples passed as for these delays (nu,) instead of τ; NaN follows τ."""
         other = copy.copy(self)
         other._within, other._held = delays, None
         return other
+
+    def sweep(self, point: Point, motion: Motion, W: Array) -> "Sweep":
+        """What turns a simulation into rows of the Jacobian."""
+        return Sweep(self, point, motion, W)
+
+    def resting(self) -> Array:
+        """Nodes (J, nx) to start from: rest."""
+        return np.zeros((len(self.layout.count), self.nx))
+
+    def level(self) -> tuple[Array, Array]:
+        """Inputs (nu,) and outputs (ny,) from which their sizes are counted: zero."""
+        return np.zeros(self.nu), np.zeros(self.ny)
 
     def held(self, m: FilterMatrices) -> list[DelayedInput]:
         """Delayed inputs of every record."""
@@ -277,6 +293,10 @@ class Sweep:
         out[..., e.nf + e.nx : -1] = np.eye(e.ny)
         out[..., :ns] = through.transpose(2, 0, 1, 3)
         out[..., -1] = self.motion.residuals[at.T]
+        return self._whitened(out, at)
+
+    def _whitened(self, out: Array, at: np.ndarray) -> Array:
+        """Rows (n, K, ny, nc) of samples (K, n) in units of their standard deviations."""
         pattern = self.layout.pattern[at.T]
         if self.apart:
             out *= np.diagonal(self.W, axis1=1, axis2=2)[pattern][..., None]

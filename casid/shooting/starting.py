@@ -17,7 +17,7 @@ from casid.errors import ConvergenceError
 from casid.fit import AnyFit
 from casid.model import Free
 from casid.shooting.likelihood import CovarianceKind, Noise
-from casid.shooting.programme import Programme, Scales
+from casid.shooting.programme import Blocks, Programme, Scales
 from casid.shooting.sensitivity import Evaluator, Point
 
 SURPRISE = 0.5  # share of the inputs' effect that the starting model may miss
@@ -28,7 +28,8 @@ def channel_size(evaluator: Evaluator) -> Array:
     """Root mean square of the measured samples of every output, (ny,); 1 where that is 0."""
     layout = evaluator.layout
     seen = layout.patterns[layout.pattern].sum(axis=0)
-    size = np.sqrt(np.sum(layout.y**2, axis=0) / np.maximum(seen, 1))
+    moved = (layout.y - evaluator.level()[1]) * layout.patterns[layout.pattern]
+    size = np.sqrt(np.sum(moved**2, axis=0) / np.maximum(seen, 1))
     return np.where(size > 0, size, 1.0)
 
 
@@ -83,7 +84,7 @@ def _start(evaluator: Evaluator, free: Free) -> Point:
     return Point(
         lam=np.concatenate([free.guess, gain])[: e.nf],
         bias=np.zeros((len(layout.records), e.ny)),
-        nodes=np.zeros((len(layout.count), e.nx)),
+        nodes=e.resting(),
     )
 
 
@@ -94,21 +95,23 @@ def _smoothed(
     e = evaluator
     ones = Scales(np.ones(e.nf), np.ones(e.ny), np.ones(e.nx))
     programme = Programme(e, free, ones, noise, biases)
-    blocks = programme.blocks(programme.pack(point))
     with np.errstate(over="ignore", invalid="ignore"):
         drift = _drift(e, point.lam)
-    nodes = _smooth(blocks.Hnn, blocks.gn, blocks.slope_n, blocks.ends, programme.links, drift)
+    rest = point.nodes
+    for _ in range(e.smoothings):
+        nodes = _smooth(programme.blocks(programme.pack(point)), point.nodes, rest, programme, drift)
+        point = replace(point, nodes=nodes)
     size = np.maximum(np.sqrt(np.mean(nodes**2, axis=0)), np.sqrt(np.diag(drift)))
     state, spread = np.where(size > 0, size, 1.0), channel_size(e)
     gains = np.outer(state, 1 / spread).ravel()
     lam = np.concatenate([free.scale[free.index], gains])[: e.nf]
-    return replace(point, nodes=nodes), Scales(lam, spread, state)
+    return point, Scales(lam, spread, state)
 
 
 def _drift(e: Evaluator, lam: Array) -> Array:
     """Covariance of what a start may miss in the states over one interval, (nx, nx)."""
     m = e.matrices(lam)
-    u = np.concatenate([record.u for record in e.layout.records])
+    u = np.concatenate([record.u for record in e.layout.records]) - e.level()[0]
     dt = float(np.median([record.dt for record in e.layout.records]))
     T = float(np.median(e.layout.count)) * dt
     Q = SURPRISE**2 * (m.B * np.mean(u**2, axis=0)) @ m.B.T
@@ -135,10 +138,12 @@ def _accumulated(A: Array, Q: Array, T: float) -> Array:
     return np.asarray(total)
 
 
-def _smooth(H: Array, g: Array, slope: Array, ends: Array, link: np.ndarray, drift: Array) -> Array:
+def _smooth(blocks: Blocks, nodes: Array, rest: Array, programme: Programme, drift: Array) -> Array:
     """Nodes minimising the residuals and, weighted by drift⁻¹, the gaps between intervals."""
+    H, g, slope, link = blocks.Hnn, blocks.gn, blocks.slope_n, programme.links
     J, nx = g.shape
-    if not all(np.isfinite(part).all() for part in (H, g, slope, ends, drift)):
+    gaps = blocks.ends[link] - nodes[link + 1]
+    if not all(np.isfinite(part).all() for part in (H, g, slope, gaps, drift)):
         raise ConvergenceError(
             "the starting model's simulation overflows within one interval; give a shorter "
             "interval or a start nearer the data"
@@ -146,13 +151,15 @@ def _smooth(H: Array, g: Array, slope: Array, ends: Array, link: np.ndarray, dri
     P = np.linalg.inv(drift)
     diagonal, right = H.copy(), -g
     above: dict[int, Array] = {}
-    diagonal[np.setdiff1d(np.arange(J), link + 1)] += P  # a record begins near rest
-    for j in link:
+    first = np.setdiff1d(np.arange(J), link + 1)
+    diagonal[first] += P  # a record begins near rest
+    right[first] -= (nodes - rest)[first] @ P
+    for j, gap in zip(link, gaps, strict=True):
         diagonal[j] += slope[j].T @ P @ slope[j]
         diagonal[j + 1] += P
         above[j] = -slope[j].T @ P
-        right[j] -= slope[j].T @ P @ ends[j]
-        right[j + 1] += P @ ends[j]
+        right[j] -= slope[j].T @ P @ gap
+        right[j + 1] += P @ gap
     ridge = 1e-12 * float(np.abs(diagonal).max()) * np.eye(nx)
     grid: dict[tuple[int, int], Array] = {(j, j): diagonal[j] + ridge for j in range(J)}
     grid |= {(j, j + 1): block for j, block in above.items()}
@@ -162,4 +169,4 @@ def _smooth(H: Array, g: Array, slope: Array, ends: Array, link: np.ndarray, dri
     col = np.concatenate([j * nx + k for _, j in grid])
     values = np.concatenate([block.ravel() for block in grid.values()])
     K = scipy.sparse.csc_array((values, (row, col)), (J * nx, J * nx))
-    return np.asarray(scipy.sparse.linalg.splu(K).solve(right.ravel()).reshape(J, nx))
+    return nodes + np.asarray(scipy.sparse.linalg.splu(K).solve(right.ravel()).reshape(J, nx))

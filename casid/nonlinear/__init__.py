@@ -1,0 +1,1 @@
+"""Structures that are nonlinear in their states and inputs, and their linearisations."""

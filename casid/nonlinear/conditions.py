@@ -1,0 +1,208 @@
+"""Flight conditions and the linear structures of a nonlinear one there."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from functools import lru_cache
+from typing import Any, cast
+
+import casadi as ca
+import numpy as np
+
+from casid.errors import ModelError
+from casid.model import Constraint, Model, Rows, Scalar, parameter
+from casid.nonlinear.expressions import balances, linearised, reference_point
+from casid.values import storable
+
+BALANCE = 1e-6  # |dx/dt| of an equation without unknowns that still counts as trimmed
+
+
+@storable
+@dataclass(frozen=True, eq=True, kw_only=True)
+class Trim:
+    """A flight condition: states and inputs about which a nonlinear structure is linearised.
+
+    Parameters
+    ----------
+    values : mapping
+        Total value of each state and input, as measured (a record's ``trim``) or solved for; the
+        structure's reference where not named. Other names, as of further outputs, do not count.
+    name : str
+        What tables call the condition.
+    unknown : tuple of str
+        States and inputs that are estimated with the parameters, from these values on, so that
+        dx/dt = 0: a trim that is not measured.
+    speed : float
+        Where tables and figures over airspeed place the condition [m/s]; NaN places it nowhere.
+    """
+
+    values: Mapping[str, float]
+    name: str = ""
+    unknown: tuple[str, ...] = ()
+    speed: float = np.nan
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", {k: float(v) for k, v in self.values.items()})
+        object.__setattr__(self, "unknown", tuple(self.unknown))
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.unknown, tuple(sorted(self.values.items()))))
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, Trim)
+            and (self.name, self.unknown) == (other.name, other.unknown)
+            and self.values == other.values
+        )
+
+
+def linearisation(model: Any, conditions: Sequence[Trim]) -> Model:  # noqa: ANN401 - NonlinearModel
+    """The linear structure at one flight condition, or at several side by side.
+
+    Several have the channels of each under names of their own, ``p@60 kn``.
+
+    Raises
+    ------
+    ModelError
+        An unknown that is no state or input, a balance that nothing unknown can bring about, two
+        conditions of one name.
+    """
+    names = [each.name for each in conditions]
+    if len(conditions) > 1 and (len(set(names)) < len(names) or "" in names):
+        raise ModelError(f"conditions are named {', '.join(map(repr, names))}; give each its own")
+    cls = _class(type(model), tuple(conditions))
+    return cls(**{f.name: getattr(model, f.name) for f in fields(model)})
+
+
+def at_condition(name: str, condition: Trim, conditions: Sequence[Trim]) -> str:
+    """Name of a channel at one of several conditions."""
+    return name if len(conditions) == 1 else f"{name}@{condition.name}"
+
+
+@lru_cache(maxsize=64)
+def _class(airframe: type, conditions: tuple[Trim, ...]) -> type[Model]:
+    """The class of linear structures of an airframe at flight conditions."""
+    channels = {
+        kind: tuple(at_condition(n, c, conditions) for c in conditions for n in own)
+        for kind, own in (
+            ("states", airframe.states), ("inputs", airframe.inputs), ("outputs", airframe.outputs)
+        )
+    }  # fmt: skip
+    notes: dict[str, Any] = {}
+    body: dict[str, Any] = dict(channels)
+    for each in fields(airframe):
+        notes[each.name] = each.type
+        body[each.name] = field(default=each.default, metadata=each.metadata)
+        if each.default is MISSING:
+            raise ModelError(f"{airframe.__name__}.{each.name} has no default")
+    own = {*airframe.states, *airframe.inputs}
+    for number, condition in enumerate(conditions):
+        for name in condition.unknown:
+            if name not in own:
+                raise ModelError(
+                    f"trim {condition.name!r}: {name!r} is unknown, but no state or input of "
+                    f"{airframe.__name__}"
+                )
+            key = unknown_name(name, number, conditions)
+            start = condition.values.get(name, 0.0)
+            notes[key], body[key] = Scalar, parameter(default=start, unit=airframe.units.get(name, "-"))
+    body |= _methods(airframe, conditions)
+    body |= {"__annotations__": notes, "__module__": airframe.__module__}
+    body["__doc__"] = f"{airframe.__name__}, linearised."
+    return cast("type[Model]", type(f"{airframe.__name__}Linear", (Model,), body))
+
+
+def _methods(airframe: type, conditions: tuple[Trim, ...]) -> dict[str, Any]:
+    """What a linear structure writes: matrices, delays, constraints."""
+
+    def matrix(number: int) -> Callable[[Any], Rows]:
+        def rows(self: Any) -> Rows:  # noqa: ANN401
+            model = _own(self, airframe)
+            points = [point(self, model, n, conditions) for n in range(len(conditions))]
+            return _diagonal([linearised(model, *each)[number] for each in points])
+
+        return rows
+
+    def delays(self: Any) -> dict[str, Scalar]:  # noqa: ANN401
+        own = _own(self, airframe).delays()
+        pairs = [(n, tau, c) for c in conditions for n, tau in own.items()]
+        return {at_condition(n, c, conditions): tau for n, tau, c in pairs}
+
+    def constraints(self: Any) -> list[Constraint]:  # noqa: ANN401
+        model, found = _own(self, airframe), []
+        for n, condition in enumerate(conditions):
+            if condition.unknown:
+                f = ca.vertsplit(balances(model, *point(self, model, n, conditions)))
+                found += [
+                    Constraint(at_condition(f"d{name}/dt", condition, conditions), _plain(f[i]))
+                    for i, name in _balanced(airframe, conditions, n)
+                ]
+        return [*model.constraints(), *found]
+
+    def reduce(self: Any) -> Any:  # noqa: ANN401
+        return _restored, (airframe, conditions, vars(self).copy())
+
+    letters = {letter: matrix(number) for number, letter in enumerate("ABCD")}
+    return letters | {"delays": delays, "constraints": constraints, "__reduce__": reduce}
+
+
+def _own(linear: Any, airframe: type) -> Any:  # noqa: ANN401
+    """The nonlinear structure with the values or symbols of a linear one."""
+    return airframe(**{each.name: getattr(linear, each.name) for each in fields(airframe)})
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - SX
+    """A number where an expression is one."""
+    return float(value) if value.is_constant() else value
+
+
+def point(linear: Any, model: Any, number: int, conditions: Sequence[Trim]) -> tuple[Any, Any]:  # noqa: ANN401
+    """States and inputs of one condition; its unknowns are parameters of the linear structure."""
+    condition, rest = conditions[number], dict(zip(_names(model), sum(reference_point(model), []), strict=True))
+    values = rest | {n: v for n, v in condition.values.items() if n in rest}
+    for name in condition.unknown:
+        values[name] = getattr(linear, unknown_name(name, number, conditions))
+    found = [values[name] for name in _names(model)]
+    return found[: len(model.states)], found[len(model.states) :]
+
+
+def _names(model: Any) -> tuple[str, ...]:  # noqa: ANN401
+    return (*model.states, *model.inputs)
+
+
+@lru_cache(maxsize=64)
+def _balanced(airframe: type, conditions: tuple[Trim, ...], number: int) -> list[tuple[int, str]]:
+    """Equations of one condition that its unknowns or the parameters have to balance."""
+    cls = _class(airframe, conditions)
+    lam = ca.SX.sym("lam", len(cls.parameter_names()))
+    linear = cls().with_vector(lam)
+    model = _own(linear, airframe)
+    f = ca.vertsplit(balances(model, *point(linear, model, number, conditions)))
+    found = []
+    for i, (name, value) in enumerate(zip(airframe.states, f, strict=True)):  # type: ignore[attr-defined]
+        if ca.depends_on(value, lam):
+            found.append((i, name))
+        elif not abs(float(value)) < BALANCE:
+            raise ModelError(
+                f"trim {conditions[number].name!r}: d{name}/dt is {float(value):.3g} whatever the "
+                "parameters and the unknowns are; give other values or make one of them unknown"
+            )
+    return found
+
+
+def _diagonal(blocks: Sequence[Rows]) -> Rows:
+    """Rows of a block-diagonal matrix."""
+    width, before, rows = sum(len(block[0]) for block in blocks), 0, []
+    for block in blocks:
+        for row in block:
+            rows.append([*[0] * before, *row, *[0] * (width - before - len(row))])
+        before += len(block[0])
+    return rows
+
+
+def _restored(airframe: type, conditions: tuple[Trim, ...], values: Mapping[str, Any]) -> Model:
+    return _class(airframe, conditions)(**values)
+
+
+def unknown_name(name: str, number: int, conditions: Sequence[Trim]) -> str:
+    """Name of the parameter that stands for an unknown of a trim."""
+    return f"{name}_trim" + f"_{number + 1}" * (len(conditions) > 1)

@@ -1,0 +1,100 @@
+"""Right-hand sides and outputs of nonlinear structures as expressions, and their derivatives."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import casadi as ca
+
+from casid import declaration
+from casid.errors import ModelError
+from casid.model import Rows, Scalar
+
+# What has no derivative at all, and what has none at one point.
+JUMPS = {ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_FMOD: "fmod"}
+KINKS = {ca.OP_FABS: "fabs", ca.OP_SIGN: "sign", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax"}
+KINKS |= {ca.OP_IF_ELSE_ZERO: "if_else"}
+
+
+class Channels:
+    """Values by name, ``x.p``; what a structure's methods are given."""
+
+    def __init__(self, kind: str, names: Sequence[str], values: Sequence[Any]) -> None:
+        self._kind, self._names = kind, tuple(names)
+        vars(self).update(zip(names, values, strict=True))
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - a number or a symbol
+        raise AttributeError(f"no {self._kind} {name!r}; there are {', '.join(self._names)}")
+
+
+class Nonlinear(Protocol):
+    """What is asked of a nonlinear structure here."""
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def derivatives(self, x: Any, u: Any) -> Sequence[Scalar]: ...  # noqa: ANN401
+    def measurements(self, x: Any, u: Any) -> Sequence[Scalar]: ...  # noqa: ANN401
+    def reference(self) -> Mapping[str, Scalar]: ...
+
+
+def evaluated(model: Any, x: Sequence[Any], u: Sequence[Any]) -> tuple[ca.SX, ca.SX]:  # noqa: ANN401 - Nonlinear
+    """Right-hand sides (nx,) and outputs (ny,) at numbers or symbols.
+
+    ModelError: a method that raises, or gives something else than one expression each.
+    """
+    named = Channels("state", model.states, x), Channels("input", model.inputs, u)
+
+    def column(values: Any, names: Sequence[str]) -> ca.SX:  # noqa: ANN401 - whatever they wrote
+        if isinstance(values, str) or not hasattr(values, "__len__"):
+            raise ModelError(f"it is {values!r}, expected a list: {', '.join(names)}")
+        if len(values) != len(names):
+            raise ModelError(
+                f"it has {len(values)} expressions, expected {len(names)}: {', '.join(names)}"
+            )
+        pairs = zip(values, names, strict=True)
+        return ca.vertcat(*[declaration.scalar(v, f"that of {n!r}") for v, n in pairs])
+
+    return (
+        declaration.written(model, "derivatives", lambda v: column(v, model.states), *named),
+        declaration.written(model, "measurements", lambda v: column(v, model.outputs), *named),
+    )
+
+
+def reference_point(model: Any) -> tuple[list[Any], list[Any]]:  # noqa: ANN401 - Nonlinear
+    """States and inputs of the reference condition, numbers or expressions of the parameters."""
+    given = declaration.written(model, "reference", dict)
+    names = (*model.states, *model.inputs)
+    if unknown := [name for name in given if name not in names]:
+        raise ModelError(
+            f"{type(model).__name__}.reference names {unknown[0]!r}, which is no state or input; "
+            f"there are {', '.join(names)}"
+        )
+    values = [given.get(name, 0.0) for name in names]
+    return values[: len(model.states)], values[len(model.states) :]
+
+
+def linearised(model: Any, x0: Sequence[Any], u0: Sequence[Any]) -> tuple[Rows, ...]:  # noqa: ANN401
+    """A, B, C, D at a point: rows of numbers or expressions, literal zeros where nothing acts."""
+    x, u = ca.SX.sym("x", len(x0)), ca.SX.sym("u", len(u0))
+    f, h = evaluated(model, ca.vertsplit(x), ca.vertsplit(u))
+    slopes = [ca.jacobian(value, of) for value in (f, h) for of in (x, u)]
+    at = [ca.SX(ca.vertcat(*part)) for part in (x0, u0)]
+    placed = [ca.sparsify(part) for part in ca.substitute(slopes, [x, u], at)]
+    return tuple(
+        [[part[i, j] if part.sparsity().has_nz(i, j) else 0 for j in range(part.shape[1])]
+         for i in range(part.shape[0])]
+        for part in placed
+    )  # fmt: skip
+
+
+def balances(model: Any, x0: Sequence[Any], u0: Sequence[Any]) -> ca.SX:  # noqa: ANN401
+    """dx/dt (nx,) at a point of numbers or expressions."""
+    return evaluated(model, x0, u0)[0]
+
+
+def operations(expression: ca.SX) -> list[str]:
+    """Names of the operations in an expression whose value or slope jumps."""
+    function = ca.Function("operations", ca.symvar(expression), [expression])
+    used = {function.instruction_id(i) for i in range(function.n_instructions())}
+    return sorted(name for code, name in (JUMPS | KINKS).items() if code in used)

@@ -1,0 +1,147 @@
+"""Nonlinear structures: dx/dt = f(x, u(t - τ); λ), y = h(x, u(t - τ); λ), in total values.
+
+A subclass of `NonlinearModel` declares parameters, delays and constraints as a `Model` does, and
+writes f and h as methods of named states and inputs. As a `Model` it is its own linearisation at
+its reference condition; `NonlinearModel.at` linearises elsewhere.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from functools import lru_cache
+from typing import Any, ClassVar, Self, cast
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+from casid.errors import ModelError
+from casid.model import Model, Rows, Scalar
+from casid.nonlinear.conditions import Trim, linearisation
+from casid.nonlinear.expressions import JUMPS, evaluated, linearised, operations, reference_point
+
+
+class NonlinearModel(Model, base=True):
+    """Base of every nonlinear structure; subclasses become frozen dataclasses like a `Model`'s.
+
+    ``units`` may say the units of states, inputs and outputs, for tables.
+    """
+
+    units: ClassVar[Mapping[str, str]] = {}
+
+    # ---- what a structure writes ----------------------------------------------------------------
+
+    def derivatives(self, x: Any, u: Any) -> Sequence[Scalar]:  # noqa: ANN401, ARG002
+        """dx/dt, one expression a state, of named states ``x.p`` and inputs ``u.lat``."""
+        raise ModelError(f"{type(self).__name__} has no method derivatives")
+
+    def measurements(self, x: Any, u: Any) -> Sequence[Scalar]:  # noqa: ANN401, ARG002
+        """Outputs, one expression each; unless written, the states of the outputs' names."""
+        if missing := [name for name in self.outputs if name not in self.states]:
+            raise ModelError(
+                f"{type(self).__name__} has no method measurements, and output {missing[0]!r} is "
+                "no state"
+            )
+        return [getattr(x, name) for name in self.outputs]
+
+    def reference(self) -> Mapping[str, Scalar]:
+        """States and inputs of a typical flight condition; zero where not named."""
+        return {}
+
+    # ---- what every structure can do ------------------------------------------------------------
+
+    def equations(self) -> ca.Function:
+        """CasADi function (x, u, λ) -> (dx/dt, y) of total values.
+
+        Raises
+        ------
+        ModelError
+            Methods that raise or do not give one expression a state and an output, operations that
+            no estimator can differentiate, values not finite at the reference condition.
+        """
+        own = self.infos()
+        rest = tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in own)
+        return _equations(cast(Any, type(self)), rest)
+
+    def operating_point(self) -> tuple[Array, Array]:
+        """States (nx,) and inputs (nu,) of the reference condition."""
+        x0, u0 = reference_point(self)
+        return np.array([float(v) for v in x0]), np.array([float(v) for v in u0])
+
+    def at(self, *conditions: Trim | Mapping[str, float]) -> Model:
+        """The linear structure about one flight condition, in deviations from it.
+
+        Parameters
+        ----------
+        conditions : Trim or mapping
+            Total values of states and inputs, such as a record's ``trim``. Several, named, stand
+            side by side in one linear structure with channels like ``p@60 kn``.
+
+        Returns
+        -------
+        Model
+            With the same parameters, and one more for each unknown of the trims, which the balance
+            dx/dt = 0 then ties. Its matrices are the Jacobians' expressions.
+        """
+        given = [each if isinstance(each, Trim) else Trim(values=each) for each in conditions]
+        return linearisation(self, given)
+
+    def with_values_of(self, model: Model) -> Self:
+        """The same structure with the values of another one's parameters of the same names."""
+        own = self.parameter_names()
+        return replace(self, **{n: getattr(model, n) for n in model.parameter_names() if n in own})
+
+    def A(self) -> Rows:
+        """df/dx at the reference condition."""
+        return linearised(self, *reference_point(self))[0]
+
+    def B(self) -> Rows:
+        """df/du at the reference condition."""
+        return linearised(self, *reference_point(self))[1]
+
+    def C(self) -> Rows:
+        """dh/dx at the reference condition."""
+        return linearised(self, *reference_point(self))[2]
+
+    def D(self) -> Rows:
+        """dh/du at the reference condition."""
+        return linearised(self, *reference_point(self))[3]
+
+
+@lru_cache(maxsize=64)
+def _equations(cls: type[NonlinearModel], rest: tuple[tuple[str, Any], ...]) -> ca.Function:
+    """`NonlinearModel.equations` of a structure with its constants; its methods run once."""
+    _check_units(cls)
+    lam = ca.SX.sym("lam", len(cls.parameter_names()))
+    x, u = ca.SX.sym("x", len(cls.states)), ca.SX.sym("u", len(cls.inputs))
+    model = cls(**dict(rest))
+    f, h = evaluated(model.with_vector(lam), ca.vertsplit(x), ca.vertsplit(u))
+    function = ca.Function("equations", [x, u, lam], [f, h], ["x", "u", "lam"], ["f", "h"])
+    named = zip((*cls.states, *cls.outputs), ca.vertsplit(ca.vertcat(f, h)), strict=True)
+    for name, expression in named:
+        if found := sorted(set(operations(expression)) & set(JUMPS.values())):
+            raise ModelError(
+                f"{cls.__name__}: {name!r} uses {found[0]}, which jumps and has no derivative; "
+                "write something smooth (casid.spline, casadi.tanh)"
+            )
+    _check_finite(model, function)
+    return function
+
+
+def _check_units(cls: type[NonlinearModel]) -> None:
+    if unknown := sorted(set(cls.units) - {*cls.states, *cls.inputs, *cls.outputs}):
+        raise ModelError(
+            f"{cls.__name__}.units names {unknown[0]!r}, which is no state, input or output"
+        )
+
+
+def _check_finite(model: NonlinearModel, function: ca.Function) -> None:
+    values = function(*model.operating_point(), model.vector())
+    for said, names, part in zip(("d/dt of", "output"), (model.states, model.outputs), values,
+                                 strict=True):  # fmt: skip
+        for name, value in zip(names, part.full().ravel(), strict=True):
+            if not np.isfinite(value):
+                raise ModelError(
+                    f"{type(model).__name__}: {said} {name!r} is {value} at the guess in the "
+                    "reference condition; check its formula, or name a condition in which it holds "
+                    "by the method reference"
+                )

@@ -1,0 +1,125 @@
+"""A nonlinear structure in numbers: its equations and their derivatives at many points at once.
+
+One CasADi function gives f, f_x, f_u and f_λ (or h and its derivatives) with their common
+subexpressions, mapped over points; only structural nonzeros are computed.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+from casid.model import Free
+
+POINTS = 256  # evaluated by one call
+
+
+class Mapped:
+    """A CasADi function of columns and shared arguments, for arrays (n, size) of NumPy."""
+
+    def __init__(self, function: ca.Function, shared: Sequence[int]) -> None:
+        self._function, self._shared = function, list(shared)
+        self._sizes = [function.numel_in(i) for i in range(function.n_in())]
+        self._kept: dict[int, tuple[list[Array], list[Array], Any]] = {}
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Results (n, size) at n points; arguments are (n, size), those shared (size,)."""
+        n = next(len(a) for i, a in enumerate(arguments) if i not in self._shared)
+        size = n if n < POINTS else POINTS
+        results = [np.empty((n, self._function.numel_out(i))) for i in range(self._function.n_out())]
+        for first in range(0, n, size):
+            inputs, outputs, run = self._buffers(size)
+            rows = slice(first, min(first + size, n))
+            count = rows.stop - first
+            for i, (target, value) in enumerate(zip(inputs, arguments, strict=True)):
+                if i in self._shared:
+                    target[0] = value
+                else:
+                    target[:count], target[count:] = value[rows], value[rows.stop - 1]
+            run()
+            for result, values in zip(results, outputs, strict=True):
+                result[rows] = values[:count]
+        return results
+
+    def _buffers(self, size: int) -> tuple[list[Array], list[Array], Callable[[], None]]:
+        """Memory and call of the function mapped over so many points; made once."""
+        if size not in self._kept:
+            mapped = self._function.map(f"points{size}", "serial", size, self._shared, [])
+            rows = [1 if i in self._shared else size for i in range(len(self._sizes))]
+            inputs = [np.zeros((r, n)) for r, n in zip(rows, self._sizes, strict=True)]
+            outputs = [
+                np.zeros((size, self._function.numel_out(i))) for i in range(self._function.n_out())
+            ]
+            buffer, run = mapped.buffer()
+            for i, array in enumerate(inputs):
+                buffer.set_arg(i, memoryview(array))
+            for i, array in enumerate(outputs):
+                buffer.set_res(i, memoryview(array))
+            self._kept[size] = inputs, outputs, _Call(mapped, buffer, run)
+        return self._kept[size]
+
+
+class _Call:
+    """A call in prepared memory, which keeps what it needs alive."""
+
+    def __init__(self, *parts: Any) -> None:  # noqa: ANN401 - CasADi's own
+        self._parts = parts
+
+    def __call__(self) -> None:
+        self._parts[-1]()
+
+
+class Slopes:
+    """Derivatives of a vector function by x, u and λ: dense by x and u, nonzeros by λ."""
+
+    def __init__(self, value: ca.SX, x: ca.SX, u: ca.SX, lam: ca.SX) -> None:
+        J = ca.jacobian(value, lam)
+        entries: list[Any] = J.nonzeros()
+        parts = [value, ca.jacobian(value, x).T, ca.jacobian(value, u).T]
+        dense = [ca.vec(ca.densify(part)) for part in parts]  # transposed: rows of NumPy's arrays
+        column = ca.vertcat(ca.SX(0, 1), *entries)
+        self._mapped = Mapped(ca.Function("slopes", [x, u, lam], [*dense, column]), [2])
+        row, parameter = J.sparsity().get_triplet()
+        self.row, self.parameter = np.array(row, dtype=int), np.array(parameter, dtype=int)
+        self._shapes = (len(row), x.numel()), (value.numel(), u.numel())
+        self._m = value.numel()
+
+    def __call__(self, x: Array, u: Array, lam: Array) -> tuple[Array, Array, Array, Array]:
+        """Values (n, m), derivatives (n, m, nx) and (n, m, nu), nonzeros by λ (n, nnz)."""
+        value, by_x, by_u, by_lam = self._mapped(x, u, lam)
+        return value, by_x.reshape(len(x), self._m, -1), by_u.reshape(len(x), self._m, -1), by_lam
+
+    def add(self, target: Array, nonzeros: Array) -> None:
+        """Add the derivatives by λ to an array (n, m, nf or more)."""
+        target[:, self.row, self.parameter] += nonzeros
+
+
+class Flow:
+    """Equations, outputs and one Runge-Kutta step of a nonlinear structure in its free λ."""
+
+    def __init__(self, free: Free) -> None:
+        equations = free.model.equations()  # type: ignore[attr-defined] # a NonlinearModel
+        x, u = ca.SX.sym("x", equations.numel_in(0)), ca.SX.sym("u", equations.numel_in(1))
+        lam = ca.SX.sym("lam", len(free.index))
+        full = free.full(lam)
+        f, h = equations(x, u, full)
+        self.f, self.h = Slopes(f, x, u, lam), Slopes(h, x, u, lam)
+        stages, step = ca.SX.sym("stages", 3 * u.numel()), ca.SX.sym("step")
+        first, middle, last = ca.vertsplit(stages, u.numel()) if u.numel() else [stages] * 3
+        k1 = equations(x, first, full)[0]
+        k2 = equations(x + step / 2 * k1, middle, full)[0]
+        k3 = equations(x + step / 2 * k2, middle, full)[0]
+        k4 = equations(x + step * k3, last, full)[0]
+        after = x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        self._step = Mapped(ca.Function("step", [x, stages, step, lam], [ca.densify(after)]), [3])
+        self._output = Mapped(ca.Function("output", [x, u, lam], [ca.densify(h)]), [2])
+
+    def step(self, x: Array, stages: Array, h: Array, lam: Array) -> Array:
+        """States (n, nx) one step on; stages (n, 3 nu) are the inputs there, h (n,) lengths [s]."""
+        return self._step(x, stages, h[:, None], lam)[0]
+
+    def output(self, x: Array, u: Array, lam: Array) -> Array:
+        """Outputs (n, ny)."""
+        return self._output(x, u, lam)[0]

@@ -1,0 +1,50 @@
+"""How much the steps of the integration move the estimates of a nonlinear structure.
+
+At a solution the reduced gradient g of the cost with steps of half the length says by how much the
+estimates would move with them, -P (g' - g) to first order, P their covariance for white residuals.
+The method being of fourth order, what is left then is a fifteenth of that.
+"""
+
+import numpy as np
+import scipy.sparse
+
+from casid.arrays import Array
+from casid.shooting.nonlinear import MOST, Integration, NonlinearEvaluator
+from casid.shooting.precision import held, quadratic_model
+from casid.shooting.programme import Programme
+from casid.shooting.uncertainty import bound
+
+SHIFT = 0.02  # standard deviations that halving the steps may move an estimate
+ORDER = 4  # of the method
+
+
+def integration(programme: Programme, x: Array) -> Integration:
+    """What halving the steps would change at a solution x in scaled variables."""
+    evaluator = programme.evaluator
+    assert isinstance(evaluator, NonlinearEvaluator)
+    finer = programme.variant(evaluator=evaluator.finer(2))
+    (F, g), (_, g_finer) = _reduced(programme, x), _reduced(finer, x)
+    P = bound(F, held(programme, x), np.diag(programme.blocks(x).Hll))
+    size = np.sqrt(np.diag(P))
+    known = np.isfinite(size) & (size > 0)
+    shift = np.zeros(len(g))
+    shift[known] = np.abs(P[np.ix_(known, known)] @ (g_finer - g)[known]) / size[known]
+    worst = int(np.argmax(shift))
+    return Integration(
+        steps=evaluator.substeps, shift=float(shift[worst]), moved=programme.free.names[worst]
+    )
+
+
+def _reduced(programme: Programme, x: Array) -> tuple[Array, Array]:
+    """Information and gradient of the scaled unknowns, all else following."""
+    upper = programme.hessian_matrix(x)
+    F, _ = quadratic_model(programme, x, upper + scipy.sparse.triu(upper, 1).T)
+    return F[:-1, :-1], F[:-1, -1]
+
+
+def factor_wanted(found: Integration) -> int:
+    """By what to multiply the number of steps; 1 if they are short enough."""
+    if found.shift <= SHIFT or found.steps >= MOST:
+        return 1
+    more = 2 ** int(np.ceil(np.log2(found.shift / SHIFT) / ORDER))
+    return max(2, min(more, 8, MOST // found.steps))

@@ -1,0 +1,218 @@
+"""Residuals of a nonlinear structure over all shooting intervals, and their derivatives.
+
+    x_{k+1} = Φ(x_k, u; λ)            r_k = h(x_k, u(t_k - τ); λ) + b - y_k
+
+Φ is the classical Runge-Kutta method of fourth order, in a whole number of equal steps a sampling
+interval, with the inputs of `casid.shooting.stages`. The states known, ∂Φ/∂x and ∂Φ/∂λ come of the
+derivatives of f at the stages, for many samples at once; S⁺ = (∂Φ/∂x) S + ∂Φ/∂λ is exact for the
+discrete states, so that the cost and its gradient belong to each other whatever the step.
+"""
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.model import Free
+from casid.record import Record
+from casid.shooting.flow import Flow
+from casid.shooting.intervals import Layout
+from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, counts
+from casid.shooting.stages import stage_inputs
+from casid.shooting.unknowns import FilterMatrices
+from casid.values import storable
+
+REACH = 1.0  # of the fastest eigenvalue times a step, at most: then the method follows it
+MOST = 64  # steps a sampling interval
+
+
+@storable
+@dataclass(frozen=True, kw_only=True)
+class Integration:
+    """How a nonlinear structure was integrated.
+
+    Parameters
+    ----------
+    steps : int
+        Runge-Kutta steps a sampling interval.
+    shift : float
+        By how many standard deviations the estimate that is moved most would move, were the steps
+        half as long.
+    moved : str
+        Its name.
+    """
+
+    steps: int
+    shift: float
+    moved: str
+
+
+@dataclass(frozen=True, eq=False)
+class Track(Motion):
+    """A simulation with the states at the beginning of every step within the samples'."""
+
+    inner: Array  # (N, substeps, nx)
+
+
+class NonlinearEvaluator(Evaluator):
+    """Residuals and Gauss-Newton blocks of a nonlinear structure over one layout."""
+
+    smoothings = 4
+
+    def __init__(self, free: Free, layout: Layout, substeps: int | None = None) -> None:
+        super().__init__(free, layout)
+        self.curved = False
+        self.flow, self.model = Flow(free), free.model
+        self.lengths = layout.classes[layout.step]
+        self.substeps = substeps or first_substeps(self.matrices(free.guess).A, layout)
+        self._stages: tuple[bytes, tuple[Array, Array]] | None = None
+
+    def finer(self, factor: int) -> "NonlinearEvaluator":
+        """The same with so many times the steps."""
+        other = copy.copy(self)
+        other.substeps, other._stages = self.substeps * factor, None  # noqa: SLF001
+        return other
+
+    def within(self, delays: Array | None) -> "NonlinearEvaluator":
+        """See `Evaluator.within`."""
+        other = super().within(delays)
+        other._stages = None
+        return other
+
+    def stages(self, m: FilterMatrices) -> tuple[Array, Array]:
+        """Inputs at the stages and their derivatives by the delays, (N, substeps, 3, nu) each."""
+        key = m.tau.tobytes()
+        if self._stages is None or self._stages[0] != key:
+            holds = [record.hold for record in self.layout.records]
+            self._stages = key, stage_inputs(self.held(m), holds, self.lengths, self.substeps)
+        return self._stages[1]
+
+    def simulate(self, point: Point) -> Track:
+        """States and residuals over all intervals."""
+        layout, m = self.layout, self.matrices(point.lam)
+        stages = self.stages(m)[0].reshape(len(layout.y), self.substeps, 3 * self.nu)
+        inner = np.empty((len(layout.y), self.substeps, self.nx))
+        ends = np.empty((len(layout.count), self.nx))
+        x, active = point.nodes[layout.node], counts(layout.count)
+        for k, n in enumerate(active):
+            at, x = layout.start[:n] + k, x[:n]
+            eta = self.lengths[at] / self.substeps
+            for s in range(self.substeps):
+                inner[at, s] = x
+                x = self.flow.step(x, stages[at, s], eta, point.lam)
+            if k + 1 == len(active) or active[k + 1] < n:
+                done = layout.count[:n] == k + 1
+                ends[:n][done] = x[done]
+        u = np.concatenate([part.value for part in self.held(m)])
+        bias = np.repeat(point.bias, [record.N for record in layout.records], axis=0)
+        r = self.flow.output(inner[:, 0], u, point.lam) + bias - layout.y
+        return Track(inner[:, 0], r * layout.patterns[layout.pattern], ends, inner)
+
+    def sweep(self, point: Point, motion: Motion, W: Array) -> "NonlinearSweep":
+        """What turns a simulation into rows of the Jacobian."""
+        return NonlinearSweep(self, point, motion, W)
+
+    def resting(self) -> Array:
+        """Nodes (J, nx) to start from: measured states, the reference condition where none."""
+        layout, model = self.layout, self.model
+        nodes = np.tile(model.operating_point()[0], (len(layout.count), 1))
+        edges = np.cumsum([0, *(record.N for record in layout.records)])
+        first = np.empty(len(layout.count), dtype=int)
+        first[layout.node] = layout.start
+        for i, name in enumerate(model.states):
+            for record, begin in zip(layout.records, edges, strict=False):
+                inside = (first >= begin) & (first < begin + record.N)
+                if (y := _measured(record, name)) is not None:
+                    nodes[inside, i] = y[first[inside] - begin]
+        return nodes
+
+    def level(self) -> tuple[Array, Array]:
+        """Inputs (nu,) and outputs (ny,) from which their sizes are counted: their means."""
+        u, y = (np.concatenate([getattr(r, n) for r in self.layout.records]) for n in "uy")
+        return u.mean(axis=0), np.nanmean(y, axis=0)
+
+
+def _measured(record: Record, name: str) -> Array | None:
+    """A state measured as the output of its name, at all samples; None if it is not."""
+    if name not in record.outputs:
+        return None
+    y, known = record.channel(name), np.isfinite(record.channel(name))
+    return np.interp(record.t, record.t[known], y[known]) if known.any() else None
+
+
+def first_substeps(A: Array, layout: Layout) -> int:
+    """Steps a sampling interval with which the fastest mode of A is followed."""
+    fastest = float(np.abs(np.linalg.eigvals(A)).max()) * float(layout.classes.max())
+    return int(np.clip(np.ceil(fastest / REACH), 1, MOST))
+
+
+class NonlinearSweep(Sweep):
+    """`Sweep` of a nonlinear structure."""
+
+    def __init__(self, evaluator: NonlinearEvaluator, point: Point, motion: Motion, W: Array) -> None:
+        assert isinstance(motion, Track)
+        self.e, self.layout, self.motion, self.W = evaluator, evaluator.layout, motion, W
+        self._track, self._flow, self._lam = motion, evaluator.flow, point.lam
+        self.matrices = m = evaluator.matrices(point.lam)
+        self.ns = evaluator.nf + evaluator.nx
+        self.apart = not np.any(W * (1 - np.eye(evaluator.ny)))
+        self._u, self._late = evaluator.stages(m)
+        self._eta = evaluator.lengths / evaluator.substeps
+        held = evaluator.held(m)
+        self._value, self._slope = (
+            np.concatenate([getattr(part, name) for part in held]) for name in ("value", "slope")
+        )
+        self._delayed = np.flatnonzero(m.tau_lam.any(axis=0))
+
+    def _block(self, at: np.ndarray, S: Array) -> Array:
+        """Sensitivities before each of K samples and after the last, (K + 1, nx, n, ns)."""
+        (K, n), nx, nf = at.shape, self.e.nx, self.e.nf
+        by_x, by_lam = self._transitions(at.ravel())
+        by_x, by_lam = by_x.reshape(K, n, nx, nx), by_lam.reshape(K, n, nx, nf)
+        trail = np.empty((K + 1, n, nx, S.shape[2]))
+        trail[0] = S.transpose(1, 0, 2)
+        for k in range(K):
+            np.matmul(by_x[k], trail[k], out=trail[k + 1])
+            trail[k + 1][:, :, :nf] += by_lam[k]
+        return trail.transpose(0, 2, 1, 3)
+
+    def _transitions(self, flat: np.ndarray) -> tuple[Array, Array]:
+        """∂Φ/∂x (n, nx, nx) and ∂Φ/∂λ (n, nx, nf) of the steps from samples."""
+        n, nx, nf = len(flat), self.e.nx, self.e.nf
+        total: Array = np.concatenate([np.zeros((n, nx, nf)), np.tile(np.eye(nx), (n, 1, 1))], axis=2)
+        for s in range(self._u.shape[1]):
+            total = self._step(flat, s, total)
+        return total[:, :, nf:], total[:, :, :nf]
+
+    def _step(self, flat: np.ndarray, s: int, Z: Array) -> Array:
+        """Derivatives (n, nx, nf + nx) after step s of the sampling intervals, from those before."""
+        x, u, late = self._track.inner[flat, s], self._u[flat, s], self._late[flat, s]
+        h = self._eta[flat, None]
+        total, k, K = Z.copy(), np.zeros_like(x), np.zeros_like(Z)
+        for stage, ahead, weight in ((0, 0.0, 1.0), (1, 0.5, 2.0), (1, 0.5, 2.0), (2, 1.0, 1.0)):
+            z = Z if not ahead else Z + (ahead * h)[:, :, None] * K
+            k, f_x, f_u, f_lam = self._flow.f(x + ahead * h * k, u[:, stage], self._lam)
+            K = f_x @ z
+            self._flow.f.add(K, f_lam)
+            self._add_delays(K, f_u * late[:, stage, None])
+            total += (weight / 6 * h)[:, :, None] * K
+        return total
+
+    def _add_delays(self, target: Array, by_tau: Array) -> None:
+        """Add what the delays do, (n, m, nu) by each, to derivatives (n, m, nf or more)."""
+        if len(self._delayed):
+            target[:, :, self._delayed] += by_tau @ self.matrices.tau_lam[:, self._delayed]
+
+    def _rows(self, at: np.ndarray, S: Array) -> Array:
+        """Whitened Jacobian rows and residuals of K samples, (n, K, ny, nc)."""
+        e, (K, n), flat = self.e, at.shape, at.T.ravel()
+        _, h_x, h_u, h_lam = self._flow.h(self.motion.states[flat], self._value[flat], self._lam)
+        through = h_x @ S.transpose(2, 0, 1, 3).reshape(n * K, e.nx, -1)
+        self._flow.h.add(through, h_lam)
+        self._add_delays(through, h_u * -self._slope[flat, None])
+        out = np.empty((n, K, e.ny, self.ns + e.ny + 1))
+        out[..., self.ns : -1] = np.eye(e.ny)
+        out[..., : self.ns] = through.reshape(n, K, e.ny, -1)
+        out[..., -1] = self.motion.residuals[at.T]
+        return self._whitened(out, at)
