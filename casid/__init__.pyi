@@ -85,11 +85,15 @@ from .model import (
     parameter as parameter,
 )
 from .nlp import Progress as Progress, SolverOptions as SolverOptions
+from .nonlinear.conditions import Trim as Trim
+from .nonlinear.model import NonlinearModel as NonlinearModel
+from .nonlinear.tables import spline as spline
 from .record import Record as Record
 from .report.plots import compare as compare
 from .report.tables import summary as summary
 from .residuals import Residuals as Residuals, residuals as residuals
 from .sensors import Scalar as Scalar, Sensor as Sensor
+from .shooting.nonlinear import Integration as Integration
 from .shooting.output_error import OutputError as OutputError, output_error as output_error
 from .shooting.precision import OutputErrorNotes as OutputErrorNotes
 from .stages.chain import Chain as Chain

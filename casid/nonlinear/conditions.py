@@ -1,5 +1,6 @@
 """Flight conditions and the linear structures of a nonlinear one there."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from functools import lru_cache
@@ -10,7 +11,7 @@ import numpy as np
 
 from casid.errors import ModelError
 from casid.model import Constraint, Model, Rows, Scalar, parameter
-from casid.nonlinear.expressions import balances, linearised, reference_point
+from casid.nonlinear.expressions import Nonlinear, balances, linearised, reference_point
 from casid.values import storable
 
 BALANCE = 1e-6  # |dx/dt| of an equation without unknowns that still counts as trimmed
@@ -55,7 +56,7 @@ class Trim:
         )
 
 
-def linearisation(model: Any, conditions: Sequence[Trim]) -> Model:  # noqa: ANN401 - NonlinearModel
+def linearisation(model: Nonlinear, conditions: Sequence[Trim]) -> Model:
     """The linear structure at one flight condition, or at several side by side.
 
     Several have the channels of each under names of their own, ``p@60 kn``.
@@ -69,7 +70,8 @@ def linearisation(model: Any, conditions: Sequence[Trim]) -> Model:  # noqa: ANN
     names = [each.name for each in conditions]
     if len(conditions) > 1 and (len(set(names)) < len(names) or "" in names):
         raise ModelError(f"conditions are named {', '.join(map(repr, names))}; give each its own")
-    cls = _class(type(model), tuple(conditions))
+    airframe: Nonlinear = type(model)
+    cls = _class(airframe, tuple(conditions))
     return cls(**{f.name: getattr(model, f.name) for f in fields(model)})
 
 
@@ -79,7 +81,7 @@ def at_condition(name: str, condition: Trim, conditions: Sequence[Trim]) -> str:
 
 
 @lru_cache(maxsize=64)
-def _class(airframe: type, conditions: tuple[Trim, ...]) -> type[Model]:
+def _class(airframe: Nonlinear, conditions: tuple[Trim, ...]) -> type[Model]:
     """The class of linear structures of an airframe at flight conditions."""
     channels = {
         kind: tuple(at_condition(n, c, conditions) for c in conditions for n in own)
@@ -90,28 +92,27 @@ def _class(airframe: type, conditions: tuple[Trim, ...]) -> type[Model]:
     notes: dict[str, Any] = {}
     body: dict[str, Any] = dict(channels)
     for each in fields(airframe):
+        if each.default is MISSING:
+            raise ModelError(f"{airframe.__name__}.{each.name} has no default; give it one")
         notes[each.name] = each.type
         body[each.name] = field(default=each.default, metadata=each.metadata)
-        if each.default is MISSING:
-            raise ModelError(f"{airframe.__name__}.{each.name} has no default")
-    own = {*airframe.states, *airframe.inputs}
     for number, condition in enumerate(conditions):
         for name in condition.unknown:
-            if name not in own:
+            if name not in {*airframe.states, *airframe.inputs}:
                 raise ModelError(
-                    f"trim {condition.name!r}: {name!r} is unknown, but no state or input of "
+                    f"trim {condition.name!r}: unknown {name!r} is no state or input of "
                     f"{airframe.__name__}"
                 )
-            key = unknown_name(name, number, conditions)
-            start = condition.values.get(name, 0.0)
-            notes[key], body[key] = Scalar, parameter(default=start, unit=airframe.units.get(name, "-"))
+            key, unit = unknown_name(name, number, conditions), airframe.units.get(name, "-")
+            notes[key] = Scalar
+            body[key] = parameter(default=condition.values.get(name, 0.0), unit=unit)
     body |= _methods(airframe, conditions)
     body |= {"__annotations__": notes, "__module__": airframe.__module__}
     body["__doc__"] = f"{airframe.__name__}, linearised."
     return cast("type[Model]", type(f"{airframe.__name__}Linear", (Model,), body))
 
 
-def _methods(airframe: type, conditions: tuple[Trim, ...]) -> dict[str, Any]:
+def _methods(airframe: Nonlinear, conditions: tuple[Trim, ...]) -> dict[str, Any]:
     """What a linear structure writes: matrices, delays, constraints."""
 
     def matrix(number: int) -> Callable[[Any], Rows]:
@@ -145,7 +146,7 @@ def _methods(airframe: type, conditions: tuple[Trim, ...]) -> dict[str, Any]:
     return letters | {"delays": delays, "constraints": constraints, "__reduce__": reduce}
 
 
-def _own(linear: Any, airframe: type) -> Any:  # noqa: ANN401
+def _own(linear: Any, airframe: Nonlinear) -> Any:  # noqa: ANN401
     """The nonlinear structure with the values or symbols of a linear one."""
     return airframe(**{each.name: getattr(linear, each.name) for each in fields(airframe)})
 
@@ -155,22 +156,23 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - SX
     return float(value) if value.is_constant() else value
 
 
-def point(linear: Any, model: Any, number: int, conditions: Sequence[Trim]) -> tuple[Any, Any]:  # noqa: ANN401
+def point(
+    linear: Model, model: Nonlinear, number: int, conditions: Sequence[Trim]
+) -> tuple[list[Any], list[Any]]:
     """States and inputs of one condition; its unknowns are parameters of the linear structure."""
-    condition, rest = conditions[number], dict(zip(_names(model), sum(reference_point(model), []), strict=True))
-    values = rest | {n: v for n, v in condition.values.items() if n in rest}
+    names, condition = (*model.states, *model.inputs), conditions[number]
+    values = dict(zip(names, itertools.chain(*reference_point(model)), strict=True))
+    values |= {name: value for name, value in condition.values.items() if name in values}
     for name in condition.unknown:
         values[name] = getattr(linear, unknown_name(name, number, conditions))
-    found = [values[name] for name in _names(model)]
+    found = [values[name] for name in names]
     return found[: len(model.states)], found[len(model.states) :]
 
 
-def _names(model: Any) -> tuple[str, ...]:  # noqa: ANN401
-    return (*model.states, *model.inputs)
-
-
 @lru_cache(maxsize=64)
-def _balanced(airframe: type, conditions: tuple[Trim, ...], number: int) -> list[tuple[int, str]]:
+def _balanced(
+    airframe: Nonlinear, conditions: tuple[Trim, ...], number: int
+) -> list[tuple[int, str]]:
     """Equations of one condition that its unknowns or the parameters have to balance."""
     cls = _class(airframe, conditions)
     lam = ca.SX.sym("lam", len(cls.parameter_names()))
@@ -178,7 +180,7 @@ def _balanced(airframe: type, conditions: tuple[Trim, ...], number: int) -> list
     model = _own(linear, airframe)
     f = ca.vertsplit(balances(model, *point(linear, model, number, conditions)))
     found = []
-    for i, (name, value) in enumerate(zip(airframe.states, f, strict=True)):  # type: ignore[attr-defined]
+    for i, (name, value) in enumerate(zip(airframe.states, f, strict=True)):
         if ca.depends_on(value, lam):
             found.append((i, name))
         elif not abs(float(value)) < BALANCE:
@@ -191,15 +193,17 @@ def _balanced(airframe: type, conditions: tuple[Trim, ...], number: int) -> list
 
 def _diagonal(blocks: Sequence[Rows]) -> Rows:
     """Rows of a block-diagonal matrix."""
-    width, before, rows = sum(len(block[0]) for block in blocks), 0, []
+    width, before = sum(len(block[0]) for block in blocks), 0
+    rows: list[Sequence[Scalar]] = []
     for block in blocks:
-        for row in block:
-            rows.append([*[0] * before, *row, *[0] * (width - before - len(row))])
+        rows += [[*[0] * before, *row, *[0] * (width - before - len(row))] for row in block]
         before += len(block[0])
     return rows
 
 
-def _restored(airframe: type, conditions: tuple[Trim, ...], values: Mapping[str, Any]) -> Model:
+def _restored(
+    airframe: Nonlinear, conditions: tuple[Trim, ...], values: Mapping[str, Any]
+) -> Model:
     return _class(airframe, conditions)(**values)
 
 

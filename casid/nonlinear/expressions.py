@@ -1,13 +1,13 @@
 """Right-hand sides and outputs of nonlinear structures as expressions, and their derivatives."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import casadi as ca
 
 from casid import declaration
 from casid.errors import ModelError
-from casid.model import Rows, Scalar
+from casid.model import Rows
 
 # What has no derivative at all, and what has none at one point.
 JUMPS = {ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_FMOD: "fmod"}
@@ -26,19 +26,10 @@ class Channels:
         raise AttributeError(f"no {self._kind} {name!r}; there are {', '.join(self._names)}")
 
 
-class Nonlinear(Protocol):
-    """What is asked of a nonlinear structure here."""
-
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-
-    def derivatives(self, x: Any, u: Any) -> Sequence[Scalar]: ...  # noqa: ANN401
-    def measurements(self, x: Any, u: Any) -> Sequence[Scalar]: ...  # noqa: ANN401
-    def reference(self) -> Mapping[str, Scalar]: ...
+Nonlinear: TypeAlias = Any  # a NonlinearModel, whose module stands above
 
 
-def evaluated(model: Any, x: Sequence[Any], u: Sequence[Any]) -> tuple[ca.SX, ca.SX]:  # noqa: ANN401 - Nonlinear
+def evaluated(model: Nonlinear, x: Sequence[Any], u: Sequence[Any]) -> tuple[ca.SX, ca.SX]:
     """Right-hand sides (nx,) and outputs (ny,) at numbers or symbols.
 
     ModelError: a method that raises, or gives something else than one expression each.
@@ -61,7 +52,7 @@ def evaluated(model: Any, x: Sequence[Any], u: Sequence[Any]) -> tuple[ca.SX, ca
     )
 
 
-def reference_point(model: Any) -> tuple[list[Any], list[Any]]:  # noqa: ANN401 - Nonlinear
+def reference_point(model: Nonlinear) -> tuple[list[Any], list[Any]]:
     """States and inputs of the reference condition, numbers or expressions of the parameters."""
     given = declaration.written(model, "reference", dict)
     names = (*model.states, *model.inputs)
@@ -74,7 +65,7 @@ def reference_point(model: Any) -> tuple[list[Any], list[Any]]:  # noqa: ANN401 
     return values[: len(model.states)], values[len(model.states) :]
 
 
-def linearised(model: Any, x0: Sequence[Any], u0: Sequence[Any]) -> tuple[Rows, ...]:  # noqa: ANN401
+def linearised(model: Nonlinear, x0: Sequence[Any], u0: Sequence[Any]) -> tuple[Rows, ...]:
     """A, B, C, D at a point: rows of numbers or expressions, literal zeros where nothing acts."""
     x, u = ca.SX.sym("x", len(x0)), ca.SX.sym("u", len(u0))
     f, h = evaluated(model, ca.vertsplit(x), ca.vertsplit(u))
@@ -88,7 +79,7 @@ def linearised(model: Any, x0: Sequence[Any], u0: Sequence[Any]) -> tuple[Rows, 
     )  # fmt: skip
 
 
-def balances(model: Any, x0: Sequence[Any], u0: Sequence[Any]) -> ca.SX:  # noqa: ANN401
+def balances(model: Nonlinear, x0: Sequence[Any], u0: Sequence[Any]) -> ca.SX:
     """dx/dt (nx,) at a point of numbers or expressions."""
     return evaluated(model, x0, u0)[0]
 

@@ -5,13 +5,14 @@ subexpressions, mapped over points; only structural nonzeros are computed.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
 from casid.model import Free
+from casid.nonlinear.model import NonlinearModel
 
 POINTS = 256  # evaluated by one call
 
@@ -22,13 +23,14 @@ class Mapped:
     def __init__(self, function: ca.Function, shared: Sequence[int]) -> None:
         self._function, self._shared = function, list(shared)
         self._sizes = [function.numel_in(i) for i in range(function.n_in())]
+        self._widths = [function.numel_out(i) for i in range(function.n_out())]
         self._kept: dict[int, tuple[list[Array], list[Array], Any]] = {}
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """Results (n, size) at n points; arguments are (n, size), those shared (size,)."""
         n = next(len(a) for i, a in enumerate(arguments) if i not in self._shared)
-        size = n if n < POINTS else POINTS
-        results = [np.empty((n, self._function.numel_out(i))) for i in range(self._function.n_out())]
+        size = min(POINTS, n)
+        results: list[Array] = [np.empty((n, width)) for width in self._widths]
         for first in range(0, n, size):
             inputs, outputs, run = self._buffers(size)
             rows = slice(first, min(first + size, n))
@@ -48,15 +50,14 @@ class Mapped:
         if size not in self._kept:
             mapped = self._function.map(f"points{size}", "serial", size, self._shared, [])
             rows = [1 if i in self._shared else size for i in range(len(self._sizes))]
-            inputs = [np.zeros((r, n)) for r, n in zip(rows, self._sizes, strict=True)]
-            outputs = [
-                np.zeros((size, self._function.numel_out(i))) for i in range(self._function.n_out())
-            ]
+            inputs: list[Array] = [np.zeros((r, n)) for r, n in zip(rows, self._sizes, strict=True)]
+            outputs: list[Array] = [np.zeros((size, width)) for width in self._widths]
+            buffer: Any
             buffer, run = mapped.buffer()
             for i, array in enumerate(inputs):
-                buffer.set_arg(i, memoryview(array))
+                buffer.set_arg(i, array.data)
             for i, array in enumerate(outputs):
-                buffer.set_res(i, memoryview(array))
+                buffer.set_res(i, array.data)
             self._kept[size] = inputs, outputs, _Call(mapped, buffer, run)
         return self._kept[size]
 
@@ -100,7 +101,7 @@ class Flow:
     """Equations, outputs and one Runge-Kutta step of a nonlinear structure in its free λ."""
 
     def __init__(self, free: Free) -> None:
-        equations = free.model.equations()  # type: ignore[attr-defined] # a NonlinearModel
+        equations = cast("NonlinearModel", free.model).equations()
         x, u = ca.SX.sym("x", equations.numel_in(0)), ca.SX.sym("u", equations.numel_in(1))
         lam = ca.SX.sym("lam", len(free.index))
         full = free.full(lam)

@@ -15,6 +15,8 @@ from casid.shooting.programme import Programme
 from casid.shooting.uncertainty import bound
 
 SHIFT = 0.02  # standard deviations that halving the steps may move an estimate
+EXACT = 1e-4  # the same where it costs little
+CHEAP = 20_000  # steps in all
 ORDER = 4  # of the method
 
 
@@ -42,9 +44,10 @@ def _reduced(programme: Programme, x: Array) -> tuple[Array, Array]:
     return F[:-1, :-1], F[:-1, -1]
 
 
-def factor_wanted(found: Integration) -> int:
-    """By what to multiply the number of steps; 1 if they are short enough."""
-    if found.shift <= SHIFT or found.steps >= MOST:
-        return 1
-    more = 2 ** int(np.ceil(np.log2(found.shift / SHIFT) / ORDER))
-    return max(2, min(more, 8, MOST // found.steps))
+def factor_wanted(found: Integration, samples: int) -> int:
+    """By what to multiply the number of steps of the samples; 1 if they are short enough."""
+    for allowed, most in ((EXACT, CHEAP // samples), (SHIFT, MOST)):
+        if found.shift > allowed and 2 * found.steps <= min(most, MOST):
+            more = 2 ** int(np.ceil(np.log2(found.shift / allowed) / ORDER))
+            return int(max(2, min(more, 8, most // found.steps)))
+    return 1

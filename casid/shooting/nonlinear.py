@@ -10,11 +10,13 @@ discrete states, so that the cost and its gradient belong to each other whatever
 
 import copy
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.model import Free
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.shooting.flow import Flow
 from casid.shooting.intervals import Layout
@@ -63,7 +65,7 @@ class NonlinearEvaluator(Evaluator):
     def __init__(self, free: Free, layout: Layout, substeps: int | None = None) -> None:
         super().__init__(free, layout)
         self.curved = False
-        self.flow, self.model = Flow(free), free.model
+        self.flow, self.model = Flow(free), cast("NonlinearModel", free.model)
         self.lengths = layout.classes[layout.step]
         self.substeps = substeps or first_substeps(self.matrices(free.guess).A, layout)
         self._stages: tuple[bytes, tuple[Array, Array]] | None = None
@@ -71,7 +73,7 @@ class NonlinearEvaluator(Evaluator):
     def finer(self, factor: int) -> "NonlinearEvaluator":
         """The same with so many times the steps."""
         other = copy.copy(self)
-        other.substeps, other._stages = self.substeps * factor, None  # noqa: SLF001
+        other.substeps, other._stages = self.substeps * factor, None
         return other
 
     def within(self, delays: Array | None) -> "NonlinearEvaluator":
@@ -111,7 +113,7 @@ class NonlinearEvaluator(Evaluator):
 
     def sweep(self, point: Point, motion: Motion, W: Array) -> "NonlinearSweep":
         """What turns a simulation into rows of the Jacobian."""
-        return NonlinearSweep(self, point, motion, W)
+        return NonlinearSweep(self, point, cast("Track", motion), W)
 
     def resting(self) -> Array:
         """Nodes (J, nx) to start from: measured states, the reference condition where none."""
@@ -150,8 +152,9 @@ def first_substeps(A: Array, layout: Layout) -> int:
 class NonlinearSweep(Sweep):
     """`Sweep` of a nonlinear structure."""
 
-    def __init__(self, evaluator: NonlinearEvaluator, point: Point, motion: Motion, W: Array) -> None:
-        assert isinstance(motion, Track)
+    def __init__(
+        self, evaluator: NonlinearEvaluator, point: Point, motion: Track, W: Array
+    ) -> None:
         self.e, self.layout, self.motion, self.W = evaluator, evaluator.layout, motion, W
         self._track, self._flow, self._lam = motion, evaluator.flow, point.lam
         self.matrices = m = evaluator.matrices(point.lam)
@@ -180,13 +183,14 @@ class NonlinearSweep(Sweep):
     def _transitions(self, flat: np.ndarray) -> tuple[Array, Array]:
         """∂Φ/∂x (n, nx, nx) and ∂Φ/∂λ (n, nx, nf) of the steps from samples."""
         n, nx, nf = len(flat), self.e.nx, self.e.nf
-        total: Array = np.concatenate([np.zeros((n, nx, nf)), np.tile(np.eye(nx), (n, 1, 1))], axis=2)
+        total: Array = np.zeros((n, nx, nf + nx))
+        total[:, :, nf:] = np.eye(nx)
         for s in range(self._u.shape[1]):
             total = self._step(flat, s, total)
         return total[:, :, nf:], total[:, :, :nf]
 
     def _step(self, flat: np.ndarray, s: int, Z: Array) -> Array:
-        """Derivatives (n, nx, nf + nx) after step s of the sampling intervals, from those before."""
+        """Derivatives (n, nx, nf + nx) after step s of sampling intervals, from those before."""
         x, u, late = self._track.inner[flat, s], self._u[flat, s], self._late[flat, s]
         h = self._eta[flat, None]
         total, k, K = Z.copy(), np.zeros_like(x), np.zeros_like(Z)

@@ -25,10 +25,9 @@ from casid.nlp import SolverOptions
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record, Records, stretches
 from casid.shooting.innovation import starting_gain
-from casid.shooting.integration import Integration
 from casid.shooting.intervals import lay_out
 from casid.shooting.likelihood import CovarianceKind
-from casid.shooting.nonlinear import NonlinearEvaluator
+from casid.shooting.nonlinear import MOST, Integration, NonlinearEvaluator
 from casid.shooting.precision import OutputErrorNotes, Precision, precision
 from casid.shooting.search import IPOPT, Outcome, Search
 from casid.shooting.sensitivity import Evaluator
@@ -62,6 +61,9 @@ class OutputError:
         the states through a free gain K; a black box gives the gain to start from, in the model's
         states; an array holds it. K [1/s times state per output] acts on an innovation held over
         the sampling interval. It comes out in ``Fit.notes.K``.
+    steps : int
+        Of a nonlinear structure: Runge-Kutta steps a sampling interval, as many as needed unless
+        given. ``Fit.notes.integration`` says what shorter ones would change.
     solver : SolverOptions
         Limits and tolerance of each solve.
     """
@@ -70,6 +72,7 @@ class OutputError:
     R: Array | CovarianceKind | None = None
     biases: bool = True
     process_noise: bool | Array | BlackBox = False
+    steps: int | None = None
     solver: SolverOptions = SolverOptions()
 
     @one_thread
@@ -90,6 +93,7 @@ class OutputError:
         begin = time.perf_counter()
         options = replace(self.solver, ipopt=IPOPT | dict(self.solver.ipopt))
         free = free_parameters(model, fixed, bounds)
+        _check_nonlinear(model, self.process_noise, self.steps)
         chosen = select_records(free, data, self.biases)
         gain, gain_free = starting_gain(free, chosen, self.process_noise)
         interval = self.interval
@@ -100,11 +104,11 @@ class OutputError:
                 f"interval={interval}: expected seconds above 0, or None to have it chosen"
             )
         R = checked_covariance(self.R, len(model.outputs))
-        length, search = float(interval), Search(free, options)
+        length, search = float(interval), Search(free, options, self.steps)
         while True:
             layout = lay_out(chosen, length)
             evaluator = (
-                NonlinearEvaluator(free, layout)
+                NonlinearEvaluator(free, layout, self.steps)
                 if isinstance(model, NonlinearModel)
                 else Evaluator(free, layout, gain, gain_free)
             )
@@ -141,6 +145,22 @@ class OutputError:
         return self.interval is None and not evaluator.filtering and shortest <= length < longest
 
 
+def _check_nonlinear(
+    model: Model, process_noise: bool | Array | BlackBox, steps: int | None
+) -> None:
+    """Refuse settings that the structure's kind does not have."""
+    if not isinstance(model, NonlinearModel):
+        if steps is not None:
+            raise ValueError(f"steps={steps}: a linear structure is integrated exactly; leave it")
+    elif process_noise is not False:
+        raise ValueError(
+            "process_noise: a nonlinear structure has no filter error; estimate a filter-error "
+            f"model of {type(model).__name__}().at(trim), or leave it out"
+        )
+    elif steps is not None and not 1 <= steps <= MOST:
+        raise ValueError(f"steps={steps}: expected 1 to {MOST} a sampling interval")
+
+
 def output_error(
     model: M,
     records: Record | Sequence[Record],
@@ -149,6 +169,7 @@ def output_error(
     R: Array | CovarianceKind | None = None,
     biases: bool = True,
     process_noise: bool | Array | BlackBox = False,
+    steps: int | None = None,
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     solver: SolverOptions = SolverOptions(),
@@ -161,7 +182,7 @@ def output_error(
         As in `Estimator.fit`; the start is, for example, ``match(...).model``.
     records : Record or sequence of Record
         With at least the model's channels, by name; NaN in y and any sampling are welcome.
-    interval, R, biases, process_noise, solver
+    interval, R, biases, process_noise, steps, solver
         As in `OutputError`.
 
     Returns
@@ -178,7 +199,12 @@ def output_error(
         early (``best`` is the `Fit` so far).
     """
     estimator = OutputError(
-        interval=interval, R=R, biases=biases, process_noise=process_noise, solver=solver
+        interval=interval,
+        R=R,
+        biases=biases,
+        process_noise=process_noise,
+        steps=steps,
+        solver=solver,
     )
     return estimator.fit(model, records, fixed=fixed, bounds=bounds)
 
@@ -190,9 +216,11 @@ def select_records(free: Free, records: Records, biases: bool) -> list[Record]:
     biases, fewer measurements in all than unknowns.
     """
     model = free.model
-    chosen = [record.select(model.inputs, model.outputs) for record in stretches(records)]
-    if isinstance(model, NonlinearModel):
-        chosen = [record.total() for record in chosen]
+    nonlinear = isinstance(model, NonlinearModel)
+    chosen = [
+        (record.total() if nonlinear else record).select(model.inputs, model.outputs)
+        for record in stretches(records)
+    ]
     if not chosen:
         raise ValueError("no records: output error needs at least one")
     needed = len(model.states) + biases * len(model.outputs)

@@ -13,11 +13,11 @@ from casid.fit import AnyFit
 from casid.model import Free
 from casid.nlp import Solution, SolverOptions, solve
 from casid.shooting.delays import neighbours
-from casid.shooting.integration import Integration, factor_wanted, integration
+from casid.shooting.integration import factor_wanted, integration
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.nearby import predicted
 from casid.shooting.newton import Newton
-from casid.shooting.nonlinear import NonlinearEvaluator
+from casid.shooting.nonlinear import Integration, NonlinearEvaluator
 from casid.shooting.programme import Programme
 from casid.shooting.sensitivity import Evaluator, Point
 from casid.shooting.starting import neighbouring_programme, noise_of
@@ -71,10 +71,13 @@ class Outcome:
 
 
 class Search:
-    """Rounds of solves for the free parameters of a model."""
+    """Rounds of solves for the free parameters of a model.
 
-    def __init__(self, free: Free, options: SolverOptions) -> None:
-        self.free, self.options = free, options
+    ``steps`` are those of a nonlinear structure's integration, a sampling interval, if given.
+    """
+
+    def __init__(self, free: Free, options: SolverOptions, steps: int | None = None) -> None:
+        self.free, self.options, self.steps = free, options, steps
 
     def beside(
         self, near: AnyFit, evaluator: Evaluator, R: Array | CovarianceKind, biases: bool
@@ -125,7 +128,8 @@ class Search:
             if not outcome.solution.success:
                 break
             found = integration(outcome.programme, outcome.solution.x)
-            if (factor := factor_wanted(found)) == 1:
+            factor = 1 if self.steps else factor_wanted(found, len(evaluator.lengths))
+            if factor == 1:
                 return outcome, found
             last, solution = outcome.programme, outcome.solution
             programme = last.variant(evaluator=evaluator.finer(factor))

@@ -57,7 +57,8 @@ def _add_breaks(
         u = np.where(behind[:, None], past, u * inside[:, None])
         late = np.where(behind[:, None], -float(order - 1), late * inside[:, None])
         for target, values in zip(into, (u, late), strict=True):
-            np.add.at(target, (row, s, slice(None), channel), values * jump[:, None])
+            for stage in range(len(NODES)):
+                np.add.at(target[:, s, stage], (row, channel), values[:, stage] * jump)
 
 
 def _inside(c: Array, eta: Array, order: int) -> tuple[Array, Array]:

@@ -99,9 +99,9 @@ def _smoothed(
         drift = _drift(e, point.lam)
     rest = point.nodes
     for _ in range(e.smoothings):
-        nodes = _smooth(programme.blocks(programme.pack(point)), point.nodes, rest, programme, drift)
-        point = replace(point, nodes=nodes)
-    size = np.maximum(np.sqrt(np.mean(nodes**2, axis=0)), np.sqrt(np.diag(drift)))
+        blocks = programme.blocks(programme.pack(point))
+        point = replace(point, nodes=_smooth(blocks, point.nodes, rest, programme, drift))
+    size = np.maximum(np.sqrt(np.mean(point.nodes**2, axis=0)), np.sqrt(np.diag(drift)))
     state, spread = np.where(size > 0, size, 1.0), channel_size(e)
     gains = np.outer(state, 1 / spread).ravel()
     lam = np.concatenate([free.scale[free.index], gains])[: e.nf]
@@ -154,7 +154,7 @@ def _smooth(blocks: Blocks, nodes: Array, rest: Array, programme: Programme, dri
     first = np.setdiff1d(np.arange(J), link + 1)
     diagonal[first] += P  # a record begins near rest
     right[first] -= (nodes - rest)[first] @ P
-    for j, gap in zip(link, gaps, strict=True):
+    for j, gap in zip(link.tolist(), gaps, strict=True):
         diagonal[j] += slope[j].T @ P @ slope[j]
         diagonal[j + 1] += P
         above[j] = -slope[j].T @ P

@@ -1,0 +1,79 @@
+"""Linearisation at flight conditions."""
+
+import pickle
+
+import numpy as np
+import pytest
+from truths.swing import Swing
+
+from casid import ModelError, Trim, match
+from casid.model import free_parameters
+
+
+def slopes(model, x0, u0, step=1e-6):
+    """A and B by central differences of the equations."""
+    f = model.equations()
+    point, nx = np.concatenate([x0, u0]), len(x0)
+    columns = []
+    for i in range(len(point)):
+        ends = [point + sign * step * np.eye(len(point))[i] for sign in (1, -1)]
+        up, down = (f(e[:nx], e[nx:], model.vector())[0].full().ravel() for e in ends)
+        columns.append((up - down) / (2 * step))
+    return np.array(columns).T
+
+
+def test_the_linear_structure_is_the_jacobian_at_the_trim():
+    model = Swing()
+    linear = model.at({"theta": 0.4, "lon": 0.3, "ax": 9.0})
+    expected = slopes(model, np.array([0.0, 0.4]), np.array([0.3]))
+    system = linear.system()
+    np.testing.assert_allclose(np.hstack([system.A, system.B]), expected, atol=1e-8)
+    assert linear.parameter_names() == model.parameter_names()
+    assert system.delay[0] == model.tau
+
+
+def test_linear_structures_travel_to_other_processes():
+    linear = Swing().at(Trim(values={"theta": 0.4}, unknown=("lon",)))
+    assert pickle.loads(pickle.dumps(linear)) == linear
+
+
+def test_an_unknown_of_the_trim_is_estimated_with_the_parameters():
+    # The black box is exact; the stick that holds theta = 0.4 follows from the balance alone.
+    truth = Swing(Mq=-0.8, M=6.0, Mlon=8.0, tau=0.05)
+    lon = 6.0 * np.tan(0.4) / 8.0
+    target = truth.at({"theta": 0.4, "lon": lon}).system()
+    start = Swing().at(Trim(values={"theta": 0.4, "lon": 0.1}, unknown=("lon",)))
+    fit = match(start, target, norm="quadratic")
+    for name in ("Mq", "M", "Mlon", "tau"):
+        assert fit[name].value == pytest.approx(getattr(truth, name), rel=1e-5)
+    assert fit["lon_trim"].value == pytest.approx(lon, rel=1e-5)
+
+
+def test_conditions_side_by_side_are_the_single_ones():
+    low, high = Trim(name="low", values={}), Trim(name="high", values={"theta": 1.0})
+    both = Swing().at(low, high).system()
+    for k, trim in enumerate((low, high)):
+        alone = Swing().at(trim).system()
+        np.testing.assert_array_equal(both.A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2], alone.A)
+        np.testing.assert_array_equal(both.B[2 * k : 2 * k + 2, [k]], alone.B)
+    assert not both.A[:2, 2:].any()
+    assert both.outputs == ("q@low", "theta@low", "q@high", "theta@high")
+
+
+def test_a_balance_out_of_reach_is_told():
+    # theta' = q has nothing unknown in it.
+    trim = Trim(name="spin", values={"q": 0.3}, unknown=("lon",))
+    with pytest.raises(ModelError, match=r"trim 'spin': dtheta/dt is 0.3 whatever"):
+        free_parameters(Swing().at(trim))
+
+
+@pytest.mark.parametrize(
+    ("trims", "told"),
+    [
+        ([Trim(values={}, unknown=("ped",))], "unknown 'ped' is no state or input of Swing"),
+        ([Trim(values={}), Trim(values={})], "give each its own"),
+    ],
+)
+def test_bad_trims_are_told(trims, told):
+    with pytest.raises(ModelError, match=told):
+        Swing().at(*trims)

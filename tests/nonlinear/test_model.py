@@ -1,0 +1,81 @@
+"""Nonlinear structures as they are declared, and as linear ones."""
+
+# ruff: noqa: ARG005 - the formulas all take the structure, its states and its inputs
+
+import casadi as ca
+import numpy as np
+import pytest
+from truths.swing import TRUTH, SmallSwing, Swing, WrittenOut
+
+from casid import ModelError, NonlinearModel, Scalar, parameter
+
+
+def test_a_nonlinear_structure_is_its_linearisation_at_its_reference():
+    for letter in "ABCD":
+        expected = getattr(SmallSwing().system(), letter)
+        np.testing.assert_array_equal(getattr(WrittenOut().system(), letter), expected)
+    np.testing.assert_allclose(TRUTH.system().A, [[-0.8, -6.0], [1.0, 0.0]])
+
+
+def test_equations_are_those_written():
+    f, h = Swing().equations()([0.2, 0.5], [0.3], [-0.5, 4.0, 5.0, 0.1])
+    expected = -0.1 - 4 * np.sin(0.5) + 5 * np.cos(0.5) * 0.3
+    np.testing.assert_allclose(f.full().ravel(), [expected, 0.2], rtol=1e-15)
+    np.testing.assert_allclose(h.full().ravel(), [0.2, 0.5])
+
+
+class Bad(NonlinearModel):
+    states, inputs, outputs = ("v",), ("lon",), ("v",)
+
+    a: Scalar = parameter(default=1.0, unit="1/s")
+
+    def derivatives(self, x, u):
+        return [self.formula(x, u)]
+
+
+def broken(formula, **more):
+    return type("Broken", (Bad,), {"formula": formula, "__module__": __name__, **more})()
+
+
+@pytest.mark.parametrize(
+    ("formula", "told"),
+    [
+        (lambda m, x, u: x.w, "derivatives.*no state 'w'; there are v"),
+        (lambda m, x, u: m.b * x.v, "'b', which Broken does not declare"),
+        (lambda m, x, u: m.a / x.v, "d/dt of 'v' is inf.*reference"),
+        (lambda m, x, u: m.a * ca.sqrt(x.v - 1.0), "d/dt of 'v' is nan"),
+        (lambda m, x, u: ca.floor(x.v), "uses floor, which jumps"),
+        (lambda m, x, u: "v", "expected a number or an expression"),
+        (lambda m, x, u: max(x.v, u.lon), "decides by a parameter"),
+    ],
+)
+def test_what_is_wrong_with_an_equation_is_told(formula, told):
+    with pytest.raises(ModelError, match=told):
+        broken(formula).equations()
+
+
+def test_too_few_expressions_are_told():
+    wrong = type("Wrong", (Bad,), {"derivatives": lambda m, x, u: [], "__module__": __name__})()
+    with pytest.raises(ModelError, match="derivatives: it has 0 expressions, expected 1: v"):
+        wrong.equations()
+
+
+def test_units_and_references_of_nothing_are_told():
+    with pytest.raises(ModelError, match=r"units names 'w'"):
+        broken(lambda m, x, u: x.v, units={"w": "m/s"}).equations()
+    with pytest.raises(ModelError, match=r"reference names 'w'.*there are v, lon"):
+        broken(lambda m, x, u: x.v, reference=lambda m: {"w": 1.0}).system()
+
+
+def test_an_output_that_is_no_state_wants_measurements():
+    other = type("Other", (Bad,), {"outputs": ("w",), "formula": lambda m, x, u: x.v})()
+    with pytest.raises(ModelError, match="no method measurements, and output 'w'"):
+        other.equations()
+
+
+def test_a_parameter_named_like_a_part_of_the_base_is_refused():
+    with pytest.raises(ModelError, match="must not have the name"):
+
+        class Named(NonlinearModel):
+            states, inputs, outputs = ("v",), ("lon",), ("v",)
+            derivatives: Scalar = parameter(default=1.0, unit="-")
