@@ -10,8 +10,9 @@ import casadi as ca
 import numpy as np
 
 from casid.errors import ModelError
-from casid.model import Constraint, Model, Rows, Scalar, parameter
+from casid.model import Constraint, Model, Rows, parameter
 from casid.nonlinear.expressions import Nonlinear, balances, linearised, reference_point
+from casid.sensors import Scalar
 from casid.values import storable
 
 BALANCE = 1e-6  # |dx/dt| of an equation without unknowns that still counts as trimmed

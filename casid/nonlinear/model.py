@@ -15,9 +15,10 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.model import Model, Rows, Scalar
+from casid.model import Model, Rows
 from casid.nonlinear.conditions import Trim, linearisation
 from casid.nonlinear.expressions import JUMPS, evaluated, linearised, operations, reference_point
+from casid.sensors import Scalar
 
 
 class NonlinearModel(Model, base=True):
@@ -27,6 +28,13 @@ class NonlinearModel(Model, base=True):
     """
 
     units: ClassVar[Mapping[str, str]] = {}
+
+    def __init_subclass__(cls, *, base: bool = False) -> None:
+        if cls.late_outputs or cls.sensors is not Model.sensors:
+            raise ModelError(
+                f"{cls.__name__}: sensors of a nonlinear structure are written in measurements"
+            )
+        super().__init_subclass__(base=base)
 
     # ---- what a structure writes ----------------------------------------------------------------
 

@@ -21,7 +21,7 @@ def small(hold, irregular, M=6.0):
     u = steps(3, t - t[0], 0.4)
     truth = SmallSwing(Mq=-0.8, M=M, Mlon=8.0, tau=0.073)
     y = truth.system().simulate(t, u, hold=hold)
-    y = y + 0.02 * np.abs(y).max(axis=0) * rng.standard_normal(y.shape)
+    y = y + 0.02 * rng.standard_normal(y.shape)
     y[rng.random(y.shape) < 0.1] = np.nan
     return Record(t, u, y, ("lon",), ("q", "theta"), "small", hold)
 
@@ -39,7 +39,7 @@ def test_a_linear_structure_written_as_a_nonlinear_one_gives_the_same_estimates(
 
 
 def test_an_unstable_structure_is_no_harder():
-    record = small("foh", irregular=False, M=-0.5)
+    record = small("foh", irregular=False, M=-0.5).cut(0, 5)
     linear, written = output_error(SmallSwing(), record), output_error(WrittenOut(), record)
     assert linear["M"].value < 0
     for name in SmallSwing.parameter_names():
