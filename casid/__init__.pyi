@@ -1,6 +1,15 @@
 """Public names, read by type checkers and by casid/__init__.py."""
 
 from .autoregression import outliers as outliers
+from .bands import (
+    HandlingBand as HandlingBand,
+    ModeBand as ModeBand,
+    ResponseBand as ResponseBand,
+    handling_band as handling_band,
+    mode_bands as mode_bands,
+    response_band as response_band,
+    sample_models as sample_models,
+)
 from .baseline.accuracy import DerividNotes as DerividNotes
 from .baseline.derivid import Derivid as Derivid, derivid as derivid
 from .baseline.handling import (
@@ -31,6 +40,7 @@ from .consistency.kinematics import (
     KinematicCheck as KinematicCheck,
     kinematic_check as kinematic_check,
 )
+from .cover import Cover as Cover, cover as cover
 from .eigenmodes import Mode as Mode, modes as modes
 from .errors import (
     ConvergenceError as ConvergenceError,

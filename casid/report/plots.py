@@ -14,16 +14,18 @@ from matplotlib.axes import Axes
 from scipy.interpolate import CubicHermiteSpline
 
 from casid.arrays import Array
+from casid.bands import ResponseBand
 from casid.bounds.compare import BoundsComparison
 from casid.bounds.profiles import Profile
 from casid.bounds.resampling import Ensemble
 from casid.channels import UNITS
+from casid.cover import Cover
 from casid.fit import Fit
 from casid.frequency.estimation import FrequencyResponse
 from casid.linear import StateSpace
 from casid.record import Record, Records
 from casid.report import figures
-from casid.report.content import BLACK_BOX
+from casid.report.content import BLACK_BOX, OUTPUT_ERROR
 from casid.report.look import LOOK, WIDTH
 from casid.report.prices import CONFIDENCE, plot_bounds, plot_parameters
 from casid.residuals import Residuals
@@ -214,6 +216,36 @@ def _(value: Residuals, ax: Any) -> Any:  # noqa: ANN401
         each.set_title(name, loc="left")
     for each in grid[-1]:
         each.set_xlabel("lag [s]")
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: ResponseBand, ax: Any, pair: tuple[str, str] | None = None) -> Any:  # noqa: ANN401
+    output, channel = pair or (value.outputs[0], value.inputs[0])
+    _known((output, channel), (*value.outputs, *value.inputs))
+    place = slice(None), value.outputs.index(output), value.inputs.index(channel)
+    axes = _axes(ax, 2, 1, height=1.8)
+    turn = figures.phase(value.G[place])
+    half = 0.5 * np.degrees(np.ptp(value.phase()[(slice(None), *place)], axis=0))
+    figures.plot_magnitude(axes[0], value.omega, value.G[place], name=OUTPUT_ERROR)
+    figures.plot_phase(axes[1], value.omega, value.G[place], name=OUTPUT_ERROR)
+    edges = figures.decibel(value.magnitude()[(slice(None), *place)])
+    for each, low, high in ((axes[0], *edges), (axes[1], turn - half, turn + half)):
+        each.fill_between(value.omega, low, high, color="#D55E00", alpha=0.2, linewidth=0)
+        figures.frequency_axis(each, value.omega[0], value.omega[-1])
+    axes[0].set_title(f"{output} / {channel}, {100 * value.level:.3g} % band", loc="left")
+    axes[1].set_xlabel("ω [rad/s]")
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: Cover, ax: Any) -> Any:  # noqa: ANN401
+    axes = _axes(ax, 1, 1, height=2.6)
+    W = np.abs(value.weight.response(value.omega)[:, 0, 0])
+    axes[0].loglog(value.omega, value.error, color="#000000", label="largest error of the models")
+    axes[0].loglog(value.omega, W, color="#D55E00", label=f"weight of order {value.weight.nx}")
+    axes[0].set(xlabel="ω [rad/s]", ylabel=f"{value.kind} error [-]")
+    axes[0].legend()
     return _same(ax, axes)
 
 

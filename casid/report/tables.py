@@ -6,9 +6,11 @@ from functools import singledispatch
 import jinja2
 import numpy as np
 
+from casid.bands import ResponseBand
 from casid.bounds.compare import BoundsComparison
 from casid.bounds.profiles import Profile
 from casid.bounds.resampling import Ensemble
+from casid.cover import Cover
 from casid.display import Shown
 from casid.eigenmodes import modes
 from casid.fit import Fit
@@ -144,6 +146,20 @@ def _(value: Residuals) -> Cells:
         for i, name in enumerate(value.outputs)
     ]
     return ("output", "RMS", "white", *(f"no trace of {name}" for name in value.inputs)), rows
+
+
+@cells.register
+def _(value: ResponseBand) -> Cells:
+    wide = 100 * np.median(value.magnitude_std, axis=0)
+    rows = [[o, *(f"{x:.2g} %" for x in row)] for o, row in zip(value.outputs, wide, strict=True)]
+    return ("1σ of the magnitude, median", *value.inputs), rows
+
+
+@cells.register
+def _(value: Cover) -> Cells:
+    poles = [["pole [1/s]", _pole(pole)] for pole in value.weight.poles() if pole.imag >= 0]
+    figures = (("excess, mean", value.excess), ("margin, least", value.margin))
+    return ("weight", "value"), [*poles, *([name, f"{x:.4g}"] for name, x in figures)]
 
 
 def _short(value: float) -> str:

@@ -1,0 +1,304 @@
+"""What the standard errors of a fit make of its response, its modes and its handling qualities.
+
+First order: the covariance J C Jᵀ of a function of the parameters, J its derivatives by central
+differences of a thousandth of each standard error, C the covariance that `Fit.std_error` is read
+from. It holds the noise and the colour of the residuals, not dynamics that the structure lacks.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.optimize
+import scipy.stats
+
+from casid.arrays import Array, ComplexArray
+from casid.baseline.handling import handling_qualities
+from casid.display import Shown
+from casid.eigenmodes import Mode, modes
+from casid.fit import AnyFit
+from casid.frequency.estimation import FrequencyResponse
+from casid.model import M, Model
+from casid.threads import one_thread
+
+STEP = 1e-3  # of a standard error
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ResponseBand(Shown):
+    """A fit's frequency response with its band.
+
+    Parameters
+    ----------
+    omega : (K,) array
+        Frequencies [rad/s].
+    G : (K, ny, nu) complex array
+        The response.
+    magnitude_std, phase_std : (K, ny, nu) array
+        Standard deviations of ln abs(G), a share of the magnitude, and of the phase [rad].
+    level : float
+        Share of the bands that hold the true value, frequency by frequency.
+    inputs, outputs : tuple of str
+        Channels.
+    """
+
+    omega: Array
+    G: ComplexArray
+    magnitude_std: Array
+    phase_std: Array
+    level: float
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def headline(self) -> str:
+        """Frequencies and typical width."""
+        wide = 100 * float(np.median(self.magnitude_std)) * _quantile(self.level)
+        return (
+            f"{len(self.outputs)} outputs from {len(self.inputs)} inputs, {self.omega[0]:.3g} to "
+            f"{self.omega[-1]:.3g} rad/s; magnitude ± {wide:.2g} % in the median at "
+            f"{100 * self.level:.3g} %"
+        )
+
+    def magnitude(self) -> Array:
+        """Lower and upper edge of abs(G), (2, K, ny, nu)."""
+        half = _quantile(self.level) * self.magnitude_std
+        return np.asarray(np.abs(self.G) * np.exp(np.array([-half, half])))
+
+    def phase(self) -> Array:
+        """Lower and upper edge of the phase [rad], (2, K, ny, nu), unwrapped over frequency."""
+        half = _quantile(self.level) * self.phase_std
+        return np.asarray(np.unwrap(np.angle(self.G), axis=0) + np.array([-half, half]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModeBand:
+    """One mode of a fit with standard deviations.
+
+    Parameters
+    ----------
+    mode : Mode
+        Pole, name, frequency, damping.
+    real_std, imag_std : float
+        Of the pole [1/s].
+    frequency_std, damping_std : float
+        Of its modulus [rad/s] and damping ratio.
+    """
+
+    mode: Mode
+    real_std: float
+    imag_std: float
+    frequency_std: float
+    damping_std: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandlingBand:
+    """Bandwidth and phase delay of a fit with standard deviations.
+
+    Parameters
+    ----------
+    bandwidth, bandwidth_std : float
+        [rad/s], ADS-33.
+    phase_delay, phase_delay_std : float
+        [s].
+    """
+
+    bandwidth: float
+    bandwidth_std: float
+    phase_delay: float
+    phase_delay_std: float
+
+
+@one_thread
+def response_band(fit: AnyFit, omega: Array, *, level: float = 0.95) -> ResponseBand:
+    """Frequency response of a fit with the band that its standard errors give it.
+
+    Parameters
+    ----------
+    fit : Fit
+        With a covariance: of `output_error` or `derivid`.
+    omega : (K,) array
+        Frequencies [rad/s].
+    level : float
+        Share of the bands that hold the true value, between 0 and 1.
+
+    Raises
+    ------
+    ValueError
+        A fit without covariance; a level or a frequency that makes no sense.
+    """
+    omega = np.atleast_1d(np.asarray(omega, dtype=float))
+    if not len(omega) or not (omega > 0).all():
+        raise ValueError("omega: expected frequencies above 0 rad/s")
+    if not 0 < level < 1:
+        raise ValueError(f"level={level}: expected a share between 0 and 1, such as 0.95")
+    center = fit.model.system().response(omega)
+
+    def of(model: Model) -> Array:
+        ratio = np.log(model.system().response(omega) / np.where(center == 0, 1.0, center))
+        return np.stack([ratio.real, ratio.imag])
+
+    std = np.where(center == 0, 0.0, spread(fit, of))  # what is no path at all stays none
+    return ResponseBand(
+        omega=omega, G=center, magnitude_std=std[0], phase_std=std[1], level=level,
+        inputs=fit.model.inputs, outputs=fit.model.outputs,
+    )  # fmt: skip
+
+
+@one_thread
+def mode_bands(fit: AnyFit) -> tuple[ModeBand, ...]:
+    """Modes of a fit with the standard deviations of pole, frequency and damping.
+
+    Raises
+    ------
+    ValueError
+        A fit without covariance.
+    """
+    found = modes(fit.model.system())
+    poles = np.array([mode.pole for mode in found])
+
+    def of(model: Model) -> Array:
+        moved = np.linalg.eigvals(model.system().A)
+        near = np.abs(poles[:, None] - moved)
+        near += np.where((poles.imag > 0)[:, None] & (moved.imag < 0), np.inf, 0.0)
+        pole = moved[scipy.optimize.linear_sum_assignment(np.minimum(near, 1e300))[1]]
+        size = np.maximum(np.abs(pole), 1e-300)
+        return np.array([pole.real, pole.imag, size, -pole.real / size])
+
+    rows = spread(fit, of).T.tolist()
+    names = ("real_std", "imag_std", "frequency_std", "damping_std")
+    return tuple(
+        ModeBand(mode=mode, **dict(zip(names, row, strict=True)))
+        for mode, row in zip(found, rows, strict=True)
+    )
+
+
+@one_thread
+def handling_band(
+    fit: AnyFit,
+    pair: tuple[str, str],
+    omega: Array,
+    **reading: Any,  # noqa: ANN401 - as `handling_qualities` takes them
+) -> HandlingBand:
+    """Bandwidth and phase delay of a fit's attitude response with their standard deviations.
+
+    Parameters
+    ----------
+    fit : Fit
+        With a covariance.
+    pair : (output, input)
+        Attitude, or rate, and stick.
+    omega : (K,) array
+        Frequencies [rad/s] to read, beyond twice the one where the phase passes -180°.
+    **reading
+        ``kind``, ``sign``, ``attitude_command`` of `handling_qualities`.
+
+    Raises
+    ------
+    ValueError
+        A fit without covariance, and what `handling_qualities` raises.
+    """
+
+    def of(model: Model) -> Array:
+        read = handling_qualities(_exact(model, omega), pair, **reading)
+        return np.array([read.bandwidth, read.phase_delay])
+
+    value, std = of(fit.model).tolist(), spread(fit, of).tolist()
+    return HandlingBand(
+        bandwidth=value[0], bandwidth_std=std[0], phase_delay=value[1], phase_delay_std=std[1]
+    )
+
+
+def sample_models(fit: "AnyFit", count: int, *, seed: int = 0) -> tuple[Model, ...]:
+    """Models drawn from the normal distribution of a fit's errors, each within its bounds.
+
+    Parameters
+    ----------
+    fit : Fit
+        With a covariance.
+    count : int
+        How many, at least 1.
+    seed : int
+        Of the draws.
+
+    Raises
+    ------
+    ValueError
+        A fit without covariance, a count below 1.
+    """
+    if count < 1:
+        raise ValueError(f"count={count}: expected at least one model")
+    names, C = _covariance(fit)
+    rng = np.random.default_rng(seed)
+    rows = [fit[name] for name in names]
+    center = np.array([row.value for row in rows])
+    low, high = ([getattr(row, side) for row in rows] for side in ("lower", "upper"))
+    drawn = rng.multivariate_normal(center, C, size=count, method="eigh")
+    return tuple(_with(fit.model, names, each) for each in np.clip(drawn, low, high))
+
+
+def spread(fit: AnyFit, function: Callable[[Model], Array]) -> Array:
+    """Standard deviation of each entry of a function of the model, to first order.
+
+    Parameters
+    ----------
+    fit : Fit
+        With a covariance.
+    function : callable
+        Takes a model with other parameter values, returns an array.
+
+    Raises
+    ------
+    ValueError
+        A fit without covariance.
+    """
+    names, C = _covariance(fit)
+    center = np.array([fit[name].value for name in names])
+    slopes = []
+    for k, std in enumerate(np.sqrt(np.diag(C))):
+        row, ends = fit[names[k]], np.array([center, center])
+        ends[:, k] += STEP * std * np.array([-1.0, 1.0])
+        ends[:, k] = np.clip(ends[:, k], row.lower, row.upper)
+        width = float(np.ptp(ends[:, k]))
+        if width == 0:  # known exactly, or held
+            slopes.append(np.zeros_like(function(fit.model)))
+            continue
+        below, above = (function(_with(fit.model, names, each)) for each in ends)
+        slopes.append((above - below) / width)
+    J = np.stack(slopes, axis=-1)
+    return np.asarray(np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", J, C, J), 0.0)))
+
+
+def _covariance(fit: AnyFit) -> tuple[tuple[str, ...], Array]:
+    """Free parameters and their covariance; those on a bound do not move."""
+    if fit.covariance is None:
+        raise ValueError(
+            f"a fit by {fit.method} has no covariance: take that of output_error or derivid"
+        )
+    held = np.array([fit[name].active for name in fit.free_names], dtype=bool)
+    C = np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
+    C[held], C[:, held] = 0.0, 0.0
+    return fit.free_names, C
+
+
+def _with(model: M, names: tuple[str, ...], values: Array) -> M:
+    named = dict(zip(names, values.tolist(), strict=True))
+    given = model.vector().tolist()
+    return model.with_vector(
+        np.array([named.get(n, x) for n, x in zip(model.parameter_names(), given, strict=True)])
+    )
+
+
+def _exact(model: Model, omega: Array) -> FrequencyResponse:
+    """A model's response as a measured one without error."""
+    G = model.system().response(omega)
+    ones = np.ones(G.shape)
+    return FrequencyResponse(
+        omega=omega, G=G, coherence=ones, random_error=0 * ones, inputs=model.inputs,
+        outputs=model.outputs, input_std=np.ones(G.shape[2]), output_std=np.ones(G.shape[1]),
+    )  # fmt: skip
+
+
+def _quantile(level: float) -> float:
+    return float(scipy.stats.norm.ppf(0.5 + level / 2))

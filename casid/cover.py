@@ -1,0 +1,235 @@
+"""A stable weight that covers what a nominal model may be wrong by, for robust control.
+
+W(s) of given order with abs(W(jω)) >= σ_max(Δ(jω)) for every model of an ensemble,
+
+    additive:                        Δ = G - G_0
+    multiplicative at the output:    Δ = (G - G_0) G_0⁺,    G = (I + Δ) G_0
+
+(K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, chapter 9). abs(W)² = P(ω²)/Q(ω²): for
+a ratio γ, P and Q with m² Q <= P <= γ² m² Q over the grid is a linear programme in their
+coefficients, so the least γ is found by bisection; the roots in the left half-plane are W.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+import scipy.optimize
+import scipy.signal
+from numpy.polynomial import Chebyshev
+
+from casid.arrays import Array, ComplexArray
+from casid.display import Shown
+from casid.linear import StateSpace
+from casid.threads import one_thread
+from casid.validation import AnyModel, state_space
+
+Kind = Literal["additive", "multiplicative"]
+GRID = 400  # points of the certificate in a decade
+POINTS = 100  # of the linear programme
+EVERYWHERE = 150  # points from zero to infinity where P and Q must stay above zero
+CLEAR = 1e-5  # how far, relative to their size
+TIGHT = 3e-3  # relative width of the last interval of γ
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Cover(Shown):
+    """A weight with its certificate.
+
+    Parameters
+    ----------
+    weight : StateSpace
+        W(s), one input and one output, stable and of minimum phase.
+    kind : {"additive", "multiplicative"}
+        What it multiplies.
+    omega : (K,) array
+        Dense grid of the certificate [rad/s].
+    error : (K,) array
+        Largest σ_max(Δ) of all models.
+    excess : float
+        Geometric mean of abs(W)/error over the grid, in log ω; 1 is as tight as can be.
+    margin : float
+        Least of abs(W)/error over the grid; at least 1.
+    models : int
+        How many are covered.
+    """
+
+    weight: StateSpace
+    kind: Kind
+    omega: Array
+    error: Array
+    excess: float
+    margin: float
+    models: int
+
+    def headline(self) -> str:
+        """Order, kind, how tight."""
+        return (
+            f"{self.kind}, order {self.weight.nx}, {self.models} models, {self.omega[0]:.3g} to "
+            f"{self.omega[-1]:.3g} rad/s, {self.excess:.3g} times the error in the mean, "
+            f"{self.margin:.4g} times at least"
+        )
+
+
+@one_thread
+def cover(
+    nominal: AnyModel,
+    models: Sequence[AnyModel],
+    *,
+    band: tuple[float, float],
+    order: int = 4,
+    kind: Kind = "additive",
+    scale: tuple[Sequence[float], Sequence[float]] | None = None,
+) -> Cover:
+    """Find a stable weight of given order that covers the differences of models to a nominal one.
+
+    Parameters
+    ----------
+    nominal : Fit, Model, BlackBox or StateSpace
+        G_0, continuous.
+    models : sequence of the same
+        The ensemble: `sample_models` of a fit, models at other speeds, fits of other flights.
+    band : (float, float)
+        Frequencies [rad/s] to cover.
+    order : int
+        States of W, 1 to 10.
+    kind : {"additive", "multiplicative"}
+        Additive, or multiplicative at the output: for that G_0 needs as many outputs as inputs at
+        least.
+    scale : (sequence, sequence)
+        Sizes of the inputs and of the outputs that one unit of Δ stands for; one each unless given.
+
+    Raises
+    ------
+    ValueError
+        No model, discrete ones, other channels; numbers of unstable poles that differ (robust
+        stability cannot be concluded from a weight then); fewer outputs than inputs of a
+        multiplicative one; an order or a band out of range.
+    """
+    low, high = band
+    if not 0 < low < high:
+        raise ValueError(f"band={band}: expected two increasing frequencies above 0 rad/s")
+    if not 1 <= order <= 10:
+        raise ValueError(f"order={order}: expected 1 to 10")
+    if kind not in get_args(Kind):
+        raise ValueError(f"kind={kind!r}: expected one of {', '.join(get_args(Kind))}")
+    systems = [state_space(each) for each in (nominal, *models)]
+    _check(systems, kind)
+    points = max(GRID, int(GRID * np.log10(high / low)))
+    omega = np.geomspace(low, high, points)
+    error = _largest(systems, kind, omega, scale)
+    weight = _lifted(_fitted(omega, error, order), omega, error)
+    ratio = np.abs(weight.response(omega)[:, 0, 0]) / error
+    return Cover(
+        weight=weight, kind=kind, omega=omega, error=error, models=len(models),
+        excess=float(np.exp(np.mean(np.log(ratio)))), margin=float(ratio.min()),
+    )  # fmt: skip
+
+
+def _check(systems: Sequence[StateSpace], kind: Kind) -> None:
+    """Refuse what no weight can cover."""
+    first, *others = systems
+    if not others:
+        raise ValueError("no models given to cover; sample_models(fit, 100) draws some")
+    unstable = _unstable(first)
+    for number, system in enumerate(systems):
+        name = f"model {number}" if number else "the nominal model"
+        if system.dt is not None:
+            raise ValueError(f"{name} is discrete; convert it first (BlackBox.continuous)")
+        if (system.inputs, system.outputs) != (first.inputs, first.outputs):
+            raise ValueError(f"{name} has other inputs or outputs than the nominal one")
+        if _unstable(system) != unstable:
+            raise ValueError(
+                f"{name} has {_unstable(system)} unstable poles, the nominal one {unstable}: a "
+                "weight says nothing about stability then; take another nominal model, or fewer"
+            )
+    if kind == "multiplicative" and first.ny < first.nu:
+        raise ValueError(
+            f"{first.ny} outputs from {first.nu} inputs: an error at the output needs as many "
+            'outputs as inputs at least; take kind="additive" or fewer inputs'
+        )
+
+
+def _unstable(system: StateSpace) -> int:
+    return int(np.sum(system.poles().real > 0))
+
+
+def _largest(
+    systems: Sequence[StateSpace],
+    kind: Kind,
+    omega: Array,
+    scale: tuple[Sequence[float], Sequence[float]] | None,
+) -> Array:
+    """Largest singular value of Δ of any model at every frequency, (K,)."""
+    first, *others = systems
+    inputs, outputs = scale or (np.ones(first.nu), np.ones(first.ny))
+    left, right = np.reciprocal(np.asarray(outputs, float)), np.asarray(inputs, float)
+    G0 = left[:, None] * first.response(omega) * right
+    inverse: ComplexArray | None = np.linalg.pinv(G0) if kind == "multiplicative" else None
+    largest = np.zeros(len(omega))
+    for system in others:
+        delta = left[:, None] * system.response(omega) * right - G0
+        delta = delta if inverse is None else delta @ inverse
+        largest = np.maximum(largest, np.linalg.norm(delta, ord=2, axis=(1, 2)))
+    floor = 1e-6 * largest.max(initial=1e-300)  # a weight has no exact zero
+    return np.asarray(np.maximum(largest, floor))
+
+
+def _fitted(omega: Array, error: Array, order: int) -> tuple[Chebyshev, Chebyshev, float]:
+    """P, Q as polynomials of x = (ω² - c)/(ω² + c), and c, with the least γ."""
+    center, size = float(omega[0] * omega[-1]), float(np.exp(np.mean(np.log(error))))
+    some = np.linspace(0, len(omega) - 1, POINTS).astype(int)
+    x = ((omega**2 - center) / (omega**2 + center))[some]
+    m2 = (error[some] / size) ** 2
+    low, high = 0.0, float(np.log(m2.max() / m2.min())) + 0.1
+    best = Chebyshev([m2.max()]), Chebyshev([1.0])  # a constant, if nothing is better
+    while high - low > TIGHT:
+        middle = 0.5 * (low + high)
+        found = _between(x, m2, np.exp(middle), order)
+        low, high, best = (low, middle, found) if found is not None else (middle, high, best)
+    return size**2 * best[0], best[1], center
+
+
+def _between(x: Array, m2: Array, gamma2: float, order: int) -> tuple[Chebyshev, Chebyshev] | None:
+    """P and Q of degree ``order`` with m² Q <= P <= γ² m² Q, if there are any."""
+    # Of all that will do those furthest above zero on the whole axis, 0 to infinity: roots on it
+    # would be poles or zeros on the imaginary axis. The unknowns are P, Q and that distance.
+    T = np.polynomial.chebyshev.chebvander(x, order) / m2[:, None]
+    E = np.polynomial.chebyshev.chebvander(np.cos(np.linspace(0, np.pi, EVERYWHERE)), order)
+    none, one = np.zeros((len(x), 1)), np.ones((len(E), 1))
+    Q = T * m2[:, None]
+    rows = np.block(
+        [
+            [-T, Q, none],
+            [T / gamma2, -Q, none],
+            [np.zeros_like(E), -E, one],
+            [-E / m2.min(), np.zeros_like(E), one],
+        ]
+    )
+    n = 2 * order + 3
+    answer = scipy.optimize.linprog(
+        -np.eye(n)[-1], A_ub=rows, b_ub=np.zeros(len(rows)), A_eq=np.eye(n)[order + 1 : order + 2],
+        b_eq=[1.0], bounds=(None, None), method="highs",
+    )  # fmt: skip
+    if answer.x is None or answer.status != 0 or answer.x[-1] < CLEAR:
+        return None
+    return Chebyshev(answer.x[: order + 1]), Chebyshev(answer.x[order + 1 : -1])
+
+
+def _lifted(found: tuple[Chebyshev, Chebyshev, float], omega: Array, error: Array) -> StateSpace:
+    """W of P/Q, lifted by what the dense grid still lacks."""
+    P, Q, center = found
+    zeros, poles = _stable_roots(P, center), _stable_roots(Q, center)
+    A, B, C, D = (part.real for part in scipy.signal.zpk2ss(zeros, poles, 1.0))
+    W = StateSpace(A, B, C, D, None, ("w",), ("z",))
+    gain = float(np.max(error / np.abs(W.response(omega)[:, 0, 0])))
+    return StateSpace(A, B, gain * (1 + 1e-9) * C, gain * (1 + 1e-9) * D, None, ("w",), ("z",))
+
+
+def _stable_roots(of_x: Chebyshev, center: float) -> ComplexArray:
+    """Roots s in the left half-plane of a polynomial of x, s² = -ω² = -c (1 + x)/(1 - x)."""
+    x = of_x.trim(1e-12 * np.abs(of_x.coef).max()).roots().astype(complex)
+    roots = -np.sqrt(-center * (1 + x) / (1 - x))
+    # A degree that is missing in x is a factor ω² + c.
+    return np.concatenate([roots, np.full(of_x.degree() - len(x), -np.sqrt(center))])

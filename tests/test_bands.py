@@ -1,0 +1,132 @@
+"""Bands of a fit: derivatives by hand, and the scatter of models drawn from its errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from truths.closed_roll import Roll as ClosedRoll
+from truths.closed_roll import noisy
+from truths.shown import values
+
+from casid import (
+    Model,
+    Record,
+    Rows,
+    Scalar,
+    handling_band,
+    match,
+    mode_bands,
+    output_error,
+    parameter,
+    response_band,
+    sample_models,
+)
+from casid.bands import spread
+
+OMEGA = np.geomspace(0.5, 10.0, 12)
+
+
+def covariance(fit):
+    """Lp and Llat, in that order."""
+    order = [fit.free_names.index(name) for name in ("Lp", "Llat")]
+    return fit.covariance[np.ix_(order, order)]
+
+
+def test_the_band_of_a_first_order_lag_is_that_of_its_derivatives_by_hand():
+    # ln G = ln Llat - ln(jω - Lp): its derivatives are 1/(jω - Lp) by Lp and 1/Llat by Llat.
+    fit = values()["Fit"]
+    J = np.stack([1 / (1j * OMEGA - fit["Lp"].value), 0 * OMEGA + 1 / fit["Llat"].value], axis=-1)
+    found, C = response_band(fit, OMEGA), covariance(fit)
+    for std, part in ((found.magnitude_std, J.real), (found.phase_std, J.imag)):
+        by_hand = np.sqrt(np.einsum("ki,ij,kj->k", part, C, part))
+        np.testing.assert_allclose(std[:, 0, 0], by_hand, rtol=1e-6)
+    low, high = found.magnitude()
+    np.testing.assert_allclose(np.log(high / low), 2 * 1.959964 * found.magnitude_std, rtol=1e-6)
+    assert (np.diff(found.phase(), axis=0) > 0).all()
+
+
+def test_the_band_of_a_real_pole_is_the_error_of_its_parameter():
+    fit = values()["Fit"]
+    (only,) = mode_bands(fit)
+    assert only.mode.pole == pytest.approx(fit["Lp"].value)
+    assert only.real_std == pytest.approx(fit["Lp"].std_error, rel=1e-6)
+    assert (only.imag_std, only.damping_std) == (0, 0)
+
+
+@pytest.fixture(scope="module")
+def rolling():
+    """Seven parameters, an unstable pair, a delay."""
+    return output_error(ClosedRoll(), noisy(seed=5))
+
+
+def test_bands_are_the_scatter_of_models_drawn_from_the_errors(rolling):
+    # 600 draws: their standard deviation is known to 3 %, and what is not linear adds little.
+    drawn = sample_models(rolling, 600, seed=1)
+    pair = max(mode_bands(rolling), key=lambda each: each.mode.pole.imag)
+    poles = np.array([m.system().poles()[np.argmax(m.system().poles().imag)] for m in drawn])
+    assert pair.real_std == pytest.approx(poles.real.std(), rel=0.12)
+    assert pair.imag_std == pytest.approx(poles.imag.std(), rel=0.12)
+    size = np.log(np.abs([m.system().response(OMEGA)[:, 1, 0] for m in drawn]))
+    found = response_band(rolling, OMEGA).magnitude_std[:, 1, 0]
+    np.testing.assert_allclose(found, size.std(axis=0), rtol=0.12)
+
+
+class Attitude(Model):
+    """Bank angle from the stick: Llat e^(-τs) / (s (s - Lp))."""
+
+    states, inputs, outputs = ("p", "phi"), ("lat",), ("phi",)
+
+    Lp: Scalar = parameter(default=-2.0, lower=-20.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=4.0, lower=0.0, upper=50.0, unit="rad/s^2")
+    tau: Scalar = parameter(default=0.06, lower=0.0, upper=0.3, unit="s")
+
+    def A(self) -> Rows:
+        return [[self.Lp, 0], [1, 0]]
+
+    def B(self) -> Rows:
+        return [[self.Llat], [0]]
+
+    def delays(self) -> dict[str, Scalar]:
+        return {"lat": self.tau}
+
+
+def test_the_bandwidth_s_error_is_that_of_its_equation():
+    # -90° - atan(ω/|Lp|) - ωτ = -135° without the gain, which does not matter for the phase.
+    rng, t = np.random.default_rng(6), 0.05 * np.arange(800)
+    u = 0.1 * np.repeat(rng.choice([-1.0, 0.0, 1.0], 40), 20)[:, None]
+    u[-200:] -= u[:600].sum() / 200
+    y = Attitude().system().simulate(t, u) + 0.002 * rng.standard_normal((800, 1))
+    fit = output_error(Attitude(), Record(t, u, y, ("lat",), ("phi",), "steps"))
+
+    def bandwidth(Lp, tau):
+        return brentq(lambda w: np.pi / 4 - np.arctan(w / -Lp) - w * tau, 1e-3, 50.0)
+
+    order = [fit.free_names.index(name) for name in ("Lp", "tau")]
+    at, C, h = [fit["Lp"].value, fit["tau"].value], fit.covariance[np.ix_(order, order)], 1e-5
+    slopes = [(bandwidth(*(at + h * e)) - bandwidth(*(at - h * e))) / (2 * h) for e in np.eye(2)]
+    found = handling_band(fit, ("phi", "lat"), np.geomspace(0.2, 60.0, 2000), attitude_command=True)
+    assert found.bandwidth == pytest.approx(bandwidth(*at), rel=1e-4)
+    assert found.bandwidth_std == pytest.approx(np.sqrt(slopes @ C @ slopes), rel=0.02)
+    assert found.phase_delay_std > 0
+
+
+def test_what_a_bound_holds_does_not_move():
+    fit = output_error(ClosedRoll(), noisy(seed=5), bounds={"Lp": (-1.8, 0.0)})
+    assert fit["Lp"].active
+    assert spread(fit, lambda model: np.array(float(model.Lp))) == 0
+    drawn = [float(model.Lp) for model in sample_models(fit, 5)]
+    np.testing.assert_allclose(drawn, fit["Lp"].value, atol=1e-6)  # rounding of a square root
+
+
+def test_what_makes_no_sense_is_refused():
+    fit = values()["Fit"]
+    with pytest.raises(ValueError, match="level=95: expected a share"):
+        response_band(fit, OMEGA, level=95)
+    with pytest.raises(ValueError, match="frequencies above 0"):
+        response_band(fit, [0.0, 1.0])
+    with pytest.raises(ValueError, match="count=0"):
+        sample_models(fit, 0)
+    bare = match(type(fit.model)(), fit.model.system())
+    with pytest.raises(ValueError, match="no covariance: take that of output_error"):
+        mode_bands(replace(bare, covariance=None))

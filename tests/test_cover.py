@@ -1,0 +1,90 @@
+"""Weights that cover: never violated, tight, and refused where they would mean nothing."""
+
+import control
+import numpy as np
+import pytest
+
+from casid import StateSpace, cover
+
+
+def ensemble(rng, spread=0.1, count=20):
+    """A stable system with three outputs and two inputs, and its relatives."""
+    n = rng.integers(2, 6)
+    A = rng.standard_normal((n, n))
+    A -= (np.linalg.eigvals(A).real.max() + rng.uniform(0.2, 1)) * np.eye(n)
+    B, C, D = rng.standard_normal((n, 2)), rng.standard_normal((3, n)), np.zeros((3, 2))
+    drawn = [
+        StateSpace(A * (1 + spread * rng.standard_normal(A.shape)), B, C, D) for _ in range(count)
+    ]
+    return StateSpace(A, B, C, D), [each for each in drawn if each.poles().real.max() < 0]
+
+
+def error(nominal, models, omega, kind):
+    """Largest singular value of the difference, by python-control's responses."""
+
+    def response(system):
+        plain = control.ss(system.A, system.B, system.C, system.D)
+        return np.moveaxis(plain(1j * omega), 2, 0)
+
+    G0 = response(nominal)
+    right = np.linalg.pinv(G0) if kind == "multiplicative" else np.eye(2)
+    apart = [(response(m) - G0) @ right for m in models]
+    return np.max(np.linalg.svd(np.array(apart), compute_uv=False)[..., 0], axis=0)
+
+
+def violated(rng, kind):
+    """Least and mean ratio of a weight to the error between and beside its own points."""
+    nominal, models = ensemble(rng)
+    found = cover(nominal, models, band=(0.1, 30.0), order=4, kind=kind)
+    assert found.weight.poles().real.max() < 0
+    omega = np.geomspace(0.1, 30.0, 3001)
+    W = np.abs(found.weight.response(omega)[:, 0, 0])
+    ratio = W / np.maximum(error(nominal, models, omega, kind), 1e-6 * W)
+    return ratio.min(), np.exp(np.mean(np.log(ratio)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["additive", "multiplicative"])
+def test_a_weight_covers_between_its_points_and_is_tight(kind):
+    found = np.array([violated(np.random.default_rng(seed), kind) for seed in (3, 8)])
+    assert found[:, 0].min() > 1 - 1e-4  # 400 points a decade: what curvature leaves between two
+    assert found[:, 1].mean() < 1.5
+
+
+@pytest.mark.campaign
+def test_no_weight_of_two_hundred_is_violated():
+    rng = np.random.default_rng(20)
+    kinds = ("additive", "multiplicative")
+    found = np.array([violated(rng, kind) for _ in range(100) for kind in kinds])
+    assert found[:, 0].min() > 1 - 1e-4
+    assert found[:, 1].mean() < 1.5
+
+
+def test_a_lag_that_varies_in_gain_is_covered_by_itself():
+    # G - G_0 = (k - 1)/(s + 2), largest at k = 1.3: W = 0.3/(s + 2) fits with order one.
+    def lag(gain):
+        return StateSpace([[-2.0]], [[gain]], [[1.0]], [[0.0]])
+
+    found = cover(lag(1.0), [lag(0.8), lag(1.3)], band=(0.1, 20.0), order=1)
+    assert found.excess == pytest.approx(1.0, abs=2e-3)
+    assert found.weight.poles()[0].real == pytest.approx(-2.0, rel=0.05)
+    flat = cover(lag(1.0), [lag(1.3)], band=(0.1, 20.0), order=2, kind="multiplicative")
+    assert np.abs(flat.weight.response([1.0])[0, 0, 0]) == pytest.approx(0.3, rel=2e-3)
+    scaled = cover(lag(1.0), [lag(1.3)], band=(0.1, 20.0), order=1, scale=([10.0], [0.5]))
+    np.testing.assert_allclose(scaled.error, 20 * found.error, rtol=1e-9)
+
+
+def test_what_no_weight_can_cover_is_refused():
+    stable = StateSpace([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]])
+    growing = StateSpace([[0.5]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]])
+    band = (0.1, 10.0)
+    for wrong, match in (
+        ({"models": [growing]}, "model 1 has 1 unstable poles, the nominal one 0"),
+        ({"models": []}, "no models given to cover"),
+        ({"models": [stable], "kind": "multiplicative"}, "as many outputs as inputs"),
+        ({"models": [stable], "kind": "input"}, "expected one of additive, multiplicative"),
+        ({"models": [stable], "order": 0}, "order=0: expected 1 to 10"),
+        ({"models": [stable], "band": (2.0, 1.0)}, "expected two increasing frequencies"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            cover(stable, **({"band": band} | wrong))
