@@ -77,11 +77,23 @@ def check_pair(name: str, pair: Any) -> None:  # noqa: ANN401 - whatever the use
     check_order(name, lower, upper)
 
 
+def check_prior(name: str, pair: Any) -> None:  # noqa: ANN401 - whatever the user wrote
+    """Refuse what is no value with a standard deviation."""
+    try:
+        value, std = map(float, pair)
+    except (TypeError, ValueError):
+        value, std = np.nan, np.nan
+    if not (np.isfinite(value) and 0 < std < np.inf):
+        raise ModelError(
+            f"{name}: its prior is {pair!r}, expected a value and a standard deviation above 0"
+        )
+
+
 def check_rows(cls: Any, built: Mapping[str, ca.SX]) -> None:  # noqa: ANN401 - Model lives above
     """A state nothing drives and an output nothing reaches are slips, not models."""
     A, B, C, D = (built[letter] for letter in "ABCD")
     for i, state in enumerate(cls.states):
-        if A[i, :].nnz() + B[i, :].nnz() == 0:
+        if A[i, :].nnz() + B[i, :].nnz() == 0 and state not in cls.constant_states:
             raise ModelError(
                 f"{cls.__name__}: state {state!r} has no dynamics: row {i} of A and of B is zero"
             )

@@ -31,6 +31,7 @@ class ParameterEstimate:
     deviation, others on their bounds held there; NaN on a bound, and where the estimator has no
     noise model. That of output error allows for residuals correlated in time and across outputs;
     ``cramer_rao`` takes them for white and the model for true. ``insensitivity`` is 1/sqrt(F_ii).
+    ``prior`` and ``prior_std`` are what was known before, NaN if nothing.
     """
 
     name: str
@@ -45,6 +46,8 @@ class ParameterEstimate:
     unit: str
     fixed: bool = False
     cramer_rao: float = np.nan
+    prior: float = np.nan
+    prior_std: float = np.nan
 
 
 @storable
@@ -119,6 +122,8 @@ class Fit(Shown, Generic[M_co, N_co]):
         What the output-error fit estimated beside λ, one row a record.
     interval : float or None
         Length of the shooting intervals [s].
+    state_biases : (records, n) array or None
+        Constants in the equations of the states that were to have one, one row a record.
     """
 
     model: M_co
@@ -139,6 +144,7 @@ class Fit(Shown, Generic[M_co, N_co]):
     initial_states: Array | None = None
     biases: Array | None = None
     interval: float | None = None
+    state_biases: Array | None = None
 
     def headline(self) -> str:
         """Structure, method, outcome."""
@@ -292,6 +298,7 @@ def parameter_table(
         near = ACTIVE * free.scale[i]
         gap = min(full[i] - free.lower[i], free.upper[i] - full[i])
         active = i in position and bool(gap <= near)
+        prior, prior_std = free.priors.get(name, (np.nan, np.nan))
         rows.append(
             ParameterEstimate(
                 name=name,
@@ -306,6 +313,8 @@ def parameter_table(
                 cramer_rao=np.nan if active else pick(cramer_rao, i, np.nan),
                 unit=info.unit,
                 fixed=i not in position,
+                prior=float(prior),
+                prior_std=float(prior_std),
             )
         )
     return tuple(rows)

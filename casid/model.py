@@ -26,6 +26,7 @@ Rows: TypeAlias = Sequence[Sequence[Scalar]]
 NO_DELAY = 1e-6  # s, rounding of a delay on its bound
 
 Bounds: TypeAlias = Mapping[str, tuple[float, float]]
+Priors: TypeAlias = Mapping[str, tuple[float, float]]  # λ ~ N(value, deviation²)
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,7 @@ class Model:
     inputs: ClassVar[tuple[str, ...]]
     outputs: ClassVar[tuple[str, ...]]
     late_outputs: ClassVar[tuple[str, ...]] = ()  # outputs whose sensors have a delay
+    constant_states: ClassVar[tuple[str, ...]] = ()  # states that may have no dynamics
 
     def __init_subclass__(cls, *, base: bool = False) -> None:
         if base:  # one more base of structures, with nothing declared
@@ -244,6 +246,9 @@ class Free:
     lower: Array  # (n_λ,) bounds of all parameters
     upper: Array  # (n_λ,)
     scale: Array  # (n_λ,) typical magnitudes
+    priors: Priors = field(default_factory=dict)  # of free parameters
+    initial: Priors = field(default_factory=dict)  # of every record's initial states
+    unbiased: tuple[str, ...] = ()  # outputs without a bias, where the others have one
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -255,6 +260,12 @@ class Free:
     def guess(self) -> Array:
         """Guess of the free parameters, (nf,), moved onto its bounds where it violates them."""
         return np.asarray(np.clip(self.model.vector(), self.lower, self.upper)[self.index])
+
+    def surprise(self, values: Array) -> tuple[Array, Array]:
+        """(λ − λ₀)/σ of all priors at free values (nf,), and the derivatives (priors, nf)."""
+        rows = np.array([self.names.index(name) for name in self.priors], dtype=int)
+        mean, std = np.array(list(self.priors.values())).reshape(-1, 2).T
+        return (values[rows] - mean) / std, np.eye(len(self.index))[rows] / std[:, None]
 
     def constraint_slopes(self, values: Array) -> Array:
         """Derivatives of the model's constraints by the free parameters at free values, (m, nf)."""
@@ -276,11 +287,16 @@ class Free:
 
 
 def free_parameters(
-    model: Model, fixed: Collection[str] = (), bounds: Bounds | None = None
+    model: Model,
+    fixed: Collection[str] = (),
+    bounds: Bounds | None = None,
+    priors: Priors | None = None,
 ) -> Free:
     """Which parameters are free in which bounds, equal ones fixing; ModelError if none can be."""
-    bounds = dict(bounds or {})
-    _check_choice(model, fixed, bounds)
+    bounds, priors = dict(bounds or {}), dict(priors or {})
+    _check_choice(model, fixed, {**bounds, **priors})
+    for name, pair in priors.items():
+        declaration.check_prior(name, pair)
     infos = model.infos()
     limits = {name: bounds.get(name, (info.lower, info.upper)) for name, info in infos.items()}
     for name, pair in limits.items():
@@ -304,7 +320,9 @@ def free_parameters(
     scale = np.array(
         [s or (value if value > 0 else 1.0) for s, value in zip(given, typical, strict=True)]
     )
-    return Free(model, index, lower, upper, scale)
+    names = list(infos)
+    known = {names[i]: priors[names[i]] for i in index if names[i] in priors}
+    return Free(model, index, lower, upper, scale, known)
 
 
 def _check_delays(model: Model, lower: Array, upper: Array) -> None:

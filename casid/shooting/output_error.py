@@ -20,12 +20,13 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
-from casid.model import Bounds, Free, M, Model, free_parameters
+from casid.model import Bounds, Free, M, Model, Priors, free_parameters
 from casid.nlp import SolverOptions
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record, Records, stretches
 from casid.shooting.innovation import starting_gain
 from casid.shooting.intervals import lay_out
+from casid.shooting.knowledge import with_knowledge
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.nonlinear import MOST, Integration, NonlinearEvaluator
 from casid.shooting.precision import OutputErrorNotes, Precision, precision
@@ -54,8 +55,17 @@ class OutputError:
     R : (ny, ny) array, "diagonal" or "full"
         Covariance of the measurement noise, or the structure in which it is estimated; None is
         "diagonal".
-    biases : bool
-        Whether every record has a bias on each output.
+    biases : bool, or collection of str
+        Whether every record has a bias on each output, or the outputs that have one.
+    state_biases : collection of str
+        States whose equations have a constant, another in every record: trim that is not quite
+        trim. They come out in ``Fit.state_biases``.
+    initial : mapping
+        ``{state: (value, standard deviation)}``: what is known of every record's initial state, in
+        the model's perturbations; a small deviation holds it.
+    priors : mapping
+        ``{parameter: (value, standard deviation)}``: what is known from elsewhere, a normal
+        distribution that multiplies the likelihood.
     process_noise : bool, (nx, ny) array or BlackBox
         For flight in turbulence: True estimates the filter-error model, the innovations driving
         the states through a free gain K; a black box gives the gain to start from, in the model's
@@ -70,7 +80,10 @@ class OutputError:
 
     interval: float | None = None
     R: Array | CovarianceKind | None = None
-    biases: bool = True
+    biases: bool | Collection[str] = True
+    state_biases: Collection[str] = ()
+    initial: Priors | None = None
+    priors: Priors | None = None
     process_noise: bool | Array | BlackBox = False
     steps: int | None = None
     solver: SolverOptions = SolverOptions()
@@ -92,9 +105,10 @@ class OutputError:
         """
         begin = time.perf_counter()
         options = replace(self.solver, ipopt=IPOPT | dict(self.solver.ipopt))
-        free = free_parameters(model, fixed, bounds)
+        free = free_parameters(model, fixed, bounds, self.priors)
         _check_nonlinear(model, self.process_noise, self.steps)
-        chosen = select_records(free, data, self.biases)
+        free = with_knowledge(free, self.initial, self.biases, self.state_biases)
+        chosen = select_records(free, data, bool(self.biases))
         gain, gain_free = starting_gain(free, chosen, self.process_noise)
         interval = self.interval
         if interval is None:
@@ -128,10 +142,11 @@ class OutputError:
         self, search: Search, evaluator: Evaluator, R: Array | CovarianceKind, near: AnyFit | None
     ) -> Outcome:
         """Where the rounds of solves end, from a fit nearby if that leads somewhere."""
-        outcome = None if near is None else search.beside(near, evaluator, R, self.biases)
+        biases = bool(self.biases)
+        outcome = None if near is None else search.beside(near, evaluator, R, biases)
         if outcome is None:
             try:
-                programme, point = starting_programme(evaluator, search.free, R, self.biases)
+                programme, point = starting_programme(evaluator, search.free, R, biases)
             except ConvergenceError as error:
                 best = _unmoved(search.free, str(error))
                 raise ConvergenceError(f"output error: {error}", best) from error
@@ -167,8 +182,9 @@ def output_error(
     *,
     interval: float | None = None,
     R: Array | CovarianceKind | None = None,
-    biases: bool = True,
+    biases: bool | Collection[str] = True,
     process_noise: bool | Array | BlackBox = False,
+    priors: Priors | None = None,
     steps: int | None = None,
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
@@ -182,8 +198,8 @@ def output_error(
         As in `Estimator.fit`; the start is, for example, ``match(...).model``.
     records : Record or sequence of Record
         With at least the model's channels, by name; NaN in y and any sampling are welcome.
-    interval, R, biases, process_noise, steps, solver
-        As in `OutputError`.
+    interval, R, biases, process_noise, priors, steps, solver
+        As in `OutputError`, which has the rarer settings too.
 
     Returns
     -------
@@ -203,6 +219,7 @@ def output_error(
         R=R,
         biases=biases,
         process_noise=process_noise,
+        priors=priors,
         steps=steps,
         solver=solver,
     )
@@ -333,6 +350,8 @@ def _result(
     prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :]
     K = evaluator.matrices(point.lam).K if evaluator.filtering else None
     firsts = np.searchsorted(programme.record, np.arange(programme.records))
+    constant = np.isin(free.model.states, free.model.constant_states)
+    own = np.isin(free.model.states, start.states)
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white)
     fit = Fit(
         model=model, parameters=parameters, cost=programme.n * final.cost, status=status,
@@ -343,7 +362,8 @@ def _result(
         ),
         constraints=constraint_table(model, prices), held=held_directions(free, lam, parameters),
         covariance=found.covariance, free_names=free.names, R=final.R,
-        initial_states=point.nodes[firsts], biases=point.bias, interval=interval,
+        initial_states=point.nodes[firsts][:, own], biases=point.bias, interval=interval,
+        state_biases=point.nodes[firsts][:, constant] if constant.any() else None,
     )  # fmt: skip
     if not success:
         raise ConvergenceError(f"output error: {status}", fit)

@@ -169,6 +169,9 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) 
     white = np.einsum("nab,nb->na", sweep.W[layout.pattern], sweep.motion.residuals)
     edges = np.cumsum([0, *(record.N for record in layout.records)])
     residuals = [white[a:b] for a, b in itertools.pairwise(edges)]
-    return uncertainty.coloured_covariance(
+    data = uncertainty.coloured_covariance(
         covariance, residuals, sweep.influence(move[layout.node])
     )
+    _, pull = programme.free.surprise(programme.unpack(x).lam[: len(programme.free.index)])
+    known = covariance[:, : pull.shape[1]] @ (pull * s.lam[: pull.shape[1]]).T
+    return np.asarray(data + known @ known.T)

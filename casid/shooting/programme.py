@@ -1,9 +1,10 @@
 """The multiple-shooting programme: Gram blocks of the intervals in, an IPOPT problem out.
 
-    min  ℓ(λ, biases, nodes; R) / n
+    min  ( ℓ(λ, biases, nodes; R) + ½ Σ (λ − λ₀)²/σ² ) / n
     subject to  x_end(λ, x_j) - x_{j+1} = 0  within every record,  and the model's own constraints
 
-with the negative log-likelihood ℓ of `casid.shooting.likelihood`. If R is estimated it is the most
+with the negative log-likelihood ℓ of `casid.shooting.likelihood` and prior values, if any, of
+`casid.shooting.knowledge`. If R is estimated it is the most
 likely one at every iterate, so that ℓ is the concentrated likelihood: its gradient is that of ½ Σ
 rᵀR⁻¹r with R held (the envelope theorem). The Hessian is the generalised Gauss-Newton one (Bock
 1987): the Gram matrix of the residuals, with the nodes kept as variables. What IPOPT is given of it
@@ -19,6 +20,7 @@ import scipy.sparse
 from casid.arrays import Array
 from casid.model import Free
 from casid.shooting.assembly import Pattern, grid, stack, upper_triangle
+from casid.shooting.knowledge import Knowledge
 from casid.shooting.likelihood import Noise, moments_of
 from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, whiteners
 
@@ -83,6 +85,7 @@ class Programme:
         self.links = np.flatnonzero(~layout.last[back])  # nodes with a successor
         self.n = max(layout.observations, 1)
         rows = len(self.links) * evaluator.nx + len(free.model.constraints())
+        self.knowledge = Knowledge(free, noise, self.record)
         self._hessian_pattern = Pattern(*self.hessian_places(), size=self.size)
         self.jacobian_pattern = Pattern(*self._jacobian_entries(), size=self.size, rows=rows)
         self._forget()
@@ -99,6 +102,7 @@ class Programme:
         other = copy.copy(self)
         other.scales, other.noise = scales or self.scales, noise or self.noise
         other.evaluator, other.free = evaluator or self.evaluator, free or self.free
+        other.knowledge = Knowledge(other.free, other.noise, self.record)
         other._forget()
         return other
 
@@ -117,7 +121,7 @@ class Programme:
     def nuisances(self) -> int:
         """How many numbers are estimated beside λ, those on continuity constraints left out."""
         e = self.evaluator
-        local = self.records * (e.nx + self.biases * e.ny)
+        local = self.records * (e.nx + self.biases * (e.ny - len(self.free.unbiased)))
         return local + self.noise.unknowns + e.nf - len(self.free.index)
 
     @property
@@ -167,7 +171,8 @@ class Programme:
         if not np.isfinite(moments).all():
             return Values(np.nan, g, np.eye(self.evaluator.ny), motion)
         R = self.noise.covariance(moments)
-        return Values(self.noise.cost(R, moments) / self.n, g, R, motion)
+        cost = self.noise.cost(R, moments) + self.knowledge.cost(point)
+        return Values(cost / self.n, g, R, motion)
 
     def blocks(self, x: Array) -> Blocks:
         """Gauss-Newton blocks at scaled variables."""
@@ -195,6 +200,7 @@ class Programme:
         for batch in sweep.batches():
             nodes = e.layout.node[batch.index]
             G[nodes], ends[nodes], slopes[nodes] = batch.gram, batch.ends, batch.slopes
+        self.knowledge.add(G, point)
         G *= unit[:, None] * unit
         slopes *= unit[:-1] / s.state[:, None]
         l, n, b = slice(0, nf), slice(nf, nf + nx), slice(nf + nx, len(unit) - 1)

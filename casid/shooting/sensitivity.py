@@ -90,6 +90,7 @@ class Evaluator:
         model = free.model
         self.nx, self.nu, self.ny = len(model.states), len(model.inputs), len(model.outputs)
         self.nf = self.matrices.nf
+        self.constants = [model.states.index(name) for name in model.constant_states]
         self._within: Array | None = None
         self._held: tuple[bytes, list[DelayedInput]] | None = None
 

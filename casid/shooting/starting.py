@@ -116,6 +116,8 @@ def _drift(e: Evaluator, lam: Array) -> Array:
     T = float(np.median(e.layout.count)) * dt
     Q = SURPRISE**2 * (m.B * np.mean(u**2, axis=0)) @ m.B.T
     drift, nx = _accumulated(m.A, Q, T), len(Q)
+    for i in e.constants:  # a constant may do in a second what the inputs may
+        drift[i, i] = drift.diagonal() @ (m.A[:, i] != 0)
     scale = np.trace(drift) / nx
     floor = 1e-6 * (np.diag(drift) + (scale if scale > 0 else 1.0) * 1e-3)
     return np.asarray((drift + drift.T) / 2 + np.diag(floor))

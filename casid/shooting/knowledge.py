@@ -1,0 +1,125 @@
+"""What is known beside the measurements, of parameters, initial states and output biases.
+
+    ½ Σ (λ − λ₀)²/σ² + ½ Σ over records of (x₀ − m)²/σ² and of b²/σ²
+
+adds to the negative log-likelihood (R. V. Jategaonkar, Flight Vehicle System Identification, 2nd
+ed., section 4.16): the mode of the posterior. A bias that is to be none is held by a σ of a
+ten-thousandth of its channel.
+"""
+
+from collections.abc import Collection
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from casid import declaration
+from casid.arrays import Array
+from casid.errors import ModelError
+from casid.model import Free, M, Model, Priors
+from casid.sensors import own_states
+from casid.shooting.likelihood import Noise
+from casid.shooting.sensitivity import Point
+
+HELD = 100.0  # σ of a bias that is held, in units of the noise's floor
+
+
+class Knowledge:
+    """Prior values as terms of the cost; records by chronological interval in ``record`` (J,)."""
+
+    def __init__(self, free: Free, noise: Noise, record: np.ndarray) -> None:
+        self._free = free
+        self._firsts = np.searchsorted(record, np.arange(record.max(initial=-1) + 1))
+        states, outputs = free.model.states, free.model.outputs
+        self._mean, self._weight = np.zeros(len(states)), np.zeros(len(states))
+        for name, (mean, std) in free.initial.items():
+            i = states.index(name)
+            self._mean[i], self._weight[i] = mean, std**-2.0
+        held = np.array([name in free.unbiased for name in outputs])
+        self._bias = np.where(held, (HELD * noise.floor) ** -2.0, 0.0)
+
+    def cost(self, point: Point) -> float:
+        """The terms at a point."""
+        off, _ = self._free.surprise(point.lam[: len(self._free.index)])
+        away = point.nodes[self._firsts] - self._mean
+        total = off @ off + np.sum(self._weight * away**2) + np.sum(self._bias * point.bias**2)
+        return float(total) / 2
+
+    def add(self, G: Array, point: Point) -> None:
+        """Add Hessian and gradient to the intervals' (J, nc, nc); columns λ, node, biases, r."""
+        n, nx, ny = len(self._free.index), len(self._mean), len(self._bias)
+        off, pull = self._free.surprise(point.lam[:n])
+        node = np.arange(len(point.lam), len(point.lam) + nx)
+        bias = np.arange(node[-1] + 1, node[-1] + 1 + ny)
+        G[0, :n, :n] += pull.T @ pull
+        G[0, :n, -1] += pull.T @ off
+        for first, b in zip(self._firsts, point.bias, strict=True):
+            G[first, node, node] += self._weight
+            G[first, node, -1] += self._weight * (point.nodes[first] - self._mean)
+            G[first, bias, bias] += self._bias
+            G[first, bias, -1] += self._bias * b
+
+
+def with_knowledge(
+    free: Free,
+    initial: Priors | None,
+    biases: bool | Collection[str],
+    state_biases: Collection[str],
+) -> Free:
+    """Free parameters with what else is known and unknown; ValueError for unknown names."""
+    model = free.model
+    for name, pair in (initial or {}).items():
+        _known("initial", name, model.states)
+        declaration.check_prior(f"initial state {name}", pair)
+    chosen = model.outputs if isinstance(biases, bool) else tuple(biases)
+    for name in chosen:
+        _known("biases", name, model.outputs)
+    for name in state_biases:
+        _known("state_biases", name, own_states(model.states, model.outputs))
+    return replace(
+        free,
+        model=_wider(model, tuple(state_biases)),
+        initial=dict(initial or {}),
+        unbiased=tuple(name for name in model.outputs if name not in chosen),
+    )
+
+
+def _known(argument: str, name: str, names: tuple[str, ...]) -> None:
+    if name not in names:
+        raise ModelError(f"{argument} names {name!r}, expected of {', '.join(names)}")
+
+
+def bias_states(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the states that are the biases of states."""
+    return tuple(f"{name}_bias" for name in names)
+
+
+def _wider(model: M, names: tuple[str, ...]) -> M:
+    """The model with a constant of each record in the equations of the states named."""
+    if not names:
+        return model
+    cls: Any = type(model)
+    if hasattr(cls, "derivatives"):
+        raise ModelError(
+            f"state_biases: write the constants of the nonlinear {cls.__name__} as parameters"
+        )
+    own = own_states(cls.states, cls.outputs)
+    m = len(names)
+    unit = [[float(state == name) for name in names] for state in own]
+
+    def A(self: Model) -> Any:  # noqa: ANN401
+        return [[*row, *more] for row, more in zip(cls.A(self), unit, strict=True)] + [
+            [0.0] * (len(own) + m)
+        ] * m
+
+    def B(self: Model) -> Any:  # noqa: ANN401
+        return [*cls.B(self), *[[0.0] * len(cls.inputs)] * m]
+
+    def C(self: Model) -> Any:  # noqa: ANN401
+        return [[*row, *[0.0] * (len(own) + m - len(row))] for row in cls.C(self)]
+
+    parts = {"A": A, "B": B, "C": C, "states": (*own, *bias_states(names))}
+    parts |= {"constant_states": bias_states(names), "__annotations__": {}}
+    names_of = [each.name for each in fields(cls)]
+    wider: Any = type(cls.__name__, (cls,), parts | {"__module__": cls.__module__})
+    return wider(**{name: getattr(model, name) for name in names_of})

@@ -1,0 +1,94 @@
+"""Prior values against Bayes' rule, constants of states against what was flown."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from casid import Model, ModelError, OutputError, Record, Rows, Scalar, StateSpace, parameter
+
+FLOWN = (0.02, -0.05)  # constants in p' of the two records
+SIGMA = 0.003
+
+
+class Roll(Model):
+    """p' = Lp p + Llat lat, and the roll angle."""
+
+    states = ("p", "phi")
+    inputs = ("lat",)
+    outputs = ("p", "phi")
+
+    Lp: Scalar = parameter(default=-3.0, lower=-25.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=10.0, lower=0.0, upper=60.0, unit="rad/s^2")
+
+    def A(self) -> Rows:
+        return [[self.Lp, 0], [1, 0]]
+
+    def B(self) -> Rows:
+        return [[self.Llat], [0]]
+
+
+def flown(constants=FLOWN, seed=0):
+    """Records of Lp = -2.2, Llat = 12, from rest, with a constant in p'."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, 12, 0.04)
+    u = (0.05 * np.sign(np.sin(1.3 * t)) * (t > 1))[:, None]
+    truth = StateSpace([[-2.2, 0], [1, 0]], [[12.0, 1], [0, 0]], np.eye(2), np.zeros((2, 2)))
+    noise = SIGMA * rng.standard_normal((len(constants), len(t), 2))
+    y = [truth.simulate(t, np.hstack([u, np.full_like(u, b)])) for b in constants]
+    columns = ("lat",), ("p", "phi")
+    return [Record(t, u, each, *columns, f"flight {k}") for k, each in enumerate(y + noise)]
+
+
+def test_constants_of_states_are_found_in_every_record():
+    fit = OutputError(state_biases=("p",), biases=False).fit(Roll(), flown())
+    np.testing.assert_allclose(fit.state_biases[:, 0], FLOWN, atol=5e-4)
+    for name, true in (("Lp", -2.2), ("Llat", 12.0)):
+        assert abs(fit[name].value - true) < 3 * fit[name].std_error
+    assert fit.initial_states.shape == (2, 2)
+    assert type(fit.model) is Roll
+    np.testing.assert_array_less(np.abs(fit.biases), 2e-4)
+
+
+def test_outputs_named_alone_have_biases():
+    records = [
+        replace(record, y=record.y + [0.0, 0.03]).select(outputs=("phi", "p"))
+        for record in flown((0.0, 0.0))
+    ]
+    known = {"phi": (0.0, 1e-4), "p": (0.0, 1e-4)}
+    fit = OutputError(biases=("phi",), initial=known).fit(Roll(), records)
+    np.testing.assert_allclose(fit.biases[:, 1], 0.03, atol=1e-3)
+    np.testing.assert_array_less(np.abs(fit.biases[:, 0]), 2e-4)
+    np.testing.assert_array_less(np.abs(fit.initial_states), 4e-4)
+
+
+def test_prior_and_records_are_weighed_by_their_information():
+    records, R = flown((0.0, 0.0)), SIGMA**2 * np.eye(2)
+    alone = OutputError(R=R).fit(Roll(), records)
+    prior, std = alone["Lp"].value - 0.004, 1.5 * alone["Lp"].cramer_rao
+    fit = OutputError(R=R, priors={"Lp": (prior, std)}).fit(Roll(), records)
+    F = np.linalg.inv(alone.notes.cramer_rao)
+    posterior = np.linalg.inv(F + np.diag([std**-2, 0.0]))  # Bayes, for a likelihood that is normal
+    values = np.array([alone[name].value for name in alone.free_names])
+    expected = posterior @ (F @ values + [prior / std**2, 0.0])
+    np.testing.assert_allclose([row.value for row in fit.parameters], expected, rtol=2e-5)
+    np.testing.assert_allclose(fit.notes.cramer_rao, posterior, rtol=1e-2)
+    assert fit["Lp"].std_error < alone["Lp"].std_error
+    assert (fit["Lp"].prior, fit["Lp"].prior_std) == (prior, std)
+    assert np.isnan(fit["Llat"].prior)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"priors": {"Lq": (1.0, 0.1)}}, "no parameter 'Lq'"),
+        ({"priors": {"Lp": (1.0, 0.0)}}, "deviation above 0"),
+        ({"priors": {"Lp": 1.0}}, "deviation above 0"),
+        ({"initial": {"q": (0.0, 1.0)}}, "initial names 'q'"),
+        ({"biases": ("r",)}, "biases names 'r'"),
+        ({"state_biases": ("r",)}, "state_biases names 'r'"),
+    ],
+)
+def test_what_is_said_to_be_known_is_checked(settings, message):
+    with pytest.raises(ModelError, match=message):
+        OutputError(**settings).fit(Roll(), flown())
