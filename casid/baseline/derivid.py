@@ -21,7 +21,7 @@ from casid.matching.descent import Condensed, check_effects
 from casid.matching.lifted import Optimum
 from casid.matching.mismatch import DB, GOOD, TURN, residual_slopes
 from casid.matching.targets import in_channels
-from casid.model import Bounds, M, free_parameters
+from casid.model import Bounds, M, Priors, free_parameters
 from casid.nlp import SolverOptions
 from casid.threads import one_thread
 
@@ -46,6 +46,9 @@ class Derivid:
         random ones about the first. Beside a fit ``near`` the first two are enough.
     seed : int
         Of the random ones.
+    priors : mapping
+        ``{parameter: (value, standard deviation)}``: half the squared distance from each, in
+        standard deviations, adds to J, whose Hessian is the information.
     solver : SolverOptions
         Limits and tolerance of every solve.
     """
@@ -56,6 +59,7 @@ class Derivid:
     band: tuple[float, float] | None = None
     starts: int = 10
     seed: int = 0
+    priors: Priors | None = None
     solver: SolverOptions = SolverOptions()
 
     @one_thread
@@ -76,7 +80,7 @@ class Derivid:
                 "expected at least 1, at least 2 and a coherence in [0, 1)"
             )
         frf = _one_response(data)
-        free = free_parameters(model, fixed, bounds)
+        free = free_parameters(model, fixed, bounds, self.priors)
         measured = thin(frf if self.band is None else frf.between(*self.band), self.n_omega)
         problem = Condensed.of(free, select(model, measured, self.pairs, self.coherence))
         check_effects(problem)
@@ -103,6 +107,7 @@ def derivid(
     starts: int = 10,
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
+    priors: Priors | None = None,
     solver: SolverOptions = SolverOptions(),
 ) -> Fit[M, DerividNotes]:
     """The parameters with which a structure fits measured responses best in dB and degrees.
@@ -113,7 +118,7 @@ def derivid(
         As in `Estimator.fit`; channels are found in the response by name. Delays are kept at >= 0.
     target : FrequencyResponse
         What to fit; several are merged first (`merge_responses`).
-    pairs, n_omega, band, starts, solver
+    pairs, n_omega, band, starts, priors, solver
         As in `Derivid`, which has the rarer settings too.
 
     Returns
@@ -128,7 +133,9 @@ def derivid(
         A pair that was not measured, an empty band, bad arguments; a parameter on which no pair
         depends, wrong bounds; no start that converged (``best`` is the best iterate).
     """
-    estimator = Derivid(pairs=pairs, n_omega=n_omega, band=band, starts=starts, solver=solver)
+    estimator = Derivid(
+        pairs=pairs, n_omega=n_omega, band=band, starts=starts, priors=priors, solver=solver
+    )
     return estimator.fit(model, target, fixed=fixed, bounds=bounds)
 
 
@@ -192,7 +199,10 @@ def _residual_slopes(problem: Condensed, x: Array, frf: FrequencyResponse) -> tu
     rows = residual_slopes(G, slope, c.G, weight)[:, :, weight > 0]
     error = in_channels(problem.free.model, frf.outputs, frf.inputs, frf.error)
     error = (np.sqrt(weight) * error)[weight > 0]
-    return rows.reshape(len(rows), -1).T, np.concatenate([DB * error, TURN * error])
+    price = c.price_of_surprise("decibel")
+    known = price * problem.free.surprise(x)[1]
+    slopes = np.vstack([rows.reshape(len(rows), -1).T, known])
+    return slopes, np.concatenate([DB * error, TURN * error, np.full(len(known), price)])
 
 
 def _pair_rows(problem: Condensed, values: Array) -> tuple[PairCost, ...]:

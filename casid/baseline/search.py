@@ -96,6 +96,7 @@ def _checked(problem: Condensed, found: Optimum) -> Optimum:
     c = problem.comparison
     with np.errstate(over="ignore", invalid="ignore"):
         cost = float(pair_costs(problem, found.values).sum())
+        cost += float(np.sum(problem.free.surprise(found.values)[0] ** 2) / 2)
     silent = (c.W > 0) & (problem.matrices(found.values).response(c.s) == 0)
     status = found.status
     if silent.any():

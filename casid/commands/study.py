@@ -17,6 +17,7 @@ from casid.fit import AnyFit
 from casid.interrupts import check_interrupt
 from casid.nlp import Progress
 from casid.report import Timing
+from casid.report.words import prior
 from casid.stages.listing import STAGES, in_tables, in_words
 from casid.structure.modelfile import load_model
 from casid.structure.overview import describe
@@ -216,7 +217,7 @@ def parameter_table(fit: AnyFit) -> Table:
     headings = ("name", "value", "std. error", "lower", "upper", "unit")
     table = new_table(f"Parameters after {fit.method}", *headings)
     for row in fit.parameters:
-        error = "fixed" if row.fixed else f"{row.std_error:.2g}"
+        error = "fixed" if row.fixed else f"{row.std_error:.2g} {prior(row)}".strip()
         table.add_row(
             row.name,
             f"{row.value:.4g}{'*' if row.active else ' '}",

@@ -14,6 +14,8 @@ from casid.arrays import Array, ComplexArray
 from casid.linear import StateSpace
 from casid.matching.mismatch import DB
 
+SURPRISE = 0.01  # of the response: its mean square error, and one deviation from a prior value
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Source:
@@ -121,6 +123,14 @@ class Comparison:
     def error(self, system: StateSpace) -> ComplexArray:
         """Weighted error of a model at all points, (K, ny, nu)."""
         return np.concatenate([source.error(system) for source in self.sources])
+
+    def price_of_surprise(self, norm: str) -> float:
+        """Square root of what a parameter one standard deviation off its prior value costs."""
+        # J in decibels and degrees counts as a negative log-likelihood, as its Hessian does (T&R,
+        # chapter 12); the other norms know no noise: an error of a share of the response counts.
+        if norm == "decibel":
+            return float(np.sqrt(0.5))
+        return float(SURPRISE * np.linalg.norm(self.W * self.G) / np.sqrt(len(self.s)))
 
     def norm(self, system: StateSpace) -> float:
         """Largest singular value of the weighted error over all points."""

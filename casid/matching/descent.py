@@ -96,16 +96,17 @@ class Condensed:
     def residual(self, x: Array) -> tuple[Array, float]:
         """Residuals, whose sum of squares is the cost, and the rightmost pole's real part."""
         at = self.matrices(x * self.scale)
-        parts = self._errors(at.response(self.comparison.s)), self._violation(at), self._beyond(at)
+        more = self._violation(at), self._beyond(at), self._surprise(x)
         abscissa = float(np.linalg.eigvals(at.blocks[0]).real.max())
-        return np.concatenate([parts[0], parts[1][0], parts[2][0]]), abscissa
+        errors = self._errors(at.response(self.comparison.s))
+        return np.concatenate([errors, *(part for part, _ in more)]), abscissa
 
     def jacobian(self, x: Array) -> tuple[Array, Array]:
         """Residuals (n,) and their derivatives (nf, n)."""
         at = self.matrices(x * self.scale)
         G, dG = at.response_slopes(self.comparison.s)
         parts = [(self._errors(G), self._slopes(G, dG)), self._violation(at), self._beyond(at)]
-        values, slopes = zip(*parts, strict=True)
+        values, slopes = zip(*parts, self._surprise(x), strict=True)
         return np.concatenate(values), np.concatenate(slopes, axis=1) * self.scale[:, None]
 
     def _errors(self, G: ComplexArray) -> Array:
@@ -129,6 +130,12 @@ class Condensed:
         factor = self.penalty / np.where(size > 0, size, 1.0)
         off = c - np.clip(c, *self._held)
         return off * factor, dc * np.where(off != 0, factor, 0.0)
+
+    def _surprise(self, x: Array) -> tuple[Array, Array]:
+        """Distances from prior values (n,), and their derivatives (nf, n)."""
+        price = self.comparison.price_of_surprise(self.norm)
+        off, slopes = self.free.surprise(x * self.scale)
+        return price * off, price * slopes.T
 
     def _beyond(self, at: Matrices) -> tuple[Array, Array]:
         """Penalised distance of poles right of the line (nx,), and its derivative (nf, nx)."""

@@ -157,6 +157,8 @@ def lift(
         blocks.append(block)
         parts.append((part[0], part[1], part[2]))
     x0, lower, upper = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if free.priors:
+        blocks.append(_surprise_block(free, comparison.price_of_surprise(norm) / unit))
     own = slice(ties, ties + len(free.model.constraints()))
     problem = assemble(blocks, x0, lower, upper)
     return Lifted(problem=problem, free=free, norm=norm, unit=unit, ties=own)
@@ -312,6 +314,16 @@ def _constraint_block(free: Free, composed: list[int]) -> Block:
     lower, upper = np.array([*limits, *[(0.0, np.inf)] * len(composed)], dtype=float).T
     g, index = ca.vertcat(ca.densify(c), *[tau[j] for j in composed]), np.arange(nf)[:, None]
     return _shared_block(lam, g, index, lower, upper)
+
+
+def _surprise_block(free: Free, price: float) -> Block:
+    """The cost of distances from prior values."""
+    nf = len(free.index)
+    lam, scale = ca.SX.sym("lam", nf), free.scale[free.index]
+    off, slopes = free.surprise(np.zeros(nf))
+    f = price**2 * ca.sumsqr(ca.DM(slopes * scale) @ lam + ca.DM(off))
+    block = _shared_block(lam, ca.SX(0, 1), np.arange(nf)[:, None], np.zeros(0), np.zeros(0))
+    return replace(block, f=f)
 
 
 def _shared_block(w: ca.SX, g: ca.SX, index: np.ndarray, lower: Array, upper: Array) -> Block:

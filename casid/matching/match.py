@@ -17,7 +17,7 @@ from casid.matching.appraisal import MatchNotes
 from casid.matching.reach import reachable, stated_errors
 from casid.matching.search import Found, Search
 from casid.matching.targets import REACHABLE, Target, Weight, compare
-from casid.model import Bounds, M, free_parameters
+from casid.model import Bounds, M, Priors, free_parameters
 from casid.nlp import SolverOptions
 from casid.record import several
 from casid.threads import one_thread
@@ -51,6 +51,9 @@ class Match:
         Factor on the error of each target, one unless given.
     stable_shift : bool
         Keep the structure's poles left of the line s = σ + jω.
+    priors : mapping
+        ``{parameter: (value, standard deviation)}``: being one deviation off weighs as an error of
+        1 % of the response does in the mean square.
     solver : SolverOptions
         Limits and tolerance of every solve.
     """
@@ -61,6 +64,7 @@ class Match:
     weight: Weight | Sequence[Weight] = None
     source_weight: Sequence[float] | None = None
     stable_shift: bool = True
+    priors: Priors | None = None
     solver: SolverOptions = SolverOptions()
 
     @one_thread
@@ -77,7 +81,7 @@ class Match:
         if self.norm not in NORMS:
             raise ValueError(f"norm={self.norm!r}: expected one of {', '.join(map(repr, NORMS))}")
         begin = time.perf_counter()
-        free = free_parameters(model, fixed, bounds)
+        free = free_parameters(model, fixed, bounds, self.priors)
         targets: tuple[Target, ...] = several(data)
         comparison = compare(
             model,
@@ -110,6 +114,7 @@ def match(
     weight: Weight | Sequence[Weight] = None,
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
+    priors: Priors | None = None,
     solver: SolverOptions = SolverOptions(),
 ) -> Fit[M, MatchNotes]:
     """The parameters with which a structure comes nearest to a target's response.
@@ -122,7 +127,7 @@ def match(
         What to match. A state-space model counts as a black box that means something everywhere.
         Measured responses enter at their own points of s = jω, weighted by coherence (pairs below
         0.6 are left out), black boxes on s = σ + jω.
-    norm, omega, shift, weight, solver
+    norm, omega, shift, weight, priors, solver
         As in `Match`, which has the rarer settings too.
 
     Returns
@@ -138,7 +143,9 @@ def match(
         A channel no target has, a grid outside the band, a shift left of a pole, wrong bounds; no
         solution that passes the checks (``best`` is the best iterate as a `Fit`).
     """
-    matching = Match(norm=norm, omega=omega, shift=shift, weight=weight, solver=solver)
+    matching = Match(
+        norm=norm, omega=omega, shift=shift, weight=weight, priors=priors, solver=solver
+    )
     return matching.fit(model, target, fixed=fixed, bounds=bounds)
 
 

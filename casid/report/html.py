@@ -18,7 +18,7 @@ from casid.report.drawings import save
 from casid.report.interactive import interactive
 from casid.report.look import LOOK
 from casid.report.verdicts import word
-from casid.report.words import number, percent, price
+from casid.report.words import number, percent, price, prior
 
 LONG_DECIMALS = re.compile(r"(\d\d\.\d)\d+")  # a tenth of a point is enough for a picture
 
@@ -76,7 +76,8 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"number": number, "percent": percent, "price": price, "word": word}
+    environment.filters |= {"number": number, "percent": percent, "price": price, "prior": prior}
+    environment.filters["word"] = word
     return environment
 
 

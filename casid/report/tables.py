@@ -16,7 +16,7 @@ from casid.eigenmodes import modes
 from casid.fit import Fit
 from casid.frequency.estimation import FrequencyResponse
 from casid.record import Record
-from casid.report.words import number, percent
+from casid.report.words import number, percent, prior
 from casid.residuals import Residuals
 from casid.subspace.blackbox import BlackBox
 from casid.tabulation import markdown_table
@@ -91,7 +91,7 @@ def _(value: BlackBox) -> Cells:
 def _(value: Fit) -> Cells:  # type: ignore[type-arg] # the dispatch reads the class alone
     rows = []
     for row in value.parameters:
-        held = "fixed" if row.fixed else "on bound" if row.active else ""
+        held = "fixed" if row.fixed else "on bound" if row.active else prior(row)
         figures = map(number, (row.value, row.std_error, row.cramer_rao, row.lower, row.upper))
         name, *rest = (row.name, *figures)
         rows.append([name, rest[0], row.unit, rest[1], percent(row), *rest[2:], held])

@@ -27,6 +27,11 @@ def percent(row: ParameterEstimate) -> str:
     return f"{share:.1f}" if share < 999.5 else "> 999"
 
 
+def prior(row: ParameterEstimate) -> str:
+    """Prior value of a parameter and its deviation, if it has one."""
+    return "" if np.isnan(row.prior) else f"prior {number(row.prior)} ± {number(row.prior_std, 2)}"
+
+
 def price(row: ParameterEstimate) -> str:
     """Price of the bound a parameter lies on."""
     return number(row.multiplier, 3) if row.active else ""

@@ -9,7 +9,7 @@ ten-thousandth of its channel.
 
 from collections.abc import Collection
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -122,4 +122,4 @@ def _wider(model: M, names: tuple[str, ...]) -> M:
     parts |= {"constant_states": bias_states(names), "__annotations__": {}}
     names_of = [each.name for each in fields(cls)]
     wider: Any = type(cls.__name__, (cls,), parts | {"__module__": cls.__module__})
-    return wider(**{name: getattr(model, name) for name in names_of})
+    return cast(M, wider(**{name: getattr(model, name) for name in names_of}))

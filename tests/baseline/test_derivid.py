@@ -336,3 +336,21 @@ def test_no_convergence_hands_over_the_best_iterate():
     assert not best.success
     assert len(best.notes.starts) == 2
     assert np.isfinite(best.model.vector()).all()
+
+
+def test_prior_values_are_information_beside_the_cost():
+    frf = response(TRUTH, error=0.05, rng=np.random.default_rng(3), coherence=0.9)
+    alone = derivid(Roll(), frf, starts=1)
+    std = alone["Lp"].std_error
+    prior = alone["Lp"].value + 0.1 * std
+    fit = derivid(Roll(), frf, starts=1, priors={"Lp": (prior, std)})
+    F = np.linalg.inv(alone.covariance)
+    pull = np.array([float(name == "Lp") for name in alone.free_names]) / std**2
+    posterior = np.linalg.inv(F + np.diag(pull))
+    values = np.array([alone[name].value for name in alone.free_names])
+    expected = posterior @ (F @ values + pull * prior)
+    found = np.array([fit[name].value for name in fit.free_names])
+    errors = np.sqrt(np.diag(posterior))
+    np.testing.assert_allclose(found / errors, expected / errors, atol=0.01)  # nearly quadratic
+    np.testing.assert_allclose(fit.covariance, posterior, atol=0.05 * np.outer(errors, errors))
+    assert fit.cost > alone.cost

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import scipy.optimize
 from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import (
@@ -53,6 +54,26 @@ def test_quadratic_optimum_is_that_of_brute_force():
     fit = match(Lag(), black_box(SECOND), norm="quadratic", omega=omega)
     assert fit.cost == pytest.approx(best, rel=1e-6)  # second order in the grid's width
     np.testing.assert_allclose(fit.model.vector(), where, atol=2e-3)
+
+
+def test_prior_values_draw_a_match_as_errors_of_a_hundredth_do():
+    omega, prior, std = np.geomspace(0.1, 10.0, 40), 1.2, 0.03
+    G = SECOND.response(omega)[:, 0, 0]
+    price = 1e-4 * np.mean(np.abs(G) ** 2) / std**2
+
+    def cost(x):
+        error = np.mean(np.abs(x[1] / (1j * omega + x[0]) - G) ** 2)
+        return error + price * (x[0] - prior) ** 2
+
+    best = scipy.optimize.minimize(cost, [1.0, 1.0], tol=1e-12)
+    free = match(Lag(), black_box(SECOND), norm="quadratic", omega=omega)
+    fit = match(Lag(), black_box(SECOND), norm="quadratic", omega=omega, priors={"a": (prior, std)})
+    assert fit.cost == pytest.approx(best.fun, rel=1e-6)
+    np.testing.assert_allclose(fit.model.vector(), best.x, rtol=1e-4)
+    assert abs(fit["a"].value - free["a"].value) > 0.01
+    assert fit["a"].prior_std == std
+    held = match(Lag(), black_box(SECOND), omega=omega, priors={"a": (prior, 1e-4)})
+    assert held["a"].value == pytest.approx(prior, abs=1e-3)
 
 
 def test_certificate_bounds_the_norm_over_the_band():

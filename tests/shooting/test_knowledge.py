@@ -52,7 +52,7 @@ def test_constants_of_states_are_found_in_every_record():
 
 def test_outputs_named_alone_have_biases():
     records = [
-        replace(record, y=record.y + [0.0, 0.03]).select(outputs=("phi", "p"))
+        replace(record, y=record.y + np.array([0.0, 0.03])).select(outputs=("phi", "p"))
         for record in flown((0.0, 0.0))
     ]
     known = {"phi": (0.0, 1e-4), "p": (0.0, 1e-4)}
