@@ -86,6 +86,35 @@ class FrequencyResponse(Shown):
     flags: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     records: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        omega = np.array(self.omega, dtype=float)
+        omega.setflags(write=False)
+        object.__setattr__(self, "omega", omega)
+        named: tuple[Any, ...] = (*self.outputs, *self.inputs)
+        if wrong := [name for name in named if not isinstance(name, str)]:
+            raise ValueError(f"{wrong[0]!r} is no name of a channel")
+        K, ny, nu = len(omega), len(self.outputs), len(self.inputs)
+        if omega.ndim != 1 or not K or not (omega > 0).all() or (np.diff(omega) <= 0).any():
+            raise ValueError("omega: expected increasing frequencies above 0 rad/s, (K,)")
+        if not self.leakage.size:
+            object.__setattr__(self, "leakage", np.zeros((K, ny, nu)))
+        if not self.multiple_coherence.size:
+            object.__setattr__(self, "multiple_coherence", np.full((K, ny), np.nan))
+        if not self.condition.size:
+            object.__setattr__(self, "condition", np.full(K, np.nan))
+        pairs = dict.fromkeys(PAIRWISE, (K, ny, nu))
+        rest = {"input_std": (nu,), "output_std": (ny,), "multiple_coherence": (K, ny)}
+        wanted: dict[str, tuple[int, ...]] = {**pairs, **rest, "condition": (K,)}
+        for name, shape in wanted.items():
+            values = np.array(getattr(self, name), dtype=complex if name == "G" else float)
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+            if values.shape != shape:
+                raise ValueError(
+                    f"{name} has shape {values.shape}, expected {shape}: "
+                    f"{K} frequencies, {ny} outputs, {nu} inputs"
+                )
+
     def headline(self) -> str:
         """Channels, frequencies, how much of it is coherent."""
         usual = 100 * float(np.mean(self.coherence >= 0.6))
