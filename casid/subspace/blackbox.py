@@ -13,7 +13,7 @@ from casid.subspace.held import undiscretised
 from casid.subspace.prediction import SampledUncertainty
 from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.settings import OrderSelection
-from casid.subspace.trust import data_doubts, growth_doubts
+from casid.subspace.trust import Missed, data_doubts, growth_doubts, order_doubts
 from casid.values import storable
 
 
@@ -56,7 +56,9 @@ class BlackBox(Shown):
         Share of each output's power explained at a typical frequency of the band; None unless
         refined by Fourier transforms.
     doubtful : complex array
-        Growing modes that the likelihood does not need.
+        Growing modes that the likelihood does not need, or one state less does not find.
+    missed : Missed or None
+        Where a model of two more states leaves clearly less of an output.
     refinement : str
         What followed the subspace estimate: "unrefined", "fourier" on projections; on samples
         "linear", "prediction", "simulation" or "local simulation", see `Pbsid`.
@@ -82,6 +84,7 @@ class BlackBox(Shown):
     selection: OrderSelection | None = None
     explained: Array | None = None
     doubtful: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
+    missed: Missed | None = None
     refinement: str = "unrefined"
     hold: Hold = "zoh"
 
@@ -97,12 +100,12 @@ class BlackBox(Shown):
         )
 
     def doubts(self) -> tuple[str, ...]:
-        """Why the records do not support a model, or some mode of it; empty where they do."""
+        """Why records do not support a model, a mode of it or its order; empty where they do."""
         # Empty, too, where it is not known: without refinement, and on samples.
-        growth = growth_doubts(self.doubtful)
+        doubts = (*growth_doubts(self.doubtful), *order_doubts(self.missed, self.order))
         if self.explained is None:
-            return growth
-        return (*data_doubts(self.explained, self.system.outputs), *growth)
+            return doubts
+        return (*data_doubts(self.explained, self.system.outputs), *doubts)
 
     def response_std(self, omega: Array) -> tuple[Array, Array]:
         """Relative standard deviation of abs(G) and standard deviation of its phase [rad].

@@ -123,10 +123,12 @@ class Pbsid:
         else:
             factor = 1e-3 if factor is None else factor
             settings = choice.Candidate.of(order, Windows(past, past, float(pole), factor))
-        found = campaign.subspace(settings.order, self._windows(settings, len(campaign.sy)))
+        windows = self._windows(settings, len(campaign.sy))
+        found = campaign.subspace(settings.order, windows)
         _check_unstable(found.system, settings.pole)
         _check_used(campaign.segments(settings.past, settings.pole))
-        estimate = refine_projected(campaign, found, settings.pole, move=self.refine)
+        move, pole = self.refine, settings.pole
+        estimate = refine_projected(campaign, found, pole, move=move, windows=windows)
         return self._black_box(campaign, settings, estimate, selection)
 
     def _better(self, campaign: Campaign, projected: BlackBox) -> BlackBox:
@@ -222,7 +224,7 @@ class Pbsid:
             regularisation=settings.regularisation,
             segments=campaign.segments(windows.past, windows.pole),
             uncertainty=estimate.uncertainty, selection=selection, explained=estimate.explained,
-            doubtful=estimate.doubtful, refinement=settings.refinement,
+            doubtful=estimate.doubtful, missed=estimate.missed, refinement=settings.refinement,
             hold=campaign.records[0].hold,
         )  # fmt: skip
 

@@ -1,6 +1,7 @@
 """What follows the subspace estimate: which likelihood, and whether a controller spoils it."""
 
 import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,8 +9,9 @@ import numpy as np
 from casid.arrays import Array, ComplexArray
 from casid.errors import warn
 from casid.linear import StateSpace
-from casid.subspace.campaign import Campaign
+from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.feedback import fed_back_noise
+from casid.subspace.fourier import Spectrum
 from casid.subspace.gain import carried_gain, riccati_gain
 from casid.subspace.held import refine_held
 from casid.subspace.prediction import SampledUncertainty, refine_samples
@@ -18,7 +20,13 @@ from casid.subspace.refinement import ResponseUncertainty, refine
 from casid.subspace.regression import regress_inputs
 from casid.subspace.settings import HIGHEST, Refinement
 from casid.subspace.simulation import refine_simulation
-from casid.subspace.trust import doubtful_growth, explained_share
+from casid.subspace.trust import (
+    Missed,
+    doubtful_growth,
+    explained_share,
+    missed_dynamics,
+    unsteady_growth,
+)
 
 FED_BACK = 0.2  # bound on the relative bias from noise fed back, above which it is dealt with
 
@@ -32,6 +40,7 @@ class Estimate:
     uncertainty: ResponseUncertainty | SampledUncertainty | None = None
     explained: Array | None = None
     doubtful: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
+    missed: Missed | None = None
 
 
 def refine_sampled(campaign: Campaign, found: Subspace, how: Refinement) -> Estimate:
@@ -53,8 +62,18 @@ def refine_sampled(campaign: Campaign, found: Subspace, how: Refinement) -> Esti
     return Estimate(refine_simulation(system, *data, local=local), np.zeros_like(K))
 
 
-def refine_projected(campaign: Campaign, found: Subspace, pole: float, *, move: bool) -> Estimate:
-    """By Fourier transforms, or under feedback by prediction errors; unrefined without ``move``."""
+def refine_projected(
+    campaign: Campaign,
+    found: Subspace,
+    pole: float,
+    *,
+    move: bool,
+    windows: Windows | None = None,
+) -> Estimate:
+    """By Fourier transforms, or under feedback by prediction errors; unrefined without ``move``.
+
+    With ``windows``, models of other orders are made with them, which show what is to be doubted.
+    """
     system, K, R = found.system, found.K, found.residual_covariance
     su, sy, mask = campaign.su, campaign.sy, campaign.mask
     pieces = campaign.part(campaign.pieces(pole))
@@ -63,19 +82,51 @@ def refine_projected(campaign: Campaign, found: Subspace, pole: float, *, move: 
             _warn_fed_back("refine=True removes that")
         return Estimate(system, K)
     data = campaign.spectra(pole, HIGHEST * pole)
+    uncertainty: ResponseUncertainty | SampledUncertainty
     refined, uncertainty = refine(system, data, su, sy, mask, pole)
     K = carried_gain(system, K, refined, R)
-    share = explained_share(refined, data, su, sy, campaign.band(pole))
+    richer = _at_order(campaign, refined.nx + 2, windows, data) if windows else None
+    band = campaign.band(pole)
+    missed = missed_dynamics(refined, richer, data, su, sy, band) if richer else None
     if fed_back_noise(refined, K, pieces.records, su, sy) > FED_BACK:
         try:
             held, gain, sampled = refine_held(refined, K, pieces)
             gain = riccati_gain(held.A, held.C, gain, R)
-            share = explained_share(held, data, su, sy, campaign.band(pole))
-            modes = doubtful_growth(held, data, su, sy, mask)
-            return Estimate(held, gain, sampled, share, modes)
         except ValueError as error:
             _warn_fed_back(f"prediction errors would remove that, but: {error}")
-    return Estimate(refined, K, uncertainty, share, doubtful_growth(refined, data, su, sy, mask))
+        else:
+            refined, K, uncertainty = held, gain, sampled
+    share = explained_share(refined, data, su, sy, band)
+    doubtful = _doubtful(campaign, refined, windows, data)
+    return Estimate(refined, K, uncertainty, share, doubtful, missed)
+
+
+def _doubtful(
+    campaign: Campaign, refined: StateSpace, windows: Windows | None, data: Sequence[Spectrum]
+) -> ComplexArray:
+    """Growing modes that the likelihood does not need, or one state less does not find."""
+    doubtful = doubtful_growth(refined, data, campaign.su, campaign.sy, campaign.mask)
+    growing = int(((refined.poles().real > 0) & (refined.poles().imag >= 0)).sum())
+    if windows is None or growing == len(doubtful):
+        return doubtful
+    if (fewer := _at_order(campaign, refined.nx - 1, windows, data)) is None:
+        return doubtful
+    further = unsteady_growth(refined, fewer, data)
+    known = np.isclose(further[:, None], doubtful).any(axis=1)
+    return np.concatenate([doubtful, further[~known]])
+
+
+def _at_order(
+    campaign: Campaign, order: int, windows: Windows, data: Sequence[Spectrum]
+) -> StateSpace | None:
+    """The refined model of another order, None where the windows give none."""
+    if not 1 <= order <= min(windows.past, windows.future) * len(campaign.sy):
+        return None
+    try:
+        start = campaign.subspace(order, windows).system
+        return refine(start, data, campaign.su, campaign.sy, campaign.mask, windows.pole)[0]
+    except (ValueError, np.linalg.LinAlgError):
+        return None
 
 
 def _warn_fed_back(remedy: str) -> None:

@@ -1,6 +1,7 @@
 """Whether records support a model at all, seen from what the best linear one leaves unexplained."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,8 +10,15 @@ from casid.linear import StateSpace
 from casid.subspace import refinement
 from casid.subspace.fourier import Spectrum
 from casid.subspace.modal import covariance_factor, to_modal
+from casid.values import storable
 
 CERTAIN = 2.8  # standard errors that a growth rate must be away from zero: 99.5 % of a normal one
+HARDLY = 0.2  # e-folds over the longest record: less growth is an integrator's, not an aircraft's
+STEADY = 0.3  # of its modulus: how far a mode may move when the order changes by one
+WINDOW = 0.12  # in natural logarithms of ω, of what a higher order leaves less
+POINTS = 60  # of the band, where that is looked at
+CLEARLY = 1.7  # that ratio at least: nonlinear aircraft leave somewhat less at any higher order
+MISSED = 13.0  # lines times the logarithm of that ratio: half a deviance of 26, rarely due to noise
 COHERENCE = 0.6  # of inputs and an output, below which a response is not usable; T&R section 7.5
 
 
@@ -39,8 +47,9 @@ def doubtful_growth(
     is nonlinear does; and those at the limit to which a mode that was found decaying may grow.
     """
     modal = to_modal(system, su, sy, feedthrough)
-    growing = np.flatnonzero(modal.lam.real > 0)
-    if not len(growing):
+    limit = refinement.highest_growth(data)
+    grows = modal.lam.real > HARDLY / 2 * limit
+    if not grows.any():
         return np.zeros(0, dtype=complex)
     free = np.argwhere(feedthrough)
     pairs = zip(data, refinement.noise_weights(modal, data), strict=True)
@@ -51,10 +60,76 @@ def doubtful_growth(
     whole = covariance_factor(np.sum([H for H, _ in parts], axis=0))
     pulls = factor @ (whole.T @ np.array([gradient for _, gradient in parts]).T)
     robust = np.linalg.norm(pulls, axis=1) * np.sqrt(count / max(count - 1, 1))
-    error, limit = np.maximum(plain, robust), refinement.highest_growth(data)
     rates = modal.lam.real
-    unsure = (rates < CERTAIN * error) | (np.abs(rates - limit) < 1e-3 * limit)
-    return np.asarray(modal.lam[(rates > 0) & unsure])
+    unsure = rates < CERTAIN * np.maximum(plain, robust)
+    return np.asarray(modal.lam[grows & (unsure | _at_limit(rates, limit))])
+
+
+def unsteady_growth(
+    system: StateSpace, fewer: StateSpace, data: Sequence[Spectrum]
+) -> ComplexArray:
+    """Growing modes (Im >= 0) that a refined model of one state less does not have likewise.
+
+    It has one if it grows near there at half the rate at least, by itself: a mode at the limit was
+    found decaying.
+    """
+    limit = refinement.highest_growth(data)
+    others = fewer.poles()
+    others = others[~_at_limit(others.real, limit)]
+    lam = system.poles()
+    lam = lam[(lam.real > HARDLY / 2 * limit) & (lam.imag >= 0)]
+    near = np.abs(lam[:, None] - others) <= STEADY * np.abs(lam[:, None])
+    return np.asarray(lam[~(near & (others.real >= lam.real[:, None] / 2)).any(axis=1)])
+
+
+def _at_limit(rates: Array, limit: float) -> BoolArray:
+    return np.asarray(np.abs(rates - limit) < 1e-3 * limit)
+
+
+@storable
+@dataclass(frozen=True, kw_only=True)
+class Missed:
+    """Where a model of a higher order leaves clearly less: ``ratio`` of the residual powers."""
+
+    output: str
+    omega: float  # rad/s
+    ratio: float
+    order: int  # the higher one
+
+
+def missed_dynamics(
+    system: StateSpace, richer: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array,
+    band: tuple[float, float],
+) -> Missed | None:  # fmt: skip
+    """Where in the band a refined model of a higher order leaves clearly less; None for nowhere."""
+    # In windows narrow enough for one lightly damped mode; what counts is how much less, and of how
+    # many lines, which is half the local deviance.
+    omega, left = refinement.residual_powers(system, data, su, sy)
+    less = refinement.residual_powers(richer, data, su, sy)[1]
+    at = np.geomspace(*band, POINTS)
+    kernel = np.exp(-0.5 * (np.log(at[:, None] / omega) / WINDOW) ** 2)
+    lines = kernel.sum(axis=1) ** 2 / np.maximum((kernel**2).sum(axis=1), 1e-300)
+    floor = 1e-300
+    ratio = (kernel @ left + floor) / (kernel @ less + floor)
+    gain = np.where(ratio > CLEARLY, lines[:, None] * np.log(ratio), 0.0)
+    k, i = np.unravel_index(np.argmax(gain), gain.shape)
+    if gain[k, i] < MISSED:
+        return None
+    return Missed(
+        output=system.outputs[i], omega=float(at[k]), ratio=float(ratio[k, i]), order=richer.nx
+    )
+
+
+def order_doubts(missed: Missed | None, order: int) -> tuple[str, ...]:
+    """Why the order is too low; empty where nothing says so."""
+    if missed is None:
+        return ()
+    return (
+        f"Order {order} is too low: what this black box leaves of {missed.output} near "
+        f"{missed.omega:.2g} rad/s still depends on the inputs, order {missed.order} leaves "
+        f"{missed.ratio:.2g} times less. The stated response_std does not hold there; call pbsid "
+        f"with order={missed.order} or more.",
+    )
 
 
 def growth_doubts(modes: ComplexArray) -> tuple[str, ...]:
@@ -65,9 +140,10 @@ def growth_doubts(modes: ComplexArray) -> tuple[str, ...]:
         f"{m.real:+.3g}" + (f" ± {m.imag:.3g}j" if m.imag else "") + " rad/s" for m in modes
     )
     return (
-        f"The black box grows at {names}, which the likelihood does not need: what the records "
-        "show there may as well decay. Do not take the aircraft for unstable because of that; "
-        "another order, or longer records, shows what is true.",
+        f"The black box grows at {names}, which the likelihood does not need or a model of one "
+        "state less does not find: what the records show there may as well decay. Do not take the "
+        "aircraft for unstable because of that; another order, or longer records, shows what is "
+        "true.",
     )
 
 

@@ -1,4 +1,5 @@
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from truths.uh60 import sweeps
 
 from casid import Record, StateSpace, pbsid
 from casid.subspace.campaign import Campaign
-from casid.subspace.trust import data_doubts, doubtful_growth, growth_doubts
+from casid.subspace.trust import data_doubts, doubtful_growth, growth_doubts, unsteady_growth
 
 FLIGHT = Path(__file__).parents[1] / "data" / "trex550.npz"
 
@@ -78,9 +79,10 @@ def test_growth_that_is_there_is_not_doubted():
     assert len(doubted(slow_plant(0.4), slow_plant(0.4))) == 0
 
 
-def test_growth_within_its_standard_error_is_doubted():
-    # 20 s of a mode at 0 see rates of some 0.01/s; the model says 0.002.
-    assert doubted(slow_plant(0.0), slow_plant(0.002), noise=0.3) == pytest.approx([0.002])
+def test_growth_within_its_standard_error_is_doubted_but_that_of_an_integrator_is_none():
+    # 20 s of a mode at 0 see rates of some 0.01/s; 0.002/s is e^0.04 over all of them.
+    assert doubted(slow_plant(0.0), slow_plant(0.015), noise=0.3) == pytest.approx([0.015])
+    assert len(doubted(slow_plant(0.0), slow_plant(0.002), noise=0.3)) == 0
     assert len(doubted(slow_plant(-0.1), slow_plant(-0.1))) == 0
 
 
@@ -92,6 +94,44 @@ def test_growth_at_the_limit_of_the_refinement_is_doubted_by_name():
     assert "+0.1 rad/s" in said
     assert "+0.2 ± 3j rad/s" in said
     assert growth_doubts(np.zeros(0, dtype=complex)) == ()
+
+
+@pytest.mark.parametrize(
+    ("fewer", "doubted"),
+    [
+        (0.3, []),  # the same mode at half the rate at least
+        (0.2, [0.5 + 3j]),
+        (-0.1, [0.5 + 3j]),
+        (0.1, [0.5 + 3j]),  # at the limit of 20 s: it was found decaying
+    ],
+)
+def test_growth_that_one_state_less_does_not_find_is_doubted(fewer, doubted):
+    def pair(rate, frequency):
+        A = [[rate, -frequency], [frequency, rate]]
+        return StateSpace(A, [[1.0], [0.0]], [[1.0, 0.0]], [[0.0]], None, ("u",), ("y",))
+
+    data = [SimpleNamespace(omega=np.array([2 * np.pi / 20.0]))]
+    assert unsteady_growth(pair(0.5, 3.0), pair(fewer, 2.8), data) == pytest.approx(doubted)
+    assert len(unsteady_growth(pair(0.5, 3.0), pair(0.5, 5.0), data)) == 1
+
+
+def rotor_flight(seed):
+    """A roll rate with a lightly damped mode at 5 rad/s in it: three states."""
+    A = [[-2.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, -25.0, -0.4]]
+    plant = StateSpace(A, [[4.0], [0.0], [2.0]], [[1.0, 0.0, 0.0]], [[0.0]], None, ("u",), ("y",))
+    rng = np.random.default_rng(seed)
+    options = {"duration": 30.0, "noise": 0.02, "gain": np.array([[0.2]])}
+    return [closed_loop_record(plant, rng, **options, name=f"{k}") for k in range(3)]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_order_too_low_for_a_mode_is_doubted_where_the_mode_is(seed):
+    settings = {"past": 10, "pole": 8.0, "feedthrough": False}
+    low = pbsid(rotor_flight(seed), order=1, **settings)
+    assert low.missed.output == "y"
+    assert low.missed.omega == pytest.approx(5.0, rel=0.1)
+    assert any("Order 1 is too low" in each and "order=3 or more" in each for each in low.doubts())
+    assert pbsid(rotor_flight(seed), order=3, **settings).doubts() == ()
 
 
 def test_a_sound_unstable_campaign_raises_no_doubt():
