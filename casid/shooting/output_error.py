@@ -13,7 +13,7 @@ import logging
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -33,9 +33,11 @@ from casid.shooting.precision import OutputErrorNotes, Precision, precision
 from casid.shooting.search import IPOPT, Outcome, Search
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
+from casid.shooting.transformed_fit import estimate
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread
 
+Domain: TypeAlias = Literal["time", "frequency"]
 LOG = logging.getLogger("casid")
 
 GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
@@ -74,6 +76,11 @@ class OutputError:
     steps : int
         Of a nonlinear structure: Runge-Kutta steps a sampling interval, as many as needed unless
         given. ``Fit.notes.integration`` says what shorter ones would change.
+    domain : {"time", "frequency"}
+        Where residuals are weighed: sample by sample by their covariance, or on the lines of the
+        records' transforms by their spectrum, which is estimated, so that what the structure misses
+        at some frequencies counts less there. In the frequency domain nothing is shot: no
+        ``interval``, no process noise, biases always, R diagonal, records sampled evenly.
     solver : SolverOptions
         Limits and tolerance of each solve.
     """
@@ -86,6 +93,7 @@ class OutputError:
     priors: Priors | None = None
     process_noise: bool | Array | BlackBox = False
     steps: int | None = None
+    domain: Domain = "time"
     solver: SolverOptions = SolverOptions()
 
     @one_thread
@@ -109,6 +117,9 @@ class OutputError:
         _check_nonlinear(model, self.process_noise, self.steps)
         free = with_knowledge(free, self.initial, self.biases, self.state_biases)
         chosen = select_records(free, data, bool(self.biases))
+        if self.domain != "time":
+            white = self._checked_for_lines(model)
+            return estimate(model, free, chosen, self.solver, R=white, near=near)
         gain, gain_free = starting_gain(free, chosen, self.process_noise)
         interval = self.interval
         if interval is None:
@@ -137,6 +148,28 @@ class OutputError:
         outcome, steps = search.integrated(outcome)
         seconds = time.perf_counter() - begin
         return _result(model, free, outcome, length, seconds, steps)
+
+    def _checked_for_lines(self, model: Model) -> Array | None:
+        """R (ny, ny) for the frequency domain, if given; ValueError for what it does not know."""
+        if self.domain != "frequency":
+            raise ValueError(f'domain={self.domain!r}: expected "time" or "frequency"')
+        R = checked_covariance(self.R, len(model.outputs))
+        given = None if isinstance(R, str) else R
+        wrong = {
+            type(model).__name__: isinstance(model, NonlinearModel),
+            "interval": self.interval is not None,
+            "process_noise": self.process_noise is not False,
+            "initial": bool(self.initial),
+            "state_biases": bool(self.state_biases),
+            "biases": self.biases is not True,
+            "R": R == "full" if given is None else bool((np.diag(np.diag(given)) != given).any()),
+        }
+        for name in (name for name, unknown in wrong.items() if unknown):
+            raise ValueError(
+                f'{name} does not go with domain="frequency": what is linear is transformed there '
+                "and nothing shot, constants and initial states are eliminated, R is diagonal"
+            )
+        return given
 
     def _searched(
         self, search: Search, evaluator: Evaluator, R: Array | CovarianceKind, near: AnyFit | None
@@ -188,6 +221,7 @@ def output_error(
     steps: int | None = None,
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
+    domain: Domain = "time",
     solver: SolverOptions = SolverOptions(),
 ) -> Fit[M, OutputErrorNotes]:
     """Maximum-likelihood estimate of a model from time histories.
@@ -198,7 +232,7 @@ def output_error(
         As in `Estimator.fit`; the start is, for example, ``match(...).model``.
     records : Record or sequence of Record
         With at least the model's channels, by name; NaN in y and any sampling are welcome.
-    interval, R, biases, process_noise, priors, steps, solver
+    interval, R, biases, process_noise, priors, steps, domain, solver
         As in `OutputError`, which has the rarer settings too.
 
     Returns
@@ -221,6 +255,7 @@ def output_error(
         process_noise=process_noise,
         priors=priors,
         steps=steps,
+        domain=domain,
         solver=solver,
     )
     return estimator.fit(model, records, fixed=fixed, bounds=bounds)

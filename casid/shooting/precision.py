@@ -11,6 +11,7 @@ from casid.fit import ACTIVE, holding
 from casid.shooting import uncertainty
 from casid.shooting.nonlinear import Integration
 from casid.shooting.programme import Programme
+from casid.shooting.spectrum import NoiseSpectrum
 from casid.values import seal, storable
 
 
@@ -35,6 +36,8 @@ class OutputErrorNotes:
         Gain of the innovations, of a filter error.
     integration : Integration or None
         How a nonlinear structure was integrated, and what that may have moved.
+    spectra : tuple of NoiseSpectrum
+        Of the residuals, in the frequency domain, one a kind of manoeuvre.
     """
 
     rounds: int
@@ -45,6 +48,7 @@ class OutputErrorNotes:
     collinear: tuple[uncertainty.Collinearity, ...]
     K: Array | None = None
     integration: Integration | None = None
+    spectra: tuple[NoiseSpectrum, ...] = ()
 
     def __post_init__(self) -> None:
         seal(self)

@@ -1,0 +1,238 @@
+"""Output error in the frequency domain: maximum likelihood on the transforms of whole records.
+
+    min_λ  ½ Σ w ( |E|²/Φ + log Φ )                         over all lines, outputs and records
+
+with E of `casid.shooting.spectral` and Φ of `casid.shooting.spectrum`, held in each solve and
+estimated from its residuals before the next, until the estimates rest. Klein and Morelli (2006),
+section 7.3, on the lines of whole records and with their transients; Pintelon and Schoukens, System
+Identification (2012), chapters 9 and 10. IPOPT sees λ alone: gradient and Gauss-Newton Hessian are
+those of the cost with the transients eliminated.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+from casid.nlp import Problem, Solution, SolverOptions, solve
+from casid.shooting.assembly import NumPyFunction
+from casid.shooting.lines import Lines
+from casid.shooting.spectral import Residual, SpectralResiduals
+from casid.shooting.spectrum import NoiseSpectrum, noise_spectra, powers
+
+ROUNDS = 20  # of solves
+ROUGH = 1e-4  # tolerance of the first, whose spectrum is that of the start
+SETTLED = 1e-2  # standard errors that a round may move the estimates and be the last
+IPOPT: dict[str, float | str] = {
+    "nlp_scaling_method": "none",
+    "mu_strategy": "monotone",
+    "acceptable_tol": 1e-5,
+    "acceptable_iter": 5,
+    "acceptable_obj_change_tol": 1e-12,
+}
+WARM: dict[str, float | str] = {  # a warm round stays where it starts
+    "mu_init": 1e-6,
+    "warm_start_bound_push": 1e-9,
+    "warm_start_bound_frac": 1e-9,
+    "warm_start_mult_bound_push": 1e-9,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The likelihood at some λ, its spectra held."""
+
+    residuals: list[Residual]
+    cost: float  # ½ Σ w |E|²/Φ, and of prior values
+    F: Array  # (nf, nf) information
+    g: Array  # (nf,) gradient
+
+
+class SpectralProgramme:
+    """Cost and derivatives of scaled free parameters for spectra held, for IPOPT."""
+
+    def __init__(
+        self, residuals: SpectralResiduals, spectra: tuple[NoiseSpectrum, ...], scales: Array
+    ) -> None:
+        self.residuals, self.spectra, self.scales = residuals, spectra, scales
+        lines = residuals.lines
+        self.powers = powers(spectra, lines)
+        self.weights = [
+            each.weight[:, None] / power for each, power in zip(lines, self.powers, strict=True)
+        ]
+        self.n = measurements(lines)
+        self._last: tuple[bytes, State | None] = b"", None
+        self._functions: list[ca.Function] = []
+
+    def state(self, x: Array) -> State | None:
+        """The likelihood at scaled parameters; None where the model has a pole on a line."""
+        key = x.tobytes()
+        if self._last[0] != key:
+            self._last = key, self._state(x * self.scales)
+        return self._last[1]
+
+    def _state(self, lam: Array) -> State | None:
+        try:
+            found = self.residuals(lam, self.weights)
+        except np.linalg.LinAlgError:
+            return None
+        off, pull = self.residuals.free.surprise(lam)
+        F, g = (np.sum([getattr(each, part) for each in found], axis=0) for part in ("F", "g"))
+        cost = sum(each.cost for each in found) + float(off @ off) / 2
+        return State(found, cost, F + pull.T @ pull, g + pull.T @ off)
+
+    def likelihood(self, x: Array) -> float:
+        """Negative log-likelihood, less its constant ½ n log 2π."""
+        state = self.state(x)
+        logs = [
+            float(each.weight @ np.log(power[:, each.seen]).sum(axis=1))
+            for each, power in zip(self.residuals.lines, self.powers, strict=True)
+        ]
+        return np.inf if state is None else state.cost + sum(logs) / 2
+
+    def solve(
+        self, x: Array, options: SolverOptions, number: int, warm: tuple[Array, Array] | None
+    ) -> Solution:
+        """Estimate with the spectra held."""
+        if warm is not None:
+            options = replace(options, ipopt=WARM | dict(options.ipopt))
+        stage = f"output error in the frequency domain, round {number}"
+        return solve(self._problem(x), options, stage=stage, warm=warm)
+
+    def _problem(self, start: Array) -> Problem:
+        free, s = self.residuals.free, self.scales
+        ties, n = free.model.constraints(), len(start)
+        limits = np.array([(tie.lower, tie.upper) for tie in ties]).reshape(-1, 2)
+        f, g, functions, hessian = self._evaluated(n, len(ties))
+        symbol = ca.MX.sym("x", n)
+        return Problem(
+            x=symbol, f=f(symbol), g=g(symbol) if ties else ca.MX(0, 1), x0=start,
+            lower_x=free.lower[free.index] / s, upper_x=free.upper[free.index] / s,
+            lower_g=limits[:, 0], upper_g=limits[:, 1], hessian=hessian, functions=functions,
+        )  # fmt: skip
+
+    def _evaluated(
+        self, n: int, m: int
+    ) -> tuple[ca.Function, ca.Function, dict[str, ca.Function], ca.Function]:
+        """Cost, constraints, their first derivatives and the Hessian."""
+        x, p, one, g = (ca.Sparsity.dense(k, 1) if k else ca.Sparsity(0, 0) for k in (n, 0, 1, m))
+        J, H = ca.Sparsity.dense(m, n), ca.Sparsity.upper(n)
+        s, matrices, above = self.scales, self.residuals.matrices, np.tril_indices(n)
+
+        def cost(x: Array) -> list[Any]:
+            state = self.state(x)
+            return [np.nan if state is None else state.cost / self.n]
+
+        def gradient(x: Array, _: Array) -> list[Any]:
+            state = self.state(x)
+            slope = np.full(n, np.nan) if state is None else state.g * s / self.n
+            return [*cost(x), slope]
+
+        def constraints(x: Array) -> list[Any]:
+            return [matrices(x * s).c]
+
+        def jacobian(x: Array, _: Array) -> list[Any]:
+            return [matrices(x * s).c, (matrices(x * s).dc * s[:, None]).ravel()]
+
+        def curvature(x: Array, _: Array, f: Array, __: Array) -> list[Any]:
+            state = self.state(x)
+            F = np.full((n, n), np.nan) if state is None else state.F * np.outer(s, s) / self.n
+            return [float(f[0]) * F[above]]  # symmetric: the upper triangle by columns
+
+        f_of = NumPyFunction("f", [x], [one], cost)
+        g_of = NumPyFunction("g", [x], [g], constraints)
+        grad = NumPyFunction("nlp_grad_f", [x, p], [one, x], gradient)
+        jac = NumPyFunction("nlp_jac_g", [x, p], [g, J], jacobian)
+        hess = NumPyFunction("nlp_hess_l", [x, p, one, g], [H], curvature)
+        self._functions = [f_of, g_of, grad, jac, hess]  # CasADi does not keep them alive
+        return f_of, g_of, {"nlp_grad_f": grad, "nlp_jac_g": jac}, hess
+
+    def balanced(self, x: Array) -> Array:
+        """Scales that make the curvature per observation one, at most the present ones."""
+        state = self.state(x)
+        if state is None:
+            return self.scales
+        size = np.diag(state.F) * self.scales**2 / self.n
+        return np.asarray(self.scales / np.sqrt(np.maximum(size, 1.0)))
+
+
+def measurements(lines: list[Lines]) -> float:
+    """Number of real measurements on the lines."""
+    return float(sum(each.weight.sum() * each.seen.sum() for each in lines))
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralOutcome:
+    """Where the rounds of solves ended."""
+
+    programme: SpectralProgramme
+    solution: Solution
+    iterations: int
+    rounds: int
+    settled: bool
+
+
+def search(
+    residuals: SpectralResiduals,
+    start: Array,
+    options: SolverOptions,
+    held: tuple[NoiseSpectrum, ...] | None = None,
+) -> SpectralOutcome:
+    """Rounds of solves from free values (nf,); one, if the spectra are known and held."""
+    options = replace(options, ipopt=IPOPT | dict(options.ipopt))
+    free, lines = residuals.free, residuals.lines
+    scales = free.scale[free.index]
+    spectra, x = white(lines) if held is None else held, start / scales
+    programme = SpectralProgramme(residuals, spectra, scales)
+    if held is not None:
+        programme = SpectralProgramme(residuals, held, programme.balanced(x))
+        solution = programme.solve(start / programme.scales, options, 1, None)
+        return SpectralOutcome(programme, solution, solution.iterations, 1, True)
+    rough = replace(options, tolerance=max(ROUGH, options.tolerance))
+    outcome = _round(programme, x, None, rough)
+    while outcome.solution.success and not outcome.settled and outcome.rounds < ROUNDS:
+        last, x = outcome, outcome.solution.x
+        outcome = _round(last.programme, x, last, options)
+        step = outcome.solution.x * outcome.programme.scales - x * last.programme.scales
+        outcome = replace(outcome, settled=_moved(outcome, step) < SETTLED)
+    return outcome
+
+
+def _round(
+    programme: SpectralProgramme, x: Array, last: SpectralOutcome | None, options: SolverOptions
+) -> SpectralOutcome:
+    """One solve from scaled parameters of a programme, with the spectra of its residuals there."""
+    residuals, state = programme.residuals, programme.state(x)
+    if state is not None:
+        spectra = noise_spectra(residuals.lines, state.residuals)
+        loose = SpectralProgramme(residuals, spectra, programme.scales)
+        new = SpectralProgramme(residuals, spectra, loose.balanced(x))
+    else:
+        new = programme
+    start, warm = x * programme.scales / new.scales, None
+    if last is not None:
+        prices = last.solution.multipliers_x * new.scales / programme.scales
+        warm = prices, last.solution.multipliers_g
+    rounds, iterations = (1, 0) if last is None else (last.rounds + 1, last.iterations)
+    solution = new.solve(start, options, rounds, warm)
+    return SpectralOutcome(new, solution, iterations + solution.iterations, rounds, False)
+
+
+def white(lines: list[Lines], R: Array | None = None) -> tuple[NoiseSpectrum, ...]:
+    """White spectra of variances R (ny,); unless given, the outputs' mean squares on the lines."""
+    if R is None:
+        power = sum(each.weight @ np.abs(each.Y) ** 2 for each in lines)
+        count = sum(each.weight.sum() * each.seen for each in lines)
+        R = np.maximum(power / np.maximum(count, 1.0), 1e-300)
+    omega = np.array([min(each.omega[0] for each in lines), max(each.omega[-1] for each in lines)])
+    names = tuple(each.record.name for each in lines)
+    kinds = 1 + max(each.kind for each in lines)
+    return (NoiseSpectrum(records=names, omega=omega, power=np.tile(R, (2, 1))),) * kinds
+
+
+def _moved(outcome: SpectralOutcome, step: Array) -> float:
+    """Length of the step (nf,) that ended there, in standard errors of its direction."""
+    state = outcome.programme.state(outcome.solution.x)
+    return np.inf if state is None else float(np.sqrt(step @ state.F @ step))

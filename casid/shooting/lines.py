@@ -1,0 +1,96 @@
+"""Fourier transforms of whole records, as the frequency-domain likelihood takes them.
+
+On the lines z = e^{j2πk/N}, k = 1 … N/2, of an equidistant record of N samples
+
+    Y = (1/√N) Σ_n y_n z^{-n},
+
+so that white noise has its variance on every line; at k = 0, which is left out, stand the biases.
+Between samples the inputs are what the record's hold makes of them, delayed exactly: the three
+signals of `casid.intersample.DelayedInput`, transformed, stand behind one another.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.arrays import Array, BoolArray, ComplexArray
+from casid.autoregression import filled
+from casid.intersample import DelayedInput
+from casid.record import Record
+
+LOST = 0.2  # share of an output's samples that may be filled in
+ALIKE = 1.5  # ratio of durations of records of one kind
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """One record in the frequency domain."""
+
+    record: Record
+    kind: int  # number of the kind of manoeuvre, whose records share a noise spectrum
+    z: ComplexArray  # (K,)
+    omega: Array  # (K,) [rad/s]
+    weight: Array  # (K,) how many of two conjugate lines it stands for: 2, 1 at Nyquist's
+    Y: ComplexArray  # (K, ny), 0 where the output was not measured
+    seen: BoolArray  # (ny,) outputs that were
+
+
+def transformed(records: Sequence[Record]) -> list[Lines]:
+    """Records on their lines, sorted into kinds: one sampling interval, durations that are alike.
+
+    ValueError: an uneven sampling, an output with more than a fifth of its samples missing.
+    """
+    kinds = _kinds(records)
+    return [_lines(record, kind) for record, kind in zip(records, kinds, strict=True)]
+
+
+def _kinds(records: Sequence[Record]) -> list[int]:
+    order = sorted(range(len(records)), key=lambda i: (records[i].dt, records[i].duration))
+    kinds, last, kind = [0] * len(records), records[order[0]], 0
+    for i in order:
+        same = abs(records[i].dt / last.dt - 1) < 1e-3
+        if not same or records[i].duration > ALIKE * last.duration:
+            kind, last = kind + 1, records[i]
+        kinds[i] = kind
+    return kinds
+
+
+def _lines(record: Record, kind: int) -> Lines:
+    if not record.equidistant:
+        raise ValueError(
+            f"record {record.name!r} is not sampled evenly, as transforms need it: resample() it, "
+            'or estimate in the time domain, domain="time"'
+        )
+    lost = np.isnan(record.y).mean(axis=0)
+    seen = lost < 1
+    for name, share in zip(record.outputs, lost, strict=True):
+        if LOST < share < 1:
+            raise ValueError(
+                f"record {record.name!r}: {share:.0%} of the samples of {name!r} are missing, too "
+                'many for a transform; leave the channel out, or estimate with domain="time"'
+            )
+    whole = filled(record)[0]
+    N = record.N
+    k = np.arange(1, N // 2 + 1)
+    Y = np.fft.rfft(np.where(seen, whole.y, 0.0), axis=0)[1:] / np.sqrt(N)
+    angle = 2 * np.pi * k / N
+    weight = np.where(2 * k == N, 1.0, 2.0)
+    held = replace(record, y=whole.y)
+    return Lines(held, kind, np.exp(1j * angle), angle / record.dt, weight, Y, seen)
+
+
+def held_lines(held: DelayedInput, n: int) -> tuple[ComplexArray, Array]:
+    """Value, slope and jump of every delayed input on the lines, (K, 3 nu), and its rest [s].
+
+    ``n`` is the number of samples. In an equidistant record the breaks of one input lie equally far
+    before the next sample: the rest, (nu,), 0 where there is none.
+    """
+    nu = held.value.shape[1]
+    jumps, rest = np.zeros((n, nu)), np.zeros(nu)
+    jumps[held.step, held.channel] = held.jump
+    for j in range(nu):
+        mine = held.rest[held.channel == j]
+        rest[j] = mine.mean() if len(mine) else 0.0
+    signals = np.hstack([held.value, held.slope, jumps])
+    return np.fft.rfft(signals, axis=0)[1:] / np.sqrt(n), rest

@@ -1,0 +1,167 @@
+"""The spectrum of residuals, smoothed over frequency and pooled over manoeuvres of a kind.
+
+    Φ(ω) = Σ w |E|² / Σ (w − h)        over ±0.35 nepers of ω,
+
+one for every output and kind of manoeuvre, with w the lines a line stands for and h its leverage:
+what the estimated parameters and transients have taken of its degrees of freedom. The window widens
+until it holds enough of them. What a structure misses raises Φ where it misses it, and counts less
+there. It is never below the level above which the records hold nothing but noise, and not below
+the mean of a band as wide as the uppermost quarter.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import Array, ComplexArray
+from casid.shooting.lines import Lines
+from casid.shooting.spectral import Residual
+from casid.values import seal, storable
+
+REACH = 0.35  # of the smoothing [nepers of frequency]
+FREEDOM = 40.0  # degrees of freedom that a window holds at least
+STEP = 0.1  # of the grid on which spectra are kept [nepers]
+TOP = 0.75  # of the highest line, from where residuals tell the instruments' noise
+FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's
+
+
+@storable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NoiseSpectrum:
+    """Power of the residuals of manoeuvres of a kind, of sampled white noise its variance.
+
+    Parameters
+    ----------
+    records : tuple of str
+        Their names.
+    omega : (K,) array
+        Frequencies [rad/s].
+    power : (K, ny) array
+        Squared units of the outputs; NaN of one that was not measured.
+    """
+
+    records: tuple[str, ...]
+    omega: Array
+    power: Array
+
+    def __post_init__(self) -> None:
+        seal(self)
+
+
+def noise_spectra(
+    lines: Sequence[Lines], residuals: Sequence[Residual]
+) -> tuple[NoiseSpectrum, ...]:
+    """Φ of every kind of manoeuvre, in the order of their numbers."""
+    left = leftover(lines, residuals)
+    found = []
+    for kind in range(max(each.kind for each in lines) + 1):
+        mine = [r for r, each in enumerate(lines) if each.kind == kind]
+        names = tuple(lines[r].record.name for r in mine)
+        ends = [np.log(lines[r].omega[[0, -1]]) for r in mine]
+        grid = np.exp(np.linspace(np.min(ends), np.max(ends), max(2, int(np.ptp(ends) / STEP))))
+        power = np.full((len(grid), len(lines[0].seen)), np.nan)
+        for i in range(power.shape[1]):
+            measured = [r for r in mine if lines[r].seen[i]]
+            if measured:
+                parts = [(lines[r], residuals[r].E[:, i], left[r][:, i]) for r in measured]
+                power[:, i] = _power(parts, grid, i)
+        found.append(NoiseSpectrum(records=names, omega=grid, power=power))
+    return tuple(found)
+
+
+def _power(parts: list[tuple[Lines, ComplexArray, Array]], grid: Array, i: int) -> Array:
+    """Φ of one output and kind from residuals and degrees of freedom of its records."""
+    omega = np.concatenate([lines.omega for lines, _, _ in parts])
+    power = np.concatenate([lines.weight * np.abs(E) ** 2 for lines, E, _ in parts])
+    freedom = np.concatenate([left for _, _, left in parts])
+    channel = sum(float(lines.weight @ np.abs(lines.Y[:, i]) ** 2) for lines, _, _ in parts)
+    total = sum(float(lines.weight.sum()) for lines, _, _ in parts)
+    least = max(_level(omega, power, freedom), FLOOR**2 * channel / total, 1e-300)
+    return np.maximum(smoothed(omega, power, freedom, grid), least)
+
+
+def powers(spectra: Sequence[NoiseSpectrum], lines: Sequence[Lines]) -> list[Array]:
+    """Spectra on the lines of every record, (K, ny); 1 where an output was not measured."""
+    found = []
+    for each in lines:
+        mine = spectra[each.kind]
+        columns = [
+            np.interp(np.log(each.omega), np.log(mine.omega), p) for p in np.log(mine.power.T)
+        ]
+        found.append(np.where(each.seen, np.exp(np.array(columns).T), 1.0))
+    return found
+
+
+def leftover(lines: Sequence[Lines], residuals: Sequence[Residual]) -> list[Array]:
+    """Degrees of freedom that every line and output has left, (K, ny) of every record."""
+    F = np.sum([each.F for each in residuals], axis=0)
+    unit = 1 / np.sqrt(np.maximum(np.diag(F), 1e-300))
+    values, vectors = np.linalg.eigh(F * np.outer(unit, unit))
+    values = np.where(values > 1e-12 * len(F), values, np.inf)
+    root = unit[:, None] * vectors / np.sqrt(values)
+    left: list[Array] = []
+    for each, residual in zip(lines, residuals, strict=True):
+        taken = _squares(residual.rows @ root) + _squares(residual.transient)
+        weight = each.weight[:, None]
+        left.append(np.clip(weight - taken, 0.0, weight))
+    return left
+
+
+def _squares(rows: ComplexArray) -> Array:
+    return np.asarray(np.sum(rows.real**2 + rows.imag**2, axis=2))
+
+
+def _level(omega: Array, power: Array, freedom: Array) -> float:
+    """Mean power of the uppermost lines."""
+    top = omega >= TOP * omega.max()
+    return float(power[top].sum() / max(freedom[top].sum(), 1.0))
+
+
+def smoothed(omega: Array, power: Array, freedom: Array, at: Array) -> Array:
+    """Σ power / Σ freedom over ±0.35 nepers of frequencies, or more where freedom is short.
+
+    ``power`` (n,) or (n, m) stands at frequencies ``omega`` (n,) in any order.
+    """
+    order = np.argsort(omega)
+    zero = np.zeros((1, *power.shape[1:]))
+    total = np.concatenate([zero, np.cumsum(power[order], axis=0)])
+    edges = np.concatenate([[0.0], np.cumsum(freedom[order])])
+    known = omega[order]
+    low = np.searchsorted(known, at * np.exp(-REACH), side="left")
+    high = np.searchsorted(known, at * np.exp(REACH), side="right")
+    need = min(FREEDOM, edges[-1])
+    centre = np.interp(at, known, (edges[1:] + edges[:-1]) / 2)
+    begin = np.clip(centre - need / 2, 0.0, edges[-1] - need)
+    low = np.minimum(low, np.searchsorted(edges, begin, side="right") - 1)
+    high = np.maximum(high, np.searchsorted(edges, begin + need, side="left"))
+    high = np.minimum(high, len(known))
+    count = np.maximum(edges[high] - edges[low], 1e-300)
+    return np.asarray((total[high] - total[low]) / (count[:, None] if power.ndim > 1 else count))
+
+
+def coherent(
+    lines: Sequence[Lines], residuals: Sequence[Residual], powers: Sequence[Array]
+) -> list[Array]:
+    """Smoothed correlation of whitened residuals across outputs, (K, ny, ny) of every record.
+
+    Complex, Hermitian, with ones on the diagonal.
+    """
+    found: list[Array] = []
+    left = leftover(lines, residuals)
+    white = [r.E / np.sqrt(power) for r, power in zip(residuals, powers, strict=True)]
+    for each in lines:
+        mine = [r for r, other in enumerate(lines) if other.kind == each.kind]
+        omega = np.concatenate([lines[r].omega for r in mine])
+        cross = np.concatenate(
+            [
+                lines[r].weight[:, None, None] * white[r][:, :, None] * white[r][:, None].conj()
+                for r in mine
+            ]
+        )
+        freedom = np.concatenate([left[r].mean(axis=1) for r in mine])
+        S = smoothed(omega, cross.reshape(len(omega), -1), freedom, each.omega)
+        S = S.reshape(-1, *cross.shape[1:])
+        size = np.sqrt(np.maximum(np.einsum("kii->ki", S).real, 1e-300))
+        found.append(S / (size[:, :, None] * size[:, None]))
+    return found

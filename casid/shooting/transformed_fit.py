@@ -1,0 +1,158 @@
+"""Output error in the frequency domain, from records to a fit."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.errors import ConvergenceError
+from casid.fit import (
+    ACTIVE,
+    AnyFit,
+    Fit,
+    constraint_table,
+    held_directions,
+    holding,
+    parameter_table,
+)
+from casid.model import Free, M
+from casid.nlp import SolverOptions
+from casid.prediction import Outlook, predict
+from casid.record import Record
+from casid.shooting import uncertainty
+from casid.shooting.frequency import SpectralOutcome, SpectralProgramme, State, search, white
+from casid.shooting.lines import Lines, transformed
+from casid.shooting.precision import OutputErrorNotes, Precision
+from casid.shooting.spectral import SpectralResiduals
+from casid.shooting.spectrum import NoiseSpectrum, coherent
+
+METHOD = "output error in the frequency domain"
+
+
+def estimate(
+    model: M,
+    free: Free,
+    records: Sequence[Record],
+    options: SolverOptions,
+    *,
+    R: Array | None = None,
+    near: AnyFit | None = None,
+) -> Fit[M, OutputErrorNotes]:
+    """Maximum-likelihood estimate on the transforms of whole records; see `OutputError`."""
+    begin = time.perf_counter()
+    lines = transformed(records)
+    held = _spectra_of(near, lines) if R is None else white(lines, np.diag(R))
+    outcome = search(SpectralResiduals(free, lines), free.guess, options, held)
+    lam = outcome.solution.x * outcome.programme.scales
+    lam = np.clip(lam, free.lower[free.index], free.upper[free.index])
+    fit = _fit(model, outcome, lam, begin)
+    if not fit.success:
+        raise ConvergenceError(f"{METHOD}: {fit.status}", fit)
+    return fit
+
+
+def _spectra_of(near: AnyFit | None, lines: list[Lines]) -> tuple[NoiseSpectrum, ...] | None:
+    """Spectra of a fit nearby, held so that costs compare; None if of other records."""
+    spectra = getattr(near.notes, "spectra", ()) if near is not None else ()
+    kinds = 1 + max(each.kind for each in lines)
+    if len(spectra) != kinds or any(
+        each.record.name not in spectra[each.kind].records
+        or not np.isfinite(spectra[each.kind].power[0, each.seen]).all()
+        for each in lines
+    ):
+        return None
+    return tuple(spectra)
+
+
+def _fit(start: M, outcome: SpectralOutcome, lam: Array, begin: float) -> Fit[M, OutputErrorNotes]:
+    programme, solution = outcome.programme, outcome.solution
+    free, lines = programme.residuals.free, programme.residuals.lines
+    model, ties = start.with_vector(free.full(lam)), free.model.constraints()
+    multipliers = -programme.n * solution.multipliers_x / programme.scales
+    prices = -programme.n * solution.multipliers_g[: len(ties)]
+    found = _precision(programme, solution.x, lam)
+    std, white_std = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
+    parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white_std)
+    success, status = _verdict(outcome, found.undetermined)
+    R = _variances(programme, solution.x)
+    begun = [predict(model.system(), each.record, np.sqrt(R), Outlook(np.inf)) for each in lines]
+    nuisances = len(lines) * (len(model.states) + len(model.outputs))
+    notes = found.notes(outcome.rounds, 0, nuisances, None)
+    return Fit(
+        model=model, parameters=parameters, cost=programme.likelihood(solution.x), status=status,
+        success=success, iterations=outcome.iterations, seconds=time.perf_counter() - begin,
+        method=METHOD, notes=replace(notes, spectra=programme.spectra),
+        constraints=constraint_table(model, prices), held=held_directions(free, lam, parameters),
+        covariance=found.covariance, free_names=free.names, R=np.diag(R),
+        initial_states=np.array([each.x0 for each in begun]),
+        biases=np.array([each.b for each in begun]),
+    )  # fmt: skip
+
+
+def _verdict(outcome: SpectralOutcome, lost: tuple[str, ...]) -> tuple[bool, str]:
+    """Whether this is a solution, and in words."""
+    reasons = []
+    if not outcome.solution.success:
+        reasons.append(outcome.solution.status)
+    elif not outcome.settled:
+        reasons.append(f"the noise spectra have not settled after {outcome.rounds} rounds; give R")
+    if lost:
+        reasons.append(
+            f"the records do not determine {', '.join(lost)} (singular information matrix): fix or "
+            "tie some of them, or add a manoeuvre that excites them"
+        )
+    return not reasons, "; ".join(reasons) or outcome.solution.status
+
+
+def _variances(programme: SpectralProgramme, x: Array) -> Array:
+    """Mean square of the residuals of every output over all lines, (ny,)."""
+    lines, state = programme.residuals.lines, programme.state(x)
+    if state is None:
+        return np.ones(len(lines[0].seen))
+    pairs = list(zip(lines, state.residuals, strict=True))
+    power = sum(each.weight @ np.abs(found.E) ** 2 for each, found in pairs)
+    count = sum(each.weight.sum() * each.seen for each in lines)
+    return np.asarray(np.maximum(power / np.maximum(count, 1.0), 1e-300))
+
+
+def _precision(programme: SpectralProgramme, x: Array, lam: Array) -> Precision:
+    """Precision of the free parameters; the robust one allows for correlated outputs."""
+    free, state, n = programme.residuals.free, programme.state(x), len(lam)
+    if state is None:
+        nothing = np.where(np.eye(n, dtype=bool), np.inf, np.nan)
+        return Precision(nothing, nothing, np.full(n, np.inf), (), free.names)
+    span = free.scale[free.index]
+    gap = np.minimum(lam - free.lower[free.index], free.upper[free.index] - lam)
+    ties = holding(free, lam, gap <= ACTIVE * span) * span
+    unit = np.outer(span, span)
+    alone = sum(each.alone for each in state.residuals) * span**2
+    F = state.F * unit
+    scaled = uncertainty.bound(F, ties, alone)
+    unknown = np.isinf(np.diag(scaled))
+    known = np.where(unknown | unknown[:, None], 0.0, scaled)
+    middle = _scatter(programme, state, lam) * unit
+    robust = np.where(np.isfinite(scaled), known @ middle @ known, scaled)
+    with np.errstate(divide="ignore"):
+        insensitivity = 1 / np.sqrt(np.maximum(np.diag(state.F), 0.0))
+    return Precision(
+        cramer_rao=scaled * unit,
+        covariance=robust * unit,
+        insensitivity=insensitivity,
+        collinear=uncertainty.collinearities(F, ties, free.names, alone),
+        undetermined=tuple(np.array(free.names)[unknown].tolist()),
+    )
+
+
+def _scatter(programme: SpectralProgramme, state: State, lam: Array) -> Array:
+    """Covariance (nf, nf) of the cost's gradient, residuals correlated across outputs."""
+    lines, found = programme.residuals.lines, state.residuals
+    across = coherent(lines, found, programme.powers)
+    total = np.zeros_like(state.F)
+    for each, S in zip(found, across, strict=True):
+        left = each.rows.reshape(-1, len(total))
+        right = (S @ each.rows).reshape(-1, len(total))
+        total += left.real.T @ right.real + left.imag.T @ right.imag
+    pull = programme.residuals.free.surprise(lam)[1]
+    return (total + total.T) / 2 + pull.T @ pull
