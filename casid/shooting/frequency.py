@@ -20,11 +20,12 @@ from casid.nlp import Problem, Solution, SolverOptions, solve
 from casid.shooting.assembly import NumPyFunction
 from casid.shooting.lines import Lines
 from casid.shooting.spectral import Residual, SpectralResiduals
-from casid.shooting.spectrum import NoiseSpectrum, noise_spectra, powers
+from casid.shooting.spectrum import NoiseSpectrum, leverages, noise_spectra, powers, reach
 
 ROUNDS = 20  # of solves
 ROUGH = 1e-4  # tolerance of the first, whose spectrum is that of the start
-SETTLED = 1e-2  # standard errors that a round may move the estimates and be the last
+SETTLED = 2e-2  # standard errors that a round may move the estimates and be the last but one
+TAIL = 0.1  # of the information about a parameter that the rounds before the last may leave out
 IPOPT: dict[str, float | str] = {
     "nlp_scaling_method": "none",
     "mu_strategy": "monotone",
@@ -173,6 +174,11 @@ class SpectralOutcome:
     rounds: int
     settled: bool
 
+    @property
+    def lam(self) -> Array:
+        """Free values (nf,)."""
+        return self.solution.x * self.programme.scales
+
 
 def search(
     residuals: SpectralResiduals,
@@ -180,44 +186,50 @@ def search(
     options: SolverOptions,
     held: tuple[NoiseSpectrum, ...] | None = None,
 ) -> SpectralOutcome:
-    """Rounds of solves from free values (nf,); one, if the spectra are known and held."""
+    """Rounds of solves from free values (nf,); one, if the spectra are known and held.
+
+    All but the last take only lines that carry information. ValueError: a start without residuals.
+    """
     options = replace(options, ipopt=IPOPT | dict(options.ipopt))
-    free, lines = residuals.free, residuals.lines
-    scales = free.scale[free.index]
-    spectra, x = white(lines) if held is None else held, start / scales
-    programme = SpectralProgramme(residuals, spectra, scales)
+    lines, scales = residuals.lines, residuals.free.scale[residuals.free.index]
     if held is not None:
-        programme = SpectralProgramme(residuals, held, programme.balanced(x))
-        solution = programme.solve(start / programme.scales, options, 1, None)
-        return SpectralOutcome(programme, solution, solution.iterations, 1, True)
+        outcome = _round(SpectralProgramme(residuals, held, scales), start, None, options)
+        return replace(outcome, settled=True)
     rough = replace(options, tolerance=max(ROUGH, options.tolerance))
-    outcome = _round(programme, x, None, rough)
-    while outcome.solution.success and not outcome.settled and outcome.rounds < ROUNDS:
-        last, x = outcome, outcome.solution.x
-        outcome = _round(last.programme, x, last, options)
-        step = outcome.solution.x * outcome.programme.scales - x * last.programme.scales
-        outcome = replace(outcome, settled=_moved(outcome, step) < SETTLED)
-    return outcome
+    spectra, lam, last, highest = white(lines), start, None, 0.0
+    while True:
+        state = SpectralProgramme(residuals, spectra, scales).state(lam / scales)
+        if state is None:
+            raise ValueError("the model has a pole on a line of its records' transforms: move it")
+        taken = leverages(state.residuals)
+        spectra = noise_spectra(lines, state.residuals, taken)
+        if last is not None and last.settled:
+            outcome = _round(SpectralProgramme(residuals, spectra, scales), lam, last, options)
+            return replace(outcome, settled=True)
+        highest = max(highest, reach(lines, taken, TAIL))
+        part = SpectralResiduals(residuals.free, [each.below(highest) for each in lines])
+        last = _round(SpectralProgramme(part, spectra, scales), lam, last, rough)
+        lam = last.lam
+        if not last.solution.success or last.rounds >= ROUNDS:
+            whole = SpectralProgramme(residuals, spectra, last.programme.scales)
+            return replace(last, programme=whole, settled=False)
 
 
 def _round(
-    programme: SpectralProgramme, x: Array, last: SpectralOutcome | None, options: SolverOptions
+    programme: SpectralProgramme, lam: Array, last: SpectralOutcome | None, options: SolverOptions
 ) -> SpectralOutcome:
-    """One solve from scaled parameters of a programme, with the spectra of its residuals there."""
-    residuals, state = programme.residuals, programme.state(x)
-    if state is not None:
-        spectra = noise_spectra(residuals.lines, state.residuals)
-        loose = SpectralProgramme(residuals, spectra, programme.scales)
-        new = SpectralProgramme(residuals, spectra, loose.balanced(x))
-    else:
-        new = programme
-    start, warm = x * programme.scales / new.scales, None
+    """One solve from free values (nf,), the spectra held; settled if it hardly moves them."""
+    scales = programme.balanced(lam / programme.scales)
+    programme = SpectralProgramme(programme.residuals, programme.spectra, scales)
+    rounds, iterations, warm = 1, 0, None
     if last is not None:
-        prices = last.solution.multipliers_x * new.scales / programme.scales
+        rounds, iterations = last.rounds + 1, last.iterations
+        prices = last.solution.multipliers_x * scales / last.programme.scales
         warm = prices, last.solution.multipliers_g
-    rounds, iterations = (1, 0) if last is None else (last.rounds + 1, last.iterations)
-    solution = new.solve(start, options, rounds, warm)
-    return SpectralOutcome(new, solution, iterations + solution.iterations, rounds, False)
+    solution = programme.solve(lam / scales, options, rounds, warm)
+    state, step = programme.state(solution.x), solution.x * scales - lam
+    settled = state is not None and float(step @ state.F @ step) < SETTLED**2
+    return SpectralOutcome(programme, solution, iterations + solution.iterations, rounds, settled)
 
 
 def white(lines: list[Lines], R: Array | None = None) -> tuple[NoiseSpectrum, ...]:
@@ -230,9 +242,3 @@ def white(lines: list[Lines], R: Array | None = None) -> tuple[NoiseSpectrum, ..
     names = tuple(each.record.name for each in lines)
     kinds = 1 + max(each.kind for each in lines)
     return (NoiseSpectrum(records=names, omega=omega, power=np.tile(R, (2, 1))),) * kinds
-
-
-def _moved(outcome: SpectralOutcome, step: Array) -> float:
-    """Length of the step (nf,) that ended there, in standard errors of its direction."""
-    state = outcome.programme.state(outcome.solution.x)
-    return np.inf if state is None else float(np.sqrt(step @ state.F @ step))

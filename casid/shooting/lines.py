@@ -20,6 +20,7 @@ from casid.intersample import DelayedInput
 from casid.record import Record
 
 LOST = 0.2  # share of an output's samples that may be filled in
+FEWEST = 8  # lines of a record at least
 ALIKE = 1.5  # ratio of durations of records of one kind
 
 
@@ -34,6 +35,12 @@ class Lines:
     weight: Array  # (K,) how many of two conjugate lines it stands for: 2, 1 at Nyquist's
     Y: ComplexArray  # (K, ny), 0 where the output was not measured
     seen: BoolArray  # (ny,) outputs that were
+
+    def below(self, omega: float) -> "Lines":
+        """The same up to a frequency [rad/s], or its first few lines."""
+        K = max(FEWEST, int(np.searchsorted(self.omega, omega, side="right")))
+        z, Y = self.z[:K], self.Y[:K]
+        return replace(self, z=z, Y=Y, omega=self.omega[:K], weight=self.weight[:K])
 
 
 def transformed(records: Sequence[Record]) -> list[Lines]:
@@ -80,8 +87,8 @@ def _lines(record: Record, kind: int) -> Lines:
     return Lines(held, kind, np.exp(1j * angle), angle / record.dt, weight, Y, seen)
 
 
-def held_lines(held: DelayedInput, n: int) -> tuple[ComplexArray, Array]:
-    """Value, slope and jump of every delayed input on the lines, (K, 3 nu), and its rest [s].
+def held_lines(held: DelayedInput, n: int, count: int) -> tuple[ComplexArray, Array]:
+    """Value, slope and jump of every delayed input on ``count`` lines, (K, 3 nu), its rest [s].
 
     ``n`` is the number of samples. In an equidistant record the breaks of one input lie equally far
     before the next sample: the rest, (nu,), 0 where there is none.
@@ -93,4 +100,4 @@ def held_lines(held: DelayedInput, n: int) -> tuple[ComplexArray, Array]:
         mine = held.rest[held.channel == j]
         rest[j] = mine.mean() if len(mine) else 0.0
     signals = np.hstack([held.value, held.slope, jumps])
-    return np.fft.rfft(signals, axis=0)[1:] / np.sqrt(n), rest
+    return np.fft.rfft(signals, axis=0)[1 : count + 1] / np.sqrt(n), rest

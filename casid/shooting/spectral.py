@@ -31,17 +31,23 @@ RANK = 1e-13  # eigenvalue of the transient's information, to unit diagonal, tha
 class Residual:
     """Weighed residuals of one record's lines and their normal equations, transient eliminated.
 
-    The transient d = x_0 − x_N minimises the sum of squares; ``root`` (nx, nx) is a root of its
-    covariance with λ known, columns of no rank left out.
+    The transient d = x_0 − x_N minimises the sum of squares. T has orthonormal columns: derivatives
+    by d times a root of its covariance; ``follow`` (nx, nf) says what of them is in J.
     """
 
     E: ComplexArray  # (K, ny) measured less the model, 0 where not measured
-    rows: ComplexArray  # (K, ny, nf) weighed derivative of the model by λ as d follows
-    transient: ComplexArray  # (K, ny, nx) weighed derivative by d times ``root``
+    J: ComplexArray  # (K, ny, nf) weighed derivative of the model by λ, d held
+    T: ComplexArray  # (K, ny, nx)
+    follow: Array
     cost: float  # half the weighed sum of squares
     F: Array  # (nf, nf) information
     g: Array  # (nf,) gradient of the cost
     alone: Array  # (nf,) information were the transient known
+
+    @property
+    def rows(self) -> ComplexArray:
+        """Weighed derivative of the model by λ as d follows, (K, ny, nf)."""
+        return self.J - self.T @ self.follow
 
 
 class SpectralResiduals:
@@ -56,28 +62,39 @@ class SpectralResiduals:
         LinAlgError for a pole on a line.
         """
         m = self.matrices(lam)
-        return [self._of(*each, m) for each in zip(self.lines, weights, strict=True)]
+        driven: dict[tuple[float, ...], tuple[Array, Array]] = {}
+        found = []
+        for lines, weight in zip(self.lines, weights, strict=True):
+            record = lines.record
+            S, rest = held_lines(_held(lines, m), record.N, len(lines.z))
+            key = (ORDER[record.hold], record.dt, *np.round(rest, 12))
+            if key not in driven:
+                driven[key] = _driven(m, record.dt, rest, ORDER[record.hold])
+            found.append(_residual(lines, weight, S, m, driven[key]))
+        return found
 
-    def _of(self, lines: Lines, weight: Array, m: Matrices) -> Residual:
-        record, nx, C = lines.record, m.nx, m.blocks[2]
-        S, rest = held_lines(_held(lines, m), record.N)
-        drive, drive_lam = _driven(m, record.dt, rest, ORDER[record.hold])
-        direct, direct_lam = _direct(m)
-        R = np.linalg.inv(lines.z[:, None, None] * np.eye(nx) - drive[:, :nx])
-        if not np.isfinite(R).all():
-            raise np.linalg.LinAlgError("a pole on a line")
-        W = np.sqrt(weight * lines.seen)[:, :, None]
-        Z = np.hstack([_applied(R, S @ drive[:, nx:].T), S])
-        begun = R * (lines.z / np.sqrt(record.N))[:, None, None]
-        E, T = (lines.Y - Z @ direct.T) * lines.seen, W * (C @ begun)
-        d, root = _transient(T, W[:, :, 0] * E)
-        Z[:, :nx] += begun @ d
-        E -= (begun @ d) @ C.T
-        J = np.empty((len(W), len(C), len(m.dtau)), dtype=complex)
-        for at in (slice(k, k + PORTION) for k in range(0, len(W), PORTION)):
-            J[at] = C @ R[at] @ _times(Z[at], drive_lam).reshape(-1, nx, J.shape[2])
-            J[at] += _times(Z[at], direct_lam).reshape(-1, *J.shape[1:])
-        return _eliminated(E * lines.seen, W, W * J, T @ root)
+
+def _residual(
+    lines: Lines, weight: Array, S: ComplexArray, m: Matrices, driven: tuple[Array, Array]
+) -> Residual:
+    """Residuals of one record from the signals S (K, 3 nu) that drive it."""
+    (drive, drive_lam), (direct, direct_lam) = driven, _direct(m)
+    nx, C = m.nx, m.blocks[2]
+    R = np.linalg.inv(lines.z[:, None, None] * np.eye(nx) - drive[:, :nx])
+    if not np.isfinite(R).all():
+        raise np.linalg.LinAlgError("a pole on a line")
+    W = np.sqrt(weight * lines.seen)[:, :, None]
+    Z = np.hstack([_applied(R, S @ drive[:, nx:].T), S])
+    begun = R * (lines.z / np.sqrt(lines.record.N))[:, None, None]
+    E, T = (lines.Y - Z @ direct.T) * lines.seen, W * (C @ begun)
+    d, root = _transient(T, W[:, :, 0] * E)
+    Z[:, :nx] += begun @ d
+    E -= (begun @ d) @ C.T
+    J = np.empty((len(W), len(C), len(m.dtau)), dtype=complex)
+    for at in (slice(k, k + PORTION) for k in range(0, len(W), PORTION)):
+        J[at] = C @ R[at] @ _times(Z[at], drive_lam).reshape(-1, nx, J.shape[2])
+        J[at] += _times(Z[at], direct_lam).reshape(-1, *J.shape[1:])
+    return _eliminated(E * lines.seen, W, W * J, T @ root)
 
 
 def _held(lines: Lines, m: Matrices) -> DelayedInput:
@@ -95,8 +112,12 @@ def _applied(R: ComplexArray, vectors: ComplexArray) -> ComplexArray:
 
 def _gram(left: ComplexArray, right: ComplexArray) -> Array:
     """Real part of the product of the first, conjugate transposed, with the second: (K, ny, n)."""
-    a, b = (part.reshape(-1, part.shape[-1]) for part in (left, right))
-    return np.asarray(a.real.T @ b.real + a.imag.T @ b.imag)
+    total: Array = np.zeros((left.shape[-1], right.shape[-1]))
+    for half in (np.real, np.imag):
+        a = np.ascontiguousarray(half(left)).reshape(-1, len(total))
+        same = a if right is left else np.ascontiguousarray(half(right))
+        total += a.T @ same.reshape(len(a), -1)
+    return total
 
 
 def _transient(T: ComplexArray, E: ComplexArray) -> tuple[Array, Array]:
@@ -111,18 +132,13 @@ def _transient(T: ComplexArray, E: ComplexArray) -> tuple[Array, Array]:
 
 def _eliminated(E: ComplexArray, W: Array, J: ComplexArray, T: ComplexArray) -> Residual:
     """Normal equations from weighed derivatives, those by the transient T orthonormal."""
-    alone = np.einsum("kia,kia->a", J.real, J.real) + np.einsum("kia,kia->a", J.imag, J.imag)
-    rows = J - T @ _gram(T, J)
-    e = W * E[:, :, None]
+    n = J.shape[2]
+    G = _gram(*2 * (np.concatenate([J, T, W * E[:, :, None]], axis=2),))
+    follow = G[n:-1, :n]
     return Residual(
-        E=E,
-        rows=rows,
-        transient=T,
-        cost=float(_gram(e, e)[0, 0]) / 2,
-        F=_gram(rows, rows),
-        g=-_gram(rows, e)[:, 0],
-        alone=alone,
-    )
+        E=E, J=J, T=T, follow=follow, cost=float(G[-1, -1]) / 2, F=G[:n, :n] - follow.T @ follow,
+        g=follow.T @ G[n:-1, -1] - G[:n, -1], alone=np.diag(G)[:n],
+    )  # fmt: skip
 
 
 def _times(Z: ComplexArray, matrix: Array) -> ComplexArray:

@@ -50,10 +50,10 @@ class NoiseSpectrum:
 
 
 def noise_spectra(
-    lines: Sequence[Lines], residuals: Sequence[Residual]
+    lines: Sequence[Lines], residuals: Sequence[Residual], taken: Sequence[Array]
 ) -> tuple[NoiseSpectrum, ...]:
-    """Φ of every kind of manoeuvre, in the order of their numbers."""
-    left = leftover(lines, residuals)
+    """Φ of every kind of manoeuvre, in the order of their numbers; ``taken`` by `leverages`."""
+    left = leftover(lines, residuals, taken)
     found = []
     for kind in range(max(each.kind for each in lines) + 1):
         mine = [r for r, each in enumerate(lines) if each.kind == kind]
@@ -93,23 +93,44 @@ def powers(spectra: Sequence[NoiseSpectrum], lines: Sequence[Lines]) -> list[Arr
     return found
 
 
-def leftover(lines: Sequence[Lines], residuals: Sequence[Residual]) -> list[Array]:
+def leftover(
+    lines: Sequence[Lines], residuals: Sequence[Residual], taken: Sequence[Array]
+) -> list[Array]:
     """Degrees of freedom that every line and output has left, (K, ny) of every record."""
+    left: list[Array] = []
+    for each, residual, h in zip(lines, residuals, taken, strict=True):
+        weight = each.weight[:, None]
+        left.append(np.clip(weight - h - _squares(residual.T), 0.0, weight))
+    return left
+
+
+def reach(lines: Sequence[Lines], taken: Sequence[Array], share: float) -> float:
+    """Frequency [rad/s] above which the lines hold at most a share of the information.
+
+    Of that about any combination of the parameters.
+    """
+    omega = np.concatenate([each.omega for each in lines])
+    h = np.concatenate(taken).sum(axis=1)
+    order = np.argsort(omega)[::-1]
+    beyond = int(np.searchsorted(np.cumsum(h[order]), share))
+    return float(omega[order[min(beyond, len(omega) - 1)]])
+
+
+def leverages(residuals: Sequence[Residual]) -> list[Array]:
+    """What the parameters take of every line's degrees of freedom, (K, ny)."""
     F = np.sum([each.F for each in residuals], axis=0)
     unit = 1 / np.sqrt(np.maximum(np.diag(F), 1e-300))
     values, vectors = np.linalg.eigh(F * np.outer(unit, unit))
     values = np.where(values > 1e-12 * len(F), values, np.inf)
     root = unit[:, None] * vectors / np.sqrt(values)
-    left: list[Array] = []
-    for each, residual in zip(lines, residuals, strict=True):
-        taken = _squares(residual.rows @ root) + _squares(residual.transient)
-        weight = each.weight[:, None]
-        left.append(np.clip(weight - taken, 0.0, weight))
-    return left
+    return [_squares(each.rows, root) for each in residuals]
 
 
-def _squares(rows: ComplexArray) -> Array:
-    return np.asarray(np.sum(rows.real**2 + rows.imag**2, axis=2))
+def _squares(rows: ComplexArray, root: Array | None = None) -> Array:
+    """Squared lengths (K, ny) of rows (K, ny, n), times a matrix if given."""
+    halves = [np.ascontiguousarray(half) for half in (rows.real, rows.imag)]
+    moved = halves if root is None else [half @ root for half in halves]
+    return np.asarray(sum(np.einsum("kia,kia->ki", half, half) for half in moved))
 
 
 def _level(omega: Array, power: Array, freedom: Array) -> float:
@@ -128,16 +149,23 @@ def smoothed(omega: Array, power: Array, freedom: Array, at: Array) -> Array:
     total = np.concatenate([zero, np.cumsum(power[order], axis=0)])
     edges = np.concatenate([[0.0], np.cumsum(freedom[order])])
     known = omega[order]
-    low = np.searchsorted(known, at * np.exp(-REACH), side="left")
-    high = np.searchsorted(known, at * np.exp(REACH), side="right")
+    # Ends of windows in cumulated freedom, continuous in it: rounds of estimates settle then.
+    low = edges[np.searchsorted(known, at * np.exp(-REACH), side="left")]
+    high = edges[np.searchsorted(known, at * np.exp(REACH), side="right")]
     need = min(FREEDOM, edges[-1])
     centre = np.interp(at, known, (edges[1:] + edges[:-1]) / 2)
     begin = np.clip(centre - need / 2, 0.0, edges[-1] - need)
-    low = np.minimum(low, np.searchsorted(edges, begin, side="right") - 1)
-    high = np.maximum(high, np.searchsorted(edges, begin + need, side="left"))
-    high = np.minimum(high, len(known))
-    count = np.maximum(edges[high] - edges[low], 1e-300)
-    return np.asarray((total[high] - total[low]) / (count[:, None] if power.ndim > 1 else count))
+    low, high = np.minimum(low, begin), np.maximum(high, begin + need)
+    found = _between(edges, total, high) - _between(edges, total, low)
+    return np.asarray(found / np.maximum(high - low, 1e-300).reshape(-1, *[1] * (power.ndim - 1)))
+
+
+def _between(edges: Array, total: Array, at: Array) -> Array:
+    """Cumulated power (n + 1, ...) at places between the edges (n + 1,)."""
+    k = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, len(edges) - 2)
+    share = (at - edges[k]) / np.maximum(edges[k + 1] - edges[k], 1e-300)
+    share = np.clip(share, 0.0, 1.0).reshape(-1, *[1] * (total.ndim - 1))
+    return np.asarray(total[k] + share * (total[k + 1] - total[k]))
 
 
 def coherent(
@@ -148,7 +176,7 @@ def coherent(
     Complex, Hermitian, with ones on the diagonal.
     """
     found: list[Array] = []
-    left = leftover(lines, residuals)
+    left = leftover(lines, residuals, leverages(residuals))
     white = [r.E / np.sqrt(power) for r, power in zip(residuals, powers, strict=True)]
     for each in lines:
         mine = [r for r, other in enumerate(lines) if other.kind == each.kind]
