@@ -110,3 +110,13 @@ def with_holes(record: Record):
     y[20:40, 1] = np.nan
     y[60:65] = np.nan
     return replace(record, y=y)
+
+
+NOISE = {"ay": 0.05, "p": 0.01, "phi": 0.01}
+
+
+def campaign(seed=None, count=3):
+    """Records of the loop, with measurement noise of that seed."""
+    clean = [flown(seed=k) for k in range(count)]
+    rng = np.random.default_rng([seed or 0, 3])
+    return clean if seed is None else [record.with_noise(NOISE, rng) for record in clean]

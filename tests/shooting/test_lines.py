@@ -1,0 +1,35 @@
+"""Transforms of whole records."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.closed_roll import TRUTH, campaign
+
+from casid import Record, output_error
+from casid.shooting.lines import transformed
+
+CLEAN = campaign()
+
+
+def test_a_record_that_is_not_sampled_evenly_is_refused():
+    t = CLEAN[0].t + 0.005 * np.sin(np.arange(600))
+    record = Record(t, CLEAN[0].u, CLEAN[0].y, CLEAN[0].inputs, CLEAN[0].outputs, "uneven")
+    with pytest.raises(ValueError, match="'uneven' is not sampled evenly"):
+        output_error(TRUTH, record, domain="frequency")
+
+
+@pytest.mark.parametrize("N", [600, 599])
+def test_lines_hold_the_power_about_the_mean(N):
+    record = CLEAN[0].take(slice(0, N))
+    (lines,) = transformed([record])
+    power = lines.weight @ np.abs(lines.Y) ** 2
+    np.testing.assert_allclose(power, N * np.var(record.y, axis=0), rtol=1e-12)
+
+
+def test_records_alike_in_length_and_sampling_are_of_one_kind():
+    long = replace(CLEAN[0], t=2 * CLEAN[0].t)
+    records = [long, CLEAN[1], CLEAN[2].take(slice(0, 450)), CLEAN[2].take(slice(0, 200))]
+    kinds = [each.kind for each in transformed(records)]
+    assert kinds[1] == kinds[2]
+    assert len(set(kinds)) == 3

@@ -1,0 +1,46 @@
+"""Residuals on lines: exact for the truth, with the cost's own gradient."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.closed_roll import (
+    NAMES,
+    TRUTH,
+    campaign,
+    with_response,
+)
+
+from casid.model import free_parameters
+from casid.shooting.lines import transformed
+from casid.shooting.spectral import SpectralResiduals
+
+CLEAN = campaign()
+
+
+def residuals(records, values):
+    lines = transformed(records)
+    weights = [np.repeat(each.weight[:, None], each.Y.shape[1], 1) for each in lines]
+    return SpectralResiduals(free_parameters(TRUTH), lines)(values, weights)
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+@pytest.mark.parametrize("N", [600, 599])
+def test_the_truth_leaves_no_residual_on_any_line(hold, N):
+    # An unstable model, a delay between samples, a state at the start and biases: all exact.
+    record = replace(CLEAN[0].take(slice(0, N)), hold=hold)
+    record = with_response(record, TRUTH, np.array([0.3, -0.02, 0.01]), [0.1, 0.2, 0.3])
+    (found,) = residuals([record], TRUTH.vector())
+    assert np.abs(found.E).max() < 1e-11 * np.abs(transformed([record])[0].Y).max()
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_gradient_is_that_of_the_cost_without_transients(hold):
+    records = [replace(record, hold=hold) for record in campaign(0)[:2]]
+    lam, gradient = 1.05 * TRUTH.vector(), np.zeros(len(NAMES))
+    for i, size in enumerate(np.abs(lam)):
+        step = 1e-5 * size * np.eye(len(lam))[i]
+        ahead, behind = (sum(r.cost for r in residuals(records, lam + s)) for s in (step, -step))
+        gradient[i] = (ahead - behind) / (2 * step[i])
+    analytic = sum(each.g for each in residuals(records, lam))
+    np.testing.assert_allclose(analytic, gradient, rtol=1e-5)

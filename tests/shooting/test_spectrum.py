@@ -1,0 +1,32 @@
+"""Spectra of residuals."""
+
+import numpy as np
+from truths.closed_roll import (
+    NOISE,
+    TRUTH,
+    campaign,
+)
+
+from casid import (
+    output_error,
+)
+from casid.shooting.spectrum import smoothed
+
+CLEAN = campaign()
+
+
+def test_spectra_are_those_of_the_noise():
+    found = output_error(TRUTH, campaign(3), domain="frequency").notes.spectra
+    assert [each.records for each in found] == [("record 0", "record 1", "record 2")]
+    power = found[0].power / [NOISE[name] ** 2 for name in TRUTH.outputs]
+    assert np.all((power > 0.5) & (power < 2.0))
+    np.testing.assert_allclose(power[-10:].mean(axis=0), 1.0, atol=0.1)
+
+
+def test_smoothing_keeps_a_flat_spectrum_and_widens_where_lines_are_few():
+    omega = np.arange(1.0, 301.0)
+    power, freedom = np.full(300, 6.0), np.full(300, 2.0)
+    np.testing.assert_allclose(smoothed(omega, power, freedom, omega), 3.0)
+    power = np.where(omega > 100, 8.0, 2.0)
+    found = smoothed(omega, power, freedom, np.array([1.0, 60.0, 150.0]))
+    np.testing.assert_allclose(found, [1.0, 1.0, 4.0])
