@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic
+from typing import Any, Generic, cast
 
 from casid.consistency.flights import repeats
 from casid.consistency.kinematics import KinematicCheck
@@ -12,10 +12,10 @@ from casid.fit import Fit, M_co
 from casid.frequency.estimation import FrequencyResponse
 from casid.matching.appraisal import MatchNotes
 from casid.model import Bounds, M
-from casid.record import Record
+from casid.record import Record, several
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.listing import STAGES
-from casid.stages.stage import Role, Stage, Task, check_task, run_stages, several
+from casid.stages.stage import Role, Stage, Task, check_task, run_stages
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread
 from casid.validation import Validation
@@ -36,14 +36,12 @@ class Identification(Generic[M_co]):
     @property
     def kinematics(self) -> KinematicCheck:
         """Whether the channels of the records agree with each other."""
-        found: KinematicCheck = self.results["kinematics"]
-        return found
+        return cast("KinematicCheck", self.results["kinematics"])
 
     @property
     def black_box(self) -> BlackBox:
         """What the structure was matched to."""
-        found: BlackBox = self.results["pbsid"]
-        return found
+        return cast("BlackBox", self.results["pbsid"])
 
     @property
     def frequency_response(self) -> FrequencyResponse | None:
@@ -53,20 +51,17 @@ class Identification(Generic[M_co]):
     @property
     def quadratic(self) -> Fit[M_co, MatchNotes]:
         """The match in the quadratic norm."""
-        found: Fit[M_co, MatchNotes] = self.results["quadratic"]
-        return found
+        return cast("Fit[M_co, MatchNotes]", self.results["quadratic"])
 
     @property
     def hinf(self) -> Fit[M_co, MatchNotes]:
         """The match in the H-infinity norm."""
-        found: Fit[M_co, MatchNotes] = self.results["hinf"]
-        return found
+        return cast("Fit[M_co, MatchNotes]", self.results["hinf"])
 
     @property
     def output_error(self) -> Fit[M_co, OutputErrorNotes]:
         """The refined structure."""
-        found: Fit[M_co, OutputErrorNotes] = self.results["output_error"]
-        return found
+        return cast("Fit[M_co, OutputErrorNotes]", self.results["output_error"])
 
     @property
     def validation(self) -> Validation | None:

@@ -1,6 +1,7 @@
 """Values that show themselves: a line in a console, a table in a notebook, a figure on demand."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
@@ -45,7 +46,7 @@ def _drawn_above(name: str) -> Any:  # noqa: ANN401
     return import_module(f"casid.report.{name}")
 
 
-def listed(names: tuple[str, ...], most: int = 6) -> str:
-    """Names in a line, the first six and how many more."""
+def listed(names: Sequence[str], most: int = 6) -> str:
+    """Names in a line, the first ``most`` and how many more."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more

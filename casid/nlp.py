@@ -17,34 +17,22 @@ from casid.arrays import Array
 
 LOG = logging.getLogger("casid")
 
-STATUS = {  # IPOPT's word: (whether the iterate is a solution, what it means and what to do)
-    "Solve_Succeeded": (True, "solved"),
-    "Solved_To_Acceptable_Level": (True, "solved to IPOPT's acceptable level"),
-    "Maximum_Iterations_Exceeded": (
-        False,
-        "iteration limit reached; raise max_iterations or start nearer",
-    ),
-    "Maximum_CpuTime_Exceeded": (False, "time limit reached; raise max_seconds"),
-    "Maximum_WallTime_Exceeded": (False, "time limit reached; raise max_seconds"),
-    "Infeasible_Problem_Detected": (
-        False,
-        "no point satisfies the constraints near here; relax ties or bounds",
-    ),
-    "Restoration_Failed": (
-        False,
-        "no feasible step found; start nearer, or check the scale of the parameters",
-    ),
-    "Search_Direction_Becomes_Too_Small": (
-        False,
-        "no further progress at this precision; loosen tolerance",
-    ),
-    "Diverging_Iterates": (False, "the iterates diverge; bound the parameters"),
-    "Invalid_Number_Detected": (
-        False,
-        "the model gave NaN or infinity; check its formulas at the bounds",
-    ),
-    "User_Requested_Stop": (False, "stopped by the caller"),
-    "NonIpopt_Exception_Thrown": (False, "evaluating the model failed; see the log"),
+SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+STATUS = {  # IPOPT's word, what it means and what to do
+    "Solve_Succeeded": "solved",
+    "Solved_To_Acceptable_Level": "solved to IPOPT's acceptable level",
+    "Maximum_Iterations_Exceeded": "iteration limit reached; raise max_iterations or start nearer",
+    "Maximum_CpuTime_Exceeded": "time limit reached; raise max_seconds",
+    "Maximum_WallTime_Exceeded": "time limit reached; raise max_seconds",
+    "Infeasible_Problem_Detected": "no point satisfies the constraints near here; relax ties or "
+    "bounds",
+    "Restoration_Failed": "no feasible step found; start nearer, or check the scale of the "
+    "parameters",
+    "Search_Direction_Becomes_Too_Small": "no further progress at this precision; loosen tolerance",
+    "Diverging_Iterates": "the iterates diverge; bound the parameters",
+    "Invalid_Number_Detected": "the model gave NaN or infinity; check its formulas at the bounds",
+    "User_Requested_Stop": "stopped by the caller",
+    "NonIpopt_Exception_Thrown": "evaluating the model failed; see the log",
 }
 
 
@@ -165,7 +153,7 @@ def solve(
         found = solver(**arguments)
     stats = solver.stats()
     word = "Maximum_WallTime_Exceeded" if watcher.late else stats["return_status"]
-    success, meaning = STATUS.get(word, (False, str(word)))
+    meaning = STATUS.get(word, str(word))
     seconds = time.perf_counter() - start
     x, g = found["x"].full().ravel(), found["g"].full().ravel()
     LOG.info("%s: %s, %d iterations, cost %.6g, %.2f s", stage, meaning, stats["iter_count"],
@@ -177,8 +165,8 @@ def solve(
         g=g,
         multipliers_x=found["lam_x"].full().ravel(),
         multipliers_g=found["lam_g"].full().ravel(),
-        success=success and finite,
-        status=meaning if finite else STATUS["Invalid_Number_Detected"][1],
+        success=word in SOLVED and finite,
+        status=meaning if finite else STATUS["Invalid_Number_Detected"],
         iterations=int(stats["iter_count"]),
         seconds=seconds,
     )
@@ -263,22 +251,10 @@ class _Watcher(ca.Callback):
     def get_n_out(self) -> int:
         return 1
 
-    def get_name_in(self, i: int) -> str:
-        return ca.nlpsol_out(i)
-
-    def get_name_out(self, _: int) -> str:
-        return "stop"
-
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        name = ca.nlpsol_out(i)
-        n, m = self._sizes
-        if name == "f":
-            return ca.Sparsity.dense(1)
-        if name in ("x", "lam_x"):
-            return ca.Sparsity.dense(n)
-        if name in ("g", "lam_g"):
-            return ca.Sparsity.dense(m)
-        return ca.Sparsity(0, 0)
+        name, (n, m) = ca.nlpsol_out(i), self._sizes
+        sizes = {"f": 1, "x": n, "lam_x": n, "g": m, "lam_g": m}
+        return ca.Sparsity.dense(sizes[name]) if name in sizes else ca.Sparsity(0, 0)
 
     def eval(self, arguments: Any) -> list[int]:  # noqa: ANN401 - CasADi's own
         seconds = time.perf_counter() - self._start

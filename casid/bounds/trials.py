@@ -145,18 +145,11 @@ def work(job: Trial, start: Any) -> AnyFit:  # noqa: ANN401 - JSON is any
 def _own(fit: AnyFit, cls: type[Model], sizes: Array) -> AnyFit:
     """The fit with the user's class, and the case's relations in their own units."""
     own = len(fit.constraints) - len(sizes)
-    relations = tuple(
-        replace(
-            row,
-            value=row.value * size,
-            lower=row.lower * size,
-            upper=row.upper * size,
-            multiplier=row.multiplier / size,
-        )
-        for row, size in zip(fit.constraints[own:], sizes.tolist(), strict=True)
-    )
-    constraints = fit.constraints[:own] + relations
-    return replace(fit, model=plain(fit.model, cls), constraints=constraints)
+    constraints = list(fit.constraints[:own])
+    for row, size in zip(fit.constraints[own:], sizes.tolist(), strict=True):
+        scaled = {name: getattr(row, name) * size for name in ("value", "lower", "upper")}
+        constraints.append(replace(row, **scaled, multiplier=row.multiplier / size))
+    return replace(fit, model=plain(fit.model, cls), constraints=tuple(constraints))
 
 
 def in_words(name: str) -> str:

@@ -21,6 +21,7 @@ from casid.report.words import prior
 from casid.stages.listing import STAGES, in_tables, in_words
 from casid.structure.modelfile import load_model
 from casid.structure.overview import describe
+from casid.studies.keeping import Watch
 from casid.studies.runner import Outcome, run_study
 from casid.studies.study import Study, read_records
 from casid.studies.studyfile import read_study
@@ -137,7 +138,7 @@ def check(what: str, flights: tuple[str, ...], fixed: tuple[str, ...], verbose: 
             console.print(text, no_wrap=True, overflow="ignore", crop=False)
 
 
-class Monitor:
+class Monitor(Watch):
     """Shows the stage that runs (iteration, cost, seconds) and a line for each that has ended."""
 
     def __init__(self, console: Console) -> None:

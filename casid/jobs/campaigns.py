@@ -16,7 +16,7 @@ from typing import Any
 
 from casid.errors import DataWarning
 from casid.jobs.store import Done, Store
-from casid.jobs.workers import OtherExecutor, OwnProcesses, SameProcess, Workers, processors
+from casid.jobs.workers import OtherExecutor, OwnProcesses, Workers, processors
 from casid.values import decode, encode
 
 LOG = logging.getLogger("casid")
@@ -110,7 +110,7 @@ def run_jobs(
     if missing and execution.executor is not None:
         campaign.run(OtherExecutor(execution.executor))
     elif missing and (here or len(jobs) <= FEW):
-        campaign.run(SameProcess())
+        campaign.run(Workers())
     elif missing:
         with OwnProcesses(min(processors(), missing)) as pool:
             campaign.run(pool)
@@ -131,7 +131,7 @@ class _Campaign:
         self.begin = time.perf_counter()
         self.attempts: dict[str, int] = {}
 
-    def run(self, workers: "Workers") -> None:
+    def run(self, workers: Workers) -> None:
         """Until every job is done."""
         running: dict[futures.Future[Done], Job] = {}
         while True:
@@ -174,7 +174,7 @@ class _Campaign:
         done = future.result()
         return replace(done, result=decode(done.result, self.store.also))
 
-    def _died(self, running: dict[futures.Future[Done], Job], workers: "Workers") -> None:
+    def _died(self, running: dict[futures.Future[Done], Job], workers: Workers) -> None:
         """A process died; which job killed it shows when they are tried again, one at a time."""
         suspects = list(running.values())
         running.clear()

@@ -9,7 +9,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from concurrent.futures import ProcessPoolExecutor as Pool
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
-from typing import Any, Protocol
+from typing import Any
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -21,27 +21,10 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-class Workers(Protocol):
-    """An executor of jobs."""
+class Workers:
+    """Where jobs run: here in this process, one at a time."""
 
-    @property
-    def slots(self) -> int:
-        """How many to hand over at once."""
-        ...
-
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":  # noqa: ANN401
-        """Hand over one."""
-        ...
-
-    def renew(self) -> bool:
-        """Replace processes that died; whether that is possible."""
-        ...
-
-
-class SameProcess:
-    """In this process, one job at a time."""
-
-    slots = 1
+    slots = 1  # how many to hand over at once
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":  # noqa: ANN401
         """Hand over one."""
@@ -51,10 +34,10 @@ class SameProcess:
 
     def renew(self) -> bool:
         """Replace processes that died; whether that is possible."""
-        return True
+        return False
 
 
-class OtherExecutor:
+class OtherExecutor(Workers):
     """The user's executor; as many jobs as there are."""
 
     slots = sys.maxsize
@@ -71,12 +54,8 @@ class OtherExecutor:
             future.set_exception(error)
             return future
 
-    def renew(self) -> bool:
-        """Replace processes that died; whether that is possible."""
-        return False
 
-
-class OwnProcesses:
+class OwnProcesses(Workers):
     """Processes of our own; new ones when one has died."""
 
     def __init__(self, count: int) -> None:

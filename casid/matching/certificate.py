@@ -23,23 +23,21 @@ LIMIT = 200_000  # intervals examined before the bound is returned as it stands
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Band:
-    """What is known of the error of a model over a band.
+    """What is known of the error of a model over a band."""
 
-    Parameters
-    ----------
-    lower, upper : float
-        Bounds of the largest singular value over the band.
-    peak_omega : float
-        Where ``lower`` was found [rad/s].
-    omega, sigma : (M,), (M, r) array
-        Frequencies examined, increasing, and the singular values there.
-    """
+    upper: float  # bound of the largest singular value over the band
+    omega: Array  # (M,) frequencies examined [rad/s], increasing
+    sigma: Array  # (M, r) singular values there
 
-    lower: float
-    upper: float
-    peak_omega: float
-    omega: Array
-    sigma: Array
+    @property
+    def lower(self) -> float:
+        """The largest singular value found."""
+        return float(self.sigma[:, 0].max())
+
+    @property
+    def peak_omega(self) -> float:
+        """Where that is [rad/s]."""
+        return float(self.omega[np.argmax(self.sigma[:, 0])])
 
 
 def band_norm(
@@ -61,9 +59,7 @@ def band_norm(
     omega = source.omega
     sigma = np.linalg.svd(source.error(system), compute_uv=False)
     if source.system is None or len(omega) == 1:
-        best = int(np.argmax(sigma[:, 0]))
-        top = float(sigma[best, 0])
-        return Band(lower=top, upper=top, peak_omega=float(omega[best]), omega=omega, sigma=sigma)
+        return Band(upper=float(sigma[:, 0].max()), omega=omega, sigma=sigma)
     seen, values = [omega], [sigma]
     edges = np.unique(np.concatenate([omega, _inside(source.nodes, omega)]))
     left, right = edges[:-1], edges[1:]
@@ -85,15 +81,8 @@ def band_norm(
         pending = float(bound[open_].max(initial=0.0))
     omega, sigma = np.concatenate(seen), np.concatenate(values)
     order = np.argsort(omega)
-    omega, sigma = omega[order], sigma[order]
-    best = int(np.argmax(sigma[:, 0]))
-    return Band(
-        lower=float(sigma[best, 0]),
-        upper=max(closed, pending, float(sigma[best, 0])),
-        peak_omega=float(omega[best]),
-        omega=omega,
-        sigma=sigma,
-    )
+    upper = max(closed, pending, float(sigma[:, 0].max()))
+    return Band(upper=upper, omega=omega[order], sigma=sigma[order])
 
 
 def peaks(band: Band, above: float, spacing: float) -> Array:

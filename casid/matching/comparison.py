@@ -19,32 +19,16 @@ SURPRISE = 0.01  # of the response: its mean square error, and one deviation fro
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Source:
-    """One target in the model's channels.
+    """One target in the model's channels."""
 
-    Parameters
-    ----------
-    name : str
-        What tables call it.
-    omega : (K,) array
-        Frequencies [rad/s], increasing.
-    shift : float
-        σ of the line s = σ + jω [1/s].
-    G, W : (K, ny, nu) array
-        Response, zero where there is none, and weight of every entry of the error.
-    system : StateSpace or None
-        The black box, which exists between the frequencies too.
-    nodes, node_weights : (M,), (M, ny, nu) array
-        The weight as given; in between it is linear in ω.
-    """
-
-    name: str
-    omega: Array
-    shift: float
-    G: ComplexArray
-    W: Array
-    system: StateSpace | None
-    nodes: Array
-    node_weights: Array
+    name: str  # what tables call it
+    omega: Array  # (K,) frequencies [rad/s], increasing
+    shift: float  # σ of the line s = σ + jω [1/s]
+    G: ComplexArray  # (K, ny, nu) response, zero where there is none
+    W: Array  # (K, ny, nu) weight of every entry of the error
+    system: StateSpace | None  # the black box, which exists between the frequencies too
+    nodes: Array  # (M,) frequencies of the weight as given; in between it is linear in ω
+    node_weights: Array  # (M, ny, nu) that weight
 
     @classmethod
     def measured(cls, omega: Array, G: ComplexArray, W: Array) -> "Source":

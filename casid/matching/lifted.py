@@ -48,24 +48,12 @@ FAR: dict[str, float | str] = {"mu_init": 1e-2, "bound_mult_init_method": "mu-ba
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Optimum:
-    """Where a programme ended.
+    """Where a programme ended, by IPOPT's word and with its effort."""
 
-    Parameters
-    ----------
-    values : (nf,) array
-        Free parameters in physical units, on or inside their bounds.
-    multipliers, prices : (nf,), (nc,) array
-        Derivatives of the cost by the bounds' and by the constraints' positions.
-    cost : float
-        What the programme minimised: the mean square, or t and a share of it.
-    success, status, iterations : bool, str, int
-        IPOPT's word and effort.
-    """
-
-    values: Array
-    multipliers: Array
-    prices: Array
-    cost: float
+    values: Array  # (nf,) free parameters in physical units, on or inside their bounds
+    multipliers: Array  # (nf,) derivatives of the cost by the bounds' positions
+    prices: Array  # (nc,) the same by the constraints' positions
+    cost: float  # what was minimised: the mean square, or t and a share of it
     success: bool
     status: str
     iterations: int
@@ -73,27 +61,13 @@ class Optimum:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Lifted:
-    """One programme and how to read its vector.
+    """One programme and how to read its vector."""
 
-    Parameters
-    ----------
-    problem : Problem
-        For `casid.nlp.solve`.
-    free : Free
-        Which parameters its first variables are, each over its scale.
-    norm : {"quadratic", "hinf", "decibel"}
-        What it minimises, in units of ``unit`` squared.
-    unit : float
-        Unit of the weighted error.
-    ties : slice
-        Where the structure's own constraints are among the programme's.
-    """
-
-    problem: Problem
-    free: Free
-    norm: str
-    unit: float
-    ties: slice
+    problem: Problem  # for `casid.nlp.solve`
+    free: Free  # which parameters its first variables are, each over its scale
+    norm: str  # what it minimises in units of ``unit`` squared: quadratic, hinf, decibel
+    unit: float  # of the weighted error
+    ties: slice  # where the structure's own constraints are among the programme's
 
     def parameters(self, x: Array) -> Array:
         """Free parameters (nf,) in physical units, on or inside their bounds."""

@@ -78,9 +78,11 @@ class Section:
     cautions: tuple[Caution, ...] = ()  # for the box on top
 
 
-def template(name: str) -> str:
-    """Text of one of the package's own templates."""
-    return (TEMPLATES / f"{name}.html.j2").read_text(encoding="utf-8")
+def section(name: str, title: str, place: int, found: Any = None, **more: Any) -> Section:  # noqa: ANN401
+    """A section by the package's own template of its name, which knows a result as ``found``."""
+    text = (TEMPLATES / f"{name}.html.j2").read_text(encoding="utf-8")
+    values = {"found": found} | more.pop("values", {})
+    return Section(name=name, title=title, place=place, template=text, values=values, **more)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

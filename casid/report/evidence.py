@@ -8,6 +8,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.baseline.accuracy import DerividNotes
 from casid.consistency.flightpath import noise
+from casid.display import listed
 from casid.eigenmodes import modes
 from casid.fit import AnyFit
 from casid.record import Record
@@ -48,7 +49,7 @@ def disagreement(validation: Validation) -> Iterator[Caution]:
     if said:
         yield Caution(
             "Structure and data disagree: the black box predicts the validation records better, "
-            f"{_names([text for _, text in sorted(said, reverse=True)])}. "
+            f"{listed([text for _, text in sorted(said, reverse=True)], NAMED)}. "
             "Parameters make up for what the structure lacks; try a richer one.",
             5,
         )
@@ -75,7 +76,7 @@ def differences(content: Content) -> Iterator[Caution]:
             yield Caution(
                 f"{one.capitalize()} and {other} differ by more than their errors allow on "
                 f"{len(apart)} of {len(common)} parameters ({opposite} of opposite sign): "
-                f"{_names([f'{name} {apart[name]:.0f}σ' for name in worst])}. Errors do not cover "
+                f"{listed([f'{name} {apart[name]:.0f}σ' for name in worst], NAMED)}. Errors do not cover "
                 "what the structure lacks: neither value is known to its standard error.",
                 8,
             )
@@ -121,11 +122,6 @@ def few(fit: AnyFit, content: Content) -> Iterator[Caution]:
         told = [f"{name} ({length:.0f} s)" for name, length in slow.items()]
         yield Caution(
             f"Few data: no record of the estimation ({longest:.0f} s at most) is as long as one "
-            f"period of {_names(told)}; what these modes rest on is poorly known.",
+            f"period of {listed(told, NAMED)}; what these modes rest on is poorly known.",
             14,
         )
-
-
-def _names(said: Sequence[str]) -> str:
-    more = f" and {len(said) - NAMED} more" if len(said) > NAMED else ""
-    return ", ".join(said[:NAMED]) + more

@@ -1,10 +1,11 @@
 """What a reader should know first: a verdict per output, and what to be careful about."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from casid.display import listed
 from casid.fit import AnyFit
 from casid.report.content import OUTPUT_ERROR, Caution, Content
 from casid.report.evidence import noise_levels
@@ -100,7 +101,7 @@ def on_bounds(fit: AnyFit) -> Iterator[Caution]:
     if active := [row.name for row in fit.parameters if row.active]:
         count = _count(len(active), "parameter lies", "parameters lie")
         yield Caution(
-            f"{count} on a bound: {_names(active)}. The data ask for a value beyond it: look at "
+            f"{count} on a bound: {listed(active, NAMED)}. The data ask for a value beyond it: look at "
             "the price in the table, then at the bound.",
             10,
         )
@@ -121,16 +122,10 @@ def uncertain(fit: AnyFit) -> Iterator[Caution]:
         count = _count(len(unsure), "parameter is", "parameters is")
         yield Caution(
             f"The sign of {count} not determined (standard error above the value): "
-            f"{_names(unsure)}.",
+            f"{listed(unsure, NAMED)}.",
             45,
         )
 
 
 def _count(n: int, one: str, many: str) -> str:
     return f"{n} {one if n == 1 else many}"
-
-
-def _names(names: Collection[str]) -> str:
-    named = list(names)
-    more = f" and {len(named) - NAMED} more" if len(named) > NAMED else ""
-    return ", ".join(named[:NAMED]) + more

@@ -7,7 +7,7 @@ from casid.baseline.accuracy import DerividNotes
 from casid.baseline.derivid import Derivid
 from casid.fit import Fit
 from casid.report.content import BASELINE as LABEL
-from casid.report.content import Content, Section, template
+from casid.report.content import Content, Section, section
 from casid.report.evidence import misfit
 from casid.report.verdicts import unsolved
 from casid.stages.stage import Stage, Task
@@ -19,14 +19,8 @@ def _run(settings: Derivid, task: Task) -> Fit[Any, DerividNotes]:
 
 
 def _show(found: Fit[Any, DerividNotes], content: Content) -> Iterable[Section]:  # noqa: ARG001
-    yield Section(
-        name="baseline",
-        title="Frequency-domain fit",
-        place=20,
-        template=template("baseline"),
-        values={"found": found},
-        cautions=(*unsolved(found), *misfit(found)),
-    )
+    said = (*unsolved(found), *misfit(found))
+    yield section("baseline", "Frequency-domain fit", 20, found, cautions=said)
 
 
 BASELINE = Stage(

@@ -2,8 +2,9 @@
 
 from collections.abc import Iterable
 from functools import partial
+from typing import Any
 
-from casid.report.content import Caution, Content, Section, template
+from casid.report.content import Caution, Content, Section, section
 from casid.report.drawings import draw_singular_values
 from casid.stages.stage import Stage, Task
 from casid.subspace.pbsid import BlackBox, Pbsid
@@ -15,17 +16,10 @@ def _run(settings: Pbsid, task: Task) -> BlackBox:
 
 def _show(found: BlackBox, content: Content) -> Iterable[Section]:  # noqa: ARG001
     order, names = len(found.system.A), ", ".join(found.records)
-    yield Section(
-        name="black_box",
-        title="Black box",
-        place=95,
-        template=template("black_box"),
-        values={"found": found},
-        draw=partial(draw_singular_values, found),
-        lead=f"A black box of order {order} was identified from {len(found.records)} records "
-        f"({names}).",
-        cautions=tuple(Caution(text, 30) for text in found.doubts()),
-    )
+    told = f"A black box of order {order} was identified from {len(found.records)} records"
+    said, draw = tuple(Caution(text, 30) for text in found.doubts()), draw_singular_values
+    more: Any = {"draw": partial(draw, found), "lead": f"{told} ({names}).", "cautions": said}
+    yield section("black_box", "Black box", 95, found, **more)
 
 
 BLACK_BOX = Stage(

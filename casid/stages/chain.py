@@ -10,13 +10,13 @@ from typing import Any
 
 from casid.fit import AnyFit, Fit
 from casid.model import Bounds, M
-from casid.record import Record
+from casid.record import Record, several
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.black_box import BLACK_BOX
 from casid.stages.matching import HINF, QUADRATIC
 from casid.stages.refinement import OUTPUT_ERROR
 from casid.stages.spectra import FREQUENCY
-from casid.stages.stage import Role, Stage, Task, run_stages, several
+from casid.stages.stage import Role, Stage, Task, run_stages
 from casid.subspace.pbsid import BlackBox
 
 CHAIN: tuple[Stage, ...] = (BLACK_BOX, FREQUENCY, QUADRATIC, HINF, OUTPUT_ERROR)

@@ -11,7 +11,7 @@ from casid.bounds.compare import BoundsComparison, compare_bounds
 from casid.estimator import Estimator
 from casid.files import write_text
 from casid.fit import AnyFit
-from casid.report.content import Content, Section, template
+from casid.report.content import Content, Section, section
 from casid.report.drawings import draw_bounds
 from casid.stages.chain import CHAIN, Chain
 from casid.stages.stage import Stage, Task, lacking, records_of, runnable
@@ -93,14 +93,7 @@ def _estimation(settings: Cases, task: Task) -> tuple[Estimator, Any, AnyFit]:
 
 
 def _show(found: BoundsComparison, content: Content) -> Iterable[Section]:  # noqa: ARG001
-    yield Section(
-        name="bounds",
-        title="Comparison of bounds",
-        place=30,
-        template=template("bounds"),
-        values={"found": found},
-        draw=partial(draw_bounds, found),
-    )
+    yield section("bounds", "Comparison of bounds", 30, found, draw=partial(draw_bounds, found))
 
 
 COMPARISON = Stage(

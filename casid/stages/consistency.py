@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
-from casid.report.content import Caution, Content, Section, template
+from casid.report.content import Caution, Content, Section, section
 from casid.stages.stage import Stage, Task
 
 LOG = logging.getLogger("casid")
@@ -19,14 +19,8 @@ def _run(settings: Any, task: Task) -> KinematicCheck:  # noqa: ANN401, ARG001 -
 
 
 def _show(found: KinematicCheck, content: Content) -> Iterable[Section]:  # noqa: ARG001
-    yield Section(
-        name="kinematics",
-        title="Kinematic consistency of the data",
-        place=97,
-        template=template("kinematics"),
-        values={"found": found},
-        cautions=tuple(Caution(f"Kinematics: {remark}.", 25) for remark in found.remarks),
-    )
+    said = tuple(Caution(f"Kinematics: {remark}.", 25) for remark in found.remarks)
+    yield section("kinematics", "Kinematic consistency of the data", 97, found, cautions=said)
 
 
 KINEMATICS = Stage(

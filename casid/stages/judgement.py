@@ -6,7 +6,7 @@ from typing import Any
 
 from casid.eigenmodes import modes
 from casid.report import drawings
-from casid.report.content import Caution, Content, Section, template
+from casid.report.content import Caution, Content, Section, section
 from casid.report.evidence import differences, disagreement
 from casid.report.verdicts import verdicts
 from casid.stages.stage import Stage, Task
@@ -27,54 +27,24 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
     said += [Caution(each.caution, 20) for each in poor]
     if found.predicted:
         said.append(Caution(f"Validation records: {found.predicted}", 21))
-    yield Section(
-        name="verdicts",
-        title="Verdicts",
-        place=5,
-        template=template("verdicts"),
-        values={"found": found, "verdicts": judged},
-        lead=f"It was judged on records that {new} ({names}).",
-        cautions=tuple(said),
-    )
+    lead = f"It was judged on records that {new} ({names})."
+    more: Any = {"values": {"verdicts": judged}, "lead": lead, "cautions": tuple(said)}
+    yield section("verdicts", "Verdicts", 5, found, **more)
     yield from _compared(found, content)
 
 
 def _compared(found: Validation, content: Content) -> Iterable[Section]:
     """All models side by side: modes, responses, time histories, errors, residuals."""
-    yield Section(
-        name="modes",
-        title="Modes",
-        place=40,
-        template=template("modes"),
-        values={"modes": {name: modes(fit.model.system()) for name, fit in content.fits.items()}},
-        draw=partial(drawings.draw_poles, content),
-    )
-    yield Section(
-        name="responses",
-        title="Frequency responses",
-        place=50,
-        template=template("responses"),
-        draw=partial(drawings.draw_responses, content),
-    )
-    yield Section(
-        name="histories",
-        title="Time histories of the validation records",
-        place=60,
-        template="{{ figures() }}",
-        draw=partial(drawings.draw_histories, found, content.units),
-    )
+    values = {"modes": {name: modes(fit.model.system()) for name, fit in content.fits.items()}}
+    histories = partial(drawings.draw_histories, found, content.units)
     for name, title, place, draw in (
-        ("rms", "RMS errors", 70, drawings.draw_rms),
-        ("whiteness", "Residuals", 80, drawings.draw_whiteness),
+        ("modes", "Modes", 40, partial(drawings.draw_poles, content)),
+        ("responses", "Frequency responses", 50, partial(drawings.draw_responses, content)),
+        ("histories", "Time histories of the validation records", 60, histories),
+        ("rms", "RMS errors", 70, partial(drawings.draw_rms, found)),
+        ("whiteness", "Residuals", 80, partial(drawings.draw_whiteness, found)),
     ):
-        yield Section(
-            name=name,
-            title=title,
-            place=place,
-            template=template(name),
-            values={"found": found},
-            draw=partial(draw, found),
-        )
+        yield section(name, title, place, found, values=values, draw=draw)
 
 
 VALIDATION = Stage(

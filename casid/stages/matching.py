@@ -9,7 +9,7 @@ from casid.fit import Certificate, Fit
 from casid.matching.appraisal import MatchNotes
 from casid.matching.match import Match
 from casid.matching.targets import Target
-from casid.report.content import MATCH, Caution, Content, Section, template
+from casid.report.content import MATCH, Caution, Content, Section, section
 from casid.report.drawings import draw_match_error
 from casid.report.verdicts import unsolved
 from casid.report.words import number
@@ -64,16 +64,10 @@ def _show(found: Fit[Any, MatchNotes], content: Content) -> Iterable[Section]:  
     if certificate is not None:
         low, high = (number(edge, 3) for edge in certificate.band)
         band = f" between {low} and {high} rad/s"
-    yield Section(
-        name="certificate",
-        title="Match and certificate",
-        place=90,
-        template=template("match"),
-        values={"found": found},
-        draw=partial(draw_match_error, found),
-        lead=f"The structure was matched to it in the H∞ norm{band}.",
-        cautions=(*unsolved(found), *_loose(certificate)),
-    )
+    said, draw = (*unsolved(found), *_loose(certificate)), partial(draw_match_error, found)
+    lead = f"The structure was matched to it in the H∞ norm{band}."
+    title = "Match and certificate"
+    yield section("certificate", title, 90, found, draw=draw, lead=lead, cautions=said)
 
 
 def _loose(certificate: Certificate | None) -> Iterator[Caution]:

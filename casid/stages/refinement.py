@@ -7,7 +7,7 @@ from typing import Any
 from casid.fit import Fit
 from casid.record import Record
 from casid.report.content import OUTPUT_ERROR as LABEL
-from casid.report.content import Content, Section, template
+from casid.report.content import Content, Section, section
 from casid.report.evidence import few
 from casid.report.verdicts import on_bounds, uncertain, unsolved
 from casid.shooting.output_error import OutputError
@@ -27,20 +27,13 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
     model, infos = found.model, type(found.model).infos()
     plain = (f.name for f in fields(model) if f.name not in infos)
     values = {
-        "found": found,
         "others": {name: fit for name, fit in content.fits.items() if name != LABEL},
         "trim": {name: getattr(model, name) for name in plain},
     }
     free = len(found.free_names) or len(found.parameters)
-    yield Section(
-        name="parameters",
-        title="Parameters",
-        place=10,
-        template=template("parameters"),
-        values=values,
-        lead=f"Its {free} free parameters were refined by output error.",
-        cautions=(*unsolved(found), *on_bounds(found), *few(found, content), *uncertain(found)),
-    )
+    lead = f"Its {free} free parameters were refined by output error."
+    said = (*unsolved(found), *on_bounds(found), *few(found, content), *uncertain(found))
+    yield section("parameters", "Parameters", 10, found, values=values, lead=lead, cautions=said)
 
 
 OUTPUT_ERROR = Stage(

@@ -172,11 +172,6 @@ def run_stages(
     return Found(results=results, models=models, failures=failures)
 
 
-def several(records: Record | Sequence[Record]) -> tuple[Record, ...]:
-    """Records, whether one or several were given."""
-    return (records,) if isinstance(records, Record) else tuple(records)
-
-
 def records_of(stage: Stage, roles: Mapping[Role, Sequence[Record]]) -> tuple[Record, ...]:
     """Records of the first of a stage's roles that has any."""
     return next((tuple(roles[role]) for role in stage.role if roles.get(role)), ())

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from casid.errors import ConvergenceError, DataWarning
 from casid.fit import Fit
@@ -30,8 +30,8 @@ STALE = (
 PACKAGE = Path(__file__).parents[1]
 
 
-class Watch(Protocol):
-    """Who is told how a study goes on."""
+class Watch:
+    """Who is told how a study goes on; this one is told in vain."""
 
     def begin(self, stage: str) -> None:
         """Note that a stage begins."""
@@ -41,19 +41,6 @@ class Watch(Protocol):
 
     def end(self, timing: Timing) -> None:
         """Note that a stage has ended."""
-
-
-class Silent:
-    """Tells nobody."""
-
-    def begin(self, stage: str) -> None:
-        """Do nothing."""
-
-    def progress(self, progress: Progress) -> None:
-        """Do nothing."""
-
-    def end(self, timing: Timing) -> None:
-        """Do nothing."""
 
 
 class Keeper:

@@ -20,7 +20,7 @@ from casid.report.verdicts import Verdict, verdicts
 from casid.stages.listing import sections
 from casid.stages.stage import Role, run_stages
 from casid.studies.contents import content
-from casid.studies.keeping import Keeper, Silent, Watch
+from casid.studies.keeping import Keeper, Watch
 from casid.studies.study import Study, read_flights
 from casid.tabulation import csv_text
 from casid.threads import one_thread
@@ -92,7 +92,7 @@ def run_study(
         Bad input; a stage that did not converge: its best iterate and all stages before it are
         kept. If it is an optional one, on which nothing rests, all else is done first.
     """
-    watch = watch or Silent()
+    watch = watch or Watch()
     started = time.perf_counter()
     watch.begin("records")
     records, again = read_flights(study)

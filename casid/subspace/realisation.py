@@ -22,27 +22,15 @@ class Subspace:
 
 @dataclass(frozen=True, eq=False)
 class Regressed:
-    """The predictor of gathered columns, from which models of any order follow.
+    """The predictor of gathered columns, from which models of any order follow."""
 
-    Parameters
-    ----------
-    stack : Stack
-        Columns of the channels divided by ``su`` (nu,) and ``sy`` (ny,).
-    a : float
-        Laguerre pole of the projections [rad/s]; NaN for samples ``dt`` [s] apart.
-    mask : (ny, nu) bool array
-        Where a direct term is free.
-    predicted : Future
-        What the predictor says of the future.
-    """
-
-    stack: Stack
-    su: Array
-    sy: Array
-    a: float
-    mask: BoolArray
-    dt: float
-    predicted: Future
+    stack: Stack  # columns of the channels divided by su and sy
+    su: Array  # (nu,)
+    sy: Array  # (ny,)
+    a: float  # Laguerre pole of the projections [rad/s]; NaN for samples
+    mask: BoolArray  # (ny, nu) where a direct term is free
+    dt: float  # between samples [s]
+    predicted: Future  # what the predictor says of the future
 
     def model(self, order: int) -> Subspace:
         """Subspace estimate of that order."""

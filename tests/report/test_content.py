@@ -8,7 +8,7 @@ from truths.structures import SECOND, Lag, black_box
 
 from casid import match
 from casid.report import Content
-from casid.report.content import TEMPLATES, template
+from casid.report.content import TEMPLATES, section
 
 
 def test_structured_models_are_told_from_the_others():
@@ -24,7 +24,9 @@ def test_structured_models_are_told_from_the_others():
 
 
 @pytest.mark.parametrize("name", [file.name for file in TEMPLATES.glob("*.html.j2")])
-def test_templates_are_found_by_name_and_parse(name):
-    text = template(name.removesuffix(".html.j2"))
-    assert text == (TEMPLATES / name).read_text(encoding="utf-8")
-    assert jinja2.Environment(autoescape=True).parse(text).body
+def test_a_section_has_the_template_of_its_name_and_knows_its_result(name):
+    made = section(name.removesuffix(".html.j2"), "Title", 7, 3, values={"more": 4}, lead="Lead.")
+    assert made.template == (TEMPLATES / name).read_text(encoding="utf-8")
+    assert jinja2.Environment(autoescape=True).parse(made.template).body
+    assert (made.title, made.place, made.lead) == ("Title", 7, "Lead.")
+    assert made.values == {"found": 3, "more": 4}

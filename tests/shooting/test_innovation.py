@@ -8,6 +8,7 @@ import scipy.linalg
 from truths.closed_roll import TRUTH, flown
 from truths.systems import known_black_box
 
+from casid.exchange.objects import without_delay
 from casid.model import free_parameters
 from casid.shooting.innovation import NOISE_SHARE, black_box_gain, kalman_gain, starting_gain
 from casid.shooting.starting import SURPRISE
@@ -38,6 +39,16 @@ def test_the_gain_of_a_black_box_is_turned_into_the_models_states():
                      delay=np.zeros(2))  # fmt: skip
     box = replace(known_black_box(turned), K=inverse @ K)
     np.testing.assert_allclose(black_box_gain(replace(TRUTH, tau=0.0), box), K, rtol=1e-6)
+
+
+def test_states_are_those_behind_the_delay():
+    # The black box has the delay as four states of its own, behind those of the model.
+    late = without_delay(TRUTH.system(), 4)
+    K = np.zeros((late.nx, 3))
+    K[:3] = np.arange(1.0, 10.0).reshape(3, 3)
+    box = replace(known_black_box(late, band=(0.1, 5.0)), K=K)
+    # Padé's approximation of order four errs by (ωτ)⁹ / 9! / ... below 1e-6 up to 5 rad/s.
+    np.testing.assert_allclose(black_box_gain(TRUTH, box), K[:3], rtol=1e-4)
 
 
 def test_what_is_asked_for_decides_gain_and_freedom():

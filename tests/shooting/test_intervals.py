@@ -14,5 +14,6 @@ def test_intervals_cover_every_sample_once():
     )
     np.testing.assert_array_equal(np.sort(covered), np.arange(sum(r.N for r in records)))
     assert (np.diff(layout.count) <= 0).all()
+    assert np.bincount(layout.record).tolist() == [round(r.duration / 0.7) for r in records]
     assert layout.last.sum() == len(records)
     assert layout.observations == sum(int(np.isfinite(r.y).sum()) for r in records)

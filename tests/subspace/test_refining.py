@@ -51,5 +51,9 @@ def test_projections_move_only_if_asked_and_then_to_the_truth():
     assert (moved.explained > 0.9).all()
     truth = unstable_plant()
     assert relative_error(moved.system, truth) < relative_error(found.system, truth)
-    predictor = moved.system.A - moved.K @ moved.system.C
-    assert np.linalg.eigvals(predictor).real.max() < 0
+    # The gain is the subspace estimate's in the modes of the moved model: so is the predictor.
+    before, after = (
+        np.sort_complex(np.linalg.eigvals(each.system.A - each.K @ each.system.C))
+        for each in (found, moved)
+    )
+    np.testing.assert_allclose(after, before, rtol=0.1)
