@@ -76,8 +76,8 @@ def differences(content: Content) -> Iterator[Caution]:
             yield Caution(
                 f"{one.capitalize()} and {other} differ by more than their errors allow on "
                 f"{len(apart)} of {len(common)} parameters ({opposite} of opposite sign): "
-                f"{listed([f'{name} {apart[name]:.0f}σ' for name in worst], NAMED)}. Errors do not cover "
-                "what the structure lacks: neither value is known to its standard error.",
+                f"{listed([f'{name} {apart[name]:.0f}σ' for name in worst], NAMED)}. Errors do not "
+                "cover what the structure lacks: neither value is known to its standard error.",
                 8,
             )
 

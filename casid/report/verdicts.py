@@ -101,8 +101,8 @@ def on_bounds(fit: AnyFit) -> Iterator[Caution]:
     if active := [row.name for row in fit.parameters if row.active]:
         count = _count(len(active), "parameter lies", "parameters lie")
         yield Caution(
-            f"{count} on a bound: {listed(active, NAMED)}. The data ask for a value beyond it: look at "
-            "the price in the table, then at the bound.",
+            f"{count} on a bound: {listed(active, NAMED)}. The data ask for a value beyond it: "
+            "look at the price in the table, then at the bound.",
             10,
         )
 
