@@ -48,6 +48,7 @@ from .errors import (
     ModelError as ModelError,
 )
 from .estimator import Estimator as Estimator
+from .exchange.code import write_c as write_c, write_fmu as write_fmu
 from .exchange.formats import (
     pairs_of as pairs_of,
     read_parquet as read_parquet,

@@ -16,6 +16,7 @@ from casid.commands.scaffold import new_model
 from casid.commands.terminal import exits, new_table, terminal
 from casid.consistency.kinematics import KinematicCheck
 from casid.exchange import formats
+from casid.exchange.code import write_c, write_fmu
 from casid.exchange.standalone import write_module
 from casid.files import read_json
 from casid.fit import AnyFit, Fit
@@ -70,12 +71,16 @@ TIME = click.option("--time", default="t", show_default=True, help="Column of in
     show_default=True,
     help="Of a record written as .mat.",
 )
+@click.option("--dt", type=float, help="Sampling interval [s] of a fit written as .c.")
+@click.option("--pade", type=int, help="Order of the delays' approximation in an .fmu.")
 def convert(
     source: str,
     target: str,
     units: dict[str, str],
     structure: str | None,
     mat_version: formats.MatVersion,
+    dt: float | None,
+    pade: int | None,
 ) -> None:
     """Turn a file into another format; suffixes say which. TO is replaced if it is there.
 
@@ -83,7 +88,8 @@ def convert(
     FROM                                   TO
     record .csv .mat (5 to 7.3) .parquet   .csv .mat .parquet
     frequency response .json               .json .csv .mat      (stages/frequency.json of a study)
-    fit .json, with --model                .mat, .py (simulates with NumPy alone)
+    fit .json, with --model                .mat, .py (simulates with NumPy alone), .fmu (FMI 3.0),
+                                           .c (steps the model, with --dt)
 
     Parquet and version 7.3 need: pip install 'casid[tables]'. Of a record all columns are taken,
     whether inputs or outputs; --unit turns one into SI on the way.
@@ -93,7 +99,7 @@ def convert(
         if Path(source).suffix.lower() == ".json":
             if units:
                 raise ValueError("--unit is for records; a response or a fit is in SI already")
-            done = _convert_result(Path(source), Path(target), structure)
+            done = _convert_result(Path(source), Path(target), structure, (dt, pade))
         else:
             table = formats.in_si(formats.read_table(source), units)
             formats.write_table(target, table, version=mat_version)
@@ -102,7 +108,9 @@ def convert(
         console.print(Text(f"{target}: {done}"), soft_wrap=True)
 
 
-def _convert_result(source: Path, target: Path, structure: str | None) -> str:
+def _convert_result(
+    source: Path, target: Path, structure: str | None, steps: tuple[float | None, int | None]
+) -> str:
     content = read_json(source)
     if content.get("casid") != "fit":
         response = _response(source, content)
@@ -113,8 +121,14 @@ def _convert_result(source: Path, target: Path, structure: str | None) -> str:
         formats.write_fit_mat(target, fit)
     elif target.suffix == ".py":
         write_module(target, fit.model.system(), title=f"{type(fit.model).__name__}, {fit.method}")
+    elif target.suffix == ".fmu":
+        write_fmu(target, fit.model.system(), pade=steps[1])
+    elif target.suffix == ".c":
+        if steps[0] is None:
+            raise ValueError("C source steps at one interval: give it, --dt 0.02")
+        write_c(target, fit.model.system(), dt=steps[0])
     else:
-        raise ValueError(f"{target}: a fit becomes .mat or .py, not {target.suffix!r}")
+        raise ValueError(f"{target}: a fit becomes .mat, .py, .c or .fmu, not {target.suffix!r}")
     return f"{type(fit.model).__name__} after {fit.method}"
 
 

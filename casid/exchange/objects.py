@@ -233,11 +233,11 @@ def _column(frame: Any, name: str) -> Array:  # noqa: ANN401
         raise ValueError(f"column {name!r} holds no numbers: {error}") from error
 
 
-def optional(module: str, what: str) -> Any:  # noqa: ANN401 - a module
+def optional(module: str, what: str, *, extra: str = "tables") -> Any:  # noqa: ANN401 - a module
     """Import a package that casid does not depend on; ValueError where it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
         raise ValueError(
-            f"{what} needs {module}, which is not installed: pip install 'casid[tables]'"
+            f"{what} needs {module}, which is not installed: pip install 'casid[{extra}]'"
         ) from error

@@ -81,6 +81,14 @@ def test_a_unit_is_converted_on_the_way():
 
 
 @pytest.mark.usefixtures("folder")
+def test_a_fit_becomes_source_for_other_programs():
+    model = ("--model", "roll.py:Roll")
+    assert casid("convert", "fit.json", "roll.c", *model, "--dt", "0.02").exit_code == 0
+    assert "Samples every 0.02 s" in Path("roll.c").read_text("utf-8")
+    assert Path("roll.h").exists()
+
+
+@pytest.mark.usefixtures("folder")
 def test_a_response_becomes_a_table():
     assert casid("convert", "frf.json", "frf.csv").exit_code == 0
     assert read_table("frf.csv")["p_lat_coherence"].tolist() == [0.9, 0.9, 0.9]
@@ -109,7 +117,11 @@ def test_a_fit_becomes_matlab_and_a_module(folder):
 CONVERT_MISTAKES = {
     "a fit without its structure": (("fit.json", "m.py"), ("--model",)),
     "another structure": (("fit.json", "m.py", "--model", "other.py:Roll"), ("other.py",)),
-    "a fit as a table": (("fit.json", "m.csv", "--model", "roll.py:Roll"), (".mat or .py",)),
+    "a fit as a table": (
+        ("fit.json", "m.csv", "--model", "roll.py:Roll"),
+        (".mat, .py, .c or .fmu",),
+    ),
+    "C without an interval": (("fit.json", "m.c", "--model", "roll.py:Roll"), ("--dt 0.02",)),
     "a response as a module": (("frf.json", "m.py"), ("unknown suffix '.py'",)),
     "JSON of another kind": (("other.json", "m.mat"), ("neither a fit nor",)),
     "a file cut by semicolons": (("semi.csv", "a.mat"), ("separated by ';'", "commas")),

@@ -1,0 +1,205 @@
+"""A model as C source that steps it, and as a functional mock-up unit (FMI 3.0)."""
+
+import shutil
+import tempfile
+from contextlib import chdir
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+from casid.channels import UNITS
+from casid.exchange.objects import optional, without_delay
+from casid.files import write_text
+from casid.folder import replacing
+from casid.linear import StateSpace
+from casid.record import Hold
+
+
+def write_c(path: str | Path, system: StateSpace, *, dt: float, hold: Hold = "foh") -> None:
+    """Write C source (C99, nothing to link but the mathematical library) that steps a model.
+
+    The file has two functions in the calling convention of CasADi's generated code,
+
+        start(x0, u0) -> (z)        memory of the model at rest under u0, from the state x0
+        step(z, u) -> (z, y)        outputs at this sample, memory for the next
+
+    exact for inputs that are held as said between samples and then delayed: as
+    `StateSpace.simulate`. Names, sizes and order of the channels stand in a comment.
+
+    Parameters
+    ----------
+    path : path
+        Ends in ``.c``; a header of the same name goes beside it.
+    system : StateSpace
+        Continuous; ``fit.model.system()`` of a fit.
+    dt : float
+        Sampling interval [s].
+    hold : {"foh", "zoh"}
+        What inputs do between samples.
+
+    Raises
+    ------
+    ValueError
+        A discrete model, an interval that is not positive, a name that C does not take.
+    """
+    path = Path(path)
+    if path.suffix != ".c" or not path.stem.isidentifier():
+        raise ValueError(f"{path}: expected a name that C takes, such as model.c")
+    if not dt > 0:
+        raise ValueError(f"dt={dt}: expected a positive interval [s]")
+    _continuous(system)
+    start, step = _steps(system, dt, hold)
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        code = ca.CodeGenerator(path.stem, {"with_header": True, "cpp": False})
+        code.add(start)
+        code.add(step)
+        code.generate()
+        source, header = (Path(f"{path.stem}.{end}").read_text("utf-8") for end in "ch")
+    head = _comment(system, dt, hold, step.size1_in(0))
+    write_text(path, head + source)
+    write_text(path.with_suffix(".h"), head + header)
+
+
+def write_fmu(
+    path: str | Path, system: StateSpace, *, pade: int | None = None, binary: bool = True
+) -> None:
+    """Write a model as an FMU for model exchange (FMI 3.0), by CasADi's exporter.
+
+    Inputs and outputs have their names and units; a state that is an output too is called
+    ``state_NAME``.
+
+    Parameters
+    ----------
+    path : path
+        Ends in ``.fmu``.
+    system : StateSpace
+        Continuous; ``fit.model.system()`` of a fit.
+    pade : int
+        Order of the Padé approximation of delays, see `without_delay`; needed where there are any.
+    binary : bool
+        Compile it for this machine; else it holds source only, for the importing tool to compile.
+
+    Raises
+    ------
+    ValueError
+        A discrete model, delays without ``pade``, a name that C does not take; a binary without
+        FMPy (``pip install 'casid[fmu]'``: it has the interface's headers) or without a C compiler.
+    """
+    path = Path(path)
+    if path.suffix != ".fmu" or not path.stem.isidentifier():
+        raise ValueError(f"{path}: expected a name that C takes, such as model.fmu")
+    _continuous(system)
+    dae = _equations(path.stem, without_delay(system, pade))
+    headers = _headers() if binary else ""
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        files = dae.export_fmu({"no_warning": True, "with_serialization": False})
+        if binary:
+            files = dae.compile_fmu(files, {"include_dirs": [headers]})
+        packed = Path(dae.pack_fmu(files, {"path": path.name})).read_bytes()
+    with replacing(path) as temporary:
+        temporary.write_bytes(packed)
+
+
+def _continuous(system: StateSpace) -> None:
+    if system.dt is not None:
+        raise ValueError(
+            f"the model is discrete with an interval of {system.dt:g} s; convert it to continuous "
+            "time first (BlackBox.continuous)"
+        )
+
+
+def _steps(system: StateSpace, dt: float, hold: Hold) -> tuple[ca.Function, ca.Function]:
+    """The functions ``start`` and ``step``.
+
+    With x⁺ = A_d x + Σ_i W_i u_{k+1-i} and y = C x + Σ_i V_i u_{k-i} the memory is ξ = x - W_0 u,
+    which needs no input of the next sample, and the inputs of the past.
+    """
+    W, V, Ad = _taps(system, dt, hold)
+    past, nx = len(W) - 1, system.nx
+    z = ca.SX.sym("z", nx + past * system.nu)
+    u, x0 = ca.SX.sym("u", system.nu), ca.SX.sym("x0", nx)
+    before = [z[nx + i * system.nu : nx + (i + 1) * system.nu] for i in range(past)]
+    inputs = [u, *before]
+    x = z[:nx] + _sparse(W[0]) @ u
+    y = _sparse(system.C) @ x + sum(_sparse(V[i]) @ inputs[i] for i in range(len(V)))
+    after = _sparse(Ad) @ x + sum(_sparse(W[i + 1]) @ inputs[i] for i in range(past))
+    step = ca.Function(
+        "step", [z, u], [ca.vertcat(after, *inputs[:past]), y], ["z", "u"], ["z_next", "y"]
+    )
+    rest = ca.vertcat(x0 - _sparse(W[0]) @ u, *[u] * past)
+    return ca.Function("start", [x0, u], [rest], ["x0", "u0"], ["z"]), step
+
+
+def _sparse(matrix: Array) -> ca.DM:
+    return ca.sparsify(ca.DM(matrix))
+
+
+def _taps(system: StateSpace, dt: float, hold: Hold) -> tuple[list[Array], list[Array], Array]:
+    """W (nx, nu) and V (ny, nu) by the samples they look back, and A_d, from unit pulses."""
+    reach = int(np.ceil(system.delay.max(initial=0.0) / dt)) + 2
+    t = dt * np.arange(2 * reach + 2)
+    pulses = np.zeros((system.nu, len(t), system.nu))
+    pulses[:, 1] = np.eye(system.nu)
+    found = [system.steps(t, u, hold) for u in pulses]
+    forcing = [steps.forcing[: reach + 1] for steps in found]  # i samples before x[k + 1]: row i
+    direct = [steps.direct[1 : reach + 2] for steps in found]
+    W, V = (np.stack(each, axis=-1) for each in (forcing, direct))
+    used = np.flatnonzero((W != 0).any(axis=(1, 2)) | (V != 0).any(axis=(1, 2)))
+    last = int(used.max(initial=0)) + 1
+    return list(W[:last]), list(V[:last]), found[0].maps[0]
+
+
+def _comment(system: StateSpace, dt: float, hold: Hold, memory: int) -> str:
+    """What a C programmer has to know."""
+
+    def named(names: tuple[str, ...]) -> str:
+        return ", ".join(f"{name} [{UNITS.get(name, '-')}]" for name in names)
+
+    return (
+        f"/* Samples every {dt!r} s, inputs held as {hold}; delays of the inputs [s]: "
+        f"{', '.join(f'{tau:g}' for tau in system.delay)}.\n"
+        f"   x: {named(system.states)}\n   u: {named(system.inputs)}\n"
+        f"   y: {named(system.outputs)}\n"
+        f"   z: memory, {memory} numbers.\n"
+        "   start(x0, u0) -> z at the first sample; step(z, u) -> z of the next sample, y now.\n"
+        "   SI units and radians; deviations from trim. */\n"
+    )
+
+
+def _equations(name: str, system: StateSpace) -> ca.DaeBuilder:
+    """The equations of a model without delays, variable by variable."""
+    dae = ca.DaeBuilder(name)
+    dae.add("time", "independent")
+    taken = {*system.inputs, *system.outputs, "time"}
+
+    def variable(label: str, causality: str) -> ca.MX:
+        about: dict[str, Any] = {"unit": UNITS.get(label.removeprefix("state_"), "")}
+        if causality != "output":
+            about["start"] = 0.0
+        if causality == "local":
+            about["initial"] = "exact"
+        made: ca.MX = dae.add(label, causality, "continuous", about)
+        return made
+
+    u = ca.vertcat(*(variable(each, "input") for each in system.inputs))
+    states = [f"state_{each}" if each in taken else each for each in system.states]
+    each_x = [variable(label, "local") for label in states]
+    x = ca.vertcat(*each_x)
+    rates = _sparse(system.A) @ x + _sparse(system.B) @ u
+    values = _sparse(system.C) @ x + _sparse(system.D) @ u
+    for i, state in enumerate(each_x):
+        dae.eq(dae.der(state), rates[i])
+    for i, label in enumerate(system.outputs):
+        dae.eq(variable(label, "output"), values[i])
+    return dae
+
+
+def _headers() -> str:
+    """Folder of the interface's headers; a C compiler must be there too."""
+    fmpy = optional("fmpy", "a compiled FMU", extra="fmu")
+    if not (shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")):
+        raise ValueError("no C compiler found: install one, or pass binary=False for source only")
+    return str(Path(fmpy.__file__).parent / "c-code")

@@ -1,0 +1,123 @@
+"""C source and FMUs: compiled, called, and compared with the simulation casid itself uses."""
+
+import ctypes
+import shutil
+import subprocess
+import zipfile
+
+import numpy as np
+import pytest
+import scipy.linalg
+from truths.systems import stepped_input, unstable_plant
+
+from casid import StateSpace, without_delay, write_c, write_fmu
+
+DT, N = 0.04, 80
+COMPILER = shutil.which("cc") or shutil.which("gcc")
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+
+
+class Library:
+    """A compiled file, called by CasADi's convention: arrays of pointers, a return of zero."""
+
+    def __init__(self, source, folder):
+        place = folder / "model.so"
+        options = ["-O2", "-fPIC", "-shared"]
+        subprocess.run([COMPILER, *options, source, "-o", place, "-lm"], check=True)
+        self._library = ctypes.CDLL(str(place))
+
+    def __call__(self, name, *arguments, sizes):
+        pointer = ctypes.POINTER(ctypes.c_double)
+        given = [np.ascontiguousarray(each, dtype=float) for each in arguments]
+        made = [np.zeros(size) for size in sizes]
+        inputs = (pointer * len(given))(*(each.ctypes.data_as(pointer) for each in given))
+        outputs = (pointer * len(made))(*(each.ctypes.data_as(pointer) for each in made))
+        function = getattr(self._library, name)
+        work = [getattr(self._library, f"{name}_work")]
+        counts = [ctypes.c_longlong() for _ in range(4)]
+        assert work[0](*map(ctypes.byref, counts)) == 0
+        iw = (ctypes.c_longlong * max(1, counts[2].value))()
+        w = (ctypes.c_double * max(1, counts[3].value))()
+        assert function(inputs, outputs, iw, w, 0) == 0
+        return made
+
+
+@needs_compiler
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+@pytest.mark.parametrize("delay", [(0.0, 0.0), (0.012, 0.0), (0.04, 0.09), (0.26, 0.013)])
+def test_compiled_source_steps_as_the_simulation(tmp_path, hold, delay):
+    plant = unstable_plant()
+    system = StateSpace(
+        plant.A, plant.B, plant.C, plant.D, None, plant.inputs, plant.outputs, (), np.array(delay)
+    )
+    write_c(tmp_path / "model.c", system, dt=DT, hold=hold)
+    library = Library(tmp_path / "model.c", tmp_path)
+    text = (tmp_path / "model.c").read_text("utf-8")
+    memory = int(text.split("memory, ")[1].split(" ")[0])
+    u, x0 = stepped_input(N, 2, np.random.default_rng(0), hold=5), np.arange(5.0) / 5
+    (z,) = library("start", x0, u[0], sizes=[memory])
+    y = np.empty((N, 3))
+    for k in range(N):
+        z, y[k] = library("step", z, u[k], sizes=[memory, 3])
+    by_casid = system.simulate(DT * np.arange(N), u, x0, hold)
+    np.testing.assert_allclose(y, by_casid, atol=1e-10 * np.abs(by_casid).max())
+
+
+def test_the_comment_says_what_to_call(tmp_path):
+    write_c(tmp_path / "roll.c", unstable_plant(), dt=DT)
+    for end in ("c", "h"):
+        text = (tmp_path / f"roll.{end}").read_text("utf-8")
+        assert "u: a [-], b [-]" in text
+        assert "Samples every 0.04 s, inputs held as foh" in text
+
+
+def test_what_c_cannot_be_is_refused(tmp_path):
+    plant = unstable_plant()
+    discrete = StateSpace(plant.A, plant.B, plant.C, plant.D, 0.1)
+    with pytest.raises(ValueError, match="a name that C takes"):
+        write_c(tmp_path / "my model.c", plant, dt=DT)
+    with pytest.raises(ValueError, match="expected a positive interval"):
+        write_c(tmp_path / "model.c", plant, dt=0.0)
+    with pytest.raises(ValueError, match="convert it to continuous time"):
+        write_c(tmp_path / "model.c", discrete, dt=DT)
+    with pytest.raises(ValueError, match=r"such as model\.fmu"):
+        write_fmu(tmp_path / "model.zip", plant)
+    delayed = StateSpace(plant.A, plant.B, plant.C, plant.D, delay=(0.1, 0.0))
+    with pytest.raises(ValueError, match="pass pade=3"):
+        write_fmu(tmp_path / "model.fmu", delayed)
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_an_fmu_runs_in_another_program(tmp_path):
+    fmpy = pytest.importorskip("fmpy")
+    plant = unstable_plant()
+    A = plant.A - 0.3 * np.eye(5)  # lightly damped: an error would not hide behind growth
+    names = (plant.inputs, plant.outputs, ("x", "s2", "s3", "s4", "s5"))
+    system = StateSpace(A, plant.B, plant.C, plant.D, None, *names, np.array([0.1, 0.0]))
+    write_fmu(tmp_path / "plant.fmu", system, pade=3)
+    x0 = np.arange(1.0, 6.0) / 5
+    start = {name: float(x) for name, x in zip(("state_x", *names[2][1:]), x0, strict=True)}
+    found = fmpy.simulate_fmu(
+        str(tmp_path / "plant.fmu"), stop_time=4.0, output_interval=0.1, relative_tolerance=1e-11,
+        start_values=start | {"a": 0.5, "b": -0.2}, output=list(plant.outputs),
+    )  # fmt: skip
+    plain = without_delay(system, 3)  # constant inputs: the exponential of the augmented matrix
+    M = np.block([[plain.A, plain.B], [np.zeros((2, plain.nx + 2))]])
+    begin = np.concatenate([x0, np.zeros(plain.nx - 5), [0.5, -0.2]])
+    states = np.array([scipy.linalg.expm(M * t) @ begin for t in found["time"]])
+    y = states @ np.hstack([plain.C, plain.D]).T
+    for i, name in enumerate(plant.outputs):
+        np.testing.assert_allclose(found[name], y[:, i], atol=1e-8 * np.abs(y).max())
+
+
+def test_an_fmu_of_source_holds_names_and_units(tmp_path):
+    plant = unstable_plant()
+    named = StateSpace(plant.A, plant.B, plant.C, plant.D, None, ("lat", "ped"), ("p", "r", "phi"))
+    write_fmu(tmp_path / "plant.fmu", named, binary=False)
+    with zipfile.ZipFile(tmp_path / "plant.fmu") as archive:
+        about = archive.read("modelDescription.xml").decode()
+        assert not [name for name in archive.namelist() if name.startswith("binaries")]
+    assert 'fmiVersion="3.0"' in about
+    for text in ('name="lat"', 'name="phi"', "rad/s"):
+        assert text in about
