@@ -215,7 +215,7 @@ def _say_where(console: Console, outcome: Outcome) -> None:
 
 def parameter_table(fit: AnyFit) -> Table:
     """Parameters of a fit for the terminal; * marks those on a bound."""
-    headings = ("name", "value", "std. error", "lower", "upper", "unit")
+    headings = ("name", "value", "std. error", "Cramér-Rao", "lower", "upper", "unit")
     table = new_table(f"Parameters after {fit.method}", *headings)
     for row in fit.parameters:
         error = "fixed" if row.fixed else f"{row.std_error:.2g} {prior(row)}".strip()
@@ -223,6 +223,7 @@ def parameter_table(fit: AnyFit) -> Table:
             row.name,
             f"{row.value:.4g}{'*' if row.active else ' '}",
             error,
+            f"{row.cramer_rao:.2g}",
             f"{row.lower:g}",
             f"{row.upper:g}",
             Text(row.unit),

@@ -174,7 +174,7 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) 
     edges = np.cumsum([0, *(record.N for record in layout.records)])
     residuals = [white[a:b] for a, b in itertools.pairwise(edges)]
     data = uncertainty.coloured_covariance(
-        covariance, residuals, sweep.influence(move[layout.node])
+        covariance, residuals, lambda: sweep.influence(move[layout.node])
     )
     _, pull = programme.free.surprise(programme.unpack(x).lam[: len(programme.free.index)])
     known = covariance[:, : pull.shape[1]] @ (pull * s.lam[: pull.shape[1]]).T

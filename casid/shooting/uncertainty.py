@@ -4,7 +4,7 @@ V. Klein, E. A. Morelli, Aircraft System Identification: Theory and Practice, AI
 6.1.2 (information and bounds), 6.1.3 and 5.2.3 (coloured residuals), 5.5 (collinearity).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -13,6 +13,7 @@ import scipy.fft
 import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
+import scipy.stats
 
 from casid.arrays import Array, BoolArray
 from casid.values import storable
@@ -27,6 +28,10 @@ CONDITION = 30.0  # condition index above which parameters are collinear (Belsle
 SHARE = 0.5  # of a parameter's variance, for it to be named
 LAGS = 0.2  # longest lag of the residuals' correlation, of the record (Klein & Morelli)
 RUN = 5  # lags without a significant correlation that end it
+PARTS = 4  # of a block of scores
+BLOCKS, FEWEST = 3, 20  # blocks: as many for a parameter, and in all, at least
+LEFT = 0.05  # of the information outside a block, at least
+UPPER = 0.975  # quantile at which t, of few blocks, stands in for the normal distribution
 MOST_LAGS = 5000  # samples; at 50 Hz the correlation of residuals is over long before
 
 
@@ -183,15 +188,16 @@ def _directions(
 
 
 def coloured_covariance(
-    covariance: Array, residuals: Sequence[Array], slopes: Iterable[Iterable[Array]]
+    covariance: Array,
+    residuals: Sequence[Array],
+    slopes: Callable[[], Iterable[Iterable[Array]]],
 ) -> Array:
     """Covariance of the estimates under the correlation the residuals really have.
 
-        P [ Σ_i Σ_j s_iᵀ C(j - i) s_j ] P,    s = W ∂y/∂λ,   C(m) = mean of r̃_i r̃_{i+m}ᵀ
-
-    with P the white-noise covariance (Klein & Morelli, section 6.1.3; E. A. Morelli, V. Klein,
-    J. Aircraft 34(2), 1997) and r̃ the whitened residuals; C as in `residual_covariance`. The double
-    sum is taken over the spectrum, piece by piece: memory does not grow with the records.
+    P K P (Klein & Morelli, section 6.1.3; E. A. Morelli, V. Klein, J. Aircraft 34(2), 1997) with P
+    the white-noise covariance and K that of the scores' sum: of a process of its own, which the
+    residuals may be. Correlated in time, they mostly come of what the structure leaves out and
+    depend on the slopes; then K is in every direction the larger of that and of the blocks'.
 
     Parameters
     ----------
@@ -199,20 +205,79 @@ def coloured_covariance(
         Cramér-Rao bound for white residuals.
     residuals : sequence of (N, ny) array
         Whitened residuals of every record, 0 where missing.
-    slopes : iterable of iterables of (n, ny, nf) array
-        Their total derivatives by λ, in the same order: of every record, one piece after another.
+    slopes : callable
+        Their total derivatives by λ, in the same order: iterables of (n, ny, nf) arrays, one a
+        record, piece after piece, so that memory does not grow with the records.
     """
     C = residual_covariance(residuals)
-    middle = np.zeros_like(covariance)
-    lags = len(C) - 1
-    for pieces in slopes:
-        past = np.zeros((0, C.shape[1], len(covariance)))
+    values, vectors = np.linalg.eigh(covariance)
+    known = values > GONE * values.max(initial=0.0)
+    root = vectors[:, known] * np.sqrt(values[known])  # P = root rootᵀ
+    K = process_scores(root, C, slopes())
+    blocks, samples = max(BLOCKS * root.shape[1], FEWEST), sum(len(r) for r in residuals)
+    length = samples // (PARTS * blocks)
+    if len(C) > 1 and PARTS * length >= len(C):
+        few = scipy.stats.t.ppf(UPPER, blocks - root.shape[1]) / scipy.stats.norm.ppf(UPPER)
+        K = _larger(K, few**2 * block_scores(root, residuals, slopes(), length))
+    return np.asarray(root @ K @ root.T)
+
+
+def _larger(A: Array, B: Array) -> Array:
+    """In the directions that make both diagonal the larger of two symmetric matrices."""
+    values, axes = np.linalg.eigh(A)
+    root = axes * np.sqrt(np.maximum(values, GONE * values.max(initial=0.0)))
+    inverse = np.linalg.pinv(root)
+    values, axes = np.linalg.eigh(inverse @ B @ inverse.T)
+    return np.asarray((root @ axes * np.maximum(values, 1.0)) @ (root @ axes).T)
+
+
+def block_scores(
+    root: Array, residuals: Sequence[Array], slopes: Iterable[Iterable[Array]], length: int
+) -> Array:
+    """Σ g̃ g̃ᵀ of the scores g = Σ sᵀ r̃ of overlapping blocks, (k, k) in units of ``root`` (nf, k).
+
+    Every score is that of the residuals its block would have were it not fitted itself, to first
+    order g̃ = (I - H)⁻¹ g with H its share of the information: the jackknife's (R. M. Bell, D. F.
+    McCaffrey, Survey Methodology 28(2), 2002). Blocks have four parts of ``length`` samples and
+    begin with every part (H. R. Künsch, Ann. Statist. 17(3), 1989).
+    """
+    k = root.shape[1]
+    K = np.zeros((k, k))
+    for r, pieces in zip(residuals, slopes, strict=True):
+        count, first = -(-len(r) // length), 0
+        g, H = np.zeros((count, k)), np.zeros((count, k, k))
         for piece in pieces:
-            s = np.concatenate([past, piece])
-            middle += _double_sum(C, s) - _double_sum(C, past)
+            part = np.arange(first, first + len(piece)) // length
+            for b in range(part[0], part[-1] + 1):
+                own = np.flatnonzero(part == b)
+                s = (piece[own] @ root).reshape(-1, k)
+                g[b] += s.T @ r[first + own].ravel()
+                H[b] += s.T @ s
+            first += len(piece)
+        for begin in range(1 - PARTS, count):
+            block = slice(max(begin, 0), begin + PARTS)
+            shares, axes = np.linalg.eigh(H[block].sum(axis=0))
+            alone = axes @ ((axes.T @ g[block].sum(axis=0)) / np.maximum(1 - shares, LEFT))
+            K += np.outer(alone, alone) / PARTS
+    return K
+
+
+def process_scores(root: Array, C: Array, slopes: Iterable[Iterable[Array]]) -> Array:
+    """Σ_i Σ_j s_iᵀ C(j - i) s_j, (k, k) in units of ``root`` (nf, k), C(m) = mean r̃_i r̃_{i+m}ᵀ.
+
+    C (lags + 1, ny, ny) as `residual_covariance`; the sum is taken over the spectrum.
+    """
+    K, lags = np.zeros((root.shape[1], root.shape[1])), len(C) - 1
+    for pieces in slopes:
+        past = np.zeros((0, C.shape[1], root.shape[1]))
+        for piece in pieces:
+            s = np.concatenate([past, piece @ root])
+            K += _double_sum(C, s) - _double_sum(C, past)
             past = s[max(len(s) - lags, 0) :]
-    values, vectors = np.linalg.eigh(covariance @ (middle + middle.T) @ covariance / 2)
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)  # the taper may leave < 0
+    values, vectors = np.linalg.eigh(K + K.T)
+    return np.asarray(
+        (vectors * np.maximum(values / 2, 0.0)) @ vectors.T
+    )  # the taper may leave < 0
 
 
 def _double_sum(C: Array, s: Array) -> Array:

@@ -2,14 +2,17 @@
 
 import numpy as np
 import scipy.linalg
+import scipy.signal
 import scipy.sparse
 
 from casid.shooting.uncertainty import (
+    block_scores,
     bound,
     collinearities,
     coloured_covariance,
     correlation,
     eliminate,
+    process_scores,
     residual_covariance,
 )
 
@@ -104,11 +107,11 @@ def autoregressive(n, A, rng):
     return z[100:]
 
 
-def test_coloured_covariance_is_the_double_sum():
+def test_scores_of_a_process_are_the_double_sum():
     ny, nf, A = 2, 3, np.array([[0.7, 0.3], [-0.2, 0.5]])
     residuals = [autoregressive(n, A, RNG) for n in (310, 200)]
     slopes = [RNG.standard_normal((len(r), ny, nf)) for r in residuals]
-    covariance = np.diag([1.0, 2.0, 3.0])
+    root = RNG.standard_normal((nf, 2))
     C = residual_covariance(residuals)
     lags = len(C) - 1
     assert lags > 3
@@ -117,11 +120,56 @@ def test_coloured_covariance_is_the_double_sum():
         for i in range(len(s)):
             for j in range(max(0, i - lags), min(len(s), i + lags + 1)):
                 middle += s[i].T @ (C[j - i] if j >= i else C[i - j].T) @ s[j]
-    expected = covariance @ middle @ covariance
+    expected = root.T @ middle @ root
     for pieces in (1, 3, 8):  # the last: shorter than the longest lag
         parts = [np.array_split(s, pieces) for s in slopes]
-        found = coloured_covariance(covariance, residuals, parts)
+        found = process_scores(root, C, parts)
         np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_scores_of_blocks_are_what_leaving_them_out_does_to_least_squares():
+    X, length = [RNG.standard_normal((n, 2, 3)) for n in (50, 33)], 5  # the last part is shorter
+    y = [RNG.standard_normal(x.shape[:2]) for x in X]
+    sample = np.concatenate([np.stack([np.full(len(x), k), np.arange(len(x))], 1)
+                             for k, x in enumerate(X)])  # fmt: skip
+    flat, values = np.concatenate(X), np.concatenate(y)
+
+    def solved(rows):
+        return np.linalg.lstsq(flat[rows].reshape(-1, 3), values[rows].ravel())[0]
+
+    whole, expected = solved(np.full(len(flat), True)), np.zeros((3, 3))
+    for k, x in enumerate(X):
+        for first in range(-15, len(x), 5):  # four parts of five samples
+            inside = (sample[:, 1] >= first) & (sample[:, 1] < first + 20)
+            change = whole - solved(~(inside & (sample[:, 0] == k)))
+            expected += np.outer(change, change) / 4
+    root = np.linalg.cholesky(np.linalg.inv(np.einsum("nai,naj->ij", flat, flat)))
+    residuals = [b - a @ whole for a, b in zip(X, y, strict=True)]
+    for pieces in (1, 4):
+        parts = [np.array_split(x, pieces) for x in X]
+        found = root @ block_scores(root, residuals, parts, length) @ root.T
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_intervals_cover_where_residuals_grow_with_what_excites_them():
+    # What is left out is a slow factor of the slope itself.
+    n, hits = 1500, []
+    for run in range(80):
+        rng = np.random.default_rng([12, run])
+        *X, slow = scipy.signal.lfilter([1], [1, -0.9], rng.standard_normal((3, n)))
+        X = np.column_stack(X)
+        y = X[:, 0] * slow / 3 + rng.standard_normal(n)
+        P = np.linalg.inv(X.T @ X)
+        r = (y - X @ (P @ X.T @ y)) / (sigma := np.std(y))
+        S = (X / sigma)[:, None]
+        P = P * sigma**2
+        V = coloured_covariance(P, [r[:, None]], lambda S=S: [[S]])
+        by_process = P @ process_scores(np.eye(2), residual_covariance([r[:, None]]), [[S]]) @ P
+        error = (P @ X.T @ y)[0] / sigma**2
+        hits.append([abs(error) < 1.96 * np.sqrt(v[0, 0]) for v in (by_process, V)])
+    before, now = np.mean(hits, axis=0)
+    assert before < 0.80
+    assert 0.88 < now < 0.995  # 80 runs scatter by 2.5 %
 
 
 def test_covariance_of_residuals_is_that_of_their_process():
@@ -143,6 +191,6 @@ def test_white_residuals_need_no_correction():
     n, nf = 20000, 2
     s = RNG.standard_normal((n, 1, nf))
     covariance = np.linalg.inv(np.einsum("nai,naj->ij", s, s))
-    found = coloured_covariance(covariance, [RNG.standard_normal((n, 1))], [[s]])
+    found = coloured_covariance(covariance, [RNG.standard_normal((n, 1))], lambda: [[s]])
     # The variance of 20000 residuals scatters by 1 %.
     np.testing.assert_allclose(np.diag(found), np.diag(covariance), rtol=0.04)
