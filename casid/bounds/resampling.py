@@ -329,6 +329,8 @@ def _check_residuals(fit: AnyFit, residuals: Sequence[Array]) -> None:
     pattern, R = kind.ravel(), np.asarray(fit.R)
     noise = Noise(patterns, np.bincount(pattern), np.zeros(len(R)), given=R)
     cost = noise.cost(R, moments_of(np.nan_to_num(every), pattern, len(patterns)))
+    known = free_parameters(fit.model, set(fit.model.parameter_names()) - set(fit.free_names))
+    cost += 0.5 * float(np.sum(known.surprise(known.guess)[0] ** 2))
     if not abs(cost - fit.cost) <= SAME_COST * len(every):
         raise ValueError(
             f"the fit is not one of these records: it ended with a cost of {fit.cost:.6g}, with "
