@@ -5,7 +5,6 @@ import json
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -16,11 +15,13 @@ from scipy.io.matlab import matfile_version
 
 from casid.arrays import Array
 from casid.channels import factor_of
+from casid.errors import warn
 from casid.folder import replacing
 from casid.hdf import is_hdf, read_hdf
 from casid.limits import JSON_BYTES, TABLE_BYTES, check_file, check_size
 from casid.matfile import numeric_variables
-from casid.record import Hold, Record
+from casid.record import FEWEST, Hold, Record
+from casid.samples import known_inputs
 
 SHOWN = 40  # names of columns that a message lists
 CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
@@ -52,7 +53,8 @@ def read_csv(
     path : path
         Comma-separated values; an empty cell or ``nan`` is a missing sample.
     inputs, outputs : sequence of str, or mapping
-        The columns to take, in that order; others are left unread. A mapping gives a channel
+        The columns to take, in that order; others are left unread. A logger that is to be joined
+        with another may have no inputs. A mapping gives a channel
         another name than its column, ``{"lat": "LAT_STICK"}``, or makes it a sum of columns, each
         times its factor, ``{"roll": {"m1": -0.5, "m2": 0.5}}``.
     time : str or float
@@ -63,7 +65,7 @@ def read_csv(
     detrend : {"first", "mean"}, mapping or None
         See `Record.detrend`.
     hold : {"foh", "zoh"}
-        What the inputs do between samples.
+        What the inputs do between samples, those of a slower input too, which are filled in.
     name : str
         Name of the record; the file's stem unless given.
 
@@ -79,8 +81,7 @@ def read_csv(
     wanted = dict.fromkeys(str(place) for column in each for place in _summed(column))
     table = read_columns(path, list(wanted))
     at: Callable[[Place], Array] = lambda place: table[str(place)]  # noqa: E731
-    record = build(at, inputs, outputs, time, units, name)
-    return replace(record, hold=hold).detrend(detrend)
+    return build(at, inputs, outputs, time, units, name, hold).detrend(detrend)
 
 
 def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, Array]:
@@ -115,13 +116,12 @@ def read_mat(
     path = Path(path)
     variables = read_variables(path)
     read = partial(_mat_column, variables, path)
-    record = build(read, inputs, outputs, time, units, name or path.stem)
-    return replace(record, hold=hold).detrend(detrend)
+    return build(read, inputs, outputs, time, units, name or path.stem, hold).detrend(detrend)
 
 
 def places(inputs: Channels, outputs: Channels, time: str | float, name: str) -> dict[str, Column]:
     """Where each channel stands in a file, by name, and the time if it is a column, never both."""
-    if not inputs or not outputs:
+    if not outputs:
         raise ValueError(f"record {name!r}: name at least one input and one output to read")
     found: dict[str, Column] = {}
     for given in (inputs, outputs):
@@ -156,6 +156,7 @@ def build(
     time: str | float,
     units: Mapping[str, str] | None,
     name: str,
+    hold: Hold = "foh",
 ) -> Record:
     """A record in SI units of what ``read`` returns; ValueError for wrong units or values."""
     table: dict[str, Array] = {}
@@ -176,9 +177,31 @@ def build(
         )
     for channel, values in table.items():
         _check_magnitude(name, channel, values)
-    u, y = (np.column_stack([table[each] for each in group]) for group in (inputs, outputs))
-    t = table[time] if isinstance(time, str) else time * np.arange(len(u))
-    return Record(t, u, y, tuple(inputs), tuple(outputs), name)
+    y = np.column_stack([table[each] for each in outputs])
+    u = np.column_stack([table[each] for each in inputs]) if inputs else np.zeros((len(y), 0))
+    t = table[time] if isinstance(time, str) else time * np.arange(len(y))
+    t, u, y = _complete(name, t, u, y, tuple(inputs), hold)
+    return Record(t, u, y, tuple(inputs), tuple(outputs), name, hold)
+
+
+def _complete(
+    record: str, t: Array, u: Array, y: Array, inputs: tuple[str, ...], hold: Hold
+) -> tuple[Array, Array, Array]:
+    """Samples at which all inputs are known, those of slower inputs filled in as they are held."""
+    lost = np.isnan(u).mean(axis=0)
+    if not lost.any() or len(t) < FEWEST or not (np.diff(t) > 0).all():
+        return t, u, y
+    u, known = known_inputs(t, u, [hold] * u.shape[1])
+    if known.sum() < FEWEST:
+        worst = inputs[int(np.argmax(lost))]
+        raise ValueError(
+            f"record {record!r}: input {worst!r} is missing nearly everywhere; leave it out, or "
+            "join it from where it was recorded (Record.join)"
+        )
+    shares = ", ".join(f"{n} {share:.1%}" for n, share in zip(inputs, lost, strict=True) if share)
+    left = f"; {len(t) - known.sum()} samples without inputs are left out" * bool(~known.all())
+    warn(f"record {record!r}: inputs lack samples ({shares}), read by their hold, {hold}{left}")
+    return t[known], u[known], y[known]
 
 
 def read_variables(path: str | Path) -> dict[str, Any]:

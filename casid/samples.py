@@ -94,6 +94,23 @@ def check_samples(
     _check_values(record, u, y, names)
 
 
+def known_inputs(t: Array, u: Array, held: Sequence[Between]) -> tuple[Array, BoolArray]:
+    """Inputs (N, nu) with samples between those of slower channels, and where all are known (N,).
+
+    What an input did between its own samples ``held`` says; where it lacks samples for longer than
+    twice its usual interval nobody knows, nor before its first and after its last.
+    """
+    if not np.isnan(u).any():
+        return u, np.ones(len(t), dtype=bool)
+    lost = [np.isnan(x) for x in u.T]
+    columns = [
+        np.where(gone, at_instants(t, x, t, how), x) if gone.any() else x
+        for x, how, gone in zip(u.T, held, lost, strict=True)
+    ]
+    u = np.column_stack(columns)
+    return u, np.asarray(~np.isnan(u).any(axis=1))
+
+
 def close_together(t: Array) -> BoolArray:
     """Samples (N,) that follow the last one kept at hardly any distance."""
     least = CLOSE * float(np.median(np.diff(t)))

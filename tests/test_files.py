@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from casid import Record, read_csv, read_mat, write_csv
+from casid import DataWarning, Record, read_csv, read_mat, write_csv
 from casid.files import number, read_json, write_json, write_text
 
 CHANNELS = {"inputs": ["lat"], "outputs": ["p", "phi"]}
@@ -208,3 +208,16 @@ def test_missing_samples_survive_a_round_trip(tmp_path):
     record = Record(np.array([0.0, 1.0]), np.ones((2, 1)), y, ("lat",), ("p", "phi"))
     write_csv(tmp_path / "a.csv", record)
     np.testing.assert_array_equal(read_csv(tmp_path / "a.csv", **CHANNELS).y, y)
+
+
+def test_inputs_of_a_slower_logger_are_filled_in_and_told(tmp_path):
+    t = np.arange(0, 4, 0.05)
+    ramp = np.where(np.arange(80) % 4 == 0, t, np.nan)
+    ramp[40:60] = np.nan  # a second without any
+    rows = [f"{a:.3f},{'' if np.isnan(b) else b},{np.sin(a)}" for a, b in zip(t, ramp, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,lat,p", *rows]) + "\n")
+    with pytest.warns(DataWarning, match=r"lat 8.*left out"):
+        record = read_csv(tmp_path / "log.csv", inputs=["lat"], outputs=["p"])
+    np.testing.assert_allclose(record.u[:, 0], record.t, atol=1e-12)
+    assert not ((record.t > t[36] + 1e-9) & (record.t < t[60] - 1e-9)).any()
+    assert len(record.stretches()) == 2

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from casid.channels import CONTROLS, UNITS
+from casid.commands.columns import COLUMN, TIME, UNIT
 from casid.commands.inspection import Inspection, RecordFacts, inspect_records, unit_advice
 from casid.commands.scaffold import new_model
 from casid.commands.terminal import exits, new_table, terminal
@@ -30,33 +31,14 @@ from casid.validation import validate
 from casid.values import decode
 
 
-def _units(_: click.Context, __: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    found = {}
-    for value in values:
-        name, equals, unit = value.partition("=")
-        if not equals:
-            raise click.BadParameter(f"{value!r}: expected CHANNEL=UNIT, such as p=deg/s")
-        found[name] = unit
-    return found
-
-
 def _names(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...]:
     return tuple(name.strip() for name in (value or "").split(",") if name.strip())
 
 
-UNIT = click.option(
-    "--unit",
-    "units",
-    multiple=True,
-    callback=_units,
-    metavar="CHANNEL=UNIT",
-    help="Unit of a column that is not in SI, such as p=deg/s or lat=%; may be repeated.",
-)
 MODEL = click.option(
     "--model", "structure", metavar="MODEL.py:CLASS", help="Structure, models/six_dof.py:SixDof."
 )
 WRITTEN = "Write inputs, measured and simulated outputs (p, p_sim) as .csv, .mat or .parquet."
-TIME = click.option("--time", default="t", show_default=True, help="Column of instants.")
 
 
 @click.command()
@@ -170,6 +152,7 @@ def _load(source: Path, structure: str | None) -> AnyFit:
 )
 @MODEL
 @UNIT
+@COLUMN
 @TIME
 def inspect_command(
     sources: tuple[str, ...],
@@ -177,6 +160,7 @@ def inspect_command(
     outputs: tuple[str, ...],
     structure: str | None,
     units: dict[str, str],
+    renamed: dict[str, str],
     time: str,
 ) -> None:
     """Show what records hold, and say whether a model could be identified from them.
@@ -191,7 +175,7 @@ def inspect_command(
     with exits(console):
         first, *others = sources
         if first.endswith(".toml"):
-            if others or inputs or outputs or units:
+            if others or inputs or outputs or units or renamed:
                 raise ValueError("a study says which records, channels and units: name it alone")
             study = read_study(Path(first))
             records: Sequence[Record] = read_records(study)["identification"]
@@ -201,7 +185,7 @@ def inspect_command(
             found = inspect_records(records, model=model, **held, **named)
         else:
             model = None if structure is None else load_model(structure)()
-            records = _records(sources, model, inputs, outputs, units, time)
+            records = _records(sources, model, (inputs, outputs), units, renamed, time)
             found = inspect_records(records, model=model, time=time, stated=units)
         _show(console, found)
 
@@ -209,12 +193,14 @@ def inspect_command(
 def _records(
     sources: Sequence[str],
     model: Model | None,
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
+    channels: tuple[tuple[str, ...], tuple[str, ...]],
     units: Mapping[str, str],
+    renamed: Mapping[str, str],
     time: str,
 ) -> list[Record]:
-    columns = [name for name in formats.read_table(sources[0]) if name != time]
+    inputs, outputs = channels
+    taken = {column: name for name, column in renamed.items()}
+    columns = [taken.get(name, name) for name in formats.read_table(sources[0]) if name != time]
     if not inputs:
         known = CONTROLS if model is None else model.inputs
         inputs = tuple(name for name in known if name in columns or model is not None)
@@ -228,7 +214,13 @@ def _records(
         extra = [name for name in ("u", "v", "w") if name in columns]
         outputs = known if model is None else tuple(dict.fromkeys((*model.outputs, *extra)))
     return [
-        formats.read_record(source, inputs=inputs, outputs=outputs, time=time, units=units)
+        formats.read_record(
+            source,
+            inputs={name: renamed.get(name, name) for name in inputs},
+            outputs={name: renamed.get(name, name) for name in outputs},
+            time=time,
+            units=units,
+        )
         for source in sources
     ]
 

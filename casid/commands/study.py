@@ -1,7 +1,8 @@
 """Commands about studies: identify, bounds, check."""
 
-import time
 from pathlib import Path
+from time import perf_counter
+from typing import Any
 
 import click
 from rich.console import Console, RenderableType
@@ -11,8 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from casid.bounds.compare import BoundsComparison
+from casid.commands.columns import COLUMN, TIME, UNIT
 from casid.commands.terminal import exits, logged, new_table, terminal
-from casid.files import read_csv
+from casid.exchange.formats import read_record
 from casid.fit import AnyFit
 from casid.interrupts import check_interrupt
 from casid.nlp import Progress
@@ -115,12 +117,23 @@ def bounds(study: Path, output: Path | None, verbose: bool) -> None:
     "--record",
     "flights",
     multiple=True,
-    metavar="CSV",
-    help="With a model: judge identifiability for this flight (t and the model's channels).",
+    metavar="RECORD",
+    help="With a model: judge identifiability for this flight (SI, unless --unit says so).",
 )
+@UNIT
+@COLUMN
+@TIME
 @click.option("--fixed", multiple=True, metavar="NAME", help="With a model: hold this parameter.")
 @VERBOSE
-def check(what: str, flights: tuple[str, ...], fixed: tuple[str, ...], verbose: bool) -> None:
+def check(
+    what: str,
+    flights: tuple[str, ...],
+    units: dict[str, str],
+    renamed: dict[str, str],
+    time: str,
+    fixed: tuple[str, ...],
+    verbose: bool,
+) -> None:
     """Check a study file, its model and its records, or a model file, without estimating anything.
 
     Of a model (models/six_dof.py:SixDof) this prints the matrices with names and with numbers at
@@ -133,7 +146,11 @@ def check(what: str, flights: tuple[str, ...], fixed: tuple[str, ...], verbose: 
             _describe(console, read_study(Path(what)))
         else:
             model = load_model(what)()
-            records = [read_csv(f, inputs=model.inputs, outputs=model.outputs) for f in flights]
+            each: Any = {"time": time, "units": units}
+            for kind in ("inputs", "outputs"):
+                names = getattr(model, kind)
+                each[kind] = {name: renamed.get(name, name) for name in names}
+            records = [read_record(flight, **each) for flight in flights]
             text = Text(str(describe(model, records or None, fixed=fixed)))
             console.print(text, no_wrap=True, overflow="ignore", crop=False)
 
@@ -163,7 +180,7 @@ class Monitor(Watch):
     def begin(self, stage: str) -> None:
         """Show that a stage runs."""
         check_interrupt()
-        self._stage, self._since, self._last = stage, time.perf_counter(), None
+        self._stage, self._since, self._last = stage, perf_counter(), None
 
     def progress(self, progress: Progress) -> None:
         """Show the iteration it is at."""
@@ -179,7 +196,7 @@ class Monitor(Watch):
     def _now(self) -> RenderableType:
         if not self._stage:
             return Text("")
-        seconds, last = time.perf_counter() - self._since, self._last
+        seconds, last = perf_counter() - self._since, self._last
         line = _line(self._stage, None, None, seconds)
         if last is not None:
             line = _line(last.stage, last.iteration, last.cost, seconds)

@@ -122,6 +122,16 @@ class KinematicCheck:
         return (*(remark for each in self.channels for remark in each.remarks), *self.further)
 
     @property
+    def shifts(self) -> dict[str, float]:
+        """What `Record.shift` brings the channels into line: those remarked as late or early [s].
+
+        Kinematics sees only how two channels stand to each other; here rates and forces move, and
+        attitudes and velocities stay.
+        """
+        skewed = [each for each in self.channels if abs(each.skew) > _late(each)]
+        return {each.channel: -each.skew for each in skewed}
+
+    @property
     def consistent(self) -> bool:
         """Whether nothing was found wrong."""
         return not self.remarks
@@ -273,7 +283,7 @@ def _remarks(check: ChannelCheck, tolerance: float, spread: float) -> tuple[str,
         said.append(
             f"{check.channel} is {factor:.4g} ± {check.scale_error:.2g} times what {implied}: {why}"
         )
-    if abs(check.skew) > max(SKEW, SIGNIFICANT * check.skew_error):
+    if abs(check.skew) > _late(check):
         late = "late" if check.skew > 0 else "early"
         said.append(
             f"{check.channel} is {abs(check.skew):.3g} ± {check.skew_error:.1g} s {late} against "
@@ -285,6 +295,11 @@ def _remarks(check: ChannelCheck, tolerance: float, spread: float) -> tuple[str,
             f"{check.unit} against {others}"
         )
     return tuple(said)
+
+
+def _late(check: ChannelCheck) -> float:
+    """The skew from which it matters and is no noise [s]."""
+    return max(SKEW, SIGNIFICANT * check.skew_error)
 
 
 def _mistake(factor: float) -> str:

@@ -63,11 +63,14 @@ def _settings(study: Study) -> dict[str, str]:
     if study.channels.units:
         said["channels.units"] = ", ".join(f"{k} {u}" for k, u in study.channels.units.items())
     said["channels.hold"] = study.channels.hold
+    said |= study.channels.mending.told()
+    if study.channels.second is not None:
+        said["channels.join"] = study.channels.second.told()
     if study.noise is not None:
         std = ", ".join(f"{name} {value:g}" for name, value in study.noise.std.items())
         said["noise"] = f"seed {study.noise.seed}; standard deviations {std}"
     for role, each in study.roles.items():
-        said[f"records.{role}"] = f"detrend {each.detrend}, every {each.decimate}. sample"
+        said[f"records.{role}"] = f"detrend {each.detrend}, {each.cutting.told()}"
     if study.fixed:
         said["fixed"] = ", ".join(study.fixed)
     if study.bounds:

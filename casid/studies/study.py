@@ -15,6 +15,7 @@ from casid.files import Column, read_csv
 from casid.model import Model
 from casid.record import Hold, Record
 from casid.stages.stage import ROLES, Role, Stage, Task
+from casid.studies.preparation import Cutting, Mending, Second, with_inputs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +25,7 @@ class RecordSet:
     files: tuple[Path, ...]
     detrend: str = "first"  # first, mean, none, or the role whose trim is taken
     noise: bool = False
-    decimate: int = 1
+    cutting: Cutting = Cutting()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +39,8 @@ class Channels:
     columns: Mapping[str, Column] = field(default_factory=dict)
     dt: float | None = None
     hold: Hold = "foh"
+    mending: Mending = Mending()
+    second: Second | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +75,7 @@ class Study:
 
 
 def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
-    """Records of every role: units converted, noise added, decimated, trim removed.
+    """Records of every role: units converted, noise added, mended, cut, decimated, trim removed.
 
     The noise of a record depends on the study's seed and the record's name alone, so a record
     that serves in two roles is the same flight in both.
@@ -90,9 +93,16 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
     _check_names(study)
     files = {file: None for each in study.roles.values() for file in each.files}
     measured = {file: _read(study, file) for file in files}
+    mended = study.channels.mending.mended(
+        {
+            (file, role.noise): _noisy(study, measured[file]) if role.noise else measured[file]
+            for role in study.roles.values()
+            for file in role.files
+        }
+    )
     raw: dict[Role, list[Record]] = {}
     for role, each in study.roles.items():
-        raw[role] = [_prepared(study, each, measured[file]) for file in each.files]
+        raw[role] = [each.cutting.of(mended[file, each.noise]) for file in each.files]
     done: dict[Role, tuple[Record, ...]] = {}
     for role in sorted(raw, key=lambda role: study.roles[role].detrend in ROLES):
         how: Any = study.roles[role].detrend
@@ -120,24 +130,43 @@ def _check_names(study: Study) -> None:
 
 
 def _read(study: Study, file: Path) -> Record:
-    channels = study.channels
-    inputs, outputs = (
-        {name: channels.columns.get(name, name) for name in names}
-        for names in (channels.inputs, channels.outputs)
-    )
+    channels, second = study.channels, study.channels.second
     time = channels.time if channels.dt is None else channels.dt
+    every = (channels.inputs, channels.outputs)
+    if second is None:
+        return _read_channels(channels, file, *every, time)
+    own = tuple(n for n in (*channels.inputs, *channels.outputs) if n not in second.channels)
+    first = _read_channels(channels, file, (), own, time)
+    other = _read_channels(channels, second.beside(file), (), second.channels, second.time)
+    first, other = (with_inputs(each, channels.inputs) for each in (first, other))
+    return first.join(other, clock=second.clock).select(*every)
+
+
+def _read_channels(
+    channels: Channels,
+    file: Path,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    time: str | float,
+) -> Record:
+    """Some of the channels from one file."""
     read = read_record if file.suffix.lower() in {".mat", ".parquet"} else read_csv
     return read(
-        file, inputs=inputs, outputs=outputs, time=time, units=channels.units, hold=channels.hold
+        file,
+        inputs={name: channels.columns.get(name, name) for name in inputs},
+        outputs={name: channels.columns.get(name, name) for name in outputs},
+        time=time,
+        units={n: unit for n, unit in channels.units.items() if n in (*inputs, *outputs, time)},
+        hold=channels.hold,
     )
 
 
-def _prepared(study: Study, role: RecordSet, record: Record) -> Record:
-    """A record with the noise and the sampling of its role."""
-    if role.noise and study.noise is not None:
-        rng = np.random.default_rng([study.noise.seed, zlib.crc32(record.name.encode())])
-        record = record.with_noise(study.noise.std, rng)
-    return record.decimate(role.decimate)
+def _noisy(study: Study, record: Record) -> Record:
+    """A record with the study's noise."""
+    if study.noise is None:
+        return record
+    rng = np.random.default_rng([study.noise.seed, zlib.crc32(record.name.encode())])
+    return record.with_noise(study.noise.std, rng)
 
 
 def _common_trim(records: Sequence[Record]) -> dict[str, float]:

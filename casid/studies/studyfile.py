@@ -19,6 +19,7 @@ from casid.record import Hold
 from casid.stages.listing import STAGES
 from casid.stages.stage import ROLES, Role, Stage, check_task
 from casid.structure.modelfile import load_model, locate_model
+from casid.studies.preparation import read_cutting, read_mending, read_second
 from casid.studies.settings import read_settings
 from casid.studies.study import Channels, Noise, RecordSet, Study
 from casid.tables import Table, read_toml
@@ -123,7 +124,9 @@ def _pair(table: Table, name: str) -> tuple[float, float]:
 
 
 def _channels(table: Table, structure: type[Model]) -> Channels:
-    table.only(("inputs", "outputs", "time", "units", "columns", "dt", "hold"))
+    table.only((
+        "inputs", "outputs", "time", "units", "columns", "dt", "hold", "shift", "outliers", "join",
+    ))  # fmt: skip
     inputs = table.names("inputs", structure.inputs)
     outputs = table.names("outputs", structure.outputs)
     wanted = (("inputs", inputs, structure.inputs), ("outputs", outputs, structure.outputs))
@@ -146,6 +149,8 @@ def _channels(table: Table, structure: type[Model]) -> Channels:
         columns={name: _column(columns, name) for name in columns.content},
         dt=table.take("dt", (int, float)),
         hold=cast(Hold, hold),
+        mending=read_mending(table),
+        second=read_second(table.table("join"), (*inputs, *outputs)),
     )
 
 
@@ -186,7 +191,7 @@ def _roles(table: Table, folder: Path) -> dict[Role, RecordSet]:
 
 
 def _role(table: Table, folder: Path) -> RecordSet:
-    table.only(("files", "detrend", "noise", "decimate"))
+    table.only(("files", "detrend", "noise", "decimate", "cut", "resample"))
     files: list[Path] = []
     for pattern in table.names("files"):
         found = sorted(glob.glob(pattern, root_dir=folder))  # noqa: PTH207 - absolute patterns too
@@ -202,7 +207,8 @@ def _role(table: Table, folder: Path) -> RecordSet:
     if decimate < 1:
         raise ValueError(f"{table.place} decimate = {decimate}, expected 1 or more")
     noise = table.take("noise", bool, False)
-    return RecordSet(files=tuple(files), detrend=detrend, noise=noise, decimate=decimate)
+    cutting = read_cutting(table, decimate)
+    return RecordSet(files=tuple(files), detrend=detrend, noise=noise, cutting=cutting)
 
 
 def _noise(table: Table, structure: type[Model]) -> Noise:

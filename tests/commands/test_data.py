@@ -223,3 +223,22 @@ def test_simulate_doubts_a_stick_beyond_full_travel():
 
 
 # ---- new-model ---------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("folder")
+def test_columns_units_and_time_of_a_log_are_told_to_inspect_and_check(tmp_path):
+    rows = (tmp_path / "3211.csv").read_text().splitlines()
+    header, rows = rows[0], [row.split(",") for row in rows[1:]]
+    assert header == "t,lat,p,phi"
+    lines = [f"{t},{u},{np.rad2deg(float(p))},{phi}" for t, u, p, phi in rows]
+    (tmp_path / "log.csv").write_text("\n".join(["TIME,STICK,ROLL_RATE,phi", *lines]) + "\n")
+    told = ["--unit", "lat=%", "--unit", "p=deg/s", "--time", "TIME"]
+    told += ["--column", "lat=STICK", "--column", "p=ROLL_RATE"]
+    plain = casid("check", "roll.py:Roll", "--record", "3211.csv", "--unit", "lat=%")
+    renamed = casid("check", "roll.py:Roll", "--record", "log.csv", *told)
+    assert renamed.exit_code == 0
+    assert renamed.output == plain.output.replace("3211", "log")
+    found = casid("inspect", "log.csv", "--inputs", "lat", *told)
+    assert found.exit_code == 0
+    assert "deg/s" not in found.output
+    assert casid("inspect", "log.csv", "--column", "p").exit_code == 2

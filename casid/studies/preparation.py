@@ -1,0 +1,164 @@
+"""What a study does to its records before anything is estimated: the operations of `Record`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from casid.autoregression import outliers
+from casid.consistency.kinematics import kinematic_check
+from casid.errors import warn
+from casid.record import Record
+from casid.samples import known_inputs
+from casid.tables import Table
+
+KINEMATICS: Literal["kinematics"] = "kinematics"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Second:
+    """A second logger of the same flights: its file beside each record's, channels and clock."""
+
+    file: str  # "{name}_nav.csv", beside the record's own
+    channels: tuple[str, ...]
+    time: str = "t"
+    clock: float = 0.0  # added to its time [s]
+
+    def beside(self, file: Path) -> Path:
+        """The file that belongs to a record's."""
+        return file.with_name(self.file.replace("{name}", file.stem))
+
+    def told(self) -> str:
+        """What is joined."""
+        return f"{', '.join(self.channels)} from {self.file}, clock {self.clock:+g} s"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mending:
+    """What is done to all records as they are read."""
+
+    shift: Mapping[str, float] | Literal["kinematics"] = field(default_factory=dict)
+    mask: bool = False  # outliers count as missing
+
+    def told(self) -> dict[str, str]:
+        """What is done, by key."""
+        if isinstance(self.shift, str):
+            said = {"channels.shift": "as kinematics asks for"}
+        else:
+            lags = ", ".join(f"{name} {lag:+g} s" for name, lag in self.shift.items())
+            said = {"channels.shift": lags} if lags else {}
+        return said | ({"channels.outliers": "count as missing"} if self.mask else {})
+
+    def mended(self, records: Mapping[Any, Record]) -> dict[Any, Record]:
+        """Records with outliers marked as missing and channels moved in time."""
+        done = dict(records)
+        if self.mask:
+            marks = {key: outliers(record) for key, record in done.items()}
+            done = {key: record.mask(marks[key]) for key, record in done.items()}
+            if count := sum(int(each.sum()) for each in marks.values()):
+                warn(f"{count} outliers count as missing, as the study asks for")
+        by = self.shift
+        if isinstance(by, str):
+            by = kinematic_check(tuple(done.values())).shifts
+            told = ", ".join(f"{name} {1e3 * lag:+.0f} ms" for name, lag in by.items())
+            warn(f"kinematics moves channels in time, as the study asks for: {told or 'none'}")
+        lags = by
+        return {key: record.shift(lags) if lags else record for key, record in done.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cutting:
+    """What is done to the records of one role: start and end [s], of single ones by name."""
+
+    cut: tuple[float, float] | None = None
+    cuts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    resample: float | None = None  # s
+    decimate: int = 1
+
+    def told(self) -> str:
+        """What is done."""
+        said = [f"cut {a:g} to {b:g} s" for a, b in ([self.cut] if self.cut else [])]
+        said += [f"{name} cut {a:g} to {b:g} s" for name, (a, b) in self.cuts.items()]
+        said += [f"resampled every {self.resample:g} s"] if self.resample else []
+        return ", ".join([*said, f"every {self.decimate}. sample"])
+
+    def of(self, record: Record) -> Record:
+        """A record cut and sampled as its role asks for."""
+        span = self.cuts.get(record.name, self.cut)
+        if span is not None:
+            record = record.cut(*span)
+        if self.resample is not None:
+            record = record.resample(self.resample)
+        return record.decimate(self.decimate)
+
+
+def with_inputs(record: Record, names: tuple[str, ...]) -> Record:
+    """The record, those of its outputs that are named being inputs.
+
+    Samples at which one is not known, between its own by ``hold``, are left out.
+    """
+    kept = [name for name in record.outputs if name not in names]
+    moved = [name for name in record.outputs if name in names]
+    y = [record.outputs.index(name) for name in moved]
+    u, known = known_inputs(record.t, record.y[:, y], [record.hold] * len(moved))
+    inputs = (*record.inputs, *moved)
+    whole = record.select(outputs=kept).take(known)
+    return replace(whole, u=np.hstack([whole.u, u[known]]), inputs=inputs)
+
+
+def read_mending(table: Table) -> Mending:
+    """The keys ``shift`` and ``outliers`` of [channels]."""
+    asked = table.take("outliers", str, "keep")
+    if asked not in ("keep", "mask"):
+        raise ValueError(f'{table.place} outliers = {asked!r}, expected "keep" or "mask"')
+    shift = table.content.get("shift", {})
+    if isinstance(shift, str):
+        if shift != KINEMATICS:
+            raise ValueError(
+                f'{table.place} shift = {shift!r}, expected "kinematics" or {{ phi = -0.06 }}'
+            )
+        return Mending(shift=KINEMATICS, mask=asked == "mask")
+    return Mending(shift=table.numbers("shift"), mask=asked == "mask")
+
+
+def read_second(table: Table, known: tuple[str, ...]) -> Second | None:
+    """The table [channels.join], if it is there."""
+    if not table.content:
+        return None
+    table.only(("file", "channels", "time", "clock"))
+    file, channels = table.take("file", str), table.names("channels")
+    if file is None or "{name}" not in file:
+        raise ValueError(
+            f"{table.place} file = {file!r}, expected the second file of each record, such as "
+            '"{name}_nav.csv"'
+        )
+    if wrong := [name for name in channels if name not in known]:
+        raise ValueError(f"{table.place} channels: {wrong[0]!r} is none of {', '.join(known)}")
+    if not channels:
+        raise ValueError(f"{table.place} channels are missing: name those of the second file")
+    clock = float(table.take("clock", (int, float), 0.0))
+    return Second(file=file, channels=channels, time=table.take("time", str, "t"), clock=clock)
+
+
+def read_cutting(table: Table, decimate: int) -> Cutting:
+    """The keys ``cut``, ``resample`` of a role."""
+    asked, resample = table.content.get("cut"), table.take("resample", (int, float))
+    cut, cuts = None, {}
+    if isinstance(asked, dict):
+        inner = table.table("cut")
+        cuts = {name: _span(inner, name) for name in asked}
+    elif asked is not None:
+        cut = _span(table, "cut")
+    if resample is not None and not resample > 0:
+        raise ValueError(f"{table.place} resample = {resample}, expected seconds above 0")
+    return Cutting(cut=cut, cuts=cuts, resample=resample, decimate=decimate)
+
+
+def _span(table: Table, key: str) -> tuple[float, float]:
+    value = table.take(key, list)
+    numeric = all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
+    if len(value) != 2 or not numeric or not value[0] < value[1]:
+        raise ValueError(f"{table.place} {key} = {value!r}, expected [start, end] in seconds")
+    return float(value[0]), float(value[1])

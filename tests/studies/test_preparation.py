@@ -1,0 +1,101 @@
+"""What a study does to its records, against the same done by hand or undone beforehand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.roll_study import write_study
+
+from casid import DataWarning, Record, read_csv, read_records, read_study, write_csv
+from casid.studies.preparation import with_inputs
+
+PLACE = "[records.identification]\n"
+QUIET = ("noise = true", "noise = false")
+
+
+def read(folder, *changes):
+    """Records of identification by name."""
+    study = read_study(write_study(folder, *changes))
+    return {record.name: record for record in read_records(study)["identification"]}
+
+
+def test_records_are_cut_and_resampled(tmp_path):
+    plain = read(tmp_path, QUIET)["sweep"]
+    changes = (PLACE, PLACE + "cut = [2.0, 20.0]\nresample = 0.08\n")
+    mended = read(tmp_path, QUIET, changes)["sweep"]
+    by_hand = plain.cut(2.0, 20.0).resample(0.08)
+    np.testing.assert_allclose(mended.t, by_hand.t)
+    np.testing.assert_allclose(mended.totals()["p"], by_hand.totals()["p"], atol=1e-12)
+    one = (PLACE, PLACE + "cut = { sweep = [2.0, 20.0] }\n")
+    records = read(tmp_path, QUIET, one)
+    assert (records["sweep"].t[0], records["3211"].t[0]) == (2.0, 0.0)
+
+
+def test_channels_are_moved_in_time(tmp_path):
+    plain = read(tmp_path, QUIET)["sweep"]
+    moved = read(tmp_path, QUIET, (PLACE, f"[channels.shift]\nphi = -0.08\n{PLACE}"))["sweep"]
+    np.testing.assert_allclose(moved.totals()["p"], plain.totals()["p"][: moved.N], atol=1e-12)
+    later = plain.totals()["phi"][2 : moved.N + 2]
+    np.testing.assert_allclose(moved.totals()["phi"], later, atol=1e-9)
+
+
+def test_skews_and_outliers_are_mended_by_a_word(tmp_path):
+    path = write_study(tmp_path, (PLACE, f'[channels]\nshift = "kinematics"\n{PLACE}'))
+    text = path.read_text().replace("[channels]", '[channels]\noutliers = "mask"', 1)
+    path.write_text(text)
+    for name in ("3211", "sweep", "random"):
+        record = read_csv(tmp_path / f"{name}.csv", inputs=["lat"], outputs=["p", "phi"])
+        late = record.shift({"p": 0.06})
+        y = late.y.copy()
+        y[200, 0] += 0.2
+        write_csv(tmp_path / f"{name}.csv", replace(late, y=y))
+    with pytest.warns(DataWarning) as told:
+        records = read_records(read_study(path))["identification"]
+    said = " ".join(str(each.message) for each in told)
+    assert "outliers count as missing" in said
+    lag = float(said.split("p -")[1].split(" ms")[0]) / 1e3
+    assert lag == pytest.approx(0.06, abs=0.005)
+    assert np.abs(np.diff(records[0].y[:, 0])).max() < 0.1  # the outlier is gone
+
+
+def test_a_second_logger_is_joined_on_its_clock(tmp_path):
+    path = write_study(tmp_path, QUIET)
+    plain = read_records(read_study(path))["identification"][1]
+    for name in ("3211", "sweep", "random"):
+        record = read_csv(tmp_path / f"{name}.csv", inputs=["lat"], outputs=["p", "phi"])
+        write_csv(tmp_path / f"{name}_nav.csv", replace(
+            record.select(inputs=(), outputs=["phi"]), t=record.t + 3.0,
+        ))  # fmt: skip
+    second = '[channels.join]\nfile = "{name}_nav.csv"\nchannels = ["phi"]\nclock = -3.0\n'
+    path.write_text(path.read_text().replace("[records.id", f"{second}[records.id", 1))
+    joined = read_records(read_study(path))["identification"][1]
+    assert joined.outputs == ("p", "phi")
+    np.testing.assert_allclose(joined.totals()["phi"], plain.totals()["phi"], atol=1e-9)
+
+
+def test_a_logger_of_inputs_gives_them_as_they_are_held():
+    t = np.arange(0, 2, 0.1)
+    y = np.column_stack([np.arange(20.0), np.where(np.arange(20) % 4 == 0, np.arange(20), np.nan)])
+    record = Record(t, np.zeros((20, 0)), y, (), ("p", "lat"), hold="zoh")
+    made = with_inputs(record, ("lat",))
+    assert (made.inputs, made.outputs) == (("lat",), ("p",))
+    np.testing.assert_array_equal(made.u[:16, 0], np.repeat([0, 4, 8, 12], 4))
+    assert made.t[-1] == t[16]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (f"{PLACE}cut = [3]\n", r"expected \[start, end\] in seconds"),
+        (f"{PLACE}cut = [5, 3]\n", r"expected \[start, end\] in seconds"),
+        (f"{PLACE}resample = -1\n", "expected seconds above 0"),
+        (f'[channels]\nshift = "auto"\n{PLACE}', 'expected "kinematics"'),
+        (f'[channels]\noutliers = "drop"\n{PLACE}', 'expected "keep" or "mask"'),
+        (f'[channels.join]\nfile = "nav.csv"\n{PLACE}', "the second file of each record"),
+        (f'[channels.join]\nfile = "{{name}}.csv"\nchannels = ["q"]\n{PLACE}', "none of lat"),
+        (f'[channels.join]\nfile = "{{name}}.csv"\n{PLACE}', "channels are missing"),
+    ],
+)
+def test_what_is_asked_for_wrongly_is_told(tmp_path, change, message):
+    with pytest.raises(ValueError, match=message):
+        read_study(write_study(tmp_path, (PLACE, change)))
