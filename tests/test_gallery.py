@@ -19,11 +19,13 @@ from models.hybrid_flap import HybridFlap
 from models.hybrid_flap_lag import HybridFlapLag
 from models.lateral_directional import LateralDirectional
 from models.longitudinal import Longitudinal
+from models.multirotor import Multirotor
 from models.short_period import ShortPeriod
 from models.six_dof import SixDof
 
 GALLERY = [
-    HeaveInflow, HybridFlap, HybridFlapLag, LateralDirectional, Longitudinal, ShortPeriod, SixDof
+    HeaveInflow, HybridFlap, HybridFlapLag, LateralDirectional, Longitudinal, Multirotor,
+    ShortPeriod, SixDof,
 ]  # fmt: skip
 
 
@@ -160,6 +162,16 @@ def test_every_parameter_has_a_unit_bounds_and_room_to_move(structure):
         assert np.isfinite([info.lower, info.upper]).all(), name
         assert info.lower < info.upper, name
         assert info.unit, name
+
+
+def test_a_multirotor_without_damping_has_the_hover_cubic_and_its_thrust_settles():
+    # McRuer: with Mq = 0, s^2 (s - Xu) + g Mu = 0; steady climb w = -Zthrust d / Zw.
+    model = Multirotor(Xu=-0.3, Mu=6.0, Mq=0.0)
+    poles = model.system().poles()
+    for root in np.roots([1.0, 0.3, 0.0, 9.80665 * 6.0]):
+        assert np.abs(poles - root).min() < 1e-9
+    x = np.linalg.solve(model.system().A, -model.system().B[:, 0])
+    assert x[2] == pytest.approx(-model.Zthrust / -model.Zw * -1)
 
 
 def test_heave_settles_at_the_thrust_that_balances_its_damping():

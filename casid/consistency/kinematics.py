@@ -33,6 +33,7 @@ SCALE, SKEW, BIAS = 0.02, 0.01, 0.1  # what matters: relative, s, of the channel
 ROUGH = 0.1  # the scale that matters where an equation lacks a channel
 AWAY, SEEN = 0.2, 0.5  # m: an accelerometer's place that matters, and its largest error
 LEVEL = 0.005  # rad
+ALIKE = 0.2  # how near a factor is to that of a mistake
 REST = 0.5  # s of quiet that a trim is taken from
 MUCH = 0.3  # share of an attitude's movement left unexplained that matters
 
@@ -47,7 +48,7 @@ NEEDED = {  # channels without which an equation means nothing
 WHOLE = NEEDED | {"phi": {"phi", "theta", *RATES}, "theta": {"phi", "theta", "q", "r"}}
 FACTORS = {
     "it has the opposite sign": -1.0,
-    "it seems to be in degrees": 180 / np.pi,
+    "it seems to be in degrees, or its reference in radians though called degrees": 180 / np.pi,
     "its reference seems to be in degrees": np.pi / 180,
     "it seems to be in g": 1 / GRAVITY,
     "it seems to be in feet": 1 / 0.3048,
@@ -304,7 +305,7 @@ def _late(check: ChannelCheck) -> float:
 
 def _mistake(factor: float) -> str:
     """The mistake that a factor betrays, if any."""
-    why = [why for why, known in FACTORS.items() if abs(factor / known - 1) < 0.05]
+    why = [why for why, known in FACTORS.items() if abs(factor / known - 1) < ALIKE]
     return why[0] if why else ""
 
 

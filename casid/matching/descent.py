@@ -84,7 +84,8 @@ class Condensed:
         middle = self.clip(np.zeros(len(self.scale)))
         size = np.zeros(len(self.scale))
         for _ in range(3):
-            x = self.clip(middle + rng.uniform(-1.0, 1.0, len(middle)))
+            away = middle + rng.uniform(-1.0, 1.0, len(middle))
+            x = self.clip(2 * self.clip(away) - away)  # reflected: with one at zero others are idle
             with contextlib.suppress(np.linalg.LinAlgError):
                 size = np.maximum(size, np.abs(self.jacobian(x)[1]).max(axis=1))
         return np.flatnonzero(size <= 1e-14 * size.max())

@@ -1,8 +1,8 @@
 """The stage that judges all models on unseen records."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 from casid.eigenmodes import modes
 from casid.report import drawings
@@ -13,8 +13,22 @@ from casid.stages.stage import Stage, Task
 from casid.validation import Validation, validate
 
 
-def _run(settings: Any, task: Task) -> Validation:  # noqa: ANN401, ARG001 - it has none
-    return validate(task.models, task.records)
+@dataclass(frozen=True, kw_only=True)
+class Judgement:
+    """Settings of the validation.
+
+    Parameters
+    ----------
+    horizon : float
+        As in `validate`: how far ahead models are predicted [s]; infinite, records are simulated
+        whole even by unstable models, from the state that suits all of a record best.
+    """
+
+    horizon: float | None = None
+
+
+def _run(settings: Judgement, task: Task) -> Validation:
+    return validate(task.models, task.records, horizon=settings.horizon)
 
 
 def _show(found: Validation, content: Content) -> Iterable[Section]:
@@ -51,6 +65,8 @@ VALIDATION = Stage(
     name="validation",
     does="validation on unseen records",
     run=_run,
+    table="validation",
+    settings=Judgement(),
     role=("validation",),
     kept=False,
     show=_show,
