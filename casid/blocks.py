@@ -41,9 +41,8 @@ def assemble(blocks: Sequence[Block], x0: Array, lower_x: Array, upper_x: Array)
     n = len(x0)
     x = ca.MX.sym("x", n)
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", sum(map(_rows, blocks)))
-    f, g, gradient = ca.MX(0), [], ca.MX(n, 1)
+    f, g, gradient, start = ca.MX(0), [], ca.MX(n, 1), 0
     jacobian, hessian = _Triplets(), _Triplets()
-    start = 0
     for block in blocks:
         parts = _functions(block)
         local = ca.reshape(x[_flat(block.index)], block.index.shape)
@@ -59,21 +58,19 @@ def assemble(blocks: Sequence[Block], x0: Array, lower_x: Array, upper_x: Array)
         hessian.add(parts["H"], block.index, block.index, ca.vec(H))
         start = stop
     g = ca.vertcat(*g)
-    p = ca.MX(0, 1)
-    names = (["x", "p"], ["f", "grad_f_x"], ["g", "jac_g_x"])
+    J = jacobian.matrix((start, n))
+    symbols = {"x": x, "p": ca.MX(0, 1), "lam_f": lam_f, "lam_g": lam_g}
+
+    def function(name: str, inputs: Sequence[str], **results: ca.MX) -> ca.Function:
+        given = [symbols[each] for each in inputs]
+        return ca.Function(name, given, [*results.values()], [*inputs], [*results])
+
     functions = {
-        "nlp_grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], names[0], names[1]),
-        "nlp_jac_g": ca.Function(
-            "nlp_jac_g", [x, p], [g, jacobian.matrix((start, n))], names[0], names[2]
-        ),
+        "nlp_grad_f": function("nlp_grad_f", ("x", "p"), f=f, grad_f_x=gradient),
+        "nlp_jac_g": function("nlp_jac_g", ("x", "p"), g=g, jac_g_x=J),
     }
-    second = ca.Function(
-        "nlp_hess_l",
-        [x, p, lam_f, lam_g],
-        [hessian.matrix((n, n), upper=True)],
-        ["x", "p", "lam_f", "lam_g"],
-        ["triu_hess_gamma_x_x"],
-    )
+    H = hessian.matrix((n, n), upper=True)
+    second = function("nlp_hess_l", [*symbols], triu_hess_gamma_x_x=H)
     return Problem(
         x=x, f=f, g=g, x0=x0, lower_x=lower_x, upper_x=upper_x,
         lower_g=np.concatenate([np.tile(block.lower, block.count) for block in blocks]),

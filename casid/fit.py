@@ -283,40 +283,34 @@ def parameter_table(
     What is missing is NaN; ``guess`` is what the estimator started from, the model of ``free``
     unless given.
     """
-    model = free.model
-    full = free.full(np.asarray(values, dtype=float))
-    start = (guess or model).vector()
-    position = {int(i): k for k, i in enumerate(free.index)}
+    model, full = free.model, free.full(np.asarray(values, dtype=float))
+    moving = np.isin(np.arange(len(full)), free.index)
+    gap = np.minimum(full - free.lower, free.upper - full)
+    active = moving & (gap <= ACTIVE * free.scale)
 
-    def pick(column: Array | None, i: int, fixed: float) -> float:
-        if i not in position:
-            return fixed
-        return np.nan if column is None else float(column[position[i]])
+    def column(values: Array | None, fixed: float) -> Array:
+        """Of all parameters."""
+        every = np.full(len(full), fixed)
+        every[free.index] = np.nan if values is None else values
+        return every
 
+    columns = {
+        "value": full,
+        "guess": (guess or model).vector(),
+        "lower": free.lower,
+        "upper": free.upper,
+        "multiplier": np.where(active, column(multipliers, 0.0), 0.0),
+        "std_error": np.where(active, np.nan, column(std_error, 0.0)),
+        "insensitivity": column(insensitivity, np.nan),
+        "cramer_rao": np.where(active, np.nan, column(cramer_rao, np.nan)),
+    }
     rows = []
     for i, (name, info) in enumerate(model.infos().items()):
-        near = ACTIVE * free.scale[i]
-        gap = min(full[i] - free.lower[i], free.upper[i] - full[i])
-        active = i in position and bool(gap <= near)
-        prior, prior_std = free.priors.get(name, (np.nan, np.nan))
-        rows.append(
-            ParameterEstimate(
-                name=name,
-                value=float(full[i]),
-                guess=float(start[i]),
-                lower=float(free.lower[i]),
-                upper=float(free.upper[i]),
-                active=active,
-                multiplier=pick(multipliers, i, 0.0) if active else 0.0,
-                std_error=np.nan if active else pick(std_error, i, 0.0),
-                insensitivity=pick(insensitivity, i, np.nan),
-                cramer_rao=np.nan if active else pick(cramer_rao, i, np.nan),
-                unit=info.unit,
-                fixed=i not in position,
-                prior=float(prior),
-                prior_std=float(prior_std),
-            )
-        )
+        numbers: Any = {key: float(values[i]) for key, values in columns.items()}
+        prior, std = map(float, free.priors.get(name, (np.nan, np.nan)))
+        told: Any = {"name": name, "unit": info.unit, "prior": prior, "prior_std": std}
+        held: Any = {"active": bool(active[i]), "fixed": not moving[i]}
+        rows.append(ParameterEstimate(**told, **numbers, **held))
     return tuple(rows)
 
 
@@ -324,19 +318,11 @@ def constraint_table(model: Model, prices: Array) -> tuple[ConstraintEstimate, .
     """Rows of the constraints at the estimates; prices (m,): slopes of the cost by their values."""
     rows = []
     for item, price in zip(model.constraints(), prices, strict=True):
-        value = float(item.value)
-        gap = min(value - item.lower, item.upper - value)
-        active = bool(item.lower == item.upper or gap <= ACTIVE)
-        rows.append(
-            ConstraintEstimate(
-                name=item.name,
-                value=value,
-                lower=float(item.lower),
-                upper=float(item.upper),
-                active=active,
-                multiplier=float(price) if active else 0.0,
-            )
-        )
+        value, lower, upper = (float(each) for each in (item.value, item.lower, item.upper))
+        active = lower == upper or min(value - lower, upper - value) <= ACTIVE
+        told: Any = {"name": item.name, "value": value, "lower": lower, "upper": upper}
+        slope = float(price) if active else 0.0
+        rows.append(ConstraintEstimate(**told, active=active, multiplier=slope))
     return tuple(rows)
 
 

@@ -170,13 +170,11 @@ def _result(
     )
     pairs = _pair_rows(problem, values)
     figures = zip(free.names, values, std, insensitivity, spread, strict=True)
+    ended = {name: getattr(best, name) for name in ("cost", "status", "success", "iterations")}
     return Fit(
+        **ended,
         model=solved,
         parameters=parameters,
-        cost=best.cost,
-        status=best.status,
-        success=best.success,
-        iterations=best.iterations,
         seconds=took,
         method="derivid",
         notes=DerividNotes(

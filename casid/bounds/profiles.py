@@ -136,12 +136,7 @@ def profile_parameters(
     """
     if not 0 < level < 1:
         raise ValueError(f"level={level}: expected a confidence between 0 and 1")
-    names = tuple(values)
-    if not 1 <= len(names) <= 2:
-        raise ModelError(f"values name {len(names)} parameters, expected one or two")
-    points = np.array(list(product(*values.values())), dtype=float).reshape(-1, len(names))
-    if not len(points):
-        raise ModelError(f"no values of {' and '.join(names)} given")
+    names, points = _combined(values)
     specs: dict[str, CaseSpec] = {FREE: {}}
     for point in points:
         specs[_label(names, point)] = dict(zip(names, map(float, point), strict=True))
@@ -156,12 +151,6 @@ def profile_parameters(
     found = [done[_label(names, point)] for point in points]
     fits: list[AnyFit | None] = [None if each.reason else each.result for each in found]
     quantile = float(np.sqrt(scipy.stats.chi2.ppf(level, 1)))
-    errors = [
-        {name: quantile * getattr(whole.result[name], error) for name in names}
-        for error in ("std_error", "cramer_rao")
-    ]
-    value = {name: whole.result[name].value for name in names}
-    around = [{n: (value[n] - half[n], value[n] + half[n]) for n in names} for half in errors]
     return Profile(
         names=names,
         points=points,
@@ -172,9 +161,28 @@ def profile_parameters(
         level=level,
         parabola=_parabola(whole.result, names, points),
         intervals={name: _interval(many, whole.result, name, quantile) for name in names},
-        standard=around[0],
-        cramer_rao=around[1],
+        standard=_around(whole.result, names, "std_error", quantile),
+        cramer_rao=_around(whole.result, names, "cramer_rao", quantile),
     )
+
+
+def _combined(values: Mapping[str, Sequence[float]]) -> tuple[tuple[str, ...], Array]:
+    """The one or two parameters, and all combinations (n, 1 or 2) of their values."""
+    names = tuple(values)
+    if not 1 <= len(names) <= 2:
+        raise ModelError(f"values name {len(names)} parameters, expected one or two")
+    points = np.array(list(product(*values.values())), dtype=float).reshape(-1, len(names))
+    if not len(points):
+        raise ModelError(f"no values of {' and '.join(names)} given")
+    return names, points
+
+
+def _around(
+    fit: AnyFit, names: Sequence[str], error: str, quantile: float
+) -> dict[str, tuple[float, float]]:
+    """Values less and more by so many of their errors of a kind."""
+    ends = {name: quantile * getattr(fit[name], error) for name in names}
+    return {name: (fit[name].value - half, fit[name].value + half) for name, half in ends.items()}
 
 
 def _label(names: Sequence[str], point: Array) -> str:
