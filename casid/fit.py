@@ -8,6 +8,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 import numpy as np
 
 from casid.arrays import Array, BoolArray
+from casid.checks import checked
 from casid.display import Shown
 from casid.errors import ModelError, warn
 from casid.files import number, read_json, write_json
@@ -172,6 +173,7 @@ class Fit(Shown, Generic[M_co, N_co]):
         write_json(path, {"casid": "fit", "version": 2} | encode(self)["fields"])
 
     @classmethod
+    @checked
     def load(cls, path: str | Path, *, model: type[M]) -> "Fit[M, Any]":
         """Read what `save` wrote; ``model`` is the structure's class.
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from casid import samples
 from casid.arrays import Array, BoolArray
+from casid.checks import checked_methods
 from casid.display import Shown, listed
 from casid.errors import warn
 from casid.values import digest
@@ -21,6 +22,7 @@ FEWEST = 16  # samples of a stretch between gaps
 QUIET = 0.02  # share of an input's range that still counts as trim
 
 
+@checked_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class Record(Shown):
     """One manoeuvre, SI units and radians.
@@ -278,6 +280,9 @@ class Record(Shown):
 
     def mask(self, where: BoolArray) -> "Record":
         """The same manoeuvre with some output samples missing: ``where`` (N, ny) is true."""
+        if (shape := np.shape(where)) != self.y.shape:
+            wanted = f"expected (N, ny) = {self.y.shape}, true where a sample is to be missing"
+            raise ValueError(f"record {self.name!r}: where has shape {shape}, {wanted}")
         return replace(self, y=np.where(where, np.nan, self.y))
 
     def decimate(self, step: int) -> "Record":

@@ -128,7 +128,7 @@ def test_trim_is_subtracted_and_remembered():
 def test_trim_that_is_not_there_is_told():
     with pytest.raises(ValueError, match="record 'roll': no trim value for channel 'ped'"):
         record().detrend({"lat": 0.0})
-    with pytest.raises(ValueError, match='detrend=\'last\': expected "first", "mean"'):
+    with pytest.raises(ValueError, match='how = \'last\', expected "first" or "mean"'):
         record().detrend("last")
     y = np.ones((5, 3))
     y[:2, 1] = np.nan

@@ -14,6 +14,7 @@ from casid.arrays import Array
 from casid.baseline.accuracy import DerividNotes, PairCost, accuracy, accuracy_row, scatter
 from casid.baseline.pairs import Pairs, select, thin
 from casid.baseline.search import Minima, descents, pair_costs, solve
+from casid.checks import checked_fields
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, holding, parameter_table
 from casid.frequency.estimation import FrequencyResponse
@@ -26,6 +27,7 @@ from casid.nlp import SolverOptions
 from casid.threads import one_thread
 
 
+@checked_fields
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Derivid:
     """Fit of a structure to measured responses in dB and degrees, as an estimator.

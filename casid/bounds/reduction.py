@@ -12,6 +12,7 @@ import numpy as np
 
 from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY
 from casid.bounds.trials import Data, Fits, aicc
+from casid.checks import checked_fields
 from casid.errors import ConvergenceError, ModelError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, ParameterEstimate
@@ -83,6 +84,7 @@ class Reduction:
         return markdown_table(heading, rows)
 
 
+@checked_fields
 @dataclass(frozen=True, kw_only=True)
 class ReductionRule:
     """What a reduction tries, and when it ends.

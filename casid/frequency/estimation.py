@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
+from casid.checks import checked_fields
 from casid.display import Shown, listed
 from casid.errors import warn
 from casid.files import read_json, write_json
@@ -199,6 +200,7 @@ class FrequencyResponse(Shown):
         return control.FrequencyResponseData(np.moveaxis(self.G, 0, 2), self.omega, **names)
 
 
+@checked_fields
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpectralAnalysis:
     """Frequency responses by averaged spectra.

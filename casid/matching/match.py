@@ -11,6 +11,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from casid.arrays import Array
+from casid.checks import checked_fields
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
 from casid.matching.appraisal import MatchNotes
@@ -27,6 +28,7 @@ LOG = logging.getLogger("casid")
 NORMS = ("quadratic", "hinf")
 
 
+@checked_fields
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Match:
     """Match of a structure to targets, as an estimator.

@@ -18,6 +18,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from casid.arrays import Array
+from casid.checks import checked_fields
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
 from casid.model import Bounds, Free, M, Model, Priors, free_parameters
@@ -46,6 +47,7 @@ MANY = 2.0  # measurements for every unknown, at least
 LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
 
 
+@checked_fields
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OutputError:
     """Output error and filter error, as an estimator.

@@ -13,6 +13,7 @@ from typing import Literal, TypeVar, get_args
 import numpy as np
 
 from casid.arrays import Array
+from casid.checks import checked_fields
 from casid.errors import warn
 from casid.linear import StateSpace
 from casid.record import Records
@@ -35,6 +36,7 @@ PAST = 10  # samples at least, for the samples themselves
 CLEARLY = 0.95  # of what projections leave unexplained: models of samples that leave less are taken
 
 
+@checked_fields
 @storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Pbsid:

@@ -231,7 +231,7 @@ def test_a_failed_case_is_a_row_with_its_reason():
 
 
 def test_a_wrong_estimator_or_case_is_refused_at_once():
-    with pytest.raises(ValueError, match="expected an estimator with its settings"):
+    with pytest.raises(ValueError, match="estimator = 'guess', expected Estimator"):
         compare_bounds(Mixture(), [record()], cases={"free": {}}, estimator="guess")
     with pytest.raises(ValueError, match="no parameter 'z'"):
         compare_bounds(Mixture(), [record()], cases={"free": {"z": 1.0}})

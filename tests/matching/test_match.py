@@ -138,7 +138,7 @@ def test_missing_channel_is_named():
 
 
 def test_what_is_no_target_is_refused():
-    with pytest.raises(ValueError, match="target is a NoneType"):
+    with pytest.raises(ValueError, match="target = None, expected BlackBox or"):
         match(HoverRoll(), None)
 
 

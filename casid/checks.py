@@ -1,0 +1,266 @@
+"""Arguments of public functions, checked where users hand them over: kind, order, range.
+
+What an argument may be its annotation says, and what its numbers may be its name, which means one
+thing everywhere.
+"""
+
+import inspect
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
+from functools import cache, wraps
+from numbers import Integral, Real
+from types import FunctionType, NoneType, UnionType
+from typing import (
+    Any,
+    Literal,
+    ParamSpec,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import numpy as np
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+LONGEST = 60  # characters of a value in a message
+
+# What the numbers of an argument of that name must be, in words and as a test of all of them, where
+# what takes it has no better words.
+RANGES: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
+    **dict.fromkeys(("horizon", "poles"), ("numbers > 0", lambda x: x.size and (x > 0).all())),
+    **dict.fromkeys(
+        ("regularisation", "regularisations", "noise", "seed", "order"),
+        ("0 or more", lambda x: (x >= 0).all()),
+    ),
+    **dict.fromkeys(
+        ("orders", "pasts"), ("whole numbers, 1 or more", lambda x: x.size and (x >= 1).all())
+    ),
+    "omega": ("one frequency at least", lambda x: x.size),
+    "band": ("(lowest, highest) in rad/s, 0 <= lowest < highest", lambda x: 0 <= x[0] < x[1]),
+}
+
+
+def checked(function: Callable[P, T]) -> Callable[P, T]:
+    """A function that refuses arguments of another kind or range than it wants, by ValueError."""
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def careful(*args: P.args, **kwargs: P.kwargs) -> T:
+        given = signature.bind(*args, **kwargs).arguments
+        hints, owner = _hints(function), function.__qualname__
+        _check_kinds(owner, given, hints)
+        _check_ranges(owner, given)
+        return function(*args, **kwargs)
+
+    return careful
+
+
+def checked_methods(cls: type[T]) -> type[T]:
+    """A class whose public methods are `checked`."""
+    for name, method in list(vars(cls).items()):
+        if isinstance(method, FunctionType) and not name.startswith("_"):
+            setattr(cls, name, checked(method))
+    return cls
+
+
+def checked_fields(cls: type[T]) -> type[T]:
+    """A frozen dataclass that refuses fields of another kind or range than they are declared."""
+    make = cls.__init__
+
+    @wraps(make)
+    def careful(self: T, /, **given: Any) -> None:  # noqa: ANN401 - what the class declares
+        _check_kinds(cls.__name__, given, _hints(cast("Hashable", cls)))
+        make(self, **given)  # which may know better words for a range
+        _check_ranges(cls.__name__, given)
+
+    cls.__init__ = careful  # type: ignore[assignment] # mypy: it may be a subclass's
+    return cls
+
+
+@cache
+def _hints(owner: Hashable) -> Mapping[str, Any]:
+    return get_type_hints(owner)  # of a function or a class
+
+
+def _check_kinds(owner: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
+    """Refuse the first value that is of no kind its hint names."""
+    for name, value in given.items():
+        if name in hints and not fits(value, hints[name]):
+            raise ValueError(
+                f"{owner}: {name} = {_short(value)}, expected {words(hints[name])}"
+                f"{_remedy(name, given, hints)}"
+            )
+
+
+def _check_ranges(owner: str, given: Mapping[str, Any]) -> None:
+    """Refuse the first value with numbers out of its name's range."""
+    for name in given.keys() & RANGES.keys():
+        numbers, (wanted, holds) = _numbers(given[name]), RANGES[name]
+        if numbers is not None and not holds(numbers):
+            raise ValueError(f"{owner}: {name} = {_short(given[name])}, expected {wanted}")
+
+
+def _remedy(name: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> str:
+    """What to do about an argument that does not fit."""
+    value, hint = given[name], hints[name]
+    for other in (each for each in given if each != name and each in hints):
+        if fits(value, hints[other]) and not fits(given[other], hints[other]):
+            return f"; swap {name} and {other}"
+    if isinstance(value, type):
+        return f"; make one: {value.__name__}()"
+    if get_origin(hint) is type and fits(type(value), hint):
+        return f"; pass {type(value).__name__} itself"
+    members = get_args(hint) if get_origin(hint) in {Union, UnionType} else (hint,)
+    for kind, inner in ((get_origin(each), get_args(each)) for each in members):
+        if kind in {Sequence, Collection} and fits(value, inner[0]):
+            return f"; write [{_short(value)}]"
+        if kind is Mapping and fits(value, inner[1]):
+            return '; give it a name: {"name": ...}'
+    return ""
+
+
+def fits(value: Any, hint: Any) -> bool:  # noqa: ANN401 - anything a user may hand over
+    """Whether a value is what an annotation says; NaN is no number."""
+    hint = hint.__bound__ if isinstance(hint, TypeVar) else hint
+    kind, inner = get_origin(hint) or hint, get_args(hint)
+    if kind in _PLAIN or kind in _GENERIC:
+        return _PLAIN[kind](value) if kind in _PLAIN else _GENERIC[kind](value, inner)
+    if kind is Any or not isinstance(kind, type):
+        return True
+    if issubclass(kind, Mapping):
+        pairs = list(value.items()) if isinstance(value, Mapping) else [()]
+        return all(len(pair) == 2 and all(map(fits, pair, inner or (Any, Any))) for pair in pairs)
+    if issubclass(kind, Collection) and kind is not str and inner:
+        return _holds(value, kind, inner)
+    if getattr(kind, "_is_protocol", False):
+        return all(hasattr(value, name) for name in vars(kind) if not name.startswith("_"))
+    return isinstance(value, kind)
+
+
+def _is_class(value: Any, inner: tuple[Any, ...]) -> bool:  # noqa: ANN401
+    """Whether a value is one of the classes in brackets."""
+    bounds = [each.__bound__ if isinstance(each, TypeVar) else each for each in inner]
+    return isinstance(value, type) and all(
+        not isinstance(bound, type) or issubclass(value, bound) for bound in bounds
+    )
+
+
+def _holds(value: Any, kind: type, inner: tuple[Any, ...]) -> bool:  # noqa: ANN401
+    """Whether a collection holds what it is to hold; text is none, a mapping no sequence."""
+    if isinstance(value, Iterator):
+        return kind is not tuple
+    if isinstance(value, str | Mapping) or not isinstance(value, Collection):
+        return False
+    if kind is tuple and Ellipsis not in inner:
+        return len(value) == len(inner) and all(map(fits, value, inner))
+    return all(fits(each, inner[0]) for each in value)
+
+
+def _numbers(value: Any) -> Any:  # noqa: ANN401
+    """The real numbers of an argument as an array; None if it has others."""
+    value = list(value.values()) if isinstance(value, Mapping) else value
+    if isinstance(value, Collection) and not len(value):
+        return np.zeros(0)
+    if value is None or isinstance(value, str | Iterator) or not _is_array(np.atleast_1d(value)):
+        return None
+    found = np.atleast_1d(np.asarray(value))
+    return None if found.dtype.kind in "bc" else found
+
+
+def _is_array(value: Any) -> bool:  # noqa: ANN401
+    """Whether a value is an array of numbers, or lists of them."""
+    if isinstance(value, str | Mapping) or not isinstance(value, Collection):
+        return False
+    try:
+        return np.asarray(value).dtype.kind in "biufc"
+    except ValueError:  # rows of several lengths
+        return False
+
+
+def _is_whole(value: Any) -> bool:  # noqa: ANN401
+    return isinstance(value, Integral) and not isinstance(value, bool | np.bool_)
+
+
+def _is_number(value: Any) -> bool:  # noqa: ANN401
+    if isinstance(value, bool | np.bool_):
+        return False
+    return isinstance(value, Real) and not np.isnan(float(value))
+
+
+def _fits_any(value: Any, inner: tuple[Any, ...]) -> bool:  # noqa: ANN401
+    return any(fits(value, each) for each in inner)
+
+
+_PLAIN: Mapping[Any, Callable[[Any], bool]] = {
+    NoneType: lambda value: value is None,
+    np.ndarray: _is_array,
+    Callable: callable,
+    bool: lambda value: isinstance(value, bool | np.bool_),
+    int: _is_whole,
+    float: _is_number,
+}
+_GENERIC: Mapping[Any, Callable[[Any, tuple[Any, ...]], bool]] = {
+    Union: _fits_any,
+    UnionType: _fits_any,
+    Literal: lambda value, inner: isinstance(value, str | int) and value in inner,
+    type: _is_class,
+    tuple: lambda value, inner: _holds(value, tuple, inner),
+}
+
+
+def words(hint: Any) -> str:  # noqa: ANN401 - an annotation
+    """An annotation as a reader wants it."""
+    hint = hint.__bound__ if isinstance(hint, TypeVar) else hint
+    kind, inner = get_origin(hint) or hint, get_args(hint)
+    if kind in _PHRASES:
+        return _PHRASES[kind](inner)
+    name = _NAMES.get(kind, str(getattr(kind, "__name__", kind)))
+    if not (isinstance(kind, type) and issubclass(kind, Collection) and inner):
+        return name
+    if issubclass(kind, Mapping):
+        return f"a mapping {{{words(inner[0])}: {words(inner[1])}}}"
+    many = {int: "whole numbers", float: "numbers", str: "texts"}
+    return many.get(inner[0], f"several {words(inner[0])}")
+
+
+def _one_of(inner: tuple[Any, ...]) -> str:
+    return " or ".join(dict.fromkeys(words(each) for each in inner if each is not NoneType))
+
+
+_NAMES: Mapping[Any, str] = {
+    Any: "anything",
+    np.ndarray: "an array of numbers",
+    bool: "True or False",
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+}
+_PHRASES: Mapping[Any, Callable[[tuple[Any, ...]], str]] = {
+    Union: _one_of,
+    UnionType: _one_of,
+    Literal: lambda inner: " or ".join(f'"{each}"' for each in inner),
+    type: lambda _: "a class",
+    tuple: lambda inner: (
+        f"several {words(inner[0])}" if Ellipsis in inner else f"({', '.join(map(words, inner))})"
+    ),
+}
+
+
+def _short(value: Any) -> str:  # noqa: ANN401
+    """A value as a message shows it: a number or a text itself, of others their class."""
+    if value is None or isinstance(value, str | int | float | np.number):
+        text = repr(value.item() if isinstance(value, np.generic) else value)
+    elif isinstance(value, type):
+        text = f"the class {value.__name__}"
+    elif isinstance(value, list | tuple | dict | set) and len(repr(value)) <= LONGEST:
+        text = repr(value)
+    elif isinstance(value, np.ndarray):
+        text = f"an array {value.shape} of {value.dtype}"
+    else:
+        name = type(value).__name__
+        text = f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"
+    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
