@@ -19,6 +19,7 @@ M_co = TypeVar("M_co", bound=Model, covariant=True)
 N_co = TypeVar("N_co", covariant=True)
 
 ACTIVE = 1e-6  # distance to a bound, relative to the parameter's scale, that counts as on it
+NEAR = 1e-4  # the same, if the bound has a price
 
 
 @storable
@@ -269,6 +270,20 @@ def _check_types(fit: AnyFit) -> None:
     ):  # fmt: skip
         if wrong := [each for each in found if not isinstance(each, kind)]:
             raise TypeError(f"{wrong[0]!r} is no {getattr(kind, '__name__', 'number')}")
+
+
+def on_bounds(free: Free, values: Array, multipliers: Array) -> Array:
+    """Free values (nf,) as an interior-point solver meant them: within bounds, on those that hold.
+
+    It stops short of a bound, the nearer the larger the bound's multiplier: a parameter nearer than
+    that in its own scale is on it. ``multipliers`` (nf,) are prices as in the parameter table.
+    """
+    lower, upper, scale = (each[free.index] for each in (free.lower, free.upper, free.scale))
+    values = np.clip(values, lower, upper)
+    for bound, price in ((lower, multipliers * scale), (upper, -multipliers * scale)):
+        gap = np.abs(values - bound) / scale
+        values = np.where((gap <= NEAR) & (gap < price), bound, values)
+    return np.asarray(values)
 
 
 def parameter_table(

@@ -20,7 +20,7 @@ from casid import (
     Scalar,
     parameter,
 )
-from casid.fit import constraint_table, parameter_table
+from casid.fit import constraint_table, on_bounds, parameter_table
 from casid.matching.appraisal import Peak
 from casid.model import free_parameters
 
@@ -43,6 +43,19 @@ class Lag(Model):
 
     def B(self) -> Rows:
         return [[self.b * self.c]]
+
+
+def test_a_parameter_that_a_solver_stops_short_of_its_bound_is_on_it():
+    free = free_parameters(Lag(), bounds={"a": (-1.0, 0.25), "b": (-3.0, 3.0)}, fixed=("c",))
+    unit = free.scale[free.index]
+    short = np.array([0.25, -3.0]) + np.array([-1e-5, 1e-5]) * unit
+    held = np.array([-4.0, 2.0]) / unit
+    np.testing.assert_array_equal(on_bounds(free, short, held), [0.25, -3.0])
+    # no price, a price of the other side, or further off than any solver stops
+    for price in (0 * held, -held):
+        np.testing.assert_array_equal(on_bounds(free, short, price), short)
+    far = np.array([0.25, -3.0]) + np.array([-1e-3, 1e-3]) * unit
+    np.testing.assert_array_equal(on_bounds(free, far, held), far)
 
 
 class Other(Lag):

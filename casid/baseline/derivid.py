@@ -16,7 +16,15 @@ from casid.baseline.pairs import Pairs, select, thin
 from casid.baseline.search import Minima, descents, pair_costs, solve
 from casid.checks import checked_fields
 from casid.errors import ConvergenceError
-from casid.fit import AnyFit, Fit, constraint_table, held_directions, holding, parameter_table
+from casid.fit import (
+    AnyFit,
+    Fit,
+    constraint_table,
+    held_directions,
+    holding,
+    on_bounds,
+    parameter_table,
+)
 from casid.frequency.estimation import FrequencyResponse
 from casid.matching.descent import Condensed, check_effects
 from casid.matching.lifted import Optimum
@@ -159,7 +167,8 @@ def _one_response(data: FrequencyResponse | Sequence[FrequencyResponse]) -> Freq
 def _result(
     problem: Condensed, model: M, frf: FrequencyResponse, found: Minima, best: Optimum, took: float
 ) -> Fit[M, DerividNotes]:
-    free, values = problem.free, best.values
+    free = problem.free
+    values = on_bounds(free, best.values, best.multipliers)
     solved = model.with_vector(free.full(values))
     table = parameter_table(free, values, best.multipliers, guess=model)
     active = np.array([table[i].active for i in free.index])

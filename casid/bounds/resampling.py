@@ -312,7 +312,8 @@ def bootstrap(
         record.select(model.inputs, model.outputs).y - clean.y
         for record, clean in zip(flown, simulated, strict=True)
     )
-    _check_residuals(fit, residuals)
+    known = any(getattr(estimator, each, None) for each in ("priors", "initial"))
+    _check_residuals(fit, residuals, known=known)
     draws: list[Draw] = [BlockDraw(residuals, block, (seed, run)) for run in range(runs)]
     return _ensemble(Fits(model, simulated, estimator, fixed, bounds, execution), draws, fit)
 
@@ -322,16 +323,15 @@ def _check_runs(runs: int) -> None:
         raise ValueError(f"runs={runs}: expected 2 or more; a scatter takes at least two fits")
 
 
-def _check_residuals(fit: AnyFit, residuals: Sequence[Array]) -> None:
-    """ValueError unless these residuals have the likelihood that the fit ended with."""
+def _check_residuals(fit: AnyFit, residuals: Sequence[Array], *, known: bool) -> None:
+    """ValueError unless these residuals are as likely as those that the fit ended with."""
     every = np.concatenate(residuals)
     patterns, kind = np.unique(np.isfinite(every), axis=0, return_inverse=True)
     pattern, R = kind.ravel(), np.asarray(fit.R)
     noise = Noise(patterns, np.bincount(pattern), np.zeros(len(R)), given=R)
     cost = noise.cost(R, moments_of(np.nan_to_num(every), pattern, len(patterns)))
-    known = free_parameters(fit.model, set(fit.model.parameter_names()) - set(fit.free_names))
-    cost += 0.5 * float(np.sum(known.surprise(known.guess)[0] ** 2))
-    if not abs(cost - fit.cost) <= SAME_COST * len(every):
+    room, more = SAME_COST * len(every), cost - fit.cost
+    if not (abs(more) <= room or (known and more < 0)):  # the fit's has what is known before
         raise ValueError(
             f"the fit is not one of these records: it ended with a cost of {fit.cost:.6g}, with "
             f"these it has {cost:.6g}; give the records it was estimated from, in their order"

@@ -20,7 +20,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.errors import ConvergenceError
-from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
+from casid.fit import AnyFit, Fit, constraint_table, held_directions, on_bounds, parameter_table
 from casid.model import Bounds, Free, M, Model, Priors, free_parameters
 from casid.nlp import SolverOptions
 from casid.nonlinear.model import NonlinearModel
@@ -378,10 +378,10 @@ def _result(
     evaluator = programme.evaluator
     point, final = programme.unpack(solution.x), programme.values(solution.x)
     n = len(free.index)
-    found = precision(programme, solution.x)
-    lam = np.clip(point.lam[:n], free.lower[free.index], free.upper[free.index])
-    model, ties = start.with_vector(free.full(lam)), free.model.constraints()
     multipliers = -programme.n * solution.multipliers_x[:n] / programme.scales.lam[:n]
+    lam = on_bounds(free, point.lam[:n], multipliers)
+    found = precision(programme, np.append(lam / programme.scales.lam[:n], solution.x[n:]))
+    model, ties = start.with_vector(free.full(lam)), free.model.constraints()
     std, white = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     success, status = _verdict(outcome, found)
     prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :]

@@ -15,6 +15,7 @@ from casid.fit import (
     constraint_table,
     held_directions,
     holding,
+    on_bounds,
     parameter_table,
 )
 from casid.model import Free, M
@@ -45,9 +46,7 @@ def estimate(
     lines = transformed(records)
     held = _spectra_of(near, lines) if R is None else white(lines, np.diag(R))
     outcome = search(SpectralResiduals(free, lines), free.guess, options, held)
-    lam = outcome.solution.x * outcome.programme.scales
-    lam = np.clip(lam, free.lower[free.index], free.upper[free.index])
-    fit = _fit(model, outcome, lam, begin)
+    fit = _fit(model, outcome, begin)
     if not fit.success:
         raise ConvergenceError(f"{METHOD}: {fit.status}", fit)
     return fit
@@ -66,11 +65,12 @@ def _spectra_of(near: AnyFit | None, lines: list[Lines]) -> tuple[NoiseSpectrum,
     return tuple(spectra)
 
 
-def _fit(start: M, outcome: SpectralOutcome, lam: Array, begin: float) -> Fit[M, OutputErrorNotes]:
+def _fit(start: M, outcome: SpectralOutcome, begin: float) -> Fit[M, OutputErrorNotes]:
     programme, solution = outcome.programme, outcome.solution
     free, lines = programme.residuals.free, programme.residuals.lines
-    model, ties = start.with_vector(free.full(lam)), free.model.constraints()
     multipliers = -programme.n * solution.multipliers_x / programme.scales
+    lam = on_bounds(free, solution.x * programme.scales, multipliers)
+    model, ties = start.with_vector(free.full(lam)), free.model.constraints()
     prices = -programme.n * solution.multipliers_g[: len(ties)]
     found = _precision(programme, solution.x, lam)
     std, white_std = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
