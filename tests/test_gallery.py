@@ -20,6 +20,7 @@ from models.hybrid_flap_lag import HybridFlapLag
 from models.lateral_directional import LateralDirectional
 from models.longitudinal import Longitudinal
 from models.multirotor import Multirotor
+from models.rigid_body import RigidBody
 from models.short_period import ShortPeriod
 from models.six_dof import SixDof
 
@@ -27,6 +28,18 @@ GALLERY = [
     HeaveInflow, HybridFlap, HybridFlapLag, LateralDirectional, Longitudinal, Multirotor,
     ShortPeriod, SixDof,
 ]  # fmt: skip
+
+
+def test_the_rigid_body_is_six_degrees_of_freedom_about_any_trim():
+    trim = dict(zip(RigidBody.states, (45.0, 2.0, 3.0, 0.01, 0.02, 0.05, 0.2, 0.1), strict=True))
+    fields = ("U0", "V0", "W0", "P0", "Q0", "R0", "phi0", "theta0")
+    truth = somewhere(SixDof, share=0.05)
+    constants = dict(zip(fields, trim.values(), strict=True))
+    expected = replace(truth, **constants).system()
+    found = RigidBody(**constants).with_values_of(truth).at(trim).system()
+    for letter in "ABCD":
+        np.testing.assert_allclose(getattr(found, letter), getattr(expected, letter), atol=1e-13)
+    np.testing.assert_array_equal(found.delay, expected.delay)
 
 
 def named(structure):

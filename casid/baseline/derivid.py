@@ -5,8 +5,8 @@ Remple, Aircraft and Rotorcraft System Identification, 2nd ed. (*T&R*), chapters
 """
 
 import time
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,12 +26,14 @@ from casid.fit import (
     parameter_table,
 )
 from casid.frequency.estimation import FrequencyResponse
+from casid.matching.conditions import fit_at_conditions
 from casid.matching.descent import Condensed, check_effects
 from casid.matching.lifted import Optimum
 from casid.matching.mismatch import DB, GOOD, TURN, residual_slopes
 from casid.matching.targets import in_channels
 from casid.model import Bounds, M, Priors, free_parameters
 from casid.nlp import SolverOptions
+from casid.nonlinear.conditions import Trim
 from casid.threads import one_thread
 
 
@@ -76,7 +78,7 @@ class Derivid:
     def fit(
         self,
         model: M,
-        data: FrequencyResponse | Sequence[FrequencyResponse],
+        data: FrequencyResponse | Sequence[FrequencyResponse] | Mapping[Trim, FrequencyResponse],
         *,
         fixed: Collection[str] = (),
         bounds: Bounds | None = None,
@@ -89,6 +91,8 @@ class Derivid:
                 f"starts={self.starts}, n_omega={self.n_omega}, coherence={self.coherence}: "
                 "expected at least 1, at least 2 and a coherence in [0, 1)"
             )
+        if isinstance(data, Mapping):
+            return self._at_conditions(model, data, fixed, bounds)
         frf = _one_response(data)
         free = free_parameters(model, fixed, bounds, self.priors)
         measured = thin(frf if self.band is None else frf.between(*self.band), self.n_omega)
@@ -106,10 +110,25 @@ class Derivid:
             )
         return fit
 
+    def _at_conditions(
+        self,
+        model: M,
+        data: Mapping[Trim, FrequencyResponse],
+        fixed: Collection[str],
+        bounds: Bounds | None,
+    ) -> Fit[M, DerividNotes]:
+        """Fit at several flight conditions; each response is thinned on its own."""
+        own = {
+            trim: thin(one if self.band is None else one.between(*self.band), self.n_omega)
+            for trim, one in ((trim, _one_response(each)) for trim, each in data.items())
+        }
+        everything = replace(self, n_omega=sum(len(each.omega) for each in own.values()) ** 2)
+        return fit_at_conditions(everything, model, own, fixed, bounds, merged=True)
+
 
 def derivid(
     model: M,
-    target: FrequencyResponse | Sequence[FrequencyResponse],
+    target: FrequencyResponse | Sequence[FrequencyResponse] | Mapping[Trim, FrequencyResponse],
     *,
     pairs: Pairs | None = None,
     n_omega: int = 20,
@@ -127,7 +146,8 @@ def derivid(
     model, fixed, bounds
         As in `Estimator.fit`; channels are found in the response by name. Delays are kept at >= 0.
     target : FrequencyResponse
-        What to fit; several are merged first (`merge_responses`).
+        What to fit; several are merged first (`merge_responses`). Of a `NonlinearModel` responses
+        at flight conditions, ``{Trim(...): response, ...}``.
     pairs, n_omega, band, starts, priors, solver
         As in `Derivid`, which has the rarer settings too.
 

@@ -7,7 +7,7 @@ of `casid.matching.lifted`, their order and the checks are those of `casid.match
 
 import logging
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from casid.arrays import Array
@@ -15,11 +15,13 @@ from casid.checks import checked_fields
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
 from casid.matching.appraisal import MatchNotes
+from casid.matching.conditions import fit_at_conditions
 from casid.matching.reach import reachable, stated_errors
 from casid.matching.search import Found, Search
 from casid.matching.targets import REACHABLE, Target, Weight, compare
 from casid.model import Bounds, M, Priors, free_parameters
 from casid.nlp import SolverOptions
+from casid.nonlinear.conditions import Trim
 from casid.record import several
 from casid.threads import one_thread
 
@@ -73,7 +75,7 @@ class Match:
     def fit(
         self,
         model: M,
-        data: Target | Sequence[Target],
+        data: Target | Sequence[Target] | Mapping[Trim, Target | Sequence[Target]],
         *,
         fixed: Collection[str] = (),
         bounds: Bounds | None = None,
@@ -82,6 +84,8 @@ class Match:
         """The parameters with which a structure comes nearest to targets; see `match`."""
         if self.norm not in NORMS:
             raise ValueError(f"norm={self.norm!r}: expected one of {', '.join(map(repr, NORMS))}")
+        if isinstance(data, Mapping):
+            return fit_at_conditions(self, model, data, fixed, bounds)
         begin = time.perf_counter()
         free = free_parameters(model, fixed, bounds, self.priors)
         targets: tuple[Target, ...] = several(data)
@@ -108,7 +112,7 @@ class Match:
 
 def match(
     model: M,
-    target: Target | Sequence[Target],
+    target: Target | Sequence[Target] | Mapping[Trim, Target | Sequence[Target]],
     *,
     norm: str = "hinf",
     omega: Array | None = None,
@@ -128,7 +132,8 @@ def match(
     target : BlackBox, FrequencyResponse, StateSpace, or several of them
         What to match. A state-space model counts as a black box that means something everywhere.
         Measured responses enter at their own points of s = jω, weighted by coherence (pairs below
-        0.6 are left out), black boxes on s = σ + jω.
+        0.6 are left out), black boxes on s = σ + jω. Of a `NonlinearModel` targets at flight
+        conditions, ``{Trim(...): target, ...}``; the fit's model is the structure itself.
     norm, omega, shift, weight, priors, solver
         As in `Match`, which has the rarer settings too.
 

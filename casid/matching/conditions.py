@@ -1,0 +1,100 @@
+"""One nonlinear structure matched at several flight conditions at once.
+
+Its linear structures stand side by side (`NonlinearModel.at`), each with channels of its own names,
+and so do the targets: one estimation of the parameters that they share.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+
+from casid.estimator import Estimator
+from casid.fit import Fit
+from casid.frequency.estimation import FrequencyResponse
+from casid.linear import StateSpace
+from casid.matching.targets import Target
+from casid.model import Bounds, M
+from casid.nonlinear.conditions import Trim, at_condition
+from casid.nonlinear.model import NonlinearModel
+from casid.record import several
+from casid.subspace.pbsid import BlackBox
+
+
+def fit_at_conditions(
+    estimator: Estimator,
+    model: M,
+    data: Mapping[Trim, Any],
+    fixed: Collection[str],
+    bounds: Bounds | None,
+    *,
+    merged: bool = False,
+) -> Fit[M, Any]:
+    """Estimate a nonlinear structure from targets at flight conditions, ``{trim: target, ...}``.
+
+    The result's model is the nonlinear structure; unknowns of the trims stand in its table. With
+    ``merged`` the estimator is given one measured response.
+
+    Raises
+    ------
+    ValueError
+        A linear structure, a condition that is no `Trim`, none at all.
+    """
+    if not isinstance(model, NonlinearModel):
+        raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
+            f"targets at flight conditions are for a NonlinearModel; {type(model).__name__} is "
+            "linear: pass its target alone"
+        )
+    conditions = tuple(data)
+    if not conditions or not all(isinstance(each, Trim) for each in conditions):
+        raise ValueError(f"conditions are {conditions}, expected {{Trim(...): target, ...}}")
+    linear = model.at(*conditions)
+    targets = [
+        named(target, condition, conditions)
+        for condition, given in data.items()
+        for target in several(given)
+    ]
+    chosen: Any = together(cast("list[FrequencyResponse]", targets)) if merged else targets
+    fit = estimator.fit(linear, chosen, fixed=fixed, bounds=bounds)
+    return cast("Fit[M, Any]", replace(fit, model=model.with_values_of(fit.model)))
+
+
+def named(target: Target, condition: Trim, conditions: Sequence[Trim]) -> Target:
+    """A target with the names that its channels have at a condition."""
+    if isinstance(target, BlackBox):
+        system = cast("StateSpace", named(target.system, condition, conditions))
+        return replace(target, system=system)
+    inputs, outputs = (
+        tuple(at_condition(name, condition, conditions) for name in names)
+        for names in (target.inputs, target.outputs)
+    )
+    return replace(target, inputs=inputs, outputs=outputs)
+
+
+def together(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
+    """Responses of different channels as one, NaN where a pair was not measured."""
+    omega = np.unique(np.concatenate([each.omega for each in responses]))
+    inputs, outputs = (
+        tuple(dict.fromkeys(name for each in responses for name in getattr(each, kind)))
+        for kind in ("inputs", "outputs")
+    )
+    shape = (len(omega), len(outputs), len(inputs))
+
+    G, coherence = np.full(shape, complex(np.nan, np.nan)), np.zeros(shape)
+    error = np.full(shape, np.nan)
+    sizes: dict[str, float] = {}
+    for each in responses:
+        columns = np.array([inputs.index(name) for name in each.inputs])
+        lines = np.array([outputs.index(name) for name in each.outputs])
+        at = np.ix_(np.searchsorted(omega, each.omega), lines, columns)
+        G[at], coherence[at], error[at] = each.G, each.coherence, each.random_error
+        sizes |= dict(zip(each.inputs, each.input_std, strict=True))
+        sizes |= dict(zip(each.outputs, each.output_std, strict=True))
+    return FrequencyResponse(
+        omega=omega, G=G, coherence=coherence, random_error=error, inputs=inputs, outputs=outputs,
+        input_std=np.array([sizes[name] for name in inputs]),
+        output_std=np.array([sizes[name] for name in outputs]),
+        leakage=np.zeros(shape), multiple_coherence=np.full(shape[:2], np.nan),
+        condition=np.ones(len(omega)),
+    )  # fmt: skip

@@ -1,0 +1,67 @@
+"""One nonlinear structure from targets at several flight conditions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.swing import SmallSwing, Swing
+
+from casid import FrequencyResponse, Trim, derivid, match
+
+TRUTH = Swing(Mq=-0.8, M=6.0, Mlon=8.0, tau=0.05)
+CONDITIONS = [
+    Trim(name=f"{theta:g}", values={"theta": theta, "lon": 6 * np.tan(theta) / 8})
+    for theta in (0.0, 0.5, 1.1)
+]
+
+
+def responses(omega):
+    """Exact responses at every condition, as if measured at these points."""
+    found = {}
+    for k, trim in enumerate(CONDITIONS):
+        system, own = TRUTH.at(trim).system(), omega * (1 + 0.01 * k)
+        G = system.response(own)
+        known = {"coherence": np.ones(G.shape), "random_error": np.full(G.shape, 0.05)}
+        known |= {"leakage": np.zeros(G.shape), "multiple_coherence": np.ones(G.shape[:2])}
+        known["condition"] = np.ones(len(G))
+        sizes = {"input_std": np.ones(1), "output_std": np.ones(2)}
+        names = {"inputs": system.inputs, "outputs": system.outputs}
+        found[trim] = FrequencyResponse(omega=own, G=G, **known, **sizes, **names)
+    return found
+
+
+def same(fit):
+    np.testing.assert_allclose(fit.model.vector(), TRUTH.vector(), rtol=1e-5)
+    assert isinstance(fit.model, Swing)
+
+
+@pytest.mark.parametrize("norm", ["quadratic", "hinf"])
+def test_exact_targets_at_three_conditions_give_the_truth(norm):
+    same(match(Swing(), {trim: TRUTH.at(trim).system() for trim in CONDITIONS}, norm=norm))
+
+
+def test_measured_responses_at_three_conditions_give_the_truth():
+    measured = responses(np.geomspace(0.5, 10, 25))
+    same(match(Swing(), measured, norm="quadratic"))
+    same(derivid(Swing(), measured, starts=3))
+
+
+def test_conditions_tell_what_none_of_them_tells_alone():
+    # With M sin(theta) and Mlon cos(theta) in the equations a trim about 90 deg says nothing of
+    # the stick's moment; the match there leaves it where it was, both together find it.
+    steep = replace(CONDITIONS[0], name="steep", values={"theta": np.pi / 2, "lon": 0.0})
+    targets = {trim: TRUTH.at(trim).system() for trim in (CONDITIONS[0], steep)}
+    same(match(Swing(), targets, norm="quadratic"))
+
+
+@pytest.mark.parametrize(
+    ("model", "data", "told"),
+    [
+        (SmallSwing(), {CONDITIONS[0]: TRUTH.system()}, "SmallSwing is linear"),
+        (Swing(), {"60 kn": TRUTH.system()}, "expected {Trim"),
+        (Swing(), {}, "expected {Trim"),
+    ],
+)
+def test_what_is_no_condition_is_told(model, data, told):
+    with pytest.raises(ValueError, match=told):
+        match(model, data)
