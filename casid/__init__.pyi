@@ -99,6 +99,10 @@ from .nlp import Progress as Progress, SolverOptions as SolverOptions
 from .nonlinear.conditions import Trim as Trim
 from .nonlinear.model import NonlinearModel as NonlinearModel
 from .nonlinear.tables import spline as spline
+from .qualification import (
+    Qualification as Qualification,
+    qualify as qualify,
+)
 from .record import Record as Record
 from .report.plots import compare as compare
 from .report.tables import summary as summary

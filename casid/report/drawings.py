@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib import rc_context
@@ -16,6 +16,7 @@ from casid.fit import AnyFit
 from casid.folder import replacing
 from casid.frequency.estimation import FrequencyResponse
 from casid.linear import StateSpace
+from casid.qualification import Qualification
 from casid.record import Record
 from casid.report import figures
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Content, Drawing
@@ -186,6 +187,27 @@ def _inputs(axes: Sequence[Axes], record: Record, units: Mapping[str, str]) -> N
         figures.plot_input(ax, record.t, u, channel=channel, units=units)
         ax.set_ylim(_span([u], least=0.2 * largest or 1.0))
         ax.yaxis.label.set_fontsize(6)
+
+
+def draw_qualification(found: Qualification, units: Mapping[str, str]) -> Iterator[Drawing]:
+    """Measured time histories with their tolerance bands, the model's inside or not."""
+    for k, record in enumerate(found.validation.measured):
+        figure = Figure(figsize=(WIDTH, 0.7 + 1.0 * len(found.outputs)))
+        axes = figure.subplots(len(found.outputs), 1, sharex=True, squeeze=False)
+        for j, (ax, name) in enumerate(zip(axes[:, 0], found.outputs, strict=True)):
+            i, half = record.outputs.index(name), found.width[k][:, j]
+            y = {found.model: found.validation.simulated[found.model][k][:, i]}
+            low, high = record.y[:, i] - half, record.y[:, i] + half
+            look: dict[str, Any] = {"color": "#000000", "alpha": 0.12, "linewidth": 0}
+            ax.fill_between(record.t, low, high, label="tolerance", **look)
+            figures.plot_history(ax, record.t, record.y[:, i], y, channel=name, units=units)
+        axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
+        _legend(figure, axes[-1, 0])
+        yield Drawing(
+            name=f"qualification_{_file(record.name)}",
+            caption=f"{record.name}: tolerance bands around what was measured",
+            figure=_tidy(figure, axes),
+        )
 
 
 def draw_rms(validation: Validation) -> Iterator[Drawing]:

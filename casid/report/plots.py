@@ -23,6 +23,7 @@ from casid.cover import Cover
 from casid.fit import Fit
 from casid.frequency.estimation import FrequencyResponse
 from casid.linear import StateSpace
+from casid.qualification import Qualification
 from casid.record import Record, Records
 from casid.report import figures
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR
@@ -235,6 +236,17 @@ def _(value: ResponseBand, ax: Any, pair: tuple[str, str] | None = None) -> Any:
         figures.frequency_axis(each, value.omega[0], value.omega[-1])
     axes[0].set_title(f"{output} / {channel}, {100 * value.level:.3g} % band", loc="left")
     axes[1].set_xlabel("ω [rad/s]")
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: Qualification, ax: Any) -> Any:  # noqa: ANN401
+    axes = _axes(ax, len(value.records), 1, height=1.6)
+    for each, record, row in zip(axes, value.records, value.largest, strict=True):
+        colours = ["#0072B2" if x <= 1 else "#D55E00" for x in row]
+        each.bar(value.outputs, row, color=colours)
+        each.axhline(1.0, color="#000000", linestyle="--", linewidth=1)
+        each.set_title(f"{record}: largest error over half the band", loc="left")
     return _same(ax, axes)
 
 

@@ -15,6 +15,7 @@ from casid.display import Shown
 from casid.eigenmodes import modes
 from casid.fit import Fit
 from casid.frequency.estimation import FrequencyResponse
+from casid.qualification import Qualification
 from casid.record import Record
 from casid.report.words import number, percent, prior
 from casid.residuals import Residuals
@@ -153,6 +154,15 @@ def _(value: ResponseBand) -> Cells:
     wide = 100 * np.median(value.magnitude_std, axis=0)
     rows = [[o, *(f"{x:.2g} %" for x in row)] for o, row in zip(value.outputs, wide, strict=True)]
     return ("1σ of the magnitude, median", *value.inputs), rows
+
+
+@cells.register
+def _(value: Qualification) -> Cells:
+    rows = [
+        [record, *(f"{'pass' if x <= 1 else 'FAIL'} {x:.2g}" for x in value.largest[k])]
+        for k, record in enumerate(value.records)
+    ]
+    return ("error / half the band", *value.outputs), rows
 
 
 @cells.register

@@ -9,9 +9,10 @@ from casid.stages.chain import CHAIN
 from casid.stages.comparison import COMPARISON
 from casid.stages.consistency import KINEMATICS
 from casid.stages.judgement import VALIDATION
+from casid.stages.qualification import QUALIFICATION
 from casid.stages.stage import Stage
 
-STAGES: tuple[Stage, ...] = (KINEMATICS, *CHAIN, BASELINE, VALIDATION, COMPARISON)
+STAGES: tuple[Stage, ...] = (KINEMATICS, *CHAIN, BASELINE, VALIDATION, QUALIFICATION, COMPARISON)
 
 
 def sections(stages: Iterable[Stage], results: Mapping[str, Any], page: Content) -> list[Section]:

@@ -108,13 +108,16 @@ def _run(
 ) -> Outcome:
     found = run_stages(study.task(records), keep=keeper)
     does = {stage.name: stage.does for stage in study.stages}
+    lasting = {stage.name for stage in study.stages if stage.kept}
     keeper.warnings += [f"The {does[name]} is missing. {e}" for name, e in found.failures.items()]
     if "output_error" in found.results:
         found.results["output_error"].save(study.output / "fit.json")
         write_parameters(study.output / "parameters.csv", found.results["output_error"])
 
     def write() -> tuple[Path, Content, tuple[str, ...]]:
-        shown = content(study, records, again, found, keeper.clock, keeper.warnings)
+        # Seconds of what is computed every time would make two pages of one result differ.
+        clock = [timing for timing in keeper.clock if timing.stage in lasting]
+        shown = content(study, records, again, found, clock, keeper.warnings)
         told = sections(study.stages, found.results, shown)
         return write_report(shown, told, study.output), shown, cautions(shown, told)
 

@@ -1,0 +1,164 @@
+"""Pass or fail of a model by the tolerance bands of a simulator's qualification test.
+
+A band stands around each measured time history; the model's must stay inside. ``TOLERANCES`` are
+those of control responses in cruise and hover, 14 CFR Part 60, Appendix C, Table C2A, entries 2.b.3
+and 2.c.1 (FAA); "10 % or 2 deg/s" is read as the larger of the two, the share taken of the largest
+change from the first sample so far.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import Array, BoolArray
+from casid.channels import factor_of
+from casid.display import Shown, listed
+from casid.validation import Validation
+
+SOURCE = "14 CFR Part 60, Appendix C, Table C2A, entries 2.b.3 and 2.c.1"
+TOLERANCES: Mapping[str, str] = {
+    "p": "10 % or 3 deg/s",
+    "q": "10 % or 2 deg/s",
+    "r": "10 % or 2 deg/s",
+    "phi": "10 % or 3 deg",
+    "theta": "10 % or 1.5 deg",
+    "psi": "10 % or 2 deg",
+    "az": "0.1 g",
+}
+NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
+FORM = re.compile(rf"(?:{NUMBER}\s*%)?(?:\s*or\s*)?(?:{NUMBER}\s*(\S+))?")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerance:
+    """Half the width of a band: the larger of a share of the change, and a number in SI units."""
+
+    output: str
+    share: float
+    least: float
+    text: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Qualification(Shown):
+    """How a model does in the bands.
+
+    Parameters
+    ----------
+    model : str
+        Its name in the validation.
+    records, outputs : tuple of str
+        What was judged: the outputs with a tolerance.
+    tolerances : tuple of Tolerance
+        One an output.
+    largest : (records, outputs) array
+        Largest error over half the band's width; up to 1 passes; NaN where nothing was measured.
+    outside : (records, outputs) array
+        Share of the samples outside the band.
+    width : tuple of (N, outputs) array
+        Half the width of the bands in each record, SI units.
+    validation : Validation
+        Measured and simulated time histories.
+    source : str
+        Where the tolerances come from.
+    """
+
+    model: str
+    records: tuple[str, ...]
+    outputs: tuple[str, ...]
+    tolerances: tuple[Tolerance, ...]
+    largest: Array
+    outside: Array
+    width: tuple[Array, ...]
+    validation: Validation
+    source: str
+
+    @property
+    def passed(self) -> BoolArray:
+        """Whether all of an output's samples are inside, (records, outputs)."""
+        return np.asarray(self.largest <= 1.0)
+
+    def headline(self) -> str:
+        """Passed and failed."""
+        judged = np.isfinite(self.largest)
+        failed = [
+            f"{self.outputs[j]} of {self.records[i]} ({self.largest[i, j]:.2g})"
+            for i, j in zip(*np.nonzero(judged & ~self.passed), strict=True)
+        ]
+        told = f"; failed: {listed(tuple(failed))}" if failed else ""
+        return f"{self.model}: {int(self.passed.sum())} of {int(judged.sum())} passed{told}"
+
+
+def qualify(
+    validation: Validation, model: str = "", tolerances: Mapping[str, str] = TOLERANCES
+) -> Qualification:
+    """Judge one model of a validation by tolerance bands.
+
+    Parameters
+    ----------
+    validation : Validation
+        From `validate`; pass ``horizon=inf`` there to judge simulation where a model grows.
+    model : str
+        Its name; the last unless given.
+    tolerances : mapping
+        Output and band: ``"10 % or 2 deg/s"``, ``"1.5 deg"``, ``"10 %"``; those of the module
+        unless given. Outputs without one are not judged.
+
+    Raises
+    ------
+    ValueError
+        An unknown model; a tolerance that is not understood; no output with a tolerance.
+    """
+    model = model or validation.models[-1]
+    if model not in validation.models:
+        raise ValueError(f"no model {model!r}; the validation has {', '.join(validation.models)}")
+    outputs = tuple(name for name in validation.outputs if name in tolerances)
+    if not outputs:
+        raise ValueError(
+            f"none of the outputs {', '.join(validation.outputs)} has a tolerance; there are some "
+            f"for {', '.join(tolerances)}"
+        )
+    bands = tuple(read_tolerance(name, tolerances[name]) for name in outputs)
+    columns = [validation.outputs.index(name) for name in outputs]
+    widths, largest, outside = [], [], []
+    for record, y in zip(validation.measured, validation.simulated[model], strict=True):
+        measured = record.y[:, columns]
+        width = np.column_stack(
+            [_width(x, band) for x, band in zip(measured.T, bands, strict=True)]
+        )
+        over = np.abs(y[:, columns] - measured) / width
+        there = np.isfinite(over)
+        empty = ~there.any(axis=0)
+        largest.append(np.where(empty, np.nan, np.where(there, over, -1.0).max(axis=0)))
+        outside.append((over > 1.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
+        widths.append(width)
+    return Qualification(
+        model=model, records=validation.records, outputs=outputs, tolerances=bands,
+        largest=np.array(largest), outside=np.array(outside), width=tuple(widths),
+        validation=validation, source=SOURCE if tolerances == TOLERANCES else "a table of the user",
+    )  # fmt: skip
+
+
+def read_tolerance(output: str, text: str) -> Tolerance:
+    """A tolerance from its words; ValueError where they are not understood."""
+    found = FORM.fullmatch(str(text).strip())
+    if found is None or not (found[1] or found[2]):
+        raise ValueError(
+            f'tolerance of {output!r}: {text!r}, expected "10 % or 2 deg/s", "1.5 deg" or "10 %"'
+        )
+    least = float(found[2]) * factor_of(output, found[3]) if found[2] else 0.0
+    share = float(found[1]) / 100 if found[1] else 0.0
+    if share == least == 0:
+        raise ValueError(f"tolerance of {output!r}: {text!r} has no width")
+    return Tolerance(output=output, share=share, least=least, text=text)
+
+
+def _width(measured: Array, band: Tolerance) -> Array:
+    """Half the width at every sample (N,); missing samples change nothing."""
+    there = np.isfinite(measured)
+    if not there.any():
+        return np.full(len(measured), max(band.least, 1e-300))
+    change = np.where(there, np.abs(measured - measured[there][0]), 0.0)
+    return np.maximum(np.maximum(band.share * np.maximum.accumulate(change), band.least), 1e-300)

@@ -1,0 +1,61 @@
+"""The stage that judges the refined model by a simulator's qualification test."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+from casid.qualification import TOLERANCES, Qualification, qualify, read_tolerance
+from casid.report.content import OUTPUT_ERROR, Caution, Content, Section, section
+from casid.report.drawings import draw_qualification
+from casid.stages.stage import Stage, Task
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Bands:
+    """What the table [qualification] holds.
+
+    Parameters
+    ----------
+    tolerances : mapping
+        Output and band in words, ``{p = "10 % or 3 deg/s"}``; those of the usual test unless given.
+    source : str
+        Where they come from, for the report.
+    """
+
+    tolerances: Mapping[str, str] = field(default_factory=dict)
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        for output, text in self.tolerances.items():
+            read_tolerance(output, text)
+
+
+def _run(settings: Bands, task: Task) -> Qualification:
+    judged = task.results["validation"]
+    found = qualify(judged, OUTPUT_ERROR, settings.tolerances or TOLERANCES)
+    return replace(found, source=settings.source) if settings.source else found
+
+
+def _show(found: Qualification, content: Content) -> Iterable[Section]:
+    failed = [
+        f"{found.outputs[j]} of {record}"
+        for i, record in enumerate(found.records)
+        for j in range(len(found.outputs))
+        if found.largest[i, j] > 1
+    ]
+    said = [Caution(f"Out of the tolerance band: {', '.join(failed)}.", 15)] if failed else []
+    draw = partial(draw_qualification, found, content.units)
+    yield section("qualification", "Qualification", 75, found, draw=draw, cautions=tuple(said))
+
+
+QUALIFICATION = Stage(
+    name="qualification",
+    does="tolerance bands of a simulator's qualification test",
+    run=_run,
+    table="qualification",
+    settings=Bands(),
+    needs=("validation", "output_error"),
+    optional=True,
+    kept=False,
+    show=_show,
+)

@@ -1,0 +1,28 @@
+"""The stage of tolerance bands: in a study, in its report, and what its table may hold."""
+
+import pytest
+from truths.roll_study import write_study
+
+from casid import read_study, run_study
+
+TABLE = '[qualification.tolerances]\np = "10 % or 3 deg/s"\nphi = "0.001 deg"\n\n[match]'
+
+
+@pytest.mark.slow
+def test_a_study_judges_its_model_in_the_bands(tmp_path):
+    outcome = run_study(read_study(write_study(tmp_path, ("[match]", TABLE))))
+    found = outcome.identification.results["qualification"]
+    assert found.outputs == ("p", "phi")
+    assert found.passed[:, 0].all()
+    page = outcome.report.read_text("utf-8")
+    assert "Sign-off" in page
+    assert "± 10 % or 3 deg/s" in page
+    again = run_study(read_study(tmp_path / "study.toml")).report.read_text("utf-8")
+    assert again == page  # from what was kept, bit for bit
+    assert any("tolerance band: phi of" in caution for caution in outcome.cautions)
+
+
+def test_a_tolerance_that_is_not_understood_is_refused_with_its_place(tmp_path):
+    wrong = TABLE.replace("0.001 deg", "small")
+    with pytest.raises(ValueError, match=r"\[qualification\].*'small'.*expected"):
+        read_study(write_study(tmp_path, ("[match]", wrong)))
