@@ -97,8 +97,6 @@ def _line(path, number, change):
 
 
 DATA_MISTAKES = {
-    "NaN in an input": (lambda row: _cell(row, 1, "nan"), ("lat", "nan", "sample 99")),
-    "an empty cell in an input": (lambda row: _cell(row, 1, ""), ("lat", "nan", "sample 99")),
     "time not increasing": (lambda row: _cell(row, 0, "0"), ("time does not increase", "99")),
     "text in a column": (lambda row: _cell(row, 2, "fast"), ("not a table of numbers", "fast")),
 }

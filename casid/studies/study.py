@@ -150,13 +150,14 @@ def _read_channels(
     time: str | float,
 ) -> Record:
     """Some of the channels from one file."""
+    elsewhere = {*channels.inputs, *channels.outputs} - {*inputs, *outputs}
     read = read_record if file.suffix.lower() in {".mat", ".parquet"} else read_csv
     return read(
         file,
         inputs={name: channels.columns.get(name, name) for name in inputs},
         outputs={name: channels.columns.get(name, name) for name in outputs},
         time=time,
-        units={n: unit for n, unit in channels.units.items() if n in (*inputs, *outputs, time)},
+        units={name: unit for name, unit in channels.units.items() if name not in elsewhere},
         hold=channels.hold,
     )
 

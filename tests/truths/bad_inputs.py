@@ -196,7 +196,7 @@ bad("1e300", cell(99, 2, "1e300"), "channel 'p' reaches 1e+300", "mark missing s
 bad("a number beyond doubles", cell(99, 2, "1e999"), "output 'p' is inf", "NaN")
 bad("denormal numbers", column(2, "5e-324"), "channel 'p'", "leave the channel out")
 bad("infinity in an input", cell(99, 1, "inf"), "input 'lat' is inf at sample 98", "repair")
-bad("NaN in an input", cell(99, 1, "nan"), "input 'lat' is nan at sample 98", "cut the record")
+bad("an input without samples", column(1, "nan", ALL), "input 'lat' is missing nearly everywhere", "Record.join")  # noqa: E501  # fmt: skip
 bad("time in ms", column(0, scaled(1000), ALL), "time column 't'", 't = "ms"')
 bad("time that stands", cell(99, 0, "3.88"), "does not increase at sample 98", "drop repeated")
 bad("time backwards", cells(lambda rows: [rows[0], *rows[:0:-1]]), "does not increase", "sort")
