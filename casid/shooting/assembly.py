@@ -1,6 +1,7 @@
 """Pieces of a sparse programme evaluated by NumPy: patterns, places of blocks, functions."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -96,3 +97,12 @@ def upper_triangle(blocks: np.ndarray) -> np.ndarray:
 def stack(grids: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of all grids, one after the other."""
     return np.concatenate([r for r, _ in grids]), np.concatenate([c for _, c in grids])
+
+
+def groups(number: np.ndarray, kinds: int) -> Iterator[tuple[int, Any]]:
+    """Each number that occurs, with where it does."""
+    if kinds == 1 or (number == number[0]).all():
+        yield int(number[0]), slice(None)
+    else:
+        for i in np.unique(number):
+            yield int(i), np.flatnonzero(number == i)

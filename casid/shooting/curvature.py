@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
+from casid.shooting.assembly import groups
 from casid.shooting.sensitivity import Sweep, counts
-from casid.shooting.stepping import groups
 
 
 @dataclass(frozen=True, eq=False)

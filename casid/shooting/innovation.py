@@ -3,6 +3,9 @@
 dx/dt = A x + B u + K e,    e_k = y_k - ŷ_k held over the sampling interval
 """
 
+from dataclasses import replace
+from typing import Literal, TypeAlias
+
 import numpy as np
 import scipy.linalg
 
@@ -10,26 +13,78 @@ from casid.arrays import Array
 from casid.intersample import integrals
 from casid.model import Free, Model
 from casid.record import Record
-from casid.shooting.starting import SURPRISE
+from casid.shooting.likelihood import CovarianceKind
+from casid.shooting.starting import FLOOR, SURPRISE, accumulated
+from casid.shooting.unknowns import GainUnknowns, NoiseUnknowns
 from casid.subspace.pbsid import BlackBox
 
+ProcessNoise: TypeAlias = bool | Literal["gain"] | Array | BlackBox
+
 NOISE_SHARE = 0.1  # of an output's root mean square, taken for its measurement noise
+HORIZON = 2.0  # s, over which process noise is compared with measurement noise
+NOTICED = 0.1  # rise of an output's innovations, over their variance
+SMALL = 1e-2  # unit of a measurement noise, of its variance at the start
 
 
-def starting_gain(
-    free: Free, records: list[Record], process_noise: bool | Array | BlackBox
-) -> tuple[Array | None, bool]:
-    """Start of the gain K (nx, ny), None for output error, and whether it is free."""
+def filter_unknowns(
+    free: Free, records: list[Record], process_noise: ProcessNoise, R: Array | CovarianceKind
+) -> GainUnknowns | NoiseUnknowns | None:
+    """Unknowns of a filter and where they start; None for output error."""
     shape = len(free.model.states), len(free.model.outputs)
     model = free.model.with_vector(free.full(free.guess))
     if isinstance(process_noise, BlackBox):
-        return black_box_gain(model, process_noise), True
+        return GainUnknowns(black_box_gain(model, process_noise), free=True)
+    if isinstance(process_noise, str):
+        if process_noise != "gain":
+            raise ValueError(f'process_noise={process_noise!r}: expected True, False or "gain"')
+        return GainUnknowns(kalman_gain(model, records), free=True)
     if isinstance(process_noise, bool):
-        return (kalman_gain(model, records), True) if process_noise else (None, False)
+        return starting_noises(model, records, R) if process_noise else None
     gain = np.asarray(process_noise, dtype=float)
     if gain.shape != shape or not np.isfinite(gain).all():
         raise ValueError(f"process_noise has shape {gain.shape}, expected K (nx, ny) = {shape}")
-    return gain, False
+    return GainUnknowns(gain, free=False)
+
+
+def starting_noises(
+    model: Model, records: list[Record], R: Array | CovarianceKind
+) -> NoiseUnknowns:
+    """Noises to start from, in units of what would be noticed.
+
+    Measurement noise from second differences of the outputs, where motion hardly shows; the unit of
+    each process noise raises some output's innovations by a tenth over two seconds.
+    """
+    system, size = model.system(), root_mean_square([record.y for record in records])
+    given = R if isinstance(R, np.ndarray) else None
+    noise = [_roughness([record.y[:, i] for record in records]) for i in range(system.ny)]
+    least = (FLOOR * size) ** 2
+    variance = np.maximum(noise, 4 * least) if given is None else np.diag(given)
+    seen = [
+        np.max(np.diag(system.C @ accumulated(system.A, np.diag(one), HORIZON) @ system.C.T)
+               / variance)
+        for one in np.eye(system.nx)
+    ]  # fmt: skip
+    constant = np.isin(model.states, model.constant_states)
+    heard = (np.array(seen) > 0) & ~constant
+    q0 = np.where(heard, NOTICED / np.where(heard, seen, 1.0), 0.0)
+    unknowns = NoiseUnknowns(
+        q0, SMALL * variance, least, given, isinstance(R, str) and R == "full", np.zeros(0)
+    )
+    nx, nr, nt = unknowns.count
+    start = np.concatenate([np.zeros(nx), np.full(nr, np.log1p(1 / SMALL)), np.zeros(nt)])
+    return replace(unknowns, start=start)
+
+
+def root_mean_square(parts: list[Array]) -> Array:
+    """Of every column of arrays (N, ny), NaN left out; 1 where that is 0."""
+    size = np.sqrt(np.nanmean(np.concatenate(parts) ** 2, axis=0))
+    return np.where(size > 0, size, 1.0)
+
+
+def _roughness(columns: list[Array]) -> float:
+    """Variance of white noise that second differences of samples would come from; NaN left out."""
+    bends = [np.diff(y[np.isfinite(y)], 2) for y in columns]
+    return float(np.mean(np.concatenate(bends) ** 2)) / 6
 
 
 def kalman_gain(model: Model, records: list[Record]) -> Array:
@@ -37,11 +92,10 @@ def kalman_gain(model: Model, records: list[Record]) -> Array:
     # Not an estimate: a gain that makes the predictor stable, whatever the aircraft, to start from.
     system, h = model.system(), float(np.median([record.dt for record in records]))
     nx, ny = system.nx, system.ny
-    u, y = (np.concatenate([getattr(record, name) for record in records]) for name in "uy")
+    u = np.concatenate([record.u for record in records])
     Q = SURPRISE**2 * (system.B * np.mean(u**2, axis=0)) @ system.B.T
     Q += 1e-6 * np.trace(Q) / nx * np.eye(nx)
-    size = np.sqrt(np.nanmean(y**2, axis=0))
-    R = np.diag((NOISE_SHARE * np.where(size > 0, size, 1.0)) ** 2)
+    R = np.diag((NOISE_SHARE * root_mean_square([record.y for record in records])) ** 2)
     Ad, held, _ = integrals(system.A, np.array([h]))[:, 0]
     try:
         P = scipy.linalg.solve_discrete_are(Ad.T, system.C.T, Q * h, R)

@@ -26,6 +26,7 @@ class Layout:
     count: np.ndarray  # (J,) number of samples
     node: np.ndarray  # (J,) chronological number of each interval
     last: BoolArray  # (J,) whether the interval ends its record
+    interval: float  # about their length [s]
 
     @property
     def observations(self) -> int:
@@ -51,7 +52,7 @@ def lay_out(records: Sequence[Record], interval: float) -> Layout:
     return Layout(
         records=tuple(records), y=np.where(np.isfinite(y), y, 0.0), pattern=pattern,
         patterns=patterns, step=step, classes=classes, record=table[:, 0], start=table[:, 1],
-        count=table[:, 2], node=order, last=table[:, 3].astype(bool),
+        count=table[:, 2], node=order, last=table[:, 3].astype(bool), interval=interval,
     )  # fmt: skip
 
 

@@ -156,6 +156,7 @@ class NonlinearSweep(Sweep):
         self, evaluator: NonlinearEvaluator, point: Point, motion: Track, W: Array
     ) -> None:
         self.e, self.layout, self.motion, self.W = evaluator, evaluator.layout, motion, W
+        self.kind, self.gains = evaluator.layout.pattern, None
         self._track, self._flow, self._lam = motion, evaluator.flow, point.lam
         self.matrices = m = evaluator.matrices(point.lam)
         self.ns = evaluator.nf + evaluator.nx

@@ -9,7 +9,6 @@ it settles (relaxed maximum likelihood: Jategaonkar, Flight Vehicle System Ident
 Bergamasco & Lovera, section 3.4, use output error as the last step of the chain.
 """
 
-import logging
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -25,26 +24,21 @@ from casid.model import Bounds, Free, M, Model, Priors, free_parameters
 from casid.nlp import SolverOptions
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record, Records, stretches
-from casid.shooting.innovation import starting_gain
-from casid.shooting.intervals import lay_out
+from casid.shooting.innovation import ProcessNoise
 from casid.shooting.knowledge import with_knowledge
 from casid.shooting.likelihood import CovarianceKind
-from casid.shooting.nonlinear import MOST, Integration, NonlinearEvaluator
+from casid.shooting.nonlinear import MOST, Integration
 from casid.shooting.precision import OutputErrorNotes, Precision, precision
 from casid.shooting.search import IPOPT, Outcome, Search
-from casid.shooting.sensitivity import Evaluator
-from casid.shooting.starting import starting_programme
 from casid.shooting.transformed_fit import estimate
-from casid.subspace.pbsid import BlackBox
+from casid.shooting.unknowns import NoiseUnknowns
+from casid.shooting.ways import Ways
 from casid.threads import one_thread
 
 Domain: TypeAlias = Literal["time", "frequency"]
-LOG = logging.getLogger("casid")
 
-GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
-SHORTEN = 2.5  # factor between intervals tried one after the other
+EXACT = 4.0  # times the least variance believed: an output predicted exactly
 MANY = 2.0  # measurements for every unknown, at least
-LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
 
 
 @checked_fields
@@ -70,11 +64,13 @@ class OutputError:
     priors : mapping
         ``{parameter: (value, standard deviation)}``: what is known from elsewhere, a normal
         distribution that multiplies the likelihood.
-    process_noise : bool, (nx, ny) array or BlackBox
-        For flight in turbulence: True estimates the filter-error model, the innovations driving
-        the states through a free gain K; a black box gives the gain to start from, in the model's
-        states; an array holds it. K [1/s times state per output] acts on an innovation held over
-        the sampling interval. It comes out in ``Fit.notes.K``.
+    process_noise : bool, "gain", (nx, ny) array or BlackBox
+        For flight in turbulence: True estimates the filter-error model, white noise driving every
+        state, independently; its densities [state²/s] come out in ``Fit.notes.process_noise``, the
+        Kalman filter's gain in ``Fit.notes.K``, and R is of the measurement noise alone. "gain"
+        estimates the gain K instead, all nx ny entries freely, R being the innovations'; a black
+        box gives the gain to start that from, in the model's states; an array holds it.
+        K [1/s times state per output] acts on an innovation held over the sampling interval.
     steps : int
         Of a nonlinear structure: Runge-Kutta steps a sampling interval, as many as needed unless
         given. ``Fit.notes.integration`` says what shorter ones would change.
@@ -93,7 +89,7 @@ class OutputError:
     state_biases: Collection[str] = ()
     initial: Priors | None = None
     priors: Priors | None = None
-    process_noise: bool | Array | BlackBox = False
+    process_noise: ProcessNoise = False
     steps: int | None = None
     domain: Domain = "time"
     solver: SolverOptions = SolverOptions()
@@ -122,34 +118,22 @@ class OutputError:
         if self.domain != "time":
             white = self._checked_for_lines(model)
             return estimate(model, free, chosen, self.solver, R=white, near=near)
-        gain, gain_free = starting_gain(free, chosen, self.process_noise)
-        interval = self.interval
-        if interval is None:
-            interval = choose_interval(free, chosen, gain is not None)
-        if not 0 < interval < np.inf:
+        if self.interval is not None and not 0 < self.interval < np.inf:
             raise ValueError(
-                f"interval={interval}: expected seconds above 0, or None to have it chosen"
+                f"interval={self.interval}: expected seconds above 0, or None to have it chosen"
             )
         R = checked_covariance(self.R, len(model.outputs))
-        length, search = float(interval), Search(free, options, self.steps)
-        while True:
-            layout = lay_out(chosen, length)
-            evaluator = (
-                NonlinearEvaluator(free, layout, self.steps)
-                if isinstance(model, NonlinearModel)
-                else Evaluator(free, layout, gain, gain_free)
-            )
-            outcome = self._searched(search, evaluator, R, near)
-            shorter = length / SHORTEN
-            if outcome.solution.success or not self._may_shorten(evaluator, chosen, shorter):
-                break
-            LOG.info(
-                "output error: %s; trying intervals of %.3g s", outcome.solution.status, shorter
-            )
-            length = shorter
-        outcome, steps = search.integrated(outcome)
-        seconds = time.perf_counter() - begin
-        return _result(model, free, outcome, length, seconds, steps)
+        ways = Ways(free, chosen, options, R, bool(self.biases), self.interval, self.steps)
+        try:
+            if self.process_noise is False:
+                outcome = ways.output_error(near)
+            else:
+                outcome = ways.filtered(self.process_noise)
+        except ConvergenceError as error:  # at the start
+            best = _unmoved(free, str(error))
+            raise ConvergenceError(f"output error: {error}", best) from error
+        outcome, steps = Search(free, options, self.steps).integrated(outcome)
+        return _result(model, free, outcome, time.perf_counter() - begin, steps)
 
     def _checked_for_lines(self, model: Model) -> Array | None:
         """R (ny, ny) for the frequency domain, if given; ValueError for what it does not know."""
@@ -173,31 +157,8 @@ class OutputError:
             )
         return given
 
-    def _searched(
-        self, search: Search, evaluator: Evaluator, R: Array | CovarianceKind, near: AnyFit | None
-    ) -> Outcome:
-        """Where the rounds of solves end, from a fit nearby if that leads somewhere."""
-        biases = bool(self.biases)
-        outcome = None if near is None else search.beside(near, evaluator, R, biases)
-        if outcome is None:
-            try:
-                programme, point = starting_programme(evaluator, search.free, R, biases)
-            except ConvergenceError as error:
-                best = _unmoved(search.free, str(error))
-                raise ConvergenceError(f"output error: {error}", best) from error
-            outcome = search.run(programme, point, R)
-        return search.around(outcome)
 
-    def _may_shorten(self, evaluator: Evaluator, records: list[Record], length: float) -> bool:
-        """Whether intervals chosen here are to be tried shorter, as far as they can be."""
-        shortest = max(SHORTEST, 4 * max(record.dt for record in records))
-        longest = max(record.duration for record in records)
-        return self.interval is None and not evaluator.filtering and shortest <= length < longest
-
-
-def _check_nonlinear(
-    model: Model, process_noise: bool | Array | BlackBox, steps: int | None
-) -> None:
+def _check_nonlinear(model: Model, process_noise: ProcessNoise, steps: int | None) -> None:
     """Refuse settings that the structure's kind does not have."""
     if not isinstance(model, NonlinearModel):
         if steps is not None:
@@ -218,7 +179,7 @@ def output_error(
     interval: float | None = None,
     R: Array | CovarianceKind | None = None,
     biases: bool | Collection[str] = True,
-    process_noise: bool | Array | BlackBox = False,
+    process_noise: ProcessNoise = False,
     priors: Priors | None = None,
     steps: int | None = None,
     fixed: Collection[str] = (),
@@ -308,22 +269,6 @@ def _known(records: Sequence[Record], output: int) -> list[Array]:
     return [column for column in columns if np.isfinite(column).any()]
 
 
-def choose_interval(free: Free, records: Sequence[Record], filtering: bool = False) -> float:
-    """Length of the shooting intervals [s].
-
-    As long as the starting model's fastest growing mode grows no more than e-fold over it, within
-    0.5 s and 5 s: fewer nodes are quicker, shorter intervals forgive a worse start. With an
-    innovation gain the longest: the predictor is stable, and short intervals would let nodes fit
-    the noise that the gain is estimated from.
-    """
-    shortest = max(SHORTEST, 4 * max(record.dt for record in records))
-    if filtering:
-        return max(LONGEST, shortest)
-    growth = float(free.model.with_vector(free.full(free.guess)).system().poles()[0].real)
-    length = LONGEST if growth <= 0 else GROWTH / growth
-    return float(np.clip(length, shortest, max(LONGEST, shortest)))
-
-
 def checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | CovarianceKind:
     """R as an array, or the structure in which to estimate it."""
     if R is None:
@@ -347,6 +292,12 @@ def _verdict(outcome: Outcome, found: Precision) -> tuple[bool, str]:
         reasons.append(outcome.solution.status)
     elif not outcome.settled:
         reasons.append(f"R has not settled after {outcome.rounds} rounds; give R")
+    exact = _exact_outputs(outcome)
+    if exact:
+        reasons.append(
+            f"the likelihood degenerates: {', '.join(exact)} can be predicted exactly, as without "
+            "measurement noise; use output error, or give R"
+        )
     lost = len(found.undetermined)
     if lost and (outcome.solution.success or lost < outcome.programme.evaluator.nf):
         reasons.append(
@@ -354,6 +305,17 @@ def _verdict(outcome: Outcome, found: Precision) -> tuple[bool, str]:
             "matrix): fix or tie some of them, or add a manoeuvre that excites them"
         )
     return not reasons, "; ".join(reasons) or outcome.solution.status
+
+
+def _exact_outputs(outcome: Outcome) -> list[str]:
+    """Outputs whose innovations a filter has shrunk to the least there is."""
+    programme, more = outcome.programme, outcome.programme.evaluator.more
+    if not isinstance(more, NoiseUnknowns) or more.given is not None:
+        return []
+    gains = programme.evaluator.gains(programme.unpack(outcome.solution.x).lam)
+    size = np.full(len(more.least), np.inf) if gains is None else np.diag(gains.S[-1])
+    names = programme.free.model.outputs
+    return [names[i] for i in np.flatnonzero(size <= EXACT * more.least)]
 
 
 def _unmoved(free: Free, status: str) -> Fit[Model, None]:
@@ -370,7 +332,6 @@ def _result(
     start: M,
     free: Free,
     outcome: Outcome,
-    interval: float,
     seconds: float,
     steps: Integration | None = None,
 ) -> Fit[M, OutputErrorNotes]:
@@ -385,7 +346,7 @@ def _result(
     std, white = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     success, status = _verdict(outcome, found)
     prices = -programme.n * solution.multipliers_g[len(solution.g) - len(ties) :]
-    K = evaluator.matrices(point.lam).K if evaluator.filtering else None
+    K, Q = evaluator.held_gain(point.lam), evaluator.densities(point.lam)
     firsts = np.searchsorted(programme.record, np.arange(programme.records))
     constant = np.isin(free.model.states, free.model.constant_states)
     own = np.isin(free.model.states, start.states)
@@ -395,11 +356,12 @@ def _result(
         success=success, iterations=outcome.iterations, seconds=seconds,
         method="filter error" if evaluator.filtering else "output error",
         notes=replace(
-            found.notes(outcome.rounds, programme.J, programme.nuisances, K), integration=steps
+            found.notes(outcome.rounds, programme.J, programme.nuisances, K, Q), integration=steps
         ),
         constraints=constraint_table(model, prices), held=held_directions(free, lam, parameters),
         covariance=found.covariance, free_names=free.names, R=final.R,
-        initial_states=point.nodes[firsts][:, own], biases=point.bias, interval=interval,
+        initial_states=point.nodes[firsts][:, own], biases=point.bias,
+        interval=evaluator.layout.interval,
         state_biases=point.nodes[firsts][:, constant] if constant.any() else None,
     )  # fmt: skip
     if not success:

@@ -4,6 +4,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse
 
 from casid.arrays import Array
@@ -38,6 +39,8 @@ class OutputErrorNotes:
         How a nonlinear structure was integrated, and what that may have moved.
     spectra : tuple of NoiseSpectrum
         Of the residuals, in the frequency domain, one a kind of manoeuvre.
+    process_noise : (nx,) array or None
+        Densities of the noises that drive the states [state²/s], if those are estimated.
     """
 
     rounds: int
@@ -49,6 +52,7 @@ class OutputErrorNotes:
     K: Array | None = None
     integration: Integration | None = None
     spectra: tuple[NoiseSpectrum, ...] = ()
+    process_noise: Array | None = None
 
     def __post_init__(self) -> None:
         seal(self)
@@ -64,7 +68,9 @@ class Precision:
     collinear: tuple[uncertainty.Collinearity, ...]  # hardly determined, the worst first
     undetermined: tuple[str, ...]  # parameters in directions without information
 
-    def notes(self, rounds: int, nodes: int, nuisances: int, K: Array | None) -> OutputErrorNotes:
+    def notes(
+        self, rounds: int, nodes: int, nuisances: int, K: Array | None, Q: Array | None = None
+    ) -> OutputErrorNotes:
         """What is said of it in the fit."""
         return OutputErrorNotes(
             rounds=rounds,
@@ -74,6 +80,7 @@ class Precision:
             correlation=uncertainty.correlation(self.cramer_rao),
             collinear=self.collinear,
             K=K,
+            process_noise=Q,
         )
 
 
@@ -89,6 +96,8 @@ def precision(programme: Programme, x: Array) -> Precision:
     scaled = uncertainty.bound(F, ties, alone)
     unknown = np.isinf(np.diag(scaled))
     lost = tuple(name for name, out in zip(names, unknown, strict=True) if out)
+    if programme.evaluator.kalman:  # a noise that does not matter need not be known
+        lost = tuple(name for name in lost if name in programme.free.names)
     known = np.where(unknown | unknown[:, None], 0.0, scaled)
     robust = np.where(np.isfinite(scaled), _coloured(programme, x, known, follow), scaled)
     n = len(programme.free.index)
@@ -113,10 +122,9 @@ def _no_precision(programme: Programme, names: tuple[str, ...]) -> Precision:
 
 
 def unknown_names(programme: Programme) -> tuple[str, ...]:
-    """Names of λ and, if it is free, of the gain's entries."""
-    free, e = programme.free, programme.evaluator
-    gains = [f"K[{x},{y}]" for x in free.model.states for y in free.model.outputs]
-    return (*free.names, *gains)[: e.nf]
+    """Names of λ and of a filter's unknowns."""
+    free, more = programme.free, programme.evaluator.more
+    return free.names if more is None else (*free.names, *more.names(free.model))
 
 
 def held(programme: Programme, x: Array) -> Array:
@@ -128,7 +136,15 @@ def held(programme: Programme, x: Array) -> Array:
     lower, upper = free.lower[free.index], free.upper[free.index]
     active = np.minimum(values - lower, upper - values) <= ACTIVE * span
     rows = holding(free, values, active) * programme.scales.lam[:n]
-    return np.hstack([rows, np.zeros((len(rows), programme.evaluator.nf - n))])
+    return scipy.linalg.block_diag(rows, _filter_held(programme, x))
+
+
+def _filter_held(programme: Programme, x: Array) -> Array:
+    """Unit rows of a filter's unknowns on their bounds."""
+    n = len(programme.free.index)
+    lower, upper = programme.limits()[0]
+    near = np.minimum(x[: len(lower)] - lower, upper - x[: len(lower)])[n:] <= ACTIVE
+    return np.eye(len(near))[near]
 
 
 def information(programme: Programme, x: Array) -> tuple[Array, Array]:
@@ -170,7 +186,7 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) 
     if programme.biases:
         bias = follow[: first - nf].reshape(-1, ny, nf) * s.bias[:, None]
         move[:, nf + nx :] = bias[programme.record]
-    white = np.einsum("nab,nb->na", sweep.W[layout.pattern], sweep.motion.residuals)
+    white = np.einsum("nab,nb->na", sweep.W[sweep.kind], sweep.motion.residuals)
     edges = np.cumsum([0, *(record.N for record in layout.records)])
     residuals = [white[a:b] for a, b in itertools.pairwise(edges)]
     data = uncertainty.coloured_covariance(
@@ -178,4 +194,8 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) 
     )
     _, pull = programme.free.surprise(programme.unpack(x).lam[: len(programme.free.index)])
     known = covariance[:, : pull.shape[1]] @ (pull * s.lam[: pull.shape[1]]).T
-    return np.asarray(data + known @ known.T)
+    total = data + known @ known.T
+    if sweep.gains is None:
+        return np.asarray(total)
+    _, more = sweep.gains.through_covariance(sweep.motion.residuals)
+    return np.asarray(total + covariance @ (more * np.outer(s.lam, s.lam)) @ covariance)

@@ -162,7 +162,10 @@ class Programme:
 
     def _values(self, point: Point) -> "Values":
         layout = self.evaluator.layout
-        motion = self.evaluator.simulate(point)
+        try:
+            motion = self.evaluator.simulate(point)
+        except np.linalg.LinAlgError:  # far out, where a filter's covariance overflows
+            motion = self.evaluator.nowhere()
         moments = moments_of(motion.residuals, layout.pattern, len(layout.patterns))
         ends = motion.ends[np.argsort(layout.node)]
         gaps = (ends[self.links] - point.nodes[self.links + 1]) / self.scales.state
@@ -170,9 +173,13 @@ class Programme:
         g = np.concatenate([gaps.ravel(), c])
         if not np.isfinite(moments).all():
             return Values(np.nan, g, np.eye(self.evaluator.ny), motion)
-        R = self.noise.covariance(moments)
-        cost = self.noise.cost(R, moments) + self.knowledge.cost(point)
-        return Values(cost / self.n, g, R, motion)
+        gains = self.evaluator.gains(point.lam)
+        if gains is None:
+            R = self.noise.covariance(moments)
+            cost = self.noise.cost(R, moments)
+        else:
+            R, cost = self.evaluator.matrices(point.lam).R, gains.cost(motion.residuals)
+        return Values((cost + self.knowledge.cost(point)) / self.n, g, R, motion)
 
     def blocks(self, x: Array) -> Blocks:
         """Gauss-Newton blocks at scaled variables."""
@@ -207,6 +214,10 @@ class Programme:
         firsts = np.searchsorted(self.record, np.arange(self.records))
         per_record = np.add.reduceat(G, firsts, axis=0)
         total = per_record.sum(axis=0)
+        if sweep.gains is not None:
+            gradient, information = sweep.gains.through_covariance(values.motion.residuals)
+            total[l, l] += information * np.outer(s.lam, s.lam)
+            total[l, -1] += gradient * s.lam
         return Blocks(
             Hll=total[l, l], Hlb=per_record[:, l, b], Hbb=per_record[:, b, b],
             Hln=G[:, l, n], Hbn=G[:, b, n], Hnn=G[:, n, n],
@@ -302,9 +313,11 @@ class Programme:
         return self.constraint_matrix(x)[:links]
 
     def limits(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Lower and upper bounds of the scaled λ (not of a gain), and of the constraints."""
-        free, ties = self.free, self.free.model.constraints()
-        size = self.scales.lam[: len(free.index)]
-        bounds = free.lower[free.index] / size, free.upper[free.index] / size
+        """Lower and upper bounds of the scaled λ and unknowns of a filter, and of constraints."""
+        free, ties, more = self.free, self.free.model.constraints(), self.evaluator.more
+        own = free.lower[free.index], free.upper[free.index]
+        others = (np.zeros(0), np.zeros(0)) if more is None else more.bounds()
+        lower, upper = (np.concatenate(part) for part in zip(own, others, strict=True))
+        bounds = lower / self.scales.lam, upper / self.scales.lam
         sides = np.array([(tie.lower, tie.upper) for tie in ties]).reshape(-1, 2).T
         return bounds, (sides[0], sides[1])

@@ -69,6 +69,10 @@ class Outcome:
         programme, solution = self.programme, self.solution
         return programme.n * programme.values(solution.x).cost if solution.success else np.inf
 
+    def failed(self, status: str) -> "Outcome":
+        """The same, no solution."""
+        return replace(self, solution=replace(self.solution, success=False, status=status))
+
 
 class Search:
     """Rounds of solves for the free parameters of a model.
@@ -98,14 +102,21 @@ class Search:
         outcome = Outcome(first, solution, solution.iterations, 1, True)
         return outcome if solution.success else None
 
-    def run(self, programme: Programme, point: Point, R: Array | CovarianceKind) -> Outcome:
-        """Estimate; R is held if it is an array."""
-        if isinstance(R, np.ndarray):
+    def run(
+        self, programme: Programme, point: Point, R: Array | CovarianceKind, *, near: bool = False
+    ) -> Outcome:
+        """Estimate; R is held if it is an array. A point ``near`` a solution is not moved away."""
+        kalman = programme.evaluator.kalman
+        if isinstance(R, np.ndarray) and not kalman:
             solution = self._solve(programme, point, None, 1, self.options)
             return Outcome(programme, solution, solution.iterations, 1, True)
         rough = replace(self.options, tolerance=max(ROUGH, self.options.tolerance))
+        if near:
+            rough = replace(rough, ipopt=NEAR | {"mu_init": ROUGH} | dict(rough.ipopt))
         solution = self._solve(programme, point, None, 1, rough)
-        iterations, noise = solution.iterations, noise_of(programme.evaluator, None, R)
+        iterations, noise = solution.iterations, programme.noise
+        if not kalman and isinstance(R, str):
+            noise = noise_of(programme.evaluator, None, R)
         for rounds in range(2, ROUNDS + 1):
             if not solution.success:
                 return Outcome(programme, solution, iterations, rounds - 1, False)
@@ -118,7 +129,7 @@ class Search:
             iterations += solution.iterations
             now = programme.values(solution.x).R
             kept = np.diag(now) > np.diag(before) / SETTLED
-            if solution.success and (noise.exact(now) or kept.all()):
+            if solution.success and (kalman or noise.exact(now) or kept.all()):
                 return Outcome(programme, solution, iterations, rounds, True)
         return Outcome(programme, solution, iterations, ROUNDS, False)
 

@@ -4,11 +4,12 @@ Over one interval, from the node x_0 and with the delayed inputs u (`casid.inter
 
     r_k = C x_k + D u(t_k - τ) + b - y_k          x_{k+1} = A_d x_k + f_k - K_d r_k
 
-with K_d = 0 for output error (process noise: K_d = ∫ e^{As} ds K over the step, missing channels
-left out). The columns of ∂x_k/∂(λ, x_0, b) obey the same recursion, driven by the derivatives of
-the maps. All intervals advance together, one dense product a step; the Gram matrix
-[J r]ᵀ R⁻¹ [J r] of each interval holds gradient and Gauss-Newton Hessian at once. It is summed up
-over blocks of samples, so memory does not grow with the length of an interval.
+with K_d = 0 for output error (a filter: K_d = ∫ e^{As} ds K over the step, or the Kalman gain of
+`casid.shooting.kalman`; missing channels left out). The columns of ∂x_k/∂(λ, x_0, b) obey the same
+recursion, driven by the derivatives of the maps. All intervals advance together, one dense product
+a step; the Gram matrix [J r]ᵀ R⁻¹ [J r] of each interval holds gradient and Gauss-Newton Hessian at
+once. It is summed up over blocks of samples, so memory does not grow with the length of an
+interval.
 """
 
 import copy
@@ -19,12 +20,19 @@ from typing import ClassVar, Self
 import numpy as np
 
 from casid.arrays import Array
-from casid.intersample import DelayedInput, delayed_input
+from casid.intersample import DelayedInput, delayed_input, integrals
 from casid.model import Free
 from casid.record import Record
+from casid.shooting.gains import Gains
 from casid.shooting.intervals import Layout
+from casid.shooting.kalman import filter_gains
 from casid.shooting.stepping import Steps
-from casid.shooting.unknowns import FilterFunction, FilterMatrices
+from casid.shooting.unknowns import (
+    FilterFunction,
+    FilterMatrices,
+    GainUnknowns,
+    NoiseUnknowns,
+)
 
 LATE = 1e-6  # of a sampling interval: the delay that stands for 0 if it may grow
 BLOCK = 16  # samples of every interval whose Jacobian rows are held at once
@@ -74,25 +82,26 @@ def whiteners(R: Array, layout: Layout) -> Array:
 class Evaluator:
     """Residuals and Gauss-Newton blocks of one model over one layout.
 
-    ``gain`` is the innovation gain K (nx, ny) [state/s per output], or the start of its entries if
-    these are free; None is output error.
+    ``more`` are the unknowns of a filter: its gain, or the noises it follows from; None is output
+    error.
     """
 
     smoothings: ClassVar[int] = 1  # rounds until the first nodes follow the data
 
     def __init__(
-        self, free: Free, layout: Layout, gain: Array | None = None, gain_free: bool = False
+        self, free: Free, layout: Layout, more: GainUnknowns | NoiseUnknowns | None = None
     ) -> None:
-        self.layout, self.gain = layout, gain
-        self.filtering = gain is not None
-        self.curved = gain is None  # whether `casid.shooting.curvature` knows what comes of it
-        self.matrices = FilterFunction(free, gain, gain_free)
+        self.layout, self.more = layout, more
+        self.filtering, self.kalman = more is not None, isinstance(more, NoiseUnknowns)
+        self.curved = more is None  # whether `casid.shooting.curvature` knows what comes of it
+        self.matrices = FilterFunction(free, more)
         model = free.model
         self.nx, self.nu, self.ny = len(model.states), len(model.inputs), len(model.outputs)
         self.nf = self.matrices.nf
         self.constants = [model.states.index(name) for name in model.constant_states]
         self._within: Array | None = None
         self._held: tuple[bytes, list[DelayedInput]] | None = None
+        self._gains: tuple[bytes, Gains] | None = None
 
     def within(self, delays: Array | None) -> Self:
         """The same, samples passed as for these delays (nu,) instead of τ; NaN follows τ."""
@@ -119,6 +128,27 @@ class Evaluator:
             self._held = key, [self._held_by(m, record) for record in self.layout.records]
         return self._held[1]
 
+    def gains(self, lam: Array) -> Gains | None:
+        """Kalman gains at the unknowns (nf,); None unless noises are estimated."""
+        if not self.kalman:
+            return None
+        key = lam.tobytes()
+        if self._gains is None or self._gains[0] != key:
+            self._gains = key, filter_gains(self.matrices(lam), self.layout)
+        return self._gains[1]
+
+    def held_gain(self, lam: Array) -> Array | None:
+        """Gain K (nx, ny) of innovations held over the step; a Kalman filter's is its last."""
+        gains, m = self.gains(lam), self.matrices(lam)
+        if gains is None:
+            return m.K if self.filtering else None
+        h = self.layout.classes[self.layout.step[-1:]]
+        return np.asarray(np.linalg.solve(integrals(m.A, h)[1, 0], gains.K[gains.which[-1]]))
+
+    def densities(self, lam: Array) -> Array | None:
+        """Of the noises that drive the states (nx,), if those are estimated."""
+        return self.matrices(lam).Q if self.kalman else None
+
     def _held_by(self, m: FilterMatrices, record: Record) -> DelayedInput:
         """Delayed inputs; a delay on its bound 0 counts as one to come, but where outputs jump."""
         late = m.tau_lam.any(axis=1)
@@ -129,10 +159,18 @@ class Evaluator:
             within = np.where(np.isnan(self._within), within, self._within)
         return delayed_input(record.t, record.u, m.tau, record.hold, within)
 
+    def nowhere(self) -> Motion:
+        """The motion where nothing can be computed: not numbers."""
+        N, J = self.layout.y.shape[0], len(self.layout.count)
+        return Motion(
+            *(np.full(shape, np.nan) for shape in ((N, self.nx), (N, self.ny), (J, self.nx)))
+        )
+
     def simulate(self, point: Point) -> Motion:
         """States and residuals over all intervals."""
         layout, m = self.layout, self.matrices(point.lam)
-        steps = Steps(m, layout, self.held(m), self.filtering, slopes=False)
+        gains = self.gains(point.lam)
+        steps = Steps(m, layout, self.held(m), self.filtering, slopes=False, gains=gains)
         seen = layout.patterns[layout.pattern]
         bias = np.repeat(point.bias, [record.N for record in layout.records], axis=0)
         r = steps.inputs[:, : self.nu] @ m.D.T + bias - layout.y
@@ -144,7 +182,7 @@ class Evaluator:
             states[at] = x = x[:n]
             if self.filtering:
                 r[at] = (r[at] + x @ m.C.T) * seen[at]
-            x = steps.state(layout.step[at], x, forcing[at], r[at] if self.filtering else None)
+            x = steps.state(at, x, forcing[at], r[at] if self.filtering else None)
             if k + 1 == len(active) or active[k + 1] < n:
                 done = layout.count[:n] == k + 1
                 ends[:n][done] = x[done]
@@ -155,19 +193,23 @@ class Sweep:
     """Passes over batches of intervals that turn states into rows of the Jacobian.
 
     The states being known, all that drives the sensitivities over a block of samples is one dense
-    product; only S⁺ = A_d S + F goes sample by sample. W (n_patterns, ny, ny) is that of
-    `whiteners`.
+    product; only S⁺ = A_d S + F goes sample by sample. W (kinds, ny, ny) are the whiteners of the
+    kinds of samples, ``kind`` (N,) which is which: those of `whiteners` for the patterns, or of a
+    Kalman filter.
     """
 
     def __init__(self, evaluator: Evaluator, point: Point, motion: Motion, W: Array) -> None:
         layout = evaluator.layout
-        self.e, self.layout, self.motion, self.W = evaluator, layout, motion, W
+        self.e, self.layout, self.motion = evaluator, layout, motion
         self.matrices = m = evaluator.matrices(point.lam)
-        self.steps = Steps(m, layout, evaluator.held(m), evaluator.filtering, slopes=True)
+        self.gains = gains = evaluator.gains(point.lam)
+        self.W, self.kind = (W, layout.pattern) if gains is None else (gains.W, gains.which)
+        held, filtering = evaluator.held(m), evaluator.filtering
+        self.steps = Steps(m, layout, held, filtering, slopes=True, gains=gains)
         self.ns = evaluator.nf + evaluator.nx + (evaluator.ny if evaluator.filtering else 0)
         late = -m.D[:, :, None] * m.tau_lam
         self.drive = np.concatenate([m.C_lam, m.D_lam, late], axis=1)
-        self.apart = not np.any(W * (1 - np.eye(evaluator.ny)))  # R diagonal
+        self.apart = not np.any(self.W * (1 - np.eye(evaluator.ny)))  # R diagonal
         self.live = np.flatnonzero(self.drive.any(axis=(1, 2)))
 
     def batches(self) -> Iterator[Batch]:
@@ -264,7 +306,7 @@ class Sweep:
         trail[0] = S
         for k in range(K):
             heard = self._heard(at[k], trail[k]) if self.e.filtering else None
-            trail[k + 1] = self.steps.carry(self.layout.step[at[k]], trail[k], heard)
+            trail[k + 1] = self.steps.carry(at[k], trail[k], heard)
             trail[k + 1][:, :, :nf] += force[:, k]
         return trail
 
@@ -298,11 +340,11 @@ class Sweep:
 
     def _whitened(self, out: Array, at: np.ndarray) -> Array:
         """Rows (n, K, ny, nc) of samples (K, n) in units of their standard deviations."""
-        pattern = self.layout.pattern[at.T]
+        kind = self.kind[at.T]
         if self.apart:
-            out *= np.diagonal(self.W, axis1=1, axis2=2)[pattern][..., None]
+            out *= np.diagonal(self.W, axis1=1, axis2=2)[kind][..., None]
             return out
-        return np.asarray(self.W[pattern] @ out)
+        return np.asarray(self.W[kind] @ out)
 
 
 def counts(count: np.ndarray) -> list[int]:

@@ -44,9 +44,13 @@ def starting_programme(
     evaluator: Evaluator, free: Free, R: Array | CovarianceKind, biases: bool
 ) -> tuple[Programme, Point]:
     """The first programme, and the point to start it from."""
-    # Its R is held: as given, or that of the starting residuals in the structure named.
+    # Its R is held: as given, or that of the starting residuals in the structure named. A Kalman
+    # filter has its own.
     start = _start(evaluator, free)
-    if isinstance(R, np.ndarray):
+    if evaluator.kalman:
+        noise = noise_of(evaluator, np.eye(evaluator.ny), "diagonal")
+        point, scales = _smoothed(evaluator, free, noise, start)
+    elif isinstance(R, np.ndarray):
         noise = noise_of(evaluator, R, "diagonal")
         point, scales = _smoothed(evaluator, free, noise, start)
     else:
@@ -77,12 +81,30 @@ def neighbouring_programme(
     return programme.variant(scales=programme.balanced(point)), point
 
 
+def continued_programme(
+    evaluator: Evaluator, free: Free, R: Array | CovarianceKind, last: Programme, x: Array
+) -> tuple[Programme, Point]:
+    """The first programme of a filter from where another, or output error, has ended at ``x``."""
+    e, done, motion = evaluator, last.unpack(x), last.values(x).motion
+    more = np.zeros(0) if e.more is None else e.more.start
+    lam = np.concatenate([done.lam[: len(free.index)], more])
+    point = Point(lam=lam, bias=done.bias, nodes=motion.states[np.sort(e.layout.start)])
+    scales = _units(e, free, np.sqrt(np.mean(motion.states**2, axis=0)))
+    if isinstance(R, np.ndarray) or e.kalman:
+        noise = noise_of(e, R if isinstance(R, np.ndarray) else np.eye(e.ny), "diagonal")
+    else:
+        loose = Programme(e, free, scales, noise_of(e, None, R), last.biases)
+        noise = noise_of(e, loose.values(loose.pack(point)).R, R)
+    programme = Programme(e, free, scales, noise, last.biases)
+    return programme.variant(scales=programme.balanced(point)), point
+
+
 def _start(evaluator: Evaluator, free: Free) -> Point:
     """The guess, at rest."""
     e, layout = evaluator, evaluator.layout
-    gain = np.zeros(e.nf - len(free.index)) if e.gain is None else e.gain.ravel()
+    more = np.zeros(0) if e.more is None else e.more.start
     return Point(
-        lam=np.concatenate([free.guess, gain])[: e.nf],
+        lam=np.concatenate([free.guess, more]),
         bias=np.zeros((len(layout.records), e.ny)),
         nodes=e.resting(),
     )
@@ -102,10 +124,14 @@ def _smoothed(
         blocks = programme.blocks(programme.pack(point))
         point = replace(point, nodes=_smooth(blocks, point.nodes, rest, programme, drift))
     size = np.maximum(np.sqrt(np.mean(point.nodes**2, axis=0)), np.sqrt(np.diag(drift)))
+    return point, _units(e, free, size)
+
+
+def _units(e: Evaluator, free: Free, size: Array) -> Scales:
+    """Units of the variables for states of some size (nx,)."""
     state, spread = np.where(size > 0, size, 1.0), channel_size(e)
-    gains = np.outer(state, 1 / spread).ravel()
-    lam = np.concatenate([free.scale[free.index], gains])[: e.nf]
-    return point, Scales(lam, spread, state)
+    more = np.zeros(0) if e.more is None else e.more.typical(state, spread)
+    return Scales(np.concatenate([free.scale[free.index], more]), spread, state)
 
 
 def _drift(e: Evaluator, lam: Array) -> Array:
@@ -115,7 +141,7 @@ def _drift(e: Evaluator, lam: Array) -> Array:
     dt = float(np.median([record.dt for record in e.layout.records]))
     T = float(np.median(e.layout.count)) * dt
     Q = SURPRISE**2 * (m.B * np.mean(u**2, axis=0)) @ m.B.T
-    drift, nx = _accumulated(m.A, Q, T), len(Q)
+    drift, nx = accumulated(m.A, Q, T), len(Q)
     for i in e.constants:  # a constant may do in a second what the inputs may
         drift[i, i] = drift.diagonal() @ (m.A[:, i] != 0)
     scale = np.trace(drift) / nx
@@ -123,7 +149,7 @@ def _drift(e: Evaluator, lam: Array) -> Array:
     return np.asarray((drift + drift.T) / 2 + np.diag(floor))
 
 
-def _accumulated(A: Array, Q: Array, T: float) -> Array:
+def accumulated(A: Array, Q: Array, T: float) -> Array:
     """∫ e^{As} Q e^{Aᵀs} ds over [0, T], (nx, nx), positive semidefinite however stiff A is."""
     # Over a step with ‖A‖ h <= 1 by Van Loan's exponential, whose growing half would swamp the
     # other over longer ones, and from there by doubling.

@@ -21,6 +21,8 @@ import numpy as np
 from casid.arrays import Array
 from casid.intersample import ORDER, DelayedInput, distinct, integral_slopes
 from casid.record import Hold
+from casid.shooting.assembly import groups
+from casid.shooting.gains import Gains
 from casid.shooting.intervals import Layout
 from casid.shooting.unknowns import FilterMatrices
 
@@ -50,8 +52,8 @@ def collect_breaks(held: Sequence[DelayedInput], holds: Sequence[Hold], A: Array
         for j in np.unique(record.channel):
             mine = np.flatnonzero((record.channel == j) & (record.jump != 0))
             rest, place = distinct(record.rest[mine])
-            for members in _octaves(rest):
-                nodes, weights = _nodes(rest[members], A)
+            for members in octaves(rest):
+                nodes, weights = interpolation(rest[members], A)
                 keys = [(int(j), ORDER[hold], float(np.round(r, 14))) for r in nodes]
                 number = np.array([columns.setdefault(key, len(columns)) for key in keys])
                 here = np.flatnonzero(np.isin(place, members))
@@ -73,7 +75,8 @@ class Steps:
     """The steps of all sampling intervals of a layout at one parameter set.
 
     ``held`` are the inputs of every record, ``filtering`` says whether innovations drive the
-    states, ``slopes`` whether derivatives are wanted.
+    states, by ``gains`` if those change from sample to sample, ``slopes`` whether derivatives are
+    wanted.
     """
 
     def __init__(
@@ -83,14 +86,15 @@ class Steps:
         held: Sequence[DelayedInput],
         filtering: bool,
         slopes: bool,
+        gains: Gains | None = None,
     ) -> None:
-        self.nx, self.filtering = len(matrices.A), filtering
+        self.nx, self.filtering, self._gains = len(matrices.A), filtering, gains
         self.inputs = np.hstack(
             [np.concatenate([getattr(part, name) for part in held]) for name in ("value", "slope")]
         )
         self._breaks = collect_breaks(held, [r.hold for r in layout.records], matrices.A)
-        members = list(_octaves(layout.classes))
-        tables = [_nodes(layout.classes[each], matrices.A) for each in members]
+        members = list(octaves(layout.classes))
+        tables = [interpolation(layout.classes[each], matrices.A) for each in members]
         self._group_of = np.empty(len(layout.classes), dtype=int)
         for g, each in enumerate(members):
             self._group_of[each] = g
@@ -116,13 +120,15 @@ class Steps:
             new[mine] += self._breaks.jumps[mine][:, group.columns] @ group.jump.T
         return new
 
-    def state(self, step: np.ndarray, x: Array, forced: Array, r: Array | None) -> Array:
-        """States (n, nx) one step on; ``step`` is each row's class, r the residuals of a filter."""
+    def state(self, at: np.ndarray, x: Array, forced: Array, r: Array | None) -> Array:
+        """States (n, nx) one step on from samples, r the residuals of a filter."""
         new = forced.copy()
-        for group, mine, kind in self._parts(step):
+        for group, mine, kind in self._parts(self._step[at]):
             new[mine] += group.apply(group.Ad, x[mine], kind)
-            if r is not None:
+            if r is not None and self._gains is None:
                 new[mine] -= group.apply(group.gain, r[mine], kind)
+        if r is not None and self._gains is not None:
+            new -= self._gains.push(at, r)
         return new
 
     def back(self, step: np.ndarray, p: Array) -> Array:
@@ -138,20 +144,24 @@ class Steps:
         parts: list[tuple[Any, Array]] = []
         for group, mine, kind in self._parts(self._step[at]):
             part = group.spread(group.drive, V[mine], kind, jumps[mine][:, group.columns])
-            if self.filtering:
+            if self.filtering and self._gains is None:
                 part -= group.spread(group.gain_drive, r[mine], kind, None)
             parts.append((mine, part))
-        return _joined(parts, len(at))
+        driven = _joined(parts, len(at))
+        return driven if self._gains is None else driven - self._gains.force(at, r)
 
-    def carry(self, step: np.ndarray, S: Array, heard: Array | None) -> Array:
+    def carry(self, at: np.ndarray, S: Array, heard: Array | None) -> Array:
         """Derivatives (nx, n, ns) of the states, and ``heard`` of the residuals, one step on."""
         parts: list[tuple[Any, Array]] = []
-        for group, mine, kind in self._parts(step):
+        for group, mine, kind in self._parts(self._step[at]):
             part = group.carry(group.Ad, S[:, mine], kind)
-            if heard is not None:
+            if heard is not None and self._gains is None:
                 part -= group.carry(group.gain, heard[:, mine], kind)
             parts.append((mine, part))
-        return _joined(parts, len(step))
+        new = _joined(parts, len(at))
+        if heard is not None and self._gains is not None:
+            new -= self._gains.carry(at, heard)
+        return new
 
     def delay_moments(self, p: Array) -> tuple[Array, Array]:
         """Second derivatives of Σ_k p_kᵀ x_{k+1} by the delays (nu,), and by delays and B (nx, nu).
@@ -270,16 +280,7 @@ def _joined(parts: Sequence[tuple[Any, Array]], n: int) -> Array:
     return new
 
 
-def groups(number: np.ndarray, kinds: int) -> Iterator[tuple[int, Any]]:
-    """Each number that occurs, with where it does."""
-    if kinds == 1 or (number == number[0]).all():
-        yield int(number[0]), slice(None)
-    else:
-        for i in np.unique(number):
-            yield int(i), np.flatnonzero(number == i)
-
-
-def _octaves(h: Array) -> Iterator[np.ndarray]:
+def octaves(h: Array) -> Iterator[np.ndarray]:
     """Intervals h (n,) that share one group: alone, or all within a factor of two if many."""
     longest = h.max(initial=1e-300)
     bins = np.round(np.log2(np.maximum(h, SHORT * longest)))
@@ -288,7 +289,7 @@ def _octaves(h: Array) -> Iterator[np.ndarray]:
         yield from [members] if len(members) >= MANY else members[:, None]
 
 
-def _nodes(h: Array, A: Array) -> tuple[Array, Array]:
+def interpolation(h: Array, A: Array) -> tuple[Array, Array]:
     """Interpolation nodes for steps h, and the weights of each step's map, (len(h), m)."""
     middle, half = (h.max() + h.min()) / 2, (h.max() - h.min()) / 2
     if half == 0:

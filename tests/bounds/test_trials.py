@@ -56,7 +56,7 @@ def test_aicc_counts_covariances(R, variances):
 def test_aicc_counts_a_free_gain():
     R, few = np.diag(list(NOISE.values())) ** 2, SolverOptions(max_iterations=1)
     with pytest.raises(ConvergenceError) as stopped:  # what is counted does not depend on success
-        OutputError(R=R, process_noise=True, solver=few).fit(TRUTH, flight())
+        OutputError(R=R, process_noise="gain", solver=few).fit(TRUTH, flight())
     fit = stopped.value.best
     k = len(fit.free_names) - fit.held + 3 + 3 + 3 * 3
     assert aicc(as_white(fit), [flight()]) == pytest.approx(

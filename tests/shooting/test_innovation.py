@@ -10,8 +10,9 @@ from truths.systems import known_black_box
 
 from casid.exchange.objects import without_delay
 from casid.model import free_parameters
-from casid.shooting.innovation import NOISE_SHARE, black_box_gain, kalman_gain, starting_gain
+from casid.shooting.innovation import NOISE_SHARE, black_box_gain, filter_unknowns, kalman_gain
 from casid.shooting.starting import SURPRISE
+from casid.shooting.unknowns import NoiseUnknowns
 
 
 def test_the_kalman_gain_is_the_fixed_point_of_the_filters_recursion():
@@ -53,13 +54,14 @@ def test_states_are_those_behind_the_delay():
 
 def test_what_is_asked_for_decides_gain_and_freedom():
     free, records = free_parameters(TRUTH), [flown(seed=1)]
-    assert starting_gain(free, records, False) == (None, False)
-    gain, moves = starting_gain(free, records, True)
-    np.testing.assert_array_equal(gain, kalman_gain(TRUTH, records))
-    assert moves
-    own, moves = starting_gain(free, records, np.ones((3, 3)))
-    np.testing.assert_array_equal(own, 1.0)
-    assert not moves
+    assert filter_unknowns(free, records, False, "diagonal") is None
+    gain = filter_unknowns(free, records, "gain", "diagonal")
+    np.testing.assert_array_equal(gain.K, kalman_gain(TRUTH, records))
+    assert gain.free
+    own = filter_unknowns(free, records, np.ones((3, 3)), "diagonal")
+    np.testing.assert_array_equal(own.K, 1.0)
+    assert not own.free
+    assert isinstance(filter_unknowns(free, records, True, "full"), NoiseUnknowns)
     sampled = replace(known_black_box(TRUTH.system()), system=replace(TRUTH.system(), dt=0.02))
     with pytest.raises(ValueError, match="this black box is discrete"):
-        starting_gain(free, records, sampled)
+        filter_unknowns(free, records, sampled, "diagonal")

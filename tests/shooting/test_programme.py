@@ -8,10 +8,12 @@ from truths.closed_roll import TRUTH, flown, jittered, with_holes
 
 from casid import Constraint
 from casid.model import free_parameters
+from casid.shooting.innovation import starting_noises
 from casid.shooting.intervals import lay_out
 from casid.shooting.programme import Programme
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import noise_of, starting_programme
+from casid.shooting.unknowns import GainUnknowns
 
 GAIN = np.array([[0.1, 1.0, 0.5], [0.0, 2.0, 0.3], [0.02, 0.1, 1.0]])
 
@@ -27,15 +29,19 @@ class Tied(type(TRUTH)):
 
 
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
-@pytest.mark.parametrize("gain", [None, GAIN], ids=["output error", "filter error"])
+@pytest.mark.parametrize("filtering", ["output error", "gain", "noises"])
 @pytest.mark.parametrize("kind", ["given", "diagonal", "full"])
-def test_gradient_and_jacobian_agree_with_central_differences(gain, kind, hold):
+def test_gradient_and_jacobian_agree_with_central_differences(filtering, kind, hold):
     records = [jittered(with_holes(flown(seed=1).between(0, 4))), flown(seed=2).between(0, 3)]
     records = [replace(record, hold=hold) for record in records]
     free = free_parameters(Tied(), fixed=("Lped",))
-    evaluator = Evaluator(free, lay_out(records, 1.0), gain, gain is not None)
-    programme, point = starting_programme(evaluator, free, np.diag([0.1, 0.01, 0.01]), True)
-    if kind != "given":
+    R = np.diag([0.1, 0.01, 0.01])
+    more = {"output error": None, "gain": GainUnknowns(GAIN, free=True)}.get(filtering)
+    if filtering == "noises":
+        more = starting_noises(TRUTH, records, R if kind == "given" else kind).raised(100.0)
+    evaluator = Evaluator(free, lay_out(records, 1.0), more)
+    programme, point = starting_programme(evaluator, free, R, True)
+    if kind != "given" and filtering != "noises":
         noise = noise_of(evaluator, None, kind)
         programme = Programme(evaluator, free, programme.scales, noise, True)
     rng = np.random.default_rng(3)

@@ -9,6 +9,7 @@ from truths.closed_roll import TRUTH, flown, jittered, with_holes, with_response
 from casid.model import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator, Point, Sweep, whiteners
+from casid.shooting.unknowns import GainUnknowns
 
 GAIN = np.array([[0.1, 1.0, 0.5], [0.0, 2.0, 0.3], [0.02, 0.1, 1.0]])
 
@@ -43,7 +44,8 @@ def test_gram_matrices_are_those_of_differences_of_the_residuals(gain):
     record, R = with_holes(flown(seed=1).between(0, 4)), np.diag([0.1, 0.01, 0.02]) ** 2
     free = free_parameters(TRUTH)
     layout = lay_out([record], 2.0)
-    evaluator = Evaluator(free, layout, gain, gain_free=False)
+    more = None if gain is None else GainUnknowns(gain, free=False)
+    evaluator = Evaluator(free, layout, more)
     n, nodes = len(free.index), np.random.default_rng(3).standard_normal((2, 3))
     point = Point(lam=free.guess[free.index], bias=np.array([[0.1, 0.2, 0.3]]), nodes=nodes)
     whiten = np.sqrt(np.diag(np.linalg.inv(R)))

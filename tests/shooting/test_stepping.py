@@ -12,7 +12,7 @@ from casid.intersample import delayed_input
 from casid.model import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.stepping import Steps
-from casid.shooting.unknowns import FilterFunction
+from casid.shooting.unknowns import FilterFunction, GainUnknowns
 
 FREE = free_parameters(TRUTH)
 LAM = FREE.guess[FREE.index]
@@ -30,10 +30,10 @@ def stepped(record, matrices, gain=None):
 def test_a_step_is_the_integral_of_the_state_equation(sampling, hold):
     record = replace(flown(seed=3).between(0, 3), hold=hold)
     record = jittered(record) if sampling == "irregular" else record
-    m = FilterFunction(FREE, None, False)(LAM)
-    steps, layout = stepped(record, m)
+    m = FilterFunction(FREE, None)(LAM)
+    steps, _ = stepped(record, m)
     x = np.random.default_rng(1).standard_normal((record.N, 3))
-    new = steps.state(layout.step, x, steps.forcing(), None)
+    new = steps.state(np.arange(record.N), x, steps.forcing(), None)
     t, tau = record.t, m.tau
 
     def rate(s, x):
@@ -57,21 +57,21 @@ def test_a_step_is_the_integral_of_the_state_equation(sampling, hold):
 
 def test_derivatives_of_a_step_are_its_differences():
     record, gain = jittered(flown(seed=3).between(0, 3)), 0.3 * np.ones((3, 3))
-    function = FilterFunction(FREE, gain, False)
+    function = FilterFunction(FREE, GainUnknowns(gain, free=False))
     rng = np.random.default_rng(2)
     x, r, d = (rng.standard_normal((record.N, 3)) for _ in range(3))
     direction = rng.standard_normal(len(LAM)) * np.abs(LAM)
 
     def moved(share):
-        steps, layout = stepped(record, function(LAM + share * direction), gain)
-        return steps.state(layout.step, x + share * d, steps.forcing(), r)
+        steps, _ = stepped(record, function(LAM + share * direction), gain)
+        return steps.state(np.arange(record.N), x + share * d, steps.forcing(), r)
 
     h = 1e-5
     steps, layout = stepped(record, function(LAM), gain)
     S = np.zeros((3, record.N, len(LAM)))
     at = np.arange(record.N)
-    by_lam = steps.force(at, x, r) + steps.carry(layout.step, S, None)
-    by_x = steps.carry(layout.step, d.T[:, :, None], None)[:, :, 0]
+    by_lam = steps.force(at, x, r) + steps.carry(at, S, None)
+    by_x = steps.carry(at, d.T[:, :, None], None)[:, :, 0]
     found = (by_lam @ direction + by_x).T
     expected = (moved(h) - moved(-h)) / (2 * h)
     np.testing.assert_allclose(found[:-1], expected[:-1], atol=1e-7)

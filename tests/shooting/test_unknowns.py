@@ -7,7 +7,7 @@ import pytest
 from truths.closed_roll import TRUTH
 
 from casid.model import free_parameters
-from casid.shooting.unknowns import FilterFunction
+from casid.shooting.unknowns import FilterFunction, GainUnknowns
 
 GAIN = np.arange(9.0).reshape(3, 3) / 10
 
@@ -15,7 +15,7 @@ GAIN = np.arange(9.0).reshape(3, 3) / 10
 @pytest.mark.parametrize("gain_free", [False, True])
 def test_slopes_are_those_of_the_models_own_matrices(gain_free):
     free = free_parameters(TRUTH, fixed=("Lped",))
-    function = FilterFunction(free, GAIN, gain_free)
+    function = FilterFunction(free, GainUnknowns(GAIN, gain_free))
     n = len(free.index)
     at = np.concatenate([free.guess, GAIN.ravel()])[: function.nf]
     found = function(at)

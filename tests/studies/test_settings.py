@@ -87,7 +87,7 @@ def test_what_does_not_fit_is_named_with_its_table(content, told):
         ("[bounds]\ncases = { free = 3 }", "free = 3, expected a table, relations or text"),
         ("[bounds]\nestimator = 'derivid'\ncases = { free = {} }",
          r"by derivid: it needs records; write \[records.frequency\]"),
-        ("[output_error]\nprocess_noise = 'yes'", "'yes', expected BlackBox or bool"),
+        ("[output_error]\nprocess_noise = 'yes'", "'yes', expected 'gain' or BlackBox or bool"),
         ("[output_error]\nR = 'odd'", "R = 'odd', expected 'diagonal' or 'full'"),
     ],
 )  # fmt: skip

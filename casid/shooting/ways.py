@@ -1,0 +1,196 @@
+"""Ways to a solution: shorter intervals for output error, several starts for a filter.
+
+Whatever way is taken, the best end of all is what is told.
+"""
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.errors import ConvergenceError
+from casid.fit import AnyFit
+from casid.model import Free
+from casid.nlp import SolverOptions
+from casid.nonlinear.model import NonlinearModel
+from casid.record import Record
+from casid.shooting.innovation import ProcessNoise, filter_unknowns
+from casid.shooting.intervals import lay_out
+from casid.shooting.likelihood import CovarianceKind
+from casid.shooting.newton import MEET
+from casid.shooting.nonlinear import NonlinearEvaluator
+from casid.shooting.search import GAIN, Outcome, Search
+from casid.shooting.sensitivity import Evaluator
+from casid.shooting.starting import continued_programme, starting_programme
+from casid.shooting.unknowns import GainUnknowns, NoiseUnknowns
+from casid.subspace.pbsid import BlackBox
+
+LOG = logging.getLogger("casid")
+
+GROWTH = 1.0  # e-folds the fastest unstable mode may grow over an interval
+SHORTEN = 2.5  # factor between intervals tried one after the other
+LONGEST, SHORTEST = 5.0, 0.5  # of intervals chosen here [s]
+RISES = (10.0, 300.0, 1e4, 3e5)  # process noises to start from, in units of what is noticed
+PATIENCE = 100  # iterations of a solve, where there is another way
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """Ways to the parameters of one model from its records."""
+
+    free: Free
+    records: list[Record]
+    options: SolverOptions
+    R: Array | CovarianceKind
+    biases: bool
+    interval: float | None
+    steps: int | None = None
+
+    def output_error(self, near: AnyFit | None = None) -> Outcome:
+        """Where output error ends, from a fit nearby if there is one.
+
+        Intervals chosen here become shorter as long as nothing is found.
+        """
+        search, ends = Search(self.free, self.options, self.steps), []
+        for length in self._lengths():
+            evaluator = self._unfiltered(length)
+            ends.append(self._searched(search, evaluator, near))
+            if ends[-1].solution.success:
+                return ends[-1]
+            LOG.info("output error, intervals of %.3g s: %s", length, ends[-1].solution.status)
+        return min(ends, key=_merit)
+
+    def filtered(self, process_noise: ProcessNoise) -> Outcome:
+        """Where a filter ends, from the model given and, unless that is as good, output error."""
+        more = filter_unknowns(self.free, self.records, process_noise, self.R)
+        if more is None:
+            return self.output_error()
+        if isinstance(more, GainUnknowns) and not more.free:
+            return self._searched(
+                Search(self.free, self.options, self.steps), self._evaluator(more)
+            )
+        plain = replace(self, options=self._limited()).output_error()  # a start, and what to beat
+        if isinstance(more, NoiseUnknowns):
+            ends = self._noise_ends(more, plain)
+        else:
+            ends = self._gain_ends(more, plain, known=isinstance(process_noise, BlackBox))
+        best = min(ends, key=lambda end: end.cost)
+        if plain.cost < best.cost - GAIN:
+            why = ends[-1].solution.status
+            return plain.failed(f"no filter was found more likely than this output error: {why}")
+        return best if best.solution.success else min(ends, key=_merit)
+
+    def _noise_ends(self, more: NoiseUnknowns, plain: Outcome) -> list[Outcome]:
+        """Ends of a Kalman filter from the guess, and from output error unless that is worse."""
+        solved = plain.solution.success
+        search = Search(self.free, self._limited() if solved else self.options)
+        ends = [self._searched(search, self._evaluator(self._likely_noises(more)))]
+        if solved and not ends[0].cost <= plain.cost + GAIN:
+            R = plain.programme.values(plain.solution.x).R
+            ends.append(self._continued(plain, more.calm(R)))
+        return ends
+
+    def _gain_ends(self, more: GainUnknowns, plain: Outcome, known: bool) -> list[Outcome]:
+        """Ends of a filter with a free gain, from one ``known`` or where a Kalman filter ends."""
+        search, ends = Search(self.free, self._limited()), []
+        if known:
+            ends.append(self._searched(search, self._evaluator(more)))
+        if not ends or not ends[0].cost <= plain.cost + GAIN:
+            noises = filter_unknowns(self.free, self.records, process_noise=True, R="diagonal")
+            assert isinstance(noises, NoiseUnknowns)
+            first = min(self._noise_ends(noises, plain), key=_merit)
+            lam = first.programme.unpack(first.solution.x).lam
+            K = first.programme.evaluator.held_gain(lam)
+            patient = replace(self, options=search.options) if plain.solution.success else self
+            ends.append(patient._continued(first, more if K is None else replace(more, K=K)))
+        return ends
+
+    def _unfiltered(self, length: float) -> Evaluator:
+        layout = lay_out(self.records, length)
+        if isinstance(self.free.model, NonlinearModel):
+            return NonlinearEvaluator(self.free, layout, self.steps)
+        return Evaluator(self.free, layout)
+
+    def _evaluator(self, more: GainUnknowns | NoiseUnknowns) -> Evaluator:
+        length = self.interval or max(LONGEST, self._shortest)
+        return Evaluator(self.free, lay_out(self.records, length), more)
+
+    def _continued(self, last: Outcome, more: GainUnknowns | NoiseUnknowns) -> Outcome:
+        """Where a filter ends from another's end, or output error's."""
+        search, evaluator = Search(self.free, self.options, self.steps), self._evaluator(more)
+        begun = continued_programme(evaluator, self.free, self.R, last.programme, last.solution.x)
+        return search.around(search.run(*begun, self.R, near=True))
+
+    def _limited(self) -> SolverOptions:
+        limit = min(PATIENCE, self.options.max_iterations)
+        return replace(self.options, max_iterations=limit)
+
+    def _likely_noises(self, more: NoiseUnknowns) -> NoiseUnknowns:
+        """The likeliest of some levels of process noise, all noises to scale."""
+        found: list[tuple[float, NoiseUnknowns]] = []
+        for rise in RISES:
+            start = more.raised(rise)
+            evaluator = self._evaluator(start)
+            try:
+                programme, point = starting_programme(evaluator, self.free, self.R, self.biases)
+            except ConvergenceError:
+                continue
+            values = programme.values(programme.pack(point))
+            gains = evaluator.gains(point.lam)
+            if gains is not None and np.isfinite(values.cost):
+                size = float(np.sum(gains.whitened(values.motion.residuals) ** 2)) / programme.n
+                factor = 1.0 if more.given is not None else size
+                cost = values.cost + (size / factor - size + np.log(factor)) / 2
+                found.append((cost, start.scaled(factor)))
+        return min(found, key=lambda each: each[0])[1] if found else more.raised(RISES[0])
+
+    def _searched(
+        self, search: Search, evaluator: Evaluator, near: AnyFit | None = None
+    ) -> Outcome:
+        """Where the rounds of solves end."""
+        outcome = None if near is None else search.beside(near, evaluator, self.R, self.biases)
+        if outcome is None:
+            outcome = search.run(
+                *starting_programme(evaluator, search.free, self.R, self.biases), self.R
+            )
+        return search.around(outcome)
+
+    @property
+    def _shortest(self) -> float:
+        return max(SHORTEST, 4 * max(record.dt for record in self.records))
+
+    def _lengths(self) -> Iterator[float]:
+        """Intervals to try one after the other [s]: the one given, or shorter and shorter ones."""
+        length = (
+            choose_interval(self.free, self.records) if self.interval is None else self.interval
+        )
+        yield length
+        longest = max(record.duration for record in self.records)
+        while self.interval is None and self._shortest <= length / SHORTEN < longest:
+            length /= SHORTEN
+            yield length
+
+
+def choose_interval(free: Free, records: Sequence[Record]) -> float:
+    """Length of the shooting intervals of output error [s].
+
+    As long as the starting model's fastest growing mode grows no more than e-fold over it, within
+    0.5 s and 5 s: fewer nodes are quicker, shorter intervals forgive a worse start. (A filter has
+    the longest: its predictor is stable, and short intervals would let nodes fit the noise that its
+    unknowns are estimated from.)
+    """
+    shortest = max(SHORTEST, 4 * max(record.dt for record in records))
+    growth = float(free.model.with_vector(free.full(free.guess)).system().poles()[0].real)
+    length = LONGEST if growth <= 0 else GROWTH / growth
+    return float(np.clip(length, shortest, max(LONGEST, shortest)))
+
+
+def _merit(outcome: Outcome) -> tuple[bool, float]:
+    """What an end without success is worth: intervals that meet, then the likelihood."""
+    programme, x = outcome.programme, outcome.solution.x
+    values = programme.values(x)
+    gaps = values.g[: len(programme.links) * programme.evaluator.nx]
+    cost = programme.n * values.cost
+    return not np.abs(gaps).max(initial=0.0) < MEET, cost if np.isfinite(cost) else np.inf

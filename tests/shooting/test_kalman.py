@@ -1,0 +1,108 @@
+"""The Kalman filter of process noise against a recursion and a Riccati solver of other hands."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+from truths.closed_roll import TRUTH, flown, jittered, noisy, with_holes
+
+from benchmarks.turbulence import cases, fly, innovations
+from casid import ConvergenceError, output_error
+from casid.model import free_parameters
+from casid.shooting.innovation import starting_noises
+from casid.shooting.intervals import lay_out
+from casid.shooting.sensitivity import Evaluator, Point
+from casid.shooting.stepping import Steps
+
+FREE = free_parameters(TRUTH)
+
+
+def filtered(records, rise=100.0, interval=1e9):
+    """Evaluator of a filter with process noise, and its unknowns."""
+    more = starting_noises(TRUTH, records, "full").raised(rise)
+    start = more.start + 0.1 * np.random.default_rng(4).standard_normal(len(more.start))
+    evaluator = Evaluator(FREE, lay_out(records, interval), replace(more, start=start))
+    return evaluator, np.concatenate([FREE.guess, start])
+
+
+def noise_over(A, Q, h):
+    """A_d and Q_d over a step, by Van Loan's exponential."""
+    n = len(A)
+    E = scipy.linalg.expm(np.block([[-A, Q], [np.zeros((n, n)), A.T]]) * h)
+    return E[n:, n:].T, E[n:, n:].T @ E[:n, n:]
+
+
+def test_the_gain_ends_as_that_of_the_riccati_equation():
+    record = flown(t=0.02 * np.arange(2000), seed=1)
+    evaluator, lam = filtered([record])
+    m, gains = evaluator.matrices(lam), evaluator.gains(lam)
+    assert len(gains.K) < record.N  # one gain serves the rest
+    Ad, Qd = noise_over(m.A, np.diag(m.Q), record.dt)
+    P = scipy.linalg.solve_discrete_are(Ad.T, m.C.T, Qd, m.R)
+    S = m.C @ P @ m.C.T + m.R
+    np.testing.assert_allclose(gains.S[-1], S, rtol=1e-7)
+    np.testing.assert_allclose(gains.K[-1], Ad @ P @ m.C.T @ np.linalg.inv(S), rtol=1e-6)
+
+
+def test_the_likelihood_is_that_of_a_filter_written_out_whatever_is_missing():
+    record = jittered(with_holes(noisy(1).between(0, 4)))
+    evaluator, lam = filtered([record])
+    m = evaluator.matrices(lam)
+    x0, bias = np.array([0.3, -0.02, 0.01]), np.array([0.1, 0.01, -0.02])
+    motion = evaluator.simulate(Point(lam, bias[None], x0[None]))
+    told = evaluator.gains(lam).cost(motion.residuals)
+    # It corrects the states at a sample, then predicts; what inputs do is tested elsewhere.
+    held = evaluator.held(m)
+    forcing = Steps(m, evaluator.layout, held, True, slopes=False).forcing()
+    P, x, cost = np.zeros((3, 3)), x0, 0.0
+    for k in range(record.N):
+        np.testing.assert_allclose(x, motion.states[k], rtol=1e-8, atol=1e-10)
+        seen = np.isfinite(record.y[k])
+        C, R = m.C[seen], m.R[np.ix_(seen, seen)]
+        e = record.y[k, seen] - (m.C @ x + m.D @ held[0].value[k] + bias)[seen]
+        S = C @ P @ C.T + R
+        if seen.any():
+            cost += (e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1]) / 2
+        L = P @ C.T @ np.linalg.inv(S) if seen.any() else np.zeros((3, 0))
+        x, P = x + L @ e, P - L @ C @ P
+        if k + 1 < record.N:
+            Ad, Qd = noise_over(m.A, np.diag(m.Q), record.t[k + 1] - record.t[k])
+            x, P = Ad @ x + forcing[k], Ad @ P @ Ad.T + Qd
+    assert told == pytest.approx(cost, rel=1e-9)
+
+
+def test_in_still_air_the_filter_is_output_error():
+    records = [noisy(1).between(0, 6), noisy(2).between(0, 6)]
+    plain = output_error(TRUTH, records)
+    fit = output_error(TRUTH, records, process_noise=True)
+    assert fit.success
+    assert fit.method == "filter error"
+    assert fit.cost <= plain.cost + 1e-3
+    for one, other in zip(fit.parameters, plain.parameters, strict=True):
+        assert abs(one.value - other.value) < other.std_error
+
+
+@pytest.mark.slow
+def test_without_measurement_noise_the_likelihood_degenerates_and_the_best_is_told():
+    records = [flown(seed=1).between(0, 6), flown(seed=2).between(0, 6)]
+    with pytest.raises(ConvergenceError, match="predicted exactly") as caught:
+        output_error(TRUTH, records, process_noise=True)
+    np.testing.assert_allclose(caught.value.best.model.vector(), TRUTH.vector(), rtol=1e-3)
+
+
+def test_turbulence_is_told_from_measurement_noise():
+    case = cases()["2 states, 2 outputs"]
+    record = fly(case, np.random.default_rng(5), "gusts")
+    fit = output_error(case.start(case.truth), record, process_noise=True)
+    e, S = innovations(
+        case, record,
+        np.concatenate([fit.model.vector(), np.log(np.maximum(fit.notes.process_noise, 1e-30)),
+                        np.log(np.diag(fit.R))]),
+        fit.initial_states[0], fit.biases[0],
+    )  # fmt: skip
+    cost = (np.einsum("ka,kab,kb->", e, np.linalg.inv(S), e) + np.linalg.slogdet(S)[1].sum()) / 2
+    assert fit.cost == pytest.approx(cost, abs=1e-4)
+    # Of a thousand samples: a variance is known to 5 % or so, and its share in two to more.
+    np.testing.assert_allclose(np.sqrt(np.diag(fit.R)), case.sigma, rtol=0.35)
+    assert np.sqrt(fit.notes.process_noise[0]) == pytest.approx(0.3, rel=0.15)
