@@ -13,7 +13,6 @@ import scipy.fft
 import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
-import scipy.stats
 
 from casid.arrays import Array, BoolArray
 from casid.values import storable
@@ -31,7 +30,6 @@ RUN = 5  # lags without a significant correlation that end it
 PARTS = 4  # of a block of scores
 BLOCKS, FEWEST = 3, 20  # blocks: as many for a parameter, and in all, at least
 LEFT = 0.05  # of the information outside a block, at least
-UPPER = 0.975  # quantile at which t, of few blocks, stands in for the normal distribution
 MOST_LAGS = 5000  # samples; at 50 Hz the correlation of residuals is over long before
 
 
@@ -217,8 +215,7 @@ def coloured_covariance(
     blocks, samples = max(BLOCKS * root.shape[1], FEWEST), sum(len(r) for r in residuals)
     length = samples // (PARTS * blocks)
     if len(C) > 1 and PARTS * length >= len(C):
-        few = scipy.stats.t.ppf(UPPER, blocks - root.shape[1]) / scipy.stats.norm.ppf(UPPER)
-        K = _larger(K, few**2 * block_scores(root, residuals, slopes(), length))
+        K = _larger(K, block_scores(root, residuals, slopes(), length))
     return np.asarray(root @ K @ root.T)
 
 

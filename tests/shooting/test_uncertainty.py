@@ -152,7 +152,7 @@ def test_scores_of_blocks_are_what_leaving_them_out_does_to_least_squares():
 
 
 def test_intervals_cover_where_residuals_grow_with_what_excites_them():
-    # What is left out is a slow factor of the slope itself.
+    # What is left out is a slow factor of the slope itself; twenty blocks, Student's t.
     n, hits = 1500, []
     for run in range(80):
         rng = np.random.default_rng([12, run])
@@ -166,7 +166,7 @@ def test_intervals_cover_where_residuals_grow_with_what_excites_them():
         V = coloured_covariance(P, [r[:, None]], lambda S=S: [[S]])
         by_process = P @ process_scores(np.eye(2), residual_covariance([r[:, None]]), [[S]]) @ P
         error = (P @ X.T @ y)[0] / sigma**2
-        hits.append([abs(error) < 1.96 * np.sqrt(v[0, 0]) for v in (by_process, V)])
+        hits.append([abs(error) < 2.10 * np.sqrt(v[0, 0]) for v in (by_process, V)])
     before, now = np.mean(hits, axis=0)
     assert before < 0.80
     assert 0.88 < now < 0.995  # 80 runs scatter by 2.5 %
