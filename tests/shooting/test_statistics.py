@@ -149,8 +149,8 @@ def test_corrected_intervals_cover_what_unmodelled_rotor_dynamics_leave():
         fits.append(output_error(TRUTH, flights, interval=0.5))
     errors, white, std = scatter(fits, best)
     assert coverage(errors, white) < 0.80  # white noise is not what these residuals are
-    # wanted are 92 %; 60 runs of seven correlated parameters scatter by 2 %
-    assert 0.87 < coverage(errors, std) < 0.98
+    # 60 runs of seven correlated parameters scatter by 2 %
+    assert 0.89 < coverage(errors, std) < 0.98
 
 
 @pytest.mark.slow
