@@ -109,6 +109,7 @@ from .report.tables import summary as summary
 from .residuals import Residuals as Residuals, residuals as residuals
 from .sensors import Scalar as Scalar, Sensor as Sensor
 from .shooting.nonlinear import Integration as Integration
+from .shooting.clocks import InputDelay as InputDelay, input_delays as input_delays
 from .shooting.output_error import OutputError as OutputError, output_error as output_error
 from .shooting.precision import OutputErrorNotes as OutputErrorNotes
 from .stages.chain import Chain as Chain
