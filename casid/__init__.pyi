@@ -112,6 +112,7 @@ from .shooting.nonlinear import Integration as Integration
 from .shooting.clocks import InputDelay as InputDelay, input_delays as input_delays
 from .shooting.output_error import OutputError as OutputError, output_error as output_error
 from .shooting.precision import OutputErrorNotes as OutputErrorNotes
+from .shooting.simulation import simulate as simulate
 from .stages.chain import Chain as Chain
 from .stages.listing import STAGES as STAGES
 from .stages.matching import Matching as Matching

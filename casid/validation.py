@@ -5,7 +5,8 @@ approach", Fig. 11 (RMS divided by the largest among the models), and R. Jategao
 System Identification, chapter 11 (Theil's coefficient, whiteness of the residuals).
 
 A model is simulated over each record; where one grows too much over it, all are predicted piece by
-piece, over a horizon that the result states (`casid.prediction`).
+piece, over a horizon that the result states (`casid.prediction`). A nonlinear structure is taken as
+such, in total values.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,8 +19,10 @@ from casid.display import Shown, listed
 from casid.fit import AnyFit, Fit
 from casid.linear import StateSpace
 from casid.model import Model
+from casid.nonlinear.model import NonlinearModel
 from casid.prediction import Outlook, Prediction, growth_rate, outlook, predict
 from casid.record import Record, Records, same_channels, standard_deviations, stretches
+from casid.shooting.simulation import predict_nonlinear
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread
 
@@ -142,8 +145,8 @@ def validate(
         _check(name, system, records)
     far = [outlook(list(systems.values()), record, horizon) for record in records]
     predictions = {
-        name: [_predicted(name, system, *each, scale) for each in zip(records, far, strict=True)]
-        for name, system in systems.items()
+        name: [_predicted(name, model, *each, scale) for each in zip(records, far, strict=True)]
+        for name, model in models.items()
     }
     simulated = {name: tuple(p.y for p in ps) for name, ps in predictions.items()}
     rms = {name: _each(rms_error, records, ys) for name, ys in simulated.items()}
@@ -187,10 +190,13 @@ def _check(name: str, system: StateSpace, records: Sequence[Record]) -> None:
 
 
 def _predicted(
-    name: str, system: StateSpace, record: Record, far: Outlook, scale: Array
+    name: str, model: AnyModel, record: Record, far: Outlook, scale: Array
 ) -> Prediction:
+    structure = model.model if isinstance(model, Fit) else model
     try:
-        return predict(system, record, scale, far)
+        if isinstance(structure, NonlinearModel):
+            return predict_nonlinear(structure, record, scale, far)
+        return predict(state_space(model), record, scale, far)
     except ValueError as error:
         raise ValueError(f"model {name!r}, record {record.name!r}: {error}") from error
 

@@ -14,7 +14,7 @@ from casid.arrays import Array
 from casid.model import Free
 from casid.nonlinear.model import NonlinearModel
 
-POINTS = 256  # evaluated by one call
+POINTS = 128  # evaluated by one call
 
 
 class Mapped:

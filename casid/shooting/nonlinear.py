@@ -27,6 +27,9 @@ from casid.values import storable
 
 REACH = 1.0  # of the fastest eigenvalue times a step, at most: then the method follows it
 MOST = 64  # steps a sampling interval
+PIECE = 128  # samples whose derivatives are advanced at once
+# Of the method: which of a step's instants, how far ahead of its beginning, six times the weight.
+STAGES = (0, 0.0, 1.0), (1, 0.5, 2.0), (1, 0.5, 2.0), (2, 1.0, 1.0)
 
 
 @storable
@@ -183,26 +186,35 @@ class NonlinearSweep(Sweep):
 
     def _transitions(self, flat: np.ndarray) -> tuple[Array, Array]:
         """∂Φ/∂x (n, nx, nx) and ∂Φ/∂λ (n, nx, nf) of the steps from samples."""
-        n, nx, nf = len(flat), self.e.nx, self.e.nf
-        total: Array = np.zeros((n, nx, nf + nx))
-        total[:, :, nf:] = np.eye(nx)
-        for s in range(self._u.shape[1]):
-            total = self._step(flat, s, total)
+        nf = self.e.nf
+        total: Array = np.empty((len(flat), self.e.nx, self.ns))
+        for first in range(0, len(flat), PIECE):
+            piece = slice(first, first + PIECE)
+            total[piece] = self._advanced(flat[piece])
         return total[:, :, nf:], total[:, :, :nf]
 
-    def _step(self, flat: np.ndarray, s: int, Z: Array) -> Array:
-        """Derivatives (n, nx, nf + nx) after step s of sampling intervals, from those before."""
-        x, u, late = self._track.inner[flat, s], self._u[flat, s], self._late[flat, s]
-        h = self._eta[flat, None]
-        total, k, K = Z.copy(), np.zeros_like(x), np.zeros_like(Z)
-        for stage, ahead, weight in ((0, 0.0, 1.0), (1, 0.5, 2.0), (1, 0.5, 2.0), (2, 1.0, 1.0)):
-            z = Z if not ahead else Z + (ahead * h)[:, :, None] * K
-            k, f_x, f_u, f_lam = self._flow.f(x + ahead * h * k, u[:, stage], self._lam)
-            K = f_x @ z
-            self._flow.f.add(K, f_lam)
-            self._add_delays(K, f_u * late[:, stage, None])
-            total += (weight / 6 * h)[:, :, None] * K
-        return total
+    def _advanced(self, flat: np.ndarray) -> Array:
+        """Derivatives (n, nx, nf + nx) by λ and the states before of those one sample on."""
+        # Few samples at a time, in place: what is worked on stays in the cache.
+        Z: Array = np.zeros((len(flat), self.e.nx, self.ns))
+        Z[:, :, self.e.nf :] = np.eye(self.e.nx)
+        K, work, h = np.empty_like(Z), np.empty_like(Z), self._eta[flat, None, None]
+        for s in range(self._u.shape[1]):
+            x, u, late = self._track.inner[flat, s], self._u[flat, s], self._late[flat, s]
+            total, k = Z.copy(), np.zeros_like(x)
+            for stage, ahead, weight in STAGES:
+                work[:] = Z
+                if ahead:
+                    K *= ahead * h
+                    work += K
+                k, f_x, f_u, f_lam = self._flow.f(x + ahead * h[:, 0] * k, u[:, stage], self._lam)
+                np.matmul(f_x, work, out=K)
+                self._flow.f.add(K, f_lam)
+                self._add_delays(K, f_u * late[:, stage, None])
+                np.multiply(K, weight / 6 * h, out=work)
+                total += work
+            Z = total
+        return Z
 
     def _add_delays(self, target: Array, by_tau: Array) -> None:
         """Add what the delays do, (n, m, nu) by each, to derivatives (n, m, nf or more)."""

@@ -181,7 +181,6 @@ def output_error(
     biases: bool | Collection[str] = True,
     process_noise: ProcessNoise = False,
     priors: Priors | None = None,
-    steps: int | None = None,
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     domain: Domain = "time",
@@ -195,7 +194,7 @@ def output_error(
         As in `Estimator.fit`; the start is, for example, ``match(...).model``.
     records : Record or sequence of Record
         With at least the model's channels, by name; NaN in y and any sampling are welcome.
-    interval, R, biases, process_noise, priors, steps, domain, solver
+    interval, R, biases, process_noise, priors, domain, solver
         As in `OutputError`, which has the rarer settings too.
 
     Returns
@@ -217,7 +216,6 @@ def output_error(
         biases=biases,
         process_noise=process_noise,
         priors=priors,
-        steps=steps,
         domain=domain,
         solver=solver,
     )

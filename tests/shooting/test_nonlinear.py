@@ -94,7 +94,7 @@ def test_estimates_are_those_of_least_squares_over_solve_ivp(hold):
 
 def test_halving_the_steps_changes_what_is_reported():
     record = swung(4, dt=0.1)
-    coarse, fine = (output_error(Swing(), record, steps=n) for n in (1, 2))
+    coarse, fine = (OutputError(steps=n).fit(Swing(), record) for n in (1, 2))
     moved = {n: (fine[n].value - coarse[n].value) / fine[n].cramer_rao for n in coarse.free_names}
     told = coarse.notes.integration
     assert told.steps == 1
@@ -110,9 +110,9 @@ def test_settings_that_the_structure_does_not_have_are_told():
     with pytest.raises(ValueError, match="process_noise: a nonlinear structure has no filter"):
         output_error(Swing(), record, process_noise=True)
     with pytest.raises(ValueError, match="steps=0: expected 1 to"):
-        output_error(Swing(), record, steps=0)
+        OutputError(steps=0).fit(Swing(), record)
     with pytest.raises(ValueError, match="steps=2: a linear structure"):
-        output_error(SmallSwing(), record, steps=2)
+        OutputError(steps=2).fit(SmallSwing(), record)
 
 
 def test_totals_are_estimated_from_whatever_was_subtracted_as_trim():
