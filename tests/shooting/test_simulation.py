@@ -32,8 +32,9 @@ def test_validation_takes_a_nonlinear_structure_as_such():
     found = validate({"true": TRUTH, "linear": TRUTH.at({})}, records)
     np.testing.assert_allclose(found.rms["true"], 0.02, rtol=0.1)
     assert (found.rms["linear"] > 3 * found.rms["true"]).all()
+    # Outputs are weighted by their spread over all records, which loses that between the means.
     shifted = validate({"true": TRUTH}, [record.detrend("mean") for record in records])
-    np.testing.assert_allclose(shifted.rms["true"], found.rms["true"], rtol=1e-6)
+    np.testing.assert_allclose(shifted.rms["true"], found.rms["true"], rtol=1e-4)
 
 
 @pytest.mark.parametrize("horizon", [np.inf, 1.0])
