@@ -2,7 +2,7 @@
 
     python benchmarks/domains.py [--runs 100] [--first 0]
 
-The truth is six degrees of freedom as fitted to the UH-60 example, delays moved between samples.
+The truth is six degrees of freedom as matched to the UH-60 example, delays moved between samples.
 Four 3-2-1-1 of 16 s and four sweeps of 60 s at 25 Hz are flown in a loop of rates and attitudes,
 measured with the example's noise and fed back with it through a lag of 0.1 s. Each line is over
 runs and parameters: RMSE over the Cramér-Rao bound (root mean square, least, largest parameter),
@@ -18,7 +18,7 @@ import numpy as np
 from output_error import INPUTS, OUTPUTS, noisy_records, start_of
 from tables import table
 
-from casid import Record, StateSpace, output_error
+from casid import Record, output_error
 from casid.linear import foh_step
 
 H, FINE = 0.04, 4  # sampling interval [s], steps of the loop between samples
@@ -31,9 +31,7 @@ LAG, SIZE = 0.1, {"col": 0.04, "lat": 0.04, "lon": 0.025, "ped": 0.05}
 
 def truth():
     """Six degrees of freedom close to the UH-60 of the example."""
-    records = noisy_records()
-    fit = output_error(start_of(records), [each.decimate(2) for each in records[:4]], interval=1.0)
-    return replace(fit.model, **DELAYS)
+    return replace(start_of(noisy_records()), **DELAYS)
 
 
 def commands():
@@ -81,8 +79,7 @@ def flown(model, name, t, r, rng):
 def measure(runs, first):
     """Fits of both domains to every run."""
     model = truth()
-    poles = StateSpace.poles(model.system())
-    print(f"fastest growing mode of the truth {poles[0]:.3g} 1/s", flush=True)
+    print(f"fastest growing mode of the truth {model.system().poles()[0]:.3g} 1/s", flush=True)
     true, found = model.vector(), {domain: [] for domain in ("time", "frequency")}
     for run in range(first, first + runs):
         rng = np.random.default_rng([run, 7])

@@ -50,11 +50,15 @@ class Peak:
 @storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MatchNotes:
-    """What a match tells beside its estimates; ``start`` is the one that led to them."""
+    """What a match tells beside its estimates.
+
+    ``start`` is the one that led to them, ``weight`` the name of the weights, "given" of arrays.
+    """
 
     start: str
     peak: Peak
     sources: tuple[MatchedSource, ...]
+    weight: str = "size"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

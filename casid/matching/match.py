@@ -18,7 +18,7 @@ from casid.matching.appraisal import MatchNotes
 from casid.matching.conditions import fit_at_conditions
 from casid.matching.reach import reachable, stated_errors
 from casid.matching.search import Found, Search
-from casid.matching.targets import REACHABLE, Target, Weight, compare
+from casid.matching.targets import REACHABLE, SIZE, Target, Weight, compare
 from casid.model import Bounds, M, Priors, free_parameters
 from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim
@@ -45,12 +45,12 @@ class Match:
     shift : float
         σ >= 0 [1/s], right of all poles of the black box: frequencies below about σ are blurred.
         The default is the least that leaves a margin of a tenth of the rightmost pole's modulus.
-    weight : None, "relative", "reachable", array, or a sequence of one a target
-        On top of the default scaling by standard deviations, std(u)/std(y), an array that
-        broadcasts to (K, ny, nu), zeros being masks, linear in ω between the grid's points.
+    weight : "reachable", "relative", "size", array, None, or a sequence of one a target
+        "reachable" divides every pair's error by what a first quadratic fit leaves of it, smoothed
+        over ±0.35 nepers of frequency, at least its stated error and 5 % of its output's response.
         "relative" divides every output's error by the size of its response at that frequency,
-        "reachable" every pair's by what a first quadratic fit leaves of it, smoothed over ±0.35
-        nepers of frequency, at least its stated error and 5 % of its output's response.
+        "size" (or None) by its standard deviation, times the input's. An array multiplies that: it
+        broadcasts to (K, ny, nu), zeros being masks, linear in ω between the grid's points.
     source_weight : sequence of float
         Factor on the error of each target, one unless given.
     stable_shift : bool
@@ -65,7 +65,7 @@ class Match:
     norm: str = "hinf"
     omega: Array | None = None
     shift: float | None = None
-    weight: Weight | Sequence[Weight] = None
+    weight: Weight | Sequence[Weight] = "reachable"
     source_weight: Sequence[float] | None = None
     stable_shift: bool = True
     priors: Priors | None = None
@@ -102,7 +102,7 @@ class Match:
             search = _reweighted(search, targets)
         fits = search.quadratic()
         found = search.hinf(fits) if self.norm == "hinf" else fits[0]
-        fit = _result(search, found, self.norm, model, time.perf_counter() - begin)
+        fit = _result(search, found, self, model, time.perf_counter() - begin)
         told = fit.method, fit.cost, fit.iterations, fit.seconds
         LOG.info("%s: cost %.6g, %d iterations, %.2f s", *told)
         if not fit.success:
@@ -117,7 +117,7 @@ def match(
     norm: str = "hinf",
     omega: Array | None = None,
     shift: float | None = None,
-    weight: Weight | Sequence[Weight] = None,
+    weight: Weight | Sequence[Weight] = "reachable",
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     priors: Priors | None = None,
@@ -168,7 +168,16 @@ def _reweighted(search: Search, targets: Sequence[Target]) -> Search:
     return again
 
 
-def _result(search: Search, found: Found, norm: str, guess: M, took: float) -> Fit[M, MatchNotes]:
+def _named(weight: Weight | Sequence[Weight]) -> str:
+    """Name of weights."""
+    if weight is None:
+        return SIZE
+    return weight if isinstance(weight, str) else "given"
+
+
+def _result(
+    search: Search, found: Found, settings: Match, guess: M, took: float
+) -> Fit[M, MatchNotes]:
     """The result, its certificate and its tables."""
     free, values = search.free, found.values
     model = guess.with_vector(free.full(values))
@@ -176,7 +185,8 @@ def _result(search: Search, found: Found, norm: str, guess: M, took: float) -> F
     return Fit(
         model=model, parameters=parameters, cost=found.cost, status=found.status,
         success=found.success, iterations=search.iterations, seconds=took,
-        method=f"match {norm}", notes=found.appraisal.notes(found.start),
+        method=f"match {settings.norm}",
+        notes=replace(found.appraisal.notes(found.start), weight=_named(settings.weight)),
         constraints=constraint_table(model, found.prices),
         held=held_directions(free, values, parameters), certificate=found.appraisal.certificate(),
         free_names=free.names,

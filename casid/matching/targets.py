@@ -18,7 +18,8 @@ Target: TypeAlias = BlackBox | FrequencyResponse | StateSpace
 Weight: TypeAlias = str | Array | None
 
 REACHABLE = "reachable"
-NAMED = ("relative", REACHABLE)  # weights by name; the second begins as the first
+SIZE = "size"
+NAMED = (SIZE, "relative", REACHABLE)  # weights by name; the last begins as the one before
 
 T = TypeVar("T", bound=np.ndarray)
 
@@ -72,7 +73,7 @@ def compare(
         points that lie in its range.
     shift : float
         σ [1/s]; from the poles of black boxes and systems unless given.
-    weight : None, "relative", "reachable", array, or a sequence of one a target
+    weight : "reachable", "relative", "size", array, None, or a sequence of one a target
         See `casid.matching.match.match`.
     source_weight : sequence of float
         Factor on the error of each target; one unless given.
@@ -190,15 +191,16 @@ def _weighted(
 ) -> Source:
     """The source with scaling and the caller's weight on top of mask and coherence."""
     W = factor * source.W * input_scale
-    if isinstance(weight, str):
+    if isinstance(weight, str) and weight != SIZE:
         if weight not in NAMED:
             raise ValueError(
-                f'weight={weight!r}: expected None, "relative", "reachable" or an array'
+                f'weight={weight!r}: expected "reachable", "relative", "size" or an array'
             )
         W = W / row_sizes(source, input_scale)[:, :, None]
     else:
         W = W / output_scale[:, None]
-        W = W if weight is None else W * _checked_weight(weight, source.G.shape)
+        given = None if isinstance(weight, str) else weight
+        W = W if given is None else W * _checked_weight(given, source.G.shape)
     return replace(source, W=W, node_weights=W)
 
 

@@ -19,6 +19,15 @@ GAP = 0.01  # of the certificate, relative
 SOURCES = {"black box": "pbsid", "frequency response": "frequency"}  # stages by name of target
 
 
+MEANING = {  # of the certified number
+    "reachable": ", which says by how many times the misfit at its worst exceeds what the "
+    "structure typically misses of a pair there",
+    "relative": ", which says what share of an output's response is missed at worst",
+    "size": ", which says what share of an output's standard deviation is missed at worst",
+    "given": ", in the units of the weights given",
+}
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Matching(Match):
     """A match, and what it is to.
@@ -65,7 +74,7 @@ def _show(found: Fit[Any, MatchNotes], content: Content) -> Iterable[Section]:  
         low, high = (number(edge, 3) for edge in certificate.band)
         band = f" between {low} and {high} rad/s"
     said, draw = (*unsolved(found), *_loose(certificate)), partial(draw_match_error, found)
-    lead = f"The structure was matched to it in the H∞ norm{band}."
+    lead = f"The structure was matched to it in the H∞ norm{band}{MEANING[found.notes.weight]}."
     title = "Match and certificate"
     yield section("certificate", title, 90, found, draw=draw, lead=lead, cautions=said)
 

@@ -42,7 +42,7 @@ def brute_force(omega, cost):
 def test_hinf_optimum_is_that_of_brute_force():
     omega = np.geomspace(0.1, 10.0, 40)
     best, _ = brute_force(omega, lambda e: e.max(axis=2))
-    fit = match(Lag(), black_box(SECOND), norm="hinf", omega=omega)
+    fit = match(Lag(), black_box(SECOND), norm="hinf", omega=omega, weight="size")
     # The peaks that match adds between the points can only raise the optimum, by less than 1 %
     # of its gap; brute force stops within the width of its last grid, 1.9/2^11.
     assert fit.cost == pytest.approx(best, rel=1e-3)
@@ -51,7 +51,7 @@ def test_hinf_optimum_is_that_of_brute_force():
 def test_quadratic_optimum_is_that_of_brute_force():
     omega = np.geomspace(0.1, 10.0, 40)
     best, where = brute_force(omega, lambda e: (e**2).mean(axis=2))
-    fit = match(Lag(), black_box(SECOND), norm="quadratic", omega=omega)
+    fit = match(Lag(), black_box(SECOND), norm="quadratic", omega=omega, weight="size")
     assert fit.cost == pytest.approx(best, rel=1e-6)  # second order in the grid's width
     np.testing.assert_allclose(fit.model.vector(), where, atol=2e-3)
 
@@ -66,13 +66,20 @@ def test_prior_values_draw_a_match_as_errors_of_a_hundredth_do():
         return error + price * (x[0] - prior) ** 2
 
     best = scipy.optimize.minimize(cost, [1.0, 1.0], tol=1e-12)
-    free = match(Lag(), black_box(SECOND), norm="quadratic", omega=omega)
-    fit = match(Lag(), black_box(SECOND), norm="quadratic", omega=omega, priors={"a": (prior, std)})
+    free = match(Lag(), black_box(SECOND), norm="quadratic", omega=omega, weight="size")
+    fit = match(
+        Lag(),
+        black_box(SECOND),
+        norm="quadratic",
+        omega=omega,
+        priors={"a": (prior, std)},
+        weight="size",
+    )
     assert fit.cost == pytest.approx(best.fun, rel=1e-6)
     np.testing.assert_allclose(fit.model.vector(), best.x, rtol=1e-4)
     assert abs(fit["a"].value - free["a"].value) > 0.01
     assert fit["a"].prior_std == std
-    held = match(Lag(), black_box(SECOND), omega=omega, priors={"a": (prior, 1e-4)})
+    held = match(Lag(), black_box(SECOND), omega=omega, priors={"a": (prior, 1e-4)}, weight="size")
     assert held["a"].value == pytest.approx(prior, abs=1e-3)
 
 
@@ -107,7 +114,9 @@ def test_certificate_holds_with_delays_and_unstable_poles():
 def test_multiplier_is_the_price_of_the_bound():
     def cost(upper):
         omega, bounds = np.geomspace(0.1, 10.0, 200), {"a": (0.1, upper)}
-        return match(Lag(), black_box(SECOND), norm="hinf", bounds=bounds, omega=omega)
+        return match(
+            Lag(), black_box(SECOND), norm="hinf", bounds=bounds, omega=omega, weight="size"
+        )
 
     fit, step = cost(0.7), 1e-4
     slope = (cost(0.7 + step).cost - cost(0.7 - step).cost) / (2 * step)
@@ -223,7 +232,7 @@ LEAD = StateSpace([[-100.0, -2500.0], [1.0, 0.0]], [[1.0], [0.0]], [[-2500.0, -2
 def test_poles_stay_left_of_the_line_by_constraint(norm):
     bounds = {"a": (-20.0, 20.0)}
     free, kept = (
-        Match(norm=norm, shift=0.0, stable_shift=stable).fit(
+        Match(norm=norm, shift=0.0, stable_shift=stable, weight="size").fit(
             Lag(), black_box(LEAD, (0.3, 3.0)), bounds=bounds
         )
         for stable in (False, True)

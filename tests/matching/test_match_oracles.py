@@ -89,7 +89,7 @@ REDUCTIONS = [
 
 @pytest.mark.parametrize(("structure", "system"), REDUCTIONS)
 def test_removing_one_state_costs_the_smallest_hankel_singular_value(structure, system):
-    fit = match(structure(), black_box(system, WIDE), omega=np.geomspace(*WIDE, 120))
+    fit = match(structure(), black_box(system, WIDE), omega=np.geomspace(*WIDE, 120), weight="size")
     smallest = hankel_singular_values(system)[-1]
     # The band leaves out less than its ends' distance to the poles, 1e-3 / 0.3.
     assert fit.cost == pytest.approx(smallest, rel=3e-3)
@@ -133,7 +133,7 @@ def test_several_channels_reach_the_brute_force_optimum():
         worst = np.linalg.norm(model - G, 2, axis=(-2, -1)).max(axis=2)
         i, j = np.unravel_index(np.argmin(worst), worst.shape)
         centre, width = np.array([k[i], c[j]]), 0.5 * width
-    fit = match(Coupled(), black_box(target), omega=OMEGA)
+    fit = match(Coupled(), black_box(target), omega=OMEGA, weight="size")
     # Peaks added between the points raise the optimum by less than the certificate's 1 %; here
     # the error is smooth on the grid and does not.
     assert fit.cost == pytest.approx(worst.min(), rel=1e-3)
@@ -180,7 +180,7 @@ def test_optimum_does_not_depend_on_the_order_of_frequencies():
 
 
 def test_certificate_agrees_with_the_hamiltonian_norm():
-    fit = match(First(), black_box(REDUCTIONS[0][1], WIDE))
+    fit = match(First(), black_box(REDUCTIONS[0][1], WIDE), weight="size")
     error = control.ss(*_matrices(fit.model.system())) - control.ss(*_matrices(REDUCTIONS[0][1]))
     exact = control.system_norm(error, p="inf", tol=1e-8)
     # Over all frequencies; the band leaves out what is flat beyond the poles, 1e-3 / 0.3 of it.

@@ -84,3 +84,18 @@ def test_weights_by_reach_are_for_all_targets():
     off = replace(targets[1], G=targets[1].G * 1.3)
     fit = match(HoverRoll(), [targets[0], off], norm="quadratic", weight="reachable")
     assert len(fit.notes.sources) == 2
+
+
+def test_a_few_biased_points_do_not_rule_a_joint_match():
+    # The lowest points of an abrupt sweep: 2.5 dB and 12 degrees off at a stated error of 1.5 %.
+    G = TRUTH.system().response(OMEGA)
+    G[:3] *= 10 ** (2.5 / 20) * np.exp(1j * np.deg2rad(12))
+    biased = measured(TRUTH.system(), G=G, error=0.015)
+    right, error = TRUTH.system().response(OMEGA), {}
+    for weight in ("size", "relative", "reachable"):
+        fit = match(HoverRoll(), [black_box(TRUTH.system()), biased], weight=weight)
+        found = fit.model.system().response(OMEGA)
+        error[weight] = np.linalg.norm(found - right) / np.linalg.norm(right)
+        assert fit.notes.weight == weight
+    assert error["reachable"] < 0.6 * error["size"]
+    assert error["reachable"] < 0.4 * error["relative"]

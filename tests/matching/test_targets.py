@@ -143,7 +143,9 @@ def test_two_sources_share_a_gain_as_their_weights_say():
     three = Lag(a=1.0, k=3.0)
     for factor in (0.5, 1.0, 2.0):
         targets = [black_box(unit.system()), measured(three.system())]
-        matching = Match(norm="quadratic", omega=OMEGA, shift=0.0, source_weight=(1.0, factor))
+        matching = Match(
+            norm="quadratic", omega=OMEGA, shift=0.0, source_weight=(1.0, factor), weight="size"
+        )
         fit = matching.fit(Lag(a=1.0), targets, fixed=("a",))
         w = (factor * 1.58 * (1 - np.exp(-1.0))) ** 2
         assert fit["k"].value == pytest.approx((1 + 3 * w) / (1 + w), rel=1e-6)
@@ -176,7 +178,9 @@ def test_coherence_weighs_the_squared_error_as_tischler_and_remple_say():
     # T&R (11.1): W = [1.58 (1 - exp(-γ²))]², and the coherence is γ² already.
     unit, three = Lag(a=1.0, k=1.0), Lag(a=1.0, k=3.0)
     targets = [black_box(unit.system()), measured(three.system(), coherence=0.6)]
-    fit = match(Lag(a=1.0), targets, norm="quadratic", fixed=("a",), omega=OMEGA, shift=0.0)
+    fit = match(
+        Lag(a=1.0), targets, norm="quadratic", fixed=("a",), omega=OMEGA, shift=0.0, weight="size"
+    )
     w = (1.58 * (1 - np.exp(-0.6))) ** 2
     assert fit["k"].value == pytest.approx((1 + 3 * w) / (1 + w), rel=1e-6)
 
@@ -271,7 +275,7 @@ def test_fixed_parameters_are_no_variables():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"weight": "log"}, 'expected None, "relative", "reachable" or an array'),
+        ({"weight": "log"}, 'expected "reachable", "relative", "size" or an array'),
         ({"weight": np.ones((7, 2, 2))}, r"expected \(K, ny, nu\) = \(40, 2, 2\)"),
         ({"weight": -np.ones((2, 2))}, "negative or non-finite"),
         ({"weight": np.zeros((2, 2))}, "no point of the target weighs on output 'p'"),
