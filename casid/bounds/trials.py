@@ -79,7 +79,9 @@ class Fits:
         self.model, self.fixed, self.bounds = model, tuple(fixed), bounds
         self.data = tuple(data) if isinstance(data, Sequence) else (data,)
         prepare = getattr(estimator, "prepared", None)
-        shared = estimator if prepare is None else prepare(self.data)
+        shared = (
+            prepare(model, self.data, fixed=self.fixed, bounds=bounds) if prepare else estimator
+        )
         self._setup = Setup(
             reference=refer(type(model)), estimator=shared, data=self.data, fixed=self.fixed
         )

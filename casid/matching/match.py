@@ -10,16 +10,19 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
 from casid.matching.appraisal import MatchNotes
+from casid.matching.comparison import Comparison
 from casid.matching.conditions import fit_at_conditions
 from casid.matching.reach import reachable, stated_errors
 from casid.matching.search import Found, Search
 from casid.matching.targets import REACHABLE, SIZE, Target, Weight, compare
-from casid.model import Bounds, M, Priors, free_parameters
+from casid.model import Bounds, Free, M, Model, Priors, free_parameters
 from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim
 from casid.record import several
@@ -88,18 +91,7 @@ class Match:
             return fit_at_conditions(self, model, data, fixed, bounds)
         begin = time.perf_counter()
         free = free_parameters(model, fixed, bounds, self.priors)
-        targets: tuple[Target, ...] = several(data)
-        comparison = compare(
-            model,
-            targets,
-            omega=self.omega,
-            shift=self.shift,
-            weight=self.weight,
-            source_weight=self.source_weight,
-        )
-        search = Search(free, comparison, stable=self.stable_shift, options=self.solver)
-        if isinstance(self.weight, str) and self.weight == REACHABLE:
-            search = _reweighted(search, targets)
+        search = self._search(free, several(data))
         fits = search.quadratic()
         found = search.hinf(fits) if self.norm == "hinf" else fits[0]
         fit = _result(search, found, self, model, time.perf_counter() - begin)
@@ -108,6 +100,47 @@ class Match:
         if not fit.success:
             raise ConvergenceError(f"match {self.norm}: {fit.status}", best=fit)
         return fit
+
+    def prepared(
+        self,
+        model: Model,
+        data: Target | Sequence[Target],
+        *,
+        fixed: Collection[str] = (),
+        bounds: Bounds | None = None,
+    ) -> "Match":
+        """The same with its weights as arrays: many fits to the same targets share them."""
+        if not isinstance(self.weight, str) or self.weight != REACHABLE:
+            return self
+        omega = None if self.omega is None else np.unique(self.omega)
+        plain = replace(self, weight=SIZE, omega=omega)
+        targets: tuple[Target, ...] = several(data)
+        free = free_parameters(model, fixed, bounds, self.priors)
+        size = plain._compare(model, targets).sources
+        reach = self._search(free, targets).comparison.sources
+        weights = [
+            np.divide(own.W, unit.W, out=np.zeros_like(own.W), where=unit.W > 0)
+            for own, unit in zip(reach, size, strict=True)
+        ]
+        return replace(plain, weight=weights)
+
+    def _compare(self, model: Model, targets: Sequence[Target]) -> Comparison:
+        """The targets in the model's channels; weights by reach begin as relative ones."""
+        return compare(
+            model,
+            targets,
+            omega=self.omega,
+            shift=self.shift,
+            weight=self.weight,
+            source_weight=self.source_weight,
+        )
+
+    def _search(self, free: Free, targets: Sequence[Target]) -> Search:
+        """The solves, with the weights wanted."""
+        comparison = self._compare(free.model, targets)
+        search = Search(free, comparison, stable=self.stable_shift, options=self.solver)
+        reach = isinstance(self.weight, str) and self.weight == REACHABLE
+        return _reweighted(search, targets) if reach else search
 
 
 def match(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from casid.fit import AnyFit, Fit
-from casid.model import Bounds, M
+from casid.model import Bounds, M, Model
 from casid.record import Record, several
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.black_box import BLACK_BOX
@@ -41,7 +41,14 @@ class Chain:
     refinement: tuple[Record, ...] = ()
     sweeps: tuple[Record, ...] = ()
 
-    def prepared(self, data: Record | Sequence[Record]) -> "Chain":
+    def prepared(
+        self,
+        model: Model,  # noqa: ARG002 - the black box knows of none
+        data: Record | Sequence[Record],
+        *,
+        fixed: Collection[str] = (),  # noqa: ARG002
+        bounds: Bounds | None = None,  # noqa: ARG002
+    ) -> "Chain":
         """The same with its black box estimated: many fits to the same records share it."""
         if self.black_box is not None:
             return self

@@ -16,7 +16,7 @@ OMEGA = np.geomspace(0.2, 8.0, 25)
 OTHER = StateSpace([[-2.0, 1.0], [0.0, -0.7]], [[1.0], [1.0]], [[1.5, 0.4]], [[0.05]],
                    inputs=("u",), outputs=("y",))  # fmt: skip
 TARGET = black_box(OTHER, (0.2, 8.0))
-MATCHED = Match(norm="quadratic", omega=OMEGA, shift=0.0)
+MATCHED = Match(norm="quadratic", omega=OMEGA, shift=0.0, weight="size")
 HERE = Execution(executor=Inline())
 
 

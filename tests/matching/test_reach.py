@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
 
-from casid import FrequencyResponse, match
+from casid import FrequencyResponse, Match, match
 from casid.matching.reach import reachable, stated_errors
 from casid.matching.targets import compare
 
@@ -99,3 +99,13 @@ def test_a_few_biased_points_do_not_rule_a_joint_match():
         assert fit.notes.weight == weight
     assert error["reachable"] < 0.6 * error["size"]
     assert error["reachable"] < 0.4 * error["relative"]
+
+
+def test_weights_prepared_for_many_fits_are_those_of_one():
+    targets = [measured(TRUTH.system(), G=1.2 * TRUTH.system().response(OMEGA))]
+    matching = Match(norm="quadratic", omega=OMEGA[::-1])
+    ready = matching.prepared(HoverRoll(), targets)
+    own, shared = (each.fit(HoverRoll(), targets) for each in (matching, ready))
+    assert shared.cost == pytest.approx(own.cost, rel=1e-6)
+    assert ready.prepared(HoverRoll(), targets) is ready
+    assert shared.notes.weight == "given"

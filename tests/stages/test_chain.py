@@ -1,7 +1,7 @@
 """The stages up to output error as one estimator."""
 
 import numpy as np
-from truths.closed_roll import noisy
+from truths.closed_roll import TRUTH, noisy
 from truths.systems import campaign
 
 from casid import Chain, Matching, OutputError, Pbsid
@@ -19,7 +19,7 @@ def test_settings_of_the_chain_are_values_of_its_stages():
 def test_many_fits_share_one_black_box():
     own = Pbsid(order=5, pole=6.0, past=10, feedthrough=["z"])
     records = campaign()
-    ready = Chain(settings={"pbsid": own}, refinement=(noisy(1),)).prepared(records)
+    ready = Chain(settings={"pbsid": own}, refinement=(noisy(1),)).prepared(TRUTH, records)
     np.testing.assert_array_equal(ready.black_box.system.A, own.fit(tuple(records)).system.A)
     assert len(ready.refinement) == 1
-    assert ready.prepared(records) is ready
+    assert ready.prepared(TRUTH, records) is ready
