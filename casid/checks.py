@@ -219,7 +219,7 @@ def words(hint: Any) -> str:  # noqa: ANN401 - an annotation
     if kind in _PHRASES:
         return _PHRASES[kind](inner)
     name = _NAMES.get(kind, str(getattr(kind, "__name__", kind)))
-    if not (isinstance(kind, type) and issubclass(kind, Collection) and inner):
+    if kind in _NAMES or not (isinstance(kind, type) and issubclass(kind, Collection) and inner):
         return name
     if issubclass(kind, Mapping):
         return f"a mapping {{{words(inner[0])}: {words(inner[1])}}}"

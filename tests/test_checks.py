@@ -103,6 +103,8 @@ REFUSED = [
     (lambda: Pbsid(order=2.5), "Pbsid: order = 2.5, expected a whole number"),
     (lambda: Match(omega=[]), r"Match: omega = \[\], expected one frequency"),
     (lambda: casid.output_error(ROLL, RECORD, interval=-1.0), "interval=-1.0: expected sec"),
+    (lambda: casid.match(ROLL, PLANT, omega="all"), "omega = 'all', expected an array of numbers$"),
+    (lambda: OutputError(priors={"Lp": 1.0}), "priors = .*: .a number, a number.}"),
     (lambda: SpectralAnalysis(windows=["a"]), "SpectralAnalysis: windows = .*, expected numbers"),
     (lambda: RECORD.decimate(2.5), "Record.decimate: step = 2.5, expected a whole number"),
     (lambda: RECORD.mask(np.ones(3, dtype=bool)), r"where has shape \(3,\), expected \(N, ny\)"),

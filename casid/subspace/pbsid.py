@@ -7,7 +7,7 @@ of them. Departures: the projections are computed exactly from the samples
 term may be masked.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeVar, get_args
 
 import numpy as np
@@ -33,6 +33,7 @@ T = TypeVar("T")
 Transform = Literal["laguerre", "none"]
 
 PAST = 10  # samples at least, for the samples themselves
+RAISED = 4  # states more than the criterion says, where a mode is missed
 CLEARLY = 0.95  # of what projections leave unexplained: models of samples that leave less are taken
 
 
@@ -125,13 +126,23 @@ class Pbsid:
         else:
             factor = 1e-3 if factor is None else factor
             settings = choice.Candidate.of(order, Windows(past, past, float(pole), factor))
+        estimate = self._refined(campaign, settings)
+        while order is None and selection and estimate.missed and not len(estimate.doubtful):
+            if estimate.missed.order > selection.chosen.order + RAISED:
+                break
+            settings = replace(settings, order=estimate.missed.order)
+            estimate = self._refined(campaign, settings)
+        _check_unstable(estimate.system, settings.pole)
+        _check_used(campaign.segments(settings.past, settings.pole))
+        if selection and settings != selection.chosen:
+            selection = replace(selection, chosen=settings)
+        return self._black_box(campaign, settings, estimate, selection)
+
+    def _refined(self, campaign: Campaign, settings: choice.Candidate) -> Estimate:
         windows = self._windows(settings, len(campaign.sy))
         found = campaign.subspace(settings.order, windows)
-        _check_unstable(found.system, settings.pole)
-        _check_used(campaign.segments(settings.past, settings.pole))
         move, pole = self.refine, settings.pole
-        estimate = refine_projected(campaign, found, pole, move=move, windows=windows)
-        return self._black_box(campaign, settings, estimate, selection)
+        return refine_projected(campaign, found, pole, move=move, windows=windows)
 
     def _better(self, campaign: Campaign, projected: BlackBox) -> BlackBox:
         """The black box of projections, or of samples if that predicts clearly better."""

@@ -62,7 +62,7 @@ def doubtful_growth(
     robust = np.linalg.norm(pulls, axis=1) * np.sqrt(count / max(count - 1, 1))
     rates = modal.lam.real
     unsure = rates < CERTAIN * np.maximum(plain, robust)
-    return np.asarray(modal.lam[grows & (unsure | _at_limit(rates, limit))])
+    return np.asarray(modal.lam[grows & (unsure | (np.abs(rates - limit) < 1e-3 * limit))])
 
 
 def unsteady_growth(
@@ -70,20 +70,13 @@ def unsteady_growth(
 ) -> ComplexArray:
     """Growing modes (Im >= 0) that a refined model of one state less does not have likewise.
 
-    It has one if it grows near there at half the rate at least, by itself: a mode at the limit was
-    found decaying.
+    It has one if it grows near there at half the rate at least.
     """
-    limit = refinement.highest_growth(data)
-    others = fewer.poles()
-    others = others[~_at_limit(others.real, limit)]
+    limit, others = refinement.highest_growth(data), fewer.poles()
     lam = system.poles()
     lam = lam[(lam.real > HARDLY / 2 * limit) & (lam.imag >= 0)]
     near = np.abs(lam[:, None] - others) <= STEADY * np.abs(lam[:, None])
     return np.asarray(lam[~(near & (others.real >= lam.real[:, None] / 2)).any(axis=1)])
-
-
-def _at_limit(rates: Array, limit: float) -> BoolArray:
-    return np.asarray(np.abs(rates - limit) < 1e-3 * limit)
 
 
 @storable

@@ -153,10 +153,10 @@ def first(samples):
     ("given", "message"),
     [
         ({"interval": 0.0}, "expected seconds above 0"),
-        ({"interval": np.nan}, "expected seconds above 0"),
+        ({"interval": np.nan}, "interval = nan, expected a number"),
         ({"R": np.eye(2)}, r"expected \(ny, ny\) = \(3, 3\)"),
         ({"R": -np.eye(3)}, "not symmetric positive definite"),
-        ({"R": "banded"}, 'expected "diagonal", "full" or'),
+        ({"R": "banded"}, 'expected an array of numbers or "diagonal" or "full"'),
         ({"process_noise": np.eye(2)}, r"expected K \(nx, ny\) = \(3, 3\)"),
         ({"bounds": {"Lp": (0.0, -1.0)}}, "Lp"),
         ({"bounds": {"Lx": (0.0, 1.0)}}, "no parameter 'Lx'"),

@@ -83,7 +83,6 @@ def test_prior_and_records_are_weighed_by_their_information():
     [
         ({"priors": {"Lq": (1.0, 0.1)}}, "no parameter 'Lq'"),
         ({"priors": {"Lp": (1.0, 0.0)}}, "deviation above 0"),
-        ({"priors": {"Lp": 1.0}}, "deviation above 0"),
         ({"initial": {"q": (0.0, 1.0)}}, "initial names 'q'"),
         ({"biases": ("r",)}, "biases names 'r'"),
         ({"state_biases": ("r",)}, "state_biases names 'r'"),

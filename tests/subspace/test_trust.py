@@ -102,7 +102,6 @@ def test_growth_at_the_limit_of_the_refinement_is_doubted_by_name():
         (0.3, []),  # the same mode at half the rate at least
         (0.2, [0.5 + 3j]),
         (-0.1, [0.5 + 3j]),
-        (0.1, [0.5 + 3j]),  # at the limit of 20 s: it was found decaying
     ],
 )
 def test_growth_that_one_state_less_does_not_find_is_doubted(fewer, doubted):
