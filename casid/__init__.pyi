@@ -68,6 +68,8 @@ from .exchange.objects import (
     without_delay as without_delay,
 )
 from .exchange.standalone import write_module as write_module
+from .excitations import Excitation as Excitation
+from .excitations import excitation as excitation
 from .files import read_csv as read_csv, read_mat as read_mat, write_csv as write_csv
 from .fit import (
     Certificate as Certificate,

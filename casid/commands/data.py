@@ -235,6 +235,8 @@ def _show(console: Console, found: Inspection) -> None:
         console.print(kinematics_table(found.kinematics), "")
     for note in found.kinematics.notes:
         console.print(Text(f"note: {note}"))
+    if found.excitation is not None:
+        console.print(Text(f"Excitation: {found.excitation}"))
     if found.identifiability is not None:
         told = str(found.identifiability).splitlines()[0]
         can = "can" if found.usable else "cannot"

@@ -12,6 +12,7 @@ from casid.channels import UNITS
 from casid.consistency.flightpath import noise
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.consistency.plausibility import unit_doubts
+from casid.excitations import Excitation, certified
 from casid.model import Bounds, Model
 from casid.record import Record, Records, same_channels, several
 from casid.structure.identifiability import Identifiability, identifiability
@@ -71,6 +72,8 @@ class Inspection:
         Whether the channels agree with each other.
     identifiability : Identifiability or None
         Of the structure, if one was given.
+    excitation : Excitation or None
+        How much of the inputs comes from outside; None of records too short to tell.
     advice : tuple of str
         What to mend or to know before an identification; empty if nothing is in its way.
     """
@@ -80,6 +83,7 @@ class Inspection:
     outputs: tuple[str, ...]
     correlation: Array
     kinematics: KinematicCheck
+    excitation: Excitation | None
     identifiability: Identifiability | None
     advice: tuple[str, ...]
 
@@ -128,6 +132,8 @@ def inspect_records(
     advice += [said for each in facts for said in _record_advice(each, inputs)]
     advice += _excitation_advice(facts, inputs) + _correlation_advice(correlation, inputs)
     advice += list(kinematics.remarks)
+    outside = certified(records)
+    advice += [] if outside is None else outside.doubts()
     if model is not None and found is not None:
         advice += _model_advice(type(model).__name__, found)
     return Inspection(
@@ -136,6 +142,7 @@ def inspect_records(
         outputs=outputs,
         correlation=correlation,
         kinematics=kinematics,
+        excitation=outside,
         identifiability=found,
         advice=tuple(dict.fromkeys(advice)),
     )

@@ -6,6 +6,7 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.display import Shown
+from casid.excitations import Excitation
 from casid.linear import StateSpace, from_zoh
 from casid.record import Hold
 from casid.subspace.columns import Segment
@@ -64,6 +65,8 @@ class BlackBox(Shown):
         "linear", "prediction", "simulation" or "local simulation", see `Pbsid`.
     hold : {"foh", "zoh"}
         What the inputs of a discrete black box do between samples.
+    excitation : Excitation or None
+        How much of the inputs came from outside; None of records too short to tell.
     """
 
     system: StateSpace
@@ -87,6 +90,7 @@ class BlackBox(Shown):
     missed: Missed | None = None
     refinement: str = "unrefined"
     hold: Hold = "zoh"
+    excitation: Excitation | None = None
 
     def headline(self) -> str:
         """Order, band, where it comes from, what is doubtful."""
@@ -102,7 +106,9 @@ class BlackBox(Shown):
     def doubts(self) -> tuple[str, ...]:
         """Why records do not support a model, a mode of it or its order; empty where they do."""
         # Empty, too, where it is not known: without refinement, and on samples.
-        doubts = (*growth_doubts(self.doubtful), *order_doubts(self.missed, self.order))
+        outside = () if self.excitation is None else self.excitation.doubts()
+        growth = growth_doubts(self.doubtful)
+        doubts = (*outside, *growth, *order_doubts(self.missed, self.order))
         if self.explained is None:
             return doubts
         return (*data_doubts(self.explained, self.system.outputs), *doubts)

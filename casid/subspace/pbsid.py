@@ -15,6 +15,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.errors import warn
+from casid.excitations import certified
 from casid.linear import StateSpace
 from casid.record import Records
 from casid.subspace import settings as choice
@@ -238,7 +239,7 @@ class Pbsid:
             segments=campaign.segments(windows.past, windows.pole),
             uncertainty=estimate.uncertainty, selection=selection, explained=estimate.explained,
             doubtful=estimate.doubtful, missed=estimate.missed, refinement=settings.refinement,
-            hold=campaign.records[0].hold,
+            hold=campaign.records[0].hold, excitation=certified(campaign.records),
         )  # fmt: skip
 
 

@@ -1,0 +1,323 @@
+"""Does a record hold the aircraft or its controller: how much of the inputs comes from outside.
+
+A long vector autoregression of z = (y, u), A(q) z = e, splits every input's spectrum into what its
+own innovations make and what the outputs' innovations make of it through whatever feeds them back,
+
+    Φ_u = H_uu Σ_u H_uuᴴ + H_uy Σ_y H_uyᴴ,    H = A(e^(jω dt))⁻¹,
+
+once with the outputs before the inputs in the same sample (what both innovations share is feedback)
+and once the other way round. Where little comes from outside, a model from u to y is the inverse of
+the controller (L. Ljung, System Identification, 2nd ed., section 13.4). Rates cannot jump with a
+command, so the first order is the one to believe; the second is what wrong clocks could hide.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import Array, BoolArray
+from casid.autoregression import filled
+from casid.record import Record, Records, same_channels, stretches
+from casid.values import storable
+
+LAGS = 0.6  # time [s] that the autoregression reaches back at most
+MOST = 60  # lags
+TRIED = (
+    1.0,
+    0.7,
+    0.5,
+    0.35,
+    0.25,
+    0.15,
+    0.1,
+)  # shares of that among which Akaike's criterion picks
+ROWS = 4.0  # samples for every coefficient of an equation, at least
+POINTS = 60  # frequencies
+EDGES = 0.05, 0.95  # of an input's power between which it is judged
+LITTLE = 0.3  # share from outside below which a band is doubted
+JOINTLY = 0.1  # the same of all inputs together
+WEAK = 0.003  # power of a combination of inputs of power one, below which it does not move
+WIDE = 1.3  # ratio of frequencies that a doubted band spans at least
+ANSWER = 0.5  # share of an output that outside inputs make, below which it does not answer them
+SINGULAR = 1e-9  # relative power of an innovation that no noise drives
+WINDOW = 2.0  # s in which inputs that move are to be answered
+STILL = 0.02  # of its deviation over the record, below which an output rests
+MOVING = 0.5  # of an input's deviation, above which it moves
+
+
+@storable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Excitation:
+    """Shares of the inputs' power that do not come back from the outputs.
+
+    Parameters
+    ----------
+    inputs, outputs : tuple of str
+        Channels that move in some record.
+    omega : (K,) array
+        Frequencies [rad/s].
+    lower, upper : (K, nu) array
+        Share of each input's power from outside: with all that the innovations of outputs and
+        inputs share taken for feedback, and with none of it.
+    joint : (K,) array
+        The smallest share of any combination of the inputs, each of power one; combinations that
+        hardly move at all count as fed back.
+    answer : (ny,) array
+        Share of each output's power that the outside part of all inputs makes.
+    within : (K, nu) bool array
+        Frequencies between which 90 % of an input's power lies.
+    lags : int
+        Of the autoregression.
+    unanswered : tuple of (str, float, float)
+        Record, from and to [s]: inputs move and all outputs rest.
+    singular : bool
+        Whether the outputs can be predicted without error, as without noise: the spectra are
+        singular, and nothing tells feedback from excitation.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    omega: Array
+    lower: Array
+    upper: Array
+    joint: Array
+    answer: Array
+    within: BoolArray
+    lags: int
+    unanswered: tuple[tuple[str, float, float], ...] = ()
+    singular: bool = False
+
+    def __str__(self) -> str:
+        """The median share of every input from outside, and where it is smallest."""
+        if self.singular:
+            return (
+                "outputs are predictable without error, as without noise; their spectra are "
+                "singular and tell nothing of feedback"
+            )
+        said = []
+        for name, share, inside in zip(self.inputs, self.lower.T, self.within.T, strict=True):
+            if inside.any():
+                k = int(np.argmin(np.where(inside, share, np.inf)))
+                middle = float(np.median(share[inside]))
+                said.append(f"{name} {middle:.0%} ({share[k]:.0%} at {self.omega[k]:.2g} rad/s)")
+        return "from outside come of " + ", ".join(said)
+
+    def doubts(self) -> tuple[str, ...]:
+        """Why a model from these inputs may be one of the controller; empty where it is not."""
+        said = [
+            f"{name}: at {start:.4g}-{end:.4g} s inputs move and all outputs rest. "
+            "Nothing flies there; cut it off."
+            for name, start, end in self.unanswered
+        ]
+        if self.singular:
+            return tuple(said)
+        alone = [self._alone(i, name) for i, name in enumerate(self.inputs)]
+        said += [*alone, "" if any(alone) else self._together(), self._answer()]
+        return tuple(each for each in said if each)
+
+    def _alone(self, i: int, name: str) -> str:
+        bands = runs(self.omega, self.within[:, i] & (self.lower[:, i] < LITTLE))
+        if not bands:
+            return ""
+        inside = self.within[:, i] & (self.lower[:, i] < LITTLE)
+        low, high = (float(np.median(each[inside, i])) for each in (self.lower, self.upper))
+        named = " and ".join(f"{a:.2g}-{b:.2g}" for a, b in bands)
+        return (
+            f"Of input {name} only {low:.0%} comes from outside at {named} rad/s"
+            + f" ({max(low, high):.0%} if it runs ahead of the outputs)" * (high > LITTLE)
+            + ": the rest is fed back from the outputs, and a model identified there is the "
+            "controller's inverse rather than the aircraft. Fly test inputs there, or leave that "
+            "band out."
+        )
+
+    def _together(self) -> str:
+        bands = runs(self.omega, self.within.any(axis=1) & (self.joint < JOINTLY))
+        if not bands:
+            return ""
+        named = " and ".join(f"{a:.2g}-{b:.2g}" for a, b in bands)
+        return (
+            f"All inputs together: at {named} rad/s fewer things move {', '.join(self.inputs)} "
+            "from outside than there are inputs: fly every axis, one at a time."
+        )
+
+    def _answer(self) -> str:
+        share = self.answer
+        if share.max(initial=0.0) >= ANSWER:
+            return ""
+        best = self.outputs[int(np.argmax(share))]
+        return (
+            f"No output answers the inputs: what comes from outside makes {share.max():.0%} of "
+            f"{best}, less of the others. Nothing flies here, or something else moves it."
+        )
+
+
+def runs(omega: Array, where: BoolArray) -> list[tuple[float, float]]:
+    """Stretches of neighbouring frequencies, from and to, as wide as is told."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(int)))
+    spans = [(float(omega[a]), float(omega[b - 1])) for a, b in edges.reshape(-1, 2)]
+    return [(a, b) for a, b in spans if b >= WIDE * a]
+
+
+def excitation(records: Records, omega: Array | None = None) -> Excitation:
+    """How much of the inputs comes from outside and not back from the outputs.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+        With the same channels, judged together. Outputs that lag their inputs by a clock look like
+        feedback, inputs that lag like excitation: apply skews that are known (`Record.shift`).
+    omega : array
+        Frequencies [rad/s]; chosen from the records unless given.
+
+    Raises
+    ------
+    ValueError
+        Records of different channels, or too short.
+    """
+    parts = [even(part) for part in stretches(records)]
+    same_channels(parts)
+    parts = moving(parts)
+    inputs, outputs = same_channels(parts)
+    dt = max(part.dt for part in parts)
+    parts = [part if part.dt > 0.999 * dt else part.resample(dt) for part in parts]
+    columns = [np.hstack([part.y, part.u]) for part in parts]
+    columns = [z - z.mean(axis=0) for z in columns]
+    size = np.sqrt(np.mean(np.vstack(columns) ** 2, axis=0))
+    size = np.where(size > 0, size, 1.0)
+    if omega is None:
+        longest = max(part.duration for part in parts)
+        omega = np.geomspace(min(4 * np.pi / longest, 0.2 / dt), 0.8 * np.pi / dt, POINTS)
+    omega = np.asarray(omega, dtype=float)
+    A, S = autoregression([z / size for z in columns], dt)
+    lower, upper, joint, answer = shares(A, S, len(outputs), omega * dt)
+    floor = np.linalg.eigvalsh(S[: len(outputs), : len(outputs)])[0]
+    return Excitation(
+        inputs=inputs, outputs=outputs, omega=omega, lower=lower, upper=np.maximum(lower, upper),
+        joint=joint, answer=answer, within=powerful(parts, omega), lags=len(A),
+        unanswered=tuple(span for part in parts for span in unanswered(part)),
+        singular=bool(floor < SINGULAR),
+    )  # fmt: skip
+
+
+def certified(records: Records) -> Excitation | None:
+    """The excitation of records, None where they are too short or nothing moves."""
+    try:
+        return excitation(records)
+    except ValueError:
+        return None
+
+
+def moving(records: Sequence[Record]) -> list[Record]:
+    """The records without channels that rest in all of them; ValueError if nothing is left."""
+    first = records[0]
+    u, y = (np.max([np.ptp(getattr(each, x), axis=0) for each in records], axis=0) for x in "uy")
+    inputs = [name for name, reach in zip(first.inputs, u, strict=True) if reach > 0]
+    outputs = [name for name, reach in zip(first.outputs, y, strict=True) if reach > 0]
+    if not inputs or not outputs:
+        raise ValueError("no input or no output moves in any record: there is nothing to judge")
+    return [record.select(inputs, outputs) for record in records]
+
+
+def even(record: Record) -> Record:
+    """The record at equal intervals, lost samples filled in, dead channels at rest."""
+    if not record.equidistant:
+        record = record.resample(record.dt)
+    whole, _ = filled(record)
+    return Record(whole.t, whole.u, np.nan_to_num(whole.y), whole.inputs, whole.outputs, whole.name)
+
+
+def unanswered(record: Record) -> list[tuple[str, float, float]]:
+    """Where inputs move and all outputs rest, for a window or longer; name, from and to."""
+    n = max(8, round(WINDOW / record.dt))
+    found: list[tuple[str, float, float]] = []
+    for a in range(0, record.N - n + 1, n):
+        u, y = record.u[a : a + n], record.y[a : a + n]
+        rests = y.std(axis=0) <= STILL * record.y.std(axis=0)
+        if not (rests.all() and (u.std(axis=0) > MOVING * record.u.std(axis=0)).any()):
+            continue
+        start, end = float(record.t[a]), float(record.t[a + n - 1])
+        if found and start - found[-1][2] < 2 * record.dt:
+            start = found.pop()[1]
+        found.append((record.name, start, end))
+    return found
+
+
+def powerful(records: Sequence[Record], omega: Array) -> BoolArray:
+    """Frequencies between which most of each input's power lies, (K, nu)."""
+    grid = np.linspace(0, np.pi / records[0].dt, 2048)[1:]
+    power = np.zeros((len(grid), records[0].nu))
+    for record in records:
+        u = (record.u - record.u.mean(axis=0)) * np.hanning(record.N)[:, None]
+        lines = np.abs(np.fft.rfft(u, axis=0))[1:] ** 2
+        at = 2 * np.pi / (record.N * record.dt) * np.arange(1, len(lines) + 1)
+        total = np.vstack([np.zeros(record.nu), np.cumsum(lines, axis=0)])
+        power += np.column_stack([np.interp(grid, [0.0, *at], column) for column in total.T])
+    share = power / np.maximum(power[-1], 1e-300)
+    inside = (share >= EDGES[0]) & (share <= EDGES[1])
+    found = [np.interp(omega, grid, column.astype(float)) > 0.5 for column in inside.T]
+    return np.column_stack(found)
+
+
+def autoregression(columns: Sequence[Array], dt: float) -> tuple[Array, Array]:
+    """Coefficients (p, n, n) and innovation covariance of several records' columns (N, n)."""
+    n, longest = columns[0].shape[1], max(2, min(MOST, round(LAGS / dt)))
+    rows = sum(max(len(z) - longest, 0) for z in columns)
+    lags = sorted({max(1, round(share * longest)) for share in TRIED})
+    lags = [p for p in lags if rows >= ROWS * n * p]
+    if not lags:
+        raise ValueError(
+            f"{rows} samples are too few to tell feedback from excitation of {n} channels; "
+            "give longer records, or fewer channels"
+        )
+    G = np.sum([products(z, longest) for z in columns if len(z) > longest], axis=0)
+    best, found = np.inf, (np.zeros((1, n, n)), np.eye(n))
+    for p in lags:
+        past = slice(n, n * (p + 1))
+        inner = G[past, past] + 1e-10 * rows * np.eye(n * p)
+        coefficients = np.linalg.solve(inner, G[past, :n])
+        S = (G[:n, :n] - coefficients.T @ G[past, :n]) / rows
+        S = (S + S.T) / 2 + 1e-12 * np.eye(n)
+        criterion = rows * np.linalg.slogdet(S)[1] + 2 * n * n * p
+        if criterion < best:
+            best = criterion
+            A = coefficients.T.reshape(n, p, n).swapaxes(0, 1)
+            found = A, S * rows / (rows - n * p)
+    return found
+
+
+def products(z: Array, p: int) -> Array:
+    """Σ over k of all products of z(k), z(k-1) ... z(k-p), (n (p + 1), n (p + 1))."""
+    # Every block is its upper left neighbour and two products at the ends: no matrix of all lags.
+    N, n = z.shape
+    G = np.zeros((p + 1, p + 1, n, n))
+    for j in range(p + 1):
+        G[0, j] = z[p:].T @ z[p - j : N - j]
+        G[j, 0] = G[0, j].T
+    for i in range(p):
+        into = z[p - 1 - i, :, None] * z[p - 1 :: -1][:p, None, :]
+        out = z[N - 1 - i, :, None] * z[N - 1 : N - 1 - p : -1][:, None, :]
+        G[i + 1, 1:] = G[i, :p] + into - out
+    return np.asarray(G.transpose(0, 2, 1, 3).reshape(n * (p + 1), n * (p + 1)))
+
+
+def shares(A: Array, S: Array, ny: int, phase: Array) -> tuple[Array, Array, Array, Array]:
+    """Lower, upper and joint share of the inputs from outside, and of the outputs' power."""
+    p, n = A.shape[:2]
+    other = [*range(ny, n), *range(ny)]
+    first = np.linalg.cholesky(S)
+    second = np.zeros((n, n))
+    second[np.ix_(other, range(n))] = np.linalg.cholesky(S[np.ix_(other, other)])
+    lags = np.exp(-1j * np.outer(phase, np.arange(1, p + 1)))
+    H = np.linalg.inv(np.eye(n) - np.tensordot(lags, A, axes=1))
+    late, early = H @ first, H @ second
+    whole = np.sum(np.abs(late) ** 2, axis=2)
+    outside = np.sum(np.abs(late[:, :, ny:]) ** 2, axis=2) / whole
+    upper = np.sum(np.abs(early[:, ny:, : n - ny]) ** 2, axis=2) / whole[:, ny:]
+    scaled = late[:, ny:] / np.sqrt(whole[:, ny:, None])
+    power = scaled @ scaled.conj().swapaxes(1, 2) + WEAK * np.eye(n - ny)
+    part = np.linalg.inv(np.linalg.cholesky(power)) @ scaled[:, :, ny:]
+    joint = np.linalg.norm(part, ord=-2, axis=(1, 2)) ** 2
+    weight = whole[:, :ny] * phase[:, None]  # phases are spaced logarithmically
+    answer = np.sum(outside[:, :ny] * weight, axis=0) / np.sum(weight, axis=0)
+    return outside[:, ny:], upper, joint, answer

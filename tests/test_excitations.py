@@ -1,0 +1,170 @@
+"""Shares from outside against closed forms of simulated loops, and what is doubted."""
+
+import numpy as np
+import pytest
+from truths import uh60
+
+from casid import Record, excitation, pbsid
+from casid.commands.inspection import inspect_records
+from casid.excitations import products, runs
+from casid.values import decode, encode
+
+DT = 0.02
+RATIOS = np.geomspace(0.02, 50, 20)  # power of outside excitation over that of the noise
+
+
+def plant(n):
+    """x(k+1) = A x + B u, y = x + noise, u = reference - K y."""
+    beside = np.ones((n, n)) - np.eye(n)
+    return 0.96 * np.eye(n) + 0.01 * beside, 0.05 * np.eye(n), 1.5 * np.eye(n) + 0.3 * beside
+
+
+def flown(n, power, N=12_000, seed=0):
+    """A record of the loop with references of that power, (n,) or one for all."""
+    A, B, K = plant(n)
+    rng = np.random.default_rng(seed)
+    w, e = (
+        rng.standard_normal((2, N, n)) * np.sqrt([np.broadcast_to(power, n), np.ones(n)])[:, None]
+    )
+    reference, noise, x = np.zeros(n), np.zeros(n), np.zeros(n)
+    u, y = np.empty((N, n)), np.empty((N, n))
+    for k in range(N):
+        noise, reference = 0.9 * noise + 0.1 * e[k], 0.8 * reference + 0.2 * w[k]
+        y[k] = x + noise
+        u[k] = reference - K @ y[k]
+        x = A @ x + B @ u[k]
+    names = [tuple(f"{letter}{i}" for i in range(n)) for letter in "uy"]
+    return Record(DT * np.arange(N), u, y, *names, "loop")
+
+
+def share(n, power, omega):
+    """Its closed form: S Φ_r Sᴴ over S (Φ_r + K Φ_v Kᴴ) Sᴴ, S = (1 + K G)⁻¹; diagonal, (K, n)."""
+    A, B, K = plant(n)
+    found = []
+    for z in np.exp(1j * omega * DT):
+        S = np.linalg.inv(np.eye(n) + K @ np.linalg.solve(z * np.eye(n) - A, B))
+        outside = np.diag(np.broadcast_to(power, n)) * np.abs(0.2 / (1 - 0.8 / z)) ** 2
+        back = K @ K.T * np.abs(0.1 / (1 - 0.9 / z)) ** 2
+        parts = [np.diag(S @ each @ S.conj().T).real for each in (outside, back)]
+        found.append(parts[0] / sum(parts))
+    return np.array(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axes", [1, 4])
+def test_the_share_from_outside_is_that_of_the_loop(axes):
+    worst = []
+    for seed, ratio in enumerate(RATIOS):
+        found = excitation(flown(axes, ratio, seed=seed))
+        inside = found.within.all(axis=1)
+        error = np.abs(found.lower - share(axes, ratio, found.omega))[inside]
+        worst.append((np.sqrt(np.mean(error**2)), error.max()))
+    # An autoregression's spectrum over 240 s: a tenth at its worst frequency of 20 ratios would be
+    # three standard errors of a spectrum smoothed over 1 rad/s.
+    assert max(rms for rms, _ in worst) < 0.05
+    assert np.median([largest for _, largest in worst]) < 0.06
+    assert max(largest for _, largest in worst) < 0.15
+
+
+def test_a_loop_that_noise_drives_is_doubted_and_a_flown_one_is_not():
+    said = excitation(flown(1, 0.05)).doubts()
+    assert "Of input u0 only" in said[0]
+    assert "controller's inverse" in said[0]
+    assert excitation(flown(1, 20.0)).doubts() == ()
+
+
+def test_one_flown_axis_whose_feedback_moves_the_others_excites_only_itself():
+    found = excitation(flown(3, (20.0, 0.0, 0.0)))
+    assert [each.split()[2] for each in found.doubts() if each.startswith("Of input")] == [
+        "u1",
+        "u2",
+    ]
+    assert found.joint.max() < 0.01
+
+
+def test_inputs_that_move_alike_are_not_excited_together():
+    rng = np.random.default_rng(1)
+    w = rng.standard_normal(4000)
+    y = np.convolve(w, 0.1 * 0.9 ** np.arange(100))[: len(w)] + 0.05 * rng.standard_normal(len(w))
+    u = np.column_stack([w, w + 0.01 * rng.standard_normal(len(w))])
+    late = np.concatenate([[0.0], y[:-1]])[:, None]
+    (said,) = excitation(Record(DT * np.arange(len(w)), u, late, ("a", "b"), ("p",))).doubts()
+    assert said.startswith("All inputs together")
+
+
+def test_an_autopilot_that_is_shaken_by_hand_is_no_aircraft():
+    rng = np.random.default_rng(3)
+    y = np.zeros((3000, 2))
+    for k in range(2, len(y)):
+        y[k] = 1.9 * y[k - 1] - 0.92 * y[k - 2] + 0.1 * rng.standard_normal(2)
+    u = -0.2 * y + 0.01 * rng.standard_normal(y.shape)
+    record = Record(0.01 * np.arange(len(y)), u, y, ("roll", "pitch"), ("p", "q"), "bench")
+    said = excitation(record).doubts()
+    assert sum("controller's inverse" in each for each in said) == 2
+    assert any("No output answers" in each for each in said)
+    assert set(said) <= set(inspect_records(record).advice)
+    assert set(said) <= set(pbsid(record, order=4, pole=20.0, past=6).doubts())
+
+
+def test_inputs_that_move_while_all_rests_are_told_with_their_time():
+    record = flown(1, 20.0, N=1000)
+    y = record.y.copy()
+    y[500:] = 1e-4 * np.random.default_rng(2).standard_normal((500, 1))
+    lying = Record(record.t, record.u, y, record.inputs, record.outputs, "lying")
+    ((name, start, end),) = excitation(lying).unanswered
+    assert name == "lying"
+    assert (start, end) == pytest.approx((10.0, 19.98))
+    assert "lying: at 10-19.98 s inputs move and all outputs rest" in excitation(lying).doubts()[0]
+
+
+@pytest.mark.slow
+def test_the_campaign_of_the_uh60_is_accepted_and_without_noise_nothing_is_said():
+    measured = uh60.sweeps(seed=6)
+    found = excitation(measured)
+    assert found.doubts() == ()
+    assert not found.singular
+    assert (
+        found.lower[found.within].min() > 0.6
+    )  # least below 1 rad/s, where the sweeps hardly begin
+    clean = excitation(uh60.sweeps())
+    assert clean.singular
+    assert clean.doubts() == ()
+    assert "singular" in str(clean)
+
+
+def test_a_record_too_short_or_at_rest_is_refused_and_never_stops_a_black_box():
+    record = flown(2, 1.0, N=40)
+    with pytest.raises(ValueError, match="too few to tell feedback"):
+        excitation(record)
+    still = Record(record.t, 0 * record.u, record.y, record.inputs, record.outputs)
+    with pytest.raises(ValueError, match="no input or no output moves"):
+        excitation(still)
+
+
+def test_products_of_lags_are_those_of_the_matrix_of_all_lags():
+    z = np.random.default_rng(4).standard_normal((40, 3))
+    columns = np.hstack([z[4 - k : 40 - k] for k in range(5)])
+    np.testing.assert_allclose(products(z, 4), columns.T @ columns, rtol=1e-12, atol=1e-12)
+
+
+def test_lost_samples_uneven_intervals_and_slower_records_are_taken():
+    record = flown(1, 1.0)
+    clean = excitation(record)
+    y = np.where(np.random.default_rng(5).random(record.y.shape) < 0.05, np.nan, record.y)
+    lossy = Record(record.t, record.u, y, record.inputs, record.outputs)
+    found = excitation([lossy, record.resample(0.03)], omega=clean.omega[clean.omega < 60])
+    inside = clean.within[: len(found.omega)]
+    error = np.abs(found.lower - clean.lower[: len(found.omega)])[inside]
+    assert np.median(error) < 0.1
+
+
+def test_bands_are_told_from_edge_to_edge():
+    omega = np.geomspace(1, 10, 11)
+    assert runs(omega, omega > 5) == [(pytest.approx(10**0.7), pytest.approx(10))]
+    assert runs(omega, np.arange(11) == 3) == []
+
+
+def test_a_certificate_can_be_stored():
+    found = excitation(flown(1, 0.05, N=2000))
+    again = decode(encode(found))
+    assert again.doubts() == found.doubts()
