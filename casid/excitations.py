@@ -11,6 +11,7 @@ the controller (L. Ljung, System Identification, 2nd ed., section 13.4). Rates c
 command, so the first order is the one to believe; the second is what wrong clocks could hide.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,7 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
+from casid.errors import DataWarning
 from casid.record import Record, Records, same_channels, stretches
 from casid.values import storable
 
@@ -39,7 +41,8 @@ LITTLE = 0.3  # share from outside below which a band is doubted
 JOINTLY = 0.1  # the same of all inputs together
 WEAK = 0.003  # power of a combination of inputs of power one, below which it does not move
 WIDE = 1.3  # ratio of frequencies that a doubted band spans at least
-ANSWER = 0.5  # share of an output that outside inputs make, below which it does not answer them
+ANSWER = 0.5  # share of an output that outside inputs make, and
+COHERENT = 0.85  # that goes with the inputs, below both of which it does not answer them
 SINGULAR = 1e-9  # relative power of an innovation that no noise drives
 WINDOW = 2.0  # s in which inputs that move are to be answered
 STILL = 0.02  # of its deviation over the record, below which an output rests
@@ -63,8 +66,9 @@ class Excitation:
     joint : (K,) array
         The smallest share of any combination of the inputs, each of power one; combinations that
         hardly move at all count as fed back.
-    answer : (ny,) array
-        Share of each output's power that the outside part of all inputs makes.
+    answer, coherence : (ny,) array
+        Share of each output's power that the outside part of the inputs makes, and that goes with
+        the inputs wherever they come from.
     within : (K, nu) bool array
         Frequencies between which 90 % of an input's power lies.
     lags : int
@@ -83,6 +87,7 @@ class Excitation:
     upper: Array
     joint: Array
     answer: Array
+    coherence: Array
     within: BoolArray
     lags: int
     unanswered: tuple[tuple[str, float, float], ...] = ()
@@ -142,13 +147,13 @@ class Excitation:
         )
 
     def _answer(self) -> str:
-        share = self.answer
-        if share.max(initial=0.0) >= ANSWER:
+        share = self.coherence
+        if self.answer.max(initial=0.0) >= ANSWER or share.max(initial=0.0) >= COHERENT:
             return ""
         best = self.outputs[int(np.argmax(share))]
         return (
-            f"No output answers the inputs: what comes from outside makes {share.max():.0%} of "
-            f"{best}, less of the others. Nothing flies here, or something else moves it."
+            f"No output answers the inputs: {share.max():.0%} of {best} goes with them, less of "
+            "the others. Nothing flies here, or something else moves it."
         )
 
 
@@ -190,11 +195,12 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
         omega = np.geomspace(min(4 * np.pi / longest, 0.2 / dt), 0.8 * np.pi / dt, POINTS)
     omega = np.asarray(omega, dtype=float)
     A, S = autoregression([z / size for z in columns], dt)
-    lower, upper, joint, answer = shares(A, S, len(outputs), omega * dt)
+    lower, upper, joint, answers = shares(A, S, len(outputs), omega * dt)
     floor = np.linalg.eigvalsh(S[: len(outputs), : len(outputs)])[0]
     return Excitation(
         inputs=inputs, outputs=outputs, omega=omega, lower=lower, upper=np.maximum(lower, upper),
-        joint=joint, answer=answer, within=powerful(parts, omega), lags=len(A),
+        joint=joint, answer=answers[0], coherence=answers[1], within=powerful(parts, omega),
+        lags=len(A),
         unanswered=tuple(span for part in parts for span in unanswered(part)),
         singular=bool(floor < SINGULAR),
     )  # fmt: skip
@@ -202,10 +208,12 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
 
 def certified(records: Records) -> Excitation | None:
     """The excitation of records, None where they are too short or nothing moves."""
-    try:
-        return excitation(records)
-    except ValueError:
-        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataWarning)  # of gaps, which others tell
+        try:
+            return excitation(records)
+        except ValueError:
+            return None
 
 
 def moving(records: Sequence[Record]) -> list[Record]:
@@ -302,7 +310,7 @@ def products(z: Array, p: int) -> Array:
 
 
 def shares(A: Array, S: Array, ny: int, phase: Array) -> tuple[Array, Array, Array, Array]:
-    """Lower, upper and joint share of the inputs from outside, and of the outputs' power."""
+    """Lower, upper and joint share of the inputs from outside, and what follows them."""
     p, n = A.shape[:2]
     other = [*range(ny, n), *range(ny)]
     first = np.linalg.cholesky(S)
@@ -318,6 +326,20 @@ def shares(A: Array, S: Array, ny: int, phase: Array) -> tuple[Array, Array, Arr
     power = scaled @ scaled.conj().swapaxes(1, 2) + WEAK * np.eye(n - ny)
     part = np.linalg.inv(np.linalg.cholesky(power)) @ scaled[:, :, ny:]
     joint = np.linalg.norm(part, ord=-2, axis=(1, 2)) ** 2
-    weight = whole[:, :ny] * phase[:, None]  # phases are spaced logarithmically
+    weight = whole[:, :ny] * np.gradient(phase)[:, None]
     answer = np.sum(outside[:, :ny] * weight, axis=0) / np.sum(weight, axis=0)
-    return outside[:, ny:], upper, joint, answer
+    return outside[:, ny:], upper, joint, np.array([answer, followed(late, ny, phase)])
+
+
+def followed(factor: Array, ny: int, phase: Array) -> Array:
+    """Share of each output's power that is coherent with the inputs, from a factor of spectra."""
+    y, u = factor[:, :ny], factor[:, ny:]
+    power = np.sum(np.abs(y) ** 2, axis=2)
+    size = np.linalg.norm(u, axis=2, keepdims=True)
+    u = u / np.where(size > 0, size, 1.0)
+    across = y @ u.conj().swapaxes(1, 2)
+    inner = u @ u.conj().swapaxes(1, 2) + 1e-9 * np.eye(u.shape[1])
+    gain = np.linalg.solve(inner, across.conj().swapaxes(1, 2)).conj().swapaxes(1, 2)
+    coherent = np.sum(gain * across.conj(), axis=2).real
+    spacing = np.gradient(phase)[:, None]
+    return np.asarray(np.sum(coherent * spacing, axis=0) / np.sum(power * spacing, axis=0))
