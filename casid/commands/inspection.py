@@ -23,6 +23,7 @@ QUIET = 0.5  # s without input that a trim should rest on
 ALIKE = 0.8  # correlation of two inputs over all records
 WEAK = 3.0  # signal over noise
 SHARES = (0.05, 0.5, 0.95)  # of a channel's power
+NOISY = 0.05  # of an input's deviation: noise that biases what follows from it
 PER_PERIOD = 5.0  # samples in a period of the fastest input
 
 
@@ -183,10 +184,16 @@ def _channel(record: Record, name: str, far: tuple[float, ...]) -> ChannelFacts:
     even = np.interp(np.linspace(t[0], t[-1], record.N), t, values)
     return ChannelFacts(
         name=name, unit=UNITS.get(name, ""), lowest=float(values.min()),
-        highest=float(values.max()), deviation=float(values.std()), noise=noise(values),
+        highest=float(values.max()), deviation=float(values.std()), noise=_noise(values),
         missing=float(1 - known.mean()), outliers=far,
         clipped=_clipped(values, stick=name in record.inputs), band=_band(even, record.duration),
     )  # fmt: skip
+
+
+def _noise(values: Array) -> float:
+    """Deviation of white noise; none on what rests or moves evenly for most of the time."""
+    steps = np.abs(np.diff(values, 3))
+    return noise(values) if np.median(steps) > 1e-9 * np.ptp(values) else 0.0
 
 
 def _clipped(values: Array, *, stick: bool) -> int:
@@ -275,6 +282,14 @@ def _excitation_advice(facts: Sequence[RecordFacts], inputs: Sequence[str]) -> l
             said.append(f"{name} never moves: {why}")
         elif name in inputs:
             interval = max(each.interval for each in facts)
+            worst = max((each for each in seen if each.deviation > 0), key=_noise_share)
+            if (share := _noise_share(worst)) > NOISY:
+                said.append(
+                    f"{name} is measured with noise of {worst.noise:.2g}, {share:.0%} of what it "
+                    "moves: estimators take inputs for known, so gains come out small by some "
+                    f"{share**2:.1%} and standard errors too small; filter all channels alike "
+                    "(Record.resample), or record what the actuator was told"
+                )
             if best.band[2] * interval * PER_PERIOD > 2 * np.pi:
                 said.append(
                     f"{name} has power up to {best.band[2]:.3g} rad/s, less than {PER_PERIOD:g} "
@@ -286,6 +301,11 @@ def _excitation_advice(facts: Sequence[RecordFacts], inputs: Sequence[str]) -> l
                 "in the record where it moves most; fly larger inputs or leave it out"
             )
     return said
+
+
+def _noise_share(channel: ChannelFacts) -> float:
+    """Noise of a channel in its deviation."""
+    return float(np.nan_to_num(channel.noise / max(channel.deviation, 1e-300)))
 
 
 def _correlation_advice(correlation: Array, inputs: Sequence[str]) -> list[str]:

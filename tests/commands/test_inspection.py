@@ -134,3 +134,17 @@ def test_a_model_is_judged_by_what_was_flown():
 def test_a_million_samples_take_seconds():
     found = inspect_records([swept(n=1_000_000)])
     assert found.records[0].samples == 1_000_000
+
+
+def test_noise_of_a_measured_input_is_told():
+    t = np.arange(0, 30, 0.02)
+    steps = 0.1 * np.sign(np.sin(0.8 * t)) * (t > 2)
+    y = np.cumsum(steps)[:, None] * 0.02 + 0.001 * np.random.default_rng(1).standard_normal(
+        (1500, 1)
+    )
+    clean = Record(t, steps[:, None], y, ("lat",), ("p",), "steps")
+    noisy = replace(clean, u=clean.u + 0.01 * np.random.default_rng(2).standard_normal((1500, 1)))
+    assert not any("measured with noise" in line for line in inspect_records(clean).advice)
+    (said,) = (line for line in inspect_records(noisy).advice if "measured with noise" in line)
+    share = float(said.split("% of what it moves")[0].split()[-1])
+    assert share == pytest.approx(10, abs=2)  # its steps look a little like noise
