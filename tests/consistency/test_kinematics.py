@@ -268,3 +268,24 @@ def test_accelerometers_away_from_the_centre_of_gravity_are_remarked():
     errors = (np.array(check.place) - place) / check.place_error
     assert np.abs(errors).max() < 3.0
     assert max(check.place_error) < 0.2
+
+
+@pytest.mark.slow
+def test_skew_is_found_to_five_milliseconds_among_outliers_and_losses():
+    rng = np.random.default_rng(5)
+    spoiled = []
+    for name in ("sweep_lat", "sweep_lon"):
+        file = EXAMPLES / "uh60" / "data" / f"{name}.csv"
+        record = read_csv(file, inputs=INPUTS, outputs=OUTPUTS).with_noise(FLOWN, rng)
+        record = record.shift({"p": 0.06})
+        y = record.y.copy()
+        for i, channel in enumerate(OUTPUTS):
+            k = rng.choice(record.N, 5, replace=False)
+            y[k, i] += 20 * FLOWN[channel] * rng.choice([-1, 1], 5)
+        y[rng.random(y.shape) < 0.01] = np.nan
+        spoiled.append(replace(record, y=y))
+    check = kinematic_check(spoiled)
+    assert set(check.shifts) == {"p"}
+    assert check.shifts["p"] == pytest.approx(-0.06, abs=0.005)
+    mended = kinematic_check([record.shift(check.shifts) for record in spoiled])
+    assert not any("late" in remark or "early" in remark for remark in mended.remarks)
