@@ -32,6 +32,7 @@ def reachable(comparison: Comparison, system: StateSpace, stated: Sequence[Array
     sources = []
     for source, std in zip(comparison.sources, stated, strict=True):
         rows = row_sizes(source, scale)[:, :, None]
+        rows = np.where(np.isfinite(rows), rows, 1.0)  # of outputs that this source does not have
         error = (system.response(source.omega, source.shift) - source.G) * scale
         typical = np.sqrt(_smoothed(np.abs(error) ** 2, source))
         W = source.W * rows / np.maximum(np.maximum(typical, std * scale), LEAST * rows)
