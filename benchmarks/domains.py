@@ -1,6 +1,6 @@
 """Output error in both domains against a truth of 64 parameters, unstable and flown in closed loop.
 
-    python benchmarks/domains.py [--runs 100] [--first 0]
+    OMP_NUM_THREADS=1 python -m benchmarks.domains [--runs 100] [--first 0]
 
 The truth is six degrees of freedom as matched to the UH-60 example, delays moved between samples.
 Four 3-2-1-1 of 16 s and four sweeps of 60 s at 25 Hz are flown in a loop of rates and attitudes,
@@ -15,9 +15,9 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from output_error import INPUTS, OUTPUTS, noisy_records, start_of
-from tables import table
 
+from benchmarks.output_error import INPUTS, OUTPUTS, noisy_records, start_of
+from benchmarks.tables import table
 from casid import Record, output_error
 from casid.linear import foh_step
 

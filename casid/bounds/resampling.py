@@ -17,10 +17,12 @@ from casid.model import Bounds, Model, free_parameters
 from casid.record import Record, several, stretches
 from casid.shooting.likelihood import Noise, moments_of
 from casid.shooting.output_error import OutputError
+from casid.shooting.transformed_fit import METHOD
 from casid.tabulation import csv_text, markdown_table
 
 SAME = 1e-6  # relative difference of costs that are the same minimum
 SAME_COST = 1e-3  # of log-likelihood a sample, between a fit and its own records
+SAME_POWER = 0.2  # difference of logarithms of variances that makes residuals another fit's
 COVERED = 1.96  # standard errors of a 95 % interval
 
 
@@ -297,7 +299,8 @@ def bootstrap(
     if not block > 0:
         raise ValueError(f"block={block}: expected seconds above 0, longer than the correlation")
     flown = stretches(records)
-    if fit.method != "output error" or fit.initial_states is None or fit.biases is None:
+    known = fit.method in {"output error", METHOD}
+    if not known or fit.initial_states is None or fit.biases is None:
         raise ValueError(f"bootstrap needs an output-error fit; this is one by {fit.method}")
     if len(fit.biases) != len(flown):
         raise ValueError(
@@ -326,6 +329,14 @@ def _check_runs(runs: int) -> None:
 def _check_residuals(fit: AnyFit, residuals: Sequence[Array], *, known: bool) -> None:
     """ValueError unless these residuals are as likely as those that the fit ended with."""
     every = np.concatenate(residuals)
+    if fit.method == METHOD:  # its cost is that of transforms: what is left has their power
+        ratio = np.nanvar(every, axis=0) / np.diag(np.asarray(fit.R))
+        if not (np.abs(np.log(ratio)) < SAME_POWER).all():
+            raise ValueError(
+                "the fit is not one of these records: they leave residuals of "
+                f"{ratio.max():.3g} times its variances; give the records it was estimated from"
+            )
+        return
     patterns, kind = np.unique(np.isfinite(every), axis=0, return_inverse=True)
     pattern, R = kind.ravel(), np.asarray(fit.R)
     noise = Noise(patterns, np.bincount(pattern), np.zeros(len(R)), given=R)

@@ -107,7 +107,8 @@ class OutputError:
         """Maximum-likelihood estimate from records; see `output_error`.
 
         The noise covariance and biases of a fit ``near`` make the first rounds unnecessary; if that
-        fails, all rounds follow.
+        fails, all rounds follow. In the frequency domain its spectra are held, so that the costs of
+        fits to the same records compare.
         """
         begin = time.perf_counter()
         options = replace(self.solver, ipopt=IPOPT | dict(self.solver.ipopt))

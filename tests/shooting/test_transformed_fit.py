@@ -18,6 +18,7 @@ from casid import (
     ConvergenceError,
     Fit,
     OutputError,
+    bootstrap,
     output_error,
     profile_parameters,
 )
@@ -112,3 +113,15 @@ def test_what_records_do_not_tell_is_named():
     still = [with_response(record, TRUTH).with_noise(NOISE, rng) for record in still]
     with pytest.raises(ConvergenceError, match="do not determine Lped"):
         output_error(TRUTH, still, domain="frequency")
+
+
+def test_a_bootstrap_scatters_as_stated_and_refuses_other_records():
+    records, estimator = campaign(10), OutputError(domain="frequency")
+    fit = estimator.fit(TRUTH, records)
+    found = bootstrap(fit, records, estimator=estimator, runs=8)
+    # The scatter of eight runs is known to a quarter, seven parameters average it.
+    scatter = np.std(found.values, axis=0, ddof=1) / np.sqrt(np.diag(fit.covariance))
+    assert 0.6 < np.sqrt(np.mean(scatter**2)) < 1.5
+    louder = [replace(each, y=1.5 * each.y) for each in records]
+    with pytest.raises(ValueError, match="not one of these records"):
+        bootstrap(fit, louder, estimator=estimator, runs=2)
