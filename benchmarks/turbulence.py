@@ -114,7 +114,10 @@ def fly(case: Case, rng: np.random.Generator, name: str) -> Record:
 
 
 def innovations(case, record, theta, x0, bias):
-    """Innovations and their covariances of a Kalman filter, P_0 = 0; theta: λ, log Q, log R."""
+    """Innovations and covariances of a Kalman filter; theta: λ, log Q, log R.
+
+    It has run for two seconds when the record begins.
+    """
     n, nx = len(case.truth.vector()), len(case.density)
     model = case.truth.with_vector(theta[:n])
     system = model.system()
@@ -123,16 +126,18 @@ def innovations(case, record, theta, x0, bias):
     ahead = np.hstack([record.u, np.vstack([record.u[1:], record.u[-1:]])]) @ B01.T
     measured = record.y - record.u @ system.D.T - bias
     P, x, e, S = np.zeros((nx, nx)), x0, np.empty_like(record.y), []
-    for k in range(record.N):
-        if k < 2 or not np.allclose(S[-1], S[-2], rtol=1e-12, atol=0) or k < 300:
+    for k in range(-round(2 / H), record.N):
+        if len(S) < 300 or not np.allclose(S[-1], S[-2], rtol=1e-12, atol=0):
             S.append(C @ P @ C.T + R)
             K = np.linalg.solve(S[-1], C @ P @ Ad.T).T
             P = Ad @ P @ Ad.T - K @ S[-1] @ K.T + Qd
         else:
             S.append(S[-1])
+        if k < 0:
+            continue
         e[k] = measured[k] - C @ x
         x = Ad @ x + ahead[k] + K @ e[k]
-    return e, np.array(S)
+    return e, np.array(S[-record.N :])
 
 
 def information(case, records):

@@ -2,7 +2,9 @@
 
     dx = (A x + B u) dt + dw,    E dw dwᵀ = Q dt diagonal,    y_k = C x_k + ... + v_k,  E v vᵀ = R
 
-The state a record begins in is estimated, so P_0 = 0; over every step, by the channels measured,
+P_0 is that of a filter which began two seconds earlier without uncertainty: where a record begins
+is estimated, and with P_0 = 0 the likelihood would have no bound, first samples being met exactly
+by ever smaller R. Over every step, by the channels measured,
 
     S = C P Cᵀ + R,    K = A_d P Cᵀ S⁻¹,    F = A_d - K C,    P⁺ = F P Fᵀ + K R Kᵀ + Q_d.
 
@@ -30,6 +32,7 @@ from casid.shooting.unknowns import FilterMatrices
 
 SETTLED = 1e-11  # change of P over a step, relative, that ends its recursion
 OFTEN = 8  # samples after which that is looked at
+EARLIER = 2.0  # s, since when filters run
 POINTS = 12  # of Gauss and Legendre: ∫ e^{As} Q e^{Aᵀs} ds to rounding for ‖A‖h up to 4
 
 
@@ -99,6 +102,7 @@ class _Recursion:
         self._C = np.concatenate([m.C[None], np.moveaxis(m.C_lam[..., self._moving], 2, 0)])
         self._R = np.concatenate([m.R[None], np.moveaxis(m.R_lam[..., self._moving], 2, 0)])
         self._patterns = layout.patterns
+        self._early = round(EARLIER / float(np.median(layout.classes[layout.step])))
         self._K: list[Array] = []
         self._S: list[Array] = []
         self._seen: list[np.ndarray] = []
@@ -106,17 +110,30 @@ class _Recursion:
     def run(self, moves: Transitions, kinds: np.ndarray) -> Iterator[int]:
         """Row of the tables for every sample of a record; ``kinds`` (N, 2) are step and pattern."""
         index = np.concatenate([[0], 1 + self._moving])
-        P = np.zeros((len(index), *self._m.A.shape))
+        P = self._begun(moves.A[kinds[0, 0], index], moves.Q[kinds[0, 0], index])
         settled, row = False, -1
         for k, (step, pattern) in enumerate(kinds):
             if not (settled and k and np.array_equal(kinds[k], kinds[k - 1])):
                 row, before = len(self._K), P
-                P = self._advance(P, moves.A[step, index], moves.Q[step, index], pattern)
+                P, tables = self._advance(P, moves.A[step, index], moves.Q[step, index], pattern)
+                for table, entry in zip((self._K, self._S, self._seen), tables, strict=True):
+                    table.append(entry)
                 settled = k % OFTEN == 0 and _alike(before, P)
             yield row
 
-    def _advance(self, P: Array, A: Array, Q: Array, pattern: int) -> Array:
-        """P one step on; what the innovation at its sample is worth goes into the tables."""
+    def _begun(self, A: Array, Q: Array) -> Array:
+        """P after some seconds of steps with all channels, from none."""
+        P = np.zeros_like(A)
+        for _ in range(self._early):
+            before, (P, _) = P, self._advance(P, A, Q, 0)
+            if _alike(before, P):
+                break
+        return P
+
+    def _advance(
+        self, P: Array, A: Array, Q: Array, pattern: int
+    ) -> tuple[Array, tuple[Array, Array, np.ndarray]]:
+        """P one step on, and K, S and the channels of its sample."""
         seen = self._patterns[pattern]
         C, R = self._C * seen[:, None], self._R * (seen & seen[:, None])
         CP = C[0] @ P
@@ -129,14 +146,11 @@ class _Recursion:
         inverse = np.linalg.inv(S[0])
         K = AP @ inverse
         K[1:] -= K[0] @ S[1:] @ inverse
-        self._K.append(K)
-        self._S.append(S)
-        self._seen.append(seen)
         F = A - K[0] @ C
         ahead = F[0] @ P @ F[0].T + K[0] @ R @ K[0].T + Q
         turned = F[1:] @ (P[0] @ F[0].T)
         ahead[1:] += turned + turned.transpose(0, 2, 1)
-        return np.asarray(ahead + ahead.transpose(0, 2, 1)) / 2
+        return np.asarray(ahead + ahead.transpose(0, 2, 1)) / 2, (K, S, seen)
 
     def gains(self, which: np.ndarray) -> Gains:
         """The tables, with derivatives by all unknowns."""
