@@ -15,7 +15,6 @@ equations about another point look alike, and the place is to be held or to have
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from casid import Scalar, Sensor, parameter
 
@@ -24,8 +23,6 @@ from casid import Scalar, Sensor, parameter
 class Accelerometers:
     """Specific forces measured at (x_acc, y_acc, z_acc)."""
 
-    outputs: ClassVar[tuple[str, ...]]
-
     x_acc: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="m")
     y_acc: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="m")
     z_acc: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="m")
@@ -33,4 +30,5 @@ class Accelerometers:
     def sensors(self) -> Mapping[str, Sensor]:
         """One place for all that the structure measures."""
         place = Sensor(x=self.x_acc, y=self.y_acc, z=self.z_acc)
-        return {name: place for name in ("ax", "ay", "az") if name in self.outputs}
+        measured: tuple[str, ...] = getattr(self, "outputs", ())  # those of the structure
+        return {name: place for name in ("ax", "ay", "az") if name in measured}
