@@ -52,9 +52,19 @@ def table(models, records, horizon):
         )
 
 
+def one_by_one(study, records):
+    """What each flight says of the parameters on its own."""
+    print("| flight | " + " | ".join(type(study.model).infos()) + " |")
+    for record in records:
+        fit = output_error(study.model, record, interval=1.0)
+        cells = (f"{row.value:.3g} ± {row.std_error:.2g}" for row in fit.parameters)
+        print(f"| {record.name} | " + " | ".join(cells) + " |")
+
+
 def main(methods, orders):
     study = read_study(STUDY)
     roles = read_records(study)
+    one_by_one(study, [*roles["identification"], *roles["validation"]])
     fit = output_error(study.model, roles["identification"], interval=1.0)
     chosen = {
         role: [
