@@ -9,6 +9,8 @@ import numpy as np
 from casid.eigenmodes import Mode, modes
 from casid.linear import StateSpace
 from casid.model import Bounds, Free, Model, free_parameters
+from casid.nonlinear.model import NonlinearModel
+from casid.nonlinear.words import equations_text
 from casid.record import Record, Records, several
 from casid.structure.identifiability import Identifiability, identifiability
 
@@ -35,6 +37,8 @@ class Overview:
             f"{cls.__name__}: {system.nx} states, {system.nu} inputs, {system.ny} outputs, "
             f"{len(self.free.index)} free parameters"
         ]
+        if isinstance(self.model, NonlinearModel):
+            parts.append(equations_text(self.model))
         for letter in "ABCD":
             numbers = [
                 [f"{value:.4g}" if text != "." else "." for value, text in zip(*pair, strict=True)]
