@@ -41,6 +41,8 @@ from .consistency.kinematics import (
     kinematic_check as kinematic_check,
 )
 from .cover import Cover as Cover, cover as cover
+from .design.inputs import design_inputs as design_inputs
+from .design.plan import Design as Design, DesignSettings as DesignSettings, Limits as Limits
 from .eigenmodes import Mode as Mode, modes as modes
 from .errors import (
     ConvergenceError as ConvergenceError,

@@ -13,6 +13,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {  # place, and what the list of comma
     "bounds": ("study:bounds", "Compare the cases of a study's table [bounds], price bounds."),
     "check": ("study:check", "Check a study or a model file; estimate nothing."),
     "convert": ("data:convert", "Turn records, responses and fits into other tools' files."),
+    "design": ("design:design", "Design the next flight of a study."),
     "identify": ("study:identify", "Identify the structure a study names and write its report."),
     "inspect": ("data:inspect_command", "Look at records before anything is identified."),
     "new-model": ("data:new_model_command", "Write a commented model file to start from."),

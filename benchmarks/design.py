@@ -1,0 +1,141 @@
+"""What designed inputs are worth on the AH-1S: standard errors over those of four 3-2-1-1.
+
+    PYTHONPATH=. python benchmarks/design.py [CASE ...] [--kept FILE]
+
+Six degrees of freedom, 64 parameters, at the quasi-steady linearisation. Compared with are the
+sticks of the four 3-2-1-1 without feedback that come with the example, 16 s each, each record with
+its own initial states and biases. The designs last 64 s, the sticks within the largest deviation of
+those records and, where responses are limited, every output within 1.5 times its largest there.
+Each case is kept in FILE when it is done; the seconds are processor time.
+"""
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from tables import against, table
+
+from casid import DesignSettings, Limits, design_inputs
+from casid.design.criterion import covariance
+from casid.design.loop import Loop
+from casid.model import free_parameters
+from examples.paper import read
+from models.six_dof import SixDof
+
+NOISE = {"ax": 0.05, "ay": 0.05, "az": 0.1} | dict.fromkeys(SixDof.outputs[3:], 0.003)
+R = np.diag([NOISE[name] ** 2 for name in SixDof.outputs])
+DT, LENGTH, TIMES = 0.04, 64.0, 1.5
+CASES = ("free", "limited", "quarter", "wrong prior", "wrong prior, robust")
+WANTED = {"free": (0.27, 0.34), "limited": (0.4, 0.6)}
+
+
+def truth():
+    """The structure at the linearisation of the simulation."""
+    content = json.loads(Path("examples/ah1s/ah1s_jsbsim_080kt.json").read_text())
+    A, B = np.array(content["A"]), np.array(content["B"])[:, [0, 2, 1, 3]]  # stored col, lon, lat
+    model = SixDof(U0=41.13, V0=0.035, W0=-1.412, phi0=-0.0251, theta0=-0.0343)
+    names = [name for name in model.parameter_names() if not name.startswith("tau")]
+    bare = replace(model, **dict.fromkeys(names, 0.0)).system()
+    values = {}
+    for i, force in enumerate("XYZLMN"):
+        for j, state in enumerate(SixDof.states[:6]):
+            values[f"{force}{state}"] = float(A[i, j] - bare.A[i, j])
+        for j, stick in enumerate(SixDof.inputs):
+            values[f"{force}{stick}"] = float(B[i, j])
+    return replace(model, **values)
+
+
+def flown(kind):
+    """Records of the example that were flown without feedback, or its sweeps."""
+    names = [kind.format(stick) for stick in SixDof.inputs]
+    return [record.decimate(2) for record in read("ah1s", names)]
+
+
+def errors_of(model, records):
+    """Standard errors that the sticks of records buy together."""
+    F = 0.0
+    for record in records:
+        loop = Loop(free_parameters(model), {}, R, h=record.dt, N=record.N)
+        J = loop.sensitivities(loop.held(record.u))
+        F = F + J.T @ J
+    return np.sqrt(np.diag(covariance(F)))
+
+
+def limits(records, responses):
+    """The largest deviations of the records, those of responses times 1.5."""
+    u, y = (
+        np.max([np.abs(getattr(r, which)).max(axis=0) for r in records], axis=0) for which in "uy"
+    )
+    sides = dict(zip(SixDof.outputs, TIMES * y, strict=True)) if responses else {}
+    return Limits(sticks=dict(zip(SixDof.inputs, u, strict=True)), responses=sides)
+
+
+def moved(model, seed, by=0.3):
+    """The model with every derivative wrong by 30 %, up or down."""
+    rng = np.random.default_rng(seed)
+    names = model.parameter_names()
+    signs = np.array([0.0 if n.startswith("tau") else rng.choice([-by, by]) for n in names])
+    return model.with_vector(model.vector() * (1 + signs))
+
+
+def run(case):
+    """Ratios of a case."""
+    model, four = truth(), flown("3211_{}_open")
+    bought = errors_of(model, four)
+    length, believed, ensemble = LENGTH, model, ()
+    if case == "quarter":
+        sweeps = flown("sweep_{}")
+        bought = errors_of(model, [*four, *sweeps])
+        length = sum(r.duration for r in (*four, *sweeps)) / 4
+    if case.startswith("wrong"):
+        believed = moved(model, 1)
+    if case.endswith("robust"):
+        ensemble = (moved(believed, 2), moved(believed, 3))
+    begin = time.process_time()
+    made = design_inputs(
+        believed, limits(four, case != "free"), length, noise=NOISE, ensemble=ensemble,
+        settings=DesignSettings(method="steps", dt=DT),
+    )  # fmt: skip
+    seconds = time.process_time() - begin
+    loop = Loop(free_parameters(model), {}, R, h=DT, N=len(made.t))
+    seen = loop.fly(made.r)
+    J = loop.sensitivities(seen.z)
+    ratio = np.sqrt(np.diag(covariance(J.T @ J))) / bought
+    tops = np.array([limits(four, True).responses[n] for n in SixDof.outputs]) / TIMES
+    return {
+        "case": case, "length": length, "mean": float(np.exp(np.log(ratio).mean())),
+        "worst": float(ratio.max()), "of": made.names[int(np.argmax(ratio))],
+        "response": float((np.abs(seen.y).max(axis=0) / tops).max()), "seconds": seconds,
+    }  # fmt: skip
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("cases", nargs="*", default=CASES)
+    parser.add_argument("--kept", type=Path, default=Path("out/design.jsonl"))
+    options = parser.parse_args()
+    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
+    done = {row["case"]: row for row in map(json.loads, lines)}
+    for case in options.cases:
+        if case not in done:
+            done[case] = run(case)
+            options.kept.parent.mkdir(parents=True, exist_ok=True)
+            with options.kept.open("a") as file:
+                file.write(json.dumps(done[case]) + "\n")
+    header = ["case", "flown [s]", "geometric mean", "worst", "of",
+              "responses over those of 3-2-1-1", "seconds"]  # fmt: skip
+    rows = []
+    for case in options.cases:
+        row = done[case]
+        two = [row["mean"], row["worst"]]
+        if case in WANTED:
+            two = [against(x, limit) for x, limit in zip(two, WANTED[case], strict=True)]
+        rows.append([case, row["length"], *two, row["of"], row["response"], row["seconds"]])
+    print(table(header, rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,279 @@
+"""Design of inputs for linear structures: alternatives, optimisation, prediction."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.design import signals
+from casid.design.criterion import Goal, covariance
+from casid.design.loop import Feedback, Loop, gains
+from casid.design.multisine import best_powers, schroeder, shared_out, unit_information
+from casid.design.optimise import Task, improved
+from casid.design.plan import Alternative, Design, DesignSettings, Limits
+from casid.evaluation import MatrixFunction
+from casid.fit import AnyFit, Fit
+from casid.model import Free, Model, free_parameters
+from casid.structure.identifiability import identifiability
+from casid.threads import one_thread
+
+FEWEST = 50  # samples a stick
+COARSE = 800  # samples on which inputs are optimised
+FINEST = 6.0  # samples of them in a period of the band's upper edge, at least
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Problem:
+    """All that was asked, checked, in arrays."""
+
+    frees: tuple[Free, ...]
+    R: Array
+    known: Array
+    limits: tuple[Array, Array, Array]
+    feedback: Feedback
+    duration: float
+    band: tuple[float, float]
+    settings: DesignSettings
+
+    def task(self, h: float, reference: Sequence[Array] | None = None) -> Task:
+        """What counts on a grid of interval h [s], scaled by standard errors or by nothing."""
+        N = round(self.duration / h) + 1
+        # Noise refers to dt: of fewer samples each counts for more.
+        R = self.R * self.settings.dt / h
+        loops = tuple(Loop(free, self.feedback, R, h=h, N=N) for free in self.frees)
+        names = self.frees[0].names
+        rows = np.array([names.index(name) for name in self.settings.matter or names])
+        scales = reference or [self.frees[0].scale[self.frees[0].index]] * len(loops)
+        criterion, known = self.settings.criterion, self.known
+        goals = tuple(Goal(criterion, rows, scale[rows], known) for scale in scales)
+        sticks, rates, responses = self.limits
+        return Task(loops=loops, goals=goals, sticks=sticks, rates=rates, responses=responses)
+
+
+@one_thread
+def design_inputs(
+    model: Model | AnyFit,
+    limits: Limits,
+    duration: float,
+    *,
+    noise: Mapping[str, float] | None = None,
+    feedback: Feedback | None = None,
+    ensemble: Sequence[Model] = (),
+    settings: DesignSettings | None = None,
+) -> Design:
+    """Inputs that tell the parameters of a structure apart best, within limits.
+
+    Parameters
+    ----------
+    model : Model or Fit
+        A structure at the values that are believed; or a fit, whose covariance is known before,
+        whose residuals are the noise unless that is given, and whose standard errors say how much
+        larger errors are than white residuals make them.
+    limits : Limits
+        Of sticks, their rates and responses.
+    duration : float
+        Of the manoeuvre [s].
+    noise : mapping
+        Standard deviation of each output's noise, a sample.
+    feedback : mapping
+        ``{"lat": {"p": 0.15, "phi": 0.4}}``: what holds the aircraft, u_lat = r_lat - 0.15 p - 0.4
+        phi about the trim. The limits are those of u.
+    ensemble : sequence of Model
+        Other values that are thought possible, as from `sample_models`: the criterion is the mean
+        over them and the model, and limits hold for all.
+    settings : DesignSettings
+        Method, criterion, parameters that matter, sampling.
+
+    Raises
+    ------
+    ValueError
+        Limits that leave nothing, unknown channels, noise that is missing, a band above the Nyquist
+        frequency, an unstable aircraft without its feedback, a duration too short.
+    """
+    settings = settings or DesignSettings()
+    problem = _problem(model, limits, duration, noise, settings)
+    others = [free_parameters(each, settings.fixed) for each in ensemble]
+    problem = replace(problem, frees=(*problem.frees, *others), feedback=feedback or {})
+    h = max(settings.dt, min(duration / COARSE, 2 * np.pi / problem.band[1] / FINEST))
+    rough = problem.task(h)
+    flown = _baselines(problem, rough)
+    errors = [
+        np.sqrt(np.diag(covariance(F + problem.known))) for F in rough.information(flown["3-2-1-1"])
+    ]
+    task = problem.task(h, errors)
+    if settings.method != "multisine":
+        flown["steps"] = _steps(problem, task)
+    if settings.method != "steps":
+        flown["multisine"] = _multisine(problem, task)
+    chosen = min(list(flown)[2:], key=lambda name: task.value(flown[name]))
+    return _predicted(problem, h, flown, chosen)
+
+
+def _problem(
+    model: Model | AnyFit,
+    limits: Limits,
+    duration: float,
+    noise: Mapping[str, float] | None,
+    settings: DesignSettings,
+) -> _Problem:
+    fit = model if isinstance(model, Fit) else None
+    structure: Model = model.model if isinstance(model, Fit) else model
+    free = free_parameters(structure, settings.fixed)
+    if unknown := [name for name in settings.matter if name not in free.names]:
+        raise ValueError(f"matter names {unknown[0]!r}, which is not free: {', '.join(free.names)}")
+    band = settings.band or _band(structure, duration, settings.dt)
+    if band[1] > (nyquist := np.pi / settings.dt):
+        raise ValueError(
+            f"the band ends at {band[1]:g} rad/s, above the Nyquist frequency {nyquist:.4g} rad/s "
+            f"of samples {settings.dt:g} s apart: lower it, or sample faster (dt)"
+        )
+    if duration - settings.rest < (least := FEWEST * settings.dt * len(structure.inputs)):
+        raise ValueError(
+            f"{duration:g} s less {settings.rest:g} s of rest are too short for "
+            f"{len(structure.inputs)} inputs: fly longer, {settings.rest + least:.3g} s at least"
+        )
+    return _Problem(
+        frees=(free,), R=_noise(structure, fit, noise), known=_known(free, fit),
+        limits=_arrays(structure, limits), feedback={}, duration=duration, band=band,
+        settings=settings,
+    )  # fmt: skip
+
+
+def _band(model: Model, duration: float, dt: float) -> tuple[float, float]:
+    """From two periods in the duration to three times the fastest mode."""
+    fastest = float(np.abs(model.system().poles()).max())
+    low = 4 * np.pi / duration
+    return low, min(max(3 * fastest, 8 * low), np.pi / dt / 2)
+
+
+def _noise(model: Model, fit: AnyFit | None, noise: Mapping[str, float] | None) -> Array:
+    """R (ny, ny) a sample, as large as it takes to predict errors that residuals justify."""
+    if noise is None:
+        if fit is None or fit.R is None:
+            raise ValueError(
+                "nothing says how noisy the outputs are: give noise={output: standard deviation}"
+            )
+        pairs = [(row.std_error, row.cramer_rao) for row in fit.parameters]
+        colour = [a / b for a, b in pairs if np.isfinite(a) and np.isfinite(b) and b > 0]
+        return np.asarray(np.diag(np.diag(fit.R)) * float(np.median(colour or [1.0])) ** 2)
+    for name in model.outputs:
+        if not noise.get(name, 0.0) > 0:
+            raise ValueError(f"noise: output {name!r} has none; give its standard deviation, > 0")
+    return np.diag([noise[name] ** 2 for name in model.outputs])
+
+
+def _known(free: Free, fit: AnyFit | None) -> Array:
+    """Information (nf, nf) from before."""
+    F = np.zeros((len(free.index), len(free.index)))
+    if fit is None or fit.covariance is None:
+        return F
+    mine = [free.names.index(name) for name in fit.free_names if name in free.names]
+    theirs = [k for k, name in enumerate(fit.free_names) if name in free.names]
+    C = fit.covariance[np.ix_(theirs, theirs)]
+    good = np.isfinite(np.diag(C)) & (np.diag(C) > 0)
+    rows = np.array(mine)[good]
+    F[np.ix_(rows, rows)] = covariance(C[np.ix_(good, good)])
+    return F
+
+
+def _arrays(model: Model, limits: Limits) -> tuple[Array, Array, Array]:
+    """Limits in the order of the channels; infinite where there is none, tiny for still sticks."""
+    named = ((limits.sticks, model.inputs), (limits.rates, model.inputs))
+    for group, known in (*named, (limits.responses, model.outputs)):
+        if unknown := [name for name in group if name not in known]:
+            raise ValueError(f"limits name {unknown[0]!r}; there are {', '.join(known)}")
+    if missing := [name for name in model.inputs if name not in limits.sticks]:
+        raise ValueError(f"limits.sticks has no {missing[0]!r}: every input needs its limit")
+    sticks = np.array([limits.sticks[name] for name in model.inputs])
+    rates = np.array([limits.rates.get(name, np.inf) for name in model.inputs])
+    return sticks, rates, np.array([limits.responses.get(name, np.inf) for name in model.outputs])
+
+
+def _instants(task: Task) -> Array:
+    return np.asarray(task.loops[0].h * np.arange(task.loops[0].N))
+
+
+def _rise(task: Task) -> Array:
+    """Time that full reversals take, (nu,) [s]: two samples, or what the rates allow."""
+    return np.maximum(2 * task.loops[0].h, 2 * task.sticks / task.rates)
+
+
+def _baselines(problem: _Problem, task: Task) -> dict[str, Array]:
+    """What is flown without a design, as large as the limits let it be axis by axis."""
+    t, rest, (low, high) = _instants(task), problem.settings.rest, problem.band
+    turn = (problem.duration - rest) / len(task.sticks)
+    unit = problem.settings.unit or 1.5 / np.sqrt(low * high)
+    made = {
+        "3-2-1-1": signals.turns_of_3211(t, task.sticks, rest, unit, _rise(task)),
+        "sweeps": signals.turns_of_sweeps(t, task.sticks, rest, (max(low, 4 * np.pi / turn), high)),
+    }
+    for r in made.values():
+        for j in range(r.shape[1]):  # each axis as large as it may be
+            alone = np.zeros_like(r)
+            alone[:, j] = r[:, j]
+            r[:, j] = task.within(alone)[:, j]
+    return {name: task.within(r) for name, r in made.items()}
+
+
+def _steps(problem: _Problem, task: Task) -> Array:
+    settings, t = problem.settings, _instants(task)
+    rises = _rise(task)
+    step = settings.step or np.pi / 2 / problem.band[1]
+    family = [signals.step_family(t, settings.rest, max(step, x), float(x)) for x in rises]
+    rng = np.random.default_rng(settings.seed)
+    start = []
+    for B in family:  # a random square wave, the steps of which last one to four times the least
+        levels = np.repeat(rng.choice([-0.7, 0.7], B.shape[1]), rng.integers(1, 5, B.shape[1]))
+        start.append(levels[: B.shape[1]])
+    return improved(task, family, start, settings.iterations)[0]
+
+
+def _multisine(problem: _Problem, task: Task) -> Array:
+    """Powers by the convex programme, Schroeder's phases, then all coefficients together."""
+    settings, t, nu = problem.settings, _instants(task), len(task.sticks)
+    omega = signals.harmonics(problem.band, problem.duration - settings.rest)
+    axis = shared_out(len(omega), nu)
+    free = problem.frees[0]
+    at = MatrixFunction(free)(free.guess)
+    K = gains(problem.feedback, free.model.inputs, free.model.outputs)
+    budget = task.sticks**2 / 2
+    count = problem.duration / settings.dt
+    units = count * unit_information(at, K, problem.R, omega, axis)
+    p = best_powers(task.goals[0], units, axis, budget)[0]
+    phase, size = schroeder(p, axis), np.sqrt(2 * p)
+    family, start = [], []
+    for j in range(nu):
+        mine = axis == j
+        family.append(signals.wave_family(t, settings.rest, omega[mine]))
+        waves = [size[mine] * np.cos(phase[mine]), -size[mine] * np.sin(phase[mine])]
+        start.append(np.concatenate(waves) / task.sticks[j])
+    return improved(task, family, start, settings.iterations)[0]
+
+
+def _predicted(problem: _Problem, h: float, flown: Mapping[str, Array], chosen: str) -> Design:
+    """Standard errors of all alternatives at the records' own sampling, and the value."""
+    fine = problem.task(problem.settings.dt)
+    t, coarse = _instants(fine), h * np.arange(len(flown[chosen]))
+    exact = {
+        name: fine.within(np.stack([np.interp(t, coarse, x) for x in r.T], axis=1))
+        for name, r in flown.items()
+    }
+    spread = {name: covariance(fine.information(r)[0] + problem.known) for name, r in exact.items()}
+    r = exact[chosen]
+    seen = fine.loops[0].fly(r)
+    model = problem.frees[0].model
+    names = [*model.inputs, *(f"{n} rate" for n in model.inputs), *model.outputs]
+    shares = np.concatenate(fine.peaks(r)).tolist()
+    before = np.diag(problem.known)
+    known = np.where(before > 0, np.sqrt(np.diag(covariance(problem.known))), np.inf)
+    made = Design(
+        kind=chosen, inputs=model.inputs, outputs=model.outputs, t=t, r=r, u=seen.u, y=seen.y,
+        names=problem.frees[0].names, covariance=spread[chosen], before=known,
+        alternatives=tuple(
+            Alternative(name=name, std_errors=np.sqrt(np.diag(C))) for name, C in spread.items()
+        ),
+        used={name: share for name, share in zip(names, shares, strict=True) if share > 0},
+    )  # fmt: skip
+    judged = identifiability(model, made.record(), fixed=problem.settings.fixed, spread=0.0)
+    return replace(made, blind=tuple(str(judged).splitlines()[1:]))

@@ -1,0 +1,211 @@
+"""An aircraft in its loop at its sampling instants, and what its records tell of the parameters.
+
+The sticks are u = r - K y with the designed input r; between samples they are straight lines. The
+delayed stick d(t) = u(t - τ) is read off those lines at the samples and is itself a line between:
+
+    x[k+1] = E x[k] + B0 d[k] + B1 d[k+1],    y[k] = C x[k] + D d[k]
+
+The derivatives s = ∂x/∂λ for given sticks, which are what output error works with, follow
+
+    s[k+1] = E s[k] + Φ0 z[k] + Φ1 z[k+1],    ∂y[k]/∂λ = C s[k] + Ψ z[k],    z = (x, d, ∂d/∂τ)
+
+and F = Σ (∂y/∂λ)ᵀ R⁻¹ (∂y/∂λ), the initial state and a bias of each output, which are estimated
+too, projected out. All is linear in r, so z is a convolution of r with impulse responses of the
+loop, and the derivatives of any criterion of F by r come from one recursion backward in time.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+
+from casid.arrays import Array
+from casid.evaluation import Matrices, MatrixFunction
+from casid.intersample import integral_slopes
+from casid.model import Free
+
+Feedback = Mapping[str, Mapping[str, float]]  # {"lat": {"p": 0.15}}: u_lat = r_lat - 0.15 p
+
+GROWTH = 15.0  # e-folds of an unstable mode over a manoeuvre beyond which numbers lose their sense
+GROWN = 3.0  # how much larger the end of an impulse response may be than all before
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Response:
+    """What the loop does: sticks, outputs, and z of the sensitivities, (N, ...) each."""
+
+    u: Array
+    y: Array
+    z: Array
+
+
+class Loop:
+    """A structure at its guess in its loop, sampled N times every h seconds."""
+
+    def __init__(self, free: Free, feedback: Feedback, R: Array, *, h: float, N: int) -> None:
+        at = MatrixFunction(free)(free.guess)
+        self.inputs, self.outputs = free.model.inputs, free.model.outputs
+        self.nx, self.nu, self.ny, self.nf = at.nx, at.dtau.shape[1], len(R), len(free.index)
+        self.h, self.N = h, N
+        self.growth = float(np.linalg.eigvals(at.blocks[0]).real.max())
+        self._whiten = np.linalg.inv(np.linalg.cholesky(R))
+        self._lag, self._part = np.divmod(at.tau / h, 1.0)
+        self._discretise(at)
+        self._impulses(gains(feedback, self.inputs, self.outputs))
+        self._nuisance()
+
+    def _discretise(self, at: Matrices) -> None:
+        """E, B0, B1 and the maps Φ0, Φ1, Ψ from z to forcing and outputs."""
+        A, B, C, D = at.blocks
+        nx, nf, h, dN = self.nx, self.nf, self.h, at.slopes
+        maps = integral_slopes(A, np.array([h]), np.moveaxis(dN[:, :nx, :nx], 0, 2))[:, 0]
+        (E, P1, P2), slopes = maps[..., 0], np.moveaxis(maps[..., 1:], 3, 1)
+        dB = dN[:, :nx, nx:]
+        first, second = slopes[1] @ B + P1 @ dB, (slopes[2] @ B + P2 @ dB) / h
+        self.E, self.B1, self.B0 = E, P2 @ B / h, P1 @ B - P2 @ B / h
+        late = at.dtau[:, None, :]  # ∂τ/∂λ
+        none = np.zeros((nf, nx, nx))
+        self._from_this = np.concatenate([slopes[0], first - second, self.B0 * late], axis=2)
+        self._from_next = np.concatenate([none, second, self.B1 * late], axis=2)
+        direct = np.concatenate([dN[:, nx:, :nx], dN[:, nx:, nx:], D * late], axis=2)
+        self._direct = self._whiten @ direct
+        self.C, self.D, self._C = C, D, self._whiten @ C
+
+    def _impulses(self, K: Array) -> None:
+        """Responses of sticks, outputs and z to one sample of each r, (N, ..., nu), as spectra."""
+        nx, nu, n = (
+            self.nx,
+            self.nu,
+            self.N + 1,
+        )  # a line rises to the impulse from the sample before
+        now = np.where(self._lag == 0, 1.0 - self._part, 0.0)
+        inverse = np.linalg.inv(np.eye(nu) + K @ (self.C @ self.B1 + self.D) * now)
+        x, u, d = np.zeros((n, nx, nu)), np.zeros((n, nu, nu)), np.zeros((n, nu, nu))
+        for k in range(1, n):
+            past = self._delayed(u, k)
+            moved = self.E @ x[k - 1] + self.B0 @ d[k - 1] + self.B1 @ past
+            seen = self.C @ moved + self.D @ past
+            u[k] = inverse @ (np.eye(nu) * (k == 1) - K @ seen)
+            d[k] = past + now[:, None] * u[k]
+            x[k] = moved + self.B1 @ (now[:, None] * u[k])
+        x, u, d = x[1:], u[1:], d[1:]
+        self._check_stable(u, K)
+        y = self.C @ x + self.D @ d
+        z = np.concatenate([x, d, -self._rate(u)], axis=1)
+        self._sizes = np.cumsum([nu, self.ny])
+        self._length = scipy.fft.next_fast_len(2 * self.N, real=True)
+        whole = np.concatenate([u, y, z], axis=1)
+        self._spectra = scipy.fft.rfft(whole, self._length, axis=0)
+
+    def _delayed(self, u: Array, k: int) -> Array:
+        """Delayed sticks at sample k, without what sample k itself gives to them."""
+        out = np.zeros(u.shape[1:])
+        for j, (lag, part) in enumerate(zip(self._lag.astype(int), self._part, strict=True)):
+            if 0 < lag <= k:
+                out[j] += (1.0 - part) * u[k - lag, j]
+            if k > lag:
+                out[j] += part * u[k - lag - 1, j]
+        return out
+
+    def _rate(self, u: Array) -> Array:
+        """Slope of the delayed sticks at the samples: −∂d/∂τ."""
+        slope = np.diff(u, axis=0, prepend=np.zeros((1, *u.shape[1:]))) / self.h
+        out = np.zeros_like(u)
+        for j, lag in enumerate(self._lag.astype(int)):
+            out[lag:, j] = slope[: self.N - lag, j]
+        return out
+
+    def _check_stable(self, u: Array, K: Array) -> None:
+        growth, span = self.growth, self.h * self.N
+        if growth * span > GROWTH:
+            raise ValueError(
+                f"an unstable mode of the aircraft grows with {growth:.3g} 1/s, by a factor of "
+                f"e^{growth * span:.0f} over {span:.4g} s: design manoeuvres of "
+                f"{GROWTH / growth:.2g} s at most"
+            )
+        if not K.any() and growth * span > 2.0:
+            raise ValueError(
+                f"the aircraft is unstable ({growth:.3g} 1/s) and nothing holds it over "
+                f"{span:.4g} s: give the feedback that is flown, "
+                'feedback={"lat": {"p": 0.1, "phi": 0.3}}'
+            )
+        last = 4 * self.N // 5
+        if K.any() and np.abs(u[last:]).max() > GROWN * np.abs(u[:last]).max():
+            raise ValueError(
+                "the loop is unstable with this feedback: u = r - K y, so a gain that damps has "
+                "the sign of its control derivative; check signs and units (rad, rad/s)"
+            )
+
+    def _nuisance(self) -> None:
+        """Orthonormal basis of what initial states and biases do to the weighted outputs."""
+        free = np.empty((self.N, self.ny, self.nx))
+        state = np.eye(self.nx)
+        for k in range(self.N):
+            free[k] = self._C @ state
+            state = self.E @ state
+        biases = np.broadcast_to(self._whiten, (self.N, self.ny, self.ny))
+        block = np.concatenate([free, biases], axis=2).reshape(self.N * self.ny, -1)
+        block = block / np.maximum(np.linalg.norm(block, axis=0), 1e-300)
+        basis, sizes, _ = np.linalg.svd(block, full_matrices=False)
+        self._unknown = basis[:, sizes > 1e-10 * sizes[0]]
+
+    def fly(self, r: Array) -> Response:
+        """Sticks, outputs and z after a designed input r (N, nu)."""
+        spectrum = scipy.fft.rfft(r, self._length, axis=0)
+        every = scipy.fft.irfft(
+            (self._spectra @ spectrum[:, :, None])[:, :, 0], self._length, axis=0
+        )[: self.N]
+        u, y, z = np.split(every, self._sizes, axis=1)
+        return Response(u=u, y=y, z=z)
+
+    def pulled_back(self, u: Array, y: Array, z: Array) -> Array:
+        """Derivatives by r (N, nu) of a function with these derivatives by what `fly` gives."""
+        whole = scipy.fft.rfft(np.concatenate([u, y, z], axis=1), self._length, axis=0)
+        product = np.einsum("kij,ki->kj", np.conj(self._spectra), whole)
+        return np.asarray(scipy.fft.irfft(product, self._length, axis=0)[: self.N])
+
+    def held(self, u: Array) -> Array:
+        """The z (N, nx + 2 nu) of sticks u (N, nu) that were flown, from rest."""
+        now = np.where(self._lag == 0, 1.0 - self._part, 0.0)
+        x, d = np.zeros((self.N, self.nx)), np.zeros((self.N, self.nu))
+        for k in range(self.N):
+            d[k] = self._delayed(u, k) + now * u[k]
+            if k:
+                x[k] = self.E @ x[k - 1] + self.B0 @ d[k - 1] + self.B1 @ d[k]
+        return np.concatenate([x, d, -self._rate(u)], axis=1)
+
+    def sensitivities(self, z: Array) -> Array:
+        """Derivatives of the weighted outputs by λ, unknowns projected out: (N ny, nf)."""
+        push = np.tensordot(z[:-1], self._from_this, (1, 2))
+        push += np.tensordot(z[1:], self._from_next, (1, 2))
+        s, E = np.zeros((self.N, self.nf, self.nx)), self.E.T
+        for k in range(self.N - 1):
+            s[k + 1] = s[k] @ E + push[k]
+        J = s @ self._C.T + np.tensordot(z, self._direct, (1, 2))
+        J = J.transpose(0, 2, 1)
+        flat = J.reshape(-1, self.nf)
+        return np.asarray(flat - self._unknown @ (self._unknown.T @ flat))
+
+    def information_slope(self, J: Array, M: Array) -> Array:
+        """Derivatives by z (N, nz) of tr(M F), F = JᵀJ with the sensitivities J at z."""
+        G = (2 * J @ M).reshape(self.N, self.ny, self.nf)
+        pull = G.transpose(0, 2, 1) @ self._C
+        for k in range(self.N - 2, -1, -1):
+            pull[k] += pull[k + 1] @ self.E
+        slope = np.tensordot(G, self._direct, ([1, 2], [1, 0]))
+        slope[:-1] += np.tensordot(pull[1:], self._from_this, ([1, 2], [0, 1]))
+        slope[1:] += np.tensordot(pull[1:], self._from_next, ([1, 2], [0, 1]))
+        return slope
+
+
+def gains(feedback: Feedback, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> Array:
+    """K (nu, ny) of u = r - K y."""
+    K = np.zeros((len(inputs), len(outputs)))
+    for stick, gains in feedback.items():
+        for output, gain in gains.items():
+            for name, known in ((stick, inputs), (output, outputs)):
+                if name not in known:
+                    raise ValueError(f"feedback names {name!r}; there are {', '.join(known)}")
+            K[inputs.index(stick), outputs.index(output)] = gain
+    return K

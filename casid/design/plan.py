@@ -1,0 +1,224 @@
+"""Inputs to fly next: what `design_inputs` is asked and what it answers."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.checks import checked_fields
+from casid.design.criterion import Criterion
+from casid.display import Shown, listed
+from casid.record import Record
+from casid.tabulation import csv_text, markdown_table
+from casid.values import seal, storable
+
+Method = Literal["best", "steps", "multisine"]
+CLOSE = 0.9  # correlation from which two parameters are named together
+
+
+@storable
+@checked_fields
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What the next flight may not exceed, as deviations from trim, SI.
+
+    Parameters
+    ----------
+    sticks : mapping
+        Of every input; inputs that are not named stay still.
+    rates : mapping
+        Of inputs, per second.
+    responses : mapping
+        Of outputs.
+    """
+
+    sticks: Mapping[str, float]
+    rates: Mapping[str, float] = field(default_factory=dict)
+    responses: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for group in (self.sticks, self.rates, self.responses):
+            for name, value in group.items():
+                if not value > 0:
+                    raise ValueError(
+                        f"the limit of {name!r} is {value}, which leaves nothing to fly; expected "
+                        "a deviation from trim above 0"
+                    )
+        if not self.sticks:
+            raise ValueError("no stick may move: limits need sticks={name: deviation}")
+        if lone := [name for name in self.rates if name not in self.sticks]:
+            raise ValueError(f"the rate of {lone[0]!r} has a limit, its deviation has none")
+
+
+@checked_fields
+@dataclass(frozen=True, kw_only=True)
+class DesignSettings:
+    """How inputs are designed.
+
+    Parameters
+    ----------
+    method : {"best", "steps", "multisine"}
+        What is optimised: multi-step sequences on all axes at once, orthogonal multisines, or both,
+        of which the better is taken.
+    criterion : {"A", "D", "E"}
+        What is to be small: the mean square, the geometric mean (of the determinant) or the largest
+        of the standard errors over those of a 3-2-1-1.
+    matter : tuple of str
+        Parameters that count; all free ones unless given.
+    fixed : tuple of str
+        Parameters that are known.
+    dt : float
+        Sampling interval of the records to come [s], to which the noise refers.
+    band : (float, float) or None
+        Of multisines and sweeps [rad/s]; from two periods in the duration to three times the
+        fastest mode unless given.
+    step : float or None
+        Times at which a multi-step sequence may change [s]: every so many seconds. A quarter period
+        of the band's upper edge unless given.
+    unit : float or None
+        Of the 3-2-1-1 to compare with [s].
+    rest : float
+        Of trim before anything moves [s].
+    iterations : int
+        Of the optimisation.
+    seed : int
+        Of the sequence that it starts from.
+    """
+
+    method: Method = "best"
+    criterion: Criterion = "A"
+    matter: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
+    dt: float = 0.02
+    band: tuple[float, float] | None = None
+    step: float | None = None
+    unit: float | None = None
+    rest: float = 2.0
+    iterations: int = 150
+    seed: int = 0
+
+
+@storable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Alternative:
+    """One way to use the flight time, as large as the limits let it be.
+
+    Parameters
+    ----------
+    name : str
+        "3-2-1-1", "sweeps", "multisine", "steps".
+    std_errors : (nf,) array
+        Predicted.
+    """
+
+    name: str
+    std_errors: Array
+
+    def __post_init__(self) -> None:
+        seal(self)
+
+
+@storable
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Design(Shown):
+    """Inputs for the next flight and what they will buy.
+
+    Parameters
+    ----------
+    kind : str
+        Name of the alternative that was taken.
+    inputs, outputs : tuple of str
+        Channels.
+    t, r : (N,), (N, nu) array
+        The designed deviations of the sticks; what feedback does comes on top.
+    u, y : (N, nu), (N, ny) array
+        Sticks and outputs that the model predicts, without noise.
+    names : tuple of str
+        Free parameters.
+    covariance : (nf, nf) array
+        Predicted, with what was known before.
+    before : (nf,) array
+        Standard errors before the flight; infinite if nothing was known.
+    alternatives : tuple of Alternative
+        What else could be flown in that time, the first a 3-2-1-1 on one axis after the other.
+    used : mapping
+        Share of each limit that is used, by ``"lat"``, ``"lat rate"``, ``"phi"``.
+    blind : tuple of str
+        What the inputs cannot tell apart, in words.
+    """
+
+    kind: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    t: Array
+    r: Array
+    u: Array
+    y: Array
+    names: tuple[str, ...]
+    covariance: Array
+    before: Array
+    alternatives: tuple[Alternative, ...]
+    used: Mapping[str, float]
+    blind: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        seal(self)
+
+    def headline(self) -> str:
+        """What is flown, and how much better it is."""
+        ratio = self.std_errors / self.alternatives[0].std_errors
+        mean = np.exp(np.log(ratio).mean())
+        return (
+            f"{self.kind} on {listed(self.inputs)}, {self.t[-1]:.4g} s: standard errors "
+            f"{mean:.2g} times those of 3-2-1-1 (geometric mean), {ratio.max():.2g} at worst"
+        )
+
+    @property
+    def std_errors(self) -> Array:
+        """Predicted standard errors, (nf,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def correlations(self) -> Array:
+        """Of the errors, (nf, nf)."""
+        return np.asarray(self.covariance / np.outer(self.std_errors, self.std_errors))
+
+    def correlated(self, least: float = CLOSE) -> tuple[tuple[str, str, float], ...]:
+        """Pairs of parameters whose errors are correlated by ``least`` or more, closest first."""
+        C = self.correlations
+        found = [(self.names[i], self.names[j], float(C[i, j])) for i, j in np.argwhere(
+            np.triu(np.abs(C) >= least, 1)
+        )]  # fmt: skip
+        return tuple(sorted(found, key=lambda row: -abs(row[2])))
+
+    def record(self) -> Record:
+        """The flight as the model predicts it, without noise."""
+        return Record(self.t, self.u, self.y, self.inputs, self.outputs, name=self.kind)
+
+    def ratios(self) -> tuple[tuple[str, float, float, str], ...]:
+        """Of each alternative: name, geometric mean and worst ratio to the 3-2-1-1, and whose."""
+        rows = []
+        for each in self.alternatives:
+            ratio = each.std_errors / self.alternatives[0].std_errors
+            worst = int(np.argmax(ratio))
+            mean = float(np.exp(np.log(ratio).mean()))
+            rows.append((each.name, mean, float(ratio[worst]), self.names[worst]))
+        return tuple(rows)
+
+    def comparison(self) -> str:
+        """Candidates side by side, standard errors over those of the 3-2-1-1, in Markdown."""
+        rows = [[name, f"{mean:.3f}", f"{most:.3f}", of] for name, mean, most, of in self.ratios()]
+        return markdown_table(("input", "geometric mean", "worst", "of"), rows)
+
+    def to_markdown(self) -> str:
+        """One row a parameter: standard error before, after a 3-2-1-1, after this."""
+        columns = (self.before, self.alternatives[0].std_errors, self.std_errors)
+        rows = [[name, *(f"{c[k]:.3g}" for c in columns)] for k, name in enumerate(self.names)]
+        return markdown_table(("parameter", "before", "with 3-2-1-1", "with this"), rows)
+
+    def to_csv(self) -> str:
+        """The card: time and designed stick deviations, one row a sample."""
+        rows = np.column_stack([self.t, self.r]).round(9).tolist()
+        return csv_text(["t", *self.inputs], rows)

@@ -1,0 +1,63 @@
+"""Designs end to end on a small structure."""
+
+import numpy as np
+import pytest
+
+from casid import DesignSettings, Limits, design_inputs
+from models.short_period import ShortPeriod
+
+MODEL = ShortPeriod()
+STICK = MODEL.inputs[0]
+NOISE = dict.fromkeys(MODEL.outputs, 0.01)
+QUICK = {"dt": 0.05, "iterations": 20, "rest": 1.0}
+
+
+def designed(limits=None, duration=10.0, **options):
+    limits = limits or Limits(sticks={STICK: 0.1})
+    settings = DesignSettings(**{**QUICK, **options})
+    return design_inputs(MODEL, limits, duration, noise=NOISE, settings=settings)
+
+
+@pytest.fixture(scope="module")
+def design():
+    limits = Limits(sticks={STICK: 0.1}, rates={STICK: 1.0}, responses={MODEL.outputs[-1]: 0.05})
+    return designed(limits)
+
+
+def test_a_design_beats_what_is_usually_flown_within_the_same_limits(design):
+    ratio = design.std_errors / design.alternatives[0].std_errors
+    assert np.exp(np.log(ratio).mean()) < 0.8
+    assert max(design.used.values()) <= 1 + 1e-6
+    rates = np.abs(np.diff(design.r[:, 0])) / np.diff(design.t)
+    assert rates.max() <= 1.0 + 1e-6
+    assert np.abs(design.y[:, -1]).max() <= 0.05 + 1e-9
+
+
+def test_limits_hold_in_the_simulation_of_the_model(design):
+    y = MODEL.system().simulate(design.t, design.u)
+    np.testing.assert_allclose(y, design.y, atol=0.01 * np.abs(design.y).max())
+
+
+def test_parameters_that_matter_are_told_better_than_when_all_count():
+    name = MODEL.parameter_names()[0]
+    k = designed().names.index(name)
+    assert designed(matter=(name,)).std_errors[k] <= 1.02 * designed().std_errors[k]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"band": (0.5, 90.0)}, "above the Nyquist frequency 62.83"),
+        ({"duration": 1.5}, "fly longer"),
+        ({"matter": ("Xx",)}, "matter names 'Xx'"),
+        ({"limits": Limits(sticks={"nose": 0.1})}, "limits name 'nose'"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_with_a_remedy(change, words):
+    with pytest.raises(ValueError, match=words):
+        designed(**change)
+
+
+def test_noise_has_to_be_said():
+    with pytest.raises(ValueError, match="how noisy the outputs are"):
+        design_inputs(MODEL, Limits(sticks={STICK: 0.1}), 10.0)

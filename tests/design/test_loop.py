@@ -1,0 +1,122 @@
+"""The loop against the package's simulation, finite differences and output error itself."""
+
+import numpy as np
+import pytest
+
+from casid import Model, Record, output_error, parameter
+from casid.design.loop import Loop
+from casid.model import free_parameters
+
+
+class Roll(Model):
+    states = ("p", "phi")
+    inputs = ("lat",)
+    outputs = ("p", "phi", "ap")
+
+    Lp: float = parameter(default=-2.0, lower=-9.0, upper=5.0, unit="1/s")
+    Llat: float = parameter(default=8.0, lower=0.0, upper=20.0, unit="rad/s^2")
+    tau: float = parameter(default=0.1, lower=0.0, upper=0.3, unit="s")
+
+    def A(self):
+        return [[self.Lp, 0], [1, 0]]
+
+    def B(self):
+        return [[self.Llat], [0]]
+
+    def C(self):
+        return [[1, 0], [0, 1], [self.Lp, 0]]
+
+    def D(self):
+        return [[0], [0], [self.Llat]]
+
+    def delays(self):
+        return {"lat": self.tau}
+
+
+R = np.diag([0.01, 0.02, 0.05]) ** 2
+
+
+def loop_of(model, feedback=None, N=120, h=0.05):
+    return Loop(free_parameters(model), feedback or {}, R, h=h, N=N)
+
+
+def steps(N, seed=0):
+    r = np.repeat(np.random.default_rng(seed).uniform(-1, 1, N // 10), 10)
+    r[:10] = 0.0
+    return r[:, None]
+
+
+def test_open_loop_outputs_are_those_of_the_simulation():
+    model, r, t = Roll(), steps(120), 0.05 * np.arange(120)
+    flown = loop_of(model).fly(r)
+    np.testing.assert_allclose(flown.u, r, atol=1e-12)
+    np.testing.assert_allclose(flown.y, model.system().simulate(t, r), atol=1e-10)
+
+
+def test_feedback_acts_on_what_the_simulation_makes_of_the_sticks():
+    model, r, t = Roll(Lp=1.0), steps(120), 0.05 * np.arange(120)
+    flown = loop_of(model, {"lat": {"p": 0.4, "phi": 0.3}}).fly(r)
+    y = model.system().simulate(t, flown.u)
+    np.testing.assert_allclose(flown.u, r - 0.4 * y[:, :1] - 0.3 * y[:, 1:2], atol=1e-9)
+
+
+@pytest.mark.parametrize("tau", [0.1, 0.0, 0.13])
+def test_sensitivities_are_differences_of_outputs_for_the_sticks_that_were_flown(tau):
+    model, r = Roll(tau=tau), steps(120)
+    loop = loop_of(model, {"lat": {"p": 0.1}})
+    u = loop.fly(r).u
+    columns = []
+    for name, value in zip(model.parameter_names(), model.vector(), strict=True):
+        ends = []
+        for move in (1e-6, 0.0):  # to one side: at whole samples outputs have a kink in the delay
+            moved = loop_of(Roll(**{**vars(model), name: value + move}))
+            z = moved.held(u)
+            ends.append(z[:, :2] @ moved.C.T + z[:, 2:3] @ moved.D.T)
+        columns.append((ends[0] - ends[1]) / 1e-6)
+    J = np.stack(columns, axis=-1) / np.sqrt(np.diag(R))[:, None]
+    flat = J.reshape(-1, 3)
+    unknown = loop._unknown
+    flat = flat - unknown @ (unknown.T @ flat)
+    found = loop.sensitivities(loop.fly(r).z)
+    np.testing.assert_allclose(found, flat, atol=1e-4 * np.abs(flat).max())
+
+
+def test_slope_of_the_information_by_the_input_is_a_difference():
+    loop, r = loop_of(Roll(), {"lat": {"p": 0.1, "phi": 0.2}}, N=60), steps(60)
+    M = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, 0.0], [0.1, 0.0, 0.3]])
+
+    def value(r):
+        J = loop.sensitivities(loop.fly(r).z)
+        return float(np.trace(M @ J.T @ J))
+
+    flown = loop.fly(r)
+    dz = loop.information_slope(loop.sensitivities(flown.z), M)
+    slope = loop.pulled_back(np.zeros_like(flown.u), np.zeros_like(flown.y), dz)
+    way = np.random.default_rng(1).standard_normal(r.shape)
+    difference = (value(r + 1e-4 * way) - value(r - 1e-4 * way)) / 2e-4
+    assert float((slope * way).sum()) == pytest.approx(difference, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_standard_errors_are_the_bound_that_output_error_states():
+    model, t = Roll(tau=0.12), 0.05 * np.arange(120)
+    loop = loop_of(model)
+    flown = loop.fly(steps(120))
+    noise = np.sqrt(np.diag(R)) * np.random.default_rng(3).standard_normal(flown.y.shape)
+    record = Record(t, flown.u, flown.y + noise, model.inputs, model.outputs)
+    fit = output_error(model, record, R=R)
+    J = loop.sensitivities(flown.z)
+    expected = np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
+    stated = [fit[name].cramer_rao for name in model.parameter_names()]
+    np.testing.assert_allclose(stated, expected, rtol=0.05)
+
+
+def test_unstable_aircraft_need_their_feedback_and_short_manoeuvres():
+    with pytest.raises(ValueError, match="nothing holds it"):
+        loop_of(Roll(Lp=1.0))
+    with pytest.raises(ValueError, match=r"manoeuvres of 3 s at most"):
+        loop_of(Roll(Lp=5.0), {"lat": {"p": 1.0}})
+    with pytest.raises(ValueError, match="sign of its control derivative"):
+        loop_of(Roll(), {"lat": {"p": -2.0}})
+    with pytest.raises(ValueError, match="feedback names 'q'"):
+        loop_of(Roll(), {"lat": {"q": 0.1}})

@@ -1,0 +1,47 @@
+"""The optimiser: slopes, limits, and that nothing near is better."""
+
+import numpy as np
+import pytest
+
+from casid.design.criterion import Goal
+from casid.design.loop import Loop
+from casid.design.optimise import Task, improved
+from casid.design.signals import step_family
+from casid.model import free_parameters
+from models.short_period import ShortPeriod
+
+MODEL = ShortPeriod()
+N, H = 160, 0.05
+T = H * np.arange(N)
+
+
+@pytest.fixture(scope="module")
+def task():
+    free = free_parameters(MODEL)
+    ny, nf = len(MODEL.outputs), len(free.index)
+    loop = Loop(free, {}, 1e-4 * np.eye(ny), h=H, N=N)
+    goal = Goal("D", np.arange(nf), np.ones(nf), np.zeros((nf, nf)))
+    limits = {"rates": np.array([2.0]), "responses": np.full(ny, 0.5)}
+    return Task(loops=(loop,), goals=(goal,), sticks=np.array([0.1]), **limits)
+
+
+def start(seed=0):
+    family = step_family(T, 1.0, 0.4, 0.1)
+    return family, np.random.default_rng(seed).choice([-0.5, 0.5], family.shape[1])
+
+
+def test_slope_of_what_is_minimised_is_a_difference(task):
+    family, levels = start()
+    r = (family @ levels)[:, None]
+    way = 1e-4 * np.random.default_rng(1).standard_normal(r.shape)
+    difference = task.slope(r + way, 16)[0] - task.slope(r - way, 16)[0]
+    assert 2 * np.sum(task.slope(r, 16)[1] * way) == pytest.approx(difference, rel=1e-4)
+
+
+def test_the_best_found_keeps_its_limits_and_beats_random_sequences(task):
+    family, levels = start()
+    best, coefficients = improved(task, [family], [levels], 40)
+    assert max(float(part.max()) for part in task.peaks(best)) <= 1 + 1e-9
+    random = [task.value(task.within((family @ start(seed)[1])[:, None])) for seed in range(12)]
+    assert task.value(best) < min(random) - 0.1
+    assert len(coefficients[0]) == family.shape[1]

@@ -1,0 +1,53 @@
+"""What a design says and writes."""
+
+import numpy as np
+import pytest
+
+from casid import Design, Limits
+from casid.design.plan import Alternative
+from casid.values import decode, encode
+
+
+@pytest.fixture
+def design():
+    t = 0.1 * np.arange(30)
+    errors = np.array([0.5, 0.1])
+    C = np.outer(errors, errors) * [[1.0, 0.95], [0.95, 1.0]]
+    return Design(
+        kind="steps", inputs=("lat",), outputs=("p",), t=t, r=np.sin(t)[:, None],
+        u=np.sin(t)[:, None], y=np.cos(t)[:, None], names=("Lp", "Llat"), covariance=C,
+        before=np.array([np.inf, 0.2]), used={"lat": 1.0},
+        alternatives=(
+            Alternative(name="3-2-1-1", std_errors=np.array([1.0, 0.4])),
+            Alternative(name="steps", std_errors=errors),
+        ),
+    )  # fmt: skip
+
+
+def test_it_says_what_it_buys(design):
+    assert "0.35 times those of 3-2-1-1 (geometric mean), 0.5 at worst" in repr(design)
+    assert "| steps | 0.354 | 0.500 | Lp |" in design.comparison()
+    assert "| Llat | 0.2 | 0.4 | 0.1 |" in design.to_markdown()
+    assert design.correlated() == (("Lp", "Llat", pytest.approx(0.95)),)
+
+
+def test_it_is_kept_and_read_back(design):
+    again = decode(encode(design))
+    np.testing.assert_array_equal(again.r, design.r)
+    assert again.alternatives[1].name == "steps"
+
+
+def test_the_card_is_the_sequence(design):
+    lines = design.to_csv().splitlines()
+    assert lines[0] == "t,lat"
+    assert len(lines) == 31
+    assert design.record().N == 30
+
+
+def test_limits_that_leave_nothing_are_refused():
+    with pytest.raises(ValueError, match="leaves nothing to fly"):
+        Limits(sticks={"lat": 0.0})
+    with pytest.raises(ValueError, match="no stick may move"):
+        Limits(sticks={})
+    with pytest.raises(ValueError, match="rate of 'ped'"):
+        Limits(sticks={"lat": 0.1}, rates={"ped": 1.0})

@@ -1,0 +1,44 @@
+"""Shapes of inputs: what they are by definition."""
+
+import numpy as np
+
+from casid.design import signals
+
+t = 0.05 * np.arange(401)
+
+
+def test_a_3211_has_three_two_one_one_units_and_edges_as_slow_as_asked():
+    one = signals.multistep(t, 2.0, 1.0, 0.1)
+    middle = np.interp(2.5 + np.arange(8), t, one)
+    np.testing.assert_allclose(middle, [1, 1, 1, -1, -1, 1, -1, 0], atol=1e-12)
+    assert np.abs(np.diff(one)).max() <= 2 * 0.05 / 0.1 + 1e-9
+
+
+def test_axes_take_turns_and_rest_before():
+    for r in (
+        signals.turns_of_3211(t, np.array([1.0, 0.5]), 2.0, 0.7, np.array([0.1, 0.1])),
+        signals.turns_of_sweeps(t, np.array([1.0, 0.5]), 2.0, (1.0, 8.0)),
+    ):
+        assert not np.any(r[t < 2.0])
+        assert not np.any((r[:, 0] != 0) & (r[:, 1] != 0))
+        peaks = np.abs(r).max(axis=0)
+        assert peaks[0] > 0.95
+        assert 0.47 < peaks[1] <= 0.5
+
+
+def test_steps_are_levels_of_their_length_between_rests():
+    family = signals.step_family(t, 2.0, 0.5, 0.1)
+    levels = np.random.default_rng(0).uniform(-1, 1, family.shape[1])
+    r = family @ levels
+    at = 2.0 + 0.5 * np.arange(len(levels)) + 0.3
+    np.testing.assert_allclose(np.interp(at, t, r), levels, atol=1e-12)
+    assert not np.any(r[t <= 2.0])
+    assert abs(r[-1]) < 1e-12
+
+
+def test_harmonics_fill_the_band_and_waves_are_orthogonal():
+    omega = signals.harmonics((1.0, 5.0), 18.0)
+    np.testing.assert_allclose(omega * 18.0 / (2 * np.pi), np.arange(3, 15))
+    family = signals.wave_family(t, 2.0, omega)[t >= 2.0][:-1]
+    gram = family.T @ family
+    np.testing.assert_allclose(gram, len(family) / 2 * np.eye(len(gram)), atol=1e-9)
