@@ -1,6 +1,6 @@
 """The command `design`: from a study to the next flight."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ def _pairs(_: click.Context, option: click.Parameter, values: Sequence[str]) -> 
     """``name=number`` as a mapping; of several the last counts."""
     found = {}
     for value in values:
-        name, _, number = value.partition("=")
+        name, number = [*value.split("=", 1), ""][:2]
         try:
             found[name] = float(number)
         except ValueError:
@@ -34,7 +34,7 @@ def _pairs(_: click.Context, option: click.Parameter, values: Sequence[str]) -> 
     return found
 
 
-def _limit(flag: str, what: str) -> Any:  # noqa: ANN401 - click's decorator
+def _limit(flag: str, what: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     return click.option(flag, multiple=True, callback=_pairs, metavar="NAME=NUMBER", help=what)
 
 
