@@ -51,12 +51,14 @@ class Ways:
     def output_error(self, near: AnyFit | None = None) -> Outcome:
         """Where output error ends, from a fit nearby if there is one.
 
-        Intervals chosen here become shorter as long as nothing is found.
+        Intervals chosen here become shorter as long as nothing is found. Where shorter ones are
+        left to try, a solve that has not ended in a hundred steps is given up.
         """
-        search, ends = Search(self.free, self.options, self.steps), []
-        for length in self._lengths():
-            evaluator = self._unfiltered(length)
-            ends.append(self._searched(search, evaluator, near))
+        lengths, ends = list(self._lengths()), []
+        for length in lengths:
+            options = self.options if length == lengths[-1] else self._limited()
+            search = Search(self.free, options, self.steps)
+            ends.append(self._searched(search, self._unfiltered(length), near))
             if ends[-1].solution.success:
                 return ends[-1]
             LOG.info("output error, intervals of %.3g s: %s", length, ends[-1].solution.status)
