@@ -21,6 +21,10 @@ from .baseline.loes import (
     transfer_function as transfer_function,
 )
 from .bounds.compare import BoundsComparison as BoundsComparison, compare_bounds as compare_bounds
+from .bounds.manoeuvres import (
+    StructureComparison as StructureComparison,
+    compare_structures as compare_structures,
+)
 from .bounds.profiles import Profile as Profile, profile_parameters as profile_parameters
 from .bounds.reduction import (
     Reduction as Reduction,

@@ -1,0 +1,76 @@
+"""Structures side by side on manoeuvres left out."""
+
+import numpy as np
+import pytest
+from truths.closed_roll import TRUTH, Roll, campaign
+from truths.mixture import Inline
+from truths.structures import HoverRoll
+
+from casid import Execution, OutputError, Scalar, compare_structures, parameter
+from casid.bounds.manoeuvres import StructureComparison, WithoutOne
+
+RECORDS = campaign(1)
+HERE = Execution(executor=Inline())
+
+
+class Bare(Roll):
+    """Pedals do not roll it."""
+
+    Lped: Scalar = parameter(default=0.0, lower=0.0, upper=0.0, unit="rad/s^2")
+
+
+def comparison(sizes, parameters):
+    errors = np.exp(np.array(sizes, dtype=float))[:, :, None] * np.ones((1, 1, 2))
+    return StructureComparison(
+        names=tuple("abc"[: len(sizes)]), manoeuvres=("x", "y", "z"), outputs=("p", "phi"),
+        errors=errors, parameters=tuple(parameters), aicc=np.zeros(len(sizes)),
+        fits=(None,) * len(sizes), reasons={},
+    )  # fmt: skip
+
+
+def test_the_simplest_within_one_standard_error_is_named():
+    found = comparison([[0.0, 0.1, 0.2], [0.1, 0.0, 0.3], [1.0, 1.1, 1.2]], [9, 7, 3])
+    assert found.best == "a"
+    assert found.simplest == "b"  # 0.033 ± 0.067 above; c is 1 ± 0 above
+    mean, error = found.excess
+    np.testing.assert_allclose(mean, [0.0, 1 / 30, 1.0], atol=1e-12)
+    np.testing.assert_allclose(error, [0.0, np.std([0.1, -0.1, 0.1], ddof=1) / np.sqrt(3), 0.0],
+                               atol=1e-12)  # fmt: skip
+
+
+def test_a_candidate_that_failed_is_not_chosen():
+    found = comparison([[0.0, 0.1, 0.2], [-1.0, np.nan, -1.0]], [9, 3])
+    assert found.simplest == found.best == "a"
+
+
+def test_what_is_left_out_is_not_there():
+    assert WithoutOne(1)(tuple("abc")) == ("a", "c")
+
+
+def test_a_structure_that_lacks_a_derivative_is_not_enough():
+    candidates = {"whole": TRUTH, "bare": Bare()}
+    way = OutputError(domain="frequency")
+    found = compare_structures(candidates, RECORDS, estimator=way, execution=HERE)
+    assert found.simplest == "whole"
+    assert found.parameters == (7, 6)
+    assert found.excess[0][1] > 0.1
+    assert "| bare" in found.to_markdown()
+
+
+def test_one_structure_in_several_ways():
+    ways = {"time": OutputError(interval=2.0), "frequency": OutputError(domain="frequency")}
+    found = compare_structures(dict.fromkeys(ways, TRUTH), RECORDS, estimator=ways, execution=HERE)
+    # The noise rules both errors: they agree to a percent.
+    np.testing.assert_allclose(found.excess[0], 0.0, atol=0.01)
+    assert not found.reasons
+
+
+def test_comparisons_that_make_no_sense_are_refused():
+    with pytest.raises(ValueError, match="2 manoeuvres"):
+        compare_structures({"a": TRUTH}, RECORDS[:2])
+    with pytest.raises(ValueError, match="no candidates"):
+        compare_structures({}, RECORDS, execution=Execution())
+    with pytest.raises(ValueError, match="'b' predicts p, phi, the first ay, p, phi"):
+        compare_structures({"a": TRUTH, "b": HoverRoll()}, RECORDS)
+    with pytest.raises(ValueError, match="no estimator for 'a'"):
+        compare_structures({"a": TRUTH}, RECORDS, estimator={"b": OutputError()})
