@@ -7,6 +7,12 @@ sticks of the four 3-2-1-1 without feedback that come with the example, 16 s eac
 its own initial states and biases. The designs last 64 s, the sticks within the largest deviation of
 those records and, where responses are limited, every output within 1.5 times its largest there.
 Each case is kept in FILE when it is done; the seconds are processor time.
+
+`wrong prior` designs with every derivative 30 % wrong, up or down at random, and is judged by the
+truth; `robust` adds two more such models around the wrong one. `quarter` is held against the four
+3-2-1-1 and the four sweeps together and lasts a quarter of their time. `--monte-carlo RUNS` flies a
+design for the lateral-directional structure with feedback RUNS times with new noise and compares
+the scatter of output error with the standard errors that were predicted.
 """
 
 import argparse
@@ -18,11 +24,13 @@ from pathlib import Path
 import numpy as np
 from tables import against, table
 
-from casid import DesignSettings, Limits, design_inputs
+from casid import DesignSettings, Limits, design_inputs, output_error
 from casid.design.criterion import covariance
 from casid.design.loop import Loop
+from casid.excitations import excitation
 from casid.model import free_parameters
 from examples.paper import read
+from models.lateral_directional import LateralDirectional
 from models.six_dof import SixDof
 
 NOISE = {"ax": 0.05, "ay": 0.05, "az": 0.1} | dict.fromkeys(SixDof.outputs[3:], 0.003)
@@ -81,7 +89,7 @@ def moved(model, seed, by=0.3):
     return model.with_vector(model.vector() * (1 + signs))
 
 
-def run(case):
+def run(case, seed):
     """Ratios of a case."""
     model, four = truth(), flown("3211_{}_open")
     bought = errors_of(model, four)
@@ -91,13 +99,13 @@ def run(case):
         bought = errors_of(model, [*four, *sweeps])
         length = sum(r.duration for r in (*four, *sweeps)) / 4
     if case.startswith("wrong"):
-        believed = moved(model, 1)
+        believed = moved(model, 1 + 10 * seed)
     if case.endswith("robust"):
-        ensemble = (moved(believed, 2), moved(believed, 3))
+        ensemble = (moved(believed, 2 + 10 * seed), moved(believed, 3 + 10 * seed))
     begin = time.process_time()
     made = design_inputs(
         believed, limits(four, case != "free"), length, noise=NOISE, ensemble=ensemble,
-        settings=DesignSettings(method="steps", dt=DT),
+        settings=DesignSettings(method="steps", dt=DT, seed=seed),
     )  # fmt: skip
     seconds = time.process_time() - begin
     loop = Loop(free_parameters(model), {}, R, h=DT, N=len(made.t))
@@ -112,16 +120,45 @@ def run(case):
     }  # fmt: skip
 
 
+def monte_carlo(runs):
+    """Scatter over predicted standard errors of a small design, one row a parameter."""
+    model = LateralDirectional(U0=41.13)
+    noise = {name: NOISE[name] for name in model.outputs}
+    made = design_inputs(
+        model, Limits(sticks=dict.fromkeys(model.inputs, 0.05), responses={"phi": 0.3}), 20.0,
+        noise=noise, feedback={"lat": {"p": 0.05, "phi": 0.1}},
+        settings=DesignSettings(method="steps", dt=DT, iterations=60),
+    )  # fmt: skip
+    R = np.diag([noise[name] ** 2 for name in model.outputs])
+    record, found = made.record(), []
+    for seed in range(runs):
+        noisy = record.with_noise(noise, np.random.default_rng([7, seed]))
+        fit = output_error(model, noisy, R=R)
+        found.append([fit[name].value for name in made.names])
+    ratio = np.std(found, axis=0, ddof=1) / made.std_errors
+    mean = float(np.exp(np.log(ratio).mean()))
+    near = against(abs(mean - 1), 0.15)
+    print(f"scatter of {runs} runs over prediction: {mean:.3f}, away from 1 by {near}")
+    share = excitation(record.with_noise(noise, np.random.default_rng(7)))
+    least = float(share.lower[share.within].min())
+    print(f"least share from outside, lower bound: {against(least, 0.5, above=True)}")
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("cases", nargs="*", default=CASES)
     parser.add_argument("--kept", type=Path, default=Path("out/design.jsonl"))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--monte-carlo", type=int, default=0, metavar="RUNS")
     options = parser.parse_args()
+    if options.monte_carlo:
+        monte_carlo(options.monte_carlo)
+        return
     lines = options.kept.read_text().splitlines() if options.kept.exists() else []
     done = {row["case"]: row for row in map(json.loads, lines)}
     for case in options.cases:
         if case not in done:
-            done[case] = run(case)
+            done[case] = run(case, options.seed)
             options.kept.parent.mkdir(parents=True, exist_ok=True)
             with options.kept.open("a") as file:
                 file.write(json.dumps(done[case]) + "\n")

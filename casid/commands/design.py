@@ -20,6 +20,7 @@ from casid.studies.study import Study, read_records
 from casid.studies.studyfile import read_study
 
 SHOWN = 12  # parameters in the table
+DPI = 120
 
 
 def _pairs(_: click.Context, option: click.Parameter, values: Sequence[str]) -> dict[str, float]:
@@ -66,6 +67,7 @@ def design(
     The output folder then also holds
       design/card.csv    time and designed stick deviations, SI
       design/design.md   what is compared, and every standard error before and after
+      design/design.png  sticks and predicted responses with their limits
     """  # noqa: D301
     console = terminal()
     with exits(console), logged(console, verbose):
@@ -87,6 +89,7 @@ def design(
         folder = what.output / "design"
         write_text(folder / "card.csv", made.to_csv())
         write_text(folder / "design.md", _page(made))
+        np.ravel(made.plot())[0].figure.savefig(folder / "design.png", dpi=DPI)
         console.print(Text("Card: ").append(str((folder / "card.csv").resolve()), style="bold"))
 
 

@@ -20,6 +20,7 @@ from casid.bounds.profiles import Profile
 from casid.bounds.resampling import Ensemble
 from casid.channels import UNITS
 from casid.cover import Cover
+from casid.design.plan import Design
 from casid.fit import Fit
 from casid.frequency.estimation import FrequencyResponse
 from casid.linear import StateSpace
@@ -93,6 +94,25 @@ def _(value: Record, ax: Any, channels: Sequence[str] = ()) -> Any:  # noqa: ANN
     axes = _axes(ax, len(names), 1, height=0.9)
     for each, name in zip(axes, names, strict=True):
         figures.plot_input(each, value.t, value.channel(name), channel=name, units=UNITS)
+    axes[-1].set_xlabel("t [s]")
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: Design, ax: Any) -> Any:  # noqa: ANN401
+    names = (*value.inputs, *value.outputs)
+    axes = _axes(ax, len(names), 1, height=0.9)
+    for j, each in enumerate(axes[: len(value.inputs)]):
+        if not np.allclose(value.r, value.u):  # feedback adds to what is designed
+            each.plot(value.t, value.r[:, j], color=GREY, linestyle=":", label="designed")
+            each.legend(loc="upper right", fontsize="xx-small")
+    flown = np.hstack([value.u, value.y])
+    for each, name, signal in zip(axes, names, flown.T, strict=True):
+        figures.plot_input(each, value.t, signal, channel=name, units=UNITS)
+        if share := value.used.get(name):
+            limit = float(np.abs(signal).max()) / share
+            for edge in (-limit, limit):
+                each.axhline(edge, color=GREY, linestyle="--", linewidth=0.6)
     axes[-1].set_xlabel("t [s]")
     return _same(ax, axes)
 

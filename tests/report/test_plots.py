@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from truths.shown import Roll, record, values
 
-from casid import compare
+from casid import Design, compare
 
 
 @pytest.fixture(autouse=True)
@@ -57,3 +57,17 @@ def test_comparisons_draw_each_model_over_the_measurement():
         compare({}, record())
     with pytest.raises(ValueError, match="no pair"):
         compare({"fit": fit}, values()["FrequencyResponse"], pair=("q", "lat"))
+
+
+def test_a_design_draws_sticks_and_outputs_with_their_limits():
+    t = np.linspace(0, 4, 41)
+    signal = np.sin(t)[:, None]
+    design = Design(
+        kind="steps", inputs=("lat",), outputs=("p",), t=t, r=0.5 * signal, u=signal, y=2 * signal,
+        names=("Lp",), covariance=np.eye(1), before=np.ones(1), alternatives=(), used={"p": 0.5},
+    )  # fmt: skip
+    axes = design.plot()
+    labels = [line.get_label() for line in axes[0].lines]
+    assert "designed" in labels
+    edges = [line.get_ydata()[0] for line in axes[1].lines if len(line.get_ydata()) == 2]
+    np.testing.assert_allclose(edges, [-2 * 2 * signal.max(), 2 * 2 * signal.max()])
