@@ -107,6 +107,7 @@ from .nlp import Progress as Progress, SolverOptions as SolverOptions
 from .nonlinear.conditions import Trim as Trim
 from .nonlinear.model import NonlinearModel as NonlinearModel
 from .nonlinear.tables import spline as spline
+from .nonlinear.trims import find_trim as find_trim
 from .qualification import (
     Qualification as Qualification,
     qualify as qualify,

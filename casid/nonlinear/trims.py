@@ -1,0 +1,105 @@
+"""Trims of a nonlinear structure at its parameter values."""
+
+from collections.abc import Mapping, Sequence
+
+import casadi as ca
+import numpy as np
+import scipy.optimize
+
+from casid.arrays import Array
+from casid.errors import ModelError, warn
+from casid.nonlinear.conditions import BALANCE, Trim
+from casid.nonlinear.model import NonlinearModel
+
+STARTS = 12  # from which other trims are looked for
+SPREAD = 0.3  # of those starts, relative to an unknown's size, at least absolute
+APART = 1e-3  # of two trims that differ, in the same units
+
+
+def find_trim(
+    model: NonlinearModel, known: Mapping[str, float], unknown: Sequence[str], *, name: str = ""
+) -> Trim:
+    """States and inputs at which dx/dt = 0.
+
+    Parameters
+    ----------
+    model : NonlinearModel
+        At its parameter values.
+    known : mapping
+        Total values that are held, and starts of the unknown ones; the reference where not named.
+    unknown : sequence of str
+        States and inputs to find.
+    name : str
+        Of the condition.
+
+    Returns
+    -------
+    Trim
+        A `DataWarning` tells of others nearby.
+
+    Raises
+    ------
+    ModelError
+        A name that is no state or input, no balance within reach: the message names the equation.
+    """
+    names = (*model.states, *model.inputs)
+    if wrong := [each for each in (*known, *unknown) if each not in names]:
+        raise ModelError(f"find_trim: {wrong[0]!r} is no state or input of {type(model).__name__}")
+    if not unknown:
+        raise ModelError("find_trim: nothing is unknown; name the states and inputs to find")
+    start = dict(zip(names, map(float, np.concatenate(model.operating_point())), strict=True))
+    start |= {each: float(value) for each, value in known.items()}
+    found = _solutions(model, start, tuple(unknown))
+    if len(found) > 1:
+        others = ["; ".join(f"{n} = {v:.4g}" for n, v in zip(unknown, z, strict=True))
+                  for z in found[1:]]  # fmt: skip
+        warn(
+            f"trim {name!r} of {type(model).__name__} is not the only one: also "
+            f"{' and '.join(others)}; start nearer to the one that is flown"
+        )
+    return Trim(values=start | dict(zip(unknown, found[0], strict=True)), name=name)
+
+
+def _solutions(
+    model: NonlinearModel, start: Mapping[str, float], unknown: tuple[str, ...]
+) -> list[Array]:
+    """Different values of the unknowns that balance the equations, that nearest to the start first.
+
+    ModelError: none.
+    """
+    nx, values = len(model.states), np.array(list(start.values()))
+    places = [list(start).index(name) for name in unknown]
+    z, equations = ca.SX.sym("z", len(places)), model.equations()
+    full = [ca.SX(value) for value in values]
+    for i, place in enumerate(places):
+        full[place] = z[i]
+    f = equations(ca.vertcat(*full[:nx]), ca.vertcat(*full[nx:]), model.vector())[0]
+    both = ca.Function("balance", [z], [f, ca.jacobian(f, z)])
+    size = np.maximum(np.abs(values[places]), 1.0)
+    rng, least = np.random.default_rng(0), np.full(nx, np.inf)
+    found: list[Array] = []
+
+    def balance(at: Array) -> Array:
+        return np.asarray(both(at)[0].full().ravel())
+
+    def slope(at: Array) -> Array:
+        return np.asarray(both(at)[1].full())
+
+    for number in range(1 + STARTS):
+        moved = SPREAD * size * rng.uniform(-1, 1, len(places)) if number else 0.0
+        end = scipy.optimize.least_squares(
+            balance, values[places] + moved, slope,
+            x_scale=size, xtol=1e-14, ftol=1e-14, gtol=1e-14,
+        )  # fmt: skip
+        least = end.fun if np.abs(end.fun).max() < np.abs(least).max() else least
+        new = all(np.abs((end.x - each) / size).max() > APART for each in found)
+        if np.abs(end.fun).max() < BALANCE and new:
+            found.append(np.asarray(end.x))
+    if not found:
+        worst = int(np.argmax(np.abs(least)))
+        raise ModelError(
+            f"{type(model).__name__} has no trim here: with {', '.join(unknown)} unknown "
+            f"d{model.states[worst]}/dt stays at {least[worst]:.3g}; make another state or input "
+            "unknown, or change what is held"
+        )
+    return found

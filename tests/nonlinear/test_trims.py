@@ -1,0 +1,49 @@
+"""Trims found from the equations."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.swing import Swing
+
+from casid import DataWarning, ModelError, find_trim
+from models.longitudinal_aero import LongitudinalAero
+
+
+def test_the_trim_of_a_pendulum_is_by_hand():
+    model = Swing(M=6.0, Mlon=8.0)
+    trim = find_trim(model, {"theta": 0.4}, ["lon"], name="up")
+    assert trim.values["lon"] == pytest.approx(6 * np.tan(0.4) / 8)
+    assert trim.values["theta"] == 0.4
+    assert trim.name == "up"
+
+
+def test_a_fixed_wing_in_trim_carries_its_weight():
+    model = LongitudinalAero()
+    trim = find_trim(model, {"V": 45.0}, ["alpha", "theta", "elevator"])
+    alpha, elevator = trim.values["alpha"], trim.values["elevator"]
+    CL = model.CL0 + model.CLalpha * alpha + model.CLelevator * elevator
+    lift = model.rho * 45**2 / 2 * model.S * CL / model.m
+    climb = trim.values["theta"] - alpha
+    assert lift + model.thrust * np.sin(alpha) == pytest.approx(model.g * np.cos(climb))
+    assert model.Cm0 + model.Cmalpha * alpha + model.Cmelevator * elevator == pytest.approx(0.0)
+
+
+def test_several_trims_are_told():
+    # Without stick the pendulum rests hanging and standing.
+    with pytest.warns(DataWarning, match="not the only one: also theta = "):
+        trim = find_trim(Swing(), {"theta": 1.55, "lon": 0.0}, ["theta"])
+    assert np.sin(trim.values["theta"]) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("known", "unknown", "told"),
+    [
+        ({"q": 0.3}, ["lon"], "no trim here: with lon unknown dtheta/dt stays at 0.3"),
+        ({"p": 0.3}, ["lon"], "'p' is no state or input of Swing"),
+        ({"q": 0.0}, [], "nothing is unknown"),
+    ],
+)
+def test_where_there_is_no_trim_the_equation_is_named(known, unknown, told):
+    with pytest.raises(ModelError, match=told):
+        find_trim(replace(Swing(), M=5.0), known, unknown)
