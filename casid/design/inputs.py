@@ -15,6 +15,7 @@ from casid.design.plan import Alternative, Design, DesignSettings, Limits
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit, Fit
 from casid.model import Free, Model, free_parameters
+from casid.nonlinear.model import NonlinearModel
 from casid.structure.identifiability import identifiability
 from casid.threads import one_thread
 
@@ -119,6 +120,11 @@ def _problem(
 ) -> _Problem:
     fit = model if isinstance(model, Fit) else None
     structure: Model = model.model if isinstance(model, Fit) else model
+    if isinstance(structure, NonlinearModel):
+        raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
+            f"{type(structure).__name__} is nonlinear: design at a trim, with the linear structure "
+            "model.at(trim)"
+        )
     free = free_parameters(structure, settings.fixed)
     if unknown := [name for name in settings.matter if name not in free.names]:
         raise ValueError(f"matter names {unknown[0]!r}, which is not free: {', '.join(free.names)}")

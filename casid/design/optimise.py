@@ -48,8 +48,8 @@ class Task:
         return [np.max(part, axis=0) for part in zip(*largest, strict=True)]
 
     def within(self, r: Array) -> Array:
-        """The same input, smaller where a limit asks for it."""
-        return r / max(1.0, *(float(part.max()) for part in self.peaks(r)))
+        """The same input as large as the limits let it be."""
+        return r / max(1e-12, *(float(part.max()) for part in self.peaks(r)))
 
     def information(self, r: Array) -> list[Array]:
         """F (nf, nf) of each model."""

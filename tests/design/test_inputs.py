@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid import DesignSettings, Limits, design_inputs
+from casid import DesignSettings, Limits, NonlinearModel, design_inputs, output_error, parameter
 from models.short_period import ShortPeriod
 
 MODEL = ShortPeriod()
@@ -61,3 +61,30 @@ def test_what_cannot_be_flown_is_refused_with_a_remedy(change, words):
 def test_noise_has_to_be_said():
     with pytest.raises(ValueError, match="how noisy the outputs are"):
         design_inputs(MODEL, Limits(sticks={STICK: 0.1}), 10.0)
+
+
+class Pendulum(NonlinearModel):
+    states, inputs, outputs = ("q", "theta"), ("m",), ("q", "theta")
+    k: float = parameter(default=1.0, lower=0.1, upper=9.0, unit="1/s^2")
+
+    def derivatives(self, x, u):
+        return {"q": u.m - self.k * x.theta**3, "theta": x.q}
+
+
+def test_nonlinear_structures_are_designed_for_at_a_trim():
+    with pytest.raises(ValueError, match=r"Pendulum is nonlinear: design at a trim"):
+        design_inputs(Pendulum(), Limits(sticks={"m": 0.1}), 10.0, noise={"q": 1.0, "theta": 1.0})
+
+
+@pytest.mark.slow
+def test_what_a_fit_knows_counts_and_its_residuals_are_the_noise(design):
+    record = design.record().with_noise(NOISE, np.random.default_rng(0))
+    fit = output_error(MODEL, record)
+    quick = DesignSettings(**QUICK, method="steps")
+    again = design_inputs(fit, Limits(sticks={STICK: 0.1}), 10.0, settings=quick)
+    before = [fit[name].std_error for name in again.names]
+    known = np.isfinite(before)
+    np.testing.assert_allclose(again.before[known], np.array(before)[known], rtol=1e-3)
+    assert np.all(again.std_errors[known] < again.before[known])
+    alone = design_inputs(MODEL, Limits(sticks={STICK: 0.1}), 10.0, noise=NOISE, settings=quick)
+    assert np.median(again.std_errors / alone.std_errors) < 1.05
