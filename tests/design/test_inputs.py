@@ -1,9 +1,12 @@
 """Designs end to end on a small structure."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from casid import DesignSettings, Limits, NonlinearModel, design_inputs, output_error, parameter
+from casid.design.inputs import _problem
 from models.short_period import ShortPeriod
 
 MODEL = ShortPeriod()
@@ -88,3 +91,18 @@ def test_what_a_fit_knows_counts_and_its_residuals_are_the_noise(design):
     assert np.all(again.std_errors[known] < again.before[known])
     alone = design_inputs(MODEL, Limits(sticks={STICK: 0.1}), 10.0, noise=NOISE, settings=quick)
     assert np.median(again.std_errors / alone.std_errors) < 1.05
+    rows = [replace(row, cramer_rao=row.cramer_rao / 3) for row in fit.parameters]
+    coloured = replace(fit, parameters=tuple(rows))  # errors three times what white noise makes
+    worse = design_inputs(coloured, Limits(sticks={STICK: 0.1}), 10.0, settings=quick)
+    assert np.median(worse.std_errors / again.std_errors) > 1.2
+
+
+def test_information_does_not_depend_on_the_grid_it_is_computed_on():
+    problem = _problem(MODEL, Limits(sticks={STICK: 0.1}), 10.0, NOISE, DesignSettings(**QUICK))
+    errors = []
+    for h in (0.05, 0.1):
+        task = problem.task(h)
+        t = h * np.arange(task.loops[0].N)
+        r = 0.1 * np.sin(2.0 * t + 0.1 * t**2)[:, None] * np.clip(t, 0, 1)[:, None]
+        errors.append(np.diag(task.information(r)[0]))
+    np.testing.assert_allclose(errors[1], errors[0], rtol=0.1)

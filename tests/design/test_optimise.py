@@ -21,7 +21,7 @@ def task():
     ny, nf = len(MODEL.outputs), len(free.index)
     loop = Loop(free, {}, 1e-4 * np.eye(ny), h=H, N=N)
     goal = Goal("D", np.arange(nf), np.ones(nf), np.zeros((nf, nf)))
-    limits = {"rates": np.array([2.0]), "responses": np.full(ny, 0.5)}
+    limits = {"rates": np.array([0.6]), "responses": np.full(ny, 0.5)}
     return Task(loops=(loop,), goals=(goal,), sticks=np.array([0.1]), **limits)
 
 
