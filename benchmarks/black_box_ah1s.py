@@ -14,7 +14,7 @@ import numpy as np
 from tables import table
 
 from casid import frequency_response, pbsid
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from examples.paper import ANGLES, RATES, ah1s, quasi_steady, read
 
 OMEGA = np.geomspace(0.5, 12.0, 40)

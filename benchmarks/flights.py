@@ -30,7 +30,7 @@ from benchmarks.uh60 import (
     nonlinear_records,
 )
 from casid import frequency_response, outliers, output_error, pbsid
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from models.lateral_directional import LateralDirectional
 
 RATES = dict.fromkeys(("ax", "ay", "az"), 2) | dict.fromkeys(("phi", "theta"), 4)  # every n-th

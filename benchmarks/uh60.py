@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from casid import Record, StateSpace, read_csv
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "examples" / "uh60" / "data"

@@ -12,7 +12,8 @@ from casid.fit import Fit, M_co
 from casid.frequency.estimation import FrequencyResponse
 from casid.matching.appraisal import MatchNotes
 from casid.model import Bounds, M
-from casid.record import Record, several
+from casid.record import Record
+from casid.records import several
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.listing import STAGES
 from casid.stages.stage import Role, Stage, Task, check_task, run_stages

@@ -20,7 +20,8 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
 from casid.errors import DataWarning
-from casid.record import Record, Records, same_channels, stretches
+from casid.record import Record
+from casid.records import Records, same_channels, stretches
 from casid.values import storable
 
 LAGS = 0.6  # time [s] that the autoregression reaches back at most

@@ -11,7 +11,7 @@ import scipy.signal
 
 from casid.arrays import Array
 from casid.display import Shown, listed
-from casid.record import Records, stretches
+from casid.records import Records, stretches
 from casid.threads import one_thread
 from casid.validation import BAND, AnyModel, validate
 

@@ -21,7 +21,8 @@ from casid.linear import StateSpace
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.prediction import Outlook, Prediction, growth_rate, outlook, predict
-from casid.record import Record, Records, same_channels, standard_deviations, stretches
+from casid.record import Record
+from casid.records import Records, same_channels, standard_deviations, stretches
 from casid.shooting.simulation import predict_nonlinear
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread

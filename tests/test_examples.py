@@ -15,7 +15,7 @@ from truths import uh60
 from casid import output_error, validate
 from casid.cli import main
 from casid.commands.inspection import inspect_records
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study

@@ -4,20 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truths.closed_roll import Roll, flown
+from truths.closed_roll import flown
 from truths.flights import flight
 
 from casid import (
     DataWarning,
     Record,
     frequency_response,
-    identifiability,
     kinematic_check,
-    output_error,
-    pbsid,
-    validate,
 )
-from casid.record import same_channels, standard_deviations, stretches
+from casid.records import stretches
 
 T = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 
@@ -149,81 +145,6 @@ def test_noise_has_the_standard_deviation_asked_for_and_no_other_channel():
     np.testing.assert_array_equal(again.y, noisy.y)
     with pytest.raises(ValueError, match="no output 'q'"):
         still.with_noise({"q": 1.0}, np.random.default_rng(0))
-
-
-def test_records_of_one_campaign_share_their_channels():
-    assert same_channels([record(), record(name="other")]) == (("lat", "ped"), ("p", "r", "phi"))
-    with pytest.raises(ValueError, match="no records given"):
-        same_channels([])
-    assert same_channels(record()) == (("lat", "ped"), ("p", "r", "phi"))
-    with pytest.raises(ValueError, match=r"record 'b' has channels .* use Record.select"):
-        same_channels([record(), record(name="b", outputs=("p", "r", "psi"))])
-
-
-def test_standard_deviations_pool_all_samples_and_leave_still_channels_at_one():
-    y = np.ones((5, 3)) * [1.0, 2.0, 0.1]
-    y[:, 0], y[0, 0] = [9, 1, 2, 3, 4], np.nan
-    y[:, 2] += 1e-17 * T  # rounding is no motion
-    su, sy = standard_deviations([record(y=y), record(y=np.roll(y, 1, axis=0))])
-    assert su[0] == pytest.approx(np.std(np.tile(T, 2)))
-    np.testing.assert_allclose(sy, [np.std([1, 2, 3, 4]), 1.0, 1.0])
-    silent = record(y=np.full((5, 3), np.nan))
-    np.testing.assert_array_equal(standard_deviations([silent])[1], 1.0)
-
-
-# ---- gaps in time ------------------------------------------------------------------------------
-
-
-def test_rows_missing_for_longer_than_two_intervals_end_a_stretch():
-    t = 0.1 * np.arange(100)
-    whole = Record(t, np.ones((100, 1)), np.ones((100, 1)), ("u",), ("y",), "a")
-    one, two = np.arange(100) != 50, ~np.isin(np.arange(100), (50, 51))
-    assert len(stretches(whole.take(one))) == 1  # one row lost: twice the interval
-    with pytest.warns(
-        DataWarning, match=r"'a' has 1 gap in time, the longest of 0.3 s after 4.9 s"
-    ):
-        parts = stretches([whole.take(two)])
-    assert [(part.name, part.N, part.t[0]) for part in parts] == [
-        ("a 1", 50, 0.0),
-        ("a 2", 48, 5.2),
-    ]
-    random = replace(whole, t=np.cumsum(np.random.default_rng(0).uniform(0.01, 0.2, 100)))
-    assert stretches(random) == (random,)  # irregular, but nothing is lost
-
-
-def test_stretches_too_short_to_tell_anything_are_left_out_or_refused():
-    t = np.concatenate([np.arange(30), 100 + np.arange(5), 200 + np.arange(20.0)])
-    record = Record(t, np.ones((55, 1)), np.ones((55, 1)), ("u",), ("y",), "a")
-    with pytest.warns(
-        DataWarning, match="as 2 stretches, .*; 5 samples in shorter ones are left out"
-    ):
-        assert [part.N for part in stretches(record)] == [30, 20]
-    with pytest.raises(ValueError, match="no stretch of 16 samples between them; leave it out"):
-        stretches(record.between(20, 110))
-
-
-DROPOUT = {
-    "output error": lambda records: output_error(Roll(), records, interval=2.0).model.vector(),
-    "black box": lambda records: pbsid(
-        records, order=3, past=8, pole=6.0, feedthrough=["ay"]
-    ).system.response(np.array([0.5, 2.0, 8.0])),
-    "frequency response": lambda records: (
-        frequency_response(records, omega=np.array([3.0, 5.0]), windows=[6.0]).G
-    ),
-    "validation": lambda records: validate({"truth": Roll()}, records).rms["truth"],
-    "identifiability": lambda records: identifiability(Roll(), records).information,
-}
-
-
-@pytest.mark.parametrize("estimate", DROPOUT.values(), ids=DROPOUT)
-def test_a_dropout_of_five_seconds_is_the_flight_cut_in_two(estimate):
-    noise = {"ay": 0.05, "p": 0.005, "phi": 0.005}
-    whole = flown(t=0.02 * np.arange(1750), seed=1).with_noise(noise, np.random.default_rng(3))
-    lost = whole.take((whole.t < 15) | (whole.t > 20))
-    with pytest.warns(DataWarning, match="1 gap in time, the longest of 5.0"):
-        found = estimate(lost)
-    expected = estimate([whole.between(0, 14.99), whole.between(20.01, 40)])
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 # ---- stamps that nearly agree --------------------------------------------------------------------

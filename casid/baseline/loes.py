@@ -18,7 +18,7 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.errors import ConvergenceError
 from casid.frequency.estimation import FrequencyResponse, holding
 from casid.matching.mismatch import DB, DEG, TURN, log_ratio, pair_weights, residuals
-from casid.record import several
+from casid.records import several
 
 # Delays to start from, in periods of the fastest point.
 DELAYS = np.array([0.0, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4])

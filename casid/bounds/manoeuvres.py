@@ -17,7 +17,8 @@ from casid.fit import AnyFit
 from casid.jobs.campaigns import Execution
 from casid.jobs.store import Done
 from casid.model import Model
-from casid.record import Record, stretches
+from casid.record import Record
+from casid.records import stretches
 from casid.shooting.output_error import OutputError
 from casid.tabulation import markdown_table
 from casid.validation import validate

@@ -14,7 +14,7 @@ from casid.bounds.trials import aicc
 from casid.fit import AnyFit, ConstraintEstimate, ParameterEstimate
 from casid.jobs.store import Done
 from casid.model import free_parameters
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from casid.validation import Validation
 
 

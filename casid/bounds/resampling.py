@@ -14,7 +14,8 @@ from casid.estimator import Estimator
 from casid.fit import AnyFit
 from casid.jobs.campaigns import Execution
 from casid.model import Bounds, Model, free_parameters
-from casid.record import Record, several, stretches
+from casid.record import Record
+from casid.records import several, stretches
 from casid.shooting.likelihood import Noise, moments_of
 from casid.shooting.output_error import OutputError
 from casid.shooting.transformed_fit import METHOD

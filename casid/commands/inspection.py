@@ -14,7 +14,8 @@ from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.consistency.plausibility import unit_doubts
 from casid.excitations import Excitation, certified
 from casid.model import Bounds, Model
-from casid.record import Record, Records, same_channels, several
+from casid.record import Record
+from casid.records import Records, same_channels, several
 from casid.structure.identifiability import Identifiability, identifiability
 
 GAP = 1.5  # median sampling intervals

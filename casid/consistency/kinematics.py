@@ -25,7 +25,8 @@ from casid.consistency.flightpath import (
     reconstruct,
     signals,
 )
-from casid.record import Record, Records, several
+from casid.record import Record
+from casid.records import Records, several
 
 KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
 SIGNIFICANT = 3.0  # standard errors

@@ -29,7 +29,8 @@ from casid.frequency.spectra import (
     condition,
     record_spectra,
 )
-from casid.record import Record, Records, same_channels, several, standard_deviations, stretches
+from casid.record import Record
+from casid.records import Records, same_channels, several, standard_deviations, stretches
 from casid.threads import one_thread
 from casid.values import storable
 

@@ -18,7 +18,7 @@ from casid.matching.targets import Target
 from casid.model import Bounds, M
 from casid.nonlinear.conditions import Trim, at_condition
 from casid.nonlinear.model import NonlinearModel
-from casid.record import several
+from casid.records import several
 from casid.subspace.pbsid import BlackBox
 
 

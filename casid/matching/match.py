@@ -25,7 +25,7 @@ from casid.matching.targets import REACHABLE, SIZE, Target, Weight, compare
 from casid.model import Bounds, Free, M, Model, Priors, free_parameters
 from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim
-from casid.record import several
+from casid.records import several
 from casid.threads import one_thread
 
 LOG = logging.getLogger("casid")

@@ -25,7 +25,8 @@ from casid.fit import Fit
 from casid.frequency.estimation import FrequencyResponse
 from casid.linear import StateSpace
 from casid.qualification import Qualification
-from casid.record import Record, Records
+from casid.record import Record
+from casid.records import Records
 from casid.report import figures
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR
 from casid.report.look import LOOK, WIDTH

@@ -13,7 +13,7 @@ import numpy as np
 
 from casid.errors import ModelError
 from casid.model import Model
-from casid.record import Records, several
+from casid.records import Records, several
 from casid.shooting.output_error import OutputError
 from casid.threads import one_thread
 

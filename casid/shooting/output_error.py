@@ -23,7 +23,8 @@ from casid.fit import AnyFit, Fit, constraint_table, held_directions, on_bounds,
 from casid.model import Bounds, Free, M, Model, Priors, free_parameters
 from casid.nlp import SolverOptions
 from casid.nonlinear.model import NonlinearModel
-from casid.record import Record, Records, stretches
+from casid.record import Record
+from casid.records import Records, stretches
 from casid.shooting.innovation import ProcessNoise
 from casid.shooting.knowledge import with_knowledge
 from casid.shooting.likelihood import CovarianceKind

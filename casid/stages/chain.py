@@ -10,7 +10,8 @@ from typing import Any
 
 from casid.fit import AnyFit, Fit
 from casid.model import Bounds, M, Model
-from casid.record import Record, several
+from casid.record import Record
+from casid.records import several
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.black_box import BLACK_BOX
 from casid.stages.matching import HINF, QUADRATIC

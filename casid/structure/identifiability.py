@@ -25,7 +25,8 @@ from casid.arrays import Array, ComplexArray
 from casid.evaluation import Matrices, MatrixFunction
 from casid.frequency.estimation import FrequencyResponse
 from casid.model import Bounds, Free, Model, free_parameters
-from casid.record import Record, several, standard_deviations, stretches
+from casid.record import Record
+from casid.records import several, standard_deviations, stretches
 from casid.subspace.pbsid import BlackBox
 
 Responses = FrequencyResponse | BlackBox

@@ -11,7 +11,8 @@ from casid.linear import StateSpace
 from casid.model import Bounds, Free, Model, free_parameters
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.words import equations_text
-from casid.record import Record, Records, several
+from casid.record import Record
+from casid.records import Records, several
 from casid.structure.identifiability import Identifiability, identifiability
 
 

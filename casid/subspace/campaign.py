@@ -7,7 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from casid.arrays import Array, BoolArray
-from casid.record import Record, Records, same_channels, standard_deviations, stretches
+from casid.record import Record
+from casid.records import Records, same_channels, standard_deviations, stretches
 from casid.subspace import columns as blocks
 from casid.subspace.fourier import Spectrum, spectra
 from casid.subspace.laguerre import support

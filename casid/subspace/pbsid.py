@@ -17,7 +17,7 @@ from casid.checks import checked_fields
 from casid.errors import warn
 from casid.excitations import certified
 from casid.linear import StateSpace
-from casid.record import Records
+from casid.records import Records
 from casid.subspace import settings as choice
 from casid.subspace.blackbox import BlackBox
 from casid.subspace.campaign import Campaign, Windows

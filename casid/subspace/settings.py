@@ -20,7 +20,8 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.linear import StateSpace
-from casid.record import Record, Records
+from casid.record import Record
+from casid.records import Records
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.columns import Feedthrough, output_bandwidth
 from casid.subspace.fourier import Spectrum

@@ -7,7 +7,7 @@ from scipy.linalg import expm
 from casid.shooting.starting import accumulated
 
 
-def testaccumulated_covariance_is_its_integral_for_stiff_and_unstable_dynamics():
+def test_accumulated_covariance_is_its_integral_for_stiff_and_unstable_dynamics():
     A, Q = np.array([[-30.0, 5.0], [0.0, 0.4]]), np.array([[1.0, 0.2], [0.2, 2.0]])
 
     def rate(s, i, j):

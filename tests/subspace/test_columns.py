@@ -5,7 +5,7 @@ import pytest
 from truths.systems import campaign
 
 from casid import Record
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from casid.subspace.columns import excited_band, feedthrough_mask, gather
 
 

@@ -3,7 +3,7 @@ import pytest
 from truths.systems import STABILISING, closed_loop_record, stepped_input, unstable_plant
 
 from casid import Record, StateSpace, pbsid
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from casid.subspace.columns import gather
 from casid.subspace.feedback import direct_term_is_ambiguous, fed_back_noise, prediction_errors
 

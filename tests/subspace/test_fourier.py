@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from truths.systems import campaign
 
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from casid.subspace.fourier import spectra
 
 

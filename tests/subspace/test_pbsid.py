@@ -13,7 +13,7 @@ from truths.systems import (
 )
 
 from casid import DataWarning, Record, StateSpace, pbsid
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from casid.subspace.columns import gather
 from casid.subspace.fourier import spectra
 from casid.subspace.pbsid import Pbsid

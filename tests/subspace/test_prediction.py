@@ -5,7 +5,7 @@ import pytest
 from truths.systems import innovation_record, predictor, sampled
 
 from casid import Record, StateSpace, pbsid
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from casid.subspace.modal import Modal, moved
 from casid.subspace.prediction import (
     SampledUncertainty,

@@ -3,7 +3,7 @@ import pytest
 from truths.systems import campaign, innovation_record, unstable_plant
 
 from casid import Record, StateSpace, pbsid
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from casid.subspace.fourier import spectra
 from casid.subspace.modal import Modal
 from casid.subspace.refinement import (

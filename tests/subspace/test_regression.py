@@ -4,7 +4,7 @@ import numpy as np
 from truths.systems import innovation_record, predictor, sampled
 
 from casid import Record, StateSpace
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from casid.subspace.prediction import normal_equations, stretches
 from casid.subspace.regression import regress_inputs
 

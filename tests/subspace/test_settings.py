@@ -6,7 +6,7 @@ from truths.systems import OMEGA, campaign, relative_error, unstable_plant
 from truths.uh60 import EXAMPLE, INPUTS, NOISE, OUTPUTS, sweeps
 
 from casid import Record, StateSpace, pbsid, read_csv, select_order
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from casid.subspace.columns import gather, output_bandwidth
 from casid.subspace.laguerre import support
 from casid.subspace.settings import COST, PASTS, held_out_suffices, usable_poles

@@ -3,7 +3,7 @@ import pytest
 from truths.systems import output_error_record, sampled, sampled_plant, stepped_input
 
 from casid import Record, StateSpace
-from casid.record import standard_deviations
+from casid.records import standard_deviations
 from casid.subspace.simulation import refine_simulation
 
 OMEGA = np.linspace(0.1, 2.5, 10)

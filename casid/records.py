@@ -1,0 +1,88 @@
+"""Several manoeuvres: their stretches without gaps, channels they share, sizes of these."""
+
+from collections.abc import Iterable, Sequence
+from typing import TypeAlias, TypeVar
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.errors import warn
+from casid.record import FEWEST, Record
+from casid.values import digest
+
+T = TypeVar("T")
+Records: TypeAlias = Record | Sequence[Record]
+
+
+def several(items: T | Iterable[T]) -> tuple[T, ...]:
+    """One value or several alike, as a tuple: what arguments ``records`` and ``target`` take."""
+    return tuple(items) if isinstance(items, Iterable) else (items,)
+
+
+def stretches(records: Records) -> tuple[Record, ...]:
+    """Records without gaps in time; every estimator takes its records through here.
+
+    A record with gaps counts as its `Record.stretches`, each with an initial state of its own. A
+    `DataWarning` says so, and that two records hold the same samples, whatever their names.
+    ValueError: a record with nothing but gaps.
+    """
+    pieces = tuple(piece for record in several(records) for piece in _pieces(record))
+    seen: dict[str, Record] = {}
+    for piece in pieces:
+        other = seen.setdefault(digest(piece.u, piece.y), piece)
+        if other is not piece:
+            warn(
+                f"records {other.name!r} and {piece.name!r} hold the same samples: one flight "
+                "counts twice, and errors come out too small by up to √2; leave one out"
+            )
+    return pieces
+
+
+def _pieces(record: Record) -> tuple[Record, ...]:
+    pieces = record.stretches()
+    if len(pieces) == 1 and pieces[0] is record:
+        return pieces
+    gaps = record.gaps()
+    wide = np.diff(record.t)[gaps]
+    lost = record.N - sum(piece.N for piece in pieces)
+    said = (
+        f"record {record.name!r} has {len(gaps)} gap{'s' * (len(gaps) > 1)} in time, the longest "
+        f"of {wide.max():.3g} s after {record.t[gaps[np.argmax(wide)]]:.4g} s"
+    )
+    if not pieces:
+        raise ValueError(f"{said}, and no stretch of {FEWEST} samples between them; leave it out")
+    warn(
+        f"{said}: taken as {len(pieces)} stretches, each with an initial state of its own"
+        + f"; {lost} samples in shorter ones are left out" * bool(lost)
+    )
+    return pieces
+
+
+def same_channels(records: Records) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Inputs and outputs that all records share, in name and order; ValueError if they do not."""
+    if not (records := several(records)):
+        raise ValueError("no records given; at least one is needed")
+    first = records[0]
+    for record in records[1:]:
+        if (record.inputs, record.outputs) != (first.inputs, first.outputs):
+            raise ValueError(
+                f"record {record.name!r} has channels {record.inputs} -> {record.outputs}, record "
+                f"{first.name!r} has {first.inputs} -> {first.outputs}; use Record.select"
+            )
+    return first.inputs, first.outputs
+
+
+def standard_deviations(records: Sequence[Record]) -> tuple[Array, Array]:
+    """Standard deviation of every input (nu,) and output (ny,) over all records, mean removed."""
+    # A channel that never moves (but for rounding) or has no sample has 1: dividing is harmless.
+    u, y = (np.vstack([getattr(record, letter) for record in records]) for letter in "uy")
+    return _spread(u), _spread(y)
+
+
+def _spread(values: Array) -> Array:
+    known = np.where(np.isnan(values), 0.0, values)
+    count = np.maximum((~np.isnan(values)).sum(axis=0), 1)
+    mean = known.sum(axis=0) / count
+    centred = np.where(np.isnan(values), 0.0, values - mean)
+    spread = np.sqrt((centred**2).sum(axis=0) / count)
+    return np.where(spread > 1e-12 * np.abs(mean), spread, 1.0)

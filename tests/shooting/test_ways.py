@@ -1,0 +1,51 @@
+"""Ways to a solution: how long intervals are, when they become shorter, which end is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.closed_roll import TRUTH, Roll, noisy
+
+from casid import SolverOptions, output_error
+from casid.model import free_parameters
+from casid.shooting.ways import Ways, choose_interval
+
+
+def ways(model=TRUTH, **more):
+    records = [noisy(seed=3)]
+    given = {"R": "full", "biases": True, "interval": None, "options": SolverOptions()}
+    return Ways(free=free_parameters(model), records=records, **(given | more))
+
+
+def test_intervals_are_as_long_as_the_fastest_growing_mode_e_folds():
+    growth = TRUTH.system().poles()[0].real
+    records = [noisy(seed=3)]
+    expected = min(1 / growth, 5.0)
+    assert choose_interval(free_parameters(TRUTH), records) == pytest.approx(expected)
+    fast = replace(TRUTH, Lv=-0.9)
+    growth = fast.system().poles()[0].real
+    assert choose_interval(free_parameters(fast), records) == pytest.approx(1 / growth)
+    calm = replace(TRUTH, Lv=-1e-4, Lp=-15.0)  # e-folds in minutes
+    assert choose_interval(free_parameters(calm), records) == 5.0
+
+
+def test_intervals_become_shorter_as_long_as_a_record_has_several():
+    lengths = list(ways()._lengths())
+    assert len(lengths) > 1
+    np.testing.assert_allclose(np.array(lengths[:-1]) / lengths[1:], 2.5)
+    assert lengths[-1] >= 0.5
+    assert list(ways(interval=1.5)._lengths()) == [1.5]  # a given one is not changed
+
+
+def test_where_no_way_ends_the_best_is_told():
+    hurried = ways(Roll(Lp=-6.0), options=SolverOptions(max_iterations=2)).output_error()
+    assert not hurried.solution.success
+    patient = ways(Roll(Lp=-6.0)).output_error()
+    assert patient.solution.success
+    assert patient.cost <= hurried.cost + 1e-6
+
+
+def test_the_way_taken_does_not_matter():
+    one, other = (output_error(TRUTH, noisy(seed=3), interval=length) for length in (0.7, 3.0))
+    apart = (one.model.vector() - other.model.vector()) / [row.std_error for row in one.parameters]
+    assert np.abs(apart).max() < 1e-3
