@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array, BoolArray
-from casid.channels import factor_of
+from casid.channels import MEASURES, UNITS, factor_of
 from casid.display import Shown, listed
 from casid.validation import Validation
 
@@ -103,8 +103,8 @@ def qualify(
     model : str
         Its name; the last unless given.
     tolerances : mapping
-        Output and band: ``"10 % or 2 deg/s"``, ``"1.5 deg"``, ``"10 %"``; those of the module
-        unless given. Outputs without one are not judged.
+        Output and band: ``"10 % or 2 deg/s"``, ``"1.5 deg"``; those of the module unless given.
+        Outputs without one are not judged.
 
     Raises
     ------
@@ -146,12 +146,21 @@ def read_tolerance(output: str, text: str) -> Tolerance:
     found = FORM.fullmatch(str(text).strip())
     if found is None or not (found[1] or found[2]):
         raise ValueError(
-            f'tolerance of {output!r}: {text!r}, expected "10 % or 2 deg/s", "1.5 deg" or "10 %"'
+            f'tolerance of {output!r}: {text!r}, expected "10 % or 2 deg/s" or "1.5 deg"'
         )
-    least = float(found[2]) * factor_of(output, found[3]) if found[2] else 0.0
+    if not found[2] or not float(found[2]):
+        raise ValueError(
+            f"tolerance of {output!r}: {text!r} has no width while nothing has changed yet; add a "
+            'number, "10 % or 2 deg/s"'
+        )
+    least = float(found[2]) * factor_of(output, found[3])
+    measured = next(si for si, row in MEASURES.items() if found[3] in row)
+    wanted = UNITS.get(output, measured)
+    if measured != wanted:
+        raise ValueError(
+            f"tolerance of {output!r}: {text!r} is in {measured}, expected a unit of {wanted}"
+        )
     share = float(found[1]) / 100 if found[1] else 0.0
-    if share == least == 0:
-        raise ValueError(f"tolerance of {output!r}: {text!r} has no width")
     return Tolerance(output=output, share=share, least=least, text=text)
 
 

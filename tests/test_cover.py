@@ -82,9 +82,9 @@ def test_what_no_weight_can_cover_is_refused():
         ({"models": [growing]}, "model 1 has 1 unstable poles, the nominal one 0"),
         ({"models": []}, "no models given to cover"),
         ({"models": [stable], "kind": "multiplicative"}, "as many outputs as inputs"),
-        ({"models": [stable], "kind": "input"}, "expected one of additive, multiplicative"),
+        ({"models": [stable], "kind": "input"}, 'expected "additive" or "multiplicative"'),
         ({"models": [stable], "order": 0}, "order=0: expected 1 to 10"),
-        ({"models": [stable], "band": (2.0, 1.0)}, "expected two increasing frequencies"),
+        ({"models": [stable], "band": (2.0, 1.0)}, "0 <= lowest < highest"),
     ):
         with pytest.raises(ValueError, match=match):
             cover(stable, **({"band": band} | wrong))

@@ -53,7 +53,24 @@ def test_the_usual_tolerances_are_understood():
     assert bands["az"].least == pytest.approx(0.980665)
 
 
-@pytest.mark.parametrize("text", ["", "deg/s", "10 percent", "or", "3 furlong", "0 %", "-1 deg", 5])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "deg/s",
+        "10 percent",
+        "or",
+        "3 furlong",
+        "10 %",
+        "0 %",
+        "10 % or 0 deg/s",
+        "-1 deg",
+        "3 deg",
+        "3 m/s",
+        "0.2 g",
+        5,
+    ],
+)
 def test_words_that_are_no_tolerance_are_refused(text):
     with pytest.raises(ValueError, match="'p'"):
         read_tolerance("p", text)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from truths.closed_roll import Roll
 
 from casid import DataWarning, Record, identify
 from casid.consistency.flights import repeats
@@ -68,4 +69,4 @@ def test_missing_samples_do_not_hide_a_flight():
 def test_identify_tells_of_a_flight_that_serves_twice():
     record = flown()
     with pytest.warns(DataWarning, match="Records flight and b are the same flight: it counts tw"):
-        identify(None, [record, replace(record, name="b")], stages=())
+        identify(Roll(), [record, replace(record, name="b")], stages=())

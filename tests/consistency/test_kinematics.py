@@ -110,6 +110,7 @@ def test_missing_samples_and_irregular_instants_do_not_matter():
     assert abs(found["p"].skew - 0.06) < 3 * found["p"].skew_error + 0.002
 
 
+@pytest.mark.filterwarnings("ignore:.*follow the one before within 5%")
 def test_gaps_split_a_record_and_stop_nothing():
     record = flight(0, {"p": (0.1, 0.0, 0.0)}, NOISE, ATTITUDES)
     away = ((record.t > 10) & (record.t < 14)) | ((record.t > 25) & (record.t < 25.5))

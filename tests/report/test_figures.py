@@ -94,7 +94,7 @@ def test_a_measured_response_lies_within_its_band(content):
 
 
 def test_singular_values_lie_under_the_bound_and_touch_the_grid_norm(tmp_path):
-    match(Lag(), black_box(SECOND)).save(tmp_path / "fit.json")
+    match(Lag(), black_box(SECOND), weight=np.ones((1, 1))).save(tmp_path / "fit.json")
     fit = Fit.load(tmp_path / "fit.json", model=Lag)  # as a study kept it
     ax = plot_match_error(Figure().subplots(), fit)
     lines = {line.get_label(): line for line in ax.get_lines()}

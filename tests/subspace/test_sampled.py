@@ -61,7 +61,7 @@ def test_stretches_are_simulated_from_what_was_learnt_alone():
     for fold in judge.folds:
         assert max(r.N for r in fold.learnt.records) == fold.known
         assert fold.known + 50 == fold.shown.N
-    two = Stretches.of(Campaign.of([record, replace(record, name="again")], True))
+    two = Stretches.of(Campaign.of([record, replace(record, y=2 * record.y, name="again")], True))
     assert [fold.known for fold in two.folds] == [300, 400, 500] * 2
     assert [len(fold.learnt.records) for fold in two.folds] == [2] * 6
 
