@@ -114,6 +114,8 @@ class HandlingBand:
 def response_band(fit: AnyFit, omega: Array, *, level: float = 0.95) -> ResponseBand:
     """Frequency response of a fit with the band that its standard errors give it.
 
+    Of a nonlinear structure's fit it is that of the linearisation at its reference condition.
+
     Parameters
     ----------
     fit : Fit
@@ -150,6 +152,8 @@ def response_band(fit: AnyFit, omega: Array, *, level: float = 0.95) -> Response
 def mode_bands(fit: AnyFit) -> tuple[ModeBand, ...]:
     """Modes of a fit with the standard deviations of pole, frequency and damping.
 
+    Of a nonlinear structure's fit they are those of the linearisation at its reference condition.
+
     Raises
     ------
     ValueError
@@ -183,6 +187,8 @@ def handling_band(
 ) -> HandlingBand:
     """Bandwidth and phase delay of a fit's attitude response with their standard deviations.
 
+    Of a nonlinear structure's fit they are those of the linearisation at its reference condition.
+
     Parameters
     ----------
     fit : Fit
@@ -212,6 +218,9 @@ def handling_band(
 
 def sample_models(fit: "AnyFit", count: int, *, seed: int = 0) -> tuple[Model, ...]:
     """Models drawn from the normal distribution of a fit's errors, each within its bounds.
+
+    Those of a nonlinear structure's fit are nonlinear: what takes linear ones, as `cover` does,
+    sees each at its reference condition unless given ``model.at(trim)`` of each.
 
     Parameters
     ----------

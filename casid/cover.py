@@ -84,6 +84,9 @@ def cover(
 ) -> Cover:
     """Find a stable weight of given order that covers the differences of models to a nominal one.
 
+    A nonlinear structure, or its fit, counts as its linearisation at its reference condition; give
+    ``model.at(trim)`` of each for another.
+
     Parameters
     ----------
     nominal : Fit, Model, BlackBox or StateSpace

@@ -14,10 +14,12 @@ from casid.estimator import Estimator
 from casid.fit import AnyFit
 from casid.jobs.campaigns import Execution
 from casid.model import Bounds, Model, free_parameters
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import several, stretches
 from casid.shooting.likelihood import Noise, moments_of
 from casid.shooting.output_error import OutputError
+from casid.shooting.simulation import fitting_start, simulate
 from casid.shooting.transformed_fit import METHOD
 from casid.tabulation import csv_text, markdown_table
 
@@ -241,7 +243,8 @@ def monte_carlo(
     model : Model
         The truth; every fit starts from it.
     records : Record or sequence of Record
-        Inputs; of the outputs only which samples are missing.
+        Inputs; of the outputs only which samples are missing. A nonlinear structure is simulated as
+        such, from the state that fits each record best, which its outputs tell if they move.
     noise : mapping
         Standard deviation of every output's white noise.
     runs, seed : int
@@ -307,13 +310,13 @@ def bootstrap(
         raise ValueError(
             f"the fit is one of {len(fit.biases)} records; bootstrap was given {len(flown)}"
         )
-    model = fit.model
+    model, nonlinear = fit.model, isinstance(fit.model, NonlinearModel)
     simulated = [
         _simulated(model, record, x0, bias)
         for record, x0, bias in zip(flown, fit.initial_states, fit.biases, strict=True)
     ]
     residuals = tuple(
-        record.select(model.inputs, model.outputs).y - clean.y
+        (record.total() if nonlinear else record).select(model.inputs, model.outputs).y - clean.y
         for record, clean in zip(flown, simulated, strict=True)
     )
     known = any(getattr(estimator, each, None) for each in ("priors", "initial"))
@@ -355,7 +358,12 @@ def _simulated(
 ) -> Record:
     """The record with a model's outputs, missing where the record's are."""
     own = record.select(model.inputs, model.outputs)
-    y = model.system().simulate(own.t, own.u, x0, own.hold) + bias
+    if isinstance(model, NonlinearModel):
+        own = own.total()
+        known = fitting_start(model, own) if x0 is None else zip(model.states, x0, strict=True)
+        y = simulate(model, own, dict(known)).y + bias
+    else:
+        y = model.system().simulate(own.t, own.u, x0, own.hold) + bias
     return replace(own, y=np.where(np.isfinite(own.y), y, np.nan))
 
 

@@ -89,7 +89,20 @@ class NonlinearModel(Model, base=True):
         Model
             With the same parameters, and one more for each unknown of the trims, which the balance
             dx/dt = 0 then ties. Its matrices are the Jacobians' expressions.
+
+        Raises
+        ------
+        ValueError, ModelError
+            What is no condition, such as a record; an unknown that is no state or input, a balance
+            that nothing unknown can bring about, several conditions without names of their own.
         """
+        for each in conditions:
+            if not isinstance(each, Trim | Mapping):
+                raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
+                    f"at: a {type(each).__name__} is no flight condition; give total values of "
+                    "states and inputs, model.at(Trim(values={...})), as a detrended record has "
+                    "them: model.at(Trim(values=record.trim))"
+                )
         given = [each if isinstance(each, Trim) else Trim(values=each) for each in conditions]
         return linearisation(self, given)
 

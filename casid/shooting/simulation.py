@@ -11,6 +11,7 @@ from casid.model import Free
 from casid.nonlinear.model import NonlinearModel
 from casid.prediction import Outlook, Prediction
 from casid.record import Record
+from casid.records import standard_deviations
 from casid.shooting.intervals import lay_out
 from casid.shooting.nonlinear import MOST, NonlinearEvaluator
 from casid.shooting.sensitivity import Point
@@ -73,6 +74,18 @@ def _all_free(model: NonlinearModel) -> Free:
     """All parameters as variables, within no bounds: for derivatives, not for an estimation."""
     n = len(model.vector())
     return Free(model, np.arange(n), np.full(n, -np.inf), np.full(n, np.inf), np.ones(n))
+
+
+def fitting_start(model: NonlinearModel, record: Record) -> dict[str, float]:
+    """State at a record's first sample that fits it best, biases free, for `simulate`.
+
+    Outputs that never move tell nothing; what none tells is that of the reference condition.
+    """
+    total = record.total().select(model.inputs, model.outputs)
+    moves = [len(np.unique(y[np.isfinite(y)])) > 1 for y in total.y.T]
+    known = replace(total, y=np.where(moves, total.y, np.nan))
+    weight = 1 / standard_deviations([total])[1]
+    return dict(zip(model.states, _answer(model, known, weight)[0][0].tolist(), strict=True))
 
 
 def predict_nonlinear(

@@ -14,6 +14,10 @@ A record enters by its Fourier transform over its length T, which an unstable mo
 
 The end states are unknown and projected out; the mean, k = 0, belongs to the biases. Motion left
 from before a record is not counted as excitation.
+
+A nonlinear structure enters by its sensitivities along the record, simulated from the measured
+states at its beginning; where that runs away, from those at the beginning of shorter and shorter
+pieces. Initial states of all pieces and biases are unknown and eliminated.
 """
 
 from collections.abc import Collection, Sequence
@@ -25,8 +29,12 @@ from casid.arrays import Array, ComplexArray
 from casid.evaluation import Matrices, MatrixFunction
 from casid.frequency.estimation import FrequencyResponse
 from casid.model import Bounds, Free, Model, free_parameters
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import several, standard_deviations, stretches
+from casid.shooting.intervals import lay_out
+from casid.shooting.nonlinear import NonlinearEvaluator
+from casid.shooting.sensitivity import Point, whiteners
 from casid.subspace.pbsid import BlackBox
 
 Responses = FrequencyResponse | BlackBox
@@ -38,6 +46,8 @@ SHARE = 0.1  # of a combination's largest entry: parameters with less are not na
 POINTS = 40  # of a black box's band
 COHERENCE = 0.6
 ENERGY = 1e-6  # share of the inputs' energy above the highest frequency that is used
+AWAY = 100  # standard deviations of an output, off the measured one, that are running away
+ROUNDING = 1e-10  # share of an information that eliminating the unknowns leaves of one all theirs
 MOST = 200  # frequencies of a record that are used, for time and memory
 
 
@@ -119,7 +129,8 @@ def identifiability(
     Raises
     ------
     ValueError, ModelError
-        No data, a channel that is missing, wrong names or bounds.
+        No data, a channel that is missing, wrong names or bounds; a nonlinear structure with a
+        response, which is of one flight condition, or that runs away from measured states.
     """
     free = free_parameters(model, fixed, bounds)
     moved = _moved(free, spread, np.random.default_rng(seed))
@@ -135,7 +146,16 @@ def identifiability(
     responses = [item for item in items if isinstance(item, Responses)]
     nf = len(free.index)
     F = np.zeros((nf, nf))
-    if records:
+    if isinstance(model, NonlinearModel):
+        if responses:
+            raise ValueError(
+                "a response is of one flight condition, and the structure nonlinear: "
+                "identifiability(model.at(Trim(values=...)), response)"
+            )
+        totals = [record.total().select(model.inputs, model.outputs) for record in records]
+        sy = standard_deviations(totals)[1]
+        F += sum(_information_along(moved, r, sy) for r in totals)
+    elif records:
         at, model = MatrixFunction(moved)(moved.guess), moved.model
         chosen = [record.select(model.inputs, model.outputs) for record in records]
         sy = standard_deviations(chosen)[1]
@@ -172,6 +192,47 @@ def _record_information(at: Matrices, record: Record, sy: Array) -> Array:
     ends_seen = basis[:, scales > 1e-12 * scales.max(initial=0.0)]
     J = J - ends_seen @ (ends_seen.T @ J)
     return np.asarray(J.T @ J)
+
+
+def _information_along(free: Free, record: Record, sy: Array) -> Array:
+    """F of one record and a nonlinear structure: its sensitivities, initial states and biases out.
+
+    ValueError: it runs away even from the states measured a few samples before.
+    """
+    nf, nx, ny = len(free.index), len(free.model.states), len(free.model.outputs)
+    pieces = 1
+    while True:
+        evaluator = NonlinearEvaluator(free, lay_out([record], record.duration / pieces))
+        point = Point(lam=free.guess, bias=np.zeros((1, ny)), nodes=evaluator.resting())
+        with np.errstate(over="ignore", invalid="ignore"):
+            motion = evaluator.simulate(point)
+            off = motion.residuals - np.nanmedian(motion.residuals, axis=0)  # a bias is no matter
+        if (np.abs(off) <= AWAY * sy).all() and np.isfinite(motion.ends).all():
+            break
+        pieces *= 2
+        if record.N / pieces < nx + 2:
+            raise ValueError(
+                f"{type(free.model).__name__} runs away from the states measured in record "
+                f"{record.name!r} at its guess: give a better one, or judge the linear structure "
+                "about a flight condition, identifiability(model.at(Trim(values=...)), record)"
+            )
+    W = whiteners(np.diag(sy**2), evaluator.layout)
+    total = np.zeros((nf + ny, nf + ny))
+    for batch in evaluator.sweep(point, motion, W).batches():
+        for gram in batch.gram[:, :-1, :-1]:
+            total += _without(gram, np.arange(nf, nf + nx))
+    return _without(total, np.arange(nf, nf + ny))
+
+
+def _without(F: Array, unknown: np.ndarray) -> Array:
+    """Information of the other parameters, those unknown eliminated."""
+    rest = np.setdiff1d(np.arange(len(F)), unknown)
+    own, size = F[np.ix_(rest, rest)], np.sqrt(np.maximum(np.diag(F)[unknown], 1e-300))
+    cross = F[np.ix_(unknown, rest)] / size[:, None]
+    inner = F[np.ix_(unknown, unknown)] / np.outer(size, size)
+    left = own - cross.T @ np.linalg.pinv(inner, rcond=1e-12, hermitian=True) @ cross
+    felt = np.diag(left) > ROUNDING * np.diag(own)
+    return np.asarray(np.where(np.outer(felt, felt), left, 0.0))
 
 
 def _spectrum(record: Record) -> tuple[Array, ComplexArray, Array]:

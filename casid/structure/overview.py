@@ -99,6 +99,10 @@ def describe(
     system = free.model.system()
     flown = excitation(system) if records is None else several(records)
     told = "one 3-2-1-1 a control" if records is None else ", ".join(r.name for r in flown)
+    judged = free.model
+    if records is None and isinstance(judged, NonlinearModel):
+        judged = judged.at({})  # the response is that of small deviations
+        told += ", of the linearisation at the reference condition alone"
     return Overview(
         model=model,
         free=free,
@@ -109,7 +113,7 @@ def describe(
             f"{item.lower:g} <= {item.name} = {float(item.value):.4g} <= {item.upper:g}"
             for item in free.model.constraints()
         ),
-        identifiability=identifiability(free.model, flown, fixed=fixed, bounds=bounds),
+        identifiability=identifiability(judged, flown, fixed=fixed, bounds=bounds),
         excitation=told,
     )
 

@@ -5,9 +5,9 @@
 import casadi as ca
 import numpy as np
 import pytest
-from truths.swing import TRUTH, SmallSwing, Swing, WrittenOut
+from truths.swing import TRUTH, SmallSwing, Swing, WrittenOut, swung
 
-from casid import ModelError, NonlinearModel, Scalar, parameter
+from casid import ModelError, NonlinearModel, Scalar, Trim, parameter
 
 
 def test_a_nonlinear_structure_is_its_linearisation_at_its_reference():
@@ -15,6 +15,15 @@ def test_a_nonlinear_structure_is_its_linearisation_at_its_reference():
         expected = getattr(SmallSwing().system(), letter)
         np.testing.assert_array_equal(getattr(WrittenOut().system(), letter), expected)
     np.testing.assert_allclose(TRUTH.system().A, [[-0.8, -6.0], [1.0, 0.0]])
+
+
+def test_a_record_is_no_flight_condition_but_its_trim_is():
+    record = swung(1).detrend("mean")
+    with pytest.raises(ValueError, match=r"a Record is no flight condition.*model.at\(Trim\("):
+        TRUTH.at(record)
+    A = TRUTH.at(Trim(values=record.trim)).system().A
+    theta, lon = record.trim["theta"], record.trim["lon"]
+    assert A[0, 1] == pytest.approx(-6.0 * np.cos(theta) - 8.0 * np.sin(theta) * lon)
 
 
 def test_equations_are_those_written():
