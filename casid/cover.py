@@ -108,7 +108,7 @@ def cover(
     ValueError
         No model, discrete ones, other channels; numbers of unstable poles that differ (robust
         stability cannot be concluded from a weight then); fewer outputs than inputs of a
-        multiplicative one; an order or a band out of range.
+        multiplicative one; an order or a band out of range; sizes that are not positive.
     """
     low, high = band
     if not 0 < low < high:
@@ -167,7 +167,14 @@ def _largest(
     """Largest singular value of Δ of any model at every frequency, (K,)."""
     first, *others = systems
     inputs, outputs = scale or (np.ones(first.nu), np.ones(first.ny))
-    left, right = np.reciprocal(np.asarray(outputs, float)), np.asarray(inputs, float)
+    right, sizes = np.asarray(inputs, float), np.asarray(outputs, float)
+    if right.shape != (first.nu,) or sizes.shape != (first.ny,):
+        raise ValueError(
+            f"scale={scale}: expected sizes of {first.nu} inputs and of {first.ny} outputs"
+        )
+    if not all((each > 0).all() and np.isfinite(each).all() for each in (right, sizes)):
+        raise ValueError(f"scale={scale}: expected finite sizes above 0")
+    left = np.reciprocal(sizes)
     G0 = left[:, None] * first.response(omega) * right
     inverse: ComplexArray | None = np.linalg.pinv(G0) if kind == "multiplicative" else None
     largest = np.zeros(len(omega))

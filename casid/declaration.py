@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from casid import limits
-from casid.errors import ModelError
+from casid.errors import ModelError, warn
 from casid.limits import OutOfTimeError, time_limit
 
 WIDEST = 1e12  # of a finite bound
@@ -87,6 +87,27 @@ def check_prior(name: str, pair: Any) -> None:  # noqa: ANN401 - whatever the us
         raise ModelError(
             f"{name}: its prior is {pair!r}, expected a value and a standard deviation above 0"
         )
+
+
+def check_priors(
+    model: Any,  # noqa: ANN401 - Model lives above
+    priors: Mapping[str, tuple[float, float]] | None,
+    fixed: Collection[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+) -> None:
+    """Refuse a prior of a fixed parameter, which nobody would read; warn of one out of bounds."""
+    for name, (value, _) in (priors or {}).items():
+        info = model.infos().get(name)
+        if info is None:
+            continue  # `free_parameters` says so
+        low, high = (bounds or {}).get(name, (info.lower, info.upper))
+        if name in fixed or low == high:
+            raise ModelError(f"{name} is fixed and has a prior: free it, or leave the prior out")
+        if not low <= value <= high:
+            warn(
+                f"the prior of {name}, {value:g}, lies outside its bounds [{low:g}, {high:g}]; "
+                "move one of them"
+            )
 
 
 def check_rows(cls: Any, built: Mapping[str, ca.SX]) -> None:  # noqa: ANN401 - Model lives above

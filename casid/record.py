@@ -17,6 +17,7 @@ from casid.errors import warn
 Hold = Literal["foh", "zoh"]
 
 FEWEST = 16  # samples of a stretch between gaps
+MOST = 10_000_000  # samples that a record is resampled to
 QUIET = 0.02  # share of an input's range that still counts as trim
 
 
@@ -189,10 +190,14 @@ class Record(Shown):
         Raises
         ------
         ValueError
-            No positive interval, one longer than the record, a gap in time.
+            No positive interval, one longer than the record, ten million samples; a gap in time.
         """
-        if not 0 < dt < self.duration:
-            raise ValueError(f"record {self.name!r}: dt={dt}, expected 0 to {self.duration:g} s")
+        least = self.duration / MOST
+        if not least < dt < self.duration:
+            raise ValueError(
+                f"record {self.name!r}: dt={dt}, expected above {least:.3g} s ({MOST} samples) and "
+                f"below {self.duration:g} s, the record's duration"
+            )
         if len(self.gaps()):
             raise ValueError(
                 f"record {self.name!r} has gaps in time; resample each of its stretches()"

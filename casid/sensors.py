@@ -11,7 +11,8 @@ The delay of an output is the Padé approximation [2/3] of e^(−τs), three sta
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from numbers import Real
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -52,6 +53,17 @@ class Sensor:
     airspeed: Scalar | None = None
     delay: Scalar = 0.0
     scale: Scalar = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in ((each.name, getattr(self, each.name)) for each in fields(self)):
+            if isinstance(value, ca.SX | ca.DM) or (name == "airspeed" and value is None):
+                continue
+            if not isinstance(value, Real) or not np.isfinite(float(value)):
+                raise ModelError(
+                    f"Sensor({name}={value!r}): expected a finite number or a parameter"
+                )
+            if name == "delay" and value < 0:
+                raise ModelError(f"Sensor(delay={value!r}): expected seconds, 0 or more")
 
 
 def late_states(output: str) -> tuple[str, ...]:

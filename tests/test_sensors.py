@@ -119,6 +119,12 @@ def test_sensor_that_means_nothing_is_refused(found, message):
         Wrong().matrices()
 
 
+@pytest.mark.parametrize("wrong", [{"scale": "1.1"}, {"delay": -0.05}, {"x": np.nan}, {"y": None}])
+def test_sensor_of_no_numbers_is_refused_when_it_is_made(wrong):
+    with pytest.raises(ModelError, match=rf"Sensor\({next(iter(wrong))}=.*expected"):
+        Sensor(**wrong)
+
+
 def test_late_output_needs_a_delay_and_a_name():
     with pytest.raises(ModelError, match="expected a tuple of outputs"):
         type("Wrong", (SixDof,), {"late_outputs": ("psi",)})

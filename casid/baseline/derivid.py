@@ -15,6 +15,7 @@ from casid.baseline.accuracy import DerividNotes, PairCost, accuracy, accuracy_r
 from casid.baseline.pairs import Pairs, select, thin
 from casid.baseline.search import Minima, descents, pair_costs, solve
 from casid.checks import checked_fields
+from casid.declaration import check_priors
 from casid.errors import ConvergenceError
 from casid.fit import (
     AnyFit,
@@ -166,6 +167,7 @@ def derivid(
     estimator = Derivid(
         pairs=pairs, n_omega=n_omega, band=band, starts=starts, priors=priors, solver=solver
     )
+    check_priors(model, priors, fixed, bounds)
     return estimator.fit(model, target, fixed=fixed, bounds=bounds)
 
 

@@ -255,9 +255,11 @@ def monte_carlo(
     Raises
     ------
     ValueError
-        Too few runs.
+        Too few runs, noise on what is no output.
     """
     _check_runs(runs)
+    if wrong := [name for name in noise if name not in model.outputs]:
+        raise ValueError(f"noise names {wrong[0]!r}, expected of {', '.join(model.outputs)}")
     flown = [piece for record in several(records) for piece in record.stretches()]
     clean = [_simulated(model, record) for record in flown]
     draws: list[Draw] = [NoiseDraw(dict(noise), (seed, run)) for run in range(runs)]
@@ -290,7 +292,8 @@ def bootstrap(
     runs, seed : int
         Run k draws its blocks from seed and k alone; two runs at least.
     block : float
-        Length of the blocks [s]: longer than the residuals are correlated.
+        Length of the blocks [s]: longer than the residuals are correlated, at most a third of the
+        longest record.
     estimator, fixed, bounds, execution
         As in `compare_bounds`; an estimator from records.
 
@@ -303,6 +306,11 @@ def bootstrap(
     if not block > 0:
         raise ValueError(f"block={block}: expected seconds above 0, longer than the correlation")
     flown = stretches(records)
+    if (most := max((each.N * each.dt for each in flown), default=np.inf) / 3) < block:
+        raise ValueError(
+            f"block={block}: expected {most:.3g} s at most, a third of the longest record; of "
+            "longer blocks there are too few to draw from"
+        )
     known = fit.method in {"output error", METHOD}
     if not known or fit.initial_states is None or fit.biases is None:
         raise ValueError(f"bootstrap needs an output-error fit; this is one by {fit.method}")

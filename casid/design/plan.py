@@ -27,7 +27,7 @@ class Limits:
     Parameters
     ----------
     sticks : mapping
-        Of every input; inputs that are not named stay still.
+        Of every input of the model; one that is not named is refused.
     rates : mapping
         Of inputs, per second.
     responses : mapping

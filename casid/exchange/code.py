@@ -17,6 +17,8 @@ from casid.folder import replacing
 from casid.linear import StateSpace
 from casid.record import Hold
 
+MOST = 10_000  # samples of a delay
+
 
 def write_c(path: str | Path, system: StateSpace, *, dt: float, hold: Hold = "foh") -> None:
     """Write C source (C99, nothing to link but the mathematical library) that steps a model.
@@ -43,7 +45,8 @@ def write_c(path: str | Path, system: StateSpace, *, dt: float, hold: Hold = "fo
     Raises
     ------
     ValueError
-        A discrete model, an interval that is not positive, a name that C does not take.
+        A discrete model, an interval that is not positive, a name that C does not take; a delay of
+        more than 10,000 samples, all of which the memory would hold.
     """
     path = Path(path)
     if path.suffix != ".c" or not path.stem.isidentifier():
@@ -51,6 +54,11 @@ def write_c(path: str | Path, system: StateSpace, *, dt: float, hold: Hold = "fo
     if not dt > 0:
         raise ValueError(f"dt={dt}: expected a positive interval [s]")
     _continuous(system)
+    if (longest := system.delay.max(initial=0.0)) > MOST * dt:
+        raise ValueError(
+            f"dt={dt}: a delay of {longest:g} s takes a memory of {longest / dt:.3g} samples, more "
+            f"than {MOST}; sample less often, or write without_delay(system, pade)"
+        )
     start, step = _steps(system, dt, hold)
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         code = ca.CodeGenerator(path.stem, {"with_header": True, "cpp": False})

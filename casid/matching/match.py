@@ -14,6 +14,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.checks import checked_fields
+from casid.declaration import check_priors
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
 from casid.matching.appraisal import MatchNotes
@@ -186,6 +187,7 @@ def match(
     matching = Match(
         norm=norm, omega=omega, shift=shift, weight=weight, priors=priors, solver=solver
     )
+    check_priors(model, priors, fixed, bounds)
     return matching.fit(model, target, fixed=fixed, bounds=bounds)
 
 

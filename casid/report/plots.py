@@ -81,6 +81,11 @@ def compare(
         if isinstance(data, FrequencyResponse):
             systems = {name: state_space(model) for name, model in models.items()}
             return _pair(data, systems, pair or _clearest(data), ax)
+        if pair is not None:
+            raise ValueError(
+                f"pair={pair}: a pair is of a frequency response; over records name outputs, "
+                "channels=[...]"
+            )
         return _histories(validate(models, data), channels, ax)
 
 

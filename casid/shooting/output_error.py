@@ -18,6 +18,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.checks import checked_fields
+from casid.declaration import check_priors
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, on_bounds, parameter_table
 from casid.model import Bounds, Free, M, Model, Priors, free_parameters
@@ -113,17 +114,11 @@ class OutputError:
         """
         begin = time.perf_counter()
         options = replace(self.solver, ipopt=IPOPT | dict(self.solver.ipopt))
-        free = free_parameters(model, fixed, bounds, self.priors)
-        _check_nonlinear(model, self.process_noise, self.steps)
-        free = with_knowledge(free, self.initial, self.biases, self.state_biases)
+        free = self.free(model, fixed, bounds)
         chosen = select_records(free, data, bool(self.biases))
         if self.domain != "time":
             white = self._checked_for_lines(model)
             return estimate(model, free, chosen, self.solver, R=white, near=near)
-        if self.interval is not None and not 0 < self.interval < np.inf:
-            raise ValueError(
-                f"interval={self.interval}: expected seconds above 0, or None to have it chosen"
-            )
         R = checked_covariance(self.R, len(model.outputs))
         ways = Ways(free, chosen, options, R, bool(self.biases), self.interval, self.steps)
         try:
@@ -136,6 +131,18 @@ class OutputError:
             raise ConvergenceError(f"output error: {error}", best) from error
         outcome, steps = Search(free, options, self.steps).integrated(outcome)
         return _result(model, free, outcome, time.perf_counter() - begin, steps)
+
+    def free(self, model: M, fixed: Collection[str] = (), bounds: Bounds | None = None) -> Free:
+        """What is free of a model; ValueError, ModelError for settings that do not go with it."""
+        free = free_parameters(model, fixed, bounds, self.priors)
+        _check_nonlinear(model, self.process_noise, self.steps)
+        if self.domain != "time":
+            self._checked_for_lines(model)
+        elif self.interval is not None and not 0 < self.interval < np.inf:
+            raise ValueError(
+                f"interval={self.interval}: expected seconds above 0, or None to have it chosen"
+            )
+        return with_knowledge(free, self.initial, self.biases, self.state_biases)
 
     def _checked_for_lines(self, model: Model) -> Array | None:
         """R (ny, ny) for the frequency domain, if given; ValueError for what it does not know."""
@@ -221,6 +228,7 @@ def output_error(
         domain=domain,
         solver=solver,
     )
+    check_priors(model, priors, fixed, bounds)
     return estimator.fit(model, records, fixed=fixed, bounds=bounds)
 
 

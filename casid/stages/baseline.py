@@ -5,12 +5,20 @@ from typing import Any
 
 from casid.baseline.accuracy import DerividNotes
 from casid.baseline.derivid import Derivid
+from casid.declaration import check_priors
 from casid.fit import Fit
+from casid.model import free_parameters
 from casid.report.content import BASELINE as LABEL
 from casid.report.content import Content, Section, section
 from casid.report.evidence import misfit
 from casid.report.verdicts import unsolved
-from casid.stages.stage import Stage, Task
+from casid.stages.stage import Stage, Task, placed
+
+
+def _check(settings: Derivid, task: Task) -> None:
+    with placed("derivid"):
+        free_parameters(task.model, **task.held, priors=settings.priors)
+        check_priors(task.model, settings.priors, **task.held)
 
 
 def _run(settings: Derivid, task: Task) -> Fit[Any, DerividNotes]:
@@ -26,5 +34,6 @@ def _show(found: Fit[Any, DerividNotes], content: Content) -> Iterable[Section]:
 BASELINE = Stage(
     name="derivid", does="frequency-domain fit", run=_run, table="derivid", settings=Derivid(),
     needs=("frequency", "quadratic"), structured=True, optional=True, label=LABEL,
-    start="quadratic", data=lambda _, task: task.results["frequency"], show=_show,
+    start="quadratic", data=lambda _, task: task.results["frequency"],
+    check=_check, show=_show,
 )  # fmt: skip

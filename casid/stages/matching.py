@@ -5,15 +5,17 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
+from casid.declaration import check_priors
 from casid.fit import Certificate, Fit
 from casid.matching.appraisal import MatchNotes
 from casid.matching.match import Match
 from casid.matching.targets import Target
+from casid.model import free_parameters
 from casid.report.content import MATCH, Caution, Content, Section, section
 from casid.report.drawings import draw_match_error
 from casid.report.verdicts import unsolved
 from casid.report.words import number
-from casid.stages.stage import Stage, Task
+from casid.stages.stage import Stage, Task, placed
 
 GAP = 0.01  # of the certificate, relative
 SOURCES = {"black box": "pbsid", "frequency response": "frequency"}  # stages by name of target
@@ -56,6 +58,9 @@ def _check(settings: Matching, task: Task) -> None:
         raise ValueError(
             "[match] targets: 'frequency response' needs records: write [records.frequency]"
         )
+    with placed("match"):
+        free_parameters(task.model, **task.held, priors=settings.priors)
+        check_priors(task.model, settings.priors, **task.held)
 
 
 def _quadratic(settings: Matching, task: Task) -> Fit[Any, MatchNotes]:

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any
 
+from casid.declaration import check_priors
 from casid.fit import Fit
 from casid.record import Record
 from casid.report.content import OUTPUT_ERROR as LABEL
@@ -12,11 +13,17 @@ from casid.report.evidence import few
 from casid.report.verdicts import on_bounds, uncertain, unsolved
 from casid.shooting.output_error import OutputError
 from casid.shooting.precision import OutputErrorNotes
-from casid.stages.stage import Stage, Task
+from casid.stages.stage import Stage, Task, placed
 
 
 def _records(settings: OutputError, task: Task) -> tuple[Record, ...]:  # noqa: ARG001
     return task.records
+
+
+def _check(settings: OutputError, task: Task) -> None:
+    with placed("output_error"):
+        settings.free(task.model, **task.held)
+        check_priors(task.model, settings.priors, **task.held)
 
 
 def _run(settings: OutputError, task: Task) -> Fit[Any, OutputErrorNotes]:
@@ -39,5 +46,5 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
 OUTPUT_ERROR = Stage(
     name="output_error", does="output error", run=_run, table="output_error",
     settings=OutputError(), role=("refinement", "identification"), needs=("hinf",), structured=True,
-    label=LABEL, start="output_error", data=_records, show=_show,
+    label=LABEL, start="output_error", data=_records, check=_check, show=_show,
 )  # fmt: skip

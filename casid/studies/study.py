@@ -150,7 +150,8 @@ def _read_channels(
     time: str | float,
 ) -> Record:
     """Some of the channels from one file."""
-    elsewhere = {*channels.inputs, *channels.outputs} - {*inputs, *outputs}
+    times = () if channels.second is None else (channels.time, channels.second.time)
+    elsewhere = {*channels.inputs, *channels.outputs, *times} - {*inputs, *outputs, time}
     read = read_record if file.suffix.lower() in {".mat", ".parquet"} else read_csv
     return read(
         file,

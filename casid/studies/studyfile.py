@@ -208,6 +208,7 @@ def _role(table: Table, folder: Path) -> RecordSet:
         raise ValueError(f"{table.place} decimate = {decimate}, expected 1 or more")
     noise = table.take("noise", bool, False)
     cutting = read_cutting(table, decimate)
+    Table(cutting.cuts, f"{table.place} cut:").only(file.stem for file in files)
     return RecordSet(files=tuple(files), detrend=detrend, noise=noise, cutting=cutting)
 
 

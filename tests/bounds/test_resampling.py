@@ -91,7 +91,12 @@ def test_a_bootstrap_takes_records_with_missing_samples_and_a_given_covariance()
 
 @pytest.mark.parametrize(
     ("settings", "said"),
-    [({"runs": 0}, "runs=0"), ({"runs": 1}, "runs=1"), ({"block": 0.0}, "block=0.0")],
+    [
+        ({"runs": 0}, "runs=0"),
+        ({"runs": 1}, "runs=1"),
+        ({"block": 0.0}, "block=0.0"),
+        ({"block": 6.8}, "6.67 s at most"),
+    ],
 )
 def test_ensembles_of_nothing_are_refused(settings, said):
     fit = output_error(Mixture(), record())
@@ -99,6 +104,8 @@ def test_ensembles_of_nothing_are_refused(settings, said):
         bootstrap(fit, record(), **settings)
     with pytest.raises(ValueError, match="runs=1"):
         monte_carlo(TRUTH, record(), noise={"y": NOISE}, runs=1)
+    with pytest.raises(ValueError, match="noise names 'zz', expected of y"):
+        monte_carlo(TRUTH, record(), noise={"y": NOISE, "zz": 0.01})
     with pytest.raises(ValueError, match="starts=0"):
         multistart(Mixture(), record(), starts=0)
 

@@ -83,6 +83,8 @@ def test_what_c_cannot_be_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"such as model\.fmu"):
         write_fmu(tmp_path / "model.zip", plant)
     delayed = StateSpace(plant.A, plant.B, plant.C, plant.D, delay=(0.1, 0.0))
+    with pytest.raises(ValueError, match=r"1e\+08 samples.*sample less often"):
+        write_c(tmp_path / "model.c", delayed, dt=1e-9)
     with pytest.raises(ValueError, match="pass pade=3"):
         write_fmu(tmp_path / "model.fmu", delayed)
 

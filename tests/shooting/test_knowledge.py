@@ -5,7 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from casid import Model, ModelError, OutputError, Record, Rows, Scalar, StateSpace, parameter
+from casid import (
+    DataWarning,
+    Model,
+    ModelError,
+    OutputError,
+    Record,
+    Rows,
+    Scalar,
+    StateSpace,
+    output_error,
+    parameter,
+)
 
 FLOWN = (0.02, -0.05)  # constants in p' of the two records
 SIGMA = 0.003
@@ -91,3 +102,13 @@ def test_prior_and_records_are_weighed_by_their_information():
 def test_what_is_said_to_be_known_is_checked(settings, message):
     with pytest.raises(ModelError, match=message):
         OutputError(**settings).fit(Roll(), flown())
+
+
+def test_a_prior_is_of_a_free_parameter_and_within_its_bounds():
+    prior = {"Lp": (-2.0, 0.1)}
+    for held in ({"fixed": ("Lp",)}, {"bounds": {"Lp": (-2.0, -2.0)}}):
+        with pytest.raises(ModelError, match="Lp is fixed and has a prior"):
+            output_error(Roll(), (), priors=prior, **held)
+    outside = pytest.warns(DataWarning, match=r"prior of Lp, -2, lies outside its bounds \[-1, 0\]")
+    with outside, pytest.raises(ValueError, match="no records"):
+        output_error(Roll(), (), priors=prior, bounds={"Lp": (-1.0, 0.0)})

@@ -71,6 +71,20 @@ def test_a_second_logger_is_joined_on_its_clock(tmp_path):
     joined = read_records(read_study(path))["identification"][1]
     assert joined.outputs == ("p", "phi")
     np.testing.assert_allclose(joined.totals()["phi"], plain.totals()["phi"], atol=1e-9)
+    # each file has a time of its own, each with its unit
+    for file in [*tmp_path.glob("[3sr]*.csv")]:
+        head, *rows = file.read_text().splitlines()
+        own = "T_NAV" if "_nav" in file.stem else "T_MS"
+        if own == "T_MS":
+            cells = [row.split(",", 1) for row in rows]
+            rows = [f"{1e3 * float(time):.10g},{rest}" for time, rest in cells]
+        file.write_text("\n".join([head.replace("t,", f"{own},", 1), *rows]) + "\n")
+    text = path.read_text().replace("clock = -3.0", 'clock = -3.0\ntime = "T_NAV"')
+    text = text.replace("[channels.join]", '[channels]\ntime = "T_MS"\n[channels.join]')
+    path.write_text(text.replace("[channels.units]", '[channels.units]\nT_MS = "ms"'))
+    again = read_records(read_study(path))["identification"][1]
+    np.testing.assert_allclose(again.t, joined.t, atol=1e-9)
+    np.testing.assert_allclose(again.totals()["phi"], joined.totals()["phi"], atol=1e-9)
 
 
 def test_a_logger_of_inputs_gives_them_as_they_are_held():
@@ -87,6 +101,7 @@ def test_a_logger_of_inputs_gives_them_as_they_are_held():
     ("change", "message"),
     [
         (f"{PLACE}cut = [3]\n", r"expected \[start, end\] in seconds"),
+        (f"{PLACE}cut = {{ zz = [1, 2] }}\n", "cut: unknown key 'zz'"),
         (f"{PLACE}cut = [5, 3]\n", r"expected \[start, end\] in seconds"),
         (f"{PLACE}resample = -1\n", "expected seconds above 0"),
         (f'[channels]\nshift = "auto"\n{PLACE}', 'expected "kinematics"'),

@@ -55,3 +55,25 @@ def test_a_model_file_that_raises_is_named_with_its_line(tmp_path):
     (tmp_path / "bad.py").write_text("x = 1\ny = x / 0\n")
     with pytest.raises(ModelError, match=r"bad\.py, line 2 does not import: ZeroDivisionError"):
         load_model("bad.py:Bad", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("[output_error]\npriors = { Mx = [-1.0, 0.1] }", r"\[output_error\] .*no parameter 'Mx'"),
+        ("[match]\npriors = { Mx = [-1.0, 0.1] }", r"\[match\] .*no parameter 'Mx'"),
+        ("[output_error]\ninterval = -1.0", r"\[output_error\] interval=-1"),
+        ("[output_error]\nbiases = ['q']", r"\[output_error\] biases names 'q'"),
+        (
+            "[output_error]\ndomain = 'frequency'\nprocess_noise = true",
+            r"\[output_error\] process_noise does not go with domain",
+        ),
+    ],
+)
+def test_settings_that_no_fit_would_take_are_refused_before_it(tmp_path, table, message):
+    path = write_study(tmp_path)
+    head, text = table.split("\n")[0], path.read_text()
+    there = f"{head}\n" in text
+    path.write_text(text.replace(head, table) if there else f"{text}\n{table}\n")
+    with pytest.raises(ValueError, match=r"study\.toml: " + message):
+        read_study(path)
