@@ -89,7 +89,7 @@ def test_a_fit_is_written_and_read(tmp_path):
         ({"process_noise": True}, "process_noise"),
         ({"biases": False}, "biases"),
         ({"R": "full"}, "R does not go"),
-        ({"domain": "laplace"}, "domain='laplace'"),
+        ({"domain": "laplace"}, "domain = 'laplace'"),
     ],
 )
 def test_settings_without_meaning_are_refused(settings, culprit):
