@@ -26,4 +26,5 @@ def test_check_tells_equations_and_linearisation():
     text = str(describe(Swing()))
     assert EQUATIONS in text
     assert "A at the guess" in text
-    assert "identifiability from one 3-2-1-1 a control\n  rank 4 of 4" in text
+    told = "one 3-2-1-1 a control, of the linearisation at the reference condition alone"
+    assert f"identifiability from {told}\n  rank 4 of 4" in text
