@@ -81,6 +81,8 @@ class OutputError:
         records' transforms by their spectrum, which is estimated, so that what the structure misses
         at some frequencies counts less there. In the frequency domain nothing is shot: no
         ``interval``, no process noise, biases always, R diagonal, records sampled evenly.
+        Errors allow for how few lines the spectrum comes from; a `DataWarning` tells where that may
+        not be enough.
     solver : SolverOptions
         Limits and tolerance of each solve.
     """

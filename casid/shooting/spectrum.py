@@ -20,9 +20,10 @@ from casid.shooting.spectral import Residual
 from casid.values import seal, storable
 
 REACH = 0.35  # of the smoothing [nepers of frequency]
-FREEDOM = 40.0  # degrees of freedom that a window holds at least
+FREEDOM = 20.0  # degrees of freedom, ten lines, that a window holds at least
 STEP = 0.1  # of the grid on which spectra are kept [nepers]
 TOP = 0.75  # of the highest line, from where residuals tell the instruments' noise
+SPENT = 0.1  # share of its degrees of freedom that a line counts as having left at least
 FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's
 
 
@@ -166,6 +167,45 @@ def _between(edges: Array, total: Array, at: Array) -> Array:
     share = (at - edges[k]) / np.maximum(edges[k + 1] - edges[k], 1e-300)
     share = np.clip(share, 0.0, 1.0).reshape(-1, *[1] * (total.ndim - 1))
     return np.asarray(total[k] + share * (total[k + 1] - total[k]))
+
+
+def scatter_of_lines(
+    lines: Sequence[Lines], residuals: Sequence[Residual], powers: Sequence[Array]
+) -> Array:
+    """Covariance (nf, nf) of the cost's gradient from every line's own residual, not smoothed.
+
+    Corrected for leverage: HC2 of MacKinnon and White, Journal of Econometrics 29 (1985), 305.
+    """
+    total = np.zeros_like(residuals[0].F)
+    left = leftover(lines, residuals, leverages(residuals))
+    for each, found, power, freedom in zip(lines, residuals, powers, left, strict=True):
+        share = np.clip(freedom / each.weight[:, None], SPENT, 1.0)
+        slopes = np.einsum("kia,ki->ka", found.rows.conj(), found.E / np.sqrt(power * share))
+        total += (slopes.conj().T @ slopes).real
+    return total
+
+
+def degrees(lines: Sequence[Lines], residuals: Sequence[Residual], covariance: Array) -> Array:
+    """Degrees of freedom (nf,) of the variances that the lines' residuals tell of estimates.
+
+    Satterthwaite's, 2 (mean)² / variance of Σ c |E|²/Φ, with c what a line adds to a variance.
+    """
+    total, square = np.zeros(len(covariance)), np.zeros(len(covariance))
+    for each, found in zip(lines, residuals, strict=True):
+        c = np.sum(np.abs(found.rows @ covariance) ** 2, axis=1)
+        total += c.sum(axis=0)
+        square += (c**2 / each.weight[:, None]).sum(axis=0)
+    return np.asarray(total**2 / np.maximum(square, 1e-300))
+
+
+def contrast(spectra: Sequence[NoiseSpectrum]) -> float:
+    """How many times its least power an output's spectrum rises at most."""
+    return max(
+        float(np.max(column) / np.min(column))
+        for each in spectra
+        for column in each.power.T
+        if np.isfinite(column).all()
+    )
 
 
 def coherent(

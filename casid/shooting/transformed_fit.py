@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.errors import ConvergenceError
+from casid.errors import ConvergenceError, warn
 from casid.fit import (
     ACTIVE,
     AnyFit,
@@ -27,9 +27,18 @@ from casid.shooting.frequency import SpectralOutcome, SpectralProgramme, State, 
 from casid.shooting.lines import Lines, transformed
 from casid.shooting.precision import OutputErrorNotes, Precision
 from casid.shooting.spectral import SpectralResiduals
-from casid.shooting.spectrum import NoiseSpectrum, coherent
+from casid.shooting.spectrum import (
+    NoiseSpectrum,
+    coherent,
+    contrast,
+    degrees,
+    scatter_of_lines,
+)
 
 METHOD = "output error in the frequency domain"
+FEW = 20.0  # degrees of freedom of a variance: fewer are few
+FEWEST = 4.0  # that count, lest a factor be infinite
+COLOURED = 3.0  # rise of a spectrum from which smoothing over few lines misses its shape
 
 
 def estimate(
@@ -46,7 +55,7 @@ def estimate(
     lines = transformed(records)
     held = _spectra_of(near, lines) if R is None else white(lines, np.diag(R))
     outcome = search(SpectralResiduals(free, lines), free.guess, options, held)
-    fit = _fit(model, outcome, begin)
+    fit = _fit(model, outcome, begin, estimated=R is None)
     if not fit.success:
         raise ConvergenceError(f"{METHOD}: {fit.status}", fit)
     return fit
@@ -65,7 +74,9 @@ def _spectra_of(near: AnyFit | None, lines: list[Lines]) -> tuple[NoiseSpectrum,
     return tuple(spectra)
 
 
-def _fit(start: M, outcome: SpectralOutcome, begin: float) -> Fit[M, OutputErrorNotes]:
+def _fit(
+    start: M, outcome: SpectralOutcome, begin: float, *, estimated: bool
+) -> Fit[M, OutputErrorNotes]:
     programme, solution = outcome.programme, outcome.solution
     free, lines = programme.residuals.free, programme.residuals.lines
     multipliers = -programme.n * solution.multipliers_x / programme.scales
@@ -73,6 +84,8 @@ def _fit(start: M, outcome: SpectralOutcome, begin: float) -> Fit[M, OutputError
     model, ties = start.with_vector(free.full(lam)), free.model.constraints()
     prices = -programme.n * solution.multipliers_g[: len(ties)]
     found = _precision(programme, solution.x, lam)
+    if estimated:
+        found = _allowing(found, programme, solution.x, lam)
     std, white_std = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white_std)
     success, status = _verdict(outcome, found.undetermined)
@@ -143,6 +156,35 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array) -> Precision:
         collinear=uncertainty.collinearities(F, ties, free.names, alone),
         undetermined=tuple(np.array(free.names)[unknown].tolist()),
     )
+
+
+def _allowing(found: Precision, programme: SpectralProgramme, x: Array, lam: Array) -> Precision:
+    """The precision with errors widened for a spectrum that is estimated, from few lines.
+
+    By what the lines' own residuals tell beyond the smoothed ones, and as Student's t of their
+    degrees of freedom is wider than the normal distribution; warns where those are few.
+    """
+    state = programme.state(x)
+    known = np.where(np.isfinite(found.cramer_rao), found.cramer_rao, 0.0)
+    told = np.diag(known) > 0
+    if state is None or not told.any():
+        return found
+    lines = programme.residuals.lines
+    pull = programme.residuals.free.surprise(lam)[1]
+    middle = scatter_of_lines(lines, state.residuals, programme.powers) + pull.T @ pull
+    smooth = np.where(told, np.diag(found.covariance), 1.0)
+    more = np.where(told, np.maximum(np.diag(known @ middle @ known) / smooth, 1.0), 1.0)
+    freedom = np.where(told, degrees(lines, state.residuals, known), np.inf)
+    if freedom.min() < FEW and contrast(programme.spectra) > COLOURED:
+        few = ", ".join(np.array(programme.residuals.free.names)[freedom < FEW])
+        warn(
+            f"{METHOD}: the spectrum of the residuals rests on few lines where the records tell "
+            f"of {few} ({freedom.min():.0f} degrees of freedom): errors may be 2 times too small; "
+            'give more records, or estimate with domain="time" (process_noise=True in turbulence)'
+        )
+    bounded = np.maximum(freedom, FEWEST)
+    wider = np.sqrt(more / (1 - 2 / bounded))
+    return replace(found, covariance=found.covariance * np.outer(wider, wider))
 
 
 def _scatter(programme: SpectralProgramme, state: State, lam: Array) -> Array:

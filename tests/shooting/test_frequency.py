@@ -47,6 +47,7 @@ def test_both_domains_agree_where_the_structure_is_right():
     assert np.sqrt(np.mean(np.square(apart))) < 0.3
 
 
+@pytest.mark.filterwarnings("ignore:output error in the frequency domain.*few lines")
 def test_noise_in_a_band_counts_less_there():
     # A sine of noise as large as the signal, on one line of every record, ruins white weights.
     rng, k = np.random.default_rng(0), 12

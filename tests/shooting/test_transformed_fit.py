@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from truths.closed_roll import (
     NAMES,
     NOISE,
@@ -16,10 +17,16 @@ from truths.closed_roll import (
 from casid import (
     Constraint,
     ConvergenceError,
+    DataWarning,
     Fit,
+    Model,
     OutputError,
+    Record,
+    Rows,
+    Scalar,
     bootstrap,
     output_error,
+    parameter,
     profile_parameters,
 )
 
@@ -125,3 +132,64 @@ def test_a_bootstrap_scatters_as_stated_and_refuses_other_records():
     louder = [replace(each, y=1.5 * each.y) for each in records]
     with pytest.raises(ValueError, match="not one of these records"):
         bootstrap(fit, louder, estimator=estimator, runs=2)
+
+
+class Pitch(Model):
+    """Two states of a short period."""
+
+    states = ("w", "q")
+    inputs = ("lon",)
+    outputs = ("w", "q")
+    Zw: Scalar = parameter(default=-0.7, lower=-5.0, upper=2.0, unit="1/s")
+    Mw: Scalar = parameter(default=-0.08, lower=-2.0, upper=2.0, unit="rad/(m s)")
+    Mq: Scalar = parameter(default=-1.2, lower=-10.0, upper=2.0, unit="1/s")
+    Mlon: Scalar = parameter(default=6.0, lower=-100.0, upper=100.0, unit="rad/s^2")
+
+    def A(self) -> Rows:
+        return [[self.Zw, 20.0], [self.Mw, self.Mq]]
+
+    def B(self) -> Rows:
+        return [[-8.0], [self.Mlon]]
+
+
+def gusty(seed, turbulence=(0.6, 0.03)):
+    """A 3-2-1-1 of 12 s flown in white gusts, integrated by steps of a sampling interval."""
+    rng, h = np.random.default_rng(seed), 0.04
+    t = h * np.arange(300)
+    s = (t - 1.0) / 0.5
+    u = 0.05 * (-1) ** seed * np.select([s < 0, s < 3, s < 5, s < 6, s < 7], [0, 1, -1, 1, -1], 0.0)
+    step = expm(h * np.array([[-0.7, 20.0, -8.0], [-0.08, -1.2, 6.0], [0, 0, 0]]))[:2]
+    x = np.zeros((len(t), 2))
+    for k in range(len(t) - 1):
+        gust = np.array(turbulence) * np.sqrt(h) * rng.standard_normal(2)
+        x[k + 1] = step @ [*x[k], u[k]] + gust
+    y = x + np.array([0.2, 0.01]) * rng.standard_normal(x.shape)
+    return Record(t, u[:, None], y, ("lon",), ("w", "q"), f"gusty {seed}", hold="zoh")
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_spectrum_from_few_lines_is_told(count):
+    with pytest.warns(DataWarning, match="rests on few lines"):
+        output_error(Pitch(), [gusty(k) for k in range(count)], domain="frequency")
+
+
+def test_a_spectrum_from_many_lines_or_without_colour_is_not():
+    output_error(Pitch(), [gusty(k) for k in range(5)], domain="frequency")
+    output_error(Pitch(), gusty(0, (0.0, 0.0)), domain="frequency")
+
+
+def test_a_covariance_that_is_given_leaves_errors_alone():
+    records = [gusty(k, (0.0, 0.0)) for k in range(2)]
+    found = output_error(Pitch(), records, R=np.diag([0.04, 1e-4]), domain="frequency")
+    errors = np.array([found[name].std_error / found[name].cramer_rao for name in found.free_names])
+    assert np.all(np.abs(errors - 1) < 0.3)
+
+
+@pytest.mark.slow
+def test_errors_from_one_record_in_gusts_are_not_far_too_small():
+    z = []
+    for seed in range(40):
+        with pytest.warns(DataWarning, match="rests on few lines"):
+            fit = output_error(Pitch(), gusty(100 + seed), domain="frequency")
+        z.append([(fit[n].value - getattr(Pitch(), n)) / fit[n].std_error for n in fit.free_names])
+    assert np.sqrt(np.mean(np.square(z))) < 1.5
