@@ -143,9 +143,14 @@ def response_band(fit: AnyFit, omega: Array, *, level: float = 0.95) -> Response
 
     std = np.where(center == 0, 0.0, spread(fit, of))  # what is no path at all stays none
     return ResponseBand(
-        omega=omega, G=center, magnitude_std=std[0], phase_std=std[1], level=level,
-        inputs=fit.model.inputs, outputs=fit.model.outputs,
-    )  # fmt: skip
+        omega=omega,
+        G=center,
+        magnitude_std=std[0],
+        phase_std=std[1],
+        level=level,
+        inputs=fit.model.inputs,
+        outputs=fit.model.outputs,
+    )
 
 
 @one_thread
@@ -304,9 +309,15 @@ def _exact(model: Model, omega: Array) -> FrequencyResponse:
     G = model.system().response(omega)
     ones = np.ones(G.shape)
     return FrequencyResponse(
-        omega=omega, G=G, coherence=ones, random_error=0 * ones, inputs=model.inputs,
-        outputs=model.outputs, input_std=np.ones(G.shape[2]), output_std=np.ones(G.shape[1]),
-    )  # fmt: skip
+        omega=omega,
+        G=G,
+        coherence=ones,
+        random_error=0 * ones,
+        inputs=model.inputs,
+        outputs=model.outputs,
+        input_std=np.ones(G.shape[2]),
+        output_std=np.ones(G.shape[1]),
+    )
 
 
 def _quantile(level: float) -> float:

@@ -125,9 +125,14 @@ def cover(
     weight = _lifted(_fitted(omega, error, order), omega, error)
     ratio = np.abs(weight.response(omega)[:, 0, 0]) / error
     return Cover(
-        weight=weight, kind=kind, omega=omega, error=error, models=len(models),
-        excess=float(np.exp(np.mean(np.log(ratio)))), margin=float(ratio.min()),
-    )  # fmt: skip
+        weight=weight,
+        kind=kind,
+        omega=omega,
+        error=error,
+        models=len(models),
+        excess=float(np.exp(np.mean(np.log(ratio)))),
+        margin=float(ratio.min()),
+    )
 
 
 def _check(systems: Sequence[StateSpace], kind: Kind) -> None:
@@ -219,9 +224,14 @@ def _between(x: Array, m2: Array, gamma2: float, order: int) -> tuple[Chebyshev,
     )
     n = 2 * order + 3
     answer = scipy.optimize.linprog(
-        -np.eye(n)[-1], A_ub=rows, b_ub=np.zeros(len(rows)), A_eq=np.eye(n)[order + 1 : order + 2],
-        b_eq=[1.0], bounds=(None, None), method="highs",
-    )  # fmt: skip
+        -np.eye(n)[-1],
+        A_ub=rows,
+        b_ub=np.zeros(len(rows)),
+        A_eq=np.eye(n)[order + 1 : order + 2],
+        b_eq=[1.0],
+        bounds=(None, None),
+        method="highs",
+    )
     if answer.x is None or answer.status != 0 or answer.x[-1] < CLEAR:
         return None
     return Chebyshev(answer.x[: order + 1]), Chebyshev(answer.x[order + 1 : -1])

@@ -108,8 +108,6 @@ class Model:
                 declaration.check_parameter(cls, name, declared, reserved)
         dataclass(frozen=True, kw_only=True, eq=True)(cls)
 
-    # ---- what a structure writes ----------------------------------------------------------------
-
     def A(self) -> Rows:
         """State matrix, (nx, nx)."""
         raise ModelError(f"{type(self).__name__} has no method A")
@@ -142,8 +140,6 @@ class Model:
     def constraints(self) -> Sequence[Constraint]:
         """Ties and inequalities between parameters; none unless written."""
         return ()
-
-    # ---- what every structure can do ------------------------------------------------------------
 
     @classmethod
     def infos(cls) -> dict[str, ParameterInfo]:

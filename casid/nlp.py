@@ -144,9 +144,12 @@ def solve(
     watcher = _Watcher(problem, options, stage, start)
     solver = _solver(problem, options, watcher, warm)
     arguments = {
-        "x0": problem.x0, "lbx": problem.lower_x, "ubx": problem.upper_x,
-        "lbg": problem.lower_g, "ubg": problem.upper_g,
-    }  # fmt: skip
+        "x0": problem.x0,
+        "lbx": problem.lower_x,
+        "ubx": problem.upper_x,
+        "lbg": problem.lower_g,
+        "ubg": problem.upper_g,
+    }
     if warm is not None:
         arguments |= {"lam_x0": warm[0], "lam_g0": warm[1]}
     with _interruptible():
@@ -156,8 +159,14 @@ def solve(
     meaning = STATUS.get(word, str(word))
     seconds = time.perf_counter() - start
     x, g = found["x"].full().ravel(), found["g"].full().ravel()
-    LOG.info("%s: %s, %d iterations, cost %.6g, %.2f s", stage, meaning, stats["iter_count"],
-             float(found["f"]), seconds)  # fmt: skip
+    LOG.info(
+        "%s: %s, %d iterations, cost %.6g, %.2f s",
+        stage,
+        meaning,
+        stats["iter_count"],
+        float(found["f"]),
+        seconds,
+    )
     finite = bool(np.isfinite(x).all() and np.isfinite(float(found["f"])))
     return Solution(
         x=x,

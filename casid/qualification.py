@@ -135,10 +135,16 @@ def qualify(
         outside.append((over > 1.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
         widths.append(width)
     return Qualification(
-        model=model, records=validation.records, outputs=outputs, tolerances=bands,
-        largest=np.array(largest), outside=np.array(outside), width=tuple(widths),
-        validation=validation, source=SOURCE if tolerances == TOLERANCES else "a table of the user",
-    )  # fmt: skip
+        model=model,
+        records=validation.records,
+        outputs=outputs,
+        tolerances=bands,
+        largest=np.array(largest),
+        outside=np.array(outside),
+        width=tuple(widths),
+        validation=validation,
+        source=SOURCE if tolerances == TOLERANCES else "a table of the user",
+    )
 
 
 def read_tolerance(output: str, text: str) -> Tolerance:

@@ -184,11 +184,17 @@ def _channel(record: Record, name: str, far: tuple[float, ...]) -> ChannelFacts:
         return ChannelFacts(name=name, unit=unit, missing=share, outliers=(), clipped=0, **empty)
     even = np.interp(np.linspace(t[0], t[-1], record.N), t, values)
     return ChannelFacts(
-        name=name, unit=UNITS.get(name, ""), lowest=float(values.min()),
-        highest=float(values.max()), deviation=float(values.std()), noise=_noise(values),
-        missing=float(1 - known.mean()), outliers=far,
-        clipped=_clipped(values, stick=name in record.inputs), band=_band(even, record.duration),
-    )  # fmt: skip
+        name=name,
+        unit=UNITS.get(name, ""),
+        lowest=float(values.min()),
+        highest=float(values.max()),
+        deviation=float(values.std()),
+        noise=_noise(values),
+        missing=float(1 - known.mean()),
+        outliers=far,
+        clipped=_clipped(values, stick=name in record.inputs),
+        band=_band(even, record.duration),
+    )
 
 
 def _noise(values: Array) -> float:

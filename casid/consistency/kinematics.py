@@ -267,10 +267,16 @@ def _judged(solution: Instruments, name: str, spread: float, rough: set[str]) ->
     if not known:
         gain, bias, skew, *errors = [np.nan] * 6
     check = ChannelCheck(
-        channel=name, unit=UNITS[name], against=against, scale=1 / gain - 1,
-        scale_error=errors[0] / gain**2, skew=skew, skew_error=errors[2], bias=bias / gain,
+        channel=name,
+        unit=UNITS[name],
+        against=against,
+        scale=1 / gain - 1,
+        scale_error=errors[0] / gain**2,
+        skew=skew,
+        skew_error=errors[2],
+        bias=bias / gain,
         bias_error=errors[1] / abs(gain),
-    )  # fmt: skip
+    )
     tolerance = ROUGH if rough & set(against) else SCALE
     return replace(check, remarks=_remarks(check, tolerance, spread) if known else ())
 

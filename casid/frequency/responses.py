@@ -74,10 +74,16 @@ def read_frequency_csv(
         error[at] = values[3] if values[3:] else np.nan
     coherence[np.isnan(G)] = np.nan
     return FrequencyResponse(
-        omega=table[omega] * (2 * np.pi if hertz else 1.0), G=G, coherence=coherence,
-        random_error=error, inputs=inputs, outputs=outputs, input_std=_sizes(inputs, input_std),
-        output_std=_sizes(outputs, output_std), records=(Path(path).stem,),
-    )  # fmt: skip
+        omega=table[omega] * (2 * np.pi if hertz else 1.0),
+        G=G,
+        coherence=coherence,
+        random_error=error,
+        inputs=inputs,
+        outputs=outputs,
+        input_std=_sizes(inputs, input_std),
+        output_std=_sizes(outputs, output_std),
+        records=(Path(path).stem,),
+    )
 
 
 def merge_responses(
@@ -120,11 +126,17 @@ def merge_responses(
         for whole, part in zip((G, coherence, error, leaks), parts, strict=True):
             whole[place] = np.where(there, part, whole[place])
     return FrequencyResponse(
-        omega=first.omega, G=G, coherence=coherence, random_error=error, leakage=leaks,
-        inputs=inputs, outputs=outputs, input_std=_sizes(inputs, sizes[0]),
+        omega=first.omega,
+        G=G,
+        coherence=coherence,
+        random_error=error,
+        leakage=leaks,
+        inputs=inputs,
+        outputs=outputs,
+        input_std=_sizes(inputs, sizes[0]),
         output_std=_sizes(outputs, sizes[1]),
         records=tuple(dict.fromkeys(name for one in responses for name in one.records)),
-    )  # fmt: skip
+    )
 
 
 def _complex(first: Array, second: Array, form: Form) -> ComplexArray:

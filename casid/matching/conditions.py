@@ -92,9 +92,15 @@ def together(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
         sizes |= dict(zip(each.inputs, each.input_std, strict=True))
         sizes |= dict(zip(each.outputs, each.output_std, strict=True))
     return FrequencyResponse(
-        omega=omega, G=G, coherence=coherence, random_error=error, inputs=inputs, outputs=outputs,
+        omega=omega,
+        G=G,
+        coherence=coherence,
+        random_error=error,
+        inputs=inputs,
+        outputs=outputs,
         input_std=np.array([sizes[name] for name in inputs]),
         output_std=np.array([sizes[name] for name in outputs]),
-        leakage=np.zeros(shape), multiple_coherence=np.full(shape[:2], np.nan),
+        leakage=np.zeros(shape),
+        multiple_coherence=np.full(shape[:2], np.nan),
         condition=np.ones(len(omega)),
-    )  # fmt: skip
+    )

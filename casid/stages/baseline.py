@@ -32,8 +32,17 @@ def _show(found: Fit[Any, DerividNotes], content: Content) -> Iterable[Section]:
 
 
 BASELINE = Stage(
-    name="derivid", does="frequency-domain fit", run=_run, table="derivid", settings=Derivid(),
-    needs=("frequency", "quadratic"), structured=True, optional=True, label=LABEL,
-    start="quadratic", data=lambda _, task: task.results["frequency"],
-    check=_check, show=_show,
-)  # fmt: skip
+    name="derivid",
+    does="frequency-domain fit",
+    run=_run,
+    table="derivid",
+    settings=Derivid(),
+    needs=("frequency", "quadratic"),
+    structured=True,
+    optional=True,
+    label=LABEL,
+    start="quadratic",
+    data=lambda _, task: task.results["frequency"],
+    check=_check,
+    show=_show,
+)

@@ -23,6 +23,12 @@ def _show(found: BlackBox, content: Content) -> Iterable[Section]:  # noqa: ARG0
 
 
 BLACK_BOX = Stage(
-    name="pbsid", does="black box", run=_run, table="pbsid", settings=Pbsid(),
-    role=("identification",), label="black box", show=_show,
-)  # fmt: skip
+    name="pbsid",
+    does="black box",
+    run=_run,
+    table="pbsid",
+    settings=Pbsid(),
+    role=("identification",),
+    label="black box",
+    show=_show,
+)

@@ -61,9 +61,16 @@ def _stage(settings: Cases, task: Task) -> Stage | None:
 def _run(settings: Cases, task: Task) -> BoundsComparison:
     estimator, data, start = _estimation(settings, task)
     found = compare_bounds(
-        task.model, data, cases=settings.cases, start=start, fixed=tuple(task.fixed),
-        bounds=task.bounds, estimator=estimator, validation=task.records, execution=task.execution,
-    )  # fmt: skip
+        task.model,
+        data,
+        cases=settings.cases,
+        start=start,
+        fixed=tuple(task.fixed),
+        bounds=task.bounds,
+        estimator=estimator,
+        validation=task.records,
+        execution=task.execution,
+    )
     if task.execution.folder is not None:
         folder = Path(task.execution.folder)
         found.to_csv(folder.with_suffix(".csv"))
@@ -97,7 +104,16 @@ def _show(found: BoundsComparison, content: Content) -> Iterable[Section]:  # no
 
 
 COMPARISON = Stage(
-    name="bounds", does="comparison of bounds", run=_run, table="bounds", settings=Cases(),
-    role=("validation",), needs=("output_error",), optional=True, kept=False, command="bounds",
-    check=_check, show=_show,
-)  # fmt: skip
+    name="bounds",
+    does="comparison of bounds",
+    run=_run,
+    table="bounds",
+    settings=Cases(),
+    role=("validation",),
+    needs=("output_error",),
+    optional=True,
+    kept=False,
+    command="bounds",
+    check=_check,
+    show=_show,
+)

@@ -97,11 +97,29 @@ def _loose(certificate: Certificate | None) -> Iterator[Caution]:
 
 
 QUADRATIC = Stage(
-    name="quadratic", does="quadratic match", run=_quadratic, table="match", settings=Matching(),
-    given=("norm",), needs=("pbsid",), uses=("frequency",), structured=True, check=_check,
-)  # fmt: skip
+    name="quadratic",
+    does="quadratic match",
+    run=_quadratic,
+    table="match",
+    settings=Matching(),
+    given=("norm",),
+    needs=("pbsid",),
+    uses=("frequency",),
+    structured=True,
+    check=_check,
+)
 HINF = Stage(
-    name="hinf", does="H-infinity match", run=_hinf, table="match", settings=Matching(),
-    given=("norm",), needs=("pbsid", "quadratic"), uses=("frequency",), structured=True,
-    label=MATCH, start="quadratic", data=targets, show=_show,
-)  # fmt: skip
+    name="hinf",
+    does="H-infinity match",
+    run=_hinf,
+    table="match",
+    settings=Matching(),
+    given=("norm",),
+    needs=("pbsid", "quadratic"),
+    uses=("frequency",),
+    structured=True,
+    label=MATCH,
+    start="quadratic",
+    data=targets,
+    show=_show,
+)

@@ -44,7 +44,17 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
 
 
 OUTPUT_ERROR = Stage(
-    name="output_error", does="output error", run=_run, table="output_error",
-    settings=OutputError(), role=("refinement", "identification"), needs=("hinf",), structured=True,
-    label=LABEL, start="output_error", data=_records, check=_check, show=_show,
-)  # fmt: skip
+    name="output_error",
+    does="output error",
+    run=_run,
+    table="output_error",
+    settings=OutputError(),
+    role=("refinement", "identification"),
+    needs=("hinf",),
+    structured=True,
+    label=LABEL,
+    start="output_error",
+    data=_records,
+    check=_check,
+    show=_show,
+)

@@ -32,13 +32,20 @@ def content(
     """All that the report of a study shows, with the digests of what it rests on."""
     versions = {"Python": platform.python_version()} | {name: version(name) for name in PACKAGES}
     return Content(
-        title=study.title, model=study.model, results=found.results, models=found.models,
+        title=study.title,
+        model=study.model,
+        results=found.results,
+        models=found.models,
         model_file=Path(os.path.relpath(study.model_file, study.path.parent)),
-        model_digest=sha256(study.model_file.read_bytes()).hexdigest(), data=_data(study, records),
-        settings=_settings(study), versions=versions, timings=tuple(timings),
-        warnings=tuple(dict.fromkeys(warnings)), repeats=again,
+        model_digest=sha256(study.model_file.read_bytes()).hexdigest(),
+        data=_data(study, records),
+        settings=_settings(study),
+        versions=versions,
+        timings=tuple(timings),
+        warnings=tuple(dict.fromkeys(warnings)),
+        repeats=again,
         units=units_of(study.channels.units),
-    )  # fmt: skip
+    )
 
 
 def _data(study: Study, records: Mapping[Role, Sequence[Record]]) -> tuple[DataFile, ...]:

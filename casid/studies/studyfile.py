@@ -59,12 +59,19 @@ def read_study(
     roles = _roles(top.table("records", needed=True), path.parent)
     _check_noise(roles, noise, path)
     study = Study(
-        path=path, title=heading.take("title", str, path.stem),
-        output=Path(output) if output is not None else path.parent / folder, model=model,
-        model_file=model_file, fixed=fixed, bounds=bounds,
-        channels=_channels(top.table("channels"), type(model)), roles=roles, noise=noise,
-        stages=tuple(stages), settings=_settings(top, stages),
-    )  # fmt: skip
+        path=path,
+        title=heading.take("title", str, path.stem),
+        output=Path(output) if output is not None else path.parent / folder,
+        model=model,
+        model_file=model_file,
+        fixed=fixed,
+        bounds=bounds,
+        channels=_channels(top.table("channels"), type(model)),
+        roles=roles,
+        noise=noise,
+        stages=tuple(stages),
+        settings=_settings(top, stages),
+    )
     _check(study)
     return study
 
@@ -124,9 +131,20 @@ def _pair(table: Table, name: str) -> tuple[float, float]:
 
 
 def _channels(table: Table, structure: type[Model]) -> Channels:
-    table.only((
-        "inputs", "outputs", "time", "units", "columns", "dt", "hold", "shift", "outliers", "join",
-    ))  # fmt: skip
+    table.only(
+        (
+            "inputs",
+            "outputs",
+            "time",
+            "units",
+            "columns",
+            "dt",
+            "hold",
+            "shift",
+            "outliers",
+            "join",
+        )
+    )
     inputs = table.names("inputs", structure.inputs)
     outputs = table.names("outputs", structure.outputs)
     wanted = (("inputs", inputs, structure.inputs), ("outputs", outputs, structure.outputs))
