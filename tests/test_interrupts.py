@@ -52,7 +52,7 @@ BEFORE = {  # what is kept by then
     "casid.studies.runner": set(),
     "casid.files.Path:read_text:1": set(),
     "casid.nlp._Watcher:eval:1": {"pbsid"},
-    "casid.nlp._Watcher:eval:20": {"pbsid", "quadratic"},
+    "casid.nlp._Watcher:eval:60": {"pbsid", "quadratic"},
     "casid.report.html.Markup:__new__:3": {"pbsid", "quadratic", "hinf", "output_error"},
     "matplotlib.backends.backend_svg": {"pbsid", "quadratic", "hinf", "output_error"},
 }

@@ -124,8 +124,10 @@ def test_a_mode_that_decides_the_norm_leaves_the_others_determined():
     B, C = np.vstack([np.zeros((20, 2)), lag * np.eye(2)]), np.hstack([truth.C, np.zeros((10, 2))])
     free = {"A": nonzero(truth.A) & (np.arange(20)[:, None] % 2 == 1), "B": nonzero(truth.B)}
     structure, _ = build(truth, free=free)
-    fits = {norm: match(structure(), black_box(system(A, B, C)), norm=norm)
-            for norm in ("quadratic", "hinf")}  # fmt: skip
+    target = black_box(system(A, B, C))
+    fits = {
+        norm: match(structure(), target, norm=norm, weight="size") for norm in ("quadratic", "hinf")
+    }
     fit = fits["hinf"]
     assert fit.certificate.upper_bound <= 1.01 * fit.certificate.grid_norm
     assert fit.cost < fits["quadratic"].certificate.grid_norm
