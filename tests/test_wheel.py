@@ -42,7 +42,8 @@ def test_the_installed_wheel_identifies_the_users_own_model(installed, tmp_path)
     study = write_study(tmp_path)
     where = run(installed / "python", "-c", "import casid; print(casid.__file__)", cwd=tmp_path)
     assert not Path(where.strip()).is_relative_to(ROOT / "casid")
-    said = run(installed / "casid", "identify", study, cwd=tmp_path)
+    said = run(installed / "casid", "identify", study, "--parameters", cwd=tmp_path)
+    assert "On unseen records" in said
     assert "Llat" in said
     for result in ("report.html", "fit.json", "parameters.csv", "figures/rms.png"):
         assert (tmp_path / "out" / result).stat().st_size > 0

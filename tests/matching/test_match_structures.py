@@ -212,7 +212,7 @@ HEALTH = [HealthCheck.too_slow, HealthCheck.data_too_large]
 
 @pytest.mark.slow
 @given(problems())
-@settings(suppress_health_check=HEALTH, deadline=None, max_examples=12)
+@settings(suppress_health_check=HEALTH, deadline=None, max_examples=5)
 def test_random_structures_leave_a_fit_or_a_typed_error(problem):
     check(problem)
 
