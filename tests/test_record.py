@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from truths.closed_roll import flown
 from truths.flights import flight
+from truths.small_record import T, record
 
 from casid import (
     DataWarning,
@@ -14,16 +15,6 @@ from casid import (
     kinematic_check,
 )
 from casid.records import stretches
-
-T = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
-
-
-def record(**changes):
-    parts = {
-        "t": T, "u": np.column_stack([T, -T]), "y": np.column_stack([2 * T, T**2, 1 + T]),
-        "inputs": ("lat", "ped"), "outputs": ("p", "r", "phi"), "name": "roll",
-    }  # fmt: skip
-    return Record(**(parts | changes))
 
 
 def test_sizes_and_times_follow_from_the_arrays():

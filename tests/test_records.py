@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from truths.closed_roll import Roll, flown
+from truths.small_record import T, record
 
 from casid import (
     DataWarning,
@@ -16,16 +17,6 @@ from casid import (
     validate,
 )
 from casid.records import same_channels, standard_deviations, stretches
-
-T = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
-
-
-def record(**changes):
-    parts = {
-        "t": T, "u": np.column_stack([T, -T]), "y": np.column_stack([2 * T, T**2, 1 + T]),
-        "inputs": ("lat", "ped"), "outputs": ("p", "r", "phi"), "name": "roll",
-    }  # fmt: skip
-    return Record(**(parts | changes))
 
 
 def test_records_of_one_campaign_share_their_channels():
