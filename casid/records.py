@@ -72,6 +72,30 @@ def same_channels(records: Records) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return first.inputs, first.outputs
 
 
+def moves(record: Record, name: str) -> bool:
+    """Whether a channel's samples differ by more than rounding."""
+    values = record.channel(name)
+    values = values[np.isfinite(values)]
+    size = np.max(np.abs(values + record.trim.get(name, 0.0)), initial=0.0)
+    return bool(values.size and np.ptp(values) > 1e-12 * size)
+
+
+def still(records: Sequence[Record], names: Iterable[str]) -> list[str]:
+    """Channels that move in none of the records."""
+    return [name for name in names if not any(moves(record, name) for record in records)]
+
+
+def check_alive(records: Sequence[Record]) -> None:
+    """ValueError where an output has no sample, or never moves, in any of the records."""
+    for name in still(records, records[0].outputs):
+        if not any(np.isfinite(record.channel(name)).any() for record in records):
+            raise ValueError(f"output {name!r} is missing in every sample of every record")
+        raise ValueError(
+            f"output {name!r} never moves in any record: a dead channel, fitted exactly, ruins all "
+            "else; mark its samples as missing (NaN) or leave the output out"
+        )
+
+
 def standard_deviations(records: Sequence[Record]) -> tuple[Array, Array]:
     """Standard deviation of every input (nu,) and output (ny,) over all records, mean removed."""
     # A channel that never moves (but for rounding) or has no sample has 1: dividing is harmless.

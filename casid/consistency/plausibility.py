@@ -7,6 +7,7 @@ import numpy as np
 
 from casid.channels import CONTROLS
 from casid.record import Record
+from casid.records import still
 
 FEWEST = 16  # samples of a record
 SLOW = 1.0  # sampling interval [s] no manoeuvre of a rotorcraft is recorded with
@@ -77,21 +78,13 @@ def check_plausible(
 
 
 def _check_movement(records: Sequence[Record]) -> None:
-    for name in (*records[0].inputs, *records[0].outputs):
-        if not any(_moves(record, name) for record in records):
-            kind = "input" if name in records[0].inputs else "output"
-            remedy = "add a record that excites it" if kind == "input" else "look at its sensor"
-            raise ValueError(
-                f"{kind} {name!r} is constant in {_shown(records)}, so nothing can be learnt from "
-                f"it; {remedy}, or take a model without it"
-            )
-
-
-def _moves(record: Record, name: str) -> bool:
-    values = record.channel(name)
-    values = values[np.isfinite(values)]
-    size = np.max(np.abs(values + record.trim.get(name, 0.0)), initial=0.0)
-    return bool(values.size and np.ptp(values) > 1e-12 * size)
+    for name in still(records, (*records[0].inputs, *records[0].outputs)):
+        kind = "input" if name in records[0].inputs else "output"
+        remedy = "add a record that excites it" if kind == "input" else "look at its sensor"
+        raise ValueError(
+            f"{kind} {name!r} is constant in {_shown(records)}, so nothing can be learnt from it; "
+            f"{remedy}, or take a model without it"
+        )
 
 
 def _shown(records: Sequence[Record]) -> str:

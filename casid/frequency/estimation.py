@@ -7,6 +7,7 @@ spectra themselves are computed in `casid.frequency.spectra`, which also lists t
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from casid.frequency.spectra import (
     record_spectra,
 )
 from casid.record import Record
-from casid.records import Records, same_channels, several, standard_deviations, stretches
+from casid.records import Records, same_channels, several, standard_deviations, still, stretches
 from casid.threads import one_thread
 from casid.values import storable
 
@@ -236,8 +237,8 @@ class SpectralAnalysis:
         omega = sampling.checked_grid(grid, records)
         records = [sampling.equidistant(record, omega[-1]) for record in records]
         lengths = sampling.checked_windows(self.windows, records, omega)
-        moves = [any(np.ptp(record.channel(name)) for record in records) for name in inputs]
-        active = [i for i, moving in enumerate(moves) if moving]
+        silent = still(records, (*inputs, *outputs))
+        active = [i for i, name in enumerate(inputs) if name not in silent]
         if not active:
             raise ValueError(f"no input moves in any record ({', '.join(inputs)}): nothing excites")
         moving = [record.select(inputs=[inputs[i] for i in active]) for record in records]
@@ -246,17 +247,18 @@ class SpectralAnalysis:
         merged = composite(parts, usable)
         number = merged.condition if self.conditioned else np.ones(len(omega))
         su, sy = standard_deviations(records)
+        heard = [i for i, name in enumerate(outputs) if name not in silent]
+        laid = partial(_laid, where=np.ix_(heard, active), shape=(len(outputs), len(inputs)))
+        multiple = np.where(np.isin(outputs, silent), np.nan, merged.multiple_coherence)
         found = FrequencyResponse(
-            omega=omega, G=_columns(merged.response, active, len(inputs)),
-            coherence=_columns(merged.coherence, active, len(inputs)),
-            random_error=_columns(merged.random_error, active, len(inputs)),
-            leakage=_columns(leakage(parts, usable, lengths), active, len(inputs)), inputs=inputs,
-            outputs=outputs, input_std=su, output_std=sy,
-            multiple_coherence=merged.multiple_coherence, condition=merged.condition,
+            omega=omega, G=laid(merged.response), coherence=laid(merged.coherence),
+            random_error=laid(merged.random_error), leakage=laid(leakage(parts, usable, lengths)),
+            inputs=inputs, outputs=outputs, input_std=su, output_std=sy,
+            multiple_coherence=multiple, condition=merged.condition,
             windows=tuple(lengths), flags=_flags(omega, lengths[-1], usable, counted, number),
             records=tuple(record.name for record in records),
         )  # fmt: skip
-        _warn(found, [name for i, name in enumerate(inputs) if i not in active])
+        _warn(found, silent)
         return found
 
 
@@ -309,10 +311,10 @@ def holding(
     return responses[0]
 
 
-def _columns(values: Any, active: Sequence[int], nu: int) -> Any:  # noqa: ANN401 - real or complex
-    """Columns of the inputs that move, NaN for the others."""
-    full = np.full((*values.shape[:2], nu), np.nan, dtype=values.dtype)
-    full[:, :, active] = values
+def _laid(values: Any, where: Any, shape: tuple[int, int]) -> Any:  # noqa: ANN401 - any numbers
+    """Pairs of channels that move, (K, ny, nu); NaN for the others."""
+    full = np.full((len(values), *shape), np.nan, dtype=values.dtype)
+    full[:, *where] = values[:, where[0].ravel()]
     return full
 
 
@@ -370,19 +372,20 @@ def _flags(
     periods = longest * omega / (2 * np.pi)
     some, known = usable.any(axis=0), counted.any(axis=0)
     together = "inputs move together: condition number above"
+    unread, apart = (periods >= 1) & known & ~some, number <= MEANINGLESS
     why = {
         f"less than one period in the longest window ({longest:g} s)": periods < 1,
         f"less than {sampling.FEW_PERIODS:g} periods in the longest window ({longest:g} s)": (
             (periods >= 1) & (periods < sampling.FEW_PERIODS)
         ),
-        "lost samples leave too few windows": ~known,
-        f"{together} {MEANINGLESS:g}, nothing separates them": (periods >= 1) & known & ~some,
+        "too few windows without losses to tell the inputs apart": ~known | (unread & apart),
+        f"{together} {MEANINGLESS:g}, nothing separates them": unread & ~apart,
         f"{together} {SUSPECT:g}": some & (number > SUSPECT),
     }
     return {word: tuple(int(k) for k in np.flatnonzero(at)) for word, at in why.items() if at.any()}
 
 
-def _warn(found: FrequencyResponse, still: Sequence[str]) -> None:
+def _warn(found: FrequencyResponse, silent: Sequence[str]) -> None:
     for reason, at in found.flags.items():
         worst = np.nanmax(found.condition[list(at)]) if "condition" in reason else np.nan
         number = "" if np.isnan(worst) else f" (up to {worst:.3g})"
@@ -393,5 +396,6 @@ def _warn(found: FrequencyResponse, still: Sequence[str]) -> None:
             + ("; they are NaN" if lost else "")
             + ("; add records that move the inputs one at a time" if "inputs" in reason else "")
         )
-    if still:
-        warn(f"input {still[0]!r} never moves: its column of the response is NaN")
+    for name in silent:
+        kind, part = ("input", "column") if name in found.inputs else ("output", "row")
+        warn(f"{kind} {name!r} never moves: its {part} of the response is NaN")

@@ -25,7 +25,7 @@ from casid.model import Bounds, Free, M, Model, Priors, free_parameters
 from casid.nlp import SolverOptions
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.records import Records, stretches
+from casid.records import Records, check_alive, stretches
 from casid.shooting.innovation import ProcessNoise
 from casid.shooting.knowledge import with_knowledge
 from casid.shooting.likelihood import CovarianceKind
@@ -262,21 +262,8 @@ def select_records(free: Free, records: Records, biases: bool) -> list[Record]:
             f"the records have {sum(counts)} measurements for {unknowns} unknowns (parameters, "
             "initial states, biases), too few to estimate from: add records, or fix parameters"
         )
-    for i, name in enumerate(model.outputs):
-        if not any(np.isfinite(record.y[:, i]).any() for record in chosen):
-            raise ValueError(f"output {name!r} is missing in every sample of every record")
-        if all(np.nanmax(y) == np.nanmin(y) for y in _known(chosen, i)):
-            raise ValueError(
-                f"output {name!r} never moves in any record: a dead channel, fitted exactly, "
-                "ruins all else; mark its samples as missing (NaN) or leave the output out"
-            )
+    check_alive(chosen)
     return chosen
-
-
-def _known(records: Sequence[Record], output: int) -> list[Array]:
-    """Samples of one output in the records that have any."""
-    columns = [record.y[:, output] for record in records]
-    return [column for column in columns if np.isfinite(column).any()]
 
 
 def checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | CovarianceKind:

@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.record import Record
-from casid.records import Records, same_channels, standard_deviations, stretches
+from casid.records import Records, check_alive, same_channels, standard_deviations, stretches
 from casid.subspace import columns as blocks
 from casid.subspace.fourier import Spectrum, spectra
 from casid.subspace.laguerre import support
@@ -45,6 +45,7 @@ class Campaign:
         """One record or several of the same channels."""
         names = same_channels(records)
         records = stretches(records)
+        check_alive(records)
         blocks.check_independent(records)
         su, sy = standard_deviations(records)
         return cls(records, su, sy, blocks.feedthrough_mask(feedthrough, *names))

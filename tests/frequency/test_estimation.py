@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -147,6 +148,31 @@ def test_an_input_that_never_moves_has_no_response():
         found = frequency_response([record], omega=np.geomspace(4, 10, 5))
     assert np.isnan(found.G[:, :, 1]).all()
     assert np.isfinite(found.G[:, :, 0]).all()
+
+
+def test_an_output_that_never_moves_has_no_response():
+    record = white(TWO, np.random.default_rng(12))
+    dead = dataclasses.replace(record, y=record.y * [1.0, 0.0] + 0.3)
+    with pytest.warns(DataWarning, match=f"output '{record.outputs[1]}' never moves: its row"):
+        found = frequency_response([dead], omega=np.geomspace(4, 10, 5))
+    assert np.isnan(found.G[:, 1]).all()
+    assert np.isnan(found.multiple_coherence[:, 1]).all()
+    alone = frequency_response([record], omega=np.geomspace(4, 10, 5))
+    np.testing.assert_allclose(found.G[:, 0], alone.G[:, 0])
+    np.testing.assert_allclose(found.leakage[:, 0], alone.leakage[:, 0])
+
+
+def test_windows_too_short_or_lossy_are_not_taken_for_inputs_that_move_together():
+    record = white(TWO, np.random.default_rng(13), duration=120.0)
+    y = record.y.copy()
+    y[np.arange(100, 2300, 300)[:, None] + np.arange(40)] = np.nan  # 2 s of every 15 s
+    lossy = dataclasses.replace(record, y=y)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        frequency_response([lossy], omega=np.geomspace(1.0, 10, 9), windows=[6.0, 20.0])
+    said = [str(each.message) for each in caught]
+    assert any("too few windows without losses" in each for each in said)
+    assert not any("together" in each for each in said)
 
 
 def test_several_windows_are_nearer_over_the_whole_band_than_any_one():

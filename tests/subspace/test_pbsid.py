@@ -182,6 +182,13 @@ def test_dependent_channels_are_named(letter):
         pbsid(twice, order=5, past=8, pole=6.0)
 
 
+@pytest.mark.parametrize("settings", [{"pole": 6.0}, {"transform": "none"}])
+def test_a_dead_output_is_named(settings):
+    records = [replace(record, y=record.y * [1, 0, 1] + 0.1) for record in campaign()]
+    with pytest.raises(ValueError, match=f"'{records[0].outputs[1]}' never moves in any record"):
+        pbsid(records, order=5, past=8, **settings)
+
+
 def test_a_pole_faster_than_the_samples_is_refused():
     for settings in ({"order": 5, "past": 8}, {}):
         with pytest.raises(ValueError, match=r"every 0\.02 s show nothing"):
