@@ -69,12 +69,13 @@ class Section:
     """
 
     name: str  # its anchor
-    title: str = ""  # its heading; without one the section only leads, and cautions
+    title: str = ""  # its heading; without one its template opens the page, in the summary
     template: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
     draw: Callable[[], Iterable[Drawing]] = tuple  # called when the page is written
     place: int = 85  # in whose order sections stand
-    lead: str = ""  # a sentence for the summary
+    answer: str = ""  # for the page's first paragraph: is it good, where not, why
+    lead: str = ""  # a sentence on how it was made
     cautions: tuple[Caution, ...] = ()  # for the box on top
 
 

@@ -63,23 +63,28 @@ def _pooled(rms: Array) -> Array:
 def differences(content: Content) -> Iterator[Caution]:
     """Parameters on which two fits differ by more than their errors allow."""
     for (one, first), (other, second) in combinations(content.fits.items(), 2):
-        common = [row.name for row in first.parameters if not row.fixed]
-        apart = {}
-        for name in common:
-            a, b = first[name], second[name]
-            spread = np.hypot(a.std_error, b.std_error)
-            if np.isfinite(spread) and spread > 0 and abs(a.value - b.value) > APART * spread:
-                apart[name] = abs(a.value - b.value) / spread
-        if apart:
-            worst = sorted(apart, key=apart.__getitem__, reverse=True)
-            opposite = sum(first[name].value * second[name].value < 0 for name in apart)
+        if found := apart(first, second):
+            worst = sorted(found, key=found.__getitem__, reverse=True)
+            opposite = sum(first[name].value * second[name].value < 0 for name in found)
+            common = sum(not row.fixed for row in first.parameters)
             yield Caution(
                 f"{one.capitalize()} and {other} differ by more than their errors allow on "
-                f"{len(apart)} of {len(common)} parameters ({opposite} of opposite sign): "
-                f"{listed([f'{name} {apart[name]:.0f}σ' for name in worst], NAMED)}. Errors do not "
+                f"{len(found)} of {common} parameters ({opposite} of opposite sign): "
+                f"{listed([f'{name} {found[name]:.0f}σ' for name in worst], NAMED)}. Errors do not "
                 "cover what the structure lacks: neither value is known to its standard error.",
                 8,
             )
+
+
+def apart(one: AnyFit, other: AnyFit) -> dict[str, float]:
+    """Parameters on which two fits differ by more than their errors allow: standard errors."""
+    found = {}
+    for row in one.parameters:
+        spread = np.hypot(row.std_error, other[row.name].std_error)
+        gap = abs(row.value - other[row.name].value)
+        if not row.fixed and np.isfinite(spread) and spread > 0 and gap > APART * spread:
+            found[row.name] = float(gap / spread)
+    return found
 
 
 def misfit(fit: AnyFit) -> Iterator[Caution]:

@@ -13,12 +13,14 @@ from matplotlib import rc_context
 from plotly.offline import get_plotlyjs
 
 from casid.files import write_text
+from casid.report import intervals
+from casid.report.answer import place
 from casid.report.content import TEMPLATES, Caution, Content, Drawing, Section
 from casid.report.drawings import save
 from casid.report.interactive import interactive
 from casid.report.look import LOOK
 from casid.report.verdicts import word
-from casid.report.words import number, percent, price, prior
+from casid.report.words import costliest, number, percent, price, prior
 
 LONG_DECIMALS = re.compile(r"(\d\d\.\d)\d+")  # a tenth of a point is enough for a picture
 
@@ -46,13 +48,17 @@ def write_report(content: Content, sections: Sequence[Section], folder: str | Pa
     """Write report.html and figures/*.png, *.svg; returns the path of the page."""
     # The sections may come in any order; the folder is made if need be.
     folder = Path(folder)
-    shown = sorted((each for each in sections if each.title), key=lambda each: each.place)
+    ordered = sorted(sections, key=lambda each: each.place)
     page = _environment().get_template("report.html.j2")
-    chapters = [_chapter(section, content, folder / "figures") for section in shown]
+    chapters = [
+        _chapter(section, content, folder / "figures") for section in ordered if section.title
+    ]
     packed = gzip.compress(get_plotlyjs().encode(), mtime=0)  # the library, to four tenths
     text = page.render(
         content=content,
         chapters=chapters,
+        opening=[body(each, content) for each in ordered if each.template and not each.title],
+        answers=[each.answer for each in ordered if each.answer],
         leads=[section.lead for section in sections if section.lead],
         cautions=cautions(content, sections),
         plotly=base64.b64encode(packed).decode("ascii"),
@@ -77,7 +83,8 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"number": number, "percent": percent, "price": price, "prior": prior}
-    environment.filters["word"] = word
+    environment.filters |= {"word": word, "place": place, "bar": intervals.bar}
+    environment.filters |= {"sigmas": intervals.place, "costliest": costliest}
     return environment
 
 

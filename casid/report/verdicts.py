@@ -7,8 +7,8 @@ import numpy as np
 
 from casid.display import listed
 from casid.fit import AnyFit
-from casid.report.content import OUTPUT_ERROR, Caution, Content
-from casid.report.evidence import noise_levels
+from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Caution, Content
+from casid.report.evidence import WORSE, noise_levels
 from casid.validation import Validation, fit_percent, rms_error, theil_coefficient
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
@@ -31,6 +31,8 @@ class Verdict:
     noise: float  # standard deviation of what changes too fast for an aircraft
     residual: float  # standard deviation of what the estimation left in its own records
     records: tuple[float, ...]  # Theil's coefficient of each
+    black_box: float = np.nan  # Theil's coefficient of the black box
+    advantage: float = 1.0  # RMS error over that of the black box, or the noise if that is more
 
     @property
     def word(self) -> str:
@@ -41,6 +43,18 @@ class Verdict:
     def noisy(self) -> bool:
         """Whether the error is hardly more than the noise: no model could do better."""
         return self.rms <= NOISY * self.noise
+
+    @property
+    def structural(self) -> bool:
+        """Whether the records allow to predict it much better than the structure does."""
+        return self.advantage > WORSE
+
+    @property
+    def reason(self) -> str:
+        """Why it is not better, in a few words."""
+        if self.noisy:
+            return "hardly more than its noise"
+        return f"structure: the black box is {self.advantage:.1f} times better" * self.structural
 
     @property
     def caution(self) -> str:
@@ -58,15 +72,12 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
     deviations = () if estimate.R is None else np.sqrt(np.diag(estimate.R)).tolist()
     residual = dict(zip(type(estimate.model).outputs, deviations, strict=False))
     noise = noise_levels(validation.measured).tolist()
+    other = BLACK_BOX if BLACK_BOX in validation.models else OUTPUT_ERROR
     found = []
     for i, output in enumerate(validation.outputs):
-        y = np.concatenate([record.y[:, i] for record in validation.measured])
-        y_model = np.concatenate([each[:, i] for each in validation.simulated[OUTPUT_ERROR]])
-        there = np.isfinite(y) & np.isfinite(y_model)
-        rms, fit, theil = (
-            measure(y[there], y_model[there]) if there.any() else np.nan
-            for measure in (rms_error, fit_percent, theil_coefficient)
-        )
+        rms, fit, theil = _measures(validation, OUTPUT_ERROR, i)
+        least, _, black_box = _measures(validation, other, i)
+        floor = np.fmax(least, noise[i])  # nobody need predict noise
         verdict = Verdict(
             output=output,
             unit=content.units.get(output, "-"),
@@ -76,9 +87,22 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
             noise=noise[i],
             residual=residual.get(output, np.nan),
             records=tuple(validation.theil[OUTPUT_ERROR][:, i].tolist()),
+            black_box=black_box,
+            advantage=float(rms / floor) if floor > 0 else 1.0,
         )
         found.append(verdict)
     return tuple(found)
+
+
+def _measures(validation: Validation, model: str, i: int) -> tuple[float, float, float]:
+    """RMS error, fit and Theil's coefficient of one output, all records together."""
+    y = np.concatenate([record.y[:, i] for record in validation.measured])
+    y_model = np.concatenate([each[:, i] for each in validation.simulated[model]])
+    there = np.isfinite(y) & np.isfinite(y_model)
+    if not there.any():
+        return np.nan, np.nan, np.nan
+    y, y_model = y[there], y_model[there]
+    return rms_error(y, y_model), fit_percent(y, y_model), theil_coefficient(y, y_model)
 
 
 def word(theil: float) -> str:

@@ -1,5 +1,7 @@
 """Numbers as a reader wants them."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from casid.fit import ParameterEstimate
@@ -35,3 +37,9 @@ def prior(row: ParameterEstimate) -> str:
 def price(row: ParameterEstimate) -> str:
     """Price of the bound a parameter lies on."""
     return number(row.multiplier, 3) if row.active else ""
+
+
+def costliest(shares: Mapping[str, float], count: int = 3) -> list[str]:
+    """Names of the largest shares above zero."""
+    dear = [name for name, share in shares.items() if share > 0]
+    return sorted(dear, key=lambda name: -shares[name])[:count]

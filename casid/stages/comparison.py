@@ -6,6 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
+
 from casid.bounds.cases import read_cases
 from casid.bounds.compare import BoundsComparison, compare_bounds
 from casid.estimator import Estimator
@@ -100,7 +102,9 @@ def _estimation(settings: Cases, task: Task) -> tuple[Estimator, Any, AnyFit]:
 
 
 def _show(found: BoundsComparison, content: Content) -> Iterable[Section]:  # noqa: ARG001
-    yield section("bounds", "Comparison of bounds", 30, found, draw=partial(draw_bounds, found))
+    most = max((case.increase for case in found.cases if np.isfinite(case.increase)), default=0.0)
+    more: Any = {"values": {"dearest": most}, "draw": partial(draw_bounds, found)}
+    yield section("bounds", "Comparison of bounds", 30, found, **more)
 
 
 COMPARISON = Stage(

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from casid.bands import mode_bands
 from casid.eigenmodes import modes
-from casid.report import drawings
-from casid.report.content import Caution, Content, Section, section
+from casid.report import answer, drawings
+from casid.report.content import BLACK_BOX, Caution, Content, Section, section
 from casid.report.evidence import differences, disagreement
 from casid.report.verdicts import verdicts
 from casid.stages.stage import Stage, Task
@@ -43,6 +44,9 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
     if found.predicted:
         said.append(Caution(f"Validation records: {found.predicted}", 21))
     lead = f"It was judged on records that {new} ({names})."
+    if judged:
+        seen: Any = {"verdicts": answer.ranked(judged), "compared": BLACK_BOX in found.models}
+        yield section("answer", "", 0, found, values=seen, answer=answer.told(judged, found))
     more: Any = {"values": {"verdicts": judged}, "lead": lead, "cautions": tuple(said)}
     yield section("verdicts", "Verdicts", 5, found, **more)
     yield from _compared(found, content)
@@ -50,7 +54,13 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
 
 def _compared(found: Validation, content: Content) -> Iterable[Section]:
     """All models side by side: modes, responses, time histories, errors, residuals."""
-    values = {"modes": {name: modes(fit.model.system()) for name, fit in content.fits.items()}}
+    bands = {
+        name: dict(enumerate(mode_bands(fit)))
+        for name, fit in content.fits.items()
+        if fit.covariance is not None
+    }
+    found_modes = {name: modes(fit.model.system()) for name, fit in content.fits.items()}
+    values = {"modes": found_modes, "bands": bands}
     histories = partial(drawings.draw_histories, found, content.units)
     for name, title, place, draw in (
         ("modes", "Modes", 40, partial(drawings.draw_poles, content)),

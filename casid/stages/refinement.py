@@ -7,9 +7,11 @@ from typing import Any
 from casid.declaration import check_priors
 from casid.fit import Fit
 from casid.record import Record
+from casid.report.answer import doubted, not_believed
 from casid.report.content import OUTPUT_ERROR as LABEL
 from casid.report.content import Content, Section, section
 from casid.report.evidence import few
+from casid.report.intervals import SHAPES, TICKS
 from casid.report.verdicts import on_bounds, uncertain, unsolved
 from casid.shooting.output_error import OutputError
 from casid.shooting.precision import OutputErrorNotes
@@ -35,12 +37,16 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
     plain = (f.name for f in fields(model) if f.name not in infos)
     values = {
         "others": {name: fit for name, fit in content.fits.items() if name != LABEL},
+        "doubted": doubted(content, found),
+        "shapes": SHAPES,
+        "ticks": TICKS,
         "trim": {name: getattr(model, name) for name in plain},
     }
     free = len(found.free_names) or len(found.parameters)
     lead = f"Its {free} free parameters were refined by output error."
     said = (*unsolved(found), *on_bounds(found), *few(found, content), *uncertain(found))
-    yield section("parameters", "Parameters", 10, found, values=values, lead=lead, cautions=said)
+    more: Any = {"answer": not_believed(content, found), "lead": lead, "cautions": said}
+    yield section("parameters", "Parameters", 10, found, values=values, **more)
 
 
 OUTPUT_ERROR = Stage(

@@ -1,0 +1,81 @@
+"""What a report begins with: is it good, where not, why, and what not to believe."""
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+from casid.display import listed
+from casid.fit import AnyFit
+from casid.report.content import Content
+from casid.report.evidence import apart
+from casid.report.verdicts import GOOD, Verdict
+from casid.validation import Validation
+
+WORST = 3  # outputs named
+NAMED = 6  # parameters named of a kind
+SHARE = 0.5  # Theil's coefficient at the right end of the picture
+
+
+def place(theil: float) -> float:
+    """Where a Theil coefficient stands in the picture, in percent of its width."""
+    return 100 * min(theil / SHARE, 1.0)
+
+
+def ranked(judged: Sequence[Verdict]) -> list[Verdict]:
+    """Verdicts, the worst first; those not judged at the end."""
+    return sorted(judged, key=lambda v: -v.theil if v.theil == v.theil else 1.0)
+
+
+def told(judged: Sequence[Verdict], validation: Validation) -> str:
+    """Whether the model predicts unseen records, where it does not, and why."""
+    if not judged:
+        return ""
+    words = [v.word for v in judged]
+    kinds = (each for each in ("good", "fair", "poor", "not judged") if each in words)
+    count = ", ".join(f"{kind} on {words.count(kind)}" for kind in kinds)
+    how = "predicted" if validation.predicted else "simulated in free run"
+    said = [f"Of {len(judged)} outputs of the validation records, {how}, the model is {count}."]
+    if worst := [v for v in ranked(judged) if v.theil > GOOD][:WORST]:
+        named = ", ".join(f"{v.output} {v.theil:.2f}" for v in worst)
+        said.append(f"It does worst on {named} (Theil's coefficient).")
+    if lacking := {v.output: v.advantage for v in judged if v.structural}:
+        order = sorted(lacking, key=lacking.__getitem__, reverse=True)
+        times = listed([f"{name} {lacking[name]:.1f} times" for name in order], NAMED)
+        said.append(
+            f"The structure is at fault: the black box of the same records predicts {times} better."
+        )
+    elif worst:
+        said.append("The black box of the same records is not twice as good on any.")
+    return " ".join(said)
+
+
+def doubted(content: Content, fit: AnyFit) -> Mapping[str, str]:
+    """Why not to believe a parameter's value, by its name, the gravest reason of each."""
+    reasons: dict[str, str] = {}
+    for one, other in combinations(content.fits.values(), 2):
+        reasons |= dict.fromkeys(apart(one, other), "apart")
+    for row in fit.parameters:
+        if not row.fixed and row.std_error > abs(row.value):
+            reasons[row.name] = "unsure"
+        if row.active:
+            reasons[row.name] = "held"
+    return {row.name: reasons[row.name] for row in fit.parameters if row.name in reasons}
+
+
+def not_believed(content: Content, fit: AnyFit) -> str:
+    """Which parameters not to believe, in a sentence."""
+    reasons = doubted(content, fit)
+    if not reasons:
+        return "No parameter is in doubt by bounds, errors or another estimate."
+    parts = []
+    for kind, words in WORDS.items():
+        if names := [name for name, reason in reasons.items() if reason == kind]:
+            parts.append(f"{len(names)} {words} ({listed(names, NAMED)})")
+    count = len(fit.free_names) or len(fit.parameters)
+    return f"Do not believe {len(reasons)} of {count} parameters: {'; '.join(parts)}."
+
+
+WORDS = {
+    "held": "held by a bound",
+    "unsure": "of unknown sign",
+    "apart": "on which the estimates differ by more than their errors allow",
+}

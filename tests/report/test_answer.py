@@ -1,0 +1,69 @@
+"""What the page says first."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from truths.pages import changed
+
+from casid.report.answer import doubted, not_believed, place, ranked, told
+from casid.report.verdicts import Verdict
+
+
+def verdict(output, theil, advantage=1.0, rms=1.0):
+    return Verdict(output=output, unit="-", rms=rms, fit=0.0, theil=theil, noise=0.1,
+                   residual=0.1, records=(theil,), advantage=advantage)  # fmt: skip
+
+
+SIMULATED = SimpleNamespace(predicted="")
+
+
+def test_the_worst_output_stands_first_and_what_is_not_judged_last():
+    judged = [verdict("p", 0.05), verdict("q", np.nan), verdict("r", 0.4)]
+    assert [each.output for each in ranked(judged)] == ["r", "p", "q"]
+
+
+def test_it_says_where_the_model_is_not_good_and_that_the_structure_is_why():
+    said = told([verdict("p", 0.05), verdict("r", 0.4, 3.0), verdict("q", 0.2)], SIMULATED)
+    assert "good on 1, fair on 1, poor on 1" in said
+    assert "worst on r 0.40, q 0.20" in said
+    assert "structure is at fault: the black box of the same records predicts r 3.0 times" in said
+
+
+def test_a_black_box_that_does_no_better_does_not_blame_the_structure():
+    said = told([verdict("r", 0.4, 1.5)], SIMULATED)
+    assert "structure" not in said
+    assert "not twice as good on any" in said
+    assert told([], SIMULATED) == ""
+
+
+def test_a_good_model_has_no_worst_output():
+    assert told([verdict("p", 0.05)], SIMULATED).endswith("the model is good on 1.")
+
+
+def test_an_error_of_the_noise_is_called_so_and_no_other_reason_given():
+    assert verdict("p", 0.9, rms=0.1).reason == "hardly more than its noise"
+    assert verdict("p", 0.05).reason == ""
+
+
+def test_the_picture_ends_at_one_half():
+    assert (place(0.0), place(0.25), place(2.0)) == (0.0, 50.0, 100.0)
+
+
+@pytest.mark.slow
+def test_every_parameter_in_doubt_is_named_once_with_its_gravest_reason(content):
+    fit = content.results["output_error"]
+    rows = [dataclasses.replace(row, std_error=1e3) for row in fit.parameters]
+    rows[0] = dataclasses.replace(rows[0], active=True)
+    worried = dataclasses.replace(fit, parameters=tuple(rows))
+    page = changed(content, output_error=worried)
+    found = doubted(page, worried)
+    assert found[rows[0].name] == "held"
+    assert {found[row.name] for row in rows[1:]} == {"unsure"}
+    said = not_believed(page, worried)
+    assert f"{len(rows)} of {len(rows)} parameters: 1 held by a bound ({rows[0].name})" in said
+    sure = [dataclasses.replace(row, std_error=1e-9 * abs(row.value)) for row in fit.parameters]
+    alone = dataclasses.replace(content, models={})
+    certain = dataclasses.replace(fit, parameters=tuple(sure))
+    assert not_believed(alone, certain).startswith("No parameter")
