@@ -10,7 +10,7 @@ trim values as plain fields and writes the matrices as methods. The same methods
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
-from typing import Any, ClassVar, Self, TypeAlias, TypeVar, cast, dataclass_transform
+from typing import Any, ClassVar, Protocol, Self, TypeAlias, TypeVar, cast, dataclass_transform
 
 import casadi as ca
 import numpy as np
@@ -233,6 +233,18 @@ def matrix(rows: Rows) -> ca.SX:
     return ca.sparsify(ca.vertcat(*[ca.horzcat(*row) for row in entries]))
 
 
+class Evidence(Protocol):
+    """Measurements of the parameters beside an estimator's own data."""
+
+    def residuals(self, values: Array) -> tuple[Array, Array]:
+        """Independent residuals (m,) of unit variance at free values, and derivatives (m, nf)."""
+        ...
+
+    def scatter(self, values: Array) -> Array:
+        """Covariance (nf, nf) of the gradient of half the sum of their squares."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Free:
     """The free parameters of one estimation; fixed ones are numbers and no variables."""
@@ -245,6 +257,7 @@ class Free:
     priors: Priors = field(default_factory=dict)  # of free parameters
     initial: Priors = field(default_factory=dict)  # of every record's initial states
     unbiased: tuple[str, ...] = ()  # outputs without a bias, where the others have one
+    evidence: Evidence | None = None  # other measurements of the free parameters
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -258,10 +271,23 @@ class Free:
         return np.asarray(np.clip(self.model.vector(), self.lower, self.upper)[self.index])
 
     def surprise(self, values: Array) -> tuple[Array, Array]:
-        """(λ − λ₀)/σ of all priors at free values (nf,), and the derivatives (priors, nf)."""
+        """(λ − λ₀)/σ of all priors at free values (nf,), and the derivatives (priors, nf).
+
+        Behind them the residuals of other evidence, in standard deviations too.
+        """
         rows = np.array([self.names.index(name) for name in self.priors], dtype=int)
         mean, std = np.array(list(self.priors.values())).reshape(-1, 2).T
-        return (values[rows] - mean) / std, np.eye(len(self.index))[rows] / std[:, None]
+        off, pull = (values[rows] - mean) / std, np.eye(len(self.index))[rows] / std[:, None]
+        if self.evidence is None:
+            return off, pull
+        more, slopes = self.evidence.residuals(values)
+        return np.concatenate([off, more]), np.vstack([pull, slopes])
+
+    def scatter_of_surprise(self, values: Array) -> Array:
+        """Covariance (nf, nf) of the gradient of ½ Σ of the squares of `surprise`."""
+        pull = replace(self, evidence=None).surprise(values)[1]
+        own = pull.T @ pull
+        return own if self.evidence is None else own + self.evidence.scatter(values)
 
     def constraint_slopes(self, values: Array) -> Array:
         """Derivatives of the model's constraints by the free parameters at free values, (m, nf)."""

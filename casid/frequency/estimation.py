@@ -20,6 +20,7 @@ from casid.checks import checked_fields
 from casid.display import Shown, listed
 from casid.errors import warn
 from casid.files import read_json, write_json
+from casid.fingerprints import fingerprint
 from casid.frequency import sampling
 from casid.frequency.leakage import leakage
 from casid.frequency.spectra import (
@@ -29,6 +30,7 @@ from casid.frequency.spectra import (
     composite,
     condition,
     record_spectra,
+    window_weights,
 )
 from casid.record import Record
 from casid.records import Records, same_channels, several, standard_deviations, still, stretches
@@ -36,8 +38,11 @@ from casid.threads import one_thread
 from casid.values import storable
 
 KEPT = 0.5  # share of an input's power in the windows without long losses
-PAIRWISE = ("G", "coherence", "random_error", "leakage")  # fields by frequency, output, input
-POINTWISE = ("omega", *PAIRWISE, "multiple_coherence", "condition")
+PAIRWISE = ("G", "coherence", "random_error", "leakage", "resolution")  # by pair
+CORRELATIONS = ("output_correlation", "input_correlation")
+POINTWISE = ("omega", *PAIRWISE, *CORRELATIONS, "multiple_coherence", "condition")
+COMPLEX = ("G", *CORRELATIONS)
+HANN = 3.84  # rad: standard deviation of a Hann window's spectral window, times its length
 
 
 @storable
@@ -58,6 +63,12 @@ class FrequencyResponse(Shown):
         phase in rad.
     leakage : (K, ny, nu) array
         What the windows' finite length adds to that error; zero unless given.
+    resolution : (K, ny, nu) array
+        Standard deviation [rad/s] of the spectral window: errors of points nearer than that are
+        alike; zero, errors of all frequencies independent, unless given.
+    output_correlation, input_correlation : (K, ny, ny), (K, nu, nu) complex array
+        Correlation of the errors between outputs, which share noise, and between inputs, which
+        moved together; none unless given.
     inputs, outputs : tuple of str
         Channel names.
     input_std, output_std : (nu,), (ny,) array
@@ -72,6 +83,8 @@ class FrequencyResponse(Shown):
         Reason -> positions in ``omega`` of points to distrust.
     records : tuple of str
         Names of the records used.
+    fingerprints : tuple of tuple of str
+        Of these, by which they are recognised (`casid.fingerprints`).
     """
 
     omega: Array
@@ -83,11 +96,15 @@ class FrequencyResponse(Shown):
     input_std: Array
     output_std: Array
     leakage: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    resolution: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    output_correlation: ComplexArray = field(default_factory=lambda: np.zeros((0, 0, 0), complex))
+    input_correlation: ComplexArray = field(default_factory=lambda: np.zeros((0, 0, 0), complex))
     multiple_coherence: Array = field(default_factory=lambda: np.zeros((0, 0)))
     condition: Array = field(default_factory=lambda: np.zeros(0))
     windows: tuple[float, ...] = ()
     flags: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     records: tuple[str, ...] = ()
+    fingerprints: tuple[tuple[str, ...], ...] = ()
 
     def __post_init__(self) -> None:
         omega = np.array(self.omega, dtype=float)
@@ -99,17 +116,23 @@ class FrequencyResponse(Shown):
         K, ny, nu = len(omega), len(self.outputs), len(self.inputs)
         if omega.ndim != 1 or not K or not (omega > 0).all() or (np.diff(omega) <= 0).any():
             raise ValueError("omega: expected increasing frequencies above 0 rad/s, (K,)")
-        if not self.leakage.size:
-            object.__setattr__(self, "leakage", np.zeros((K, ny, nu)))
-        if not self.multiple_coherence.size:
-            object.__setattr__(self, "multiple_coherence", np.full((K, ny), np.nan))
-        if not self.condition.size:
-            object.__setattr__(self, "condition", np.full(K, np.nan))
+        unless_given: dict[str, Array] = {
+            "leakage": np.zeros((K, ny, nu)),
+            "resolution": np.zeros((K, ny, nu)),
+            "output_correlation": np.tile(np.eye(ny), (K, 1, 1)),
+            "input_correlation": np.tile(np.eye(nu), (K, 1, 1)),
+            "multiple_coherence": np.full((K, ny), np.nan),
+            "condition": np.full(K, np.nan),
+        }
+        for name, values in unless_given.items():
+            if not getattr(self, name).size:
+                object.__setattr__(self, name, values)
         pairs = dict.fromkeys(PAIRWISE, (K, ny, nu))
         rest = {"input_std": (nu,), "output_std": (ny,), "multiple_coherence": (K, ny)}
+        rest |= {"output_correlation": (K, ny, ny), "input_correlation": (K, nu, nu)}
         wanted: dict[str, tuple[int, ...]] = {**pairs, **rest, "condition": (K,)}
         for name, shape in wanted.items():
-            values = np.array(getattr(self, name), dtype=complex if name == "G" else float)
+            values = np.array(getattr(self, name), dtype=complex if name in COMPLEX else float)
             values.setflags(write=False)
             object.__setattr__(self, name, values)
             if values.shape != shape:
@@ -161,7 +184,9 @@ class FrequencyResponse(Shown):
     def save(self, path: str | Path) -> None:
         """Write the response as JSON, whole or not at all."""
         content: dict[str, Any] = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        content["G"] = {"real": self.G.real, "imag": self.G.imag}
+        for name in COMPLEX:
+            values = getattr(self, name)
+            content[name] = {"real": values.real, "imag": values.imag}
         write_json(path, {"casid": "frequency response", "version": 1} | content)
 
     @classmethod
@@ -186,13 +211,17 @@ class FrequencyResponse(Shown):
     @classmethod
     def _from_content(cls, content: dict[str, Any]) -> "FrequencyResponse":
         content.pop("version", None)
-        parts = content.pop("G")
-        G = np.array(parts["real"], dtype=float) + 1j * np.array(parts["imag"], dtype=float)
+        for name in COMPLEX:
+            if parts := content.get(name):
+                real, imag = (np.array(parts[half], dtype=float) for half in ("real", "imag"))
+                content[name] = real + 1j * imag
+        if prints := content.get("fingerprints"):
+            content["fingerprints"] = tuple(map(tuple, prints))
         for name in ("inputs", "outputs", "windows", "records"):
             content[name] = tuple(content[name])
         content["flags"] = {why: tuple(at) for why, at in content["flags"].items()}
         content |= {k: np.array(v, dtype=float) for k, v in content.items() if isinstance(v, list)}
-        return cls(G=G, **content)
+        return cls(**content)
 
     def to_control(self) -> Any:  # noqa: ANN401 - python-control has no types
         """The response as a `control.FrequencyResponseData`, without its quality."""
@@ -231,7 +260,7 @@ class SpectralAnalysis:
     @one_thread
     def fit(self, records: Records) -> FrequencyResponse:
         """Frequency response of the records; see `frequency_response`."""
-        records = stretches(records)
+        flown = records = stretches(records)
         inputs, outputs = same_channels(records)
         grid = sampling.default_grid(records) if self.omega is None else self.omega
         omega = sampling.checked_grid(grid, records)
@@ -253,10 +282,13 @@ class SpectralAnalysis:
         found = FrequencyResponse(
             omega=omega, G=laid(merged.response), coherence=laid(merged.coherence),
             random_error=laid(merged.random_error), leakage=laid(leakage(parts, usable, lengths)),
+            resolution=laid(_resolution(parts, usable, lengths)),
+            **_correlations(merged, active, len(inputs)),
             inputs=inputs, outputs=outputs, input_std=su, output_std=sy,
             multiple_coherence=multiple, condition=merged.condition,
             windows=tuple(lengths), flags=_flags(omega, lengths[-1], usable, counted, number),
             records=tuple(record.name for record in records),
+            fingerprints=tuple(fingerprint(record) for record in flown),
         )  # fmt: skip
         _warn(found, silent)
         return found
@@ -309,6 +341,21 @@ def holding(
             if np.isfinite(each.G[:, i, j]).any():
                 return each
     return responses[0]
+
+
+def _resolution(parts: Sequence[Conditioned], usable: BoolArray, lengths: Sequence[float]) -> Array:
+    """Standard deviation [rad/s] of the composite's spectral window, (K, ny, nu)."""
+    W = window_weights(np.array([part.random_error for part in parts]), usable)
+    return np.asarray(np.einsum("wkij,w->kij", W, HANN / np.array(lengths)))
+
+
+def _correlations(merged: Conditioned, active: Sequence[int], nu: int) -> dict[str, ComplexArray]:
+    """Correlations of errors, of all inputs from those that move; empty if unknown."""
+    if merged.output_correlation is None or merged.input_correlation is None:
+        return {}
+    full = np.tile(np.eye(nu, dtype=complex), (len(merged.input_correlation), 1, 1))
+    full[:, np.array(active)[:, None], active] = merged.input_correlation
+    return {"output_correlation": merged.output_correlation, "input_correlation": full}
 
 
 def _laid(values: Any, where: Any, shape: tuple[int, int]) -> Any:  # noqa: ANN401 - any numbers

@@ -15,7 +15,7 @@ where its phase happens to lie.
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ STEP = 1 / 3  # between windows, in window lengths
 OVERLAP_FACTOR = np.sqrt(0.55)  # C_ε of T&R (7.35) for an overlap of half or more
 
 FIELDS = ("Gxx", "Gxy", "Gyy", "random_error", "multiple_coherence", "condition")
+NEIGHBOURS = 0.2  # nepers over which the correlation of outputs is smoothed
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -40,9 +41,11 @@ class Spectra:
     Guu: ComplexArray  # (R, K, nu, nu) averages of conj(U_a) U_b
     Guy: ComplexArray  # (R, K, nu, ny) of conj(U_a) Y_i
     Gyy: Array  # (R, K, ny) of |Y_i|²
+    Gyz: ComplexArray  # (R, K, ny, ny) of conj(Y_i) Y_l
     averages: Array  # (R, K) windows that would fit without overlap
     count: Array  # (K,) windows used
     kept: Array  # (K,) power kept of the input that lost most in windows left out
+    omega: Array  # (K,) [rad/s]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,6 +61,8 @@ class Conditioned:
     random_error: Array  # (K, ny, nu)
     multiple_coherence: Array  # (K, ny)
     condition: Array  # (K,) of the inputs' coherence matrix
+    output_correlation: ComplexArray | None = None  # (K, ny, ny) of the errors of two outputs
+    input_correlation: ComplexArray | None = None  # (K, nu, nu) of those of two inputs
 
     @property
     def response(self) -> ComplexArray:
@@ -90,22 +95,25 @@ def record_spectra(
         W = weight / np.where(total > 0, total, 1.0)
         Guu = np.einsum("wk,wka,wkb->kab", W, U.conj(), U, optimize=True)
         Guy = np.einsum("wk,wka,wki->kai", W, U.conj(), Y, optimize=True)
-        Gyy = np.einsum("wk,wki,wki->ki", W, Y.conj(), Y, optimize=True).real
+        Gyz = np.einsum("wk,wki,wkl->kil", W, Y.conj(), Y, optimize=True)
+        Gyy = np.einsum("kii->ki", Gyz).real
         # n windows cover 1 + (n - 1)/3 lengths.
         averages = np.where(total > 0, 1 + np.maximum(total - 1, 0) * STEP, 0.0)
-        sums.append((Guu, Guy, Gyy, averages))
+        sums.append((Guu, Guy, Gyy, Gyz, averages))
         power = np.abs(U) ** 2
         powers.append(np.array([np.einsum("wk,wka->ka", weight > 0, power), power.sum(axis=0)]))
         counts.append((weight > 0).sum(axis=0))
-    Guu, Guy, Gyy, averages = (np.array(column) for column in zip(*sums, strict=True))
+    Guu, Guy, Gyy, Gyz, averages = (np.array(column) for column in zip(*sums, strict=True))
     kept, every = np.sum(powers, axis=0)
     return Spectra(
         Guu=Guu,
         Guy=Guy,
         Gyy=Gyy,
+        Gyz=Gyz,
         averages=averages,
         count=np.sum(counts, axis=0),
         kept=np.min(kept / np.where(every > 0, every, 1.0), axis=1, initial=1.0),
+        omega=omega,
     )
 
 
@@ -189,7 +197,11 @@ def condition(spectra: Spectra, *, conditioned: bool) -> Conditioned:
     w = P / np.einsum("kaa->ka", P)[:, :, None]  # row j: the part of input j the others do not give
     power = np.einsum("kja,rkab,kjb->rkj", w, spectra.Guu, w.conj(), optimize=True).real
     H[wrong] = np.nan
-    return _pairs(spectra, H, Gyy, np.maximum(power, 0.0), number, conditioned=conditioned)
+    found = _pairs(spectra, H, Gyy, np.maximum(power, 0.0), number, conditioned=conditioned)
+    if not conditioned:
+        return found
+    across, between = _output_correlation(spectra, H), correlation(P)
+    return replace(found, output_correlation=across, input_correlation=between)
 
 
 def _shares(spectra: Spectra) -> Array:
@@ -227,6 +239,28 @@ def _pairs(
         multiple_coherence=np.clip(1 - everywhere / np.where(Gyy > 0, Gyy, 1.0), 0.0, 1.0),
         condition=number,
     )
+
+
+def correlation(S: ComplexArray) -> ComplexArray:
+    """Hermitian matrices (..., n, n) scaled to ones on the diagonal."""
+    size = np.sqrt(np.maximum(np.einsum("...ii->...i", S).real, 1e-300))
+    return np.asarray(S / (size[..., :, None] * size[..., None, :]))
+
+
+def _output_correlation(spectra: Spectra, H: ComplexArray) -> ComplexArray:
+    """Correlation (K, ny, ny) of what a response leaves of the outputs.
+
+    Smoothed over neighbouring frequencies, and shrunk towards none where there are few averages.
+    """
+    n, H = _shares(spectra), np.nan_to_num(H)
+    cross = np.einsum("rk,rkai,kla->kil", n, spectra.Guy.conj(), H, optimize=True)
+    own = np.einsum("kia,rk,rkab,klb->kil", H.conj(), n, spectra.Guu, H, optimize=True)
+    left = np.einsum("rk,rkil->kil", n, spectra.Gyz) - cross - np.swapaxes(cross.conj(), 1, 2) + own
+    place = np.log(spectra.omega)
+    W = np.exp(-(((place[:, None] - place) / NEIGHBOURS) ** 2) / 2)
+    smooth = np.einsum("kl,lij->kij", W / W.sum(axis=1, keepdims=True), correlation(left).conj())
+    ny, count = H.shape[1], np.sum(spectra.averages, axis=0)[:, None, None]
+    return np.asarray((count * smooth + ny * np.eye(ny)) / (count + ny))
 
 
 def _residual(spectra: Spectra, H: ComplexArray, *, conditioned: bool) -> Array:
@@ -272,7 +306,20 @@ def composite(parts: Sequence[Conditioned], usable: BoolArray, iterations: int =
         random_error=G["random_error"],
         multiple_coherence=lost[:, None] * multiple,
         condition=np.max(stacked["condition"], axis=0),
+        output_correlation=_blend(W, [part.output_correlation for part in parts]),
+        input_correlation=_blend(W, [part.input_correlation for part in parts]),
     )
+
+
+def _blend(W: Array, matrices: Sequence[ComplexArray | None]) -> ComplexArray | None:
+    """Mean (K, n, n) over window lengths, of those that are used; none, uncorrelated."""
+    if any(each is None for each in matrices):
+        return None
+    weight = W.mean(axis=(2, 3))
+    weight = weight / np.maximum(weight.sum(axis=0), 1e-300)
+    mean = np.einsum("wk,wkij->kij", weight, np.array(matrices))
+    lost = ~np.isfinite(mean).all(axis=(1, 2)) | (weight.sum(axis=0) < 0.5)
+    return np.where(lost[:, None, None], np.eye(mean.shape[1]), mean)
 
 
 def _mean(W: Array, values: Any) -> Any:  # noqa: ANN401 - real or complex

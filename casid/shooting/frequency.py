@@ -201,7 +201,7 @@ def search(
         state = SpectralProgramme(residuals, spectra, scales).state(lam / scales)
         if state is None:
             raise ValueError("the model has a pole on a line of its records' transforms: move it")
-        taken = leverages(state.residuals)
+        taken = leverages(state.residuals, state.F)
         spectra = noise_spectra(lines, state.residuals, taken)
         if last is not None and last.settled:
             outcome = _round(SpectralProgramme(residuals, spectra, scales), lam, last, options)

@@ -21,14 +21,16 @@ from casid.checks import checked_fields
 from casid.declaration import check_priors
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, on_bounds, parameter_table
+from casid.frequency.estimation import FrequencyResponse
 from casid.model import Bounds, Free, M, Model, Priors, free_parameters
 from casid.nlp import SolverOptions
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.records import Records, check_alive, stretches
+from casid.records import Records, check_alive, several, stretches
 from casid.shooting.innovation import ProcessNoise
 from casid.shooting.knowledge import with_knowledge
 from casid.shooting.likelihood import CovarianceKind
+from casid.shooting.measured import MeasuredResponses, check_responses
 from casid.shooting.nonlinear import MOST, Integration
 from casid.shooting.precision import OutputErrorNotes, Precision, precision
 from casid.shooting.search import IPOPT, Outcome, Search
@@ -83,6 +85,10 @@ class OutputError:
         ``interval``, no process noise, biases always, R diagonal, records sampled evenly.
         Errors allow for how few lines the spectrum comes from; a `DataWarning` tells where that may
         not be enough.
+    responses : sequence of FrequencyResponse
+        Measured responses, or another tool's, that enter the same likelihood in either domain: each
+        point by its stated error and bias, correlated with its neighbours as the response states;
+        flagged points do not count. Of other flights than the records: no datum counts twice.
     solver : SolverOptions
         Limits and tolerance of each solve.
     """
@@ -96,6 +102,7 @@ class OutputError:
     process_noise: ProcessNoise = False
     steps: int | None = None
     domain: Domain = "time"
+    responses: Sequence[FrequencyResponse] = ()
     solver: SolverOptions = SolverOptions()
 
     @one_thread
@@ -116,6 +123,7 @@ class OutputError:
         """
         begin = time.perf_counter()
         options = replace(self.solver, ipopt=IPOPT | dict(self.solver.ipopt))
+        check_responses(model, self.responses, several(data))
         free = self.free(model, fixed, bounds)
         chosen = select_records(free, data, bool(self.biases))
         if self.domain != "time":
@@ -137,13 +145,15 @@ class OutputError:
     def free(self, model: M, fixed: Collection[str] = (), bounds: Bounds | None = None) -> Free:
         """What is free of a model; ValueError, ModelError for settings that do not go with it."""
         free = free_parameters(model, fixed, bounds, self.priors)
-        _check_nonlinear(model, self.process_noise, self.steps)
+        _check_nonlinear(model, self.process_noise, self.steps, self.responses)
         if self.domain != "time":
             self._checked_for_lines(model)
         elif self.interval is not None and not 0 < self.interval < np.inf:
             raise ValueError(
                 f"interval={self.interval}: expected seconds above 0, or None to have it chosen"
             )
+        if self.responses:
+            free = replace(free, evidence=MeasuredResponses(free, several(self.responses)))
         return with_knowledge(free, self.initial, self.biases, self.state_biases)
 
     def _checked_for_lines(self, model: Model) -> Array | None:
@@ -169,8 +179,15 @@ class OutputError:
         return given
 
 
-def _check_nonlinear(model: Model, process_noise: ProcessNoise, steps: int | None) -> None:
+def _check_nonlinear(
+    model: Model, process_noise: ProcessNoise, steps: int | None, responses: object
+) -> None:
     """Refuse settings that the structure's kind does not have."""
+    if responses and isinstance(model, NonlinearModel):
+        raise ValueError(
+            f"responses: {type(model).__name__} is nonlinear and has none of its own; match() and "
+            "derivid() take responses at flight conditions"
+        )
     if not isinstance(model, NonlinearModel):
         if steps is not None:
             raise ValueError(f"steps={steps}: a linear structure is integrated exactly; leave it")
@@ -195,6 +212,7 @@ def output_error(
     fixed: Collection[str] = (),
     bounds: Bounds | None = None,
     domain: Domain = "time",
+    responses: FrequencyResponse | Sequence[FrequencyResponse] = (),
     solver: SolverOptions = SolverOptions(),
 ) -> Fit[M, OutputErrorNotes]:
     """Maximum-likelihood estimate of a model from time histories.
@@ -205,7 +223,7 @@ def output_error(
         As in `Estimator.fit`; the start is, for example, ``match(...).model``.
     records : Record or sequence of Record
         With at least the model's channels, by name; NaN in y and any sampling are welcome.
-    interval, R, biases, process_noise, priors, domain, solver
+    interval, R, biases, process_noise, priors, domain, responses, solver
         As in `OutputError`, which has the rarer settings too.
 
     Returns
@@ -228,6 +246,7 @@ def output_error(
         process_noise=process_noise,
         priors=priors,
         domain=domain,
+        responses=several(responses),
         solver=solver,
     )
     check_priors(model, priors, fixed, bounds)

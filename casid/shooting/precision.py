@@ -192,9 +192,10 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) 
     data = uncertainty.coloured_covariance(
         covariance, residuals, lambda: sweep.influence(move[layout.node])
     )
-    _, pull = programme.free.surprise(programme.unpack(x).lam[: len(programme.free.index)])
-    known = covariance[:, : pull.shape[1]] @ (pull * s.lam[: pull.shape[1]]).T
-    total = data + known @ known.T
+    n = len(programme.free.index)
+    unit, known = s.lam[:n], covariance[:, :n]
+    surprise = programme.free.scatter_of_surprise(programme.unpack(x).lam[:n])
+    total = data + known @ (surprise * np.outer(unit, unit)) @ known.T
     if sweep.gains is None:
         return np.asarray(total)
     _, more = sweep.gains.through_covariance(sweep.motion.residuals)

@@ -117,9 +117,8 @@ def reach(lines: Sequence[Lines], taken: Sequence[Array], share: float) -> float
     return float(omega[order[min(beyond, len(omega) - 1)]])
 
 
-def leverages(residuals: Sequence[Residual]) -> list[Array]:
-    """What the parameters take of every line's degrees of freedom, (K, ny)."""
-    F = np.sum([each.F for each in residuals], axis=0)
+def leverages(residuals: Sequence[Residual], F: Array) -> list[Array]:
+    """What parameters of information F (nf, nf) take of every line's freedom, (K, ny)."""
     unit = 1 / np.sqrt(np.maximum(np.diag(F), 1e-300))
     values, vectors = np.linalg.eigh(F * np.outer(unit, unit))
     values = np.where(values > 1e-12 * len(F), values, np.inf)
@@ -170,14 +169,14 @@ def _between(edges: Array, total: Array, at: Array) -> Array:
 
 
 def scatter_of_lines(
-    lines: Sequence[Lines], residuals: Sequence[Residual], powers: Sequence[Array]
+    lines: Sequence[Lines], residuals: Sequence[Residual], powers: Sequence[Array], F: Array
 ) -> Array:
     """Covariance (nf, nf) of the cost's gradient from every line's own residual, not smoothed.
 
     Corrected for leverage: HC2 of MacKinnon and White, Journal of Econometrics 29 (1985), 305.
     """
     total = np.zeros_like(residuals[0].F)
-    left = leftover(lines, residuals, leverages(residuals))
+    left = leftover(lines, residuals, leverages(residuals, F))
     for each, found, power, freedom in zip(lines, residuals, powers, left, strict=True):
         share = np.clip(freedom / each.weight[:, None], SPENT, 1.0)
         slopes = np.einsum("kia,ki->ka", found.rows.conj(), found.E / np.sqrt(power * share))
@@ -209,14 +208,14 @@ def contrast(spectra: Sequence[NoiseSpectrum]) -> float:
 
 
 def coherent(
-    lines: Sequence[Lines], residuals: Sequence[Residual], powers: Sequence[Array]
+    lines: Sequence[Lines], residuals: Sequence[Residual], powers: Sequence[Array], F: Array
 ) -> list[Array]:
     """Smoothed correlation of whitened residuals across outputs, (K, ny, ny) of every record.
 
     Complex, Hermitian, with ones on the diagonal.
     """
     found: list[Array] = []
-    left = leftover(lines, residuals, leverages(residuals))
+    left = leftover(lines, residuals, leverages(residuals, F))
     white = [r.E / np.sqrt(power) for r, power in zip(residuals, powers, strict=True)]
     for each in lines:
         mine = [r for r, other in enumerate(lines) if other.kind == each.kind]

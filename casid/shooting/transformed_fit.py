@@ -140,7 +140,8 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array) -> Precision:
     gap = np.minimum(lam - free.lower[free.index], free.upper[free.index] - lam)
     ties = holding(free, lam, gap <= ACTIVE * span) * span
     unit = np.outer(span, span)
-    alone = sum(each.alone for each in state.residuals) * span**2
+    pull = free.surprise(lam)[1]
+    alone = (sum(each.alone for each in state.residuals) + np.sum(pull**2, axis=0)) * span**2
     F = state.F * unit
     scaled = uncertainty.bound(F, ties, alone)
     unknown = np.isinf(np.diag(scaled))
@@ -170,8 +171,8 @@ def _allowing(found: Precision, programme: SpectralProgramme, x: Array, lam: Arr
     if state is None or not told.any():
         return found
     lines = programme.residuals.lines
-    pull = programme.residuals.free.surprise(lam)[1]
-    middle = scatter_of_lines(lines, state.residuals, programme.powers) + pull.T @ pull
+    middle = scatter_of_lines(lines, state.residuals, programme.powers, state.F)
+    middle += programme.residuals.free.scatter_of_surprise(lam)
     smooth = np.where(told, np.diag(found.covariance), 1.0)
     more = np.where(told, np.maximum(np.diag(known @ middle @ known) / smooth, 1.0), 1.0)
     freedom = np.where(told, degrees(lines, state.residuals, known), np.inf)
@@ -190,11 +191,10 @@ def _allowing(found: Precision, programme: SpectralProgramme, x: Array, lam: Arr
 def _scatter(programme: SpectralProgramme, state: State, lam: Array) -> Array:
     """Covariance (nf, nf) of the cost's gradient, residuals correlated across outputs."""
     lines, found = programme.residuals.lines, state.residuals
-    across = coherent(lines, found, programme.powers)
+    across = coherent(lines, found, programme.powers, state.F)
     total = np.zeros_like(state.F)
     for each, S in zip(found, across, strict=True):
         left = each.rows.reshape(-1, len(total))
         right = (S @ each.rows).reshape(-1, len(total))
         total += left.real.T @ right.real + left.imag.T @ right.imag
-    pull = programme.residuals.free.surprise(lam)[1]
-    return (total + total.T) / 2 + pull.T @ pull
+    return (total + total.T) / 2 + programme.residuals.free.scatter_of_surprise(lam)

@@ -1,0 +1,94 @@
+"""How the errors of a measured frequency response hang together, and how to make them independent.
+
+The errors of neighbouring frequencies come from overlapping parts of the spectrum: with spectral
+windows of standard deviation b they correlate by
+
+    ρ_kl = √(2 b_k b_l/(b_k² + b_l²)) exp(−(ω_k − ω_l)²/(2 (b_k² + b_l²))),
+
+those of two outputs as their noise does, those of two inputs as the inverse of the inputs' spectra
+(J. S. Bendat, A. G. Piersol, Random Data, 4th ed., chapters 8 and 9). The covariance of all points
+is A_k ρ_kl A_lᴴ, with A_k A_kᴴ that of the pairs at one frequency.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from casid.arrays import Array, BoolArray, ComplexArray
+from casid.frequency.estimation import FrequencyResponse
+
+ALONE = 0.03  # of a variance that neighbours do not share: finer grids then tell no more
+LEAST = 1e-4  # of a response, the smallest error believed
+
+
+@dataclass(frozen=True, eq=False)
+class Whitener:
+    """Makes the errors of a response's usable points independent, of unit variance.
+
+    Parameters
+    ----------
+    used : (K, ny, nu) array
+        Points that count: measured, with a stated error, not flagged.
+    across : (K, ny nu, ny nu) complex array
+        A_k⁻¹ between the pairs of one frequency, lower triangular; zero where not used.
+    along : tuple of (pair, places in ω (n,), (n, n) array)
+        Inverse roots of ρ, one a pair.
+    """
+
+    used: BoolArray
+    across: ComplexArray
+    along: tuple[tuple[int, NDArray[np.intp], Array], ...]
+
+    def __call__(self, values: ComplexArray) -> ComplexArray:
+        """Values (K, ny, nu, ...) as rows (points, ...) whose errors are independent.
+
+        Real and imaginary part of each have unit variance.
+        """
+        flat = values.reshape(len(values), -1, *values.shape[3:])
+        flat = np.where(self.used.reshape(flat.shape[:2] + (1,) * (flat.ndim - 2)), flat, 0.0)
+        mixed = np.einsum("kpq,kq...->kp...", self.across, flat)
+        return np.concatenate(
+            [np.tensordot(root, mixed[at, pair], 1) for pair, at, root in self.along]
+        )
+
+
+def whitener(response: FrequencyResponse, wanted: BoolArray) -> Whitener:
+    """The whitener of a response's stated errors, of pairs ``wanted`` (ny, nu).
+
+    ValueError: no such point with a stated error.
+    """
+    used = wanted & np.isfinite(response.G) & np.isfinite(response.error) & (np.abs(response.G) > 0)
+    for at in response.flags.values():
+        used[list(at)] = False
+    if not used.any():
+        raise ValueError(
+            f"the response from {', '.join(response.records) or 'elsewhere'} states no error at "
+            "any usable point of the model's pairs: give random_error, the relative standard "
+            "deviation of its gain"
+        )
+    std = np.where(used, np.maximum(response.error, LEAST) * np.abs(response.G), 1.0)
+    K, ny, nu = used.shape
+    pairs, std = used.reshape(K, -1), std.reshape(K, -1)
+    S = np.einsum("kil,kjm->kijlm", response.output_correlation, response.input_correlation)
+    S = S.reshape(K, ny * nu, ny * nu)
+    both = pairs[:, :, None] & pairs[:, None, :]
+    S = np.where(both, S, np.eye(ny * nu))
+    inverse = np.linalg.inv(np.linalg.cholesky((1 - ALONE) * S + ALONE * np.eye(ny * nu)))
+    across = np.where(both, inverse / std[:, None, :], 0.0)
+    width = response.resolution.reshape(K, -1)
+    places = [(p, np.flatnonzero(pairs[:, p])) for p in range(ny * nu)]
+    along = [(p, at, _root(response.omega[at], width[at, p])) for p, at in places if len(at)]
+    return Whitener(used, across, tuple(along))
+
+
+def _root(omega: Array, width: Array) -> Array:
+    """Inverse root (n, n) of the correlation of errors at frequencies with spectral windows."""
+    b = np.maximum(width, 1e-9 * omega)
+    square = b[:, None] ** 2 + b**2
+    rho = np.sqrt(2 * np.outer(b, b) / square)
+    rho *= np.exp(-((omega[:, None] - omega) ** 2) / (2 * square))
+    rho = (1 - ALONE) * rho + ALONE * np.eye(len(b))
+    lower = np.linalg.cholesky(rho)
+    return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(b)), lower=True))

@@ -1,0 +1,79 @@
+"""Errors of a frequency response made independent."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.systems import OMEGA, unstable_plant
+
+from casid import FrequencyResponse
+from casid.frequency import covariance
+from casid.frequency.covariance import whitener
+
+PLANT = unstable_plant()
+EVERY = np.ones((3, 2), dtype=bool)
+
+
+def response(**more):
+    G = PLANT.response(OMEGA)
+    ones = np.ones(G.shape)
+    return FrequencyResponse(
+        omega=OMEGA, G=G, coherence=0.9 * ones, random_error=0.1 * ones, inputs=PLANT.inputs,
+        outputs=PLANT.outputs, input_std=np.ones(2), output_std=np.ones(3), **more,
+    )  # fmt: skip
+
+
+def unit_rows(found, G):
+    """Rows of every single point's error, (points, K ny nu)."""
+    units = np.eye(G.size).reshape(*G.shape, G.size)
+    return found(units)
+
+
+def test_independent_errors_are_divided_by_their_size(monkeypatch):
+    monkeypatch.setattr(covariance, "ALONE", 0.0)
+    measured = response(leakage=np.full((len(OMEGA), 3, 2), 0.2))
+    W = unit_rows(whitener(measured, EVERY), measured.G)
+    expected = 1 / (np.hypot(0.1, 0.2) * np.abs(measured.G.ravel()))
+    np.testing.assert_allclose(np.sort(np.abs(W).max(axis=0)), np.sort(expected), rtol=1e-9)
+    assert np.count_nonzero(np.abs(W) > 1e-9) == W.shape[0] == measured.G.size
+
+
+def test_correlated_errors_become_independent(monkeypatch):
+    # Errors with just the covariance that is stated: of one frequency, and along frequency.
+    monkeypatch.setattr(covariance, "ALONE", 1e-9)
+    K = len(OMEGA)
+    S = np.array([[1, 0.6j, 0], [-0.6j, 1, 0.3], [0, 0.3, 1]])
+    Q = np.array([[1, 0.5 + 0.2j], [0.5 - 0.2j, 1]])
+    width = 0.1 * OMEGA
+    measured = response(
+        resolution=np.tile(width[:, None, None], (1, 3, 2)),
+        output_correlation=np.tile(S, (K, 1, 1)), input_correlation=np.tile(Q, (K, 1, 1)),
+    )  # fmt: skip
+    fine = np.linspace(-2, 12, 4000)  # spectral windows, drawn: their overlap is the correlation
+    windows = np.exp(-(((fine - OMEGA[:, None]) / width[:, None]) ** 2) / 2)
+    windows /= np.linalg.norm(windows, axis=1)[:, None]
+    size = 0.1 * np.abs(measured.G).reshape(K, 6)
+    root = size[:, :, None] * np.linalg.cholesky(np.kron(S, Q))
+    C = np.einsum("kpa,kl,lqa->kplq", root, windows @ windows.T, root.conj()).reshape(6 * K, -1)
+    W = unit_rows(whitener(measured, EVERY), measured.G)
+    np.testing.assert_allclose(W @ C @ W.conj().T, np.eye(6 * K), atol=1e-5)
+
+
+def test_points_without_an_error_flagged_or_not_wanted_do_not_count():
+    G = PLANT.response(OMEGA)
+    error = np.full(G.shape, 0.1)
+    error[3, 1, 0] = np.nan
+    measured = replace(response(flags={"distrusted": (0, 5)}), random_error=error)
+    wanted = EVERY.copy()
+    wanted[2] = False
+    found = whitener(measured, wanted)
+    assert not found.used[[0, 5]].any()
+    assert not found.used[3, 1, 0]
+    assert not found.used[:, 2].any()
+    assert found.used.sum() == 4 * (len(OMEGA) - 2) - 1 == len(unit_rows(found, G))
+
+
+def test_a_response_without_errors_is_refused():
+    unknown = replace(response(), random_error=np.full((len(OMEGA), 3, 2), np.nan))
+    with pytest.raises(ValueError, match="states no error at any usable point"):
+        whitener(unknown, EVERY)

@@ -1,0 +1,102 @@
+"""Measured responses in the likelihood of records, in both domains."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.closed_roll import NAMES, TRUTH, campaign, off
+
+from casid import FrequencyResponse, OutputError, frequency_response, output_error
+
+OMEGA = np.geomspace(0.5, 10.0, 20)
+RECORDS = campaign(1, 2)
+
+
+def measured(share=0.03, seed=0, **more):
+    """The truth's response with independent relative errors."""
+    rng, G = np.random.default_rng(seed), TRUTH.system().response(OMEGA)
+    noise = rng.standard_normal(G.shape) + 1j * rng.standard_normal(G.shape)
+    ones = np.ones(G.shape)
+    return FrequencyResponse(
+        omega=OMEGA, G=G * (1 + share * noise), coherence=ones, random_error=share * ones,
+        inputs=TRUTH.inputs, outputs=TRUTH.outputs, input_std=np.ones(2), output_std=np.ones(3),
+        **more,
+    )  # fmt: skip
+
+
+def evidence(responses):
+    return OutputError(responses=responses).free(off()).evidence
+
+
+@pytest.mark.parametrize("coherence", [1.0, 0.8])  # stated none, or some
+def test_derivatives_agree_with_differences(coherence):
+    response = replace(measured(), coherence=np.full((20, 3, 2), coherence))
+    found, at = evidence([response]), off().vector()
+    _, J = found.residuals(at)
+    for k in range(len(at)):
+        step = 1e-6 * np.eye(len(at))[k]
+        numeric = (found.residuals(at + step)[0] - found.residuals(at - step)[0]) / 2e-6
+        np.testing.assert_allclose(J[:, k], numeric, atol=1e-6 * np.abs(J[:, k]).max())
+
+
+def test_residuals_are_of_unit_variance_at_the_truth():
+    r = np.concatenate(
+        [evidence([measured(seed=k)]).residuals(TRUTH.vector())[0] for k in range(9)]
+    )
+    # p and phi do not see the lateral force, ay does not see the pedals: all pairs are there still.
+    assert len(r) == 9 * 2 * 20 * 6
+    assert np.mean(r**2) == pytest.approx(1, abs=4 * np.sqrt(2 / len(r)))
+
+
+@pytest.mark.parametrize("domain", ["time", "frequency"])
+def test_the_information_of_both_adds_up(domain):
+    plain = output_error(TRUTH, RECORDS, domain=domain, R=np.diag([0.05, 0.01, 0.01]) ** 2)
+    joint = output_error(
+        off(), RECORDS, domain=domain, R=np.diag([0.05, 0.01, 0.01]) ** 2, responses=measured()
+    )
+    _, J = evidence([measured()]).residuals(joint.model.vector())
+    both = np.linalg.inv(plain.notes.cramer_rao) + J.T @ J
+    stated = joint.notes.cramer_rao
+    np.testing.assert_allclose(np.sqrt(np.diag(np.linalg.inv(both))), np.sqrt(np.diag(stated)),
+                               rtol=0.03)  # fmt: skip
+    z = [(joint[name].value - getattr(TRUTH, name)) / joint[name].cramer_rao for name in NAMES]
+    assert np.sqrt(np.mean(np.square(z))) < 2
+    assert joint.cost > plain.cost + 60  # half a unit for each of 240 residuals, more or less
+
+
+def test_the_same_record_is_refused_in_both_forms(tmp_path):
+    response = frequency_response(campaign(3, 4), omega=np.geomspace(2.5, 9.0, 8))
+    place = tmp_path / "response.json"
+    response.save(place)
+    for each in (response, FrequencyResponse.load(place)):
+        with pytest.raises(ValueError, match="enters as a time history and, as 'record 0'"):
+            output_error(TRUTH, campaign(3, 1)[0].decimate(2), responses=each)
+    with pytest.raises(ValueError, match="two responses are one flight"):
+        output_error(TRUTH, RECORDS, responses=[response, response])
+
+
+def test_what_is_no_response_of_the_structure_is_refused():
+    with pytest.raises(ValueError, match="responses = a StateSpace, expected FrequencyResponse"):
+        output_error(TRUTH, RECORDS, responses=TRUTH.system())
+    with pytest.raises(ValueError, match="no pair of"):
+        output_error(TRUTH, RECORDS, responses=replace(measured(), outputs=("a", "b", "c")))
+
+
+def test_responses_that_are_worse_than_stated_widen_the_errors():
+    stated = measured()
+    worse = replace(stated, random_error=stated.random_error / 5)
+    found, at = evidence([worse]), TRUTH.vector()
+    r, J = found.residuals(at)
+    np.testing.assert_allclose(found.scatter(at), np.mean(r**2) * J.T @ J)
+    assert np.mean(r**2) == pytest.approx(25, rel=0.3)
+
+
+@pytest.mark.slow
+def test_a_joint_estimate_is_as_good_as_its_information_says():
+    z = []
+    for seed in range(16):
+        fit = output_error(TRUTH, campaign(seed, 2), responses=measured(seed=seed))
+        z.append(
+            [(fit[name].value - getattr(TRUTH, name)) / fit[name].cramer_rao for name in NAMES]
+        )
+    assert 0.85 < np.sqrt(np.mean(np.square(z))) < 1.15  # 16 runs of 7 parameters: 0.07 or so
