@@ -1,7 +1,7 @@
 """Matching: starts, speed, growth, and a Monte-Carlo run; prints Markdown tables.
 
     python -m benchmarks.matching starts [N]    against N random starts (50) on three helicopters
-    python -m benchmarks.matching speed         time and growth, lifted against condensed
+    python -m benchmarks.matching speed         time and growth, ways to the quadratic fit
     python -m benchmarks.matching bo105 [N]     spread and bias of λ over N noise seeds (20)
 
 Seconds are processor time of one core: other work on the machine does not count.
@@ -11,7 +11,6 @@ import sys
 import time
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 
 from benchmarks import bo105
@@ -20,10 +19,9 @@ from casid import BlackBox, Model, SolverOptions, StateSpace, match, parameter, 
 from casid.matching.comparison import Comparison
 from casid.matching.descent import Condensed, descend
 from casid.matching.initial import starts
-from casid.matching.lifted import lift
+from casid.matching.programme import Programme
 from casid.matching.targets import compare
 from casid.model import Free, free_parameters
-from casid.nlp import solve
 from models.six_dof import SixDof
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
@@ -83,56 +81,22 @@ def compare_starts(count: int) -> None:
 
 
 def random_start(free: Free, comparison: Comparison, norm: str, seed: int) -> float:
-    """Cost reached by the lifted programmes from within a factor of the solution."""
+    """Cost reached by the programmes from within a factor of the solution."""
     rng = np.random.default_rng(seed)
     values = free.guess * FACTOR ** rng.uniform(-1, 1, len(free.index))
     values = np.clip(values, free.lower[free.index], free.upper[free.index])
     cost = np.inf
     for stage in ("quadratic", "hinf")[: 1 + (norm == "hinf")]:
-        lifted = lift(free, comparison, stage, values)
-        solution = solve(lifted.problem, LIMITS, stage=f"{stage} {seed}")
-        values = lifted.parameters(solution.x)
+        optimum = Programme(free, comparison, stage, values).solve(LIMITS, f"{stage} {seed}")
+        values = optimum.values
         system = free.model.with_vector(free.full(values)).system()
-        if not solution.success or system.poles()[0].real > comparison.shift + 1e-6:
+        if not optimum.success or system.poles()[0].real > comparison.shift + 1e-6:
             return np.inf
-        cost = solution.f * lifted.unit**2 if stage == "quadratic" else comparison.norm(system)
+        cost = optimum.cost if stage == "quadratic" else comparison.norm(system)
     return cost
 
 
 # ---- speed --------------------------------------------------------------------------------------
-
-
-def condensed_programme(free: Free, comparison: Comparison) -> tuple[float, int, float]:
-    """Seconds, iterations and cost of IPOPT with the states eliminated inside CasADi."""
-    begin = time.process_time()
-    scale = free.scale[free.index]
-    lam, d = ca.SX.sym("lam", len(free.index)), ca.SX.sym("d", 2)
-    A, B, C, D, tau, _ = free.model.matrices()(free.full(lam * scale))
-    nx = B.shape[0]
-    s = (d[0] * ca.SX.eye(nx) - A, d[1] * ca.SX.eye(nx))
-    R = ca.inv(s[0] + s[1] @ ca.solve(s[0], s[1]))  # real part of the resolvent's inverse
-    real, imaginary = R, -ca.solve(s[0], s[1] @ R)
-    decay = ca.exp(-d[0] * tau)
-    turn = ca.diag(decay * ca.cos(d[1] * tau)), -ca.diag(decay * ca.sin(d[1] * tau))
-    H = C @ real @ B + D, C @ imaginary @ B
-    G = H[0] @ turn[0] - H[1] @ turn[1], H[0] @ turn[1] + H[1] @ turn[0]
-    shape = comparison.G.shape[1:]
-    target = ca.SX.sym("re", *shape), ca.SX.sym("im", *shape)
-    W = ca.SX.sym("W", *shape)
-    cost = sum(ca.sumsqr(W * (G[i] - target[i])) for i in range(2)) / len(comparison.s)
-    point = ca.Function("point", [lam, ca.vertcat(d, *map(ca.vec, (*target, W)))], [cost])
-    K = len(comparison.s)
-    columns = [part.transpose(0, 2, 1).reshape(K, -1) for part in
-               (comparison.G.real, comparison.G.imag, comparison.W)]  # fmt: skip
-    data = np.column_stack([comparison.s.real, comparison.s.imag, *columns]).T
-    x = ca.MX.sym("x", len(free.index))
-    f = ca.sum2(point.map("all", "serial", K, [0], [])(x, data))
-    limits = {"lbx": free.lower[free.index] / scale, "ubx": free.upper[free.index] / scale}
-    options = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 200}}
-    solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": f}, options)
-    found = solver(x0=free.guess / scale, **limits)
-    iterations = solver.stats()["iter_count"]
-    return time.process_time() - begin, iterations, float(found["f"])
 
 
 class Ring:
@@ -200,24 +164,22 @@ def measure_speed() -> None:
 
 
 def compare_ways(model: Model, box: BlackBox) -> None:
-    """Lifted and condensed programmes, and the descent that starts a match, from one guess."""
+    """The programme, and the descent that starts a match, from one guess."""
     free = free_parameters(model)
     comparison = compare(model, [box], omega=np.geomspace(*box.band, 40))
     rows = []
     begin = time.process_time()
-    lifted = lift(free, comparison, "quadratic", free.guess)
-    solution = solve(lifted.problem, LIMITS, stage="lifted")
-    rows.append(("lifted, IPOPT, exact Hessian", time.process_time() - begin,
-                 solution.iterations, solution.f * lifted.unit**2))  # fmt: skip
-    rows.append(("condensed, IPOPT, exact Hessian", *condensed_programme(free, comparison)))
+    found = Programme(free, comparison, "quadratic", free.guess).solve(LIMITS, "programme")
+    rows.append(("IPOPT, exact Hessian", time.process_time() - begin,
+                 found.iterations, found.cost))  # fmt: skip
     problem = Condensed.of(free, comparison)
     begin = time.process_time()
     down = descend(problem, free.guess, steps=100, tolerance=1e-6)
-    rows.append(("condensed, Levenberg-Marquardt on the line itself", time.process_time() - begin,
+    rows.append(("Levenberg-Marquardt on the line itself", time.process_time() - begin,
                  "-", down.cost))  # fmt: skip
     begin = time.process_time()
     best = starts(Condensed.of(free, comparison, guarded=True), large=True)[0]
-    rows.append(("condensed, Levenberg-Marquardt from the right", time.process_time() - begin,
+    rows.append(("Levenberg-Marquardt from the right", time.process_time() - begin,
                  "-", best.cost))  # fmt: skip
     print()
     print(table(("quadratic fit from the guess, UH-60", "s", "iterations", "cost"), rows))

@@ -2,7 +2,9 @@
 
     G(s; λ) = (C (sI − A)⁻¹ B + D) e^(−sτ),    N = [A B; C D],
 
-    dG = [C (sI − A)⁻¹  I] dN [(sI − A)⁻¹ B; I] e^(−sτ) − s G dτ.
+    dG = [C (sI − A)⁻¹  I] dN [(sI − A)⁻¹ B; I] e^(−sτ) − s G dτ,
+
+and the second derivative of the first term [C (sI − A)⁻¹  I] dN [(sI − A)⁻¹ 0; 0 0] dN [...] twice.
 
 The one place where estimators turn a structure's expressions into numbers.
 """
@@ -42,28 +44,67 @@ class Matrices:
         """Derivative of N as a dense array, (nf, nx + ny, nx + nu)."""
         return np.asarray(self.dN.toarray().reshape(-1, *self.N.shape))
 
+    def state_response(self, s: ComplexArray) -> ComplexArray:
+        """The states' responses (s I − A)⁻¹ B e^(−sτ), (K, nx, nu); raises as `response`."""
+        A, B, _, _ = self.blocks
+        late = B * np.exp(-s[:, None, None] * self.tau)
+        return np.asarray(np.linalg.solve(s[:, None, None] * np.eye(self.nx) - A, late))
+
     def response(self, s: ComplexArray) -> ComplexArray:
         """G (K, ny, nu) at points s (K,) of the complex plane; LinAlgError for a pole on one."""
-        A, B, C, D = self.blocks
-        X = np.linalg.solve(s[:, None, None] * np.eye(self.nx) - A, B)
-        return np.asarray((C @ X + D) * np.exp(-s[:, None, None] * self.tau))
+        _, _, C, D = self.blocks
+        return np.asarray(C @ self.state_response(s) + D * np.exp(-s[:, None, None] * self.tau))
 
     def response_slopes(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """G (K, ny, nu) and its derivatives (nf, K, ny, nu) at points s; raises as `response`."""
+        left, right, _, G = self._factors(s)
+        used, row, column = self._used
+        terms = left[:, :, row].transpose(2, 0, 1)[..., None]
+        terms = terms * right[:, column].transpose(1, 0, 2)[:, :, None, :]
+        slope = np.asarray(self.dN[:, used] @ terms.reshape(len(used), -1)).reshape(-1, *G.shape)
+        slope -= self.dtau[:, None, None, :] * s[:, None, None] * G
+        return G, slope
+
+    def response_curvature(self, s: ComplexArray, P: ComplexArray) -> tuple[Array, Array, Array]:
+        """Derivatives of φ = Re Σ conj(P) ∘ G at points s, by N, by τ, and twice by λ.
+
+        P is (K, ny, nu). Second derivatives (nf, nf) are those with N and τ linear in λ; what
+        their own curvature adds, `MatrixFunction.curvature` has.
+        """
+        left, right, R, G = self._factors(s)
+        used, row, column = self._used
+        U = left.transpose(0, 2, 1) @ P.conj()
+        T = U @ right.transpose(0, 2, 1)
+        K, nx = len(s), self.nx
+        flat, inner = T.reshape(K, -1).T, R.reshape(K, -1)
+        twice = (flat.real @ inner.real - flat.imag @ inner.imag).reshape(*self.N.shape, nx, nx)
+        through = (column < nx)[:, None] & (row < nx)  # from one entry of N to the next
+        places = np.where(column < nx, column, 0)[:, None], np.where(row < nx, row, 0)
+        entries = np.where(through, twice[row[:, None], column, places[0], places[1]], 0.0)
+        late = -s[:, None, None]
+        by_delay = np.einsum("keb,keb->eb", U[:, row], late * right[:, column]).real
+        products = P.conj() * G
+        dN = self.dN[:, used]
+        half = dN @ (dN @ entries.T).T + (dN @ by_delay) @ self.dtau.T
+        bend = (late**2 * products).sum(axis=(0, 1)).real
+        H = half + half.T + (self.dtau * bend) @ self.dtau.T
+        return T.sum(axis=0).real, (late * products).sum(axis=(0, 1)).real, H
+
+    @property
+    def _used(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Entries of N that depend on a parameter: places, rows, columns."""
+        used = np.unique(self.dN.indices)
+        return used, *np.divmod(used, self.N.shape[1])
+
+    def _factors(self, s: ComplexArray) -> tuple[ComplexArray, ...]:
+        """[C (sI − A)⁻¹  I], [(sI − A)⁻¹ B; I] e^(−sτ), (sI − A)⁻¹ and G at points s."""
         A, B, C, D = self.blocks
         (ny, nu), K = D.shape, len(s)
         R = np.linalg.inv(s[:, None, None] * np.eye(self.nx) - A)
         X, delay = R @ B, np.exp(-s[:, None, None] * self.tau)
         left = np.concatenate([C @ R, np.broadcast_to(np.eye(ny), (K, ny, ny))], axis=2)
         right = np.concatenate([X, np.broadcast_to(np.eye(nu), (K, nu, nu))], axis=1)
-        G = (C @ X + D) * delay
-        used = np.unique(self.dN.indices)  # entries of N that depend on a parameter
-        row, column = np.divmod(used, self.N.shape[1])
-        terms = left[:, :, row].transpose(2, 0, 1)[..., None]
-        terms = terms * (right * delay)[:, column].transpose(1, 0, 2)[:, :, None, :]
-        slope = np.asarray(self.dN[:, used] @ terms.reshape(len(used), -1)).reshape(-1, *G.shape)
-        slope -= self.dtau[:, None, None, :] * s[:, None, None] * G
-        return G, slope
+        return left, right * delay, R, (C @ X + D) * delay
 
 
 class MatrixFunction:
@@ -78,6 +119,9 @@ class MatrixFunction:
         dense = [ca.densify(part) for part in (tau, c, ca.jacobian(tau, lam), ca.jacobian(c, lam))]
         column = ca.vertcat(ca.SX(0, 1), *entries)
         self._function = ca.Function("matrices", [lam], [N, column, *dense])
+        weights = ca.SX.sym("by_N", N.numel()), ca.SX.sym("by_tau", tau.numel())
+        total = ca.dot(weights[0], ca.vec(N.T)) + ca.dot(weights[1], tau)
+        self._bent = ca.Function("bent", [lam, *weights], [ca.densify(ca.hessian(total, lam)[0])])
         place, parameter = J.sparsity().get_triplet()
         self._place, self._parameter = np.array(place, dtype=int), np.array(parameter, dtype=int)
         self.nx, self.nu, self.ny, self.nf = A.shape[0], B.shape[1], C.shape[0], len(free.index)
@@ -89,6 +133,10 @@ class MatrixFunction:
         if self._last is None or self._last[0] != key:
             self._last = key, self._at(values)
         return self._last[1]
+
+    def curvature(self, values: Array, by_N: Array, by_tau: Array) -> Array:
+        """Second derivative (nf, nf) of a weighted sum of all entries of N and τ."""
+        return np.asarray(self._bent(values, by_N.ravel(), by_tau).full())
 
     def _at(self, values: Array) -> Matrices:
         N, entries, tau, c, dtau, dc = (part.full() for part in self._function(values))

@@ -84,7 +84,7 @@ class Problem:
 
     ``hessian`` is a function of IPOPT's (x, p, lam_f, lam_g) that replaces the exact one of the
     Lagrangian (upper triangle), ``functions`` are others ("nlp_f", "nlp_g", "nlp_grad_f",
-    "nlp_jac_g").
+    "nlp_jac_g"), ``kept`` those that CasADi would not keep alive.
     """
 
     x: Any
@@ -97,6 +97,7 @@ class Problem:
     upper_g: Array
     hessian: ca.Function | None = None
     functions: Mapping[str, ca.Function] = field(default_factory=dict)
+    kept: tuple[ca.Function, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

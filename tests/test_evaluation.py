@@ -77,6 +77,22 @@ def test_slopes_of_the_response_are_those_of_differences():
     np.testing.assert_allclose(slope, expected, atol=1e-7)
 
 
+def test_curvature_of_the_response_is_that_of_differences():
+    matrices = MatrixFunction(FREE)
+    at = matrices(FREE.guess)
+    rng = np.random.default_rng(3)
+    P = rng.standard_normal((3, 3, 2)) + 1j * rng.standard_normal((3, 3, 2))
+
+    def gradient(x):
+        return np.sum(P.conj() * matrices(x).response_slopes(S)[1], axis=(1, 2, 3)).real
+
+    by_N, by_tau, linear = at.response_curvature(S, P)
+    slope = at.slopes.reshape(len(FREE.guess), -1) @ by_N.ravel() + at.dtau @ by_tau
+    np.testing.assert_allclose(slope, gradient(FREE.guess), rtol=1e-12)
+    whole = linear + matrices.curvature(FREE.guess, by_N, by_tau)
+    np.testing.assert_allclose(whole, central(gradient, FREE.guess), rtol=1e-6, atol=1e-6)
+
+
 def test_pole_on_a_point_is_an_error():
     with pytest.raises(np.linalg.LinAlgError):
         MatrixFunction(FREE)(np.array([0.0, 3.0, 0.1])).response(np.zeros(1, dtype=complex))

@@ -371,7 +371,7 @@ def failing(monkeypatch, beginning):
         fails = stage.startswith(beginning)
         return replace(found, success=False, status=stopped) if fails else found
 
-    for module in ("matching.lifted", "shooting.search"):
+    for module in ("matching.programme", "shooting.search"):
         monkeypatch.setattr(f"casid.{module}.solve", solve)
 
 

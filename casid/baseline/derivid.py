@@ -29,8 +29,8 @@ from casid.fit import (
 from casid.frequency.estimation import FrequencyResponse
 from casid.matching.conditions import fit_at_conditions
 from casid.matching.descent import Condensed, check_effects
-from casid.matching.lifted import Optimum
 from casid.matching.mismatch import DB, GOOD, TURN, residual_slopes
+from casid.matching.programme import Optimum
 from casid.matching.targets import in_channels
 from casid.model import Bounds, M, Priors, free_parameters
 from casid.nlp import SolverOptions

@@ -1,8 +1,8 @@
 """The least cost in decibels and degrees, from several starting points.
 
 The relative error G/Ĝ − 1 is the cost's logarithm to first order and easier to descend on. So
-every start descends on its squares first, then on the cost itself, and the lifted programme of
-`casid.matching.lifted` solves for the best of the minima found, with the prices of what holds it.
+every start descends on its squares first, then on the cost itself, and `casid.matching.programme`
+solves for the best of the minima found, with the prices of what holds it.
 """
 
 import time
@@ -16,8 +16,8 @@ from casid.arrays import Array
 from casid.baseline.accuracy import StartCost
 from casid.matching.descent import Condensed, descend
 from casid.matching.initial import Start, distinct, least_squares
-from casid.matching.lifted import Optimum, lift
 from casid.matching.mismatch import residuals
+from casid.matching.programme import Optimum, Programme
 from casid.nlp import SolverOptions
 
 STEPS = 200  # at most, of the descent on the cost
@@ -73,8 +73,8 @@ def solve(problem: Condensed, found: Minima, options: SolverOptions) -> Optimum:
     iterations = 0
     minima = [Start(name=row.start, values=values, cost=row.J) for row, values in found]
     for start in distinct(minima):
-        lifted = lift(problem.free, problem.comparison, "decibel", start.values)
-        optimum = _checked(problem, lifted.solve(options, f"derivid, start {start.name}"))
+        programme = Programme(problem.free, problem.comparison, "decibel", start.values)
+        optimum = _checked(problem, programme.solve(options, f"derivid, start {start.name}"))
         iterations += optimum.iterations
         if best is None or optimum.success:
             best = optimum

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt on the quadratic matching error with the states eliminated.
 
 G(s; λ) = (C (sI − A)⁻¹ B + D) e^(−sτ) and its derivatives are dense linear algebra, a few
-milliseconds a step: the way to a start, from which the lifted programme (`casid.matching.lifted`)
+milliseconds a step: the way to a start, from which the programme (`casid.matching.programme`)
 goes on. Bounds are kept by projection, and no step is taken that moves a pole across the line of
 comparison or further beyond it, since from there no descent leads back.
 """

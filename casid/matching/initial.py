@@ -25,7 +25,6 @@ import scipy.optimize
 from casid.arrays import Array, ComplexArray
 from casid.matching.comparison import Comparison
 from casid.matching.descent import Condensed, descend
-from casid.matching.lifted import state_responses
 
 SPREADS = (1.0, 1.0, 0.5, 0.2, 0.1)  # of λ about its present value, in units of its scale
 NOISE = 1e-2  # error of an equation that has no parameter, relative to its terms
@@ -113,7 +112,8 @@ class _Equations:
         self._free, self._matrices = problem.free, problem.matrices
         self._comparison = problem.comparison
         self.nx, self.nu, self.ny = self._matrices.nx, self._matrices.nu, self._matrices.ny
-        guess = state_responses(self._matrices(self._free.guess), self._comparison)
+        guess = self._matrices(self._free.guess).state_response(self._comparison.s)
+        guess = guess * self._comparison.input_scale
         self._guess = np.where(np.isfinite(guess), guess, 0.0)
         self.scale = _size(self._guess)
 

@@ -2,7 +2,7 @@
 
 M. Bergamasco, M. Lovera, "Rotorcraft system identification: a time/frequency domain approach",
 section 3.3: min over λ of ‖Ĝ(s) − G(s; λ)‖ on the shifted line (8)-(10). The programmes are those
-of `casid.matching.lifted`, their order and the checks are those of `casid.matching.search`.
+of `casid.matching.programme`, their order and the checks are those of `casid.matching.search`.
 """
 
 import logging

@@ -16,7 +16,7 @@ from casid.matching.appraisal import EXACT, Appraisal, appraise, doubts, respons
 from casid.matching.comparison import Comparison
 from casid.matching.descent import Condensed, check_effects, descend
 from casid.matching.initial import starts
-from casid.matching.lifted import Optimum, lift
+from casid.matching.programme import Optimum, Programme
 from casid.model import Free
 from casid.nlp import SolverOptions
 
@@ -144,8 +144,8 @@ class Search:
         )  # fmt: skip
 
     def _programme(self, norm: str, values: Array, against: Comparison, *, stable: bool) -> Optimum:
-        lifted = lift(self.free, against, norm, values, stable=stable)
-        optimum = lifted.solve(self.options, f"match {norm}")
+        programme = Programme(self.free, against, norm, values, stable=stable)
+        optimum = programme.solve(self.options, f"match {norm}")
         self.iterations += optimum.iterations
         return optimum
 

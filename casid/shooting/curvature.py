@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
-from casid.shooting.assembly import groups
+from casid.assembly import groups
 from casid.shooting.sensitivity import Sweep, counts
 
 

@@ -16,8 +16,8 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.assembly import NumPyFunction
 from casid.nlp import Problem, Solution, SolverOptions, solve
-from casid.shooting.assembly import NumPyFunction
 from casid.shooting.lines import Lines
 from casid.shooting.spectral import Residual, SpectralResiduals
 from casid.shooting.spectrum import NoiseSpectrum, leverages, noise_spectra, powers, reach

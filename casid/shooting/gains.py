@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
-from casid.shooting.assembly import groups
+from casid.assembly import groups
 
 
 @dataclass(frozen=True, eq=False)

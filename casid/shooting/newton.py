@@ -20,8 +20,8 @@ import numpy as np
 import scipy.sparse
 
 from casid.arrays import Array
+from casid.assembly import NumPyFunction, Pattern, grid, stack
 from casid.nlp import Problem, Solution
-from casid.shooting.assembly import NumPyFunction, Pattern, grid, stack
 from casid.shooting.curvature import Curvature, curvature
 from casid.shooting.programme import Programme
 

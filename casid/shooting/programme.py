@@ -18,8 +18,8 @@ import numpy as np
 import scipy.sparse
 
 from casid.arrays import Array
+from casid.assembly import Pattern, grid, stack, upper_triangle
 from casid.model import Free
-from casid.shooting.assembly import Pattern, grid, stack, upper_triangle
 from casid.shooting.knowledge import Knowledge
 from casid.shooting.likelihood import Noise, moments_of
 from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, whiteners

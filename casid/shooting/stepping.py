@@ -19,9 +19,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from casid.arrays import Array
+from casid.assembly import groups
 from casid.intersample import ORDER, DelayedInput, distinct, integral_slopes
 from casid.record import Hold
-from casid.shooting.assembly import groups
 from casid.shooting.gains import Gains
 from casid.shooting.intervals import Layout
 from casid.shooting.unknowns import FilterMatrices

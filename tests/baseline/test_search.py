@@ -10,7 +10,7 @@ from casid import FrequencyResponse, SolverOptions
 from casid.baseline import search
 from casid.baseline.pairs import select
 from casid.matching.descent import Condensed
-from casid.matching.lifted import Lifted
+from casid.matching.programme import Programme
 from casid.model import free_parameters
 
 OMEGA = np.geomspace(0.3, 12.0, 20)
@@ -48,12 +48,12 @@ def test_costs_of_pairs_add_up_to_that_of_the_programme():
 
 
 def test_a_word_of_success_is_held_against_the_model(monkeypatch):
-    solve = Lifted.solve
+    solve = Programme.solve
 
     def boast(self, options, stage):
         return replace(solve(self, options, stage), cost=1e-3)
 
-    monkeypatch.setattr(Lifted, "solve", boast)
+    monkeypatch.setattr(Programme, "solve", boast)
     task = problem()
     poor = replace(task, free=free_parameters(HoverRoll(), bounds={"Lp": (-1.5, 0.0)}))
     found = search.solve(poor, search.descents(poor, 1, seed=0), SolverOptions())

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
+from truths.structures import SECOND, TRUTH, YAW, HoverRoll, Lag, TwoByTwo, black_box
 
 from casid import (
     Constraint,
@@ -15,7 +15,7 @@ from casid import (
     match,
     parameter,
 )
-from casid.matching.lifted import lift
+from casid.matching.programme import Programme
 from casid.matching.targets import compare
 from casid.model import free_parameters
 
@@ -38,38 +38,6 @@ def measured(system, omega=OMEGA, coherence=1.0, **changes):
         }
         | changes
     )
-
-
-class TwoByTwo(Model):
-    """Roll and yaw from stick and pedal; rolling couples into yaw."""
-
-    states = ("p", "r")
-    inputs = ("lat", "ped")
-    outputs = ("p", "r")
-
-    Lp: Scalar = parameter(default=-1.0, lower=-20.0, upper=0.0, unit="1/s")
-    Lr: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="1/s")
-    Np: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="1/s")
-    Nr: Scalar = parameter(default=-1.0, lower=-20.0, upper=0.0, unit="1/s")
-    Llat: Scalar = parameter(default=1.0, lower=0.0, upper=50.0, unit="rad/s^2")
-    Nlat: Scalar = parameter(default=0.0, lower=-10.0, upper=10.0, unit="rad/s^2")
-    Nped: Scalar = parameter(default=1.0, lower=0.0, upper=50.0, unit="rad/s^2")
-    tau_lat: Scalar = parameter(default=0.0, lower=0.0, upper=0.3, unit="s")
-    tau_ped: Scalar = parameter(default=0.0, lower=0.0, upper=0.3, unit="s")
-
-    def A(self) -> Rows:
-        return [[self.Lp, self.Lr], [self.Np, self.Nr]]
-
-    def B(self) -> Rows:
-        return [[self.Llat, 0], [self.Nlat, self.Nped]]
-
-    def delays(self):
-        return {"lat": self.tau_lat, "ped": self.tau_ped}
-
-
-YAW = TwoByTwo(
-    Lp=-3.0, Lr=0.4, Np=-0.3, Nr=-1.2, Llat=12.0, Nlat=1.8, Nped=6.0, tau_lat=0.06, tau_ped=0.1
-)
 
 
 def corrupted():
@@ -264,7 +232,7 @@ def test_fixed_parameters_are_no_variables():
     sizes = []
     for fixed in ((), ("Lr", "Np", "tau_ped")):
         free = free_parameters(TwoByTwo(), fixed)
-        sizes.append(lift(free, comparison, "quadratic", free.guess).problem.x.numel())
+        sizes.append(len(Programme(free, comparison, "quadratic", free.guess).problem().x0))
     assert sizes[0] - sizes[1] == 3
     fit = match(TwoByTwo(Lr=0.4), black_box(YAW.system()), norm="quadratic", fixed=("Lr",))
     assert fit["Lr"].fixed

@@ -63,8 +63,38 @@ class Lag(Model):
         return [[self.k]]
 
 
+class TwoByTwo(Model):
+    """Roll and yaw from stick and pedal; rolling couples into yaw."""
+
+    states = ("p", "r")
+    inputs = ("lat", "ped")
+    outputs = ("p", "r")
+
+    Lp: Scalar = parameter(default=-1.0, lower=-20.0, upper=0.0, unit="1/s")
+    Lr: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="1/s")
+    Np: Scalar = parameter(default=0.0, lower=-5.0, upper=5.0, unit="1/s")
+    Nr: Scalar = parameter(default=-1.0, lower=-20.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=1.0, lower=0.0, upper=50.0, unit="rad/s^2")
+    Nlat: Scalar = parameter(default=0.0, lower=-10.0, upper=10.0, unit="rad/s^2")
+    Nped: Scalar = parameter(default=1.0, lower=0.0, upper=50.0, unit="rad/s^2")
+    tau_lat: Scalar = parameter(default=0.0, lower=0.0, upper=0.3, unit="s")
+    tau_ped: Scalar = parameter(default=0.0, lower=0.0, upper=0.3, unit="s")
+
+    def A(self) -> Rows:
+        return [[self.Lp, self.Lr], [self.Np, self.Nr]]
+
+    def B(self) -> Rows:
+        return [[self.Llat, 0], [self.Nlat, self.Nped]]
+
+    def delays(self):
+        return {"lat": self.tau_lat, "ped": self.tau_ped}
+
+
 # Unstable, as a helicopter in hover is: a pair at 0.09 ± 1.0j.
 TRUTH = HoverRoll(Yv=-0.2, Lv=-0.3, Lp=-2.5, Llat=12.0, tau=0.07)
+YAW = TwoByTwo(
+    Lp=-3.0, Lr=0.4, Np=-0.3, Nr=-1.2, Llat=12.0, Nlat=1.8, Nped=6.0, tau_lat=0.06, tau_ped=0.1
+)
 
 # More than a lag can follow.
 SECOND = StateSpace([[-1.0, 1.0], [0.0, -3.0]], [[0.5], [2.0]], [[1.0, 0.2]], [[0.0]],

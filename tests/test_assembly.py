@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse
 
-from casid.shooting.assembly import NumPyFunction, Pattern, grid, stack, upper_triangle
+from casid.assembly import NumPyFunction, Pattern, grid, stack, upper_triangle
 
 RNG = np.random.default_rng(4)
 

@@ -1,13 +1,14 @@
 """Pieces of a sparse programme evaluated by NumPy: patterns, places of blocks, functions."""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 import scipy.sparse
 
 from casid.arrays import Array
+from casid.nlp import Problem
 
 
 class Pattern:
@@ -81,6 +82,25 @@ class NumPyFunction(ca.Callback):
         return 0
 
 
+class Calls(Protocol):
+    """What IPOPT asks of a programme at its vector x."""
+
+    def cost(self, x: Array) -> float:
+        """The cost."""
+
+    def gradient(self, x: Array) -> Array:
+        """Its gradient."""
+
+    def constraints(self, x: Array) -> Array:
+        """Values of the constraints."""
+
+    def jacobian(self, x: Array) -> Array:
+        """Nonzeros of their Jacobian."""
+
+    def hessian(self, x: Array, f: float, mu: Array) -> Array:
+        """Nonzeros of the upper triangle of the Hessian of f times the cost plus mu times them."""
+
+
 def grid(rows: np.ndarray, cols: np.ndarray, upper: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Row and column of every entry of a stack of blocks, (k, a) against (k, b)."""
     row = np.broadcast_to(rows[:, :, None], (*rows.shape, cols.shape[1]))
@@ -106,3 +126,36 @@ def groups(number: np.ndarray, kinds: int) -> Iterator[tuple[int, Any]]:
     else:
         for i in np.unique(number):
             yield int(i), np.flatnonzero(number == i)
+
+
+def evaluated(
+    calls: "Calls",
+    x: tuple[Array, Array, Array],
+    g: tuple[Array, Array],
+    jacobian: ca.Sparsity,
+    hessian: ca.Sparsity,
+) -> Problem:
+    """The programme that NumPy evaluates, for `casid.nlp.solve`.
+
+    ``x`` is the start with lower and upper bounds, ``g`` the bounds of the constraints; then the
+    sparsity of the constraints' Jacobian and of the upper triangle of the Lagrangian's Hessian.
+    """
+    n, m = len(x[0]), len(g[0])
+    X, p, one, G = (ca.Sparsity.dense(k, 1) if k else ca.Sparsity(0, 0) for k in (n, 0, 1, m))
+    symbol = ca.MX.sym("x", n)
+    f_of = NumPyFunction("f", [X], [one], lambda x: [calls.cost(x)])
+    g_of = NumPyFunction("g", [X], [G], lambda x: [calls.constraints(x)])
+    grad = NumPyFunction(
+        "nlp_grad_f", [X, p], [one, X], lambda x, _: [calls.cost(x), calls.gradient(x)]
+    )
+    jac = NumPyFunction(
+        "nlp_jac_g", [X, p], [G, jacobian], lambda x, _: [calls.constraints(x), calls.jacobian(x)]
+    )
+    hess = NumPyFunction(
+        "nlp_hess_l", [X, p, one, G], [hessian], lambda x, _, f, mu: [calls.hessian(x, f[0], mu)]
+    )
+    return Problem(
+        x=symbol, f=f_of(symbol), g=g_of(symbol) if m else ca.MX(0, 1), x0=x[0],
+        lower_x=x[1], upper_x=x[2], lower_g=g[0], upper_g=g[1], hessian=hess,
+        functions={"nlp_grad_f": grad, "nlp_jac_g": jac}, kept=(f_of, g_of),
+    )  # fmt: skip

@@ -1,0 +1,46 @@
+"""Constraints beside the responses: which there are, and that poles stay where they allow."""
+
+import numpy as np
+import pytest
+from truths.structures import TRUTH, HoverRoll
+
+from casid import Constraint, Scalar, parameter
+from casid.evaluation import MatrixFunction
+from casid.matching.side import Side
+from casid.matching.targets import compare
+from casid.model import free_parameters
+
+
+class Composed(HoverRoll):
+    """A delay of two parameters and a constraint."""
+
+    rotor: Scalar = parameter(default=0.03, lower=0.0, upper=0.3, unit="s")
+
+    def delays(self):
+        return {"lat": self.tau + 2 * self.rotor}
+
+    def constraints(self):
+        return [Constraint("damped", self.Lp * self.Yv, lower=0.1, upper=9.0)]
+
+
+def test_constraints_and_composed_delays_have_their_limits():
+    model = Composed(Lp=-2.0, Yv=-0.3, tau=0.02)
+    free = free_parameters(model)
+    side = Side(free, compare(model, [TRUTH.system()]), None)
+    values = side.values(free.guess / free.scale[free.index])
+    np.testing.assert_allclose(values, [0.6, 0.08], rtol=1e-12)
+    np.testing.assert_array_equal(side.limits, [[0.1, 0.0], [9.0, np.inf]])
+
+
+@pytest.mark.parametrize("shift", [0.5, 2.0])
+def test_the_lyapunov_equation_holds_at_the_start_exactly_left_of_the_line(shift):
+    free = free_parameters(TRUTH)
+    comparison = compare(TRUTH, [TRUTH.system()], shift=shift)
+    at = MatrixFunction(free)(free.guess)
+    side = Side(free, comparison, at)
+    residual = side.values(np.concatenate([free.guess / free.scale[free.index], side.start[0]]))
+    assert (
+        np.linalg.eigvals(at.blocks[0]).real.max() < shift - 0.1 * np.prod(comparison.band) ** 0.5
+    )
+    np.testing.assert_allclose(residual, 0.0, atol=1e-9)
+    assert side.count == 6
