@@ -141,12 +141,11 @@ def _say(console: Console, made: Design, fit: AnyFit | None) -> None:
 
 
 def _page(made: Design) -> str:
-    shares = [f"- {name}: {100 * share:.0f} %" for name, share in made.used.items()]
     close = [f"- {a} and {b}: {c:+.2f}" for a, b, c in made.correlated()]
     blind = ["## Not told apart", "\n".join(f"- {line}" for line in made.blind)]
     parts = [
         f"# {made.headline()}", "## What could be flown", made.comparison(),
-        "## Standard errors", made.to_markdown(), "## Share of each limit", "\n".join(shares),
+        "## Standard errors", made.to_markdown(), "## Share of each limit", made.shares(),
         "## Correlated errors", "\n".join(close) or "None above 0.9.",
         *(blind if made.blind else []),
     ]  # fmt: skip

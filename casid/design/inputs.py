@@ -1,6 +1,7 @@
 """Design of inputs for linear structures: alternatives, optimisation, prediction."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,10 +9,11 @@ import numpy as np
 from casid.arrays import Array
 from casid.design import signals
 from casid.design.criterion import Goal, covariance
-from casid.design.loop import Feedback, Loop, gains
+from casid.design.loop import Feedback, Loop, UnheldError, gains
 from casid.design.multisine import best_powers, schroeder, shared_out, unit_information
 from casid.design.optimise import Task, improved
 from casid.design.plan import Alternative, Design, DesignSettings, Limits
+from casid.design.prior import FITTED, GUESSED, known_before, noise_of, possible
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit, Fit
 from casid.model import Free, Model, free_parameters
@@ -29,27 +31,37 @@ class _Problem:
     """All that was asked, checked, in arrays."""
 
     frees: tuple[Free, ...]
+    others: tuple[Free, ...]
     R: Array
     known: Array
-    limits: tuple[Array, Array, Array]
+    limits: tuple[Array, ...]
     feedback: Feedback
     duration: float
     band: tuple[float, float]
     settings: DesignSettings
 
-    def task(self, h: float, reference: Sequence[Array] | None = None) -> Task:
-        """What counts on a grid of interval h [s], scaled by standard errors or by nothing."""
+    def task(self, h: float) -> Task:
+        """What counts on a grid of interval h [s]."""
         N = round(self.duration / h) + 1
         # Noise refers to dt: of fewer samples each counts for more.
         R = self.R * self.settings.dt / h
-        loops = tuple(Loop(free, self.feedback, R, h=h, N=N) for free in self.frees)
+        others = []
+        for free in self.others:
+            with suppress(UnheldError):  # nothing flown keeps its limits
+                others.append(Loop(free, self.feedback, R, h=h, N=N))
+        sticks, rates, responses, states = self.limits
+        return Task(
+            loops=tuple(Loop(free, self.feedback, R, h=h, N=N) for free in self.frees),
+            goals=self.goals([self.frees[0].scale[self.frees[0].index]] * len(self.frees)),
+            others=tuple(others), sticks=sticks, rates=rates, responses=responses, states=states,
+        )  # fmt: skip
+
+    def goals(self, reference: Sequence[Array]) -> tuple[Goal, ...]:
+        """The criterion of each model, over the standard errors (nf,) of its reference."""
         names = self.frees[0].names
         rows = np.array([names.index(name) for name in self.settings.matter or names])
-        scales = reference or [self.frees[0].scale[self.frees[0].index]] * len(loops)
         criterion, known = self.settings.criterion, self.known
-        goals = tuple(Goal(criterion, rows, scale[rows], known) for scale in scales)
-        sticks, rates, responses = self.limits
-        return Task(loops=loops, goals=goals, sticks=sticks, rates=rates, responses=responses)
+        return tuple(Goal(criterion, rows, scale[rows], known) for scale in reference)
 
 
 @one_thread
@@ -94,15 +106,17 @@ def design_inputs(
     """
     settings = settings or DesignSettings()
     problem = _problem(model, limits, duration, noise, settings)
-    others = [free_parameters(each, settings.fixed) for each in ensemble]
-    problem = replace(problem, frees=(*problem.frees, *others), feedback=feedback or {})
+    believed = [free_parameters(each, settings.fixed) for each in ensemble]
+    problem = replace(problem, frees=(*problem.frees, *believed), feedback=feedback or {})
+    if not ensemble:
+        problem = replace(problem, others=_possible(problem, isinstance(model, Fit)))
     h = max(settings.dt, min(duration / COARSE, 2 * np.pi / problem.band[1] / FINEST))
     rough = problem.task(h)
     flown = _baselines(problem, rough)
     errors = [
         np.sqrt(np.diag(covariance(F + problem.known))) for F in rough.information(flown["3-2-1-1"])
     ]
-    task = problem.task(h, errors)
+    task = replace(rough, goals=problem.goals(errors))
     if settings.method != "multisine":
         flown["steps"] = _steps(problem, task)
     if settings.method != "steps":
@@ -140,7 +154,7 @@ def _problem(
             f"{len(structure.inputs)} inputs: fly longer, {settings.rest + least:.3g} s at least"
         )
     return _Problem(
-        frees=(free,), R=_noise(structure, fit, noise), known=_known(free, fit),
+        frees=(free,), others=(), R=noise_of(structure, fit, noise), known=known_before(free, fit),
         limits=_arrays(structure, limits), feedback={}, duration=duration, band=band,
         settings=settings,
     )  # fmt: skip
@@ -153,47 +167,27 @@ def _band(model: Model, duration: float, dt: float) -> tuple[float, float]:
     return low, min(max(3 * fastest, 8 * low), np.pi / dt / 2)
 
 
-def _noise(model: Model, fit: AnyFit | None, noise: Mapping[str, float] | None) -> Array:
-    """R (ny, ny) a sample, as large as it takes to predict errors that residuals justify."""
-    if noise is None:
-        if fit is None or fit.R is None:
-            raise ValueError(
-                "nothing says how noisy the outputs are: give noise={output: standard deviation}"
-            )
-        pairs = [(row.std_error, row.cramer_rao) for row in fit.parameters]
-        colour = [a / b for a, b in pairs if np.isfinite(a) and np.isfinite(b) and b > 0]
-        return np.asarray(np.diag(np.diag(fit.R)) * float(np.median(colour or [1.0])) ** 2)
-    for name in model.outputs:
-        if not noise.get(name, 0.0) > 0:
-            raise ValueError(f"noise: output {name!r} has none; give its standard deviation, > 0")
-    return np.diag([noise[name] ** 2 for name in model.outputs])
+def _possible(problem: _Problem, fitted: bool) -> tuple[Free, ...]:
+    """Models drawn from the prior that have to keep the limits, where their values matter to it."""
+    settings, free = problem.settings, problem.frees[0]
+    if not problem.feedback and not np.isfinite(np.concatenate(problem.limits[2:])).any():
+        return ()
+    spread = settings.spread if settings.spread is not None else (FITTED if fitted else GUESSED)
+    return tuple(possible(free, problem.known, spread, settings.draws, settings.seed))
 
 
-def _known(free: Free, fit: AnyFit | None) -> Array:
-    """Information (nf, nf) from before."""
-    F = np.zeros((len(free.index), len(free.index)))
-    if fit is None or fit.covariance is None:
-        return F
-    mine = [free.names.index(name) for name in fit.free_names if name in free.names]
-    theirs = [k for k, name in enumerate(fit.free_names) if name in free.names]
-    C = fit.covariance[np.ix_(theirs, theirs)]
-    good = np.isfinite(np.diag(C)) & (np.diag(C) > 0)
-    rows = np.array(mine)[good]
-    F[np.ix_(rows, rows)] = covariance(C[np.ix_(good, good)])
-    return F
-
-
-def _arrays(model: Model, limits: Limits) -> tuple[Array, Array, Array]:
-    """Limits in the order of the channels; infinite where there is none, tiny for still sticks."""
+def _arrays(model: Model, limits: Limits) -> tuple[Array, ...]:
+    """Limits of sticks, rates, outputs, states in their order; infinite where there is none."""
+    sides = (*model.outputs, *model.states)
     named = ((limits.sticks, model.inputs), (limits.rates, model.inputs))
-    for group, known in (*named, (limits.responses, model.outputs)):
+    for group, known in (*named, (limits.responses, sides)):
         if unknown := [name for name in group if name not in known]:
             raise ValueError(f"limits name {unknown[0]!r}; there are {', '.join(known)}")
     if missing := [name for name in model.inputs if name not in limits.sticks]:
         raise ValueError(f"limits.sticks has no {missing[0]!r}: every input needs its limit")
-    sticks = np.array([limits.sticks[name] for name in model.inputs])
-    rates = np.array([limits.rates.get(name, np.inf) for name in model.inputs])
-    return sticks, rates, np.array([limits.responses.get(name, np.inf) for name in model.outputs])
+    hidden = tuple(name if name not in model.outputs else "" for name in model.states)
+    groups = (*named, (limits.responses, model.outputs), (limits.responses, hidden))
+    return tuple(np.array([group.get(n, np.inf) for n in names]) for group, names in groups)
 
 
 def _instants(task: Task) -> Array:
@@ -269,8 +263,7 @@ def _predicted(problem: _Problem, h: float, flown: Mapping[str, Array], chosen: 
     r = exact[chosen]
     seen = fine.loops[0].fly(r)
     model = problem.frees[0].model
-    names = [*model.inputs, *(f"{n} rate" for n in model.inputs), *model.outputs]
-    shares = np.concatenate(fine.peaks(r)).tolist()
+    share, at_most = _shares(model, replace(fine, others=()), r), _shares(model, fine, r)
     before = np.diag(problem.known)
     known = np.where(before > 0, np.sqrt(np.diag(covariance(problem.known))), np.inf)
     made = Design(
@@ -279,7 +272,15 @@ def _predicted(problem: _Problem, h: float, flown: Mapping[str, Array], chosen: 
         alternatives=tuple(
             Alternative(name=name, std_errors=np.sqrt(np.diag(C))) for name, C in spread.items()
         ),
-        used={name: share for name, share in zip(names, shares, strict=True) if share > 0},
+        used=share, used_at_worst=at_most, unheld=len(problem.others) - len(fine.others),
     )  # fmt: skip
     judged = identifiability(model, made.record(), fixed=problem.settings.fixed, spread=0.0)
     return replace(made, blind=tuple(str(judged).splitlines()[1:]))
+
+
+def _shares(model: Model, task: Task, r: Array) -> dict[str, float]:
+    """Shares of their limits that sticks, their rates, outputs and states reach, by name."""
+    rates = [f"{name} rate" for name in model.inputs]
+    names = [*model.inputs, *rates, *model.outputs, *model.states]
+    peaks = np.concatenate(task.peaks(r)).tolist()
+    return {name: share for name, share in zip(names, peaks, strict=True) if share > 0}

@@ -16,6 +16,7 @@ loop, and the derivatives of any criterion of F by r come from one recursion bac
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.fft
@@ -29,6 +30,10 @@ Feedback = Mapping[str, Mapping[str, float]]  # {"lat": {"p": 0.15}}: u_lat = r_
 
 GROWTH = 15.0  # e-folds of an unstable mode over a manoeuvre beyond which numbers lose their sense
 GROWN = 3.0  # how much larger the end of an impulse response may be than all before
+
+
+class UnheldError(ValueError):
+    """An aircraft that its feedback does not hold."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,7 +58,6 @@ class Loop:
         self._lag, self._part = np.divmod(at.tau / h, 1.0)
         self._discretise(at)
         self._impulses(gains(feedback, self.inputs, self.outputs))
-        self._nuisance()
 
     def _discretise(self, at: Matrices) -> None:
         """E, B0, B1 and the maps Φ0, Φ1, Ψ from z to forcing and outputs."""
@@ -74,11 +78,8 @@ class Loop:
 
     def _impulses(self, K: Array) -> None:
         """Responses of sticks, outputs and z to one sample of each r, (N, ..., nu), as spectra."""
-        nx, nu, n = (
-            self.nx,
-            self.nu,
-            self.N + 1,
-        )  # a line rises to the impulse from the sample before
+        # A line rises to the impulse from the sample before.
+        nx, nu, n = self.nx, self.nu, self.N + 1
         now = np.where(self._lag == 0, 1.0 - self._part, 0.0)
         inverse = np.linalg.inv(np.eye(nu) + K @ (self.C @ self.B1 + self.D) * now)
         x, u, d = np.zeros((n, nx, nu)), np.zeros((n, nu, nu)), np.zeros((n, nu, nu))
@@ -119,25 +120,26 @@ class Loop:
     def _check_stable(self, u: Array, K: Array) -> None:
         growth, span = self.growth, self.h * self.N
         if growth * span > GROWTH:
-            raise ValueError(
+            raise UnheldError(
                 f"an unstable mode of the aircraft grows with {growth:.3g} 1/s, by a factor of "
                 f"e^{growth * span:.0f} over {span:.4g} s: design manoeuvres of "
                 f"{GROWTH / growth:.2g} s at most"
             )
         if not K.any() and growth * span > 2.0:
-            raise ValueError(
+            raise UnheldError(
                 f"the aircraft is unstable ({growth:.3g} 1/s) and nothing holds it over "
                 f"{span:.4g} s: give the feedback that is flown, "
                 'feedback={"lat": {"p": 0.1, "phi": 0.3}}'
             )
         last = 4 * self.N // 5
         if K.any() and np.abs(u[last:]).max() > GROWN * np.abs(u[:last]).max():
-            raise ValueError(
+            raise UnheldError(
                 "the loop is unstable with this feedback: u = r - K y, so a gain that damps has "
                 "the sign of its control derivative; check signs and units (rad, rad/s)"
             )
 
-    def _nuisance(self) -> None:
+    @cached_property
+    def _unknown(self) -> Array:
         """Orthonormal basis of what initial states and biases do to the weighted outputs."""
         free = np.empty((self.N, self.ny, self.nx))
         state = np.eye(self.nx)
@@ -148,7 +150,7 @@ class Loop:
         block = np.concatenate([free, biases], axis=2).reshape(self.N * self.ny, -1)
         block = block / np.maximum(np.linalg.norm(block, axis=0), 1e-300)
         basis, sizes, _ = np.linalg.svd(block, full_matrices=False)
-        self._unknown = basis[:, sizes > 1e-10 * sizes[0]]
+        return np.asarray(basis[:, sizes > 1e-10 * sizes[0]])
 
     def fly(self, r: Array) -> Response:
         """Sticks, outputs and z after a designed input r (N, nu)."""

@@ -6,7 +6,8 @@ all limits and has standard errors s times as large. What is minimised is theref
 
     mean of ½ ln Φ(F(r)) over the models + ln s,
 
-in which the scale of r does not matter once a limit is reached. s, smooth, is (1 + Σ ratioᵖ)^(1/p),
+in which the scale of r does not matter once a limit is reached. The limits are also those of other
+models, of which nothing else is asked. s, smooth, is (1 + Σ ratioᵖ)^(1/p),
 p rising; the last word has the largest ratio itself. It is not convex: the start decides which
 optimum is found.
 """
@@ -28,22 +29,28 @@ MEMORY = 20  # of L-BFGS
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """What a design is judged by: loops of one or several models, goals, limits."""
+    """What a design is judged by: loops of one or several models, goals, limits.
+
+    ``others`` are loops that have to keep the limits, too.
+    """
 
     loops: tuple[Loop, ...]
     goals: tuple[Goal, ...]
-    sticks: Array  # (nu,) limits, those of their rates, (ny,) of outputs; infinite where none is
-    rates: Array
+    others: tuple[Loop, ...]
+    sticks: Array  # (nu,) limits, those of their rates, (ny,) of outputs, (nx,) of states;
+    rates: Array  # infinite where there is none
     responses: Array
+    states: Array
 
     def ratios(self, loop: Loop, flown: Response) -> list[Array]:
-        """Sticks, their rates and outputs over their limits."""
-        rate = np.diff(flown.u, axis=0, prepend=0.0) / loop.h
-        return [flown.u / self.sticks, rate / self.rates, flown.y / self.responses]
+        """Sticks, their rates, outputs and states over their limits."""
+        rate, x = np.diff(flown.u, axis=0, prepend=0.0) / loop.h, flown.z[:, : loop.nx]
+        sides = flown.y / self.responses, x / self.states
+        return [flown.u / self.sticks, rate / self.rates, *sides]
 
     def peaks(self, r: Array) -> list[Array]:
-        """Largest shares of the limits of sticks, their rates and outputs over the models."""
-        every = [self.ratios(loop, loop.fly(r)) for loop in self.loops]
+        """Largest shares of the limits of sticks, rates, outputs and states over all models."""
+        every = [self.ratios(loop, loop.fly(r)) for loop in (*self.loops, *self.others)]
         largest = [[np.abs(part).max(axis=0) for part in each] for each in every]
         return [np.max(part, axis=0) for part in zip(*largest, strict=True)]
 
@@ -63,25 +70,28 @@ class Task:
 
     def slope(self, r: Array, p: int) -> tuple[float, Array]:
         """What is minimised, and its derivatives by r (N, nu)."""
-        count = len(self.loops)
-        flown = [loop.fly(r) for loop in self.loops]
-        ratios = [self.ratios(*pair) for pair in zip(self.loops, flown, strict=True)]
+        every = (*self.loops, *self.others)
+        flown = [loop.fly(r) for loop in every]
+        ratios = [self.ratios(*pair) for pair in zip(every, flown, strict=True)]
         parts = [part for each in ratios for part in each]
         top = max(1.0, *(float(np.abs(part).max()) for part in parts))
         total = top**-p + sum(float(((part / top) ** p).sum()) for part in parts)
         value, slope = np.log(top) + np.log(total) / p, np.zeros_like(r)
-        for loop, goal, each, three in zip(self.loops, self.goals, flown, ratios, strict=True):
-            J = loop.sensitivities(each.z)
-            worth, M = goal(J.T @ J)
-            value += worth / count
-            du, rate, dy = (
+        limits, count = (self.sticks, self.rates, self.responses, self.states), len(self.loops)
+        for k, (loop, each, four) in enumerate(zip(every, flown, ratios, strict=True)):
+            du, rate, dy, dx = (
                 (part / top) ** (p - 1) / top / total / limit
-                for part, limit in zip(
-                    three, (self.sticks, self.rates, self.responses), strict=True
-                )
+                for part, limit in zip(four, limits, strict=True)
             )
             du -= np.diff(rate, axis=0, append=0.0) / loop.h
-            slope += loop.pulled_back(du, dy, loop.information_slope(J, M) / count)
+            dz = np.zeros_like(each.z)
+            dz[:, : loop.nx] = dx
+            if k < count:
+                J = loop.sensitivities(each.z)
+                worth, M = self.goals[k](J.T @ J)
+                value += worth / count
+                dz += loop.information_slope(J, M) / count
+            slope += loop.pulled_back(du, dy, dz)
         return float(value), slope
 
 

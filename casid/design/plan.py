@@ -31,7 +31,7 @@ class Limits:
     rates : mapping
         Of inputs, per second.
     responses : mapping
-        Of outputs.
+        Of outputs and of states, as an airspeed that is not measured.
     """
 
     sticks: Mapping[str, float]
@@ -98,6 +98,8 @@ class DesignSettings:
     rest: float = 2.0
     iterations: int = 150
     seed: int = 0
+    spread: float | None = None
+    draws: int = 16
 
 
 @storable
@@ -143,8 +145,11 @@ class Design(Shown):
         Standard errors before the flight; infinite if nothing was known.
     alternatives : tuple of Alternative
         What else could be flown in that time, the first a 3-2-1-1 on one axis after the other.
-    used : mapping
-        Share of each limit that is used, by ``"lat"``, ``"lat rate"``, ``"phi"``.
+    used, used_at_worst : mapping
+        Share of each limit that is used, by ``"lat"``, ``"lat rate"``, ``"phi"``: if the model is
+        right, and by those of an ensemble or drawn from the prior that use most of it.
+    unheld : int
+        Models drawn from the prior that the feedback does not hold, which keep no limits.
     blind : tuple of str
         What the inputs cannot tell apart, in words.
     """
@@ -161,6 +166,8 @@ class Design(Shown):
     before: Array
     alternatives: tuple[Alternative, ...]
     used: Mapping[str, float]
+    used_at_worst: Mapping[str, float]
+    unheld: int = 0
     blind: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -217,6 +224,14 @@ class Design(Shown):
         columns = (self.before, self.alternatives[0].std_errors, self.std_errors)
         rows = [[name, *(f"{c[k]:.3g}" for c in columns)] for k, name in enumerate(self.names)]
         return markdown_table(("parameter", "before", "with 3-2-1-1", "with this"), rows)
+
+    def shares(self) -> str:
+        """Share of each limit that is used, if the model is right and at worst, in Markdown."""
+        rows = [
+            [name, f"{100 * self.used[name]:.0f} %", f"{100 * share:.0f} %"]
+            for name, share in self.used_at_worst.items()
+        ]
+        return markdown_table(("limit", "used", "at worst"), rows)
 
     def to_csv(self) -> str:
         """The card: time and designed stick deviations, one row a sample."""

@@ -23,8 +23,11 @@ def task():
     ny, nf = len(MODEL.outputs), len(free.index)
     loop = Loop(free, {}, 1e-4 * np.eye(ny), h=H, N=N)
     goal = Goal("D", np.arange(nf), np.ones(nf), np.zeros((nf, nf)))
-    limits = {"rates": np.array([0.6]), "responses": np.full(ny, 0.5)}
-    return Task(loops=(loop,), goals=(goal,), sticks=np.array([0.1]), **limits)
+    sides = {"responses": np.full(ny, 0.5), "states": np.full(len(MODEL.states), 0.5)}
+    limits = {"rates": np.array([0.6]), **sides}
+    near = free_parameters(replace(MODEL, **{n: 1.2 * getattr(MODEL, n) for n in free.names}))
+    other = Loop(near, {}, 1e-4 * np.eye(ny), h=H, N=N)
+    return Task(loops=(loop,), goals=(goal,), others=(other,), sticks=np.array([0.1]), **limits)
 
 
 def start(seed=0):
@@ -32,7 +35,7 @@ def start(seed=0):
     return family, np.random.default_rng(seed).choice([-0.5, 0.5], family.shape[1])
 
 
-@pytest.mark.parametrize("ruling", ["sticks", "rates", "responses"])
+@pytest.mark.parametrize("ruling", ["sticks", "rates", "responses", "states"])
 def test_slope_of_what_is_minimised_is_a_difference(task, ruling):
     task = replace(task, **{ruling: 0.01 * getattr(task, ruling)})  # the limit that counts most
     family, levels = start()

@@ -1,0 +1,66 @@
+"""What is known before the flight: information, noise, and other values that are possible."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.design.criterion import covariance
+from casid.fit import AnyFit
+from casid.model import Free, Model
+
+GUESSED, FITTED = 0.3, 0.1  # relative errors of a guess, and of a fit beside its covariance
+
+
+def noise_of(model: Model, fit: AnyFit | None, noise: Mapping[str, float] | None) -> Array:
+    """R (ny, ny) a sample, as large as it takes to predict errors that residuals justify."""
+    if noise is None:
+        if fit is None or fit.R is None:
+            raise ValueError(
+                "nothing says how noisy the outputs are: give noise={output: standard deviation}"
+            )
+        pairs = [(row.std_error, row.cramer_rao) for row in fit.parameters]
+        colour = [a / b for a, b in pairs if np.isfinite(a) and np.isfinite(b) and b > 0]
+        return np.asarray(np.diag(np.diag(fit.R)) * float(np.median(colour or [1.0])) ** 2)
+    for name in model.outputs:
+        if not noise.get(name, 0.0) > 0:
+            raise ValueError(f"noise: output {name!r} has none; give its standard deviation, > 0")
+    return np.diag([noise[name] ** 2 for name in model.outputs])
+
+
+def known_before(free: Free, fit: AnyFit | None) -> Array:
+    """Information (nf, nf) from before."""
+    F = np.zeros((len(free.index), len(free.index)))
+    if fit is None or fit.covariance is None:
+        return F
+    mine = [free.names.index(name) for name in fit.free_names if name in free.names]
+    theirs = [k for k, name in enumerate(fit.free_names) if name in free.names]
+    C = fit.covariance[np.ix_(theirs, theirs)]
+    good = np.isfinite(np.diag(C)) & (np.diag(C) > 0)
+    rows = np.array(mine)[good]
+    F[np.ix_(rows, rows)] = covariance(C[np.ix_(good, good)])
+    return F
+
+
+def possible(free: Free, known: Array, spread: float, count: int, seed: int) -> list[Free]:
+    """The structure at ``count`` other values, drawn from what is known before.
+
+    λ = λ₀ exp(s ξ) + η, with s the relative spread, ξ normal and η of the covariance of what is
+    known, of which a standard deviation counts up to the parameter's own size. λ is kept within its
+    bounds.
+    """
+    rng = np.random.default_rng(seed)
+    n, rows = len(free.index), np.flatnonzero(np.diag(known) > 0)
+    C = covariance(known[np.ix_(rows, rows)])
+    size = np.maximum(np.abs(free.guess), free.scale[free.index])[rows]
+    share = np.minimum(1.0, size / np.sqrt(np.diag(C)))
+    sizes, axes = np.linalg.eigh(C * np.outer(share, share))
+    root = axes * np.sqrt(np.maximum(sizes, 0.0))
+    made = []
+    for _ in range(count):
+        values = free.guess * np.exp(spread * rng.standard_normal(n))
+        values[rows] += root @ rng.standard_normal(len(rows))
+        values = np.clip(values, free.lower[free.index], free.upper[free.index])
+        made.append(replace(free, model=free.model.with_vector(free.full(values))))
+    return made

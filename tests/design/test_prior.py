@@ -1,0 +1,51 @@
+"""What is known before a flight, and what is drawn from it."""
+
+import numpy as np
+import pytest
+
+from casid.design.prior import known_before, possible
+from casid.model import free_parameters
+from models.short_period import ShortPeriod
+
+FREE = free_parameters(ShortPeriod())
+NONE = known_before(FREE, None)
+
+
+def values(drawn):
+    return np.array([each.guess for each in drawn])
+
+
+def test_draws_scatter_as_they_are_told():
+    some = np.flatnonzero(FREE.guess)
+    moved = np.log(values(possible(FREE, NONE, 0.02, 500, 0))[:, some] / FREE.guess[some])
+    # 500 draws of each parameter; none of the guesses is within 4 s of a bound
+    assert np.std(moved) == pytest.approx(0.02, rel=0.03)
+
+
+def test_a_covariance_is_drawn_from_with_its_correlations():
+    n = len(FREE.index)
+    root = (
+        1e-3 * np.random.default_rng(1).standard_normal((2, 2)) * FREE.scale[FREE.index[:2], None]
+    )
+    known = np.zeros((n, n))
+    known[:2, :2] = np.linalg.inv(root @ root.T)
+    drawn = values(possible(FREE, known, 0.0, 1000, 0))
+    np.testing.assert_array_equal(drawn[:, 2:], np.tile(FREE.guess[2:], (1000, 1)))
+    wanted = root @ root.T
+    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
+    # 1000 draws know a covariance to some 4 % of its scale
+    np.testing.assert_allclose(np.cov(drawn[:, :2].T) / scale, wanted / scale, atol=0.15)
+
+
+def test_an_error_beyond_a_parameters_own_size_counts_as_that():
+    known = np.zeros((len(FREE.index),) * 2)
+    known[0, 0] = (1e3 * FREE.guess[0]) ** -2.0
+    drawn = values(possible(FREE, known, 0.0, 400, 0))[:, 0]
+    size = max(abs(FREE.guess[0]), FREE.scale[FREE.index][0])
+    assert np.abs(drawn - FREE.guess[0]).max() < 5 * size
+
+
+def test_draws_keep_the_bounds():
+    drawn = values(possible(FREE, NONE, 3.0, 50, 0))
+    assert np.all(drawn >= FREE.lower[FREE.index])
+    assert np.all(drawn <= FREE.upper[FREE.index])
