@@ -47,6 +47,12 @@ from .consistency.kinematics import (
 from .cover import Cover as Cover, cover as cover
 from .design.inputs import design_inputs as design_inputs
 from .design.plan import Design as Design, DesignSettings as DesignSettings, Limits as Limits
+from .distances import (
+    Distance as Distance,
+    Distances as Distances,
+    MissingMode as MissingMode,
+    distances as distances,
+)
 from .eigenmodes import Mode as Mode, modes as modes
 from .errors import (
     ConvergenceError as ConvergenceError,

@@ -15,7 +15,7 @@ def test_identify_does_what_the_study_does_and_judges_unseen_records(tmp_path):
         settings=study.settings,
     )  # fmt: skip
     assert list(found.results) == [
-        "kinematics", "pbsid", "quadratic", "hinf", "output_error", "validation",
+        "kinematics", "pbsid", "quadratic", "hinf", "output_error", "sufficiency", "validation",
     ]  # fmt: skip
     assert found.frequency_response is None
     assert set(found.validation.models) == {"black box", "H∞ match", "output error"}

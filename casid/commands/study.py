@@ -211,7 +211,10 @@ def _line(stage: str, iterations: int | None, cost: float | None, seconds: float
 
 
 def _judge(console: Console, outcome: Outcome) -> None:
-    """Print what the report begins with: a verdict per output, then what to be careful about."""
+    """Print what the report begins with: structure, verdict per output, what to be careful of."""
+    enough = outcome.identification.results.get("sufficiency")
+    if enough is not None:
+        console.print(Text(enough.headline(), style="green" if enough.enough else "yellow"))
     if outcome.verdicts:
         headings = ("verdict", "fit %", "Theil", "RMS error", "noise", "unit")
         table = new_table("On unseen records", "output", *headings)

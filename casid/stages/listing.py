@@ -11,8 +11,17 @@ from casid.stages.consistency import KINEMATICS
 from casid.stages.judgement import VALIDATION
 from casid.stages.qualification import QUALIFICATION
 from casid.stages.stage import Stage
+from casid.stages.sufficiency import SUFFICIENCY
 
-STAGES: tuple[Stage, ...] = (KINEMATICS, *CHAIN, BASELINE, VALIDATION, QUALIFICATION, COMPARISON)
+STAGES: tuple[Stage, ...] = (
+    KINEMATICS,
+    *CHAIN,
+    SUFFICIENCY,
+    BASELINE,
+    VALIDATION,
+    QUALIFICATION,
+    COMPARISON,
+)
 
 
 def sections(stages: Iterable[Stage], results: Mapping[str, Any], page: Content) -> list[Section]:

@@ -124,12 +124,25 @@ class BlackBox(Shown):
         ValueError
             The black box was not refined, or not to maximum likelihood.
         """
+        F = self.response_factor(omega)
+        return np.linalg.norm(F.real, axis=-1), np.linalg.norm(F.imag, axis=-1)
+
+    def response_factor(self, omega: Array) -> ComplexArray:
+        """F (K, ny, nu, rank) of the errors of ln G: those of all pairs and frequencies together.
+
+        The estimate is off by F z, z independent standard normal numbers.
+
+        Raises
+        ------
+        ValueError
+            As `response_std`.
+        """
         if self.uncertainty is None:
             raise ValueError(
                 f"this black box ({self.refinement}) has no uncertainty: only one refined to "
                 'maximum likelihood has; call pbsid with refine=True and transform="laguerre"'
             )
-        return self.uncertainty.response_std(np.asarray(omega, dtype=float))
+        return self.uncertainty.response_factor(np.asarray(omega, dtype=float))
 
     @property
     def order(self) -> int:

@@ -28,7 +28,7 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 from casid.record import Record
 from casid.subspace import modal as modes
-from casid.subspace.refinement import log_spread, response_derivative
+from casid.subspace.refinement import log_factor, response_derivative
 from casid.values import storable
 
 ROUNDS = 3  # of estimating the innovations' covariance
@@ -60,8 +60,8 @@ class SampledUncertainty:
     nu: int
     h: float  # sampling interval [s]
 
-    def response_std(self, omega: Array) -> tuple[Array, Array]:
-        """Standard deviations of abs(G), relative, and of the phase of G [rad], both (K, ny, nu).
+    def response_factor(self, omega: Array) -> ComplexArray:
+        """F (K, ny, nu, rank): an estimate of ln G is off by F z, z of standard normal numbers.
 
         With W the predictor's response to u and y, G = (I - W_y)⁻¹ W_u.
         """
@@ -74,7 +74,7 @@ class SampledUncertainty:
         G = np.linalg.solve(left, W[:, :, : self.nu])
         change = dW[:, :, : self.nu] + np.einsum("koyp,kyi->koip", dW[:, :, self.nu :], G)
         dG = np.linalg.solve(left, change.reshape(len(omega), ny, -1)).reshape(change.shape)
-        return log_spread(G, dG, self.factor)
+        return log_factor(G, dG, self.factor)
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,20 +43,26 @@ class ResponseUncertainty:
     su: Array
     sy: Array
 
-    def response_std(self, omega: Array) -> tuple[Array, Array]:
-        """Standard deviations of abs(G), relative, and of the phase of G [rad], (K, ny, nu)."""
+    def response_factor(self, omega: Array) -> ComplexArray:
+        """F (K, ny, nu, rank): an estimate of ln G is off by F z, z of standard normal numbers."""
         omega = np.atleast_1d(omega)
         none = np.zeros((len(omega), len(self.sy)), dtype=complex)
         unit = partial(Spectrum, omega, Y=none, h=None, hold="foh")
-        return log_spread(
+        return log_factor(
             *response_derivative(self.modal, self.free, unit, len(omega)), self.factor
         )
 
+    def pole_std(self) -> tuple[ComplexArray, Array, Array]:
+        """Poles with Im >= 0 and standard deviations of their real and imaginary parts, (nm,)."""
+        lam, spread = self.modal.lam, np.linalg.norm(self.factor, axis=1)
+        first, second = self.modal.place(1)
+        imaginary = np.where(second >= 0, spread[np.maximum(second, 0)], 0.0)
+        return lam, spread[first[:, 0]], imaginary[:, 0]
 
-def log_spread(G: ComplexArray, dG: ComplexArray, factor: Array) -> tuple[Array, Array]:
-    """Standard deviations of log abs(G) and of the phase, from the factor of the covariance."""
-    spread = np.einsum("koip,pr->koir", dG, factor) / G[..., None]
-    return np.linalg.norm(spread.real, axis=-1), np.linalg.norm(spread.imag, axis=-1)
+
+def log_factor(G: ComplexArray, dG: ComplexArray, factor: Array) -> ComplexArray:
+    """Factor of the covariance of ln G, from that of the parameters and slopes by them."""
+    return np.asarray(np.einsum("koip,pr->koir", dG, factor, optimize=True) / G[..., None])
 
 
 def refine(

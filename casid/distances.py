@@ -1,0 +1,403 @@
+"""Is the structure enough? Its distance to the black box, and the black box's to measurements.
+
+Both are told per pair and octave in units of their errors. The structure is moved to where it comes
+nearest to the black box, parameters within their bounds: what is left, E, no values of them make.
+If the structure is true, E is the part of the black box's error ε that they cannot take up,
+
+    E = (I - J K) ε,   K = (Jᵀ W J)⁻¹ Jᵀ W,   cov ε = F Fᵀ,
+
+J the slopes of the response, W the weights: that both come from the same records is allowed for.
+Of a band the distance is d = (Σ |E|² / Σ E|E|²)^½; ν d² is taken for χ² of ν = (tr V)²/tr V²
+degrees of freedom, V the covariance of E in it (F. E. Satterthwaite, Biometrics 2 (1946), 110), and
+the level, divided by the number of pairs and bands (Bonferroni), holds for all of them together.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import scipy.optimize
+import scipy.stats
+
+from casid.arrays import Array, BoolArray, ComplexArray
+from casid.display import Shown
+from casid.fit import AnyFit
+from casid.frequency.estimation import FrequencyResponse, holding
+from casid.model import Free, Model, free_parameters
+from casid.nearest import BoxResponse, Nearest, nearest
+from casid.records import several
+from casid.subspace.blackbox import BlackBox
+from casid.subspace.refinement import ResponseUncertainty
+from casid.tabulation import markdown_table
+from casid.threads import one_thread
+from casid.values import storable
+
+OCTAVE = 8  # frequencies
+COHERENT = 0.6  # least coherence of a measured point, T&R section 7.5
+CELLS = 1.5  # spectral lines 2π/T that one independent value of a windowed response takes
+NEAR = 0.3  # of its modulus: how far from a black box's mode the structure's may be
+KNOWN = 0.5  # of its modulus: what the errors of a mode that is named may be
+MAKES = 0.5  # of what is missed in a band: what a mode that is missing makes there at least
+
+
+@storable
+@dataclass(frozen=True, kw_only=True)
+class MissingMode:
+    """A mode of the black box that no mode of the structure is near.
+
+    Parameters
+    ----------
+    real, imag : float
+        Of its pole [1/s], imag >= 0.
+    real_std, imag_std : float
+        Standard deviations of these [1/s]; NaN if not known.
+    """
+
+    real: float
+    imag: float
+    real_std: float
+    imag_std: float
+
+    @property
+    def pole(self) -> complex:
+        """The pole [1/s]."""
+        return complex(self.real, self.imag)
+
+    def __str__(self) -> str:
+        """The mode with its errors, in words."""
+        real = f"{self.real:.2g}{_error(self.real_std)}"
+        if not self.imag:
+            return f"a mode at {real}".replace("-", "−")
+        imag = f"{self.imag:.2g}{_error(self.imag_std)}"
+        return f"a pair at {real} and ±{imag} j".replace("-", "−")
+
+
+@storable
+@dataclass(frozen=True, kw_only=True)
+class Distance:
+    """Of one pair in one band, in units of the errors.
+
+    Parameters
+    ----------
+    output, input : str
+        The pair.
+    band : (float, float)
+        Edges [rad/s].
+    structure, structure_level : float
+        Distance of the structure to the black box, and which one noise alone hardly exceeds.
+    measured, measured_level : float
+        Those of the black box to the measured response; NaN where none is coherent.
+    share : float
+        What the structure misses, relative to the response of the output to all inputs.
+    missing : MissingMode or None
+        The mode of the black box that makes most of what is missed, if the structure has none near.
+    """
+
+    output: str
+    input: str
+    band: tuple[float, float]
+    structure: float
+    structure_level: float
+    measured: float = np.nan
+    measured_level: float = np.nan
+    share: float = 0.0
+    missing: MissingMode | None = None
+
+    @property
+    def far(self) -> bool:
+        """Whether the structure is farther from the black box than errors explain."""
+        return self.structure > self.structure_level
+
+    @property
+    def doubted(self) -> bool:
+        """Whether the black box is farther from the measured response than errors explain."""
+        return self.measured > self.measured_level
+
+    @property
+    def fault(self) -> bool:
+        """Whether it is the structure that is at fault."""
+        return self.far and not self.doubted
+
+    def told(self) -> str:
+        """What is missed, in words."""
+        low, high = (f"{edge:.2g}" for edge in self.band)
+        return (
+            f"{self.output} after {self.input}, {low}-{high} rad/s: the structure misses "
+            f"{self.structure:.0f}σ, {self.share:.0%} of its response"
+        )
+
+
+@storable
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Distances(Shown):
+    """How far a structure is from a black box and this from measured responses.
+
+    Parameters
+    ----------
+    structure : str
+        Name of its class.
+    rows : tuple of Distance
+        Every pair and band.
+    level : float
+        Chance that noise alone makes any ``far``.
+    """
+
+    structure: str
+    rows: tuple[Distance, ...]
+    level: float
+
+    def headline(self) -> str:
+        """The verdict."""
+        faults = self.faults
+        if not faults:
+            return f"{self.structure} misses nothing that the records show"
+        return (
+            f"{self.structure} misses something in {len(faults)} of {len(self.rows)} bands of "
+            f"pairs; {faults[0].told()}"
+        )
+
+    @property
+    def enough(self) -> bool:
+        """Whether nothing that the structure misses is larger than the errors explain."""
+        return not any(row.fault for row in self.rows)
+
+    @property
+    def faults(self) -> tuple[Distance, ...]:
+        """Where the structure is at fault; first what is missed most clearly and most of."""
+        found = (row for row in self.rows if row.fault)
+        return tuple(sorted(found, key=lambda row: -row.structure * row.share))
+
+    @property
+    def bands(self) -> tuple[tuple[float, float], ...]:
+        """The bands [rad/s], lowest first."""
+        return tuple(dict.fromkeys(row.band for row in self.rows))
+
+    def by_pair(self) -> dict[tuple[str, str], list[Distance]]:
+        """The rows of every (output, input), lowest band first."""
+        found: dict[tuple[str, str], list[Distance]] = {}
+        for row in self.rows:
+            found.setdefault((row.output, row.input), []).append(row)
+        return found
+
+    def sentences(self) -> tuple[str, ...]:
+        """What is missed of every output at fault, in the order of `faults`."""
+        said: dict[str, list[Distance]] = {}
+        for row in self.faults:
+            said.setdefault(row.output, []).append(row)
+        named: set[MissingMode] = set()
+        return tuple(_sentence(rows, named) for rows in said.values())
+
+    def to_markdown(self) -> str:
+        """One row a pair and band at fault."""
+        heading = ("pair", "rad/s", "structure", "level", "measured", "level", "share", "lacks")
+        rows = [
+            [
+                f"{row.output}/{row.input}", f"{row.band[0]:.3g}-{row.band[1]:.3g}",
+                *(f"{x:.2g}" for x in (row.structure, row.structure_level, row.measured)),
+                f"{row.measured_level:.2g}", f"{row.share:.0%}", str(row.missing or ""),
+            ]
+            for row in self.faults
+        ]  # fmt: skip
+        return markdown_table(heading, rows)
+
+
+@one_thread
+def distances(
+    fit: AnyFit | Model,
+    black_box: BlackBox,
+    responses: FrequencyResponse | Sequence[FrequencyResponse] = (),
+    *,
+    band: tuple[float, float] | None = None,
+    level: float = 0.01,
+) -> Distances:
+    """Distance of a structure to a black box and of this to measured responses, per pair and band.
+
+    The fit is where the search begins, and says what is fixed and between which bounds the rest may
+    move; it need not be near the black box. The model's constraints are not asked for.
+
+    Parameters
+    ----------
+    fit : Fit or Model
+        The structure.
+    black_box : BlackBox
+        With an uncertainty: refined to maximum likelihood.
+    responses : FrequencyResponse or sequence of them
+        Measured; each pair is compared with the first that has it.
+    band : (float, float)
+        Frequencies [rad/s]; those of the black box unless given. It is divided into octaves.
+    level : float
+        Chance that noise alone makes the structure look insufficient anywhere.
+
+    Raises
+    ------
+    ValueError
+        A black box without uncertainty or without a channel of the structure, a band or a level
+        that makes no sense.
+    """
+    low, high = black_box.band if band is None else band
+    if not low > 0:
+        raise ValueError(f"band={low:g}, {high:g} rad/s: expected frequencies above 0 rad/s")
+    if not 0 < level < 1:
+        raise ValueError(f"level={level:g}: expected a chance between 0 and 1, such as 0.01")
+    free = _free(fit)
+    octaves = max(1, round(float(np.log2(high / low))))
+    target = BoxResponse.of(black_box, free.model, np.geomspace(low, high, octaves * OCTAVE + 1))
+    found = nearest(free, target)
+    chance = level / (octaves * target.G[0].size)
+    lacking = _Lacking.of(black_box, found.model, target)
+    measured = several(responses) if responses else ()
+    rows = []
+    for edges in pairwise(np.geomspace(low, high, octaves + 1).tolist()):
+        k = _inside(target.omega, edges)
+        for i, output in enumerate(free.model.outputs):
+            size = max(float(np.linalg.norm(target.G[k, i])), 1e-300)
+            for j, channel in enumerate(free.model.inputs):
+                missed, at = float(np.linalg.norm(found.E[k, i, j])), (k, i, j)
+                row = Distance(
+                    output=output,
+                    input=channel,
+                    band=edges,
+                    share=missed / size,
+                    missing=lacking.of_pair(edges, at, missed),
+                    **_score(found, target, at, chance),
+                    **_measured(measured, black_box, (output, channel), edges, chance),
+                )
+                rows.append(row)
+    return Distances(structure=type(free.model).__name__, rows=tuple(rows), level=level)
+
+
+def _sentence(rows: Sequence[Distance], named: set[MissingMode]) -> str:
+    """The worst band of an output, and after which other inputs it is at fault too."""
+    worst, others = rows[0], dict[str, float]()
+    for row in rows[1:]:
+        if row.input != worst.input:
+            others[row.input] = max(row.structure, others.get(row.input, 0.0))
+    also = ", ".join(f"{name} {most:.0f}σ" for name, most in others.items())
+    told = worst.told() + (f" (also after {also})" if also else "")
+    if worst.missing is None or worst.missing in named:
+        return told
+    named.add(worst.missing)
+    return f"{told}; the black box has {worst.missing} that it cannot make"
+
+
+def _free(fit: AnyFit | Model) -> Free:
+    """What may move: of a fit what it left free, between its bounds."""
+    if isinstance(fit, Model):
+        return free_parameters(fit)
+    fixed = [row.name for row in fit.parameters if row.fixed]
+    bounds = {row.name: (row.lower, row.upper) for row in fit.parameters if not row.fixed}
+    return free_parameters(fit.model, fixed, bounds)
+
+
+def _inside(omega: Array, edges: tuple[float, float]) -> BoolArray:
+    return np.asarray((omega >= edges[0] * (1 - 1e-9)) & (omega <= edges[1] * (1 + 1e-9)))
+
+
+def _score(
+    found: Nearest, target: BoxResponse, at: tuple[BoolArray, int, int], chance: float
+) -> dict[str, float]:
+    """Distance of the structure at frequencies of a pair, and its level."""
+    E, factor, allowed = (part[at] for part in (found.E, found.factor, target.allowed))
+    errors = np.vstack([factor.real, factor.imag])
+    V = errors @ errors.T + np.diag(np.tile(allowed**2 / 2, 2))
+    mean = float(np.trace(V))
+    limit = _limit(mean**2 / float(np.sum(V**2)), chance)
+    return {"structure": float(np.linalg.norm(E) / np.sqrt(mean)), "structure_level": limit}
+
+
+def _limit(freedom: float, chance: float) -> float:
+    """What the root mean square of that many standard normal numbers exceeds with a chance."""
+    return float(np.sqrt(scipy.stats.chi2.isf(chance, freedom) / freedom))
+
+
+def _measured(
+    responses: Sequence[FrequencyResponse], box: BlackBox, pair: tuple[str, str],
+    edges: tuple[float, float], chance: float,
+) -> dict[str, float]:  # fmt: skip
+    """Distance of the black box to a measured response, and its level; nothing without one."""
+    known = [each for each in responses if pair[0] in each.outputs and pair[1] in each.inputs]
+    if not known:
+        return {}
+    data = holding(known, pair)
+    i, j = data.index(*pair)
+    usable = np.isfinite(data.G[:, i, j]) & (data.coherence[:, i, j] >= COHERENT)
+    usable &= _inside(data.omega, edges)
+    if not usable.any():
+        return {}
+    omega, G = data.omega[usable], data.G[usable, i, j]
+    own = box.system.response(omega)[
+        :, box.system.outputs.index(pair[0]), box.system.inputs.index(pair[1])
+    ]
+    errors = np.sqrt(2) * data.error[usable, i, j] * np.abs(G)  # of both parts
+    cells = np.ptp(omega) * max(data.windows, default=0.0) / (2 * np.pi * CELLS)
+    freedom = 2 * float(np.clip(cells, 1, len(omega)))
+    far = float(np.linalg.norm(G - own)) / max(float(np.linalg.norm(errors)), 1e-300)
+    return {"measured": far, "measured_level": _limit(freedom, chance)}
+
+
+@dataclass(frozen=True, eq=False)
+class _Lacking:
+    """Modes of a black box that no mode of a structure is near, and what they make of responses."""
+
+    modes: tuple[MissingMode, ...]
+    parts: ComplexArray  # (modes, K, ny, nu) of the scaled response
+
+    @classmethod
+    def of(cls, box: BlackBox, model: Model, target: BoxResponse) -> "_Lacking":
+        """Those that are known at all."""
+        system = box.system if box.system.dt is None else box.continuous().system
+        rows = [system.outputs.index(name) for name in model.outputs]
+        columns = [system.inputs.index(name) for name in model.inputs]
+        poles, right = np.linalg.eig(system.A)
+        C, B = system.C[rows] @ right, np.linalg.solve(right, system.B[:, columns].astype(complex))
+        poles, C, B = (part[..., poles.imag >= 0] for part in (poles, C, B.T))
+        found, parts = [], []
+        for k in _unmatched(poles, model.system().poles()):
+            mode = _with_errors(complex(poles[k]), box)
+            error = float(np.nan_to_num(np.hypot(mode.real_std, mode.imag_std)))
+            doubtful = np.isclose(mode.pole, box.doubtful).any()
+            if error < KNOWN * abs(mode.pole) and not doubtful:
+                residue = target.scale * np.outer(C[:, k], B[:, k])
+                s = 1j * target.omega[:, None, None]
+                part = residue / (s - mode.pole)
+                if mode.pole.imag:
+                    part = part + residue.conj() / (s - mode.pole.conjugate())
+                found.append(mode)
+                parts.append(part)
+        shape = (0, *target.G.shape)
+        return cls(tuple(found), np.array(parts) if parts else np.zeros(shape, dtype=complex))
+
+    def of_pair(
+        self, band: tuple[float, float], at: tuple[BoolArray, int, int], missed: float
+    ) -> MissingMode | None:
+        """The one near a band that makes most of a pair's response, if it can be what is missed."""
+        near = [band[0] / 2 <= abs(mode.pole) <= 2 * band[1] for mode in self.modes]
+        size = np.where(near, np.linalg.norm(self.parts[(slice(None), *at)], axis=1), 0.0)
+        if not size.max(initial=0.0) > MAKES * missed:
+            return None
+        return self.modes[int(np.argmax(size))]
+
+
+def _unmatched(poles: ComplexArray, others: ComplexArray) -> Iterator[int]:
+    """Which poles (Im >= 0) have none of the others near, each of these near one only."""
+    others = others[others.imag >= 0]
+    apart = np.minimum(np.abs(poles[:, None] - others) / np.abs(poles)[:, None], 1.0)
+    mine, theirs = scipy.optimize.linear_sum_assignment(apart)
+    near = {int(a) for a, b in zip(mine, theirs, strict=True) if apart[a, b] <= NEAR}
+    return (k for k in range(len(poles)) if k not in near)
+
+
+def _with_errors(pole: complex, box: BlackBox) -> MissingMode:
+    """A pole of a black box with the errors of its parts."""
+    real_std = imag_std = np.nan
+    if isinstance(box.uncertainty, ResponseUncertainty):
+        poles, real, imag = box.uncertainty.pole_std()
+        k = int(np.argmin(np.abs(poles - pole)))
+        real_std, imag_std = float(real[k]), float(imag[k])
+    return MissingMode(real=pole.real, imag=pole.imag, real_std=real_std, imag_std=imag_std)
+
+
+def _error(std: float) -> str:
+    """An error in words; nothing if it is not known."""
+    return f" ± {std:.1g}" if np.isfinite(std) else ""

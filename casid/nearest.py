@@ -1,0 +1,166 @@
+"""A structure moved to where its response comes nearest to a black box's, and what is left.
+
+Weighted least squares on the response, parameters within their bounds, by steps of Gauss and
+Newton. The weights are those of what can be reached: first of a share of the response, then of the
+black box's variance and of what the step before has left, smoothed over frequency, so that a pair
+the structure cannot make does not rule all others.
+"""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from casid.arrays import Array, ComplexArray
+from casid.evaluation import MatrixFunction
+from casid.model import Free, Model
+from casid.subspace.blackbox import BlackBox
+
+ALLOWED = 0.01  # of a pair's response, 0.003 of its row's: a black box of finite order is no better
+OF_ROW = 0.003
+ROUGH = 0.1  # of a pair's response: what the first weights take a structure to miss
+REACH = 0.35  # nepers of frequency over which the misfit is smoothed for the next weights
+ROUNDS = 2  # of weights by what is left
+STEPS = 8  # of Gauss and Newton a round
+LEAST = 0.01  # of a step that is worth trying
+SETTLED = 1e-3  # relative decrease of the cost that ends a round
+HELD = 1e-9  # of the width between bounds
+
+Slopes = Callable[[Array], tuple[ComplexArray, ComplexArray]]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoxResponse:
+    """A black box's response in the channels of a structure, these divided by their sizes."""
+
+    omega: Array  # (K,) [rad/s]
+    G: ComplexArray  # (K, ny, nu)
+    F: ComplexArray  # (K, ny, nu, rank): its errors are F z, z standard normal numbers
+    allowed: Array  # (K, ny, nu): deviation that is no fault of a structure, as a black box has it
+    scale: Array  # (ny, nu): G over the response in physical units
+
+    @classmethod
+    def of(cls, black_box: BlackBox, model: Model, omega: Array) -> "BoxResponse":
+        """ValueError: a channel that the black box lacks, or a black box without uncertainty."""
+        system = black_box.system
+        places = []
+        for kind, wanted, known in (
+            ("output", model.outputs, system.outputs),
+            ("input", model.inputs, system.inputs),
+        ):
+            if missing := [name for name in wanted if name not in known]:
+                raise ValueError(
+                    f"the structure's {kind} {missing[0]!r} is no {kind} of the black box, which "
+                    f"has {', '.join(known)}"
+                )
+            places.append([known.index(name) for name in wanted])
+        rows, columns = places
+        sizes = black_box.input_std[columns] / black_box.output_std[rows][:, None]
+        G = sizes * system.response(omega)[:, rows][:, :, columns]
+        F = np.nan_to_num(black_box.response_factor(omega)[:, rows][:, :, columns]) * G[..., None]
+        row = np.sum(np.abs(G) ** 2, axis=2, keepdims=True)
+        allowed = np.sqrt((ALLOWED * np.abs(G)) ** 2 + OF_ROW**2 * row)
+        return cls(omega=omega, G=G, F=F, allowed=allowed, scale=sizes)
+
+    @property
+    def variance(self) -> Array:
+        """E|error|² of the response and what is allowed, (K, ny, nu)."""
+        return np.asarray(np.sum(np.abs(self.F) ** 2, axis=-1) + self.allowed**2)
+
+    def smoothed(self, E: ComplexArray) -> Array:
+        """Mean of |E|² (K, ...) over frequencies, by a Gaussian of their logarithms."""
+        L = np.log(self.omega)
+        kernel = np.exp(-0.5 * ((L[:, None] - L) / REACH) ** 2)
+        kernel /= kernel.sum(axis=1, keepdims=True)
+        return np.asarray(np.tensordot(kernel, np.abs(E) ** 2, 1))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Nearest:
+    """Where a structure comes nearest.
+
+    ``E`` (K, ny, nu) is its response less the black box's; ``factor`` (K, ny, nu, rank) what it is
+    if the structure is true: minus factor z, with the z of the black box's errors.
+    """
+
+    model: Model
+    E: ComplexArray
+    factor: ComplexArray
+
+
+def nearest(free: Free, target: BoxResponse) -> Nearest:
+    """The structure's parameters that make its response most like the black box's."""
+    matrices, s = MatrixFunction(free), 1j * target.omega
+
+    def slopes(lam: Array) -> tuple[ComplexArray, ComplexArray]:
+        G, dG = matrices(lam).response_slopes(s)
+        return target.scale * G - target.G, target.scale * dG
+
+    bounds = free.lower[free.index], free.upper[free.index]
+    lam = np.asarray(np.clip(free.guess, *bounds), dtype=float)
+    E, _ = slopes(lam)
+    W = 1 / np.sqrt(target.allowed**2 + (ROUGH * np.abs(target.G)) ** 2 + target.smoothed(E))
+    lam, E, J = _settled(slopes, lam, bounds, W)
+    for _ in range(ROUNDS):
+        W = 1 / np.sqrt(target.variance + target.smoothed(E))
+        lam, E, J = _settled(slopes, lam, bounds, W)
+    width = np.where(np.isfinite(bounds[1] - bounds[0]), bounds[1] - bounds[0], 1.0)
+    inside = np.minimum(lam - bounds[0], bounds[1] - lam) > HELD * width
+    moved = free.model.with_vector(free.full(lam))
+    return Nearest(model=moved, E=E, factor=_left(target.F, J[inside], W))
+
+
+def _settled(
+    slopes: Slopes, lam: Array, bounds: tuple[Array, Array], W: Array
+) -> tuple[Array, ComplexArray, ComplexArray]:
+    """Parameters, misfit and slopes after steps within bounds under weights held."""
+    E, J = slopes(lam)
+    for _ in range(STEPS):
+        before = float(np.sum(np.abs(W * E) ** 2))
+        step, share, cost, trial = _step(W * E, W * J, lam, bounds), 1.0, np.inf, lam
+        while not cost < before and share > LEAST:
+            trial = np.asarray(np.clip(lam + share * step, *bounds))
+            share /= 2
+            with suppress(np.linalg.LinAlgError):  # a pole on a line
+                cost = float(np.sum(np.abs(W * slopes(trial)[0]) ** 2))
+        if cost < before:
+            lam = trial
+            E, J = slopes(lam)
+        if not cost < (1 - SETTLED) * before:
+            break
+    return lam, E, J
+
+
+def _step(E: ComplexArray, J: ComplexArray, lam: Array, bounds: tuple[Array, Array]) -> Array:
+    """Step to the least squares of the linearised misfit, parameters within their bounds."""
+    columns = _real(J.reshape(len(J), -1))
+    size = np.linalg.norm(columns, axis=1)
+    size = np.where(size > 0, size, 1.0)
+    low, high = ((bound - lam) * size for bound in bounds)
+    room = np.where(high > low, 0.0, 1.0)  # a width of nothing is no interval to the solver
+    found = scipy.optimize.lsq_linear(
+        (columns / size[:, None]).T,
+        -_real(E.reshape(1, -1))[0],
+        (np.minimum(low, 0.0) - room, np.maximum(high, 0.0) + room),
+        method="bvls",
+    )
+    return np.asarray(np.clip(found.x, low, high) / size)
+
+
+def _left(F: ComplexArray, J: ComplexArray, W: Array) -> ComplexArray:
+    """(I - J K) F: what parameters cannot take up of errors F, under weights W."""
+    rank = F.shape[-1]
+    columns = _real((W * J).reshape(len(J), -1)).T
+    size = np.linalg.norm(columns, axis=0)
+    Q = np.linalg.qr(columns[:, size > 0] / size[size > 0])[0]
+    errors = _real((W[..., None] * F).reshape(-1, rank).T).T
+    errors -= Q @ (Q.T @ errors)
+    half = len(errors) // 2
+    return np.asarray((errors[:half] + 1j * errors[half:]).reshape(F.shape) / W[..., None])
+
+
+def _real(rows: ComplexArray) -> Array:
+    """Real parts, then imaginary ones, of every row."""
+    return np.hstack([rows.real, rows.imag])

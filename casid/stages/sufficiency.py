@@ -1,0 +1,64 @@
+"""The stage that asks whether the structure is enough: how far it is from the black box."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from casid.distances import Distances, distances
+from casid.nonlinear.model import NonlinearModel
+from casid.report.content import Caution, Content, Section, section
+from casid.stages.stage import LeftOutError, Stage, Task
+
+NAMED = 4  # outputs in a warning before it says how many more
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sufficiency:
+    """Settings of the distances.
+
+    Parameters
+    ----------
+    band : (float, float)
+        Frequencies [rad/s]; those of the match unless given, within those of the black box.
+    level : float
+        Chance that noise alone makes the structure look insufficient anywhere.
+    """
+
+    band: tuple[float, float] | None = None
+    level: float = 0.01
+
+
+def _run(settings: Sufficiency, task: Task) -> Distances:
+    fit, box = task.results["output_error"], task.results["pbsid"]
+    if box.uncertainty is None or isinstance(fit.model, NonlinearModel):
+        raise LeftOutError
+    omega = getattr(task.settings.get("match"), "omega", None)
+    low, high = box.band if omega is None else (float(min(omega)), float(max(omega)))
+    usual = max(low, box.band[0]), min(high, box.band[1])
+    measured = [task.results[name] for name in ("frequency",) if name in task.results]
+    return distances(fit, box, measured, band=settings.band or usual, level=settings.level)
+
+
+def _show(found: Distances, content: Content) -> Iterable[Section]:  # noqa: ARG001
+    said, lead = [], ""
+    if found.enough:
+        lead = "It misses nothing that the records show."
+    else:
+        told = found.sentences()
+        more = f"; and {len(told) - NAMED} more outputs" if len(told) > NAMED else ""
+        said = [Caution(f"The structure is not enough: {'; '.join(told[:NAMED])}{more}.", 1)]
+    title = "Is the structure enough?"
+    yield section("sufficiency", title, 3, found, lead=lead, cautions=tuple(said))
+
+
+SUFFICIENCY = Stage(
+    name="sufficiency",
+    does="distance of the structure to the black box",
+    run=_run,
+    table="sufficiency",
+    settings=Sufficiency(),
+    needs=("pbsid", "output_error"),
+    uses=("frequency",),
+    structured=True,
+    kept=False,
+    show=_show,
+)

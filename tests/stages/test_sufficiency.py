@@ -1,0 +1,47 @@
+"""The stage that asks whether the structure is enough."""
+
+from types import SimpleNamespace
+
+import pytest
+from truths.roll_study import write_study
+
+from casid import Distance, Distances, read_study, run_study
+from casid.stages.stage import LeftOutError
+from casid.stages.sufficiency import SUFFICIENCY, Sufficiency
+
+
+def found(*rows):
+    named = [
+        Distance(
+            output=o, input="lat", band=(1.0, 2.0), structure=d, structure_level=3.0, share=0.2
+        )
+        for o, d in rows
+    ]
+    return Distances(structure="Roll", rows=tuple(named), level=0.01)
+
+
+def test_a_structure_that_is_not_enough_is_the_first_caution():
+    (shown,) = SUFFICIENCY.show(found(("p", 9.0), ("r", 12.0), ("q", 1.0)), None)
+    (caution,) = shown.cautions
+    assert caution.rank == 1
+    assert caution.text.startswith("The structure is not enough: r after lat, 1-2 rad/s: ")
+    assert "12σ, 20% of its response" in caution.text
+    assert "q after" not in caution.text
+    (silent,) = SUFFICIENCY.show(found(("p", 1.0)), None)
+    assert silent.cautions == ()
+
+
+def test_a_black_box_without_errors_is_no_measure():
+    results = {"pbsid": SimpleNamespace(uncertainty=None), "output_error": None}
+    with pytest.raises(LeftOutError):
+        SUFFICIENCY.run(Sufficiency(), SimpleNamespace(results=results))
+
+
+@pytest.mark.slow
+def test_a_study_of_the_true_structure_raises_no_alarm(tmp_path):
+    text = "[sufficiency]\nband = [0.6, 6.0]\n\n[match]"
+    outcome = run_study(read_study(write_study(tmp_path, ("[match]", text))))
+    distances = outcome.identification.results["sufficiency"]
+    assert distances.enough
+    assert distances.bands[0][0] == pytest.approx(0.6)
+    assert "Is the structure enough?" in outcome.report.read_text("utf-8")

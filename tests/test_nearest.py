@@ -1,0 +1,54 @@
+"""The structure nearest to a black box's response: recovery, bounds, what errors leave."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.closed_roll import TRUTH, campaign, off
+
+from casid import pbsid
+from casid.model import free_parameters
+from casid.nearest import BoxResponse, nearest
+
+OMEGA = np.geomspace(0.7, 8.0, 20)
+
+
+def response(model, seed=0):
+    """A black box's response that is a model's own, with errors in five directions."""
+    rng = np.random.default_rng(seed)
+    G = model.system().response(OMEGA)
+    F = 0.01 * np.abs(G[..., None]) * (rng.standard_normal((*G.shape, 5)) + 0j)
+    size = np.where(np.abs(G) > 0, 0.01 * np.abs(G), 1e-6)
+    return BoxResponse(omega=OMEGA, G=G, F=F, allowed=size, scale=np.ones(G.shape[1:]))
+
+
+def test_a_response_of_the_structure_leads_to_its_parameters():
+    found = nearest(free_parameters(off(share=0.2)), response(TRUTH))
+    np.testing.assert_allclose(found.model.vector(), TRUTH.vector(), rtol=1e-4)
+    assert np.abs(found.E).max() < 1e-5
+
+
+def test_parameters_stay_within_their_bounds():
+    free = free_parameters(TRUTH, bounds={"Lp": (-1.5, 0.0), "tau": (0.1, 0.2)})
+    found = nearest(free, response(TRUTH))
+    assert found.model.Lp >= -1.5
+    assert found.model.tau >= 0.1
+    assert np.abs(found.E).max() > 1e-2
+
+
+def test_small_errors_leave_what_the_factor_says():
+    # The response moved by errors F z: what the nearest structure misses is minus its factor times
+    # z, to first order. A step a thousand times smaller than the errors is linear to 1e-3.
+    at, z = response(TRUTH), 1e-3 * np.array([1.0, -0.5, 2.0, 0.3, -1.0])
+    calm = nearest(free_parameters(TRUTH), at)
+    moved = nearest(free_parameters(TRUTH), replace(at, G=at.G + at.F @ z))
+    apart = np.linalg.norm(moved.E + calm.factor @ z) / np.linalg.norm(moved.E)
+    assert apart < 0.02
+    assert np.linalg.norm(moved.E) < 0.999 * np.linalg.norm(at.F @ z)  # parameters took a part
+
+
+def test_a_channel_that_the_black_box_lacks_is_named():
+    box = pbsid(campaign(1, 2), order=3, pole=8.0, past=6, future=6, feedthrough=["ay"])
+    half = replace(box, system=replace(box.system, outputs=("ax", "p", "phi")))
+    with pytest.raises(ValueError, match="output 'ay' is no output of the black box"):
+        BoxResponse.of(half, TRUTH, OMEGA)
