@@ -100,6 +100,9 @@ from .frequency.responses import (
 )
 from .jobs.campaigns import CampaignProgress as CampaignProgress, Execution as Execution
 from .linear import StateSpace as StateSpace
+from .logs.drafting import Draft as Draft, import_log as import_log
+from .logs.reading import read_log as read_log
+from .logs.topics import Log as Log, Topic as Topic
 from .matching.appraisal import MatchNotes as MatchNotes
 from .matching.match import Match as Match, match as match
 from .model import (

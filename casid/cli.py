@@ -15,6 +15,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {  # place, and what the list of comma
     "convert": ("data:convert", "Turn records, responses and fits into other tools' files."),
     "design": ("design:design", "Design the next flight of a study."),
     "identify": ("study:identify", "Identify the structure a study names and write its report."),
+    "import": ("logs:import_command", "Turn a log (PX4, ArduPilot, TDMS) into a study."),
     "inspect": ("data:inspect_command", "Look at records before anything is identified."),
     "new-model": ("data:new_model_command", "Write a commented model file to start from."),
     "simulate": ("data:simulate", "Simulate a fitted model on a record and compare."),

@@ -1,0 +1,106 @@
+"""Command about logs: import."""
+
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.text import Text
+
+from casid.arrays import Array, BoolArray
+from casid.commands.columns import COLUMN
+from casid.commands.terminal import exits, new_table, terminal
+from casid.logs.drafting import Draft, import_log
+from casid.logs.reading import read_log
+from casid.logs.topics import Log
+
+SHOWN = 1e-3  # s of delay between topics that are told
+
+
+@click.command("import")
+@click.argument("log", metavar="LOG")
+@click.option("--model", metavar="MODEL.py:CLASS", help="Structure; one is written unless given.")
+@COLUMN
+@click.option("--dt", type=float, help="Sampling interval of the records [s].")
+@click.option("--output", "-o", metavar="FOLDER", help="Where to write; LOG's name unless given.")
+@click.option("--list", "only", is_flag=True, help="List topics and columns; write nothing.")
+def import_command(
+    log: str,
+    model: str | None,
+    renamed: dict[str, str],
+    dt: float | None,
+    output: str | None,
+    only: bool,
+) -> None:
+    """Turn a log into records and a study: PX4 ULog, ArduPilot dataflash (.bin), TDMS.
+
+    Lists topics with their rates and gaps, puts inputs, rates, attitudes, specific forces and
+    velocities on one clock in SI, says how late topics are that hold the same, cuts out the
+    stretches in which the inputs move, and writes a study that casid identify runs. Columns that
+    are not found are named: --column lat=RCOU.C1.
+
+    \b
+    FOLDER then holds
+      study.toml       the study
+      data/            a record (CSV, SI, total values) for every stretch
+      axes.py          a structure to start from, unless --model names one
+    """  # noqa: D301
+    console = terminal()
+    with exits(console):
+        if only:
+            _list(console, read_log(log), columns=True)
+            return
+        draft = import_log(log, output, model=model, columns=renamed, dt=dt)
+        _list(console, draft.log, columns=False)
+        _show(console, draft)
+
+
+def _list(console: Console, log: Log, *, columns: bool) -> None:
+    last = ["columns"] if columns else []
+    headings = ("samples", "Hz", "from", "to [s]", "gaps", "longest [s]", *last)
+    table = new_table(f"{log.path.name}: {log.kind}, {len(log.topics)} topics", "topic", *headings)
+    for topic in log.topics.values():
+        gaps = topic.gaps()
+        longest = f"{max(length for _, length in gaps):.3g}" if gaps else ""
+        span = (f"{topic.t[0]:.7g}", f"{topic.t[-1]:.7g}", str(len(gaps) or ""), longest)
+        rate = f"{1 / topic.interval:.4g}" if topic.interval > 0 else ""
+        named = [", ".join(topic.columns)] if columns else []
+        table.add_row(Text(topic.name), str(len(topic.t)), rate, *span, *map(Text, named))
+    console.print(table, "")
+    for note in log.notes:
+        console.print(Text(f"! {note}", style="yellow"))
+
+
+def _show(console: Console, draft: Draft) -> None:
+    table = new_table("Channels", "channel", "", "column", "Hz", "sampled before its stamp [ms]")
+    for kind, sources in (("in", draft.inputs), ("out", draft.outputs)):
+        for name, source in sources.items():
+            age = f"{1000 * source.topic.age:.3g}" if source.topic.age else ""
+            rate = f"{1 / source.topic.interval:.4g}"
+            table.add_row(Text(name), kind, Text(source.place), rate, age)
+    console.print(table, "")
+    for each in draft.delays:
+        if abs(each.seconds) >= SHOWN:
+            after = "after" if each.seconds > 0 else "before"
+            said = f"{1000 * abs(each.seconds):.1f} ms {after} {each.than}"
+            console.print(Text(f"{each.late} comes {said} (correlation {each.correlation:.2f})"))
+    inputs = draft.stretches[0].record.inputs
+    headings = ("from", "to [s]", *(f"{name} std" for name in inputs), "from outside")
+    table = new_table("Stretches in which the inputs move", "record", *headings)
+    for stretch in draft.stretches:
+        record, found = stretch.record, stretch.excitation
+        share = "" if found is None else _shares(found.lower, found.within)
+        moved = [f"{value:.2g}" for value in stretch.moved]
+        table.add_row(record.name, f"{record.t[0]:.6g}", f"{record.t[-1]:.6g}", *moved, share)
+    console.print(table, "")
+    study = Path(draft.study)
+    console.print(Text(f"{study}: look with  casid inspect {study}"), soft_wrap=True)
+    console.print(Text(f"then  casid identify {study}"), soft_wrap=True)
+
+
+def _shares(lower: Array, within: BoolArray) -> str:
+    """Median share of every input within its band."""
+    shares = (
+        np.median(x[w]) if w.any() else np.nan for x, w in zip(lower.T, within.T, strict=True)
+    )
+    return ", ".join(f"{share:.0%}" for share in shares)

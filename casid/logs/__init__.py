@@ -1,0 +1,1 @@
+"""Logs of autopilots and flight-test recorders: what is in them, and records made of it."""

@@ -1,0 +1,138 @@
+"""Records of a log: all channels at equal intervals on one clock, and how late topics are."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import scipy.signal
+
+from casid.arrays import Array, BoolArray
+from casid.logs.conventions import Source
+from casid.record import FEWEST, MOST, Record
+from casid.samples import Between, at_instants
+from casid.studies.preparation import with_inputs
+
+FASTEST = 0.01  # s, the shortest interval that is chosen
+SLOWER = 1.5  # intervals: what is sampled more slowly is empty between its samples
+APART = 1.0  # s without the inputs that end a record
+LATE = 0.5  # s, the largest delay looked for
+LONGEST = 60.0  # s of a log that are compared for delays
+COHERENT = 0.8  # correlation above which two topics hold the same
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lateness:
+    """By how much one topic's column comes after another's that holds the same [s]."""
+
+    late: str
+    than: str
+    seconds: float
+    correlation: float
+
+
+def usual_dt(inputs: Mapping[str, Source], outputs: Mapping[str, Source]) -> float:
+    """The interval [s] that inputs and rates allow, rounded; never less than 10 ms."""
+    wanted = [*inputs.values(), *(outputs[name] for name in ("p", "q", "r") if name in outputs)]
+    slowest = max(source.topic.interval for source in wanted)
+    return max(FASTEST, float(f"{slowest:.2g}"))
+
+
+def assemble(
+    inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float, name: str
+) -> list[Record]:
+    """Records of a log's channels every ``dt`` [s], one a stretch in which inputs were logged.
+
+    Outputs stand at the instants their samples were taken, inputs at those they were sent. Faster
+    channels pass one filter, slower ones are empty between their samples.
+    """
+    clocks = {id(source.topic): source.topic for source in inputs.values()}
+    start = max(float(topic.t[0]) for topic in clocks.values())
+    end = min(float(topic.t[-1]) for topic in clocks.values())
+    cuts = sorted(a + d for topic in clocks.values() for a, d in _losses(topic.t))
+    records = []
+    for a, b in pairwise([start, *(cut for cut in cuts if start < cut < end), end]):
+        if b - a >= FEWEST * dt:
+            records += _records(inputs, outputs, (a, b), dt, name)
+    return records
+
+
+def _losses(t: Array) -> list[tuple[float, float]]:
+    steps = np.diff(t)
+    return [(float(t[k]), float(steps[k])) for k in np.flatnonzero(steps > APART)]
+
+
+def _records(
+    inputs: Mapping[str, Source],
+    outputs: Mapping[str, Source],
+    span: tuple[float, float],
+    dt: float,
+    name: str,
+) -> list[Record]:
+    every = {**inputs, **outputs}
+    step = min(dt, *(source.topic.interval for source in every.values()))
+    step = dt / max(1, int(dt / step + 0.5))
+    if (n := int((span[1] - span[0]) / step)) > MOST:
+        raise ValueError(f"{name}: {n} samples every {step:g} s in one stretch, at most {MOST}")
+    t = span[0] + step * np.arange(n + 1)
+    columns = []
+    for channel, source in every.items():
+        own, late = source.topic.t, 0.0 if channel in inputs else source.topic.age
+        near = (own >= span[0] - APART) & (own <= span[1] + APART)
+        x = np.unwrap(source.values[near]) if channel in ("phi", "psi") else source.values[near]
+        how: Between = "foh" if channel in inputs else "smooth"
+        columns.append(at_instants(own[near] - late, x, t, how) if near.sum() > 3 else np.nan * t)
+    whole = Record(t, np.zeros((len(t), 0)), np.column_stack(columns), (), tuple(every), name)
+    if not np.isfinite(whole.y[:, : len(inputs)]).all(axis=1).sum() >= FEWEST:
+        return []
+    even = whole.resample(dt) if step < dt else whole
+    empty = np.column_stack([_between(source, even.t, dt) for source in every.values()])
+    empty[:, : len(inputs)] = False
+    parts = with_inputs(even.mask(empty), tuple(inputs)).stretches()
+    return [part for part in parts if np.isfinite(part.y).any()]
+
+
+def _between(source: Source, t: Array, dt: float) -> BoolArray:
+    """Instants of the record that are none of a slower channel's, (N,)."""
+    topic = source.topic
+    if topic.interval < SLOWER * dt:
+        return np.zeros(len(t), dtype=bool)
+    place = np.round((topic.t - topic.age - t[0]) / dt)
+    own = place[(place >= 0) & (place < len(t))].astype(int)
+    empty = np.ones(len(t), dtype=bool)
+    empty[own] = False
+    return empty
+
+
+def lateness(taken: Source, other: Source) -> Lateness | None:
+    """How late one column is after another that holds the same; None if they are not alike."""
+    step = min(taken.topic.interval, other.topic.interval, 0.01)
+    start = max(taken.topic.t[0], other.topic.t[0])
+    end = min(taken.topic.t[-1], other.topic.t[-1])
+    middle, half = (start + end) / 2, min(end - start, LONGEST) / 2
+    t = np.arange(middle - half, middle + half, step)
+    lags = int(LATE / step)
+    if len(t) < 8 * lags:
+        return None
+    x, y = (_steady(np.interp(t, each.topic.t, each.values)) for each in (taken, other))
+    inner = y[lags:-lags]
+    size = np.sqrt(np.sum(inner**2) * np.convolve(x**2, np.ones(len(inner)), mode="valid"))
+    across = scipy.signal.correlate(x, inner, mode="valid") / np.maximum(size, 1e-300)
+    k = int(np.argmax(across))
+    if across[k] < COHERENT or not 0 < k < len(across) - 1:
+        return None
+    a, b, c = across[k - 1 : k + 2]
+    peak = k + (a - c) / (2 * (a - 2 * b + c))
+    names = {"late": other.place, "than": taken.place}
+    return Lateness(**names, seconds=float((lags - peak) * step), correlation=float(b))
+
+
+def _steady(x: Array) -> Array:
+    """A signal without its mean, unknown samples at rest."""
+    return np.nan_to_num(x - np.nanmean(x)) if np.isfinite(x).any() else np.zeros(len(x))
+
+
+def delays(log_columns: Sequence[tuple[Source, Sequence[Source]]]) -> list[Lateness]:
+    """Delays between topics that hold the same quantity."""
+    found = (lateness(taken, other) for taken, rest in log_columns for other in rest)
+    return [each for each in found if each is not None]

@@ -1,0 +1,203 @@
+"""Where logs keep the channels of an aircraft: PX4's topics, ArduPilot's messages, plain names."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.logs.topics import Log, Topic
+
+BODY = "body velocity"  # a topic of casid's own
+RATES, ATTITUDES = ("p", "q", "r"), ("phi", "theta", "psi")
+FORCES, VELOCITIES = ("ax", "ay", "az"), ("u", "v", "w")
+OUTPUTS: Mapping[str, tuple[str, ...]] = {  # first the best: measured, not estimated
+    **{
+        name: (
+            f"vehicle_angular_velocity.xyz[{k}]",
+            f"sensor_combined.gyro_rad[{k}]",
+            f"vehicle_attitude.{('rollspeed', 'pitchspeed', 'yawspeed')[k]}",
+            f"control_state.{('roll_rate', 'pitch_rate', 'yaw_rate')[k]}",
+            *(f"{imu}.Gyr{'XYZ'[k]}" for imu in ("IMU[0]", "IMU", "IMU[1]", "IMU2")),
+            f"RATE.{'RPY'[k]}",
+        )
+        for k, name in enumerate(RATES)
+    },
+    **{
+        name: (
+            f"vehicle_attitude.{name}",
+            f"control_state.{name}",
+            f"ATT.{('Roll', 'Pitch', 'Yaw')[k]}",
+            f"XKF1[0].{('Roll', 'Pitch', 'Yaw')[k]}",
+            f"NKF1.{('Roll', 'Pitch', 'Yaw')[k]}",
+        )
+        for k, name in enumerate(ATTITUDES)
+    },
+    **{
+        name: (
+            f"sensor_combined.accelerometer_m_s2[{k}]",
+            f"vehicle_acceleration.xyz[{k}]",
+            f"IMU[0].Acc{'XYZ'[k]}",
+            f"IMU.Acc{'XYZ'[k]}",
+        )
+        for k, name in enumerate(FORCES)
+    },
+    **{name: (f"{BODY}.{name}",) for name in VELOCITIES},
+}
+AXES = ("roll", "pitch", "yaw", "thrust")
+INPUTS: tuple[Mapping[str, str], ...] = (  # sets of which the first that moves is taken
+    {
+        "roll": "vehicle_torque_setpoint.xyz[0]",
+        "pitch": "vehicle_torque_setpoint.xyz[1]",
+        "yaw": "vehicle_torque_setpoint.xyz[2]",
+        "thrust": "-vehicle_thrust_setpoint.xyz[2]",
+    },
+    {name: f"actuator_controls_0.control[{k}]" for k, name in enumerate(AXES)},
+    {name: f"RATE.{'RPYA'[k]}Out" for k, name in enumerate(AXES)},
+    {"roll": "AETR.Ail", "pitch": "AETR.Elev", "yaw": "AETR.Rudd", "thrust": "AETR.Thr"},
+)
+STICKS = (("lat", "lon", "ped", "col"), AXES)  # of a recorder with names of its own
+MOVES = {  # the rate or force that an input moves
+    **dict.fromkeys(("roll", "lat"), "p"),
+    **dict.fromkeys(("pitch", "lon"), "q"),
+    **dict.fromkeys(("yaw", "ped"), "r"),
+    **dict.fromkeys(("thrust", "col"), "az"),
+}
+NED = (  # velocities north, east, down, and the attitude that goes with them
+    (("vehicle_local_position", "vx", "vy", "vz"), "vehicle_attitude"),
+    (("XKF1[0]", "VN", "VE", "VD"), "ATT"),
+    (("NKF1", "VN", "VE", "VD"), "ATT"),
+)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Source:
+    """Where a channel comes from: instants [s], values in SI, and the column's name."""
+
+    place: str
+    topic: Topic
+    values: Array
+
+
+def find_channels(
+    log: Log, asked: Mapping[str, str] | None = None
+) -> tuple[dict[str, Source], dict[str, Source]]:
+    """Inputs and outputs of a log by name.
+
+    Parameters
+    ----------
+    log : Log
+        With `derived` topics.
+    asked : mapping
+        Columns for channels, ``{"lat": "RCOU.C1"}``, a sign before one that runs the other way;
+        names other than those of outputs are inputs, which replace those that would be found.
+
+    Raises
+    ------
+    ValueError
+        A column that is not there.
+    """
+    given = {name: _source(log, place) for name, place in (asked or {}).items()}
+    if missing := [name for name, source in given.items() if source is None]:
+        raise ValueError(
+            f"{log.path}: there is no column {(asked or {})[missing[0]]!r} for {missing[0]}; name "
+            "one as TOPIC.COLUMN of the topics listed by casid import --list"
+        )
+    named = {name: source for name, source in given.items() if source is not None}
+    outputs = {}
+    for name, places in OUTPUTS.items():
+        found = named.get(name) or _first(log, (*places, *_plain(log, name)))
+        if found is not None:
+            outputs[name] = found
+    inputs = {name: source for name, source in named.items() if name not in OUTPUTS}
+    for wanted in () if inputs else (*INPUTS, *(_own(log, names) for names in STICKS)):
+        found_ = {name: _source(log, place) for name, place in wanted.items()}
+        inputs = {name: each for name, each in found_.items() if each is not None and _moves(each)}
+        if inputs:
+            break
+    return inputs, outputs
+
+
+def others(log: Log, name: str, taken: Source) -> list[Source]:
+    """Columns of other topics that hold the same output."""
+    found = (_source(log, place) for place in OUTPUTS[name])
+    return [each for each in found if each is not None and each.topic is not taken.topic]
+
+
+def _moves(source: Source) -> bool:
+    known = source.values[np.isfinite(source.values)]
+    return bool(len(known) and np.ptp(known) > 0)
+
+
+def _own(log: Log, names: tuple[str, ...]) -> dict[str, str]:
+    return {name: places[0] for name in names if (places := _plain(log, name))}
+
+
+def _plain(log: Log, name: str) -> list[str]:
+    """Columns of exactly that name, in any topic."""
+    return [
+        f"{topic.name}.{column}"
+        for topic in log.topics.values()
+        for column in topic.columns
+        if column.lower() == name
+    ]
+
+
+def _first(log: Log, places: tuple[str, ...]) -> Source | None:
+    found = (_source(log, place) for place in places)
+    return next((each for each in found if each is not None and _moves(each)), None)
+
+
+def _source(log: Log, place: str) -> Source | None:
+    found = log.find(place.removeprefix("-"))
+    if found is None or len(found[0].t) < 4:
+        return None
+    topic, values = found
+    return Source(place=place, topic=topic, values=-values if place[0] == "-" else values)
+
+
+def derived(log: Log) -> Log:
+    """The log with Euler angles beside its quaternions, and body velocities beside those in NED."""
+    topics = {name: _with_angles(topic) for name, topic in log.topics.items()}
+    for (name, *velocity), attitude in NED:
+        if {name, attitude} <= set(topics) and BODY not in topics:
+            topic, reference = topics[name], replace(log, topics=topics)
+            angles = [_source(reference, place) for place in _attitudes(attitude)]
+            if set(velocity) <= set(topic.columns) and all(angles):
+                speeds = [topic.columns[each] for each in velocity]
+                held = [
+                    np.interp(topic.t, each.topic.t, np.unwrap(each.values))
+                    for each in angles
+                    if each
+                ]
+                columns = dict(zip(VELOCITIES, into_body(speeds, held), strict=True))
+                topics[BODY] = Topic(name=BODY, t=topic.t, columns=columns, age=topic.age)
+    return replace(log, topics=topics)
+
+
+def _attitudes(topic: str) -> list[str]:
+    return [place for name in ATTITUDES for place in OUTPUTS[name] if place.startswith(f"{topic}.")]
+
+
+def _with_angles(topic: Topic) -> Topic:
+    names = [f"q[{k}]" for k in range(4)]
+    if not set(names) <= set(topic.columns):
+        return topic
+    w, x, y, z = (topic.columns[name] for name in names)
+    phi = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x**2 + y**2))
+    theta = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+    psi = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
+    angles = dict(zip(ATTITUDES, (phi, theta, psi), strict=True))
+    return replace(topic, columns={**topic.columns, **angles})
+
+
+def into_body(speeds: Sequence[Array], angles: Sequence[Array]) -> list[Array]:
+    """Velocities forward, right, down of those north, east, down, by φ, θ, ψ [rad]."""
+    (n, e, d), (phi, theta, psi) = speeds, angles
+    ahead, right = n * np.cos(psi) + e * np.sin(psi), e * np.cos(psi) - n * np.sin(psi)
+    below = ahead * np.sin(theta) + d * np.cos(theta)
+    return [
+        ahead * np.cos(theta) - d * np.sin(theta),
+        right * np.cos(phi) + below * np.sin(phi),
+        below * np.cos(phi) - right * np.sin(phi),
+    ]

@@ -1,0 +1,153 @@
+"""ArduPilot's dataflash logs; formats of their messages as pymavlink has them.
+
+Every message is A3 95, a type and a body of fixed length; messages of type 128 say the length,
+field types and names of the others, FMTU, UNIT and MULT units and multipliers. The index is
+casid's own: that of pymavlink ends the process on a damaged log.
+"""
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.logs.topics import Topic, make_topic
+
+MAGIC = b"\xa3\x95\x80"
+HEAD, FORMAT = MAGIC[:2], MAGIC[2]
+CLOCKS = {"TimeUS": 1e-6, "TimeMS": 1e-3}  # s
+INSTANCE = ord("#")  # unit of the field that numbers several sensors of a kind
+UNITS = {"m/s/s": "m/s^2"}  # as ArduPilot spells them
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """How the messages of one type are laid out: struct code, factor, unit of every field."""
+
+    name: str
+    codes: tuple[str, ...]
+    fields: tuple[str, ...]
+    factors: tuple[float, ...]
+    own: tuple[bool, ...]  # whether a factor is that of the type of field
+    units: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        """Length of a message [bytes]."""
+        return 3 + struct.calcsize("<" + "".join(self.codes))
+
+    @property
+    def layout(self) -> np.dtype[Any]:
+        """Of a message's body."""
+        kinds = ("S" + code[:-1] if code.endswith("s") else "<" + code for code in self.codes)
+        return np.dtype([(f"f{k}", kind) for k, kind in enumerate(kinds)])
+
+
+def read_dataflash(data: bytes, library: ModuleType) -> tuple[Iterator[Topic], tuple[str, ...]]:
+    """Topics of an ArduPilot log, and what is wrong with it."""
+    formats, places, skipped = _index(data, library.FORMAT_TO_STRUCT)
+    tables = {
+        kind: np.frombuffer(
+            b"".join(data[k + 3 : k + each.size] for k in places[kind]), dtype=each.layout
+        )
+        for kind, each in formats.items()
+        if places.get(kind)
+    }
+    formats = _with_units(formats, tables)
+    notes = (f"{skipped} bytes between messages are damaged and left out",) if skipped else ()
+    return (topic for kind, rows in tables.items() for topic in _topics(formats[kind], rows)), notes
+
+
+def _index(
+    data: bytes, types: Mapping[str, Any]
+) -> tuple[dict[int, Format], dict[int, list[int]], int]:
+    """Formats and places of messages by type, and how many bytes belong to none."""
+    formats: dict[int, Format] = {}
+    places: dict[int, list[int]] = {}
+    sizes = {FORMAT: 89}
+    at = skipped = 0
+    while 0 <= at < len(data) - 3:
+        kind = data[at + 2]
+        size = sizes.get(kind, 0)
+        if data[at : at + 2] != HEAD or not size or at + size > len(data):
+            after = data.find(HEAD, at + 1)
+            after = len(data) if after < 0 else after
+            at, skipped = after, skipped + after - at
+            continue
+        if kind == FORMAT:
+            number, length, *rest = struct.unpack("<BB4s16s64s", data[at + 3 : at + size])
+            found = _format(
+                [each.split(b"\0")[0].decode("ascii", "replace") for each in rest], types
+            )
+            if found is not None and found.size == length and number != FORMAT:
+                formats[number], sizes[number] = found, length
+                places[number] = []
+        else:
+            places[kind].append(at)
+        at += size
+    return formats, places, skipped
+
+
+def _text(field: bytes) -> str:
+    return field.split(b"\0")[0].decode("utf-8", "replace").strip()
+
+
+def _format(words: Sequence[str], types: Mapping[str, Any]) -> Format | None:
+    name, letters, fields = words
+    names = tuple(fields.split(",")) if fields else ()
+    if not name or len(names) != len(letters) or any(letter not in types for letter in letters):
+        return None
+    codes, factors, _ = zip(*(types[letter] for letter in letters), strict=True)
+    own = tuple(factor is not None for factor in factors)
+    return Format(
+        name=name,
+        codes=codes,
+        fields=names,
+        factors=tuple(factor or 1.0 for factor in factors),
+        own=own,
+        units=("",) * len(names),
+    )
+
+
+def _with_units(formats: Mapping[int, Format], tables: Mapping[int, Any]) -> dict[int, Format]:
+    """Formats with the units and multipliers that the log itself gives."""
+    named = {each.name: tables[kind] for kind, each in formats.items() if kind in tables}
+    units = {row[1]: _text(row[2]) for row in named.get("UNIT", ())}
+    factors = {row[1]: float(row[2]) for row in named.get("MULT", ())}
+    found = dict(formats)
+    for _, kind, unit_marks, factor_marks in named.get("FMTU", ()):
+        if kind not in formats:
+            continue
+        each, blank = formats[kind], [ord("-")] * len(formats[kind].fields)
+        spelt = ["#" if mark == INSTANCE else units.get(mark, "") for mark in [*unit_marks, *blank]]
+        scales = [factors.get(mark, 0.0) or 1.0 for mark in [*factor_marks, *blank]]
+        scaled = zip(each.factors, each.own, scales, strict=False)
+        found[int(kind)] = replace(
+            each,
+            units=tuple(spelt[: len(blank)]),
+            factors=tuple(factor if own else scale for factor, own, scale in scaled),
+        )
+    return found
+
+
+def _topics(form: Format, rows: Any) -> Iterator[Topic]:  # noqa: ANN401 - a structured array
+    """The topics of one type of message: one an instance, none of messages without a time."""
+    clock = next((k for k, name in enumerate(form.fields) if name in CLOCKS), None)
+    if clock is None:
+        return
+    number = form.units.index("#") if "#" in form.units else None
+    which: Array = np.zeros(len(rows)) if number is None else rows[f"f{number}"]
+    for value in np.unique(which) if which.dtype.kind in "iuf" else ():
+        own = rows[which == value]
+        columns = (
+            (name, own[f"f{k}"] * form.factors[k], UNITS.get(form.units[k], form.units[k]))
+            for k, name in enumerate(form.fields)
+            if k not in (clock, number) and own[f"f{k}"].dtype.kind in "iuf"
+        )
+        name = form.name if number is None else f"{form.name}[{value}]"
+        stamps = own[f"f{clock}"] * CLOCKS[form.fields[clock]]
+        if (topic := make_topic(name, stamps, columns)) is not None:
+            yield topic

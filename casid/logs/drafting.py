@@ -1,0 +1,203 @@
+"""A study drafted from a log: records of its lively stretches, a structure to start from."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from casid.checks import checked
+from casid.files import write_csv, write_text
+from casid.logs.assembly import Lateness, assemble, delays, usual_dt
+from casid.logs.axes import axes_structure
+from casid.logs.conventions import RATES, Source, derived, find_channels, others
+from casid.logs.reading import read_log
+from casid.logs.stretches import SHORTEST, Stretch, find_stretches, make_stretch
+from casid.logs.topics import Log
+from casid.model import Model
+from casid.record import Record
+from casid.structure.modelfile import load_model, locate_model
+
+KEPT = 4  # of as many stretches one is kept for validation
+QUIET = 0.5  # s before an input moves that make a trim
+FIRST = 0.6  # of a single stretch that identifies
+TEMPLATE = """\
+# Drafted from {log} ({kind}). Paths are relative to this file.
+# Look first:  casid inspect study.toml        then:  casid identify study.toml
+
+[study]
+title = {title}
+output = "out"
+
+[model]
+file = {model}
+
+# Channels are in SI and radians; inputs as the log has them.
+# A skew between attitudes and rates that casid inspect finds is taken out by
+# [channels]
+# shift = "kinematics"
+
+[pbsid]
+transform = "laguerre" # a black box in continuous time, as the structure is
+
+[records.identification] # stretches in which the inputs move; leave out those you doubt
+files = {identification}
+detrend = {trim} # "first": the mean before an input moves; "mean" where nothing is quiet
+
+[records.validation] # serves in nothing else
+files = {validation}
+detrend = {own_trim}
+"""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Draft:
+    """What `import_log` made of a log.
+
+    Parameters
+    ----------
+    log : Log
+        All topics.
+    inputs, outputs : mapping of str to Source
+        Where the channels come from.
+    records : tuple of Record
+        The whole flight on one clock, total values in SI, one a stretch in which inputs were
+        logged.
+    stretches : tuple of Stretch
+        Candidates for identification.
+    delays : tuple of Lateness
+        Between topics that hold the same quantity.
+    study : Path
+        The study file.
+    """
+
+    log: Log
+    inputs: Mapping[str, Source]
+    outputs: Mapping[str, Source]
+    records: tuple[Record, ...]
+    stretches: tuple[Stretch, ...]
+    delays: tuple[Lateness, ...]
+    study: Path
+
+
+@checked
+def import_log(
+    path: str | Path,
+    folder: str | Path | None = None,
+    *,
+    model: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    dt: float | None = None,
+) -> Draft:
+    """Records, a structure and a study that runs, from a log.
+
+    Parameters
+    ----------
+    path : path
+        ULog, dataflash or TDMS; see `read_log`.
+    folder : path
+        Where they are written; the name of the log beside it unless given.
+    model : str
+        Structure, ``"models/multirotor.py:Multirotor"``; without it, one of the axes that move is
+        written, each by itself.
+    columns : mapping
+        Columns of the log for channels, ``{"lat": "RCOU.C1"}``; those of PX4 and ArduPilot, and
+        columns that bear a channel's name, are found.
+    dt : float
+        Sampling interval [s] of the records.
+
+    Raises
+    ------
+    ValueError
+        What `read_log` refuses; a study that is there already; no inputs or rates in the log, or
+        too little of them; channels that the structure needs and the log lacks.
+    """
+    log = derived(read_log(path))
+    folder = Path(folder) if folder is not None else log.path.with_suffix("")
+    if (study := folder / "study.toml").exists():
+        raise ValueError(f"{study} is there already and is left as it is; name another --output")
+    inputs, outputs = find_channels(log, columns)
+    structure = None if model is None else load_model(model)
+    if structure is not None:
+        inputs = {name: inputs[name] for name in structure.inputs if name in inputs}
+    _check_found(log, inputs, outputs, structure)
+    records = assemble(
+        inputs, outputs, dt or usual_dt(inputs, outputs), log.path.stem.replace(" ", "_")
+    )
+    found = find_stretches(records)
+    if len(found) < 2:
+        found = _divided([each.record for each in found] or records)
+    if not found:
+        longest = max((record.duration for record in records), default=0.0)
+        raise ValueError(
+            f"{log.path}: inputs ({', '.join(inputs)}) and outputs were logged together for "
+            f"{longest:.3g} s at most, {SHORTEST:g} s are wanted"
+        )
+    late = delays([(taken, others(log, name, taken)) for name, taken in outputs.items()])
+    _write(study, log, found, model)
+    return Draft(
+        log=log,
+        inputs=inputs,
+        outputs=outputs,
+        records=tuple(records),
+        stretches=tuple(found),
+        delays=tuple(late),
+        study=study,
+    )
+
+
+def _check_found(
+    log: Log,
+    inputs: Mapping[str, Source],
+    outputs: Mapping[str, Source],
+    structure: type[Model] | None,
+) -> None:
+    """Refuse a log that lacks what the structure, or any, needs."""
+    wanted = () if structure is None else (*structure.inputs, *structure.outputs)
+    missing = [name for name in wanted if name not in inputs and name not in outputs]
+    if not missing and not inputs:
+        missing = ["inputs"]
+    if not missing and not set(outputs) & set(RATES):
+        missing = ["rates (p, q, r)"]
+    if missing:
+        raise ValueError(
+            f"{log.path}: no column is known for {missing[0]}; name it: --column "
+            f"CHANNEL=TOPIC.COLUMN (columns={{...}}), of the topics {', '.join(log.topics)[:1000]}"
+        )
+
+
+def _divided(records: Sequence[Record]) -> list[Stretch]:
+    """The longest record in two, for identification and validation."""
+    longest = max(records, key=lambda record: record.duration, default=None)
+    if longest is None or longest.duration < SHORTEST:
+        return []
+    at = longest.t[0] + FIRST * longest.duration
+    name = longest.name.split()[0].removesuffix("_1")
+    parts = (longest.cut(longest.t[0], at), longest.cut(at, longest.t[-1]))
+    return [make_stretch(part, f"{name}_{k}") for k, part in enumerate(parts, 1)]
+
+
+def _write(study: Path, log: Log, found: Sequence[Stretch], model: str | None) -> None:
+    """Write records, structure and study."""
+    unseen = found[KEPT - 1 :: KEPT] or found[-1:]
+    parts = [[each.record for each in found if each not in unseen], [x.record for x in unseen]]
+    for record in (*parts[0], *parts[1]):
+        write_csv(study.parent / "data" / f"{record.name}.csv", record)
+    if model is None:
+        write_text(study.parent / "axes.py", axes_structure(parts[0], log.path.name))
+        reference = "axes.py:Axes"
+    else:
+        reference = ":".join(map(str, locate_model(model)))
+    files = [json.dumps([f"data/{each.name}.csv" for each in part]) for part in parts]
+    quiet = [all(each.quiet_samples() > QUIET / each.dt for each in part) for part in parts]
+    trim = "first" if quiet[0] else "mean"
+    words = {
+        "log": log.path.name,
+        "kind": log.kind,
+        "title": json.dumps(log.path.stem),
+        "model": json.dumps(reference),
+        "identification": files[0],
+        "validation": files[1],
+        "trim": json.dumps(trim),
+        "own_trim": json.dumps("identification" if quiet[0] and not quiet[1] else trim),
+    }
+    write_text(study, TEMPLATE.format(**words))

@@ -1,0 +1,68 @@
+"""A log of any format, told by its first bytes."""
+
+import contextlib
+import io
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+from typing import TypeAlias
+
+from casid.exchange.objects import optional
+from casid.limits import MIB, check_file
+from casid.logs import dataflash, tdms, ulog
+from casid.logs.topics import Log, Topic
+
+BYTES = 1024 * MIB
+Reader: TypeAlias = Callable[[bytes, ModuleType], tuple[Iterator[Topic], tuple[str, ...]]]
+READERS: dict[bytes, tuple[str, str, Reader]] = {  # by the first bytes: format, package, reader
+    ulog.MAGIC: ("PX4 ULog", "pyulog", ulog.read_ulog),
+    dataflash.MAGIC: ("ArduPilot dataflash", "pymavlink.DFReader", dataflash.read_dataflash),
+    tdms.MAGIC: ("TDMS", "nptdms", tdms.read_tdms),
+}
+
+
+def read_log(path: str | Path) -> Log:
+    """What is in a log: PX4 ULog, ArduPilot dataflash (.bin) or TDMS.
+
+    Needs ``pip install 'casid[logs]'``.
+
+    Parameters
+    ----------
+    path : path
+        The file; its first bytes say what it is.
+
+    Raises
+    ------
+    ValueError
+        None of the three, damaged beyond reading, no topic in it, a package missing.
+    """
+    path = Path(path)
+    check_file(path, BYTES, "a log")
+    data = path.read_bytes()
+    found = next((READERS[magic] for magic in READERS if data.startswith(magic)), None)
+    if found is None:
+        raise ValueError(
+            f"{path}: it is no log of PX4 (ULog), ArduPilot (dataflash .bin) or LabVIEW (TDMS): it "
+            f"begins with {data[:8]!r}; other tables are read as .csv, .mat or .parquet"
+        )
+    kind, package, read = found
+    library = optional(package, f"{path}: a {kind} log", extra="logs")
+    topics, notes = _topics(path, kind, partial(read, data, library))
+    if not topics:
+        raise ValueError(f"{path}: no topic with samples could be read; is the {kind} log cut off?")
+    return Log(path=path, kind=kind, topics=topics, notes=notes)
+
+
+def _topics(
+    path: Path, kind: str, read: Callable[[], tuple[Iterator[Topic], tuple[str, ...]]]
+) -> tuple[dict[str, Topic], tuple[str, ...]]:
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # readers print of damage
+            found, notes = read()
+            return {topic.name: topic for topic in found}, notes
+    except Exception as error:
+        said = str(error) or type(error).__name__
+        raise ValueError(
+            f"{path}: cannot read it as a {kind} log ({said[:200]}); copy it anew"
+        ) from error

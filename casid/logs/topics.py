@@ -1,0 +1,147 @@
+"""What a log holds: topics, each of columns that were sampled together."""
+
+import io
+from bisect import bisect_left
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.arrays import Array
+from casid.channels import DEGREE
+
+GAP = 5.0  # usual intervals without a sample that make a gap
+FREELY = 64 * 2**20  # bytes that a reader may read of the smallest log, and
+OFTEN = 8  # times the size of a larger one
+SI_OF = {  # what one of a unit, as logs spell it, is in SI
+    **dict.fromkeys(("deg", "degrees", "°", "degheading"), DEGREE),
+    **dict.fromkeys(("deg/s", "dps", "°/s"), DEGREE),
+    **dict.fromkeys(("g", "G"), 9.80665),
+    **dict.fromkeys(("%", "percent"), 0.01),
+    **dict.fromkeys(("ft", "ft/s", "ft/s^2"), 0.3048),
+    "ms": 1e-3,
+    "us": 1e-6,
+    **dict.fromkeys(("kt", "kn", "kts"), 1852 / 3600),
+}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Topic:
+    """Columns of a log that were sampled together, in SI where the log says their units.
+
+    Parameters
+    ----------
+    name : str
+        As the log has it, with the number of the instance: ``"IMU[1]"``.
+    t : (N,) array
+        Time stamps on the log's clock [s], increasing.
+    columns : mapping of (N,) arrays
+        Values; what is no number is left out.
+    age : float
+        How long before its stamp a sample was taken [s], where the log says it; else 0.
+    """
+
+    name: str
+    t: Array
+    columns: Mapping[str, Array]
+    age: float = 0.0
+
+    @property
+    def interval(self) -> float:
+        """Median interval between samples [s]; NaN of a single sample."""
+        return float(np.median(np.diff(self.t))) if len(self.t) > 1 else np.nan
+
+    def gaps(self) -> list[tuple[float, float]]:
+        """Where no sample came for five usual intervals or longer: from when, for how long [s]."""
+        steps = np.diff(self.t)
+        wide = np.flatnonzero(steps > GAP * self.interval)
+        return [(float(self.t[k]), float(steps[k])) for k in wide]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Log:
+    """All that could be read of a log.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    kind : str
+        Its format.
+    topics : mapping
+        By name.
+    notes : tuple of str
+        What is wrong with it: losses, damage, what was not read.
+    """
+
+    path: Path
+    kind: str
+    topics: Mapping[str, Topic]
+    notes: tuple[str, ...] = field(default=())
+
+    def find(self, place: str) -> tuple[Topic, Array] | None:
+        """Topic and values of a column, ``"vehicle_attitude.q[0]"``; None if it is not there."""
+        for topic in self.topics.values():
+            name = place.removeprefix(f"{topic.name}.")
+            if name != place and name in topic.columns:
+                return topic, topic.columns[name]
+        return None
+
+
+def make_topic(
+    name: str, t: Array, columns: Iterable[tuple[str, Array, str]], age: float = 0.0
+) -> Topic | None:
+    """A topic of columns (name, values, unit) in SI at increasing instants; None without any.
+
+    Samples whose stamps go back, as those of a damaged log, are left out: as few as possible.
+    """
+    t = np.asarray(t, dtype=float)
+    if not len(t):
+        return None
+    rows = increasing(t)
+    values = {}
+    for column, x, unit in columns:
+        if x.dtype.kind in "fiub" and len(x) == len(t):
+            values[column] = np.asarray(x[rows], dtype=float) * SI_OF.get(unit.strip(), 1.0)
+    return Topic(name=name, t=t[rows], columns=values, age=age) if values else None
+
+
+def increasing(t: Array) -> NDArray[np.intp]:
+    """The longest choice of samples (indices) whose stamps are finite and increase."""
+    rows = np.flatnonzero(np.isfinite(t))
+    if (np.diff(t[rows]) > 0).all():
+        return rows
+    ends: list[float] = []  # the smallest last stamp of a choice of each length
+    at: list[int] = []
+    before: list[int] = []
+    for k in rows.tolist():
+        n = bisect_left(ends, t[k])
+        before.append(at[n - 1] if n else -1)
+        ends[n : n + 1], at[n : n + 1] = [t[k]], [len(before) - 1]
+    chosen, k = [], at[-1] if at else -1
+    while k >= 0:
+        chosen.append(k)
+        k = before[k]
+    return np.asarray(rows[chosen[::-1]])
+
+
+class DamagedLogError(Exception):
+    """A reader goes in circles; never leaves casid."""
+
+
+class Bounded(io.BytesIO):
+    """Bytes of a log that end the patience with a reader that reads them again and again."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        self._left = FREELY + OFTEN * len(data)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Read; `DamagedLogError` when far more was read than there is."""
+        found = super().read(size)
+        self._left -= len(found) + 64
+        if self._left < 0:
+            raise DamagedLogError("its messages lead in circles")
+        return found

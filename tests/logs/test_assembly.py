@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+from truths.logs import LATE, RATES, STICKS, flight, ulog
+
+from casid import read_log
+from casid.logs.assembly import assemble, lateness, usual_dt
+from casid.logs.conventions import Source, derived, find_channels, others
+from casid.logs.topics import Topic
+
+
+def channels(tmp_path, **options):
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(ulog(**options))
+    log = derived(read_log(path))
+    return log, *find_channels(log)
+
+
+def source(t, x, name="T", age=0.0):
+    topic = Topic(name=name, t=t, columns={"x": x}, age=age)
+    return Source(place=f"{name}.x", topic=topic, values=x)
+
+
+def test_a_record_holds_the_flight_on_one_clock(tmp_path):
+    _, inputs, outputs = channels(tmp_path, seconds=20.0)
+    assert usual_dt(inputs, outputs) == 0.01
+    (record,) = assemble(inputs, outputs, 0.02, "flight")
+    t, x = flight(20.0)
+    at = record.t - 100
+    for name in STICKS:  # filtered, which rounds the corners of steps of 0.1 by a few per cent
+        np.testing.assert_allclose(record.channel(name), np.interp(at, t, x[name]), atol=6e-3)
+    inside = slice(20, -20)  # the filter's ends
+    for name in ("phi", "theta"):
+        wanted = np.interp(at, t, x[name])
+        np.testing.assert_allclose(record.channel(name)[inside], wanted[inside], atol=2e-3)
+    for name in RATES:
+        left = record.channel(name)[inside] - np.interp(at, t, x[name])[inside]
+        assert left.std() < 0.004  # the gyros' noise is 0.003
+
+
+def test_slower_channels_are_empty_between_their_samples(tmp_path):
+    _, inputs, outputs = channels(tmp_path, seconds=8.0)
+    (record,) = assemble(inputs, outputs, 0.01, "flight")
+    known = np.isfinite(record.channel("phi"))
+    assert known.mean() == pytest.approx(0.5, abs=0.01)  # 50 Hz in 100
+    assert np.isfinite(record.channel("p")).mean() > 0.99
+
+
+def test_a_logger_that_stops_makes_two_records(tmp_path):
+    _, inputs, outputs = channels(tmp_path, seconds=20.0, lose=(8.0, 11.0))
+    first, second = assemble(inputs, outputs, 0.02, "flight")
+    assert first.t[-1] <= 108.0 + 1e-9
+    assert second.t[0] >= 111.0 - 1e-9
+
+
+def test_outputs_stand_when_they_were_sampled_and_inputs_when_they_were_sent():
+    t = np.arange(0, 10, 0.01)
+    inputs = {"roll": source(t, np.sin(t), "in", age=0.1)}
+    outputs = {"p": source(t, np.cos(t), "out", age=0.1)}
+    (record,) = assemble(inputs, outputs, 0.01, "x")
+    np.testing.assert_allclose(record.channel("roll"), np.sin(record.t), atol=1e-4)
+    inner = record.t < 9.8
+    np.testing.assert_allclose(record.channel("p")[inner], np.cos(record.t[inner] + 0.1), atol=1e-6)
+
+
+def test_topics_that_hold_the_same_tell_their_delay(tmp_path):
+    log, _, outputs = channels(tmp_path, seconds=20.0)
+    (found,) = [lateness(outputs["p"], each) for each in others(log, "p", outputs["p"])]
+    assert found.late == "vehicle_attitude.rollspeed"
+    assert found.seconds == pytest.approx(LATE, abs=1e-3)
+    assert found.correlation > 0.95
+
+
+def test_topics_that_are_not_alike_have_no_delay():
+    t, (a, b) = np.arange(0, 30, 0.02), np.random.default_rng(0).standard_normal((2, 1500))
+    assert lateness(source(t, a), source(t, b)) is None
+    assert lateness(source(t, a), source(t + 100, a)) is None  # no time in common

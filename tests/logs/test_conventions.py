@@ -1,0 +1,72 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from casid.logs.conventions import BODY, derived, find_channels, into_body, others
+from casid.logs.topics import Log, Topic
+
+T = np.arange(20.0)
+rng = np.random.default_rng(3)
+
+
+def log(**topics):
+    made = {name: Topic(name=name, t=T, columns=columns) for name, columns in topics.items()}
+    return Log(path=Path("x.ulg"), kind="PX4 ULog", topics=made)
+
+
+def random(n=1):
+    return rng.standard_normal((n, len(T)))
+
+
+def test_quaternions_become_euler_angles():
+    angles = rng.uniform(-1, 1, (len(T), 3))  # ψ, θ, φ
+    x, y, z, w = Rotation.from_euler("ZYX", angles).as_quat().T
+    found = derived(log(vehicle_attitude={"q[0]": w, "q[1]": x, "q[2]": y, "q[3]": z}))
+    columns = found.topics["vehicle_attitude"].columns
+    for name, wanted in zip(("psi", "theta", "phi"), angles.T, strict=True):
+        np.testing.assert_allclose(columns[name], wanted, atol=1e-12)
+
+
+def test_velocities_north_east_down_become_those_of_the_body():
+    angles = rng.uniform(-1, 1, (len(T), 3))
+    speeds = random(3)
+    wanted = Rotation.from_euler("ZYX", angles).inv().apply(speeds.T).T
+    np.testing.assert_allclose(into_body(speeds, angles.T[::-1]), wanted, atol=1e-12)
+    x, y, z, w = Rotation.from_euler("ZYX", angles).as_quat().T
+    found = derived(log(
+        vehicle_attitude={"q[0]": w, "q[1]": x, "q[2]": y, "q[3]": z},
+        vehicle_local_position=dict(zip(("vx", "vy", "vz"), speeds, strict=True)),
+    ))  # fmt: skip
+    for name, own in zip("uvw", wanted, strict=True):
+        np.testing.assert_allclose(found.topics[BODY].columns[name], own, atol=1e-12)
+
+
+def test_what_is_measured_goes_before_what_is_estimated_and_what_rests_is_passed_over():
+    (p,), still = random(), np.zeros(len(T))
+    found = log(
+        vehicle_angular_velocity={"xyz[0]": still}, sensor_combined={"gyro_rad[0]": p},
+        vehicle_attitude={"rollspeed": p}, RATE={"ROut": p, "POut": still, "YOut": p},
+        actuator_controls_0={"control[0]": still},
+    )  # fmt: skip
+    inputs, outputs = find_channels(found)
+    assert outputs["p"].place == "sensor_combined.gyro_rad[0]"
+    assert {name: each.place for name, each in inputs.items()} == {
+        "roll": "RATE.ROut", "yaw": "RATE.YOut",
+    }  # fmt: skip
+    same = {each.place for each in others(found, "p", outputs["p"])}
+    assert same == {"vehicle_angular_velocity.xyz[0]", "vehicle_attitude.rollspeed"}
+
+
+def test_columns_named_by_the_user_or_like_a_channel_are_taken():
+    a, b, c = random(3)
+    found = log(**{"Control surfaces": {"A": a, "Lat": b}, "Gyro": {"P": c}})
+    inputs, outputs = find_channels(found)
+    assert inputs["lat"].place == "Control surfaces.Lat"
+    assert outputs["p"].place == "Gyro.P"
+    inputs, _ = find_channels(found, {"lat": "-Control surfaces.A"})
+    np.testing.assert_array_equal(inputs["lat"].values, -a)
+    assert set(inputs) == {"lat"}
+    with pytest.raises(ValueError, match=r"no column 'Gyro\.Q' for q"):
+        find_channels(found, {"q": "Gyro.Q"})

@@ -1,0 +1,54 @@
+import numpy as np
+import pytest
+from pymavlink import DFReader
+from truths.logs import FORMAT, dataflash, flight
+
+from casid.logs.dataflash import read_dataflash
+
+
+def topics(data):
+    return {topic.name: topic for topic in read_dataflash(data, DFReader)[0]}
+
+
+def test_values_and_stamps_are_those_of_pymavlink(tmp_path):
+    path = tmp_path / "flight.bin"
+    path.write_bytes(dataflash(2.0))
+    rows = []
+    with DFReader.DFReader_binary(str(path), zero_time_base=True) as log:
+        while (row := log.recv_match(type="ATT")) is not None:
+            rows.append((row.TimeUS * 1e-6, row.Roll, row.Pitch))
+    t, roll, pitch = np.array(rows).T
+    topic = topics(path.read_bytes())["ATT"]
+    np.testing.assert_allclose(topic.t, t, rtol=1e-15)
+    np.testing.assert_allclose(topic.columns["Roll"], np.radians(roll), rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(topic.columns["Pitch"], np.radians(pitch), rtol=1e-14, atol=1e-15)
+
+
+def test_units_multipliers_and_instances_are_the_logs_own():
+    t, x = flight(2.0)
+    found = topics(dataflash(2.0))
+    assert {"IMU[0]", "IMU[1]", "RATE", "ATT"} <= set(found)
+    np.testing.assert_allclose(found["IMU[0]"].t, 1000 + t, rtol=1e-12)
+    np.testing.assert_allclose(found["IMU[0]"].columns["GyrX"], x["p"], rtol=1e-6)  # 32 bits
+    assert found["IMU[1]"].t[0] == pytest.approx(1000.0001, abs=1e-9)
+    np.testing.assert_allclose(found["ATT"].columns["Roll"], x["phi"][::4], atol=0.51e-4 * np.pi)
+
+
+def test_damage_costs_the_messages_it_hits():
+    data = bytearray(dataflash(2.0))
+    whole = topics(bytes(data))
+    at = data.index(b"\xa3\x95\x05", len(data) // 2)  # a RATE in the middle
+    data[at : at + 3] = b"\0\0\0"
+    found, notes = read_dataflash(bytes(data), DFReader)
+    found = {topic.name: topic for topic in found}
+    assert len(found["RATE"].t) == len(whole["RATE"].t) - 1
+    assert len(found["ATT"].t) == len(whole["ATT"].t)
+    assert notes == ("23 bytes between messages are damaged and left out",)
+
+
+def test_formats_that_lie_about_their_length_are_not_believed():
+    writer = type("Writer", (), {"formats": {0x80: FORMAT}})()
+    form = bytearray(DFReader.DFReader_binary.make_format_msgbuf(writer, FORMAT))
+    for length in range(256):
+        form[3:5] = bytes([7, length])  # type 7, FMT's own fields
+        assert topics(bytes(form) + b"\xa3\x95\x07" + bytes(300)) == {}

@@ -1,0 +1,98 @@
+import numpy as np
+import pytest
+from truths.logs import DAMPING, DELAY, GAIN, WRITERS, ulog
+
+from casid import import_log, read_records, read_study, run_study
+from casid.logs import drafting
+
+
+@pytest.fixture(scope="module")
+def drafts(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    for name, write in WRITERS.items():
+        (folder / name).write_bytes(write())
+    return {name: import_log(folder / name, folder / name[-3:]) for name in WRITERS}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_log_becomes_a_study_that_is_in_order(drafts, name):
+    draft = drafts[name]
+    study = read_study(draft.study)
+    records = read_records(study)
+    assert study.model.inputs == ("roll", "pitch", "yaw")
+    assert {len(each) for each in records.values()} == {1}
+    assert [each.record.name for each in draft.stretches] == ["flight_1", "flight_2"]
+    (record,) = draft.records
+    assert record.duration == pytest.approx(40, abs=0.1)
+    assert draft.log.path.name == name
+
+
+def test_a_draft_is_never_overwritten(drafts):
+    draft = drafts["flight.ulg"]
+    draft.study.write_text("mine")
+    with pytest.raises(ValueError, match="is there already"):
+        import_log(draft.log.path, draft.study.parent)
+    assert draft.study.read_text() == "mine"
+
+
+def test_one_stretch_is_divided_and_none_takes_the_longest_record(tmp_path, monkeypatch):
+    path = tmp_path / "short.ulg"
+    path.write_bytes(ulog(12.0))
+    draft = import_log(path, tmp_path / "one")
+    first, second = (each.record for each in draft.stretches)
+    assert first.t[-1] <= second.t[0]
+    monkeypatch.setattr(drafting, "find_stretches", lambda _: [])
+    draft = import_log(path, tmp_path / "none")
+    assert sum(each.record.duration for each in draft.stretches) == pytest.approx(12, abs=0.1)
+
+
+def test_a_structure_of_the_users_takes_the_channels_it_names(tmp_path, drafts):
+    model = drafts["flight.bin"].study.with_name("axes.py")
+    path = tmp_path / "other.tdms"
+    path.write_bytes(WRITERS["flight.tdms"](12.0))
+    draft = import_log(
+        path,
+        model=f"{model}:Axes",
+        columns={"roll": "sticks.yaw", "pitch": "sticks.pitch", "yaw": "sticks.roll"},
+        dt=0.05,
+    )
+    assert draft.study == tmp_path / "other" / "study.toml"
+    assert draft.inputs["yaw"].place == "sticks.roll"
+    assert draft.records[0].dt == pytest.approx(0.05)
+    assert not draft.study.with_name("axes.py").exists()
+    read_study(draft.study)
+
+
+@pytest.mark.parametrize(
+    ("write", "said"),
+    [
+        (lambda: ulog(4.0), "6 s are wanted"),
+        (
+            lambda: ulog(2.0).replace(b"gyro_rad", b"gyro_mil").replace(b"rollspeed", b"rollspace"),
+            "rates",
+        ),
+        (lambda: ulog(2.0).replace(b"actuator_controls_0", b"actuator_controls_x"), "inputs"),
+    ],
+)
+def test_logs_that_cannot_make_a_study_are_refused_in_words(tmp_path, write, said):
+    path = tmp_path / "log.ulg"
+    path.write_bytes(write())
+    with pytest.raises(ValueError, match=said):
+        import_log(path)
+    assert not (tmp_path / "log").exists()
+
+
+@pytest.mark.slow
+def test_the_drafted_study_finds_the_aircraft(tmp_path):
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(ulog())
+    outcome = run_study(read_study(import_log(path).study))
+    rows = {row.name: row for row in outcome.identification.output_error.parameters}
+    for names, wanted in (
+        (("Lp", "Mq", "Nr"), DAMPING),
+        (("Lroll", "Mpitch", "Nyaw"), GAIN),
+        (("tau_roll", "tau_pitch", "tau_yaw"), [DELAY] * 3),
+    ):
+        found = np.array([[rows[n].value, rows[n].std_error] for n in names])
+        assert (np.abs(found[:, 0] - wanted) < 4 * found[:, 1] + 0.02 * np.abs(wanted)).all()
+    assert {each.word for each in outcome.verdicts} == {"good"}

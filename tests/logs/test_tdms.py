@@ -1,0 +1,52 @@
+import io
+
+import nptdms
+import numpy as np
+import pytest
+from truths.logs import flight, tdms
+
+from casid.logs.tdms import read_tdms
+
+
+def topics(data):
+    return {topic.name: topic for topic in read_tdms(data, nptdms)[0]}
+
+
+def written(*channels):
+    file = io.BytesIO()
+    with nptdms.TdmsWriter(file) as writer:
+        writer.write_segment([nptdms.ChannelObject(*each) for each in channels])
+    return file.getvalue()
+
+
+def test_columns_of_times_and_waveforms_are_clocks_and_units_become_si():
+    t, x = flight(2.0)
+    found = topics(tdms(2.0))
+    np.testing.assert_array_equal(found["sticks"].t, t[::2])
+    np.testing.assert_allclose(found["gyros"].t, t, rtol=1e-12)
+    np.testing.assert_allclose(found["gyros"].columns["q"], x["q"], rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(found["sticks"].columns["yaw"], x["yaw"][::2])
+
+
+def test_channels_without_a_time_are_told():
+    assert read_tdms(tdms(2.0), nptdms)[1] == ("group 'gyros': no time is known of without time",)
+
+
+def test_waveforms_of_a_group_keep_their_clocks_apart():
+    begun = np.datetime64("2026-01-01T12:00:00", "us")
+    later = {"wf_increment": 0.1, "wf_start_time": begun + np.timedelta64(250_000, "us")}
+    data = written(
+        ("G", "a", np.arange(5.0), {"wf_increment": 0.1, "wf_start_time": begun}),
+        ("G", "b", np.arange(5.0), later),
+        ("G", "c", np.arange(10.0), {"wf_increment": 0.05, "wf_start_time": begun}),
+    )
+    found = topics(data)
+    assert [list(topic.columns) for topic in found.values()] == [["a"], ["b"], ["c"]]
+    np.testing.assert_allclose(found["G (2)"].t, 0.25 + 0.1 * np.arange(5), rtol=1e-12)
+    assert found["G (3)"].interval == pytest.approx(0.05)
+
+
+def test_time_stamps_of_labview_are_seconds_from_the_first():
+    stamps = np.datetime64("2026-01-01", "us") + np.arange(4) * np.timedelta64(20_000, "us")
+    found = topics(written(("G", "Timestamp", stamps), ("G", "p", np.arange(4.0))))
+    np.testing.assert_allclose(found["G"].t, 0.02 * np.arange(4), atol=1e-9)

@@ -1,0 +1,63 @@
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from casid.logs.topics import Bounded, DamagedLogError, increasing, make_topic
+
+
+@given(st.lists(st.integers(0, 6) | st.just(float("nan")), max_size=9))
+def test_as_few_samples_as_possible_are_left_out_where_stamps_go_back(stamps):
+    t = np.array(stamps, dtype=float)
+    kept = increasing(t)
+    assert (np.diff(kept) > 0).all()
+    assert (np.diff(t[kept]) > 0).all()
+    finite = [x for x in t if np.isfinite(x)]
+    longest = max(  # brute force over all choices
+        n
+        for n in range(len(finite) + 1)
+        if any((np.diff(each) > 0).all() for each in combinations(finite, n))
+    )
+    assert len(kept) == longest
+
+
+def test_one_stamp_far_in_the_future_costs_one_sample():
+    t = np.arange(100.0)
+    t[40] = 1e12
+    assert len(increasing(t)) == 99
+
+
+def test_columns_are_in_si_and_text_is_left_out():
+    columns = [
+        ("a", np.array([180, 90]), "deg"), ("b", np.array([1.0, 2.0]), "%"),
+        ("c", np.array(["x", "y"]), ""), ("d", np.array([1.0, 2.0]), "bar"),
+    ]  # fmt: skip
+    topic = make_topic("T", np.array([0.0, 1.0]), columns)
+    assert set(topic.columns) == {"a", "b", "d"}
+    np.testing.assert_allclose(topic.columns["a"], [np.pi, np.pi / 2], rtol=1e-15)
+    np.testing.assert_allclose(topic.columns["b"], [0.01, 0.02], rtol=1e-15)
+    np.testing.assert_array_equal(topic.columns["d"], [1.0, 2.0])
+    assert make_topic("T", np.array([0.0, 1.0]), columns[2:3]) is None
+    assert make_topic("T", np.zeros(0), columns) is None
+
+
+def test_gaps_are_five_usual_intervals_or_longer():
+    t = np.array([0, 1, 2, 3, 7.9, 9, 10, 11, 12, 18, 19, 20.0])
+    topic = make_topic("T", t, [("x", t, "")])
+    assert topic.interval == 1.0
+    assert topic.gaps() == [(12.0, 6.0)]
+
+
+def test_a_reader_that_goes_in_circles_is_stopped():
+    data = Bounded(b"0123456789" * 1000)
+
+    def again(times):
+        for _ in range(times):
+            data.seek(0)
+            data.read()
+
+    again(8)  # as a reader of a sound log may
+    with pytest.raises(DamagedLogError):
+        again(100_000)
