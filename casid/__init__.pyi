@@ -90,10 +90,10 @@ from .fit import (
     ParameterEstimate as ParameterEstimate,
 )
 from .frequency.estimation import (
-    FrequencyResponse as FrequencyResponse,
     SpectralAnalysis as SpectralAnalysis,
     frequency_response as frequency_response,
 )
+from .frequency.response import FrequencyResponse as FrequencyResponse
 from .frequency.responses import (
     merge_responses as merge_responses,
     read_frequency_csv as read_frequency_csv,

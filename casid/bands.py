@@ -18,7 +18,7 @@ from casid.baseline.handling import handling_qualities
 from casid.display import Shown
 from casid.eigenmodes import Mode, modes
 from casid.fit import AnyFit
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.model import M, Model
 from casid.threads import one_thread
 

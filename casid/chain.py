@@ -9,7 +9,7 @@ from casid.consistency.flights import repeats
 from casid.consistency.kinematics import KinematicCheck
 from casid.errors import DataWarning
 from casid.fit import Fit, M_co
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.matching.appraisal import MatchNotes
 from casid.model import Bounds, M
 from casid.record import Record

@@ -23,7 +23,7 @@ import scipy.stats
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.display import Shown
 from casid.fit import AnyFit
-from casid.frequency.estimation import FrequencyResponse, holding
+from casid.frequency.response import FrequencyResponse, holding
 from casid.model import Free, Model, free_parameters
 from casid.nearest import BoxResponse, Nearest, nearest
 from casid.records import several

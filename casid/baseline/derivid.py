@@ -26,7 +26,7 @@ from casid.fit import (
     on_bounds,
     parameter_table,
 )
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.matching.conditions import fit_at_conditions
 from casid.matching.descent import Condensed, check_effects
 from casid.matching.mismatch import DB, GOOD, TURN, residual_slopes

@@ -26,7 +26,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from casid.arrays import Array
-from casid.frequency.estimation import FrequencyResponse, holding
+from casid.frequency.response import FrequencyResponse, holding
 
 Kind = Literal["attitude", "rate", "loop"]
 

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.errors import ConvergenceError
-from casid.frequency.estimation import FrequencyResponse, holding
+from casid.frequency.response import FrequencyResponse, holding
 from casid.matching.mismatch import DB, DEG, TURN, log_ratio, pair_weights, residuals
 from casid.records import several
 

@@ -6,7 +6,7 @@ from typing import TypeAlias
 import numpy as np
 
 from casid.arrays import BoolArray
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.matching.comparison import Comparison, Source
 from casid.matching.mismatch import DB, pair_weights
 from casid.matching.targets import in_channels

@@ -21,7 +21,7 @@ from casid.exchange.code import write_c, write_fmu
 from casid.exchange.standalone import write_module
 from casid.files import read_json
 from casid.fit import AnyFit, Fit
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.model import Model
 from casid.record import Record
 from casid.structure.modelfile import load_model

@@ -15,7 +15,7 @@ from casid.channels import UNITS, factor_of
 from casid.exchange.objects import from_dataframe, optional, to_dataframe
 from casid.fit import AnyFit
 from casid.folder import replacing
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.hdf import write_hdf
 from casid.limits import TABLE_BYTES, check_file, check_size
 from casid.record import Hold, Record

@@ -17,7 +17,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray, ComplexArray
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 
 ALONE = 0.03  # of a variance that neighbours do not share: finer grids then tell no more
 LEAST = 1e-4  # of a response, the smallest error believed

@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.arrays import Array, ComplexArray
 from casid.files import read_columns
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.records import several
 
 Form = Literal["dB deg", "dB rad", "abs deg", "abs rad", "re im"]

@@ -12,7 +12,7 @@ import numpy as np
 
 from casid.estimator import Estimator
 from casid.fit import Fit
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
 from casid.matching.targets import Target
 from casid.model import Bounds, M

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
 from casid.matching.comparison import Comparison, Source
 from casid.matching.targets import Target, in_channels, row_sizes

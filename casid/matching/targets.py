@@ -7,7 +7,7 @@ from typing import TypeAlias, TypeVar, cast
 import numpy as np
 
 from casid.arrays import Array
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
 from casid.matching.comparison import Comparison, Source
 from casid.matching.mismatch import coherence_weight

@@ -14,7 +14,7 @@ from casid.arrays import Array
 from casid.bounds.compare import BoundsComparison
 from casid.fit import AnyFit
 from casid.folder import replacing
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
 from casid.qualification import Qualification
 from casid.record import Record

@@ -14,7 +14,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, MultipleLocator, NullLo
 from casid.arrays import Array, ComplexArray
 from casid.channels import UNITS
 from casid.fit import AnyFit
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
 from casid.report.content import BASELINE, BLACK_BOX, MATCH, OUTPUT_ERROR
 from casid.subspace.pbsid import BlackBox

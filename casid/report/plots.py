@@ -22,7 +22,7 @@ from casid.channels import UNITS
 from casid.cover import Cover
 from casid.design.plan import Design
 from casid.fit import Fit
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
 from casid.qualification import Qualification
 from casid.record import Record

@@ -14,7 +14,7 @@ from casid.cover import Cover
 from casid.display import Shown
 from casid.eigenmodes import modes
 from casid.fit import Fit
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.qualification import Qualification
 from casid.record import Record
 from casid.report.words import number, percent, prior

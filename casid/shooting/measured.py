@@ -16,7 +16,7 @@ from casid.arrays import Array
 from casid.evaluation import MatrixFunction
 from casid.fingerprints import same_flight
 from casid.frequency.covariance import whitener
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.model import Free, Model
 from casid.record import Record
 

@@ -1,6 +1,7 @@
 """The stage that estimates the frequency response of sweeps."""
 
-from casid.frequency.estimation import FrequencyResponse, SpectralAnalysis
+from casid.frequency.estimation import SpectralAnalysis
+from casid.frequency.response import FrequencyResponse
 from casid.stages.stage import Stage, Task
 
 

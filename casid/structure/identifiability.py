@@ -27,7 +27,7 @@ import numpy as np
 
 from casid.arrays import Array, ComplexArray
 from casid.evaluation import Matrices, MatrixFunction
-from casid.frequency.estimation import FrequencyResponse
+from casid.frequency.response import FrequencyResponse
 from casid.model import Bounds, Free, Model, free_parameters
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record

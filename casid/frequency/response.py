@@ -1,0 +1,219 @@
+"""Measured frequency responses with their quality."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.arrays import Array, ComplexArray
+from casid.display import Shown, listed
+from casid.files import read_json, write_json
+from casid.records import several
+from casid.values import storable
+
+PAIRWISE = ("G", "coherence", "random_error", "leakage", "resolution")  # by pair
+CORRELATIONS = ("output_correlation", "input_correlation")
+POINTWISE = ("omega", *PAIRWISE, *CORRELATIONS, "multiple_coherence", "condition")
+COMPLEX = ("G", *CORRELATIONS)
+
+
+@storable
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class FrequencyResponse(Shown):
+    """A non-parametric frequency response with its quality.
+
+    Parameters
+    ----------
+    omega : (K,) array
+        Frequencies [rad/s], increasing.
+    G : (K, ny, nu) complex array
+        Response; NaN where a pair was not measured.
+    coherence : (K, ny, nu) array
+        Partial coherence, in [0, 1]; NaN where a pair was not measured.
+    random_error : (K, ny, nu) array
+        Normalised random error of abs(G), one standard deviation; the same number is that of the
+        phase in rad.
+    leakage : (K, ny, nu) array
+        What the windows' finite length adds to that error; zero unless given.
+    resolution : (K, ny, nu) array
+        Standard deviation [rad/s] of the spectral window: errors of points nearer than that are
+        alike; zero, errors of all frequencies independent, unless given.
+    output_correlation, input_correlation : (K, ny, ny), (K, nu, nu) complex array
+        Correlation of the errors between outputs, which share noise, and between inputs, which
+        moved together; none unless given.
+    inputs, outputs : tuple of str
+        Channel names.
+    input_std, output_std : (nu,), (ny,) array
+        Standard deviations of the channels over the records.
+    multiple_coherence : (K, ny) array
+        Share of each output's power that all inputs together explain; NaN if unknown.
+    condition : (K,) array
+        Condition number of the inputs' coherence matrix, 1 for uncorrelated inputs; NaN if unknown.
+    windows : tuple of float
+        Window lengths [s].
+    flags : mapping
+        Reason -> positions in ``omega`` of points to distrust.
+    records : tuple of str
+        Names of the records used.
+    fingerprints : tuple of tuple of str
+        Of these, by which they are recognised (`casid.fingerprints`).
+    """
+
+    omega: Array
+    G: ComplexArray
+    coherence: Array
+    random_error: Array
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    input_std: Array
+    output_std: Array
+    leakage: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    resolution: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    output_correlation: ComplexArray = field(default_factory=lambda: np.zeros((0, 0, 0), complex))
+    input_correlation: ComplexArray = field(default_factory=lambda: np.zeros((0, 0, 0), complex))
+    multiple_coherence: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    condition: Array = field(default_factory=lambda: np.zeros(0))
+    windows: tuple[float, ...] = ()
+    flags: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    records: tuple[str, ...] = ()
+    fingerprints: tuple[tuple[str, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        omega = np.array(self.omega, dtype=float)
+        omega.setflags(write=False)
+        object.__setattr__(self, "omega", omega)
+        named: tuple[Any, ...] = (*self.outputs, *self.inputs)
+        if wrong := [name for name in named if not isinstance(name, str)]:
+            raise ValueError(f"{wrong[0]!r} is no name of a channel")
+        K, ny, nu = len(omega), len(self.outputs), len(self.inputs)
+        if omega.ndim != 1 or not K or not (omega > 0).all() or (np.diff(omega) <= 0).any():
+            raise ValueError("omega: expected increasing frequencies above 0 rad/s, (K,)")
+        unless_given: dict[str, Array] = {
+            "leakage": np.zeros((K, ny, nu)),
+            "resolution": np.zeros((K, ny, nu)),
+            "output_correlation": np.tile(np.eye(ny), (K, 1, 1)),
+            "input_correlation": np.tile(np.eye(nu), (K, 1, 1)),
+            "multiple_coherence": np.full((K, ny), np.nan),
+            "condition": np.full(K, np.nan),
+        }
+        for name, values in unless_given.items():
+            if not getattr(self, name).size:
+                object.__setattr__(self, name, values)
+        pairs = dict.fromkeys(PAIRWISE, (K, ny, nu))
+        rest = {"input_std": (nu,), "output_std": (ny,), "multiple_coherence": (K, ny)}
+        rest |= {"output_correlation": (K, ny, ny), "input_correlation": (K, nu, nu)}
+        wanted: dict[str, tuple[int, ...]] = {**pairs, **rest, "condition": (K,)}
+        for name, shape in wanted.items():
+            values = np.array(getattr(self, name), dtype=complex if name in COMPLEX else float)
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+            if values.shape != shape:
+                raise ValueError(
+                    f"{name} has shape {values.shape}, expected {shape}: "
+                    f"{K} frequencies, {ny} outputs, {nu} inputs"
+                )
+
+    def headline(self) -> str:
+        """Channels, frequencies, how much of it is coherent."""
+        usual = 100 * float(np.mean(self.coherence >= 0.6))
+        return (
+            f"{listed(self.outputs, 10)} from {listed(self.inputs)}, {len(self.omega)} frequencies "
+            f"of {self.omega[0]:.3g} to {self.omega[-1]:.3g} rad/s, coherence of 0.6 or more in "
+            f"{usual:.0f} %"
+        )
+
+    @property
+    def error(self) -> Array:
+        """Deviation of abs(G), relative, and of the phase [rad]: noise and leakage."""
+        return np.asarray(np.hypot(self.random_error, self.leakage))
+
+    def index(self, output: str, input: str) -> tuple[int, int]:
+        """Row and column of one pair."""
+        if output not in self.outputs or input not in self.inputs:
+            raise ValueError(
+                f"no pair ({output!r}, {input!r}): outputs are {', '.join(self.outputs)}, "
+                f"inputs are {', '.join(self.inputs)}"
+            )
+        return self.outputs.index(output), self.inputs.index(input)
+
+    def between(self, low: float, high: float) -> "FrequencyResponse":
+        """Return the points with low <= omega <= high [rad/s]."""
+        keep = (self.omega >= low * (1 - 1e-9)) & (self.omega <= high * (1 + 1e-9))
+        if not keep.any():
+            raise ValueError(
+                f"no point between {low:g} and {high:g} rad/s; the response spans "
+                f"{self.omega[0]:g} to {self.omega[-1]:g} rad/s"
+            )
+        return self.take(np.flatnonzero(keep))
+
+    def take(self, index: Sequence[int] | NDArray[np.intp]) -> "FrequencyResponse":
+        """Return the points at these positions in ``omega``, in increasing order."""
+        place = {int(old): new for new, old in enumerate(index)}
+        flags = {why: tuple(place[k] for k in at if k in place) for why, at in self.flags.items()}
+        arrays = {name: getattr(self, name)[list(place)] for name in POINTWISE}
+        return replace(self, **arrays, flags={why: at for why, at in flags.items() if at})
+
+    def save(self, path: str | Path) -> None:
+        """Write the response as JSON, whole or not at all."""
+        content: dict[str, Any] = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        for name in COMPLEX:
+            values = getattr(self, name)
+            content[name] = {"real": values.real, "imag": values.imag}
+        write_json(path, {"casid": "frequency response", "version": 1} | content)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "FrequencyResponse":
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        ValueError
+            Not a saved frequency response, or a damaged one.
+        """
+        content = read_json(path)
+        if content.pop("casid", None) != "frequency response":
+            raise ValueError(f"{path}: not a frequency response saved by casid")
+        try:
+            return cls._from_content(content)
+        except (TypeError, LookupError, AttributeError, ValueError) as error:
+            raise ValueError(
+                f"{path}: the frequency response in it is damaged ({error}); save it again"
+            ) from error
+
+    @classmethod
+    def _from_content(cls, content: dict[str, Any]) -> "FrequencyResponse":
+        content.pop("version", None)
+        for name in COMPLEX:
+            if parts := content.get(name):
+                real, imag = (np.array(parts[half], dtype=float) for half in ("real", "imag"))
+                content[name] = real + 1j * imag
+        if prints := content.get("fingerprints"):
+            content["fingerprints"] = tuple(map(tuple, prints))
+        for name in ("inputs", "outputs", "windows", "records"):
+            content[name] = tuple(content[name])
+        content["flags"] = {why: tuple(at) for why, at in content["flags"].items()}
+        content |= {k: np.array(v, dtype=float) for k, v in content.items() if isinstance(v, list)}
+        return cls(**content)
+
+    def to_control(self) -> Any:  # noqa: ANN401 - python-control has no types
+        """The response as a `control.FrequencyResponseData`, without its quality."""
+        import control  # noqa: PLC0415 - slow to import, and only wanted here
+
+        names = {"inputs": list(self.inputs), "outputs": list(self.outputs)}
+        return control.FrequencyResponseData(np.moveaxis(self.G, 0, 2), self.omega, **names)
+
+
+def holding(
+    target: FrequencyResponse | Sequence[FrequencyResponse], pair: tuple[str, str]
+) -> FrequencyResponse:
+    """The first of several responses in which a pair was measured; else the first of all."""
+    responses = several(target)
+    for each in responses:
+        if pair[0] in each.outputs and pair[1] in each.inputs:
+            i, j = each.index(*pair)
+            if np.isfinite(each.G[:, i, j]).any():
+                return each
+    return responses[0]
