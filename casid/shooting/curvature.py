@@ -32,6 +32,7 @@ class Curvature:
 
     Hll: Array  # (nf, nf) by the parameters
     Hln: Array  # (J, nf, nx) by the parameters and the node of every interval
+    Hnn: Array  # (J, nx, nx) by the nodes: zero of a linear structure
     gl: Array  # (ny, nf) gradient by the parameters
     gb: Array  # (ny, records, ny) by the biases
     gn: Array  # (ny, J, nx) by the nodes
@@ -55,7 +56,8 @@ def curvature(sweep: Sweep, mu: Array) -> Curvature:
     gl += np.einsum("cm,cma->ca", through, sweep.drive)
     edges = np.cumsum([0, *(record.N for record in layout.records)])[:-1]
     gb = np.add.reduceat(rho, edges, axis=0).T[:, :, None] * np.eye(e.ny)[:, None, :]
-    return Curvature(Hll + Hll.T, Hln, gl, gb, gn)
+    Hnn = np.zeros((len(last), e.nx, e.nx))
+    return Curvature(Hll + Hll.T, Hln, Hnn, gl, gb, gn)
 
 
 def _costates(sweep: Sweep, jumps: Array, mu: Array) -> tuple[Array, Array, Array]:

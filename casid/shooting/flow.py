@@ -5,6 +5,7 @@ subexpressions, mapped over points; only structural nonzeros are computed.
 """
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, cast
 
 import casadi as ca
@@ -72,29 +73,71 @@ class _Call:
         self._parts[-1]()
 
 
+class Entries:
+    """Where the nonzeros of a matrix stand."""
+
+    def __init__(self, sparsity: ca.Sparsity) -> None:
+        self._row, self._col = (np.array(part, dtype=int) for part in sparsity.get_triplet())
+
+    def add(self, target: Array, nonzeros: Array) -> None:
+        """Add nonzeros (n, nnz) to matrices (n, rows, columns or more)."""
+        target[:, self._row, self._col] += nonzeros
+
+    def put(self, target: Array, nonzeros: Array) -> None:
+        """Write them into matrices that are zero elsewhere."""
+        target[:, self._row, self._col] = nonzeros
+
+
 class Slopes:
     """Derivatives of a vector function by x, u and λ: dense by x and u, nonzeros by λ."""
 
     def __init__(self, value: ca.SX, x: ca.SX, u: ca.SX, lam: ca.SX) -> None:
         J = ca.jacobian(value, lam)
-        entries: list[Any] = J.nonzeros()
         parts = [value, ca.jacobian(value, x).T, ca.jacobian(value, u).T]
         dense = [ca.vec(ca.densify(part)) for part in parts]  # transposed: rows of NumPy's arrays
-        column = ca.vertcat(ca.SX(0, 1), *entries)
-        self._mapped = Mapped(ca.Function("slopes", [x, u, lam], [*dense, column]), [2])
-        row, parameter = J.sparsity().get_triplet()
-        self.row, self.parameter = np.array(row, dtype=int), np.array(parameter, dtype=int)
-        self._shapes = (len(row), x.numel()), (value.numel(), u.numel())
-        self._m = value.numel()
+        found = ca.cse([*dense, _nonzeros(J)])
+        self._mapped = Mapped(ca.Function("slopes", [x, u, lam], found), [2])
+        self.lam, self._m = Entries(J.sparsity()), value.numel()
 
     def __call__(self, x: Array, u: Array, lam: Array) -> tuple[Array, Array, Array, Array]:
         """Values (n, m), derivatives (n, m, nx) and (n, m, nu), nonzeros by λ (n, nnz)."""
         value, by_x, by_u, by_lam = self._mapped(x, u, lam)
         return value, by_x.reshape(len(x), self._m, -1), by_u.reshape(len(x), self._m, -1), by_lam
 
-    def add(self, target: Array, nonzeros: Array) -> None:
-        """Add the derivatives by λ to an array (n, m, nf or more)."""
-        target[:, self.row, self.parameter] += nonzeros
+
+class Bend:
+    """Second derivatives of pᵀf + ρᵀh by x and λ, through the delays of inputs u(t - τ) too."""
+
+    def __init__(self, free: Free) -> None:
+        model = cast("NonlinearModel", free.model)
+        names = "x", "u", "rate", "p", "rho", "lam", "tau"
+        nx, nu, ny = len(model.states), len(model.inputs), len(model.outputs)
+        sizes = nx, nu, nu, nx, ny, len(free.index), nu
+        x, u, rate, p, rho, lam, tau = arguments = [
+            ca.SX.sym(name, size) for name, size in zip(names, sizes, strict=True)
+        ]
+        full = free.full(lam)
+        late = model.matrices()(full)[4] - tau  # zero, but for its derivatives
+        f, h = model.equations()(x, u - rate * late, full)
+        total = ca.dot(p, f) + ca.dot(rho, h)
+        xx, x_lam = (ca.jacobian(ca.gradient(total, x), by) for by in (x, lam))
+        lam_lam = ca.jacobian(ca.gradient(total, lam), lam)
+        found = [ca.vec(ca.densify(xx)), _nonzeros(x_lam), _nonzeros(lam_lam)]
+        self._mapped = Mapped(ca.Function("bend", arguments, ca.cse(found)), [5, 6])
+        self.x_lam, self.lam_lam = Entries(x_lam.sparsity()), Entries(lam_lam.sparsity())
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """By x twice (n, nx nx), and nonzeros by x and λ and by λ twice (n, nnz).
+
+        Of x, u, its rate, p and ρ, (n, size), and λ and τ, (size,).
+        """
+        return self._mapped(*arguments)
+
+
+def _nonzeros(matrix: ca.SX) -> ca.SX:
+    """Column of the structural nonzeros."""
+    entries: list[Any] = matrix.nonzeros()
+    return ca.vertcat(ca.SX(0, 1), *entries)
 
 
 class Flow:
@@ -106,7 +149,7 @@ class Flow:
         lam = ca.SX.sym("lam", len(free.index))
         full = free.full(lam)
         f, h = equations(x, u, full)
-        self.f, self.h = Slopes(f, x, u, lam), Slopes(h, x, u, lam)
+        self.f, self.h, self._free = Slopes(f, x, u, lam), Slopes(h, x, u, lam), free
         stages, step = ca.SX.sym("stages", 3 * u.numel()), ca.SX.sym("step")
         first, middle, last = ca.vertsplit(stages, u.numel()) if u.numel() else [stages] * 3
         k1 = equations(x, first, full)[0]
@@ -116,6 +159,11 @@ class Flow:
         after = x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         self._step = Mapped(ca.Function("step", [x, stages, step, lam], [ca.densify(after)]), [3])
         self._output = Mapped(ca.Function("output", [x, u, lam], [ca.densify(h)]), [2])
+
+    @cached_property
+    def bend(self) -> Bend:
+        """Second derivatives; made where an iteration first wants them."""
+        return Bend(self._free)
 
     def step(self, x: Array, stages: Array, h: Array, lam: Array) -> Array:
         """States (n, nx) one step on; stages (n, 3 nu) are the inputs there, h (n,) lengths [s]."""

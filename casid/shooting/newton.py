@@ -23,6 +23,8 @@ from casid.arrays import Array
 from casid.assembly import NumPyFunction, Pattern, grid, stack
 from casid.nlp import Problem, Solution
 from casid.shooting.curvature import Curvature, curvature
+from casid.shooting.hamiltonian import hamiltonian
+from casid.shooting.nonlinear import NonlinearSweep
 from casid.shooting.programme import Programme
 
 MEET = 1e-2  # gaps between intervals that meet, in units of unit curvature
@@ -108,16 +110,16 @@ class Newton:
         """Entries of the Hessian of the cost and the constraints, per observation."""
         # Gauss-Newton's without multipliers, or where the intervals do not meet.
         programme, blocks = self.programme, self.programme.blocks(x)
-        Hll, Hln = blocks.Hll, blocks.Hln
+        Hll, Hln, Hnn = blocks.Hll, blocks.Hln, blocks.Hnn
         pull: Array = np.zeros((programme.size, self.auxiliary))
         gaps = programme.values(x).g[: len(programme.links) * programme.evaluator.nx]
         meet = np.abs(gaps).max(initial=0.0) < MEET
         if multipliers is not None and meet and programme.evaluator.curved:
             more = self._curvature(x, multipliers[: len(gaps)])
-            Hll, Hln = Hll + more.Hll, Hln + more.Hln
+            Hll, Hln, Hnn = Hll + more.Hll, Hln + more.Hln, Hnn + more.Hnn
             if self.auxiliary:
                 pull = self._pull(more)
-        core = programme.hessian_parts(blocks, Hll, Hln) / programme.n
+        core = programme.hessian_parts(blocks, Hll, Hln, Hnn) / programme.n
         return np.concatenate([core, -pull.ravel(), np.ones(self.auxiliary)])
 
     def matrix(self, x: Array, multipliers: Array) -> scipy.sparse.csc_array:
@@ -132,9 +134,19 @@ class Newton:
         programme, s = self.programme, self.programme.scales
         mu = np.zeros((programme.J, len(s.state)))
         mu[programme.links] = programme.n * multipliers.reshape(-1, len(s.state)) / s.state
-        found = curvature(programme.blocks(x).sweep, mu)
-        Hll, Hln = found.Hll * np.outer(s.lam, s.lam), found.Hln * np.outer(s.lam, s.state)
-        return Curvature(Hll, Hln, found.gl * s.lam, found.gb * s.bias, found.gn * s.state)
+        sweep = programme.blocks(x).sweep
+        if isinstance(sweep, NonlinearSweep):
+            found = hamiltonian(sweep, mu)
+        else:
+            found = curvature(sweep, mu)
+        return Curvature(
+            Hll=found.Hll * np.outer(s.lam, s.lam),
+            Hln=found.Hln * np.outer(s.lam, s.state),
+            Hnn=found.Hnn * np.outer(s.state, s.state),
+            gl=found.gl * s.lam,
+            gb=found.gb * s.bias,
+            gn=found.gn * s.state,
+        )
 
     def _pull(self, found: Curvature) -> Array:
         """Columns of the auxiliary variables: every channel's g √(2/n), per observation."""

@@ -18,7 +18,7 @@ from casid.arrays import Array
 from casid.model import Free
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.shooting.flow import Flow
+from casid.shooting.flow import Flow, Slopes
 from casid.shooting.intervals import Layout
 from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, counts
 from casid.shooting.stages import stage_inputs
@@ -28,6 +28,7 @@ from casid.values import storable
 REACH = 1.0  # of the fastest eigenvalue times a step, at most: then the method follows it
 MOST = 64  # steps a sampling interval
 PIECE = 128  # samples whose derivatives are advanced at once
+KEPT_BYTES = 256e6  # of derivatives by λ kept for a second pass
 # Of the method: which of a step's instants, how far ahead of its beginning, six times the weight.
 STAGES = (0, 0.0, 1.0), (1, 0.5, 2.0), (1, 0.5, 2.0), (2, 1.0, 1.0)
 
@@ -67,7 +68,6 @@ class NonlinearEvaluator(Evaluator):
 
     def __init__(self, free: Free, layout: Layout, substeps: int | None = None) -> None:
         super().__init__(free, layout)
-        self.curved = False
         self.flow, self.model = Flow(free), cast("NonlinearModel", free.model)
         self.lengths = layout.classes[layout.step]
         self.substeps = substeps or first_substeps(self.matrices(free.guess).A, layout)
@@ -155,6 +155,8 @@ def first_substeps(A: Array, layout: Layout) -> int:
 class NonlinearSweep(Sweep):
     """`Sweep` of a nonlinear structure."""
 
+    e: NonlinearEvaluator
+
     def __init__(
         self, evaluator: NonlinearEvaluator, point: Point, motion: Track, W: Array
     ) -> None:
@@ -171,6 +173,11 @@ class NonlinearSweep(Sweep):
             np.concatenate([getattr(part, name) for part in held]) for name in ("value", "slope")
         )
         self._delayed = np.flatnonzero(m.tau_lam.any(axis=0))
+        N, nx, nf = len(evaluator.layout.y), evaluator.nx, evaluator.nf
+        self.by_x: Array = np.empty((N, nx, nx))  # of the steps from the samples passed
+        small = 8 * N * nx * nf <= KEPT_BYTES
+        self._by_lam: Array | None = np.empty((N, nx, nf)) if small else None
+        self._known = np.zeros(N, dtype=bool)
 
     def _block(self, at: np.ndarray, S: Array) -> Array:
         """Sensitivities before each of K samples and after the last, (K + 1, nx, n, ns)."""
@@ -186,50 +193,75 @@ class NonlinearSweep(Sweep):
 
     def _transitions(self, flat: np.ndarray) -> tuple[Array, Array]:
         """∂Φ/∂x (n, nx, nx) and ∂Φ/∂λ (n, nx, nf) of the steps from samples."""
-        nf = self.e.nf
-        total: Array = np.empty((len(flat), self.e.nx, self.ns))
+        if self._by_lam is not None and self._known[flat].all():
+            return self.by_x[flat], self._by_lam[flat]
+        by_lam: Array = np.empty((len(flat), self.e.nx, self.e.nf))
         for first in range(0, len(flat), PIECE):
-            piece = slice(first, first + PIECE)
-            total[piece] = self._advanced(flat[piece])
-        return total[:, :, nf:], total[:, :, :nf]
+            piece = flat[first : first + PIECE]
+            self.by_x[piece], by_lam[first : first + PIECE] = self._advanced(piece)
+        if self._by_lam is not None:
+            self._by_lam[flat], self._known[flat] = by_lam, True
+        return self.by_x[flat], by_lam
 
-    def _advanced(self, flat: np.ndarray) -> Array:
-        """Derivatives (n, nx, nf + nx) by λ and the states before of those one sample on."""
-        # Few samples at a time, in place: what is worked on stays in the cache.
-        Z: Array = np.zeros((len(flat), self.e.nx, self.ns))
-        Z[:, :, self.e.nf :] = np.eye(self.e.nx)
-        K, work, h = np.empty_like(Z), np.empty_like(Z), self._eta[flat, None, None]
+    def _advanced(self, flat: np.ndarray) -> tuple[Array, Array]:
+        """Derivatives (n, nx, nx) by the states before and (n, nx, nf) by λ of those one sample on.
+
+        With slopes A_i, F_i of f by x and λ at the stages, at c_i after a step's beginning, those
+        of the step are I + Σ M_i A_i and Σ M_i F_i, where M_i = w_i I + c_{i+1} M_{i+1} A_{i+1}.
+        """
+        (nx, nf), n = (self.e.nx, self.e.nf), len(flat)
+        by_x: Array = np.tile(np.eye(nx), (n, 1, 1))
+        by_lam: Array = np.zeros((n, nx, nf))
+        A, F = np.empty((n, len(STAGES), nx, nx)), np.zeros((n, len(STAGES), nx, nf))
+        h = self._eta[flat, None, None]
         for s in range(self._u.shape[1]):
             x, u, late = self._track.inner[flat, s], self._u[flat, s], self._late[flat, s]
-            total, k = Z.copy(), np.zeros_like(x)
-            for stage, ahead, weight in STAGES:
-                work[:] = Z
-                if ahead:
-                    K *= ahead * h
-                    work += K
-                k, f_x, f_u, f_lam = self._flow.f(x + ahead * h[:, 0] * k, u[:, stage], self._lam)
-                np.matmul(f_x, work, out=K)
-                self._flow.f.add(K, f_lam)
-                self._add_delays(K, f_u * late[:, stage, None])
-                np.multiply(K, weight / 6 * h, out=work)
-                total += work
-            Z = total
-        return Z
+            k = np.zeros_like(x)
+            for i, (stage, ahead, _) in enumerate(STAGES):
+                at = x + ahead * h[:, 0] * k
+                k, A[:, i], f_u, f_lam = self._flow.f(at, u[:, stage], self._lam)
+                F[:, i, :, self._delayed] = 0.0
+                self._flow.f.lam.put(F[:, i], f_lam)
+                self._add_delays(F[:, i], f_u * late[:, stage, None])
+            M = _weights(A, h)
+            own = M @ A.reshape(n, -1, nx)
+            by_lam += own @ by_lam + M @ F.reshape(n, -1, nf)
+            by_x += own @ by_x
+        return by_x, by_lam
 
     def _add_delays(self, target: Array, by_tau: Array) -> None:
         """Add what the delays do, (n, m, nu) by each, to derivatives (n, m, nf or more)."""
         if len(self._delayed):
             target[:, :, self._delayed] += by_tau @ self.matrices.tau_lam[:, self._delayed]
 
-    def _rows(self, at: np.ndarray, S: Array) -> Array:
+    def slopes(self, function: Slopes) -> tuple[Array, Array]:
+        """Derivatives of f or h by x (N, m, nx) and u (N, m, nu) at the samples."""
+        return function(self.motion.states, self._value, self._lam)[1:3]
+
+    def second(self, flat: np.ndarray, p: Array, rho: Array) -> list[Array]:
+        """`Bend` at samples, of pᵀf + ρᵀh."""
+        x, u, rate = (part[flat] for part in (self.motion.states, self._value, self._slope))
+        return self._flow.bend(x, u, rate, p, rho, self._lam, self.matrices.tau)
+
+    def rows(self, at: np.ndarray, S: Array) -> Array:
         """Whitened Jacobian rows and residuals of K samples, (n, K, ny, nc)."""
         e, (K, n), flat = self.e, at.shape, at.T.ravel()
         _, h_x, h_u, h_lam = self._flow.h(self.motion.states[flat], self._value[flat], self._lam)
         through = h_x @ S.transpose(2, 0, 1, 3).reshape(n * K, e.nx, -1)
-        self._flow.h.add(through, h_lam)
+        self._flow.h.lam.add(through, h_lam)
         self._add_delays(through, h_u * -self._slope[flat, None])
         out = np.empty((n, K, e.ny, self.ns + e.ny + 1))
         out[..., self.ns : -1] = np.eye(e.ny)
         out[..., : self.ns] = through.reshape(n, K, e.ny, -1)
         out[..., -1] = self.motion.residuals[at.T]
         return self._whitened(out, at)
+
+
+def _weights(A: Array, h: Array) -> Array:
+    """What a unit of f at each stage moves a step's end, side by side (n, nx, stages * nx)."""
+    eye, M = np.eye(A.shape[2]), np.empty_like(A)
+    for i in range(len(STAGES) - 1, -1, -1):
+        M[:, i] = STAGES[i][2] / 6 * h * eye
+        if i + 1 < len(STAGES):
+            M[:, i] += STAGES[i + 1][1] * h * (M[:, i + 1] @ A[:, i + 1])
+    return M.transpose(0, 2, 1, 3).reshape(len(A), A.shape[2], -1)

@@ -256,15 +256,18 @@ class Programme:
         """Nonzeros of the Gauss-Newton Hessian's upper triangle, per observation."""
         blocks = self.blocks(x)
         return (
-            self._hessian_pattern.order(self.hessian_parts(blocks, blocks.Hll, blocks.Hln)) / self.n
+            self._hessian_pattern.order(
+                self.hessian_parts(blocks, blocks.Hll, blocks.Hln, blocks.Hnn)
+            )
+            / self.n
         )
 
-    def hessian_parts(self, blocks: Blocks, Hll: Array, Hln: Array) -> Array:
-        """Entries of a Hessian at those places; its blocks of λ by λ and by the nodes are given."""
+    def hessian_parts(self, blocks: Blocks, Hll: Array, Hln: Array, Hnn: Array) -> Array:
+        """Entries of a Hessian at those places; its blocks of λ and the nodes are given."""
         parts = [upper_triangle(Hll[None])]
         if self.biases:
             parts += [blocks.Hlb.ravel(), upper_triangle(blocks.Hbb), blocks.Hbn.ravel()]
-        return np.concatenate([*parts, Hln.ravel(), upper_triangle(blocks.Hnn)])
+        return np.concatenate([*parts, Hln.ravel(), upper_triangle(Hnn)])
 
     def gradient(self, x: Array) -> Array:
         """Gradient of the cost, per observation."""

@@ -248,7 +248,7 @@ class Sweep:
         e, count = self.e, self.layout.count[index]
         slopes = np.zeros((len(index), e.nx, e.nf + e.nx + e.ny))
         for first, at, trail in self.trails(index):
-            rows = self._rows(at, trail[:-1])
+            rows = self.rows(at, trail[:-1])
             for j in range(at.shape[1]):
                 valid = min(int(count[j]) - first, len(at))
                 take(j, first, rows[j, :valid])
@@ -327,7 +327,7 @@ class Sweep:
             eye = np.eye(self.e.ny).reshape(self.e.ny, *[1] * at.ndim, self.e.ny)
             out[..., nf + nx :] += eye
 
-    def _rows(self, at: np.ndarray, S: Array) -> Array:
+    def rows(self, at: np.ndarray, S: Array) -> Array:
         """Whitened Jacobian rows and residuals of K samples, (n, K, ny, nc)."""
         e, ns, (K, n) = self.e, self.ns, at.shape
         through = (self.matrices.C @ S.reshape(K, e.nx, -1)).reshape(K, e.ny, n, ns)

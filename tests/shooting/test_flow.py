@@ -26,6 +26,6 @@ def test_slopes_are_the_textbooks():
     np.testing.assert_allclose(by_x[:, 1], np.transpose([3 * b, 3 * a]))
     np.testing.assert_array_equal(by_u[:, :, 0], np.tile([1.0, 0.0], (5, 1)))
     dense = np.zeros((5, 2, 3))
-    slopes.add(dense, by_lam)
+    slopes.lam.add(dense, by_lam)
     np.testing.assert_allclose(dense[:, 0, :2], np.transpose([np.sin(a), zero]))
     np.testing.assert_allclose(dense[:, 1, :2], np.transpose([zero, a * b]))
