@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +49,13 @@ class Drawing:
 
     name: str
     caption: str
-    figure: Figure
+    draw: Callable[[], Figure]  # when the page is written, perhaps in a process beside it
     interactive: bool = True
+
+    @cached_property
+    def figure(self) -> Figure:
+        """The figure, drawn once."""
+        return self.draw()
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """The static figures of a report, put together from the ``plot_*`` functions."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -9,6 +10,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
 
 from casid.arrays import Array
 from casid.bounds.compare import BoundsComparison
@@ -76,16 +78,24 @@ def draw_responses(content: Content) -> Iterator[Drawing]:
     omega = np.geomspace(*band(content), POINTS)
     for outputs in figures.groups(structure.outputs):
         for inputs in figures.input_pairs(structure.inputs):
-            yield _response(content, shown, omega, outputs, inputs)
+            yield _response(outputs, inputs, partial(_responses, content, shown, omega))
     inner = {name: with_states(s, hidden) for name, s in shown.items() if name in content.fits}
     for outputs in figures.groups(hidden):
         for inputs in figures.input_pairs(structure.inputs):
-            yield _response(content, inner, omega, outputs, inputs)
+            yield _response(outputs, inputs, partial(_responses, content, inner, omega))
 
 
 def _response(
-    content: Content, shown: Systems, omega: Array, outputs: Sequence[str], inputs: Sequence[str]
+    outputs: Sequence[str], inputs: Sequence[str], draw: Callable[..., Figure]
 ) -> Drawing:
+    name = f"response_{'_'.join(outputs)}_from_{'_'.join(inputs)}"
+    caption = f"Frequency responses from {_list(inputs)} to {_list(outputs)}"
+    return Drawing(name=name, caption=caption, draw=partial(draw, outputs, inputs))
+
+
+def _responses(
+    content: Content, shown: Systems, omega: Array, outputs: Sequence[str], inputs: Sequence[str]
+) -> Figure:
     measured: FrequencyResponse | None = content.results.get("frequency")
     if measured is not None and not set(outputs) <= set(measured.outputs):
         measured = None
@@ -107,9 +117,7 @@ def _response(
     for ax in axes[:, 1:].flat:
         ax.set_ylabel("")
     _legend(figure, axes[0, 0])
-    name = f"response_{'_'.join(outputs)}_from_{'_'.join(inputs)}"
-    caption = f"Frequency responses from {_list(inputs)} to {_list(outputs)}"
-    return Drawing(name=name, caption=caption, figure=_tidy(figure, axes))
+    return _tidy(figure, axes)
 
 
 def _pair(
@@ -148,10 +156,16 @@ def draw_histories(validation: Validation, units: Mapping[str, str]) -> Iterator
     """Every record, with what each model makes of its inputs."""
     for k, record in enumerate(validation.measured):
         for first in range(0, record.ny, PER_PAGE):
-            yield _history(validation, k, record.outputs[first : first + PER_PAGE], units)
+            names = record.outputs[first : first + PER_PAGE]
+            told = f"{record.name}: inputs (deviations from trim), {_list(names)}"
+            yield Drawing(
+                name=f"history_{_file(record.name)}_{'_'.join(names)}",
+                caption=told + _ahead(validation, k),
+                draw=partial(_history, validation, k, names, units),
+            )
 
 
-def _history(found: Validation, k: int, names: Sequence[str], units: Mapping[str, str]) -> Drawing:
+def _history(found: Validation, k: int, names: Sequence[str], units: Mapping[str, str]) -> Figure:
     """Inputs and outputs of a record on one sheet of paper."""
     record = found.measured[k]
     heights = [0.46] * record.nu + [0.84] * len(names)
@@ -166,11 +180,7 @@ def _history(found: Validation, k: int, names: Sequence[str], units: Mapping[str
         ax.set_ylabel(ax.get_ylabel().replace(" [", "\n["))
     axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
     _legend(figure, axes[-1, 0])
-    return Drawing(
-        name=f"history_{_file(record.name)}_{'_'.join(names)}",
-        caption=f"{record.name}: inputs (deviations from trim), {_list(names)}" + _ahead(found, k),
-        figure=_tidy(figure, axes, lines=2),
-    )
+    return _tidy(figure, axes, lines=2)
 
 
 def _ahead(validation: Validation, k: int) -> str:
@@ -192,26 +202,37 @@ def _inputs(axes: Sequence[Axes], record: Record, units: Mapping[str, str]) -> N
 def draw_qualification(found: Qualification, units: Mapping[str, str]) -> Iterator[Drawing]:
     """Measured time histories with their tolerance bands, the model's inside or not."""
     for k, record in enumerate(found.validation.measured):
-        figure = Figure(figsize=(WIDTH, 0.7 + 1.0 * len(found.outputs)))
-        axes = figure.subplots(len(found.outputs), 1, sharex=True, squeeze=False)
-        for j, (ax, name) in enumerate(zip(axes[:, 0], found.outputs, strict=True)):
-            i, half = record.outputs.index(name), found.width[k][:, j]
-            y = {found.model: found.validation.simulated[found.model][k][:, i]}
-            low, high = record.y[:, i] - half, record.y[:, i] + half
-            look: dict[str, Any] = {"color": "#000000", "alpha": 0.12, "linewidth": 0}
-            ax.fill_between(record.t, low, high, label="tolerance", **look)
-            figures.plot_history(ax, record.t, record.y[:, i], y, channel=name, units=units)
-        axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
-        _legend(figure, axes[-1, 0])
         yield Drawing(
             name=f"qualification_{_file(record.name)}",
             caption=f"{record.name}: tolerance bands around what was measured",
-            figure=_tidy(figure, axes),
+            draw=partial(_qualification, found, k, units),
         )
+
+
+def _qualification(found: Qualification, k: int, units: Mapping[str, str]) -> Figure:
+    record = found.validation.measured[k]
+    figure = Figure(figsize=(WIDTH, 0.7 + 1.0 * len(found.outputs)))
+    axes = figure.subplots(len(found.outputs), 1, sharex=True, squeeze=False)
+    for j, (ax, name) in enumerate(zip(axes[:, 0], found.outputs, strict=True)):
+        i, half = record.outputs.index(name), found.width[k][:, j]
+        y = {found.model: found.validation.simulated[found.model][k][:, i]}
+        low, high = record.y[:, i] - half, record.y[:, i] + half
+        look: dict[str, Any] = {"color": "#000000", "alpha": 0.12, "linewidth": 0}
+        ax.fill_between(record.t, low, high, label="tolerance", **look)
+        figures.plot_history(ax, record.t, record.y[:, i], y, channel=name, units=units)
+    axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
+    _legend(figure, axes[-1, 0])
+    return _tidy(figure, axes)
 
 
 def draw_rms(validation: Validation) -> Iterator[Drawing]:
     """RMS errors of every record, as bars."""
+    far = "simulation" if not validation.predicted else "prediction"
+    caption = f"RMS {far} error of each model, divided by the largest among the models"
+    yield Drawing(name="rms", caption=caption, draw=partial(_rms, validation))
+
+
+def _rms(validation: Validation) -> Figure:
     records = validation.records
     figure = Figure(figsize=(WIDTH, 0.6 + 1.8 * len(records)))
     axes = figure.subplots(len(records), 1, sharex=True, squeeze=False)
@@ -221,87 +242,99 @@ def draw_rms(validation: Validation) -> Iterator[Drawing]:
         if len(records) > 1:
             ax.set_title(records[k], loc="left")
     _legend(figure, axes[0, 0])
-    far = "simulation" if not validation.predicted else "prediction"
-    caption = f"RMS {far} error of each model, divided by the largest among the models"
-    yield Drawing(name="rms", caption=caption, figure=_tidy(figure, axes))
+    return _tidy(figure, axes)
 
 
 def draw_whiteness(validation: Validation) -> Iterator[Drawing]:
     """Autocorrelations of the residuals of black box and refined structure."""
-    names = [name for name in (BLACK_BOX, OUTPUT_ERROR) if name in validation.models]
     for k, record in enumerate(validation.measured):
-        rows = (record.ny + 1) // 2
-        figure = Figure(figsize=(WIDTH, 0.6 + 1.25 * rows))
-        axes = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
-        for ax in axes.flat[record.ny :]:
-            ax.set_visible(False)
-        for i, (ax, output) in enumerate(zip(axes.flat, record.outputs, strict=False)):
-            for name in names:
-                residual = record.y[:, i] - validation.simulated[name][k][:, i]
-                lags = min(LAGS, record.N // 2)
-                figures.plot_autocorrelation(ax, residual, record.dt, name=name, lags=lags)
-            ax.set_title(output, loc="left", fontweight="bold", pad=3)
-        for ax in axes[:, 1]:
-            ax.set_ylabel("")
-        for ax in axes[-1]:
-            ax.set_xlabel("lag [s]")
-        _legend(figure, axes[0, 0])
         yield Drawing(
             name=f"whiteness_{_file(record.name)}",
             caption=f"Autocorrelation of the residuals, record {record.name}; grey: the band that "
             "holds 99 % of a white sequence's",
-            figure=_tidy(figure, axes),
+            draw=partial(_whiteness, validation, k),
         )
+
+
+def _whiteness(validation: Validation, k: int) -> Figure:
+    names = [name for name in (BLACK_BOX, OUTPUT_ERROR) if name in validation.models]
+    record = validation.measured[k]
+    rows = (record.ny + 1) // 2
+    figure = Figure(figsize=(WIDTH, 0.6 + 1.25 * rows))
+    axes = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
+    for ax in axes.flat[record.ny :]:
+        ax.set_visible(False)
+    for i, (ax, output) in enumerate(zip(axes.flat, record.outputs, strict=False)):
+        for name in names:
+            residual = record.y[:, i] - validation.simulated[name][k][:, i]
+            lags = min(LAGS, record.N // 2)
+            figures.plot_autocorrelation(ax, residual, record.dt, name=name, lags=lags)
+        ax.set_title(output, loc="left", fontweight="bold", pad=3)
+    for ax in axes[:, 1]:
+        ax.set_ylabel("")
+    for ax in axes[-1]:
+        ax.set_xlabel("lag [s]")
+    _legend(figure, axes[0, 0])
+    return _tidy(figure, axes)
 
 
 def draw_match_error(fit: AnyFit) -> Iterator[Drawing]:
     """Singular values of the error of a match, if it has a certificate."""
-    if fit.certificate is None:
-        return
-    figure = Figure(figsize=(WIDTH * 0.8, 2.6))
-    axes = figure.subplots(1, 1, squeeze=False)
-    figures.plot_match_error(axes[0, 0], fit)
-    _legend(figure, axes[0, 0])
-    caption = "Singular values of the weighted error over the band; dots: the points matched"
-    yield Drawing(
-        name="match_error", caption=caption, interactive=False, figure=_tidy(figure, axes)
-    )
+    if fit.certificate is not None:
+        draw = partial(_single, (0.8 * WIDTH, 2.6), figures.plot_match_error, fit)
+        caption = "Singular values of the weighted error over the band; dots: the points matched"
+        yield Drawing(name="match_error", caption=caption, interactive=False, draw=draw)
 
 
 def draw_singular_values(black_box: BlackBox) -> Iterator[Drawing]:
     """Singular values that the order of a black box was read from."""
-    figure = Figure(figsize=(WIDTH * 0.6, 2.4))
-    axes = figure.subplots(1, 1, squeeze=False)
-    figures.plot_singular_values(axes[0, 0], black_box)
+    draw = partial(_single, (0.6 * WIDTH, 2.4), figures.plot_singular_values, black_box)
     caption = "Singular values of the predicted future; dotted: the order taken"
-    yield Drawing(
-        name="singular_values", caption=caption, interactive=False, figure=_tidy(figure, axes)
-    )
+    yield Drawing(name="singular_values", caption=caption, interactive=False, draw=draw)
+
+
+def _single(size: tuple[float, float], plot: Callable[[Axes, Any], Axes], value: object) -> Figure:
+    figure = Figure(figsize=size)
+    axes = figure.subplots(1, 1, squeeze=False)
+    plot(axes[0, 0], value)
+    if axes[0, 0].get_legend_handles_labels()[1]:
+        _legend(figure, axes[0, 0])
+    return _tidy(figure, axes)
 
 
 def draw_poles(content: Content) -> Iterator[Drawing]:
     """Eigenvalues of all models, the slow ones enlarged."""
+    caption = "Eigenvalues; right: the slow ones, enlarged"
+    yield Drawing(name="poles", caption=caption, draw=partial(_poles, content))
+
+
+def _poles(content: Content) -> Figure:
     figure = Figure(figsize=(WIDTH, 3.0))
     axes = figure.subplots(1, 2, squeeze=False)
     for ax in axes.flat:
         figures.plot_poles(ax, systems(content))
     axes[0, 1].set(xlim=(-SLOW, 0.4 * SLOW), ylim=(-SLOW, SLOW))
     _legend(figure, axes[0, 0])
-    caption = "Eigenvalues; right: the slow ones, enlarged"
-    yield Drawing(name="poles", caption=caption, figure=_tidy(figure, axes))
+    return _tidy(figure, axes)
 
 
 def draw_bounds(comparison: BoundsComparison) -> Iterator[Drawing]:
     """Values and intervals of the parameters whose bounds have the largest prices."""
-    rows = min(ROWS, len(comparison.ranked()))
-    figure = Figure(figsize=(WIDTH, 1.0 + 0.42 * rows))
-    figure.subplots_adjust(left=0.16, right=0.9, top=1 - 0.4 / (1 + 0.42 * rows), bottom=0.06)
-    plot_bounds(figure.subplots(), comparison, rows=rows)
     caption = (
         "Values with 95 % intervals within the bounds of each case, the largest prices first; "
         "filled: held by a bound"
     )
-    yield Drawing(name="bounds", caption=caption, interactive=False, figure=figure)
+    yield Drawing(
+        name="bounds", caption=caption, interactive=False, draw=partial(_bounds, comparison)
+    )
+
+
+def _bounds(comparison: BoundsComparison) -> Figure:
+    rows = min(ROWS, len(comparison.ranked()))
+    figure = Figure(figsize=(WIDTH, 1.0 + 0.42 * rows))
+    figure.subplots_adjust(left=0.16, right=0.9, top=1 - 0.4 / (1 + 0.42 * rows), bottom=0.06)
+    plot_bounds(figure.subplots(), comparison, rows=rows)
+    return figure
 
 
 def _legend(figure: Figure, ax: Axes) -> None:
@@ -325,6 +358,8 @@ def _tidy(figure: Figure, axes: np.ndarray, *, lines: int = 1) -> Figure:
     figure.subplots_adjust(**across, **down)
     for ax in axes.flat:
         ax.yaxis.set_label_coords(-0.51 / wide, 0.5)
+        below = ax.transAxes + ScaledTranslation(0, -0.21, figure.dpi_scale_trans)
+        ax.xaxis.set_label_coords(0.5, 0, transform=below)  # looked for, its place takes time
     return figure
 
 

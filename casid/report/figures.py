@@ -61,7 +61,7 @@ def phase(G: ComplexArray, near: Array | None = None) -> Array:
 
 def plot_magnitude(ax: Axes, omega: Array, G: ComplexArray, *, name: str) -> Axes:
     """Draw the magnitude of one response G (K,) in dB over ω [rad/s]."""
-    ax.semilogx(omega, decibel(G), label=name, **style(name))
+    _logarithmic(ax).plot(omega, decibel(G), label=name, **style(name))
     ax.set_ylabel("magnitude [dB]")
     return ax
 
@@ -70,8 +70,15 @@ def plot_phase(
     ax: Axes, omega: Array, G: ComplexArray, *, name: str, near: Array | None = None
 ) -> Axes:
     """Draw the phase of one response G (K,) in degrees over ω [rad/s]."""
-    ax.semilogx(omega, phase(G, near), label=name, **style(name))
+    _logarithmic(ax).plot(omega, phase(G, near), label=name, **style(name))
     ax.set_ylabel("phase [deg]")
+    return ax
+
+
+def _logarithmic(ax: Axes) -> Axes:
+    """An axis of frequencies; setting the scale anew for every curve costs more than the curves."""
+    if ax.get_xscale() != "log":
+        ax.set_xscale("log")
     return ax
 
 
@@ -125,17 +132,17 @@ def plot_measured(
     low, high = decibel(G) + decibel(1 - spread), decibel(G) + decibel(1 + spread)
     look: dict[str, Any] = {"color": "#000000", "alpha": 0.15, "linewidth": 0}
     magnitude.fill_between(omega, low, high, label="measured ±2σ", **look)
-    magnitude.semilogx(omega, decibel(G), label=MEASURED, **style(MEASURED))
+    _logarithmic(magnitude).plot(omega, decibel(G), label=MEASURED, **style(MEASURED))
     width = np.degrees(np.arcsin(spread))
     angle.fill_between(omega, angles - width, angles + width, **look)
-    angle.semilogx(omega, angles, **style(MEASURED))
+    _logarithmic(angle).plot(omega, angles, **style(MEASURED))
     return magnitude, angle
 
 
 def plot_coherence(ax: Axes, measured: FrequencyResponse, pair: tuple[int, int]) -> Axes:
     """Draw the partial coherence of one pair over ω [rad/s]; 0.6 is the usual limit of use."""
     i, j = pair
-    ax.semilogx(measured.omega, measured.coherence[:, i, j], **style(MEASURED))
+    _logarithmic(ax).plot(measured.omega, measured.coherence[:, i, j], **style(MEASURED))
     ax.axhline(0.6, color="#777777", linewidth=0.8, linestyle=":")
     ax.set(ylim=(0, 1.05), ylabel="γ² [-]")
     ax.yaxis.set_major_locator(MultipleLocator(0.5))
@@ -225,8 +232,8 @@ def plot_match_error(ax: Axes, fit: AnyFit) -> Axes:
     color = style(MATCH)["color"]
     for source in fit.notes.sources:
         omega, sigma = source.omega, source.sigma
-        ax.semilogx(omega, sigma[:, 1:], color=color, linewidth=0.6, alpha=0.7)
-        ax.semilogx(omega, sigma[:, 0], color=color, linewidth=1.6, label=source.name)
+        _logarithmic(ax).plot(omega, sigma[:, 1:], color=color, linewidth=0.6, alpha=0.7)
+        _logarithmic(ax).plot(omega, sigma[:, 0], color=color, linewidth=1.6, label=source.name)
         matched = np.interp(source.grid, omega, sigma[:, 0])
         ax.plot(source.grid, matched, "o", color=color, markersize=2.5)
     ax.axhline(certificate.upper_bound, color="#000000", linestyle="--", linewidth=1, label="bound")

@@ -5,16 +5,18 @@ import gzip
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from urllib.parse import quote
 
 import jinja2
 from markupsafe import Markup
 from matplotlib import rc_context
-from plotly.offline import get_plotlyjs
 
 from casid.files import write_text
 from casid.report import intervals
 from casid.report.answer import place
+from casid.report.beside import beside
 from casid.report.content import TEMPLATES, Caution, Content, Drawing, Section
 from casid.report.drawings import save
 from casid.report.interactive import interactive
@@ -22,6 +24,10 @@ from casid.report.look import LOOK
 from casid.report.verdicts import word
 from casid.report.words import costliest, number, percent, price, prior
 
+PLOTLY = TEMPLATES / "plotly-basic.min.js.gz"  # plotly.js 4.1.1, MIT; see CONTRIBUTING
+UNUSED, TAG = re.compile(r'<g id="[^"]*">'), re.compile(r"<[^>]*>")
+PATH = re.compile(r'd="M[^"CQ]*"')  # of straight lines only
+PLAIN = " !$'()*+,-./:;<=>?@[]^_{|}~"  # stand for themselves in an address within quotes
 LONG_DECIMALS = re.compile(r"(\d\d\.\d)\d+")  # a tenth of a point is enough for a picture
 
 
@@ -31,8 +37,8 @@ class Picture:
 
     name: str
     caption: str
-    source: str
-    plot: Markup | None = None
+    source: Markup
+    plot: str | None = None  # base64 of compressed JSON
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,10 +56,13 @@ def write_report(content: Content, sections: Sequence[Section], folder: str | Pa
     folder = Path(folder)
     ordered = sorted(sections, key=lambda each: each.place)
     page = _environment().get_template("report.html.j2")
+    drawings = {id(each): list(each.draw()) for each in ordered if each.title}
+    pictures = _pictures([one for each in drawings.values() for one in each], folder / "figures")
     chapters = [
-        _chapter(section, content, folder / "figures") for section in ordered if section.title
+        _chapter(each, content, [pictures[one.name] for one in drawings[id(each)]])
+        for each in ordered
+        if each.title
     ]
-    packed = gzip.compress(get_plotlyjs().encode(), mtime=0)  # the library, to four tenths
     text = page.render(
         content=content,
         chapters=chapters,
@@ -61,7 +70,7 @@ def write_report(content: Content, sections: Sequence[Section], folder: str | Pa
         answers=[each.answer for each in ordered if each.answer],
         leads=[section.lead for section in sections if section.lead],
         cautions=cautions(content, sections),
-        plotly=base64.b64encode(packed).decode("ascii"),
+        plotly=base64.b64encode(PLOTLY.read_bytes()).decode("ascii"),
     )
     write_text(folder / "report.html", text)
     return folder / "report.html"
@@ -97,20 +106,41 @@ def body(section: Section, content: Content, pictures: Sequence[Picture] = ()) -
     return Markup(found.render(values))
 
 
-def _chapter(section: Section, content: Content, folder: Path) -> Chapter:
+def _chapter(section: Section, content: Content, pictures: Sequence[Picture]) -> Chapter:
+    return Chapter(name=section.name, title=section.title, body=body(section, content, pictures))
+
+
+def _pictures(drawings: Sequence[Drawing], folder: Path) -> dict[str, Picture]:
+    """All drawings by name, every second one drawn in a process beside this one if that can be."""
+    folder.mkdir(parents=True, exist_ok=True)
+    halves = [drawings[::2], drawings[1::2]]
+    with beside(partial(_drawn, halves[1], folder)) as other:
+        pictures = [*_drawn(halves[0], folder), *other()]
+    return {picture.name: picture for picture in pictures}
+
+
+def _drawn(drawings: Sequence[Drawing], folder: Path) -> list[Picture]:
     with rc_context(LOOK):
-        pictures = [_picture(drawing, folder) for drawing in section.draw()]
-    text = body(section, content, pictures)
-    return Chapter(name=section.name, title=section.title, body=text)
+        return [_picture(drawing, folder) for drawing in drawings]
 
 
 def _picture(drawing: Drawing, folder: Path) -> Picture:
     _, svg = save(drawing, folder)
-    text = LONG_DECIMALS.sub(r"\1", " ".join(svg.read_text(encoding="utf-8").split()))
-    data = base64.b64encode(text.encode()).decode("ascii")
-    source = f"data:image/svg+xml;base64,{data}"
-    plot = None
-    if drawing.interactive:
-        # A closing tag within the data must not end the element that holds them.
-        plot = Markup(interactive(drawing.figure).replace("<", "\\u003c"))
+    plot = packed(interactive(drawing.figure)) if drawing.interactive else None
+    source = address(svg.read_text(encoding="utf-8"))
     return Picture(name=drawing.name, caption=drawing.caption, source=source, plot=plot)
+
+
+def packed(text: str) -> str:
+    """A text compressed, in letters."""
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode("ascii")
+
+
+def address(svg: str) -> Markup:
+    """A picture as the address of an image, for an attribute in double quotes."""
+    text = LONG_DECIMALS.sub(r"\1", " ".join(svg.split()))
+    text = UNUSED.sub("<g>", text).replace("; stroke-linecap: square", "")
+    text = PATH.sub(lambda path: path[0].replace(" L ", " "), text)  # lines go on from a move
+    # What is in single quotes need not be escaped.
+    text = TAG.sub(lambda tag: tag[0].replace("'", "").replace('"', "'"), text)
+    return Markup(f"data:image/svg+xml,{quote(text, safe=PLAIN)}")

@@ -6,6 +6,7 @@ LOOK: dict[Any, Any] = {
     "font.family": ["DejaVu Sans"],  # comes with matplotlib
     "font.size": 8.0,
     "axes.titlesize": 9.0,
+    "axes.titley": 1.0,  # looked for, its place takes a tenth of the time
     "axes.grid": True,
     "axes.grid.which": "both",
     "grid.color": "#e4e4e4",

@@ -18,7 +18,7 @@ from casid.report import Content, DataFile, Timing
 from casid.stages.stage import Found, Role
 from casid.studies.study import Study
 
-PACKAGES = ("casid", "casadi", "numpy", "scipy", "matplotlib", "plotly")
+PACKAGES = ("casid", "casadi", "numpy", "scipy", "matplotlib")
 
 
 def content(

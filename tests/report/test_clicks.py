@@ -53,6 +53,7 @@ def page(chromium, compared):
     found = chromium.new_page(viewport={"width": 1280, "height": 900})
     problems = []
     found.on("pageerror", lambda error: problems.append(str(error)))
+    found.on("console", lambda said: problems.append(said.text) if said.type == "error" else None)
     found.goto(compared.as_uri())
     yield found
     found.close()
@@ -95,12 +96,26 @@ def test_parameters_are_found_by_name_and_by_what_is_wrong_with_them(page, conte
     assert page.locator("[data-filter] output").inner_text() == f"0 of {len(names)}"
 
 
+def test_all_plots_are_drawn_with_their_curves(page):
+    page.set_viewport_size({"width": 1300, "height": 9000})
+    figures = page.locator("figure.interactive")
+    for figure in figures.all():
+        figure.scroll_into_view_if_needed()
+    page.wait_for_function(
+        "[...document.querySelectorAll('figure.interactive')].every((f) => f.dataset.state)"
+    )
+    assert figures.count() > 5
+    assert page.locator("figure .scatterlayer path.js-line").count() > 20
+
+
 def test_headings_sort_by_the_keyboard_too(page, content):
     rows = sorted(content.results["output_error"].parameters, key=lambda row: row.value)
     heading = page.locator("#parameter-table th", has_text="Value")
     heading.focus()
     page.keyboard.press("Enter")
     assert cells(page, "#parameter-table") == [row.name for row in rows]
+    page.keyboard.press(" ")
+    assert cells(page, "#parameter-table") == [row.name for row in rows[::-1]]
 
 
 def test_on_a_telephone_nothing_is_wider_than_the_screen_and_pictures_keep_their_size(

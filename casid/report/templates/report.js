@@ -92,9 +92,14 @@
     displaylogo: false,
     modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
   };
+  const text = async (packed) => {
+    const bytes = Uint8Array.from(atob(packed.textContent), (letter) => letter.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+    return new Response(stream).text();
+  };
   const draw = async (figure) => {
     const live = figure.querySelector(".live");
-    const plot = JSON.parse(figure.querySelector("script[type='application/json']").textContent);
+    const plot = JSON.parse(await text(figure.querySelector("script")));
     figure.classList.add("drawn");
     try {
       await Plotly.newPlot(live, plot.data, plot.layout, settings);
@@ -105,11 +110,8 @@
     }
   };
   const unpack = async (id) => {
-    const packed = atob(document.getElementById(id).textContent);
-    const bytes = Uint8Array.from(packed, (letter) => letter.charCodeAt(0));
-    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
     const script = document.createElement("script");
-    script.textContent = await new Response(stream).text();
+    script.textContent = await text(document.getElementById(id));
     document.head.append(script);
   };
   const watch = () => {

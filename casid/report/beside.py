@@ -1,0 +1,53 @@
+"""Work in a process beside this one."""
+
+import multiprocessing
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+@contextmanager
+def beside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
+    """Begin work in a process beside this one; what is yielded waits for its result.
+
+    The process is a fork, which has all that is loaded and costs a hundredth of a second: a new one
+    would import for longer than the work takes. Where there is one processor, where forks are not
+    safe, and if the fork fails at its work, the work is done here when its result is asked for.
+    """
+    if not sys.platform.startswith("linux") or len(os.sched_getaffinity(0)) < 2:
+        yield work
+        return
+    context = multiprocessing.get_context("fork")
+    here, there = context.Pipe(duplex=False)
+    process = context.Process(target=_send, args=(there, work), daemon=True)
+    with warnings.catch_warnings():  # the thread that draws the progress takes no lock of figures
+        warnings.simplefilter("ignore", DeprecationWarning)
+        process.start()
+    there.close()
+    try:
+        yield lambda: _receive(here, work)
+    finally:
+        here.close()
+        process.kill()
+        process.join()
+        process.close()
+
+
+def _send(end: Connection, work: Callable[[], Any]) -> None:
+    """Send the result of the work, nothing if it fails."""
+    with end:
+        end.send(work())
+
+
+def _receive(end: Connection, work: Callable[[], T]) -> T:
+    try:
+        found: T = end.recv()
+    except EOFError:  # told by the exception that the same work raises here, if it does
+        return work()
+    return found
