@@ -1,4 +1,4 @@
-"""Design of inputs for linear structures: alternatives, optimisation, prediction."""
+"""Design of inputs: alternatives, optimisation, prediction."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -9,15 +9,23 @@ import numpy as np
 from casid.arrays import Array
 from casid.design import signals
 from casid.design.criterion import Goal, covariance
-from casid.design.loop import Feedback, Loop, UnheldError, gains
+from casid.design.loop import Crowd, Feedback, Loop, UnheldError, gains
 from casid.design.multisine import best_powers, schroeder, shared_out, unit_information
 from casid.design.optimise import Task, improved
 from casid.design.plan import Alternative, Design, DesignSettings, Limits
-from casid.design.prior import FITTED, GUESSED, known_before, noise_of, possible
+from casid.design.prior import (
+    FITTED,
+    GUESSED,
+    known_before,
+    linear_at,
+    noise_of,
+    possible,
+    without_effect,
+)
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit, Fit
 from casid.model import Free, Model, free_parameters
-from casid.nonlinear.model import NonlinearModel
+from casid.nonlinear.conditions import Trim
 from casid.structure.identifiability import identifiability
 from casid.threads import one_thread
 
@@ -31,10 +39,10 @@ class _Problem:
     """All that was asked, checked, in arrays."""
 
     frees: tuple[Free, ...]
-    others: tuple[Free, ...]
     R: Array
     known: Array
-    limits: tuple[Array, ...]
+    limits: Array
+    spread: float
     feedback: Feedback
     duration: float
     band: tuple[float, float]
@@ -45,16 +53,23 @@ class _Problem:
         N = round(self.duration / h) + 1
         # Noise refers to dt: of fewer samples each counts for more.
         R = self.R * self.settings.dt / h
-        others = []
-        for free in self.others:
-            with suppress(UnheldError):  # nothing flown keeps its limits
-                others.append(Loop(free, self.feedback, R, h=h, N=N))
-        sticks, rates, responses, states = self.limits
-        return Task(
-            loops=tuple(Loop(free, self.feedback, R, h=h, N=N) for free in self.frees),
-            goals=self.goals([self.frees[0].scale[self.frees[0].index]] * len(self.frees)),
-            others=tuple(others), sticks=sticks, rates=rates, responses=responses, states=states,
-        )  # fmt: skip
+        loops = tuple(Loop(free, self.feedback, R, h=h, N=N) for free in self.frees)
+        scale = self.frees[0].scale[self.frees[0].index]
+        return Task(loops=loops, goals=self.goals([scale] * len(loops)), limits=self.limits)
+
+    def drawn(self, h: float) -> list[Loop]:
+        """Loops of models drawn from the prior, if limits may depend on their values.
+
+        Those that the feedback does not hold, with which nothing keeps the limits, are left out.
+        """
+        settings, free, nu = self.settings, self.frees[0], len(self.frees[0].model.inputs)
+        if not self.feedback and not np.isfinite(self.limits[2 * nu :]).any():
+            return []
+        made, N = [], round(self.duration / h) + 1
+        for each in possible(free, self.known, self.spread, 2 * settings.draws, settings.seed):
+            with suppress(UnheldError):
+                made.append(Loop(each, self.feedback, self.R, h=h, N=N))
+        return made
 
     def goals(self, reference: Sequence[Array]) -> tuple[Goal, ...]:
         """The criterion of each model, over the standard errors (nf,) of its reference."""
@@ -72,10 +87,14 @@ def design_inputs(
     *,
     noise: Mapping[str, float] | None = None,
     feedback: Feedback | None = None,
+    trim: Trim | Mapping[str, float] | None = None,
     ensemble: Sequence[Model] = (),
     settings: DesignSettings | None = None,
 ) -> Design:
     """Inputs that tell the parameters of a structure apart best, within limits.
+
+    A nonlinear structure is designed for by its linearisation at a trim; everything is in
+    deviations from there.
 
     Parameters
     ----------
@@ -92,9 +111,12 @@ def design_inputs(
     feedback : mapping
         ``{"lat": {"p": 0.15, "phi": 0.4}}``: what holds the aircraft, u_lat = r_lat - 0.15 p - 0.4
         phi about the trim. The limits are those of u.
+    trim : Trim or mapping
+        Where a nonlinear structure is flown, total values of states and inputs; its reference
+        condition unless given.
     ensemble : sequence of Model
         Other values that are thought possible, as from `sample_models`: the criterion is the mean
-        over them and the model, and limits hold for all.
+        over them and the model, and limits hold for all; none is drawn then.
     settings : DesignSettings
         Method, criterion, parameters that matter, sampling.
 
@@ -102,16 +124,22 @@ def design_inputs(
     ------
     ValueError
         Limits that leave nothing, unknown channels, noise that is missing, a band above the Nyquist
-        frequency, an unstable aircraft without its feedback, a duration too short.
+        frequency, an unstable aircraft without its feedback, a duration too short, a nonlinear
+        structure that is not in balance.
     """
     settings = settings or DesignSettings()
-    problem = _problem(model, limits, duration, noise, settings)
-    believed = [free_parameters(each, settings.fixed) for each in ensemble]
+    linear = linear_at(model.model if isinstance(model, Fit) else model, trim)
+    unfelt = without_effect(free_parameters(linear, settings.fixed))
+    settings = replace(settings, fixed=(*settings.fixed, *unfelt))
+    problem = _problem(linear, limits, duration, model if isinstance(model, Fit) else None, noise,
+                       settings)  # fmt: skip
+    believed = [free_parameters(linear_at(each, trim), settings.fixed) for each in ensemble]
     problem = replace(problem, frees=(*problem.frees, *believed), feedback=feedback or {})
-    if not ensemble:
-        problem = replace(problem, others=_possible(problem, isinstance(model, Fit)))
     h = max(settings.dt, min(duration / COARSE, 2 * np.pi / problem.band[1] / FINEST))
     rough = problem.task(h)
+    drawn = [] if ensemble else problem.drawn(h)
+    if drawn:
+        rough = replace(rough, others=Crowd(drawn[::2]), judges=Crowd(drawn[1::2] or drawn))
     flown = _baselines(problem, rough)
     errors = [
         np.sqrt(np.diag(covariance(F + problem.known))) for F in rough.information(flown["3-2-1-1"])
@@ -122,23 +150,20 @@ def design_inputs(
     if settings.method != "steps":
         flown["multisine"] = _multisine(problem, task)
     chosen = min(list(flown)[2:], key=lambda name: task.value(flown[name]))
-    return _predicted(problem, h, flown, chosen)
+    made = _predicted(problem, task, flown, chosen)
+    blind = [f"{name}: no effect on the linearisation at the trim" for name in unfelt]
+    unheld = 2 * settings.draws - len(drawn) if drawn else 0
+    return replace(made, unheld=unheld, blind=(*made.blind, *blind))
 
 
 def _problem(
-    model: Model | AnyFit,
+    structure: Model,
     limits: Limits,
     duration: float,
+    fit: AnyFit | None,
     noise: Mapping[str, float] | None,
     settings: DesignSettings,
 ) -> _Problem:
-    fit = model if isinstance(model, Fit) else None
-    structure: Model = model.model if isinstance(model, Fit) else model
-    if isinstance(structure, NonlinearModel):
-        raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
-            f"{type(structure).__name__} is nonlinear: design at a trim, with the linear structure "
-            "model.at(trim)"
-        )
     free = free_parameters(structure, settings.fixed)
     if unknown := [name for name in settings.matter if name not in free.names]:
         raise ValueError(f"matter names {unknown[0]!r}, which is not free: {', '.join(free.names)}")
@@ -154,8 +179,9 @@ def _problem(
             f"{len(structure.inputs)} inputs: fly longer, {settings.rest + least:.3g} s at least"
         )
     return _Problem(
-        frees=(free,), others=(), R=noise_of(structure, fit, noise), known=known_before(free, fit),
+        frees=(free,), R=noise_of(structure, fit, noise), known=known_before(free, fit),
         limits=_arrays(structure, limits), feedback={}, duration=duration, band=band,
+        spread=settings.spread if settings.spread is not None else (FITTED if fit else GUESSED),
         settings=settings,
     )  # fmt: skip
 
@@ -167,16 +193,7 @@ def _band(model: Model, duration: float, dt: float) -> tuple[float, float]:
     return low, min(max(3 * fastest, 8 * low), np.pi / dt / 2)
 
 
-def _possible(problem: _Problem, fitted: bool) -> tuple[Free, ...]:
-    """Models drawn from the prior that have to keep the limits, where their values matter to it."""
-    settings, free = problem.settings, problem.frees[0]
-    if not problem.feedback and not np.isfinite(np.concatenate(problem.limits[2:])).any():
-        return ()
-    spread = settings.spread if settings.spread is not None else (FITTED if fitted else GUESSED)
-    return tuple(possible(free, problem.known, spread, settings.draws, settings.seed))
-
-
-def _arrays(model: Model, limits: Limits) -> tuple[Array, ...]:
+def _arrays(model: Model, limits: Limits) -> Array:
     """Limits of sticks, rates, outputs, states in their order; infinite where there is none."""
     sides = (*model.outputs, *model.states)
     named = ((limits.sticks, model.inputs), (limits.rates, model.inputs))
@@ -187,7 +204,7 @@ def _arrays(model: Model, limits: Limits) -> tuple[Array, ...]:
         raise ValueError(f"limits.sticks has no {missing[0]!r}: every input needs its limit")
     hidden = tuple(name if name not in model.outputs else "" for name in model.states)
     groups = (*named, (limits.responses, model.outputs), (limits.responses, hidden))
-    return tuple(np.array([group.get(n, np.inf) for n in names]) for group, names in groups)
+    return np.array([group.get(name, np.inf) for group, names in groups for name in names])
 
 
 def _instants(task: Task) -> Array:
@@ -251,19 +268,20 @@ def _multisine(problem: _Problem, task: Task) -> Array:
     return improved(task, family, start, settings.iterations)[0]
 
 
-def _predicted(problem: _Problem, h: float, flown: Mapping[str, Array], chosen: str) -> Design:
+def _predicted(problem: _Problem, rough: Task, flown: Mapping[str, Array], chosen: str) -> Design:
     """Standard errors of all alternatives at the records' own sampling, and the value."""
     fine = problem.task(problem.settings.dt)
-    t, coarse = _instants(fine), h * np.arange(len(flown[chosen]))
-    exact = {
-        name: fine.within(np.stack([np.interp(t, coarse, x) for x in r.T], axis=1))
-        for name, r in flown.items()
-    }
+    t, coarse, exact = _instants(fine), _instants(rough), {}
+    for name, each in flown.items():
+        r = rough.within(each)
+        r = np.stack([np.interp(t, coarse, column) for column in r.T], axis=1)
+        exact[name] = r / max(1.0, float(fine.peaks(r).max()))
     spread = {name: covariance(fine.information(r)[0] + problem.known) for name, r in exact.items()}
     r = exact[chosen]
     seen = fine.loops[0].fly(r)
     model = problem.frees[0].model
-    share, at_most = _shares(model, replace(fine, others=()), r), _shares(model, fine, r)
+    share = fine.peaks(r)
+    at_most = np.maximum(share, rough.peaks(np.stack([np.interp(coarse, t, x) for x in r.T], 1)))
     before = np.diag(problem.known)
     known = np.where(before > 0, np.sqrt(np.diag(covariance(problem.known))), np.inf)
     made = Design(
@@ -272,15 +290,14 @@ def _predicted(problem: _Problem, h: float, flown: Mapping[str, Array], chosen: 
         alternatives=tuple(
             Alternative(name=name, std_errors=np.sqrt(np.diag(C))) for name, C in spread.items()
         ),
-        used=share, used_at_worst=at_most, unheld=len(problem.others) - len(fine.others),
+        used=_named(model, share), used_at_worst=_named(model, at_most),
     )  # fmt: skip
     judged = identifiability(model, made.record(), fixed=problem.settings.fixed, spread=0.0)
     return replace(made, blind=tuple(str(judged).splitlines()[1:]))
 
 
-def _shares(model: Model, task: Task, r: Array) -> dict[str, float]:
-    """Shares of their limits that sticks, their rates, outputs and states reach, by name."""
+def _named(model: Model, shares: Array) -> dict[str, float]:
+    """Shares of limits by name, where there is a limit."""
     rates = [f"{name} rate" for name in model.inputs]
     names = [*model.inputs, *rates, *model.outputs, *model.states]
-    peaks = np.concatenate(task.peaks(r)).tolist()
-    return {name: share for name, share in zip(names, peaks, strict=True) if share > 0}
+    return {name: share for name, share in zip(names, shares.tolist(), strict=True) if share > 0}

@@ -14,7 +14,7 @@ too, projected out. All is linear in r, so z is a convolution of r with impulse 
 loop, and the derivatives of any criterion of F by r come from one recursion backward in time.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -43,6 +43,12 @@ class Response:
     u: Array
     y: Array
     z: Array
+    nx: int
+
+    @property
+    def signals(self) -> Array:
+        """Sticks, outputs and states, (N, nu + ny + nx)."""
+        return np.concatenate([self.u, self.y, self.z[:, : self.nx]], axis=1)
 
 
 class Loop:
@@ -95,9 +101,9 @@ class Loop:
         y = self.C @ x + self.D @ d
         z = np.concatenate([x, d, -self._rate(u)], axis=1)
         self._sizes = np.cumsum([nu, self.ny])
-        self._length = scipy.fft.next_fast_len(2 * self.N, real=True)
+        self.length = scipy.fft.next_fast_len(2 * self.N, real=True)
         whole = np.concatenate([u, y, z], axis=1)
-        self._spectra = scipy.fft.rfft(whole, self._length, axis=0)
+        self.spectra = scipy.fft.rfft(whole, self.length, axis=0)
 
     def _delayed(self, u: Array, k: int) -> Array:
         """Delayed sticks at sample k, without what sample k itself gives to them."""
@@ -154,18 +160,21 @@ class Loop:
 
     def fly(self, r: Array) -> Response:
         """Sticks, outputs and z after a designed input r (N, nu)."""
-        spectrum = scipy.fft.rfft(r, self._length, axis=0)
+        spectrum = scipy.fft.rfft(r, self.length, axis=0)
         every = scipy.fft.irfft(
-            (self._spectra @ spectrum[:, :, None])[:, :, 0], self._length, axis=0
+            (self.spectra @ spectrum[:, :, None])[:, :, 0], self.length, axis=0
         )[: self.N]
         u, y, z = np.split(every, self._sizes, axis=1)
-        return Response(u=u, y=y, z=z)
+        return Response(u=u, y=y, z=z, nx=self.nx)
 
-    def pulled_back(self, u: Array, y: Array, z: Array) -> Array:
-        """Derivatives by r (N, nu) of a function with these derivatives by what `fly` gives."""
-        whole = scipy.fft.rfft(np.concatenate([u, y, z], axis=1), self._length, axis=0)
-        product = np.einsum("kij,ki->kj", np.conj(self._spectra), whole)
-        return np.asarray(scipy.fft.irfft(product, self._length, axis=0)[: self.N])
+    def pulled_back(self, signals: Array, z: Array) -> Array:
+        """Derivatives by r (N, nu) of a function with these derivatives by signals and z."""
+        u, y, x = np.split(signals, self._sizes, axis=1)
+        late = z[:, self.nx :]
+        every = np.concatenate([u, y, x + z[:, : self.nx], late], axis=1)
+        whole = scipy.fft.rfft(every, self.length, axis=0)
+        product = np.einsum("kij,ki->kj", np.conj(self.spectra), whole)
+        return np.asarray(scipy.fft.irfft(product, self.length, axis=0)[: self.N])
 
     def held(self, u: Array) -> Array:
         """The z (N, nx + 2 nu) of sticks u (N, nu) that were flown, from rest."""
@@ -199,6 +208,28 @@ class Loop:
         slope[:-1] += np.tensordot(pull[1:], self._from_this, ([1, 2], [0, 1]))
         slope[1:] += np.tensordot(pull[1:], self._from_next, ([1, 2], [0, 1]))
         return slope
+
+
+class Crowd:
+    """Loops of models of which only sticks, outputs and states are asked, on one grid."""
+
+    def __init__(self, loops: Sequence[Loop]) -> None:
+        self.N, self.count = loops[0].N, len(loops)
+        self._length = loops[0].length
+        channels = loops[0].nu + loops[0].ny + loops[0].nx
+        self._spectra = np.stack([loop.spectra[:, :channels] for loop in loops])
+
+    def fly(self, r: Array) -> Array:
+        """Sticks, outputs and states (M, N, nu + ny + nx) of every model after r (N, nu)."""
+        spectrum = scipy.fft.rfft(r, self._length, axis=0)
+        every = (self._spectra @ spectrum[:, :, None])[..., 0]
+        return np.asarray(scipy.fft.irfft(every, self._length, axis=1)[:, : self.N])
+
+    def pulled_back(self, signals: Array) -> Array:
+        """Derivatives by r (N, nu) of a function with these derivatives by what `fly` gives."""
+        whole = scipy.fft.rfft(signals, self._length, axis=1)
+        product = np.einsum("mkij,mki->kj", np.conj(self._spectra), whole, optimize=True)
+        return np.asarray(scipy.fft.irfft(product, self._length, axis=0)[: self.N])
 
 
 def gains(feedback: Feedback, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> Array:

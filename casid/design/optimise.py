@@ -21,42 +21,66 @@ import scipy.optimize
 
 from casid.arrays import Array
 from casid.design.criterion import Goal
-from casid.design.loop import Loop, Response
+from casid.design.loop import Crowd, Loop
 
 POWERS = (16, 60)  # p, one after the other
 MEMORY = 20  # of L-BFGS
+KEPT = 0.9  # share of the judges with which limits are kept
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """What a design is judged by: loops of one or several models, goals, limits.
-
-    ``others`` are loops that have to keep the limits, too.
-    """
+    """What a design is judged by: loops of one or several models, goals, limits."""
 
     loops: tuple[Loop, ...]
     goals: tuple[Goal, ...]
-    others: tuple[Loop, ...]
-    sticks: Array  # (nu,) limits, those of their rates, (ny,) of outputs, (nx,) of states;
-    rates: Array  # infinite where there is none
-    responses: Array
-    states: Array
+    limits: Array  # (2 nu + ny + nx,) of sticks, rates, outputs, states; infinite where none is
+    others: Crowd | None = None  # models that have to keep the limits, too
+    judges: Crowd | None = None  # models that most of what is found has to keep them with
 
-    def ratios(self, loop: Loop, flown: Response) -> list[Array]:
-        """Sticks, their rates, outputs and states over their limits."""
-        rate, x = np.diff(flown.u, axis=0, prepend=0.0) / loop.h, flown.z[:, : loop.nx]
-        sides = flown.y / self.responses, x / self.states
-        return [flown.u / self.sticks, rate / self.rates, *sides]
+    @property
+    def sticks(self) -> Array:
+        """Their limits, (nu,)."""
+        return self.limits[: self.loops[0].nu]
 
-    def peaks(self, r: Array) -> list[Array]:
-        """Largest shares of the limits of sticks, rates, outputs and states over all models."""
-        every = [self.ratios(loop, loop.fly(r)) for loop in (*self.loops, *self.others)]
-        largest = [[np.abs(part).max(axis=0) for part in each] for each in every]
-        return [np.max(part, axis=0) for part in zip(*largest, strict=True)]
+    @property
+    def rates(self) -> Array:
+        """Limits of the sticks' rates, (nu,)."""
+        nu = self.loops[0].nu
+        return self.limits[nu : 2 * nu]
+
+    def shares(self, signals: Array) -> Array:
+        """Sticks, rates, outputs and states (..., N, 2 nu + ny + nx) over their limits."""
+        nu, h = self.loops[0].nu, self.loops[0].h
+        u, sides = signals[..., :nu], signals[..., nu:]
+        rates = np.diff(u, axis=-2, prepend=0.0 * u[..., :1, :]) / h
+        return np.asarray(np.concatenate([u, rates, sides], axis=-1) / self.limits)
+
+    def shares_slope(self, slope: Array) -> Array:
+        """Derivatives by signals of a function with these derivatives by their shares."""
+        nu, h = self.loops[0].nu, self.loops[0].h
+        slope = slope / self.limits
+        rates = slope[..., nu : 2 * nu]
+        du = slope[..., :nu] - np.diff(rates, axis=-2, append=0.0 * rates[..., :1, :]) / h
+        return np.concatenate([du, slope[..., 2 * nu :]], axis=-1)
+
+    def peaks(self, r: Array) -> Array:
+        """Largest shares of the limits (2 nu + ny + nx,) over all models.
+
+        Of the judges it is what all but one in ten keep.
+        """
+        every = [np.abs(self.shares(loop.fly(r).signals)).max(axis=0) for loop in self.loops]
+        if self.others:
+            every.extend(np.abs(self.shares(self.others.fly(r))).max(axis=1))
+        if self.judges:
+            found = np.abs(self.shares(self.judges.fly(r))).max(axis=1)
+            hardest = found.max(axis=1)
+            every.extend(found[hardest <= np.quantile(hardest, KEPT)])
+        return np.asarray(np.max(every, axis=0))
 
     def within(self, r: Array) -> Array:
         """The same input as large as the limits let it be."""
-        return r / max(1e-12, *(float(part.max()) for part in self.peaks(r)))
+        return r / max(1e-12, float(self.peaks(r).max()))
 
     def information(self, r: Array) -> list[Array]:
         """F (nf, nf) of each model."""
@@ -70,28 +94,21 @@ class Task:
 
     def slope(self, r: Array, p: int) -> tuple[float, Array]:
         """What is minimised, and its derivatives by r (N, nu)."""
-        every = (*self.loops, *self.others)
-        flown = [loop.fly(r) for loop in every]
-        ratios = [self.ratios(*pair) for pair in zip(every, flown, strict=True)]
-        parts = [part for each in ratios for part in each]
-        top = max(1.0, *(float(np.abs(part).max()) for part in parts))
-        total = top**-p + sum(float(((part / top) ** p).sum()) for part in parts)
-        value, slope = np.log(top) + np.log(total) / p, np.zeros_like(r)
-        limits, count = (self.sticks, self.rates, self.responses, self.states), len(self.loops)
-        for k, (loop, each, four) in enumerate(zip(every, flown, ratios, strict=True)):
-            du, rate, dy, dx = (
-                (part / top) ** (p - 1) / top / total / limit
-                for part, limit in zip(four, limits, strict=True)
-            )
-            du -= np.diff(rate, axis=0, append=0.0) / loop.h
-            dz = np.zeros_like(each.z)
-            dz[:, : loop.nx] = dx
-            if k < count:
-                J = loop.sensitivities(each.z)
-                worth, M = self.goals[k](J.T @ J)
-                value += worth / count
-                dz += loop.information_slope(J, M) / count
-            slope += loop.pulled_back(du, dy, dz)
+        flown = [loop.fly(r) for loop in self.loops]
+        shares = [self.shares(each.signals) for each in flown]
+        if self.others:
+            shares.append(self.shares(self.others.fly(r)))
+        top = max(1.0, *(float(np.abs(part).max()) for part in shares))
+        total = top**-p + sum(float(((part / top) ** p).sum()) for part in shares)
+        value, slope, count = np.log(top) + np.log(total) / p, np.zeros_like(r), len(self.loops)
+        pull = [self.shares_slope((part / top) ** (p - 1) / top / total) for part in shares]
+        if self.others:
+            slope += self.others.pulled_back(pull[-1])
+        for loop, goal, each, signals in zip(self.loops, self.goals, flown, pull, strict=False):
+            J = loop.sensitivities(each.z)
+            worth, M = goal(J.T @ J)
+            value += worth / count
+            slope += loop.pulled_back(signals, loop.information_slope(J, M) / count)
         return float(value), slope
 
 

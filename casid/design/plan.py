@@ -99,7 +99,7 @@ class DesignSettings:
     iterations: int = 150
     seed: int = 0
     spread: float | None = None
-    draws: int = 16
+    draws: int = 24
 
 
 @storable

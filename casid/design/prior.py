@@ -1,4 +1,4 @@
-"""What is known before the flight: information, noise, and other values that are possible."""
+"""What is known before the flight: structure, information, noise, and other possible values."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -7,10 +7,43 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.design.criterion import covariance
+from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
 from casid.model import Free, Model
+from casid.nonlinear.conditions import Trim
+from casid.nonlinear.model import NonlinearModel
 
-GUESSED, FITTED = 0.3, 0.1  # relative errors of a guess, and of a fit beside its covariance
+OUT_OF_BALANCE = 1e-2  # largest |dx/dt| of a reference condition that still counts as a trim
+GUESSED, FITTED = 0.2, 0.1  # relative errors of a guess, and of a fit beside its covariance
+
+
+def linear_at(model: Model, trim: Trim | Mapping[str, float] | None) -> Model:
+    """The structure itself, or a nonlinear one's linearisation at the trim or its reference."""
+    if not isinstance(model, NonlinearModel):
+        if trim is not None:
+            raise ValueError(
+                f"{type(model).__name__} is linear, about its own trim: leave trim out"
+            )
+        return model
+    if trim is not None:
+        return model.at(trim)
+    x, u = model.operating_point()
+    rate = np.ravel(model.equations()(x, u, model.vector())[0].full())
+    worst = int(np.argmax(np.abs(rate)))
+    if abs(rate[worst]) > OUT_OF_BALANCE:
+        raise ValueError(
+            f"{type(model).__name__} is not in balance at its reference condition, where "
+            f"d/dt {model.states[worst]} = {rate[worst]:.3g}: say where it is flown, "
+            "trim=find_trim(model, {...}, unknown=(...))"
+        )
+    return model.at(dict(zip((*model.states, *model.inputs), (*x, *u), strict=True)))
+
+
+def without_effect(free: Free) -> tuple[str, ...]:
+    """Free parameters on which no matrix and no delay depends."""
+    at = MatrixFunction(free)(free.guess)
+    felt = np.abs(at.slopes).max(axis=(1, 2)) + np.abs(at.dtau).max(axis=1)
+    return tuple(name for name, size in zip(free.names, felt, strict=True) if size == 0)
 
 
 def noise_of(model: Model, fit: AnyFit | None, noise: Mapping[str, float] | None) -> Array:

@@ -91,7 +91,7 @@ def test_slope_of_the_information_by_the_input_is_a_difference():
 
     flown = loop.fly(r)
     dz = loop.information_slope(loop.sensitivities(flown.z), M)
-    slope = loop.pulled_back(np.zeros_like(flown.u), np.zeros_like(flown.y), dz)
+    slope = loop.pulled_back(np.zeros_like(flown.signals), dz)
     way = np.random.default_rng(1).standard_normal(r.shape)
     difference = (value(r + 1e-4 * way) - value(r - 1e-4 * way)) / 2e-4
     assert float((slope * way).sum()) == pytest.approx(difference, rel=1e-6)
