@@ -7,6 +7,7 @@ Gram matrix each, instead of a tall Jacobian.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import scipy.linalg
@@ -14,6 +15,8 @@ import scipy.linalg
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 from casid.values import storable
+
+S = TypeVar("S", Array, ComplexArray)  # signals, or products of signals
 
 DEFECTIVE = 1e9  # condition number of the modes' shapes
 RIDGE = 1e-13  # of the size of each transient: what two that look alike are told apart by
@@ -91,7 +94,7 @@ def pair(phi: ComplexArray, conjugate: ComplexArray, real: BoolArray) -> Complex
     return np.hstack([first, second])
 
 
-def mixed(piece: ComplexArray, modal: Modal, o: int, columns: int) -> ComplexArray:
+def mixed(piece: S, modal: Modal, o: int, columns: int) -> S:
     """A modal quantity as output o sees it: Re c on its own basis, Im c across the pair."""
     pairs = np.repeat(~modal.real, columns)
     c = np.repeat(modal.C[o], columns)
@@ -101,9 +104,7 @@ def mixed(piece: ComplexArray, modal: Modal, o: int, columns: int) -> ComplexArr
     return np.hstack([own, second * c.real[pairs] - first[:, pairs] * c.imag[pairs]])
 
 
-def output_derivative(
-    basis: ComplexArray, modal: Modal, o: int, free: np.ndarray
-) -> tuple[ComplexArray, np.ndarray]:
+def output_derivative(basis: S, modal: Modal, o: int, free: np.ndarray) -> tuple[S, np.ndarray]:
     """Derivatives of output o by the transient and the parameters it depends on, and which."""
     ny, nu = modal.D.shape
     n = len(modal.lam) + int((~modal.real).sum())
@@ -122,7 +123,8 @@ def output_derivative(
 
 def gram(rows: Array | ComplexArray) -> Array:
     """Re(rowsᴴ rows)."""
-    return np.asarray(rows.real.T @ rows.real + rows.imag.T @ rows.imag)
+    real = np.concatenate([rows.real, rows.imag]) if np.iscomplexobj(rows) else rows
+    return np.asarray(real.T @ real)
 
 
 def moved(modal: Modal, step: Array, free: np.ndarray) -> Modal:
@@ -161,11 +163,14 @@ def schur(G: Array, n: int) -> Array:
 
 
 def eliminator(G: Array, n: int) -> Array:
-    """The first n unknowns as they follow from the others; the last column for none of those."""
-    scale = np.sqrt(np.maximum(np.diag(G)[:n], 1e-300))
-    head = G[:n, :n] / np.outer(scale, scale) + RIDGE * np.eye(n)
-    found = scipy.linalg.solve(head, G[:n, n:] / scale[:, None], assume_a="pos")
-    return np.asarray(found / scale[:, None])
+    """The first n unknowns as they follow from the others; the last column for none of those.
+
+    Of one matrix, or of the first n rows at least of each of a stack.
+    """
+    head = G[..., :n, :n]
+    scale = np.sqrt(np.maximum(np.diagonal(head, axis1=-2, axis2=-1), 1e-300))[..., None]
+    scaled = head / (scale * scale.swapaxes(-1, -2)) + RIDGE * np.eye(n)
+    return np.asarray(np.linalg.solve(scaled, G[..., :n, n:] / scale) / scale)
 
 
 def descend(

@@ -150,28 +150,36 @@ class _Factors:
 
 def _factors(modal: modes.Modal, spectrum: Lines) -> _Factors:
     """``slope`` and ``drift`` are the derivatives of ``r`` and ``transient`` by λ."""
-    r, slope, transient, drift = spectrum.pole_factors(modal.lam)
-    conjugates = spectrum.pole_factors(modal.lam.conj())
-    rc, slope_c, transient_c, drift_c = (np.where(modal.real, 0.0, each) for each in conjugates)
+    both = spectrum.pole_factors(np.concatenate([modal.lam, modal.lam.conj()]))
+    r, slope, transient, drift = (each[:, : len(modal.lam)] for each in both)
+    rc, slope_c, transient_c, drift_c = (
+        np.where(modal.real, 0.0, each[:, len(modal.lam) :]) for each in both
+    )
     return _Factors(r, rc, slope, slope_c, transient, transient_c, drift, drift_c)
 
 
-def _forced(modal: modes.Modal, spectrum: Lines) -> tuple[ComplexArray, ComplexArray]:
-    """Output residual without transient (K, ny), and the transient's basis (K, n)."""
-    f, U = _factors(modal, spectrum), spectrum.U
+def _forced(modal: modes.Modal, spectrum: Lines, f: _Factors) -> ComplexArray:
+    """Output residual without transient, (K, ny)."""
+    U = spectrum.U
     X, Xc = f.r * (U @ modal.B.T), f.rc * (U @ modal.B.conj().T)
-    E = spectrum.Y - X @ modal.C.T - Xc @ modal.C.conj().T - U @ modal.D.T
-    return E, modes.pair(f.transient[:, :, None], f.transient_c[:, :, None], modal.real)
+    return spectrum.Y - X @ modal.C.T - Xc @ modal.C.conj().T - U @ modal.D.T
+
+
+def _transients(modal: modes.Modal, f: _Factors) -> ComplexArray:
+    """What real and imaginary parts of δ do to every output, (ny, K, n)."""
+    own = modal.C[:, None] * f.transient
+    conjugate = modal.C.conj()[:, None] * f.transient_c
+    return np.concatenate([own + conjugate, 1j * (own - conjugate)[:, :, ~modal.real]], axis=2)
 
 
 def _residuals(modal: modes.Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
     """Residuals (K, ny) of every spectrum with its best transient."""
     found = []
     for spectrum in data:
-        E, basis = _forced(modal, spectrum)
-        columns = [modes.mixed(basis, modal, o, 1) for o in range(len(modal.C))]
-        P = np.vstack([*(c.real for c in columns), *(c.imag for c in columns)])
-        e = E.T.ravel()
+        f = _factors(modal, spectrum)
+        E, columns = _forced(modal, spectrum, f), _transients(modal, f)
+        rows = columns.reshape(-1, columns.shape[2])
+        P, e = np.vstack([rows.real, rows.imag]), E.T.ravel()
         target = np.concatenate([e.real, e.imag])
         delta = np.linalg.lstsq(P, target, rcond=1e-10)[0]
         left = (target - P @ delta).reshape(2, E.shape[1], -1)
@@ -222,20 +230,22 @@ def _nearness(at: Array, omega: Array, power: Array) -> tuple[Array, Array, Arra
 
 def _cost(modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array]) -> float:
     """Weighted squared residuals with the best transients."""
-    pairs = zip(data, weights, strict=True)
-    return sum(_transient(modal, spectrum, w)[1] for spectrum, w in pairs)
+    total = 0.0
+    for spectrum, w in zip(data, weights, strict=True):
+        f = _factors(modal, spectrum)
+        total += _transient(modal, f, _forced(modal, spectrum, f), w)[1]
+    return total
 
 
-def _transient(modal: modes.Modal, spectrum: Spectrum, w: Array) -> tuple[ComplexArray, float]:
+def _transient(
+    modal: modes.Modal, f: _Factors, E: ComplexArray, w: Array
+) -> tuple[ComplexArray, float]:
     """The best transient δ (nm,) of one spectrum, and the weighted squared residual it leaves."""
-    E, basis = _forced(modal, spectrum)
-    n = basis.shape[1]
-    G = np.zeros((n + 1, n + 1))
-    for o in range(len(modal.C)):
-        G += modes.gram(w[:, [o]] * np.hstack([modes.mixed(basis, modal, o, 1), E[:, [o]]]))
-    return modes.to_complex(modal, modes.eliminator(G, n)[:, 0], 1)[:, 0], float(
-        modes.schur(G, n)[0, 0]
-    )
+    rows = np.concatenate([_transients(modal, f), E.T[:, :, None]], axis=2) * w.T[:, :, None]
+    n = rows.shape[2] - 1
+    G = modes.gram(rows.reshape(-1, n + 1))
+    delta = modes.eliminator(G, n)[:, 0]
+    return modes.to_complex(modal, delta, 1)[:, 0], float(G[n, n] - G[n, :n] @ delta)
 
 
 def normal_equations(
@@ -243,25 +253,69 @@ def normal_equations(
 ) -> tuple[Array, Array]:
     """Re Σ Jᴴ W J and Re Σ Jᴴ W E, transients eliminated."""
     # Parameters are λ, B, C by mode (real parts, then imaginary ones) and the free entries of D.
+    # All derivatives of an output are sums of signals that all outputs share, in a small number
+    # that its row of C gives: these sums are taken of the Gram matrices, not of the signals.
     n = len(modal.lam) + int((~modal.real).sum())
     ny, nu = modal.D.shape
     size = n + n * nu + ny * n + len(free)
+    grams, heads = _shared_grams(modal, data, weights)
     total = np.zeros((size + 1, size + 1))
-    for spectrum, w in zip(data, weights, strict=True):
-        G = np.zeros((n + size + 1, n + size + 1))
-        basis = _basis(modal, spectrum, _transient(modal, spectrum, w)[0])
-        E, _ = _forced(modal, spectrum)
-        for o in range(ny):
-            J, where = modes.output_derivative(basis, modal, o, free)
-            where = np.append(where, n + size)
-            G[np.ix_(where, where)] += modes.gram(w[:, [o]] * np.hstack([J, E[:, [o]]]))
-        total += modes.schur(G, n)
+    sides = np.zeros((len(data), n, n + size + 1))
+    for o in range(ny):
+        whole, where = _seen(grams[o], modal, o, free)
+        total[np.ix_(where[n:] - n, where[n:] - n)] += _seen(whole[:, n:].T, modal, o, free)[0][
+            :, n:
+        ]
+        head = _seen(heads[:, o].reshape(-1, grams.shape[1]), modal, o, free)[0]
+        head = head.reshape(len(data), n, -1).transpose(0, 2, 1)
+        own = modes.mixed(head.reshape(-1, n), modal, o, 1)
+        sides[:, :, where] += own.reshape(len(data), -1, n).transpose(0, 2, 1)
+    others = sides[:, :, n:].reshape(-1, size + 1)
+    total -= others.T @ modes.eliminator(sides, n).reshape(-1, size + 1)
     return total[:-1, :-1], total[:-1, -1]
 
 
-def _basis(modal: modes.Modal, spectrum: Lines, delta: ComplexArray) -> ComplexArray:
+def _seen(M: Array, modal: modes.Modal, o: int, free: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Columns of the shared signals as derivatives of output o, its error last, and their places.
+
+    Those of its transient come first, then those of the parameters.
+    """
+    ny, nu = modal.D.shape
+    n = len(modal.lam) + int((~modal.real).sum())
+    J, where = modes.output_derivative(M[:, :-1], modal, o, free)
+    last = 2 * n + n * nu + ny * n + len(free)
+    return np.hstack([J, M[:, -1:]]), np.append(where, last)
+
+
+def _shared_grams(
+    modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array]
+) -> tuple[Array, Array]:
+    """Gram matrices of the shared signals and the error, weighted as each output is.
+
+    Their sums over all spectra (ny, m, m), and the rows of each spectrum's transient
+    (spectra, ny, n, m).
+    """
+    grams, heads = np.zeros(0), []
+    for spectrum, w in zip(data, weights, strict=True):
+        f = _factors(modal, spectrum)
+        E = _forced(modal, spectrum, f)
+        basis = _basis(modal, spectrum, _transient(modal, f, E, w)[0], f)
+        K, m = len(basis), basis.shape[1] + 1
+        rows, scale = np.empty((2 * K, m)), np.vstack([w, w])
+        rows[:K, :-1], rows[K:, :-1] = basis.real, basis.imag
+        found = np.empty((E.shape[1], m, m))
+        for o, e in enumerate(E.T):
+            rows[:K, -1], rows[K:, -1] = e.real, e.imag
+            found[o] = modes.gram(scale[:, [o]] * rows)
+        n = len(modal.lam) + int((~modal.real).sum())
+        heads.append(found[:, :n].copy())
+        grams = grams + found if heads[1:] else found
+    return grams, np.array(heads)
+
+
+def _basis(modal: modes.Modal, spectrum: Lines, delta: ComplexArray, f: _Factors) -> ComplexArray:
     """Signals that span all derivatives: of the transient, λ, B, then of C, then of D."""
-    f, U, real = _factors(modal, spectrum), spectrum.U, modal.real
+    U, real = spectrum.U, modal.real
     BU, BUc = U @ modal.B.T, U @ modal.B.conj().T
     poles = f.slope * BU + f.drift * delta
     poles_c = f.slope_c * BUc + f.drift_c * delta.conj()
@@ -312,9 +366,9 @@ def response_derivative(
     dG = np.zeros((K, ny, nu, size), dtype=complex)
     for j in range(nu):
         unit = lines(np.tile(np.eye(nu, dtype=complex)[j], (K, 1)))
-        basis = _basis(modal, unit, np.zeros(len(modal.lam), dtype=complex))
-        E, _ = _forced(modal, unit)
-        G[:, :, j] = -E
+        f = _factors(modal, unit)
+        basis = _basis(modal, unit, np.zeros(len(modal.lam), dtype=complex), f)
+        G[:, :, j] = -_forced(modal, unit, f)
         for o in range(ny):
             J, where = modes.output_derivative(basis, modal, o, free)
             dG[:, o, j, where[n:] - n] = J[:, n:]

@@ -4,8 +4,9 @@ from truths.systems import campaign, innovation_record, unstable_plant
 
 from casid import Record, StateSpace, pbsid
 from casid.records import standard_deviations
+from casid.subspace import refinement
 from casid.subspace.fourier import spectra
-from casid.subspace.modal import Modal
+from casid.subspace.modal import Modal, moved, to_modal
 from casid.subspace.refinement import (
     ResponseUncertainty,
     information_criteria,
@@ -91,6 +92,32 @@ def test_residuals_of_the_truth_vanish_whatever_the_end_states():
     su, sy = standard_deviations([record])
     _, power = residual_powers(plant, spectra([record], su, sy, 12.0), su, sy)
     assert power.max() < 1e-16  # rounding, where the outputs' powers are of order one
+
+
+def test_normal_equations_are_those_of_the_profiled_cost():
+    # Gauss-Newton is exact where the start is the truth of noise-free data; elsewhere the gradient
+    # is that of the cost, the transients at their best.
+    records, plant = campaign(records=2), unstable_plant()
+    su, sy = standard_deviations(records)
+    data = spectra(records, su, sy, 12.0)
+    mask = plant.D != 0
+    free, rng = np.argwhere(mask), np.random.default_rng(1)
+    weights = [rng.uniform(0.5, 2.0, (len(s.omega), 3)) for s in data]
+    truth = to_modal(plant, su, sy, mask)
+
+    def cost(modal, step):
+        return refinement._cost(moved(modal, step, free), data, weights)
+
+    H, gradient = refinement.normal_equations(truth, data, weights, free)
+    for _ in range(3):
+        d = rng.standard_normal(len(H))
+        twice = (cost(truth, 1e-4 * d) + cost(truth, -1e-4 * d)) / 1e-8
+        assert d @ H @ d == pytest.approx(twice / 2, rel=1e-5)
+    off = moved(truth, 0.05 * rng.standard_normal(len(H)), free)
+    _, gradient = refinement.normal_equations(off, data, weights, free)
+    h = 1e-6 * np.eye(len(H))
+    expected = [(cost(off, -step) - cost(off, step)) / 4e-6 for step in h]
+    np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-6 * np.abs(gradient).max())
 
 
 def test_refinement_lowers_the_likelihood_of_no_start_and_masks_the_direct_term():
