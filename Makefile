@@ -35,6 +35,7 @@ docs: install
 picture: install
 	$(VENV)/bin/casid identify examples/ah1s/study.toml
 	cp out/ah1s/figures/response_p_q_r_from_ped_lon.png docs/images/responses.png
+	$(VENV)/bin/python docs/chain.py
 
 lint: install
 	$(VENV)/bin/ruff check .
