@@ -57,7 +57,8 @@ class BlackBox(Shown):
         Share of each output's power explained at a typical frequency of the band; None unless
         refined by Fourier transforms.
     doubtful : complex array
-        Growing modes that the likelihood does not need, or one state less does not find.
+        Growing modes that the likelihood does not need, on which the records do not agree or which
+        one state less does not find. (Those so slow that growth and decay look alike: see `pbsid`.)
     missed : Missed or None
         Where a model of two more states leaves clearly less of an output.
     refinement : str

@@ -70,7 +70,9 @@ class Pbsid:
         (`casid.subspace.feedback`), of prediction errors; on samples of prediction errors
         (`casid.subspace.prediction`), or, where the order is chosen, by what predicts best: those,
         B, K and D alone, or simulation errors of constant or of local size, with K = 0. Only a
-        maximum of the likelihood has a covariance.
+        maximum of the likelihood has a covariance. A mode that would grow by two e-folds at most
+        over the longest record, uncertain by more than that, hardly decays: these records do not
+        tell, and the simpler model is stable.
     """
 
     order: int | None = None

@@ -29,6 +29,7 @@ FINE = 25  # intervals in that width
 ROUNDS = 2  # of estimating residual spectra
 STEPS = 6  # Gauss-Newton steps a round
 LEAST_DAMPING = 0.02  # of modes too fast for the data to show them unstable
+NEUTRAL = 0.1  # of the highest growth: what a mode that shall decay decays by at least
 SETTLED = 1e-5  # relative decrease of the cost that ends a round
 
 
@@ -72,17 +73,25 @@ def refine(
     sy: Array,
     feedthrough: BoolArray,
     fastest: float = np.inf,
+    *,
+    decaying: Sequence[complex] | ComplexArray = (),
 ) -> tuple[StateSpace, ResponseUncertainty]:
     """Refine a continuous black box on scaled Fourier transforms; real modal form, and covariance.
 
     Channels are scaled by ``su`` (nu,) and ``sy`` (ny,), the direct term is free where
     ``feedthrough`` (ny, nu) is, zero elsewhere. No mode with abs(λ) above ``fastest`` [rad/s] may
     be unstable: data and Laguerre pole cannot show it, and a spurious one spoils every use of the
-    model.
+    model. Neither may those of ``decaying``, poles of a system that is refined already.
     """
     free = np.argwhere(feedthrough)
     modal = modes.to_modal(system, su, sy, feedthrough)
     ceiling = _ceiling(modal, data, fastest)
+    if len(decaying):  # of a refined system, in which what grows faster than the limit started so
+        limit = highest_growth(data)
+        ceiling = np.where(
+            modal.lam.real <= (1 + 1e-6) * limit, np.minimum(ceiling, limit), ceiling
+        )
+        ceiling[np.isclose(modal.lam[:, None], decaying).any(axis=1)] = -NEUTRAL * limit
     modal = replace(modal, lam=_capped(modal.lam, ceiling, fastest))
     weights: list[Array] = []
     for _ in range(ROUNDS):

@@ -22,8 +22,8 @@ from casid.subspace.settings import HIGHEST, Refinement
 from casid.subspace.simulation import refine_simulation
 from casid.subspace.trust import (
     Missed,
-    doubtful_growth,
     explained_share,
+    growth,
     missed_dynamics,
     unsteady_growth,
 )
@@ -84,6 +84,8 @@ def refine_projected(
     data = campaign.spectra(pole, HIGHEST * pole)
     uncertainty: ResponseUncertainty | SampledUncertainty
     refined, uncertainty = refine(system, data, su, sy, mask, pole)
+    if len(undecided := growth(refined, data, su, sy, mask).undecided):
+        refined, uncertainty = refine(refined, data, su, sy, mask, pole, decaying=undecided)
     K = carried_gain(system, K, refined, R)
     richer = _at_order(campaign, refined.nx + 2, windows, data) if windows else None
     band = campaign.band(pole)
@@ -104,10 +106,10 @@ def refine_projected(
 def _doubtful(
     campaign: Campaign, refined: StateSpace, windows: Windows | None, data: Sequence[Spectrum]
 ) -> ComplexArray:
-    """Growing modes that the likelihood does not need, or one state less does not find."""
-    doubtful = doubtful_growth(refined, data, campaign.su, campaign.sy, campaign.mask)
-    growing = int(((refined.poles().real > 0) & (refined.poles().imag >= 0)).sum())
-    if windows is None or growing == len(doubtful):
+    """Growing modes that the data do not bear out, or one state less does not find."""
+    found = growth(refined, data, campaign.su, campaign.sy, campaign.mask)
+    doubtful = found.doubtful
+    if windows is None or len(found.modes) == len(doubtful):
         return doubtful
     if (fewer := _at_order(campaign, refined.nx - 1, windows, data)) is None:
         return doubtful

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.stats
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
@@ -13,12 +14,15 @@ from casid.subspace.modal import covariance_factor, to_modal
 from casid.values import storable
 
 CERTAIN = 2.8  # standard errors that a growth rate must be away from zero: 99.5 % of a normal one
+AGREED = 0.9  # of a t-distribution: that records, few as they are, must agree on a growth rate
 HARDLY = 0.2  # e-folds over the longest record: less growth is an integrator's, not an aircraft's
-STEADY = 0.3  # of its modulus: how far a mode may move when the order changes by one
+STEADY = 0.4  # of its modulus: how far a mode may move when the order changes by one
 WINDOW = 0.12  # in natural logarithms of ω, of what a higher order leaves less
 POINTS = 60  # of the band, where that is looked at
 CLEARLY = 1.7  # that ratio at least: nonlinear aircraft leave somewhat less at any higher order
-MISSED = 13.0  # lines times the logarithm of that ratio: half a deviance of 26, rarely due to noise
+RARELY = (
+    1e-4  # level of the F-test of that ratio: 1 % for some hundred windows and outputs together
+)
 COHERENCE = 0.6  # of inputs and an output, below which a response is not usable; T&R section 7.5
 
 
@@ -37,32 +41,59 @@ def explained_share(
     return np.asarray(1 - np.exp(np.mean(np.log(ratio), axis=0)))
 
 
-def doubtful_growth(
-    system: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array, feedthrough: BoolArray
-) -> ComplexArray:
-    """Growing modes (Im >= 0) of a refined model that the likelihood of its data does not need.
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """Growing modes (Im >= 0) of a refined model, and what the likelihood of its data says of each.
 
-    Those whose growth rate is not `CERTAIN` by its standard error, the larger one of that under the
-    residual spectra and of that from how far record by record pulls the estimate apart, which what
-    is nonlinear does; and those at the limit to which a mode that was found decaying may grow.
+    ``needed``: whether its growth rate is `CERTAIN` by its standard error under the residual
+    spectra; ``agreed``: by that from how far record by record pulls the estimate apart, too, which
+    what is nonlinear does; ``limited``: whether it is at the limit to which a mode that was found
+    decaying may grow; ``slow``: whether it grows no faster than that.
     """
+
+    modes: ComplexArray
+    needed: BoolArray
+    agreed: BoolArray
+    limited: BoolArray
+    slow: BoolArray
+
+    @property
+    def undecided(self) -> ComplexArray:
+        """Slow modes that might as well decay: the likelihood does not tell."""
+        return np.asarray(self.modes[self.slow & ~self.needed])
+
+    @property
+    def doubtful(self) -> ComplexArray:
+        """Modes whose growth the data do not bear out."""
+        return np.asarray(self.modes[~(self.needed & self.agreed) | self.limited])
+
+
+def growth(
+    system: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array, feedthrough: BoolArray
+) -> Growth:
+    """Growing modes of a refined model; less growth than an integrator's is none."""
     modal = to_modal(system, su, sy, feedthrough)
-    limit = refinement.highest_growth(data)
-    grows = modal.lam.real > HARDLY / 2 * limit
+    limit, rates = refinement.highest_growth(data), modal.lam.real
+    grows = rates > HARDLY / 2 * limit
     if not grows.any():
-        return np.zeros(0, dtype=complex)
+        none = np.zeros(0, dtype=bool)
+        return Growth(modal.lam[grows], none, none, none, none)
     free = np.argwhere(feedthrough)
     pairs = zip(data, refinement.noise_weights(modal, data), strict=True)
     parts = [refinement.normal_equations(modal, [lines], [weight], free) for lines, weight in pairs]
-    factor = covariance_factor(np.sum([H for H, _ in parts], axis=0))[: len(modal.lam)]
-    count = len(parts)
-    plain = np.linalg.norm(factor, axis=1) / np.sqrt(2)
     whole = covariance_factor(np.sum([H for H, _ in parts], axis=0))
+    factor, count = whole[: len(modal.lam)], len(parts)
+    plain = np.linalg.norm(factor, axis=1) / np.sqrt(2)
     pulls = factor @ (whole.T @ np.array([gradient for _, gradient in parts]).T)
     robust = np.linalg.norm(pulls, axis=1) * np.sqrt(count / max(count - 1, 1))
-    rates = modal.lam.real
-    unsure = rates < CERTAIN * np.maximum(plain, robust)
-    return np.asarray(modal.lam[grows & (unsure | (np.abs(rates - limit) < 1e-3 * limit))])
+    least = scipy.stats.t.ppf(AGREED, count - 1) if count > 1 else 0.0
+    return Growth(
+        modal.lam[grows],
+        needed=(rates >= CERTAIN * plain)[grows],
+        agreed=(rates >= least * robust)[grows],
+        limited=np.isclose(rates, limit, rtol=1e-6)[grows],
+        slow=(rates <= (1 + 1e-6) * limit)[grows],
+    )
 
 
 def unsteady_growth(
@@ -95,8 +126,9 @@ def missed_dynamics(
     band: tuple[float, float],
 ) -> Missed | None:  # fmt: skip
     """Where in the band a refined model of a higher order leaves clearly less; None for nowhere."""
-    # In windows narrow enough for one lightly damped mode; what counts is how much less, and of how
-    # many lines, which is half the local deviance.
+    # In windows narrow enough for one lightly damped mode. Two more states have there a pole, a
+    # residue for every input and a transient for every piece of a record, one complex number each;
+    # noise of as many lines as the window holds would leave that much less by F's distribution.
     omega, left = refinement.residual_powers(system, data, su, sy)
     less = refinement.residual_powers(richer, data, su, sy)[1]
     at = np.geomspace(*band, POINTS)
@@ -104,9 +136,13 @@ def missed_dynamics(
     lines = kernel.sum(axis=1) ** 2 / np.maximum((kernel**2).sum(axis=1), 1e-300)
     floor = 1e-300
     ratio = (kernel @ left + floor) / (kernel @ less + floor)
-    gain = np.where(ratio > CLEARLY, lines[:, None] * np.log(ratio), 0.0)
+    more = 1 + system.nu + len(data)
+    spare = np.maximum(lines - more, 0.5)
+    least = 1 + scipy.stats.f.isf(RARELY, 2 * more, 2 * spare) * more / spare
+    clear = (ratio > CLEARLY) & (ratio > least[:, None])
+    gain = np.where(clear, lines[:, None] * np.log(ratio), 0.0)
     k, i = np.unravel_index(np.argmax(gain), gain.shape)
-    if gain[k, i] < MISSED:
+    if not clear[k, i]:
         return None
     return Missed(
         output=system.outputs[i], omega=float(at[k]), ratio=float(ratio[k, i]), order=richer.nx
@@ -133,10 +169,10 @@ def growth_doubts(modes: ComplexArray) -> tuple[str, ...]:
         f"{m.real:+.3g}" + (f" ± {m.imag:.3g}j" if m.imag else "") + " rad/s" for m in modes
     )
     return (
-        f"The black box grows at {names}, which the likelihood does not need or a model of one "
-        "state less does not find: what the records show there may as well decay. Do not take the "
-        "aircraft for unstable because of that; another order, or longer records, shows what is "
-        "true.",
+        f"The black box grows at {names}, which the likelihood does not need, on which the records "
+        "do not agree or which a model of one state less does not find: what they show there may "
+        "as well decay. Do not take the aircraft for unstable because of that; another order, or "
+        "longer records, shows what is true.",
     )
 
 

@@ -8,7 +8,14 @@ from truths.uh60 import sweeps
 
 from casid import Record, StateSpace, pbsid
 from casid.subspace.campaign import Campaign
-from casid.subspace.trust import data_doubts, doubtful_growth, growth_doubts, unsteady_growth
+from casid.subspace.refinement import refine
+from casid.subspace.trust import (
+    data_doubts,
+    growth,
+    growth_doubts,
+    missed_dynamics,
+    unsteady_growth,
+)
 
 FLIGHT = Path(__file__).parents[1] / "data" / "trex550.npz"
 
@@ -74,23 +81,44 @@ def doubted(plant, model, noise=0.05):
     records = [closed_loop_record(plant, rng, **options) for _ in range(4)]
     campaign = Campaign.of(records, False)
     data = campaign.spectra(10.0, 20.0)
-    return doubtful_growth(model, data, campaign.su, campaign.sy, campaign.mask)
+    return growth(model, data, campaign.su, campaign.sy, campaign.mask)
 
 
 def test_growth_that_is_there_is_not_doubted():
-    assert len(doubted(slow_plant(0.4), slow_plant(0.4))) == 0
+    assert len(doubted(slow_plant(0.4), slow_plant(0.4)).doubtful) == 0
 
 
-def test_growth_within_its_standard_error_is_doubted_but_that_of_an_integrator_is_none():
+def test_slow_growth_within_its_standard_error_is_undecided_but_that_of_an_integrator_is_none():
     # 20 s of a mode at 0 see rates of some 0.01/s; 0.002/s is e^0.04 over all of them.
-    assert doubted(slow_plant(0.0), slow_plant(0.015), noise=0.3) == pytest.approx([0.015])
-    assert len(doubted(slow_plant(0.0), slow_plant(0.002), noise=0.3)) == 0
-    assert len(doubted(slow_plant(-0.1), slow_plant(-0.1))) == 0
+    assert doubted(slow_plant(0.0), slow_plant(0.015), noise=0.3).undecided == pytest.approx(
+        [0.015]
+    )
+    assert len(doubted(slow_plant(0.0), slow_plant(0.002), noise=0.3).modes) == 0
+    assert len(doubted(slow_plant(-0.1), slow_plant(-0.1)).modes) == 0
+
+
+def test_fast_growth_within_its_standard_error_is_doubted():
+    found = doubted(slow_plant(0.0), slow_plant(0.11), noise=5.0)
+    assert len(found.undecided) == 0
+    assert found.doubtful == pytest.approx([0.11])
+
+
+def test_growth_on_which_records_do_not_agree_is_doubted():
+    rng = np.random.default_rng(4)
+    options = {"duration": 20.0, "noise": 0.02, "gain": np.array([[2.0]])}
+    rates = (0.3, -0.1, -0.1, 0.3)
+    records = [closed_loop_record(slow_plant(rate), rng, **options) for rate in rates]
+    campaign = Campaign.of(records, False)
+    data = campaign.spectra(10.0, 20.0)
+    found = growth(slow_plant(0.12), data, campaign.su, campaign.sy, campaign.mask)
+    assert found.needed.all()
+    assert not found.agreed.any()
+    assert found.doubtful == pytest.approx([0.12])
 
 
 def test_growth_at_the_limit_of_the_refinement_is_doubted_by_name():
     limit = 2 / 20.0
-    (mode,) = doubted(slow_plant(0.4), slow_plant(limit))
+    (mode,) = doubted(slow_plant(0.4), slow_plant(limit)).doubtful
     assert mode.real == pytest.approx(limit)
     (said,) = growth_doubts(np.array([mode, 0.2 + 3j]))
     assert "+0.1 rad/s" in said
@@ -102,7 +130,7 @@ def test_growth_at_the_limit_of_the_refinement_is_doubted_by_name():
     ("fewer", "doubted"),
     [
         (0.3, []),  # the same mode at half the rate at least
-        (0.2, [0.5 + 3j]),
+        (0.2, [0.5 + 3j]),  # less than half
         (-0.1, [0.5 + 3j]),
     ],
 )
@@ -139,3 +167,36 @@ def test_a_sound_unstable_campaign_raises_no_doubt():
     box = pbsid(campaign(noise=0.02), order=5, past=10, pole=6.0, feedthrough=["z"])
     assert box.system.poles().real.max() > 0
     assert box.doubts() == ()
+
+
+@pytest.mark.parametrize(("lines", "missed"), [(8, False), (80, True)])
+def test_less_is_left_of_few_lines_by_chance(lines, missed, monkeypatch):
+    # Of 8 lines around 3 rad/s, a pole, a residue and 4 transients more leave a third by chance.
+    omega = np.concatenate([np.linspace(0.5, 1.0, 100), np.linspace(2.9, 3.1, lines)])
+    left = {1: np.ones((len(omega), 1)), 3: np.where(omega > 2.0, 1 / 3, 1.0)[:, None]}
+    powers = lambda system, *_: (omega, left[system.nx])  # noqa: E731
+    monkeypatch.setattr("casid.subspace.refinement.residual_powers", powers)
+    one, three = (
+        StateSpace(-np.eye(n), np.ones((n, 1)), np.ones((1, n)), [[0.0]], None, ("u",), ("y",))
+        for n in (1, 3)
+    )
+    found = missed_dynamics(one, three, [None] * 4, np.ones(1), np.ones(1), (0.5, 10.0))
+    assert (found is not None) == missed
+    if found:
+        assert (found.output, found.order) == ("y", 3)
+        assert found.ratio == pytest.approx(3.0)
+
+
+def test_slow_growth_that_the_records_do_not_tell_from_decay_is_left_out():
+    rng = np.random.default_rng(3)
+    records = [closed_loop_record(slow_plant(0.02), rng, noise=0.5) for _ in range(4)]
+    campaign = Campaign.of(records, False)
+    data = campaign.spectra(10.0, 20.0)
+    scales = campaign.su, campaign.sy, campaign.mask
+    start = refine(slow_plant(0.02), data, *scales)[0]
+    limit = 2 / 20.0
+    assert 0 < start.poles().real.max() < limit
+    undecided = growth(start, data, *scales).undecided
+    assert len(undecided) == 1
+    left = refine(start, data, *scales, decaying=undecided)[0].poles()
+    assert left.real.max() == pytest.approx(-0.1 * limit)
