@@ -121,7 +121,7 @@ def few(fit: AnyFit, content: Content) -> Iterator[Caution]:
     slow = {
         mode.name if mode.name != "-" else f"at {mode.frequency:.2g} rad/s": length
         for mode in modes(fit.model.system())
-        if (length := min(mode.period, 2 * np.pi * mode.time_constant)) > longest
+        if longest < (length := min(mode.period, 2 * np.pi * mode.time_constant)) < np.inf
     }
     if slow:
         told = [f"{name} ({length:.0f} s)" for name, length in slow.items()]

@@ -2,13 +2,14 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from truths.roll_study import write_study
 
 from casid import Model, Record, Rows, Scalar, parameter, read_study, run_study
-from casid.report.evidence import noise_levels
+from casid.report.evidence import few, noise_levels
 
 MEASURED = (
     ("[records.validation]", "[records.frequency]\nfiles = ['sweep.csv']\nnoise = true\n\n"
@@ -76,3 +77,22 @@ def test_noise_is_what_changes_too_fast_and_not_the_residual():
     np.testing.assert_allclose(noise_levels([record]), [0.01, 0.002], rtol=0.12)
     quiet = replace(record, y=slow, name="two")
     assert noise_levels([quiet])[0] < 1e-4
+
+
+@pytest.mark.parametrize(("damping", "said"), [(-0.1, 1), (0.0, 0), (-3.0, 0)])
+def test_records_are_short_for_a_slow_mode_and_not_for_an_integrator(damping, said):
+    class Roll(Model):
+        states, inputs, outputs = ("p",), ("lat",), ("p",)
+        Lp: Scalar = parameter(default=-1.0, unit="1/s")
+
+        def A(self) -> Rows:
+            return [[self.Lp]]
+
+        def B(self) -> Rows:
+            return [[1]]
+
+    flown = SimpleNamespace(role="identification", samples=1000, seconds=20.0)
+    fit = SimpleNamespace(model=Roll(Lp=damping), free_names=("Lp",))
+    texts = [each.text for each in few(fit, SimpleNamespace(data=[flown]))]
+    assert len(texts) == said
+    assert all("63 s" in text for text in texts)
