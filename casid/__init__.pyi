@@ -132,6 +132,7 @@ from .shooting.output_error import OutputError as OutputError, output_error as o
 from .shooting.precision import OutputErrorNotes as OutputErrorNotes
 from .shooting.simulation import simulate as simulate
 from .stages.chain import Chain as Chain
+from .stages.choice import Choosing as Choosing, StepChoice as StepChoice
 from .stages.listing import STAGES as STAGES
 from .stages.matching import Matching as Matching
 from .stages.stage import Stage as Stage, Task as Task

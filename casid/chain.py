@@ -15,6 +15,7 @@ from casid.model import Bounds, M
 from casid.record import Record
 from casid.records import several
 from casid.shooting.precision import OutputErrorNotes
+from casid.stages.choice import StepChoice
 from casid.stages.listing import STAGES
 from casid.stages.stage import Role, Stage, Task, check_task, run_stages
 from casid.subspace.pbsid import BlackBox
@@ -63,6 +64,11 @@ class Identification(Generic[M_co]):
     def output_error(self) -> Fit[M_co, OutputErrorNotes]:
         """The refined structure."""
         return cast("Fit[M_co, OutputErrorNotes]", self.results["output_error"])
+
+    @property
+    def choice(self) -> StepChoice | None:
+        """How the last step was chosen, with the fit that was; None unless it was asked for."""
+        return self.results.get("choice")
 
     @property
     def validation(self) -> Validation | None:

@@ -5,7 +5,7 @@ then told by the simplest whose errors are not significantly larger than the bes
 one standard error: L. Breiman and others, Classification and Regression Trees, 1984, section 3.4).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from casid.estimator import Estimator
 from casid.fit import AnyFit
 from casid.jobs.campaigns import Execution
 from casid.jobs.store import Done
-from casid.model import Model
+from casid.model import Bounds, Model
 from casid.record import Record
 from casid.records import stretches
 from casid.shooting.output_error import OutputError
@@ -75,6 +75,12 @@ class StructureComparison:
         return self.names[int(np.argmin(self.excess[0]))]
 
     @property
+    def first(self) -> str:
+        """The first, in the order given, of the candidates that are not worse than the best."""
+        mean, error = self.excess
+        return self.names[int(np.flatnonzero(mean <= error)[0])]
+
+    @property
     def simplest(self) -> str:
         """The candidate with the fewest parameters among those that are not worse than the best."""
         mean, error = self.excess
@@ -95,14 +101,14 @@ class StructureComparison:
 
 
 @dataclass(frozen=True, eq=False)
-class WithoutOne:
-    """All records but one."""
+class Without:
+    """All records but some."""
 
-    number: int
+    numbers: tuple[int, ...]
 
     def __call__(self, records: tuple[Record, ...]) -> tuple[Record, ...]:
         """The others."""
-        return (*records[: self.number], *records[self.number + 1 :])
+        return tuple(each for k, each in enumerate(records) if k not in self.numbers)
 
 
 def compare_structures(
@@ -110,6 +116,9 @@ def compare_structures(
     records: Sequence[Record],
     *,
     estimator: Estimator | Mapping[str, Estimator] = OutputError(),
+    groups: Sequence[Collection[str]] | None = None,
+    fixed: Sequence[str] = (),
+    bounds: Bounds | None = None,
     execution: Execution = Execution(),
 ) -> StructureComparison:
     """Estimate candidates from all manoeuvres but one, in turn, and predict that one.
@@ -123,7 +132,10 @@ def compare_structures(
         The manoeuvres, three or more.
     estimator : Estimator, or mapping of them by candidate
         How to estimate, from records.
-    execution : Execution
+    groups : sequence of collections of str
+        Names of the manoeuvres that are left out and predicted together; every one by itself unless
+        given, and those in no group never.
+    fixed, bounds, execution
         As in `compare_bounds`.
 
     Raises
@@ -134,6 +146,8 @@ def compare_structures(
     """
     flown = stretches(records)
     outputs = _checked(candidates, flown)
+    parts = _parts(groups, flown)
+    left = [i for part in parts for i in part]
     ways = estimator if isinstance(estimator, Mapping) else dict.fromkeys(candidates, estimator)
     for name in candidates:
         if name not in ways:
@@ -142,26 +156,47 @@ def compare_structures(
     fits: list[AnyFit | None] = []
     reasons: dict[str, str] = {}
     for k, (name, model) in enumerate(candidates.items()):
-        many = Fits(model, flown, ways[name], (), None, execution)
+        many = Fits(model, flown, ways[name], fixed, bounds, execution)
         (case,) = many.cases({name: {}})
         every = many.run([many.job(case, name=f"{name}, all")])[f"{name}, all"]
         fits.append(every.result)
-        start = None if every.result is None else every.result.model
+        if every.reason:
+            reasons[f"{name}, all"] = every.reason
+            continue
         jobs = [
-            many.job(case, start, draw=WithoutOne(i), name=f"{name}, without {i + 1}")
-            for i in range(len(flown))
+            many.job(case, every.result, draw=Without(part), name=_without(name, part))
+            for part in parts
         ]
         done = many.run(jobs)
-        for i, each in enumerate(done.values()):
-            errors[k, i] = _error(each, flown[i], outputs)
-        failed = {job: each.reason for job, each in done.items() if each.reason}
-        reasons |= failed | ({f"{name}, all": every.reason} if every.reason else {})
+        for part, each in zip(parts, done.values(), strict=True):
+            errors[k, list(part)] = [_error(each, flown[i], outputs) for i in part]
+        reasons |= {job: each.reason for job, each in done.items() if each.reason}
     return StructureComparison(
-        names=tuple(candidates), manoeuvres=tuple(each.name for each in flown), outputs=outputs,
-        errors=errors, parameters=tuple(0 if f is None else len(f.free_names) for f in fits),
+        names=tuple(candidates), manoeuvres=tuple(flown[i].name for i in left), outputs=outputs,
+        parameters=tuple(0 if f is None else len(f.free_names) for f in fits),
+        errors=errors[:, left],
         aicc=np.array([np.nan if f is None else aicc(f, flown) for f in fits]),
         fits=tuple(fits), reasons=reasons,
     )  # fmt: skip
+
+
+def _without(name: str, part: Sequence[int]) -> str:
+    return f"{name}, without {', '.join(str(i + 1) for i in part)}"
+
+
+def _parts(
+    groups: Sequence[Collection[str]] | None, records: Sequence[Record]
+) -> list[tuple[int, ...]]:
+    """Places of the records of every group; ValueError for names of none and groups of all."""
+    if groups is None:
+        return [(i,) for i in range(len(records))]
+    names = [each.name for each in records]
+    if wrong := [each for group in groups for each in group if each not in names]:
+        raise ValueError(f"no manoeuvre is called {wrong[0]!r}; there are {', '.join(names)}")
+    parts = [tuple(i for i, name in enumerate(names) if name in group) for group in groups]
+    if len(parts) < 2 or any(len(part) in {0, len(records)} for part in parts):
+        raise ValueError("groups: expected two or more, none of them empty or of all manoeuvres")
+    return parts
 
 
 def _checked(candidates: Mapping[str, Model], records: Sequence[Record]) -> tuple[str, ...]:

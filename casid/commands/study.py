@@ -215,6 +215,9 @@ def _judge(console: Console, outcome: Outcome) -> None:
     enough = outcome.identification.results.get("sufficiency")
     if enough is not None:
         console.print(Text(enough.headline(), style="green" if enough.enough else "yellow"))
+    choice = outcome.identification.results.get("choice")
+    if choice is not None:
+        console.print(Text(choice.headline()))
     if outcome.verdicts:
         headings = ("verdict", "fit %", "Theil", "RMS error", "noise", "unit")
         table = new_table("On unseen records", "output", *headings)

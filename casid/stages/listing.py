@@ -6,6 +6,7 @@ from typing import Any
 from casid.report.content import Content, Section
 from casid.stages.baseline import BASELINE
 from casid.stages.chain import CHAIN
+from casid.stages.choice import CHOICE, CHOSEN
 from casid.stages.comparison import COMPARISON
 from casid.stages.consistency import KINEMATICS
 from casid.stages.judgement import VALIDATION
@@ -18,6 +19,8 @@ STAGES: tuple[Stage, ...] = (
     *CHAIN,
     SUFFICIENCY,
     BASELINE,
+    CHOICE,
+    CHOSEN,
     VALIDATION,
     QUALIFICATION,
     COMPARISON,

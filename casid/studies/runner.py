@@ -110,9 +110,10 @@ def _run(
     does = {stage.name: stage.does for stage in study.stages}
     lasting = {stage.name for stage in study.stages if stage.kept}
     keeper.warnings += [f"The {does[name]} is missing. {e}" for name, e in found.failures.items()]
-    if "output_error" in found.results:
-        found.results["output_error"].save(study.output / "fit.json")
-        write_parameters(study.output / "parameters.csv", found.results["output_error"])
+    last = found.results.get("chosen", found.results.get("output_error"))
+    if last is not None:
+        last.save(study.output / "fit.json")
+        write_parameters(study.output / "parameters.csv", last)
 
     def write() -> tuple[Path, Content, tuple[str, ...]]:
         # Seconds of what is computed every time would make two pages of one result differ.

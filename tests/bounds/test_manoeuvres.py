@@ -7,7 +7,7 @@ from truths.mixture import Inline
 from truths.structures import HoverRoll
 
 from casid import Execution, OutputError, Scalar, compare_structures, parameter
-from casid.bounds.manoeuvres import StructureComparison, WithoutOne
+from casid.bounds.manoeuvres import StructureComparison, Without
 
 RECORDS = campaign(1)
 HERE = Execution(executor=Inline())
@@ -44,7 +44,7 @@ def test_a_candidate_that_failed_is_not_chosen():
 
 
 def test_what_is_left_out_is_not_there():
-    assert WithoutOne(1)(tuple("abc")) == ("a", "c")
+    assert Without((1,))(tuple("abc")) == ("a", "c")
 
 
 def test_a_structure_that_lacks_a_derivative_is_not_enough():

@@ -1,0 +1,208 @@
+"""The stages that choose the chain's last step by predicting manoeuvres left out.
+
+None is best everywhere: what remains is the structure's error, and each step weighs it otherwise.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal, cast
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.bounds.manoeuvres import StructureComparison, compare_structures
+from casid.bounds.steps import LastStep
+from casid.errors import ConvergenceError
+from casid.fit import AnyFit, Fit
+from casid.frequency.estimation import SpectralAnalysis
+from casid.matching.match import Match
+from casid.record import Record
+from casid.report.content import Caution, Content, Section, section
+from casid.shooting.output_error import OutputError
+from casid.stages.stage import Stage, Task
+from casid.subspace.pbsid import Pbsid
+from casid.values import seal, storable
+
+LABEL = "chosen step"
+MOST = 4  # groups of manoeuvres: each is one fit more of every candidate
+
+Candidate = Literal["joint", "frequency", "time", "short", "quadratic"]
+WORDS: Mapping[Candidate, str] = {
+    "joint": "joint: short manoeuvres in time, the others as responses",
+    "frequency": "output error in the frequency domain, all manoeuvres",
+    "time": "output error in the time domain, all manoeuvres",
+    "short": "output error in the time domain, short manoeuvres",
+    "quadratic": "quadratic match",
+}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Choosing:
+    """How the last step is chosen.
+
+    Parameters
+    ----------
+    candidates : tuple of str
+        What is tried, the most wanted first: among those whose errors are not significantly above
+        the best one's (one standard error) the first is taken.
+    """
+
+    candidates: tuple[Candidate, ...] = tuple(WORDS)
+
+    def __post_init__(self) -> None:
+        if not self.candidates or not set(self.candidates) <= set(WORDS):
+            raise ValueError(
+                f"candidates = {list(self.candidates)}, expected of {', '.join(WORDS)}"
+            )
+
+
+@storable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StepChoice:
+    """Which last step predicts manoeuvres left out best.
+
+    Parameters
+    ----------
+    names, manoeuvres : tuple of str
+        Candidates, and what each predicted without having seen it.
+    excess, error : (candidates,) array
+        By how much the logarithm of the prediction error exceeds the best one's, mean over outputs
+        and manoeuvres, and its standard error; infinite for a candidate that failed.
+    chosen : str
+        Name of the first that is not worse than the best.
+    fit : Fit
+        Its estimate from all manoeuvres.
+    reasons : mapping
+        Why fits failed, by candidate and manoeuvre.
+    """
+
+    names: tuple[str, ...]
+    manoeuvres: tuple[str, ...]
+    excess: Array
+    error: Array
+    chosen: str
+    fit: AnyFit
+    reasons: Mapping[str, str]
+
+    def __post_init__(self) -> None:
+        seal(self)
+
+    def headline(self) -> str:
+        """What was chosen, and by how much."""
+        others = [
+            f"{name} {100 * np.expm1(more):+.0f} ± {100 * error:.0f} %"
+            for name, more, error in zip(self.names, self.excess, self.error, strict=True)
+        ]
+        return (
+            f"Last step: {self.chosen}, by errors of {', '.join(self.manoeuvres)} predicted "
+            f"without them, above the best: {', '.join(others)}"
+        )
+
+
+def last_steps(settings: Choosing, task: Task) -> dict[str, LastStep]:
+    """The candidates that the records allow."""
+    table = task.settings.get
+    records, short = _records(task)
+    own: OutputError = table("output_error", OutputError())
+    lined = OutputError(priors=own.priors, responses=own.responses, domain="frequency")
+    match: Match = table("match", Match())
+    kinds = {each.name for each in task.roles.get("frequency", ())} - set(short)
+    found: dict[str, LastStep] = {}
+    step = _decimation(task)
+    if kinds & {each.name for each in records}:
+        analysis = table("frequency", SpectralAnalysis())
+        found["joint"] = LastStep(estimator=own, histories=short, responses=analysis, decimate=step)
+    found["frequency"] = LastStep(estimator=lined, decimate=step)
+    found["time"] = LastStep(estimator=own, decimate=step)
+    if len(short) < len(records):
+        found["short"] = LastStep(estimator=own, histories=short, decimate=step)
+    quadratic = replace(match, norm="quadratic")
+    found["quadratic"] = LastStep(estimator=quadratic, black_box=table("pbsid", Pbsid()))
+    return {name: found[name] for name in settings.candidates if name in found}
+
+
+def _records(task: Task) -> tuple[tuple[Record, ...], tuple[str, ...]]:
+    """Manoeuvres of the identification, and the names of those that are short: of refinement."""
+    records = tuple(task.roles["identification"])
+    wanted = {each.name for each in task.roles.get("refinement", ())}
+    short = tuple(each.name for each in records if each.name in wanted)
+    return records, short or tuple(each.name for each in records)
+
+
+def _decimation(task: Task) -> int:
+    """Of the identification's records, to the sampling of the refinement."""
+    fine, coarse = (
+        min((each.dt for each in task.roles.get(role, ())), default=np.inf)
+        for role in ("identification", "refinement")
+    )
+    return max(1, round(coarse / fine)) if np.isfinite(coarse) else 1
+
+
+def groups(names: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Names dealt out to at most four groups."""
+    count = min(MOST, len(names))
+    return [names[k::count] for k in range(count)]
+
+
+def _run(settings: Choosing, task: Task) -> StepChoice:
+    (records, short), steps = _records(task), last_steps(settings, task)
+    start = task.results["quadratic"].model
+    found = compare_structures(
+        dict.fromkeys(steps, start),
+        records,
+        estimator=steps,
+        groups=groups(short),
+        fixed=tuple(task.fixed),
+        bounds=task.bounds,
+        execution=task.execution,
+    )
+    return chosen(found)
+
+
+def chosen(found: StructureComparison) -> StepChoice:
+    """The choice that a comparison leads to."""
+    excess, error = found.excess
+    if not np.isfinite(excess).any():
+        raise ConvergenceError(
+            f"no last step could be estimated: {'; '.join(found.reasons.values())}"
+        )
+    fit = cast("AnyFit", found.fits[found.names.index(found.first)])
+    return StepChoice(
+        names=found.names,
+        manoeuvres=found.manoeuvres,
+        excess=excess,
+        error=error,
+        chosen=found.first,
+        fit=fit,
+        reasons=found.reasons,
+    )
+
+
+def _show(found: StepChoice, content: Content) -> Iterable[Section]:  # noqa: ARG001
+    said = [Caution(f"Last step {name} failed: {why}", 45) for name, why in found.reasons.items()]
+    lead = f"Of {len(found.names)} last steps {found.chosen} was chosen."
+    more: Any = {"values": {"words": WORDS}, "lead": lead, "cautions": tuple(said)}
+    yield section("choice", "Choice of the last step", 12, found, **more)
+
+
+def _chosen(_: object, task: Task) -> Fit[Any, Any]:
+    fit: Fit[Any, Any] = task.results["choice"].fit
+    return fit
+
+
+CHOICE = Stage(
+    name="choice",
+    does="choice of the last step",
+    run=_run,
+    table="choice",
+    settings=Choosing(),
+    role=("identification",),
+    needs=("quadratic",),
+    uses=("frequency", "output_error"),
+    structured=True,
+    optional=True,
+    show=_show,
+)
+CHOSEN = Stage(
+    name="chosen", does="chosen step", run=_chosen, needs=("choice",), kept=False, label=LABEL
+)

@@ -1,0 +1,87 @@
+"""The choice of the last step by prediction."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.closed_roll import TRUTH, campaign, off
+
+from casid import ConvergenceError, OutputError, Pbsid, SpectralAnalysis
+from casid.bounds.manoeuvres import StructureComparison
+from casid.stages.choice import CHOICE, CHOSEN, Choosing, StepChoice, chosen, groups, last_steps
+from casid.stages.stage import Task
+from casid.values import decode, encode
+
+RECORDS = tuple(campaign(1, 4))
+SHORT = tuple(each.decimate(2) for each in RECORDS[:3])
+OWN = {
+    "output_error": OutputError(interval=2.0),
+    "frequency": SpectralAnalysis(omega=np.geomspace(2.5, 9.0, 6)),
+    "pbsid": Pbsid(order=3),
+}
+
+
+def task(**roles):
+    return Task(model=off(share=0.1), roles={"identification": RECORDS, **roles}, settings=OWN)
+
+
+def test_candidates_are_those_that_the_records_allow():
+    assert list(last_steps(Choosing(), task())) == ["frequency", "time", "quadratic"]
+    both = last_steps(Choosing(), task(refinement=SHORT, frequency=RECORDS[3:]))
+    assert list(both) == ["joint", "frequency", "time", "short", "quadratic"]
+    names = tuple(each.name for each in SHORT)
+    assert both["joint"].histories == both["short"].histories == names
+    assert both["joint"].decimate == 2
+    assert both["frequency"].estimator.domain == "frequency"
+    assert both["quadratic"].black_box.order == 3
+    few = Choosing(candidates=("time", "joint"))
+    assert list(last_steps(few, task())) == ["time"]
+    with pytest.raises(ValueError, match=r"candidates = \['best'\], expected of joint"):
+        Choosing(candidates=("best",))
+
+
+def test_manoeuvres_are_dealt_out_to_at_most_four_groups():
+    assert groups(("a", "b", "c")) == [("a",), ("b",), ("c",)]
+    assert groups(tuple("abcdef")) == [("a", "e"), ("b", "f"), ("c",), ("d",)]
+
+
+def comparison(errors):
+    errors = np.exp(np.array(errors, dtype=float))[:, :, None] * np.ones((1, 1, 3))
+    n = len(errors)
+    return StructureComparison(
+        names=tuple("abc"[:n]), manoeuvres=("x", "y", "z"), outputs=TRUTH.outputs, errors=errors,
+        parameters=(7,) * n, aicc=np.zeros(n), fits=tuple("ABC"[:n]), reasons={"c, all": "no"},
+    )  # fmt: skip
+
+
+def test_the_first_that_is_not_worse_than_the_best_is_chosen():
+    found = chosen(comparison([[0.1, 0.0, 0.1], [0.0, 0.1, 0.0], [np.nan] * 3]))
+    assert (found.chosen, found.fit) == ("a", "A")
+    clear = chosen(comparison([[0.3, 0.3, 0.2], [0.0, 0.1, 0.0], [np.nan] * 3]))
+    assert (clear.chosen, clear.fit) == ("b", "B")
+    assert clear.headline().startswith("Last step: b, by errors of x, y, z predicted")
+    assert np.isinf(clear.excess[2])
+    with pytest.raises(ConvergenceError, match="no last step could be estimated: no"):
+        chosen(comparison([[np.nan] * 3] * 2))
+
+
+@pytest.mark.slow
+def test_it_is_estimated_chosen_and_kept():
+    work = replace(task(refinement=SHORT[:2]), results={"quadratic": _Fit(TRUTH)})
+    settings = Choosing(candidates=("frequency", "time"))
+    found = CHOICE.run(settings, work)
+    assert found.manoeuvres == ("record 0", "record 1")
+    assert found.names == ("frequency", "time")
+    assert found.excess.min() == 0
+    assert found.fit.model.Lp == pytest.approx(TRUTH.Lp, rel=0.05)
+    again = decode(encode(found), (type(TRUTH),))
+    assert isinstance(again, StepChoice)
+    assert again.fit.model == found.fit.model
+    assert CHOSEN.run(None, replace(work, results={"choice": found})) is found.fit
+    (shown,) = CHOICE.show(found, None)
+    assert found.chosen in shown.lead
+
+
+class _Fit:
+    def __init__(self, model):
+        self.model = model
