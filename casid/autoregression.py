@@ -95,7 +95,8 @@ def filled(record: Record) -> tuple[Record, BoolArray]:
     part = record.select(outputs=[record.outputs[i] for i in np.flatnonzero(there)])
     for _ in range(ROUNDS):
         model = autoregression(part, known[:, there], np.asarray(~gone[:, there].any(axis=1)))
-        known[:, there] = _smoothed(model, part.u, known[:, there], gone[:, there])
+        smooth = _smoothed(model, part.u, known[:, there], gone[:, there])
+        known[:, there] = np.where(np.isfinite(smooth), smooth, known[:, there])
     return replace(record, y=known), lost
 
 

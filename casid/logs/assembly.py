@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import scipy.signal
@@ -49,17 +48,18 @@ def assemble(
     clocks = {id(source.topic): source.topic for source in inputs.values()}
     start = max(float(topic.t[0]) for topic in clocks.values())
     end = min(float(topic.t[-1]) for topic in clocks.values())
-    cuts = sorted(a + d for topic in clocks.values() for a, d in _losses(topic.t))
     records = []
-    for a, b in pairwise([start, *(cut for cut in cuts if start < cut < end), end]):
-        if b - a >= FEWEST * dt:
-            records += _records(inputs, outputs, (a, b), dt, name)
+    for lost, back in sorted([*_losses([topic.t for topic in clocks.values()]), (end, end)]):
+        if lost - start >= FEWEST * dt:
+            records += _records(inputs, outputs, (start, min(lost, end)), dt, name)
+        start = max(start, back)
     return records
 
 
-def _losses(t: Array) -> list[tuple[float, float]]:
-    steps = np.diff(t)
-    return [(float(t[k]), float(steps[k])) for k in np.flatnonzero(steps > APART)]
+def _losses(clocks: Sequence[Array]) -> list[tuple[float, float]]:
+    """From when to when no sample came, [s]."""
+    places = [(t, np.flatnonzero(np.diff(t) > APART)) for t in clocks]
+    return [(float(t[k]), float(t[k + 1])) for t, rows in places for k in rows]
 
 
 def _records(

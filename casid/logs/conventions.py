@@ -8,6 +8,8 @@ import numpy as np
 from casid.arrays import Array
 from casid.logs.topics import Log, Topic
 
+LARGEST = 1e6  # in SI, or whatever an input is in: no channel of an aircraft reaches it
+MEASURED = 0.5  # of a column's samples, without which it is none
 BODY = "body velocity"  # a topic of casid's own
 RATES, ATTITUDES = ("p", "q", "r"), ("phi", "theta", "psi")
 FORCES, VELOCITIES = ("ax", "ay", "az"), ("u", "v", "w")
@@ -72,7 +74,7 @@ NED = (  # velocities north, east, down, and the attitude that goes with them
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Source:
-    """Where a channel comes from: instants [s], values in SI, and the column's name."""
+    """Where a channel comes from, and its values in SI, NaN where no instrument measures them."""
 
     place: str
     topic: Topic
@@ -152,7 +154,9 @@ def _source(log: Log, place: str) -> Source | None:
     found = log.find(place.removeprefix("-"))
     if found is None or len(found[0].t) < 4:
         return None
-    topic, values = found
+    topic, values = found[0], np.where(np.abs(found[1]) < LARGEST, found[1], np.nan)
+    if np.isfinite(values).mean() < MEASURED:
+        return None
     return Source(place=place, topic=topic, values=-values if place[0] == "-" else values)
 
 

@@ -11,7 +11,7 @@ from typing import TypeAlias
 from casid.exchange.objects import optional
 from casid.limits import MIB, check_file
 from casid.logs import dataflash, tdms, ulog
-from casid.logs.topics import Log, Topic
+from casid.logs.topics import Log, Topic, printable
 
 BYTES = 1024 * MIB
 Reader: TypeAlias = Callable[[bytes, ModuleType], tuple[Iterator[Topic], tuple[str, ...]]]
@@ -62,7 +62,7 @@ def _topics(
             found, notes = read()
             return {topic.name: topic for topic in found}, notes
     except Exception as error:
-        said = str(error) or type(error).__name__
+        said = printable(f"{type(error).__name__}: {error}")
         raise ValueError(
             f"{path}: cannot read it as a {kind} log ({said[:200]}); copy it anew"
         ) from error

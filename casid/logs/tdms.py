@@ -77,4 +77,5 @@ def _seconds(channel: Any) -> Array:  # noqa: ANN401
 
 
 def _unit(channel: Any) -> str:  # noqa: ANN401
-    return next((str(channel.properties[key]) for key in UNIT if key in channel.properties), "")
+    said = [channel.properties[key] for key in UNIT if key in channel.properties]
+    return str(said[0]).strip() if said else ""

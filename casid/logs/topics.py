@@ -104,8 +104,14 @@ def make_topic(
     values = {}
     for column, x, unit in columns:
         if x.dtype.kind in "fiub" and len(x) == len(t):
-            values[column] = np.asarray(x[rows], dtype=float) * SI_OF.get(unit.strip(), 1.0)
+            values[printable(column)] = np.asarray(x[rows], dtype=float) * SI_OF.get(unit, 1.0)
+    name = printable(name)
     return Topic(name=name, t=t[rows], columns=values, age=age) if values else None
+
+
+def printable(text: str) -> str:
+    """Text of a file without what would do something to a terminal."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def increasing(t: Array) -> NDArray[np.intp]:

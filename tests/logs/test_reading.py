@@ -59,13 +59,13 @@ def test_a_log_cut_off_anywhere_gives_what_came_before(tmp_path, small):
         if isinstance(found, str):
             continue
         read += 1
-        for key, topic in found.items():
+        for key, topic in found.topics.items():
             n = len(topic.t)
             if " (" in key:  # channels that ended at other samples than the rest of their group
                 continue
-            np.testing.assert_array_equal(topic.t, whole[key].t[:n])
+            np.testing.assert_array_equal(topic.t, whole.topics[key].t[:n])
             for column, x in topic.columns.items():
-                np.testing.assert_array_equal(x, whole[key].columns[column][:n])
+                np.testing.assert_array_equal(x, whole.topics[key].columns[column][:n])
     assert read >= 90 or name.endswith("tdms")  # one segment, whose sizes stand at its start
 
 
