@@ -122,6 +122,7 @@ from .qualification import (
     qualify as qualify,
 )
 from .record import Record as Record
+from .repetition import repeated as repeated, without_repeats as without_repeats
 from .report.plots import compare as compare
 from .report.tables import summary as summary
 from .residuals import Residuals as Residuals, residuals as residuals

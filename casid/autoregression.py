@@ -10,6 +10,7 @@ ends of a loss and from the other channels. Those between the samples of a slowe
 off a cubic spline instead, which is no worse there and adds no model.
 """
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -154,7 +155,9 @@ def _smoothed(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> Arr
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     J = scipy.sparse.csc_matrix(entries, shape=shape)
     normal = J.T @ J + 1e-12 * scipy.sparse.eye(len(at))
-    step = scipy.sparse.linalg.spsolve(normal.tocsc(), J.T @ e.ravel())
+    with warnings.catch_warnings():  # what a singular system gives is not taken
+        warnings.simplefilter("ignore", scipy.sparse.linalg.MatrixRankWarning)
+        step = scipy.sparse.linalg.spsolve(normal.tocsc(), J.T @ e.ravel())
     out = y.copy()
     out[at, of] -= step
     return out

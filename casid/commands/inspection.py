@@ -16,6 +16,7 @@ from casid.excitations import Excitation, certified
 from casid.model import Bounds, Model
 from casid.record import Record
 from casid.records import Records, same_channels, several
+from casid.repetition import repeated, source_interval
 from casid.structure.identifiability import Identifiability, identifiability
 
 GAP = 1.5  # median sampling intervals
@@ -40,6 +41,7 @@ class ChannelFacts:
     noise: float  # standard deviation, from third differences
     missing: float  # share of samples
     outliers: tuple[float, ...]  # instants [s] of samples that nothing around or beside bears out
+    source: float  # interval [s] of the slower source whose samples are repeated, 0 if none are
     clipped: int  # longest run of equal samples at an extreme, if saturated
     band: Array  # (3,) [rad/s] below which 5, 50, 95 % of its power lie; NaN at rest
 
@@ -155,6 +157,11 @@ def _facts(record: Record) -> RecordFacts:
     wide = np.flatnonzero(steps > GAP * record.dt)
     quiet = record.t[min(record.quiet_samples(), record.N - 1)] - record.t[0]
     marks = outliers(record).T
+    held = repeated(record)
+    slow = {
+        name: source_interval(record, held, i) if held[:, i].any() else 0.0
+        for i, name in enumerate((*record.inputs, *record.outputs))
+    }
     far = {
         name: tuple(record.t[mark].tolist())
         for name, mark in zip(record.outputs, marks, strict=True)
@@ -168,12 +175,12 @@ def _facts(record: Record) -> RecordFacts:
         quiet=float(quiet),
         gaps=tuple((float(record.t[k]), float(steps[k])) for k in wide),
         channels=tuple(
-            _channel(record, name, far.get(name, ())) for name in (*record.inputs, *record.outputs)
+            _channel(record, name, far.get(name, ()), source) for name, source in slow.items()
         ),
     )
 
 
-def _channel(record: Record, name: str, far: tuple[float, ...]) -> ChannelFacts:
+def _channel(record: Record, name: str, far: tuple[float, ...], source: float) -> ChannelFacts:
     raw = record.channel(name) + record.trim.get(name, 0.0)
     known = ~np.isnan(raw)
     t, values = record.t[known], raw[known]
@@ -181,7 +188,8 @@ def _channel(record: Record, name: str, far: tuple[float, ...]) -> ChannelFacts:
         numbers = ("lowest", "highest", "deviation", "noise")
         empty: dict[str, Any] = dict.fromkeys(numbers, np.nan) | {"band": np.full(3, np.nan)}
         share, unit = float(1 - known.mean()), UNITS.get(name, "")
-        return ChannelFacts(name=name, unit=unit, missing=share, outliers=(), clipped=0, **empty)
+        known_: Any = {"missing": share, "outliers": (), "clipped": 0, "source": 0.0}
+        return ChannelFacts(name=name, unit=unit, **known_, **empty)
     even = np.interp(np.linspace(t[0], t[-1], record.N), t, values)
     return ChannelFacts(
         name=name,
@@ -192,6 +200,7 @@ def _channel(record: Record, name: str, far: tuple[float, ...]) -> ChannelFacts:
         noise=_noise(values),
         missing=float(1 - known.mean()),
         outliers=far,
+        source=source,
         clipped=_clipped(values, stick=name in record.inputs),
         band=_band(even, record.duration),
     )
@@ -272,6 +281,12 @@ def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
                 f"{facts.name}: {channel.name} has {n} outlier{'s' * (n > 1)}, the first at "
                 f"{channel.outliers[0]:.4g} s; mark as missing what no instrument measures "
                 "(Record.mask)"
+            )
+        if channel.source:
+            rates = f"{1 / channel.source:.3g} Hz, logged at {1 / facts.interval:.3g} Hz"
+            said.append(
+                f"{facts.name}: {channel.name} repeats samples: its source has {rates}; take the "
+                'repeated ones for missing ([channels] repeats = "mask", without_repeats)'
             )
         if channel.missing:
             said.append(f"{facts.name}: {channel.name} lacks {channel.missing:.1%} of its samples")

@@ -8,6 +8,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeAlias
 
+import numpy as np
+
 from casid.exchange.objects import optional
 from casid.limits import MIB, check_file
 from casid.logs import dataflash, tdms, ulog
@@ -58,7 +60,8 @@ def _topics(
     path: Path, kind: str, read: Callable[[], tuple[Iterator[Topic], tuple[str, ...]]]
 ) -> tuple[dict[str, Topic], tuple[str, ...]]:
     try:
-        with contextlib.redirect_stdout(io.StringIO()):  # readers print of damage
+        # Readers print of damage, and damaged numbers overflow.
+        with contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):
             found, notes = read()
             return {topic.name: topic for topic in found}, notes
     except Exception as error:

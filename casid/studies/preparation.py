@@ -11,6 +11,7 @@ from casid.autoregression import outliers
 from casid.consistency.kinematics import kinematic_check
 from casid.errors import warn
 from casid.record import Record
+from casid.repetition import without_repeats
 from casid.samples import known_inputs
 from casid.tables import Table
 
@@ -41,6 +42,7 @@ class Mending:
 
     shift: Mapping[str, float] | Literal["kinematics"] = field(default_factory=dict)
     mask: bool = False  # outliers count as missing
+    fresh: bool = False  # repeated samples count as missing
 
     def told(self) -> dict[str, str]:
         """What is done, by key."""
@@ -49,11 +51,14 @@ class Mending:
         else:
             lags = ", ".join(f"{name} {lag:+g} s" for name, lag in self.shift.items())
             said = {"channels.shift": lags} if lags else {}
+        said |= {"channels.repeats": "count as missing"} if self.fresh else {}
         return said | ({"channels.outliers": "count as missing"} if self.mask else {})
 
     def mended(self, records: Mapping[Any, Record]) -> dict[Any, Record]:
-        """Records with outliers marked as missing and channels moved in time."""
+        """Records with repeats and outliers marked as missing and channels moved in time."""
         done = dict(records)
+        if self.fresh:
+            done = {key: without_repeats(record) for key, record in done.items()}
         if self.mask:
             marks = {key: outliers(record) for key, record in done.items()}
             done = {key: record.mask(marks[key]) for key, record in done.items()}
@@ -109,18 +114,21 @@ def with_inputs(record: Record, names: tuple[str, ...]) -> Record:
 
 
 def read_mending(table: Table) -> Mending:
-    """The keys ``shift`` and ``outliers`` of [channels]."""
-    asked = table.take("outliers", str, "keep")
-    if asked not in ("keep", "mask"):
-        raise ValueError(f'{table.place} outliers = {asked!r}, expected "keep" or "mask"')
+    """The keys ``shift``, ``outliers`` and ``repeats`` of [channels]."""
+    marked = {}
+    for key, field_ in (("outliers", "mask"), ("repeats", "fresh")):
+        asked = table.take(key, str, "keep")
+        if asked not in ("keep", "mask"):
+            raise ValueError(f'{table.place} {key} = {asked!r}, expected "keep" or "mask"')
+        marked[field_] = asked == "mask"
     shift = table.content.get("shift", {})
     if isinstance(shift, str):
         if shift != KINEMATICS:
             raise ValueError(
                 f'{table.place} shift = {shift!r}, expected "kinematics" or {{ phi = -0.06 }}'
             )
-        return Mending(shift=KINEMATICS, mask=asked == "mask")
-    return Mending(shift=table.numbers("shift"), mask=asked == "mask")
+        return Mending(shift=KINEMATICS, **marked)
+    return Mending(shift=table.numbers("shift"), **marked)
 
 
 def read_second(table: Table, known: tuple[str, ...]) -> Second | None:

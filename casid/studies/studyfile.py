@@ -142,6 +142,7 @@ def _channels(table: Table, structure: type[Model]) -> Channels:
             "hold",
             "shift",
             "outliers",
+            "repeats",
             "join",
         )
     )

@@ -1,0 +1,69 @@
+"""Samples that only repeat the one before: a slower source read at the rate of a faster logger."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from casid.arrays import Array, BoolArray
+from casid.record import Record
+from casid.samples import known_inputs
+
+SHARE = 0.02  # of the samples while a channel moves, from which on it counts as held
+LONGER = 3.0  # times the usual run of equal samples: rest; or times what chance makes
+SHORT = 5  # samples of such a run that are no rest in any case
+FINE = 0.2  # small steps over usual ones; above, a channel is counted in coarse steps
+
+
+def repeated(record: Record) -> BoolArray:
+    """Samples that repeat the one before in a channel held between those of a slower source.
+
+    Equal samples are no repetition where a channel rests (in runs three times as long as its usual
+    one, and longer than five samples), nor of one that is counted in steps, as a converter does.
+    Below 2 % of the samples while a channel moves, they are taken for chance.
+
+    Returns
+    -------
+    (N, nu + ny) bool array
+        Inputs, then outputs.
+    """
+    return np.column_stack([_repeated(x) for x in np.hstack([record.u, record.y]).T])
+
+
+def source_interval(record: Record, marks: BoolArray, channel: int) -> float:
+    """Interval [s] of the source behind a channel with these ``marks`` of `repeated`."""
+    x = np.hstack([record.u, record.y])[:, channel]
+    resting = np.concatenate([[False], np.diff(x) == 0]) & ~marks[:, channel]
+    fresh = ~(resting | marks[:, channel])
+    return float(record.dt * (~resting).sum() / max(fresh.sum(), 1))
+
+
+def without_repeats(record: Record) -> Record:
+    """The record with repeated outputs missing, and inputs read between their own samples.
+
+    Inputs do there what the record's ``hold`` says.
+    """
+    marks = repeated(record)
+    if not marks.any():
+        return record
+    u = np.where(marks[:, : record.nu], np.nan, record.u)
+    u, known = known_inputs(record.t, u, [record.hold] * record.nu)
+    masked = replace(record, u=np.where(np.isnan(u), record.u, u)).mask(marks[:, record.nu :])
+    return masked.take(known)
+
+
+def _repeated(x: Array) -> BoolArray:
+    none = np.zeros(len(x), dtype=bool)
+    at = np.flatnonzero(np.isfinite(x))
+    steps = np.diff(x[at])
+    moves = np.abs(steps[steps != 0])
+    if len(moves) < 2 or np.quantile(moves, 0.05) > FINE * np.median(moves):
+        return none
+    starts = np.concatenate([[0], np.flatnonzero(steps) + 1])
+    lengths = np.diff(np.concatenate([starts, [len(at)]]))
+    flying = lengths <= max(SHORT, LONGER * np.median(lengths))
+    equal = np.concatenate([[False], steps == 0]) & np.repeat(flying, lengths)
+    by_chance = np.sum(moves < 1.5 * moves.min()) / 2  # of counts: as often as half of single ones
+    if equal.sum() < max(SHARE * lengths[flying].sum(), LONGER * by_chance):
+        return none
+    none[at[equal]] = True
+    return none

@@ -1,0 +1,65 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from casid import Record, repeated, without_repeats
+from casid.repetition import source_interval
+
+T = 0.01 * np.arange(2000)
+rng = np.random.default_rng(4)
+WAVE = np.cumsum(rng.standard_normal(len(T)))
+
+
+def record(u, y, **more):
+    return Record(T, u[:, None], y[:, None], ("lat",), ("p",), "flight", **more)
+
+
+def held(x, every):
+    """What a logger reads of a source that is ``every`` times slower."""
+    return np.repeat(x[::every], every)[: len(x)]
+
+
+@pytest.mark.parametrize("every", [2, 5, 20])
+def test_samples_of_a_slower_source_are_found_with_its_interval(every):
+    flown = record(WAVE, held(WAVE, every))
+    marks = repeated(flown)
+    assert not marks[:, 0].any()
+    np.testing.assert_array_equal(marks[:, 1], np.arange(len(T)) % every > 0)
+    assert source_interval(flown, marks, 1) == pytest.approx(0.01 * every)
+
+
+def test_samples_repeated_now_and_then_are_found():
+    x = WAVE.copy()
+    again = np.sort(rng.choice(np.arange(2, len(T), 2), 200, replace=False))
+    x[again] = x[again - 1]
+    np.testing.assert_array_equal(np.flatnonzero(repeated(record(x, WAVE))[:, 0]), again)
+
+
+def test_rest_steps_and_chance_are_no_repetition():
+    resting = np.where((T > 3) & (T < 12), WAVE, WAVE[300])
+    steps = np.round(WAVE)  # of a converter, where slow motion repeats a count
+    fine = np.round(WAVE, 1)  # digits of a file
+    rare = WAVE.copy()
+    rare[500] = rare[499]
+    for x in (resting, steps, fine, rare, np.sign(np.sin(T)), np.zeros(len(T))):
+        assert not repeated(record(x, x)).any()
+
+
+def test_missing_samples_lie_between_own_ones():
+    x = held(WAVE, 4)
+    x[2::4] = np.nan
+    marks = repeated(record(WAVE, x))[:, 1]
+    np.testing.assert_array_equal(marks, np.isin(np.arange(len(T)) % 4, (1, 3)))
+
+
+def test_repeated_outputs_become_missing_and_inputs_are_read_by_their_hold():
+    flown = record(held(WAVE, 2), held(WAVE, 4))
+    lines = without_repeats(flown)
+    own = np.arange(0, len(T), 2)
+    np.testing.assert_allclose(lines.u[:, 0], np.interp(lines.t, T[own], WAVE[own]), atol=1e-9)
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(lines.y[:, 0])) % 4, 0)
+    steps = without_repeats(replace(flown, hold="zoh"))
+    np.testing.assert_array_equal(steps.u[:, 0], flown.u[: steps.N, 0])
+    whole = record(WAVE, WAVE)
+    assert without_repeats(whole) is whole
