@@ -115,8 +115,13 @@ def sweep(t):
 
 
 def best_linear_approximation():
-    """Response of a long ARX model (50 lags at 25 Hz) of all eight noise-free records."""
-    records = [record.decimate(2) for record in nonlinear_records(STEPS + SWEEPS)]
+    """Response of a long ARX model of all eight noise-free records."""
+    return long_autoregression(nonlinear_records(STEPS + SWEEPS))
+
+
+def long_autoregression(records):
+    """Response on `OMEGA` of an ARX model of 50 lags of every second sample of records."""
+    records = [record.decimate(2) for record in records]
     lags, dt = 50, records[0].dt
     rows, targets = [], []
     for record in records:

@@ -54,6 +54,7 @@ from .distances import (
     distances as distances,
 )
 from .eigenmodes import Mode as Mode, modes as modes
+from .embedding import StructureError as StructureError, structure_error as structure_error
 from .errors import (
     ConvergenceError as ConvergenceError,
     DataWarning as DataWarning,

@@ -2,10 +2,12 @@
 
 First order: the covariance J C Jᵀ of a function of the parameters, J its derivatives by central
 differences of a thousandth of each standard error, C the covariance that `Fit.std_error` is read
-from. It holds the noise and the colour of the residuals, not dynamics that the structure lacks.
+from. It holds the noise and the colour of the residuals; what the structure lacks is added where a
+`StructureError` says how much that is.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +19,14 @@ from casid.arrays import Array, ComplexArray
 from casid.baseline.handling import handling_qualities
 from casid.display import Shown
 from casid.eigenmodes import Mode, modes
+from casid.embedding import StructureError
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
 from casid.model import M, Model
 from casid.threads import one_thread
 
 STEP = 1e-3  # of a standard error
+DRAWS = 100  # of what a structure misses
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -41,6 +45,8 @@ class ResponseBand(Shown):
         Share of the bands that hold the true value, frequency by frequency.
     inputs, outputs : tuple of str
         Channels.
+    missed : (K, ny, nu) array
+        (E|Δ|²)^½/abs(G) of what the structure misses, in both parts together; zero unless given.
     """
 
     omega: Array
@@ -50,10 +56,11 @@ class ResponseBand(Shown):
     level: float
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    missed: Array | float = 0.0
 
     def headline(self) -> str:
         """Frequencies and typical width."""
-        wide = 100 * float(np.median(self.magnitude_std)) * _quantile(self.level)
+        wide = 100 * float(np.median(self._half(self.magnitude_std)))
         return (
             f"{len(self.outputs)} outputs from {len(self.inputs)} inputs, {self.omega[0]:.3g} to "
             f"{self.omega[-1]:.3g} rad/s; magnitude ± {wide:.2g} % in the median at "
@@ -62,13 +69,23 @@ class ResponseBand(Shown):
 
     def magnitude(self) -> Array:
         """Lower and upper edge of abs(G), (2, K, ny, nu)."""
-        half = _quantile(self.level) * self.magnitude_std
-        return np.asarray(np.abs(self.G) * np.exp(np.array([-half, half])))
+        half = self._half(self.magnitude_std)
+        if not np.any(self.missed):
+            return np.asarray(np.abs(self.G) * np.exp(np.array([-half, half])))
+        return np.asarray(np.abs(self.G) * np.array([np.maximum(1 - half, 0.0), 1 + half]))
 
     def phase(self) -> Array:
         """Lower and upper edge of the phase [rad], (2, K, ny, nu), unwrapped over frequency."""
-        half = _quantile(self.level) * self.phase_std
+        half = self._half(self.phase_std)
+        if np.any(self.missed):  # where the origin may be inside, the phase may be any
+            half = np.where(half < 1, np.arcsin(np.minimum(half, 1.0)), np.pi)
         return np.asarray(np.unwrap(np.angle(self.G), axis=0) + np.array([-half, half]))
+
+    def _half(self, std: Array) -> Array:
+        """Half the width of a part's band, relative to the magnitude."""
+        return np.asarray(
+            _quantile(self.level) * np.hypot(std, np.asarray(self.missed) / np.sqrt(2))
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +128,9 @@ class HandlingBand:
 
 
 @one_thread
-def response_band(fit: AnyFit, omega: Array, *, level: float = 0.95) -> ResponseBand:
+def response_band(
+    fit: AnyFit, omega: Array, *, level: float = 0.95, error: StructureError | None = None
+) -> ResponseBand:
     """Frequency response of a fit with the band that its standard errors give it.
 
     Of a nonlinear structure's fit it is that of the linearisation at its reference condition.
@@ -124,6 +143,8 @@ def response_band(fit: AnyFit, omega: Array, *, level: float = 0.95) -> Response
         Frequencies [rad/s].
     level : float
         Share of the bands that hold the true value, between 0 and 1.
+    error : StructureError
+        What the structure misses, from `structure_error`; added to the bands.
 
     Raises
     ------
@@ -142,6 +163,7 @@ def response_band(fit: AnyFit, omega: Array, *, level: float = 0.95) -> Response
         return np.stack([ratio.real, ratio.imag])
 
     std = np.where(center == 0, 0.0, spread(fit, of))  # what is no path at all stays none
+    size = np.where(center == 0, np.inf, np.abs(center))
     return ResponseBand(
         omega=omega,
         G=center,
@@ -150,14 +172,16 @@ def response_band(fit: AnyFit, omega: Array, *, level: float = 0.95) -> Response
         level=level,
         inputs=fit.model.inputs,
         outputs=fit.model.outputs,
+        missed=0.0 if error is None else error.at(omega) / size,
     )
 
 
 @one_thread
-def mode_bands(fit: AnyFit) -> tuple[ModeBand, ...]:
+def mode_bands(fit: AnyFit, *, error: StructureError | None = None) -> tuple[ModeBand, ...]:
     """Modes of a fit with the standard deviations of pole, frequency and damping.
 
     Of a nonlinear structure's fit they are those of the linearisation at its reference condition.
+    With ``error``, from `structure_error`, they hold what the estimates make of what it misses.
 
     Raises
     ------
@@ -175,7 +199,7 @@ def mode_bands(fit: AnyFit) -> tuple[ModeBand, ...]:
         size = np.maximum(np.abs(pole), 1e-300)
         return np.array([pole.real, pole.imag, size, -pole.real / size])
 
-    rows = spread(fit, of).T.tolist()
+    rows = spread(fit, of, error).T.tolist()
     names = ("real_std", "imag_std", "frequency_std", "damping_std")
     return tuple(
         ModeBand(mode=mode, **dict(zip(names, row, strict=True)))
@@ -188,6 +212,8 @@ def handling_band(
     fit: AnyFit,
     pair: tuple[str, str],
     omega: Array,
+    *,
+    error: StructureError | None = None,
     **reading: Any,  # noqa: ANN401 - as `handling_qualities` takes them
 ) -> HandlingBand:
     """Bandwidth and phase delay of a fit's attitude response with their standard deviations.
@@ -202,6 +228,8 @@ def handling_band(
         Attitude, or rate, and stick.
     omega : (K,) array
         Frequencies [rad/s] to read, beyond twice the one where the phase passes -180°.
+    error : StructureError
+        What the structure misses, from `structure_error`: its part comes from 100 draws.
     **reading
         ``kind``, ``sign``, ``attitude_command`` of `handling_qualities`.
 
@@ -211,11 +239,18 @@ def handling_band(
         A fit without covariance, and what `handling_qualities` raises.
     """
 
-    def of(model: Model) -> Array:
-        read = handling_qualities(_exact(model, omega), pair, **reading)
-        return np.array([read.bandwidth, read.phase_delay])
+    def read(G: ComplexArray) -> Array:
+        found = handling_qualities(_exact(fit.model, omega, G), pair, **reading)
+        return np.array([found.bandwidth, found.phase_delay])
 
-    value, std = of(fit.model).tolist(), spread(fit, of).tolist()
+    def of(model: Model) -> Array:
+        return read(model.system().response(omega))
+
+    std = spread(fit, of)
+    if error is not None:
+        drawn = _drawn(read, fit.model.system().response(omega), error.drawn(omega, DRAWS))
+        std = np.hypot(std, np.nanstd(drawn, axis=0))
+    value, std = of(fit.model).tolist(), std.tolist()
     return HandlingBand(
         bandwidth=value[0], bandwidth_std=std[0], phase_delay=value[1], phase_delay_std=std[1]
     )
@@ -252,7 +287,9 @@ def sample_models(fit: "AnyFit", count: int, *, seed: int = 0) -> tuple[Model, .
     return tuple(_with(fit.model, names, each) for each in np.clip(drawn, low, high))
 
 
-def spread(fit: AnyFit, function: Callable[[Model], Array]) -> Array:
+def spread(
+    fit: AnyFit, function: Callable[[Model], Array], error: StructureError | None = None
+) -> Array:
     """Standard deviation of each entry of a function of the model, to first order.
 
     Parameters
@@ -261,6 +298,8 @@ def spread(fit: AnyFit, function: Callable[[Model], Array]) -> Array:
         With a covariance.
     function : callable
         Takes a model with other parameter values, returns an array.
+    error : StructureError
+        Whose covariance of the parameters is added.
 
     Raises
     ------
@@ -268,6 +307,9 @@ def spread(fit: AnyFit, function: Callable[[Model], Array]) -> Array:
         A fit without covariance.
     """
     names, C = _covariance(fit)
+    if error is not None:
+        held = np.array([fit[name].active for name in names], dtype=bool)
+        C = C + np.where(held[:, None] | held, 0.0, error.covariance)
     center = np.array([fit[name].value for name in names])
     slopes = []
     for k, std in enumerate(np.sqrt(np.diag(C))):
@@ -282,6 +324,20 @@ def spread(fit: AnyFit, function: Callable[[Model], Array]) -> Array:
         slopes.append((above - below) / width)
     J = np.stack(slopes, axis=-1)
     return np.asarray(np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", J, C, J), 0.0)))
+
+
+def _drawn(read: Callable[[ComplexArray], Array], G: ComplexArray, errors: ComplexArray) -> Array:
+    """What is read of a response with each of its errors, where anything is."""
+    found = []
+    for error in errors:
+        with suppress(ValueError):  # a phase that never passes -180°
+            found.append(read(G + error))
+    if len(found) < len(errors) / 2:
+        raise ValueError(
+            "what the structure misses may be as large as the response itself: neither bandwidth "
+            "nor phase delay is known; try a richer structure"
+        )
+    return np.array(found)
 
 
 def _covariance(fit: AnyFit) -> tuple[tuple[str, ...], Array]:
@@ -304,9 +360,8 @@ def _with(model: M, names: tuple[str, ...], values: Array) -> M:
     )
 
 
-def _exact(model: Model, omega: Array) -> FrequencyResponse:
-    """A model's response as a measured one without error."""
-    G = model.system().response(omega)
+def _exact(model: Model, omega: Array, G: ComplexArray) -> FrequencyResponse:
+    """A response in a model's channels as a measured one without error."""
     ones = np.ones(G.shape)
     return FrequencyResponse(
         omega=omega,

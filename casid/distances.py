@@ -24,8 +24,8 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.display import Shown
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse, holding
-from casid.model import Free, Model, free_parameters
-from casid.nearest import BoxResponse, Nearest, nearest
+from casid.model import Model
+from casid.nearest import BoxResponse, Nearest, movable, nearest
 from casid.records import several
 from casid.subspace.blackbox import BlackBox
 from casid.subspace.refinement import ResponseUncertainty
@@ -240,7 +240,7 @@ def distances(
         raise ValueError(f"band={low:g}, {high:g} rad/s: expected frequencies above 0 rad/s")
     if not 0 < level < 1:
         raise ValueError(f"level={level:g}: expected a chance between 0 and 1, such as 0.01")
-    free = _free(fit)
+    free = movable(fit)
     octaves = max(1, round(float(np.log2(high / low))))
     target = BoxResponse.of(black_box, free.model, np.geomspace(low, high, octaves * OCTAVE + 1))
     found = nearest(free, target)
@@ -279,15 +279,6 @@ def _sentence(rows: Sequence[Distance], named: set[MissingMode]) -> str:
         return told
     named.add(worst.missing)
     return f"{told}; the black box has {worst.missing} that it cannot make"
-
-
-def _free(fit: AnyFit | Model) -> Free:
-    """What may move: of a fit what it left free, between its bounds."""
-    if isinstance(fit, Model):
-        return free_parameters(fit)
-    fixed = [row.name for row in fit.parameters if row.fixed]
-    bounds = {row.name: (row.lower, row.upper) for row in fit.parameters if not row.fixed}
-    return free_parameters(fit.model, fixed, bounds)
 
 
 def _inside(omega: Array, edges: tuple[float, float]) -> BoolArray:

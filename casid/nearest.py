@@ -15,7 +15,8 @@ import scipy.optimize
 
 from casid.arrays import Array, ComplexArray
 from casid.evaluation import MatrixFunction
-from casid.model import Free, Model
+from casid.fit import AnyFit
+from casid.model import Free, Model, free_parameters
 from casid.subspace.blackbox import BlackBox
 
 ALLOWED = 0.01  # of a pair's response, 0.003 of its row's: a black box of finite order is no better
@@ -70,11 +71,24 @@ class BoxResponse:
         return np.asarray(np.sum(np.abs(self.F) ** 2, axis=-1) + self.allowed**2)
 
     def smoothed(self, E: ComplexArray) -> Array:
-        """Mean of |E|² (K, ...) over frequencies, by a Gaussian of their logarithms."""
-        L = np.log(self.omega)
-        kernel = np.exp(-0.5 * ((L[:, None] - L) / REACH) ** 2)
-        kernel /= kernel.sum(axis=1, keepdims=True)
-        return np.asarray(np.tensordot(kernel, np.abs(E) ** 2, 1))
+        """Mean of |E|² (K, ...) over neighbouring frequencies."""
+        return np.asarray(np.tensordot(kernel(self.omega), np.abs(E) ** 2, 1))
+
+
+def kernel(omega: Array) -> Array:
+    """Weights (K, K) of a mean over neighbours: a Gaussian of the frequencies' logarithms."""
+    L = np.log(omega)
+    near = np.exp(-0.5 * ((L[:, None] - L) / REACH) ** 2)
+    return np.asarray(near / near.sum(axis=1, keepdims=True))
+
+
+def movable(fit: AnyFit | Model) -> Free:
+    """What may move of a structure: of a fit what it left free, between its bounds."""
+    if isinstance(fit, Model):
+        return free_parameters(fit)
+    fixed = [row.name for row in fit.parameters if row.fixed]
+    bounds = {row.name: (row.lower, row.upper) for row in fit.parameters if not row.fixed}
+    return free_parameters(fit.model, fixed, bounds)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -159,6 +173,16 @@ def _left(F: ComplexArray, J: ComplexArray, W: Array) -> ComplexArray:
     errors -= Q @ (Q.T @ errors)
     half = len(errors) // 2
     return np.asarray((errors[:half] + 1j * errors[half:]).reshape(F.shape) / W[..., None])
+
+
+def gain(J: ComplexArray, W: Array) -> ComplexArray:
+    """K (nf, K, ny, nu): errors ε of the response move the parameters by Re Σ K ε*."""
+    columns = _real((W * J).reshape(len(J), -1)).T
+    size = np.linalg.norm(columns, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    inverse = np.linalg.pinv(columns / size, rcond=1e-8) / size[:, None]
+    half = inverse.shape[1] // 2
+    return np.asarray((inverse[:, :half] + 1j * inverse[:, half:]).reshape(J.shape) * W)
 
 
 def _real(rows: ComplexArray) -> Array:

@@ -5,38 +5,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from truths.closed_roll import TRUTH, campaign, off
+from truths.closed_roll import TRUTH, NoSideslip, campaign, off
 
-from casid import FrequencyResponse, Model, Rows, Scalar, distances, match, parameter, pbsid
+from casid import FrequencyResponse, distances, match, pbsid
 from casid.values import decode, encode
 
 BAND = (1.05, 8.4)
-
-
-class NoSideslip(Model):
-    """Roll without lateral velocity: it cannot oscillate."""
-
-    states = ("p", "phi")
-    inputs = ("lat", "ped")
-    outputs = ("ay", "p", "phi")
-
-    Lp: Scalar = parameter(default=-2.2, lower=-20.0, upper=0.0, unit="1/s")
-    Llat: Scalar = parameter(default=10.0, lower=-40.0, upper=40.0, unit="rad/s^2")
-    Lped: Scalar = parameter(default=1.5, lower=-10.0, upper=10.0, unit="rad/s^2")
-    Ylat: Scalar = parameter(default=2.0, lower=-10.0, upper=10.0, unit="m/s^2")
-    Yp: Scalar = parameter(default=0.0, lower=-10.0, upper=10.0, unit="m/(s rad)")
-
-    def A(self) -> Rows:
-        return [[self.Lp, 0], [1, 0]]
-
-    def B(self) -> Rows:
-        return [[self.Llat, self.Lped], [0, 0]]
-
-    def C(self) -> Rows:
-        return [[self.Yp, 0], [1, 0], [0, 1]]
-
-    def D(self) -> Rows:
-        return [[self.Ylat, 0], [0, 0], [0, 0]]
 
 
 @cache

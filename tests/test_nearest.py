@@ -8,7 +8,7 @@ from truths.closed_roll import TRUTH, campaign, off
 
 from casid import pbsid
 from casid.model import free_parameters
-from casid.nearest import BoxResponse, nearest
+from casid.nearest import BoxResponse, gain, nearest
 
 OMEGA = np.geomspace(0.7, 8.0, 20)
 
@@ -52,3 +52,13 @@ def test_a_channel_that_the_black_box_lacks_is_named():
     half = replace(box, system=replace(box.system, outputs=("ax", "p", "phi")))
     with pytest.raises(ValueError, match="output 'ay' is no output of the black box"):
         BoxResponse.of(half, TRUTH, OMEGA)
+
+
+def test_the_gain_is_that_of_weighted_least_squares():
+    rng = np.random.default_rng(3)
+    J, e = (rng.standard_normal((*n, 5, 2, 2)) @ np.array([1, 1j])[:, None] for n in ((4,), ()))
+    J, e = J[..., 0, None] * np.ones(3), e[..., 0, None] * np.arange(1, 4)
+    W = rng.uniform(0.5, 2, e.shape)
+    rows = [np.concatenate([x.real.ravel(), x.imag.ravel()]) for x in (*(W * J), W * e)]
+    expected = np.linalg.lstsq(np.array(rows[:-1]).T, rows[-1], rcond=None)[0]
+    np.testing.assert_allclose(np.sum(gain(J, W).conj() * e, axis=(1, 2, 3)).real, expected)

@@ -1,0 +1,127 @@
+"""What a structure misses, as a random process: the error of its response beside that of noise.
+
+The true response is taken for G (1 + Δ) + Δ_a of a fit's response G, for every pair a complex
+Gaussian process in ln ω: multiplicative where the magnitude is smooth, additive across its zeros,
+because its size follows the geometric mean m of abs(G)² over neighbouring frequencies,
+
+    E|Δ|² = m ⟨(|E|² - E|ε|²)/m⟩,   E the fit's response less the black box's, ε its error,
+
+⟨ ⟩ the same mean. G. C. Goodwin, M. Gevers, B. Ninness, IEEE Transactions on Automatic Control
+37(7), 1992 (stochastic embedding), with levels from a black box of the same records.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import Array, ComplexArray
+from casid.display import Shown
+from casid.evaluation import MatrixFunction
+from casid.fit import AnyFit
+from casid.nearest import BoxResponse, gain, kernel, movable
+from casid.subspace.blackbox import BlackBox
+from casid.threads import one_thread
+from casid.values import seal
+
+POINTS = 48  # frequencies
+REACH = 0.35  # nepers of frequency over which the process forgets
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class StructureError(Shown):
+    """What a fit's structure misses of the response, as a random process.
+
+    Parameters
+    ----------
+    omega : (K,) array
+        Frequencies [rad/s].
+    std : (K, ny, nu) array
+        (E|Δ|²)^½ of the complex response, in its units.
+    covariance : (nf, nf) array
+        What it makes of the free parameters, were they estimated from the response.
+    free_names, inputs, outputs : tuple of str
+        Parameters and channels.
+    """
+
+    omega: Array
+    std: Array
+    covariance: Array
+    free_names: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        seal(self)
+
+    def headline(self) -> str:
+        """Channels and frequencies."""
+        return (
+            f"{len(self.outputs)} outputs from {len(self.inputs)} inputs, {self.omega[0]:.3g} to "
+            f"{self.omega[-1]:.3g} rad/s"
+        )
+
+    def at(self, omega: Array) -> Array:
+        """Its ``std`` at other frequencies (n, ny, nu); outside the band, that of its edge."""
+        flat = self.std.reshape(len(self.omega), -1)
+        columns = [np.interp(np.log(omega), np.log(self.omega), column) for column in flat.T]
+        return np.array(columns).T.reshape(len(omega), *self.std.shape[1:])
+
+    def drawn(self, omega: Array, count: int, *, seed: int = 0) -> ComplexArray:
+        """Realisations Δ (count, n, ny, nu) at frequencies."""
+        rng, shape = np.random.default_rng(seed), (len(omega), *self.std.shape[1:])
+        values, vectors = np.linalg.eigh(correlation(omega))
+        root = vectors * np.sqrt(np.maximum(values, 0.0) / 2)
+        z = rng.standard_normal((count, *shape)) + 1j * rng.standard_normal((count, *shape))
+        return np.asarray(np.einsum("kl,nlij->nkij", root, z) * self.at(omega))
+
+
+def correlation(omega: Array) -> Array:
+    """Correlation of the process between frequencies, (n, n)."""
+    L = np.log(omega)
+    return np.asarray(np.exp(-0.5 * ((L[:, None] - L) / REACH) ** 2))
+
+
+@one_thread
+def structure_error(
+    fit: AnyFit, black_box: BlackBox, *, band: tuple[float, float] | None = None
+) -> StructureError:
+    """What the structure of a fit misses of the response, from a black box of the records.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of a linear structure.
+    black_box : BlackBox
+        With an uncertainty: refined to maximum likelihood.
+    band : (float, float)
+        Frequencies [rad/s]; those of the black box unless given.
+
+    Raises
+    ------
+    ValueError
+        A black box without uncertainty or without a channel of the structure.
+    """
+    low, high = black_box.band if band is None else band
+    free = movable(fit)
+    omega = np.geomspace(low, high, POINTS)
+    target = BoxResponse.of(black_box, free.model, omega)
+    G, dG = MatrixFunction(free)(free.guess).response_slopes(1j * omega)
+    E = target.scale * G - target.G
+    noise = np.sum(np.abs(target.F) ** 2, axis=-1)
+    size = np.log(np.maximum(np.abs(target.scale * G) ** 2, 1e-300))
+    m = np.exp(np.tensordot(kernel(omega), size, 1))
+    square = m * np.tensordot(kernel(omega), (np.abs(E) ** 2 - noise) / m, 1)
+    std = np.sqrt(np.maximum(square, 0.0))
+    W = 1 / np.sqrt(target.variance + target.smoothed(E))
+    K = gain(target.scale * dG, W)
+    root = (
+        std[:, None]
+        * np.linalg.cholesky(correlation(omega) + 1e-6 * np.eye(POINTS))[:, :, None, None]
+        / np.sqrt(2)
+    )
+    moved = np.einsum("pkij,klij->plij", K, root, optimize=True).reshape(len(K), -1)
+    return StructureError(
+        omega=omega, std=std / target.scale,
+        covariance=moved.real @ moved.real.T + moved.imag @ moved.imag.T,
+        free_names=free.names, inputs=free.model.inputs, outputs=free.model.outputs,
+    )  # fmt: skip

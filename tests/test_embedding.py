@@ -1,0 +1,95 @@
+"""What a structure misses, as a process: small where it is true, large enough where it is not."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from truths.closed_roll import TRUTH, NoSideslip, campaign
+
+from casid import (
+    StructureError,
+    handling_band,
+    mode_bands,
+    output_error,
+    pbsid,
+    response_band,
+    structure_error,
+)
+
+OMEGA = np.geomspace(1.1, 8.0, 24)
+
+
+@cache
+def box():
+    records = campaign(1, 4)
+    return pbsid(records, order=6, pole=8.0, past=8, future=8, feedthrough=["ay"])
+
+
+@cache
+def fitted(structure):
+    model = TRUTH if structure == "true" else NoSideslip()
+    return output_error(model, [record.decimate(2) for record in campaign(1, 4)])
+
+
+@cache
+def error(structure):
+    return structure_error(fitted(structure), box())
+
+
+def inside(band, G):
+    """Share of points within the band, magnitude and phase."""
+    low, high = band.magnitude()
+    turned = np.abs(np.angle(G / band.G)) <= np.ptp(band.phase(), axis=0) / 2
+    return np.mean([(low <= np.abs(G)) & (np.abs(G) <= high), turned])
+
+
+def test_the_band_of_a_structure_that_lacks_something_holds_the_truth():
+    G = TRUTH.system().response(OMEGA)
+    plain = response_band(fitted("wrong"), OMEGA)
+    both = response_band(fitted("wrong"), OMEGA, error=error("wrong"))
+    assert inside(plain, G) < 0.9
+    assert inside(both, G) > 0.95
+    assert (both.magnitude()[0] >= 0).all()
+
+
+def test_the_band_of_the_true_structure_is_hardly_wider():
+    plain = response_band(fitted("true"), OMEGA)
+    both = response_band(fitted("true"), OMEGA, error=error("true"))
+    wide = [np.median(np.ptp(band.magnitude(), axis=0)) for band in (plain, both)]
+    assert 1 <= wide[1] / wide[0] < 2
+    assert inside(both, TRUTH.system().response(OMEGA)) > 0.9
+
+
+def test_modes_and_bandwidth_are_less_certain_with_it():
+    fit, missed = fitted("wrong"), error("wrong")
+    (plain, *_), (both, *_) = mode_bands(fit), mode_bands(fit, error=missed)
+    assert both.real_std >= plain.real_std
+
+
+def test_a_phase_delay_is_as_uncertain_as_its_draws():
+    # The response is 20 % off, in gain or phase, for a third of a neper of frequency each time.
+    fit, omega = fitted("true"), np.geomspace(0.5, 40, 200)
+    size = np.abs(fit.model.system().response(error("true").omega))
+    missed = replace(error("true"), std=0.2 * size)
+    plain, both = (handling_band(fit, ("phi", "lat"), omega, error=e) for e in (None, missed))
+    assert both.phase_delay == plain.phase_delay
+    assert 0.05 < both.phase_delay_std / both.phase_delay < 1
+    assert both.phase_delay_std > 5 * plain.phase_delay_std
+
+
+def test_draws_have_the_size_and_the_memory_that_are_stated():
+    omega = np.geomspace(1, 10, 6)
+    made = StructureError(
+        omega=omega, std=np.linspace(1, 2, 6)[:, None, None], covariance=np.eye(1),
+        free_names=("a",), inputs=("u",), outputs=("y",),
+    )  # fmt: skip
+    drawn = made.drawn(omega, 4000, seed=1)[:, :, 0, 0]
+    np.testing.assert_allclose(
+        np.mean(np.abs(drawn) ** 2, axis=0), made.std[:, 0, 0] ** 2, rtol=0.1
+    )
+    unit = drawn / made.std[:, 0, 0]
+    step = np.log(omega[1] / omega[0])
+    expected = np.exp(-0.5 * (step / 0.35) ** 2)
+    assert np.mean(unit[:, 0] * unit[:, 1].conj()).real == pytest.approx(expected, abs=0.05)
+    np.testing.assert_allclose(made.at(np.array([0.1, 100.0]))[:, 0, 0], [1, 2])  # its edges'
