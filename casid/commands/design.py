@@ -1,6 +1,7 @@
 """The command `design`: from a study to the next flight."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,26 @@ def _pairs(_: click.Context, option: click.Parameter, values: Sequence[str]) -> 
     return found
 
 
+def _places(
+    _: click.Context, option: click.Parameter, values: Sequence[str]
+) -> dict[str, tuple[str, float]]:
+    """``name=place:scale`` as a mapping."""
+    found = {}
+    for value in values:
+        name, rest = [*value.split("=", 1), ""][:2]
+        place, scale = [*rest.split(":", 1), ""][:2]
+        try:
+            found[name] = (str(int(place)) if option.name == "ardupilot" else place, float(scale))
+        except ValueError:
+            told = f"{value!r}, expected {option.metavar}"
+            raise click.BadParameter(told, param=option) from None
+    return found
+
+
+def _place(flag: str, form: str, what: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    return click.option(flag, multiple=True, callback=_places, metavar=form, help=what)
+
+
 def _limit(flag: str, what: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     return click.option(flag, multiple=True, callback=_pairs, metavar="NAME=NUMBER", help=what)
 
@@ -42,30 +63,34 @@ def _limit(flag: str, what: str) -> Callable[[Callable[..., None]], Callable[...
 @click.command()
 @STUDY
 @OUTPUT
-@click.option("--duration", default=60.0, show_default=True, help="Of the manoeuvre [s].")
+@click.option("--duration", type=float, help="Of the manoeuvre [s], 60 unless given.")
 @_limit("--stick", "Largest deviation of an input, SI; the largest flown unless given.")
 @_limit("--rate", "Largest rate of an input, SI per second; free unless given.")
 @_limit("--response", "Largest deviation of an output, SI; the largest flown unless given.")
 @_limit("--feedback", "Gain of the loop that is flown: lat:p=0.15 is u_lat = r_lat - 0.15 p.")
 @click.option("--matter", multiple=True, metavar="NAME", help="Parameter that counts; else all.")
-@click.option("--method", default="best", help="best, steps or multisine.", show_default=True)
+@click.option("--method", help="best, steps or multisine.")
+@_place("--ardupilot", "NAME=CHANNEL:US", "RC channel of an input, µs a unit of it: lat=1:500.")
+@_place("--px4", "NAME=AXIS:UNITS", "Axis of MANUAL_CONTROL, its units a unit of it: lat=y:1000.")
 @VERBOSE
 def design(
     study: Path,
     output: Path | None,
-    duration: float,
-    method: str,
+    duration: float | None,
     verbose: bool,
     **asked: Any,  # noqa: ANN401 - options by name
 ) -> None:
     """Design the next flight of a study: what is weak, what to fly, what it will buy.
 
     The fit that casid identify has kept is what is known before; without one the guess is taken,
-    and the study's table [noise] says how noisy the outputs are.
+    and the study's table [noise] says how noisy the outputs are. The study's table [design] holds
+    what these options say, which come before it.
 
     \b
     The output folder then also holds
       design/card.csv    time and designed stick deviations, SI
+      design/card.lua    with --ardupilot, a script that flies them
+      design/inject.py   with --px4, a program that sends them
       design/design.md   what is compared, and every standard error before and after
       design/design.png  sticks and predicted responses with their limits
     """  # noqa: D301
@@ -73,24 +98,38 @@ def design(
     with exits(console), logged(console, verbose):
         what = read_study(study, output)
         limits, dt = _limits(what, asked)
-        settings = DesignSettings(
-            method=method, matter=asked["matter"], fixed=what.fixed, dt=dt  # type: ignore[arg-type]
-        )  # fmt: skip
         model = _kept(what)
         noise = None if isinstance(model, Fit) or what.noise is None else what.noise.std
-        feedback: dict[str, dict[str, float]] = {}
-        for name, gain in asked["feedback"].items():
-            stick, _, channel = name.partition(":")
-            feedback.setdefault(stick, {})[channel] = gain
         made = design_inputs(
-            model, limits, duration, noise=noise, feedback=feedback, settings=settings
-        )
+            model, limits, duration or what.design.duration, noise=noise,
+            feedback=_feedback(what, asked["feedback"]), settings=_settings(what, asked, dt),
+        )  # fmt: skip
         _say(console, made, model if isinstance(model, Fit) else None)
         folder = what.output / "design"
         write_text(folder / "card.csv", made.to_csv())
+        if asked["ardupilot"]:
+            channels = {name: (int(c), x) for name, (c, x) in asked["ardupilot"].items()}
+            write_text(folder / "card.lua", made.to_ardupilot(channels))
+        if asked["px4"]:
+            write_text(folder / "inject.py", made.to_px4(asked["px4"]))
         write_text(folder / "design.md", _page(made))
         np.ravel(made.plot())[0].figure.savefig(folder / "design.png", dpi=DPI)
         console.print(Text("Card: ").append(str((folder / "card.csv").resolve()), style="bold"))
+
+
+def _settings(study: Study, asked: Mapping[str, Any], dt: float) -> DesignSettings:
+    """The study's, but for what was asked for."""
+    said = {name: asked[name] for name in ("matter", "method") if asked[name]}
+    return replace(study.design.settings, fixed=study.fixed, dt=dt, **said)
+
+
+def _feedback(study: Study, asked: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """The study's, with the gains that were asked for."""
+    found = {stick: dict(gains) for stick, gains in study.design.feedback.items()}
+    for name, gain in asked.items():
+        stick, _, channel = name.partition(":")
+        found.setdefault(stick, {})[channel] = gain
+    return found
 
 
 def _kept(study: Study) -> Any:  # noqa: ANN401 - a fit, or a model without one
@@ -106,9 +145,13 @@ def _limits(study: Study, asked: dict[str, dict[str, float]]) -> tuple[Limits, f
     records = read_records(study)["identification"]
     flown = [record.select(study.model.inputs, study.model.outputs) for record in records]
     limits = Limits(
-        sticks=_reached(flown, study.model.inputs) | asked["stick"],
-        rates=asked["rate"],
-        responses=_reached(flown, study.model.outputs) | asked["response"],
+        sticks={**_reached(flown, study.model.inputs), **study.design.sticks, **asked["stick"]},
+        rates={**study.design.rates, **asked["rate"]},
+        responses={
+            **_reached(flown, study.model.outputs),
+            **study.design.responses,
+            **asked["response"],
+        },
     )
     return limits, float(np.median([record.dt for record in flown]))
 

@@ -11,11 +11,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy.optimize
 
 from casid.arrays import Array
 
 Criterion = Literal["A", "D", "E"]
 POWER = {"D": 0, "A": 1, "E": 8}
+LONGEST = 12.0  # logarithm of the longest time that is looked at, in times of one flight
 FAINT = 1e-12  # share of its own information that is added to every parameter, against singularity
 
 
@@ -52,3 +54,16 @@ def covariance(F: Array) -> Array:
     size = np.sqrt(np.maximum(np.diag(F), 1e-200))
     N = F / np.outer(size, size)
     return np.asarray(np.linalg.inv(N + FAINT * np.eye(len(F))) / np.outer(size, size))
+
+
+def as_long(F: Array, known: Array, errors: Array) -> float:
+    """How many times F beside what is known gives these standard errors, in the geometric mean."""
+
+    def excess(log_times: float) -> float:
+        now = np.diag(covariance(known + np.exp(log_times) * F))
+        return float(np.mean(np.log(now)) / 2 - np.mean(np.log(errors)))
+
+    ends = (-LONGEST, LONGEST)
+    if excess(ends[0]) * excess(ends[1]) > 0:  # already known, or never told
+        return float(np.exp(ends[0] if excess(ends[0]) < 0 else ends[1]))
+    return float(np.exp(scipy.optimize.brentq(excess, *ends, xtol=1e-3)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.design import signals
-from casid.design.criterion import Goal, covariance
+from casid.design.criterion import Goal, as_long, covariance
 from casid.design.loop import Crowd, Feedback, Loop, UnheldError, gains
 from casid.design.multisine import best_powers, schroeder, shared_out, unit_information
 from casid.design.optimise import Task, improved
@@ -278,6 +278,8 @@ def _predicted(problem: _Problem, rough: Task, flown: Mapping[str, Array], chose
         exact[name] = r / max(1.0, float(fine.peaks(r).max()))
     spread = {name: covariance(fine.information(r)[0] + problem.known) for name, r in exact.items()}
     r = exact[chosen]
+    usual = fine.information(exact["3-2-1-1"])[0]
+    longer = as_long(usual, problem.known, np.sqrt(np.diag(spread[chosen])))
     seen = fine.loops[0].fly(r)
     model = problem.frees[0].model
     share = fine.peaks(r)
@@ -291,6 +293,7 @@ def _predicted(problem: _Problem, rough: Task, flown: Mapping[str, Array], chose
             Alternative(name=name, std_errors=np.sqrt(np.diag(C))) for name, C in spread.items()
         ),
         used=_named(model, share), used_at_worst=_named(model, at_most),
+        instead=longer * problem.duration,
     )  # fmt: skip
     judged = identifiability(model, made.record(), fixed=problem.settings.fixed, spread=0.0)
     return replace(made, blind=tuple(str(judged).splitlines()[1:]))

@@ -9,6 +9,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.design.criterion import Criterion
+from casid.design.injection import ardupilot_script, px4_script
 from casid.display import Shown, listed
 from casid.record import Record
 from casid.tabulation import csv_text, markdown_table
@@ -102,6 +103,32 @@ class DesignSettings:
     draws: int = 24
 
 
+@checked_fields
+@dataclass(frozen=True, kw_only=True)
+class NextFlight:
+    """What a study's table ``[design]`` asks for.
+
+    Parameters
+    ----------
+    duration : float
+        Of the manoeuvre [s].
+    sticks, rates, responses : mapping
+        Limits as in `Limits`; sticks and outputs that are not named may deviate as far as in the
+        study's records.
+    feedback : mapping
+        What holds the aircraft.
+    settings : DesignSettings
+        How inputs are designed, ``[design.settings]``; ``fixed`` and ``dt`` are the study's.
+    """
+
+    duration: float = 60.0
+    sticks: Mapping[str, float] = field(default_factory=dict)
+    rates: Mapping[str, float] = field(default_factory=dict)
+    responses: Mapping[str, float] = field(default_factory=dict)
+    feedback: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    settings: DesignSettings = field(default_factory=DesignSettings)
+
+
 @storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Alternative:
@@ -148,6 +175,8 @@ class Design(Shown):
     used, used_at_worst : mapping
         Share of each limit that is used, by ``"lat"``, ``"lat rate"``, ``"phi"``: if the model is
         right, and by those of an ensemble or drawn from the prior that use most of it.
+    instead : float
+        Time [s] of 3-2-1-1 after which standard errors would be as small in the geometric mean.
     unheld : int
         Models drawn from the prior that the feedback does not hold, which keep no limits.
     blind : tuple of str
@@ -167,6 +196,7 @@ class Design(Shown):
     alternatives: tuple[Alternative, ...]
     used: Mapping[str, float]
     used_at_worst: Mapping[str, float]
+    instead: float = np.nan
     unheld: int = 0
     blind: tuple[str, ...] = ()
 
@@ -179,7 +209,8 @@ class Design(Shown):
         mean = np.exp(np.log(ratio).mean())
         return (
             f"{self.kind} on {listed(self.inputs)}, {self.t[-1]:.4g} s: standard errors "
-            f"{mean:.2g} times those of 3-2-1-1 (geometric mean), {ratio.max():.2g} at worst"
+            f"{mean:.2g} times those of 3-2-1-1 (geometric mean), {ratio.max():.2g} at worst; "
+            f"{in_minutes(self.t[-1])} of flight instead of {in_minutes(self.instead)}"
         )
 
     @property
@@ -237,3 +268,42 @@ class Design(Shown):
         """The card: time and designed stick deviations, one row a sample."""
         rows = np.column_stack([self.t, self.r]).round(9).tolist()
         return csv_text(["t", *self.inputs], rows)
+
+    def to_ardupilot(self, channels: Mapping[str, tuple[int, float]]) -> str:
+        """Lua script that adds the card to the pilot's sticks while a switch is held.
+
+        Parameters
+        ----------
+        channels : mapping
+            RC channel of each input and µs a unit of the input, ``{"lat": (1, 500.0)}``.
+
+        Raises
+        ------
+        ValueError
+            Inputs without a channel, samples that are no whole milliseconds apart.
+        """
+        return ardupilot_script(self.t, self._columns(), channels, self.headline())
+
+    def to_px4(self, axes: Mapping[str, tuple[str, float]]) -> str:
+        """Python program that sends the card as a joystick does, by MAVLink's MANUAL_CONTROL.
+
+        Parameters
+        ----------
+        axes : mapping
+            Axis x, y, z or r of each input and its units a unit of the input,
+            ``{"lat": ("y", 1000.0)}``.
+
+        Raises
+        ------
+        ValueError
+            Inputs without an axis, other axes.
+        """
+        return px4_script(self._columns(), axes, self.headline())
+
+    def _columns(self) -> dict[str, Array]:
+        return dict(zip(self.inputs, self.r.T, strict=True))
+
+
+def in_minutes(seconds: float) -> str:
+    """A time of flight in words."""
+    return f"{seconds:.2g} s" if seconds < 100 else f"{seconds / 60:.2g} minutes"

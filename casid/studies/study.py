@@ -10,6 +10,7 @@ import numpy as np
 
 from casid.consistency.flights import Repeats, repeats
 from casid.consistency.plausibility import check_plausible
+from casid.design.plan import NextFlight
 from casid.exchange.formats import read_record
 from casid.files import Column, read_csv
 from casid.model import Model
@@ -67,6 +68,7 @@ class Study:
     noise: Noise | None  # what is added to the records
     stages: tuple[Stage, ...]
     settings: Mapping[str, Any]  # by table, of stages that have one
+    design: NextFlight = field(default_factory=NextFlight)
 
     def task(self, roles: Mapping[Role, Any]) -> Task:
         """What the stages work on, with these records by role."""

@@ -1,7 +1,8 @@
 """Studies from TOML files, paths in which are relative to the file.
 
-Tables: ``[study]``, ``[model]``, ``[channels]``, ``[records.ROLE]``, ``[noise]``, ``[bounds]`` with
-cases to compare and one of options for each stage, whose keys are fields of the stage's settings.
+Tables: ``[study]``, ``[model]``, ``[channels]``, ``[records.ROLE]``, ``[noise]``, ``[design]`` of
+the next flight, ``[bounds]`` with cases to compare and one of options for each stage, whose keys
+are fields of the stage's settings.
 """
 
 import glob
@@ -12,6 +13,7 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
+from casid.design.plan import NextFlight
 from casid.errors import ModelError
 from casid.files import Column
 from casid.model import Model, free_parameters
@@ -50,7 +52,7 @@ def read_study(
     path = Path(path)
     top = read_toml(path)
     tables = dict.fromkeys(stage.table for stage in stages if stage.table)
-    top.only(("study", "model", "channels", "records", "noise", *tables))
+    top.only(("study", "model", "channels", "records", "noise", "design", *tables))
     model, model_file, fixed, bounds = _model(top.table("model", needed=True), path.parent)
     heading = top.table("study")
     heading.only(("title", "output"))
@@ -71,6 +73,7 @@ def read_study(
         noise=noise,
         stages=tuple(stages),
         settings=_settings(top, stages),
+        design=read_settings(top.table("design"), NextFlight()),
     )
     _check(study)
     return study

@@ -5,15 +5,51 @@ import pytest
 from truths.roll_study import write_study
 
 from casid.cli import main
+from casid.studies.studyfile import read_study
 
 
 def run(*arguments):
     return click.testing.CliRunner().invoke(main, ["design", *map(str, arguments)])
 
 
+TABLE = """
+[design]
+duration = 12
+sticks = { lat = 0.02 }
+[design.settings]
+method = "steps"
+iterations = 10
+draws = 4
+"""
+
+
+def test_the_studys_table_says_what_is_asked_for_and_options_come_first(tmp_path):
+    study = write_study(tmp_path)
+    study.write_text(study.read_text() + TABLE)
+    scripts = ["--ardupilot", "lat=1:500", "--px4", "lat=y:1000"]
+    result = run(study, "--duration", "10", *scripts, "-o", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "steps on lat, 10 s: standard errors" in result.output
+    card = (tmp_path / "out/design/card.csv").read_text().splitlines()
+    largest = max(abs(float(row.split(",")[1])) for row in card[1:])
+    assert 0.01 < largest <= 0.02 + 1e-9
+    assert (
+        "local CHANNELS = {1} -- RC inputs: lat" in (tmp_path / "out/design/card.lua").read_text()
+    )
+    assert 'AXES = {"y": ("lat", 1000.0)}' in (tmp_path / "out/design/inject.py").read_text()
+
+
+def test_a_key_that_nobody_reads_is_refused_when_the_study_is_read(tmp_path):
+    study = write_study(tmp_path)
+    study.write_text(study.read_text() + "\n[design]\nlength = 12\n")
+    with pytest.raises(ValueError, match=r"\[design\]: unknown key 'length'"):
+        read_study(study)
+
+
 def test_a_study_without_a_fit_is_designed_from_its_guess(tmp_path):
     study = write_study(tmp_path)
-    result = run(study, "--duration", "12", "--method", "steps", "-o", tmp_path / "out")
+    study.write_text(study.read_text() + TABLE.replace("sticks", "# sticks"))
+    result = run(study, "-o", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert "steps on lat, 12 s: standard errors 0." in result.output
     card = (tmp_path / "out/design/card.csv").read_text().splitlines()
@@ -31,6 +67,7 @@ def test_a_study_without_a_fit_is_designed_from_its_guess(tmp_path):
         (["--stick", "lat=0"], "leaves nothing to fly"),
         (["--response", "q=1"], "limits name 'q'"),
         (["--feedback", "lat:q=1"], "feedback names 'q'"),
+        (["--ardupilot", "lat=one:500"], "expected NAME=CHANNEL:US"),
         (["--method", "magic"], "method = 'magic'"),
     ],
 )

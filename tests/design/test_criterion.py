@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid.design.criterion import Goal, covariance
+from casid.design.criterion import Goal, as_long, covariance
 
 rng = np.random.default_rng(0)
 X = rng.standard_normal((20, 4)) * [1.0, 10.0, 0.1, 1.0]
@@ -38,3 +38,11 @@ def test_slopes_are_differences_and_known_information_counts(criterion):
     difference = goal(F + way)[0] - goal(F - way)[0]
     assert 2 * np.sum(goal(F)[1] * way) == pytest.approx(difference, rel=1e-6)
     assert goal(F)[0] == pytest.approx(Goal(criterion, ROWS, S, NONE)(1.3 * F)[0])
+
+
+def test_three_times_the_flight_is_as_good_as_errors_smaller_by_its_root():
+    F, nothing = np.diag([4.0, 9.0]), np.zeros((2, 2))
+    errors = np.array([0.5, 1 / 3]) / np.sqrt(3)
+    assert as_long(F, nothing, errors) == pytest.approx(3.0, rel=2e-3)
+    known = np.diag([8.0, 18.0])  # as much as two flights: a third one makes three in all
+    assert as_long(F, known, errors) == pytest.approx(1.0, rel=2e-3)

@@ -17,6 +17,7 @@ def design():
         kind="steps", inputs=("lat",), outputs=("p",), t=t, r=np.sin(t)[:, None],
         u=np.sin(t)[:, None], y=np.cos(t)[:, None], names=("Lp", "Llat"), covariance=C,
         before=np.array([np.inf, 0.2]), used={"lat": 0.8}, used_at_worst={"lat": 1.0},
+        instead=1260.0,
         alternatives=(
             Alternative(name="3-2-1-1", std_errors=np.array([1.0, 0.4])),
             Alternative(name="steps", std_errors=errors),
@@ -26,6 +27,7 @@ def design():
 
 def test_it_says_what_it_buys(design):
     assert "0.35 times those of 3-2-1-1 (geometric mean), 0.5 at worst" in repr(design)
+    assert "; 2.9 s of flight instead of 21 minutes" in repr(design)
     assert "| steps | 0.354 | 0.500 | Lp |" in design.comparison()
     assert "| Llat | 0.2 | 0.4 | 0.1 |" in design.to_markdown()
     assert "| lat | 80 % | 100 % |" in design.shares()

@@ -1,0 +1,151 @@
+"""The scripts that fly a card, run against stand-ins for the autopilots."""
+
+import sys
+from types import ModuleType, SimpleNamespace
+
+import lupa.lua54
+import numpy as np
+import pytest
+
+from casid.design.injection import ardupilot_script, px4_script
+
+T = 0.04 * np.arange(6)
+R = {"lat": np.array([0, 0.1, 0.1, -0.2, 0, 0.0]), "ped": np.array([0, 0, 0.5, 0.5, 0, 0.0])}
+
+AUTOPILOT = """
+overrides, texts, now, switch, armed, lost = {}, {}, 0, 0, true, nil
+local moment = {}
+moment.__index = moment
+moment.__sub = function(a, b) return setmetatable({ms = a.ms - b.ms}, moment) end
+function moment.toint(a) return a.ms end
+function millis() return setmetatable({ms = now}, moment) end
+local centre = {1510, 1480, 1600, 1495}
+rc = {}
+function rc:get_pwm(n) if n ~= lost then return centre[n] end end
+function rc:get_aux_cached(option) if option == 300 then return switch end end
+function rc:get_channel(n) return {set_override = function(_, pwm) overrides[n] = pwm end} end
+arming = {is_armed = function() return armed end}
+gcs = {send_text = function(_, level, text) texts[#texts + 1] = text end}
+"""
+
+
+@pytest.fixture
+def autopilot():
+    """Lua 5.4 without a language of its own beside it, some of ArduPilot's names, the script."""
+    lua = lupa.lua54.LuaRuntime()
+    lua.execute(AUTOPILOT)
+    channels = {"lat": (1, 500.0), "ped": (4, 400.0)}
+    lua.execute(ardupilot_script(T, R, channels, "steps"))
+    return lua.globals()
+
+
+def after(autopilot, now):
+    """Overrides of both channels after the script has run at a time [ms]."""
+    autopilot.now = now
+    autopilot.update()
+    return autopilot.overrides[1], autopilot.overrides[4]
+
+
+def test_the_sticks_of_ardupilot_follow_the_card_from_where_they_were(autopilot):
+    assert after(autopilot, 1000) == (None, None)
+    autopilot.switch = 2
+    after(autopilot, 2000)  # begins
+    assert after(autopilot, 2001) == (1510, 1495)
+    assert after(autopilot, 2041) == (1560, 1495)
+    assert after(autopilot, 2099) == (1560, 1695)
+    assert after(autopilot, 2120) == (1410, 1695)
+    assert after(autopilot, 2240) == (0, 0)  # flown: the pilot's again
+    assert after(autopilot, 2300) == (0, 0)
+    assert list(autopilot.texts.values())[-1] == "card: flown"
+
+
+@pytest.mark.parametrize("cause", ["switch", "armed"])
+def test_the_pilot_has_the_sticks_at_once_when_the_switch_goes_back(autopilot, cause):
+    autopilot.switch = 2
+    after(autopilot, 0)
+    assert after(autopilot, 130) == (1410, 1695)
+    setattr(autopilot, cause, 0 if cause == "switch" else False)
+    assert after(autopilot, 131) == (0, 0)
+
+
+def test_a_lost_channel_starts_nothing(autopilot):
+    autopilot.switch, autopilot.lost = 2, 4
+    after(autopilot, 0)
+    assert after(autopilot, 100) == (None, None)
+    assert "card: no RC input 4" in list(autopilot.texts.values())
+
+
+class Link:
+    """What the script for PX4 uses of a link: its clock, messages and heartbeats."""
+
+    target_system = 1
+
+    def __init__(self, changes_at=np.inf):
+        self.now, self.sent, self.changes_at, self.mav = 0.0, [], changes_at, self
+
+    def manual_control_send(self, target, *sticks):
+        assert target == self.target_system
+        self.sent.append((round(self.now, 3), *sticks))
+
+    def wait_heartbeat(self):
+        return self.recv_match(type="HEARTBEAT", blocking=True)
+
+    def recv_match(self, *, type, blocking):  # noqa: ARG002 - pymavlink's names
+        mode = 7 if self.now < self.changes_at else 3
+        return SimpleNamespace(custom_mode=mode, get_srcSystem=lambda: 1)
+
+    def wait(self, seconds):
+        self.now += seconds
+
+
+@pytest.fixture
+def program(monkeypatch):
+    """Names of the script for PX4, with nothing of pymavlink."""
+    monkeypatch.setitem(sys.modules, "pymavlink", ModuleType("pymavlink"))
+    sys.modules["pymavlink"].mavutil = None
+    names = {"__name__": "inject"}
+    exec(compile(px4_script(R, {"lat": ("y", 1000), "ped": ("r", 3000.0)}, "steps"), "i", "exec"),
+         names)  # fmt: skip
+    return SimpleNamespace(**names)
+
+
+def fly(program, link):
+    card = {"t": T.tolist()} | {name: r.tolist() for name, r in R.items()}
+    centre = {"x": 20.0, "y": 0.0, "z": 430.0, "r": 0.0}
+    return program.fly(link, card, centre, clock=lambda: link.now, wait=link.wait)
+
+
+def test_px4_gets_the_card_as_a_joystick_within_its_range(program):
+    link = Link()
+    assert fly(program, link)
+    assert link.sent[0] == (0.0, 20, 0, 430, 0, 0)
+    assert (0.06, 20, 100, 430, 0, 0) in link.sent
+    assert (0.14, 20, -200, 430, 1000, 0) in link.sent  # 1500 is beyond a joystick's end
+    assert link.sent[-1][1:] == (20, 0, 430, 0, 0)
+    assert link.now < T[-1] + 0.05
+
+
+def test_a_change_of_mode_breaks_the_card_off(program):
+    link = Link(changes_at=0.05)
+    assert not fly(program, link)
+    assert link.now < 0.1
+
+
+def test_the_card_is_read_back_from_its_file(program, tmp_path):
+    (tmp_path / "card.csv").write_text("t,lat\n0.0,0.0\n0.04,0.1\n")
+    assert program.read(tmp_path / "card.csv") == {"t": [0.0, 0.04], "lat": [0.0, 0.1]}
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: ardupilot_script(T, R, {"lat": (1, 500.0)}, ""), "'ped' is in one of card"),
+        (lambda: ardupilot_script(T, R, {"lat": (1, 5e4), "ped": (2, 1.0)}, ""), "by 10000 µs"),
+        (lambda: ardupilot_script(T, R, {"lat": (1, 5.0), "ped": (1, 5.0)}, ""), "channel 1 is"),
+        (lambda: ardupilot_script(T / 3, R, {"lat": (1, 5.0), "ped": (2, 5.0)}, ""), "13.3333 ms"),
+        (lambda: px4_script(R, {"lat": ("q", 1.0), "ped": ("r", 1.0)}, ""), "'lat' on axis 'q'"),
+    ],
+)
+def test_what_no_autopilot_could_fly_is_refused(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
