@@ -23,6 +23,7 @@ SHOWN = 1e-3  # s of delay between topics that are told
 @COLUMN
 @click.option("--dt", type=float, help="Sampling interval of the records [s].")
 @click.option("--output", "-o", metavar="FOLDER", help="Where to write; LOG's name unless given.")
+@click.option("--fresh", is_flag=True, help="Replace a study that is there.")
 @click.option("--list", "only", is_flag=True, help="List topics and columns; write nothing.")
 def import_command(
     log: str,
@@ -30,6 +31,7 @@ def import_command(
     renamed: dict[str, str],
     dt: float | None,
     output: str | None,
+    fresh: bool,
     only: bool,
 ) -> None:
     """Turn a log into records and a study: PX4 ULog, ArduPilot dataflash (.bin), TDMS.
@@ -50,7 +52,7 @@ def import_command(
         if only:
             _list(console, read_log(log), columns=True)
             return
-        draft = import_log(log, output, model=model, columns=renamed, dt=dt)
+        draft = import_log(log, output, model=model, columns=renamed, dt=dt, fresh=fresh)
         _list(console, draft.log, columns=False)
         _show(console, draft)
 
@@ -93,6 +95,8 @@ def _show(console: Console, draft: Draft) -> None:
         moved = [f"{value:.2g}" for value in stretch.moved]
         table.add_row(record.name, f"{record.t[0]:.6g}", f"{record.t[-1]:.6g}", *moved, share)
     console.print(table, "")
+    for doubt in draft.doubts:
+        console.print(Text("! ", style="bold yellow").append(doubt, style="default"))
     study = Path(draft.study)
     console.print(Text(f"{study}: look with  casid inspect {study}"), soft_wrap=True)
     console.print(Text(f"then  casid identify {study}"), soft_wrap=True)

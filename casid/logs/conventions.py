@@ -46,6 +46,7 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {  # first the best: measured, not esti
     },
     **{name: (f"{BODY}.{name}",) for name in VELOCITIES},
 }
+ACTUATORS = ("actuator_outputs", "actuator_motors", "RCOU")  # topics of what drives the aircraft
 AXES = ("roll", "pitch", "yaw", "thrust")
 INPUTS: tuple[Mapping[str, str], ...] = (  # sets of which the first that moves is taken
     {

@@ -5,11 +5,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from casid.checks import checked
+from casid.excitations import certified
 from casid.files import write_csv, write_text
 from casid.logs.assembly import Lateness, assemble, delays, usual_dt
 from casid.logs.axes import axes_structure
-from casid.logs.conventions import RATES, Source, derived, find_channels, others
+from casid.logs.conventions import ACTUATORS, RATES, Source, derived, find_channels, others
 from casid.logs.reading import read_log
 from casid.logs.stretches import SHORTEST, Stretch, find_stretches, make_stretch
 from casid.logs.topics import Log
@@ -66,6 +69,8 @@ class Draft:
         Candidates for identification.
     delays : tuple of Lateness
         Between topics that hold the same quantity.
+    doubts : tuple of str
+        Why no aircraft may be in it.
     study : Path
         The study file.
     """
@@ -76,6 +81,7 @@ class Draft:
     records: tuple[Record, ...]
     stretches: tuple[Stretch, ...]
     delays: tuple[Lateness, ...]
+    doubts: tuple[str, ...]
     study: Path
 
 
@@ -87,6 +93,7 @@ def import_log(
     model: str | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
+    fresh: bool = False,
 ) -> Draft:
     """Records, a structure and a study that runs, from a log.
 
@@ -104,6 +111,8 @@ def import_log(
         columns that bear a channel's name, are found.
     dt : float
         Sampling interval [s] of the records.
+    fresh : bool
+        Replace a study that is there.
 
     Raises
     ------
@@ -113,8 +122,11 @@ def import_log(
     """
     log = derived(read_log(path))
     folder = Path(folder) if folder is not None else log.path.with_suffix("")
-    if (study := folder / "study.toml").exists():
-        raise ValueError(f"{study} is there already and is left as it is; name another --output")
+    if (study := folder / "study.toml").exists() and not fresh:
+        raise ValueError(
+            f"{study} is there already and is left as it is; name another folder (--output), or "
+            "replace it (--fresh)"
+        )
     inputs, outputs = find_channels(log, columns)
     structure = None if model is None else load_model(model)
     if structure is not None:
@@ -141,6 +153,7 @@ def import_log(
         records=tuple(records),
         stretches=tuple(found),
         delays=tuple(late),
+        doubts=_doubts(log, [each.record for each in found]),
         study=study,
     )
 
@@ -163,6 +176,18 @@ def _check_found(
             f"{log.path}: no column is known for {missing[0]}; name it: --column "
             f"CHANNEL=TOPIC.COLUMN (columns={{...}}), of the topics {', '.join(log.topics)[:1000]}"
         )
+
+
+def _doubts(log: Log, flown: Sequence[Record]) -> tuple[str, ...]:
+    """What speaks against an aircraft in the stretches: actuators at rest, inputs fed back."""
+    still = [
+        f"{name} never moves: nothing is driven, so nothing flies"
+        for name in ACTUATORS
+        if name in log.topics
+        and not any(np.nanstd(x) > 0 for x in log.topics[name].columns.values())
+    ]
+    found = certified(flown)
+    return (*still, *(found.doubts() if found is not None else ()))
 
 
 def _divided(records: Sequence[Record]) -> list[Stretch]:

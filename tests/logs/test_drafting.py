@@ -1,9 +1,13 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from truths.logs import DAMPING, DELAY, GAIN, WRITERS, ulog
 
 from casid import import_log, read_records, read_study, run_study
 from casid.logs import drafting
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +37,16 @@ def test_a_draft_is_never_overwritten(drafts):
     with pytest.raises(ValueError, match="is there already"):
         import_log(draft.log.path, draft.study.parent)
     assert draft.study.read_text() == "mine"
+    import_log(draft.log.path, draft.study.parent, fresh=True)
+    assert read_study(draft.study).title == "flight"
+
+
+def test_what_is_shaken_on_a_bench_is_doubted_and_what_flies_is_not(tmp_path, drafts):
+    shaken = import_log(EXAMPLES / "px4" / "shaken.ulg", tmp_path / "shaken")
+    said = " ".join(shaken.doubts)
+    assert "actuator_outputs never moves" in said
+    assert "controller's inverse" in said
+    assert [draft.doubts for draft in drafts.values()] == [()] * 3
 
 
 def test_one_stretch_is_divided_and_none_takes_the_longest_record(tmp_path, monkeypatch):
