@@ -4,6 +4,7 @@
 # make slow    the slow tests, an hour and more
 # make mutants how many of 400 broken programs the tests notice (an hour and more; may be stopped)
 # make docs    the documentation, site/index.html
+# make notebooks execute the notebooks of the documentation again
 # make picture the picture of README and documentation
 # make lint    formatting, rules, types and import layers
 # Needs Python 3.11 or newer; everything else goes into .venv, pinned by constraints.txt.
@@ -12,7 +13,7 @@ PYTHON ?= python3
 VENV ?= .venv
 STAMP := $(VENV)/.installed
 
-.PHONY: study paper test slow mutants docs picture lint install clean
+.PHONY: study paper test slow mutants docs notebooks picture lint install clean
 
 study: install
 	$(VENV)/bin/casid identify examples/uh60/study.toml
@@ -31,6 +32,9 @@ mutants: install
 
 docs: install
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
+
+notebooks: install
+	$(VENV)/bin/python docs/notebooks.py
 
 picture: install
 	$(VENV)/bin/casid identify examples/ah1s/study.toml

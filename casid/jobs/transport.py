@@ -40,7 +40,7 @@ def refer(cls: type[Model]) -> Reference:
     """The reference of a class; this process will find the class itself by it."""
     try:
         path = inspect.getsourcefile(cls)
-    except TypeError:  # made at a prompt
+    except (TypeError, OSError):  # made at a prompt or in a notebook
         path = None
     text = ""
     if path is not None and Path(path).is_file():
