@@ -99,23 +99,27 @@ def refine_projected(
         else:
             refined, K, uncertainty = held, gain, sampled
     share = explained_share(refined, data, su, sy, band)
-    doubtful = _doubtful(campaign, refined, windows, data)
+    doubtful = _doubtful(campaign, system, refined, windows, data)
     return Estimate(refined, K, uncertainty, share, doubtful, missed)
 
 
 def _doubtful(
-    campaign: Campaign, refined: StateSpace, windows: Windows | None, data: Sequence[Spectrum]
+    campaign: Campaign,
+    start: StateSpace,
+    refined: StateSpace,
+    windows: Windows | None,
+    data: Sequence[Spectrum],
 ) -> ComplexArray:
-    """Growing modes that the data do not bear out, or one state less does not find."""
+    """Growing modes that data do not bear out, or the start or one state less does not find."""
     found = growth(refined, data, campaign.su, campaign.sy, campaign.mask)
-    doubtful = found.doubtful
-    if windows is None or len(found.modes) == len(doubtful):
-        return doubtful
-    if (fewer := _at_order(campaign, refined.nx - 1, windows, data)) is None:
-        return doubtful
-    further = unsteady_growth(refined, fewer, data)
-    known = np.isclose(further[:, None], doubtful).any(axis=1)
-    return np.concatenate([doubtful, further[~known]])
+    further = [found.doubtful]
+    if windows is not None and len(found.modes) > len(found.doubtful):
+        further.append(unsteady_growth(refined, start, data, more=1.0))
+        if (fewer := _at_order(campaign, refined.nx - 1, windows, data)) is not None:
+            further.append(unsteady_growth(refined, fewer, data))
+    modes = np.concatenate(further)
+    again = np.isclose(modes[:, None], modes)
+    return np.asarray(modes[~np.tril(again, -1).any(axis=1)])
 
 
 def _at_order(

@@ -16,7 +16,7 @@ from casid.values import storable
 CERTAIN = 2.8  # standard errors that a growth rate must be away from zero: 99.5 % of a normal one
 AGREED = 0.9  # of a t-distribution: that records, few as they are, must agree on a growth rate
 HARDLY = 0.2  # e-folds over the longest record: less growth is an integrator's, not an aircraft's
-STEADY = 0.4  # of its modulus: how far a mode may move when the order changes by one
+STEADY = 0.6  # of its modulus: how far a mode may move with the order or by the refinement
 WINDOW = 0.12  # in natural logarithms of ω, of what a higher order leaves less
 POINTS = 60  # of the band, where that is looked at
 CLEARLY = 1.7  # that ratio at least: nonlinear aircraft leave somewhat less at any higher order
@@ -97,17 +97,20 @@ def growth(
 
 
 def unsteady_growth(
-    system: StateSpace, fewer: StateSpace, data: Sequence[Spectrum]
+    system: StateSpace, other: StateSpace, data: Sequence[Spectrum], *, more: float = 0.0
 ) -> ComplexArray:
-    """Growing modes (Im >= 0) that a refined model of one state less does not have likewise.
+    """Growing modes (Im >= 0) that another model does not have likewise.
 
-    It has one if it grows near there at half the rate at least.
+    It has one if it grows near there at half the rate at least, or by ``more`` times the highest
+    growth of a mode that starts decaying less than that.
     """
-    limit, others = refinement.highest_growth(data), fewer.poles()
+    limit, others = refinement.highest_growth(data), other.poles()
     lam = system.poles()
     lam = lam[(lam.real > HARDLY / 2 * limit) & (lam.imag >= 0)]
     near = np.abs(lam[:, None] - others) <= STEADY * np.abs(lam[:, None])
-    return np.asarray(lam[~(near & (others.real >= lam.real[:, None] / 2)).any(axis=1)])
+    return np.asarray(
+        lam[~(near & (others.real + more * limit >= lam.real[:, None] / 2)).any(axis=1)]
+    )
 
 
 @storable
@@ -170,9 +173,9 @@ def growth_doubts(modes: ComplexArray) -> tuple[str, ...]:
     )
     return (
         f"The black box grows at {names}, which the likelihood does not need, on which the records "
-        "do not agree or which a model of one state less does not find: what they show there may "
-        "as well decay. Do not take the aircraft for unstable because of that; another order, or "
-        "longer records, shows what is true.",
+        "do not agree or which causal prediction or a model of one state less does not find: what "
+        "they show there may as well decay. Do not take the aircraft for unstable because of that; "
+        "another order, or longer records, shows what is true.",
     )
 
 

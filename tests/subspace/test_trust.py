@@ -142,6 +142,9 @@ def test_growth_that_one_state_less_does_not_find_is_doubted(fewer, doubted):
     data = [SimpleNamespace(omega=np.array([2 * np.pi / 20.0]))]
     assert unsteady_growth(pair(0.5, 3.0), pair(fewer, 2.8), data) == pytest.approx(doubted)
     assert len(unsteady_growth(pair(0.5, 3.0), pair(0.5, 5.0), data)) == 1
+    # A refinement may raise growth by two e-folds over the record, 0.1/s here, and to twice that.
+    assert len(unsteady_growth(pair(0.5, 3.0), pair(0.2, 2.8), data, more=1.0)) == 0
+    assert len(unsteady_growth(pair(0.5, 3.0), pair(0.1, 2.8), data, more=1.0)) == 1
 
 
 def rotor_flight(seed):
