@@ -4,11 +4,16 @@ from collections.abc import Iterable, Sequence
 from typing import TypeAlias, TypeVar
 
 import numpy as np
+import scipy.integrate
 
 from casid.arrays import Array
 from casid.errors import warn
 from casid.record import FEWEST, Record
 from casid.values import digest
+
+ATTITUDES = {"p": "phi", "q": "theta"}  # what every rate turns
+SPACING = 0.5  # s: over which turns are compared
+ALIKE, FACTOR = 0.8, 15.0  # correlation of these, and ratio that only another unit explains
 
 T = TypeVar("T")
 Records: TypeAlias = Record | Sequence[Record]
@@ -23,8 +28,8 @@ def stretches(records: Records) -> tuple[Record, ...]:
     """Records without gaps in time; every estimator takes its records through here.
 
     A record with gaps counts as its `Record.stretches`, each with an initial state of its own. A
-    `DataWarning` says so, and that two records hold the same samples, whatever their names.
-    ValueError: a record with nothing but gaps.
+    `DataWarning` says so, and that two records hold the same samples, whatever their names, or that
+    a rate and its attitude are hardly in units alike. ValueError: a record with nothing but gaps.
     """
     pieces = tuple(piece for record in several(records) for piece in _pieces(record))
     seen: dict[str, Record] = {}
@@ -35,7 +40,38 @@ def stretches(records: Records) -> tuple[Record, ...]:
                 f"records {other.name!r} and {piece.name!r} hold the same samples: one flight "
                 "counts twice, and errors come out too small by up to √2; leave one out"
             )
+    for rate, angle in ATTITUDES.items():
+        odd = [(piece, ratio) for piece in pieces if (ratio := _unlike(piece, rate, angle))]
+        if odd:
+            piece, ratio = odd[0]
+            wrong, unit = (rate, "deg/s") if ratio > 1 else (angle, "deg")
+            warn(
+                f"record {piece.name!r}: {rate!r} turns {ratio:.3g} times as far as {angle!r} "
+                f"does; is {wrong!r} in {unit}? Rates are rad/s and angles rad here, units named "
+                "to read_csv or read_mat are converted"
+            )
     return pieces
+
+
+def _unlike(record: Record, rate: str, angle: str) -> float | None:
+    """How many times as far a rate turns as its attitude does, if no flight explains that."""
+    if rate not in record.outputs or angle not in record.outputs:
+        return None
+    turned, rates = record.channel(angle), record.channel(rate)
+    k, known = np.flatnonzero(np.isfinite(turned)), np.isfinite(rates)
+    if len(k) < 2 or not known.any():
+        return None
+    k = k[:: max(1, round(SPACING / float(np.median(np.diff(record.t[k])))))]
+    if len(k) < FEWEST:
+        return None
+    rates = np.interp(record.t, record.t[known], rates[known])
+    own = np.diff(turned[k])
+    other = np.diff(scipy.integrate.cumulative_trapezoid(rates, record.t, initial=0)[k])
+    sizes = np.std(own), np.std(other)
+    if min(sizes) == 0 or np.corrcoef(own, other)[0, 1] < ALIKE:
+        return None
+    ratio = float(sizes[1] / sizes[0])
+    return None if 1 / FACTOR < ratio < FACTOR else ratio
 
 
 def _pieces(record: Record) -> tuple[Record, ...]:

@@ -92,3 +92,29 @@ def test_a_dropout_of_five_seconds_is_the_flight_cut_in_two(estimate):
         found = estimate(lost)
     expected = estimate([whole.between(0, 14.99), whole.between(20.01, 40)])
     np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+# ---- units -------------------------------------------------------------------------------------
+
+
+def turning(rate=1.0, angle=1.0):
+    """A roll of 20 s with measured rate and bank in units of that many rad/s and rad."""
+    t = 0.02 * np.arange(1001)
+    p, phi = np.cos(1.3 * t), np.sin(1.3 * t) / 1.3
+    rng = np.random.default_rng(2)
+    y = np.column_stack([p / rate, phi / angle]) + 0.01 * rng.standard_normal((1001, 2))
+    y[3:9, 0], y[::2, 1] = np.nan, np.nan
+    return Record(t, np.sin(t)[:, None], y, ("lat",), ("p", "phi"), "roll")
+
+
+def test_degrees_per_second_beside_radians_are_suspected():
+    degree = np.pi / 180
+    with pytest.warns(DataWarning, match=r"'roll': 'p' turns 57.\d times .* is 'p' in deg/s"):
+        stretches(turning(rate=degree))
+    with pytest.warns(DataWarning, match="is 'phi' in deg[?]"):
+        stretches(turning(angle=degree))
+    for sound in (turning(), replace(turning(), outputs=("q", "phi")), turning(rate=0.2)):
+        stretches(sound)
+    random = turning(rate=degree)
+    stretches(random.with_noise({"p": 300.0}, np.random.default_rng(1)))  # nothing alike
+    stretches(random.take(np.arange(1001) < 300))  # too short to tell
