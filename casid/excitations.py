@@ -44,6 +44,10 @@ WEAK = 0.003  # power of a combination of inputs of power one, below which it do
 WIDE = 1.3  # ratio of frequencies that a doubted band spans at least
 ANSWER = 0.5  # share of an output that outside inputs make, and
 COHERENT = 0.85  # that goes with the inputs, below both of which it does not answer them
+RATES, APART = (
+    ("p", "q", "r"),
+    0.4,
+)  # angular rates, of which less goes with the inputs if disturbed
 SINGULAR = 1e-9  # relative power of an innovation that no noise drives
 WINDOW = 2.0  # s in which inputs that move are to be answered
 STILL = 0.02  # of its deviation over the record, below which an output rests
@@ -150,7 +154,15 @@ class Excitation:
     def _answer(self) -> str:
         share = self.coherence
         if self.answer.max(initial=0.0) >= ANSWER or share.max(initial=0.0) >= COHERENT:
-            return ""
+            apart = [
+                f"{part:.0%} of {name}"
+                for name, part in zip(self.outputs, share, strict=True)
+                if name in RATES and part < APART
+            ]
+            return (
+                f"Only {' and '.join(apart)} goes with the inputs: vibration, gusts or something "
+                "unmeasured makes the rest. Nothing precise follows from such a rate."
+            ) * bool(apart)
         best = self.outputs[int(np.argmax(share))]
         return (
             f"No output answers the inputs: {share.max():.0%} of {best} goes with them, less of "

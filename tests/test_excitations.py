@@ -1,53 +1,16 @@
 """Shares from outside against closed forms of simulated loops, and what is doubted."""
 
+import re
+
 import numpy as np
 import pytest
 from truths import uh60
 
+from benchmarks.excitation import DT, RATIOS, flown, share
 from casid import Record, excitation, pbsid
 from casid.commands.inspection import inspect_records
 from casid.excitations import products, runs
 from casid.values import decode, encode
-
-DT = 0.02
-RATIOS = np.geomspace(0.02, 50, 20)  # power of outside excitation over that of the noise
-
-
-def plant(n):
-    """x(k+1) = A x + B u, y = x + noise, u = reference - K y."""
-    beside = np.ones((n, n)) - np.eye(n)
-    return 0.96 * np.eye(n) + 0.01 * beside, 0.05 * np.eye(n), 1.5 * np.eye(n) + 0.3 * beside
-
-
-def flown(n, power, N=12_000, seed=0):
-    """A record of the loop with references of that power, (n,) or one for all."""
-    A, B, K = plant(n)
-    rng = np.random.default_rng(seed)
-    w, e = (
-        rng.standard_normal((2, N, n)) * np.sqrt([np.broadcast_to(power, n), np.ones(n)])[:, None]
-    )
-    reference, noise, x = np.zeros(n), np.zeros(n), np.zeros(n)
-    u, y = np.empty((N, n)), np.empty((N, n))
-    for k in range(N):
-        noise, reference = 0.9 * noise + 0.1 * e[k], 0.8 * reference + 0.2 * w[k]
-        y[k] = x + noise
-        u[k] = reference - K @ y[k]
-        x = A @ x + B @ u[k]
-    names = [tuple(f"{letter}{i}" for i in range(n)) for letter in "uy"]
-    return Record(DT * np.arange(N), u, y, *names, "loop")
-
-
-def share(n, power, omega):
-    """Its closed form: S Φ_r Sᴴ over S (Φ_r + K Φ_v Kᴴ) Sᴴ, S = (1 + K G)⁻¹; diagonal, (K, n)."""
-    A, B, K = plant(n)
-    found = []
-    for z in np.exp(1j * omega * DT):
-        S = np.linalg.inv(np.eye(n) + K @ np.linalg.solve(z * np.eye(n) - A, B))
-        outside = np.diag(np.broadcast_to(power, n)) * np.abs(0.2 / (1 - 0.8 / z)) ** 2
-        back = K @ K.T * np.abs(0.1 / (1 - 0.9 / z)) ** 2
-        parts = [np.diag(S @ each @ S.conj().T).real for each in (outside, back)]
-        found.append(parts[0] / sum(parts))
-    return np.array(found)
 
 
 @pytest.mark.slow
@@ -112,6 +75,18 @@ def test_an_output_of_noise_alone_answers_nothing():
     assert said.startswith("No output answers the inputs")
     found = excitation(flown(1, 20.0))
     assert found.answer[0] > 0.6
+
+
+def test_a_rate_that_something_unmeasured_moves_is_told():
+    record = flown(1, 20.0)
+    y = record.y + 3 * record.y.std() * np.random.default_rng(6).standard_normal(record.y.shape)
+    both = Record(
+        record.t, record.u, np.hstack([record.y, y]), record.inputs, ("q", "p"), "shaking"
+    )
+    (said,) = excitation(both).doubts()
+    found = re.match(r"Only (\d+)% of p goes with the inputs", said)
+    assert 5 <= int(found[1]) <= 10  # of 1/(1 + 3²) that goes with q
+    assert excitation(both.select(outputs=("q",))).doubts() == ()
 
 
 def test_inputs_that_move_while_all_rests_are_told_with_their_time():
