@@ -23,10 +23,10 @@ from casid.nlp import SolverOptions
 from casid.prediction import Outlook, predict
 from casid.record import Record
 from casid.shooting import uncertainty
-from casid.shooting.frequency import SpectralOutcome, SpectralProgramme, State, search, white
+from casid.shooting.frequency import SpectralOutcome, SpectralProgramme, State, white
 from casid.shooting.lines import Lines, transformed
 from casid.shooting.precision import OutputErrorNotes, Precision
-from casid.shooting.spectral import SpectralResiduals
+from casid.shooting.sides import searched
 from casid.shooting.spectrum import (
     NoiseSpectrum,
     coherent,
@@ -54,7 +54,7 @@ def estimate(
     begin = time.perf_counter()
     lines = transformed(records)
     held = _spectra_of(near, lines) if R is None else white(lines, np.diag(R))
-    outcome = search(SpectralResiduals(free, lines), free.guess, options, held)
+    outcome = searched(free, lines, options, held)
     fit = _fit(model, outcome, begin, estimated=R is None)
     if not fit.success:
         raise ConvergenceError(f"{METHOD}: {fit.status}", fit)

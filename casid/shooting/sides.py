@@ -1,0 +1,89 @@
+"""Delays about whole samples in the frequency domain, where the likelihood has a kink in them.
+
+Inputs held in steps have it wherever a delay passes a sample, straight lines where they act
+directly. A solve that ends beside one, or on one without success, is compared with the best on
+either side, where all is smooth.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.model import Free
+from casid.nlp import SolverOptions
+from casid.shooting.frequency import SpectralOutcome, SpectralProgramme, search
+from casid.shooting.lines import Lines
+from casid.shooting.spectral import SpectralResiduals
+from casid.shooting.spectrum import NoiseSpectrum
+
+NEAR = 0.1  # of a sampling interval: a kink that noise may have held an estimate on
+EDGE = 1e-4  # of a sampling interval, from a kink to where a side of it begins
+GAIN = 1e-4  # of log-likelihood, that makes the other side better
+
+
+def searched(
+    free: Free,
+    lines: list[Lines],
+    options: SolverOptions,
+    held: tuple[NoiseSpectrum, ...] | None = None,
+) -> SpectralOutcome:
+    """The best end of `search`, from the guess and on both sides of kinks near where that ended."""
+    best = outcome = search(SpectralResiduals(free, lines), free.guess, options, held)
+    for side in sides(free, lines, outcome.lam):
+        start = np.clip(outcome.lam, side.lower[free.index], side.upper[free.index])
+        end = search(SpectralResiduals(side, lines), start, options, held)
+        if done(end) and (not done(best) or likelihood(end) < likelihood(best) - GAIN):
+            best = _released(end, free)
+    return best
+
+
+def done(outcome: SpectralOutcome) -> bool:
+    """Whether this is a solution."""
+    return outcome.solution.success and outcome.settled
+
+
+def likelihood(outcome: SpectralOutcome) -> float:
+    """Negative log-likelihood at the end."""
+    return outcome.programme.likelihood(outcome.solution.x)
+
+
+def sides(free: Free, lines: list[Lines], lam: Array) -> Iterator[Free]:
+    """Bounds on either side of the kinks next to free values (nf,)."""
+    m = SpectralResiduals(free, lines).matrices(lam)
+    D, slopes = m.blocks[3], m.slopes[:, m.nx :, m.nx :]
+    for a, slope in enumerate(m.dtau):
+        heard = np.flatnonzero(slope)
+        if not len(heard) or np.count_nonzero(m.dtau[:, heard]) > len(heard):
+            continue
+        direct = bool(D[:, heard].any() or slopes[:, :, heard].any())
+        steps = {each.record.dt for each in lines if direct or each.record.hold == "zoh"}
+        tau = m.tau[heard[0]]
+        for h in sorted(steps):
+            whole = round(tau / h)
+            if abs(tau / h - whole) < NEAR:
+                for low in (whole - 1, whole):
+                    ends = h * np.array([low + EDGE, low + 1 - EDGE])
+                    yield from _within(free, a, np.sort(lam[a] + (ends - tau) / slope[heard[0]]))
+
+
+def _within(free: Free, a: int, ends: Array) -> Iterator[Free]:
+    """The bounds with one free parameter between two values, if that leaves any room."""
+    i = free.index[a]
+    lower, upper = free.lower.copy(), free.upper.copy()
+    lower[i], upper[i] = np.clip(ends, lower[i], upper[i])
+    if lower[i] < upper[i]:
+        yield replace(free, lower=lower, upper=upper)
+
+
+def _released(end: SpectralOutcome, free: Free) -> SpectralOutcome:
+    """The outcome under its own bounds; the ends of a side have no price."""
+    last, solution = end.programme, end.solution
+    side = last.residuals.free
+    same = (side.lower == free.lower)[free.index], (side.upper == free.upper)[free.index]
+    prices = solution.multipliers_x
+    prices = prices * np.where(prices < 0, same[0], same[1])
+    residuals = SpectralResiduals(free, last.residuals.lines)
+    programme = SpectralProgramme(residuals, last.spectra, last.scales)
+    return replace(end, programme=programme, solution=replace(solution, multipliers_x=prices))

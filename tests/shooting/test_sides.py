@@ -1,0 +1,56 @@
+"""Delays about whole samples in the frequency domain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.closed_roll import NOISE, TRUTH, T, excitation, with_response
+
+from casid import Record, output_error
+from casid.model import free_parameters
+from casid.shooting.lines import transformed
+from casid.shooting.sides import EDGE, sides
+
+WHOLE = replace(TRUTH, tau=0.06)  # three samples
+
+
+def stepped(times, hold="zoh"):
+    """Two records of inputs held in steps, so many times the usual noise."""
+    rng, found = np.random.default_rng(5), []
+    for k in range(2):
+        still = np.zeros((len(T), 3))
+        u = excitation(T, k)
+        record = Record(T, u, still, TRUTH.inputs, TRUTH.outputs, f"record {k}", hold=hold)
+        noise = {name: times * std for name, std in NOISE.items()}
+        found.append(with_response(record, WHOLE).with_noise(noise, rng))
+    return found
+
+
+def ranges(model, records):
+    free = free_parameters(model)
+    at = free.names.index("tau")
+    found = sides(free, transformed(records), free.guess)
+    return [(side.lower[at], side.upper[at]) for side in found]
+
+
+def test_both_sides_of_a_whole_sample_nearby_are_tried():
+    edge = EDGE * 0.02
+    expected = [(0.04 + edge, 0.06 - edge), (0.06 + edge, 0.08 - edge)]
+    np.testing.assert_allclose(ranges(replace(WHOLE, tau=0.0611), stepped(1)), expected)
+    assert ranges(replace(WHOLE, tau=0.07), stepped(1)) == []
+    np.testing.assert_allclose(ranges(replace(WHOLE, tau=0.0), stepped(1)), [(edge, 0.02 - edge)])
+
+
+def test_straight_lines_break_only_where_they_act_directly():
+    assert len(ranges(WHOLE, stepped(1, "foh"))) == 2  # ay hears the stick at once
+    assert ranges(replace(WHOLE, tau=0.05), stepped(1, "foh")) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [0.05, 1.0])
+def test_a_delay_of_whole_samples_is_found_in_spite_of_its_kink(times):
+    fit = output_error(WHOLE, stepped(times), domain="frequency")
+    assert fit.success
+    for name in ("tau", "Lp", "Llat"):
+        assert abs(fit[name].value - getattr(WHOLE, name)) < 4 * fit[name].std_error
+    assert fit["tau"].multiplier == 0.0  # the end of a side is no bound
