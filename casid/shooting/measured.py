@@ -6,19 +6,32 @@ with W of `casid.frequency.covariance`: every point by its stated error, noise a
 correlated with its neighbours in frequency and with other pairs. A response that states no
 coherence has errors relative to the truth rather than to what was measured; there Ĝ log(Ĝ/G) stands
 for the difference, lest points that came out small by chance count more.
+
+What the structure misses of a response is no error of the measurement, and would rule all else.
+Where residuals exceed their stated errors significantly, smoothed over frequency, pair by pair,
+their points count less by as much, as lines of records do by their spectrum.
 """
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.evaluation import MatrixFunction
 from casid.fingerprints import same_flight
+from casid.fit import AnyFit, Fit
 from casid.frequency.covariance import whitener
 from casid.frequency.response import FrequencyResponse
-from casid.model import Free, Model
+from casid.model import Free, M, Model
 from casid.record import Record
+
+REACH = 0.35  # of the smoothing [nepers of frequency]
+SURE = 4.0  # standard errors of a mean power above one that noise does not explain
+ROUNDS = 4  # of estimates, each weighed by the residuals of the last
+ALIKE = 0.2  # change of a weight's logarithm that makes no other estimate
 
 
 class MeasuredResponses:
@@ -30,7 +43,22 @@ class MeasuredResponses:
     def __init__(self, free: Free, responses: Sequence[FrequencyResponse]) -> None:
         self._matrices = MatrixFunction(free)
         self._responses = [_Measured(free.model, each) for each in responses]
+        self.weights: tuple[Array, ...] = tuple(np.ones(each.rows) for each in self._responses)
         self._last: tuple[bytes, list[tuple[Array, Array]]] = b"", []
+
+    def weighed(self, weights: Sequence[Array]) -> "MeasuredResponses":
+        """The same with weights of every response's rows."""
+        other = copy.copy(self)
+        other.weights, other._last = tuple(weights), (b"", [])
+        return other
+
+    def excess(self, values: Array) -> tuple[Array, ...]:
+        """Weights (rows,) that make residuals at free values as large as stated on average."""
+        plain = self.weighed([np.ones(each.rows) for each in self._responses])
+        found = []
+        for each, (r, _) in zip(self._responses, plain._parts(values), strict=True):
+            found.append(each.excess(r))
+        return tuple(found)
 
     def residuals(self, values: Array) -> tuple[Array, Array]:
         """Independent residuals (m,) of unit variance at free values (nf,), and derivatives."""
@@ -49,8 +77,35 @@ class MeasuredResponses:
     def _parts(self, values: Array) -> list[tuple[Array, Array]]:
         key = values.tobytes()
         if self._last[0] != key:
-            self._last = key, [each.residuals(self._matrices, values) for each in self._responses]
+            plain = (each.residuals(self._matrices, values) for each in self._responses)
+            weighed = zip(self.weights, plain, strict=True)
+            self._last = key, [(w * r, w[:, None] * J) for w, (r, J) in weighed]
         return self._last[1]
+
+
+def reweighed(
+    estimate: Callable[[Free], Fit[M, Any]], free: Free, near: AnyFit | None
+) -> Fit[M, Any]:
+    """The estimate with responses, weighed by its own residuals, or as that of a fit nearby."""
+    evidence = free.evidence
+    if not isinstance(evidence, MeasuredResponses):
+        return estimate(free)
+    known = getattr(near.notes, "response_weights", ()) if near is not None else ()
+    held = [len(w) for w in known] == [len(w) for w in evidence.weights]
+    weights, lam = known if held else evidence.excess(free.guess), free.guess
+    iterations, seconds, rounds = 0, 0.0, 0
+    while True:
+        start = free.model.with_vector(free.full(lam))
+        fit = estimate(replace(free, model=start, evidence=evidence.weighed(weights)))
+        notes = replace(fit.notes, response_weights=tuple(weights))
+        iterations, seconds = iterations + fit.iterations, seconds + fit.seconds
+        lam = fit.model.vector()[free.index]
+        last, weights = weights, evidence.excess(lam)
+        pairs = zip(last, weights, strict=True)
+        rounds += 1
+        settled = held or all(np.abs(np.log(a / b)).max() < ALIKE for a, b in pairs)
+        if settled or rounds == ROUNDS:
+            return replace(fit, notes=notes, iterations=iterations, seconds=seconds)
 
 
 class _Measured:
@@ -70,12 +125,29 @@ class _Measured:
         stated = np.nan_to_num(response.coherence, nan=1.0) < 1
         self._relative = self._whiten.used & ~stated
 
+    @property
+    def rows(self) -> int:
+        """Number of real residuals."""
+        return 2 * sum(len(at) for _, at, _ in self._whiten.along)
+
+    def excess(self, r: Array) -> Array:
+        """Weights (rows,) of residuals r that are larger than stated, smoothed over frequency."""
+        half, found, first = len(r) // 2, [], 0
+        power = (r[:half] ** 2 + r[half:] ** 2) / 2
+        for _, at, _ in self._whiten.along:
+            place, own = np.log(self._s.imag[at]), power[first : first + len(at)]
+            near = np.abs(place[:, None] - place) <= REACH
+            count = near.sum(axis=1)
+            mean = near @ own / count
+            found.append(np.where(mean > 1 + SURE / np.sqrt(count), 1 / np.sqrt(mean), 1.0))
+            first += len(at)
+        return np.tile(np.concatenate(found), 2)
+
     def residuals(self, matrices: MatrixFunction, values: Array) -> tuple[Array, Array]:
         try:
             G, slopes = matrices(values).response_slopes(self._s)
         except np.linalg.LinAlgError:  # a pole on a frequency
-            n = 2 * sum(len(at) for _, at, _ in self._whiten.along)
-            return np.full(n, np.nan), np.full((n, len(values)), np.nan)
+            return np.full(self.rows, np.nan), np.full((self.rows, len(values)), np.nan)
         model, by_lam = self._G.copy(), np.zeros((*self._G.shape, len(values)), complex)
         model[self._place] = G[self._own]
         by_lam[self._place] = np.moveaxis(slopes, 0, -1)[self._own]

@@ -30,7 +30,7 @@ from casid.records import Records, check_alive, several, stretches
 from casid.shooting.innovation import ProcessNoise
 from casid.shooting.knowledge import with_knowledge
 from casid.shooting.likelihood import CovarianceKind
-from casid.shooting.measured import MeasuredResponses, check_responses
+from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
 from casid.shooting.nonlinear import MOST, Integration
 from casid.shooting.precision import OutputErrorNotes, Precision, precision
 from casid.shooting.search import IPOPT, Outcome, Search
@@ -121,11 +121,17 @@ class OutputError:
         fails, all rounds follow. In the frequency domain its spectra are held, so that the costs of
         fits to the same records compare.
         """
-        begin = time.perf_counter()
-        options = replace(self.solver, ipopt=IPOPT | dict(self.solver.ipopt))
         check_responses(model, self.responses, several(data))
         free = self.free(model, fixed, bounds)
         chosen = select_records(free, data, bool(self.biases))
+        return reweighed(lambda own: self._fitted(model, own, chosen, near), free, near)
+
+    def _fitted(
+        self, model: M, free: Free, chosen: list[Record], near: AnyFit | None
+    ) -> Fit[M, OutputErrorNotes]:
+        """The estimate from selected records."""
+        begin = time.perf_counter()
+        options = replace(self.solver, ipopt=IPOPT | dict(self.solver.ipopt))
         if self.domain != "time":
             white = self._checked_for_lines(model)
             return estimate(model, free, chosen, self.solver, R=white, near=near)

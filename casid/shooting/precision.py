@@ -41,6 +41,9 @@ class OutputErrorNotes:
         Of the residuals, in the frequency domain, one a kind of manoeuvre.
     process_noise : (nx,) array or None
         Densities of the noises that drive the states [state²/s], if those are estimated.
+    response_weights : tuple of array
+        By which residuals of measured responses count, one array a response: less than one where
+        the structure misses more than their stated errors.
     """
 
     rounds: int
@@ -53,6 +56,7 @@ class OutputErrorNotes:
     integration: Integration | None = None
     spectra: tuple[NoiseSpectrum, ...] = ()
     process_noise: Array | None = None
+    response_weights: tuple[Array, ...] = ()
 
     def __post_init__(self) -> None:
         seal(self)
