@@ -132,7 +132,7 @@ def run(case, seed):
 
 
 def others(made, model, tops):
-    """How many of 40 aircraft 30 % away from the prior keep the limits of outputs, and the worst."""
+    """How many of 40 aircraft 30 % off the prior keep the limits of outputs, and the worst."""
     limit, found = TIMES * np.array([tops[n] for n in SixDof.outputs]), []
     for seed in range(100, 140):
         free = free_parameters(moved(model, seed))
