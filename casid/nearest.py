@@ -24,9 +24,9 @@ OF_ROW = 0.003
 ROUGH = 0.1  # of a pair's response: what the first weights take a structure to miss
 REACH = 0.35  # nepers of frequency over which the misfit is smoothed for the next weights
 ROUNDS = 2  # of weights by what is left
-STEPS = 8  # of Gauss and Newton a round
+STEPS = 30  # of Gauss and Newton a round
 LEAST = 0.01  # of a step that is worth trying
-SETTLED = 1e-3  # relative decrease of the cost that ends a round
+SETTLED = 1e-4  # relative decrease of the cost that ends a round
 HELD = 1e-9  # of the width between bounds
 
 Slopes = Callable[[Array], tuple[ComplexArray, ComplexArray]]

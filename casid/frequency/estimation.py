@@ -87,7 +87,8 @@ class SpectralAnalysis:
         multiple = np.where(np.isin(outputs, silent), np.nan, merged.multiple_coherence)
         found = FrequencyResponse(
             omega=omega, G=laid(merged.response), coherence=laid(merged.coherence),
-            random_error=laid(merged.random_error), leakage=laid(leakage(parts, usable, lengths)),
+            random_error=laid(merged.random_error),
+            leakage=laid(leakage(parts, usable, lengths, omega)),
             resolution=laid(_resolution(parts, usable, lengths)),
             **_correlations(merged, active, len(inputs)),
             inputs=inputs, outputs=outputs, input_std=su, output_std=sy,

@@ -3,6 +3,10 @@
 A window of length L smears the response over a bandwidth of 1/L and cuts off what began before it:
 both leave an error that falls as 1/L². Two lengths of ratio √2 therefore differ by about as much as
 the longer one is biased; what noise makes of that difference is known from their random errors.
+
+A window of few periods resolves no mode of that frequency: the error then falls as 1/L at best,
+and two windows may be biased alike. All pairs share their poles, so that what the median of
+them shows holds for each at least.
 """
 
 from collections.abc import Sequence
@@ -13,16 +17,19 @@ from casid.arrays import Array, BoolArray
 from casid.frequency.spectra import Conditioned, window_weights
 
 RATIO = np.sqrt(2)  # of the two lengths that are compared
+FEW = 4.0  # periods in the longest window
 SHORTER = 0.9  # as a share of a length: the other one of its pair at most
 
 
-def leakage(parts: Sequence[Conditioned], usable: BoolArray, lengths: Sequence[float]) -> Array:
+def leakage(
+    parts: Sequence[Conditioned], usable: BoolArray, lengths: Sequence[float], omega: Array
+) -> Array:
     """Bias of the composite's response relative to its magnitude, (K, ny, nu).
 
     It may be all in the gain or all in the phase [rad], so it counts in full for both. Smoothed
     over three neighbouring frequencies; zero where it is less than noise would show, and where a
     single length leaves nothing to compare. Lengths [s] and parts increase; ``usable`` is (windows,
-    K).
+    K), ``omega`` (K,) in rad/s.
     """
     L = np.array(lengths)
     pairs = {i: j for i in range(len(L)) if (j := _shorter(L, i)) is not None}
@@ -33,6 +40,9 @@ def leakage(parts: Sequence[Conditioned], usable: BoolArray, lengths: Sequence[f
         total += W[w] * _squared(parts[i], parts[pairs[i]], L[i] / L[pairs[i]]) * (L[i] / L[w]) ** 4
     padded = np.pad(total, ((1, 1), (0, 0), (0, 0)), mode="edge")
     smooth = (padded[:-2] + padded[1:-1] + padded[2:]) / 3
+    few = (omega * L[-1] / (2 * np.pi) < FEW)[:, None, None]
+    least = np.maximum(smooth, np.median(smooth, axis=(1, 2), keepdims=True))
+    smooth = np.where(few, (1 + RATIO) ** 2 * least, smooth)  # (RATIO² - 1)/(RATIO - 1)
     return np.asarray(np.sqrt(smooth))
 
 

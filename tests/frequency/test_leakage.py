@@ -11,6 +11,9 @@ from casid.frequency.spectra import Conditioned
 LIGHT = StateSpace([[0, 1], [-4, -0.4]], [[0], [4]], [[1, 0]], [[0]], None, ("u",), ("y",))
 
 
+MANY = np.array([10.0])  # rad/s: 30 periods in 20 s
+
+
 def swept(system, *, linear):
     """A sweep from 0.3 to 15 rad/s that begins and ends abruptly, without noise."""
     t = 0.02 * np.arange(3001)
@@ -47,19 +50,37 @@ def test_noise_is_not_taken_for_leakage():
     assert 0.91 < np.mean(inside) < 0.99
 
 
-def test_a_bias_that_falls_with_the_square_of_the_length_is_found_exactly():
-    lengths, c = [10.0, 10 * np.sqrt(2), 20.0], 8.0 * np.exp(0.3j)
+def windowed(lengths, bias):
+    """What windows see of responses of 2 that are biased by ``bias(length)``, (1, 1, pairs)."""
     parts = []
     for length in lengths:
-        one = np.ones((1, 1, 1))
-        G = 2.0 * (1 + c / length**2) * one
+        G = 2.0 * (1 + np.reshape(bias(length), (1, 1, -1)))
+        one = np.ones(G.shape)
         parts.append(
             Conditioned(Gxx=one, Gxy=G, Gyy=np.abs(G) ** 2, random_error=1e-9 * one,
                         multiple_coherence=np.ones((1, 1)), condition=np.ones(1))
         )  # fmt: skip
+    return parts
+
+
+def test_few_periods_are_taken_for_biased_by_one_over_the_length_and_all_pairs_alike():
+    lengths = [10.0, 10 * np.sqrt(2)]
+    parts = windowed(lengths, lambda length: np.array([0.0, 1.0, 1.0, 3.0]) / length)
+    usable = np.array([[False], [True]])
+    found = leakage(parts, usable, lengths, np.array([1.0]))[0, 0]  # 2.3 periods
+    wanted = np.array([1.0, 1.0, 1.0, 3.0]) / lengths[1]
+    np.testing.assert_allclose(found, wanted / (1 + np.array([0.1, 1, 1, 3]) * 0.07), rtol=0.1)
+    many = leakage(parts, usable, lengths, MANY)[0, 0]
+    np.testing.assert_allclose(many[1:], found[1:] / (1 + np.sqrt(2)), rtol=1e-9)
+    assert many[0] == 0
+
+
+def test_a_bias_that_falls_with_the_square_of_the_length_is_found_exactly():
+    lengths, c = [10.0, 10 * np.sqrt(2), 20.0], 8.0 * np.exp(0.3j)
+    parts = windowed(lengths, lambda length: c / length**2)
     for k in (1, 2):  # one window alone counts
         usable = (np.arange(3) == k)[:, None]
-        bias = leakage(parts, usable, lengths).item()
+        bias = leakage(parts, usable, lengths, MANY).item()
         wanted = np.abs(c) / lengths[k] ** 2 / np.abs(1 + c / lengths[k] ** 2)
         assert bias == pytest.approx(wanted, rel=1e-6)
-    assert leakage(parts[:1], usable[:1], lengths[:1]).item() == 0.0
+    assert leakage(parts[:1], usable[:1], lengths[:1], MANY).item() == 0.0
