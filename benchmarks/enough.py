@@ -14,6 +14,7 @@ AW109 has the folders 040kt, 060kt, 080kt. What FILE (JSON lines) holds is not c
 
 import argparse
 import json
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -30,6 +31,7 @@ from casid.model import free_parameters
 from models.hybrid_flap import HybridFlap
 from models.six_dof import SixDof
 
+ALSO = re.compile(r" \(also after [^)]*\)")
 DT, LAG = 0.02, 0.06  # s
 AMPLITUDE = {"lat": 0.04, "lon": 0.025, "col": 0.04, "ped": 0.05}
 LIGHT = {"lat": {"p": 0.05, "phi": 0.15}, "lon": {"q": 0.20, "theta": 0.25}, "ped": {"r": 0.20}}
@@ -122,9 +124,8 @@ def show(done: dict[str, dict]) -> None:
         if key.startswith("records"):
             above = ", ".join(f"{output} {count}" for output, count in row["above"].items())
             share = f"{100 * row['share']:.0f} %"
-            rows.append(
-                [key[10:], f"{row['faults']} of {row['rows']}", share, above, row["told"][0]]
-            )
+            name, count = key[10:].replace(" | ", ", "), f"{row['faults']} of {row['rows']}"
+            rows.append([name, count, share, above, ALSO.sub("", row["told"][0])])
     heading = ("records, structure", "at fault", "missed, rms", "above 3 rad/s", "clearest")
     print("\n" + table(heading, rows))
 
