@@ -85,7 +85,7 @@ def filled(record: Record) -> tuple[Record, BoolArray]:
     known = np.column_stack([at_instants(record.t, x, record.t, "smooth") for x in record.y.T])
     known = np.where(lost, known, record.y)
     unread = np.isnan(known)
-    gone = np.where(_slow(lost), unread, lost)
+    gone = np.where(slow(lost), unread, lost)
     there = ~unread.all(axis=0)
     if not gone[:, there].any():
         return replace(record, y=known), lost
@@ -101,7 +101,7 @@ def filled(record: Record) -> tuple[Record, BoolArray]:
     return replace(record, y=known), lost
 
 
-def _slow(lost: BoolArray) -> BoolArray:
+def slow(lost: BoolArray) -> BoolArray:
     """Which channels are sampled at twice the record's interval or more, (ny,)."""
     spacing = [np.diff(np.flatnonzero(~column)) for column in lost.T]
     return np.array([len(each) > 0 and np.median(each) >= 2 for each in spacing])

@@ -24,9 +24,10 @@ import scipy.interpolate
 import scipy.signal
 
 from casid.arrays import Array
-from casid.autoregression import FAR, MAD
+from casid.autoregression import FAR, MAD, slow
 from casid.frequency.sampling import equidistant
 from casid.record import Record
+from casid.samples import at_instants
 
 GRAVITY = 9.80665  # m/s^2
 MOST = 60_000  # samples that are looked at
@@ -83,6 +84,9 @@ def signals(record: Record, trim: Mapping[str, float]) -> Flight:
             continue
         y = record.y[:, i] + record.trim.get(name, 0.0) + trim.get(name, 0.0)
         missing = np.isnan(y)
+        if slow(missing[:, None]).all():  # nothing is lost: it is sampled less often than others
+            y = at_instants(record.t, y, record.t, "smooth")
+            missing = np.isnan(y)
         if missing.mean() > GAPS:
             continue
         values[name] = np.interp(record.t, record.t[~missing], y[~missing])

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from casid.distances import Distances, distances
 from casid.nonlinear.model import NonlinearModel
@@ -39,15 +40,17 @@ def _run(settings: Sufficiency, task: Task) -> Distances:
 
 
 def _show(found: Distances, content: Content) -> Iterable[Section]:  # noqa: ARG001
-    said, lead = [], ""
+    said, lead, answer = [], "", ""
     if found.enough:
         lead = "It misses nothing that the records show."
     else:
         told = found.sentences()
         more = f"; and {len(told) - NAMED} more outputs" if len(told) > NAMED else ""
         said = [Caution(f"The structure is not enough: {'; '.join(told[:NAMED])}{more}.", 1)]
+        answer = f"It is farther from the black box than errors explain: {told[0]}."
     title = "Is the structure enough?"
-    yield section("sufficiency", title, 3, found, lead=lead, cautions=tuple(said))
+    whole: Any = {"lead": lead, "answer": answer, "cautions": tuple(said)}
+    yield section("sufficiency", title, 3, found, **whole)
 
 
 SUFFICIENCY = Stage(

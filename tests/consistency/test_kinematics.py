@@ -207,6 +207,17 @@ def test_a_reference_of_which_most_is_missing_is_no_absent_one():
     assert re.fullmatch(r"p was not checked: (69|70) % of phi is missing".replace(" %", "%"), note)
 
 
+def test_a_channel_sampled_less_often_than_the_others_is_judged_all_the_same():
+    shifted = flight(0, outputs=("p", "phi")).shift({"phi": 0.08})
+    own = np.arange(shifted.N) % 4 == 0  # a slower logger's
+    late = shifted.mask(np.array([False, True]) & ~own[:, None])
+    check = kinematic_check(late)
+    (p,) = (each for each in check.channels if each.channel == "p")
+    assert p.skew == pytest.approx(-0.08, abs=4 * p.skew_error + 0.002)
+    assert p.skew_error < 0.01
+    assert not [note for note in check.notes if "phi" in note]
+
+
 @pytest.mark.parametrize("channel", ["p", "phi"])
 def test_outliers_are_told_and_hide_no_skew(channel):
     record = flight(0, {"p": (0.0, 0.0, 0.06)}, NOISE, ATTITUDES)
