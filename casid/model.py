@@ -8,6 +8,7 @@ trim values as plain fields and writes the matrices as methods. The same methods
 """
 
 from collections.abc import Collection, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any, ClassVar, Protocol, Self, TypeAlias, TypeVar, cast, dataclass_transform
@@ -24,6 +25,7 @@ from casid.sensors import Scalar, Sensor
 Rows: TypeAlias = Sequence[Sequence[Scalar]]
 
 NO_DELAY = 1e-6  # s, rounding of a delay on its bound
+RESTORING = ContextVar("restoring", default=False)  # classes that were checked where they came from
 
 Bounds: TypeAlias = Mapping[str, tuple[float, float]]
 Priors: TypeAlias = Mapping[str, tuple[float, float]]  # λ ~ N(value, deviation²)
@@ -95,6 +97,8 @@ class Model:
     constant_states: ClassVar[tuple[str, ...]] = ()  # states that may have no dynamics
 
     def __init_subclass__(cls, *, base: bool = False) -> None:
+        if RESTORING.get():
+            return
         if base:  # one more base of structures, with nothing declared
             dataclass(frozen=True, kw_only=True, eq=True)(cls)
             return
