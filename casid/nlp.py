@@ -236,6 +236,7 @@ def _settings(
         ipopt |= {"warm_start_init_point": "yes", "mu_init": 1e-4}
     settings: dict[str, Any] = {"print_time": False, "ipopt": ipopt | dict(options.ipopt)}
     settings["iteration_callback"] = watcher
+    settings["show_eval_warnings"] = False  # IPOPT steps back from points without a value
     if problem.hessian is not None:
         settings["hess_lag"] = problem.hessian
     for name, function in problem.functions.items():

@@ -16,6 +16,7 @@ Everything is scaled: parameters by their typical magnitude, inputs and outputs 
 weights, errors by ``unit``.
 """
 
+import contextlib
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -51,6 +52,7 @@ class Optimum:
     success: bool
     status: str
     iterations: int
+    held: bool = False  # whether poles were held back on the way
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,12 +79,23 @@ class Programme:
         Free parameters to start from, in physical units.
     stable : bool
         Keep A(λ) − σ I Hurwitz by a Lyapunov equation.
+    line : float
+        Real part [1/s] that no pole may exceed on the way: trial points where one does have no
+        value. Those of the start must not.
     """
 
     def __init__(
-        self, free: Free, comparison: Comparison, norm: str, values: Array, *, stable: bool = False
+        self,
+        free: Free,
+        comparison: Comparison,
+        norm: str,
+        values: Array,
+        *,
+        stable: bool = False,
+        line: float | None = None,
     ) -> None:
         self.free, self.comparison, self.norm, self.start = free, comparison, norm, values
+        self.line = np.inf if line is None else line
         self.scale = free.scale[free.index]
         self.matrices = MatrixFunction(free)
         at = self.matrices(values)
@@ -104,6 +117,7 @@ class Programme:
         self.first = nf + (norm == "hinf")
         self.factors = self.first + K * self.r**2
         self.points = np.arange(K * self.r**2).reshape(K, -1)
+        self._held = False
         self._last: _Point | None = None
         self._slopes: tuple[_Point, ComplexArray] | None = None
 
@@ -121,7 +135,7 @@ class Programme:
             values=self.parameters(found.x), cost=found.f * unit, success=found.success,
             multipliers=-found.multipliers_x[: len(self.scale)] / self.scale * unit,
             prices=-found.multipliers_g[ties] * unit,
-            status=found.status, iterations=found.iterations,
+            status=found.status, iterations=found.iterations, held=self._held,
         )  # fmt: skip
 
     def parameters(self, x: Array) -> Array:
@@ -227,10 +241,11 @@ class Programme:
     def _point(self, x: Array) -> _Point:
         lam = x[: len(self.scale)] * self.scale
         if self._last is None or not np.array_equal(lam, self._last.lam):
-            try:
-                G = self.matrices(lam).response(self.comparison.s)
-            except np.linalg.LinAlgError:  # a pole on a point
-                G = np.full(self.comparison.G.shape, complex(np.nan))
+            at, G = self.matrices(lam), np.full(self.comparison.G.shape, complex(np.nan))
+            with contextlib.suppress(np.linalg.LinAlgError):  # a pole on a point, or far out
+                beyond = np.linalg.eigvals(at.blocks[0]).real.max() > self.line
+                self._held |= bool(beyond)
+                G = G if beyond else at.response(self.comparison.s)
             self._last = _Point(lam=lam, G=G, E=self.cost_of.errors(G))
         return self._last
 

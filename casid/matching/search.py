@@ -124,7 +124,7 @@ class Search:
     def _solve(self, norm: str, start: str, values: Array, comparison: Comparison) -> Found:
         """One programme; once more with the stability constraint if its solution needs it."""
         optimum = self._programme(norm, values, comparison, stable=False)
-        if self._unstable(optimum.values):
+        if self._unstable(optimum.values) or (optimum.held and not optimum.success):
             outside = self._unstable(values)
             if outside:  # values near the given ones with all poles left of the line, if found
                 guarded = Condensed.of(self.free, comparison, guarded=True)
@@ -144,7 +144,9 @@ class Search:
         )  # fmt: skip
 
     def _programme(self, norm: str, values: Array, against: Comparison, *, stable: bool) -> Optimum:
-        programme = Programme(self.free, against, norm, values, stable=stable)
+        free = stable or not self.stable or self._unstable(values)
+        line = None if free else self._line
+        programme = Programme(self.free, against, norm, values, stable=stable, line=line)
         optimum = programme.solve(self.options, f"match {norm}")
         self.iterations += optimum.iterations
         return optimum
@@ -153,11 +155,16 @@ class Search:
         """The structure at the free values."""
         return self.free.model.with_vector(self.free.full(values)).system()
 
-    def _unstable(self, values: Array) -> bool:
+    @property
+    def _line(self) -> float | None:
+        """Real part that no pole may exceed, a rounding right of the line."""
         line = self.comparison.line
-        if not self.stable or line is None:
+        return None if line is None else line + 1e-6 * (1 + line)
+
+    def _unstable(self, values: Array) -> bool:
+        if not self.stable or self._line is None:
             return False
-        return bool(self.system(values).poles().real.max() > line + 1e-6 * (1 + line))
+        return bool(self.system(values).poles().real.max() > self._line)
 
 
 def _rank(found: Found) -> tuple[bool, float]:

@@ -92,6 +92,16 @@ def test_derivatives_are_those_of_differences(case, norm):
     np.testing.assert_allclose(H, np.triu(central(slope, x)), **near)
 
 
+def test_trial_points_with_poles_right_of_the_line_have_no_value():
+    free = free_parameters(MODEL)
+    rightmost = MODEL.system().poles().real.max()
+    programme = Programme(free, COMPARISON, "hinf", free.guess, line=rightmost + 0.05)
+    x = programme.problem().x0
+    assert np.isfinite(programme.cost(x))
+    x[: len(free.index)] = HoverRoll(Yv=0.0, Lv=-1.0, Lp=0.0).vector() / programme.scale
+    assert np.isnan(programme.cost(x))
+
+
 @pytest.mark.parametrize("norm", ["quadratic", "hinf", "decibel"])
 def test_every_norm_has_its_minimum_at_the_truth(norm):
     free = free_parameters(MODEL)

@@ -1,0 +1,297 @@
+"""What casid's computations cost, each beside its limit and its peer.
+
+    python -m benchmarks.speed [NAME ...]    measure all or some, print the page's table
+    python -m benchmarks.speed --list        names
+
+Every figure is taken in a process of its own and kept in benchmarks/data/speed.json with its day,
+so that some may be measured anew; the table is made of all that are kept. Seconds are those of the
+processor, of all processes together. tests/test_speed.py holds the last functions of this file:
+ratios of processor times within one process.
+"""
+
+import argparse
+import datetime as dt
+import json
+import operator
+import pickle
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import load, matching
+from benchmarks import output_error as race
+from benchmarks.tables import table
+from casid import Execution, OutputError, Record, StateSpace, bootstrap, match, pbsid
+from casid.bounds.trials import Fits
+from casid.jobs.campaigns import Job, run_jobs
+from models.six_dof import SixDof
+
+ROOT = Path(__file__).resolve().parent.parent
+KEPT = ROOT / "benchmarks" / "data" / "speed.json"
+REFITS = 20  # measured, of the thousand that are stated
+
+
+def spent() -> float:
+    """Processor seconds of this process and of those it has waited for."""
+    both = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(usage.ru_utime + usage.ru_stime for usage in both)
+
+
+def timed(function: Callable[[], object]) -> float:
+    """Processor seconds of a call."""
+    begin = spent()
+    function()
+    return spent() - begin
+
+
+def command(*arguments: str) -> float:
+    """Processor seconds of a command of Python's."""
+    return timed(
+        lambda: subprocess.run(
+            [sys.executable, *arguments], check=True, cwd=ROOT, stdout=subprocess.DEVNULL
+        )
+    )
+
+
+def uh60() -> tuple[object, list[Record]]:
+    """The structure where output error starts, and the eight noisy records."""
+    records = race.noisy_records()
+    return race.start_of(records), records
+
+
+def small_match() -> float:
+    model, box, bounds = matching.helicopters()["UH-60"]
+    omega = np.geomspace(*box.band, 40)
+    return timed(lambda: match(model, box, bounds=bounds, omega=omega))
+
+
+def large_match() -> float:
+    ring = matching.Ring(10, 4, 8)
+    omega = np.geomspace(0.1, 20.0, 100)
+    return timed(lambda: match(ring.model, ring.truth, omega=omega))
+
+
+def given_black_box() -> float:
+    given = {"order": 18, "pole": 10.0, "past": 10, "future": 10}
+    records = race.noisy_records()
+    return timed(lambda: pbsid(records, feedthrough=["ax", "ay", "az"], **given))
+
+
+def wide(outputs: int, samples: int) -> Record:
+    """Five modes from four inputs, seen by many noisy outputs."""
+    rng, t = np.random.default_rng(0), 0.02 * np.arange(samples)
+    omega = 0.5 * 1.5 ** np.arange(5)
+    A = np.kron(np.diag(omega), [[-0.3, 1.0], [-1.0, -0.3]])
+    B, C = rng.standard_normal((10, 4)), rng.standard_normal((outputs, 10))
+    system = StateSpace(A, B, C, np.zeros((outputs, 4)))
+    u = np.repeat(rng.choice([-1.0, 0.0, 1.0], size=(-(-samples // 40), 4)), 40, axis=0)[:samples]
+    y = system.simulate(t, u)
+    y += 0.03 * y.std(axis=0) * rng.standard_normal(y.shape)
+    return Record(t, u, y, system.inputs, system.outputs, "wide")
+
+
+def wide_black_box() -> float:
+    record = wide(30, 10_000)
+    return timed(lambda: pbsid(record))
+
+
+def long_black_box() -> float:
+    flights = load.records(1_000_000, None)
+    return timed(lambda: load.STAGES["pbsid"](flights))
+
+
+def textbook_ratio() -> float:
+    model, records = uh60()
+    options = race.SolverOptions(ipopt=race.IPOPT)
+    _, (ours, theirs) = race.compare(model, records[:4], race.R_TRUE, 2.0, options, ["map"])
+    return float(theirs[2] / ours[2])
+
+
+def long_output_error() -> float:
+    flights = load.records(1_000_000, 5_000)
+    return timed(lambda: load.STAGES["output_error"](flights))
+
+
+def refits() -> float:
+    """Minutes on two processors of a thousand."""
+    model, records = uh60()
+    fit = OutputError(interval=2.0).fit(model, records[:4])
+    seconds = timed(
+        lambda: bootstrap(fit, records[:4], runs=REFITS, estimator=OutputError(interval=2.0))
+    )
+    return seconds / REFITS * 1000 / 2 / 60
+
+
+def cases() -> float:
+    printed = subprocess.run(
+        [sys.executable, "benchmarks/bounds.py"],
+        check=True,
+        cwd=ROOT,
+        text=True,
+        stdout=subprocess.PIPE,
+    ).stdout
+    line = next(each for each in printed.splitlines() if "processor time" in each)
+    return float(line.split(":")[-1].removesuffix("x"))
+
+
+def kept_study() -> float:
+    with tempfile.TemporaryDirectory() as folder:
+        run = ["-m", "casid", "identify", "examples/uh60/study.toml", "--output", folder]
+        command(*run)
+        return command(*run)
+
+
+def task_bytes() -> float:
+    """kB that one refit of the eight UH-60 records is handed."""
+    model, records = uh60()
+    fits = Fits(model, records, OutputError(), (), None, Execution())
+    return len(pickle.dumps(fits.job(fits.cases({"free": {}})[0]))) / 1000
+
+
+def task_seconds() -> float:
+    """ms of the calling process for one job that does nothing, kept on disk, of 200."""
+    jobs = [Job(name=f"job {k}", key="0", payload=None) for k in range(200)]
+    with tempfile.TemporaryDirectory() as folder:
+        begin = time.process_time()
+        run_jobs(operator.is_, jobs, Execution(folder=folder))
+        return 1000 * (time.process_time() - begin) / len(jobs)
+
+
+def flops(programme: race.Programme) -> float:
+    """Floating-point operations a sample and Gauss-Newton iteration needs at least."""
+    e = programme.evaluator
+    p = e.nf + e.nx + e.ny  # columns: parameters, the interval's node, biases
+    carried, seen = 2 * e.nx**2 * (e.nf + e.nx), 2 * e.ny * e.nx * (e.nf + e.nx)
+    driven = 2 * e.nx * (e.nx + 2 * e.layout.records[0].nu) * e.nf
+    return carried + seen + driven + e.ny * (p + 1) ** 2  # a Gram matrix has two equal halves
+
+
+def times_the_bound() -> float:
+    """Time of output error over that of its least operations at the rate of a matrix product."""
+    records = race.noisy_records()[:4]
+    options = race.SolverOptions(ipopt=race.IPOPT, max_iterations=8)
+    programme, _, solution, built, whole = race.timed_casid(
+        SixDof(), records, race.R_TRUE, 2.0, options
+    )
+    square = np.random.default_rng(0).standard_normal((800, 800))
+    rate = 5 * 2 * 800**3 / timed(lambda: [square @ square for _ in range(5)])
+    samples = sum(record.N for record in records)
+    least = flops(programme) * samples * (solution.iterations + 1) / rate
+    return (whole - built) / least
+
+
+# Name: what it is, its limit, the peer, how it is measured. A limit below zero is a least value.
+FIGURES: dict[str, tuple[str, float, str, Callable[[], float]]] = {
+    "import": ("`import casid` [s]", 0.5, "", lambda: command("-c", "import casid")),
+    "help": ("`casid --help` [s]", 0.4, "", lambda: command("-m", "casid", "--help")),
+    "match": (
+        "H∞ match, 64 parameters, 40 frequencies, with certificate [s]",
+        2.0,
+        "states as variables: 4.8",
+        small_match,
+    ),
+    "match-120": (
+        "H∞ match, 120 parameters, 100 frequencies [s]",
+        6.0,
+        "states as variables: 12.7",
+        large_match,
+    ),
+    "black-box": ("black box, eight UH-60 records, settings given [s]", 1.0, "", given_black_box),
+    "wide": ("black box, 30 outputs, 10 000 samples, automatic [s]", 60.0, "", wide_black_box),
+    "long": ("black box, 10⁶ samples of 12 channels [s]", 20.0, "", long_black_box),
+    "textbook": (
+        "output error, times as fast as the textbook's, 64 parameters",
+        -100.0,
+        "textbook: 1",
+        textbook_ratio,
+    ),
+    "bound": ("output error, times its least operations", 4.0, "", times_the_bound),
+    "million": ("output error, 10⁶ samples of 12 channels [s]", 60.0, "", long_output_error),
+    "refits": (
+        "1000 refits of the four 3-2-1-1, 64 parameters, two processors [min]",
+        10.0,
+        "",
+        refits,
+    ),
+    "cases": ("twelve cases of bounds, in cold fits", 2.0, "one by one: 12", cases),
+    "kept": ("`casid identify`, everything kept [s]", 1.5, "", kept_study),
+    "bytes": ("one job, as it travels [kB]", np.inf, "the records: 1652", task_bytes),
+    "overhead": ("one job, work of the caller [ms]", np.inf, "", task_seconds),
+}
+
+
+# ---- ratios, for tests --------------------------------------------------------------------------
+
+
+def growth_of_black_box() -> float:
+    """Time of a black box with four times the samples."""
+    given, found = {"order": 10, "pole": 8.0, "past": 8, "future": 8}, []
+    for samples in (8_000, 32_000):
+        record = wide(8, samples)
+        found.append(timed(lambda record=record: pbsid(record, **given)))
+    return found[1] / found[0]
+
+
+def textbook_in_short() -> float:
+    """How many times as long the textbook programme takes for 8 s of one manoeuvre."""
+    record = race.noisy_records()[0].between(0.0, 7.99)
+    options = race.SolverOptions(ipopt=race.IPOPT, max_iterations=8)  # the same work on each side
+    given = [record], race.R_TRUE, 2.0, options
+    programme, start, *_, ours = race.timed_casid(SixDof(), *given)
+    theirs = race.timed_textbook(programme, start, options, "map")[2]
+    return float(theirs / ours)
+
+
+# ---- page ---------------------------------------------------------------------------------------
+
+
+def measured(name: str) -> float:
+    """A figure, from a process of its own."""
+    run = [sys.executable, "-m", "benchmarks.speed", "--one", name]
+    done = subprocess.run(run, check=True, cwd=ROOT, text=True, stdout=subprocess.PIPE)
+    return float(done.stdout.splitlines()[-1])
+
+
+def page(kept: dict[str, dict[str, float | str]]) -> str:
+    """The table of all figures that are kept."""
+    rows = []
+    for name, (what, limit, peer, _) in FIGURES.items():
+        if name not in kept:
+            continue
+        value, least = float(kept[name]["value"]), limit < 0
+        bound = f"{'≥' if least else '≤'} {abs(limit):g}" if np.isfinite(limit) else ""
+        holds = (
+            "" if not bound else "yes" if (value >= -limit if least else value <= limit) else "no"
+        )
+        rows.append((what, value, bound, holds, peer, str(kept[name]["day"])))
+    return table(("what", "figure", "limit", "holds", "peer", "measured"), rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", choices=[*FIGURES, []])
+    parser.add_argument("--list", action="store_true")
+    parser.add_argument("--one", choices=FIGURES, help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.one:
+        print(FIGURES[asked.one][3]())
+        return
+    if asked.list:
+        print("\n".join(FIGURES))
+        return
+    kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    for name in asked.names or FIGURES:
+        kept[name] = {"value": measured(name), "day": f"{dt.date.today():%Y-%m-%d}"}
+        print(name, kept[name]["value"], file=sys.stderr, flush=True)
+        KEPT.write_text(json.dumps(kept, indent=1) + "\n")
+    print(page(kept))
+
+
+if __name__ == "__main__":
+    main()
