@@ -91,6 +91,8 @@ class StepChoice:
         """What was chosen, and by how much."""
         others = [
             f"{name} {100 * np.expm1(more):+.0f} ± {100 * error:.0f} %"
+            if np.isfinite(more)
+            else f"{name} failed"
             for name, more, error in zip(self.names, self.excess, self.error, strict=True)
         ]
         return (

@@ -61,6 +61,7 @@ def test_the_first_that_is_not_worse_than_the_best_is_chosen():
     assert (clear.chosen, clear.fit) == ("b", "B")
     assert clear.headline().startswith("Last step: b, by errors of x, y, z predicted")
     assert np.isinf(clear.excess[2])
+    assert clear.headline().endswith("b +0 ± 0 %, c failed")
     with pytest.raises(ConvergenceError, match="no last step could be estimated: no"):
         chosen(comparison([[np.nan] * 3] * 2))
 
