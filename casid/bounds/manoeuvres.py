@@ -75,12 +75,6 @@ class StructureComparison:
         return self.names[int(np.argmin(self.excess[0]))]
 
     @property
-    def first(self) -> str:
-        """The first, in the order given, of the candidates that are not worse than the best."""
-        mean, error = self.excess
-        return self.names[int(np.flatnonzero(mean <= error)[0])]
-
-    @property
     def simplest(self) -> str:
         """The candidate with the fewest parameters among those that are not worse than the best."""
         mean, error = self.excess

@@ -43,8 +43,7 @@ class Choosing:
     Parameters
     ----------
     candidates : tuple of str
-        What is tried, the most wanted first: among those whose errors are not significantly above
-        the best one's (one standard error) the first is taken.
+        What is tried.
     """
 
     candidates: tuple[Candidate, ...] = tuple(WORDS)
@@ -69,7 +68,7 @@ class StepChoice:
         By how much the logarithm of the prediction error exceeds the best one's, mean over outputs
         and manoeuvres, and its standard error; infinite for a candidate that failed.
     chosen : str
-        Name of the first that is not worse than the best.
+        Name of the best.
     fit : Fit
         Its estimate from all manoeuvres.
     reasons : mapping
@@ -168,13 +167,13 @@ def chosen(found: StructureComparison) -> StepChoice:
         raise ConvergenceError(
             f"no last step could be estimated: {'; '.join(found.reasons.values())}"
         )
-    fit = cast("AnyFit", found.fits[found.names.index(found.first)])
+    fit = cast("AnyFit", found.fits[found.names.index(found.best)])
     return StepChoice(
         names=found.names,
         manoeuvres=found.manoeuvres,
         excess=excess,
         error=error,
-        chosen=found.first,
+        chosen=found.best,
         fit=fit,
         reasons=found.reasons,
     )
