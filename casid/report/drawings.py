@@ -14,6 +14,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from casid.arrays import Array
 from casid.bounds.compare import BoundsComparison
+from casid.excitations import Excitation
 from casid.fit import AnyFit
 from casid.folder import replacing
 from casid.frequency.response import FrequencyResponse
@@ -291,6 +292,23 @@ def draw_singular_values(black_box: BlackBox) -> Iterator[Drawing]:
     draw = partial(_single, (0.6 * WIDTH, 2.4), figures.plot_singular_values, black_box)
     caption = "Singular values of the predicted future; dotted: the order taken"
     yield Drawing(name="singular_values", caption=caption, interactive=False, draw=draw)
+
+
+def draw_excitation(found: Excitation) -> Iterator[Drawing]:
+    """How much of every input comes from outside, frequency by frequency."""
+    caption = "Share of each input from outside over its band; dotted: below, it is doubted"
+    draw = partial(_excitation, found)
+    yield Drawing(name="excitation", caption=caption, interactive=False, draw=draw)
+
+
+def _excitation(found: Excitation) -> Figure:
+    figure = Figure(figsize=(WIDTH, 0.9 + 1.3 * len(found.inputs)))
+    axes = figure.subplots(len(found.inputs), 1, squeeze=False, sharex=True)
+    for i, ax in enumerate(axes[:, 0]):
+        figures.plot_excitation(ax, found, i)
+        ax.label_outer()
+    _legend(figure, axes[0, 0])
+    return _tidy(figure, axes)
 
 
 def _single(size: tuple[float, float], plot: Callable[[Axes, Any], Axes], value: object) -> Figure:

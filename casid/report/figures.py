@@ -13,6 +13,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, MultipleLocator, NullLo
 
 from casid.arrays import Array, ComplexArray
 from casid.channels import UNITS
+from casid.excitations import LITTLE, Excitation
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
@@ -219,6 +220,19 @@ def plot_singular_values(ax: Axes, black_box: BlackBox) -> Axes:
     ax.axvline(black_box.system.nx + 0.5, color="#777777", linestyle=":", linewidth=1)
     ax.set(xlabel="index [-]", ylabel="singular value [-]")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    return ax
+
+
+def plot_excitation(ax: Axes, found: Excitation, channel: int) -> Axes:
+    """Draw the share of one input from outside, with its upper bound, over its band."""
+    inside = found.within[:, channel]
+    omega = found.omega[inside]
+    lower, upper = found.lower[inside, channel], found.upper[inside, channel]
+    color = style(BLACK_BOX)["color"]
+    ax.fill_between(omega, lower, upper, color=color, alpha=0.2, linewidth=0, label="at most")
+    ax.semilogx(omega, lower, color=color, label="from outside")
+    ax.axhline(LITTLE, color="#777777", linestyle=":", linewidth=1)
+    ax.set(xlabel="frequency [rad/s]", ylabel=f"{found.inputs[channel]} [-]", ylim=(0, 1.02))
     return ax
 
 

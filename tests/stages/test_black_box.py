@@ -4,10 +4,11 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from truths.structures import SECOND, black_box
 from truths.systems import campaign, unstable_plant
 
-from casid import Pbsid, pbsid
+from casid import Excitation, Pbsid, pbsid
 from casid.stages.black_box import BLACK_BOX
 from casid.stages.stage import Task
 
@@ -20,6 +21,26 @@ def test_the_stage_is_pbsid_with_its_settings():
     np.testing.assert_array_equal(found.system.A, pbsid(records, **own).system.A)
     assert found.system.poles()[0].real > 0
     assert unstable_plant().poles()[0].real > 0
+
+
+def test_the_shares_of_the_inputs_from_outside_are_shown():
+    omega = np.array([1.0, 2.0, 4.0, 8.0])
+    lower = np.array([[0.9, 0.2], [0.8, 0.1], [0.7, 0.3], [0.0, 0.4]])
+    within = np.array([[1, 1], [1, 1], [1, 1], [0, 0]], dtype=bool)
+    shares = Excitation(
+        inputs=("lat", "lon"), outputs=("p",), omega=omega, lower=lower, upper=lower + 0.1,
+        joint=lower[:, 0], answer=np.ones(1), coherence=np.ones(1), within=within, lags=3,
+    )  # fmt: skip
+    _, section = BLACK_BOX.show(replace(black_box(SECOND), excitation=shares), SimpleNamespace())
+    lat, lon = section.values["rows"]
+    assert (lat["name"], lat["low"], lat["high"]) == ("lat", 1.0, 4.0)
+    assert [lat[key] for key in ("share", "most", "least", "at")] == pytest.approx(
+        [0.8, 0.9, 0.7, 4]
+    )
+    assert [lon[key] for key in ("share", "least", "at")] == pytest.approx([0.2, 0.1, 2])
+    (drawing,) = section.draw()
+    line = drawing.figure.axes[1].lines[0]
+    np.testing.assert_array_equal(line.get_ydata(), [0.2, 0.1, 0.3])
 
 
 def test_the_section_tells_order_records_and_doubts():
