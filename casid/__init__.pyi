@@ -55,6 +55,7 @@ from .distances import (
 )
 from .eigenmodes import Mode as Mode, modes as modes
 from .embedding import StructureError as StructureError, structure_error as structure_error
+from .envelope import Envelope as Envelope, envelope as envelope
 from .errors import (
     ConvergenceError as ConvergenceError,
     DataWarning as DataWarning,

@@ -159,12 +159,17 @@ class Record(Shown):
         return {name: self.channel(name) + self.trim.get(name, 0.0) for name in names}
 
     def total(self) -> "Record":
-        """The same manoeuvre in total values: what was subtracted as trim added back."""
+        """The same manoeuvre in total values: what was subtracted as trim added back.
+
+        The trim of what is no channel stays: it says in which condition the record was flown.
+        """
         u, y = (
             values + [self.trim.get(name, 0.0) for name in names]
             for values, names in ((self.u, self.inputs), (self.y, self.outputs))
         )
-        return replace(self, u=u, y=y, trim={})
+        channels = {*self.inputs, *self.outputs}
+        other = {name: value for name, value in self.trim.items() if name not in channels}
+        return replace(self, u=u, y=y, trim=other)
 
     def select(
         self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None

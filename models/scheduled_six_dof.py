@@ -1,8 +1,8 @@
 """Six degrees of freedom over airspeed: scheduled derivatives and trim curves, in total values.
 
-Derivatives as in `models/rigid_body.py`, at the speed U0; each but the forces by rates changes by
-its ``_V`` over ``span``. Forces and moments count from trim curves over V = u, splines through
-measured trims of v, w, phi, theta and the sticks, on which the aircraft is in balance:
+Derivatives as in `models/rigid_body.py`, at U0; each but the forces by rates changes by its ``_V``
+over ``span`` (a subclass may add ``_VV``, parabolas). Forces and moments count from trim curves
+over V = u, splines through measured trims of v, w, phi, theta, sticks, and are in balance on them:
 
     f(x0(V), u0(V), λ) = 0,    so that    A(V) x0′(V) + B(V) u0′(V) = 0
 
@@ -11,7 +11,7 @@ gives the speed derivatives, whatever the others are (G. D. Padfield, Helicopter
 or estimate them and see whether trims and manoeuvres agree.
 
 What identifies it: records of all four controls from two or more trim speeds, in total values, with
-u among the outputs or held close to trim; ``fixed=ScheduledSixDof.balance`` holds the balance.
+u among the outputs; ``fixed=ScheduledSixDof.balance`` holds the balance.
 """
 
 from collections.abc import Mapping, Sequence
@@ -174,8 +174,10 @@ class ScheduledSixDof(NonlinearModel):
             force = at_rest.get(axis, 0.0) + getattr(self, f"{axis}trim")
             force += getattr(self, f"{axis}u") * (x.u - self.U0)
             for name, step in moved.items():
-                slope = getattr(self, f"{axis}{name}_V", 0.0)  # force derivatives by rates: none
-                force += (getattr(self, f"{axis}{name}") + slope * faster) * step
+                own = f"{axis}{name}"
+                slope = getattr(self, f"{own}_V", 0.0)  # force derivatives by rates: none
+                slope += getattr(self, f"{own}_VV", 0.0) * faster
+                force += (getattr(self, own) + slope * faster) * step
             found.append(force)
         return found
 

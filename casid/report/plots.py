@@ -21,6 +21,7 @@ from casid.bounds.resampling import Ensemble
 from casid.channels import UNITS
 from casid.cover import Cover
 from casid.design.plan import Design
+from casid.envelope import Envelope
 from casid.fit import Fit
 from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
@@ -29,6 +30,7 @@ from casid.record import Record
 from casid.records import Records
 from casid.report import figures
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR
+from casid.report.envelopes import plot_derivatives, plot_loci
 from casid.report.look import LOOK, WIDTH
 from casid.report.prices import CONFIDENCE, plot_bounds, plot_parameters
 from casid.residuals import Residuals
@@ -273,6 +275,13 @@ def _(value: Qualification, ax: Any) -> Any:  # noqa: ANN401
         each.bar(value.outputs, row, color=colours)
         each.axhline(1.0, color="#000000", linestyle="--", linewidth=1)
         each.set_title(f"{record}: largest error over half the band", loc="left")
+    return _same(ax, axes)
+
+
+@_draw.register
+def _(value: Envelope, ax: Any, modes: bool = False) -> Any:  # noqa: ANN401
+    axes = _axes(ax, 1 if modes else len(value.names), 1, height=2.8 if modes else 1.2)
+    (plot_loci(axes[0], value) if modes else plot_derivatives(axes, value))
     return _same(ax, axes)
 
 

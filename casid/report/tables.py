@@ -13,6 +13,7 @@ from casid.bounds.resampling import Ensemble
 from casid.cover import Cover
 from casid.display import Shown
 from casid.eigenmodes import modes
+from casid.envelope import Envelope
 from casid.fit import Fit
 from casid.frequency.response import FrequencyResponse
 from casid.qualification import Qualification
@@ -163,6 +164,15 @@ def _(value: Qualification) -> Cells:
         for k, record in enumerate(value.records)
     ]
     return ("error / half the band", *value.outputs), rows
+
+
+@cells.register
+def _(value: Envelope) -> Cells:
+    rows = [
+        [f"{speed:.4g}", *(f"{x:.3g} ± {e:.2g}" for x, e in zip(row, std, strict=True))]
+        for speed, row, std in zip(value.speed, value.values, value.std_error, strict=True)
+    ]
+    return ("speed [m/s]", *value.names), rows
 
 
 @cells.register

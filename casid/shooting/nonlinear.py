@@ -119,7 +119,7 @@ class NonlinearEvaluator(Evaluator):
         return NonlinearSweep(self, point, cast("Track", motion), W)
 
     def resting(self) -> Array:
-        """Nodes (J, nx) to start from: measured states, the reference condition where none."""
+        """Nodes (J, nx) to start from: measured states, else the trim's, else the reference."""
         layout, model = self.layout, self.model
         nodes = np.tile(model.operating_point()[0], (len(layout.count), 1))
         edges = np.cumsum([0, *(record.N for record in layout.records)])
@@ -130,6 +130,8 @@ class NonlinearEvaluator(Evaluator):
                 inside = (first >= begin) & (first < begin + record.N)
                 if (y := _measured(record, name)) is not None:
                     nodes[inside, i] = y[first[inside] - begin]
+                elif name in record.trim:
+                    nodes[inside, i] = record.trim[name]
         return nodes
 
     def level(self) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ from casid.threads import one_thread
 SAME = 1e-6  # change of outputs, over their size, from halving the steps that ends it
 ROUNDS = 20  # of Gauss-Newton steps for a state
 STILL = 1e-10  # change of the cost, relative, that ends them
+AWAY = "the structure runs away from its start; predict over a shorter horizon"
 WEAK = 1e-8  # information below this share of the largest moves nothing
 
 
@@ -142,8 +143,7 @@ def _answer(
     z = np.concatenate([evaluator.resting()[0], np.zeros(ny)])
     now = cost(z)
     for _ in range(ROUNDS):
-        sweep = evaluator.sweep(at(z), evaluator.simulate(at(z)), W)
-        gram = next(iter(sweep.batches())).gram[0][nf:, nf:]
+        gram = _gram(evaluator, at(z), W)[nf:, nf:]
         unit = 1 / np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))
         H = gram[:-1, :-1] * np.outer(unit, unit)
         step = -unit * np.linalg.lstsq(H, unit * gram[:-1, -1], rcond=WEAK)[0]
@@ -157,8 +157,18 @@ def _answer(
         if gained <= STILL * now:
             break
     if not np.isfinite(now):
-        raise ValueError("the structure runs away from its start; predict over a shorter horizon")
+        raise ValueError(AWAY)
     motion = evaluator.simulate(at(z))
     u = np.concatenate([part.value for part in evaluator.held(evaluator.matrices(model.vector()))])
     outputs = evaluator.flow.output(motion.states, u, model.vector()) + z[nx:]
     return (z[:nx], z[nx:]), outputs
+
+
+def _gram(evaluator: NonlinearEvaluator, point: Point, W: Array) -> Array:
+    """Gauss-Newton's matrix of the only interval; ValueError where the derivatives overflow."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        sweep = evaluator.sweep(point, evaluator.simulate(point), W)
+        gram = next(iter(sweep.batches())).gram[0]
+    if not np.isfinite(gram).all():
+        raise ValueError(AWAY)
+    return np.asarray(gram)

@@ -1,0 +1,150 @@
+"""Derivatives and modes of a nonlinear structure over its flight conditions, with local fits.
+
+At each condition the structure is linearised; the covariance of an entry of A or B is J C Jᵀ, J its
+exact derivatives by the parameters, C the covariance that `Fit.std_error` is read from.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from casid.arrays import Array, ComplexArray
+from casid.display import Shown, listed
+from casid.errors import ModelError
+from casid.evaluation import MatrixFunction
+from casid.fit import AnyFit
+from casid.model import free_parameters
+from casid.nonlinear.conditions import Trim
+from casid.nonlinear.model import NonlinearModel
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Envelope(Shown):
+    """Entries of A and B, and poles, over speed.
+
+    Parameters
+    ----------
+    speed : (n,) array
+        Of the conditions [m/s], increasing.
+    names : tuple of str
+        Of the entries: "q' by w" is the derivative of dq/dt by w.
+    values, std_error : (n, m) array
+        The entries and their standard errors, SI units.
+    poles : (n, nx) complex array
+        Each column follows one pole from condition to condition [1/s].
+    local : Envelope or None
+        The same of fits made at one condition each, to compare with.
+    """
+
+    speed: Array
+    names: tuple[str, ...]
+    values: Array
+    std_error: Array
+    poles: ComplexArray
+    local: "Envelope | None" = None
+
+    def headline(self) -> str:
+        """Conditions and entries."""
+        beside = "" if self.local is None else f", {len(self.local.speed)} local fits beside them"
+        return (
+            f"{listed(self.names, 10)} at {len(self.speed)} conditions from {self.speed[0]:.3g} to "
+            f"{self.speed[-1]:.3g} m/s{beside}"
+        )
+
+
+def envelope(
+    fit: AnyFit,
+    trims: Sequence[Trim],
+    entries: Sequence[tuple[str, str]],
+    *,
+    local: Mapping[Trim, AnyFit] | None = None,
+) -> Envelope:
+    """Derivatives and poles of a fit over flight conditions.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of a `NonlinearModel`.
+    trims : sequence of Trim
+        Where it is linearised; placed at their ``speed``, or at their value of "u" or "V".
+    entries : sequence of pairs
+        State and what its derivative is taken by, state or input: ``("q", "w")`` for M_w.
+    local : mapping of Trim to Fit
+        Fits made at one condition each, of the same states and inputs, to compare with.
+
+    Raises
+    ------
+    ValueError, ModelError
+        A linear structure, no condition or entry, one without a speed, a name that is none.
+    """
+    if not isinstance(fit.model, NonlinearModel):
+        raise ModelError(
+            f"{type(fit.model).__name__} is linear, the same at every speed; give it in local"
+        )
+    if not trims or not entries:
+        raise ValueError("envelope: give at least one trim and one entry, like ('q', 'w')")
+    own = None if not local else _gathered(list(local.items()), entries)
+    return _gathered([(trim, fit) for trim in trims], entries, own)
+
+
+def _gathered(
+    fits: Sequence[tuple[Trim, AnyFit]],
+    entries: Sequence[tuple[str, str]],
+    local: Envelope | None = None,
+) -> Envelope:
+    """The envelope of fits, each at its condition."""
+    along = sorted(fits, key=lambda each: _speed(each[0]))
+    values, errors, poles = zip(*(_read(*each, entries) for each in along), strict=True)
+    return Envelope(
+        speed=np.array([_speed(trim) for trim, _ in along]),
+        names=tuple(f"{state}' by {channel}" for state, channel in entries),
+        values=np.array(values),
+        std_error=np.array(errors),
+        poles=_followed(poles),
+        local=local,
+    )
+
+
+def _speed(trim: Trim) -> float:
+    """Where a condition stands on the axis of speeds."""
+    speed = trim.speed if np.isfinite(trim.speed) else trim.values.get("u", trim.values.get("V"))
+    if speed is None:
+        raise ValueError(f"trim {trim.name!r} has no speed; give it one: Trim(speed=...)")
+    return float(speed)
+
+
+def _read(
+    trim: Trim, fit: AnyFit, entries: Sequence[tuple[str, str]]
+) -> tuple[Array, Array, ComplexArray]:
+    """Entries (m,), their standard errors, and poles (nx,) of a fit at a condition."""
+    model = fit.model.at(trim) if isinstance(fit.model, NonlinearModel) else fit.model
+    columns = (*model.states, *model.inputs)
+    for state, channel in entries:
+        if state not in model.states or channel not in columns:
+            raise ModelError(
+                f"{type(model).__name__} has no derivative of {state!r} by {channel!r}; there are "
+                f"states {', '.join(model.states)} and inputs {', '.join(model.inputs)}"
+            )
+    own = [name for name in fit.free_names if name in model.parameter_names()]
+    held = [name for name in model.parameter_names() if name not in own]
+    free = free_parameters(model, fixed=held)
+    matrices = MatrixFunction(free)(model.vector()[free.index])
+    rows = [model.states.index(state) for state, _ in entries]
+    cols = [columns.index(channel) for _, channel in entries]
+    J = matrices.slopes[:, rows, cols].T
+    places = [list(fit.free_names).index(free.names[i]) for i in range(len(free.names))]
+    C = np.full((len(places),) * 2, np.nan) if fit.covariance is None else fit.covariance
+    variance = np.einsum("ma,ab,mb->m", J, C[np.ix_(places, places)], J)
+    poles = np.sort_complex(np.linalg.eigvals(matrices.blocks[0]))
+    return matrices.N[rows, cols], np.sqrt(np.maximum(variance, 0.0)), poles
+
+
+def _followed(poles: Sequence[ComplexArray]) -> ComplexArray:
+    """Poles (n, nx) in such an order that each column moves least from row to row."""
+    rows = [poles[0]]
+    for each in poles[1:]:
+        distance = np.abs(rows[-1][:, None] - each)
+        rows.append(each[scipy.optimize.linear_sum_assignment(distance)[1]])
+    return np.array(rows)

@@ -1,0 +1,54 @@
+"""Figures over the flight envelope: derivatives with their bands and local fits, root loci."""
+
+from collections.abc import Sequence
+
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from casid.envelope import Envelope
+from casid.report.prices import CONFIDENCE
+
+LINE, LOCAL = "#D55E00", "#000000"
+
+
+def plot_derivatives(axes: Sequence[Axes], value: Envelope) -> Sequence[Axes]:
+    """Draw each entry over speed [m/s], with its 95 % band and the local fits as points."""
+    for k, (ax, name) in enumerate(zip(axes, value.names, strict=True)):
+        middle, half = value.values[:, k], CONFIDENCE * value.std_error[:, k]
+        ax.plot(value.speed, middle, color=LINE, label="scheduled")
+        ax.fill_between(
+            value.speed, middle - half, middle + half, color=LINE, alpha=0.2, linewidth=0
+        )
+        if value.local is not None:
+            own = value.local
+            ax.errorbar(
+                own.speed,
+                own.values[:, k],
+                CONFIDENCE * own.std_error[:, k],
+                color=LOCAL,
+                fmt="o",
+                markersize=4,
+                capsize=2,
+                linestyle="none",
+                label="local",
+            )
+        ax.set_title(name, loc="left")
+        ax.yaxis.set_major_locator(MaxNLocator(4))
+    axes[-1].set_xlabel("speed [m/s]")
+    axes[0].legend()
+    return axes
+
+
+def plot_loci(ax: Axes, value: Envelope) -> Axes:
+    """Draw how the poles move with speed: lines that end in a mark where it is highest."""
+    for pole in value.poles.T:
+        ax.plot(pole.real, pole.imag, ".-", color=LINE, markersize=3, linewidth=1)
+        ax.plot(pole.real[-1:], pole.imag[-1:], "o", color=LINE, markersize=5)
+    if value.local is not None:
+        poles = value.local.poles.ravel()
+        ax.plot(poles.real, poles.imag, "x", color=LOCAL, linestyle="none", label="local")
+        ax.legend()
+    ax.axvline(0, color="#777777", linewidth=0.8)
+    ax.set_title(f"{value.speed[0]:.3g} to {value.speed[-1]:.3g} m/s (o)", loc="left")
+    ax.set(xlabel="real part [rad/s]", ylabel="imaginary part [rad/s]")
+    return ax

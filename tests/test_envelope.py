@@ -1,0 +1,138 @@
+"""Entries, errors and poles over speed, against formulas of a structure small enough for them."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from casid import (
+    Model,
+    ModelError,
+    NonlinearModel,
+    Record,
+    Scalar,
+    Trim,
+    envelope,
+    output_error,
+    parameter,
+    simulate,
+)
+
+mpl.use("Agg")
+
+
+class Faster(NonlinearModel):
+    """q' = (Mq + Mq_V (u - 30) / 10) q + Mlon u lon; u obeys its own input."""
+
+    states, inputs, outputs = ("u", "q"), ("lon", "push"), ("u", "q")
+
+    Mq: Scalar = parameter(default=-1.0, lower=-5.0, upper=0.0, unit="1/s")
+    Mq_V: Scalar = parameter(default=0.0, lower=-2.0, upper=2.0, unit="1/s")
+    Mlon: Scalar = parameter(default=0.2, lower=0.0, upper=2.0, unit="rad/(m s)")
+
+    def derivatives(self, x, u):
+        damping = self.Mq + self.Mq_V * (x.u - 30.0) / 10.0
+        return [u.push, damping * x.q + self.Mlon * x.u * u.lon]
+
+    def reference(self):
+        return {"u": 30.0}
+
+
+class Local(Model):
+    """The same at one speed."""
+
+    states, inputs, outputs = ("u", "q"), ("lon", "push"), ("u", "q")
+
+    Mq: Scalar = parameter(default=-1.0, lower=-5.0, upper=0.0, unit="1/s")
+    M: Scalar = parameter(default=6.0, lower=0.0, upper=60.0, unit="rad/s^2")
+
+    def A(self):
+        return [[0, 0], [0, self.Mq]]
+
+    def B(self):
+        return [[0, 1], [self.M, 0]]
+
+
+TRUTH = Faster(Mq=-1.5, Mq_V=-0.4, Mlon=0.3)
+PAIRS = [("q", "q"), ("q", "lon")]
+
+
+def flown(speed):
+    t = 0.1 * np.arange(100)
+    u = np.column_stack([0.1 * np.sign(np.sin(2 * t)), 0 * t])
+    still = Record(t, u, np.zeros((100, 2)), Faster.inputs, Faster.outputs, f"{speed}")
+    noise, rng = {"u": 0.1, "q": 0.02}, np.random.default_rng(int(speed))
+    return simulate(TRUTH, still, {"u": speed}).with_noise(noise, rng)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return output_error(Faster(), [flown(20.0), flown(40.0)], biases=False)
+
+
+def at(*speeds):
+    return [Trim(name=f"{V}", values={"u": V}) for V in speeds]
+
+
+def test_entries_and_their_errors_are_those_of_the_formula(fit):
+    found = envelope(fit, at(40.0, 20.0, 32.0), PAIRS)
+    np.testing.assert_array_equal(found.speed, [20.0, 32.0, 40.0])
+    faster, C = (found.speed - 30) / 10, fit.covariance
+    np.testing.assert_allclose(found.values[:, 0], fit.model.Mq + fit.model.Mq_V * faster)
+    np.testing.assert_allclose(found.values[:, 1], fit.model.Mlon * found.speed)
+    variance = C[0, 0] + 2 * faster * C[0, 1] + faster**2 * C[1, 1]
+    np.testing.assert_allclose(found.std_error[:, 0], np.sqrt(variance))
+    np.testing.assert_allclose(found.std_error[:, 1], np.sqrt(C[2, 2]) * found.speed)
+    np.testing.assert_allclose(np.sort(found.poles.real, axis=1)[:, 0], found.values[:, 0])
+
+
+def test_what_is_held_has_no_error():
+    held = output_error(Faster(), flown(20.0), biases=False, fixed=("Mq_V",))
+    found = envelope(held, at(40.0), PAIRS)
+    assert found.std_error[0, 0] == pytest.approx(held["Mq"].std_error)
+
+
+def test_local_fits_stand_at_their_speeds(fit):
+    record = flown(20.0).detrend({"u": 20.0, "q": 0.0, "lon": 0.0, "push": 0.0})
+    own = output_error(Local(), record)
+    found = envelope(fit, at(20.0, 40.0), PAIRS, local={at(20.0)[0]: own}).local
+    assert found.values[0].tolist() == [own.model.Mq, own.model.M]
+    np.testing.assert_allclose(found.std_error[0], [row.std_error for row in own.parameters])
+    assert "1 local fits" in repr(envelope(fit, at(20.0), PAIRS, local={at(20.0)[0]: own}))
+
+
+def test_poles_are_followed_where_they_cross(fit):
+    poles = envelope(fit, at(20.0, 25.0, 30.0, 35.0, 40.0), PAIRS).poles
+    still = np.argmin(np.abs(poles[0]))  # that of u, in every row
+    np.testing.assert_allclose(poles[:, still], 0.0, atol=1e-12)
+
+
+def test_the_figures_have_bands_points_and_loci(fit):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    found = envelope(fit, at(20.0, 40.0), PAIRS, local=dict.fromkeys(at(30.0), fit))
+    axes = found.plot()
+    assert [ax.get_title(loc="left") for ax in axes] == list(found.names)
+    assert axes[0].containers, "no point of a local fit"
+    loci = found.plot(modes=True)
+    assert "20 to 40 m/s" in loci.get_title(loc="left")
+    assert "q&#39; by lon" in found._repr_html_()
+    plt.close("all")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"trims": []}, "at least one trim"),
+        ({"trims": [Trim(values={"q": 0.0}, name="hover")]}, "'hover' has no speed"),
+        ({"entries": [("q", "ped")]}, "no derivative of 'q' by 'ped'"),
+    ],
+)
+def test_bad_arguments_are_named(fit, change, words):
+    given = {"trims": at(20.0), "entries": PAIRS} | change
+    with pytest.raises((ValueError, ModelError), match=words):
+        envelope(fit, **given)
+
+
+def test_a_linear_fit_has_no_envelope():
+    record = flown(20.0).detrend({"u": 20.0, "q": 0.0, "lon": 0.0, "push": 0.0})
+    with pytest.raises(ModelError, match="Local is linear"):
+        envelope(output_error(Local(), record), at(20.0), PAIRS)
