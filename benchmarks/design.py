@@ -17,7 +17,7 @@ are those of that simulation, the share of the sticks' power from outside is the
 certificate of excitation. `--nonlinear` has a nonlinear structure as truth, `RigidBody` with the
 same derivatives, flies 3-2-1-1 and design in it and identifies both. `--monte-carlo RUNS` flies a
 design for the lateral-directional structure with feedback RUNS times with new noise and compares
-the scatter of output error with the standard errors that were predicted.
+the scatter of output error with the standard errors that were predicted; likewise with `SixDof`.
 """
 
 import argparse
@@ -143,7 +143,7 @@ def others(made, model, tops):
 
 def share_from_outside(record):
     """Least share, by its lower bound, of a stick's power that does not come from the outputs."""
-    noisy = record.with_noise(NOISE, np.random.default_rng(3))
+    noisy = record.with_noise({n: NOISE[n] for n in record.outputs}, np.random.default_rng(3))
     share = excitation(noisy)
     return float(share.lower[share.within].min())
 
@@ -220,26 +220,37 @@ def nonlinear():
 
 
 def monte_carlo(runs):
-    """Scatter over predicted standard errors of a small design, one row a parameter."""
-    model = LateralDirectional(U0=41.13)
+    """Scatter over predicted standard errors of designs in a loop, one line a structure."""
+    lateral, tops = LateralDirectional(U0=41.13), peaks(flown("3211_{}_open"))
+    small = Limits(sticks=dict.fromkeys(lateral.inputs, 0.05), responses={"phi": 0.3})
+    loop = {"lat": {"p": 0.05, "phi": 0.1}}
+    print(scatter(lateral, small, 20.0, loop, runs))
+    print(scatter(truth(), limits(tops, True), LENGTH, FEEDBACK, runs))
+
+
+def scatter(model, allowed, length, feedback, runs):
+    """What output error makes of a design that is flown ``runs`` times with new noise."""
     noise = {name: NOISE[name] for name in model.outputs}
     made = design_inputs(
-        model, Limits(sticks=dict.fromkeys(model.inputs, 0.05), responses={"phi": 0.3}), 20.0,
-        noise=noise, feedback={"lat": {"p": 0.05, "phi": 0.1}},
-        settings=DesignSettings(method="steps", dt=DT, iterations=60),
+        model, allowed, length, noise=noise, feedback=feedback,
+        settings=DesignSettings(method="steps", dt=DT, iterations=60, draws=8),
     )  # fmt: skip
-    R = np.diag([noise[name] ** 2 for name in model.outputs])
-    record, found = made.record(), []
+    covariances = np.diag([noise[name] ** 2 for name in model.outputs])
+    record, found = linear(model, made), []
     for seed in range(runs):
         noisy = record.with_noise(noise, np.random.default_rng([7, seed]))
-        fit = output_error(model, noisy, R=R)
+        fit = output_error(model, noisy, R=covariances, interval=2.0)
         found.append([fit[name].value for name in made.names])
+    true = [getattr(model, name) for name in made.names]
     ratio = np.std(found, axis=0, ddof=1) / made.std_errors
-    mean = float(np.exp(np.log(ratio).mean()))
-    near = against(abs(mean - 1), 0.15)
-    print(f"scatter of {runs} runs over prediction: {mean:.3f}, away from 1 by {near}")
-    least = share_from_outside(record)
-    print(f"least share from outside, lower bound: {against(least, 0.5, above=True)}")
+    size = float(np.sqrt(np.mean(ratio**2)))
+    off = float(np.sqrt(np.mean((np.mean(found, axis=0) - true) ** 2 / made.std_errors**2)))
+    return (
+        f"{type(model).__name__}, {len(ratio)} parameters, {runs} runs: scatter over prediction "
+        f"{size:.3f} (rms), away from 1 by {against(abs(size - 1), 0.15)}; mean off the truth by "
+        f"{off:.2f} predicted errors, {runs**-0.5:.2f} expected; least share from outside "
+        f"{against(share_from_outside(record), 0.5, above=True)}"
+    )
 
 
 def main():
