@@ -65,7 +65,7 @@ def not_believed(content: Content, fit: AnyFit) -> str:
     """Which parameters not to believe, in a sentence."""
     reasons = doubted(content, fit)
     if not reasons:
-        return "No parameter is in doubt by bounds, errors or another estimate."
+        return "No parameter is on a bound or of unknown sign, and no other estimate disagrees."
     parts = []
     for kind, words in WORDS.items():
         if names := [name for name, reason in reasons.items() if reason == kind]:
