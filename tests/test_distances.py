@@ -82,6 +82,7 @@ def test_rows_are_pairs_by_octaves_and_survive_being_stored():
     assert repr(again.rows) == repr(found.rows)
     assert again.to_markdown() == found.to_markdown()
     assert "NoSideslip misses something" in repr(found)
+    assert found._repr_html_().count("σ!") == len(found.faults)
 
 
 @pytest.mark.parametrize(

@@ -93,3 +93,4 @@ def test_draws_have_the_size_and_the_memory_that_are_stated():
     expected = np.exp(-0.5 * (step / 0.35) ** 2)
     assert np.mean(unit[:, 0] * unit[:, 1].conj()).real == pytest.approx(expected, abs=0.05)
     np.testing.assert_allclose(made.at(np.array([0.1, 100.0]))[:, 0, 0], [1, 2])  # its edges'
+    assert "std at 10 rad/s" in made._repr_html_()

@@ -12,7 +12,9 @@ from casid.bounds.profiles import Profile
 from casid.bounds.resampling import Ensemble
 from casid.cover import Cover
 from casid.display import Shown
+from casid.distances import Distances
 from casid.eigenmodes import modes
+from casid.embedding import StructureError
 from casid.envelope import Envelope
 from casid.fit import Fit
 from casid.frequency.response import FrequencyResponse
@@ -70,6 +72,28 @@ def _(value: Record) -> Cells:
         kind = "input" if name in value.inputs else "output"
         rows.append([name, kind, *map(_short, figures), f"{100 * (1 - len(there) / len(x)):.3g} %"])
     return ("channel", "kind", "least", "largest", "std. deviation", "missing"), rows
+
+
+@cells.register
+def _(value: Distances) -> Cells:
+    bands = [f"{low:.2g}-{high:.2g} rad/s" for low, high in value.bands]
+    rows = [
+        [*pair, *(f"{row.structure:.2g}σ{'!' * row.fault}" for row in found)]
+        for pair, found in value.by_pair().items()
+    ]
+    return ("output", "input", *bands), rows
+
+
+@cells.register
+def _(value: StructureError) -> Cells:
+    edges = [0, len(value.omega) // 2, -1]
+    heading = ("pair", *(f"std at {value.omega[k]:.2g} rad/s" for k in edges))
+    rows = [
+        [f"{output}/{channel}", *map(_short, value.std[edges, i, j])]
+        for i, output in enumerate(value.outputs)
+        for j, channel in enumerate(value.inputs)
+    ]
+    return heading, rows
 
 
 @cells.register
