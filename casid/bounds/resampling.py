@@ -257,7 +257,7 @@ def monte_carlo(
     ValueError
         Too few runs, noise on what is no output.
     """
-    _check_runs(runs)
+    _check_runs(runs, estimator)
     if wrong := [name for name in noise if name not in model.outputs]:
         raise ValueError(f"noise names {wrong[0]!r}, expected of {', '.join(model.outputs)}")
     flown = [piece for record in several(records) for piece in record.stretches()]
@@ -302,7 +302,7 @@ def bootstrap(
     ValueError
         A fit that is not one of these records; too few runs, no length of blocks.
     """
-    _check_runs(runs)
+    _check_runs(runs, estimator)
     if not block > 0:
         raise ValueError(f"block={block}: expected seconds above 0, longer than the correlation")
     flown = stretches(records)
@@ -333,7 +333,9 @@ def bootstrap(
     return _ensemble(Fits(model, simulated, estimator, fixed, bounds, execution), draws, fit)
 
 
-def _check_runs(runs: int) -> None:
+def _check_runs(runs: int, estimator: Estimator) -> None:
+    if getattr(estimator, "responses", ()):
+        raise ValueError("estimator: its responses are the same in every draw; give one without")
     if runs < 2:
         raise ValueError(f"runs={runs}: expected 2 or more; a scatter takes at least two fits")
 

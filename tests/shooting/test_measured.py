@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from truths.closed_roll import NAMES, TRUTH, campaign, off
 
-from casid import FrequencyResponse, OutputError, frequency_response, output_error
+from casid import (
+    FrequencyResponse,
+    OutputError,
+    frequency_response,
+    monte_carlo,
+    output_error,
+)
 
 OMEGA = np.geomspace(0.5, 10.0, 20)
 RECORDS = campaign(1, 2)
@@ -119,3 +125,9 @@ def test_what_a_structure_misses_of_a_response_counts_less():
     assert apart < 4 * fits[0]["Llat"].std_error
     again = OutputError(responses=[wrong]).fit(TRUTH, RECORDS, near=fits[1])
     np.testing.assert_array_equal(again.notes.response_weights[0], fewer)
+
+
+def test_draws_of_records_alone_are_refused():
+    joint = OutputError(responses=[measured()])
+    with pytest.raises(ValueError, match="responses are the same in every draw"):
+        monte_carlo(TRUTH, RECORDS, noise={"p": 0.01}, runs=2, estimator=joint)
