@@ -33,7 +33,7 @@ from casid import DesignSettings, Limits, Record, design_inputs, output_error, r
 from casid.design.criterion import covariance
 from casid.design.loop import Loop, gains
 from casid.excitations import excitation
-from casid.model import free_parameters
+from casid.free import free_parameters
 from models.lateral_directional import LateralDirectional
 from models.rigid_body import RigidBody
 from models.six_dof import SixDof

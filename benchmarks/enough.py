@@ -27,7 +27,7 @@ from benchmarks.ten_cases import KNOTS, SETTINGS, Case
 from benchmarks.uh60 import INPUTS, NOISE, OUTPUTS, STEPS, SWEEPS, steps, sweep
 from casid import Model, Record, distances, frequency_response, pbsid
 from casid.design.loop import Loop
-from casid.model import free_parameters
+from casid.free import free_parameters
 from models.hybrid_flap import HybridFlap
 from models.six_dof import SixDof
 

@@ -35,8 +35,8 @@ from uh60 import (
 from casid import DataWarning, derivid, frequency_response
 from casid.baseline.pairs import select
 from casid.evaluation import MatrixFunction
+from casid.free import free_parameters
 from casid.matching.mismatch import DB, DEG, PHASE, residuals
-from casid.model import free_parameters
 from models.six_dof import SixDof
 
 

@@ -16,12 +16,12 @@ import numpy as np
 from benchmarks import bo105
 from benchmarks.tables import table
 from casid import BlackBox, Model, SolverOptions, StateSpace, match, parameter, pbsid, read_csv
+from casid.free import Free, free_parameters
 from casid.matching.comparison import Comparison
 from casid.matching.descent import Condensed, descend
 from casid.matching.initial import starts
 from casid.matching.programme import Programme
 from casid.matching.targets import compare
-from casid.model import Free, free_parameters
 from models.six_dof import SixDof
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"

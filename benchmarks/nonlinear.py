@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.output_error import R_TRUE, noisy_records, start_of
 from benchmarks.tables import table
 from casid import Record, SolverOptions, output_error
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.nlp import Problem, solve
 from casid.shooting.intervals import lay_out
 from casid.shooting.newton import Newton

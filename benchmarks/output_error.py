@@ -30,7 +30,7 @@ from benchmarks import bo105
 from benchmarks.tables import table
 from benchmarks.uh60 import DATA, INPUTS, NOISE, OUTPUTS, STEPS, SWEEPS
 from casid import Model, Record, SolverOptions, match, output_error, pbsid, read_csv
-from casid.model import Free, free_parameters
+from casid.free import Free, free_parameters
 from casid.nlp import Problem, solve
 from casid.shooting.intervals import Layout, lay_out
 from casid.shooting.newton import Newton

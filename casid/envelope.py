@@ -15,7 +15,7 @@ from casid.display import Shown, listed
 from casid.errors import ModelError
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
 

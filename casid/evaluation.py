@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse
 
 from casid.arrays import Array, ComplexArray
-from casid.model import Free
+from casid.free import Free
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,7 +12,8 @@ from casid.checks import checked
 from casid.display import Shown
 from casid.errors import ModelError, warn
 from casid.files import number, read_json, write_json
-from casid.model import Free, M, Model
+from casid.free import Free
+from casid.model import M, Model
 from casid.values import decode, encode, seal, storable
 
 M_co = TypeVar("M_co", bound=Model, covariant=True)

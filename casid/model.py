@@ -7,11 +7,11 @@ trim values as plain fields and writes the matrices as methods. The same methods
 (an instance is one parameter set) and on CasADi symbols (`Model.matrices`).
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
-from typing import Any, ClassVar, Protocol, Self, TypeAlias, TypeVar, cast, dataclass_transform
+from typing import Any, ClassVar, Self, TypeAlias, TypeVar, cast, dataclass_transform
 
 import casadi as ca
 import numpy as np
@@ -235,158 +235,6 @@ def matrix(rows: Rows) -> ca.SX:
         for i, row in enumerate(rows)
     ]
     return ca.sparsify(ca.vertcat(*[ca.horzcat(*row) for row in entries]))
-
-
-class Evidence(Protocol):
-    """Measurements of the parameters beside an estimator's own data."""
-
-    def residuals(self, values: Array) -> tuple[Array, Array]:
-        """Independent residuals (m,) of unit variance at free values, and derivatives (m, nf)."""
-        ...
-
-    def scatter(self, values: Array) -> Array:
-        """Covariance (nf, nf) of the gradient of half the sum of their squares."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Free:
-    """The free parameters of one estimation; fixed ones are numbers and no variables."""
-
-    model: Model  # the guess; fixed parameters keep its values
-    index: np.ndarray  # (nf,) positions of the free parameters in λ
-    lower: Array  # (n_λ,) bounds of all parameters
-    upper: Array  # (n_λ,)
-    scale: Array  # (n_λ,) typical magnitudes
-    priors: Priors = field(default_factory=dict)  # of free parameters
-    initial: Priors = field(default_factory=dict)  # of every record's initial states
-    unbiased: tuple[str, ...] = ()  # outputs without a bias, where the others have one
-    evidence: Evidence | None = None  # other measurements of the free parameters
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the free parameters."""
-        names = self.model.parameter_names()
-        return tuple(names[i] for i in self.index)
-
-    @property
-    def guess(self) -> Array:
-        """Guess of the free parameters, (nf,), moved onto its bounds where it violates them."""
-        return np.asarray(np.clip(self.model.vector(), self.lower, self.upper)[self.index])
-
-    def surprise(self, values: Array) -> tuple[Array, Array]:
-        """(λ − λ₀)/σ of all priors at free values (nf,), and the derivatives (priors, nf).
-
-        Behind them the residuals of other evidence, in standard deviations too.
-        """
-        rows = np.array([self.names.index(name) for name in self.priors], dtype=int)
-        mean, std = np.array(list(self.priors.values())).reshape(-1, 2).T
-        off, pull = (values[rows] - mean) / std, np.eye(len(self.index))[rows] / std[:, None]
-        if self.evidence is None:
-            return off, pull
-        more, slopes = self.evidence.residuals(values)
-        return np.concatenate([off, more]), np.vstack([pull, slopes])
-
-    def scatter_of_surprise(self, values: Array) -> Array:
-        """Covariance (nf, nf) of the gradient of ½ Σ of the squares of `surprise`."""
-        pull = replace(self, evidence=None).surprise(values)[1]
-        own = pull.T @ pull
-        return own if self.evidence is None else own + self.evidence.scatter(values)
-
-    def constraint_slopes(self, values: Array) -> Array:
-        """Derivatives of the model's constraints by the free parameters at free values, (m, nf)."""
-        lam = ca.SX.sym("lam", len(self.index))
-        c = self.model.matrices()(self.full(lam))[5]
-        slopes = ca.Function("slopes", [lam], [ca.jacobian(c, lam)])
-        return np.asarray(slopes(values).full())
-
-    def full(self, free: Any) -> Any:  # noqa: ANN401 - MX, SX or array in, the same out
-        """λ (n_λ,) from the free values (nf,), numbers or symbols."""
-        fixed = self.model.vector()
-        if isinstance(free, np.ndarray):
-            fixed[self.index] = free
-            return fixed
-        entries = list(map(ca.DM, fixed))
-        for position, i in enumerate(self.index):
-            entries[i] = free[position]
-        return ca.vertcat(*entries)
-
-
-def free_parameters(
-    model: Model,
-    fixed: Collection[str] = (),
-    bounds: Bounds | None = None,
-    priors: Priors | None = None,
-) -> Free:
-    """Which parameters are free in which bounds, equal ones fixing; ModelError if none can be."""
-    bounds, priors = dict(bounds or {}), dict(priors or {})
-    _check_choice(model, fixed, {**bounds, **priors})
-    for name, pair in priors.items():
-        declaration.check_prior(name, pair)
-    infos = model.infos()
-    limits = {name: bounds.get(name, (info.lower, info.upper)) for name, info in infos.items()}
-    for name, pair in limits.items():
-        declaration.check_pair(name, pair)
-    lower, upper = (np.array([pair[i] for pair in limits.values()], dtype=float) for i in (0, 1))
-    held = np.array([name in fixed for name in infos], dtype=bool)
-    guess = model.vector()
-    for i, name in enumerate(infos):  # equal bounds fix the value, whatever the guess says
-        if lower[i] == upper[i] and name not in fixed:
-            guess[i], held[i] = lower[i], True
-    index = np.flatnonzero(~held)
-    if not infos:
-        raise ModelError(f"{type(model).__name__} has no parameters: there is nothing to estimate")
-    if not len(index):
-        raise ModelError("every parameter is fixed: nothing is left to estimate; free one")
-    model = model.with_vector(guess)
-    _check_delays(model, np.where(held, guess, lower), np.where(held, guess, upper))
-    given = [info.scale for info in infos.values()]
-    widths = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
-    typical = np.maximum(np.abs(guess), 0.1 * widths)
-    scale = np.array(
-        [s or (value if value > 0 else 1.0) for s, value in zip(given, typical, strict=True)]
-    )
-    names = list(infos)
-    known = {names[i]: priors[names[i]] for i in index if names[i] in priors}
-    return Free(model, index, lower, upper, scale, known)
-
-
-def _check_delays(model: Model, lower: Array, upper: Array) -> None:
-    """Refuse bounds (n_λ,) between which a delay may be negative."""
-    # Where a delay is not linear in the parameters, or constraints between them may keep it
-    # positive, it is looked at in the guess alone.
-    lam, at = ca.SX.sym("lam", len(lower)), model.vector()
-    tau, c = model.matrices()(lam)[4:]
-    slopes = ca.jacobian(tau, lam)
-    values, J = (part.full() for part in ca.Function("delays", [lam], [tau, slopes])(at))
-    tied = ca.jacobian(c, lam).sparsity().get_triplet()[1]
-    names = model.parameter_names()
-    for j, (delay, row) in enumerate(zip(values.ravel(), J, strict=True)):
-        moved, least = np.flatnonzero(row), float(delay)
-        kept = len(moved) > 1 and not set(tied).isdisjoint(moved)
-        if not kept and not ca.depends_on(slopes[j, :], lam):
-            lowest = np.where(row > 0, lower, upper)[moved]
-            least += float(row[moved] @ (lowest - at[moved]))
-        if least < -NO_DELAY:
-            raise ModelError(
-                f"{type(model).__name__}.delays: that of {model.inputs[j]!r} may be {least:g} s "
-                f"between the bounds of {', '.join(names[i] for i in moved)}; a delay is 0 s or "
-                "more: bound it there"
-            )
-
-
-def _check_choice(model: Model, fixed: Collection[str], bounds: Bounds) -> None:
-    if isinstance(model, type):
-        raise ModelError(
-            f"{model.__name__} is a class, expected a model: call it, {model.__name__}()"
-        )
-    if isinstance(fixed, str):
-        raise ModelError(f"fixed={fixed!r}: expected a collection of names, ({fixed!r},)")
-    for name in (*fixed, *bounds):
-        if name not in (known := model.parameter_names()):
-            raise ModelError(
-                f"{type(model).__name__} has no parameter {name!r}; it has {', '.join(known)}"
-            )
 
 
 def _expressions(symbolic: Model) -> tuple[ca.SX, ...]:

@@ -16,7 +16,8 @@ import scipy.optimize
 from casid.arrays import Array, ComplexArray
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
-from casid.model import Free, Model, free_parameters
+from casid.free import Free, free_parameters
+from casid.model import Model
 from casid.subspace.blackbox import BlackBox
 
 ALLOWED = 0.01  # of a pair's response, 0.003 of its row's: a black box of finite order is no better

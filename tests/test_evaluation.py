@@ -5,7 +5,7 @@ import pytest
 
 from casid import Constraint, Model, Rows, Scalar, parameter
 from casid.evaluation import MatrixFunction
-from casid.model import free_parameters
+from casid.free import free_parameters
 
 
 class Coupled(Model):

@@ -21,8 +21,8 @@ from casid import (
     parameter,
 )
 from casid.fit import constraint_table, on_bounds, parameter_table
+from casid.free import free_parameters
 from casid.matching.appraisal import Peak
-from casid.model import free_parameters
 
 OLD = Path(__file__).parent / "data" / "fit_0_1.json"
 PEAK = Peak(source="box", omega=2.0, output="x", input="u")

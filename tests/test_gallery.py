@@ -12,7 +12,7 @@ from truths.systems import known_black_box
 from benchmarks.structures import fit_exact, fit_measured, records, unseen
 from benchmarks.uh60 import SWEEPS
 from casid import Record, SolverOptions, frequency_response, match, output_error, pbsid, simulate
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.records import standard_deviations
 from models.heave_inflow import HeaveInflow
 from models.hybrid_flap import HybridFlap

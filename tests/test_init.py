@@ -27,6 +27,7 @@ def test_public_functions_name_their_data_alike_and_take_eight_things_beside_the
         "study",
         "frame",
         "priors",
+        "responses",
     }
     for name in casid.__all__:
         each = getattr(casid, name)

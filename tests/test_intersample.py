@@ -11,8 +11,8 @@ from truths.systems import stepped_input, unstable_plant
 
 from casid import Record
 from casid.exchange.standalone import module_text
+from casid.free import free_parameters
 from casid.intersample import break_forcing, delayed_input, distinct, integral_slopes, integrals
-from casid.model import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator, Point
 

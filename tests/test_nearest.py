@@ -7,7 +7,7 @@ import pytest
 from truths.closed_roll import TRUTH, campaign, off
 
 from casid import pbsid
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.nearest import BoxResponse, gain, nearest
 
 OMEGA = np.geomspace(0.7, 8.0, 20)

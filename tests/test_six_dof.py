@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from casid.model import free_parameters
+from casid.free import free_parameters
 from models.six_dof import SixDof
 
 RNG = np.random.default_rng(11)

@@ -9,8 +9,8 @@ import scipy.stats
 
 from casid import BlackBox, Fit, Model, Record, Rows, Scalar, StateSpace, parameter
 from casid.fit import parameter_table
+from casid.free import free_parameters
 from casid.linear import foh_step
-from casid.model import free_parameters
 from casid.validation import Validation, _whiteness, validate
 
 DT = 0.02

@@ -26,13 +26,14 @@ from casid.fit import (
     on_bounds,
     parameter_table,
 )
+from casid.free import free_parameters
 from casid.frequency.response import FrequencyResponse
 from casid.matching.conditions import fit_at_conditions
 from casid.matching.descent import Condensed, check_effects
 from casid.matching.mismatch import DB, GOOD, TURN, residual_slopes
 from casid.matching.programme import Optimum
 from casid.matching.targets import in_channels
-from casid.model import Bounds, M, Priors, free_parameters
+from casid.model import Bounds, M, Priors
 from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim
 from casid.threads import one_thread

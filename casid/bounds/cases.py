@@ -25,8 +25,9 @@ from casid.arrays import Array
 from casid.bounds.relations import Relation, parse_relation
 from casid.errors import ModelError
 from casid.fit import AnyFit
+from casid.free import free_parameters
 from casid.matching.delays import delay_parameters
-from casid.model import Bounds, Constraint, Model, free_parameters
+from casid.model import Bounds, Constraint, Model
 from casid.shooting.precision import OutputErrorNotes
 
 CaseSpec: TypeAlias = Mapping[str, Any] | Sequence[str] | str

@@ -12,8 +12,8 @@ from casid.bounds.cases import Case
 from casid.bounds.robust import p_value, price_p_values, weights
 from casid.bounds.trials import aicc
 from casid.fit import AnyFit, ConstraintEstimate, ParameterEstimate
+from casid.free import free_parameters
 from casid.jobs.store import Done
-from casid.model import free_parameters
 from casid.records import standard_deviations
 from casid.validation import Validation
 

@@ -12,8 +12,9 @@ from casid.display import Shown, listed
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit
+from casid.free import free_parameters
 from casid.jobs.campaigns import Execution
-from casid.model import Bounds, Model, free_parameters
+from casid.model import Bounds, Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import several, stretches

@@ -24,7 +24,8 @@ from casid.design.prior import (
 )
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit, Fit
-from casid.model import Free, Model, free_parameters
+from casid.free import Free, free_parameters
+from casid.model import Model
 from casid.nonlinear.conditions import Trim
 from casid.structure.identifiability import identifiability
 from casid.threads import one_thread

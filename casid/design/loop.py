@@ -23,8 +23,8 @@ import scipy.fft
 
 from casid.arrays import Array
 from casid.evaluation import Matrices, MatrixFunction
+from casid.free import Free
 from casid.intersample import integral_slopes
-from casid.model import Free
 
 Feedback = Mapping[str, Mapping[str, float]]  # {"lat": {"p": 0.15}}: u_lat = r_lat - 0.15 p
 

@@ -9,7 +9,8 @@ from casid.arrays import Array
 from casid.design.criterion import covariance
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
-from casid.model import Free, Model
+from casid.free import Free
+from casid.model import Model
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
 

@@ -7,10 +7,10 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.fit import Certificate
+from casid.free import Free
 from casid.linear import StateSpace
 from casid.matching.certificate import Band, band_norm, peaks
 from casid.matching.comparison import Comparison, Source
-from casid.model import Free
 from casid.values import seal, storable
 
 EXACT = 1e-8  # error, relative to the response, that is rounding

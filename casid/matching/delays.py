@@ -2,7 +2,7 @@
 
 import casadi as ca
 
-from casid.model import Free
+from casid.free import Free
 
 
 def delay_parameters(free: Free) -> tuple[list[int], list[int]]:

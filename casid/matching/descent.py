@@ -15,9 +15,9 @@ import numpy as np
 from casid.arrays import Array, ComplexArray
 from casid.errors import ModelError
 from casid.evaluation import Matrices, MatrixFunction
+from casid.free import Free
 from casid.matching.comparison import Comparison
 from casid.matching.mismatch import residual_slopes, residuals
-from casid.model import Free
 
 GUARD = 0.02  # distance from the line, in units of the band's middle, that guarded poles keep
 PENALTY = 3.0  # of a violated constraint of the structure, in units of the response's size

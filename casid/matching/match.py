@@ -17,13 +17,14 @@ from casid.checks import checked_fields
 from casid.declaration import check_priors
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
+from casid.free import Free, free_parameters
 from casid.matching.appraisal import MatchNotes
 from casid.matching.comparison import Comparison
 from casid.matching.conditions import fit_at_conditions
 from casid.matching.reach import reachable, stated_errors
 from casid.matching.search import Found, Search
 from casid.matching.targets import REACHABLE, SIZE, Target, Weight, compare
-from casid.model import Bounds, Free, M, Model, Priors, free_parameters
+from casid.model import Bounds, M, Model, Priors
 from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim
 from casid.records import several

@@ -25,11 +25,11 @@ import numpy as np
 from casid.arrays import Array, ComplexArray
 from casid.assembly import Pattern, evaluated, grid, stack, upper_triangle
 from casid.evaluation import MatrixFunction
+from casid.free import Free
 from casid.matching import epigraph
 from casid.matching.comparison import Comparison
 from casid.matching.costs import Decibels, MeanSquare
 from casid.matching.side import Side
-from casid.model import Free
 from casid.nlp import Problem, SolverOptions, solve
 
 START = 1.05  # t at the start, in units of the largest squared error there

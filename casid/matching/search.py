@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import Array
+from casid.free import Free
 from casid.linear import StateSpace
 from casid.matching.appraisal import EXACT, Appraisal, appraise, doubts, response_size, violated
 from casid.matching.comparison import Comparison
 from casid.matching.descent import Condensed, check_effects, descend
 from casid.matching.initial import starts
 from casid.matching.programme import Optimum, Programme
-from casid.model import Free
 from casid.nlp import SolverOptions
 
 GAP = 0.01  # between grid value and bound over the band

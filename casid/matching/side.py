@@ -10,9 +10,9 @@ import scipy.linalg
 
 from casid.arrays import Array
 from casid.evaluation import Matrices
+from casid.free import Free
 from casid.matching.comparison import Comparison
 from casid.matching.delays import delay_parameters
-from casid.model import Free
 
 LIMIT = 1e2  # largest entry of the Lyapunov factor: how near to the line a pole may come
 

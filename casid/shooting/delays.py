@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.model import Free
+from casid.free import Free
 from casid.shooting.programme import Programme
 
 NEAR = 0.1  # of a sampling interval: a kink that noise may have held an estimate on

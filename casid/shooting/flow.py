@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
-from casid.model import Free
+from casid.free import Free
 from casid.nonlinear.model import NonlinearModel
 
 POINTS = 128  # evaluated by one call

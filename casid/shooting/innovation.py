@@ -10,8 +10,9 @@ import numpy as np
 import scipy.linalg
 
 from casid.arrays import Array
+from casid.free import Free
 from casid.intersample import integrals
-from casid.model import Free, Model
+from casid.model import Model
 from casid.record import Record
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.starting import FLOOR, SURPRISE, accumulated

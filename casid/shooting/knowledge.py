@@ -16,7 +16,8 @@ import numpy as np
 from casid import declaration
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.model import Free, M, Model, Priors
+from casid.free import Free
+from casid.model import M, Model, Priors
 from casid.sensors import own_states
 from casid.shooting.likelihood import Noise
 from casid.shooting.sensitivity import Point

@@ -23,9 +23,10 @@ from casid.arrays import Array
 from casid.evaluation import MatrixFunction
 from casid.fingerprints import same_flight
 from casid.fit import AnyFit, Fit
+from casid.free import Free
 from casid.frequency.covariance import whitener
 from casid.frequency.response import FrequencyResponse
-from casid.model import Free, M, Model
+from casid.model import M, Model
 from casid.record import Record
 
 REACH = 0.35  # of the smoothing [nepers of frequency]

@@ -15,7 +15,7 @@ from typing import cast
 import numpy as np
 
 from casid.arrays import Array
-from casid.model import Free
+from casid.free import Free
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.shooting.flow import Flow, Slopes

@@ -21,8 +21,9 @@ from casid.checks import checked_fields
 from casid.declaration import check_priors
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, on_bounds, parameter_table
+from casid.free import Free, free_parameters
 from casid.frequency.response import FrequencyResponse
-from casid.model import Bounds, Free, M, Model, Priors, free_parameters
+from casid.model import Bounds, M, Model, Priors
 from casid.nlp import SolverOptions
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record

@@ -19,7 +19,7 @@ import scipy.sparse
 
 from casid.arrays import Array
 from casid.assembly import Pattern, grid, stack, upper_triangle
-from casid.model import Free
+from casid.free import Free
 from casid.shooting.knowledge import Knowledge
 from casid.shooting.likelihood import Noise, moments_of
 from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, whiteners

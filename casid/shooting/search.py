@@ -10,7 +10,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.fit import AnyFit
-from casid.model import Free
+from casid.free import Free
 from casid.nlp import Solution, SolverOptions, solve
 from casid.shooting.delays import neighbours
 from casid.shooting.integration import factor_wanted, integration

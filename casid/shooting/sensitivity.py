@@ -20,8 +20,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from casid.arrays import Array
+from casid.free import Free
 from casid.intersample import DelayedInput, delayed_input, integrals
-from casid.model import Free
 from casid.record import Record
 from casid.shooting.gains import Gains
 from casid.shooting.intervals import Layout

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.model import Free
+from casid.free import Free
 from casid.nlp import SolverOptions
 from casid.shooting.frequency import SpectralOutcome, SpectralProgramme, search
 from casid.shooting.lines import Lines

@@ -7,7 +7,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.model import Free
+from casid.free import Free
 from casid.nonlinear.model import NonlinearModel
 from casid.prediction import Outlook, Prediction
 from casid.record import Record

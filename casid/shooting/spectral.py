@@ -18,8 +18,8 @@ import numpy as np
 
 from casid.arrays import Array, ComplexArray
 from casid.evaluation import Matrices, MatrixFunction
+from casid.free import Free
 from casid.intersample import ORDER, DelayedInput, delayed_input, integral_slopes
-from casid.model import Free
 from casid.shooting.lines import Lines, held_lines
 
 LATE = 1e-6  # of a sampling interval: the delay that stands for 0 if it may grow

@@ -15,7 +15,7 @@ import scipy.sparse.linalg
 from casid.arrays import Array
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit
-from casid.model import Free
+from casid.free import Free
 from casid.shooting.likelihood import CovarianceKind, Noise
 from casid.shooting.programme import Blocks, Programme, Scales
 from casid.shooting.sensitivity import Evaluator, Point

@@ -18,7 +18,8 @@ from casid.fit import (
     on_bounds,
     parameter_table,
 )
-from casid.model import Free, M
+from casid.free import Free
+from casid.model import M
 from casid.nlp import SolverOptions
 from casid.prediction import Outlook, predict
 from casid.record import Record

@@ -6,7 +6,8 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.evaluation import MatrixFunction
-from casid.model import Free, Model
+from casid.free import Free
+from casid.model import Model
 
 LARGEST = 40.0  # e^40 times what matters is more than any noise
 CALM = 1.0  # process noises of almost still air, in their units

@@ -12,7 +12,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit
-from casid.model import Free
+from casid.free import Free
 from casid.nlp import SolverOptions
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record

@@ -7,7 +7,7 @@ from casid.baseline.accuracy import DerividNotes
 from casid.baseline.derivid import Derivid
 from casid.declaration import check_priors
 from casid.fit import Fit
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.report.content import BASELINE as LABEL
 from casid.report.content import Content, Section, section
 from casid.report.evidence import misfit

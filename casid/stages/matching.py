@@ -7,10 +7,10 @@ from typing import Any, Literal
 
 from casid.declaration import check_priors
 from casid.fit import Certificate, Fit
+from casid.free import free_parameters
 from casid.matching.appraisal import MatchNotes
 from casid.matching.match import Match
 from casid.matching.targets import Target
-from casid.model import free_parameters
 from casid.report.content import MATCH, Caution, Content, Section, section
 from casid.report.drawings import draw_match_error
 from casid.report.verdicts import unsolved

@@ -27,8 +27,9 @@ import numpy as np
 
 from casid.arrays import Array, ComplexArray
 from casid.evaluation import Matrices, MatrixFunction
+from casid.free import Free, free_parameters
 from casid.frequency.response import FrequencyResponse
-from casid.model import Bounds, Free, Model, free_parameters
+from casid.model import Bounds, Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import several, standard_deviations, stretches

@@ -7,8 +7,9 @@ import casadi as ca
 import numpy as np
 
 from casid.eigenmodes import Mode, modes
+from casid.free import Free, free_parameters
 from casid.linear import StateSpace
-from casid.model import Bounds, Free, Model, free_parameters
+from casid.model import Bounds, Model
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.words import equations_text
 from casid.record import Record

@@ -16,7 +16,8 @@ import numpy as np
 from casid.design.plan import NextFlight
 from casid.errors import ModelError
 from casid.files import Column
-from casid.model import Model, free_parameters
+from casid.free import free_parameters
+from casid.model import Model
 from casid.record import Hold
 from casid.stages.listing import STAGES
 from casid.stages.stage import ROLES, Role, Stage, check_task

@@ -9,9 +9,9 @@ from truths.structures import TRUTH, HoverRoll
 from casid import FrequencyResponse, SolverOptions
 from casid.baseline import search
 from casid.baseline.pairs import select
+from casid.free import free_parameters
 from casid.matching.descent import Condensed
 from casid.matching.programme import Programme
-from casid.model import free_parameters
 
 OMEGA = np.geomspace(0.3, 12.0, 20)
 

@@ -14,8 +14,8 @@ from casid import FrequencyResponse, read_csv
 from casid.cli import main
 from casid.exchange.formats import read_table
 from casid.fit import Fit, parameter_table
+from casid.free import free_parameters
 from casid.jobs.store import Done, Store
-from casid.model import free_parameters
 from casid.structure.modelfile import load_model
 
 FLIGHT = Path(__file__).parents[2] / "examples/ah1s/data/3211_lat.csv"

@@ -5,7 +5,7 @@ import pytest
 
 from casid import Model, Record, output_error, parameter
 from casid.design.loop import Loop
-from casid.model import free_parameters
+from casid.free import free_parameters
 
 
 class Roll(Model):

@@ -7,7 +7,7 @@ from casid.design.criterion import Goal
 from casid.design.multisine import best_powers, schroeder, shared_out, unit_information
 from casid.design.signals import harmonics
 from casid.evaluation import MatrixFunction
-from casid.model import free_parameters
+from casid.free import free_parameters
 from models.short_period import ShortPeriod
 
 

@@ -9,7 +9,7 @@ from casid.design.criterion import Goal
 from casid.design.loop import Crowd, Loop
 from casid.design.optimise import Task, improved
 from casid.design.signals import step_family
-from casid.model import free_parameters
+from casid.free import free_parameters
 from models.short_period import ShortPeriod
 
 MODEL = ShortPeriod()

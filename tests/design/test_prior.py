@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from casid.design.prior import known_before, possible
-from casid.model import free_parameters
+from casid.free import free_parameters
 from models.short_period import ShortPeriod
 
 FREE = free_parameters(ShortPeriod())

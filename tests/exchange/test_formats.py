@@ -24,7 +24,7 @@ from casid.exchange.formats import (
 )
 from casid.files import read_mat
 from casid.fit import Fit, parameter_table
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.structure.modelfile import load_model
 
 OMEGA = np.geomspace(0.1, 20, 15)

@@ -5,9 +5,9 @@ import pytest
 from truths.structures import SECOND, TRUTH, HoverRoll, Lag
 
 from casid import Constraint, Rows, Scalar, StateSpace, parameter
+from casid.free import free_parameters
 from casid.matching.appraisal import appraise, doubts, response_size, violated
 from casid.matching.targets import compare
-from casid.model import free_parameters
 
 
 class Unbounded(Lag):

@@ -3,8 +3,8 @@
 from truths.structures import HoverRoll
 
 from casid import Scalar, parameter
+from casid.free import free_parameters
 from casid.matching.delays import delay_parameters
-from casid.model import free_parameters
 
 
 class TwoParts(HoverRoll):

@@ -7,10 +7,10 @@ import pytest
 from truths.structures import SECOND, TRUTH, HoverRoll, Lag
 
 from casid import Constraint, ModelError, Rows, Scalar, parameter
+from casid.free import free_parameters
 from casid.matching.descent import Condensed, check_effects, descend
 from casid.matching.mismatch import DB, DEG, PHASE
 from casid.matching.targets import compare
-from casid.model import free_parameters
 
 
 class Held(HoverRoll):

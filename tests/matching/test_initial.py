@@ -4,10 +4,10 @@ import numpy as np
 from truths.structures import TRUTH
 
 from casid import Model, parameter
+from casid.free import free_parameters
 from casid.matching.descent import Condensed
 from casid.matching.initial import Start, distinct, least_squares, starts
 from casid.matching.targets import compare
-from casid.model import free_parameters
 
 
 def test_least_squares_gives_the_truth_where_states_and_delay_are_known():

@@ -8,10 +8,10 @@ import pytest
 from truths.structures import SECOND, TRUTH, YAW, HoverRoll, Lag, TwoByTwo
 
 from casid import Model, Rows, Scalar, SolverOptions, parameter
+from casid.free import free_parameters
 from casid.matching.mismatch import residuals
 from casid.matching.programme import START, TIE, Programme
 from casid.matching.targets import compare
-from casid.model import free_parameters
 
 
 class Wide(Model):

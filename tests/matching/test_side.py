@@ -6,9 +6,9 @@ from truths.structures import TRUTH, HoverRoll
 
 from casid import Constraint, Scalar, parameter
 from casid.evaluation import MatrixFunction
+from casid.free import free_parameters
 from casid.matching.side import Side
 from casid.matching.targets import compare
-from casid.model import free_parameters
 
 
 class Composed(HoverRoll):

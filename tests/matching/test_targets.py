@@ -15,9 +15,9 @@ from casid import (
     match,
     parameter,
 )
+from casid.free import free_parameters
 from casid.matching.programme import Programme
 from casid.matching.targets import compare
-from casid.model import free_parameters
 
 OMEGA = np.geomspace(0.1, 10.0, 40)
 

@@ -7,7 +7,7 @@ import pytest
 from truths.swing import Swing
 
 from casid import ModelError, Trim, match
-from casid.model import free_parameters
+from casid.free import free_parameters
 
 
 def slopes(model, x0, u0, step=1e-6):

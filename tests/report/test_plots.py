@@ -67,6 +67,7 @@ def test_a_design_draws_sticks_and_outputs_with_their_limits():
     design = Design(
         kind="steps", inputs=("lat",), outputs=("p",), t=t, r=0.5 * signal, u=signal, y=2 * signal,
         names=("Lp",), covariance=np.eye(1), before=np.ones(1), alternatives=(), used={"p": 0.5},
+        used_at_worst={"p": 0.5},
     )  # fmt: skip
     axes = design.plot()
     labels = [line.get_label() for line in axes[0].lines]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from truths.closed_roll import TRUTH, flown, jittered, with_holes
 
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.curvature import curvature
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator, Point, Sweep, whiteners

@@ -8,7 +8,7 @@ from truths.closed_roll import TRUTH, flown
 
 from benchmarks.between_samples import BOUNDS, SIGMA, H, Roll, Smooth, flight
 from casid import output_error
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.delays import neighbours
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator

@@ -17,7 +17,7 @@ from truths.closed_roll import (
 )
 
 from casid import Constraint, ConvergenceError, ModelError, Scalar, SolverOptions, parameter
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.output_error import output_error
 from casid.shooting.search import Search
 from casid.shooting.ways import choose_interval

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from truths.swing import TRUTH, swung
 
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.hamiltonian import hamiltonian
 from casid.shooting.intervals import lay_out
 from casid.shooting.nonlinear import NonlinearEvaluator

@@ -9,7 +9,7 @@ from truths.closed_roll import TRUTH, flown
 from truths.systems import known_black_box
 
 from casid.exchange.objects import without_delay
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.innovation import NOISE_SHARE, black_box_gain, filter_unknowns, kalman_gain
 from casid.shooting.starting import SURPRISE
 from casid.shooting.unknowns import NoiseUnknowns

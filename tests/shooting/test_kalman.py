@@ -9,7 +9,7 @@ from truths.closed_roll import TRUTH, flown, jittered, noisy, with_holes
 
 from benchmarks.turbulence import cases, fly, innovations
 from casid import ConvergenceError, output_error
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.innovation import starting_noises
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator, Point

@@ -6,7 +6,7 @@ import numpy as np
 from truths.closed_roll import TRUTH, flown, with_holes
 
 from casid import Constraint, SolverOptions
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.nearby import predicted
 from casid.shooting.sensitivity import Evaluator

@@ -5,7 +5,7 @@ import pytest
 from truths.closed_roll import TRUTH, flown, jittered, with_holes
 
 import casid.shooting.newton
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.newton import DAMPING, MORE, Newton, _Damping, _Descent
 from casid.shooting.sensitivity import Evaluator

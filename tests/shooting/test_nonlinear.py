@@ -8,7 +8,7 @@ import scipy
 from truths.swing import TRUTH, SmallSwing, Swing, WrittenOut, integrated, steps, swung
 
 from casid import OutputError, Record, output_error
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.nonlinear import NonlinearEvaluator
 from casid.shooting.sensitivity import Point, whiteners

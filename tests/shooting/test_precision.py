@@ -15,7 +15,7 @@ from truths.closed_roll import (
 )
 
 from casid import ConvergenceError, Scalar, parameter
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.output_error import output_error
 from casid.shooting.precision import precision

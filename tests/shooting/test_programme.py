@@ -7,7 +7,7 @@ import pytest
 from truths.closed_roll import TRUTH, flown, jittered, with_holes
 
 from casid import Constraint
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.innovation import starting_noises
 from casid.shooting.intervals import lay_out
 from casid.shooting.programme import Programme

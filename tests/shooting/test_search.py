@@ -8,7 +8,7 @@ from truths.closed_roll import (
 )
 
 from casid import SolverOptions
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.output_error import OutputError, output_error
 from casid.shooting.search import Search

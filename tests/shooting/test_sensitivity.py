@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, flown, jittered, with_holes, with_response
 
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator, Point, Sweep, whiteners
 from casid.shooting.unknowns import GainUnknowns

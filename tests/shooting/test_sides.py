@@ -7,7 +7,7 @@ import pytest
 from truths.closed_roll import NOISE, TRUTH, T, excitation, with_response
 
 from casid import Record, output_error
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.lines import transformed
 from casid.shooting.sides import EDGE, sides
 

@@ -11,7 +11,7 @@ from truths.closed_roll import (
     with_response,
 )
 
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.lines import transformed
 from casid.shooting.spectral import SpectralResiduals
 

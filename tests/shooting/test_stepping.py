@@ -8,8 +8,8 @@ import pytest
 import scipy.integrate
 from truths.closed_roll import TRUTH, flown, jittered
 
+from casid.free import free_parameters
 from casid.intersample import delayed_input
-from casid.model import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.stepping import Steps
 from casid.shooting.unknowns import FilterFunction, GainUnknowns

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from truths.closed_roll import TRUTH
 
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.unknowns import FilterFunction, GainUnknowns
 
 GAIN = np.arange(9.0).reshape(3, 3) / 10

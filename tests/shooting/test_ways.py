@@ -7,7 +7,7 @@ import pytest
 from truths.closed_roll import TRUTH, Roll, noisy
 
 from casid import SolverOptions, output_error
-from casid.model import free_parameters
+from casid.free import free_parameters
 from casid.shooting.ways import Ways, choose_interval
 
 

@@ -1,8 +1,10 @@
 """Black boxes that know the truth and small structures, for the tests of matching."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
-from casid import BlackBox, Model, Rows, Scalar, StateSpace, parameter
+from casid import BlackBox, Constraint, Model, Rows, Scalar, StateSpace, parameter
 
 
 def black_box(system: StateSpace, band: tuple[float, float] = (0.1, 10.0), **settings) -> BlackBox:
@@ -110,3 +112,28 @@ def structure(**parts):
         "A": lambda self: [[self.a]], "B": lambda _: [[1]],
     }  # fmt: skip
     return type("Lag", (Model,), lag | parts)
+
+
+class Roll(Model):
+    states = ("v", "p", "phi")
+    inputs = ("lat", "ped")
+    outputs = ("p", "phi")
+
+    Yv: Scalar = parameter(default=-0.1, lower=-1.0, upper=0.0, unit="1/s")
+    Lv: Scalar = parameter(default=-0.05, lower=-0.5, upper=0.5, unit="rad/(m s)")
+    Lp: Scalar = parameter(default=-3.0, lower=-9.0, upper=0.0, unit="1/s", scale=2.0)
+    Llat: Scalar = parameter(default=20.0, unit="rad/s^2")
+    tau: Scalar = parameter(default=0.05, lower=0.0, upper=0.2, unit="s")
+    g: float = 9.8
+
+    def A(self) -> Rows:
+        return [[self.Yv, 0, self.g], [self.Lv, self.Lp, 0], [0, 1, 0]]
+
+    def B(self) -> Rows:
+        return [[0, 0.5], [self.Llat, 0], [0, 0]]
+
+    def delays(self) -> Mapping[str, Scalar]:
+        return {"lat": self.tau}
+
+    def constraints(self) -> Sequence[Constraint]:
+        return [Constraint("damping", self.Lp + 10 * self.Yv, -20.0, 0.0)]
