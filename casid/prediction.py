@@ -15,8 +15,8 @@ part that runs forward from its value at the start of the past and a fast growin
 backward from its value at the end of it, where the prediction begins.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg
@@ -49,6 +49,7 @@ class Prediction:
     y: Array  # (N, ny of the record)
     x0: Array  # state at the first sample used
     b: Array  # (ny,) mean biases
+    reached: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # if nonlinear
 
 
 def growth_rate(system: StateSpace) -> float:

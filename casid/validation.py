@@ -19,6 +19,7 @@ from casid.display import Shown, listed
 from casid.fit import AnyFit, Fit
 from casid.linear import StateSpace
 from casid.model import Model
+from casid.nonlinear.coverage import joined, warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.prediction import Outlook, Prediction, growth_rate, outlook, predict
 from casid.record import Record
@@ -134,7 +135,8 @@ def validate(
     ValueError
         No model, no record, a model whose inputs the records lack, no output in common, a discrete
         model whose interval is not that of the records, a model with NaN in it, a horizon that does
-        not fit the records.
+        not fit the records. A `DataWarning` tells of a nonlinear structure that is taken beyond
+        its tables and the records of its fit.
     """
     if not models:
         raise ValueError('no models given; expected {"name": model, ...}')
@@ -149,6 +151,7 @@ def validate(
         name: [_predicted(name, model, *each, scale) for each in zip(records, far, strict=True)]
         for name, model in models.items()
     }
+    _tell_beyond(models, predictions)
     simulated = {name: tuple(p.y for p in ps) for name, ps in predictions.items()}
     rms = {name: _each(rms_error, records, ys) for name, ys in simulated.items()}
     worst = np.fmax.reduce([np.zeros((len(records), len(outputs))), *rms.values()])
@@ -200,6 +203,18 @@ def _predicted(
         return predict(state_space(model), record, scale, far)
     except ValueError as error:
         raise ValueError(f"model {name!r}, record {record.name!r}: {error}") from error
+
+
+def _tell_beyond(
+    models: Mapping[str, AnyModel], predictions: Mapping[str, Sequence[Prediction]]
+) -> None:
+    """Warn of nonlinear models beyond their tables and the records of their fit."""
+    for name, model in models.items():
+        structure = model.model if isinstance(model, Fit) else model
+        if isinstance(structure, NonlinearModel):
+            flown = getattr(model.notes, "covered", None) if isinstance(model, Fit) else None
+            visited = joined([each.reached for each in predictions[name]])
+            warn_beyond(structure, f"validation of {name!r}", visited, flown)
 
 
 def state_space(model: AnyModel) -> StateSpace:

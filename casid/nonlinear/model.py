@@ -17,6 +17,7 @@ from casid.arrays import Array
 from casid.errors import ModelError
 from casid.model import Model, Rows
 from casid.nonlinear.conditions import Trim, linearisation
+from casid.nonlinear.coverage import joined, reached, warn_beyond
 from casid.nonlinear.expressions import JUMPS, evaluated, linearised, operations, reference_point
 from casid.sensors import Scalar
 
@@ -88,7 +89,8 @@ class NonlinearModel(Model, base=True):
         -------
         Model
             With the same parameters, and one more for each unknown of the trims, which the balance
-            dx/dt = 0 then ties. Its matrices are the Jacobians' expressions.
+            dx/dt = 0 then ties. Its matrices are the Jacobians' expressions. A `DataWarning` tells
+            of conditions beyond the structure's tables.
 
         Raises
         ------
@@ -104,7 +106,19 @@ class NonlinearModel(Model, base=True):
                     "them: model.at(Trim(values=record.trim))"
                 )
         given = [each if isinstance(each, Trim) else Trim(values=each) for each in conditions]
-        return linearisation(self, given)
+        linear = linearisation(self, given)
+        self._tell_beyond([each for each in given if not each.unknown])
+        return linear
+
+    def _tell_beyond(self, conditions: Sequence[Trim]) -> None:
+        """Warn of known conditions beyond the tables."""
+        usual = dict(zip((*self.states, *self.inputs), np.concatenate(self.operating_point()),
+                         strict=True))  # fmt: skip
+        beyond = []
+        for each in conditions:
+            own = np.array([[each.values.get(name, value) for name, value in usual.items()]])
+            beyond.append(reached(self, own[:, : len(self.states)], own[:, len(self.states) :]))
+        warn_beyond(self, "linearised at a condition", joined(beyond))
 
     def with_values_of(self, model: Model) -> Self:
         """The same structure with the values of another one's parameters of the same names."""

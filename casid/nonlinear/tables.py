@@ -1,13 +1,29 @@
 """Smooth functions of data: a natural cubic spline that takes numbers and symbols."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
+
+Noted: TypeAlias = list[tuple[ca.SX, float, float]]  # a table's argument, its first and last knot
+_NOTED: ContextVar[Noted | None] = ContextVar("noted", default=None)
+
+
+@contextmanager
+def noted() -> Iterator[Noted]:
+    """The tables of symbols that are used within, to tell what they cover."""
+    found: Noted = []
+    token = _NOTED.set(found)
+    try:
+        yield found
+    finally:
+        _NOTED.reset(token)
 
 
 def spline(x: Any, knots: Sequence[float], values: Sequence[Any]) -> Any:  # noqa: ANN401 - SX or float
@@ -32,6 +48,8 @@ def spline(x: Any, knots: Sequence[float], values: Sequence[Any]) -> Any:  # noq
         raise ModelError(f"spline: knots {list(knots)}, expected two or more, increasing")
     if len(values) != len(t):
         raise ModelError(f"spline: {len(values)} values at {len(t)} knots")
+    if (tables := _NOTED.get()) is not None and isinstance(x, ca.SX):
+        tables.append((x, float(t[0]), float(t[-1])))
     # Truncated powers: s = a + b z + Σ d_i (z - z_i)₊³ has no curvature before the first knot, and
     # none behind the last one, since natural splines have none there.
     span = float(t[-1] - t[0])

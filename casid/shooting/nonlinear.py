@@ -15,7 +15,9 @@ from typing import cast
 import numpy as np
 
 from casid.arrays import Array
+from casid.errors import ModelError
 from casid.free import Free
+from casid.nonlinear.coverage import reached
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.shooting.flow import Flow, Slopes
@@ -26,6 +28,7 @@ from casid.shooting.unknowns import FilterMatrices
 from casid.values import storable
 
 REACH = 1.0  # of the fastest eigenvalue times a step, at most: then the method follows it
+STABLE = 2.5  # the same, beyond which the method diverges (2.78)
 MOST = 64  # steps a sampling interval
 PIECE = 128  # samples whose derivatives are advanced at once
 KEPT_BYTES = 256e6  # of derivatives by λ kept for a second pass
@@ -69,9 +72,24 @@ class NonlinearEvaluator(Evaluator):
     def __init__(self, free: Free, layout: Layout, substeps: int | None = None) -> None:
         super().__init__(free, layout)
         self.flow, self.model = Flow(free), cast("NonlinearModel", free.model)
+        self._full = free.full
         self.lengths = layout.classes[layout.step]
-        self.substeps = substeps or first_substeps(self.matrices(free.guess).A, layout)
+        self.substeps = substeps or self._first_substeps(self.matrices(free.guess).A)
         self._stages: tuple[bytes, tuple[Array, Array]] | None = None
+
+    def _first_substeps(self, A: Array) -> int:
+        """Steps a sampling interval that follow the fastest mode of A; ModelError where none do."""
+        poles, vectors = np.linalg.eig(A)
+        worst, longest = int(np.argmax(np.abs(poles))), float(self.layout.classes.max())
+        fastest = float(np.abs(poles[worst])) * longest
+        if fastest > STABLE * MOST and poles[worst].real < 0:
+            state = self.model.states[int(np.argmax(np.abs(vectors[:, worst])))]
+            raise ModelError(
+                f"{type(self.model).__name__} is stiff at the start: its mode at "
+                f"{poles[worst]:.3g} rad/s, mostly of {state}, is too fast for {MOST} steps within "
+                f"{longest:.3g} s; write {state} in its steady state, or make its lag longer"
+            )
+        return int(np.clip(np.ceil(fastest / REACH), 1, MOST))
 
     def finer(self, factor: int) -> "NonlinearEvaluator":
         """The same with so many times the steps."""
@@ -134,6 +152,13 @@ class NonlinearEvaluator(Evaluator):
                     nodes[inside, i] = record.trim[name]
         return nodes
 
+    def covered(self, point: Point) -> dict[str, tuple[float, float]]:
+        """See `Evaluator.covered`."""
+        u = np.concatenate([record.u for record in self.layout.records])
+        return reached(
+            self.model.with_vector(self._full(point.lam)), self.simulate(point).states, u
+        )
+
     def level(self) -> tuple[Array, Array]:
         """Inputs (nu,) and outputs (ny,) from which their sizes are counted: their means."""
         u, y = (np.concatenate([getattr(r, n) for r in self.layout.records]) for n in "uy")
@@ -146,12 +171,6 @@ def _measured(record: Record, name: str) -> Array | None:
         return None
     y, known = record.channel(name), np.isfinite(record.channel(name))
     return np.interp(record.t, record.t[known], y[known]) if known.any() else None
-
-
-def first_substeps(A: Array, layout: Layout) -> int:
-    """Steps a sampling interval with which the fastest mode of A is followed."""
-    fastest = float(np.abs(np.linalg.eigvals(A)).max()) * float(layout.classes.max())
-    return int(np.clip(np.ceil(fastest / REACH), 1, MOST))
 
 
 class NonlinearSweep(Sweep):

@@ -25,6 +25,7 @@ from casid.free import Free, free_parameters
 from casid.frequency.response import FrequencyResponse
 from casid.model import Bounds, M, Model, Priors
 from casid.nlp import SolverOptions
+from casid.nonlinear.coverage import warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import Records, check_alive, several, stretches
@@ -125,7 +126,10 @@ class OutputError:
         check_responses(model, self.responses, several(data))
         free = self.free(model, fixed, bounds)
         chosen = select_records(free, data, bool(self.biases))
-        return reweighed(lambda own: self._fitted(model, own, chosen, near), free, near)
+        fit = reweighed(lambda own: self._fitted(model, own, chosen, near), free, near)
+        if isinstance(fit.model, NonlinearModel):
+            warn_beyond(fit.model, "along the records of the fit", fit.notes.covered)
+        return fit
 
     def _fitted(
         self, model: M, free: Free, chosen: list[Record], near: AnyFit | None
@@ -379,7 +383,8 @@ def _result(
         success=success, iterations=outcome.iterations, seconds=seconds,
         method="filter error" if evaluator.filtering else "output error",
         notes=replace(
-            found.notes(outcome.rounds, programme.J, programme.nuisances, K, Q), integration=steps
+            found.notes(outcome.rounds, programme.J, programme.nuisances, K, Q), integration=steps,
+            covered=evaluator.covered(point),
         ),
         constraints=constraint_table(model, prices), held=held_directions(free, lam, parameters),
         covariance=found.covariance, free_names=free.names, R=final.R,

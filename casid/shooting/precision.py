@@ -1,7 +1,8 @@
 """What an output-error solution says about its own precision."""
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg
@@ -44,6 +45,9 @@ class OutputErrorNotes:
     response_weights : tuple of array
         By which residuals of measured responses count, one array a response: less than one where
         the structure misses more than their stated errors.
+    covered : mapping
+        Of a nonlinear structure: the span of each variable its tables are over, and of airspeed,
+        in the records.
     """
 
     rounds: int
@@ -57,6 +61,7 @@ class OutputErrorNotes:
     spectra: tuple[NoiseSpectrum, ...] = ()
     process_noise: Array | None = None
     response_weights: tuple[Array, ...] = ()
+    covered: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         seal(self)

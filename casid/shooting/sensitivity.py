@@ -121,6 +121,10 @@ class Evaluator:
         """Inputs (nu,) and outputs (ny,) from which their sizes are counted: zero."""
         return np.zeros(self.nu), np.zeros(self.ny)
 
+    def covered(self, point: Point) -> dict[str, tuple[float, float]]:  # noqa: ARG002
+        """Spans over the records of what a nonlinear structure is scheduled by: nothing."""
+        return {}
+
     def held(self, m: FilterMatrices) -> list[DelayedInput]:
         """Delayed inputs of every record."""
         key = m.tau.tobytes()

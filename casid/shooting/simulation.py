@@ -8,6 +8,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.free import Free
+from casid.nonlinear.coverage import joined, reached, warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.prediction import Outlook, Prediction
 from casid.record import Record
@@ -42,7 +43,8 @@ def simulate(
     Raises
     ------
     ValueError, ModelError
-        An input that the record lacks, a state that is none; a solution that runs away.
+        An input that the record lacks, a state that is none; a solution that runs away. A
+        `DataWarning` tells of states beyond the structure's tables.
     """
     total = record.total().select(model.inputs, ())
     empty = replace(total, y=np.zeros((record.N, len(model.outputs))), outputs=model.outputs)
@@ -52,12 +54,14 @@ def simulate(
     free, node = _all_free(model), np.array([list((x0 | dict(start or {})).values())])
     evaluator = NonlinearEvaluator(free, lay_out([empty], 1e9))
     point = Point(lam=model.vector(), bias=np.zeros((1, len(model.outputs))), nodes=node)
-    y = _finite(model, evaluator.simulate(point).residuals)
+    motion = evaluator.simulate(point)
+    y = _finite(model, motion.residuals)
     while evaluator.substeps < MOST:
         evaluator, last = evaluator.finer(2), y
         y = _finite(model, evaluator.simulate(point).residuals)
         if np.abs(y - last).max() <= SAME * max(np.abs(y).max(), 1e-300):
             break
+    warn_beyond(model, f"record {record.name!r}", reached(model, motion.states, empty.u))
     return replace(empty, y=y)
 
 
@@ -105,7 +109,7 @@ def predict_nonlinear(
     y, weight = np.full((record.N, len(model.outputs)), np.nan), np.ones(len(model.outputs))
     y[:, mine], weight[mine] = total.y, 1 / scale[columns]
     whole = replace(total, y=y, outputs=model.outputs)
-    found, biases = np.full(record.y.shape, np.nan), []
+    found, biases, visited = np.full(record.y.shape, np.nan), [], []
     first: Array = np.zeros(0)
     for start, end in zip(far.starts or (-1,), (*far.starts[1:], record.N - 1), strict=True):
         begin = max(start - far.past, 0)
@@ -113,20 +117,21 @@ def predict_nonlinear(
         known = piece.y.copy()
         if far.starts:
             known[far.past + 1 :] = np.nan  # what is predicted is not looked at
-        (x0, bias), outputs = _answer(model, replace(piece, y=known), weight)
+        (x0, bias), outputs, states = _answer(model, replace(piece, y=known), weight)
+        visited.append(reached(model, states, piece.u))
         first = first if len(first) else x0
         found[start + 1 : end + 1, columns] = outputs[start + 1 - begin :, mine]
         biases.append(bias)
     mean = np.full(record.ny, np.nan)
     mean[columns] = np.mean(biases, axis=0)[mine]
     trim = np.array([record.trim.get(name, 0.0) for name in record.outputs])
-    return Prediction(found - trim, first, mean)
+    return Prediction(found - trim, first, mean, joined(visited))
 
 
 def _answer(
     model: NonlinearModel, record: Record, weight: Array
-) -> tuple[tuple[Array, Array], Array]:
-    """State at the first sample and biases that fit best, and the outputs (N, ny) with them."""
+) -> tuple[tuple[Array, Array], Array, Array]:
+    """State at the first sample and biases that fit best, outputs (N, ny), states (N, nx) then."""
     evaluator = NonlinearEvaluator(_all_free(model), lay_out([record], 1e9))
     nf, nx, ny = evaluator.nf, evaluator.nx, evaluator.ny
     W = np.tile(np.diag(weight), (len(evaluator.layout.patterns), 1, 1))
@@ -161,7 +166,7 @@ def _answer(
     motion = evaluator.simulate(at(z))
     u = np.concatenate([part.value for part in evaluator.held(evaluator.matrices(model.vector()))])
     outputs = evaluator.flow.output(motion.states, u, model.vector()) + z[nx:]
-    return (z[:nx], z[nx:]), outputs
+    return (z[:nx], z[nx:]), outputs, motion.states
 
 
 def _gram(evaluator: NonlinearEvaluator, point: Point, W: Array) -> Array:

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
+from truths.motor import DEVIATION, Motor, answered, climbed
 from truths.swing import TRUTH, SmallSwing, Swing, WrittenOut, integrated, steps, swung
 
-from casid import OutputError, Record, output_error
+from casid import ModelError, OutputError, Record, output_error
 from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.nonlinear import NonlinearEvaluator
@@ -120,3 +121,27 @@ def test_totals_are_estimated_from_whatever_was_subtracted_as_trim():
     shifted = record.detrend("mean")
     given, detrended = output_error(Swing(), record), output_error(Swing(), shifted)
     np.testing.assert_allclose(detrended.model.vector(), given.model.vector(), rtol=1e-7)
+
+
+def test_a_motor_of_eighty_radians_a_second_is_estimated_as_by_least_squares():
+    record = climbed(seed=4)  # with other noise n may begin at its mirror image, -n
+    estimator = OutputError(R=DEVIATION**2 * np.eye(1), biases=False)
+    fit = estimator.fit(Motor(), record)
+    names = ("Zw", "Z", "lag")
+
+    def residuals(z):
+        w = answered(z[:3], record.t, record.u[:, 0], z[3:])
+        return (w - record.y[:, 0]) / DEVIATION
+
+    start = [*(fit[name].value for name in names), *fit.initial_states[0]]
+    found = scipy.optimize.least_squares(
+        residuals, start, x_scale=np.abs(start) + 0.01, diff_step=1e-5, xtol=1e-12, ftol=1e-12
+    )
+    for value, name in zip(found.x, names, strict=False):
+        assert abs(fit[name].value - value) < 1e-2 * fit[name].cramer_rao
+    assert abs(fit["lag"].value - 1 / 80) < 4 * fit["lag"].cramer_rao
+
+
+def test_a_mode_too_fast_for_the_integration_is_named():
+    with pytest.raises(ModelError, match=r"-1e\+05 rad/s, mostly of n, .*64 steps.* steady state"):
+        output_error(Motor(lag=1e-5), climbed(), fixed=("lag",))

@@ -1,0 +1,136 @@
+"""Extrapolation is said: beyond the tables of a structure, beyond the records of its fit."""
+
+import re
+
+import numpy as np
+import pytest
+
+from casid import (
+    DataWarning,
+    NonlinearModel,
+    Record,
+    Scalar,
+    Trim,
+    output_error,
+    parameter,
+    simulate,
+    spline,
+    validate,
+)
+from casid.nonlinear.coverage import joined, reached, tabulated
+
+
+class Pushed(NonlinearModel):
+    """u' = push, q' = Mq(u) q + Mlon lon; damping tabulated over airspeed if it is asked for."""
+
+    states, inputs, outputs = ("u", "q"), ("push", "lon"), ("u", "q")
+    units = {"u": "m/s"}  # noqa: RUF012
+
+    Mq: Scalar = parameter(default=-1.5, lower=-5.0, upper=0.0, unit="1/s")
+    Mlon: Scalar = parameter(default=4.0, lower=0.0, upper=20.0, unit="rad/s^2")
+    knots: tuple[float, ...] = (20.0, 30.0, 40.0)
+
+    def derivatives(self, x, u):
+        more = spline(x.u, self.knots, (0.0, 0.1, 0.3)) if self.knots else 0.0
+        return [u.push, (self.Mq - more) * x.q + self.Mlon * u.lon]
+
+    def reference(self):
+        return {"u": 30.0}
+
+
+def flown(start, push, model=None, seed=1):
+    t = 0.1 * np.arange(120)
+    u = np.column_stack([np.full(120, push), 0.1 * np.sign(np.sin(2 * t))])
+    still = Record(t, u, np.zeros((120, 2)), Pushed.inputs, Pushed.outputs, "flown")
+    return simulate(model or Pushed(), still, {"u": start}).with_noise(
+        {"u": 0.1, "q": 0.01}, np.random.default_rng(seed)
+    )
+
+
+def test_tables_and_their_narrowest_span_are_found():
+    class Two(Pushed):
+        """With a second table over the same variable, one over another, one over a constant."""
+
+        def derivatives(self, x, u):
+            own = spline(x.u, (25.0, 50.0), (0.0, 1.0)) + spline(x.q * x.u, (-1.0, 1.0), (0.0, 1.0))
+            push, q = Pushed.derivatives(self, x, u)
+            return [push, q + own + spline(self.Mq, (0.0, 1.0), (0.0, 1.0))]
+
+    assert tabulated(Two()) == {"u": (25.0, 40.0), "(u*q)": (-1.0, 1.0)} or tabulated(Two()) == {
+        "u": (25.0, 40.0), "(q*u)": (-1.0, 1.0)
+    }  # fmt: skip
+    x = np.array([[21.0, 0.5], [35.0, -0.1]])
+    assert [ends for _, ends in sorted(reached(Two(), x, np.zeros((2, 2))).items())] == [
+        (-3.5, 10.5), (21.0, 35.0)
+    ]  # fmt: skip
+
+
+def test_an_airspeed_without_tables_is_known_but_not_limited():
+    bare = Pushed(knots=())
+    assert tabulated(bare) == {}
+    assert reached(bare, np.array([[20.0, 0.0], [25.0, 0.0]]), np.zeros((2, 2))) == {"u": (20, 25)}
+
+
+def test_spans_are_joined():
+    assert joined([{"u": (1.0, 2.0)}, {}, {"u": (0.0, 1.5), "V": (3.0, 4.0)}]) == {
+        "u": (0.0, 2.0), "V": (3.0, 4.0)
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("speed", [20.0, 39.0, 41.9])
+def test_conditions_within_the_tables_or_about_their_end_are_taken_in_silence(speed):
+    Pushed().at(Trim(values={"u": speed}))
+
+
+def test_a_condition_beyond_the_tables_is_said_once_for_all():
+    trims = [Trim(name=f"{u:g}", values={"u": u}) for u in (15.0, 30.0, 55.0)]
+    with pytest.warns(DataWarning) as said:
+        Pushed().at(*trims)
+    (one,) = said
+    words = r"Pushed, .*u runs from 15 to 55 m/s, where its tables cover 20 to 40.*fly there"
+    assert re.search(words, str(one.message))
+
+
+def test_unknown_trims_are_not_judged_by_their_start():
+    Pushed().at(Trim(values={"u": 55.0}, unknown=("u", "push")))
+
+
+def test_a_simulation_beyond_the_tables_is_said():
+    with pytest.warns(DataWarning, match="'flown': u runs from 35 to 5"):
+        flown(35.0, 1.5)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return output_error(Pushed(knots=()), [flown(20.0, 0.8), flown(30.0, -0.2)], biases=False)
+
+
+def test_a_fit_knows_what_its_records_covered(fit):
+    low, high = fit.notes.covered["u"]
+    assert low == pytest.approx(20.0, abs=0.2)
+    assert high == pytest.approx(30.0, abs=0.5)
+
+
+def test_what_a_fit_covered_is_stored(fit, tmp_path):
+    fit.save(tmp_path / "fit.json")
+    again = type(fit).load(tmp_path / "fit.json", model=Pushed)
+    assert again.notes.covered == fit.notes.covered
+
+
+def test_validation_beyond_the_records_of_a_fit_is_said_once(fit):
+    validate({"fit": fit}, flown(21.0, 0.5, seed=3), horizon=np.inf)
+    fast = [flown(40.0, 0.5, Pushed(knots=())), flown(45.0, 0.5, Pushed(knots=()))]
+    with pytest.warns(DataWarning) as said:
+        validate({"fit": fit}, fast, horizon=np.inf)
+    (one,) = said
+    assert re.search(
+        r"'fit': u runs from 40.* to 50.* where the records of the fit", str(one.message)
+    )
+
+
+def test_records_widen_what_tables_cover():
+    wide = (10.0, 30.0, 60.0)
+    records = [flown(s, 1.0, Pushed(knots=wide), seed=s) for s in (38, 44)]
+    with pytest.warns(DataWarning, match="along the records of the fit: u runs from 3"):
+        fit = output_error(Pushed(), records, biases=False)
+    validate({"fit": fit}, flown(50.0, 0.2, Pushed(knots=wide)), horizon=np.inf)  # seen: silence
