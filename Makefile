@@ -37,7 +37,7 @@ notebooks: install
 	$(VENV)/bin/python docs/notebooks.py
 
 picture: install
-	$(VENV)/bin/casid identify examples/ah1s/study.toml
+	$(VENV)/bin/casid identify --png examples/ah1s/study.toml
 	cp out/ah1s/figures/response_p_q_r_from_ped_lon.png docs/images/responses.png
 	$(VENV)/bin/python docs/chain.py
 

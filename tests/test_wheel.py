@@ -45,7 +45,7 @@ def test_the_installed_wheel_identifies_the_users_own_model(installed, tmp_path)
     said = run(installed / "casid", "identify", study, "--parameters", cwd=tmp_path)
     assert "On unseen records" in said
     assert "Llat" in said
-    for result in ("report.html", "fit.json", "parameters.csv", "figures/rms.png"):
+    for result in ("report.html", "fit.json", "parameters.csv", "figures/rms.svg"):
         assert (tmp_path / "out" / result).stat().st_size > 0
 
 

@@ -1,5 +1,6 @@
 """Commands about studies: identify, bounds, check."""
 
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -19,7 +20,7 @@ from casid.fit import AnyFit
 from casid.interrupts import check_interrupt
 from casid.nlp import Progress
 from casid.report import Timing
-from casid.report.words import prior
+from casid.report.words import brief, prior
 from casid.stages.listing import STAGES, in_tables, in_words
 from casid.structure.modelfile import load_model
 from casid.structure.overview import describe
@@ -57,7 +58,7 @@ The output folder then holds
   report.html      everything on one page, for screen and paper
   fit.json         the identified model, for casid.Fit.load
   parameters.csv   the parameter table
-  figures/         every figure as PNG and SVG
+  figures/         every figure as SVG, with --png as PNG too
   stages/          the result of each stage
 """
 
@@ -67,14 +68,17 @@ The output folder then holds
 @OUTPUT
 @click.option("--fresh", is_flag=True, help="Compute every stage again, whatever was kept.")
 @click.option("--parameters", is_flag=True, help="Print the table of parameters too.")
+@click.option("--png", is_flag=True, help="Write every figure as PNG too.")
 @VERBOSE
 def identify(
-    study: Path, output: Path | None, fresh: bool, parameters: bool, verbose: bool
+    study: Path, output: Path | None, fresh: bool, parameters: bool, png: bool, verbose: bool
 ) -> None:
     """Identify the structure a study names and write its report."""
     console = terminal()
     with exits(console), logged(console, verbose), Monitor(console) as monitor:
-        outcome = run_study(read_study(study, output), fresh=fresh, watch=monitor)
+        asked = read_study(study, output)
+        asked = replace(asked, png=png or asked.png)
+        outcome = run_study(asked, fresh=fresh, watch=monitor)
     fresh_times = [timing.seconds for timing in outcome.timings if not timing.kept]
     console.print(Text(_line("total", None, None, sum(fresh_times)), style="bold"))
     if parameters:
@@ -228,7 +232,7 @@ def _judge(console: Console, outcome: Outcome) -> None:
             table.add_row(each.output, each.word, *figures, noise, Text(each.unit), style=style)
         console.print(table)
     for caution in outcome.cautions:
-        console.print(Text("! ", style="bold yellow").append(caution, style="default"))
+        console.print(Text("! ", style="bold yellow").append(brief(caution), style="default"))
 
 
 def _say_where(console: Console, outcome: Outcome) -> None:

@@ -109,6 +109,7 @@ class Content:
     warnings: tuple[str, ...] = ()  # what the stages warned of
     repeats: Repeats = field(default_factory=Repeats)
     units: Mapping[str, str] = field(default_factory=lambda: UNITS)
+    png: bool = False  # whether figures are written as PNG beside the SVG
 
     @property
     def structure(self) -> type[Model]:

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.transforms import ScaledTranslation
 
 from casid.arrays import Array
 from casid.bounds.compare import BoundsComparison
@@ -23,6 +22,7 @@ from casid.qualification import Qualification
 from casid.record import Record
 from casid.report import figures
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Content, Drawing
+from casid.report.layout import legend_above, place_axes, stacked
 from casid.report.look import LOOK, WIDTH
 from casid.report.prices import plot_bounds
 from casid.subspace.pbsid import BlackBox
@@ -35,19 +35,18 @@ LAGS = 100  # samples of the autocorrelation
 ROWS = 16  # of the comparison of bounds
 USUAL = (0.1, 20.0)  # rad/s
 SLOW = 2.0  # rad/s, the reach of the enlarged plane of eigenvalues
-LEFT, RIGHT, TOP, BOTTOM, GAP = 0.66, 0.1, 0.42, 0.42, 0.1  # inches around and between axes
 
 
-def save(drawing: Drawing, folder: str | Path) -> tuple[Path, Path]:
-    """Write a figure as PNG and as SVG; returns both paths."""
-    folder = Path(folder)
-    png, svg = folder / f"{drawing.name}.png", folder / f"{drawing.name}.svg"
+def save(drawing: Drawing, folder: str | Path, *, png: bool = False) -> Path:
+    """Write a figure as SVG, and as PNG if asked for; returns the path of the SVG."""
+    svg = Path(folder) / f"{drawing.name}.svg"
     with rc_context(LOOK):
-        with replacing(png) as file:
-            drawing.figure.savefig(file, format="png", dpi=150, metadata={"Software": None})
         with replacing(svg) as file:
             drawing.figure.savefig(file, format="svg", metadata={"Date": None})
-    return png, svg
+        if png:
+            with replacing(svg.with_suffix(".png")) as file:
+                drawing.figure.savefig(file, format="png", dpi=150, metadata={"Software": None})
+    return svg
 
 
 def systems(content: Content) -> dict[str, StateSpace]:
@@ -103,22 +102,19 @@ def _responses(
     heights = [3, 2] if measured is None else [3, 2, 1.1]
     rows = len(heights)
     figure = Figure(figsize=(WIDTH, 0.45 + 0.42 * sum(heights) * len(outputs)))
-    heights = heights * len(outputs)
-    axes = figure.subplots(
-        len(heights), len(inputs), sharex=True, squeeze=False, height_ratios=heights
-    )
+    axes = stacked(figure, heights * len(outputs), len(inputs))
+    for ax in axes[-1]:  # before the curves, which would each look for limits
+        ax.set(xscale="log", xlabel="ω [rad/s]")
+        figures.frequency_axis(ax, omega[0], omega[-1])
     for i, output in enumerate(outputs):
         for j, channel in enumerate(inputs):
             column = list(axes[rows * i : rows * (i + 1), j])
             _pair(column, content, shown, omega, (output, channel))
             column[0].set_title(f"{output} / {channel}", loc="left", fontweight="bold", pad=3)
-    for ax in axes[-1]:
-        ax.set_xlabel("ω [rad/s]")
-        figures.frequency_axis(ax, omega[0], omega[-1])
     for ax in axes[:, 1:].flat:
         ax.set_ylabel("")
-    _legend(figure, axes[0, 0])
-    return _tidy(figure, axes)
+    legend_above(figure, axes[0, 0])
+    return place_axes(figure, axes)
 
 
 def _pair(
@@ -171,7 +167,8 @@ def _history(found: Validation, k: int, names: Sequence[str], units: Mapping[str
     record = found.measured[k]
     heights = [0.46] * record.nu + [0.84] * len(names)
     figure = Figure(figsize=(WIDTH, 0.7 + sum(heights)))
-    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)
+    axes = stacked(figure, heights)
+    axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
     _inputs(list(axes[: record.nu, 0]), record, units)
     for ax, channel in zip(axes[record.nu :, 0], names, strict=True):
         i = record.outputs.index(channel)
@@ -179,9 +176,8 @@ def _history(found: Validation, k: int, names: Sequence[str], units: Mapping[str
         figures.plot_history(ax, record.t, record.y[:, i], simulated, channel=channel, units=units)
     for ax in axes[:, 0]:
         ax.set_ylabel(ax.get_ylabel().replace(" [", "\n["))
-    axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
-    _legend(figure, axes[-1, 0])
-    return _tidy(figure, axes, lines=2)
+    legend_above(figure, axes[-1, 0])
+    return place_axes(figure, axes, lines=2)
 
 
 def _ahead(validation: Validation, k: int) -> str:
@@ -213,7 +209,7 @@ def draw_qualification(found: Qualification, units: Mapping[str, str]) -> Iterat
 def _qualification(found: Qualification, k: int, units: Mapping[str, str]) -> Figure:
     record = found.validation.measured[k]
     figure = Figure(figsize=(WIDTH, 0.7 + 1.0 * len(found.outputs)))
-    axes = figure.subplots(len(found.outputs), 1, sharex=True, squeeze=False)
+    axes = stacked(figure, [1.0] * len(found.outputs))
     for j, (ax, name) in enumerate(zip(axes[:, 0], found.outputs, strict=True)):
         i, half = record.outputs.index(name), found.width[k][:, j]
         y = {found.model: found.validation.simulated[found.model][k][:, i]}
@@ -222,8 +218,8 @@ def _qualification(found: Qualification, k: int, units: Mapping[str, str]) -> Fi
         ax.fill_between(record.t, low, high, label="tolerance", **look)
         figures.plot_history(ax, record.t, record.y[:, i], y, channel=name, units=units)
     axes[-1, 0].set(xlabel="t [s]", xlim=(record.t[0], record.t[-1]))
-    _legend(figure, axes[-1, 0])
-    return _tidy(figure, axes)
+    legend_above(figure, axes[-1, 0])
+    return place_axes(figure, axes)
 
 
 def draw_rms(validation: Validation) -> Iterator[Drawing]:
@@ -236,14 +232,14 @@ def draw_rms(validation: Validation) -> Iterator[Drawing]:
 def _rms(validation: Validation) -> Figure:
     records = validation.records
     figure = Figure(figsize=(WIDTH, 0.6 + 1.8 * len(records)))
-    axes = figure.subplots(len(records), 1, sharex=True, squeeze=False)
+    axes = stacked(figure, [1.0] * len(records))
     for k, ax in enumerate(axes[:, 0]):
         figures.plot_rms(ax, validation, record=k)
         ax.grid(visible=False, axis="x")
         if len(records) > 1:
             ax.set_title(records[k], loc="left")
-    _legend(figure, axes[0, 0])
-    return _tidy(figure, axes)
+    legend_above(figure, axes[0, 0])
+    return place_axes(figure, axes)
 
 
 def draw_whiteness(validation: Validation) -> Iterator[Drawing]:
@@ -262,7 +258,7 @@ def _whiteness(validation: Validation, k: int) -> Figure:
     record = validation.measured[k]
     rows = (record.ny + 1) // 2
     figure = Figure(figsize=(WIDTH, 0.6 + 1.25 * rows))
-    axes = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
+    axes = stacked(figure, [1.0] * rows, 2)
     for ax in axes.flat[record.ny :]:
         ax.set_visible(False)
     for i, (ax, output) in enumerate(zip(axes.flat, record.outputs, strict=False)):
@@ -275,8 +271,8 @@ def _whiteness(validation: Validation, k: int) -> Figure:
         ax.set_ylabel("")
     for ax in axes[-1]:
         ax.set_xlabel("lag [s]")
-    _legend(figure, axes[0, 0])
-    return _tidy(figure, axes)
+    legend_above(figure, axes[0, 0])
+    return place_axes(figure, axes)
 
 
 def draw_match_error(fit: AnyFit) -> Iterator[Drawing]:
@@ -303,21 +299,22 @@ def draw_excitation(found: Excitation) -> Iterator[Drawing]:
 
 def _excitation(found: Excitation) -> Figure:
     figure = Figure(figsize=(WIDTH, 0.9 + 1.3 * len(found.inputs)))
-    axes = figure.subplots(len(found.inputs), 1, squeeze=False, sharex=True)
+    axes = stacked(figure, [1.0] * len(found.inputs))
     for i, ax in enumerate(axes[:, 0]):
         figures.plot_excitation(ax, found, i)
-        ax.label_outer()
-    _legend(figure, axes[0, 0])
-    return _tidy(figure, axes)
+        figures.frequency_axis(ax, *found.omega[found.within.any(axis=1)][[0, -1]].tolist())
+    legend_above(figure, axes[0, 0])
+    return place_axes(figure, axes)
 
 
 def _single(size: tuple[float, float], plot: Callable[[Axes, Any], Axes], value: object) -> Figure:
     figure = Figure(figsize=size)
     axes = figure.subplots(1, 1, squeeze=False)
     plot(axes[0, 0], value)
+    axes[0, 0].grid(which="both")
     if axes[0, 0].get_legend_handles_labels()[1]:
-        _legend(figure, axes[0, 0])
-    return _tidy(figure, axes)
+        legend_above(figure, axes[0, 0])
+    return place_axes(figure, axes)
 
 
 def draw_poles(content: Content) -> Iterator[Drawing]:
@@ -332,8 +329,8 @@ def _poles(content: Content) -> Figure:
     for ax in axes.flat:
         figures.plot_poles(ax, systems(content))
     axes[0, 1].set(xlim=(-SLOW, 0.4 * SLOW), ylim=(-SLOW, SLOW))
-    _legend(figure, axes[0, 0])
-    return _tidy(figure, axes)
+    legend_above(figure, axes[0, 0])
+    return place_axes(figure, axes)
 
 
 def draw_bounds(comparison: BoundsComparison) -> Iterator[Drawing]:
@@ -352,32 +349,6 @@ def _bounds(comparison: BoundsComparison) -> Figure:
     figure = Figure(figsize=(WIDTH, 1.0 + 0.42 * rows))
     figure.subplots_adjust(left=0.16, right=0.9, top=1 - 0.4 / (1 + 0.42 * rows), bottom=0.06)
     plot_bounds(figure.subplots(), comparison, rows=rows)
-    return figure
-
-
-def _legend(figure: Figure, ax: Axes) -> None:
-    handles, labels = ax.get_legend_handles_labels()
-    order = sorted(range(len(labels)), key=lambda k: labels[k].endswith("σ"))
-    handles, labels = [handles[k] for k in order], [labels[k] for k in order]
-    figure.legend(handles, labels, loc="upper center", ncols=len(labels), borderaxespad=0.2)
-
-
-def _tidy(figure: Figure, axes: np.ndarray, *, lines: int = 1) -> Figure:
-    """Place axes by the inch (a layout engine is slow), labels of so many lines beside them."""
-    width, height = figure.get_size_inches()
-    rows, columns = axes.shape
-    gap = GAP + (0.14 if any(ax.get_title(loc="left") for ax in axes[1:].flat) else 0.0)
-    each = (height - TOP - BOTTOM - gap * (rows - 1)) / rows
-    left = LEFT + 0.14 * (lines - 1)
-    between = left + 0.05
-    wide = (width - left - RIGHT - between * (columns - 1)) / columns
-    across = {"left": left / width, "right": 1 - RIGHT / width, "wspace": between / wide}
-    down = {"top": 1 - TOP / height, "bottom": BOTTOM / height, "hspace": gap / each}
-    figure.subplots_adjust(**across, **down)
-    for ax in axes.flat:
-        ax.yaxis.set_label_coords(-0.51 / wide, 0.5)
-        below = ax.transAxes + ScaledTranslation(0, -0.21, figure.dpi_scale_trans)
-        ax.xaxis.set_label_coords(0.5, 0, transform=below)  # looked for, its place takes time
     return figure
 
 

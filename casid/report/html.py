@@ -51,13 +51,14 @@ class Chapter:
 
 
 def write_report(content: Content, sections: Sequence[Section], folder: str | Path) -> Path:
-    """Write report.html and figures/*.png, *.svg; returns the path of the page."""
+    """Write report.html and figures/*.svg, *.png too if asked for; returns the path of the page."""
     # The sections may come in any order; the folder is made if need be.
     folder = Path(folder)
     ordered = sorted(sections, key=lambda each: each.place)
     page = _environment().get_template("report.html.j2")
     drawings = {id(each): list(each.draw()) for each in ordered if each.title}
-    pictures = _pictures([one for each in drawings.values() for one in each], folder / "figures")
+    every = [one for each in drawings.values() for one in each]
+    pictures = _pictures(every, folder / "figures", png=content.png)
     chapters = [
         _chapter(each, content, [pictures[one.name] for one in drawings[id(each)]])
         for each in ordered
@@ -110,22 +111,22 @@ def _chapter(section: Section, content: Content, pictures: Sequence[Picture]) ->
     return Chapter(name=section.name, title=section.title, body=body(section, content, pictures))
 
 
-def _pictures(drawings: Sequence[Drawing], folder: Path) -> dict[str, Picture]:
+def _pictures(drawings: Sequence[Drawing], folder: Path, *, png: bool) -> dict[str, Picture]:
     """All drawings by name, every second one drawn in a process beside this one if that can be."""
     folder.mkdir(parents=True, exist_ok=True)
     halves = [drawings[::2], drawings[1::2]]
-    with beside(partial(_drawn, halves[1], folder)) as other:
-        pictures = [*_drawn(halves[0], folder), *other()]
+    with beside(partial(_drawn, halves[1], folder, png=png)) as other:
+        pictures = [*_drawn(halves[0], folder, png=png), *other()]
     return {picture.name: picture for picture in pictures}
 
 
-def _drawn(drawings: Sequence[Drawing], folder: Path) -> list[Picture]:
+def _drawn(drawings: Sequence[Drawing], folder: Path, *, png: bool) -> list[Picture]:
     with rc_context(LOOK):
-        return [_picture(drawing, folder) for drawing in drawings]
+        return [_picture(drawing, folder, png=png) for drawing in drawings]
 
 
-def _picture(drawing: Drawing, folder: Path) -> Picture:
-    _, svg = save(drawing, folder)
+def _picture(drawing: Drawing, folder: Path, *, png: bool) -> Picture:
+    svg = save(drawing, folder, png=png)
     plot = packed(interactive(drawing.figure)) if drawing.interactive else None
     source = address(svg.read_text(encoding="utf-8"))
     return Picture(name=drawing.name, caption=drawing.caption, source=source, plot=plot)

@@ -173,15 +173,15 @@ def _ticks(axis: Axis, letter: str) -> dict[str, Any]:
     locator = axis.get_major_locator()
     look: dict[str, Any] = {"nticks": 6}
     if isinstance(locator, FixedLocator):
-        labels = [text.get_text() for text in axis.get_ticklabels()]
         places = [float(place) for place in locator.tick_values(0, 0)]
+        labels = axis.get_major_formatter().format_ticks(places)
         look = {"tickvals": places, "ticktext": labels}
     elif isinstance(locator, MultipleLocator):
         first, second = list(locator.tick_values(*axis.get_view_interval()))[:2]
         look = {"tick0": 0, "dtick": float(second - first)}
     params = axis.get_tick_params()
     hidden = letter == "x" and not params.get("labelbottom", True)
-    return look | {"showticklabels": not hidden}
+    return look | {"showticklabels": axis.get_visible() and not hidden}
 
 
 def _titles(ax: Axes, x: str, y: str) -> Iterator[dict[str, Any]]:

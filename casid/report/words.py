@@ -1,10 +1,20 @@
 """Numbers as a reader wants them."""
 
+import re
 from collections.abc import Mapping
+from textwrap import shorten
 
 import numpy as np
 
 from casid.fit import ParameterEstimate
+
+TWO_LINES = 190  # letters on a terminal
+SENTENCES = re.compile(r"(?<=\.) (?=[A-Z])")
+
+
+def brief(caution: str) -> str:
+    """A caution's first sentence, in two lines at most; the report has all of it."""
+    return shorten(SENTENCES.split(caution)[0], TWO_LINES, placeholder=" …")
 
 
 def number(value: float | None, digits: int = 4) -> str:

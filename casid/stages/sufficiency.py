@@ -4,12 +4,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from casid.display import listed
 from casid.distances import Distances, distances
 from casid.nonlinear.model import NonlinearModel
 from casid.report.content import Caution, Content, Section, section
 from casid.stages.stage import LeftOutError, Stage, Task
 
-NAMED = 4  # outputs in a warning before it says how many more
+NAMED = 8  # outputs in a warning before it says how many more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,10 +45,10 @@ def _show(found: Distances, content: Content) -> Iterable[Section]:  # noqa: ARG
     if found.enough:
         lead = "It misses nothing that the records show."
     else:
-        told = found.sentences()
-        more = f"; and {len(told) - NAMED} more outputs" if len(told) > NAMED else ""
-        said = [Caution(f"The structure is not enough: {'; '.join(told[:NAMED])}{more}.", 1)]
-        answer = f"It is farther from the black box than errors explain: {told[0]}."
+        outputs = list(dict.fromkeys(row.output for row in found.faults))
+        more = f"; something of {listed(outputs[1:], NAMED)} too" if outputs[1:] else ""
+        said = [Caution(f"The structure is not enough: {found.faults[0].told()}{more}.", 1)]
+        answer = f"It is farther from the black box than errors explain: {found.sentences()[0]}."
     title = "Is the structure enough?"
     whole: Any = {"lead": lead, "answer": answer, "cautions": tuple(said)}
     yield section("sufficiency", title, 3, found, **whole)

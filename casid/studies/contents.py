@@ -45,6 +45,7 @@ def content(
         warnings=tuple(dict.fromkeys(warnings)),
         repeats=again,
         units=units_of(study.channels.units),
+        png=study.png,
     )
 
 

@@ -83,8 +83,8 @@ def run_study(
     Returns
     -------
     Outcome
-        The files are in ``study.output``: report.html, fit.json, parameters.csv, figures/*.png and
-        stages/*.json.
+        The files are in ``study.output``: report.html, fit.json, parameters.csv, figures/*.svg and
+        stages/*.json; figures/*.png too if ``study.png``.
 
     Raises
     ------

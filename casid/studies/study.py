@@ -69,6 +69,7 @@ class Study:
     stages: tuple[Stage, ...]
     settings: Mapping[str, Any]  # by table, of stages that have one
     design: NextFlight = field(default_factory=NextFlight)
+    png: bool = False  # whether figures are written as PNG beside the SVG
 
     def task(self, roles: Mapping[Role, Any]) -> Task:
         """What the stages work on, with these records by role."""

@@ -56,7 +56,7 @@ def read_study(
     top.only(("study", "model", "channels", "records", "noise", "design", *tables))
     model, model_file, fixed, bounds = _model(top.table("model", needed=True), path.parent)
     heading = top.table("study")
-    heading.only(("title", "output"))
+    heading.only(("title", "output", "png"))
     folder = heading.take("output", str, "out")
     noise = _noise(top.table("noise"), type(model)) if "noise" in top.content else None
     roles = _roles(top.table("records", needed=True), path.parent)
@@ -75,6 +75,7 @@ def read_study(
         stages=tuple(stages),
         settings=_settings(top, stages),
         design=read_settings(top.table("design"), NextFlight()),
+        png=heading.take("png", bool, False),
     )
     _check(study)
     return study

@@ -92,14 +92,15 @@ def identified(tmp_path_factory):
 def test_a_study_ends_with_verdicts_report_and_code_zero(identified):
     folder, result = identified
     assert result.exit_code == 0, result.output
-    for file in ("report.html", "fit.json", "parameters.csv", "figures/rms.png"):
+    for file in ("report.html", "fit.json", "parameters.csv", "figures/rms.svg"):
         assert (folder / "out" / file).stat().st_size > 0
     *_, table, last = result.output.partition("verdict")
     assert "Llat" not in result.output
     assert all(f"\n{output} " in last for output in ("p", "phi"))
     assert table
     assert result.output.splitlines()[-1] == f"Report: {folder / 'out' / 'report.html'}"
-    shown = casid("identify", folder / "study.toml", "--parameters").output
+    shown = casid("identify", folder / "study.toml", "--parameters", "--png").output
+    assert (folder / "out" / "figures" / "rms.png").stat().st_size > 0
     assert all(f"\n{name} " in shown for name in ("Yv", "Lv", "Lp", "Llat"))
 
 

@@ -20,6 +20,7 @@ NARROW = ("[channels.units]", "[model.bounds]\nLp = [-0.7, 0]\n\n[channels.units
 SPARSE = ("[records.validation]", "[records.refinement]\nfiles = ['3211.csv']\nnoise = true\n"
           "decimate = 20\n\n[records.validation]")  # fmt: skip
 LEADS = (
+    "The structure is not enough: ",
     "Structure and data disagree: the black box predicts the validation records better",
     "Output error and frequency domain differ by more than their errors allow",
     "on a bound: Lp",

@@ -42,6 +42,17 @@ def test_the_page_needs_nothing_beside_it_and_is_below_three_megabytes(page):
 
 
 @pytest.mark.slow
+def test_figures_are_png_too_if_asked_for_and_the_page_stays_as_it_is(content, page, tmp_path):
+    figures = {path.name for path in (page.parent / "figures").iterdir()}
+    assert all(name.endswith(".svg") for name in figures)
+    asked = dataclasses.replace(content, png=True)
+    again = write_report(asked, shown(asked), tmp_path)
+    assert again.read_bytes() == page.read_bytes()
+    found = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert found == figures | {name.replace(".svg", ".png") for name in figures}
+
+
+@pytest.mark.slow
 def test_the_page_tells_what_is_needed_to_repeat_the_run(page, content, study_folder):
     text = page.read_text(encoding="utf-8")
     assert sha256((study_folder / "study.toml").read_bytes()).hexdigest() in text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from casid.fit import ParameterEstimate
-from casid.report.words import number, percent
+from casid.report.words import TWO_LINES, brief, number, percent
 
 
 @pytest.mark.parametrize(
@@ -15,6 +15,13 @@ from casid.report.words import number, percent
 )
 def test_numbers_are_written_for_readers(value, text):
     assert number(value) == text
+
+
+def test_a_caution_is_brief_by_its_first_sentence():
+    assert brief("J is 1.5 on average. Try a richer structure.") == "J is 1.5 on average."
+    long = brief("Few data: " + "much too little of it, " * 20 + "fly more.")
+    assert long.endswith(" …")
+    assert TWO_LINES - 30 < len(long) <= TWO_LINES
 
 
 def test_a_whole_hundred_needs_no_exponent():

@@ -134,7 +134,7 @@ def test_casid_bounds_leaves_tables_figure_and_a_section(told):
     page = (out / "report.html").read_text(encoding="utf-8")
     assert '<section id="bounds">' in page
     assert "figure-bounds" in page
-    assert (out / "figures" / "bounds.png").stat().st_size > 0
+    assert (out / "figures" / "bounds.svg").stat().st_size > 0
     assert "±20 %" in (out / "bounds.md").read_text(encoding="utf-8")
     assert len(list((out / "bounds").glob("*.json"))) == 4
     for name in rows:

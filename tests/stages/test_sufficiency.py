@@ -26,7 +26,9 @@ def test_a_structure_that_is_not_enough_is_the_first_caution():
     assert caution.rank == 1
     assert caution.text.startswith("The structure is not enough: r after lat, 1-2 rad/s: ")
     assert "12σ, 20% of its response" in caution.text
-    assert "q after" not in caution.text
+    assert caution.text.endswith("; something of p too.")
+    (one,) = SUFFICIENCY.show(found(("p", 9.0)), None)
+    assert one.cautions[0].text.endswith("20% of its response.")
     (silent,) = SUFFICIENCY.show(found(("p", 1.0)), None)
     assert silent.cautions == ()
 

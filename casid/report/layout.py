@@ -1,0 +1,69 @@
+"""Axes on a sheet: one scale of x for all, its ticks once, places by the inch, one legend."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
+
+LEFT, RIGHT, TOP, BOTTOM, GAP = 0.66, 0.1, 0.42, 0.42, 0.1  # inches around and between axes
+
+
+def stacked(figure: Figure, heights: Sequence[float], columns: int = 1) -> np.ndarray:
+    """Axes (rows, columns) of relative heights and one scale of x, whose ticks stand at the bottom.
+
+    An axis with its ticks takes longer to draw than the curves: those above have none of their own.
+    """
+    axes: np.ndarray = figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights)
+    first = axes[-1, 0]
+    for ax in axes.flat:
+        if ax is not first:
+            ax.sharex(first)
+        ax.xaxis.set_visible(ax in axes[-1])
+    return axes
+
+
+def place_axes(figure: Figure, axes: np.ndarray, *, lines: int = 1) -> Figure:
+    """Place axes by the inch (a layout engine is slow), labels of so many lines beside them."""
+    width, height = figure.get_size_inches()
+    rows, columns = axes.shape
+    gap = GAP + (0.14 if any(ax.get_title(loc="left") for ax in axes[1:].flat) else 0.0)
+    each = (height - TOP - BOTTOM - gap * (rows - 1)) / rows
+    left = LEFT + 0.14 * (lines - 1)
+    between = left + 0.05
+    wide = (width - left - RIGHT - between * (columns - 1)) / columns
+    across = {"left": left / width, "right": 1 - RIGHT / width, "wspace": between / wide}
+    down = {"top": 1 - TOP / height, "bottom": BOTTOM / height, "hspace": gap / each}
+    figure.subplots_adjust(**across, **down)
+    for ax in axes.flat:
+        ax.yaxis.set_label_coords(-0.51 / wide, 0.5)
+        below = ax.transAxes + ScaledTranslation(0, -0.21, figure.dpi_scale_trans)
+        ax.xaxis.set_label_coords(0.5, 0, transform=below)  # looked for, its place takes time
+    _lines_of_grid(axes)
+    return figure
+
+
+def _lines_of_grid(axes: np.ndarray) -> None:
+    """Lines of the grid where the axis of x that would draw them is not shown."""
+    low, high = axes[-1, 0].get_xlim()
+    ticks = [x for x in axes[-1, 0].xaxis.get_majorticklocs() if low <= x <= high]
+    for ax in (ax for ax in axes.flat if not ax.xaxis.get_visible()):
+        lines = LineCollection(
+            [[(x, 0), (x, 1)] for x in ticks],
+            colors=rcParams["grid.color"],
+            linewidths=rcParams["grid.linewidth"],
+            transform=ax.get_xaxis_transform(),
+            zorder=0.5,
+        )
+        ax.add_collection(lines, autolim=False)
+
+
+def legend_above(figure: Figure, ax: Axes) -> None:
+    """What the curves of these axes are called, above all; bands last."""
+    handles, labels = ax.get_legend_handles_labels()
+    order = sorted(range(len(labels)), key=lambda k: labels[k].endswith("σ"))
+    handles, labels = [handles[k] for k in order], [labels[k] for k in order]
+    figure.legend(handles, labels, loc="upper center", ncols=len(labels), borderaxespad=0.2)

@@ -1,0 +1,47 @@
+"""Axes on a sheet."""
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from casid.report.layout import legend_above, place_axes, stacked
+from casid.report.look import LOOK
+
+
+def test_axes_share_one_scale_whose_ticks_are_drawn_at_the_bottom_only():
+    with rc_context(LOOK):
+        figure = Figure(figsize=(5, 4))
+        axes = stacked(figure, [2.0, 1.0], 2)
+        axes[0, 0].plot([0.0, 4.0], [0.0, 1.0])
+        axes[-1, 0].set_xlim(0.0, 3.0)
+        place_axes(figure, axes)
+    assert all(ax.get_xlim() == (0.0, 3.0) for ax in axes.flat)
+    assert [ax.xaxis.get_visible() for ax in axes.flat] == [False, False, True, True]
+    heights = [ax.get_position().height for ax in axes[:, 0]]
+    np.testing.assert_allclose(heights[0], 2 * heights[1])
+
+
+def test_a_line_of_the_grid_stands_above_every_tick():
+    with rc_context(LOOK):
+        figure = Figure(figsize=(5, 4))
+        axes = stacked(figure, [1.0, 1.0])
+        axes[-1, 0].set_xlim(0.0, 3.0)
+        place_axes(figure, axes)
+        FigureCanvasAgg(figure).draw()
+    (lines,) = axes[0, 0].collections
+    places = [segment[0, 0] for segment in lines.get_segments()]
+    ticks = [x for x in axes[1, 0].get_xticks() if 0 <= x <= 3]
+    assert places == ticks
+    assert len(ticks) > 3
+    assert axes[0, 0].get_ylim() == (0.0, 1.0)  # the lines move no limit
+
+
+def test_a_legend_names_every_curve_and_bands_last():
+    figure = Figure()
+    ax = figure.subplots()
+    ax.fill_between([0, 1], [0, 1], [1, 2], label="measured ±2σ")
+    ax.plot([0, 1], [0, 1], label="measured")
+    legend_above(figure, ax)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["measured", "measured ±2σ"]
