@@ -1,11 +1,15 @@
-"""Threads of linear algebra: one, whatever the environment says.
+"""Threads: one of linear algebra, whatever the environment says, and one a core where work splits.
 
 Matrices of identification have tens of rows. OpenBLAS hands even those to all processors, where
 threads that wait for each other cost more than the arithmetic.
 """
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from functools import cache, wraps
+from multiprocessing import parent_process
 from typing import ParamSpec, TypeVar
 
 import scipy.linalg  # noqa: F401 - loads the libraries that are to be limited
@@ -13,6 +17,7 @@ from threadpoolctl import ThreadpoolController
 
 P = ParamSpec("P")
 T = TypeVar("T")
+U = TypeVar("U")
 
 
 @cache
@@ -29,3 +34,25 @@ def one_thread(function: Callable[P, T]) -> Callable[P, T]:
             return function(*args, **kwargs)
 
     return limited
+
+
+def cores() -> int:
+    """Processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def on_all_cores(function: Callable[[T], U], items: Iterable[T]) -> Iterator[U]:
+    """Values of a function in the order of the items, computed by a thread for every core.
+
+    By this thread alone in a process of many that share the work, which have the cores already.
+    """
+    each = list(items)
+    threads = 1 if parent_process() is not None else min(cores(), len(each))
+    if threads <= 1:
+        yield from map(function, each)
+        return
+    contexts = [copy_context() for _ in each]  # of NumPy's errstate
+    with ThreadPoolExecutor(threads) as pool:
+        yield from pool.map(lambda context, item: context.run(function, item), contexts, each)

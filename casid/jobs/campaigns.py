@@ -16,7 +16,8 @@ from typing import Any
 
 from casid.errors import DataWarning
 from casid.jobs.store import Done, Store
-from casid.jobs.workers import OtherExecutor, OwnProcesses, Workers, processors
+from casid.jobs.workers import OtherExecutor, OwnProcesses, Workers
+from casid.threads import cores
 from casid.values import decode, encode
 
 LOG = logging.getLogger("casid")
@@ -112,7 +113,7 @@ def run_jobs(
     elif missing and (here or len(jobs) <= FEW):
         campaign.run(Workers())
     elif missing:
-        with OwnProcesses(min(processors(), missing)) as pool:
+        with OwnProcesses(min(cores(), missing)) as pool:
             campaign.run(pool)
     return {job.name: campaign.done[job.name] for job in jobs}
 

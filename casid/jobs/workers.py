@@ -11,14 +11,9 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any
 
+from casid.threads import cores
+
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-def processors() -> int:
-    """Processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class Workers:
@@ -68,7 +63,7 @@ class OwnProcesses(Workers):
         pool = Pool(self._count, mp_context=multiprocessing.get_context("spawn"))
         with _surroundings():
             for _ in range(self._count):
-                pool.submit(processors)
+                pool.submit(cores)
         return pool
 
     def __enter__(self) -> "OwnProcesses":

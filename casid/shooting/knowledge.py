@@ -46,19 +46,19 @@ class Knowledge:
         total = off @ off + np.sum(self._weight * away**2) + np.sum(self._bias * point.bias**2)
         return float(total) / 2
 
-    def add(self, G: Array, point: Point) -> None:
-        """Add Hessian and gradient to the intervals' (J, nc, nc); columns λ, node, biases, r."""
+    def add(self, records: Array, nodes: Array, point: Point) -> None:
+        """Add Hessian and gradient to `casid.shooting.sensitivity.Sums`' records and nodes."""
         n, nx, ny = len(self._free.index), len(self._mean), len(self._bias)
         off, pull = self._free.surprise(point.lam[:n])
-        node = np.arange(len(point.lam), len(point.lam) + nx)
-        bias = np.arange(node[-1] + 1, node[-1] + 1 + ny)
-        G[0, :n, :n] += pull.T @ pull
-        G[0, :n, -1] += pull.T @ off
-        for first, b in zip(self._firsts, point.bias, strict=True):
-            G[first, node, node] += self._weight
-            G[first, node, -1] += self._weight * (point.nodes[first] - self._mean)
-            G[first, bias, bias] += self._bias
-            G[first, bias, -1] += self._bias * b
+        state = np.arange(nx)
+        bias = len(point.lam) + nx + np.arange(ny)
+        records[0, :n, :n] += pull.T @ pull
+        records[0, :n, -1] += pull.T @ off
+        for record, first, b in zip(records, self._firsts, point.bias, strict=True):
+            nodes[first, state, len(point.lam) + state] += self._weight
+            nodes[first, :, -1] += self._weight * (point.nodes[first] - self._mean)
+            record[bias, bias] += self._bias
+            record[bias, -1] += self._bias * b
 
 
 def with_knowledge(

@@ -20,6 +20,7 @@ import scipy.sparse
 from casid.arrays import Array
 from casid.assembly import Pattern, grid, stack, upper_triangle
 from casid.free import Free
+from casid.shooting.convolution import summed
 from casid.shooting.knowledge import Knowledge
 from casid.shooting.likelihood import Noise, moments_of
 from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, whiteners
@@ -202,17 +203,13 @@ class Programme:
         sweep = e.sweep(point, values.motion, whiteners(values.R, e.layout))
         nf, nx = e.nf, e.nx
         unit = np.concatenate([s.lam, s.state, s.bias, [1.0]])
-        G = np.empty((self.J, len(unit), len(unit)))
-        ends, slopes = np.empty((self.J, nx)), np.empty((self.J, nx, len(unit) - 1))
-        for batch in sweep.batches():
-            nodes = e.layout.node[batch.index]
-            G[nodes], ends[nodes], slopes[nodes] = batch.gram, batch.ends, batch.slopes
-        self.knowledge.add(G, point)
-        G *= unit[:, None] * unit
+        sums = summed(sweep)
+        per_record, G, slopes = sums.records, sums.nodes, sums.slopes
+        self.knowledge.add(per_record, G, point)
+        per_record *= unit[:, None] * unit
+        G *= s.state[:, None] * unit
         slopes *= unit[:-1] / s.state[:, None]
         l, n, b = slice(0, nf), slice(nf, nf + nx), slice(nf + nx, len(unit) - 1)
-        firsts = np.searchsorted(self.record, np.arange(self.records))
-        per_record = np.add.reduceat(G, firsts, axis=0)
         total = per_record.sum(axis=0)
         if sweep.gains is not None:
             gradient, information = sweep.gains.through_covariance(values.motion.residuals)
@@ -220,9 +217,9 @@ class Programme:
             total[l, -1] += gradient * s.lam
         return Blocks(
             Hll=total[l, l], Hlb=per_record[:, l, b], Hbb=per_record[:, b, b],
-            Hln=G[:, l, n], Hbn=G[:, b, n], Hnn=G[:, n, n],
-            gl=total[l, -1], gb=per_record[:, b, -1], gn=G[:, n, -1],
-            ends=ends, slope_l=slopes[:, :, l], slope_n=slopes[:, :, n], slope_b=slopes[:, :, b],
+            Hln=G[:, :, l].transpose(0, 2, 1), Hbn=G[:, :, b].transpose(0, 2, 1), Hnn=G[:, :, n],
+            gl=total[l, -1], gb=per_record[:, b, -1], gn=G[:, :, -1], ends=sums.ends,
+            slope_l=slopes[:, :, l], slope_n=slopes[:, :, n], slope_b=slopes[:, :, b],
             c_lam=sweep.matrices.c_lam * s.lam, sweep=sweep,
         )  # fmt: skip
 

@@ -68,6 +68,24 @@ class Batch:
     slopes: Array  # (n, nx, nf + nx + ny) its derivative by λ, node and biases
 
 
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Gauss-Newton blocks; intervals (J) in chronological order, columns as in `Batch`."""
+
+    records: Array  # (records, nc, nc) sums over each record, the nodes' rows and columns not valid
+    nodes: Array  # (J, nx, nc) the rows of every interval's node
+    ends: Array  # (J, nx)
+    slopes: Array  # (J, nx, nf + nx + ny)
+
+    @classmethod
+    def zeros(cls, evaluator: "Evaluator") -> "Sums":
+        """Before anything is summed."""
+        nc = evaluator.nf + evaluator.nx + evaluator.ny + 1
+        J, nx = len(evaluator.layout.count), evaluator.nx
+        sizes = (len(evaluator.layout.records), nc, nc), (J, nx, nc), (J, nx), (J, nx, nc - 1)
+        return cls(*(np.zeros(size) for size in sizes))
+
+
 def whiteners(R: Array, layout: Layout) -> Array:
     """W of every pattern of measured channels, (n_patterns, ny, ny), with WᵀW = R⁻¹ of those."""
     ny = len(R)
@@ -295,7 +313,8 @@ class Sweep:
         slope = np.empty((int(count.sum()), self.e.ny, moves.shape[2]))
 
         def keep(j: int, k: int, rows: Array) -> None:
-            slope[place[j] + k : place[j] + k + len(rows)] = rows[:, :, :-1] @ moves[j]
+            flat = rows.reshape(-1, rows.shape[2])[:, :-1] @ moves[j]
+            slope[place[j] + k : place[j] + k + len(rows)] = flat.reshape(len(rows), self.e.ny, -1)
 
         self.run(index, keep)
         return slope
@@ -349,6 +368,18 @@ class Sweep:
             out *= np.diagonal(self.W, axis1=1, axis2=2)[kind][..., None]
             return out
         return np.asarray(self.W[kind] @ out)
+
+
+def gathered(sweep: Sweep) -> Sums:
+    """Gauss-Newton blocks of all intervals by their sensitivities."""
+    e, layout = sweep.e, sweep.layout
+    found, node = Sums.zeros(e), slice(e.nf, e.nf + e.nx)
+    for batch in sweep.batches():
+        nodes = layout.node[batch.index]
+        np.add.at(found.records, layout.record[batch.index], batch.gram)
+        found.nodes[nodes], found.ends[nodes] = batch.gram[:, node], batch.ends
+        found.slopes[nodes] = batch.slopes
+    return found
 
 
 def counts(count: np.ndarray) -> list[int]:

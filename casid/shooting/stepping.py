@@ -163,6 +163,14 @@ class Steps:
             new -= self._gains.carry(at, heard)
         return new
 
+    def uniform(self) -> tuple[Array, Array, Array]:
+        """What carries states (nx, nx) and drives derivatives (nx, columns, nf) over all steps.
+
+        Of steps of one length; the columns are states, inputs and the third, jumps (N, n).
+        """
+        (group,) = self._groups
+        return group.Ad[0], group.drive, self._breaks.jumps[:, group.columns]
+
     def delay_moments(self, p: Array) -> tuple[Array, Array]:
         """Second derivatives of Σ_k p_kᵀ x_{k+1} by the delays (nu,), and by delays and B (nx, nu).
 

@@ -247,7 +247,7 @@ def block_scores(
             part = np.arange(first, first + len(piece)) // length
             for b in range(part[0], part[-1] + 1):
                 own = np.flatnonzero(part == b)
-                s = (piece[own] @ root).reshape(-1, k)
+                s = _flat(piece[own]) @ root
                 g[b] += s.T @ r[first + own].ravel()
                 H[b] += s.T @ s
             first += len(piece)
@@ -268,7 +268,7 @@ def process_scores(root: Array, C: Array, slopes: Iterable[Iterable[Array]]) -> 
     for pieces in slopes:
         past = np.zeros((0, C.shape[1], root.shape[1]))
         for piece in pieces:
-            s = np.concatenate([past, piece @ root])
+            s = np.concatenate([past, (_flat(piece) @ root).reshape(*piece.shape[:2], -1)])
             K += _double_sum(C, s) - _double_sum(C, past)
             past = s[max(len(s) - lags, 0) :]
     values, vectors = np.linalg.eigh(K + K.T)
@@ -281,15 +281,23 @@ def _double_sum(C: Array, s: Array) -> Array:
     """Σ_i Σ_j s_iᵀ C(j - i) s_j over all samples of s (N, ny, nf)."""
     if not len(s):
         return np.zeros((s.shape[2], s.shape[2]))
+    if len(C) == 1:  # white: nothing to transform
+        return np.asarray(_flat(s).T @ _flat(C[0] @ s))
     n = scipy.fft.next_fast_len(len(s) + len(C), real=True)
-    spectrum = _spectrum(C, n).conj()
     S = scipy.fft.rfft(s, n, axis=0)
     weight = np.full(len(S), 2.0 / n)
     weight[0] /= 2
     if n % 2 == 0:
         weight[-1] /= 2
-    weighted = S.conj() * weight[:, None, None]
-    return np.real(np.einsum("kai,kab,kbj->ij", weighted, spectrum, S, optimize=True))
+    weighted = (_spectrum(C, n).conj() * weight[:, None, None]) @ S
+    return np.asarray(
+        _flat(S.real).T @ _flat(weighted.real) + _flat(S.imag).T @ _flat(weighted.imag)
+    )
+
+
+def _flat(s: Array) -> Array:
+    """(N, ny, k) as (N ny, k): one product of matrices instead of N small ones."""
+    return s.reshape(-1, s.shape[2])
 
 
 def residual_covariance(residuals: Sequence[Array]) -> Array:

@@ -1,0 +1,197 @@
+"""Gauss-Newton blocks of output error from signals that all its parameters share.
+
+With one sampling interval the sensitivities of output error are convolutions,
+
+    S_k = Σ_m A_d^m F V_{k-1-m},    A_d^m = Σ_i M_i h_{m,i},    h_m = H^m h_0,
+
+of the same few signals V (states, inputs and their breaks), however many parameters the drive F
+has: by the theorem of Cayley and Hamilton the powers of A_d lie in the space of at most nx
+matrices M_i, which Arnoldi's method finds (Frobenius-orthonormal, so that nothing cancels which
+does not cancel in A_d^m itself). The signals z_v = Σ_m h_m V_{k-1-m,v} are filtered once; the
+sensitivities are linear in them, S = Σ M_i F_v z_vi, and their Gram matrix is a congruence of that
+of the signals, taken once a record instead of for every output.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from casid.arrays import Array
+from casid.shooting.sensitivity import Sums, Sweep, gathered
+from casid.threads import on_all_cores
+
+STEPS = 256  # samples of an interval whose signals are held at once
+BYTES = 4e6  # of signals held at once by a thread: they stay in the cache
+ROUNDING = 1e-12  # by which powers of A_d may miss the space of the M_i, relative
+
+
+def summed(sweep: Sweep) -> Sums:
+    """Gauss-Newton blocks of a sweep, by shared signals where that is possible and less work."""
+    e, layout = sweep.e, sweep.layout
+    alike = type(sweep) is Sweep and len(layout.classes) == 1 and (layout.pattern == 0).all()
+    if not alike or e.filtering:
+        return gathered(sweep)
+    powers = Powers.of(sweep.matrices.A, sweep.steps.uniform()[0])
+    if powers is None:
+        return gathered(sweep)
+    shared = Convolution(sweep, powers)
+    return shared.sums() if shared.pays else gathered(sweep)
+
+
+@dataclass(frozen=True, eq=False)
+class Powers:
+    """A_d^m = Σ_i M_i h_i with h = H^m h_0."""
+
+    M: Array  # (d, nx, nx)
+    H: Array  # (d, d)
+    start: Array  # (d,) h_0
+
+    @classmethod
+    def of(cls, A: Array, Ad: Array) -> "Powers | None":
+        """Of the transition matrix A_d = exp(A h), both (nx, nx); None if rounding is in the way.
+
+        The space is that of the polynomials of A, whose own scale keeps them apart better.
+        """
+        if not (np.isfinite(A).all() and np.isfinite(Ad).all()):
+            return None
+        nx = len(A)
+        _, (unit, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
+        scale = unit / unit[:, None]
+        basis = np.eye(nx).reshape(1, -1) / np.sqrt(nx)
+        while len(basis) < nx:
+            new = ((A * scale) @ basis[-1].reshape(nx, nx)).ravel()
+            size = np.linalg.norm(new)
+            for _ in range(2):  # once more, for what rounding left
+                new = new - basis.T @ (basis @ new)
+            if np.linalg.norm(new) <= ROUNDING * size:
+                break
+            basis = np.vstack([basis, new / np.linalg.norm(new)])
+        M = basis.reshape(-1, nx, nx)
+        after = ((Ad * scale) @ M).reshape(len(M), -1)
+        H = basis @ after.T
+        if np.abs(after.T - basis.T @ H).max() > ROUNDING * np.abs(after).max():
+            return None
+        start = np.zeros(len(M))
+        start[0] = np.sqrt(nx)
+        return cls(M / scale, H, start)
+
+
+class Convolution:
+    """The signals of a sweep, and what parameters, nodes and outputs make of them.
+
+    Signals stand in the order: those of the node (d), the filtered (channels x d), the direct ones,
+    one, the residuals.
+    """
+
+    def __init__(self, sweep: Sweep, powers: Powers) -> None:
+        self.sweep, self.powers = sweep, powers
+        e, m = sweep.e, sweep.matrices
+        _, drive, self._jumps = sweep.steps.uniform()
+        self._live = np.flatnonzero(drive.any(axis=(0, 2)))
+        self._direct = np.flatnonzero(sweep.drive.any(axis=(0, 2)))
+        self._W = sweep.W[0]
+        d, nx, nf, ny = len(powers.M), e.nx, e.nf, e.ny
+        moved = np.tensordot(powers.M, drive[:, self._live], axes=1)  # (d, nx, live, nf)
+        self._states = moved.transpose(2, 0, 1, 3).reshape(-1, nx, nf)
+        self._filtered = d * (1 + len(self._live))
+        self.count = self._filtered + len(self._direct) + 1 + ny
+        out = np.zeros((self.count, ny, nf + nx + ny + 1))
+        out[:d, :, nf : nf + nx] = m.C @ powers.M
+        out[d : self._filtered, :, :nf] = m.C @ self._states
+        one = self._filtered + len(self._direct)
+        out[self._filtered : one, :, :nf] = sweep.drive[:, self._direct].transpose(1, 0, 2)
+        out[one, :, nf + nx : -1] = np.eye(ny)
+        out[one + 1 :, :, -1] = np.eye(ny)
+        self._out = np.ascontiguousarray((self._W @ out).transpose(1, 0, 2))  # (ny, signals, nc)
+
+    @property
+    def pays(self) -> bool:
+        """Whether the Gram matrix of the signals is less work than that of the sensitivities."""
+        return bool(self.count**2 < self._out.shape[0] * self._out.shape[2] ** 2)
+
+    def sums(self) -> Sums:
+        """Blocks of all records and intervals; the same however many threads there are."""
+        e, layout, d = self.sweep.e, self.sweep.layout, len(self.powers.M)
+        found = Sums.zeros(e)
+        signals = np.zeros((len(layout.records), self.count - d, self.count - d))
+        portions = list(self._portions())
+        for index, (gram, nodes, slopes) in zip(
+            portions, on_all_cores(self._portion, portions), strict=True
+        ):
+            signals[layout.record[index[0]]] += gram
+            found.nodes[layout.node[index]] = nodes
+            found.slopes[layout.node[index]] = slopes
+        records = found.records
+        for seen in self._out[:, d:]:
+            records += seen.T @ (signals @ seen)
+        found.ends[layout.node] = self.sweep.motion.ends
+        return found
+
+    def _portions(self) -> Iterator[np.ndarray]:
+        """Rows of the layout, each portion of one record, the longest first."""
+        layout = self.sweep.layout
+        for record in range(len(layout.records)):
+            mine = np.flatnonzero(layout.record == record)
+            held = 8 * self.count * (1 + min(STEPS, int(layout.count[mine[0]])))
+            size = max(1, int(BYTES / held))
+            yield from (mine[k : k + size] for k in range(0, len(mine), size))
+
+    def _portion(self, index: np.ndarray) -> tuple[Array, Array, Array]:
+        """Gram matrix of the signals, the node's rows and the slopes of the ends of intervals."""
+        count, d, n = self.sweep.layout.count[index], len(self.powers.M), len(index)
+        gram = np.zeros((self.count - d, self.count - d))
+        cross = np.zeros((d, n * self.count))
+        ends = np.empty((n, self._filtered))
+        y: Array = np.zeros((n * (self._filtered // d), d))
+        y.reshape(n, -1, d)[:, 0] = self.powers.start
+        Z = np.empty((min(STEPS, int(count[0])) + 1, n, self.count))
+        for first in range(0, int(count[0]), STEPS):
+            K = min(STEPS, int(count[0]) - first)
+            y = self._filter(index, first, Z[: K + 1], y)
+            node = Z[:K, 0, :d].copy()
+            for j in np.flatnonzero((count > first) & (count <= first + K)):
+                ends[j] = Z[count[j] - first, j, : self._filtered]
+            for j in np.flatnonzero(count < first + K):
+                Z[max(count[j] - first, 0) : K, j] = 0.0
+            rows = Z[:K].reshape(K * n, -1)[:, d:]
+            gram += rows.T @ rows
+            cross += node.T @ Z[:K].reshape(K, -1)
+        return gram, self._of_nodes(cross.reshape(d, n, -1)), self._of_ends(ends)
+
+    def _filter(self, index: np.ndarray, first: int, Z: Array, y: Array) -> Array:
+        """Write the signals of K samples and of the next into Z (K + 1, n, signals)."""
+        sweep, layout, f = self.sweep, self.sweep.layout, self._filtered
+        (K, n), start = (len(Z) - 1, len(index)), layout.start[index]
+        at = start + np.minimum(first + np.arange(K)[:, None], layout.count[index] - 1)
+        both = np.concatenate([sweep.motion.states[at], sweep.steps.inputs[at]], axis=2)
+        V = np.concatenate([both, self._jumps[at]], axis=2)[:, :, self._live]
+        V *= self.powers.start[0]
+        one = f + len(self._direct)
+        Z[:-1, :, f:one] = both[:, :, self._direct]
+        Z[:-1, :, one] = 1.0
+        Z[:-1, :, one + 1 :] = sweep.motion.residuals[at]
+        turned = np.ascontiguousarray(self.powers.H.T)
+        for k in range(K):
+            Z[k, :, :f] = y.reshape(n, f)
+            y = y @ turned
+            y.reshape(n, -1, len(turned))[:, 1:, 0] += V[k]
+        Z[K, :, :f] = y.reshape(n, f)
+        return y
+
+    def _of_nodes(self, cross: Array) -> Array:
+        """Rows (n, nx, nc) of the nodes from Σ h zᵀ (d, n, signals)."""
+        e, (d, n, signals) = self.sweep.e, cross.shape
+        of_node = self._out[:, :d, e.nf : e.nf + e.nx]
+        through = np.einsum("cix,is->cxs", of_node, cross.reshape(d, -1), optimize=True)
+        rows = np.matmul(through.reshape(e.ny, e.nx * n, signals), self._out).sum(axis=0)
+        return np.asarray(rows.reshape(e.nx, n, -1).transpose(1, 0, 2))
+
+    def _of_ends(self, ends: Array) -> Array:
+        """Derivatives (n, nx, nf + nx + ny) of the end states from the signals there."""
+        e, d = self.sweep.e, len(self.powers.M)
+        slopes = np.zeros((len(ends), e.nx, e.nf + e.nx + e.ny))
+        slopes[:, :, : e.nf] = np.tensordot(ends[:, d:], self._states, axes=1)
+        slopes[:, :, e.nf : e.nf + e.nx] = np.tensordot(ends[:, :d], self.powers.M, axes=1)
+        return slopes
