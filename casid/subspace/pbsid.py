@@ -24,7 +24,13 @@ from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.columns import Feedthrough, Segment, check_pole
 from casid.subspace.feedback import direct_term_is_ambiguous
 from casid.subspace.refining import Estimate, refine_projected, refine_sampled
-from casid.subspace.sampled import ORDERS, WINDOWS, Stretches, are_candidates, choose_samples
+from casid.subspace.sampled import (
+    ORDERS,
+    Stretches,
+    are_candidates,
+    choose_samples,
+    usual_windows,
+)
 from casid.threads import one_thread
 from casid.values import storable
 
@@ -69,7 +75,8 @@ class Pbsid:
         where a controller feeds so much noise back into the inputs that these would be biased
         (`casid.subspace.feedback`), of prediction errors; on samples of prediction errors
         (`casid.subspace.prediction`), or, where the order is chosen, by what predicts best: those,
-        B, K and D alone, or simulation errors of constant or of local size, with K = 0. Only a
+        B, K and D alone, or simulation errors of constant or of local size, with K = 0 (none of
+        these with more than eight outputs, where the subspace estimate stays as it is). Only a
         maximum of the likelihood has a covariance. A mode that would grow by two e-folds at most
         over the longest record, uncertain by more than that, hardly decays: these records do not
         tell, and the simpler model is stable.
@@ -160,7 +167,8 @@ class Pbsid:
 
     def _sample_candidates(self, campaign: Campaign) -> list[choice.Candidate]:
         regularisation = self.regularisation or 0.0
-        pasts = WINDOWS if self.past is None else (self.past,)
+        channels = len(campaign.su) + len(campaign.sy)
+        pasts = usual_windows(channels) if self.past is None else (self.past,)
         orders = ORDERS if self.order is None else (self.order,)
         windows = [Windows(p, self.future or p, np.nan, regularisation) for p in pasts]
         return choose_samples(campaign, orders, windows, move=self.refine)

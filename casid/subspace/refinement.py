@@ -183,16 +183,20 @@ def _transients(modal: modes.Modal, f: _Factors) -> ComplexArray:
 
 def _residuals(modal: modes.Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
     """Residuals (K, ny) of every spectrum with its best transient."""
+    # What a transient does to an output are sums of n signals that all share, so that the least
+    # squares over all lines of all outputs are those over n rows of each, Q their orthogonal basis.
     found = []
     for spectrum in data:
         f = _factors(modal, spectrum)
-        E, columns = _forced(modal, spectrum, f), _transients(modal, f)
-        rows = columns.reshape(-1, columns.shape[2])
-        P, e = np.vstack([rows.real, rows.imag]), E.T.ravel()
-        target = np.concatenate([e.real, e.imag])
-        delta = np.linalg.lstsq(P, target, rcond=1e-10)[0]
-        left = (target - P @ delta).reshape(2, E.shape[1], -1)
-        found.append((left[0] + 1j * left[1]).T)
+        E = _forced(modal, spectrum, f)
+        shared = modes.pair(f.transient[:, :, None], f.transient_c[:, :, None], modal.real)
+        Q, R = np.linalg.qr(np.vstack([shared.real, shared.imag]))
+        seen = np.array([modes.mixed(R, modal, o, 1) for o in range(E.shape[1])])
+        target = np.vstack([E.real, E.imag])
+        rows, right = seen.reshape(-1, R.shape[1]), (Q.T @ target).T.ravel()
+        delta = np.linalg.lstsq(rows, right, rcond=1e-10)[0]
+        real, imag = np.split(target - Q @ (seen @ delta).T, 2)
+        found.append(real + 1j * imag)
     return found
 
 

@@ -5,6 +5,7 @@ it and of the other records, from the initial state of least squares over what w
 record; the stretches are judged as one. First the orders, with the subspace estimate as it is and
 with B, K and D regressed anew; then, at the best orders, what moves the poles as well. Simulations
 show most what a model leaves out where the process is slow or hardly damped: the place of samples.
+Many outputs leave little to refine in the subspace estimate, and there nothing is moved.
 """
 
 import warnings
@@ -21,14 +22,18 @@ from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.columns import input_bandwidth
 from casid.subspace.feedback import fed_back_noise
 from casid.subspace.held import discretised
+from casid.subspace.predictor import accumulate
 from casid.subspace.refining import FED_BACK, Estimate, refine_projected, refine_sampled
 from casid.subspace.settings import Candidate, Refinement
 
 ORDERS = (*range(1, 11), *range(12, 21, 2))
 WINDOWS = (20, 10, 5)  # samples; the shorter ones where records do not suffice
+COLUMNS = 400  # of past channels: with more, the shorter windows
+MANY = 8  # outputs: with more, the subspace estimate as it is
 STRETCHES = 6
 REFINED = 2  # of the best orders: those whose poles are moved
 COARSE = 1 / 3  # rad a sample, of the inputs: where they reach less, projections lose nothing
+BLOCK = 4096  # rows of a regression at once
 HUGE = 1e100  # what is larger is no simulation
 GROWTH = 2.0  # of an exponent over the longest record: what grows more cannot be simulated
 
@@ -54,11 +59,16 @@ def are_candidates(campaign: Campaign, projected: StateSpace | None) -> bool:
     return projected is None or float(projected.poles().real.max()) * longest < GROWTH
 
 
+def usual_windows(channels: int) -> tuple[int, ...]:
+    """What windows are chosen from; their cost grows by the square of the channels in them."""
+    return tuple(past for past in WINDOWS if past * channels <= COLUMNS) or WINDOWS[-1:]
+
+
 def choose_samples(
     campaign: Campaign, orders: Sequence[int], windows: Sequence[Windows], *, move: bool
 ) -> list[Candidate]:
     """Candidates, each with the power it leaves, for the first windows that give a model."""
-    judge = Stretches.of(campaign)
+    judge, move = Stretches.of(campaign), move and len(campaign.sy) <= MANY
     for each in windows:
         tried = [
             judge.score(order, each, how)
@@ -166,13 +176,18 @@ def _simulation_errors(fold: _Fold, system: StateSpace) -> Array:
     u, y = (v - v[:known].mean(axis=0) for v in (record.u, record.y))
     with np.errstate(over="ignore", invalid="ignore"):
         left = y - _simulated(system, u)
-        basis = _observability(system, len(u))
+        # What is at right angles to C is no effect of the state.
+        Q, C = np.linalg.qr(system.C)
+        basis = _observability(system.A, C, len(u))
     if not (np.abs(left).max() < HUGE and np.abs(basis).max() < HUGE):
         raise ValueError("an unstable model cannot be simulated so long")
     columns = basis[:known].reshape(-1, system.nx)
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    x0 = np.linalg.lstsq(columns / size, left[:known].ravel(), rcond=1e-12)[0] / size
-    return np.asarray(left[known:] - basis[known:] @ x0)
+    rows = np.column_stack([columns / size, (left[:known] @ Q).ravel()])
+    parts = np.array_split(rows, -(-len(rows) // BLOCK))
+    R, _ = accumulate(parts, constant=False)
+    x0 = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=1e-12)[0] / size
+    return np.asarray(left[known:] - basis[known:] @ x0 @ Q.T)
 
 
 def _simulated(system: StateSpace, u: Array) -> Array:
@@ -183,9 +198,9 @@ def _simulated(system: StateSpace, u: Array) -> Array:
     return np.asarray(x @ system.C.T + u @ system.D.T)
 
 
-def _observability(system: StateSpace, N: int) -> Array:
-    """C Aᵏ for k < N, (N, ny, nx); each doubling of the rows takes one product."""
-    rows, step = system.C[None], system.A
+def _observability(A: Array, C: Array, N: int) -> Array:
+    """C Aᵏ for k < N, (N, rows of C, nx); each doubling of the rows takes one product."""
+    rows, step = C[None], A
     while len(rows) < N:
         rows, step = np.concatenate([rows, rows @ step]), step @ step
     return rows[:N]

@@ -40,6 +40,7 @@ FOLDS = 8
 BINS = 8
 SUPPORT = 6.0  # of AICc, of one record: what is no closer to the best has much less support
 OVERFLOW = 30.0  # exponent by which no mode grows between two samples
+PATIENCE = 4  # orders in a row that are no better, after which no higher one is tried
 STARTS = 2  # poles and windows refined at every order where nothing is held out
 EXCITED = 0.3  # of the largest standard deviation: what counts as exciting an input
 
@@ -264,6 +265,9 @@ def _akaike_search(campaign: Campaign, grid: Grid) -> list[Candidate]:
         found = [(w, model) for w, model in starts if model is not None]
         for w, start in sorted(found, key=lambda pair: judge(pair[1]).mean())[:STARTS]:
             tried += _refined(campaign, start, w, data, judge)
+        best = best_of(tried)
+        if tried and grid.orders.index(order) - grid.orders.index(best.order) >= PATIENCE:
+            break
     best = best_of(tried)
     for other in grid.regularisations[1:] if tried else []:
         w = replace(best.windows, regularisation=other)
