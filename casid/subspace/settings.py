@@ -7,7 +7,8 @@ unknown residual spectrum. Chosen is the lowest order within one standard error 
 
 Where records are too few for that, the score is the corrected Akaike criterion of the refined
 model, the large-sample equivalent of leaving out one Fourier line after the other (M. Stone, J. R.
-Stat. Soc. B 39 (1977) 44-47); the criterion before the refinement says what is worth refining.
+Stat. Soc. B 39 (1977) 44-47); the criterion before the refinement says what is worth refining, and
+orders are tried until some in a row are no better.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,6 +41,7 @@ FOLDS = 8
 BINS = 8
 SUPPORT = 6.0  # of AICc, of one record: what is no closer to the best has much less support
 OVERFLOW = 30.0  # exponent by which no mode grows between two samples
+LARGEST = 30  # order that is tried unasked
 PATIENCE = 4  # orders in a row that are no better, after which no higher one is tried
 STARTS = 2  # poles and windows refined at every order where nothing is held out
 EXCITED = 0.3  # of the largest standard deviation: what counts as exciting an input
@@ -348,7 +350,7 @@ def _parsimonious(tried: Sequence[Candidate]) -> Candidate:
 
 def _default_orders(ny: int, possible: int) -> list[int]:
     """Orders up to three states an output, in steps of two when there are many."""
-    highest = min(max(3 * ny, 6), possible)
+    highest = min(max(3 * ny, 6), LARGEST, possible)
     return list(range(1, highest + 1)) if highest <= 8 else list(range(4, highest + 1, 2))
 
 

@@ -94,6 +94,21 @@ def test_residuals_of_the_truth_vanish_whatever_the_end_states():
     assert power.max() < 1e-16  # rounding, where the outputs' powers are of order one
 
 
+def test_residuals_are_those_of_least_squares_over_all_lines():
+    plant, record = unstable_plant(), campaign(noise=0.05)[0].between(3.0, 17.0)
+    su, sy = standard_deviations([record])
+    data = spectra([record], su, sy, 12.0)
+    _, power = residual_powers(plant, data, su, sy)
+    modal = to_modal(plant, su, sy, np.ones(plant.D.shape, dtype=bool))
+    factors = refinement._factors(modal, data[0])
+    E = refinement._forced(modal, data[0], factors)
+    P = refinement._transients(modal, factors).reshape(E.size, -1)
+    both = [np.concatenate([v.real, v.imag]) for v in (P, E.T.ravel())]
+    delta = np.linalg.lstsq(*both, rcond=None)[0]
+    left = (E.T.ravel() - P @ delta).reshape(E.T.shape).T
+    np.testing.assert_allclose(power, np.abs(left) ** 2, rtol=1e-8, atol=1e-12 * power.max())
+
+
 def test_normal_equations_are_those_of_the_profiled_cost():
     # Gauss-Newton is exact where the start is the truth of noise-free data; elsewhere the gradient
     # is that of the cost, the transients at their best.

@@ -5,8 +5,15 @@ import pytest
 from truths.systems import output_error_record, stepped_input
 
 from casid import Record, StateSpace, pbsid
-from casid.subspace.campaign import Campaign
-from casid.subspace.sampled import STRETCHES, Stretches, are_candidates
+from casid.subspace.campaign import Campaign, Windows
+from casid.subspace.sampled import (
+    STRETCHES,
+    Stretches,
+    _simulation_errors,
+    are_candidates,
+    choose_samples,
+    usual_windows,
+)
 
 
 def resonant(N=600, noise=0.02, seed=0):
@@ -111,3 +118,41 @@ def test_simulations_are_no_candidates_under_feedback_of_noise():
     record = Record(np.arange(N, dtype=float), u, y, ("u",), ("y",), "loop", "zoh")
     box = pbsid(record, feedthrough=False, transform="none")
     assert not [c for c in box.selection.candidates if "simulation" in c.refinement]
+
+
+def seen_by_five(N=200):
+    """One hardly damped mode seen by five outputs, and a record that starts in motion."""
+    rng = np.random.default_rng(3)
+    A = 0.97 * np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]])
+    C, D = rng.standard_normal((5, 2)), np.zeros((5, 1))
+    system = StateSpace(A, [[1.0], [0.3]], C, D, 1.0)
+    t, u = np.arange(N, dtype=float), stepped_input(N, 1, rng, hold=1)
+    y = system.simulate(t, u, x0=np.array([5.0, -3.0])) + 0.1 * rng.standard_normal((N, 5))
+    return system, Record(t, u, y, system.inputs, system.outputs, "five", "zoh")
+
+
+def test_a_stretch_is_simulated_from_the_best_state_of_all_outputs_before_it():
+    system, record = seen_by_five()
+    fold = Stretches.of(Campaign.of(record, True)).folds[1]
+    u, y = (v - v[: fold.known].mean(axis=0) for v in (fold.shown.u, fold.shown.y))
+    t = np.arange(len(u), dtype=float)
+    free = [system.simulate(t, 0 * u, x0=x) for x in np.eye(2)]
+    left = y - system.simulate(t, u)
+    columns = np.stack(free, axis=2)
+    x0 = np.linalg.lstsq(
+        columns[: fold.known].reshape(-1, 2), left[: fold.known].ravel(), rcond=None
+    )[0]
+    expected = (left - columns @ x0)[fold.known :]
+    np.testing.assert_allclose(_simulation_errors(fold, system), expected, atol=1e-10)
+
+
+def test_models_of_many_outputs_are_the_subspace_estimates():
+    assert [usual_windows(n) for n in (4, 20, 34, 100)] == [(20, 10, 5), (20, 10, 5), (10, 5), (5,)]
+    _, record = seen_by_five()
+    rng = np.random.default_rng(4)
+    y = np.hstack([record.y, record.y[:, :4]]) + 0.1 * rng.standard_normal((record.N, 9))
+    many = Record(record.t, record.u, y, ("u",), tuple("abcdefghi"), "nine", "zoh")
+    given = (1, 2), [Windows(5, 5, np.nan, 0.0)]
+    tried = choose_samples(Campaign.of(many, True), *given, move=True)
+    assert {c.refinement for c in tried} == {"unrefined"}
+    assert min(tried, key=lambda c: c.score).order == 2

@@ -9,7 +9,7 @@ from casid import Record, StateSpace, pbsid, read_csv, select_order
 from casid.records import standard_deviations
 from casid.subspace.columns import gather, output_bandwidth
 from casid.subspace.laguerre import support
-from casid.subspace.settings import COST, PASTS, held_out_suffices, usable_poles
+from casid.subspace.settings import COST, PASTS, PATIENCE, held_out_suffices, usable_poles
 
 GRID = {"orders": [3, 4, 5, 6, 7], "poles": [6.0, 8.0], "pasts": [8, 10]}
 
@@ -83,6 +83,15 @@ def test_one_record_is_judged_by_the_information_criterion():
     assert not held_out_suffices(record)
     found = select_order(record, feedthrough=["z"], **GRID)
     assert found.criterion == "AICc"
+    assert 4 <= found.chosen.order <= 6
+
+
+def test_orders_are_tried_until_some_in_a_row_are_no_better():
+    record = campaign(noise=0.02, records=1, duration=30.0)
+    found = select_order(record, orders=range(2, 19), poles=[6.0], pasts=[8], feedthrough=["z"])
+    orders = [c.order for c in found.candidates]
+    best = min(found.candidates, key=lambda c: c.score).order
+    assert max(orders) == best + PATIENCE
     assert 4 <= found.chosen.order <= 6
 
 
