@@ -185,7 +185,7 @@ def _residuals(modal: modes.Modal, data: Sequence[Spectrum]) -> list[ComplexArra
     """Residuals (K, ny) of every spectrum with its best transient."""
     # What a transient does to an output are sums of n signals that all share, so that the least
     # squares over all lines of all outputs are those over n rows of each, Q their orthogonal basis.
-    found = []
+    found: list[ComplexArray] = []
     for spectrum in data:
         f = _factors(modal, spectrum)
         E = _forced(modal, spectrum, f)
