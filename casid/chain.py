@@ -17,7 +17,7 @@ from casid.records import several
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.choice import StepChoice
 from casid.stages.listing import STAGES
-from casid.stages.stage import Role, Stage, Task, check_task, run_stages
+from casid.stages.stage import Role, Stage, Task, check_task, fitting, run_stages
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread
 from casid.validation import Validation
@@ -120,6 +120,7 @@ def identify(
         "validation": several(unseen),
     }
     held: Any = {"fixed": fixed, "bounds": bounds}
+    stages = fitting(model, stages, settings or {})
     task = Task(model=model, roles=roles, stages=stages, settings=settings or {}, **held)
     check_task(task)
     for said in repeats({role: each for role, each in roles.items() if each}).told():

@@ -333,7 +333,8 @@ class Record(Shown):
             raise ValueError(f"record {self.name!r}: no trim value for channel {missing[0]!r}")
         u = self.u - [trim[name] for name in self.inputs]
         y = self.y - [trim[name] for name in self.outputs]
-        total = {name: self.trim.get(name, 0.0) + trim[name] for name in names}
+        own = {name: self.trim.get(name, 0.0) + trim[name] for name in names}
+        total = {**self.trim, **own}
         return replace(self, u=u, y=y, trim=total)
 
     def with_noise(self, std: Mapping[str, float], rng: np.random.Generator) -> "Record":

@@ -1,14 +1,45 @@
 """Figures over the flight envelope: derivatives with their bands and local fits, root loci."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 
+from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from casid.envelope import Envelope
+from casid.report.content import Drawing
+from casid.report.look import LOOK, WIDTH
 from casid.report.prices import CONFIDENCE
 
 LINE, LOCAL = "#D55E00", "#000000"
+
+
+def draw_envelope(found: Envelope) -> Iterator[Drawing]:
+    """Derivatives over speed, one below the other, and the loci of the poles."""
+    names = ", ".join(found.names)
+    yield Drawing(
+        name="envelope_derivatives",
+        caption=f"Derivatives over speed: {names}",
+        draw=partial(_derivatives, found),
+    )
+    yield Drawing(name="envelope_modes", caption="Poles over speed", draw=partial(_loci, found))
+
+
+def _derivatives(found: Envelope) -> Figure:
+    with rc_context(LOOK):
+        n = len(found.names)
+        figure = Figure(figsize=(WIDTH, 0.6 + 1.2 * n), layout="constrained")
+        plot_derivatives(list(figure.subplots(n, sharex=True, squeeze=False)[:, 0]), found)
+        return figure
+
+
+def _loci(found: Envelope) -> Figure:
+    with rc_context(LOOK):
+        figure = Figure(figsize=(WIDTH, 3.5), layout="constrained")
+        plot_loci(figure.subplots(), found)
+        return figure
 
 
 def plot_derivatives(axes: Sequence[Axes], value: Envelope) -> Sequence[Axes]:

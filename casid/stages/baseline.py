@@ -38,6 +38,7 @@ BASELINE = Stage(
     table="derivid",
     settings=Derivid(),
     needs=("frequency", "quadratic"),
+    linear=True,
     structured=True,
     optional=True,
     label=LABEL,

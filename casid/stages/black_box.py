@@ -48,6 +48,7 @@ BLACK_BOX = Stage(
     run=_run,
     table="pbsid",
     settings=Pbsid(),
+    linear=True,
     role=("identification",),
     label="black box",
     show=_show,

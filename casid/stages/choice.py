@@ -200,6 +200,7 @@ CHOICE = Stage(
     role=("identification",),
     needs=("quadratic",),
     uses=("frequency", "output_error"),
+    linear=True,
     structured=True,
     optional=True,
     show=_show,

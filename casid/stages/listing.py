@@ -8,6 +8,7 @@ from casid.stages.baseline import BASELINE
 from casid.stages.chain import CHAIN
 from casid.stages.choice import CHOICE, CHOSEN
 from casid.stages.comparison import COMPARISON
+from casid.stages.conditions import CONDITIONS
 from casid.stages.consistency import KINEMATICS
 from casid.stages.judgement import VALIDATION
 from casid.stages.qualification import QUALIFICATION
@@ -21,6 +22,7 @@ STAGES: tuple[Stage, ...] = (
     BASELINE,
     CHOICE,
     CHOSEN,
+    CONDITIONS,
     VALIDATION,
     QUALIFICATION,
     COMPARISON,

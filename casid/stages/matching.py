@@ -105,6 +105,7 @@ QUADRATIC = Stage(
     given=("norm",),
     needs=("pbsid",),
     uses=("frequency",),
+    linear=True,
     structured=True,
     check=_check,
 )
@@ -117,6 +118,7 @@ HINF = Stage(
     given=("norm",),
     needs=("pbsid", "quadratic"),
     uses=("frequency",),
+    linear=True,
     structured=True,
     label=MATCH,
     start="quadratic",

@@ -6,6 +6,7 @@ from typing import Any
 
 from casid.declaration import check_priors
 from casid.fit import Fit
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.report.answer import doubted, not_believed
 from casid.report.content import OUTPUT_ERROR as LABEL
@@ -29,7 +30,8 @@ def _check(settings: OutputError, task: Task) -> None:
 
 
 def _run(settings: OutputError, task: Task) -> Fit[Any, OutputErrorNotes]:
-    return settings.fit(task.results["hinf"].model, task.records, **task.held)
+    matched = task.results.get("hinf")
+    return settings.fit(matched.model if matched else task.model, task.records, **task.held)
 
 
 def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Section]:
@@ -44,6 +46,11 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
     }
     free = len(found.free_names) or len(found.parameters)
     lead = f"Its {free} free parameters were refined by output error."
+    if isinstance(model, NonlinearModel) and "hinf" not in content.results:
+        lead = (
+            f"Its {free} free parameters were estimated by output error on total values; black box "
+            "and match are of one flight condition and were left out."
+        )
     said = (*unsolved(found), *on_bounds(found), *few(found, content), *uncertain(found))
     more: Any = {"answer": not_believed(content, found), "lead": lead, "cautions": said}
     yield section("parameters", "Parameters", 10, found, values=values, **more)
@@ -56,7 +63,7 @@ OUTPUT_ERROR = Stage(
     table="output_error",
     settings=OutputError(),
     role=("refinement", "identification"),
-    needs=("hinf",),
+    uses=("hinf",),
     structured=True,
     label=LABEL,
     start="output_error",

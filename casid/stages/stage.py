@@ -12,6 +12,7 @@ from typing import Any, Literal, Protocol, TypeAlias, get_args
 from casid.errors import ConvergenceError, ModelError
 from casid.jobs.campaigns import Execution
 from casid.model import Bounds, Model
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.report.content import Content, Section
 from casid.tables import hint
@@ -78,6 +79,9 @@ class Stage:
         there are.
     structured : bool
         Whether the result depends on the structure, its guess and bounds.
+    linear : bool
+        Whether it takes records for deviations about one flight condition: of a nonlinear structure
+        such stages run only if a table asks for one of them.
     optional : bool
         Whether it runs only if the study has its table; if it then fails, all else is done first.
     kept : bool
@@ -109,6 +113,7 @@ class Stage:
     needs: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
     structured: bool = False
+    linear: bool = False
     optional: bool = False
     kept: bool = True
     command: str = ""
@@ -171,6 +176,14 @@ def run_stages(
         if stage.label and stage.name in results:
             models[stage.label] = results[stage.name]
     return Found(results=results, models=models, failures=failures)
+
+
+def fitting(model: Model, stages: Sequence[Stage], tables: Collection[str]) -> tuple[Stage, ...]:
+    """The stages for a structure: linear ones for a nonlinear structure only if asked for."""
+    asked = any(stage.linear and stage.table in tables for stage in stages)
+    if asked or not isinstance(model, NonlinearModel):
+        return tuple(stages)
+    return tuple(stage for stage in stages if not stage.linear)
 
 
 def records_of(stage: Stage, roles: Mapping[Role, Sequence[Record]]) -> tuple[Record, ...]:

@@ -1,7 +1,8 @@
 """What a study does to its records before anything is estimated: the operations of `Record`."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +14,7 @@ from casid.errors import warn
 from casid.record import Record
 from casid.repetition import without_repeats
 from casid.samples import known_inputs
-from casid.tables import Table
+from casid.tables import Table, hint
 
 KINEMATICS: Literal["kinematics"] = "kinematics"
 
@@ -162,6 +163,18 @@ def read_cutting(table: Table, decimate: int) -> Cutting:
     if resample is not None and not resample > 0:
         raise ValueError(f"{table.place} resample = {resample}, expected seconds above 0")
     return Cutting(cut=cut, cuts=cuts, resample=resample, decimate=decimate)
+
+
+def read_trim(table: Table, files: Collection[str]) -> dict[str, dict[str, float]]:
+    """The key ``trim`` of a role: values for all its records, or by name or pattern of names."""
+    inner = table.table("trim")
+    if not any(isinstance(value, dict) for value in inner.content.values()):
+        return {"*": table.numbers("trim")} if inner.content else {}
+    for pattern in inner.content:
+        if not any(fnmatchcase(name, pattern) for name in files):
+            told = hint(pattern, files)
+            raise ValueError(f"{inner.place} no record is called {pattern!r}; {told}")
+    return {pattern: inner.numbers(pattern) for pattern in inner.content}
 
 
 def _span(table: Table, key: str) -> tuple[float, float]:

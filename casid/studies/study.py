@@ -2,7 +2,10 @@
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +28,14 @@ class RecordSet:
 
     files: tuple[Path, ...]
     detrend: str = "first"  # first, mean, none, or the role whose trim is taken
+    trim: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # by pattern of names
     noise: bool = False
     cutting: Cutting = Cutting()
+
+    def placed(self, record: Record) -> Record:
+        """A record with the flight condition that is told of it."""
+        told = [trim for pattern, trim in self.trim.items() if fnmatchcase(record.name, pattern)]
+        return replace(record, trim=reduce(or_, map(dict, told), dict(record.trim)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +114,8 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
     )
     raw: dict[Role, list[Record]] = {}
     for role, each in study.roles.items():
-        raw[role] = [each.cutting.of(mended[file, each.noise]) for file in each.files]
+        own = [each.cutting.of(mended[file, each.noise]) for file in each.files]
+        raw[role] = [each.placed(record) for record in own]
     done: dict[Role, tuple[Record, ...]] = {}
     for role in sorted(raw, key=lambda role: study.roles[role].detrend in ROLES):
         how: Any = study.roles[role].detrend
@@ -175,4 +185,5 @@ def _noisy(study: Study, record: Record) -> Record:
 
 
 def _common_trim(records: Sequence[Record]) -> dict[str, float]:
-    return {name: float(np.mean([r.trim[name] for r in records])) for name in records[0].trim}
+    names = (*records[0].inputs, *records[0].outputs)
+    return {name: float(np.mean([r.trim[name] for r in records])) for name in names}

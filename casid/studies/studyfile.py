@@ -20,9 +20,9 @@ from casid.free import free_parameters
 from casid.model import Model
 from casid.record import Hold
 from casid.stages.listing import STAGES
-from casid.stages.stage import ROLES, Role, Stage, check_task
+from casid.stages.stage import ROLES, Role, Stage, check_task, fitting
 from casid.structure.modelfile import load_model, locate_model
-from casid.studies.preparation import read_cutting, read_mending, read_second
+from casid.studies.preparation import read_cutting, read_mending, read_second, read_trim
 from casid.studies.settings import read_settings
 from casid.studies.study import Channels, Noise, RecordSet, Study
 from casid.tables import Table, read_toml
@@ -61,6 +61,7 @@ def read_study(
     noise = _noise(top.table("noise"), type(model)) if "noise" in top.content else None
     roles = _roles(top.table("records", needed=True), path.parent)
     _check_noise(roles, noise, path)
+    _check_trims(roles, type(model), path)
     study = Study(
         path=path,
         title=heading.take("title", str, path.stem),
@@ -72,7 +73,7 @@ def read_study(
         channels=_channels(top.table("channels"), type(model)),
         roles=roles,
         noise=noise,
-        stages=tuple(stages),
+        stages=fitting(model, stages, top.content),
         settings=_settings(top, stages),
         design=read_settings(top.table("design"), NextFlight()),
         png=heading.take("png", bool, False),
@@ -215,7 +216,7 @@ def _roles(table: Table, folder: Path) -> dict[Role, RecordSet]:
 
 
 def _role(table: Table, folder: Path) -> RecordSet:
-    table.only(("files", "detrend", "noise", "decimate", "cut", "resample"))
+    table.only(("files", "detrend", "noise", "decimate", "cut", "resample", "trim"))
     files: list[Path] = []
     for pattern in table.names("files"):
         found = sorted(glob.glob(pattern, root_dir=folder))  # noqa: PTH207 - absolute patterns too
@@ -233,7 +234,8 @@ def _role(table: Table, folder: Path) -> RecordSet:
     noise = table.take("noise", bool, False)
     cutting = read_cutting(table, decimate)
     Table(cutting.cuts, f"{table.place} cut:").only(file.stem for file in files)
-    return RecordSet(files=tuple(files), detrend=detrend, noise=noise, cutting=cutting)
+    trim = read_trim(table, [file.stem for file in files])
+    return RecordSet(files=tuple(files), detrend=detrend, trim=trim, noise=noise, cutting=cutting)
 
 
 def _noise(table: Table, structure: type[Model]) -> Noise:
@@ -255,6 +257,17 @@ def _check_noise(roles: Mapping[Role, RecordSet], noise: Noise | None, path: Pat
     noisy = [role for role, each in roles.items() if each.noise]
     if noisy and noise is None:
         raise ValueError(f"{path}: role {noisy[0]!r} wants noise, but there is no table [noise]")
+
+
+def _check_trims(roles: Mapping[Role, RecordSet], structure: type[Model], path: Path) -> None:
+    """Refuse trims of what the structure does not have, or that are no numbers."""
+    known = (*structure.states, *structure.inputs, *structure.outputs)
+    for role, each in roles.items():
+        for name, value in (pair for trim in each.trim.values() for pair in trim.items()):
+            place = f"{path}: [records.{role}] trim:"
+            Table({name: value}, place).only(known)
+            if not np.isfinite(value):
+                raise ValueError(f"{place} {name} = {value}, expected a finite number")
 
 
 def _settings(top: Table, stages: Sequence[Stage]) -> dict[str, Any]:
