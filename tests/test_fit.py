@@ -1,11 +1,15 @@
 """Fits: saved and read back alike, and a parameter table that says what pressed where."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from truths import closed_roll
+from truths.structures import black_box
 
 from casid import (
     Certificate,
@@ -13,11 +17,15 @@ from casid import (
     ConstraintEstimate,
     DataWarning,
     Fit,
+    FrequencyResponse,
     MatchNotes,
     Model,
     ModelError,
     Rows,
     Scalar,
+    derivid,
+    match,
+    output_error,
     parameter,
 )
 from casid.fit import constraint_table, on_bounds, parameter_table
@@ -193,3 +201,38 @@ def test_a_file_says_its_kind_and_version(tmp_path):
     fit().save(tmp_path / "fit.json")
     content = json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))
     assert (content["casid"], content["version"]) == ("fit", 2)
+
+
+def test_a_process_that_has_imported_nothing_reads_the_fits_of_every_estimator(tmp_path):
+    truth = closed_roll.Roll()
+    omega = np.geomspace(0.3, 12.0, 20)
+    G = truth.system().response(omega)
+    measured = FrequencyResponse(
+        omega=omega,
+        G=G,
+        coherence=np.ones(G.shape),
+        random_error=np.full(G.shape, 0.01),
+        inputs=truth.inputs,
+        outputs=truth.outputs,
+        input_std=np.ones(2),
+        output_std=np.ones(3),
+    )
+    fits = {
+        "output_error": output_error(truth, closed_roll.noisy()),
+        "match": match(truth, black_box(truth.system()), norm="hinf"),
+        "derivid": derivid(truth, measured, starts=1),
+    }
+    for name, fit in fits.items():
+        fit.save(tmp_path / f"{name}.json")
+        code = (
+            "from casid import Fit; from truths.closed_roll import Roll; "
+            f"print(type(Fit.load({str(tmp_path / name)!r} + '.json', model=Roll).notes).__name__)"
+        )
+        run = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=Path(__file__).parent,
+        )
+        assert run.stdout.strip() == type(fit.notes).__name__, run.stderr

@@ -1,6 +1,8 @@
 """Frozen values as JSON and as digests: what comes back, and what a digest tells apart."""
 
+import ast
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import hypothesis.extra.numpy as hnp
 import numpy as np
@@ -8,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import casid
 from casid import OutputError, Record, SolverOptions
-from casid.values import decode, digest, encode, seal, storable
+from casid.values import _HOMES, decode, digest, encode, seal, storable
 
 ARRAYS = hnp.arrays(
     dtype=st.sampled_from([np.float64, np.int64, np.bool_]),
@@ -102,3 +105,15 @@ def test_other_values_come_back_only_where_they_are_allowed():
 def test_a_name_stands_for_one_class():
     with pytest.raises(ValueError, match="files know 'Stored' as that of"):
         storable(type("Stored", (), {"__module__": "elsewhere"}))
+
+
+def test_every_storable_class_is_found_where_it_is_defined():
+    root = Path(casid.__file__).parent
+    found = {}
+    for path in root.rglob("*.py"):
+        home = ".".join(path.relative_to(root).with_suffix("").parts)
+        for node in ast.parse(path.read_text()).body:
+            marks = getattr(node, "decorator_list", ())
+            if any(isinstance(mark, ast.Name) and mark.id == "storable" for mark in marks):
+                found.setdefault(home, set()).add(node.name)
+    assert found == {home: set(names) for home, names in _HOMES.items()}
