@@ -1,7 +1,8 @@
 """Derivatives and modes of a nonlinear structure over its flight conditions, with local fits.
 
 At each condition the structure is linearised; the covariance of an entry of A or B is J C Jᵀ, J its
-exact derivatives by the parameters, C the covariance that `Fit.std_error` is read from.
+exact derivatives by the parameters, C the covariance that `Fit.std_error` is read from. That has
+no error of a parameter on its bound, nor has any entry that depends on one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,14 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
-from casid.arrays import Array, ComplexArray
+from casid.arrays import Array, BoolArray, ComplexArray
 from casid.display import Shown, listed
-from casid.errors import ModelError
+from casid.errors import ModelError, warn
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
 from casid.free import free_parameters
-from casid.nonlinear.conditions import Trim
+from casid.nonlinear.conditions import Trim, linearisation
+from casid.nonlinear.coverage import MARGIN, leaves, tabulated
 from casid.nonlinear.model import NonlinearModel
+
+NOTHING = 1e-9  # share of an entry's largest dependence on a parameter that is rounding
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -31,9 +35,13 @@ class Envelope(Shown):
     names : tuple of str
         Of the entries: "q' by w" is the derivative of dq/dt by w.
     values, std_error : (n, m) array
-        The entries and their standard errors, SI units.
+        The entries and their standard errors, SI units; NaN where an entry depends on a parameter
+        on its bound, whose error nobody knows.
     poles : (n, nx) complex array
         Each column follows one pole from condition to condition [1/s].
+    beyond : (n,) array of bool
+        Conditions outside what the fit's records flew, or, where it does not say, its tables: there
+        the structure is extrapolated, and standard errors say nothing of that.
     local : Envelope or None
         The same of fits made at one condition each, to compare with.
     """
@@ -43,14 +51,16 @@ class Envelope(Shown):
     values: Array
     std_error: Array
     poles: ComplexArray
+    beyond: BoolArray
     local: "Envelope | None" = None
 
     def headline(self) -> str:
         """Conditions and entries."""
         beside = "" if self.local is None else f", {len(self.local.speed)} local fits beside them"
+        outside = f", {self.beyond.sum()} outside what was flown" if self.beyond.any() else ""
         return (
             f"{listed(self.names, 10)} at {len(self.speed)} conditions from {self.speed[0]:.3g} to "
-            f"{self.speed[-1]:.3g} m/s{beside}"
+            f"{self.speed[-1]:.3g} m/s{outside}{beside}"
         )
 
 
@@ -74,6 +84,11 @@ def envelope(
     local : mapping of Trim to Fit
         Fits made at one condition each, of the same states and inputs, to compare with.
 
+    Returns
+    -------
+    Envelope
+        A `DataWarning` names the conditions outside what the fit's records flew.
+
     Raises
     ------
     ValueError, ModelError
@@ -86,7 +101,16 @@ def envelope(
     if not trims or not entries:
         raise ValueError("envelope: give at least one trim and one entry, like ('q', 'w')")
     own = None if not local else _gathered(list(local.items()), entries)
-    return _gathered([(trim, fit) for trim in trims], entries, own)
+    made = _gathered([(trim, fit) for trim in trims], entries, own)
+    if made.beyond.any():
+        flown = ", ".join(f"{n} {a:.4g} to {b:.4g}" for n, (a, b) in _covered(fit).items())
+        warn(
+            f"{type(fit.model).__name__} is extrapolated at "
+            f"{', '.join(f'{speed:.4g}' for speed in made.speed[made.beyond])} m/s, outside what "
+            f"the fit is of ({flown}); standard errors say nothing of that: stay inside, or fly "
+            "there and fit again"
+        )
+    return made
 
 
 def _gathered(
@@ -103,8 +127,26 @@ def _gathered(
         values=np.array(values),
         std_error=np.array(errors),
         poles=_followed(poles),
+        beyond=np.array([_is_beyond(*each) for each in along]),
         local=local,
     )
+
+
+def _covered(fit: AnyFit) -> dict[str, tuple[float, float]]:
+    """Spans of airspeed and of the variables of tables: as flown, else those of the tables."""
+    return tabulated(fit.model) | dict(getattr(fit.notes, "covered", {}))
+
+
+def _is_beyond(trim: Trim, fit: AnyFit) -> bool:
+    """Whether a condition is outside what a nonlinear structure's fit covers."""
+    if not isinstance(fit.model, NonlinearModel):
+        return False
+    at = fit.model.reached_at(trim)
+    for name, (low, high) in _covered(fit).items():
+        room = MARGIN * max(abs(low), abs(high))  # a speed that was held has no span of its own
+        if name in at and leaves(at[name], (low - room, high + room)):
+            return True
+    return False
 
 
 def _speed(trim: Trim) -> float:
@@ -119,7 +161,8 @@ def _read(
     trim: Trim, fit: AnyFit, entries: Sequence[tuple[str, str]]
 ) -> tuple[Array, Array, ComplexArray]:
     """Entries (m,), their standard errors, and poles (nx,) of a fit at a condition."""
-    model = fit.model.at(trim) if isinstance(fit.model, NonlinearModel) else fit.model
+    nonlinear = isinstance(fit.model, NonlinearModel)
+    model = linearisation(fit.model, [trim]) if nonlinear else fit.model
     columns = (*model.states, *model.inputs)
     for state, channel in entries:
         if state not in model.states or channel not in columns:
@@ -135,8 +178,12 @@ def _read(
     cols = [columns.index(channel) for _, channel in entries]
     J = matrices.slopes[:, rows, cols].T
     places = [list(fit.free_names).index(free.names[i]) for i in range(len(free.names))]
-    C = np.full((len(places),) * 2, np.nan) if fit.covariance is None else fit.covariance
-    variance = np.einsum("ma,ab,mb->m", J, C[np.ix_(places, places)], J)
+    C = np.full((len(fit.free_names),) * 2, np.nan) if fit.covariance is None else fit.covariance
+    stuck = np.array([fit[name].active for name in free.names], dtype=bool)
+    moves = np.abs(J) * free.scale[free.index]
+    unknown = (moves[:, stuck] > NOTHING * moves.max(axis=1, keepdims=True)).any(axis=1)
+    inside = np.where(stuck[:, None] | stuck, 0.0, C[np.ix_(places, places)])
+    variance = np.where(unknown, np.nan, np.einsum("ma,ab,mb->m", J, inside, J))
     poles = np.sort_complex(np.linalg.eigvals(matrices.blocks[0]))
     return matrices.N[rows, cols], np.sqrt(np.maximum(variance, 0.0)), poles
 

@@ -1,10 +1,13 @@
 """Entries, errors and poles over speed, against formulas of a structure small enough for them."""
 
+from dataclasses import replace
+
 import matplotlib as mpl
 import numpy as np
 import pytest
 
 from casid import (
+    DataWarning,
     Model,
     ModelError,
     NonlinearModel,
@@ -87,8 +90,32 @@ def test_entries_and_their_errors_are_those_of_the_formula(fit):
 
 def test_what_is_held_has_no_error():
     held = output_error(Faster(), flown(20.0), biases=False, fixed=("Mq_V",))
-    found = envelope(held, at(40.0), PAIRS)
+    found = envelope(held, at(20.0), PAIRS)
     assert found.std_error[0, 0] == pytest.approx(held["Mq"].std_error)
+
+
+def test_nobody_knows_the_error_of_what_depends_on_a_parameter_on_its_bound(fit):
+    rows = [replace(row, active=row.name == "Mq_V") for row in fit.parameters]
+    C = np.where(np.eye(3)[1], 0.0, fit.covariance) * (1 - np.eye(3)[1])[:, None]
+    stuck = replace(fit, parameters=tuple(rows), covariance=C)
+    errors = envelope(stuck, at(20.0, 30.0, 40.0), PAIRS).std_error
+    assert np.isnan(errors[[0, 2], 0]).all()
+    np.testing.assert_allclose(errors[1, 0], np.sqrt(C[0, 0]))  # where Mq_V does nothing
+    np.testing.assert_allclose(errors[:, 1], np.sqrt(C[2, 2]) * np.array([20.0, 30.0, 40.0]))
+
+
+def test_conditions_that_were_not_flown_are_told_and_drawn_without_a_band(fit):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    with pytest.warns(DataWarning, match=r"at 5, 100 m/s, outside .*\(u 19\.98 to 39\.99\)"):
+        found = envelope(fit, at(5.0, 20.0, 40.0, 100.0), PAIRS)
+    assert found.beyond.tolist() == [True, False, False, True]
+    assert "2 outside what was flown" in repr(found)
+    ax = found.plot()[0]
+    solid, dashed = ax.get_lines()
+    assert np.isfinite(solid.get_ydata()).tolist() == [False, True, True, False]
+    assert dashed.get_linestyle() == "--"
+    assert ax.collections[0].get_paths()[0].vertices[:, 0].max() <= 40.0
+    plt.close("all")
 
 
 def test_local_fits_stand_at_their_speeds(fit):

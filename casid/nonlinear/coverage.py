@@ -41,14 +41,19 @@ def joined(spans: Sequence[Spans]) -> dict[str, tuple[float, float]]:
     return {n: (min(a for a, _ in some), max(b for _, b in some)) for n, some in every.items()}
 
 
+def leaves(span: tuple[float, float], covered: tuple[float, float]) -> bool:
+    """Whether a span leaves what is covered by more than the margin."""
+    room = MARGIN * (covered[1] - covered[0])
+    return span[0] < covered[0] - room or span[1] > covered[1] + room
+
+
 def warn_beyond(model: Nonlinear, told: str, visited: Spans, flown: Spans | None = None) -> None:
     """Warn, once, of variables beyond the tables and what a fit's records covered (``flown``)."""
     covered, own = joined([tabulated(model), flown or {}]), flown or {}
     said = []
     for name, (low, high) in visited.items():
         first, last = covered.get(name, (-np.inf, np.inf))
-        room = MARGIN * (last - first)
-        if low < first - room or high > last + room:
+        if leaves((low, high), (first, last)):
             unit = f" {model.units[name]}" if name in model.units else ""
             at = f"is {low:.4g}" if low == high else f"runs from {low:.4g} to {high:.4g}"
             by = "the records of the fit" if name in own else "its tables"

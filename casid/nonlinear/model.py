@@ -107,18 +107,16 @@ class NonlinearModel(Model, base=True):
                 )
         given = [each if isinstance(each, Trim) else Trim(values=each) for each in conditions]
         linear = linearisation(self, given)
-        self._tell_beyond([each for each in given if not each.unknown])
+        known = [self.reached_at(each) for each in given if not each.unknown]
+        warn_beyond(self, "linearised at a condition", joined(known))
         return linear
 
-    def _tell_beyond(self, conditions: Sequence[Trim]) -> None:
-        """Warn of known conditions beyond the tables."""
+    def reached_at(self, condition: Trim) -> dict[str, tuple[float, float]]:
+        """Airspeed and the variables of tables at a condition, as spans of one value."""
         usual = dict(zip((*self.states, *self.inputs), np.concatenate(self.operating_point()),
                          strict=True))  # fmt: skip
-        beyond = []
-        for each in conditions:
-            own = np.array([[each.values.get(name, value) for name, value in usual.items()]])
-            beyond.append(reached(self, own[:, : len(self.states)], own[:, len(self.states) :]))
-        warn_beyond(self, "linearised at a condition", joined(beyond))
+        own = np.array([[condition.values.get(name, value) for name, value in usual.items()]])
+        return reached(self, own[:, : len(self.states)], own[:, len(self.states) :])
 
     def with_values_of(self, model: Model) -> Self:
         """The same structure with the values of another one's parameters of the same names."""

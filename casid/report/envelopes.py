@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from functools import partial
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -43,10 +44,16 @@ def _loci(found: Envelope) -> Figure:
 
 
 def plot_derivatives(axes: Sequence[Axes], value: Envelope) -> Sequence[Axes]:
-    """Draw each entry over speed [m/s], with its 95 % band and the local fits as points."""
+    """Draw each entry over speed [m/s], with its 95 % band and the local fits as points.
+
+    Outside what was flown the line is dashed and has no band.
+    """
+    flown = np.where(value.beyond, np.nan, 1.0)
     for k, (ax, name) in enumerate(zip(axes, value.names, strict=True)):
-        middle, half = value.values[:, k], CONFIDENCE * value.std_error[:, k]
-        ax.plot(value.speed, middle, color=LINE, label="scheduled")
+        middle, half = value.values[:, k], CONFIDENCE * value.std_error[:, k] * flown
+        ax.plot(value.speed, middle * flown, color=LINE, label="scheduled")
+        if value.beyond.any():
+            ax.plot(value.speed, middle, "--", color=LINE, linewidth=1, label="not flown")
         ax.fill_between(
             value.speed, middle - half, middle + half, color=LINE, alpha=0.2, linewidth=0
         )

@@ -15,6 +15,7 @@ OVER = Envelope(
     values=np.array([[-0.1, 3.0], [-0.2, 5.0]]),
     std_error=np.array([[0.01, 0.5], [0.02, 0.25]]),
     poles=np.array([[-1.0 + 1j, -1.0 - 1j], [-2.0 + 2j, -2.0 - 2j]]),
+    beyond=np.zeros(2, dtype=bool),
 )
 LOCAL = replace(
     OVER,
