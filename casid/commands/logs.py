@@ -8,7 +8,8 @@ from rich.console import Console
 from rich.text import Text
 
 from casid.arrays import Array, BoolArray
-from casid.commands.columns import COLUMN
+from casid.channels import UNITS
+from casid.commands.columns import COLUMN, UNIT
 from casid.commands.terminal import exits, new_table, terminal
 from casid.logs.drafting import Draft, import_log
 from casid.logs.reading import read_log
@@ -21,6 +22,7 @@ SHOWN = 1e-3  # s of delay between topics that are told
 @click.argument("log", metavar="LOG")
 @click.option("--model", metavar="MODEL.py:CLASS", help="Structure; one is written unless given.")
 @COLUMN
+@UNIT
 @click.option("--dt", type=float, help="Sampling interval of the records [s].")
 @click.option("--output", "-o", metavar="FOLDER", help="Where to write; LOG's name unless given.")
 @click.option("--fresh", is_flag=True, help="Replace a study that is there.")
@@ -29,6 +31,7 @@ def import_command(
     log: str,
     model: str | None,
     renamed: dict[str, str],
+    units: dict[str, str],
     dt: float | None,
     output: str | None,
     fresh: bool,
@@ -39,7 +42,7 @@ def import_command(
     Lists topics with their rates and gaps, puts inputs, rates, attitudes, specific forces and
     velocities on one clock in SI, says how late topics are that hold the same, cuts out the
     stretches in which the inputs move, and writes a study that casid identify runs. Columns that
-    are not found are named: --column lat=RCOU.C1.
+    are not found are named: --column lat=RCOU.C1; units not stated in the log: --unit p=deg/s.
 
     \b
     FOLDER then holds
@@ -52,7 +55,8 @@ def import_command(
         if only:
             _list(console, read_log(log), columns=True)
             return
-        draft = import_log(log, output, model=model, columns=renamed, dt=dt, fresh=fresh)
+        how = {"columns": renamed, "units": units}
+        draft = import_log(log, output, model=model, **how, dt=dt, fresh=fresh)
         _list(console, draft.log, columns=False)
         _show(console, draft)
 
@@ -74,13 +78,18 @@ def _list(console: Console, log: Log, *, columns: bool) -> None:
 
 
 def _show(console: Console, draft: Draft) -> None:
-    table = new_table("Channels", "channel", "", "column", "Hz", "sampled before its stamp [ms]")
+    table = new_table(
+        "Channels", "channel", "", "column", "unit", "Hz", "sampled before its stamp [ms]"
+    )
     for kind, sources in (("in", draft.inputs), ("out", draft.outputs)):
         for name, source in sources.items():
             age = f"{1000 * source.topic.age:.3g}" if source.topic.age else ""
             rate = f"{1 / source.topic.interval:.4g}"
-            table.add_row(Text(name), kind, Text(source.place), rate, age)
+            unit = "not stated" if source.unit == "" else source.unit or UNITS.get(name, "")
+            table.add_row(Text(name), kind, Text(source.place), Text(unit), rate, age)
     console.print(table, "")
+    for assumed in draft.assumed:
+        console.print(Text("! ", style="bold yellow").append(assumed, style="default"))
     for each in draft.delays:
         if abs(each.seconds) >= SHOWN:
             after = "after" if each.seconds > 0 else "before"

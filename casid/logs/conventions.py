@@ -75,11 +75,15 @@ NED = (  # velocities north, east, down, and the attitude that goes with them
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Source:
-    """Where a channel comes from, and its values in SI, NaN where no instrument measures them."""
+    """Where a channel comes from, and its values in SI, NaN where no instrument measures them.
+
+    ``unit`` is what the log, or the user, states of the column; None where its format fixes it.
+    """
 
     place: str
     topic: Topic
     values: Array
+    unit: str | None = None
 
 
 def find_channels(
@@ -158,7 +162,10 @@ def _source(log: Log, place: str) -> Source | None:
     topic, values = found[0], np.where(np.abs(found[1]) < LARGEST, found[1], np.nan)
     if np.isfinite(values).mean() < MEASURED:
         return None
-    return Source(place=place, topic=topic, values=-values if place[0] == "-" else values)
+    unit = topic.units.get(place.removeprefix("-").removeprefix(f"{topic.name}."))
+    return Source(
+        place=place, topic=topic, values=-values if place[0] == "-" else values, unit=unit
+    )
 
 
 def derived(log: Log) -> Log:

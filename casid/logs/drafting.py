@@ -16,6 +16,7 @@ from casid.logs.conventions import ACTUATORS, RATES, Source, derived, find_chann
 from casid.logs.reading import read_log
 from casid.logs.stretches import SHORTEST, Stretch, find_stretches, make_stretch
 from casid.logs.topics import Log
+from casid.logs.units import check_units, with_units
 from casid.model import Model
 from casid.record import Record
 from casid.structure.modelfile import load_model, locate_model
@@ -35,7 +36,7 @@ output = "out"
 file = {model}
 
 # Channels are in SI and radians; inputs as the log has them.
-# A skew between attitudes and rates that casid inspect finds is taken out by
+{assumed}# A skew between attitudes and rates that casid inspect finds is taken out by
 # [channels]
 # shift = "kinematics"
 
@@ -69,6 +70,8 @@ class Draft:
         Candidates for identification.
     delays : tuple of Lateness
         Between topics that hold the same quantity.
+    assumed : tuple of str
+        Units that the log does not state, or that casid does not know, and what they are taken as.
     doubts : tuple of str
         Why no aircraft may be in it.
     study : Path
@@ -81,6 +84,7 @@ class Draft:
     records: tuple[Record, ...]
     stretches: tuple[Stretch, ...]
     delays: tuple[Lateness, ...]
+    assumed: tuple[str, ...]
     doubts: tuple[str, ...]
     study: Path
 
@@ -92,6 +96,7 @@ def import_log(
     *,
     model: str | None = None,
     columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
     dt: float | None = None,
     fresh: bool = False,
 ) -> Draft:
@@ -109,6 +114,8 @@ def import_log(
     columns : mapping
         Columns of the log for channels, ``{"lat": "RCOU.C1"}``; those of PX4 and ArduPilot, and
         columns that bear a channel's name, are found.
+    units : mapping
+        Units of channels, ``{"p": "deg/s"}``, where the log states none or a wrong one.
     dt : float
         Sampling interval [s] of the records.
     fresh : bool
@@ -118,7 +125,8 @@ def import_log(
     ------
     ValueError
         What `read_log` refuses; a study that is there already; no inputs or rates in the log, or
-        too little of them; channels that the structure needs and the log lacks.
+        too little of them; channels that the structure needs and the log lacks; outputs in units
+        that are not known.
     """
     log = derived(read_log(path))
     folder = Path(folder) if folder is not None else log.path.with_suffix("")
@@ -132,6 +140,13 @@ def import_log(
     if structure is not None:
         inputs = {name: inputs[name] for name in structure.inputs if name in inputs}
     _check_found(log, inputs, outputs, structure)
+    stated = dict(units or {})
+    if strange := stated.keys() - inputs.keys() - outputs.keys():
+        raise ValueError(
+            f"{log.path}: a unit is stated of {min(strange)}, which is no channel of it"
+        )
+    inputs, outputs = with_units(inputs, stated), with_units(outputs, stated)
+    assumed = check_units(log.path, {**inputs, **outputs})
     records = assemble(
         inputs, outputs, dt or usual_dt(inputs, outputs), log.path.stem.replace(" ", "_")
     )
@@ -145,7 +160,7 @@ def import_log(
             f"{longest:.3g} s at most, {SHORTEST:g} s are wanted"
         )
     late = delays([(taken, others(log, name, taken)) for name, taken in outputs.items()])
-    _write(study, log, found, model)
+    _write(study, log, found, model, assumed)
     return Draft(
         log=log,
         inputs=inputs,
@@ -153,6 +168,7 @@ def import_log(
         records=tuple(records),
         stretches=tuple(found),
         delays=tuple(late),
+        assumed=tuple(assumed),
         doubts=_doubts(log, [each.record for each in found]),
         study=study,
     )
@@ -201,7 +217,9 @@ def _divided(records: Sequence[Record]) -> list[Stretch]:
     return [make_stretch(part, f"{name}_{k}") for k, part in enumerate(parts, 1)]
 
 
-def _write(study: Path, log: Log, found: Sequence[Stretch], model: str | None) -> None:
+def _write(
+    study: Path, log: Log, found: Sequence[Stretch], model: str | None, assumed: Sequence[str]
+) -> None:
     """Write records, structure and study."""
     unseen = found[KEPT - 1 :: KEPT] or found[-1:]
     parts = [[each.record for each in found if each not in unseen], [x.record for x in unseen]]
@@ -218,6 +236,7 @@ def _write(study: Path, log: Log, found: Sequence[Stretch], model: str | None) -
     words = {
         "log": log.path.name,
         "kind": log.kind,
+        "assumed": "".join(f"# {each}\n" for each in assumed),
         "title": json.dumps(log.path.stem),
         "model": json.dumps(reference),
         "identification": files[0],

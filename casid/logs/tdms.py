@@ -5,13 +5,14 @@ Format: https://www.ni.com/en/support/documentation/supplemental/07/tdms-file-fo
 
 import logging
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from casid.arrays import Array
-from casid.logs.topics import Bounded, Topic, make_topic
+from casid.logs.topics import Bounded, Topic, make_topic, printable
 
 MAGIC = b"TDSm"
 TIMES = {"t", "time", "time [s]", "time_s", "timestamp", "timestamps", "seconds"}  # of columns
@@ -65,7 +66,8 @@ def _group(name: str, channels: Sequence[Any]) -> tuple[list[Topic], list[str]]:
     for k, (t, members) in enumerate(clocks.values()):
         columns = ((each.name, each[:], _unit(each)) for each in members)
         topic = make_topic(name if k == 0 else f"{name} ({k + 1})", t, columns)
-        topics += [topic] if topic is not None else []
+        units = {printable(each.name): printable(_unit(each)) for each in members}
+        topics += [replace(topic, units=units)] if topic is not None else []
     return topics, without
 
 

@@ -10,21 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import Array
-from casid.channels import DEGREE
+from casid.channels import SI
 
 GAP = 5.0  # usual intervals without a sample that make a gap
 FREELY = 64 * 2**20  # bytes that a reader may read of the smallest log, and
 OFTEN = 8  # times the size of a larger one
-SI_OF = {  # what one of a unit, as logs spell it, is in SI
-    **dict.fromkeys(("deg", "degrees", "°", "degheading"), DEGREE),
-    **dict.fromkeys(("deg/s", "dps", "°/s"), DEGREE),
-    **dict.fromkeys(("g", "G"), 9.80665),
-    **dict.fromkeys(("%", "percent"), 0.01),
-    **dict.fromkeys(("ft", "ft/s", "ft/s^2"), 0.3048),
-    "ms": 1e-3,
-    "us": 1e-6,
-    **dict.fromkeys(("kt", "kn", "kts"), 1852 / 3600),
+SPELT = {  # as logs write units that casid knows
+    **dict.fromkeys(("degree", "degrees", "°", "degheading"), "deg"),
+    **dict.fromkeys(("radian", "radians"), "rad"),
+    **dict.fromkeys(("deg/sec", "degrees/s", "°/s", "°/sec"), "deg/s"),
+    **dict.fromkeys(("rad/sec", "radians/s"), "rad/s"),
+    **dict.fromkeys(("m/s2", "m/s/s"), "m/s²"),
+    "G": "g",
+    "kts": "kt",
+    "percent": "%",
 }
+SI_OF = SI | {spelt: SI[unit] for spelt, unit in SPELT.items()}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -41,12 +42,15 @@ class Topic:
         Values; what is no number is left out.
     age : float
         How long before its stamp a sample was taken [s], where the log says it; else 0.
+    units : mapping of str
+        Of columns, as written in a log whose format leaves them to its writer; "" if not stated.
     """
 
     name: str
     t: Array
     columns: Mapping[str, Array]
     age: float = 0.0
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def interval(self) -> float:

@@ -96,6 +96,30 @@ def test_logs_that_cannot_make_a_study_are_refused_in_words(tmp_path, write, sai
     assert not (tmp_path / "log").exists()
 
 
+def test_units_that_a_log_does_not_state_are_told_and_unknown_ones_refused(tmp_path):
+    path = tmp_path / "log.tdms"
+    said = WRITERS["flight.tdms"](12.0)
+    path.write_bytes(said)
+    usual = import_log(path)
+    assert usual.assumed == tuple(
+        f"unit of {name} not stated: taken as it is" for name in ("roll", "pitch", "yaw")
+    )
+    assert (usual.outputs["p"].unit, usual.inputs["roll"].unit) == ("deg/s", "")
+    path.write_bytes(said.replace(b"deg/s", b"gra/s"))
+    with pytest.raises(ValueError, match=r"gyros\.p, of p, is in 'gra/s'.*--unit p=UNIT"):
+        import_log(path, fresh=True)
+    stated = import_log(path, fresh=True, units=dict.fromkeys("pqr", "deg/s"))
+    np.testing.assert_allclose(stated.outputs["p"].values, usual.outputs["p"].values, rtol=1e-12)
+    path.write_bytes(said.replace(b"deg/s", b"     "))
+    draft = import_log(path, fresh=True)
+    assert "unit of p not stated: taken as rad/s" in draft.assumed
+    assert "# unit of p not stated: taken as rad/s\n" in draft.study.read_text()
+    told = import_log(path, fresh=True, units={"p": "deg/s"})
+    np.testing.assert_allclose(told.outputs["p"].values, usual.outputs["p"].values, rtol=1e-12)
+    with pytest.raises(ValueError, match="no channel"):
+        import_log(path, fresh=True, units={"P": "deg/s"})
+
+
 @pytest.mark.slow
 def test_the_drafted_study_finds_the_aircraft(tmp_path):
     path = tmp_path / "flight.ulg"
