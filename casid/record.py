@@ -215,7 +215,8 @@ class Record(Shown):
     def shift(self, by: Mapping[str, float]) -> "Record":
         """Channels moved in time [s]: -0.06 for one that is 0.06 s late.
 
-        Samples at the ends that a shifted channel does not reach are left out.
+        Samples at the ends and beside gaps in time that a shifted input does not reach are left
+        out. An output stays missing where the sample nearest to it is.
         """
         late = [by.get(name, 0.0) for name in (*self.inputs, *self.outputs)]
         for name in by:
@@ -224,11 +225,12 @@ class Record(Shown):
         columns = zip(self._columns(), [*kept.u.T, *kept.y.T], late, strict=True)
         x = np.array(
             [
-                samples.at_instants(self.t, x, kept.t - lag, how) if lag else same
+                samples.moved(self.t, x, kept.t - lag, how) if lag else same
                 for (x, how), same, lag in columns
             ]
         ).T
-        return replace(kept, u=x[:, : self.nu], y=x[:, self.nu :])
+        known = ~np.isnan(x[:, : self.nu]).any(axis=1)
+        return replace(kept, t=kept.t[known], u=x[known, : self.nu], y=x[known, self.nu :])
 
     def join(self, other: "Record", *, clock: float = 0.0) -> "Record":
         """The record with the channels of another logger, at the instants of this one.

@@ -46,6 +46,14 @@ def at_instants(t: Array, x: Array, instants: Array, between: Between) -> Array:
     return np.where(lost, np.nan, values)
 
 
+def moved(t: Array, x: Array, instants: Array, between: Between) -> Array:
+    """`at_instants`, NaN also where the sample nearest to the instant is: no values are added."""
+    # Of two equally near the later one, so that rounding does not choose.
+    slack = 1e-6 * float(np.median(np.diff(t)))
+    nearest = np.searchsorted((t[:-1] + t[1:]) / 2, instants + slack)
+    return np.where(np.isnan(x[nearest]), np.nan, at_instants(t, x, instants, between))
+
+
 def resampled(t: Array, columns: Sequence[tuple[Array, Between]], dt: float) -> tuple[Array, Array]:
     """Instants every ``dt`` [s] and the columns there, (M,) and (M, columns)."""
     # Where they are slower than the samples by half or more, all columns pass one filter first.

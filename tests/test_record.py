@@ -211,6 +211,33 @@ def test_a_late_channel_is_shifted_back():
         record.shift({"beta": 0.1})
 
 
+@pytest.mark.parametrize("late", [-0.04, 0.02, 0.03, -0.013])
+def test_a_shift_adds_no_measurements(late):
+    t = 0.02 * np.arange(500)
+    y = np.column_stack([np.sin(t), np.cos(t), np.cos(t)])
+    y[1::2, 0] = np.nan  # at half rate
+    y[[100, 200, 300], 1] = np.nan
+    record = Record(t, t[:, None], y, ("u",), ("slow", "holed", "whole"))
+    moved = record.shift(dict.fromkeys(record.outputs, late))
+    for i, lost in enumerate((moved.N / 2, 3, 0)):
+        assert np.isnan(moved.y[:, i]).sum() == pytest.approx(lost, abs=0.5)
+    there = np.isfinite(moved.y[:, 0])
+    np.testing.assert_allclose(moved.y[there, 0], np.sin(moved.t[there] - late), atol=1e-5)
+    gone = moved.t[np.isnan(moved.y[:, 1])] - late
+    np.testing.assert_allclose(gone, t[[100, 200, 300]], atol=0.0101)
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_inputs_are_shifted_within_each_stretch_of_a_record_with_a_gap(hold):
+    t = np.delete(0.02 * np.arange(500), slice(200, 260))
+    record = Record(t, np.sin(t)[:, None], np.cos(t)[:, None], ("u",), ("y",), hold=hold)
+    for late, left_out in ((-0.04, [198, 199, 438, 439]), (0.04, [0, 1, 200, 201])):
+        moved = record.shift({"u": late})
+        np.testing.assert_array_equal(moved.t, np.delete(t, left_out))
+        np.testing.assert_allclose(moved.u[:, 0], np.sin(moved.t - late), atol=1e-9)
+        np.testing.assert_array_equal(moved.y[:, 0], np.cos(moved.t))
+
+
 def test_two_loggers_with_two_clocks_are_one_flight():
     record = flown(seed=4)
     late = replace(record.select([], ["phi"]), t=record.t + 100.003).between(101, 111)

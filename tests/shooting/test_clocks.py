@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid import Model, ModelError, Record, Rows, Scalar, parameter
+from casid import DataWarning, Model, ModelError, Record, Rows, Scalar, parameter
 from casid.shooting.clocks import input_delays
 
 
@@ -41,6 +41,14 @@ def test_delay_and_clock_are_known_together(late):
     assert found.delay == pytest.approx(0.04 - late, abs=0.002)
     assert abs(found.delay - (0.04 - late)) < 4 * found.std_error + 2e-4  # the spline's share
     assert ("the clocks differ" in found.remark) == (late == 0.1)
+
+
+def test_delays_are_known_from_a_record_with_a_gap():
+    whole = flown(0.1, 5)
+    parted = whole.take((whole.t < 6.0) | (whole.t > 7.3))
+    with pytest.warns(DataWarning, match="1 gap in time"):
+        (found,) = input_delays(Roll(), parted)
+    assert found.delay == pytest.approx(-0.06, abs=0.002)
 
 
 def test_delays_that_are_no_parameters_are_told():

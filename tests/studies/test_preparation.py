@@ -55,7 +55,8 @@ def test_skews_and_outliers_are_mended_by_a_word(tmp_path):
     assert "outliers count as missing" in said
     lag = float(said.split("p -")[1].split(" ms")[0]) / 1e3
     assert lag == pytest.approx(0.06, abs=0.005)
-    assert np.abs(np.diff(records[0].y[:, 0])).max() < 0.1  # the outlier is gone
+    assert np.nanmax(np.abs(np.diff(records[0].y[:, 0]))) < 0.1  # the outlier is gone
+    assert np.isnan(records[0].y[:, 0]).sum() == 1  # and stays missing
 
 
 def test_a_second_logger_is_joined_on_its_clock(tmp_path):
