@@ -82,7 +82,9 @@ def identify(
     fresh_times = [timing.seconds for timing in outcome.timings if not timing.kept]
     console.print(Text(_line("total", None, None, sum(fresh_times)), style="bold"))
     if parameters:
-        console.print(parameter_table(outcome.identification.output_error))
+        results = outcome.identification.results
+        delivered = results.get("chosen", results["output_error"])
+        console.print(parameter_table(delivered, of="the chosen step, " * ("chosen" in results)))
     _judge(console, outcome)
     _say_where(console, outcome)
 
@@ -240,10 +242,10 @@ def _say_where(console: Console, outcome: Outcome) -> None:
     console.print(Text("Report: ").append(path, style="bold"), soft_wrap=True)
 
 
-def parameter_table(fit: AnyFit) -> Table:
+def parameter_table(fit: AnyFit, of: str = "") -> Table:
     """Parameters of a fit for the terminal; * marks those on a bound."""
     headings = ("name", "value", "std. error", "Cramér-Rao", "lower", "upper", "unit")
-    table = new_table(f"Parameters after {fit.method}", *headings)
+    table = new_table(f"Parameters after {of}{fit.method}", *headings)
     for row in fit.parameters:
         error = "fixed" if row.fixed else f"{row.std_error:.2g} {prior(row)}".strip()
         table.add_row(

@@ -16,6 +16,7 @@ from casid.validation import AnyModel
 
 BLACK_BOX, MATCH = "black box", "H∞ match"
 OUTPUT_ERROR, BASELINE = "output error", "frequency domain"
+CHOSEN = "chosen step"
 TEMPLATES = Path(__file__).parent / "templates"
 
 

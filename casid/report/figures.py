@@ -18,6 +18,7 @@ from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
 from casid.report.content import BASELINE, BLACK_BOX, MATCH, OUTPUT_ERROR
+from casid.samples import SLOWER, at_instants, usual_interval
 from casid.subspace.pbsid import BlackBox
 from casid.validation import Validation
 
@@ -167,7 +168,7 @@ def plot_history(
     t : (N,) array
         Instants [s].
     measured : (N,) array
-        The record; NaN is a gap.
+        The record; NaN is a gap, except between samples of a slower channel.
     simulated : mapping to (N,) array
         By name of model.
     channel : str
@@ -175,18 +176,26 @@ def plot_history(
     units : mapping
         Unit by channel; those of the usual names unless given.
     """
-    ax.plot(t, measured, label=MEASURED, **(style(MEASURED) | {"linewidth": 1.6}))
+    ax.plot(t, joined(t, measured), label=MEASURED, **(style(MEASURED) | {"linewidth": 1.6}))
     for name, y in simulated.items():
         ax.plot(t, y, label=name, **(style(name) | {"linewidth": 1.1}))
     ax.set_ylabel(axis_label(channel, units))
     return ax
 
 
+def joined(t: Array, x: Array) -> Array:
+    """A channel (N,) with straight lines between its own samples where those are rarer than t."""
+    own = t[np.isfinite(x)]
+    if len(own) < 4 or usual_interval(own) < SLOWER * usual_interval(t):
+        return x
+    return at_instants(t, x, t, "foh")
+
+
 def plot_input(
     ax: Axes, t: Array, u: Array, *, channel: str, units: Mapping[str, str] = UNITS
 ) -> Axes:
     """Draw one input over time."""
-    ax.plot(t, u, **style(MEASURED))
+    ax.plot(t, joined(t, u), **style(MEASURED))
     ax.set_ylabel(axis_label(channel, units))
     return ax
 

@@ -17,13 +17,14 @@ from casid.fit import AnyFit, Fit
 from casid.frequency.estimation import SpectralAnalysis
 from casid.matching.match import Match
 from casid.record import Record
+from casid.report.content import CHOSEN as LABEL
 from casid.report.content import Caution, Content, Section, section
 from casid.shooting.output_error import OutputError
 from casid.stages.stage import Stage, Task
 from casid.subspace.pbsid import Pbsid
 from casid.values import seal, storable
 
-LABEL = "chosen step"
+TIE = 1.0  # standard errors that a candidate exceeds the best one's errors by, or is its equal
 MOST = 4  # groups of manoeuvres: each is one fit more of every candidate
 
 Candidate = Literal["joint", "frequency", "time", "short", "quadratic"]
@@ -89,15 +90,22 @@ class StepChoice:
     def headline(self) -> str:
         """What was chosen, and by how much."""
         others = [
-            f"{name} {100 * np.expm1(more):+.0f} ± {100 * error:.0f} %"
-            if np.isfinite(more)
-            else f"{name} failed"
+            f"{name} {_beyond(more, error)}"
             for name, more, error in zip(self.names, self.excess, self.error, strict=True)
+            if name != self.chosen
         ]
         return (
             f"Last step: {self.chosen}, by errors of {', '.join(self.manoeuvres)} predicted "
-            f"without them, above the best: {', '.join(others)}"
+            f"without them; above its errors: {', '.join(others) or 'no other was tried'}"
         )
+
+
+def _beyond(excess: float, error: float) -> str:
+    """By how much a candidate's errors exceed the best one's, in words if that is not known."""
+    if not np.isfinite(excess):
+        return "failed"
+    said = f"{100 * np.expm1(excess):+.0f} ± {100 * error:.0f} %"
+    return said if excess > TIE * error else f"equal within errors ({said})"
 
 
 def last_steps(settings: Choosing, task: Task) -> dict[str, LastStep]:

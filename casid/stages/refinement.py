@@ -5,12 +5,12 @@ from dataclasses import fields
 from typing import Any
 
 from casid.declaration import check_priors
-from casid.fit import Fit
+from casid.fit import AnyFit, Fit
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.report.answer import doubted, not_believed
+from casid.report.content import CHOSEN, Content, Section, section
 from casid.report.content import OUTPUT_ERROR as LABEL
-from casid.report.content import Content, Section, section
 from casid.report.evidence import few
 from casid.report.intervals import SHAPES, TICKS
 from casid.report.verdicts import on_bounds, uncertain, unsolved
@@ -35,25 +35,30 @@ def _run(settings: OutputError, task: Task) -> Fit[Any, OutputErrorNotes]:
 
 
 def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Section]:
-    model, infos = found.model, type(found.model).infos()
+    last: AnyFit = content.results.get("chosen", found)  # what fit.json holds
+    label = CHOSEN if "chosen" in content.results else LABEL
+    model, infos = last.model, type(last.model).infos()
     plain = (f.name for f in fields(model) if f.name not in infos)
     values = {
-        "others": {name: fit for name, fit in content.fits.items() if name != LABEL},
-        "doubted": doubted(content, found),
+        "others": {name: fit for name, fit in content.fits.items() if name != label},
+        "doubted": doubted(content, last),
+        "label": label,
         "shapes": SHAPES,
         "ticks": TICKS,
         "trim": {name: getattr(model, name) for name in plain},
     }
-    free = len(found.free_names) or len(found.parameters)
+    free = len(last.free_names) or len(last.parameters)
     lead = f"Its {free} free parameters were refined by output error."
+    if last is not found:
+        lead = f"Its {free} free parameters are those of the {label}, {last.method}."
     if isinstance(model, NonlinearModel) and "hinf" not in content.results:
         lead = (
             f"Its {free} free parameters were estimated by output error on total values; black box "
             "and match are of one flight condition and were left out."
         )
-    said = (*unsolved(found), *on_bounds(found), *few(found, content), *uncertain(found))
-    more: Any = {"answer": not_believed(content, found), "lead": lead, "cautions": said}
-    yield section("parameters", "Parameters", 10, found, values=values, **more)
+    said = (*unsolved(last), *on_bounds(last), *few(last, content), *uncertain(last))
+    more: Any = {"answer": not_believed(content, last), "lead": lead, "cautions": said}
+    yield section("parameters", "Parameters", 10, last, values=values, **more)
 
 
 OUTPUT_ERROR = Stage(

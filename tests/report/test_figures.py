@@ -12,6 +12,7 @@ from casid.report import (
     MATCH,
     OUTPUT_ERROR,
     plot_history,
+    plot_input,
     plot_magnitude,
     plot_match_error,
     plot_measured,
@@ -57,6 +58,19 @@ def test_a_history_keeps_the_gap_of_missing_samples():
     assert plot_history(ax, t, y, {OUTPUT_ERROR: y}, channel="q") is ax
     assert np.isnan(ax.lines[0].get_ydata()[1])
     assert ax.get_ylabel() == "q [rad/s]"
+
+
+def test_a_slower_channel_is_drawn_between_its_own_samples_and_stops_where_they_are_lost():
+    t = np.arange(60.0)
+    y = np.where((t % 2 == 0) & ~((t > 20) & (t < 30)), 0.5 * t, np.nan)
+    top, bottom = axes(2)
+    plot_history(top, t, y, {}, channel="q")
+    drawn = top.lines[0].get_ydata()
+    there = (t <= 20) | ((t >= 30) & (t <= 58))
+    np.testing.assert_allclose(drawn[there], 0.5 * t[there])
+    assert np.isnan(drawn[~there]).all()
+    plot_input(bottom, t, y, channel="q")
+    np.testing.assert_array_equal(bottom.lines[0].get_ydata(), drawn)
 
 
 def test_styles_differ_in_dash_and_not_in_colour_alone():

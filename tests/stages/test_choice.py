@@ -59,7 +59,9 @@ def test_the_one_with_the_smallest_errors_is_chosen():
     assert (clear.chosen, clear.fit) == ("b", "B")
     assert clear.headline().startswith("Last step: b, by errors of x, y, z predicted")
     assert np.isinf(clear.excess[2])
-    assert clear.headline().endswith("b +0 ± 0 %, c failed")
+    assert clear.headline().endswith("; above its errors: a +26 ± 3 %, c failed")
+    close = chosen(comparison([[0.02, -0.02, 0.01], [0.0, 0.0, 0.0]]))
+    assert "a equal within errors (+0 ± " in close.headline()
     with pytest.raises(ConvergenceError, match="no last step could be estimated: no"):
         chosen(comparison([[np.nan] * 3] * 2))
 

@@ -8,6 +8,7 @@ from truths.closed_roll import TRUTH, noisy, off
 
 from casid import OutputError, output_error
 from casid.report import OUTPUT_ERROR as LABEL
+from casid.report.content import CHOSEN
 from casid.stages.refinement import OUTPUT_ERROR
 from casid.stages.stage import Task, records_of
 
@@ -33,10 +34,20 @@ def test_it_goes_on_from_the_match_on_its_own_records_or_those_of_identification
 def test_its_section_counts_what_was_free_and_warns_of_bounds():
     fit = output_error(TRUTH, noisy(1), bounds={"Lp": (-2.0, 0.0)}, fixed=("tau",))
     other = replace(fit, method="match")
-    page = SimpleNamespace(fits={LABEL: fit, "match": other}, data=())
+    page = SimpleNamespace(fits={LABEL: fit, "match": other}, data=(), results={})
     (section,) = OUTPUT_ERROR.show(fit, page)
     assert section.lead == "Its 6 free parameters were refined by output error."
     assert section.values["others"] == {"match": other}
     said = " ".join(each.text for each in section.cautions)
     assert "1 parameter lies on a bound: Lp." in said
     assert fit["Lp"].value == pytest.approx(-2.0)
+
+
+def test_its_section_shows_the_chosen_step_where_one_was_chosen():
+    fit = output_error(TRUTH, noisy(1))
+    last = replace(fit, method="match")
+    page = SimpleNamespace(fits={LABEL: fit, CHOSEN: last}, data=(), results={"chosen": last})
+    (section,) = OUTPUT_ERROR.show(fit, page)
+    assert section.values["found"] is last
+    assert section.lead == "Its 7 free parameters are those of the chosen step, match."
+    assert section.values["others"] == {LABEL: fit}
