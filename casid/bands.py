@@ -3,7 +3,8 @@
 First order: the covariance J C Jᵀ of a function of the parameters, J its derivatives by central
 differences of a thousandth of each standard error, C the covariance that `Fit.std_error` is read
 from. It holds the noise and the colour of the residuals; what the structure lacks is added where a
-`StructureError` says how much that is.
+`StructureError` says how much that is. With it bands hold the true response where the noise of the
+records is small beside what is missing; noise that hides it leaves the bands too narrow.
 """
 
 from collections.abc import Callable
@@ -40,7 +41,8 @@ class ResponseBand(Shown):
     G : (K, ny, nu) complex array
         The response.
     magnitude_std, phase_std : (K, ny, nu) array
-        Standard deviations of ln abs(G), a share of the magnitude, and of the phase [rad].
+        Standard deviations of ln abs(G), a share of the magnitude, and of the phase [rad], from the
+        covariance of the fit alone: ``missed`` is not in them, only in `magnitude` and `phase`.
     level : float
         Share of the bands that hold the true value, frequency by frequency.
     inputs, outputs : tuple of str
@@ -144,7 +146,8 @@ def response_band(
     level : float
         Share of the bands that hold the true value, between 0 and 1.
     error : StructureError
-        What the structure misses, from `structure_error`; added to the bands.
+        What the structure misses, from `structure_error`; added to the bands, too small where the
+        noise of the records is not small beside it.
 
     Raises
     ------

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from casid.commands.study import OUTPUT, STUDY, VERBOSE
 from casid.commands.terminal import exits, logged, new_table, terminal
+from casid.design.injection import check_axes, check_channels
 from casid.design.inputs import design_inputs
 from casid.design.plan import Design, DesignSettings, Limits
 from casid.files import write_text
@@ -99,16 +100,20 @@ def design(
         what = read_study(study, output)
         limits, dt = _limits(what, asked)
         model = _kept(what)
+        channels = {name: (int(c), x) for name, (c, x) in asked["ardupilot"].items()}
+        if channels:
+            check_channels(what.model.inputs, channels, dt)
+        if asked["px4"]:
+            check_axes(what.model.inputs, asked["px4"])
         noise = None if isinstance(model, Fit) or what.noise is None else what.noise.std
         made = design_inputs(
-            model, limits, duration or what.design.duration, noise=noise,
+            model, limits, what.design.duration if duration is None else duration, noise=noise,
             feedback=_feedback(what, asked["feedback"]), settings=_settings(what, asked, dt),
         )  # fmt: skip
         _say(console, made, model if isinstance(model, Fit) else None)
         folder = what.output / "design"
         write_text(folder / "card.csv", made.to_csv())
-        if asked["ardupilot"]:
-            channels = {name: (int(c), x) for name, (c, x) in asked["ardupilot"].items()}
+        if channels:
             write_text(folder / "card.lua", made.to_ardupilot(channels))
         if asked["px4"]:
             write_text(folder / "inject.py", made.to_px4(asked["px4"]))

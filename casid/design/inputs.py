@@ -16,6 +16,7 @@ from casid.design.plan import Alternative, Design, DesignSettings, Limits
 from casid.design.prior import (
     FITTED,
     GUESSED,
+    check_balance,
     known_before,
     linear_at,
     noise_of,
@@ -31,6 +32,7 @@ from casid.structure.identifiability import identifiability
 from casid.threads import one_thread
 
 FEWEST = 50  # samples a stick
+MOST = 100_000  # samples of a manoeuvre
 COARSE = 800  # samples on which inputs are optimised
 FINEST = 6.0  # samples of them in a period of the band's upper edge, at least
 
@@ -125,11 +127,15 @@ def design_inputs(
     ------
     ValueError
         Limits that leave nothing, unknown channels, noise that is missing, a band above the Nyquist
-        frequency, an unstable aircraft without its feedback, a duration too short, a nonlinear
-        structure that is not in balance.
+        frequency, an unstable aircraft without its feedback, a duration too short or too long,
+        rates at which no stick gets to its limit and back, a nonlinear structure that is not in
+        balance at the trim.
     """
     settings = settings or DesignSettings()
-    linear = linear_at(model.model if isinstance(model, Fit) else model, trim)
+    structure = model.model if isinstance(model, Fit) else model
+    for each in (structure, *(ensemble if trim is None else ())):
+        check_balance(each, trim)
+    linear = linear_at(structure, trim)
     unfelt = without_effect(free_parameters(linear, settings.fixed))
     settings = replace(settings, fixed=(*settings.fixed, *unfelt))
     problem = _problem(linear, limits, duration, model if isinstance(model, Fit) else None, noise,
@@ -165,6 +171,7 @@ def _problem(
     noise: Mapping[str, float] | None,
     settings: DesignSettings,
 ) -> _Problem:
+    _check_times(duration, limits, settings)
     free = free_parameters(structure, settings.fixed)
     if unknown := [name for name in settings.matter if name not in free.names]:
         raise ValueError(f"matter names {unknown[0]!r}, which is not free: {', '.join(free.names)}")
@@ -185,6 +192,33 @@ def _problem(
         spread=settings.spread if settings.spread is not None else (FITTED if fit else GUESSED),
         settings=settings,
     )  # fmt: skip
+
+
+def _check_times(duration: float, limits: Limits, settings: DesignSettings) -> None:
+    """Refuse times that are none, more samples than can be worked on, changes that take too long.
+
+    A manoeuvre has room for two changes of each stick from end to end at least.
+    """
+    for name, value in (("duration", duration), ("dt", settings.dt)):
+        if not 0 < value < np.inf:
+            raise ValueError(f"{name} = {value:g} s: expected a time above 0")
+    if duration / settings.dt > MOST:
+        raise ValueError(
+            f"{duration:g} s have {duration / settings.dt:.3g} samples {settings.dt:g} s apart, "
+            f"more than the {MOST} that a design is made of: design "
+            f"{MOST * settings.dt:.4g} s at most and fly that again"
+        )
+    room = (duration - settings.rest) / 2
+    if settings.step is not None and not 0 < settings.step <= room:
+        raise ValueError(f"step = {settings.step:g} s: expected a time above 0, below {room:.3g} s")
+    for name, rate in limits.rates.items():
+        if (rise := 2 * limits.sticks[name] / rate) > room > 0:
+            raise ValueError(
+                f"at its rate of {rate:g} a second {name!r} takes {rise:.3g} s from one end of its "
+                f"limit {limits.sticks[name]:g} to the other, and {duration:g} s have no room for "
+                f"two such changes: lower the limit of the stick, to {rate * room / 2:.3g} at "
+                "most, or raise that of its rate"
+            )
 
 
 def _band(model: Model, duration: float, dt: float) -> tuple[float, float]:

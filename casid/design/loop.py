@@ -89,13 +89,14 @@ class Loop:
         now = np.where(self._lag == 0, 1.0 - self._part, 0.0)
         inverse = np.linalg.inv(np.eye(nu) + K @ (self.C @ self.B1 + self.D) * now)
         x, u, d = np.zeros((n, nx, nu)), np.zeros((n, nu, nu)), np.zeros((n, nu, nu))
-        for k in range(1, n):
-            past = self._delayed(u, k)
-            moved = self.E @ x[k - 1] + self.B0 @ d[k - 1] + self.B1 @ past
-            seen = self.C @ moved + self.D @ past
-            u[k] = inverse @ (np.eye(nu) * (k == 1) - K @ seen)
-            d[k] = past + now[:, None] * u[k]
-            x[k] = moved + self.B1 @ (now[:, None] * u[k])
+        with np.errstate(over="ignore", invalid="ignore"):  # of a loop that is refused below
+            for k in range(1, n):
+                past = self._delayed(u, k)
+                moved = self.E @ x[k - 1] + self.B0 @ d[k - 1] + self.B1 @ past
+                seen = self.C @ moved + self.D @ past
+                u[k] = inverse @ (np.eye(nu) * (k == 1) - K @ seen)
+                d[k] = past + now[:, None] * u[k]
+                x[k] = moved + self.B1 @ (now[:, None] * u[k])
         x, u, d = x[1:], u[1:], d[1:]
         self._check_stable(u, K)
         y = self.C @ x + self.D @ d
@@ -138,7 +139,7 @@ class Loop:
                 'feedback={"lat": {"p": 0.1, "phi": 0.3}}'
             )
         last = 4 * self.N // 5
-        if K.any() and np.abs(u[last:]).max() > GROWN * np.abs(u[:last]).max():
+        if K.any() and not np.abs(u[last:]).max() <= GROWN * np.abs(u[:last]).max() < np.inf:
             raise UnheldError(
                 "the loop is unstable with this feedback: u = r - K y, so a gain that damps has "
                 "the sign of its control derivative; check signs and units (rad, rad/s)"
@@ -240,5 +241,7 @@ def gains(feedback: Feedback, inputs: tuple[str, ...], outputs: tuple[str, ...])
             for name, known in ((stick, inputs), (output, outputs)):
                 if name not in known:
                     raise ValueError(f"feedback names {name!r}; there are {', '.join(known)}")
+            if not np.isfinite(gain):
+                raise ValueError(f"feedback: the gain of {stick!r} by {output!r} is {gain}")
             K[inputs.index(stick), outputs.index(output)] = gain
     return K

@@ -25,6 +25,7 @@ from casid.design.loop import Crowd, Loop
 
 POWERS = (16, 60)  # p, one after the other
 MEMORY = 20  # of L-BFGS
+TRIES = 3  # evaluations an iteration, on average, after which it gives up
 KEPT = 0.9  # share of the judges with which limits are kept
 
 
@@ -144,7 +145,8 @@ def improved(
     least = task.value(task.within(signal(best)))
     c = best
     for p in POWERS:
-        options: Any = {"maxiter": iterations // len(POWERS), "maxcor": MEMORY}
+        rounds = iterations // len(POWERS)
+        options: Any = {"maxiter": rounds, "maxfun": TRIES * rounds + 1, "maxcor": MEMORY}
         found: Any = scipy.optimize.minimize(
             objective, c, args=(p,), jac=True, method="L-BFGS-B", options=options
         )

@@ -47,6 +47,11 @@ class Limits:
                         f"the limit of {name!r} is {value}, which leaves nothing to fly; expected "
                         "a deviation from trim above 0"
                     )
+        if unbounded := [name for name, value in self.sticks.items() if not value < np.inf]:
+            raise ValueError(
+                f"the limit of stick {unbounded[0]!r} is infinite; expected the deviation from "
+                "trim that may be flown"
+            )
         if not self.sticks:
             raise ValueError("no stick may move: limits need sticks={name: deviation}")
         if lone := [name for name in self.rates if name not in self.sticks]:

@@ -20,24 +20,39 @@ GUESSED, FITTED = 0.2, 0.1  # relative errors of a guess, and of a fit beside it
 
 def linear_at(model: Model, trim: Trim | Mapping[str, float] | None) -> Model:
     """The structure itself, or a nonlinear one's linearisation at the trim or its reference."""
-    if not isinstance(model, NonlinearModel):
-        if trim is not None:
-            raise ValueError(
-                f"{type(model).__name__} is linear, about its own trim: leave trim out"
-            )
-        return model
+    if isinstance(model, NonlinearModel):
+        return model.at(_condition(model, trim))
     if trim is not None:
-        return model.at(trim)
-    x, u = model.operating_point()
+        raise ValueError(f"{type(model).__name__} is linear, about its own trim: leave trim out")
+    return model
+
+
+def check_balance(model: Model, trim: Trim | Mapping[str, float] | None) -> None:
+    """Refuse a condition at which a nonlinear structure is not in balance.
+
+    A trim with unknowns is not looked at: its own constraints balance it.
+    """
+    if not isinstance(model, NonlinearModel) or (own := _condition(model, trim)).unknown:
+        return
+    values = [own.values[name] for name in (*model.states, *model.inputs)]
+    x, u = np.split(np.array(values), [len(model.states)])
     rate = np.ravel(model.equations()(x, u, model.vector())[0].full())
-    worst = int(np.argmax(np.abs(rate)))
-    if abs(rate[worst]) > OUT_OF_BALANCE:
+    worst = int(np.argmax(np.where(np.isnan(rate), np.inf, np.abs(rate))))
+    if not abs(rate[worst]) <= OUT_OF_BALANCE:
         raise ValueError(
-            f"{type(model).__name__} is not in balance at its reference condition, where "
+            f"{type(model).__name__} is not in balance at "
+            f"{'its reference condition' if trim is None else 'the trim given'}, where "
             f"d/dt {model.states[worst]} = {rate[worst]:.3g}: say where it is flown, "
             "trim=find_trim(model, {...}, unknown=(...))"
         )
-    return model.at(dict(zip((*model.states, *model.inputs), (*x, *u), strict=True)))
+
+
+def _condition(model: NonlinearModel, trim: Trim | Mapping[str, float] | None) -> Trim:
+    """The trim with a value of every state and input; the reference's where it names none."""
+    x, u = model.operating_point()
+    usual = dict(zip((*model.states, *model.inputs), (*x, *u), strict=True))
+    given = trim if isinstance(trim, Trim) else Trim(values=trim or {})
+    return replace(given, values=usual | dict(given.values))
 
 
 def without_effect(free: Free) -> tuple[str, ...]:

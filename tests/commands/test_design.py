@@ -67,11 +67,36 @@ def test_a_study_without_a_fit_is_designed_from_its_guess(tmp_path):
         (["--stick", "lat=0"], "leaves nothing to fly"),
         (["--response", "q=1"], "limits name 'q'"),
         (["--feedback", "lat:q=1"], "feedback names 'q'"),
+        (["--feedback", "lat:p=-50"], "the loop is unstable with this feedback"),
+        (["--feedback", "lat:p=nan"], "the gain of 'lat' by 'p' is nan"),
+        (["--stick", "lat=inf"], "limit of stick 'lat' is infinite"),
+        (["--rate", "lat=1e-7"], "raise that of its rate"),
+        (["--duration", "nan"], "duration = nan s"),
+        (["--duration", "0"], "duration = 0 s"),
+        (["--duration", "1e6"], "fly that again"),
         (["--ardupilot", "lat=one:500"], "expected NAME=CHANNEL:US"),
         (["--method", "magic"], "method = 'magic'"),
     ],
 )
 def test_what_makes_no_sense_is_refused(tmp_path, options, words):
     result = run(write_study(tmp_path), "--duration", "12", *options)
+    assert result.exit_code == 2
+    assert words in " ".join(result.stderr.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--px4", "lat=q:1"], "'lat' on axis 'q'"),
+        (["--px4", "lat=y:inf"], "the scale of 'lat' is inf"),
+        (["--ardupilot", "ped=1:500"], "'ped' is in one of card and channels only"),
+        (["--ardupilot", "lat=0:500"], "'lat' on RC channel 0"),
+    ],
+)
+def test_what_no_autopilot_has_is_refused_before_anything_is_designed(
+    tmp_path, monkeypatch, options, words
+):
+    monkeypatch.setattr("casid.commands.design.design_inputs", pytest.fail)
+    result = run(write_study(tmp_path), *options)
     assert result.exit_code == 2
     assert words in " ".join(result.stderr.split())

@@ -142,7 +142,10 @@ def test_the_card_is_read_back_from_its_file(program, tmp_path):
         (lambda: ardupilot_script(T, R, {"lat": (1, 500.0)}, ""), "'ped' is in one of card"),
         (lambda: ardupilot_script(T, R, {"lat": (1, 5e4), "ped": (2, 1.0)}, ""), "by 10000 µs"),
         (lambda: ardupilot_script(T, R, {"lat": (1, 5.0), "ped": (1, 5.0)}, ""), "channel 1 is"),
+        (lambda: ardupilot_script(T, R, {"lat": (17, 5.0), "ped": (1, 5.0)}, ""), "channel 17; "),
+        (lambda: ardupilot_script(T, R, {"lat": (1, np.nan), "ped": (2, 5.0)}, ""), "is nan; "),
         (lambda: ardupilot_script(T / 3, R, {"lat": (1, 5.0), "ped": (2, 5.0)}, ""), "13.3333 ms"),
+        (lambda: px4_script(R, {"lat": ("x", 0.0), "ped": ("r", 1.0)}, ""), "of 'lat' is 0.0"),
         (lambda: px4_script(R, {"lat": ("q", 1.0), "ped": ("r", 1.0)}, ""), "'lat' on axis 'q'"),
     ],
 )

@@ -11,6 +11,7 @@ from casid import (
     Limits,
     Model,
     NonlinearModel,
+    Trim,
     design_inputs,
     output_error,
     parameter,
@@ -61,6 +62,14 @@ def test_parameters_that_matter_are_told_better_than_when_all_count():
     [
         ({"band": (0.5, 90.0)}, "above the Nyquist frequency 62.83"),
         ({"duration": 1.5}, "fly longer"),
+        ({"duration": np.nan}, "duration = nan, expected"),
+        ({"duration": -3.0}, "duration = -3 s"),
+        ({"duration": 1e5}, "2e\\+06 samples .* design 5000 s at most"),
+        ({"step": 20.0}, "step = 20 s"),
+        (
+            {"limits": Limits(sticks={STICK: 0.1}, rates={STICK: 1e-7})},
+            "takes 2e\\+06 s .* lower the limit of the stick, to 2.25e-07",
+        ),
         ({"matter": ("Xx",)}, "matter names 'Xx'"),
         ({"limits": Limits(sticks={"nose": 0.1})}, "limits name 'nose'"),
     ],
@@ -125,6 +134,14 @@ def test_a_nonlinear_structure_is_designed_for_by_its_linearisation_at_the_trim(
 def test_a_nonlinear_structure_has_to_be_in_balance_and_a_linear_one_has_its_trim():
     with pytest.raises(ValueError, match=r"not in balance.*d/dt q = -0\.435.*find_trim"):
         swung(Pendulum(m0=1.0))
+    with pytest.raises(ValueError, match=r"at the trim given, where d/dt q = 0\.844.*find_trim"):
+        swung(Pendulum(), trim=Trim(values={"theta": 0.3}))
+    with pytest.raises(ValueError, match=r"at the trim given, where d/dt theta = 0\.1"):
+        swung(Pendulum(), trim={"q": 0.1, "m": 2 * np.sin(0.8) + 0.05})
+    others = swung(
+        Pendulum(), ensemble=[Pendulum(k=2.1)], trim={"theta": 0.8}
+    )  # its trim, not theirs
+    assert others.names == ("k", "c")
     with pytest.raises(ValueError, match="about its own trim"):
         swung(Linear(), trim={"theta": 0.3})
 

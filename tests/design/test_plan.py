@@ -48,6 +48,8 @@ def test_the_card_is_the_sequence(design):
 
 
 def test_limits_that_leave_nothing_are_refused():
+    with pytest.raises(ValueError, match="limit of stick 'lat' is infinite"):
+        Limits(sticks={"lat": np.inf})
     with pytest.raises(ValueError, match="leaves nothing to fly"):
         Limits(sticks={"lat": 0.0})
     with pytest.raises(ValueError, match="no stick may move"):
