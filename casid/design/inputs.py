@@ -209,7 +209,7 @@ def _check_times(duration: float, limits: Limits, settings: DesignSettings) -> N
             f"{MOST * settings.dt:.4g} s at most and fly that again"
         )
     room = (duration - settings.rest) / 2
-    if settings.step is not None and not 0 < settings.step <= room:
+    if settings.step is not None and room > 0 and not 0 < settings.step <= room:
         raise ValueError(f"step = {settings.step:g} s: expected a time above 0, below {room:.3g} s")
     for name, rate in limits.rates.items():
         if (rise := 2 * limits.sticks[name] / rate) > room > 0:

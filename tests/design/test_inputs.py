@@ -66,6 +66,7 @@ def test_parameters_that_matter_are_told_better_than_when_all_count():
         ({"duration": -3.0}, "duration = -3 s"),
         ({"duration": 1e5}, "2e\\+06 samples .* design 5000 s at most"),
         ({"step": 20.0}, "step = 20 s"),
+        ({"step": 0.5, "rest": 12.0}, "fly longer"),
         (
             {"limits": Limits(sticks={STICK: 0.1}, rates={STICK: 1e-7})},
             "takes 2e\\+06 s .* lower the limit of the stick, to 2.25e-07",
