@@ -8,15 +8,17 @@ import scipy.signal
 
 from casid.arrays import Array, BoolArray
 from casid.logs.conventions import Source
-from casid.record import FEWEST, MOST, Record
+from casid.record import FEWEST, MOST, Hold, Record
 from casid.samples import Between, at_instants
 from casid.studies.preparation import with_inputs
 
 FASTEST = 0.01  # s, the shortest interval that is chosen
 SLOWER = 1.5  # intervals: what is sampled more slowly is empty between its samples
+ROUGHLY = 0.01  # of an interval: intervals nearer to each other are the same
 APART = 1.0  # s without the inputs that end a record
 LATE = 0.5  # s, the largest delay looked for
 LONGEST = 60.0  # s of a log that are compared for delays
+ALONE = 0.8  # of an input's changes that stand between repeated values: it moves by steps
 COHERENT = 0.8  # correlation above which two topics hold the same
 
 
@@ -37,13 +39,52 @@ def usual_dt(inputs: Mapping[str, Source], outputs: Mapping[str, Source]) -> flo
     return max(FASTEST, float(f"{slowest:.2g}"))
 
 
+def in_steps(source: Source) -> bool:
+    """Whether an input's samples are those of a value that is held: it rests between changes."""
+    known = source.values[np.isfinite(source.values)]
+    changed = np.diff(known) != 0
+    alone = ~(changed[:-2] | changed[2:])
+    moves = changed[1:-1]
+    return bool(moves.any() and alone[moves].mean() >= ALONE)
+
+
+def hold_of(inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float) -> Hold:
+    """What the inputs of records every ``dt`` [s] do between samples.
+
+    They are held where all move by steps and every one keeps its own samples; a filter for slower
+    records, or a faster channel, makes lines of them.
+    """
+    own = all(abs(source.topic.interval - dt) < ROUGHLY * dt for source in inputs.values())
+    faster = min(source.topic.interval for source in (*inputs.values(), *outputs.values()))
+    kept = own and faster > (1 - ROUGHLY) * dt
+    return "zoh" if kept and all(map(in_steps, inputs.values())) else "foh"
+
+
+def hold_told(inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float) -> list[str]:
+    """What is taken of every input between its samples, and what that changes, a sentence each."""
+    held = hold_of(inputs, outputs, dt) == "zoh"
+    said = []
+    for name, source in inputs.items():
+        half = f"half its interval, {500 * source.topic.interval:.3g} ms,"
+        if in_steps(source):
+            how = 'held between its samples (hold "zoh")' if held else "lines through their middles"
+            said.append(f"{name} moves by steps: {how}; were it lines, delays were {half} longer")
+        else:
+            said.append(
+                f'{name} is taken as lines between its samples (hold "foh"); were it held from one '
+                f'to the next ("zoh"), delays were {half} shorter'
+            )
+    return said
+
+
 def assemble(
     inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float, name: str
 ) -> list[Record]:
     """Records of a log's channels every ``dt`` [s], one a stretch in which inputs were logged.
 
     Outputs stand at the instants their samples were taken, inputs at those they were sent. Faster
-    channels pass one filter, slower ones are empty between their samples.
+    channels pass one filter, slower ones are empty between their samples. Where the filter makes
+    lines of an input that is held, these run through the middles of its steps.
     """
     clocks = {id(source.topic): source.topic for source in inputs.values()}
     start = max(float(topic.t[0]) for topic in clocks.values())
@@ -75,14 +116,17 @@ def _records(
     if (n := int((span[1] - span[0]) / step)) > MOST:
         raise ValueError(f"{name}: {n} samples every {step:g} s in one stretch, at most {MOST}")
     t = span[0] + step * np.arange(n + 1)
+    hold = hold_of(inputs, outputs, dt)
     columns = []
     for channel, source in every.items():
         own, late = source.topic.t, 0.0 if channel in inputs else source.topic.age
         near = (own >= span[0] - APART) & (own <= span[1] + APART)
         x = np.unwrap(source.values[near]) if channel in ("phi", "psi") else source.values[near]
-        how: Between = "foh" if channel in inputs else "smooth"
+        if channel in inputs and hold == "foh" and in_steps(source):
+            late = -source.topic.interval / 2  # below Nyquist's frequency steps are lines, later
+        how: Between = hold if channel in inputs else "smooth"
         columns.append(at_instants(own[near] - late, x, t, how) if near.sum() > 3 else np.nan * t)
-    whole = Record(t, np.zeros((len(t), 0)), np.column_stack(columns), (), tuple(every), name)
+    whole = Record(t, np.zeros((len(t), 0)), np.column_stack(columns), (), tuple(every), name, hold)
     if not np.isfinite(whole.y[:, : len(inputs)]).all(axis=1).sum() >= FEWEST:
         return []
     even = whole.resample(dt) if step < dt else whole

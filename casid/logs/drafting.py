@@ -10,7 +10,7 @@ import numpy as np
 from casid.checks import checked
 from casid.excitations import certified
 from casid.files import write_csv, write_text
-from casid.logs.assembly import Lateness, assemble, delays, usual_dt
+from casid.logs.assembly import Lateness, assemble, delays, hold_told, usual_dt
 from casid.logs.axes import axes_structure
 from casid.logs.conventions import ACTUATORS, RATES, Source, derived, find_channels, others
 from casid.logs.reading import read_log
@@ -36,8 +36,9 @@ output = "out"
 file = {model}
 
 # Channels are in SI and radians; inputs as the log has them.
-{assumed}# A skew between attitudes and rates that casid inspect finds is taken out by
-# [channels]
+{assumed}[channels]
+hold = {hold} # between samples inputs are steps ("zoh") or straight lines ("foh")
+# A skew between attitudes and rates that casid inspect finds is taken out by
 # shift = "kinematics"
 
 [pbsid]
@@ -71,7 +72,8 @@ class Draft:
     delays : tuple of Lateness
         Between topics that hold the same quantity.
     assumed : tuple of str
-        Units that the log does not state, or that casid does not know, and what they are taken as.
+        What the log does not state and is taken for granted: units, and what inputs do between
+        samples.
     doubts : tuple of str
         Why no aircraft may be in it.
     study : Path
@@ -147,9 +149,9 @@ def import_log(
         )
     inputs, outputs = with_units(inputs, stated), with_units(outputs, stated)
     assumed = check_units(log.path, {**inputs, **outputs})
-    records = assemble(
-        inputs, outputs, dt or usual_dt(inputs, outputs), log.path.stem.replace(" ", "_")
-    )
+    dt = dt or usual_dt(inputs, outputs)
+    assumed += hold_told(inputs, outputs, dt)
+    records = assemble(inputs, outputs, dt, log.path.stem.replace(" ", "_"))
     found = find_stretches(records)
     if len(found) < 2:
         found = _divided([each.record for each in found] or records)
@@ -237,6 +239,7 @@ def _write(
         "log": log.path.name,
         "kind": log.kind,
         "assumed": "".join(f"# {each}\n" for each in assumed),
+        "hold": json.dumps(found[0].record.hold),
         "title": json.dumps(log.path.stem),
         "model": json.dumps(reference),
         "identification": files[0],

@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from truths.logs import LATE, RATES, STICKS, flight, ulog
 
-from casid import read_log
-from casid.logs.assembly import assemble, lateness, usual_dt
+from casid import StateSpace, read_log
+from casid.logs.assembly import assemble, hold_of, hold_told, in_steps, lateness, usual_dt
 from casid.logs.conventions import Source, derived, find_channels, others
 from casid.logs.topics import Topic
 
@@ -74,3 +76,36 @@ def test_topics_that_are_not_alike_have_no_delay():
     t, (a, b) = np.arange(0, 30, 0.02), np.random.default_rng(0).standard_normal((2, 1500))
     assert lateness(source(t, a), source(t, b)) is None
     assert lateness(source(t, a), source(t + 100, a)) is None  # no time in common
+
+
+@pytest.mark.parametrize(("interval", "hold"), [(0.01, "zoh"), (0.005, "foh"), (0.0025, "foh")])
+def test_delays_from_commands_in_steps_are_those_of_held_values(interval, hold):
+    fine = 0.0005
+    t = np.arange(0, 40, fine)
+    own = np.floor(t / interval + 1e-6) * interval  # held from one sample to the next
+    u = np.sign(np.sin(0.9 * own + 0.01 * own**2))
+    truth = StateSpace(*([[x]] for x in (-4.0, 5.0, 1.0, 0.0)), delay=[0.08])
+    y = truth.simulate(t, u[:, None], hold="zoh")[:, 0]
+    every = round(interval / fine)
+    inputs = {"u": source(t[::every], u[::every], "C")}
+    outputs = {"p": source(t[::every], y[::every], "M")}
+    (record,) = assemble(inputs, outputs, 0.01, "flight")
+    assert record.hold == hold
+    (said,) = hold_told(inputs, outputs, 0.01)
+    assert said.endswith(f"delays were half its interval, {500 * interval:.3g} ms, longer")
+    tau = np.linspace(0.07, 0.09, 81)
+    found = [_lag(truth, record, each) - record.y[:, 0] for each in tau]
+    errors = [np.sum(each[200:-20] ** 2) for each in found]
+    assert tau[np.argmin(errors)] == pytest.approx(0.08, abs=0.0006)
+
+
+def _lag(truth, record, tau):
+    model = replace(truth, delay=np.array([tau]))
+    return model.simulate(record.t, record.u, hold=record.hold)[:, 0]
+
+
+def test_smooth_commands_are_lines():
+    t = np.arange(0, 10, 0.01)
+    command = source(t, np.sin(t))
+    assert not in_steps(command)
+    assert hold_of({"u": command}, {"p": command}, 0.01) == "foh"
