@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from typing import Literal, get_args
 
 import numpy as np
@@ -191,11 +191,14 @@ class Record(Shown):
         Outputs follow a cubic spline, inputs what they do between samples (`hold`); what was lost
         stays lost. Where ``dt`` is longer than the interval by half or more, all channels pass a
         symmetric filter first, so that nothing above the new Nyquist frequency is folded back.
+        Across a gap in time nothing is interpolated: each of the `stretches` is resampled by itself
+        and the gap stays one.
 
         Raises
         ------
         ValueError
-            No positive interval, one longer than the record, ten million samples; a gap in time.
+            No positive interval, one longer than the record, ten million samples; gaps that leave
+            no stretch of 16 samples.
         """
         least = self.duration / MOST
         if not least < dt < self.duration:
@@ -204,13 +207,27 @@ class Record(Shown):
                 f"below {self.duration:g} s, the record's duration"
             )
         if len(self.gaps()):
-            raise ValueError(
-                f"record {self.name!r} has gaps in time; resample each of its stretches()"
-            )
+            return self._resampled_pieces(dt)
         t, values = samples.resampled(self.t, self._columns(), dt)
         slower = dt >= samples.SLOWER * self.dt
         u, y = values[:, : self.nu], values[:, self.nu :]
         return replace(self, t=t, u=u, y=y, hold="foh" if slower else self.hold)
+
+    def _resampled_pieces(self, dt: float) -> "Record":
+        """Every stretch between gaps resampled by itself, and the gaps still told as such."""
+        pieces, parts = self.stretches(), []
+        for piece, later in zip_longest(pieces, pieces[1:]):
+            # At the new interval, too, a gap is longer than two of them.
+            end = piece.t[-1] if later is None else min(piece.t[-1], later.t[0] - 2.01 * dt)
+            kept = piece.take(piece.t <= end) if end > piece.t[0] + (FEWEST - 1) * dt else None
+            parts += [kept.resample(dt)] if kept is not None else []
+        if not parts:
+            raise ValueError(
+                f"record {self.name!r} has gaps in time, and no stretch of {FEWEST} samples every "
+                f"{dt:g} s between them; resample it at shorter intervals, or leave it out"
+            )
+        columns = {name: np.concatenate([getattr(x, name) for x in parts]) for name in "tuy"}
+        return replace(self, **columns, hold=parts[0].hold)
 
     def shift(self, by: Mapping[str, float]) -> "Record":
         """Channels moved in time [s]: -0.06 for one that is 0.06 s late.

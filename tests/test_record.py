@@ -187,8 +187,24 @@ def test_a_resampled_record_has_the_same_response_and_keeps_its_losses():
         record.resample(0)
     with pytest.raises(ValueError, match=r"expected above .* s \(10000000 samples\)"):
         record.resample(1e-12)
-    with pytest.raises(ValueError, match=r"resample each of its stretches\(\)"):
-        record.take((record.t < 5) | (record.t > 6)).resample(0.05)
+
+
+@pytest.mark.parametrize("gap", [0.06, 1.0])
+def test_stretches_between_gaps_are_resampled_by_themselves(gap):
+    record = flown(t=0.02 * np.arange(1500), seed=2)
+    torn = record.take((record.t < 5) | (record.t > 5 + gap))
+    slow = torn.resample(0.05)
+    assert slow.name == torn.name
+    first, second = slow.stretches()
+    a, b = torn.stretches()
+    by_hand = a.resample(0.05), b.resample(0.05)
+    np.testing.assert_allclose(first.y, by_hand[0].y[: first.N], atol=0.02 * np.std(record.y))
+    np.testing.assert_array_equal(second.y, by_hand[1].y)
+    np.testing.assert_array_equal(second.t, by_hand[1].t)
+    assert first.t[-1] <= a.t[-1]  # nothing stands in the gap
+    assert a.duration - first.duration < 3 * 0.05
+    with pytest.raises(ValueError, match="no stretch of 16 samples every 2 s"):
+        torn.resample(2.0)
 
 
 def test_steps_stay_steps_when_sampled_faster():

@@ -5,7 +5,7 @@ sources and the model of an instrument stand in `casid.consistency.flightpath`. 
 how channels stand to each other, so a scale of 5 % on p may as well be one of -5 % on φ.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -132,6 +132,33 @@ class KinematicCheck:
         """
         skewed = [each for each in self.channels if abs(each.skew) > _late(each)]
         return {each.channel: -each.skew for each in skewed}
+
+    def shifts_of(self, logger: Collection[str]) -> tuple[dict[str, float], tuple[str, ...]]:
+        """Shifts [s] of the channels of one logger, which share its clock, and why in words.
+
+        Where those in `shifts` agree, rates and forces whose skew may be the same move with them.
+        Those of which nothing is told do too, unless another of the logger stands elsewhere.
+        """
+        own = {name: lag for name, lag in self.shifts.items() if name in logger}
+        known = {each.channel: each for each in self.channels if each.channel in logger}
+        known = {name: each for name, each in known.items() if each.determined}
+        if not own:
+            return {}, ()
+        weights = [1 / max(known[name].skew_error, 1e-6) ** 2 for name in own]
+        skew = float(np.average([known[name].skew for name in own], weights=weights))
+        alike = {name for name, each in known.items() if abs(each.skew - skew) <= _late(each)}
+        untold = {*RATES, *FORCES} & {*logger} - {*known}
+        moves = dict(own)
+        if {*own} <= alike:
+            moves = dict.fromkeys(alike if alike < {*known} else alike | untold, -skew)
+        more, stay = (
+            ", ".join(sorted(names))
+            for names in ({*moves} - {*own}, {*known} - {*moves} | untold - {*moves})
+        )
+        why = f"{more}: of the logger of {', '.join(own)}, and no other skew is seen" if more else ""
+        told = ", ".join(f"{name} {1e3 * each.skew:+.0f} ms" for name, each in known.items())
+        rest = f"{stay} not: skews of its logger's channels differ ({told})" if stay else ""
+        return moves, tuple(each for each in (why, rest) if each)
 
     @property
     def consistent(self) -> bool:

@@ -1,6 +1,6 @@
 """What a study does to its records before anything is estimated: the operations of `Record`."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -55,8 +55,13 @@ class Mending:
         said |= {"channels.repeats": "count as missing"} if self.fresh else {}
         return said | ({"channels.outliers": "count as missing"} if self.mask else {})
 
-    def mended(self, records: Mapping[Any, Record]) -> dict[Any, Record]:
-        """Records with repeats and outliers marked as missing and channels moved in time."""
+    def mended(
+        self, records: Mapping[Any, Record], second: Collection[str] = ()
+    ) -> dict[Any, Record]:
+        """Records with repeats and outliers marked as missing and channels moved in time.
+
+        Channels of the ``second`` logger move together, and so do all others.
+        """
         done = dict(records)
         if self.fresh:
             done = {key: without_repeats(record) for key, record in done.items()}
@@ -67,9 +72,10 @@ class Mending:
                 warn(f"{count} outliers count as missing, as the study asks for")
         by = self.shift
         if isinstance(by, str):
-            by = kinematic_check(tuple(done.values())).shifts
+            by, why = _skews(tuple(done.values()), second)
             told = ", ".join(f"{name} {1e3 * lag:+.0f} ms" for name, lag in by.items())
-            warn(f"kinematics moves channels in time, as the study asks for: {told or 'none'}")
+            said = "; ".join((told or "none", *why))
+            warn(f"kinematics moves channels in time, as the study asks for: {said}")
         lags = by
         return {key: record.shift(lags) if lags else record for key, record in done.items()}
 
@@ -98,6 +104,16 @@ class Cutting:
         if self.resample is not None:
             record = record.resample(self.resample)
         return record.decimate(self.decimate)
+
+
+def _skews(
+    records: Sequence[Record], second: Collection[str]
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Shifts [s] that bring the channels of both loggers into line, and why in words."""
+    check, names = kinematic_check(records), records[0].outputs
+    first = [name for name in names if name not in second]
+    found = [check.shifts_of(logger) for logger in (first, second)]
+    return found[0][0] | found[1][0], (*found[0][1], *found[1][1])
 
 
 def with_inputs(record: Record, names: tuple[str, ...]) -> Record:

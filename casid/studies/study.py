@@ -110,7 +110,8 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
             (file, role.noise): _noisy(study, measured[file]) if role.noise else measured[file]
             for role in study.roles.values()
             for file in role.files
-        }
+        },
+        second=() if study.channels.second is None else study.channels.second.channels,
     )
     raw: dict[Role, list[Record]] = {}
     for role, each in study.roles.items():

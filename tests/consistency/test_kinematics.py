@@ -67,6 +67,30 @@ def test_each_error_is_put_into_words():
     assert not check.consistent
 
 
+LATE = dict.fromkeys((*RATES, *FORCES), (0.0, 0.0, 0.06))
+
+
+def test_channels_of_a_logger_of_which_nothing_is_told_move_with_the_others():
+    late = flight(0, LATE, NOISE, (*ATTITUDES, *FORCES))  # forces have no velocities to stand by
+    check = kinematic_check([late])
+    assert {*check.shifts} <= {*RATES}
+    moves, (why,) = check.shifts_of(late.outputs)
+    assert {*moves} == {*RATES, *FORCES}
+    np.testing.assert_allclose(list(moves.values()), -0.06, atol=0.005)
+    assert why.startswith("ax, ay, az")
+    assert "no other skew is seen" in why
+    alone = check.shifts_of(("p", "q", "r"))
+    assert {*alone[0]} == {*RATES}
+    assert check.shifts_of(FORCES) == ({}, ())  # a logger of their own
+
+
+def test_a_logger_whose_channels_differ_in_skew_moves_one_by_one():
+    mixed = flight(0, {"p": (0.0, 0.0, 0.06)}, NOISE, (*ATTITUDES, *FORCES))
+    moves, (why,) = kinematic_check([mixed]).shifts_of(mixed.outputs)
+    assert moves == {"p": pytest.approx(-0.06, abs=0.005)}
+    assert why.startswith("ax, ay, az, q, r not: skews of its logger's channels differ (p +")
+
+
 @pytest.mark.parametrize("outputs", [WHOLE, ATTITUDES], ids=len)
 @pytest.mark.parametrize("seed", range(3))
 def test_good_instruments_give_no_alarm(seed, outputs):

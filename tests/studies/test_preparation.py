@@ -31,6 +31,16 @@ def test_records_are_cut_and_resampled(tmp_path):
     assert (records["sweep"].t[0], records["3211"].t[0]) == (2.0, 0.0)
 
 
+def test_a_record_with_a_gap_is_resampled_stretch_by_stretch(tmp_path):
+    path = write_study(tmp_path, QUIET, (PLACE, PLACE + "resample = 0.08\n"))
+    rows = (tmp_path / "sweep.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "sweep.csv").write_text("".join(rows[:301] + rows[351:]))  # 2 s are missing
+    sweep = read_records(read_study(path))["identification"][1]
+    assert sweep.name == "sweep"
+    assert [round(float(sweep.t[k]), 2) for k in sweep.gaps()] == [11.92]
+    assert {round(each.dt, 9) for each in sweep.stretches()} == {0.08}
+
+
 def test_channels_are_moved_in_time(tmp_path):
     plain = read(tmp_path, QUIET)["sweep"]
     moved = read(tmp_path, QUIET, (PLACE, f"[channels.shift]\nphi = -0.08\n{PLACE}"))["sweep"]
