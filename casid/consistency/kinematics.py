@@ -155,7 +155,9 @@ class KinematicCheck:
             ", ".join(sorted(names))
             for names in ({*moves} - {*own}, {*known} - {*moves} | untold - {*moves})
         )
-        why = f"{more}: of the logger of {', '.join(own)}, and no other skew is seen" if more else ""
+        why = (
+            f"{more}: of the logger of {', '.join(own)}, and no other skew is seen" if more else ""
+        )
         told = ", ".join(f"{name} {1e3 * each.skew:+.0f} ms" for name, each in known.items())
         rest = f"{stay} not: skews of its logger's channels differ ({told})" if stay else ""
         return moves, tuple(each for each in (why, rest) if each)

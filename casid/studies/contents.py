@@ -85,7 +85,8 @@ def _settings(study: Study) -> dict[str, str]:
         said["bounds"] = ", ".join(f"{k} [{a:g}, {b:g}]" for k, (a, b) in study.bounds.items())
     for table, value in study.settings.items():
         said |= _written(table, value, next(s.settings for s in study.stages if s.table == table))
-    return said
+    own = ", ".join(study.responses)
+    return said | ({"output_error.responses": own} if own else {})
 
 
 def _written(place: str, value: Any, default: Any) -> dict[str, str]:  # noqa: ANN401 - any settings

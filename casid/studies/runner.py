@@ -21,6 +21,7 @@ from casid.stages.listing import sections
 from casid.stages.stage import Role, run_stages
 from casid.studies.contents import content
 from casid.studies.keeping import Keeper, Watch
+from casid.studies.responses import with_measured
 from casid.studies.study import Study, read_flights
 from casid.tabulation import csv_text
 from casid.threads import one_thread
@@ -106,7 +107,7 @@ def run_study(
 def _run(
     study: Study, records: Mapping[Role, Sequence[Record]], again: Repeats, keeper: Keeper
 ) -> Outcome:
-    found = run_stages(study.task(records), keep=keeper)
+    found = run_stages(with_measured(study.task(records), study.responses), keep=keeper)
     does = {stage.name: stage.does for stage in study.stages}
     lasting = {stage.name for stage in study.stages if stage.kept}
     keeper.warnings += [f"The {does[name]} is missing. {e}" for name, e in found.failures.items()]

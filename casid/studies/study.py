@@ -79,6 +79,7 @@ class Study:
     settings: Mapping[str, Any]  # by table, of stages that have one
     design: NextFlight = field(default_factory=NextFlight)
     png: bool = False  # whether figures are written as PNG beside the SVG
+    responses: tuple[str, ...] = ()  # of the refinement, as the file names them
 
     def task(self, roles: Mapping[Role, Any]) -> Task:
         """What the stages work on, with these records by role."""

@@ -17,12 +17,15 @@ from casid.design.plan import NextFlight
 from casid.errors import ModelError
 from casid.files import Column
 from casid.free import free_parameters
+from casid.frequency.response import FrequencyResponse
 from casid.model import Model
 from casid.record import Hold
 from casid.stages.listing import STAGES
+from casid.stages.refinement import OUTPUT_ERROR
 from casid.stages.stage import ROLES, Role, Stage, check_task, fitting
 from casid.structure.modelfile import load_model, locate_model
 from casid.studies.preparation import read_cutting, read_mending, read_second, read_trim
+from casid.studies.responses import check_flights, read_responses
 from casid.studies.settings import read_settings
 from casid.studies.study import Channels, Noise, RecordSet, Study
 from casid.tables import Table, read_toml
@@ -62,6 +65,10 @@ def read_study(
     roles = _roles(top.table("records", needed=True), path.parent)
     _check_noise(roles, noise, path)
     _check_trims(roles, type(model), path)
+    refining = top.table("output_error")
+    responses = refining.names("responses")
+    flown = {role: each.files for role, each in roles.items()}
+    check_flights(refining, responses, flown, choice="choice" in top.content)
     study = Study(
         path=path,
         title=heading.take("title", str, path.stem),
@@ -74,7 +81,8 @@ def read_study(
         roles=roles,
         noise=noise,
         stages=fitting(model, stages, top.content),
-        settings=_settings(top, stages),
+        settings=_settings(top, stages, read_responses(responses, path.parent, model)),
+        responses=responses,
         design=read_settings(top.table("design"), NextFlight()),
         png=heading.take("png", bool, False),
     )
@@ -270,10 +278,16 @@ def _check_trims(roles: Mapping[Role, RecordSet], structure: type[Model], path: 
                 raise ValueError(f"{place} {name} = {value}, expected a finite number")
 
 
-def _settings(top: Table, stages: Sequence[Stage]) -> dict[str, Any]:
+def _settings(
+    top: Table, stages: Sequence[Stage], responses: Sequence[FrequencyResponse]
+) -> dict[str, Any]:
     """Settings of the stages whose tables there are, and of their defaults nothing."""
     own = {stage.table: stage for stage in stages if stage.table in top.content}
-    return {
-        name: read_settings(top.table(name), stage.settings, stage.given)
-        for name, stage in own.items()
-    }
+    found = {}
+    for name, stage in own.items():
+        table, defaults = top.table(name), stage.settings
+        if name == OUTPUT_ERROR.table:
+            rest = {key: value for key, value in table.content.items() if key != "responses"}
+            table, defaults = Table(rest, table.place), replace(defaults, responses=responses)
+        found[name] = read_settings(table, defaults, stage.given)
+    return found
