@@ -9,6 +9,11 @@ once with the outputs before the inputs in the same sample (what both innovation
 and once the other way round. Where little comes from outside, a model from u to y is the inverse of
 the controller (L. Ljung, System Identification, 2nd ed., section 13.4). Rates cannot jump with a
 command, so the first order is the one to believe; the second is what wrong clocks could hide.
+
+Flights with other feedback or other inputs have autoregressions of their own: one of all of them
+takes what tells them apart for excitation. Only where Akaike's criterion prefers it, one is fitted
+to all; else the spectra of the flights are added, each by its length, so that an input counts in a
+flight by its power there.
 """
 
 import warnings
@@ -26,15 +31,7 @@ from casid.values import storable
 
 LAGS = 0.6  # time [s] that the autoregression reaches back at most
 MOST = 60  # lags
-TRIED = (
-    1.0,
-    0.7,
-    0.5,
-    0.35,
-    0.25,
-    0.15,
-    0.1,
-)  # shares of that among which Akaike's criterion picks
+TRIED = 1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1  # shares of that, tried by Akaike's criterion
 ROWS = 4.0  # samples for every coefficient of an equation, at least
 POINTS = 60  # frequencies
 EDGES = 0.05, 0.95  # of an input's power between which it is judged
@@ -44,10 +41,8 @@ WEAK = 0.003  # power of a combination of inputs of power one, below which it do
 WIDE = 1.3  # ratio of frequencies that a doubted band spans at least
 ANSWER = 0.5  # share of an output that outside inputs make, and
 COHERENT = 0.85  # that goes with the inputs, below both of which it does not answer them
-RATES, APART = (
-    ("p", "q", "r"),
-    0.4,
-)  # angular rates, of which less goes with the inputs if disturbed
+RATES = "p", "q", "r"
+APART = 0.4  # of an angular rate: if less goes with the inputs it is disturbed
 SINGULAR = 1e-9  # relative power of an innovation that no noise drives
 WINDOW = 2.0  # s in which inputs that move are to be answered
 STILL = 0.02  # of its deviation over the record, below which an output rests
@@ -77,7 +72,7 @@ class Excitation:
     within : (K, nu) bool array
         Frequencies between which 90 % of an input's power lies.
     lags : int
-        Of the autoregression.
+        Of the autoregression, the longest of several.
     unanswered : tuple of (str, float, float)
         Record, from and to [s]: inputs move and all outputs rest.
     singular : bool
@@ -183,8 +178,9 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
     Parameters
     ----------
     records : Record or sequence of Record
-        With the same channels, judged together. Outputs that lag their inputs by a clock look like
-        feedback, inputs that lag like excitation: apply skews that are known (`Record.shift`).
+        With the same channels, judged flight by flight unless they agree, and put together. Outputs
+        that lag their inputs by a clock look like feedback, inputs that lag like excitation: apply
+        skews that are known (`Record.shift`).
     omega : array
         Frequencies [rad/s]; chosen from the records unless given.
 
@@ -207,13 +203,13 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
         longest = max(part.duration for part in parts)
         omega = np.geomspace(min(4 * np.pi / longest, 0.2 / dt), 0.8 * np.pi / dt, POINTS)
     omega = np.asarray(omega, dtype=float)
-    A, S = autoregression([z / size for z in columns], dt)
-    lower, upper, joint, answers = shares(A, S, len(outputs), omega * dt)
-    floor = np.linalg.eigvalsh(S[: len(outputs), : len(outputs)])[0]
+    found = autoregressions([z / size for z in columns], dt)
+    lower, upper, joint, answers = shares(found, len(outputs), omega * dt)
+    floor = max(np.linalg.eigvalsh(each.S[: len(outputs), : len(outputs)])[0] for each in found)
     return Excitation(
         inputs=inputs, outputs=outputs, omega=omega, lower=lower, upper=np.maximum(lower, upper),
         joint=joint, answer=answers[0], coherence=answers[1], within=powerful(parts, omega),
-        lags=len(A),
+        lags=max(len(each.A) for each in found),
         unanswered=tuple(span for part in parts for span in unanswered(part)),
         singular=bool(floor < SINGULAR),
     )  # fmt: skip
@@ -280,9 +276,35 @@ def powerful(records: Sequence[Record], omega: Array) -> BoolArray:
     return np.column_stack(found)
 
 
-def autoregression(columns: Sequence[Array], dt: float) -> tuple[Array, Array]:
-    """Coefficients (p, n, n) and innovation covariance of several records' columns (N, n)."""
-    n, longest = columns[0].shape[1], max(2, min(MOST, round(LAGS / dt)))
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Loop:
+    """An autoregression of one flight, or of several that agree in it."""
+
+    A: Array  # (p, n, n) coefficients
+    S: Array  # (n, n) covariance of the innovations
+    rows: int  # samples it comes from
+    criterion: float  # Akaike's
+
+
+def autoregressions(columns: Sequence[Array], dt: float) -> list[Loop]:
+    """The autoregression of all records' columns (N, n), or one of each if these differ."""
+    whole = autoregression(columns, dt)
+    least = max(1, round(TRIED[-1] * longest_lag(dt)))
+    enough = all(len(z) - longest_lag(dt) >= ROWS * z.shape[1] * least for z in columns)
+    if len(columns) == 1 or not enough:
+        return [whole]
+    single = [autoregression([z], dt) for z in columns]
+    return single if sum(each.criterion for each in single) < whole.criterion else [whole]
+
+
+def longest_lag(dt: float) -> int:
+    """Most lags that are tried."""
+    return max(2, min(MOST, round(LAGS / dt)))
+
+
+def autoregression(columns: Sequence[Array], dt: float) -> Loop:
+    """One autoregression of several records' columns (N, n)."""
+    n, longest = columns[0].shape[1], longest_lag(dt)
     rows = sum(max(len(z) - longest, 0) for z in columns)
     lags = sorted({max(1, round(share * longest)) for share in TRIED})
     lags = [p for p in lags if rows >= ROWS * n * p]
@@ -292,19 +314,23 @@ def autoregression(columns: Sequence[Array], dt: float) -> tuple[Array, Array]:
             "give longer records, or fewer channels"
         )
     G = np.sum([products(z, longest) for z in columns if len(z) > longest], axis=0)
-    best, found = np.inf, (np.zeros((1, n, n)), np.eye(n))
-    for p in lags:
-        past = slice(n, n * (p + 1))
-        inner = G[past, past] + 1e-10 * rows * np.eye(n * p)
-        coefficients = np.linalg.solve(inner, G[past, :n])
-        S = (G[:n, :n] - coefficients.T @ G[past, :n]) / rows
-        S = (S + S.T) / 2 + 1e-12 * np.eye(n)
-        criterion = rows * np.linalg.slogdet(S)[1] + 2 * n * n * p
-        if criterion < best:
-            best = criterion
-            A = coefficients.T.reshape(n, p, n).swapaxes(0, 1)
-            found = A, S * rows / (rows - n * p)
-    return found
+    tried = [_of_lags(G, rows, n, p) for p in lags]
+    return min(tried, key=lambda each: each.criterion)
+
+
+def _of_lags(G: Array, rows: int, n: int, p: int) -> Loop:
+    """The autoregression of p lags from the `products` G of n channels."""
+    past = slice(n, n * (p + 1))
+    inner = G[past, past] + 1e-10 * rows * np.eye(n * p)
+    coefficients = np.linalg.solve(inner, G[past, :n])
+    S = (G[:n, :n] - coefficients.T @ G[past, :n]) / rows
+    S = (S + S.T) / 2 + 1e-12 * np.eye(n)
+    return Loop(
+        A=coefficients.T.reshape(n, p, n).swapaxes(0, 1),
+        S=S * rows / (rows - n * p),
+        rows=rows,
+        criterion=rows * np.linalg.slogdet(S)[1] + 2 * n * n * p + n * (n + 1),
+    )
 
 
 def products(z: Array, p: int) -> Array:
@@ -322,37 +348,46 @@ def products(z: Array, p: int) -> Array:
     return np.asarray(G.transpose(0, 2, 1, 3).reshape(n * (p + 1), n * (p + 1)))
 
 
-def shares(A: Array, S: Array, ny: int, phase: Array) -> tuple[Array, Array, Array, Array]:
+def shares(
+    loops: Sequence[Loop], ny: int, phase: Array
+) -> tuple[Array, Array, Array, tuple[Array, Array]]:
     """Lower, upper and joint share of the inputs from outside, and what follows them."""
-    p, n = A.shape[:2]
+    spectra = [_spectra(each, ny, phase) for each in loops]
+    late, early, whole = (sum(parts) for parts in zip(*spectra, strict=True))
+    power = np.einsum("kii->ki", whole).real
+    own, at_most = (np.einsum("kii->ki", each).real / power for each in (late, early))
+    size = np.sqrt(power[:, ny:])
+    scale = size[:, :, None] * size[:, None, :]
+    inner = whole[:, ny:, ny:] / scale + WEAK * np.eye(size.shape[1])
+    root = np.linalg.inv(np.linalg.cholesky(inner))
+    part = root @ (late[:, ny:, ny:] / scale) @ root.conj().swapaxes(1, 2)
+    joint = np.maximum(np.linalg.eigvalsh(part)[:, 0], 0.0)
+    weight = power[:, :ny] * np.gradient(phase)[:, None]
+    answer = np.sum(own[:, :ny] * weight, axis=0) / np.sum(weight, axis=0)
+    return own[:, ny:], at_most[:, ny:], joint, (answer, followed(whole, ny, phase))
+
+
+def _spectra(loop: Loop, ny: int, phase: Array) -> tuple[Array, Array, Array]:
+    """Spectra (K, n, n) that the inputs' innovations make, last and first in a sample, and all."""
+    p, n = loop.A.shape[:2]
     other = [*range(ny, n), *range(ny)]
-    first = np.linalg.cholesky(S)
-    second = np.zeros((n, n))
-    second[np.ix_(other, range(n))] = np.linalg.cholesky(S[np.ix_(other, other)])
+    last, first = np.linalg.cholesky(loop.S), np.zeros((n, n))
+    first[np.ix_(other, range(n))] = np.linalg.cholesky(loop.S[np.ix_(other, other)])
     lags = np.exp(-1j * np.outer(phase, np.arange(1, p + 1)))
-    H = np.linalg.inv(np.eye(n) - np.tensordot(lags, A, axes=1))
-    late, early = H @ first, H @ second
-    whole = np.sum(np.abs(late) ** 2, axis=2)
-    outside = np.sum(np.abs(late[:, :, ny:]) ** 2, axis=2) / whole
-    upper = np.sum(np.abs(early[:, ny:, : n - ny]) ** 2, axis=2) / whole[:, ny:]
-    scaled = late[:, ny:] / np.sqrt(whole[:, ny:, None])
-    power = scaled @ scaled.conj().swapaxes(1, 2) + WEAK * np.eye(n - ny)
-    part = np.linalg.inv(np.linalg.cholesky(power)) @ scaled[:, :, ny:]
-    joint = np.linalg.norm(part, ord=-2, axis=(1, 2)) ** 2
-    weight = whole[:, :ny] * np.gradient(phase)[:, None]
-    answer = np.sum(outside[:, :ny] * weight, axis=0) / np.sum(weight, axis=0)
-    return outside[:, ny:], upper, joint, np.array([answer, followed(late, ny, phase)])
+    H = np.linalg.inv(np.eye(n) - np.tensordot(lags, loop.A, axes=1))
+    factors = (H @ last[:, ny:], H @ first[:, : n - ny], H @ last)
+    late, early, whole = (loop.rows * F @ F.conj().swapaxes(1, 2) for F in factors)
+    return late, early, whole
 
 
-def followed(factor: Array, ny: int, phase: Array) -> Array:
-    """Share of each output's power that is coherent with the inputs, from a factor of spectra."""
-    y, u = factor[:, :ny], factor[:, ny:]
-    power = np.sum(np.abs(y) ** 2, axis=2)
-    size = np.linalg.norm(u, axis=2, keepdims=True)
-    u = u / np.where(size > 0, size, 1.0)
-    across = y @ u.conj().swapaxes(1, 2)
-    inner = u @ u.conj().swapaxes(1, 2) + 1e-9 * np.eye(u.shape[1])
+def followed(whole: Array, ny: int, phase: Array) -> Array:
+    """Share of each output's power that is coherent with the inputs, from spectra (K, n, n)."""
+    power = np.einsum("kii->ki", whole).real
+    size = np.sqrt(np.where(power > 0, power, 1.0))[:, ny:]
+    across = whole[:, :ny, ny:] / size[:, None, :]
+    scale = size[:, :, None] * size[:, None, :]
+    inner = whole[:, ny:, ny:] / scale + 1e-9 * np.eye(size.shape[1])
     gain = np.linalg.solve(inner, across.conj().swapaxes(1, 2)).conj().swapaxes(1, 2)
     coherent = np.sum(gain * across.conj(), axis=2).real
     spacing = np.gradient(phase)[:, None]
-    return np.asarray(np.sum(coherent * spacing, axis=0) / np.sum(power * spacing, axis=0))
+    return np.asarray(np.sum(coherent * spacing, axis=0) / np.sum(power[:, :ny] * spacing, axis=0))

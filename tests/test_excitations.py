@@ -9,7 +9,7 @@ from truths import uh60
 from benchmarks.excitation import DT, RATIOS, flown, share
 from casid import Record, excitation, pbsid
 from casid.commands.inspection import inspect_records
-from casid.excitations import products, runs
+from casid.excitations import autoregression, autoregressions, products, runs, shares
 from casid.values import decode, encode
 
 
@@ -151,3 +151,52 @@ def test_a_certificate_can_be_stored():
     found = excitation(flown(1, 0.05, N=2000))
     again = decode(encode(found))
     assert again.doubts() == found.doubts()
+
+
+def looped(K, outside, seed, N=6000):
+    """A record of one axis under feedback K, y moved by noise and u by some outside power."""
+    rng = np.random.default_rng(seed)
+    e, w = rng.standard_normal((2, N))
+    y, u, x, v, r = np.zeros(N), np.zeros(N), 0.0, 0.0, 0.0
+    for k in range(N):
+        v, r = 0.9 * v + 0.1 * e[k], 0.8 * r + 0.2 * np.sqrt(outside) * w[k]
+        y[k] = x + v
+        u[k] = r - K * y[k]
+        x = 0.96 * x + 0.05 * u[k]
+    return Record(DT * np.arange(N), u[:, None], y[:, None], ("u",), ("q",), f"gain {K}")
+
+
+def outside_share(records, omega):
+    """Closed form over several flights: outside power of the input over all of it."""
+    z = np.exp(1j * omega * DT)
+    parts = []
+    for K, outside in records:
+        S = 1 / (1 + K * 0.05 / (z - 0.96))
+        r, v = 0.2 / (1 - 0.8 / z), 0.1 / (1 - 0.9 / z)
+        parts.append((outside * np.abs(S * r) ** 2, np.abs(S * K * v) ** 2))
+    own, back = np.sum(parts, axis=0)
+    return own / (own + back)
+
+
+def test_flights_under_other_feedback_are_judged_one_by_one():
+    loops = [(0.3, 0.01), (4.0, 0.01), (1.2, 0.01)]
+    flights = [looped(*each, seed=k) for k, each in enumerate(loops)]
+    found = excitation(flights)
+    inside = found.within[:, 0]
+    truth = outside_share(loops, found.omega)[inside]
+    # 18 000 samples of a loop that noise drives: the spread of one such share is about 0.05.
+    np.testing.assert_allclose(found.lower[inside, 0], truth, atol=0.1)
+    assert "Of input u only" in found.doubts()[0]
+    columns = [np.hstack([each.y, each.u]) for each in flights]
+    pooled = shares([autoregression(columns, DT)], 1, found.omega * DT)[0][inside, 0]
+    assert np.median(pooled - truth) > 0.3  # what tells the flights apart, taken for excitation
+
+
+def test_flights_that_agree_share_one_autoregression():
+    flights = [looped(1.0, 0.5, seed) for seed in range(3)]
+    columns = [np.hstack([each.y, each.u]) for each in flights]
+    assert len(autoregressions(columns, DT)) == 1
+    other = looped(1.0, 5.0, 3)  # the same feedback, more from outside
+    assert len(autoregressions([*columns, np.hstack([other.y, other.u])], DT)) == 4
+    short = [z[:60] for z in columns]
+    assert len(autoregressions([columns[0], *short], DT)) == 1
