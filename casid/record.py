@@ -226,8 +226,8 @@ class Record(Shown):
                 f"record {self.name!r} has gaps in time, and no stretch of {FEWEST} samples every "
                 f"{dt:g} s between them; resample it at shorter intervals, or leave it out"
             )
-        columns = {name: np.concatenate([getattr(x, name) for x in parts]) for name in "tuy"}
-        return replace(self, **columns, hold=parts[0].hold)
+        t, u, y = (np.concatenate([getattr(x, name) for x in parts]) for name in "tuy")
+        return replace(self, t=t, u=u, y=y, hold=parts[0].hold)
 
     def shift(self, by: Mapping[str, float]) -> "Record":
         """Channels moved in time [s]: -0.06 for one that is 0.06 s late.

@@ -6,7 +6,7 @@ spectra themselves are computed in `casid.frequency.spectra`, which also lists t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -57,27 +57,35 @@ class SpectralAnalysis:
         min(half the longest record, a fifth of all records together), T&R section 10.3.
     conditioned : bool
         False takes every pair by itself, as if the other inputs did not move.
+    reference : sequence of str
+        Channels recorded outside the loop, as many as inputs: test signals or set points that noise
+        does not drive. In closed loop the inputs carry the outputs' noise, which biases a response
+        estimated from them towards that of the controller; G = Φ_yr Φ_ur⁻¹ (the joint input-output
+        approach) is free of that. Errors are larger where the references move the inputs little.
     """
 
     omega: Array | None = None
     windows: Sequence[float] | None = None
     conditioned: bool = True
+    reference: Sequence[str] = ()
 
     @one_thread
     def fit(self, records: Records) -> FrequencyResponse:
         """Frequency response of the records; see `frequency_response`."""
-        flown = records = stretches(records)
-        inputs, outputs = same_channels(records)
-        grid = sampling.default_grid(records) if self.omega is None else self.omega
-        omega = sampling.checked_grid(grid, records)
-        records = [sampling.equidistant(record, omega[-1]) for record in records]
+        flown = stretches(records)
+        inputs, outputs = self._channels(flown)
+        plain = [record.select(inputs, outputs) for record in flown]
+        grid = sampling.default_grid(plain) if self.omega is None else self.omega
+        omega = sampling.checked_grid(grid, plain)
+        even = [sampling.equidistant(record, omega[-1]) for record in flown]
+        records = [record.select(inputs, outputs) for record in even]
         lengths = sampling.checked_windows(self.windows, records, omega)
         silent = still(records, (*inputs, *outputs))
         active = [i for i, name in enumerate(inputs) if name not in silent]
         if not active:
             raise ValueError(f"no input moves in any record ({', '.join(inputs)}): nothing excites")
-        moving = [record.select(inputs=[inputs[i] for i in active]) for record in records]
-        lengths, parts, counted = _parts(moving, omega, lengths, conditioned=self.conditioned)
+        moving = self._moving(even, [inputs[i] for i in active], outputs)
+        lengths, parts, counted = _parts(moving, omega, lengths, self)
         usable = _usable(omega, lengths, parts) & counted
         merged = composite(parts, usable)
         number = merged.condition if self.conditioned else np.ones(len(omega))
@@ -95,10 +103,54 @@ class SpectralAnalysis:
             multiple_coherence=multiple, condition=merged.condition,
             windows=tuple(lengths), flags=_flags(omega, lengths[-1], usable, counted, number),
             records=tuple(record.name for record in records),
-            fingerprints=tuple(fingerprint(record) for record in flown),
+            fingerprints=tuple(fingerprint(record) for record in plain),
         )  # fmt: skip
         _warn(found, silent)
         return found
+
+    def _channels(self, records: Sequence[Record]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Inputs and outputs of the response: all channels but the references."""
+        inputs, outputs = same_channels(records)
+        if wrong := [name for name in self.reference if name not in (*inputs, *outputs)]:
+            raise ValueError(
+                f"reference: the records have no channel {wrong[0]!r}; they have "
+                f"{', '.join((*inputs, *outputs))}"
+            )
+        if self.reference and not self.conditioned:
+            raise ValueError("conditioned=False does not go with a reference; leave it out")
+        left = (
+            tuple(name for name in names if name not in self.reference)
+            for names in (inputs, outputs)
+        )
+        inputs, outputs = left
+        if not inputs or not outputs:
+            raise ValueError(
+                f"reference={tuple(self.reference)} leaves no input or no output; references are "
+                "channels beside these"
+            )
+        return inputs, outputs
+
+    def _moving(
+        self, records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[str]
+    ) -> list[Record]:
+        """The records with inputs that move, then the references, as inputs."""
+        if not self.reference:
+            return [record.select(inputs, outputs) for record in records]
+        moving = set(self.reference) - {*still(records, self.reference)}
+        if len(moving) != len(inputs) or len(self.reference) != len(inputs):
+            raise ValueError(
+                f"reference={tuple(self.reference)}, of which {len(moving)} move: expected one "
+                f"moving reference for each input that moves ({', '.join(inputs)})"
+            )
+        names = (*inputs, *self.reference)
+        return [
+            replace(
+                record.select(outputs=outputs),
+                u=np.column_stack([record.channel(name) for name in names]),
+                inputs=names,
+            )
+            for record in records
+        ]
 
 
 def frequency_response(
@@ -107,6 +159,7 @@ def frequency_response(
     omega: Array | None = None,
     windows: Sequence[float] | None = None,
     conditioned: bool = True,
+    reference: Sequence[str] = (),
 ) -> FrequencyResponse:
     """Frequency response of all outputs to all inputs, with coherence and random error.
 
@@ -118,7 +171,7 @@ def frequency_response(
         samples are filled in (`casid.autoregression`), and windows that lack them for longer than
         a period are left out, with a `DataWarning`. Inputs held by steps ("zoh") are taken as
         steps, others as smooth.
-    omega, windows, conditioned
+    omega, windows, conditioned, reference
         As in `SpectralAnalysis`.
 
     Returns
@@ -133,7 +186,9 @@ def frequency_response(
         Frequencies beyond Nyquist's, windows longer than every record, too few windows without long
         losses.
     """
-    analysis = SpectralAnalysis(omega=omega, windows=windows, conditioned=conditioned)
+    analysis = SpectralAnalysis(
+        omega=omega, windows=windows, conditioned=conditioned, reference=reference
+    )
     return analysis.fit(records)
 
 
@@ -160,16 +215,18 @@ def _laid(values: Any, where: Any, shape: tuple[int, int]) -> Any:  # noqa: ANN4
 
 
 def _parts(
-    records: Sequence[Record], omega: Array, lengths: Sequence[float], *, conditioned: bool
+    records: Sequence[Record], omega: Array, lengths: Sequence[float], analysis: SpectralAnalysis
 ) -> tuple[list[float], list[Conditioned], BoolArray]:
     """Window lengths with enough windows, their spectra, and where these are enough."""
+    conditioned, references = analysis.conditioned, len(analysis.reference)
     whole = [filled(record) for record in records]
+    pieces, gone = [r for r, _ in whole], [lost for _, lost in whole]
     kept, parts, counted = [], [], []
     for length in lengths:
-        spectra = record_spectra([r for r, _ in whole], omega, length, [lost for _, lost in whole])
+        spectra = record_spectra(pieces, omega, length, gone, references)
         # With fewer windows than inputs nothing is left to tell the inputs apart; without those
         # in which an input moved nothing but leakage is left of it.
-        enough = spectra.count >= (records[0].nu if conditioned else 1)
+        enough = spectra.count >= (records[0].nu - references if conditioned else 1)
         enough &= spectra.kept >= KEPT
         if enough.any():
             kept.append(length)

@@ -46,6 +46,12 @@ class Spectra:
     count: Array  # (K,) windows used
     kept: Array  # (K,) power kept of the input that lost most in windows left out
     omega: Array  # (K,) [rad/s]
+    references: tuple[ComplexArray, ComplexArray, ComplexArray] | None = None  # Grr, Gru, Gry
+
+    @property
+    def known(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Spectra with what noise does not drive: with the references, else with the inputs."""
+        return self.references or (self.Guu, self.Guu, self.Guy)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,9 +84,15 @@ class Conditioned:
 
 
 def record_spectra(
-    records: Sequence[Record], omega: Array, length: float, lost: Sequence[BoolArray] | None = None
+    records: Sequence[Record],
+    omega: Array,
+    length: float,
+    lost: Sequence[BoolArray] | None = None,
+    references: int = 0,
 ) -> Spectra:
     """Spectra of each record, averaged over overlapped Hann windows of one length [s].
+
+    The last inputs of the records, as many as there are ``references``, count as these.
 
     The records are equidistant, lost samples (N, ny) filled in: those that are NaN unless told. A
     record shorter than the window is left out, and so is, at each frequency, a window in which
@@ -89,31 +101,35 @@ def record_spectra(
     lost = [np.isnan(record.y) for record in records] if lost is None else lost
     sums, powers, counts = [], [], []
     for record, gone in zip(records, lost, strict=True):
-        U, Y = _windowed(record, omega, length)
+        Z, Y = _windowed(record, omega, length)
         weight = _weights_of_windows(gone, record.dt, omega, length)  # (windows, K)
         total = weight.sum(axis=0)
         W = weight / np.where(total > 0, total, 1.0)
-        Guu = np.einsum("wk,wka,wkb->kab", W, U.conj(), U, optimize=True)
-        Guy = np.einsum("wk,wka,wki->kai", W, U.conj(), Y, optimize=True)
+        # Inputs, then references.
+        Gzz = np.einsum("wk,wka,wkb->kab", W, Z.conj(), Z, optimize=True)
+        Gzy = np.einsum("wk,wka,wki->kai", W, Z.conj(), Y, optimize=True)
         Gyz = np.einsum("wk,wki,wkl->kil", W, Y.conj(), Y, optimize=True)
         Gyy = np.einsum("kii->ki", Gyz).real
         # n windows cover 1 + (n - 1)/3 lengths.
         averages = np.where(total > 0, 1 + np.maximum(total - 1, 0) * STEP, 0.0)
-        sums.append((Guu, Guy, Gyy, Gyz, averages))
-        power = np.abs(U) ** 2
+        sums.append((Gzz, Gzy, Gyy, Gyz, averages))
+        power = np.abs(Z) ** 2
         powers.append(np.array([np.einsum("wk,wka->ka", weight > 0, power), power.sum(axis=0)]))
         counts.append((weight > 0).sum(axis=0))
-    Guu, Guy, Gyy, Gyz, averages = (np.array(column) for column in zip(*sums, strict=True))
+    Gzz, Gzy, Gyy, Gyz, averages = (np.array(column) for column in zip(*sums, strict=True))
     kept, every = np.sum(powers, axis=0)
+    n = records[0].nu - references
+    told = (Gzz[:, :, n:, n:], Gzz[:, :, n:, :n], Gzy[:, :, n:])
     return Spectra(
-        Guu=Guu,
-        Guy=Guy,
+        Guu=Gzz[:, :, :n, :n],
+        Guy=Gzy[:, :, :n],
         Gyy=Gyy,
         Gyz=Gyz,
         averages=averages,
         count=np.sum(counts, axis=0),
         kept=np.min(kept / np.where(every > 0, every, 1.0), axis=1, initial=1.0),
         omega=omega,
+        references=told if references else None,
     )
 
 
@@ -177,31 +193,41 @@ def condition(spectra: Spectra, *, conditioned: bool) -> Conditioned:
     coherence and the number of averages are those on the records that move the input: each record
     counts by its share of the conditioned input's power. When one axis moves at a time these are
     the figures of that axis's records, as in T&R; when all records are alike, those of all records.
+
+    With references r that no noise drives, feedback does no harm: Hᵀ = solve(Gru, Gry), whose error
+    is that of a conditioned input of power 1/diag(Gru⁻¹ Grr Gru⁻ᴴ) (Ljung, System Identification,
+    2nd ed., section 13.5, the joint input-output approach).
     """
     n = _shares(spectra)
-    Guu = np.einsum("rk,rkab->kab", n, spectra.Guu)
-    Guy = np.einsum("rk,rkai->kai", n, spectra.Guy)
+    Grr, Gru, Gry = (np.einsum("rk,rk...->k...", n, each) for each in spectra.known)
     Gyy = np.einsum("rk,rki->ki", n, spectra.Gyy)
-    level = np.sqrt(np.einsum("kaa->ka", Guu).real)
-    safe = np.where(level > 0, level, 1.0)
-    scale = safe[:, :, None] * safe[:, None, :]
-    unit = Guu / scale  # ones on the diagonal: how correlated the inputs are, whatever their units
+    level, size = _level(Grr), _level(np.einsum("rk,rkab->kab", n, spectra.Guu))
+    scale = level[:, :, None] * size[:, None, :]
+    unit = Gru / scale  # ones on the diagonal: how correlated the inputs are, whatever their units
     unit[~spectra.averages.any(axis=0)] = np.eye(unit.shape[1])
     number = np.linalg.cond(unit)
     if not conditioned:
         unit = unit * np.eye(unit.shape[1])
     wrong = np.linalg.cond(unit) > MEANINGLESS
     unit[wrong] = np.eye(unit.shape[1])
-    P = np.linalg.inv(unit) / scale
-    H = np.einsum("kab,kbi->kia", P, Guy)  # (K, ny, nu)
-    w = P / np.einsum("kaa->ka", P)[:, :, None]  # row j: the part of input j the others do not give
-    power = np.einsum("kja,rkab,kjb->rkj", w, spectra.Guu, w.conj(), optimize=True).real
+    P = np.linalg.inv(unit) / np.swapaxes(scale, 1, 2)
+    H = np.einsum("kab,kbi->kia", P, Gry)  # (K, ny, nu)
+    Q = P if spectra.references is None else P @ Grr @ np.swapaxes(P.conj(), 1, 2)
+    # Row j: the part of input j that the others do not give, as far as it is known.
+    w = P / np.einsum("kaa->ka", Q)[:, :, None]
+    power = np.einsum("kja,rkab,kjb->rkj", w, spectra.known[0], w.conj(), optimize=True).real
     H[wrong] = np.nan
     found = _pairs(spectra, H, Gyy, np.maximum(power, 0.0), number, conditioned=conditioned)
     if not conditioned:
         return found
-    across, between = _output_correlation(spectra, H), correlation(P)
+    across, between = _output_correlation(spectra, H), correlation(Q.astype(complex))
     return replace(found, output_correlation=across, input_correlation=between)
+
+
+def _level(G: ComplexArray) -> Array:
+    """Square roots (K, n) of the diagonal, one where it is zero."""
+    level = np.sqrt(np.einsum("kaa->ka", G).real)
+    return np.where(level > 0, level, 1.0)
 
 
 def _shares(spectra: Spectra) -> Array:

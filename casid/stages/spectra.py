@@ -15,5 +15,6 @@ FREQUENCY = Stage(
     run=_run,
     table="frequency",
     settings=SpectralAnalysis(),
+    given=("reference",),  # records of a study have the structure's channels only
     role=("frequency",),
 )

@@ -19,7 +19,7 @@ from casid.stages.stage import Role, Task, placed, records_of
 from casid.tables import Table
 from casid.values import decode
 
-MEASURED = "frequency"  # the response of the records of that role
+MEASURED: Role = "frequency"  # the response of the records of that role
 KINDS = ("dB", "deg", "coherence", "error")  # columns of a pair in a table of casid's
 
 
