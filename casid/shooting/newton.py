@@ -29,8 +29,6 @@ from casid.shooting.programme import Programme
 
 MEET = 1e-2  # gaps between intervals that meet, in units of unit curvature
 GAIN = 1.0  # of log-likelihood: a step that gains less ends within the confidence region
-DAMPING, MORE = 1e-5, 10.0  # of unit curvature: the first one, and what it rises and falls by
-SHORT = 3  # trials: a step shortened to a quarter
 LEAP = 10.0  # times the step into the neighbourhood: too long for one within
 
 
@@ -43,7 +41,7 @@ class Newton:
 
     def __init__(self, programme: Programme, *, close: bool = False) -> None:
         self.programme = programme
-        self._descent, self._damping = _Descent(programme.n, close), _Damping()
+        self._descent = _Descent(programme.n, close)
         noise, e = programme.noise, programme.evaluator
         self.auxiliary = e.ny if noise.concentrated and e.curved else 0
         self._functions: list[ca.Function] = []
@@ -71,16 +69,10 @@ class Newton:
         own, programme, still = self.programme.size, self.programme, np.zeros(self.auxiliary)
         x, p, one, g = (ca.Sparsity.dense(k, 1) if k else ca.Sparsity(0, 0) for k in (n, 0, 1, m))
         J = ca.horzcat(programme.jacobian_pattern.sparsity, ca.Sparsity(m, self.auxiliary))
-        places = self.places()
-        pattern, diagonal = Pattern(*places, size=n), places[0] == places[1]
-        diagonal &= places[0] < own
+        pattern = Pattern(*self.places(), size=n)
 
         def cost(x: Array) -> list[Any]:
             return [programme.values(x[:own]).cost]
-
-        def tried(x: Array) -> list[Any]:
-            self._damping.trials += 1
-            return cost(x)
 
         def constraints(x: Array) -> list[Any]:
             return [programme.values(x[:own]).g]
@@ -92,10 +84,9 @@ class Newton:
             return [*constraints(x), programme.jacobian(x[:own])]
 
         def hessian(x: Array, _: Array, f: Array, lam: Array) -> list[Any]:
-            damping = float(f[0]) * self._damping.at(x) * diagonal
-            return [pattern.order(self._hessian(x[:own], float(f[0]), lam) + damping)]
+            return [pattern.order(self._hessian(x[:own], float(f[0]), lam))]
 
-        f_of = NumPyFunction("f", [x], [one], tried)
+        f_of = NumPyFunction("f", [x], [one], cost)
         g_of = NumPyFunction("g", [x], [g], constraints)
         grad = NumPyFunction("nlp_grad_f", [x, p], [one, x], gradient)
         jac = NumPyFunction("nlp_jac_g", [x, p], [g, J], jacobian)
@@ -173,28 +164,6 @@ class Newton:
         """A solution of the problem in the programme's own variables."""
         own = self.programme.size
         return replace(solution, x=solution.x[:own], multipliers_x=solution.multipliers_x[:own])
-
-
-class _Damping:
-    """What the Hessian's diagonal is raised by: more after steps that had to be shortened, or none.
-
-    Along what the records hardly tell Gauss-Newton's steps are long and the cost is curved, so that
-    IPOPT takes small parts of them (Levenberg 1944, Marquardt 1963).
-    """
-
-    def __init__(self) -> None:
-        self.trials, self._value = 0, 0.0
-        self._last: Array | None = None
-
-    def at(self, x: Array) -> float:
-        """The damping at an iterate; the same when it is asked for again."""
-        if self._last is None or not np.array_equal(x, self._last):
-            if self._last is not None and self.trials >= SHORT:
-                self._value = max(self._value * MORE, DAMPING)
-            elif self.trials <= 1:
-                self._value = self._value / MORE if self._value > DAMPING / MORE**4 else 0.0
-            self._last, self.trials = x.copy(), 0
-        return self._value
 
 
 class _Descent:

@@ -7,7 +7,7 @@ from truths.closed_roll import TRUTH, flown, jittered, with_holes
 import casid.shooting.newton
 from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
-from casid.shooting.newton import DAMPING, MORE, Newton, _Damping, _Descent
+from casid.shooting.newton import Newton, _Descent
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import noise_of, starting_programme
 
@@ -68,35 +68,3 @@ def test_newton_begins_within_the_confidence_region_and_ends_where_a_step_leaps(
     # The step of 0.05 gains a tenth of a unit; that of 1.85 is longer than ten of it.
     assert said == [False, False, False, True, True, False, False]
     assert _Descent(n, close=True).close(np.array([0.0]), 9.0)
-
-
-def test_damping_rises_with_steps_that_are_shortened_and_goes_with_those_that_are_not():
-    damping, found = _Damping(), []
-    for k, trials in enumerate([1, 4, 3, 2, 1, 1, 1, 1, 1, 1, 1]):
-        damping.trials += trials
-        x = np.array([float(k)])
-        found.append(damping.at(x))
-        assert damping.at(x) == found[-1]  # asked for twice
-    rising = [0.0, DAMPING, MORE * DAMPING, MORE * DAMPING]
-    assert found[:4] == pytest.approx(rising)
-    assert (np.diff(found[3:]) <= 0).all()
-    assert found[-1] == 0.0  # the last steps are Newton's own
-
-
-def test_damping_raises_the_diagonal_of_the_variables_alone():
-    free = free_parameters(TRUTH)
-    evaluator = Evaluator(free, lay_out([flown(seed=1).between(0, 4)], 1.0))
-    programme, point = starting_programme(evaluator, free, "diagonal", True)
-    newton = Newton(programme)
-    problem = newton.problem(programme.pack(point))
-    price = np.zeros(len(problem.lower_g))
-
-    def hessian(x):
-        return np.array(problem.hessian(x, [], 1.0, price))
-
-    before = hessian(problem.x0)
-    newton._damping.trials = 3
-    raised = hessian(problem.x0 + 1e-12) - before
-    n = programme.size
-    np.testing.assert_allclose(raised[:n, :n], DAMPING * np.eye(n), atol=1e-3 * DAMPING)
-    np.testing.assert_allclose(raised[n:], 0.0, atol=1e-3 * DAMPING)
