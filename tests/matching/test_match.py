@@ -228,6 +228,7 @@ LEAD = StateSpace([[-100.0, -2500.0], [1.0, 0.0]], [[1.0], [0.0]], [[-2500.0, -2
                   inputs=("u",), outputs=("x",))  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_poles_stay_left_of_the_line_by_constraint(norm):
     bounds = {"a": (-20.0, 20.0)}

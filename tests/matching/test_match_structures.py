@@ -79,6 +79,7 @@ KINDS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_structures_of_every_kind_are_recovered(kind, norm):
