@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -34,13 +35,15 @@ def beside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         yield lambda: _receive(here, work)
     finally:
         here.close()
-        process.kill()
+        process.terminate()
         process.join()
         process.close()
 
 
 def _send(end: Connection, work: Callable[[], Any]) -> None:
-    """Send the result of the work, nothing if it fails."""
+    """Send the result of the work, nothing if it fails; terminated, leave no file half written."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever began this ends it
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     with end:
         end.send(work())
 
