@@ -1,5 +1,6 @@
 """Linear state-space models with input delays: dx/dt = A x + B u(t - τ), y = C x + D u(t - τ)."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -135,11 +136,13 @@ class StateSpace:
         x = np.zeros(self.nx) if x0 is None else np.asarray(x0, dtype=float)
         if x.shape != (self.nx,):
             raise ValueError(f"x0 has shape {x.shape}, expected ({self.nx},)")
-        states = np.empty((len(steps.which) + 1, self.nx))
-        states[0] = x
-        for k, i in enumerate(steps.which):
-            x = steps.maps[i] @ x + steps.forcing[k]
-            states[k + 1] = x
+        if len(steps.maps) == 1:
+            states = recursion(steps.maps[0], steps.forcing[:, :, None], x[:, None])[:, :, 0]
+        else:
+            states = np.empty((len(steps.which) + 1, self.nx))
+            states[0] = x
+            for k, i in enumerate(steps.which):
+                states[k + 1] = steps.maps[i] @ states[k] + steps.forcing[k]
         return np.asarray(states @ self.C.T + steps.direct)
 
     def steps(self, t: Array, u: Array, hold: Hold = "foh") -> "Steps":
@@ -177,6 +180,29 @@ class Steps:
     which: np.ndarray
     forcing: Array
     direct: Array
+
+
+def recursion(E: Array, forcing: Array, start: Array) -> Array:
+    """x[k + 1] = E x[k] + forcing[k], x[0] = start (n, c): (N + 1, n, c) for forcing (N, n, c)."""
+    # In √N blocks: all at once from rest, then with what each takes over from the one before.
+    N, n, c = forcing.shape
+    size = math.isqrt(max(N - 1, 0)) + 1
+    count = -(-N // size)
+    padded = np.zeros((count * size, n, c))
+    padded[:N] = forcing
+    x = padded.reshape(count, size, n, c).transpose(1, 0, 3, 2).reshape(size, count * c, n)
+    for j in range(1, size):
+        x[j] += x[j - 1] @ E.T
+    heads, whole = np.empty((count + 1, c, n)), np.linalg.matrix_power(E, size).T
+    heads[0] = start.T
+    for b, last in enumerate(x[-1].reshape(count, c, n)):
+        heads[b + 1] = last + heads[b] @ whole
+    carried = heads[:-1].reshape(count * c, n)
+    for each in x:
+        carried = carried @ E.T
+        each += carried
+    found = x.reshape(size, count, c, n).transpose(1, 0, 3, 2).reshape(-1, n, c)
+    return np.concatenate([start[None], found[:N]])
 
 
 def step_groups(t: Array) -> tuple[Array, np.ndarray]:

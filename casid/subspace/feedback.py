@@ -12,6 +12,7 @@ follow from the one-step prediction errors of a model with a stable predictor.
 from collections.abc import Sequence
 
 import numpy as np
+import scipy.linalg
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import chi2
 
@@ -49,8 +50,11 @@ def fed_back_noise(
     X, U = np.vstack(rows), np.vstack(targets)
     if len(X) <= 2 * X.shape[1]:
         return 0.0
-    R = triangular(np.hstack([X, U]))
-    left = np.sum(R[X.shape[1] :, X.shape[1] :] ** 2, axis=0) / (len(X) - X.shape[1])
+    X = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+    # The share of U that X explains is compared with some per cent: products are precise enough.
+    inner, outer = X.T @ X + 1e-10 * np.eye(X.shape[1]), X.T @ U
+    explained = np.sum(outer * scipy.linalg.solve(inner, outer, assume_a="pos"), axis=0)
+    left = (np.sum(U**2, axis=0) - explained) / (len(X) - X.shape[1])
     fed = np.max(1 - left / np.mean(U**2, axis=0))
     ratio = np.mean(np.std(np.vstack(errors), axis=0))
     return float(np.sqrt(max(fed, 0.0)) * ratio)

@@ -11,14 +11,16 @@ and are computed backwards in time, exactly for a signal that is linear (or cons
 samples, whatever their spacing.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import scipy.linalg
 
 from casid.arrays import Array
-from casid.linear import StateSpace, foh_step, step_groups
+from casid.linear import StateSpace, foh_step, recursion, step_groups
 from casid.record import Hold
+
+Maps = tuple[Array, Array, Array]  # E, F0, F1 of a step backwards
 
 REACH = 2.0  # of `support`: beyond it a kernel has less than 1 % of its norm
 
@@ -66,17 +68,27 @@ def project_blocks(
     end = len(t)
     while end > 0:
         start = max(end - size, 0)
-        block = np.empty((end - start, n, v.shape[1]))
-        for i in range(end - 1, start - 1, -1):
-            if i < len(t) - 1:
-                E, F0, F1 = maps[which[i]]
-                z = E @ z + F0 * v[i] + F1 * v[i + 1]
-            block[i - start] = z
+        block = _block(maps, which[start:end], v[start : end + 1], z)[: end - start]
+        z = block[0]
         yield start, block
         end = start
 
 
-def _backward_step(A_L: Array, b: Array, h: float, hold: Hold) -> tuple[Array, Array, Array]:
+def _block(maps: Sequence[Maps], which: np.ndarray, v: Array, z: Array) -> Array:
+    """Projections at the samples v (N, nv) backwards from z (n, nv) at the last, (N, n, nv)."""
+    if len(maps) == 1:
+        E, F0, F1 = maps[0]
+        forcing = F0 * v[:-1, None] + F1 * v[1:, None]
+        return recursion(E, forcing[::-1], z)[::-1]
+    block = np.empty((len(v), *z.shape))
+    block[-1] = z
+    for i in reversed(range(len(v) - 1)):
+        E, F0, F1 = maps[which[i]]
+        block[i] = E @ block[i + 1] + F0 * v[i] + F1 * v[i + 1]
+    return block
+
+
+def _backward_step(A_L: Array, b: Array, h: float, hold: Hold) -> Maps:
     """E, F0, F1 of z(t) = E z(t + h) + F0 v(t) + F1 v(t + h)."""
     E, F1, F0 = foh_step(A_L, b[:, None], h)  # τ runs from t to t + h: the weights swap sides
     if hold == "zoh":

@@ -123,8 +123,13 @@ def output_derivative(basis: S, modal: Modal, o: int, free: np.ndarray) -> tuple
 
 def gram(rows: Array | ComplexArray) -> Array:
     """Re(rowsᴴ rows)."""
-    real = np.concatenate([rows.real, rows.imag]) if np.iscomplexobj(rows) else rows
+    real = stacked(rows) if np.iscomplexobj(rows) else rows
     return np.asarray(real.T @ real)
+
+
+def stacked(rows: Array | ComplexArray) -> Array:
+    """Real parts over imaginary ones."""
+    return np.concatenate([rows.real, rows.imag])
 
 
 def moved(modal: Modal, step: Array, free: np.ndarray) -> Modal:

@@ -83,8 +83,44 @@ def refine(
     be unstable: data and Laguerre pole cannot show it, and a spurious one spoils every use of the
     model. Neither may those of ``decaying``, poles of a system that is refined already.
     """
-    free = np.argwhere(feedthrough)
     modal = modes.to_modal(system, su, sy, feedthrough)
+    modal, weights = _moved(modal, data, feedthrough, fastest, decaying, ROUNDS)
+    free = np.argwhere(feedthrough)
+    H, _ = normal_equations(modal, data, known_weights(data, weights), free)
+    rows = 2 * sum(len(s.omega) for s in data) * len(sy)
+    used = len(H) + len(data) * system.nx
+    inflate = rows / max(rows - used, 1)  # residuals are smaller than noise by what was fitted
+    factor = modes.covariance_factor(H) * np.sqrt(inflate / 2)  # Fisher = 2 Re Σ Jᴴ W J
+    refined = modes.from_modal(modal, su, sy, system)
+    return refined, ResponseUncertainty(modal, free, factor, su, sy)
+
+
+def refined_system(
+    system: StateSpace,
+    data: Sequence[Spectrum],
+    su: Array,
+    sy: Array,
+    feedthrough: BoolArray,
+    fastest: float,
+    *,
+    rounds: int = ROUNDS,
+) -> StateSpace:
+    """What `refine` finds without its covariance, which costs as much as a step."""
+    modal = modes.to_modal(system, su, sy, feedthrough)
+    modal, _ = _moved(modal, data, feedthrough, fastest, (), rounds)
+    return modes.from_modal(modal, su, sy, system)
+
+
+def _moved(
+    modal: modes.Modal,
+    data: Sequence[Spectrum],
+    feedthrough: BoolArray,
+    fastest: float,
+    decaying: Sequence[complex] | ComplexArray,
+    rounds: int,
+) -> tuple[modes.Modal, list[Array]]:
+    """The model moved to the maximum of the likelihood, and the weights of the last round."""
+    free = np.argwhere(feedthrough)
     ceiling = _ceiling(modal, data, fastest)
     if len(decaying):  # of a refined system, in which what grows faster than the limit started so
         limit = highest_growth(data)
@@ -94,7 +130,7 @@ def refine(
         ceiling[np.isclose(modal.lam[:, None], decaying).any(axis=1)] = -NEUTRAL * limit
     modal = replace(modal, lam=_capped(modal.lam, ceiling, fastest))
     weights: list[Array] = []
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         weights = noise_weights(modal, data)
         modal = modes.descend(
             modal,
@@ -103,13 +139,7 @@ def refine(
             tidy=lambda trial: replace(trial, lam=_capped(trial.lam, ceiling, fastest)),
             free=free, steps=STEPS, settled=SETTLED,
         )  # fmt: skip
-    H, _ = normal_equations(modal, data, known_weights(data, weights), free)
-    rows = 2 * sum(len(s.omega) for s in data) * len(sy)
-    used = len(H) + len(data) * system.nx
-    inflate = rows / max(rows - used, 1)  # residuals are smaller than noise by what was fitted
-    factor = modes.covariance_factor(H) * np.sqrt(inflate / 2)  # Fisher = 2 Re Σ Jᴴ W J
-    refined = modes.from_modal(modal, su, sy, system)
-    return refined, ResponseUncertainty(modal, free, factor, su, sy)
+    return modal, weights
 
 
 def residual_powers(
@@ -308,22 +338,22 @@ def _shared_grams(
     Their sums over all spectra (ny, m, m), and the rows of each spectrum's transient
     (spectra, ny, n, m).
     """
-    grams, heads = np.zeros(0), []
-    for spectrum, w in zip(data, weights, strict=True):
+    n, ny = len(modal.lam) + int((~modal.real).sum()), len(modal.C)
+    m = n * (len(modal.B.T) + 3) + len(modal.B.T) + 1
+    grams, heads = np.zeros((ny, m, m)), np.empty((len(data), ny, n, m))
+    for spectrum, w, head in zip(data, weights, heads, strict=True):
         f = _factors(modal, spectrum)
         E = _forced(modal, spectrum, f)
         basis = _basis(modal, spectrum, _transient(modal, f, E, w)[0], f)
-        K, m = len(basis), basis.shape[1] + 1
-        rows, scale = np.empty((2 * K, m)), np.vstack([w, w])
-        rows[:K, :-1], rows[K:, :-1] = basis.real, basis.imag
-        found = np.empty((E.shape[1], m, m))
-        for o, e in enumerate(E.T):
-            rows[:K, -1], rows[K:, -1] = e.real, e.imag
-            found[o] = modes.gram(scale[:, [o]] * rows)
-        n = len(modal.lam) + int((~modal.real).sum())
-        heads.append(found[:, :n].copy())
-        grams = grams + found if heads[1:] else found
-    return grams, np.array(heads)
+        rows = np.empty((2 * len(basis), m))
+        rows[:, :-1] = modes.stacked(basis)
+        weighted = np.empty_like(rows)
+        for o, (e, scale) in enumerate(zip(modes.stacked(E).T, np.vstack([w, w]).T, strict=True)):
+            rows[:, -1] = e
+            found = modes.gram(np.multiply(rows, scale[:, None], out=weighted))
+            head[o] = found[:n]
+            grams[o] += found
+    return grams, heads
 
 
 def _basis(modal: modes.Modal, spectrum: Lines, delta: ComplexArray, f: _Factors) -> ComplexArray:

@@ -16,11 +16,12 @@ from casid.subspace.gain import carried_gain, riccati_gain
 from casid.subspace.held import refine_held
 from casid.subspace.prediction import SampledUncertainty, refine_samples
 from casid.subspace.realisation import Subspace
-from casid.subspace.refinement import ResponseUncertainty, refine
+from casid.subspace.refinement import ResponseUncertainty, refine, refined_system
 from casid.subspace.regression import regress_inputs
 from casid.subspace.settings import HIGHEST, Refinement
 from casid.subspace.simulation import refine_simulation
 from casid.subspace.trust import (
+    Growth,
     Missed,
     explained_share,
     growth,
@@ -84,8 +85,10 @@ def refine_projected(
     data = campaign.spectra(pole, HIGHEST * pole)
     uncertainty: ResponseUncertainty | SampledUncertainty
     refined, uncertainty = refine(system, data, su, sy, mask, pole)
-    if len(undecided := growth(refined, data, su, sy, mask).undecided):
+    grows = growth(refined, data, su, sy, mask)
+    if len(undecided := grows.undecided):
         refined, uncertainty = refine(refined, data, su, sy, mask, pole, decaying=undecided)
+        grows = growth(refined, data, su, sy, mask)
     K = carried_gain(system, K, refined, R)
     richer = _at_order(campaign, refined.nx + 2, windows, data) if windows else None
     band = campaign.band(pole)
@@ -98,22 +101,23 @@ def refine_projected(
             _warn_fed_back(f"prediction errors would remove that, but: {error}")
         else:
             refined, K, uncertainty = held, gain, sampled
+            grows = growth(refined, data, su, sy, mask)
     share = explained_share(refined, data, su, sy, band)
-    doubtful = _doubtful(campaign, system, refined, windows, data)
+    doubtful = _doubtful(campaign, grows, system, refined, windows, data)
     return Estimate(refined, K, uncertainty, share, doubtful, missed)
 
 
 def _doubtful(
     campaign: Campaign,
+    grows: Growth,
     start: StateSpace,
     refined: StateSpace,
     windows: Windows | None,
     data: Sequence[Spectrum],
 ) -> ComplexArray:
     """Growing modes that data do not bear out, or the start or one state less does not find."""
-    found = growth(refined, data, campaign.su, campaign.sy, campaign.mask)
-    further = [found.doubtful]
-    if windows is not None and len(found.modes) > len(found.doubtful):
+    further = [grows.doubtful]
+    if windows is not None and len(grows.modes) > len(grows.doubtful):
         further.append(unsteady_growth(refined, start, data, more=1.0))
         if (fewer := _at_order(campaign, refined.nx - 1, windows, data)) is not None:
             further.append(unsteady_growth(refined, fewer, data))
@@ -125,12 +129,13 @@ def _doubtful(
 def _at_order(
     campaign: Campaign, order: int, windows: Windows, data: Sequence[Spectrum]
 ) -> StateSpace | None:
-    """The refined model of another order, None where the windows give none."""
+    """A model of another order, refined in one round; None where the windows give none."""
     if not 1 <= order <= min(windows.past, windows.future) * len(campaign.sy):
         return None
     try:
         start = campaign.subspace(order, windows).system
-        return refine(start, data, campaign.su, campaign.sy, campaign.mask, windows.pole)[0]
+        scales = campaign.su, campaign.sy, campaign.mask
+        return refined_system(start, data, *scales, windows.pole, rounds=1)
     except (ValueError, np.linalg.LinAlgError):
         return None
 

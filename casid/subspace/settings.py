@@ -27,7 +27,7 @@ from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.columns import Feedthrough, output_bandwidth
 from casid.subspace.fourier import Spectrum
 from casid.subspace.laguerre import support
-from casid.subspace.refinement import information_criteria, refine, residual_powers
+from casid.subspace.refinement import information_criteria, refined_system, residual_powers
 from casid.threads import one_thread
 from casid.values import storable
 
@@ -304,7 +304,8 @@ def _refined(
     """The candidate with the criterion of its refined model; none where that fails."""
     lines = [spectrum for record in data for spectrum in record]
     try:
-        model, _ = refine(start, lines, campaign.su, campaign.sy, campaign.mask, windows.pole)
+        scales = campaign.su, campaign.sy, campaign.mask
+        model = refined_system(start, lines, *scales, windows.pole)
     except (ValueError, np.linalg.LinAlgError):
         return []
     return [Candidate.of(start.nx, windows).scored(judge(model))]
