@@ -198,9 +198,9 @@ def recursion(E: Array, forcing: Array, start: Array) -> Array:
     for b, last in enumerate(x[-1].reshape(count, c, n)):
         heads[b + 1] = last + heads[b] @ whole
     carried = heads[:-1].reshape(count * c, n)
-    for each in x:
+    for j in range(size):
         carried = carried @ E.T
-        each += carried
+        x[j] += carried
     found = x.reshape(size, count, c, n).transpose(1, 0, 3, 2).reshape(-1, n, c)
     return np.concatenate([start[None], found[:N]])
 

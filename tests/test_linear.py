@@ -11,7 +11,7 @@ import scipy.signal
 from hypothesis import assume, given, settings
 
 from casid import StateSpace
-from casid.linear import foh_step, from_zoh
+from casid.linear import foh_step, from_zoh, recursion
 
 OMEGA = np.array([0.1, 0.5, 2.0, 10.0])
 
@@ -80,6 +80,16 @@ def test_the_free_response_is_the_exponential_on_any_instants():
     t = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.3, 80))
     y = lag(-1.3).simulate(t, np.zeros((80, 1)), np.array([2.0]))
     np.testing.assert_allclose(y[:, 0], 2 * np.exp(-1.3 * (t - t[0])), rtol=1e-8)  # steps to 1e-9
+
+
+@pytest.mark.parametrize("N", [0, 1, 2, 3, 16, 17, 99])
+def test_a_recursion_in_blocks_is_the_one_step_by_step(N):
+    rng = np.random.default_rng(N)
+    E, x = SYSTEM.A / 4, rng.standard_normal((3, 2))
+    forcing, found = rng.standard_normal((N, 3, 2)), [x]
+    for each in forcing:
+        found.append(E @ found[-1] + each)
+    np.testing.assert_allclose(recursion(E, forcing, x), found, rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("hold", ["foh", "zoh"])

@@ -104,6 +104,16 @@ def mixed(piece: S, modal: Modal, o: int, columns: int) -> S:
     return np.hstack([own, second * c.real[pairs] - first[:, pairs] * c.imag[pairs]])
 
 
+def mixing(modal: Modal) -> Array:
+    """Of every output the matrix by which `mixed` makes its columns of a quantity, (ny, n, n)."""
+    i, k = np.arange(len(modal.lam)), np.flatnonzero(~modal.real)
+    j = len(i) + np.arange(len(k))
+    M = np.zeros((len(modal.C), len(i) + len(k), len(i) + len(k)))
+    M[:, i, i], M[:, j, j] = modal.C.real, modal.C.real[:, k]
+    M[:, j, k], M[:, k, j] = modal.C.imag[:, k], -modal.C.imag[:, k]
+    return M
+
+
 def output_derivative(basis: S, modal: Modal, o: int, free: np.ndarray) -> tuple[S, np.ndarray]:
     """Derivatives of output o by the transient and the parameters it depends on, and which."""
     ny, nu = modal.D.shape

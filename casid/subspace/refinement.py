@@ -204,13 +204,6 @@ def _forced(modal: modes.Modal, spectrum: Lines, f: _Factors) -> ComplexArray:
     return spectrum.Y - X @ modal.C.T - Xc @ modal.C.conj().T - U @ modal.D.T
 
 
-def _transients(modal: modes.Modal, f: _Factors) -> ComplexArray:
-    """What real and imaginary parts of δ do to every output, (ny, K, n)."""
-    own = modal.C[:, None] * f.transient
-    conjugate = modal.C.conj()[:, None] * f.transient_c
-    return np.concatenate([own + conjugate, 1j * (own - conjugate)[:, :, ~modal.real]], axis=2)
-
-
 def _residuals(modal: modes.Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
     """Residuals (K, ny) of every spectrum with its best transient."""
     # What a transient does to an output are sums of n signals that all share, so that the least
@@ -273,20 +266,26 @@ def _nearness(at: Array, omega: Array, power: Array) -> tuple[Array, Array, Arra
 
 def _cost(modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array]) -> float:
     """Weighted squared residuals with the best transients."""
-    total = 0.0
+    total, seen = 0.0, modes.mixing(modal)
     for spectrum, w in zip(data, weights, strict=True):
         f = _factors(modal, spectrum)
-        total += _transient(modal, f, _forced(modal, spectrum, f), w)[1]
+        total += _transient(modal, f, _forced(modal, spectrum, f), w, seen)[1]
     return total
 
 
 def _transient(
-    modal: modes.Modal, f: _Factors, E: ComplexArray, w: Array
+    modal: modes.Modal, f: _Factors, E: ComplexArray, w: Array, seen: Array
 ) -> tuple[ComplexArray, float]:
     """The best transient δ (nm,) of one spectrum, and the weighted squared residual it leaves."""
-    rows = np.concatenate([_transients(modal, f), E.T[:, :, None]], axis=2) * w.T[:, :, None]
-    n = rows.shape[2] - 1
-    G = modes.gram(rows.reshape(-1, n + 1))
+    shared = modes.pair(f.transient[:, :, None], f.transient_c[:, :, None], modal.real)
+    (K, n), ny = shared.shape, len(seen)
+    rows = np.empty((ny, 2 * K, n + 1))  # what transients do to each output, but for its C, and E
+    rows[:, :, :n], rows[:, :, n] = modes.stacked(shared), modes.stacked(E).T
+    rows *= np.hstack([w.T, w.T])[:, :, None]
+    mixed = np.zeros((ny, n + 1, n + 1))
+    mixed[:, :n, :n], mixed[:, n, n] = seen, 1.0
+    grams = mixed.swapaxes(1, 2) @ (rows.swapaxes(1, 2) @ rows) @ mixed
+    G = grams.sum(axis=0)
     delta = modes.eliminator(G, n)[:, 0]
     return modes.to_complex(modal, delta, 1)[:, 0], float(G[n, n] - G[n, :n] @ delta)
 
@@ -341,10 +340,11 @@ def _shared_grams(
     n, ny = len(modal.lam) + int((~modal.real).sum()), len(modal.C)
     m = n * (len(modal.B.T) + 3) + len(modal.B.T) + 1
     grams, heads = np.zeros((ny, m, m)), np.empty((len(data), ny, n, m))
+    seen = modes.mixing(modal)
     for spectrum, w, head in zip(data, weights, heads, strict=True):
         f = _factors(modal, spectrum)
         E = _forced(modal, spectrum, f)
-        basis = _basis(modal, spectrum, _transient(modal, f, E, w)[0], f)
+        basis = _basis(modal, spectrum, _transient(modal, f, E, w, seen)[0], f)
         rows = np.empty((2 * len(basis), m))
         rows[:, :-1] = modes.stacked(basis)
         weighted = np.empty_like(rows)

@@ -1,7 +1,7 @@
 import numpy as np
 from truths.systems import unstable_plant
 
-from casid.subspace.modal import from_modal, schur, to_modal
+from casid.subspace.modal import from_modal, mixed, mixing, schur, to_modal
 
 OMEGA = np.geomspace(0.5, 6.0, 12)
 
@@ -11,6 +11,14 @@ def test_modal_coordinates_are_the_same_system():
     su, sy = np.array([2.0, 0.5]), np.array([1.0, 3.0, 0.2])
     back = from_modal(to_modal(plant, su, sy, plant.D != 0), su, sy, plant)
     np.testing.assert_allclose(back.response(OMEGA), plant.response(OMEGA), rtol=1e-10)
+
+
+def test_the_matrix_that_mixes_is_what_an_output_sees():
+    plant = unstable_plant()
+    modal = to_modal(plant, np.ones(plant.nu), np.ones(plant.ny), np.ones(plant.D.shape, bool))
+    signals = np.random.default_rng(0).standard_normal((5, plant.nx))
+    for o, M in enumerate(mixing(modal)):
+        np.testing.assert_allclose(signals @ M, mixed(signals, modal, o, 1), rtol=1e-14)
 
 
 def test_transients_of_different_size_are_eliminated_alike():

@@ -6,7 +6,7 @@ from casid import Record, StateSpace, pbsid
 from casid.records import standard_deviations
 from casid.subspace import refinement
 from casid.subspace.fourier import spectra
-from casid.subspace.modal import Modal, moved, to_modal
+from casid.subspace.modal import Modal, mixed, moved, pair, to_modal
 from casid.subspace.refinement import (
     ResponseUncertainty,
     information_criteria,
@@ -102,7 +102,8 @@ def test_residuals_are_those_of_least_squares_over_all_lines():
     modal = to_modal(plant, su, sy, np.ones(plant.D.shape, dtype=bool))
     factors = refinement._factors(modal, data[0])
     E = refinement._forced(modal, data[0], factors)
-    P = refinement._transients(modal, factors).reshape(E.size, -1)
+    shared = pair(factors.transient[:, :, None], factors.transient_c[:, :, None], modal.real)
+    P = np.vstack([mixed(shared, modal, o, 1) for o in range(plant.ny)])
     both = [np.concatenate([v.real, v.imag]) for v in (P, E.T.ravel())]
     delta = np.linalg.lstsq(*both, rcond=None)[0]
     left = (E.T.ravel() - P @ delta).reshape(E.T.shape).T
