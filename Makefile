@@ -31,7 +31,7 @@ mutants: install
 	$(VENV)/bin/python benchmarks/mutants.py
 
 docs: install
-	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
+	$(VENV)/bin/python docs/build.py
 
 notebooks: install
 	$(VENV)/bin/python docs/notebooks.py
@@ -58,4 +58,4 @@ $(STAMP): pyproject.toml constraints.txt
 	touch $(STAMP)
 
 clean:
-	rm -rf out build dist site
+	rm -rf out build dist site .cache
