@@ -33,11 +33,10 @@ from .bounds.reduction import (
 )
 from .bounds.resampling import (
     Ensemble as Ensemble,
-    Multistart as Multistart,
     bootstrap as bootstrap,
     monte_carlo as monte_carlo,
-    multistart as multistart,
 )
+from .bounds.starts import Multistart as Multistart, multistart as multistart
 from .chain import Identification as Identification, identify as identify
 from .commands.inspection import Inspection as Inspection, inspect_records as inspect_records
 from .consistency.kinematics import (

@@ -1,4 +1,4 @@
-"""The same fit many times: from other starts, with other noise, with the residuals shuffled."""
+"""The same fit many times: with other noise, with the residuals shuffled."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.bounds.trials import Data, Draw, Fits
+from casid.bounds.trials import Draw, Fits
 from casid.display import Shown, listed
-from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit
 from casid.free import free_parameters
@@ -24,47 +23,9 @@ from casid.shooting.simulation import fitting_start, simulate
 from casid.shooting.transformed_fit import METHOD
 from casid.tabulation import csv_text, markdown_table
 
-SAME = 1e-6  # relative difference of costs that are the same minimum
 SAME_COST = 1e-3  # of log-likelihood a sample, between a fit and its own records
 SAME_POWER = 0.2  # difference of logarithms of variances that makes residuals another fit's
 COVERED = 1.96  # standard errors of a 95 % interval
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Multistart:
-    """Minima found from many starts.
-
-    Parameters
-    ----------
-    starts : tuple of Model
-        The first is the one given.
-    costs : (n,) array
-        NaN where the fit failed.
-    reasons : tuple of str
-        Why, empty otherwise.
-    fit : Fit
-        The best.
-    """
-
-    starts: tuple[Model, ...]
-    costs: Array
-    reasons: tuple[str, ...]
-    fit: AnyFit
-
-    @property
-    def agreeing(self) -> int:
-        """How many starts ended in the best minimum."""
-        gap = self.costs - self.fit.cost
-        return int(np.sum(gap <= SAME * (1 + abs(self.fit.cost))))
-
-    def to_csv(self) -> str:
-        """One row a start."""
-        names = self.fit.free_names
-        rows = [
-            [*(float(getattr(start, name)) for name in names), float(cost), reason]
-            for start, cost, reason in zip(self.starts, self.costs, self.reasons, strict=True)
-        ]
-        return csv_text([*names, "cost", "reason"], rows)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -134,62 +95,6 @@ class Ensemble(Shown):
         rows = [[name, *(f"{c[k]:.4g}" for c in columns)] for k, name in enumerate(self.names)]
         heading = ("parameter", "reference", "bias", "scatter", "mean std. error", "coverage")
         return markdown_table(heading, rows)
-
-
-def multistart(
-    model: Model,
-    data: Data,
-    *,
-    starts: int = 10,
-    spread: float = 0.5,
-    seed: int = 0,
-    estimator: Estimator = OutputError(),
-    fixed: Sequence[str] = (),
-    bounds: Bounds | None = None,
-    execution: Execution = Execution(),
-) -> Multistart:
-    """Fit from many starts and keep the best.
-
-    Parameters
-    ----------
-    model, data, estimator, fixed, bounds, execution
-        As in `compare_bounds`.
-    starts : int
-        How many; the first is the model's own values.
-    spread : float
-        Standard deviation of the others about them, of each parameter's typical magnitude.
-    seed : int
-        Of the draws.
-
-    Raises
-    ------
-    ValueError, ConvergenceError
-        No start, a negative spread; no start led to a minimum.
-    """
-    if starts < 1 or not spread >= 0:
-        raise ValueError(f"starts={starts}, spread={spread}: expected 1 or more, 0 or above")
-    many = Fits(model, data, estimator, fixed, bounds, execution)
-    (case,) = many.cases({"start": {}})
-    free = free_parameters(model, fixed, bounds)
-    inside = free.index
-    models = [free.model.with_vector(free.full(free.guess))]
-    for k in range(1, starts):
-        rng = np.random.default_rng([seed, k])
-        moved = free.guess + spread * free.scale[inside] * rng.standard_normal(len(inside))
-        moved = np.clip(moved, free.lower[inside], free.upper[inside])
-        models.append(free.model.with_vector(free.full(moved)))
-    jobs = [many.job(case, each, name=f"start {k}") for k, each in enumerate(models)]
-    done = many.run(jobs)
-    found = list(done.values())
-    good: list[AnyFit] = [each.result for each in found if not each.reason]
-    if not good:
-        raise ConvergenceError(f"multistart: none of {starts} starts converged: {found[0].reason}")
-    return Multistart(
-        starts=tuple(models),
-        costs=np.array([np.nan if each.reason else each.result.cost for each in found]),
-        reasons=tuple(each.reason for each in found),
-        fit=min(good, key=lambda fit: fit.cost),
-    )
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from truths.mixture import NOISE, TRUTH, Inline, Mixture, least_squares, record
 
-from casid import Ensemble, Execution, bootstrap, monte_carlo, multistart, output_error
+from casid import Ensemble, Execution, bootstrap, monte_carlo, output_error
 from casid.bounds.resampling import BlockDraw
 
 HERE = Execution(executor=Inline())
@@ -17,17 +17,6 @@ SPREAD = 4 / np.sqrt(2 * (RUNS - 1))  # four standard deviations of a standard d
 def expected():
     X, _ = least_squares()
     return np.sqrt(np.diag(np.linalg.inv(X.T @ X))[:3])
-
-
-@pytest.mark.slow
-def test_all_starts_of_a_linear_problem_end_in_one_minimum():
-    found = multistart(Mixture(), [record()], starts=4, spread=1.0)
-    assert found.agreeing == 4
-    assert len({start.a for start in found.starts}) == 4
-    assert found.starts[0] == Mixture()
-    assert len(found.to_csv().splitlines()) == 5
-    again = multistart(Mixture(), [record()], starts=4, spread=1.0, execution=HERE)
-    np.testing.assert_array_equal(again.costs, found.costs)
 
 
 @pytest.mark.slow
@@ -106,8 +95,6 @@ def test_ensembles_of_nothing_are_refused(settings, said):
         monte_carlo(TRUTH, record(), noise={"y": NOISE}, runs=1)
     with pytest.raises(ValueError, match="noise names 'zz', expected of y"):
         monte_carlo(TRUTH, record(), noise={"y": NOISE, "zz": 0.01})
-    with pytest.raises(ValueError, match="starts=0"):
-        multistart(Mixture(), record(), starts=0)
 
 
 def test_scatter_is_the_unbiased_standard_deviation_and_coverage_counts_intervals():

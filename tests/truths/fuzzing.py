@@ -24,7 +24,8 @@ from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
 from truths.roll_study import MODEL, STUDY, write_study
 
-FOLDER = Path(tempfile.mkdtemp(prefix="casid-fuzz-"))
+_UNTIL_EXIT = tempfile.TemporaryDirectory(prefix="casid-fuzz-", ignore_cleanup_errors=True)
+FOLDER = Path(_UNTIL_EXIT.name)
 CHANNELS = {"inputs": ("lat",), "outputs": ("p", "phi")}
 t = np.arange(40) * 0.04
 PAIRS = {("p", "lat"): ("gain", "phase", "coherence")}
