@@ -131,15 +131,19 @@ def on_bounds(fit: AnyFit) -> Iterator[Caution]:
         )
 
 
-def uncertain(fit: AnyFit) -> Iterator[Caution]:
-    """Errors that are larger than they look, and values of unknown sign."""
+def uncertain(fit: AnyFit, *, lacking: bool = False) -> Iterator[Caution]:
+    """Errors that are larger than they look, and values of unknown sign.
+
+    ``lacking`` says that the structure is known to leave dynamics out.
+    """
     rows = [row for row in fit.parameters if not row.fixed and not row.active]
     ratios = [row.std_error / row.cramer_rao for row in rows if row.cramer_rao > 0]
     typical = float(np.median(ratios)) if ratios else 1.0
     if typical > COLOURED:
+        left = "the structure leaves dynamics out" if lacking else "look at structure or data"
         yield Caution(
-            "Residuals are correlated in time: the structure leaves dynamics out. The standard "
-            f"errors allow for that; they are typically {typical:.1f} times the Cramér-Rao bound.",
+            f"Residuals are correlated in time: {left}. The standard errors allow for that; they "
+            f"are typically {typical:.1f} times the Cramér-Rao bound.",
             40,
         )
     if unsure := [row.name for row in rows if row.std_error > abs(row.value)]:

@@ -56,7 +56,10 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
             f"Its {free} free parameters were estimated by output error on total values; black box "
             "and match are of one flight condition and were left out."
         )
-    said = (*unsolved(last), *on_bounds(last), *few(last, content), *uncertain(last))
+    distances = content.results.get("sufficiency")
+    lacking = distances is not None and not distances.enough
+    doubts = uncertain(last, lacking=lacking)
+    said = (*unsolved(last), *on_bounds(last), *few(last, content), *doubts)
     more: Any = {"answer": not_believed(content, last), "lead": lead, "cautions": said}
     yield section("parameters", "Parameters", 10, last, values=values, **more)
 

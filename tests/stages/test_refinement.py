@@ -51,3 +51,19 @@ def test_its_section_shows_the_chosen_step_where_one_was_chosen():
     assert section.values["found"] is last
     assert section.lead == "Its 7 free parameters are those of the chosen step, match."
     assert section.values["others"] == {LABEL: fit}
+
+
+@pytest.mark.parametrize(
+    ("results", "said"),
+    [
+        ({}, "look at structure or data"),
+        ({"sufficiency": SimpleNamespace(enough=True)}, "look at structure or data"),
+        ({"sufficiency": SimpleNamespace(enough=False)}, "the structure leaves dynamics out"),
+    ],
+)
+def test_the_structure_is_blamed_for_coloured_residuals_where_it_is_not_enough(results, said):
+    fit = output_error(TRUTH, noisy(1))
+    rows = [replace(row, std_error=2 * row.cramer_rao) for row in fit.parameters]
+    page = SimpleNamespace(fits={LABEL: fit}, data=(), results=results)
+    (section,) = OUTPUT_ERROR.show(replace(fit, parameters=tuple(rows)), page)
+    assert any(f"correlated in time: {said}" in each.text for each in section.cautions)
