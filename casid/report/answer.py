@@ -25,8 +25,18 @@ def ranked(judged: Sequence[Verdict]) -> list[Verdict]:
     return sorted(judged, key=lambda v: -v.theil if v.theil == v.theil else 1.0)
 
 
-def told(judged: Sequence[Verdict], validation: Validation) -> str:
-    """Whether the model predicts unseen records, where it does not, and why."""
+FAULTS = {
+    False: "The structure is at fault: ",
+    True: "The estimate is at fault, for the structure could follow the black box: ",
+    None: "Structure or estimate is at fault: ",
+}
+
+
+def told(judged: Sequence[Verdict], validation: Validation, *, enough: bool | None = None) -> str:
+    """Whether the model predicts unseen records, where it does not, and why.
+
+    ``enough`` says whether the structure is known to be enough.
+    """
     if not judged:
         return ""
     words = [v.word for v in judged]
@@ -40,9 +50,7 @@ def told(judged: Sequence[Verdict], validation: Validation) -> str:
     if lacking := {v.output: v.advantage for v in judged if v.structural}:
         order = sorted(lacking, key=lacking.__getitem__, reverse=True)
         times = listed([f"{name} {lacking[name]:.1f} times" for name in order], NAMED)
-        said.append(
-            f"The structure is at fault: the black box of the same records predicts {times} better."
-        )
+        said.append(f"{FAULTS[enough]}the black box of the same records predicts {times} better.")
     elif worst:
         said.append("The black box of the same records is not twice as good on any.")
     return " ".join(said)

@@ -1,6 +1,6 @@
 """What a report is made of: frozen values, and the sections in which stages show theirs."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,17 @@ BLACK_BOX, MATCH = "black box", "H∞ match"
 OUTPUT_ERROR, BASELINE = "output error", "frequency domain"
 CHOSEN = "chosen step"
 TEMPLATES = Path(__file__).parent / "templates"
+
+
+def delivered(models: Collection[str]) -> str:
+    """Of these names that of the model to judge and deliver."""
+    return CHOSEN if CHOSEN in models else OUTPUT_ERROR
+
+
+def enough(results: Mapping[str, Any]) -> bool | None:
+    """Whether the black box shows the structure to be enough; None where nothing tells."""
+    found = results.get("sufficiency")
+    return None if found is None else bool(found.enough)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,3 +132,8 @@ class Content:
     def fits(self) -> dict[str, AnyFit]:
         """Structured models by the names the figures use."""
         return {name: each for name, each in self.models.items() if isinstance(each, Fit)}
+
+    @property
+    def delivered(self) -> str:
+        """Name of the model that is judged and delivered: the chosen step, if one was chosen."""
+        return delivered(self.models)

@@ -21,7 +21,7 @@ from casid.linear import StateSpace
 from casid.qualification import Qualification
 from casid.record import Record
 from casid.report import figures
-from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Content, Drawing
+from casid.report.content import BLACK_BOX, Content, Drawing
 from casid.report.layout import legend_above, place_axes, stacked
 from casid.report.look import LOOK, WIDTH
 from casid.report.prices import plot_bounds
@@ -96,9 +96,7 @@ def _response(
 def _responses(
     content: Content, shown: Systems, omega: Array, outputs: Sequence[str], inputs: Sequence[str]
 ) -> Figure:
-    measured: FrequencyResponse | None = content.results.get("frequency")
-    if measured is not None and not set(outputs) <= set(measured.outputs):
-        measured = None
+    measured = _measured(content, outputs)
     heights = [3, 2] if measured is None else [3, 2, 1.1]
     rows = len(heights)
     figure = Figure(figsize=(WIDTH, 0.45 + 0.42 * sum(heights) * len(outputs)))
@@ -109,7 +107,7 @@ def _responses(
     for i, output in enumerate(outputs):
         for j, channel in enumerate(inputs):
             column = list(axes[rows * i : rows * (i + 1), j])
-            _pair(column, content, shown, omega, (output, channel))
+            _pair(column, measured, shown, omega, (output, channel))
             column[0].set_title(f"{output} / {channel}", loc="left", fontweight="bold", pad=3)
     for ax in axes[:, 1:].flat:
         ax.set_ylabel("")
@@ -117,12 +115,21 @@ def _responses(
     return place_axes(figure, axes)
 
 
+def _measured(content: Content, outputs: Sequence[str]) -> FrequencyResponse | None:
+    """The measured response that has these outputs, or states measured beside them."""
+    found = (content.results.get(name) for name in ("frequency", "checked"))
+    return next((each for each in found if each and {*outputs} <= {*each.outputs}), None)
+
+
 def _pair(
-    column: Sequence[Axes], content: Content, shown: Systems, omega: Array, pair: tuple[str, str]
+    column: Sequence[Axes],
+    measured: FrequencyResponse | None,
+    shown: Systems,
+    omega: Array,
+    pair: tuple[str, str],
 ) -> None:
     output, channel = pair
     near: Array | None = None
-    measured: FrequencyResponse | None = content.results.get("frequency")
     curves = {}
     for name, system in shown.items():
         i, j = system.outputs.index(output), system.inputs.index(channel)
@@ -242,19 +249,19 @@ def _rms(validation: Validation) -> Figure:
     return place_axes(figure, axes)
 
 
-def draw_whiteness(validation: Validation) -> Iterator[Drawing]:
-    """Autocorrelations of the residuals of black box and refined structure."""
+def draw_whiteness(validation: Validation, model: str) -> Iterator[Drawing]:
+    """Autocorrelations of the residuals of black box and delivered model."""
     for k, record in enumerate(validation.measured):
         yield Drawing(
             name=f"whiteness_{_file(record.name)}",
             caption=f"Autocorrelation of the residuals, record {record.name}; grey: the band that "
             "holds 99 % of a white sequence's",
-            draw=partial(_whiteness, validation, k),
+            draw=partial(_whiteness, validation, model, k),
         )
 
 
-def _whiteness(validation: Validation, k: int) -> Figure:
-    names = [name for name in (BLACK_BOX, OUTPUT_ERROR) if name in validation.models]
+def _whiteness(validation: Validation, model: str, k: int) -> Figure:
+    names = [name for name in (BLACK_BOX, model) if name in validation.models]
     record = validation.measured[k]
     rows = (record.ny + 1) // 2
     figure = Figure(figsize=(WIDTH, 0.6 + 1.25 * rows))

@@ -12,7 +12,7 @@ from casid.display import listed
 from casid.eigenmodes import modes
 from casid.fit import AnyFit
 from casid.record import Record
-from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Caution, Content
+from casid.report.content import BLACK_BOX, Caution, Content, enough
 from casid.validation import Validation
 
 WORSE = 2.0  # RMS error of the structure over that of the black box
@@ -20,6 +20,11 @@ APART = 4.0  # standard errors of a difference: by chance once in 16 000
 WORST = 2.0  # of the guideline for J on average: what a single pair may have
 PER_UNKNOWN = 20.0  # measurements
 NAMED = 5  # before it says how many more
+REMEDIES = {  # by whether the structure is enough
+    False: "Parameters make up for what the structure lacks; try a richer one.",
+    True: "The structure could follow the black box: look at the estimate, its data and bounds.",
+    None: "Look at the estimate, its data and bounds, then try a richer structure.",
+}
 
 
 def noise_levels(records: Sequence[Record]) -> Array:
@@ -33,11 +38,12 @@ def noise_levels(records: Sequence[Record]) -> Array:
     return np.asarray(np.nanmedian(levels, axis=0)) if len(records) > 1 else levels[0]
 
 
-def disagreement(validation: Validation) -> Iterator[Caution]:
-    """Outputs that the records allow to predict much better than the structure does."""
-    if not {BLACK_BOX, OUTPUT_ERROR} <= set(validation.models):
+def disagreement(validation: Validation, content: Content) -> Iterator[Caution]:
+    """Outputs that the records allow to predict much better than the delivered model does."""
+    model = content.delivered
+    if not {BLACK_BOX, model} <= set(validation.models):
         return
-    sizes = [_pooled(validation.rms[name]) for name in (OUTPUT_ERROR, BLACK_BOX)]
+    sizes = [_pooled(validation.rms[name]) for name in (model, BLACK_BOX)]
     level = noise_levels(validation.measured)
     said = []
     for name, own, other, floor in zip(validation.outputs, *sizes, level, strict=True):
@@ -48,9 +54,9 @@ def disagreement(validation: Validation) -> Iterator[Caution]:
             )
     if said:
         yield Caution(
-            "Structure and data disagree: the black box predicts the validation records better, "
+            "Model and data disagree: the black box predicts the validation records better, "
             f"{listed([text for _, text in sorted(said, reverse=True)], NAMED)}. "
-            "Parameters make up for what the structure lacks; try a richer one.",
+            + REMEDIES[enough(content.results)],
             5,
         )
 

@@ -17,7 +17,7 @@ from casid.excitations import LITTLE, Excitation
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
-from casid.report.content import BASELINE, BLACK_BOX, MATCH, OUTPUT_ERROR
+from casid.report.content import BASELINE, BLACK_BOX, CHOSEN, MATCH, OUTPUT_ERROR
 from casid.samples import SLOWER, at_instants, usual_interval
 from casid.subspace.pbsid import BlackBox
 from casid.validation import Validation
@@ -31,6 +31,7 @@ STYLES: Mapping[str, dict[str, Any]] = {
     MATCH: {"color": "#E69F00", "linestyle": (0, (5, 1.5)), "linewidth": 1.6},
     OUTPUT_ERROR: {"color": "#D55E00", "linestyle": (0, (4, 1, 1, 1)), "linewidth": 1.6},
     BASELINE: {"color": "#009E73", "linestyle": (0, (1, 1)), "linewidth": 1.6},
+    CHOSEN: {"color": "#CC79A7", "linestyle": (0, (8, 1.5)), "linewidth": 1.6},
 }
 HATCHES = ("", "///", "...", "xxx", "\\\\\\")
 

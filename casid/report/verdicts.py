@@ -7,7 +7,7 @@ import numpy as np
 
 from casid.display import listed
 from casid.fit import AnyFit
-from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Caution, Content
+from casid.report.content import BLACK_BOX, Caution, Content
 from casid.report.evidence import WORSE, noise_levels
 from casid.validation import Validation, fit_percent, rms_error, theil_coefficient
 
@@ -21,7 +21,7 @@ NAMED = 12  # names in a warning before it says how many more
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """How well the refined model predicts one output of the validation records, taken together."""
+    """How well the delivered model predicts one output of all validation records together."""
 
     output: str
     unit: str
@@ -54,7 +54,7 @@ class Verdict:
         """Why it is not better, in a few words."""
         if self.noisy:
             return "hardly more than its noise"
-        return f"structure: the black box is {self.advantage:.1f} times better" * self.structural
+        return f"the black box is {self.advantage:.1f} times better" * self.structural
 
     @property
     def caution(self) -> str:
@@ -65,17 +65,18 @@ class Verdict:
 
 
 def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
-    """A verdict per output of the refined model; none without one."""
-    estimate = content.fits.get(OUTPUT_ERROR)
+    """A verdict per output of the delivered model; none without one."""
+    name = content.delivered
+    estimate = content.fits.get(name)
     if estimate is None:
         return ()
     deviations = () if estimate.R is None else np.sqrt(np.diag(estimate.R)).tolist()
     residual = dict(zip(type(estimate.model).outputs, deviations, strict=False))
     noise = noise_levels(validation.measured).tolist()
-    other = BLACK_BOX if BLACK_BOX in validation.models else OUTPUT_ERROR
+    other = BLACK_BOX if BLACK_BOX in validation.models else name
     found = []
     for i, output in enumerate(validation.outputs):
-        rms, fit, theil = _measures(validation, OUTPUT_ERROR, i)
+        rms, fit, theil = _measures(validation, name, i)
         least, _, black_box = _measures(validation, other, i)
         floor = np.fmax(least, noise[i])  # nobody need predict noise
         verdict = Verdict(
@@ -86,7 +87,7 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
             theil=theil,
             noise=noise[i],
             residual=residual.get(output, np.nan),
-            records=tuple(validation.theil[OUTPUT_ERROR][:, i].tolist()),
+            records=tuple(validation.theil[name][:, i].tolist()),
             black_box=black_box,
             advantage=float(rms / floor) if floor > 0 else 1.0,
         )

@@ -8,11 +8,13 @@ from typing import Any
 from casid.bands import mode_bands
 from casid.eigenmodes import modes
 from casid.report import answer, drawings
-from casid.report.content import BLACK_BOX, Caution, Content, Section, section
+from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Caution, Content, Section, enough, section
 from casid.report.evidence import differences, disagreement
 from casid.report.verdicts import verdicts
 from casid.stages.stage import Stage, Task
 from casid.validation import Validation, validate
+
+NAMES = {OUTPUT_ERROR: "refined model"}  # of what is delivered, in words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,15 +41,24 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
     names = ", ".join(found.records)
     new = "estimations had seen" if content.repeats.seen else "no estimation had seen"
     said = [Caution(each, 3) for each in content.repeats.told()]
-    said += [*disagreement(found), *differences(content)]
+    said += [*disagreement(found, content), *differences(content)]
     said += [Caution(each.caution, 20) for each in poor]
     if found.predicted:
         said.append(Caution(f"Validation records: {found.predicted}", 21))
     lead = f"It was judged on records that {new} ({names})."
+    named = {"model": NAMES.get(content.delivered, content.delivered)}
     if judged:
         seen: Any = {"verdicts": answer.ranked(judged), "compared": BLACK_BOX in found.models}
-        yield section("answer", "", 0, found, values=seen, answer=answer.told(judged, found))
-    more: Any = {"values": {"verdicts": judged}, "lead": lead, "cautions": tuple(said)}
+        seen |= named
+        yield section(
+            "answer",
+            "",
+            0,
+            found,
+            values=seen,
+            answer=answer.told(judged, found, enough=enough(content.results)),
+        )
+    more: Any = {"values": {"verdicts": judged} | named, "lead": lead, "cautions": tuple(said)}
     yield section("verdicts", "Verdicts", 5, found, **more)
     yield from _compared(found, content)
 
@@ -67,7 +78,7 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
         ("responses", "Frequency responses", 50, partial(drawings.draw_responses, content)),
         ("histories", "Time histories of the validation records", 60, histories),
         ("rms", "RMS errors", 70, partial(drawings.draw_rms, found)),
-        ("whiteness", "Residuals", 80, partial(drawings.draw_whiteness, found)),
+        ("whiteness", "Residuals", 80, partial(drawings.draw_whiteness, found, content.delivered)),
     ):
         yield section(name, title, place, found, values=values, draw=draw)
 

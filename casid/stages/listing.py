@@ -6,6 +6,7 @@ from typing import Any
 from casid.report.content import Content, Section
 from casid.stages.baseline import BASELINE
 from casid.stages.chain import CHAIN
+from casid.stages.checking import CHECKED, STATES
 from casid.stages.choice import CHOICE, CHOSEN
 from casid.stages.comparison import COMPARISON
 from casid.stages.conditions import CONDITIONS
@@ -18,12 +19,14 @@ from casid.stages.sufficiency import SUFFICIENCY
 STAGES: tuple[Stage, ...] = (
     KINEMATICS,
     *CHAIN,
+    CHECKED,
     SUFFICIENCY,
     BASELINE,
     CHOICE,
     CHOSEN,
     CONDITIONS,
     VALIDATION,
+    STATES,
     QUALIFICATION,
     COMPARISON,
 )

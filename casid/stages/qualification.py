@@ -1,11 +1,11 @@
-"""The stage that judges the refined model by a simulator's qualification test."""
+"""The stage that judges the delivered model by a simulator's qualification test."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 from casid.qualification import TOLERANCES, Qualification, qualify, read_tolerance
-from casid.report.content import OUTPUT_ERROR, Caution, Content, Section, section
+from casid.report.content import Caution, Content, Section, delivered, section
 from casid.report.drawings import draw_qualification
 from casid.stages.stage import Stage, Task
 
@@ -32,7 +32,7 @@ class Bands:
 
 def _run(settings: Bands, task: Task) -> Qualification:
     judged = task.results["validation"]
-    found = qualify(judged, OUTPUT_ERROR, settings.tolerances or TOLERANCES)
+    found = qualify(judged, delivered(judged.models), settings.tolerances or TOLERANCES)
     return replace(found, source=settings.source) if settings.source else found
 
 

@@ -9,7 +9,7 @@ from casid.fit import AnyFit, Fit
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.report.answer import doubted, not_believed
-from casid.report.content import CHOSEN, Content, Section, section
+from casid.report.content import CHOSEN, Content, Section, enough, section
 from casid.report.content import OUTPUT_ERROR as LABEL
 from casid.report.evidence import few
 from casid.report.intervals import SHAPES, TICKS
@@ -56,9 +56,7 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
             f"Its {free} free parameters were estimated by output error on total values; black box "
             "and match are of one flight condition and were left out."
         )
-    distances = content.results.get("sufficiency")
-    lacking = distances is not None and not distances.enough
-    doubts = uncertain(last, lacking=lacking)
+    doubts = uncertain(last, lacking=enough(content.results) is False)
     said = (*unsolved(last), *on_bounds(last), *few(last, content), *doubts)
     more: Any = {"answer": not_believed(content, last), "lead": lead, "cautions": said}
     yield section("parameters", "Parameters", 10, last, values=values, **more)

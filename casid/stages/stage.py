@@ -32,6 +32,8 @@ class Task:
         As in `Estimator.fit`.
     roles, records : mapping, tuple of Record
         Records by role, and those of the stage's own role.
+    checks : mapping
+        The same records by role with the study's check channels, behind the outputs; {} without.
     results, models : mapping
         What stages before this one found, by name, and those that simulate, by their stage's label.
     stages, settings
@@ -45,6 +47,7 @@ class Task:
     bounds: Bounds | None = None
     roles: Mapping[Role, Sequence[Record]] = field(default_factory=dict)
     records: tuple[Record, ...] = ()
+    checks: Mapping[Role, Sequence[Record]] = field(default_factory=dict)
     results: Mapping[str, Any] = field(default_factory=dict)
     models: Mapping[str, AnyModel] = field(default_factory=dict)
     stages: Sequence["Stage"] = ()

@@ -70,6 +70,7 @@ def _settings(study: Study) -> dict[str, str]:
     said: dict[str, str] = {"study file": f"{study.path.name}, SHA-256 {digest}"}
     if study.channels.units:
         said["channels.units"] = ", ".join(f"{k} {u}" for k, u in study.channels.units.items())
+    said |= {"channels.check": ", ".join(study.channels.check)} if study.channels.check else {}
     said["channels.hold"] = study.channels.hold
     said |= study.channels.mending.told()
     if study.channels.second is not None:

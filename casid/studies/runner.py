@@ -22,7 +22,7 @@ from casid.stages.stage import Role, run_stages
 from casid.studies.contents import content
 from casid.studies.keeping import Keeper, Watch
 from casid.studies.responses import with_measured
-from casid.studies.study import Study, read_flights
+from casid.studies.study import Study, read_flights, without_checks
 from casid.tabulation import csv_text
 from casid.threads import one_thread
 from casid.validation import Validation
@@ -96,18 +96,20 @@ def run_study(
     watch = watch or Watch()
     started = time.perf_counter()
     watch.begin("records")
-    records, again = read_flights(study)
+    flights, again = read_flights(study)
     clock = [Timing(stage="records", seconds=time.perf_counter() - started)]
     watch.end(clock[0])
     with claimed(study.output):
         keeper = Keeper(study, watch, clock, fresh=fresh, command=command)
-        return _run(study, records, again, keeper)
+        return _run(study, flights, again, keeper)
 
 
 def _run(
-    study: Study, records: Mapping[Role, Sequence[Record]], again: Repeats, keeper: Keeper
+    study: Study, flights: Mapping[Role, Sequence[Record]], again: Repeats, keeper: Keeper
 ) -> Outcome:
-    found = run_stages(with_measured(study.task(records), study.responses), keep=keeper)
+    records = without_checks(study, flights)
+    task = with_measured(study.task(records, flights), study.responses)
+    found = run_stages(task, keep=keeper)
     does = {stage.name: stage.does for stage in study.stages}
     lasting = {stage.name for stage in study.stages if stage.kept}
     keeper.warnings += [f"The {does[name]} is missing. {e}" for name, e in found.failures.items()]

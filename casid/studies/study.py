@@ -44,6 +44,7 @@ class Channels:
 
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    check: tuple[str, ...] = ()  # measured, no outputs of the structure: shown and checked with
     time: str = "t"
     units: Mapping[str, str] = field(default_factory=dict)
     columns: Mapping[str, Column] = field(default_factory=dict)
@@ -51,6 +52,11 @@ class Channels:
     hold: Hold = "foh"
     mending: Mending = Mending()
     second: Second | None = None
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Outputs and check channels."""
+        return (*self.outputs, *self.check)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,10 +87,11 @@ class Study:
     png: bool = False  # whether figures are written as PNG beside the SVG
     responses: tuple[str, ...] = ()  # of the refinement, as the file names them
 
-    def task(self, roles: Mapping[Role, Any]) -> Task:
-        """What the stages work on, with these records by role."""
+    def task(self, roles: Mapping[Role, Any], checks: Mapping[Role, Any] | None = None) -> Task:
+        """What the stages work on, with these records by role, and those with check channels."""
         held: Any = {"fixed": self.fixed, "bounds": self.bounds, "settings": self.settings}
-        return Task(model=self.model, roles=roles, stages=self.stages, **held)
+        kept = (checks or {}) if self.channels.check else {}
+        return Task(model=self.model, roles=roles, checks=kept, stages=self.stages, **held)
 
 
 def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
@@ -98,11 +105,19 @@ def read_records(study: Study) -> dict[Role, tuple[Record, ...]]:
     ValueError
         All that `read_record`, `Record.detrend` and `check_plausible` refuse.
     """
-    return read_flights(study)[0]
+    return without_checks(study, read_flights(study)[0])
+
+
+def without_checks(
+    study: Study, flights: Mapping[Role, Sequence[Record]]
+) -> dict[Role, tuple[Record, ...]]:
+    """Records with the structure's outputs alone, as estimators take them."""
+    outputs = study.channels.outputs
+    return {role: tuple(r.select(outputs=outputs) for r in flights[role]) for role in flights}
 
 
 def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]:
-    """What `read_records` returns, and which of the records are the same flight."""
+    """What `read_records` returns with check channels, and which records are the same flight."""
     _check_names(study)
     files = {file: None for each in study.roles.values() for file in each.files}
     measured = {file: _read(study, file) for file in files}
@@ -147,10 +162,10 @@ def _check_names(study: Study) -> None:
 def _read(study: Study, file: Path) -> Record:
     channels, second = study.channels, study.channels.second
     time = channels.time if channels.dt is None else channels.dt
-    every = (channels.inputs, channels.outputs)
+    every = (channels.inputs, channels.measured)
     if second is None:
         return _read_channels(channels, file, *every, time)
-    own = tuple(n for n in (*channels.inputs, *channels.outputs) if n not in second.channels)
+    own = tuple(n for n in (*channels.inputs, *channels.measured) if n not in second.channels)
     first = _read_channels(channels, file, (), own, time)
     other = _read_channels(channels, second.beside(file), (), second.channels, second.time)
     first, other = (with_inputs(each, channels.inputs) for each in (first, other))
@@ -166,7 +181,7 @@ def _read_channels(
 ) -> Record:
     """Some of the channels from one file."""
     times = () if channels.second is None else (channels.time, channels.second.time)
-    elsewhere = {*channels.inputs, *channels.outputs, *times} - {*inputs, *outputs, time}
+    elsewhere = {*channels.inputs, *channels.measured, *times} - {*inputs, *outputs, time}
     read = read_record if file.suffix.lower() in {".mat", ".parquet"} else read_csv
     return read(
         file,
@@ -183,7 +198,11 @@ def _noisy(study: Study, record: Record) -> Record:
     if study.noise is None:
         return record
     rng = np.random.default_rng([study.noise.seed, zlib.crc32(record.name.encode())])
-    return record.with_noise(study.noise.std, rng)
+    std, y = study.noise.std, []
+    for names in (study.channels.outputs, study.channels.check):  # outputs have the same without
+        part = {name: value for name, value in std.items() if name in names}
+        y.append(record.select(outputs=names).with_noise(part, rng).y)
+    return replace(record, y=np.hstack(y))
 
 
 def _common_trim(records: Sequence[Record]) -> dict[str, float]:

@@ -61,7 +61,8 @@ def read_study(
     heading = top.table("study")
     heading.only(("title", "output", "png"))
     folder = heading.take("output", str, "out")
-    noise = _noise(top.table("noise"), type(model)) if "noise" in top.content else None
+    channels = _channels(top.table("channels"), type(model))
+    noise = _noise(top.table("noise"), channels) if "noise" in top.content else None
     roles = _roles(top.table("records", needed=True), path.parent)
     _check_noise(roles, noise, path)
     _check_trims(roles, type(model), path)
@@ -77,7 +78,7 @@ def read_study(
         model_file=model_file,
         fixed=fixed,
         bounds=bounds,
-        channels=_channels(top.table("channels"), type(model)),
+        channels=channels,
         roles=roles,
         noise=noise,
         stages=fitting(model, stages, top.content),
@@ -149,6 +150,7 @@ def _channels(table: Table, structure: type[Model]) -> Channels:
         (
             "inputs",
             "outputs",
+            "check",
             "time",
             "units",
             "columns",
@@ -169,6 +171,12 @@ def _channels(table: Table, structure: type[Model]) -> Channels:
                 f"{table.place} {kind} are {', '.join(given)}, those of {structure.__name__} are "
                 f"{', '.join(own)}; name the same ones in the same order, or leave the key out"
             )
+    check = table.names("check")
+    if wrong := [name for name in check if name in {*inputs, *outputs} or check.count(name) > 1]:
+        raise ValueError(
+            f"{table.place} check: {wrong[0]!r} is an input or output, or stands twice; name "
+            "channels that are measured beside those of the structure"
+        )
     units = table.table("units")
     columns = table.table("columns")
     hold = table.take("hold", str, "foh")
@@ -177,13 +185,14 @@ def _channels(table: Table, structure: type[Model]) -> Channels:
     return Channels(
         inputs=inputs,
         outputs=outputs,
+        check=check,
         time=table.take("time", str, "t"),
         units={name: units.take(name, str) for name in units.content},
         columns={name: _column(columns, name) for name in columns.content},
         dt=table.take("dt", (int, float)),
         hold=cast(Hold, hold),
         mending=read_mending(table),
-        second=read_second(table.table("join"), (*inputs, *outputs)),
+        second=read_second(table.table("join"), (*inputs, *outputs, *check)),
     )
 
 
@@ -246,13 +255,13 @@ def _role(table: Table, folder: Path) -> RecordSet:
     return RecordSet(files=tuple(files), detrend=detrend, trim=trim, noise=noise, cutting=cutting)
 
 
-def _noise(table: Table, structure: type[Model]) -> Noise:
+def _noise(table: Table, channels: Channels) -> Noise:
     table.only(("seed", "std"))
     seed = table.take("seed", int)
     if seed is None or seed < 0:
         raise ValueError(f"{table.place} seed = {seed}, expected an integer >= 0")
     std = table.numbers("std")
-    table.table("std").only(structure.outputs)
+    table.table("std").only(channels.measured)
     if wrong := [name for name, value in std.items() if not 0 <= value < np.inf]:
         raise ValueError(
             f"{table.place} std of {wrong[0]} is {std[wrong[0]]:g}, expected a finite number, "

@@ -25,10 +25,13 @@ def test_the_worst_output_stands_first_and_what_is_not_judged_last():
 
 
 def test_it_says_where_the_model_is_not_good_and_that_the_structure_is_why():
-    said = told([verdict("p", 0.05), verdict("r", 0.4, 3.0), verdict("q", 0.2)], SIMULATED)
+    judged = [verdict("p", 0.05), verdict("r", 0.4, 3.0), verdict("q", 0.2)]
+    said = told(judged, SIMULATED, enough=False)
     assert "good on 1, fair on 1, poor on 1" in said
     assert "worst on r 0.40, q 0.20" in said
     assert "structure is at fault: the black box of the same records predicts r 3.0 times" in said
+    assert "The estimate is at fault" in told(judged, SIMULATED, enough=True)
+    assert "Structure or estimate is at fault" in told(judged, SIMULATED)
 
 
 def test_a_black_box_that_does_no_better_does_not_blame_the_structure():

@@ -21,7 +21,7 @@ SPARSE = ("[records.validation]", "[records.refinement]\nfiles = ['3211.csv']\nn
           "decimate = 20\n\n[records.validation]")  # fmt: skip
 LEADS = (
     "The structure is not enough: ",
-    "Structure and data disagree: the black box predicts the validation records better",
+    "Model and data disagree: the black box predicts the validation records better",
     "Output error and frequency domain differ by more than their errors allow",
     "on a bound: Lp",
     "The frequency-domain fit misses the usual limits: J is",

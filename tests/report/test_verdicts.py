@@ -9,8 +9,10 @@ from truths.pages import cautions, changed
 from casid.report import (
     OUTPUT_ERROR,
 )
+from casid.report.content import CHOSEN
 from casid.report.evidence import noise_levels
 from casid.report.verdicts import verdicts, word
+from casid.stages.judgement import VALIDATION
 
 
 @pytest.mark.parametrize(
@@ -91,3 +93,27 @@ def test_an_error_of_the_size_of_the_noise_is_not_held_against_the_model(content
     assert [v.caution.endswith("it hardly moves.") for v in loud] == [True, False]
     unknown = verdicts(validation, changed(content, output_error=dataclasses.replace(fit, R=None)))
     assert np.isnan([v.residual for v in unknown]).all()
+
+
+@pytest.mark.slow
+def test_verdicts_are_of_the_step_that_was_chosen(content):
+    fit, validation = content.results["output_error"], content.results["validation"]
+    worse = [2 * y for y in validation.simulated[OUTPUT_ERROR]]
+
+    def also(by_model, value):
+        return {**by_model, CHOSEN: value}
+
+    judged = dataclasses.replace(
+        validation,
+        models=(*validation.models, CHOSEN),
+        simulated=also(validation.simulated, worse),
+        rms=also(validation.rms, validation.rms[OUTPUT_ERROR]),
+        theil=also(validation.theil, 2 * validation.theil[OUTPUT_ERROR]),
+    )
+    plain = verdicts(validation, content)
+    chosen = dataclasses.replace(content, models={**content.models, CHOSEN: fit})
+    found = verdicts(judged, chosen)
+    assert all(own.rms > 3 * usual.rms for own, usual in zip(found, plain, strict=True))
+    assert chosen.delivered == CHOSEN
+    (page,) = [each for each in VALIDATION.show(judged, chosen) if each.name == "answer"]
+    assert page.values["model"] == CHOSEN

@@ -1,5 +1,6 @@
 """A study small enough to run in a second or two: roll of a helicopter near hover, simulated."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,13 +85,24 @@ omega = { from = 0.5, to = 5, points = 20 }
 TRIM = {"lat": 0.5, "p": 0.01, "phi": -0.02}
 
 
-def write_study(folder: Path, *changes: tuple[str, str], truth: Model | None = None) -> Path:
-    """Write model, records of a truth and study; ``changes`` replace text of the study file."""
+def write_study(
+    folder: Path, *changes: tuple[str, str], truth: Model | None = None, v: bool = False
+) -> Path:
+    """Write model, records of a truth and study; ``changes`` replace text of the study file.
+
+    ``v`` records that state too, with the trim of the others.
+    """
     (folder / "roll.py").write_text(MODEL, encoding="utf-8")
     t = np.arange(0, 30, 0.04)
     for name, u in {"3211": _steps(t), "sweep": _sweep(t), "random": _random(t)}.items():
-        y = (truth or Truth()).system().simulate(t, u[:, None])
-        record = Record(t, u[:, None], y, ("lat",), ("p", "phi"), name, trim=TRIM)
+        system, outputs = (truth or Truth()).system(), ("p", "phi")
+        if v:
+            C = np.vstack([system.C, np.eye(system.nx)[:1]])
+            outputs, D = ("p", "phi", "v"), np.zeros((3, 1))
+            system = replace(system, C=C, D=D, outputs=outputs)
+        y = system.simulate(t, u[:, None])
+        trim = TRIM | {"v": 1.5} if v else TRIM
+        record = Record(t, u[:, None], y, ("lat",), outputs, name, trim=trim)
         write_csv(folder / f"{name}.csv", record)
         _to_percent(folder / f"{name}.csv")
     text = STUDY

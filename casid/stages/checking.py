@@ -1,0 +1,142 @@
+"""The stages that show states measured beside the outputs, with the model's: check channels.
+
+No estimate sees them, so they test what a model says of the states that its outputs hide.
+"""
+
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.errors import DataWarning
+from casid.fit import Fit
+from casid.frequency.estimation import SpectralAnalysis
+from casid.frequency.response import FrequencyResponse
+from casid.nonlinear.model import NonlinearModel
+from casid.prediction import Outlook, outlook, predict
+from casid.record import Record
+from casid.records import standard_deviations
+from casid.report.content import Content, Section, section
+from casid.report.drawings import draw_histories, with_states
+from casid.stages.stage import LeftOutError, Stage, Task
+from casid.validation import Validation, fit_percent, rms_error, state_space, theil_coefficient
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeasuredStates:
+    """States of every fit beside what was measured of them.
+
+    Parameters
+    ----------
+    states : tuple of str
+        Those measured by check channels.
+    shown : Validation
+        The validation with the states in place of the outputs.
+    table : mapping
+        RMS error, fit [%] and Theil's coefficient of each state and model, all records together.
+    """
+
+    states: tuple[str, ...]
+    shown: Validation
+    table: Mapping[tuple[str, str], tuple[float, float, float]]
+
+
+def _states(task: Task) -> tuple[str, ...]:
+    """States that no output shows and a check channel does; `LeftOutError` if there are none."""
+    known = next((records[0].outputs for records in task.checks.values()), ())
+    hidden = [name for name in task.model.states if name not in task.model.outputs]
+    states = tuple(name for name in hidden if name in known)
+    if not states or isinstance(task.model, NonlinearModel):  # whose outputs are what one likes
+        raise LeftOutError
+    return states
+
+
+def _spectra(settings: object, task: Task) -> FrequencyResponse:  # noqa: ARG001 - it has none
+    names = _states(task)
+    own: SpectralAnalysis = task.settings.get("frequency", SpectralAnalysis())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataWarning)  # the stage of the outputs says the same
+        return own.fit([record.select(outputs=names) for record in task.checks["frequency"]])
+
+
+def _compared(settings: object, task: Task) -> MeasuredStates:  # noqa: ARG001 - it has none
+    states, found = _states(task), task.results["validation"]
+    flights = [record.select(outputs=states) for record in task.checks["validation"]]
+    fits = {name: each for name, each in task.models.items() if isinstance(each, Fit)}
+    systems = [state_space(each) for each in task.models.values()]
+    pairs = list(zip(found.measured, flights, strict=True))
+    far = [outlook(systems, pairs[k][0], horizon) for k, horizon in enumerate(found.horizon)]
+    simulated = {
+        name: tuple(_simulated(fit, *pair, ahead) for pair, ahead in zip(pairs, far, strict=True))
+        for name, fit in fits.items()
+    }
+    shown = replace(
+        found, models=tuple(fits), outputs=states, measured=tuple(flights), simulated=simulated
+    )
+    table = {
+        (state, name): _measures(flights, ys, i)
+        for i, state in enumerate(states)
+        for name, ys in simulated.items()
+    }
+    return MeasuredStates(states=states, shown=shown, table=table)
+
+
+def _simulated(fit: Fit[Any, Any], record: Record, flight: Record, far: Outlook) -> Array:
+    """States (N, n) as the validation had them, constant biases against the measured removed."""
+    system = state_space(fit)
+    extra = with_states(system, flight.outputs)
+    both = replace(
+        system,
+        C=np.vstack([system.C, extra.C]),
+        D=np.vstack([system.D, extra.D]),
+        outputs=(*system.outputs, *flight.outputs),
+    )
+    unseen = np.full(flight.y.shape, np.nan)  # only the outputs tell where the state begins
+    names = (*record.outputs, *flight.outputs)
+    whole = replace(record, y=np.hstack([record.y, unseen]), outputs=names)
+    scale = np.concatenate([standard_deviations([record])[1], np.ones(flight.ny)])
+    y = predict(both, whole, scale, far).y[:, record.ny :]
+    apart = flight.y - y
+    bias = [np.nanmean(e) if np.isfinite(e).any() else 0.0 for e in apart.T]
+    return np.asarray(y + bias)
+
+
+def _measures(
+    flights: list[Record], simulated: tuple[Array, ...], i: int
+) -> tuple[float, float, float]:
+    y = np.concatenate([each.y[:, i] for each in flights])
+    y_model = np.concatenate([each[:, i] for each in simulated])
+    there = np.isfinite(y) & np.isfinite(y_model)
+    if not there.any():
+        return (np.nan,) * 3
+    y, y_model = y[there], y_model[there]
+    return rms_error(y, y_model), fit_percent(y, y_model), theil_coefficient(y, y_model)
+
+
+def _show(found: MeasuredStates, content: Content) -> Iterable[Section]:
+    draw = partial(draw_histories, found.shown, content.units)
+    values = {"units": content.units}
+    yield section("states", "Measured states", 65, found, values=values, draw=draw)
+
+
+CHECKED = Stage(
+    name="checked",
+    does="measured response of states",
+    run=_spectra,
+    role=("frequency",),
+    needs=("frequency",),
+    kept=False,
+)
+STATES = Stage(
+    name="states",
+    does="measured states beside the model's",
+    run=_compared,
+    role=("validation",),
+    needs=("validation",),
+    kept=False,
+    show=_show,
+)

@@ -1,0 +1,63 @@
+"""States measured beside the outputs: what the report shows of them, and what stays untouched."""
+
+import numpy as np
+import pytest
+from truths.roll_study import Truth, write_study
+
+from casid import read_records, read_study, run_study
+from casid.studies.study import read_flights
+
+SWEEPS = (
+    "[records.validation]",
+    "[records.frequency]\nfiles = ['sweep.csv']\nnoise = true\n\n[records.validation]",
+)
+LINES = ("[match]", "[frequency]\nomega = {from=0.6, to=5, points=20}\n\n[match]")
+CHECK = ("[channels.units]", '[channels]\ncheck = ["v"]\n\n[channels.units]')
+
+
+def test_estimators_see_the_same_records_with_check_channels_and_without(tmp_path):
+    (tmp_path / "plain").mkdir()
+    plain = read_records(read_study(write_study(tmp_path / "plain")))
+    asked = read_study(write_study(tmp_path, CHECK, v=True))
+    found = read_records(asked)
+    for role, records in plain.items():
+        for one, other in zip(records, found[role], strict=True):
+            assert other.outputs == ("p", "phi")
+            np.testing.assert_array_equal(one.y, other.y)  # noise included
+    flights = read_flights(asked)[0]["validation"][0]
+    assert flights.outputs == ("p", "phi", "v")
+    u = flights.u[:, 0]
+    v = Truth().system().simulate(flights.t, u[:, None])  # p, phi
+    assert np.isfinite(flights.channel("v")).all()
+    assert len(v) == flights.N
+
+
+@pytest.mark.parametrize("name", ["p", "lat"])
+def test_a_check_channel_is_none_of_the_structure(tmp_path, name):
+    wrong = (CHECK[0], CHECK[1].replace("v", name))
+    with pytest.raises(ValueError, match=f"check: '{name}' is an input or output"):
+        read_study(write_study(tmp_path, wrong))
+
+
+@pytest.mark.slow
+def test_a_measured_state_stands_beside_the_models(tmp_path):
+    outcome = run_study(read_study(write_study(tmp_path, CHECK, SWEEPS, LINES, v=True)))
+    found = outcome.identification.results["states"]
+    assert found.states == ("v",)
+    rms, fit, theil = found.table["v", "output error"]
+    assert fit > 90  # the truth is in the structure, noise 0.002 rad/s and rad
+    assert theil < 0.1
+    (record,), y = found.shown.measured, found.shown.simulated["output error"][0]
+    assert rms == pytest.approx(np.sqrt(np.mean((record.channel("v") - y[:, 0]) ** 2)))
+    assert outcome.identification.results["checked"].outputs == ("v",)
+    page = outcome.report.read_text("utf-8")
+    assert "Measured states" in page
+    assert (outcome.report.parent / "figures/history_random_v.svg").exists()
+    response = (outcome.report.parent / "figures/response_v_from_lat.svg").read_text("utf-8")
+    assert "measured" in response
+
+
+@pytest.mark.slow
+def test_without_check_channels_nothing_is_shown_of_states(tmp_path):
+    outcome = run_study(read_study(write_study(tmp_path, SWEEPS, LINES)))
+    assert not {"states", "checked"} & set(outcome.identification.results)
