@@ -4,8 +4,7 @@
 # make slow    the slow tests, an hour and more
 # make mutants how many of 400 broken programs the tests notice (an hour and more; may be stopped)
 # make docs    the documentation, site/index.html
-# make notebooks execute the notebooks of the documentation again
-# make picture the picture of README and documentation
+# make figures the figures and notebooks of the documentation again
 # make lint    formatting, rules, types and import layers
 # Needs Python 3.11 or newer; everything else goes into .venv, pinned by constraints.txt.
 
@@ -13,7 +12,7 @@ PYTHON ?= python3
 VENV ?= .venv
 STAMP := $(VENV)/.installed
 
-.PHONY: study paper test slow mutants docs notebooks picture lint install clean
+.PHONY: study paper test slow mutants docs figures lint install clean
 
 study: install
 	$(VENV)/bin/casid identify examples/uh60/study.toml
@@ -31,15 +30,11 @@ mutants: install
 	$(VENV)/bin/python benchmarks/mutants.py
 
 docs: install
-	$(VENV)/bin/python docs/build.py
+	$(VENV)/bin/python -m docs.build
 
-notebooks: install
-	$(VENV)/bin/python docs/notebooks.py
-
-picture: install
-	$(VENV)/bin/casid identify --png examples/ah1s/study.toml
-	cp out/ah1s/figures/response_p_q_r_from_ped_lon.png docs/images/responses.png
-	$(VENV)/bin/python docs/chain.py
+figures: install
+	$(VENV)/bin/python -m docs.figures
+	$(VENV)/bin/python -m docs.notebooks
 
 lint: install
 	$(VENV)/bin/ruff check .

@@ -1,4 +1,4 @@
-"""Build the documentation and fail unless every reference leads somewhere: python docs/build.py."""
+"""Build the documentation and fail unless every reference leads somewhere: python -m docs.build."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""Draw the chain of stages, docs/images/chain.svg: python docs/chain.py."""
+"""The chain of stages as a figure."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ ARROWS = (
 HALF_WIDTH, HALF_HEIGHT = 0.41, 0.24
 
 
-def draw(ax: Axes) -> None:
+def _boxes(ax: Axes) -> None:
     """Boxes and arrows."""
     look = {"ha": "center", "va": "center", "fontsize": 8}
     frame = {"boxstyle": "round,pad=0.02", "edgecolor": "#0072B2", "facecolor": "#eef4f9"}
@@ -44,14 +44,12 @@ def draw(ax: Axes) -> None:
     ax.axis("off")
 
 
-if __name__ == "__main__":
-    unknown = (
-        set(BOXES) - {stage.name for stage in STAGES} - {"identification", "frequency_records"}
-    )
-    if unknown:
+def draw(target: Path) -> None:
+    """Write the figure as SVG; a box that is no stage's is refused."""
+    roles = {"identification", "frequency_records"}
+    if unknown := set(BOXES) - {stage.name for stage in STAGES} - roles:
         raise SystemExit(f"no stage is called {', '.join(unknown)}")
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "casid"}):
         figure = Figure(figsize=(9.0, 2.4))
-        draw(figure.add_axes((0, 0, 1, 1)))
-        target = Path(__file__).parent / "images" / "chain.svg"
+        _boxes(figure.add_axes((0, 0, 1, 1)))
         figure.savefig(target, metadata={"Date": None})
