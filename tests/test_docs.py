@@ -213,6 +213,16 @@ def test_rows_of_a_table_have_as_many_cells_as_its_head(page):
         assert len({row.count("|") for row in bare.splitlines()}) == 1, table
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_formulas_are_written_to_be_typeset(page):
+    text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"`[^`\n]*`|\$[^$]+\$|\$\$[^$]+\$\$", "", text)
+    prose = re.sub(
+        r"^\|.*$", "", text, flags=re.MULTILINE
+    )  # tables may be as a command prints them
+    assert re.findall(r".*(?:[λμωγΦ√∞‖⁻₀∝∂∘∑½]|\w[\u0302\u0303]).*", prose) == []
+
+
 def test_parameters_that_share_an_entry_keep_their_own_types_and_defaults():
     own_types = griffe.load_extensions("dataclasses", str(ROOT / "docs/own_types.py"))
     package = griffe.load("casid", search_paths=[ROOT], extensions=own_types,
