@@ -62,6 +62,8 @@ from .errors import (
 )
 from .estimator import Estimator as Estimator
 from .exchange.code import write_c as write_c, write_fmu as write_fmu
+from .exchange.delays import without_delay as without_delay
+from .exchange.equations import Equations as Equations, equations_of as equations_of
 from .exchange.formats import (
     pairs_of as pairs_of,
     read_parquet as read_parquet,
@@ -78,8 +80,8 @@ from .exchange.objects import (
     to_control as to_control,
     to_dataframe as to_dataframe,
     to_scipy as to_scipy,
-    without_delay as without_delay,
 )
+from .exchange.listing import write_equations as write_equations
 from .exchange.standalone import write_module as write_module
 from .excitations import Excitation as Excitation
 from .excitations import excitation as excitation

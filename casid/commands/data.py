@@ -18,11 +18,14 @@ from casid.commands.terminal import exits, new_table, terminal
 from casid.consistency.kinematics import KinematicCheck
 from casid.exchange import formats
 from casid.exchange.code import write_c, write_fmu
+from casid.exchange.equations import equations_of
+from casid.exchange.listing import write_equations
 from casid.exchange.standalone import write_module
 from casid.files import read_json
 from casid.fit import AnyFit, Fit
 from casid.frequency.response import FrequencyResponse
 from casid.model import Model
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_records
@@ -54,7 +57,7 @@ WRITTEN = "Write inputs, measured and simulated outputs (p, p_sim) as .csv, .mat
     help="Of a record written as .mat.",
 )
 @click.option("--dt", type=float, help="Sampling interval [s] of a fit written as .c.")
-@click.option("--pade", type=int, help="Order of the delays' approximation in an .fmu.")
+@click.option("--pade", type=int, help="Order of the delays' approximation in .fmu, .m.")
 def convert(
     source: str,
     target: str,
@@ -70,8 +73,9 @@ def convert(
     FROM                                   TO
     record .csv .mat (5 to 7.3) .parquet   .csv .mat .parquet
     frequency response .json               .json .csv .mat      (stages/frequency.json of a study)
-    fit .json, with --model                .mat, .py (simulates with NumPy alone), .fmu (FMI 3.0),
-                                           .c (steps the model, with --dt)
+    fit .json, with --model                .mat, .m (dx/dt and y), .py (simulates with NumPy alone;
+                                           dx/dt and y if nonlinear), .fmu (FMI 3.0), .c (steps the
+                                           model, with --dt)
 
     Parquet and version 7.3 need: pip install 'casid[tables]'. Of a record all columns are taken,
     whether inputs or outputs; --unit turns one into SI on the way.
@@ -99,19 +103,26 @@ def _convert_result(
         formats.write_frequency(target, response)
         return f"{len(response.omega)} frequencies, {len(response.outputs)} outputs"
     fit = _load(source, structure)
+    told = f"{type(fit.model).__name__} after {fit.method}"
+    nonlinear = isinstance(fit.model, NonlinearModel)
+    model = fit.model if isinstance(fit.model, NonlinearModel) else fit.model.system()
     if target.suffix == ".mat":
         formats.write_fit_mat(target, fit)
+        return told + ", linear at its reference condition" * nonlinear
+    if target.suffix == ".m" or (nonlinear and target.suffix == ".py"):
+        write_equations(target, equations_of(model, steps[1]), title=told)
     elif target.suffix == ".py":
-        write_module(target, fit.model.system(), title=f"{type(fit.model).__name__}, {fit.method}")
+        write_module(target, fit.model.system(), title=told)
     elif target.suffix == ".fmu":
-        write_fmu(target, fit.model.system(), pade=steps[1])
+        write_fmu(target, model, pade=steps[1])
     elif target.suffix == ".c":
         if steps[0] is None:
             raise ValueError("C source steps at one interval: give it, --dt 0.02")
-        write_c(target, fit.model.system(), dt=steps[0])
+        write_c(target, model, dt=steps[0])
     else:
-        raise ValueError(f"{target}: a fit becomes .mat, .py, .c or .fmu, not {target.suffix!r}")
-    return f"{type(fit.model).__name__} after {fit.method}"
+        known = ".mat, .m, .py, .c or .fmu"
+        raise ValueError(f"{target}: a fit becomes {known}, not {target.suffix!r}")
+    return told
 
 
 def _response(source: Path, content: Mapping[str, Any]) -> FrequencyResponse:

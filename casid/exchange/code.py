@@ -1,7 +1,9 @@
 """A model as C source that steps it, and as a functional mock-up unit (FMI 3.0)."""
 
+import re
 import shutil
 import tempfile
+from collections.abc import Mapping
 from contextlib import chdir
 from pathlib import Path
 from typing import Any
@@ -11,16 +13,26 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.channels import UNITS
-from casid.exchange.objects import optional, without_delay
+from casid.exchange.equations import Equations, equations_of
+from casid.exchange.objects import optional
+from casid.exchange.stepping import steps_of, usual_steps
 from casid.files import write_text
 from casid.folder import replacing
 from casid.linear import StateSpace
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold
 
 MOST = 10_000  # samples of a delay
 
 
-def write_c(path: str | Path, system: StateSpace, *, dt: float, hold: Hold = "foh") -> None:
+def write_c(
+    path: str | Path,
+    system: StateSpace | NonlinearModel,
+    *,
+    dt: float,
+    hold: Hold = "foh",
+    steps: int | None = None,
+) -> None:
     """Write C source (C99, nothing to link but the mathematical library) that steps a model.
 
     The file has two functions in the calling convention of CasADi's generated code,
@@ -29,18 +41,23 @@ def write_c(path: str | Path, system: StateSpace, *, dt: float, hold: Hold = "fo
         step(z, u) -> (z, y)        outputs at this sample, memory for the next
 
     exact for inputs that are held as said between samples and then delayed: as
-    `StateSpace.simulate`. Names, sizes and order of the channels stand in a comment.
+    `StateSpace.simulate`. A nonlinear structure is integrated by the classical Runge-Kutta method,
+    its delays exact too; total values then. Names, sizes and order of the channels stand in a
+    comment.
 
     Parameters
     ----------
     path : path
         Ends in ``.c``; a header of the same name goes beside it.
-    system : StateSpace
-        Continuous; ``fit.model.system()`` of a fit.
+    system : StateSpace or NonlinearModel
+        Continuous; ``fit.model.system()`` of a fit, ``fit.model`` of a nonlinear one.
     dt : float
         Sampling interval [s].
     hold : {"foh", "zoh"}
         What inputs do between samples.
+    steps : int
+        Runge-Kutta steps a sampling interval of a nonlinear structure; unless given four within a
+        radian of its fastest mode at the reference condition.
 
     Raises
     ------
@@ -53,38 +70,50 @@ def write_c(path: str | Path, system: StateSpace, *, dt: float, hold: Hold = "fo
         raise ValueError(f"{path}: expected a name that C takes, such as model.c")
     if not dt > 0:
         raise ValueError(f"dt={dt}: expected a positive interval [s]")
-    _continuous(system)
-    if (longest := system.delay.max(initial=0.0)) > MOST * dt:
+    if steps is not None and steps < 1:
+        raise ValueError(f"steps={steps}: expected a whole number above 0")
+    linear = system.system() if isinstance(system, NonlinearModel) else system
+    _continuous(linear)
+    if (longest := linear.delay.max(initial=0.0)) > MOST * dt:
         raise ValueError(
             f"dt={dt}: a delay of {longest:g} s takes a memory of {longest / dt:.3g} samples, more "
             f"than {MOST}; sample less often, or write without_delay(system, pade)"
         )
-    start, step = _steps(system, dt, hold)
+    if isinstance(system, NonlinearModel):
+        count = steps or usual_steps(system, dt)
+        (start, step), units = steps_of(system, dt, hold, count), {**UNITS, **system.units}
+        kind = f"total values; {count} Runge-Kutta steps a sample"
+    else:
+        (start, step), units, kind = _steps(system, dt, hold), UNITS, "deviations from trim"
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         code = ca.CodeGenerator(path.stem, {"with_header": True, "cpp": False})
         code.add(start)
         code.add(step)
         code.generate()
         source, header = (Path(f"{path.stem}.{end}").read_text("utf-8") for end in "ch")
-    head = _comment(system, dt, hold, step.size1_in(0))
+    head = _comment(linear, (dt, hold, kind), units, step.size1_in(0))
     write_text(path, head + source)
     write_text(path.with_suffix(".h"), head + header)
 
 
 def write_fmu(
-    path: str | Path, system: StateSpace, *, pade: int | None = None, binary: bool = True
+    path: str | Path,
+    system: StateSpace | NonlinearModel,
+    *,
+    pade: int | None = None,
+    binary: bool = True,
 ) -> None:
     """Write a model as an FMU for model exchange (FMI 3.0), by CasADi's exporter.
 
     Inputs and outputs have their names and units; a state that is an output too is called
-    ``state_NAME``.
+    ``state_NAME``. A nonlinear structure has total values and starts at its reference condition.
 
     Parameters
     ----------
     path : path
         Ends in ``.fmu``.
-    system : StateSpace
-        Continuous; ``fit.model.system()`` of a fit.
+    system : StateSpace or NonlinearModel
+        Continuous; ``fit.model.system()`` of a fit, ``fit.model`` of a nonlinear one.
     pade : int
         Order of the Padé approximation of delays, see `without_delay`; needed where there are any.
     binary : bool
@@ -99,11 +128,11 @@ def write_fmu(
     path = Path(path)
     if path.suffix != ".fmu" or not path.stem.isidentifier():
         raise ValueError(f"{path}: expected a name that C takes, such as model.fmu")
-    _continuous(system)
-    dae = _equations(path.stem, without_delay(system, pade))
+    dae = _dae(path.stem, equations_of(system, pade))
     headers = _headers() if binary else ""
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         files = dae.export_fmu({"no_warning": True, "with_serialization": False})
+        _define_units(Path(next(name for name in files if name.endswith("modelDescription.xml"))))
         if binary:
             files = dae.compile_fmu(files, {"include_dirs": [headers]})
         packed = Path(dae.pack_fmu(files, {"path": path.name})).read_bytes()
@@ -160,11 +189,14 @@ def _taps(system: StateSpace, dt: float, hold: Hold) -> tuple[list[Array], list[
     return list(W[:last]), list(V[:last]), found[0].maps[0]
 
 
-def _comment(system: StateSpace, dt: float, hold: Hold, memory: int) -> str:
-    """What a C programmer has to know."""
+def _comment(
+    system: StateSpace, how: tuple[float, Hold, str], units: Mapping[str, str], memory: int
+) -> str:
+    """What a C programmer has to know; ``how``: interval, hold, what the values are."""
+    dt, hold, kind = how
 
     def named(names: tuple[str, ...]) -> str:
-        return ", ".join(f"{name} [{UNITS.get(name, '-')}]" for name in names)
+        return ", ".join(f"{name} [{units.get(name, '-')}]" for name in names)
 
     return (
         f"/* Samples every {dt!r} s, inputs held as {hold}; delays of the inputs [s]: "
@@ -173,36 +205,51 @@ def _comment(system: StateSpace, dt: float, hold: Hold, memory: int) -> str:
         f"   y: {named(system.outputs)}\n"
         f"   z: memory, {memory} numbers.\n"
         "   start(x0, u0) -> z at the first sample; step(z, u) -> z of the next sample, y now.\n"
-        "   SI units and radians; deviations from trim. */\n"
+        f"   SI units and radians; {kind}. */\n"
     )
 
 
-def _equations(name: str, system: StateSpace) -> ca.DaeBuilder:
+def _dae(name: str, system: Equations) -> ca.DaeBuilder:
     """The equations of a model without delays, variable by variable."""
     dae = ca.DaeBuilder(name)
     dae.add("time", "independent")
     taken = {*system.inputs, *system.outputs, "time"}
 
-    def variable(label: str, causality: str) -> ca.MX:
-        about: dict[str, Any] = {"unit": UNITS.get(label.removeprefix("state_"), "")}
+    def variable(label: str, causality: str, start: float = 0.0) -> ca.MX:
+        unit = system.units.get(label.removeprefix("state_"), "")
+        about: dict[str, Any] = {"unit": "" if unit == "-" else unit}
         if causality != "output":
-            about["start"] = 0.0
+            about["start"] = start
         if causality == "local":
             about["initial"] = "exact"
         made: ca.MX = dae.add(label, causality, "continuous", about)
         return made
 
-    u = ca.vertcat(*(variable(each, "input") for each in system.inputs))
+    begin = zip(system.inputs, system.u0.tolist(), strict=True)
+    u = ca.vertcat(*(variable(each, "input", start) for each, start in begin))
     states = [f"state_{each}" if each in taken else each for each in system.states]
-    each_x = [variable(label, "local") for label in states]
-    x = ca.vertcat(*each_x)
-    rates = _sparse(system.A) @ x + _sparse(system.B) @ u
-    values = _sparse(system.C) @ x + _sparse(system.D) @ u
+    begin = zip(states, system.x0.tolist(), strict=True)
+    each_x = [variable(label, "local", start) for label, start in begin]
+    rates, values = system.function(ca.vertcat(*each_x), u)
     for i, state in enumerate(each_x):
         dae.eq(dae.der(state), rates[i])
     for i, label in enumerate(system.outputs):
         dae.eq(variable(label, "output"), values[i])
     return dae
+
+
+def _define_units(path: Path) -> None:
+    """Define the units that variables name, as the standard asks for; CasADi does not."""
+    text = path.read_text("utf-8")
+    names = sorted(set(re.findall(r'unit="([^"]+)"', text)))
+    if names:
+        defined = "".join(f'    <Unit name="{name}"/>\n' for name in names)
+        units = f"  <UnitDefinitions>\n{defined}  </UnitDefinitions>\n"
+        first = re.search(r"\s*<(DefaultExperiment|ModelVariables)\b", text)
+        if first is None:
+            raise RuntimeError(f"{path}: no variables in it; casid does not know this CasADi")
+        at = first.start() + 1
+        path.write_text(text[:at] + units + text[at:], "utf-8")
 
 
 def _headers() -> str:

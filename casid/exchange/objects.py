@@ -7,25 +7,37 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 import scipy.signal
 
 from casid.arrays import Array
+from casid.exchange.delays import without_delay
+from casid.exchange.equations import equations_of
 from casid.files import Channels, Detrend, build
 from casid.linear import StateSpace
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
 
 # pandas and python-control have no types of their own that mypy could use.
 
 
-def to_control(system: StateSpace, *, pade: int | None = None) -> Any:  # noqa: ANN401
-    """A `control.StateSpace` with the same names.
+def to_control(system: StateSpace | NonlinearModel, *, pade: int | None = None) -> Any:  # noqa: ANN401
+    """A `control.StateSpace` with the same names; of a nonlinear structure a `NonlinearIOSystem`.
 
     ``pade`` is the order of the Padé approximation of delays (see `without_delay`), without which a
-    continuous model with delays is refused (ValueError).
+    continuous model with delays is refused (ValueError). A nonlinear structure has total values;
+    ``equations_of(model, pade).x0`` is its reference condition.
     """
     import control  # noqa: PLC0415 - slow to import, and only wanted here
 
+    if isinstance(system, NonlinearModel):
+        found = equations_of(system, pade)
+        names = {name: list(getattr(found, name)) for name in ("inputs", "outputs", "states")}
+        return control.NonlinearIOSystem(
+            lambda t, x, u, _: found.derivatives(t, x, u),
+            lambda t, x, u, _: found.measurements(t, x, u),
+            name=type(system).__name__,
+            **names,
+        )
     plain = without_delay(system, pade)
     names = {name: list(getattr(plain, name)) for name in ("inputs", "outputs", "states")}
     return control.ss(plain.A, plain.B, plain.C, plain.D, plain.dt or 0, **names)
@@ -45,8 +57,14 @@ def from_control(system: Any, *, delay: Sequence[float] = ()) -> StateSpace:  # 
     return _state_space(system, system.dt, names, delay)
 
 
-def to_scipy(system: StateSpace, *, pade: int | None = None) -> Any:  # noqa: ANN401
-    """A `scipy.signal.StateSpace`; it has no names, and delays as in `to_control`."""
+def to_scipy(system: StateSpace | NonlinearModel, *, pade: int | None = None) -> Any:  # noqa: ANN401
+    """A `scipy.signal.StateSpace`; it has no names, and delays as in `to_control`.
+
+    Of a nonlinear structure its `Equations`, whose ``derivatives`` `scipy.integrate.solve_ivp`
+    takes.
+    """
+    if isinstance(system, NonlinearModel):
+        return equations_of(system, pade)
     plain = without_delay(system, pade)
     time = {} if plain.dt is None else {"dt": plain.dt}
     return scipy.signal.StateSpace(plain.A, plain.B, plain.C, plain.D, **time)
@@ -84,79 +102,6 @@ def _state_space(
     inputs, outputs, states = map(tuple, names)
     time, late = float(dt) if dt else None, np.array(delay, dtype=float)
     return StateSpace(system.A, system.B, system.C, system.D, time, inputs, outputs, states, late)
-
-
-def without_delay(system: StateSpace, pade: int | None = None) -> StateSpace:
-    """The same system with its delays turned into states.
-
-    A discrete model holds past inputs as states, which is exact. A continuous one gets a Padé
-    approximation for each delayed input: all-pass, the phase right up to about ``pade``/delay
-    rad/s.
-
-    Parameters
-    ----------
-    system : StateSpace
-        With or without delays.
-    pade : int
-        Order of the approximation, 1 to 10; needed for a continuous model with delays.
-
-    Raises
-    ------
-    ValueError
-        Delays of a continuous model without ``pade``; of a discrete one that are no multiples of
-        its interval.
-    """
-    if not system.delay.any():
-        return system
-    if system.dt is None and pade is None:
-        told = ", ".join(
-            f"{name} {tau:g} s"
-            for name, tau in zip(system.inputs, system.delay, strict=True)
-            if tau
-        )
-        raise ValueError(
-            f"the model has delays ({told}), the target has none: pass pade=3 for approximations, "
-            "or dataclasses.replace(system, delay=()) to drop them knowingly"
-        )
-    lines = [_delay_line(system, j, pade) for j in range(system.nu)]
-    A, B, C, D = (scipy.linalg.block_diag(*blocks) for blocks in zip(*lines, strict=True))
-    named = zip(system.inputs, lines, strict=True)
-    names = [f"{name}_{k + 1}" for name, line in named for k in range(len(line[0]))]
-    n = len(A)
-    return StateSpace(
-        np.block([[system.A, system.B @ C], [np.zeros((n, system.nx)), A]]),
-        np.vstack([system.B @ D, B]),
-        np.hstack([system.C, system.D @ C]),
-        system.D @ D,
-        system.dt,
-        system.inputs,
-        system.outputs,
-        (*system.states, *names),
-    )
-
-
-def _delay_line(system: StateSpace, j: int, pade: int | None) -> tuple[Array, Array, Array, Array]:
-    """A, B, C, D of the delay of one input."""
-    tau = float(system.delay[j])
-    if system.dt is not None:
-        n = round(tau / system.dt)
-        if abs(tau - n * system.dt) > 1e-6 * system.dt:
-            raise ValueError(
-                f"the delay of {system.inputs[j]!r}, {tau:g} s, is no multiple of the interval "
-                f"{system.dt:g} s of this discrete model"
-            )
-        if n:
-            A = np.eye(n, k=-1)
-            return A, np.eye(n, 1), np.eye(n)[-1:], np.zeros((1, 1))
-    elif tau:
-        if pade is None or not 1 <= pade <= 10:
-            raise ValueError(f"pade={pade}: expected an order of 1 to 10")
-        import control  # noqa: PLC0415 - slow to import, and only wanted here
-
-        numerator, denominator = control.pade(tau, pade)
-        line = scipy.signal.tf2ss(numerator, denominator)
-        return tuple(np.atleast_2d(part) for part in line)  # type: ignore[return-value]
-    return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
 
 
 def to_dataframe(record: Record) -> Any:  # noqa: ANN401

@@ -3,11 +3,13 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy.io
 from click.testing import CliRunner
+from truths.climbing import AIRCRAFT
 from truths.roll_study import write_study
 
 from casid import FrequencyResponse, read_csv
@@ -119,7 +121,7 @@ CONVERT_MISTAKES = {
     "another structure": (("fit.json", "m.py", "--model", "other.py:Roll"), ("other.py",)),
     "a fit as a table": (
         ("fit.json", "m.csv", "--model", "roll.py:Roll"),
-        (".mat, .py, .c or .fmu",),
+        (".mat, .m, .py, .c or .fmu",),
     ),
     "C without an interval": (("fit.json", "m.c", "--model", "roll.py:Roll"), ("--dt 0.02",)),
     "a response as a module": (("frf.json", "m.py"), ("unknown suffix '.py'",)),
@@ -242,3 +244,19 @@ def test_columns_units_and_time_of_a_log_are_told_to_inspect_and_check(tmp_path)
     assert found.exit_code == 0
     assert "deg/s" not in found.output
     assert casid("inspect", "log.csv", "--column", "p").exit_code == 2
+
+
+def test_a_nonlinear_fit_becomes_what_other_tools_run(tmp_path, monkeypatch):
+    fit = SimpleNamespace(model=AIRCRAFT, method="output error")
+    monkeypatch.setattr("casid.commands.data._load", lambda *_: fit)
+    monkeypatch.chdir(tmp_path)
+    Path("fit.json").write_text('{"casid": "fit"}', encoding="utf-8")
+    for name, more, text in (
+        ("flown.c", ("--dt", "0.02"), "total values"),
+        ("flown.m", ("--pade", "3"), "function [dx, y] = flown(x, u)"),
+        ("flown.py", ("--pade", "3"), "def equations(x, u):"),
+    ):
+        done = casid("convert", "fit.json", name, "--model", "any.py:Any", *more)
+        assert done.output == f"{name}: Climbing after output error\n"
+        assert text in Path(name).read_text("utf-8")
+    assert "pass pade=3" in refused(casid("convert", "fit.json", "flown.m", "--model", "a.py:A"))

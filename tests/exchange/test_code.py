@@ -7,10 +7,12 @@ import zipfile
 
 import numpy as np
 import pytest
+import scipy.integrate
 import scipy.linalg
+from truths.climbing import AIRCRAFT, X0, by_casid, commands
 from truths.systems import stepped_input, unstable_plant
 
-from casid import StateSpace, without_delay, write_c, write_fmu
+from casid import StateSpace, equations_of, without_delay, write_c, write_fmu
 
 DT, N = 0.04, 80
 COMPILER = shutil.which("cc") or shutil.which("gcc")
@@ -63,6 +65,44 @@ def test_compiled_source_steps_as_the_simulation(tmp_path, hold, delay):
     np.testing.assert_allclose(y, by_casid, atol=1e-10 * np.abs(by_casid).max())
 
 
+@needs_compiler
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_compiled_source_steps_a_nonlinear_structure(tmp_path, hold):
+    write_c(tmp_path / "model.c", AIRCRAFT, dt=DT, hold=hold, steps=3)
+    library = Library(tmp_path / "model.c", tmp_path)
+    text = (tmp_path / "model.c").read_text("utf-8")
+    assert "total values; 3 Runge-Kutta steps a sample" in text
+    assert "V [m/s]" in text
+    memory = int(text.split("memory, ")[1].split(" ")[0])
+    u = commands()
+    y = np.empty((len(u), 3))
+    (z,) = library("start", X0, u[0], sizes=[memory])
+    for k in range(len(u)):
+        z, y[k] = library("step", z, u[k], sizes=[memory, 3])
+    known = by_casid(AIRCRAFT, u, hold, 3)
+    np.testing.assert_allclose(y, known, atol=1e-10 * np.abs(known).max())
+    with pytest.raises(ValueError, match="steps=0"):
+        write_c(tmp_path / "model.c", AIRCRAFT, dt=DT, steps=0)
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_an_fmu_of_a_nonlinear_structure_starts_at_its_reference_condition(tmp_path):
+    fmpy = pytest.importorskip("fmpy")
+    write_fmu(tmp_path / "aircraft.fmu", AIRCRAFT, pade=3)
+    found = fmpy.simulate_fmu(
+        str(tmp_path / "aircraft.fmu"), stop_time=3.0, output_interval=0.1,
+        relative_tolerance=1e-11, start_values={"lon": 0.03}, output=list(AIRCRAFT.outputs),
+    )  # fmt: skip
+    own, u = equations_of(AIRCRAFT, 3), np.array([0.03, 0.5])
+    known = scipy.integrate.solve_ivp(
+        own.derivatives, (0, 3), own.x0, "DOP853", found["time"], args=(u,), rtol=1e-12, atol=1e-13
+    )
+    y = np.array([own.measurements(0.0, x, u) for x in known.y.T])
+    for i, name in enumerate(AIRCRAFT.outputs):
+        np.testing.assert_allclose(found[name], y[:, i], atol=1e-8 * np.abs(y).max())
+
+
 def test_the_comment_says_what_to_call(tmp_path):
     write_c(tmp_path / "roll.c", unstable_plant(), dt=DT)
     for end in ("c", "h"):
@@ -95,21 +135,21 @@ def test_an_fmu_runs_in_another_program(tmp_path):
     fmpy = pytest.importorskip("fmpy")
     plant = unstable_plant()
     A = plant.A - 0.3 * np.eye(5)  # lightly damped: an error would not hide behind growth
-    names = (plant.inputs, plant.outputs, ("x", "s2", "s3", "s4", "s5"))
+    names = (("lat", "b"), ("p", *plant.outputs[1:]), ("p", "s2", "s3", "s4", "s5"))
     system = StateSpace(A, plant.B, plant.C, plant.D, None, *names, np.array([0.1, 0.0]))
     write_fmu(tmp_path / "plant.fmu", system, pade=3)
     x0 = np.arange(1.0, 6.0) / 5
-    start = {name: float(x) for name, x in zip(("state_x", *names[2][1:]), x0, strict=True)}
+    start = {name: float(x) for name, x in zip(("state_p", *names[2][1:]), x0, strict=True)}
     found = fmpy.simulate_fmu(
         str(tmp_path / "plant.fmu"), stop_time=4.0, output_interval=0.1, relative_tolerance=1e-11,
-        start_values=start | {"a": 0.5, "b": -0.2}, output=list(plant.outputs),
+        start_values=start | {"lat": 0.5, "b": -0.2}, output=list(names[1]),
     )  # fmt: skip
     plain = without_delay(system, 3)  # constant inputs: the exponential of the augmented matrix
     M = np.block([[plain.A, plain.B], [np.zeros((2, plain.nx + 2))]])
     begin = np.concatenate([x0, np.zeros(plain.nx - 5), [0.5, -0.2]])
     states = np.array([scipy.linalg.expm(M * t) @ begin for t in found["time"]])
     y = states @ np.hstack([plain.C, plain.D]).T
-    for i, name in enumerate(plant.outputs):
+    for i, name in enumerate(names[1]):
         np.testing.assert_allclose(found[name], y[:, i], atol=1e-8 * np.abs(y).max())
 
 

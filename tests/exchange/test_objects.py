@@ -6,9 +6,11 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
+import scipy.integrate
 import scipy.io
 import scipy.linalg
 import scipy.signal
+from truths.climbing import AIRCRAFT
 from truths.systems import same
 
 from casid.exchange.objects import (
@@ -18,7 +20,6 @@ from casid.exchange.objects import (
     to_control,
     to_dataframe,
     to_scipy,
-    without_delay,
 )
 
 OMEGA = np.geomspace(0.1, 20, 15)
@@ -63,24 +64,6 @@ def test_delays_are_never_dropped_in_silence(system):
     assert to_control(replace(system, delay=())).nstates == 3
 
 
-def test_a_pade_approximation_is_all_pass_and_right_in_phase_within_its_band(system):
-    late = replace(system, delay=[0.05, 0.1])
-    plain = without_delay(late, pade=3)
-    assert (plain.nx, plain.inputs, plain.outputs) == (9, late.inputs, late.outputs)
-    low = OMEGA[OMEGA < 15]
-    # The error of the (3, 3) approximation is (ω τ)^7 / 1e5: 2e-4 at ω τ = 1.5.
-    np.testing.assert_allclose(plain.response(low), late.response(low), rtol=5e-4, atol=1e-4)
-
-
-def test_delays_of_a_discrete_model_become_states_exactly(system):
-    late = replace(system, dt=0.02, delay=[0.04, 0.0])
-    plain = without_delay(late)
-    assert plain.nx == 5
-    np.testing.assert_allclose(plain.response(OMEGA), late.response(OMEGA), rtol=1e-12)
-    with pytest.raises(ValueError, match="no multiple"):
-        without_delay(replace(late, delay=[0.05, 0.0]))
-
-
 def test_a_discrete_system_without_interval_is_refused():
     with pytest.raises(ValueError, match="without a sampling interval"):
         from_control(control.ss(0.5, 1, 1, 0, True))
@@ -112,3 +95,20 @@ def test_an_index_of_time_deltas_is_time_in_seconds(record):
     frame = to_dataframe(record)
     frame.index = pd.to_timedelta(np.arange(50) * 20, unit="ms")
     np.testing.assert_allclose(from_dataframe(frame).t, 0.02 * np.arange(50), rtol=1e-12)
+
+
+def test_a_nonlinear_structure_becomes_a_system_of_python_control():
+    there = to_control(AIRCRAFT, pade=2)
+    assert there.input_labels == list(AIRCRAFT.inputs)
+    assert there.output_labels == list(AIRCRAFT.outputs)
+    own = to_scipy(AIRCRAFT, pade=2)
+    t, u = np.linspace(0, 2, 41), np.array([0.03, 0.55])
+    tight = {"rtol": 1e-10, "atol": 1e-12}
+    found = control.input_output_response(
+        there, t, np.tile(u[:, None], 41), own.x0, solve_ivp_kwargs=tight
+    )
+    known = scipy.integrate.solve_ivp(
+        own.derivatives, (0, 2), own.x0, args=(lambda _: u,), t_eval=t, **tight
+    )
+    expected = np.array([own.measurements(0.0, x, u) for x in known.y.T]).T
+    np.testing.assert_allclose(found.outputs, expected, atol=1e-7)

@@ -8,7 +8,7 @@ import scipy.linalg
 from truths.closed_roll import TRUTH, flown
 from truths.systems import known_black_box
 
-from casid.exchange.objects import without_delay
+from casid.exchange.delays import without_delay
 from casid.free import free_parameters
 from casid.shooting.innovation import NOISE_SHARE, black_box_gain, filter_unknowns, kalman_gain
 from casid.shooting.starting import SURPRISE

@@ -1,0 +1,81 @@
+"""Delays of a model turned into states."""
+
+import numpy as np
+import scipy.linalg
+import scipy.signal
+
+from casid.arrays import Array
+from casid.linear import StateSpace
+
+
+def without_delay(system: StateSpace, pade: int | None = None) -> StateSpace:
+    """The same system with its delays turned into states.
+
+    A discrete model holds past inputs as states, which is exact. A continuous one gets a Padé
+    approximation for each delayed input: all-pass, the phase right up to about ``pade``/delay
+    rad/s.
+
+    Parameters
+    ----------
+    system : StateSpace
+        With or without delays.
+    pade : int
+        Order of the approximation, 1 to 10; needed for a continuous model with delays.
+
+    Raises
+    ------
+    ValueError
+        Delays of a continuous model without ``pade``; of a discrete one that are no multiples of
+        its interval.
+    """
+    if not system.delay.any():
+        return system
+    if system.dt is None and pade is None:
+        told = ", ".join(
+            f"{name} {tau:g} s"
+            for name, tau in zip(system.inputs, system.delay, strict=True)
+            if tau
+        )
+        raise ValueError(
+            f"the model has delays ({told}), the target has none: pass pade=3 for approximations, "
+            "or dataclasses.replace(system, delay=()) to drop them knowingly"
+        )
+    lines = [_delay_line(system, j, pade) for j in range(system.nu)]
+    A, B, C, D = (scipy.linalg.block_diag(*blocks) for blocks in zip(*lines, strict=True))
+    named = zip(system.inputs, lines, strict=True)
+    names = [f"{name}_{k + 1}" for name, line in named for k in range(len(line[0]))]
+    n = len(A)
+    return StateSpace(
+        np.block([[system.A, system.B @ C], [np.zeros((n, system.nx)), A]]),
+        np.vstack([system.B @ D, B]),
+        np.hstack([system.C, system.D @ C]),
+        system.D @ D,
+        system.dt,
+        system.inputs,
+        system.outputs,
+        (*system.states, *names),
+    )
+
+
+def _delay_line(system: StateSpace, j: int, pade: int | None) -> tuple[Array, Array, Array, Array]:
+    """A, B, C, D of the delay of one input."""
+    tau = float(system.delay[j])
+    if system.dt is not None:
+        n = round(tau / system.dt)
+        if abs(tau - n * system.dt) > 1e-6 * system.dt:
+            raise ValueError(
+                f"the delay of {system.inputs[j]!r}, {tau:g} s, is no multiple of the interval "
+                f"{system.dt:g} s of this discrete model"
+            )
+        if n:
+            A = np.eye(n, k=-1)
+            return A, np.eye(n, 1), np.eye(n)[-1:], np.zeros((1, 1))
+    elif tau:
+        if pade is None or not 1 <= pade <= 10:
+            raise ValueError(f"pade={pade}: expected an order of 1 to 10")
+        import control  # noqa: PLC0415 - slow to import, and only wanted here
+
+        numerator, denominator = control.pade(tau, pade)
+        line = scipy.signal.tf2ss(numerator, denominator)
+        return tuple(np.atleast_2d(part) for part in line)  # type: ignore[return-value]
+    return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))

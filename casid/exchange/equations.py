@@ -1,0 +1,112 @@
+"""A model as dx/dt and y of states and inputs, without delays: what simulators ask for."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+from casid.channels import UNITS
+from casid.exchange.delays import without_delay
+from casid.linear import StateSpace
+from casid.nonlinear.model import NonlinearModel
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Equations:
+    """dx/dt = f(x, u), y = h(x, u), for SciPy's `solve_ivp` and other integrators.
+
+    Total values of a nonlinear structure, deviations from trim of a linear system.
+
+    Parameters
+    ----------
+    states, inputs, outputs : tuple of str
+        Names; states of the Padé approximation of delays behind the model's.
+    units : mapping
+        By name, where they are known.
+    x0, u0 : (nx,) and (nu,) array
+        The reference condition, zero of a linear system; states of delays at rest under u0.
+    function : casadi.Function
+        (x, u) -> (dx/dt, y).
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    units: Mapping[str, str]
+    x0: Array
+    u0: Array
+    function: ca.Function
+
+    def derivatives(self, t: float, x: Array, u: Array | Callable[[float], Array]) -> Array:
+        """dx/dt (nx,) for inputs u (nu,), or a function of time that has them.
+
+        ``scipy.integrate.solve_ivp(found.derivatives, (0, 10), found.x0, args=(u,))``
+        """
+        return self._values(0, t, x, u)
+
+    def measurements(self, t: float, x: Array, u: Array | Callable[[float], Array]) -> Array:
+        """Outputs (ny,)."""
+        return self._values(1, t, x, u)
+
+    def _values(self, which: int, t: float, x: Array, u: Array | Callable[[float], Array]) -> Array:
+        at = u(t) if callable(u) else u
+        return np.asarray(self.function(x, at)[which], dtype=float).ravel()
+
+
+def equations_of(model: StateSpace | NonlinearModel, pade: int | None = None) -> Equations:
+    """The equations of a continuous model; ``pade`` as in `without_delay`.
+
+    Raises
+    ------
+    ValueError
+        A discrete model, delays without ``pade``.
+    """
+    if isinstance(model, NonlinearModel):
+        return _nonlinear(model, pade)
+    if model.dt is not None:
+        raise ValueError(
+            f"the model is discrete with an interval of {model.dt:g} s; convert it to continuous "
+            "time first (BlackBox.continuous)"
+        )
+    plain = without_delay(model, pade)
+    x, u = ca.SX.sym("x", plain.nx), ca.SX.sym("u", plain.nu)
+    A, B, C, D = (ca.sparsify(ca.DM(getattr(plain, letter))) for letter in "ABCD")
+    return Equations(
+        states=plain.states,
+        inputs=plain.inputs,
+        outputs=plain.outputs,
+        units=UNITS,
+        x0=np.zeros(plain.nx),
+        u0=np.zeros(plain.nu),
+        function=_function(x, u, A @ x + B @ u, C @ x + D @ u),
+    )
+
+
+def _nonlinear(model: NonlinearModel, pade: int | None) -> Equations:
+    """The structure's equations with its delays as a linear system before its inputs."""
+    (x0, u0), names = model.operating_point(), model.inputs
+    nu, empty = len(names), np.zeros((0, 0))
+    through = np.zeros((0, nu)), np.zeros((nu, 0)), np.eye(nu)
+    line = without_delay(
+        StateSpace(empty, *through, None, names, names, (), model.system().delay), pade
+    )
+    x, u = ca.SX.sym("x", len(x0) + line.nx), ca.SX.sym("u", nu)
+    own, late = x[: len(x0)], x[len(x0) :]
+    rates, outputs = model.equations()(own, line.C @ late + line.D @ u, model.vector())
+    rest = np.linalg.solve(line.A, -line.B @ u0) if line.nx else np.zeros(0)
+    return Equations(
+        states=(*model.states, *line.states),
+        inputs=names,
+        outputs=model.outputs,
+        units={**UNITS, **model.units},
+        x0=np.concatenate([x0, rest]),
+        u0=u0,
+        function=_function(x, u, ca.vertcat(rates, line.A @ late + line.B @ u), outputs),
+    )
+
+
+def _function(x: ca.SX, u: ca.SX, rates: ca.SX, outputs: ca.SX) -> ca.Function:
+    dense = [ca.densify(rates), ca.densify(outputs)]
+    return ca.Function("equations", [x, u], ca.cse(dense), ["x", "u"], ["dx", "y"])

@@ -1,0 +1,138 @@
+"""The equations of a model as text: a function file of MATLAB, or a Python module."""
+
+from pathlib import Path
+
+import casadi as ca
+
+from casid.exchange.equations import Equations
+from casid.files import write_text
+
+BINARY = {
+    ca.OP_ADD: "{} + {}",
+    ca.OP_SUB: "{} - {}",
+    ca.OP_MUL: "{} * {}",
+    ca.OP_DIV: "{} / {}",
+    ca.OP_FMIN: "min({}, {})",
+    ca.OP_FMAX: "max({}, {})",
+    ca.OP_LT: "({} < {}) + 0.0",
+    ca.OP_LE: "({} <= {}) + 0.0",
+    ca.OP_EQ: "({} == {}) + 0.0",
+    ca.OP_ATAN2: "atan2({}, {})",
+    ca.OP_HYPOT: "hypot({}, {})",
+    ca.OP_IF_ELSE_ZERO: "{} * {}",  # of a condition, 0 or 1
+}
+UNARY = {
+    ca.OP_ASSIGN: "{}",
+    ca.OP_NEG: "-{}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "2 * {}",
+    ca.OP_INV: "1 / {}",
+    ca.OP_NOT: "1 - {}",
+    ca.OP_FABS: "abs({})",
+} | {
+    getattr(ca, f"OP_{name.upper()}"): f"{name}({{}})"
+    for name in (
+        *("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan"),
+        *("sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf", "expm1", "log1p"),
+    )
+}
+POWERS = (ca.OP_POW, ca.OP_CONSTPOW)
+
+MATLAB = """function [dx, y] = {name}(x, u)
+%{upper} {about}
+%   States x: {states}
+%   Inputs u: {inputs}
+%   Outputs y: {outputs}
+%   Reference condition: x0 = {x0}; u0 = {u0}
+%   [t, x] = ode45(@(t, x) {name}(x, u_of(t)), [0 10], x0, odeset('RelTol', 1e-8))
+dx = zeros({nx}, 1);
+y = zeros({ny}, 1);
+{body}
+end
+"""
+PYTHON = '''"""{about}
+
+scipy.integrate.solve_ivp(lambda t, x: equations(x, u_of(t))[0], (0.0, 10.0), X0, rtol=1e-8)
+"""
+
+from math import *
+
+STATES = {states!r}
+INPUTS = {inputs!r}
+OUTPUTS = {outputs!r}
+UNITS = {units!r}
+X0 = {x0!r}
+U0 = {u0!r}
+
+
+def equations(x, u):
+    """dx/dt and outputs, lists of {nx} and {ny}, of states and inputs."""
+    dx, y = [0.0] * {nx}, [0.0] * {ny}
+{body}
+    return dx, y
+'''
+
+
+def write_equations(path: str | Path, found: Equations, *, title: str = "") -> None:
+    """Write dx/dt and y as a MATLAB function (``.m``) or a Python module (``.py``) of plain text.
+
+    Parameters
+    ----------
+    path : path
+        Its stem becomes the function's name in MATLAB; replaced if it is there.
+    found : Equations
+        From `equations_of`.
+    title : str
+        First line of the file.
+
+    Raises
+    ------
+    ValueError
+        Another suffix, a name that neither takes, an operation that has no form there.
+    """
+    path = Path(path)
+    if path.suffix not in (".m", ".py") or not path.stem.isidentifier():
+        raise ValueError(f"{path}: expected a name such as model.m or model.py")
+    said = "".join(each for each in title if each.isprintable() and each not in "\\\"'")
+    told = {"about": said or f"Equations of {path.stem}.", "nx": len(found.x0)}
+    told |= {"ny": len(found.outputs), "x0": found.x0.tolist(), "u0": found.u0.tolist()}
+    if path.suffix == ".py":
+        body = "\n".join(f"    {line}" for line in _lines(found.function, power="**", first=0))
+        names = {name: getattr(found, name) for name in ("states", "inputs", "outputs")}
+        own = (*found.states, *found.inputs, *found.outputs)
+        units = {name: found.units[name] for name in own if name in found.units}
+        text = PYTHON.format(**told, **names, units=units, body=body)
+    else:
+        body = "\n".join(f"{line};" for line in _lines(found.function, power="^", first=1))
+        names = {
+            name: ", ".join(f"{n} [{found.units.get(n, '-')}]" for n in getattr(found, name))
+            for name in ("states", "inputs", "outputs")
+        }
+        text = MATLAB.format(**told, **names, name=path.stem, upper=path.stem.upper(), body=body)
+    write_text(path, text)
+
+
+def _lines(function: ca.Function, *, power: str, first: int) -> list[str]:
+    """A statement an operation; entries count from ``first``, in brackets of the language."""
+    left, right = ("(", ")") if first else ("[", "]")
+    lines = []
+    for k in range(function.n_instructions()):
+        op, into = function.instruction_id(k), function.instruction_output(k)
+        of = [f"w{i}" for i in function.instruction_input(k)]
+        if op == ca.OP_OUTPUT:
+            which, entry = into
+            lines.append(f"{('dx', 'y')[which]}{left}{entry + first}{right} = {of[0]}")
+            continue
+        if op == ca.OP_INPUT:
+            which, entry = function.instruction_input(k)
+            text = f"{'xu'[which]}{left}{entry + first}{right}"
+        elif op == ca.OP_CONST:
+            text = repr(float(function.instruction_constant(k)))
+        elif op in POWERS:
+            text = f"{of[0]} {power} {of[1]}"
+        elif op in UNARY or op in BINARY:
+            text = (UNARY | BINARY)[op].format(*of)
+        else:
+            raise ValueError(f"an operation of the structure (number {op}) has no form in text")
+        lines.append(f"w{into[0]} = {text}")
+    return lines

@@ -1,0 +1,29 @@
+"""Steps of a nonlinear structure from sample to sample, against output error's integration."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.climbing import AIRCRAFT, DT, X0, N, by_casid, commands
+
+from casid.exchange.stepping import steps_of, usual_steps
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+@pytest.mark.parametrize("tau", [0.0, 0.013, 0.08, 0.113])
+def test_steps_are_those_of_output_error(hold, tau):
+    model, u = replace(AIRCRAFT, tau=tau), commands()
+    start, step = steps_of(model, DT, hold, 2)
+    z, y = start(X0, u[0]), np.empty((N, 3))
+    for k in range(N):
+        z, found = step(z, u[k])
+        y[k] = found.full().ravel()
+    known = by_casid(model, u, hold, 2)
+    np.testing.assert_allclose(y, known, atol=1e-11 * np.abs(known).max())
+
+
+def test_usual_steps_follow_the_fastest_mode():
+    count = usual_steps(AIRCRAFT, 1.0)
+    fastest = np.abs(AIRCRAFT.system().poles()).max()
+    assert count / 4 - 0.25 <= fastest <= count / 4
+    assert usual_steps(AIRCRAFT, 1e-6) == 1
