@@ -11,7 +11,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from casid.arrays import Array
+from casid.arrays import Array, ComplexArray
 from casid.bounds.compare import BoundsComparison
 from casid.excitations import Excitation
 from casid.fit import AnyFit
@@ -28,7 +28,7 @@ from casid.report.prices import plot_bounds
 from casid.subspace.pbsid import BlackBox
 from casid.validation import Validation, state_space
 
-Systems: TypeAlias = Mapping[str, StateSpace]
+Curves: TypeAlias = Mapping[str, tuple[StateSpace, ComplexArray]]  # with responses (K, ny, nu)
 POINTS = 160  # of a model's response; matplotlib simplifies curves of 128 or more
 PER_PAGE = 8  # outputs in a figure of time histories
 LAGS = 100  # samples of the autocorrelation
@@ -72,17 +72,16 @@ def with_states(system: StateSpace, states: Sequence[str]) -> StateSpace:
 
 def draw_responses(content: Content) -> Iterator[Drawing]:
     """Responses of every output, and of every state that is none, to every input."""
-    shown = systems(content)
     structure = content.model
     hidden = tuple(name for name in structure.states if name not in structure.outputs)
+    every = systems(content)
+    inner = {name: with_states(s, hidden) for name, s in every.items() if name in content.fits}
     omega = np.geomspace(*band(content), POINTS)
-    for outputs in figures.groups(structure.outputs):
-        for inputs in figures.input_pairs(structure.inputs):
-            yield _response(outputs, inputs, partial(_responses, content, shown, omega))
-    inner = {name: with_states(s, hidden) for name, s in shown.items() if name in content.fits}
-    for outputs in figures.groups(hidden):
-        for inputs in figures.input_pairs(structure.inputs):
-            yield _response(outputs, inputs, partial(_responses, content, inner, omega))
+    for shown, channels in ((every, structure.outputs), (inner, hidden)):
+        curves = {name: (system, system.response(omega)) for name, system in shown.items()}
+        for outputs in figures.groups(channels):
+            for inputs in figures.input_pairs(structure.inputs):
+                yield _response(outputs, inputs, partial(_responses, content, curves, omega))
 
 
 def _response(
@@ -94,7 +93,7 @@ def _response(
 
 
 def _responses(
-    content: Content, shown: Systems, omega: Array, outputs: Sequence[str], inputs: Sequence[str]
+    content: Content, shown: Curves, omega: Array, outputs: Sequence[str], inputs: Sequence[str]
 ) -> Figure:
     measured = _measured(content, outputs)
     heights = [3, 2] if measured is None else [3, 2, 1.1]
@@ -124,16 +123,15 @@ def _measured(content: Content, outputs: Sequence[str]) -> FrequencyResponse | N
 def _pair(
     column: Sequence[Axes],
     measured: FrequencyResponse | None,
-    shown: Systems,
+    shown: Curves,
     omega: Array,
     pair: tuple[str, str],
 ) -> None:
     output, channel = pair
     near: Array | None = None
     curves = {}
-    for name, system in shown.items():
-        i, j = system.outputs.index(output), system.inputs.index(channel)
-        curves[name] = system.response(omega)[:, i, j]
+    for name, (system, G) in shown.items():
+        curves[name] = G[:, system.outputs.index(output), system.inputs.index(channel)]
         near = figures.phase(curves[name]) if near is None else near
     if len(column) == 3 and measured is not None and near is not None:
         place = measured.outputs.index(output), measured.inputs.index(channel)

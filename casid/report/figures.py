@@ -82,6 +82,9 @@ def _logarithmic(ax: Axes) -> Axes:
     """An axis of frequencies; setting the scale anew for every curve costs more than the curves."""
     if ax.get_xscale() != "log":
         ax.set_xscale("log")
+        ax.xaxis.set_major_formatter(
+            "{x:g}"
+        )  # a power of ten is a formula, whose setting takes long
     return ax
 
 
@@ -229,6 +232,7 @@ def plot_singular_values(ax: Axes, black_box: BlackBox) -> Axes:
     ax.semilogy(order, values, "o", markersize=3.5, color=style(BLACK_BOX)["color"])
     ax.axvline(black_box.system.nx + 0.5, color="#777777", linestyle=":", linewidth=1)
     ax.set(xlabel="index [-]", ylabel="singular value [-]")
+    ax.yaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     return ax
 

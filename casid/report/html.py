@@ -1,9 +1,11 @@
 """The report: one HTML page that needs nothing beside it."""
 
 import base64
+import gc
 import gzip
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,7 +29,7 @@ from casid.report.words import costliest, number, percent, price, prior
 PLOTLY = TEMPLATES / "plotly-basic.min.js.gz"  # plotly.js 4.1.1, MIT; see CONTRIBUTING
 UNUSED, TAG = re.compile(r'<g id="[^"]*">'), re.compile(r"<[^>]*>")
 PATH = re.compile(r'd="M[^"CQ]*"')  # of straight lines only
-PLAIN = " !$'()*+,-./:;<=>?@[]^_{|}~"  # stand for themselves in an address within quotes
+CODED = re.compile(r"[^\w !$'()*+,\-./:;<=>?@\[\]^{|}~]+", re.ASCII)  # in an address within quotes
 LONG_DECIMALS = re.compile(r"(\d\d\.\d)\d+")  # a tenth of a point is enough for a picture
 
 
@@ -121,8 +123,20 @@ def _pictures(drawings: Sequence[Drawing], folder: Path, *, png: bool) -> dict[s
 
 
 def _drawn(drawings: Sequence[Drawing], folder: Path, *, png: bool) -> list[Picture]:
-    with rc_context(LOOK):
+    with rc_context(LOOK), _uncollected():
         return [_picture(drawing, folder, png=png) for drawing in drawings]
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """No garbage is collected: figures are many objects that all stay, looked through in vain."""
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()
 
 
 def _picture(drawing: Drawing, folder: Path, *, png: bool) -> Picture:
@@ -144,4 +158,4 @@ def address(svg: str) -> Markup:
     text = PATH.sub(lambda path: path[0].replace(" L ", " "), text)  # lines go on from a move
     # What is in single quotes need not be escaped.
     text = TAG.sub(lambda tag: tag[0].replace("'", "").replace('"', "'"), text)
-    return Markup(f"data:image/svg+xml,{quote(text, safe=PLAIN)}")
+    return Markup(f"data:image/svg+xml,{CODED.sub(lambda found: quote(found[0]), text)}")

@@ -180,8 +180,8 @@ def _ticks(axis: Axis, letter: str) -> dict[str, Any]:
         first, second = list(locator.tick_values(*axis.get_view_interval()))[:2]
         look = {"tick0": 0, "dtick": float(second - first)}
     params = axis.get_tick_params()
-    hidden = letter == "x" and not params.get("labelbottom", True)
-    return look | {"showticklabels": axis.get_visible() and not hidden}
+    shown = letter == "y" or (axis.get_visible() and params.get("labelbottom", True))
+    return look | {"showticklabels": shown}
 
 
 def _titles(ax: Axes, x: str, y: str) -> Iterator[dict[str, Any]]:

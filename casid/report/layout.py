@@ -1,14 +1,22 @@
 """Axes on a sheet: one scale of x for all, its ticks once, places by the inch, one legend."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 from matplotlib.transforms import ScaledTranslation
 
+from casid.report.look import LOOK
+
+GRID: dict[str, Any] = {
+    "colors": LOOK["grid.color"],
+    "linewidths": LOOK["grid.linewidth"],
+    "zorder": 0.5,
+}
 LEFT, RIGHT, TOP, BOTTOM, GAP = 0.66, 0.1, 0.42, 0.42, 0.1  # inches around and between axes
 
 
@@ -43,7 +51,31 @@ def place_axes(figure: Figure, axes: np.ndarray, *, lines: int = 1) -> Figure:
         below = ax.transAxes + ScaledTranslation(0, -0.21, figure.dpi_scale_trans)
         ax.xaxis.set_label_coords(0.5, 0, transform=below)  # looked for, its place takes time
     _lines_of_grid(axes)
+    for ax in axes.flat:
+        if ax.get_visible() and isinstance(ax.yaxis.get_major_formatter(), ScalarFormatter):
+            _scale_of_y(ax, -0.51 / wide)
     return figure
+
+
+def _scale_of_y(ax: Axes, left: float) -> None:
+    """Lines, numbers and name of an axis of y in the place of its own, which take longest to draw.
+
+    The name stands so far left of the axes, in parts of their width.
+    """
+    axis, (low, high) = ax.yaxis, sorted(ax.get_ylim())
+    places = [y for y in axis.get_majorticklocs() if low <= y <= high]
+    formatter, across = axis.get_major_formatter(), ax.get_yaxis_transform()
+    beside = across + ScaledTranslation(-7 / 72, 0, ax.figure.dpi_scale_trans)
+    for y, label in zip(places, formatter.format_ticks(places), strict=True):
+        ax.text(0, y, label, transform=beside, ha="right", va="center_baseline")
+    ax.text(0, 1, formatter.get_offset(), transform=ax.transAxes, va="bottom")
+    name = axis.label
+    look: dict[str, Any] = {"rotation_mode": "anchor", "va": "bottom", "ha": "center"}
+    look |= {"transform": ax.transAxes, "rotation": "vertical", "size": name.get_size()}
+    ax.text(left, 0.5, name.get_text(), **look)
+    lines = [[(0, y), (1, y)] for y in places]
+    ax.add_collection(LineCollection(lines, transform=across, **GRID), autolim=False)
+    axis.set_visible(False)
 
 
 def _lines_of_grid(axes: np.ndarray) -> None:
@@ -52,11 +84,7 @@ def _lines_of_grid(axes: np.ndarray) -> None:
     ticks = [x for x in axes[-1, 0].xaxis.get_majorticklocs() if low <= x <= high]
     for ax in (ax for ax in axes.flat if not ax.xaxis.get_visible()):
         lines = LineCollection(
-            [[(x, 0), (x, 1)] for x in ticks],
-            colors=rcParams["grid.color"],
-            linewidths=rcParams["grid.linewidth"],
-            transform=ax.get_xaxis_transform(),
-            zorder=0.5,
+            [[(x, 0), (x, 1)] for x in ticks], transform=ax.get_xaxis_transform(), **GRID
         )
         ax.add_collection(lines, autolim=False)
 

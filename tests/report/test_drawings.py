@@ -43,11 +43,16 @@ def test_no_label_covers_another_or_leaves_the_paper(content):
         paper, pen = drawing.figure.bbox, canvas.get_renderer()
         names, ticks = [], []
         for ax in drawing.figure.axes:
-            if ax.get_visible() and ax.get_ylabel():
+            if ax.yaxis.get_visible():  # drawn by itself, not for a sheet
                 names.append(ax.yaxis.label.get_window_extent(pen))
                 inside = ax.get_ylim()
                 ticks += [tick.label1.get_window_extent(pen) for tick in ax.yaxis.get_major_ticks()
                           if inside[0] <= tick.get_loc() <= inside[1]]  # fmt: skip
+            elif ax.get_visible():
+                for text in (text for text in ax.texts if text.get_text()):
+                    place = names if text.get_rotation() == 90 else ticks
+                    place.append(text.get_window_extent(pen))
+        assert names, drawing.name
         for name in names:
             assert name.x0 >= paper.x0, drawing.name
             assert name.count_overlaps([*names, *ticks]) == 1, drawing.name  # itself

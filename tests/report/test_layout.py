@@ -29,12 +29,34 @@ def test_a_line_of_the_grid_stands_above_every_tick():
         axes[-1, 0].set_xlim(0.0, 3.0)
         place_axes(figure, axes)
         FigureCanvasAgg(figure).draw()
-    (lines,) = axes[0, 0].collections
+    lines, _ = axes[0, 0].collections  # upright ones, level ones
     places = [segment[0, 0] for segment in lines.get_segments()]
     ticks = [x for x in axes[1, 0].get_xticks() if 0 <= x <= 3]
     assert places == ticks
     assert len(ticks) > 3
     assert axes[0, 0].get_ylim() == (0.0, 1.0)  # the lines move no limit
+
+
+def test_an_axis_of_y_shows_what_its_own_would():
+    with rc_context(LOOK):
+        ours, theirs = Figure(figsize=(5, 4)), Figure(figsize=(5, 4))
+        axes = stacked(ours, [1.0])
+        for ax in (axes[0, 0], theirs.subplots()):
+            ax.plot([0.0, 1.0], [-2e-7, 3.1e-7])
+            ax.set_ylabel("p [rad/s]")
+        place_axes(ours, axes)
+        canvas = FigureCanvasAgg(theirs)
+        canvas.draw()
+    low, high = theirs.axes[0].get_ylim()
+    ticks = [t for t in theirs.axes[0].yaxis.get_major_ticks() if low <= t.get_loc() <= high]
+    own = theirs.axes[0].yaxis.get_offset_text().get_text()
+    told = [text.get_text() for text in axes[0, 0].texts]
+    assert own
+    assert told == [*(tick.label1.get_text() for tick in ticks), own, "p [rad/s]"]
+    numbers = axes[0, 0].texts[: len(ticks)]
+    assert [text.get_position()[1] for text in numbers] == [tick.get_loc() for tick in ticks]
+    (level,) = axes[0, 0].collections
+    assert [y for (_, y), _ in level.get_segments()] == [tick.get_loc() for tick in ticks]
 
 
 def test_a_legend_names_every_curve_and_bands_last():
