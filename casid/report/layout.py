@@ -71,7 +71,7 @@ def _scale_of_y(ax: Axes, left: float) -> None:
     ax.text(0, 1, formatter.get_offset(), transform=ax.transAxes, va="bottom")
     name = axis.label
     look: dict[str, Any] = {"rotation_mode": "anchor", "va": "bottom", "ha": "center"}
-    look |= {"transform": ax.transAxes, "rotation": "vertical", "size": name.get_size()}
+    look |= {"transform": ax.transAxes, "rotation": "vertical", "size": name.get_fontsize()}
     ax.text(left, 0.5, name.get_text(), **look)
     lines = [[(0, y), (1, y)] for y in places]
     ax.add_collection(LineCollection(lines, transform=across, **GRID), autolim=False)
