@@ -59,10 +59,11 @@ class Matrices:
         """G (K, ny, nu) and its derivatives (nf, K, ny, nu) at points s; raises as `response`."""
         left, right, _, G = self._factors(s)
         used, row, column = self._used
-        terms = left[:, :, row].transpose(2, 0, 1)[..., None]
-        terms = terms * right[:, column].transpose(1, 0, 2)[:, :, None, :]
+        rows, columns = left.transpose(2, 0, 1).copy(), right.transpose(1, 0, 2).copy()
+        terms = rows[row][..., None] * columns[column][:, :, None, :]
         slope = np.asarray(self.dN[:, used] @ terms.reshape(len(used), -1)).reshape(-1, *G.shape)
-        slope -= self.dtau[:, None, None, :] * s[:, None, None] * G
+        late = np.flatnonzero(self.dtau.any(axis=1))
+        slope[late] -= self.dtau[late, None, None, :] * (s[:, None, None] * G)
         return G, slope
 
     def response_curvature(self, s: ComplexArray, P: ComplexArray) -> tuple[Array, Array, Array]:

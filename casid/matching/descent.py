@@ -111,7 +111,7 @@ class Condensed:
         return np.concatenate(values), np.concatenate(slopes, axis=1) * self.scale[:, None]
 
     def _errors(self, G: ComplexArray) -> Array:
-        """Residuals of a response, gains or real parts first, (2 K ny nu,)."""
+        """Residuals of a response, (2 K ny nu,)."""
         c = self.comparison
         if self.norm == "decibel":
             return residuals(G, c.G, c.decibel_weight).ravel()
@@ -212,7 +212,8 @@ def _step(problem: Condensed, x: Array, normal: Array, gradient: Array, damping:
 
 
 def _real(z: ComplexArray) -> Array:
-    return np.concatenate([z.real, z.imag], axis=-1)
+    """Real and imaginary parts by turns, (..., 2 n) for complex (..., n)."""
+    return np.ascontiguousarray(z).view(float)
 
 
 def check_effects(problem: Condensed) -> None:

@@ -313,8 +313,8 @@ class Programme:
 
 def _gram(left: ComplexArray, right: ComplexArray) -> Array:
     """Re Σ conj(left_i) ∘ right_j over all entries."""
-    a, b = left.reshape(len(left), -1), right.reshape(len(right), -1)
-    return np.asarray(a.real @ b.real.T + a.imag @ b.imag.T)
+    a, b = (np.ascontiguousarray(z.reshape(len(z), -1)).view(float) for z in (left, right))
+    return np.asarray(a @ b.T)
 
 
 def _largest(E: ComplexArray) -> float:
