@@ -28,6 +28,7 @@ ROWS = 20_000  # samples that it is fitted to
 ROUNDS = 2  # of fitting and filling
 PASSES = 8  # at most, in which outliers are looked for
 FEWEST = 50  # samples of a channel in which outliers are looked for
+LATE = 1.5  # intervals after which a sample is not judged
 FAR = 6.0  # deviations of a normal distribution that make an outlier
 SLIGHT = 0.05  # of a channel's deviation: what is less does no harm
 MAD = 1.482602218505602  # standard deviation of a normal distribution over its median deviation
@@ -113,17 +114,35 @@ def outliers(record: Record) -> BoolArray:
     Six robust deviations (median of absolute deviations) of the innovations away from what fills
     them in from both sides, (N, ny). What lasts, as a gust or a step does, is none.
     """
+    found = np.zeros(record.y.shape, dtype=bool)
+    # Channels sampled less often are no help to the others: between their samples predictions
+    # are worse, and their outliers would spread. They are judged at their own samples.
+    often = np.flatnonzero(~slow(np.isnan(record.y)))
+    found[:, often] = _far(record.select(outputs=[record.outputs[i] for i in often]))
+    sound = record.mask(found)
+    for i in set(range(record.ny)) - set(often.tolist()):
+        rows = np.isfinite(record.y[:, i])
+        names = [record.outputs[j] for j in (*often, i)]
+        if rows.sum() > FEWEST:
+            found[rows, i] = _far(sound.select(outputs=names).take(rows))[:, -1]
+    return found
+
+
+def _far(record: Record) -> BoolArray:
+    """Outliers of channels that are sampled alike, (N, ny)."""
     there = np.flatnonzero(np.isfinite(record.y).sum(axis=0) > FEWEST)
     part = record.select(outputs=[record.outputs[i] for i in there])
     found = np.zeros(record.y.shape, dtype=bool)
     if not len(there) or record.N < FEWEST:
         return found
+    late = np.diff(record.t, prepend=record.t[0]) > LATE * record.dt  # not foreseen as well
     for _ in range(PASSES):
         y = np.where(found[:, there], np.nan, part.y)
         whole, lost = filled(replace(part, y=y))
         model = autoregression(part, whole.y, np.asarray(~lost.any(axis=1)))
         e = model.innovations(part.u, whole.y)
-        e, p = np.where(lost[-len(e) :], np.nan, e), part.N - len(e)
+        unjudged = lost | late[:, None]
+        e, p = np.where(unjudged[-len(e) :], np.nan, e), part.N - len(e)
         limit = FAR * MAD * np.nanmedian(np.abs(e), axis=0)
         limit = np.maximum(limit, SLIGHT * np.std(whole.y, axis=0))
         far = np.vstack([np.zeros((p, len(there)), dtype=bool), np.abs(e) > limit])

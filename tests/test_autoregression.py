@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.optimize
-from truths import uh60
+from truths import closed_roll, uh60
 from truths.systems import innovation_record
 
 from casid import Record
-from casid.autoregression import autoregression, filled
+from casid.autoregression import autoregression, filled, outliers
+
+NOISE = {"ay": 0.05, "p": 0.004, "phi": 0.01}  # m/s^2, rad/s, rad
 
 
 def lose(record, *rows):
@@ -69,3 +71,23 @@ def test_what_is_not_lost_stays_and_a_channel_without_samples_stays_lost():
     assert np.isnan(whole.y[:, 3]).all()
     assert lost[:, 3].all()
     assert np.isfinite(np.delete(whole.y, 3, axis=1)).all()
+
+
+def half_rate(seed, every):
+    """A flight of 40 s with white noise, its bank angle measured at every so many samples only."""
+    rng = np.random.default_rng(seed)
+    record = closed_roll.flown(t=0.02 * np.arange(2000), seed=seed).with_noise(NOISE, rng)
+    y = record.y.copy()
+    y[np.arange(len(y)) % every != 0, 2] = np.nan
+    return replace(record, y=y)
+
+
+@pytest.mark.parametrize(("seed", "every"), [(11, 2), (12, 2), (13, 3), (14, 5)])
+def test_empty_cells_of_a_slower_channel_make_no_outliers(seed, every):
+    record = half_rate(seed, every)
+    assert not outliers(record).any()
+    y = record.y.copy()
+    wrong = [(401, 0), (901, 1), (100 * every, 2)]
+    for row, i in wrong:
+        y[row, i] += 40 * NOISE[record.outputs[i]]
+    assert list(zip(*np.nonzero(outliers(replace(record, y=y))), strict=True)) == sorted(wrong)
