@@ -132,6 +132,28 @@ def covered(found, truth):
     return float(np.mean((np.abs(G / truth - 1) < np.sqrt(-2 * np.log(0.05)) * stated)[seen]))
 
 
+def noisier(records, density, seed):
+    """Whole records with noise of so many times the density: what is known from fewer samples."""
+    rng = np.random.default_rng([seed, 6])
+    more = {name: NOISE[name] * np.sqrt(density(name) - 1) for name in OUTPUTS}
+    return [record.with_noise(more, rng) for record in records]
+
+
+def bound(seeds, truth):
+    """Errors of black boxes of whole records with noise as dense as that of fewer samples."""
+    densities = {scattered: lambda _: 1.25, rates: lambda name: RATES.get(name, 1)}
+    found = {how: [] for how in (None, *densities)}
+    for seed in range(seeds):
+        whole = nonlinear_records(SWEEPS + STEPS, seed)
+        for how, row in found.items():
+            records = noisier(whole, densities[how], seed) if how else whole
+            row.append(error(black_box(records), truth, whole))
+    base = np.mean(found.pop(None))
+    lines = [[told(how), float(np.mean(row) / base)] for how, row in found.items()]
+    heading = "error of whole records with noise of the same density"
+    print("\n" + table(["records", heading], lines), flush=True)
+
+
 def compared(name, estimate, seeds, truth):
     """Errors of a response or a black box, of all that is done to records."""
     rows = {how: [] for how in (None, *SPOILED)}
@@ -205,6 +227,8 @@ def main():
         for name, estimate in ESTIMATORS.items():
             if which in (name, "all"):
                 compared(name, estimate, seeds, truth)
+        if which in ("black-box", "all"):
+            bound(seeds, truth)
         if which in ("output-error", "all"):
             refined(seeds, truth)
 

@@ -17,6 +17,7 @@ import numpy as np
 import scipy.ndimage
 import scipy.sparse
 import scipy.sparse.linalg
+from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray
 from casid.record import Record
@@ -24,11 +25,12 @@ from casid.samples import at_instants
 
 REACH = 0.25  # time [s] that the lags reach back, within these limits
 LAGS = (2, 10)
+PER_UNKNOWN = (12, 5)  # samples, and at least for the fewest lags
 ROWS = 20_000  # samples that it is fitted to
 ROUNDS = 2  # of fitting and filling
 PASSES = 8  # at most, in which outliers are looked for
 FEWEST = 50  # samples of a channel in which outliers are looked for
-LATE = 1.5  # intervals after which a sample is not judged
+SPAN = 9  # times the lags: samples whose covariance is looked at together
 FAR = 6.0  # deviations of a normal distribution that make an outlier
 SLIGHT = 0.05  # of a channel's deviation: what is less does no harm
 MAD = 1.482602218505602  # standard deviation of a normal distribution over its median deviation
@@ -55,26 +57,57 @@ class Autoregression:
         return np.asarray(e)
 
 
-def autoregression(record: Record, y: Array, trusted: BoolArray) -> Autoregression:
-    """The autoregression of a record with these outputs, fitted where samples are trusted (N,)."""
+def autoregression(record: Record, y: Array, lost: BoolArray) -> Autoregression:
+    """The autoregression of a record with these outputs, not fitted to the lost ones (N, ny)."""
     p = int(np.clip(round(REACH / record.dt), *LAGS))
-    p = max(1, min(p, (record.N // 5 - 1 - record.nu) // (record.nu + record.ny)))
-    rows = np.flatnonzero(trusted[p:])
-    unknowns = p * (record.ny + record.nu) + record.nu + 1
-    rows = p + (rows if len(rows) >= 2 * unknowns else np.arange(record.N - p))
-    rows = rows[:: -(-len(rows) // ROWS)]
+    # In short records fewer, lest it adapts to single samples.
+    few, most = (
+        (record.N // rows - 1 - record.nu) // (record.nu + record.ny) for rows in PER_UNKNOWN
+    )
+    p = max(1, min(p, most, max(few, LAGS[0])))
+    rows = p + np.arange(record.N - p)[:: -(-(record.N - p) // ROWS)]
+    ny, nu = record.ny, record.nu
     columns = [y[rows - i] for i in range(1, p + 1)]
     columns += [record.u[rows - i] for i in range(p + 1)]
     X = np.hstack([*columns, np.ones((len(rows), 1))])
     size = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-300)
-    theta = np.linalg.lstsq(X / size, y[rows], rcond=1e-10)[0] / size[:, None]
+    seen = ~lost[rows]
+    seen[:, seen.sum(axis=0) < 2 * X.shape[1]] = True
+    gone = np.concatenate([lost[rows - i].sum(axis=0) for i in range(1, p + 1)])
+    gone = gone / np.maximum(size[: p * ny], 1e-100) ** 2
+    theta = _regressed(X / size, y[rows], seen, gone) / size[:, None]
     e = y[rows] - X @ theta
+    # What is filled in fits better than what was measured.
+    level = np.sqrt((e**2).mean(axis=0, where=seen) / np.maximum((e**2).mean(axis=0), 1e-300))
+    e = e * level
     R = e.T @ e / len(rows)
     floor = 1e-10 * np.maximum(np.var(y, axis=0), 1e-300)
-    ny, nu = record.ny, record.nu
     A = theta[: p * ny].T.reshape(ny, p, ny).swapaxes(0, 1)
     B = theta[p * ny : -1].T.reshape(ny, p + 1, nu).swapaxes(0, 1)
     return Autoregression(A, B, theta[-1], R + np.diag(floor))
+
+
+def _regressed(X: Array, y: Array, seen: BoolArray, gone: Array) -> Array:
+    """Least squares of every output (N, ny) on X (N, n), over the rows where it was seen.
+
+    ``gone`` says how many samples of each past output were filled in, in squared units of X. As
+    each is uncertain by about an innovation, it counts less: what is filled in follows the model,
+    which would else follow what was filled in.
+    """
+    if seen.all() and not gone.any():
+        return np.linalg.lstsq(X, y, rcond=1e-10)[0]
+    U, s, Vt = np.linalg.svd(X, full_matrices=False)
+    kept = s > 1e-10 * s[0]
+    U, V = U[:, kept], Vt[kept].T / s[kept]
+    rows = [U[there] for there in seen.T]
+    normal = [(Q.T @ Q, Q.T @ x[there]) for Q, x, there in zip(rows, y.T, seen.T, strict=True)]
+    theta, unsure = np.zeros((X.shape[1], y.shape[1])), np.zeros(X.shape[1])
+    for _ in range(2):
+        more = V.T @ (unsure[:, None] * V) + 1e-9 * np.eye(V.shape[1])
+        theta = V @ np.column_stack([np.linalg.solve(H + more, g) for H, g in normal])
+        power = ((y - X @ theta) ** 2).mean(axis=0, where=seen)
+        unsure[: len(gone)] = gone * np.tile(power, len(gone) // len(power))
+    return np.asarray(theta)
 
 
 def filled(record: Record) -> tuple[Record, BoolArray]:
@@ -96,7 +129,7 @@ def filled(record: Record) -> tuple[Record, BoolArray]:
         known[:, i] = np.interp(k, k[rows], known[rows, i])
     part = record.select(outputs=[record.outputs[i] for i in np.flatnonzero(there)])
     for _ in range(ROUNDS):
-        model = autoregression(part, known[:, there], np.asarray(~gone[:, there].any(axis=1)))
+        model = autoregression(part, known[:, there], gone[:, there])
         smooth = _smoothed(model, part.u, known[:, there], gone[:, there])
         known[:, there] = np.where(np.isfinite(smooth), smooth, known[:, there])
     return replace(record, y=known), lost
@@ -111,12 +144,14 @@ def slow(lost: BoolArray) -> BoolArray:
 def outliers(record: Record) -> BoolArray:
     """Samples of outputs that neither those before and after nor the other channels bear out.
 
-    Six robust deviations (median of absolute deviations) of the innovations away from what fills
-    them in from both sides, (N, ny). What lasts, as a gust or a step does, is none.
+    A sample is compared with what an autoregression makes of all others, lost ones left out: six
+    robust deviations (median of absolute deviations) of the innovations away, and of this
+    difference, which is the larger the fewer samples there are around, (N, ny). What lasts, as a
+    gust or a step does, is none.
     """
     found = np.zeros(record.y.shape, dtype=bool)
-    # Channels sampled less often are no help to the others: between their samples predictions
-    # are worse, and their outliers would spread. They are judged at their own samples.
+    # Channels sampled less often are no help to the others: an autoregression would have to be
+    # fitted to what lies between their samples. They are judged at their own samples.
     often = np.flatnonzero(~slow(np.isnan(record.y)))
     found[:, often] = _far(record.select(outputs=[record.outputs[i] for i in often]))
     sound = record.mask(found)
@@ -130,30 +165,93 @@ def outliers(record: Record) -> BoolArray:
 
 def _far(record: Record) -> BoolArray:
     """Outliers of channels that are sampled alike, (N, ny)."""
-    there = np.flatnonzero(np.isfinite(record.y).sum(axis=0) > FEWEST)
-    part = record.select(outputs=[record.outputs[i] for i in there])
+    seen = [x[np.isfinite(x)] for x in record.y.T]
+    there = np.flatnonzero([len(x) > FEWEST and np.ptp(x) > 0 for x in seen])
     found = np.zeros(record.y.shape, dtype=bool)
     if not len(there) or record.N < FEWEST:
         return found
-    late = np.diff(record.t, prepend=record.t[0]) > LATE * record.dt  # not foreseen as well
+    part, own = _regular(record.select(outputs=[record.outputs[i] for i in there]))
+    marks = np.zeros(part.y.shape, dtype=bool)
     for _ in range(PASSES):
-        y = np.where(found[:, there], np.nan, part.y)
-        whole, lost = filled(replace(part, y=y))
-        model = autoregression(part, whole.y, np.asarray(~lost.any(axis=1)))
-        e = model.innovations(part.u, whole.y)
-        unjudged = lost | late[:, None]
-        e, p = np.where(unjudged[-len(e) :], np.nan, e), part.N - len(e)
-        limit = FAR * MAD * np.nanmedian(np.abs(e), axis=0)
-        limit = np.maximum(limit, SLIGHT * np.std(whole.y, axis=0))
-        far = np.vstack([np.zeros((p, len(there)), dtype=bool), np.abs(e) > limit])
+        whole, lost = filled(part.mask(marks))
+        off, limit, p = _judged(whole, lost)
+        size = np.where(lost, 0.0, np.abs(off) / limit)
+        # An outlier spoils what is expected of all channels around it: the largest one first.
+        around = scipy.ndimage.maximum_filter1d(size.max(axis=1), 2 * p + 1)
+        far = (size > 1) & (size == around[:, None])
         if not far.any():
             break
-        again = _smoothed(model, part.u, whole.y, far)
-        size = np.where(far, np.abs(whole.y - again) / limit, 0.0)
-        # An outlier spoils the predictions of all channels after it: the largest one first.
-        around = scipy.ndimage.maximum_filter1d(size.max(axis=1), 2 * p + 1)
-        found[:, there] |= (size > 1) & (size == around[:, None])
+        marks |= far
+    found[:, there] = marks[own]
     return found
+
+
+def _regular(record: Record) -> tuple[Record, NDArray[np.intp]]:
+    """The record with rows that are missing put in, empty, and where its own are now (N,)."""
+    # Of longer gaps as many as make both sides independent.
+    steps = np.clip(np.round(np.diff(record.t) / record.dt), 1, LAGS[1] + 2).astype(int)
+    own = np.concatenate([[0], np.cumsum(steps)])
+    if own[-1] == record.N - 1:
+        return record, own
+    k = np.arange(own[-1] + 1)
+    u = [np.interp(k, own, x) for x in record.u.T]
+    y = np.full((len(k), record.ny), np.nan)
+    y[own] = record.y
+    t = record.t[0] + record.dt * k
+    return replace(record, t=t, u=np.reshape(u, (record.nu, -1)).T, y=y), own
+
+
+def _judged(whole: Record, lost: BoolArray) -> tuple[Array, Array, int]:
+    """How far outputs are off what all others make of them and may be, (N, ny), and the lags."""
+    model = autoregression(whole, whole.y, lost)
+    p = len(model.A)
+    off, std = _apart(model, whole.u, whole.y, lost)
+    off[:p], std[:p] = _behind(whole, lost, p)
+    seen = np.where(lost, np.nan, 1.0)
+    std = std * np.maximum(MAD * np.nanmedian(seen * np.abs(off) / std, axis=0), 1.0)
+    e = np.abs(model.innovations(whole.u, whole.y))
+    limit = FAR * np.maximum(std, MAD * np.nanmedian(seen[p:] * e, axis=0))
+    return off, np.maximum(limit, SLIGHT * np.std(whole.y, axis=0)), p
+
+
+def _behind(whole: Record, lost: BoolArray, p: int) -> Array:
+    """`_apart` of the first p samples, which have nothing before them, back in time (2, p, ny)."""
+    back, gone = replace(whole, u=whole.u[::-1], y=whole.y[::-1]), lost[::-1]
+    model, last = autoregression(back, back.y, gone), slice(-min(whole.N, SPAN * p), None)
+    y = _smoothed(model, back.u[last], back.y[last], gone[last])
+    return np.array(_apart(model, back.u[last], y, gone[last]))[:, -p:][:, ::-1]
+
+
+def _apart(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> tuple[Array, Array]:
+    """How far each output is off what all others make of it, and the deviation of that, (N, ny).
+
+    With Q the inverse of the outputs' covariance, these are (Q (y − mean))_k/Q_kk and 1/√Q_kk, lost
+    ones eliminated from Q.
+    """
+    p, N, ny = len(model.A), *y.shape
+    W = np.linalg.inv(np.linalg.cholesky(model.R))  # whitens
+    S = np.array([W, *(-W @ A for A in model.A)])  # slopes of the innovation i samples later
+    none = np.zeros((p, ny))
+    e = np.vstack([none, model.innovations(u, y) @ W.T, none])
+    slope = sum((e[i : i + N] @ S[i] for i in range(p + 1)), np.zeros((N, ny)))
+    span = min(N, SPAN * p)  # Q is a band matrix, of which parts are enough
+    J = np.zeros((span, ny, span, ny))
+    for n in range(p, span):
+        J[n, :, n - p : n + 1] = S[::-1].swapaxes(0, 1)
+    Q = J.reshape(span * ny, -1)
+    Q = Q.T @ Q
+    Q += 1e-9 * np.diag(np.tile(np.diag(W.T @ W), span))
+    sharp = np.zeros((N, ny))
+    for k in range(0, N, max(span - 4 * p, 1)):
+        first = min(max(k - 2 * p, 0), N - span)
+        end = min(k + max(span - 4 * p, 1), N)
+        own = np.arange((k - first) * ny, (end - first) * ny)
+        gone = np.flatnonzero(lost[first : first + span])
+        between = Q[np.ix_(gone, own)]
+        drop = np.sum(between * np.linalg.solve(Q[np.ix_(gone, gone)], between), axis=0)
+        sharp[k:end] = (np.diag(Q)[own] - drop).reshape(-1, ny)
+    sharp = np.maximum(sharp, 1e-9 * np.diag(W.T @ W))
+    return slope / sharp, 1 / np.sqrt(sharp)
 
 
 def _smoothed(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> Array:

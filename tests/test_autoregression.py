@@ -8,8 +8,15 @@ import scipy.optimize
 from truths import closed_roll, uh60
 from truths.systems import innovation_record
 
-from casid import Record
-from casid.autoregression import autoregression, filled, outliers
+from casid import Record, read_csv
+from casid.autoregression import (
+    Autoregression,
+    _apart,
+    _smoothed,
+    autoregression,
+    filled,
+    outliers,
+)
 
 NOISE = {"ay": 0.05, "p": 0.004, "phi": 0.01}  # m/s^2, rad/s, rad
 
@@ -34,7 +41,7 @@ def test_filled_samples_minimise_the_weighed_innovations():
     _, _, record, _ = innovation_record(N=300)
     holed = lose(record, (slice(100, 104), 0), (slice(102, 105), 1), (slice(200, 202), 1))
     whole, lost = filled(holed)
-    model = autoregression(record.take(slice(None)), whole.y, np.ones(record.N, dtype=bool))
+    model = autoregression(record.take(slice(None)), whole.y, np.zeros(record.y.shape, dtype=bool))
     # The model that filled them was fitted before: a step of its own from where it ended.
     W = np.linalg.inv(np.linalg.cholesky(model.R))
 
@@ -54,7 +61,7 @@ def test_innovations_of_an_autoregression_are_those_it_was_made_of():
     for k in range(2, N):
         y[k] = 1.2 * y[k - 1] - 0.5 * y[k - 2] + 0.3 * u[k] + 0.7 * u[k - 1] + 0.2 + e[k]
     record = Record(np.arange(N, dtype=float), u, y, ("u",), ("y",))
-    model = autoregression(record, y, np.ones(N, dtype=bool))
+    model = autoregression(record, y, np.zeros(y.shape, dtype=bool))
     p = len(model.A)
     # Errors of B_0 and B_1 scatter by about σ_e/(σ_u √N); several lags of y share theirs.
     np.testing.assert_allclose(model.A[:2, 0, 0], [1.2, -0.5], atol=0.05)
@@ -91,3 +98,75 @@ def test_empty_cells_of_a_slower_channel_make_no_outliers(seed, every):
     for row, i in wrong:
         y[row, i] += 40 * NOISE[record.outputs[i]]
     assert list(zip(*np.nonzero(outliers(replace(record, y=y))), strict=True)) == sorted(wrong)
+
+
+FLOWN = [f"3211_{axis}" for axis in uh60.INPUTS]
+
+
+def spiked(name, seed, spoil):
+    """A flight of the UH-60 with noise and five outliers of 20 deviations, and where they are."""
+    columns = {"inputs": uh60.INPUTS, "outputs": uh60.OUTPUTS}
+    record = read_csv(uh60.EXAMPLE / "data" / f"{name}.csv", **columns)
+    rng = np.random.default_rng([seed, 77])
+    record = spoil(record.with_noise(uh60.NOISE, rng), rng)
+    seen = np.argwhere(np.isfinite(record.y))
+    places = seen[rng.choice(len(seen), 5, replace=False)]
+    y = record.y.copy()
+    for k, i in places:
+        y[k, i] += 20 * uh60.NOISE[record.outputs[i]] * rng.choice([-1, 1])
+    return replace(record, y=y), {(int(k), int(i)) for k, i in places}
+
+
+def at_random(record, rng):
+    return record.mask(rng.random(record.y.shape) < 0.2)
+
+
+def at_rates(record, rng):
+    """Channels at all, every second or every fourth sample, a tenth of these lost."""
+    every = rng.choice([1, 2, 4], record.ny)
+    k = np.arange(record.N)[:, None] + rng.integers(4, size=record.ny)
+    return record.mask((k % every != 0) | (rng.random(record.y.shape) < 0.1))
+
+
+def in_rows(record, rng):
+    """Rows lost, and three seconds of them."""
+    return record.take((rng.random(record.N) > 0.1) & (np.abs(record.t - 8) > 1.5))
+
+
+@pytest.mark.parametrize("spoil", [at_random, at_rates, in_rows])
+@pytest.mark.parametrize("name", [FLOWN[1], pytest.param(FLOWN[0], marks=pytest.mark.slow),
+                                  pytest.param(FLOWN[2], marks=pytest.mark.slow),
+                                  pytest.param(FLOWN[3], marks=pytest.mark.slow)])  # fmt: skip
+def test_samples_lost_at_random_make_no_outliers_and_hide_none(name, spoil):
+    for seed in range(1 + 2 * (name != FLOWN[1])):
+        record, there = spiked(name, seed, spoil)
+        assert {(int(k), int(i)) for k, i in np.argwhere(outliers(record))} == there
+
+
+def test_an_output_is_judged_by_all_others_as_a_general_gaussian_is():
+    _, _, record, _ = innovation_record(N=300)
+    y = record.y[:60] - record.y[:60].mean(axis=0)
+    u = 0 * record.u[:60]
+    lost = np.random.default_rng(4).random(y.shape) < 0.2
+    model = Autoregression(
+        np.array([[[0.5, 0.2], [-0.3, 0.4]], [[0.1, 0.0], [0.2, -0.2]]]),
+        np.zeros((3, 2, u.shape[1])), np.zeros(2), np.array([[1.0, 0.3], [0.3, 0.5]]),
+    )  # fmt: skip
+    # The covariance of all outputs by simulation of unit innovations, from any first two samples.
+    N, p = len(y), 2
+    L = np.linalg.cholesky(model.R)
+    G = np.zeros((N, 2, 2 * N))
+    for k in range(N):
+        G[k, :, 2 * k : 2 * k + 2] = L if k >= p else 30.0 * np.eye(2)
+        if k >= p:
+            G[k] += model.A[0] @ G[k - 1] + model.A[1] @ G[k - 2]
+    P = (G.reshape(2 * N, -1) @ G.reshape(2 * N, -1).T).reshape(N, 2, N, 2)
+    known = ~lost.ravel()
+    inverse = np.linalg.inv(P.reshape(2 * N, 2 * N)[np.ix_(known, known)])
+    off, std = _apart(model, u, _smoothed(model, u, np.where(lost, 0.0, y), lost), lost)
+    inner = np.arange(2 * N)[known] > 20  # the start is nearly, but not quite, unknown
+    wanted = (inverse @ y.ravel()[known]) / np.diag(inverse)
+    np.testing.assert_allclose(off.ravel()[known][inner], wanted[inner], rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(
+        std.ravel()[known][inner], 1 / np.sqrt(np.diag(inverse))[inner], rtol=1e-3
+    )
