@@ -27,7 +27,7 @@ import numpy as np
 from benchmarks import load, matching
 from benchmarks import output_error as race
 from benchmarks.tables import table
-from casid import Execution, OutputError, Record, StateSpace, bootstrap, match, pbsid
+from casid import Execution, OutputError, Record, StateSpace, bootstrap, excitation, match, pbsid
 from casid.bounds.trials import Fits
 from casid.jobs.campaigns import Job, run_jobs
 from models.six_dof import SixDof
@@ -235,6 +235,15 @@ def growth_of_black_box() -> float:
     for samples in (8_000, 32_000):
         record = wide(8, samples)
         found.append(timed(lambda record=record: pbsid(record, **given)))
+    return found[1] / found[0]
+
+
+def growth_of_excitation() -> float:
+    """Time of judging the excitation of four times the samples."""
+    found = []
+    for samples in (50_000, 200_000):
+        record = wide(8, samples)
+        found.append(timed(lambda record=record: excitation(record)))
     return found[1] / found[0]
 
 

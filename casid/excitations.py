@@ -247,11 +247,11 @@ def even(record: Record) -> Record:
 def unanswered(record: Record) -> list[tuple[str, float, float]]:
     """Where inputs move and all outputs rest, for a window or longer; name, from and to."""
     n = max(8, round(WINDOW / record.dt))
+    rest, move = STILL * record.y.std(axis=0), MOVING * record.u.std(axis=0)
     found: list[tuple[str, float, float]] = []
     for a in range(0, record.N - n + 1, n):
         u, y = record.u[a : a + n], record.y[a : a + n]
-        rests = y.std(axis=0) <= STILL * record.y.std(axis=0)
-        if not (rests.all() and (u.std(axis=0) > MOVING * record.u.std(axis=0)).any()):
+        if (y.std(axis=0) > rest).any() or not (u.std(axis=0) > move).any():
             continue
         start, end = float(record.t[a]), float(record.t[a + n - 1])
         if found and start - found[-1][2] < 2 * record.dt:
