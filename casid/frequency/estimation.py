@@ -8,7 +8,7 @@ spectra themselves are computed in `casid.frequency.spectra`, which also lists t
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from casid.errors import warn
 from casid.fingerprints import fingerprint
 from casid.frequency import sampling
 from casid.frequency.leakage import leakage
+from casid.frequency.local import local_response
 from casid.frequency.response import FrequencyResponse
 from casid.frequency.spectra import (
     MEANINGLESS,
@@ -36,16 +37,21 @@ from casid.threads import one_thread
 KEPT = 0.5  # share of an input's power in the windows without long losses
 HANN = 3.84  # rad: standard deviation of a Hann window's spectral window, times its length
 
+Method: TypeAlias = Literal["local", "windows"]
+
 
 @checked_fields
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpectralAnalysis:
-    """Frequency responses by averaged spectra.
+    """Frequency responses by local models, or by averaged spectra as CIFER has them.
 
-    Spectra are averaged over Hann windows of all records, overlapped by two thirds; the inputs are
-    separated by ``solve(Guu, Guy)`` at every frequency (conditioning on the other inputs); window
-    lengths are merged point by point into a composite that trusts each where its random error is
-    small.
+    Local rational models of the records' transforms (`casid.frequency.local`) estimate the response
+    together with what windows leak; their errors are about half those of averaged spectra.
+
+    Coherence, and whether the inputs can be told apart, are those of averaged spectra either way:
+    over Hann windows of all records, overlapped by two thirds; the inputs are separated by
+    ``solve(Guu, Guy)`` at every frequency (conditioning on the other inputs); window lengths are
+    merged point by point into a composite that trusts each where its random error is small.
 
     Parameters
     ----------
@@ -55,6 +61,9 @@ class SpectralAnalysis:
     windows : sequence of float
         Window lengths [s]. Unless given, five between 20 periods of the highest frequency and
         min(half the longest record, a fifth of all records together), T&R section 10.3.
+    method : {"local", "windows"}
+        What the response comes from. Averaged spectra ("windows") are all there is where
+        ``conditioned`` is False or there is a ``reference``.
     conditioned : bool
         False takes every pair by itself, as if the other inputs did not move.
     reference : sequence of str
@@ -66,6 +75,7 @@ class SpectralAnalysis:
 
     omega: Array | None = None
     windows: Sequence[float] | None = None
+    method: Method = "local"
     conditioned: bool = True
     reference: Sequence[str] = ()
 
@@ -93,12 +103,14 @@ class SpectralAnalysis:
         heard = [i for i, name in enumerate(outputs) if name not in silent]
         laid = partial(_laid, where=np.ix_(heard, active), shape=(len(outputs), len(inputs)))
         multiple = np.where(np.isin(outputs, silent), np.nan, merged.multiple_coherence)
+        estimate = _Estimate.of_windows(merged, parts, usable, lengths, omega)
+        if self.method == "local" and self.conditioned and not self.reference:
+            estimate = estimate.refined(moving, omega, heard)
         found = FrequencyResponse(
-            omega=omega, G=laid(merged.response), coherence=laid(merged.coherence),
-            random_error=laid(merged.random_error),
-            leakage=laid(leakage(parts, usable, lengths, omega)),
-            resolution=laid(_resolution(parts, usable, lengths)),
-            **_correlations(merged, active, len(inputs)),
+            omega=omega, G=laid(estimate.G), coherence=laid(merged.coherence),
+            random_error=laid(estimate.random_error), leakage=laid(estimate.leakage),
+            resolution=laid(estimate.resolution),
+            **_correlations(estimate, active, len(inputs)),
             inputs=inputs, outputs=outputs, input_std=su, output_std=sy,
             multiple_coherence=multiple, condition=merged.condition,
             windows=tuple(lengths), flags=_flags(omega, lengths[-1], usable, counted, number),
@@ -158,6 +170,7 @@ def frequency_response(
     *,
     omega: Array | None = None,
     windows: Sequence[float] | None = None,
+    method: Method = "local",
     conditioned: bool = True,
     reference: Sequence[str] = (),
 ) -> FrequencyResponse:
@@ -171,7 +184,7 @@ def frequency_response(
         samples are filled in (`casid.autoregression`), and windows that lack them for longer than
         a period are left out, with a `DataWarning`. Inputs held by steps ("zoh") are taken as
         steps, others as smooth.
-    omega, windows, conditioned, reference
+    omega, windows, method, conditioned, reference
         As in `SpectralAnalysis`.
 
     Returns
@@ -187,24 +200,67 @@ def frequency_response(
         losses.
     """
     analysis = SpectralAnalysis(
-        omega=omega, windows=windows, conditioned=conditioned, reference=reference
+        omega=omega, windows=windows, method=method, conditioned=conditioned, reference=reference
     )
     return analysis.fit(records)
 
 
-def _resolution(parts: Sequence[Conditioned], usable: BoolArray, lengths: Sequence[float]) -> Array:
-    """Standard deviation [rad/s] of the composite's spectral window, (K, ny, nu)."""
-    W = window_weights(np.array([part.random_error for part in parts]), usable)
-    return np.asarray(np.einsum("wkij,w->kij", W, HANN / np.array(lengths)))
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Estimate:
+    """A response with its errors, of pairs whose channels move."""
+
+    G: ComplexArray
+    random_error: Array
+    leakage: Array
+    resolution: Array
+    output_correlation: ComplexArray | None
+    input_correlation: ComplexArray | None
+
+    @classmethod
+    def of_windows(
+        cls,
+        merged: Conditioned,
+        parts: Sequence[Conditioned],
+        usable: BoolArray,
+        lengths: Sequence[float],
+        omega: Array,
+    ) -> "_Estimate":
+        """What averaged spectra say."""
+        W = window_weights(np.array([part.random_error for part in parts]), usable)
+        return cls(
+            G=merged.response,
+            random_error=merged.random_error,
+            leakage=leakage(parts, usable, lengths, omega),
+            resolution=np.einsum("wkij,w->kij", W, HANN / np.array(lengths)),
+            output_correlation=merged.output_correlation,
+            input_correlation=merged.input_correlation,
+        )
+
+    def refined(self, records: Sequence[Record], omega: Array, heard: Sequence[int]) -> "_Estimate":
+        """What local models say of outputs that move, where these exist and inputs separate."""
+        names = [records[0].outputs[i] for i in heard]
+        local = local_response([record.select(outputs=names) for record in records], omega)
+        if local is None:
+            return self
+        rows = np.isfinite(self.G[:, heard]) & np.isfinite(local.G) & (np.abs(local.G) > 0)
+        found = {}
+        for name in ("G", "random_error", "leakage", "resolution"):
+            found[name] = np.array(getattr(self, name))
+            found[name][:, heard] = np.where(rows, getattr(local, name), found[name][:, heard])
+        every = rows.all(axis=(1, 2))
+        inputs, outputs = (np.array(m) for m in (self.input_correlation, self.output_correlation))
+        inputs[every] = local.input_correlation[every]
+        outputs[np.ix_(every, heard, heard)] = local.output_correlation[every]
+        return replace(self, **found, input_correlation=inputs, output_correlation=outputs)
 
 
-def _correlations(merged: Conditioned, active: Sequence[int], nu: int) -> dict[str, ComplexArray]:
+def _correlations(found: _Estimate, active: Sequence[int], nu: int) -> dict[str, ComplexArray]:
     """Correlations of errors, of all inputs from those that move; empty if unknown."""
-    if merged.output_correlation is None or merged.input_correlation is None:
+    if found.output_correlation is None or found.input_correlation is None:
         return {}
-    full = np.tile(np.eye(nu, dtype=complex), (len(merged.input_correlation), 1, 1))
-    full[:, np.array(active)[:, None], active] = merged.input_correlation
-    return {"output_correlation": merged.output_correlation, "input_correlation": full}
+    full = np.tile(np.eye(nu, dtype=complex), (len(found.input_correlation), 1, 1))
+    full[:, np.array(active)[:, None], active] = found.input_correlation
+    return {"output_correlation": found.output_correlation, "input_correlation": full}
 
 
 def _laid(values: Any, where: Any, shape: tuple[int, int]) -> Any:  # noqa: ANN401 - any numbers

@@ -1,0 +1,319 @@
+"""Frequency responses by local rational models of the records' transforms.
+
+R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 7,
+the local polynomial method; with a denominator, T. McKelvey, G. Guérin, Non-parametric frequency
+response estimation using a local rational model, IFAC SYSID 2012. Near a frequency the transforms
+of record r, whole and without a taper, obey
+
+    Y_r(ω) = G(ω) U_r(ω) + T_r(ω) + V_r(ω),      G = B(x)/A(x),   T_r = I_r(x)/A(x),
+
+x the distance from that frequency: B of degree two in x for every pair, I_r of degree one for every
+record and output, A of degree two for all of them, since all share the poles. T_r is what began
+before the record and goes on after it, leakage: it is estimated, not tapered away. B(0) is the
+response. Output by output the residuals V have one variance there; it makes the random error.
+
+Departure: what models of finite width miss (bias) is estimated too, from the difference to
+narrower ones, and stated beside the random error.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from casid.arrays import Array, BoolArray, ComplexArray
+from casid.autoregression import filled
+from casid.frequency.spectra import correlation
+from casid.record import Record
+
+WIDE, NARROW = (0.3, 5.0), (0.2, 4.0)  # half widths: share of the frequency, lines at least
+EQUATIONS = {WIDE: 3.0, NARROW: 7 / 3}  # at least, per unknown of a pair's numerator
+POWERS = 3  # of x in numerators of pairs
+EDGES = 2  # of x in numerators of transients
+POLES = 2  # of the denominator
+ROUNDS = 8  # Gauss-Newton steps of the denominator
+CERTAIN = 25.0  # twice the gain in log-likelihood that makes a pair of poles more than noise
+NEAREST = 0.05  # abs(A), one at the centre, may fall to within a model
+SURE = 2.0  # of the noise of a difference that is no bias
+KERNEL = 0.3  # correlation of two local estimates, as a spectral window's width over a half width
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Transforms of one record at its own frequencies ω_k = 2πk/T, k > 0."""
+
+    omega: Array  # (L,) [rad/s]
+    U: ComplexArray  # (L, nu)
+    Y: ComplexArray  # (L, ny)
+
+
+@dataclass(frozen=True, eq=False)
+class LocalResponse:
+    """A response with its errors, relative, one standard deviation; NaN where there is none."""
+
+    G: ComplexArray  # (K, ny, nu)
+    random_error: Array  # (K, ny, nu)
+    leakage: Array  # (K, ny, nu) bias of models of finite width
+    resolution: Array  # (K, ny, nu) [rad/s], as in `FrequencyResponse`
+    output_correlation: ComplexArray  # (K, ny, ny)
+    input_correlation: ComplexArray  # (K, nu, nu)
+
+
+def local_response(records: Sequence[Record], omega: Array) -> LocalResponse | None:
+    """Response at frequencies (K,) [rad/s] of equidistant records, all of whose channels move.
+
+    None where a record lacks a channel.
+    """
+    if any(np.isnan(record.y).all(axis=0).any() for record in records):
+        return None
+    lines = _lines_at(records, omega)
+    G, error, half, outputs, inputs = _at_all(lines, omega, WIDE)
+    other, coarse, *_ = _at_all(lines, omega, NARROW)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # What noise alone makes of the difference: the wider model is the more efficient one.
+        random = SURE * 2 * np.maximum(coarse**2 - error**2, 0.0)
+        squared = np.nan_to_num(np.abs(other - G) ** 2 / np.abs(G) ** 2 - random, posinf=0.0)
+    padded = np.pad(squared, ((1, 1), (0, 0), (0, 0)), mode="edge")
+    smooth = (padded[:-2] + padded[1:-1] + padded[2:]) / 3
+    # An input is smooth between its samples, or straight: sinc²(ωh/2) lies between the two.
+    between = omega**2 * max((r.dt**2 for r in records if r.hold != "zoh"), default=0.0) / 12
+    bias = np.sqrt(np.maximum(smooth, 0.0) + between[:, None, None] ** 2)
+    width = np.broadcast_to(KERNEL * half[:, None, None], G.shape)
+    return LocalResponse(G, error, np.where(np.isfinite(G), bias, np.nan), width, outputs, inputs)
+
+
+def _lines_at(records: Sequence[Record], omega: Array) -> list[Sequence[Lines]]:
+    """Lines to take at every frequency: of stretches without losses longer than a period."""
+    full = [filled(record) for record in records]
+    known: dict[tuple[bytes, ...], Sequence[Lines]] = {}
+    found = []
+    for period in 2 * np.pi / omega:
+        cuts = [_gaps(lost, period / record.dt) for record, lost in full]
+        key = tuple(gaps.tobytes() for gaps in cuts)
+        if key not in known:
+            parts = zip(full, cuts, strict=True)
+            known[key] = [_lines(p) for (r, _), gaps in parts for p in _between(r, gaps)]
+        found.append(known[key])
+    return found
+
+
+def _gaps(lost: BoolArray, longest: float) -> NDArray[np.intp]:
+    """First samples, and those after the last, of losses longer than so many (gaps, 2)."""
+    gone = lost.any(axis=1).astype(int)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], gone, [0]]))).reshape(-1, 2)
+    return edges[edges[:, 1] - edges[:, 0] > longest]
+
+
+def _between(record: Record, gaps: NDArray[np.intp]) -> list[Record]:
+    """The stretches between gaps that have a line at least."""
+    edges = [0, *gaps.ravel(), record.N]
+    pairs = zip(edges[::2], edges[1::2], strict=True)
+    return [record.take(slice(a, b)) for a, b in pairs if b - a > 2]
+
+
+def _lines(record: Record) -> Lines:
+    values = np.hstack([record.u, record.y])
+    X = np.fft.rfft(values - values.mean(axis=0), axis=0)[1:] * np.sqrt(record.dt / record.N)
+    omega = 2 * np.pi * np.arange(1, len(X) + 1) / (record.N * record.dt)
+    if record.hold == "zoh":  # the spectrum of the steps, not of a smooth input through the samples
+        jh = 1j * omega * record.dt
+        X[:, : record.nu] *= ((1 - np.exp(-jh)) / jh)[:, None]
+    return Lines(omega, X[:, : record.nu], X[:, record.nu :])
+
+
+def _at_all(
+    lines: Sequence[Sequence[Lines]], omega: Array, width: tuple[float, float]
+) -> tuple[ComplexArray, Array, Array, ComplexArray, ComplexArray]:
+    """Responses, random errors, half widths and correlations of outputs and inputs."""
+    K, nu, ny = len(omega), *(len(each.T) for each in (lines[0][0].U, lines[0][0].Y))
+    G, error = np.full((K, ny, nu), np.nan, complex), np.full((K, ny, nu), np.nan)
+    half, outputs = np.zeros(K), np.tile(np.eye(ny, dtype=complex), (K, 1, 1))
+    inputs = np.tile(np.eye(nu, dtype=complex), (K, 1, 1))
+    for k, (near, centre) in enumerate(zip(lines, omega, strict=True)):
+        least = max(width[0] * centre, width[1] * _spacing(near))
+        half[k] = _half_width(near, centre, least, EQUATIONS[width])
+        model = _Model.of(near, centre, half[k])
+        found = model.solved() if model is not None else None
+        if found is None:
+            continue
+        G[k], variance, S, P = found
+        with np.errstate(invalid="ignore", divide="ignore"):
+            error[k] = np.sqrt(variance / 2) / np.abs(G[k])
+        # Shrunk towards none, as few residuals tell little.
+        outputs[k] = (model.freedom * correlation(S) + ny * np.eye(ny)) / (model.freedom + ny)
+        inputs[k] = correlation(P)
+    return G, error, half, outputs, inputs
+
+
+def _spacing(lines: Sequence[Lines]) -> float:
+    """Distance of lines [rad/s] in the records that move the input whose records are shortest."""
+    apart = np.array([each.omega[0] for each in lines])
+    power = np.array([np.sum(np.abs(each.U) ** 2, axis=0) * each.omega[0] for each in lines])
+    power = power / np.maximum(power.sum(axis=0), 1e-300)
+    return float(np.max(apart @ power, initial=apart.min()))
+
+
+def _half_width(lines: Sequence[Lines], centre: float, least: float, equations: float) -> float:
+    """The least half width [rad/s] that leaves so many equations per unknown of a numerator."""
+    wanted = equations * POWERS * lines[0].U.shape[1]
+    half = least
+    while True:
+        counts = np.array([_near(each, centre, half).sum() for each in lines])
+        if np.maximum(counts - EDGES, 0).sum() >= wanted or half > lines[0].omega[-1]:
+            return half
+        half *= 1.1
+
+
+def _near(lines: Lines, centre: float, half: float) -> BoolArray:
+    """Lines of a band of twice a half width about a frequency, above it where zero is near."""
+    low = max(centre - half, 0.0)
+    return (lines.omega >= low * (1 - 1e-9)) & (lines.omega <= (low + 2 * half) * (1 + 1e-9))
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """The equations A Y = B U + I + A V about one frequency."""
+
+    x: Array  # (m,) distance from the frequency, in half widths
+    U: ComplexArray  # (m, nu)
+    Y: ComplexArray  # (m, ny)
+    records: tuple[slice, ...]  # lines of each
+    freedom: float  # of the residuals of one output
+
+    @classmethod
+    def of(cls, lines: Sequence[Lines], centre: float, half: float) -> "_Model | None":
+        """The lines of all records that have more than their own transient takes."""
+        near = [(each, _near(each, centre, half)) for each in lines]
+        used = [(each, at) for each, at in near if at.sum() > EDGES]
+        if not used:
+            return None
+        ends = np.cumsum([0, *(at.sum() for _, at in used)])
+        U = np.vstack([each.U[at] for each, at in used])
+        Y = np.vstack([each.Y[at] for each, at in used])
+        unknown = POWERS * U.shape[1] + EDGES * len(used) + POLES / Y.shape[1]
+        freedom = len(U) - unknown
+        x = np.concatenate([(each.omega[at] - centre) / half for each, at in used])
+        slices = tuple(slice(a, b) for a, b in pairwise(ends))
+        return cls(x, U, Y, slices, freedom) if freedom > 1 else None
+
+    def solved(self) -> tuple[ComplexArray, Array, ComplexArray, ComplexArray] | None:
+        """Response (ny, nu), its variance, covariance of residuals, inverse of the inputs' power.
+
+        Gauss-Newton steps of the denominator, common to all outputs, each weighed by its residuals;
+        numerators are linear and follow (variable projection). None: inputs are not separable.
+        """
+        first = fit = _Fit.of(self, np.zeros(POLES, complex))
+        if first is None:
+            return None
+        for _ in range(ROUNDS):
+            better = fit.step()
+            if better is None:
+                break
+            fit = better
+        # Where noise rules, a pair of poles would only follow it.
+        certain = 2 * len(self.x) * (first.cost - fit.cost) > CERTAIN
+        return fit.result() if certain else first.result()
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Numerators that are best with one denominator."""
+
+    model: _Model
+    a: ComplexArray  # (POLES,)
+    A: ComplexArray  # (m,) values of the denominator
+    edges: tuple[ComplexArray, ...]  # orthonormal bases (m_r, EDGES) of transients
+    Q: ComplexArray  # (m, POWERS nu) orthonormal basis of the inputs, transients removed
+    inverse: ComplexArray  # (POWERS nu, POWERS nu) of the triangular factor
+    theta: ComplexArray  # (POWERS nu, ny) numerators
+    E: ComplexArray  # (m, ny) residuals
+
+    @classmethod
+    def of(cls, model: _Model, a: ComplexArray) -> "_Fit | None":
+        A = 1 + _powers(model.x) @ a
+        if np.abs(A).min() < NEAREST:
+            return None
+        bases = np.vander(model.x, POWERS, increasing=True) / A[:, None]
+        edges = tuple(np.linalg.qr(bases[rows, :EDGES])[0] for rows in model.records)
+        K = (bases[:, :, None] * model.U[:, None, :]).reshape(len(A), -1)
+        K, Y = _without(model, edges, K), _without(model, edges, model.Y)
+        size = np.linalg.norm(K, axis=0)
+        if not size.all():
+            return None
+        Q, R = np.linalg.qr(K / size)
+        if np.abs(np.diag(R)).min() < 1e-9:
+            return None
+        inverse = scipy.linalg.solve_triangular(R, np.eye(len(R))) / size[:, None]
+        inner = Q.conj().T @ Y
+        return cls(model, a, A, edges, Q, inverse, inverse @ inner, Y - Q @ inner)
+
+    @property
+    def variance(self) -> Array:
+        """Of an output's residuals, (ny,)."""
+        power = np.sum(np.abs(self.model.Y) ** 2, axis=0)
+        left = np.sum(np.abs(self.E) ** 2, axis=0)
+        floor = 1e-20 * np.where(power > 0, power, 1.0)
+        return np.asarray(np.maximum(left, floor) / self.model.freedom)
+
+    @property
+    def cost(self) -> float:
+        """Logarithm of the residuals' variances, all outputs together."""
+        return float(np.sum(np.log(self.variance)))
+
+    def slopes(self) -> tuple[ComplexArray, ComplexArray]:
+        """Of fitted outputs along a, (m, ny, POLES): that which transients leave, and inputs."""
+        Y = self.model.Y - self.E
+        J = -Y[:, :, None] * (_powers(self.model.x) / self.A[:, None])[:, None, :]
+        J = _without(self.model, self.edges, J.reshape(len(J), -1))
+        return J, J - self.Q @ (self.Q.conj().T @ J)
+
+    def step(self) -> "_Fit | None":
+        """A better denominator; None where there is none, or hardly."""
+        weight = 1 / np.sqrt(self.variance)
+        J = (self.slopes()[1].reshape(*self.E.shape, POLES) * weight[:, None]).reshape(-1, POLES)
+        step = np.linalg.lstsq(J, (self.E * weight).ravel(), rcond=1e-9)[0]
+        for share in (1.0, 0.5, 0.25, 0.125):
+            other = _Fit.of(self.model, self.a + share * step)
+            if other is not None:
+                gain = self.cost - other.cost
+                if gain > 0:
+                    return other if gain > 1e-3 else None
+        return None
+
+    def result(self) -> tuple[ComplexArray, Array, ComplexArray, ComplexArray]:
+        """See `_Model.solved`."""
+        nu = self.model.U.shape[1]
+        root = self.inverse[:nu]  # B(0) is in the first rows
+        P = root @ root.conj().T
+        spread = self._of_poles(root) if self.a.any() else 0.0
+        variance = self.variance[:, None] * np.diag(P).real + spread
+        # Of Student's distribution, the variance of residuals being estimated as well.
+        variance *= self.model.freedom / (self.model.freedom - 1)
+        S = self.E.T @ self.E.conj() / self.model.freedom
+        return self.theta[:nu].T, variance, S, P
+
+    def _of_poles(self, root: ComplexArray) -> Array:
+        """What errors of the denominator add to variances of the response, (ny, nu)."""
+        ny = self.E.shape[1]
+        whole, left = (part.reshape(len(self.E), ny, POLES) for part in self.slopes())
+        J = (left / np.sqrt(self.variance)[:, None]).reshape(-1, POLES)
+        poles = np.linalg.pinv(J.conj().T @ J, hermitian=True)
+        along = np.einsum("jp,mp,mia->ija", root, self.Q.conj(), whole, optimize=True)
+        spread = np.einsum("ija,ab,ijb->ij", along, poles, along.conj(), optimize=True)
+        return np.asarray(spread.real)
+
+
+def _powers(x: Array) -> Array:
+    """Powers of x of the denominator, one aside, (m, POLES)."""
+    return np.vander(x, POLES + 1, increasing=True)[:, 1:]
+
+
+def _without(model: _Model, edges: Sequence[ComplexArray], M: ComplexArray) -> ComplexArray:
+    """Columns (m, c) without the part that transients explain, record by record."""
+    left = np.array(M, dtype=complex)
+    for rows, basis in zip(model.records, edges, strict=True):
+        left[rows] -= basis @ (basis.conj().T @ left[rows])
+    return left

@@ -1,0 +1,137 @@
+"""Local rational models: exact ones recovered, errors that hold, in the band's edges too."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from truths import uh60
+from truths.systems import LAG, TWO, white
+
+from casid import Record, StateSpace, frequency_response
+from casid.frequency.local import WIDE, Lines, _at_all, _lines_at, local_response
+
+LIGHT = StateSpace([[0, 1], [-4, -0.4]], [[0], [4]], [[1, 0]], [[0]], None, ("u",), ("y",))
+
+
+def rational(rng, noise=0.0, records=3, nu=2, ny=3):
+    """Lines of records of a response with one pair of poles, each with its own transient."""
+    residues, direct = rng.standard_normal((ny, nu, 2)), rng.standard_normal((ny, nu))
+    pole = -0.3 + 2j
+
+    def response(omega):
+        s = 1j * np.asarray(omega)[:, None, None]
+        return (residues[..., 0] + s * residues[..., 1]) / (
+            (s - pole) * (s - np.conj(pole))
+        ) + direct
+
+    lines = []
+    for r in range(records):
+        omega = 2 * np.pi * np.arange(1, 60) / (40.0 + 5 * r)
+        shape = (len(omega), nu + ny)
+        U, V = np.split(rng.standard_normal(shape) + 1j * rng.standard_normal(shape), [nu], axis=1)
+        edge = rng.standard_normal((2, ny)) * 3
+        s = 1j * omega[:, None]
+        T = (edge[0] + s * edge[1]) / ((s - pole) * (s - np.conj(pole)))
+        Y = np.einsum("kij,kj->ki", response(omega), U) + T + noise * V
+        lines.append(Lines(omega, U, Y))
+    return lines, response
+
+
+def test_a_rational_response_is_recovered_beside_the_transients_of_every_record():
+    lines, response = rational(np.random.default_rng(0))
+    omega = np.array([0.2, 1.0, 2.0, 2.2, 5.0])
+    G, error, *_ = _at_all([lines] * len(omega), omega, WIDE)
+    np.testing.assert_allclose(G, response(omega), atol=1e-6)
+    assert error.max() < 1e-6
+
+
+def test_the_random_error_is_the_scatter_over_realisations_at_a_resonance_too():
+    omega, scores = np.array([0.4, 2.0, 5.0]), []
+    for seed in range(60):
+        lines, response = rational(np.random.default_rng(seed), noise=0.1)
+        G, error, *_ = _at_all([lines] * len(omega), omega, WIDE)
+        scores.append((G - response(omega)) / np.abs(G) / error)
+    # Complex errors of 60 runs, three outputs, two inputs: known to 1/√720; the fit is nonlinear.
+    power = np.mean(np.abs(scores) ** 2, axis=(0, 2, 3)) / 2
+    np.testing.assert_allclose(power, 1.0, atol=0.2)
+
+
+def test_errors_of_outputs_and_inputs_correlate_as_noise_and_inputs_do():
+    rng, mixed = np.random.default_rng(1), []
+    lines, _ = rational(rng, noise=0.0, nu=2, ny=2)
+    along = np.array([[1.0, 0.0], [0.8, 0.6]])
+    for each in lines:
+        V = rng.standard_normal((len(each.omega), 2)) @ along.T
+        U = each.U @ along.T
+        mixed.append(Lines(each.omega, U, 0.1 * (V + 1j * rng.standard_normal(V.shape) @ along.T)))
+    *_, outputs, inputs = _at_all([mixed], np.array([4.0]), WIDE)
+    assert outputs[0, 0, 1].real == pytest.approx(0.8, abs=0.15)
+    assert inputs[0, 0, 1].real == pytest.approx(-0.8, abs=0.15)  # of the inverse
+
+
+@pytest.mark.parametrize("system", [LAG, LIGHT], ids=["lag", "light damping"])
+def test_what_began_before_the_record_is_told_from_the_response(system):
+    t = 0.02 * np.arange(3001)
+    rate = np.log(15 / 0.3)
+    u = np.sin(18 / rate * np.expm1(rate * t / 60))[:, None]  # begins and ends abruptly
+    x0 = np.full(system.nx, 2.0)
+    record = Record(t, u, system.simulate(t, u, x0=x0), ("u",), ("y",))
+    local, windows = (frequency_response(record, method=m) for m in ("local", "windows"))
+    away = [np.abs(f.G / system.response(f.omega) - 1)[:, 0, 0] for f in (local, windows)]
+    assert away[0].max() < 0.02
+    assert away[0].max() < 0.1 * away[1].max()
+    assert np.mean(away[0] < 1.96 * np.sqrt(2) * local.error[:, 0, 0]) > 0.9
+
+
+@pytest.mark.slow
+def test_stated_errors_hold_in_every_fifth_of_the_band_and_are_smaller_than_of_windows():
+    omega = np.geomspace(0.4, 12.0, 40)
+    truth = uh60.oracle().response(omega)
+    clean = [uh60.linear_sweep(axis) for axis in uh60.INPUTS]
+    inside, size = [], {"local": [], "windows": []}
+    for seed in range(6):
+        rng = np.random.default_rng([seed, 31])
+        records = [record.with_noise(uh60.NOISE, rng) for record in clean]
+        found = {m: frequency_response(records, omega=omega, method=m) for m in size}
+        seen = found["windows"].coherence >= 0.6
+        for m, each in found.items():
+            size[m].append(np.where(seen, np.abs(np.log(each.G / truth)) ** 2, np.nan))
+        error = np.log(found["local"].G / truth) / found["local"].error
+        both = np.stack([error.real, error.imag])
+        inside.append(np.where(seen, np.abs(both) < 1.96, np.nan))
+    fifths = np.array_split(np.arange(40), 5)
+    covered = [np.nanmean(np.array(inside)[:, :, at]) for at in fifths]
+    # Some 1300 points a fifth, of which a sixth are independent: 0.95 ± 0.015.
+    assert min(covered) > 0.91
+    assert max(covered) < 0.985
+    local, windows = (
+        np.sqrt([np.nanmean(np.array(size[m])[:, at]) for at in fifths]) for m in size
+    )
+    assert (local < 0.95 * windows).all()
+    assert local.mean() < 0.7 * windows.mean()
+
+
+def test_long_losses_part_a_record_and_short_ones_do_not():
+    record = white(LAG, np.random.default_rng(2), duration=60.0)
+    y = record.y.copy()
+    y[100:104] = y[600:640] = np.nan  # 0.2 s and 2 s
+    omega, holed = np.array([1.0, 2.0, 5.0]), dataclasses.replace(record, y=y)
+    apart = _lines_at([holed], omega)
+    assert [len(each) for each in apart] == [1, 1, 2]  # periods of 6, 3 and 1.3 s
+    assert [each.omega[0] for each in apart[2]] == [
+        pytest.approx(2 * np.pi / (n * record.dt)) for n in (600, record.N - 640)
+    ]
+    found = local_response([holed], omega)
+    assert np.abs(found.G / LAG.response(omega) - 1).max() < 0.05
+
+
+def test_there_is_none_where_a_record_lacks_a_channel():
+    rng = np.random.default_rng(3)
+    whole, lacking = (white(TWO, rng, noise=0.1, duration=200.0, name=n) for n in ("a", "b"))
+    lacking = dataclasses.replace(lacking, y=lacking.y * [1.0, np.nan])
+    assert local_response([whole, lacking], np.array([3.0])) is None
+
+
+def test_inputs_that_move_alike_have_no_local_model():
+    record = white(TWO, np.random.default_rng(4), mix=[[1.0, 0.0], [1.0, 0.0]], duration=100.0)
+    assert np.isnan(local_response([record], np.array([3.0])).G).all()
