@@ -118,14 +118,6 @@ def accuracy(J: Array, active: BoolArray, ties: Array | None = None) -> tuple[Ar
     return np.sqrt(np.diag(covariance)), insensitivity, covariance
 
 
-def scatter(jacobian: Array, covariance: Array, noise: Array) -> Array:
-    """Standard deviations of λ that independent errors of the residuals cause, (nf,)."""
-    known = np.nan_to_num(covariance, nan=0.0, posinf=0.0)
-    gain = 2 * known @ jacobian.T  # dλ = H⁻¹ 2Jᵀ dr
-    spread = np.sqrt(np.sum((gain * noise) ** 2, axis=1))
-    return np.asarray(np.where(np.isfinite(np.diag(covariance)), spread, np.nan))
-
-
 def accuracy_row(
     name: str, value: float, std: float, insensitivity: float, scatter: float
 ) -> ParameterAccuracy:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.baseline.accuracy import DerividNotes, PairCost, accuracy, accuracy_row, scatter
+from casid.baseline.accuracy import DerividNotes, PairCost, accuracy, accuracy_row
 from casid.baseline.pairs import Pairs, select, thin
 from casid.baseline.search import Minima, descents, pair_costs, solve
 from casid.checks import checked_fields
@@ -27,12 +27,12 @@ from casid.fit import (
     parameter_table,
 )
 from casid.free import free_parameters
+from casid.frequency.covariance import whitener
 from casid.frequency.response import FrequencyResponse
 from casid.matching.conditions import fit_at_conditions
 from casid.matching.descent import Condensed, check_effects
 from casid.matching.mismatch import DB, GOOD, TURN, residual_slopes
 from casid.matching.programme import Optimum
-from casid.matching.targets import in_channels
 from casid.model import Bounds, M, Priors
 from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim
@@ -195,10 +195,10 @@ def _result(
     solved = model.with_vector(free.full(values))
     table = parameter_table(free, values, best.multipliers, guess=model)
     active = np.array([table[i].active for i in free.index])
-    jacobian, noise = _residual_slopes(problem, values, frf)
+    jacobian = _residual_slopes(problem, values)
     held = holding(free, values, np.zeros_like(active))
     std, insensitivity, covariance = accuracy(jacobian, active, held)
-    spread = scatter(jacobian, covariance, noise)
+    spread = _scatter(problem, frf, jacobian, covariance)
     parameters = parameter_table(
         free, values, best.multipliers, std_error=std, insensitivity=insensitivity, guess=model
     )
@@ -224,17 +224,38 @@ def _result(
     )
 
 
-def _residual_slopes(problem: Condensed, x: Array, frf: FrequencyResponse) -> tuple[Array, Array]:
-    """dr/dλ of the cost Σ r² at free values, and the residuals' own random errors."""
+def _residual_slopes(problem: Condensed, x: Array) -> Array:
+    """dr/dλ of the cost Σ r² at free values: gains, phases, priors."""
     c, weight = problem.comparison, problem.comparison.decibel_weight
     G, slope = problem.matrices(x).response_slopes(c.s)
     rows = residual_slopes(G, slope, c.G, weight)[:, :, weight > 0]
-    error = in_channels(problem.free.model, frf.outputs, frf.inputs, frf.error)
-    error = (np.sqrt(weight) * error)[weight > 0]
-    price = c.price_of_surprise("decibel")
-    known = price * problem.free.surprise(x)[1]
-    slopes = np.vstack([rows.reshape(len(rows), -1).T, known])
-    return slopes, np.concatenate([DB * error, TURN * error, np.full(len(known), price)])
+    known = c.price_of_surprise("decibel") * problem.free.surprise(x)[1]
+    return np.vstack([rows.reshape(len(rows), -1).T, known])
+
+
+def _scatter(
+    problem: Condensed, frf: FrequencyResponse, jacobian: Array, covariance: Array
+) -> Array:
+    """Standard deviations (nf,) of λ that errors of the response cause, correlated as they are."""
+    c, model = problem.comparison, problem.free.model
+    weight, used = c.decibel_weight, c.W > 0
+    known = np.nan_to_num(covariance, nan=0.0, posinf=0.0)
+    gain = 2 * known @ jacobian.T  # dλ = H⁻¹ 2Jᵀ dr
+    n = int(used.sum())
+    root = np.sqrt(weight[used])
+    own = np.zeros((*used.shape, len(gain)), dtype=complex)
+    # dr = √w (DB Re, TURN Im) of ΔG/G
+    own[used] = ((DB * gain[:, :n] - 1j * TURN * gain[:, n : 2 * n]) * root / c.G[used]).T
+    rows = [model.outputs.index(name) if name in model.outputs else -1 for name in frf.outputs]
+    columns = [model.inputs.index(name) if name in model.inputs else -1 for name in frf.inputs]
+    place = np.ix_(range(len(own)), rows, columns)
+    there = np.outer(np.array(rows) >= 0, np.array(columns) >= 0) & used[place]
+    if not np.isfinite(frf.error[there]).all():
+        return np.full(len(gain), np.nan)
+    white = whitener(replace(frf, flags={}), there)
+    total = np.diag(white.spread(np.where(there[..., None], own[place], 0.0)))
+    priors = np.sum((gain[:, 2 * n :] * c.price_of_surprise("decibel")) ** 2, axis=1)
+    return np.where(np.isfinite(np.diag(covariance)), np.sqrt(total + priors), np.nan)
 
 
 def _pair_rows(problem: Condensed, values: Array) -> tuple[PairCost, ...]:

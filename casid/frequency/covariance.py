@@ -53,6 +53,21 @@ class Whitener:
             [np.tensordot(root, mixed[at, pair], 1) for pair, at, root in self.along]
         )
 
+    def spread(self, gains: ComplexArray) -> Array:
+        """Covariance (m, m) of m numbers Re Σ c ΔG that errors cause, c (K, ny, nu, m) the gains.
+
+        Gains of points that do not count are left out.
+        """
+        c = gains.reshape(*self.across.shape[:2], -1)
+        idle = ~self.used.reshape(c.shape[:2])
+        A = np.linalg.inv(self.across + idle[:, :, None] * np.eye(c.shape[1]))
+        mixed = np.einsum("kqp,kqm->kpm", A, np.where(idle[:, :, None], 0.0, c))
+        total = np.zeros((c.shape[2], c.shape[2]))
+        for pair, at, root in self.along:
+            part = scipy.linalg.solve_triangular(root, mixed[at, pair], trans="T", lower=True)
+            total += (part.T @ part.conj()).real
+        return total
+
 
 def whitener(response: FrequencyResponse, wanted: BoolArray) -> Whitener:
     """The whitener of a response's stated errors, of pairs ``wanted`` (ny, nu).

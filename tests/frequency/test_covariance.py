@@ -57,6 +57,11 @@ def test_correlated_errors_become_independent(monkeypatch):
     C = np.einsum("kpa,kl,lqa->kplq", root, windows @ windows.T, root.conj()).reshape(6 * K, -1)
     W = unit_rows(whitener(measured, EVERY), measured.G)
     np.testing.assert_allclose(W @ C @ W.conj().T, np.eye(6 * K), atol=1e-5)
+    # Real numbers that depend on the errors, Re Σ c ΔG: variance c C cᴴ.
+    rng = np.random.default_rng(0)
+    gains = rng.standard_normal((6 * K, 4)) + 1j * rng.standard_normal((6 * K, 4))
+    spread = whitener(measured, EVERY).spread(gains.reshape(K, 3, 2, 4))
+    np.testing.assert_allclose(spread, (gains.T @ C @ gains.conj()).real, rtol=1e-5, atol=1e-4)
 
 
 def test_points_without_an_error_flagged_or_not_wanted_do_not_count():
@@ -70,6 +75,8 @@ def test_points_without_an_error_flagged_or_not_wanted_do_not_count():
     assert not found.used[[0, 5]].any()
     assert not found.used[3, 1, 0]
     assert not found.used[:, 2].any()
+    none = np.where(found.used[..., None], 0.0, 1.0)
+    assert found.spread(none) == 0.0
     assert found.used.sum() == 4 * (len(OMEGA) - 2) - 1 == len(unit_rows(found, G))
 
 
