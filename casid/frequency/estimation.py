@@ -250,7 +250,8 @@ class _Estimate:
         every = rows.all(axis=(1, 2))
         inputs, outputs = (np.array(m) for m in (self.input_correlation, self.output_correlation))
         inputs[every] = local.input_correlation[every]
-        outputs[np.ix_(every, heard, heard)] = local.output_correlation[every]
+        block = np.ix_(np.flatnonzero(every), np.array(heard), np.array(heard))
+        outputs[block] = local.output_correlation[every]
         return replace(self, **found, input_correlation=inputs, output_correlation=outputs)
 
 

@@ -137,7 +137,7 @@ def _at_all(
         half[k] = _half_width(near, centre, least, EQUATIONS[width])
         model = _Model.of(near, centre, half[k])
         found = model.solved() if model is not None else None
-        if found is None:
+        if model is None or found is None:
             continue
         G[k], variance, S, P = found
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -205,9 +205,10 @@ class _Model:
         Gauss-Newton steps of the denominator, common to all outputs, each weighed by its residuals;
         numerators are linear and follow (variable projection). None: inputs are not separable.
         """
-        first = fit = _Fit.of(self, np.zeros(POLES, complex))
+        first = _Fit.of(self, np.zeros(POLES, complex))
         if first is None:
             return None
+        fit = first
         for _ in range(ROUNDS):
             better = fit.step()
             if better is None:
@@ -238,8 +239,8 @@ class _Fit:
             return None
         bases = np.vander(model.x, POWERS, increasing=True) / A[:, None]
         edges = tuple(np.linalg.qr(bases[rows, :EDGES])[0] for rows in model.records)
-        K = (bases[:, :, None] * model.U[:, None, :]).reshape(len(A), -1)
-        K, Y = _without(model, edges, K), _without(model, edges, model.Y)
+        pairs = (bases[:, :, None] * model.U[:, None, :]).reshape(len(A), -1)
+        K, Y = _without(model, edges, pairs), _without(model, edges, model.Y)
         size = np.linalg.norm(K, axis=0)
         if not size.all():
             return None
@@ -266,8 +267,8 @@ class _Fit:
     def slopes(self) -> tuple[ComplexArray, ComplexArray]:
         """Of fitted outputs along a, (m, ny, POLES): that which transients leave, and inputs."""
         Y = self.model.Y - self.E
-        J = -Y[:, :, None] * (_powers(self.model.x) / self.A[:, None])[:, None, :]
-        J = _without(self.model, self.edges, J.reshape(len(J), -1))
+        along = -Y[:, :, None] * (_powers(self.model.x) / self.A[:, None])[:, None, :]
+        J = _without(self.model, self.edges, along.reshape(len(along), -1))
         return J, J - self.Q @ (self.Q.conj().T @ J)
 
     def step(self) -> "_Fit | None":
