@@ -1,13 +1,17 @@
 """An aircraft in its loop at its sampling instants, and what its records tell of the parameters.
 
 The sticks are u = r - K y with the designed input r; between samples they are straight lines. The
-delayed stick d(t) = u(t - τ) is read off those lines at the samples and is itself a line between:
+delayed stick d(t) = u(t - τ) has the slope v[k] at sample k, and one break before the next sample,
+ρ before it, where the slope becomes v[k+1] (`intersample`, whose integrals are P₁ and P₂):
 
-    x[k+1] = E x[k] + B0 d[k] + B1 d[k+1],    y[k] = C x[k] + D d[k]
+    x[k+1] = E x[k] + P₁(h) B d[k] + P₂(h) B v[k] + P₂(ρ) B (v[k+1] - v[k])
+    y[k] = C x[k] + D d[k]
 
 The derivatives s = ∂x/∂λ for given sticks, which are what output error works with, follow
 
-    s[k+1] = E s[k] + Φ0 z[k] + Φ1 z[k+1],    ∂y[k]/∂λ = C s[k] + Ψ z[k],    z = (x, d, ∂d/∂τ)
+    s[k+1] = E s[k] + Φ0 z[k] + Φ1 v[k+1],    ∂y[k]/∂λ = C s[k] + Ψ z[k],    z = (x, d, v),
+
+with ∂d/∂τ = -v and ∂P₂(ρ)/∂τ = -P₁(ρ).
 
 and F = Σ (∂y/∂λ)ᵀ R⁻¹ (∂y/∂λ), the initial state and a bias of each output, which are estimated
 too, projected out. All is linear in r, so z is a convolution of r with impulse responses of the
@@ -61,24 +65,28 @@ class Loop:
         self.h, self.N = h, N
         self.growth = float(np.linalg.eigvals(at.blocks[0]).real.max())
         self._whiten = np.linalg.inv(np.linalg.cholesky(R))
-        self._lag, self._part = np.divmod(at.tau / h, 1.0)
+        whole, self._part = np.divmod(at.tau / h, 1.0)
+        self._lag = whole.astype(int)
         self._discretise(at)
         self._impulses(gains(feedback, self.inputs, self.outputs))
 
     def _discretise(self, at: Matrices) -> None:
-        """E, B0, B1 and the maps Φ0, Φ1, Ψ from z to forcing and outputs."""
+        """Steps of the states and the maps Φ0, Φ1, Ψ to their derivatives and those of outputs."""
         A, B, C, D = at.blocks
-        nx, nf, h, dN = self.nx, self.nf, self.h, at.slopes
-        maps = integral_slopes(A, np.array([h]), np.moveaxis(dN[:, :nx, :nx], 0, 2))[:, 0]
-        (E, P1, P2), slopes = maps[..., 0], np.moveaxis(maps[..., 1:], 3, 1)
+        nx, h, dN = self.nx, self.h, at.slopes
+        times = np.append(h * (1.0 - self._part), h)  # ρ of each stick, and the whole step
+        maps = integral_slopes(A, times, np.moveaxis(dN[:, :nx, :nx], 0, 2))
+        P, slopes = maps[..., 0], np.moveaxis(maps[..., 1:], 4, 2)
         dB = dN[:, :nx, nx:]
-        first, second = slopes[1] @ B + P1 @ dB, (slopes[2] @ B + P2 @ dB) / h
-        self.E, self.B1, self.B0 = E, P2 @ B / h, P1 @ B - P2 @ B / h
+        (ramp, dramp), (rest, _) = (_by_columns(P[p, :-1], slopes[p, :-1], B, dB) for p in (2, 1))
+        self.E, self._from_d = P[0, -1], P[1, -1] @ B
+        self._from_v, self._from_next_v = P[2, -1] @ B - ramp, ramp
         late = at.dtau[:, None, :]  # ∂τ/∂λ
-        none = np.zeros((nf, nx, nx))
-        self._from_this = np.concatenate([slopes[0], first - second, self.B0 * late], axis=2)
-        self._from_next = np.concatenate([none, second, self.B1 * late], axis=2)
-        direct = np.concatenate([dN[:, nx:, :nx], dN[:, nx:, nx:], D * late], axis=2)
+        dd = slopes[1, -1] @ B + P[1, -1] @ dB
+        dv = slopes[2, -1] @ B + P[2, -1] @ dB - dramp - (self._from_d - rest) * late
+        self._from_this = np.concatenate([slopes[0, -1], dd, dv], axis=2)
+        self._from_next = dramp - rest * late
+        direct = np.concatenate([dN[:, nx:, :nx], dN[:, nx:, nx:], -D * late], axis=2)
         self._direct = self._whiten @ direct
         self.C, self.D, self._C = C, D, self._whiten @ C
 
@@ -86,43 +94,35 @@ class Loop:
         """Responses of sticks, outputs and z to one sample of each r, (N, ..., nu), as spectra."""
         # A line rises to the impulse from the sample before.
         nx, nu, n = self.nx, self.nu, self.N + 1
-        now = np.where(self._lag == 0, 1.0 - self._part, 0.0)
-        inverse = np.linalg.inv(np.eye(nu) + K @ (self.C @ self.B1 + self.D) * now)
-        x, u, d = np.zeros((n, nx, nu)), np.zeros((n, nu, nu)), np.zeros((n, nu, nu))
+        now, rise = np.where(self._lag == 0, [1.0 - self._part, np.full(nu, 1 / self.h)], 0.0)
+        own = self.C @ (self._from_next_v * rise) + self.D * now
+        inverse, eye = np.linalg.inv(np.eye(nu) + K @ own), np.eye(nu)
+        before = int(self._lag.max()) + 1  # samples at rest
+        u = np.zeros((before + n, nu, nu))
+        x, d, v = np.zeros((n, nx, nu)), np.zeros((n, nu, nu)), np.zeros((n, nu, nu))
         with np.errstate(over="ignore", invalid="ignore"):  # of a loop that is refused below
             for k in range(1, n):
-                past = self._delayed(u, k)
-                moved = self.E @ x[k - 1] + self.B0 @ d[k - 1] + self.B1 @ past
-                seen = self.C @ moved + self.D @ past
-                u[k] = inverse @ (np.eye(nu) * (k == 1) - K @ seen)
-                d[k] = past + now[:, None] * u[k]
-                x[k] = moved + self.B1 @ (now[:, None] * u[k])
-        x, u, d = x[1:], u[1:], d[1:]
+                d[k], v[k] = self._delayed(u, before + k)
+                step = self.E @ x[k - 1] + self._from_d @ d[k - 1] + self._from_v @ v[k - 1]
+                step += self._from_next_v @ v[k]
+                u[before + k] = inverse @ (eye * (k == 1) - K @ (self.C @ step + self.D @ d[k]))
+                d[k] += now[:, None] * u[before + k]
+                v[k] += rise[:, None] * u[before + k]
+                x[k] = step + self._from_next_v @ (rise[:, None] * u[before + k])
+        x, u, d, v = x[1:], u[before + 1 :], d[1:], v[1:]
         self._check_stable(u, K)
         y = self.C @ x + self.D @ d
-        z = np.concatenate([x, d, -self._rate(u)], axis=1)
         self._sizes = np.cumsum([nu, self.ny])
         self.length = scipy.fft.next_fast_len(2 * self.N, real=True)
-        whole = np.concatenate([u, y, z], axis=1)
+        whole = np.concatenate([u, y, x, d, v], axis=1)
         self.spectra = scipy.fft.rfft(whole, self.length, axis=0)
 
-    def _delayed(self, u: Array, k: int) -> Array:
-        """Delayed sticks at sample k, without what sample k itself gives to them."""
-        out = np.zeros(u.shape[1:])
-        for j, (lag, part) in enumerate(zip(self._lag.astype(int), self._part, strict=True)):
-            if 0 < lag <= k:
-                out[j] += (1.0 - part) * u[k - lag, j]
-            if k > lag:
-                out[j] += part * u[k - lag - 1, j]
-        return out
-
-    def _rate(self, u: Array) -> Array:
-        """Slope of the delayed sticks at the samples: −∂d/∂τ."""
-        slope = np.diff(u, axis=0, prepend=np.zeros((1, *u.shape[1:]))) / self.h
-        out = np.zeros_like(u)
-        for j, lag in enumerate(self._lag.astype(int)):
-            out[lag:, j] = slope[: self.N - lag, j]
-        return out
+    def _delayed(self, u: Array, k: int) -> tuple[Array, Array]:
+        """Delayed sticks and their slopes at row k of u, in which that row itself is still zero."""
+        sticks, rows = np.arange(self.nu), k - self._lag
+        this, last = u[rows, sticks], u[rows - 1, sticks]
+        f = self._part[:, None]
+        return (1.0 - f) * this + f * last, (this - last) / self.h
 
     def _check_stable(self, u: Array, K: Array) -> None:
         growth, span = self.growth, self.h * self.N
@@ -179,18 +179,20 @@ class Loop:
 
     def held(self, u: Array) -> Array:
         """The z (N, nx + 2 nu) of sticks u (N, nu) that were flown, from rest."""
-        now = np.where(self._lag == 0, 1.0 - self._part, 0.0)
-        x, d = np.zeros((self.N, self.nx)), np.zeros((self.N, self.nu))
-        for k in range(self.N):
-            d[k] = self._delayed(u, k) + now * u[k]
-            if k:
-                x[k] = self.E @ x[k - 1] + self.B0 @ d[k - 1] + self.B1 @ d[k]
-        return np.concatenate([x, d, -self._rate(u)], axis=1)
+        before = int(self._lag.max()) + 1
+        late = np.concatenate([np.zeros((before, self.nu)), u])[..., None]
+        both = [self._delayed(late, before + k) for k in range(self.N)]
+        d, v = (np.array(each)[..., 0] for each in zip(*both, strict=True))
+        x = np.zeros((self.N, self.nx))
+        for k in range(1, self.N):
+            x[k] = self.E @ x[k - 1] + self._from_d @ d[k - 1] + self._from_v @ v[k - 1]
+            x[k] += self._from_next_v @ v[k]
+        return np.concatenate([x, d, v], axis=1)
 
     def sensitivities(self, z: Array) -> Array:
         """Derivatives of the weighted outputs by λ, unknowns projected out: (N ny, nf)."""
         push = np.tensordot(z[:-1], self._from_this, (1, 2))
-        push += np.tensordot(z[1:], self._from_next, (1, 2))
+        push += np.tensordot(z[1:, -self.nu :], self._from_next, (1, 2))
         s, E = np.zeros((self.N, self.nf, self.nx)), self.E.T
         for k in range(self.N - 1):
             s[k + 1] = s[k] @ E + push[k]
@@ -207,7 +209,7 @@ class Loop:
             pull[k] += pull[k + 1] @ self.E
         slope = np.tensordot(G, self._direct, ([1, 2], [1, 0]))
         slope[:-1] += np.tensordot(pull[1:], self._from_this, ([1, 2], [0, 1]))
-        slope[1:] += np.tensordot(pull[1:], self._from_next, ([1, 2], [0, 1]))
+        slope[1:, -self.nu :] += np.tensordot(pull[1:], self._from_next, ([1, 2], [0, 1]))
         return slope
 
 
@@ -245,3 +247,9 @@ def gains(feedback: Feedback, inputs: tuple[str, ...], outputs: tuple[str, ...])
                 raise ValueError(f"feedback: the gain of {stick!r} by {output!r} is {gain}")
             K[inputs.index(stick), outputs.index(output)] = gain
     return K
+
+
+def _by_columns(P: Array, dP: Array, B: Array, dB: Array) -> tuple[Array, Array]:
+    """P_j b_j for each column j of B, (nx, nu), and its derivatives (nf, nx, nu)."""
+    moved = np.einsum("jlab,bj->laj", dP, B) + np.einsum("jab,lbj->laj", P, dB)
+    return np.einsum("jab,bj->aj", P, B), moved

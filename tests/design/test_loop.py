@@ -46,15 +46,17 @@ def steps(N, seed=0):
     return r[:, None]
 
 
-def test_open_loop_outputs_are_those_of_the_simulation():
-    model, r, t = Roll(), steps(120), 0.05 * np.arange(120)
+@pytest.mark.parametrize("tau", [0.1, 0.0, 0.13, 0.02])  # two samples, none, between samples
+def test_open_loop_outputs_are_those_of_the_simulation(tau):
+    model, r, t = Roll(tau=tau), steps(120), 0.05 * np.arange(120)
     flown = loop_of(model).fly(r)
     np.testing.assert_allclose(flown.u, r, atol=1e-12)
     np.testing.assert_allclose(flown.y, model.system().simulate(t, r), atol=1e-10)
 
 
-def test_feedback_acts_on_what_the_simulation_makes_of_the_sticks():
-    model, r, t = Roll(Lp=1.0), steps(120), 0.05 * np.arange(120)
+@pytest.mark.parametrize("tau", [0.1, 0.0, 0.13, 0.02])
+def test_feedback_acts_on_what_the_simulation_makes_of_the_sticks(tau):
+    model, r, t = Roll(Lp=1.0, tau=tau), steps(120), 0.05 * np.arange(120)
     flown = loop_of(model, {"lat": {"p": 0.4, "phi": 0.3}}).fly(r)
     y = model.system().simulate(t, flown.u)
     np.testing.assert_allclose(flown.u, r - 0.4 * y[:, :1] - 0.3 * y[:, 1:2], atol=1e-9)
@@ -64,14 +66,13 @@ def test_feedback_acts_on_what_the_simulation_makes_of_the_sticks():
 def test_sensitivities_are_differences_of_outputs_for_the_sticks_that_were_flown(tau):
     model, r = Roll(tau=tau), steps(120)
     loop = loop_of(model, {"lat": {"p": 0.1}})
-    u = loop.fly(r).u
+    u, t = loop.fly(r).u, 0.05 * np.arange(120)
     columns = []
     for name, value in zip(model.parameter_names(), model.vector(), strict=True):
         ends = []
         for move in (1e-6, 0.0):  # to one side: at whole samples outputs have a kink in the delay
-            moved = loop_of(Roll(**{**vars(model), name: value + move}))
-            z = moved.held(u)
-            ends.append(z[:, :2] @ moved.C.T + z[:, 2:3] @ moved.D.T)
+            moved = Roll(**{**vars(model), name: value + move})
+            ends.append(moved.system().simulate(t, u))
         columns.append((ends[0] - ends[1]) / 1e-6)
     J = np.stack(columns, axis=-1) / np.sqrt(np.diag(R))[:, None]
     flat = J.reshape(-1, 3)
@@ -82,7 +83,7 @@ def test_sensitivities_are_differences_of_outputs_for_the_sticks_that_were_flown
 
 
 def test_slope_of_the_information_by_the_input_is_a_difference():
-    loop, r = loop_of(Roll(), {"lat": {"p": 0.1, "phi": 0.2}}, N=60), steps(60)
+    loop, r = loop_of(Roll(tau=0.13), {"lat": {"p": 0.1, "phi": 0.2}}, N=60), steps(60)
     M = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, 0.0], [0.1, 0.0, 0.3]])
 
     def value(r):
@@ -109,6 +110,12 @@ def test_standard_errors_are_the_bound_that_output_error_states():
     expected = np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
     stated = [fit[name].cramer_rao for name in model.parameter_names()]
     np.testing.assert_allclose(stated, expected, rtol=0.05)
+
+
+def test_sticks_that_were_flown_have_the_response_of_the_loop_that_flew_them():
+    loop = loop_of(Roll(tau=0.13), {"lat": {"p": 0.1}})
+    flown = loop.fly(steps(120))
+    np.testing.assert_allclose(loop.held(flown.u), flown.z, atol=1e-10)
 
 
 def test_unstable_aircraft_need_their_feedback_and_short_manoeuvres():
