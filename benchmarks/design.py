@@ -9,12 +9,14 @@ those records and, where responses are limited, every output and velocity within
 largest there, as far as the models drawn from the prior say. Each case is kept in FILE when it is
 done; the seconds are processor time.
 
-A wrong prior has every derivative wrong by 30 %, up or down at random; the design is judged by
-the truth. `quarter` is held against the four 3-2-1-1 and the four sweeps together and lasts a
-quarter of their time. `flown` and `flown, wrong prior` are designed with the loop of the example's
-closed-loop records and flown in the nonlinear simulation of JSBSim (`ah1s.py`): peaks and sticks
-are those of that simulation, the share of the sticks' power from outside is the lower bound of the
-certificate of excitation. `--nonlinear` has a nonlinear structure as truth, `RigidBody` with the
+A wrong prior has every derivative wrong by 30 %, up or down at random, three times; the design is
+judged by the truth. `ensemble` is designed for such a wrong prior and four models that are each
+30 % away from it, all of which keep the limits. `identified` has as prior what output error makes
+of the example's four 3-2-1-1 in the loop, with noise. `quarter` is held against the four 3-2-1-1
+and the four sweeps together and lasts a quarter of their time. All but `free`, `limited` and
+`quarter` are designed with the loop of the example's closed-loop records and flown in the nonlinear
+simulation of JSBSim (`ah1s.py`): peaks and sticks are those of that simulation, the share of the
+sticks' power from outside is the lower bound of the certificate of excitation. `--nonlinear` has a nonlinear structure as truth, `RigidBody` with the
 same derivatives, flies 3-2-1-1 and design in it and identifies both. `--monte-carlo RUNS` flies a
 design for the lateral-directional structure with feedback RUNS times with new noise and compares
 the scatter of output error with the standard errors that were predicted; likewise with `SixDof`.
@@ -43,7 +45,8 @@ R = np.diag([NOISE[name] ** 2 for name in SixDof.outputs])
 DT, LENGTH, TIMES, FINE = 0.04, 64.0, 1.5, 0.01
 # Of the example's records, u = r - K y: fractions of travel per rad/s and rad.
 FEEDBACK = {"lat": {"p": 0.2, "phi": 0.4}, "lon": {"q": -0.4, "theta": -0.5}, "ped": {"r": -0.3}}
-CASES = ("free", "limited", "quarter", "flown", "flown, wrong prior")
+CASES = ("free", "limited", "quarter", "flown", "wrong prior 1", "wrong prior 2", "wrong prior 3",
+         "ensemble", "identified")  # fmt: skip
 WANTED = {"free": (0.27, 0.34), "quarter": (1.0, np.inf)}  # of the others 0.4 and 0.6
 
 
@@ -102,6 +105,21 @@ def moved(model, seed, by=0.3):
     return model.with_vector(model.vector() * (1 + signs))
 
 
+def prior(case, model):
+    """What is believed before the flight, and other models that are thought possible."""
+    if "wrong" in case:
+        return moved(model, int(case[-1])), ()
+    if case == "ensemble":
+        wrong = moved(model, 1)
+        return wrong, [moved(wrong, seed) for seed in range(21, 25)]
+    if case != "identified":
+        return model, ()
+    rng = np.random.default_rng(9)
+    noisy = [r.select(SixDof.inputs, SixDof.outputs).with_noise(NOISE, rng)
+             for r in flown("3211_{}")]  # fmt: skip
+    return output_error(model, noisy, interval=1.0), ()
+
+
 def run(case, seed):
     """Ratios of a case."""
     model, four = truth(), flown("3211_{}_open")
@@ -110,12 +128,12 @@ def run(case, seed):
         sweeps = flown("sweep_{}")
         bought = errors_of(model, [*four, *sweeps])
         length = sum(r.duration for r in (*four, *sweeps)) / 4
-    believed = moved(model, 1 + 10 * seed) if "wrong prior" in case else model
-    feedback = FEEDBACK if "flown" in case else {}
+    feedback = {} if case in ("free", "limited", "quarter") else FEEDBACK
+    believed, ensemble = prior(case, model)
     begin = time.process_time()
     made = design_inputs(
         believed, limits(tops, case != "free"), length, noise=NOISE, feedback=feedback,
-        settings=DesignSettings(method="steps", dt=DT, seed=seed),
+        ensemble=ensemble, settings=DesignSettings(method="steps", dt=DT, seed=seed),
     )  # fmt: skip
     seconds = time.process_time() - begin
     record = simulated(made) if feedback else linear(model, made)

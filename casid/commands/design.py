@@ -15,9 +15,15 @@ from casid.commands.terminal import exits, logged, new_table, terminal
 from casid.design.injection import check_axes, check_channels
 from casid.design.inputs import design_inputs
 from casid.design.plan import Design, DesignSettings, Limits
+from casid.design.prior import nearest_trim
 from casid.files import write_text
 from casid.fit import AnyFit, Fit
+from casid.model import Model
+from casid.nonlinear.conditions import Trim
+from casid.nonlinear.coverage import SPEEDS
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
+from casid.stages.conditions import condition, conditions
 from casid.studies.study import Study, read_records
 from casid.studies.studyfile import read_study
 
@@ -69,6 +75,7 @@ def _limit(flag: str, what: str) -> Callable[[Callable[..., None]], Callable[...
 @_limit("--rate", "Largest rate of an input, SI per second; free unless given.")
 @_limit("--response", "Largest deviation of an output, SI; the largest flown unless given.")
 @_limit("--feedback", "Gain of the loop that is flown: lat:p=0.15 is u_lat = r_lat - 0.15 p.")
+@_limit("--trim", "Total value of a state or input to fly a nonlinear structure at.")
 @click.option("--matter", multiple=True, metavar="NAME", help="Parameter that counts; else all.")
 @click.option("--method", help="best, steps or multisine.")
 @_place("--ardupilot", "NAME=CHANNEL:US", "RC channel of an input, µs a unit of it: lat=1:500.")
@@ -98,8 +105,10 @@ def design(
     console = terminal()
     with exits(console), logged(console, verbose):
         what = read_study(study, output)
-        limits, dt = _limits(what, asked)
         model = _kept(what)
+        structure = model.model if isinstance(model, Fit) else model
+        trim, flown = _condition(structure, _flown(what), {**what.design.trim, **asked["trim"]})
+        limits, dt = _limits(what, flown, asked)
         channels = {name: (int(c), x) for name, (c, x) in asked["ardupilot"].items()}
         if channels:
             check_channels(what.model.inputs, channels, dt)
@@ -108,7 +117,8 @@ def design(
         noise = None if isinstance(model, Fit) or what.noise is None else what.noise.std
         made = design_inputs(
             model, limits, what.design.duration if duration is None else duration, noise=noise,
-            feedback=_feedback(what, asked["feedback"]), settings=_settings(what, asked, dt),
+            feedback=_feedback(what, asked["feedback"]), trim=trim,
+            settings=_settings(what, asked, dt),
         )  # fmt: skip
         _say(console, made, model if isinstance(model, Fit) else None)
         folder = what.output / "design"
@@ -145,10 +155,45 @@ def _kept(study: Study) -> Any:  # noqa: ANN401 - a fit, or a model without one
     return Fit.load(path, model=type(study.model))
 
 
-def _limits(study: Study, asked: dict[str, dict[str, float]]) -> tuple[Limits, float]:
-    """What was asked for, else what the study's records have reached; and their interval."""
+def _flown(study: Study) -> list[Record]:
+    """What the study identifies from, with the channels of its structure."""
     records = read_records(study)["identification"]
-    flown = [record.select(study.model.inputs, study.model.outputs) for record in records]
+    return [record.select(study.model.inputs, study.model.outputs) for record in records]
+
+
+def _condition(
+    model: Model, records: list[Record], asked: Mapping[str, float]
+) -> tuple[Trim | None, list[Record]]:
+    """Where a nonlinear structure is to be flown, and its records from there, about their trims."""
+    if not isinstance(model, NonlinearModel):
+        if asked:
+            raise ValueError(
+                f"{type(model).__name__} is linear, about its own trim: leave trim out"
+            )
+        return None, records
+    if unknown := [name for name in asked if name not in (*model.states, *model.inputs)]:
+        known = ", ".join((*model.states, *model.inputs))
+        raise ValueError(f"trim names {unknown[0]!r}; there are {known}")
+    fast = any(name in SPEEDS for name in model.states)
+    places = conditions(model, records) if fast else [(condition(model, records[0]), records)]
+    speeds = [place.speed for place, _ in places]
+    wanted = [value for name, value in asked.items() if name in SPEEDS]
+    if len(places) > 1 and not wanted:
+        told = ", ".join(f"{speed:.4g}" for speed in speeds)
+        raise ValueError(
+            f"the records were flown at {len(places)} speeds, {told} m/s: say at which to fly, "
+            f"--trim {next(name for name in SPEEDS if name in model.states)}={speeds[0]:.4g}"
+        )
+    nearest = int(np.argmin(np.abs(np.array(speeds) - wanted[0]))) if wanted else 0
+    place, flown = places[nearest]
+    trim = nearest_trim(model, replace(place, values={**place.values, **asked}), held=asked)
+    return trim, [record.total().detrend("first") for record in flown]
+
+
+def _limits(
+    study: Study, flown: list[Record], asked: dict[str, dict[str, float]]
+) -> tuple[Limits, float]:
+    """What was asked for, else what records have reached; and their interval."""
     limits = Limits(
         sticks={**_reached(flown, study.model.inputs), **study.design.sticks, **asked["stick"]},
         rates={**study.design.rates, **asked["rate"]},

@@ -12,6 +12,7 @@ from casid.design.criterion import Goal, as_long, covariance
 from casid.design.loop import Crowd, Feedback, Loop, UnheldError, gains
 from casid.design.multisine import best_powers, schroeder, shared_out, unit_information
 from casid.design.optimise import Task, improved
+from casid.design.phases import least_peak
 from casid.design.plan import Alternative, Design, DesignSettings, Limits
 from casid.design.prior import (
     FITTED,
@@ -23,6 +24,7 @@ from casid.design.prior import (
     possible,
     without_effect,
 )
+from casid.design.shapes import Steps, Waves
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit, Fit
 from casid.free import Free, free_parameters
@@ -34,6 +36,7 @@ from casid.threads import one_thread
 FEWEST = 50  # samples a stick
 MOST = 100_000  # samples of a manoeuvre
 COARSE = 800  # samples on which inputs are optimised
+EDGE = 3.0  # samples that a switching takes; cubic, it is 1.5 times as fast as a line
 FINEST = 6.0  # samples of them in a period of the band's upper edge, at least
 
 
@@ -269,20 +272,19 @@ def _baselines(problem: _Problem, task: Task) -> dict[str, Array]:
 
 
 def _steps(problem: _Problem, task: Task) -> Array:
-    settings, t = problem.settings, _instants(task)
-    rises = _rise(task)
+    """Levels and switching times of all axes together, from a random square wave."""
+    settings, t, h = problem.settings, _instants(task), task.loops[0].h
     step = settings.step or np.pi / 2 / problem.band[1]
-    family = [signals.step_family(t, settings.rest, max(step, x), float(x)) for x in rises]
     rng = np.random.default_rng(settings.seed)
-    start = []
-    for B in family:  # a random square wave, the steps of which last one to four times the least
-        levels = np.repeat(rng.choice([-0.7, 0.7], B.shape[1]), rng.integers(1, 5, B.shape[1]))
-        start.append(levels[: B.shape[1]])
-    return improved(task, family, start, settings.iterations)[0]
+    shapes = [
+        Steps(t, rest=settings.rest, step=step, edge=max(EDGE * h, 1.5 * rise), size=size, rng=rng)
+        for rise, size in zip(_rise(task).tolist(), task.sticks.tolist(), strict=True)
+    ]
+    return improved(task, shapes, settings.iterations)
 
 
 def _multisine(problem: _Problem, task: Task) -> Array:
-    """Powers by the convex programme, Schroeder's phases, then all coefficients together."""
+    """Powers by the convex programme, phases of least peak, then all coefficients together."""
     settings, t, nu = problem.settings, _instants(task), len(task.sticks)
     omega = signals.harmonics(problem.band, problem.duration - settings.rest)
     axis = shared_out(len(omega), nu)
@@ -293,14 +295,15 @@ def _multisine(problem: _Problem, task: Task) -> Array:
     count = problem.duration / settings.dt
     units = count * unit_information(at, K, problem.R, omega, axis)
     p = best_powers(task.goals[0], units, axis, budget)[0]
-    phase, size = schroeder(p, axis), np.sqrt(2 * p)
-    family, start = [], []
-    for j in range(nu):
-        mine = axis == j
-        family.append(signals.wave_family(t, settings.rest, omega[mine]))
-        waves = [size[mine] * np.cos(phase[mine]), -size[mine] * np.sin(phase[mine])]
-        start.append(np.concatenate(waves) / task.sticks[j])
-    return improved(task, family, start, settings.iterations)[0]
+    order, size = np.argsort(axis, kind="stable"), np.sqrt(2 * p)
+    waves = [
+        signals.wave_family(t, settings.rest, omega[axis == j]) * np.tile(size[axis == j], 2)
+        for j in range(nu)
+    ]
+    phases = least_peak(task, waves, schroeder(p, axis)[order])
+    parts = np.split(phases, np.cumsum(np.bincount(axis, minlength=nu))[:-1])
+    shapes = [Waves(*each) for each in zip(waves, parts, task.sticks.tolist(), strict=True)]
+    return improved(task, shapes, settings.iterations)
 
 
 def _predicted(problem: _Problem, rough: Task, flown: Mapping[str, Array], chosen: str) -> Design:

@@ -168,6 +168,11 @@ class Loop:
         u, y, z = np.split(every, self._sizes, axis=1)
         return Response(u=u, y=y, z=z, nx=self.nx)
 
+    def impulses(self) -> Array:
+        """Sticks, outputs and states (N, nu + ny + nx, nu) after one sample of each r."""
+        some = self.spectra[:, : self.nu + self.ny + self.nx]
+        return scipy.fft.irfft(some, self.length, axis=0)[: self.N]
+
     def pulled_back(self, signals: Array, z: Array) -> Array:
         """Derivatives by r (N, nu) of a function with these derivatives by signals and z."""
         u, y, x = np.split(signals, self._sizes, axis=1)
@@ -227,6 +232,10 @@ class Crowd:
         spectrum = scipy.fft.rfft(r, self._length, axis=0)
         every = (self._spectra @ spectrum[:, :, None])[..., 0]
         return np.asarray(scipy.fft.irfft(every, self._length, axis=1)[:, : self.N])
+
+    def impulses(self, model: int) -> Array:
+        """Of one model, as `Loop.impulses`."""
+        return scipy.fft.irfft(self._spectra[model], self._length, axis=0)[: self.N]
 
     def pulled_back(self, signals: Array) -> Array:
         """Derivatives by r (N, nu) of a function with these derivatives by what `fly` gives."""

@@ -1,4 +1,4 @@
-"""The best member of a linear family of inputs, within limits.
+"""The best input of a family, within limits.
 
 Everything the loop does is linear in the input r, so a signal that is to stay within its limit can
 be brought there by making r smaller: with s the largest ratio of any signal to its limit, r/s keeps
@@ -9,7 +9,8 @@ all limits and has standard errors s times as large. What is minimised is theref
 in which the scale of r does not matter once a limit is reached. The limits are also those of other
 models, of which nothing else is asked. s, smooth, is (1 + Σ ratioᵖ)^(1/p),
 p rising; the last word has the largest ratio itself. It is not convex: the start decides which
-optimum is found.
+optimum is found. L-BFGS with exact derivatives takes it; IPOPT, tried on the same programme and
+with the limits as constraints, was slower and found worse.
 """
 
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ import scipy.optimize
 from casid.arrays import Array
 from casid.design.criterion import Goal
 from casid.design.loop import Crowd, Loop
+from casid.design.shapes import Shape
 
 POWERS = (16, 60)  # p, one after the other
 MEMORY = 20  # of L-BFGS
@@ -83,6 +85,37 @@ class Task:
         """The same input as large as the limits let it be."""
         return r / max(1e-12, float(self.peaks(r).max()))
 
+    def extremes(self, r: Array, near: float) -> list[tuple[int, int, int]]:
+        """Where shares are largest: model, sample and signal of local extremes.
+
+        They have ``near`` times the largest share at least; of several models it is the worst.
+        """
+        models = [self.shares(loop.fly(r).signals)[None] for loop in self.loops]
+        if self.others:
+            models.append(self.shares(self.others.fly(r)))
+        size = np.abs(np.concatenate(models))
+        top = size.max(axis=0)
+        around = np.pad(top, ((1, 1), (0, 0)))
+        peak = (top >= around[:-2]) & (top > around[2:]) & (top >= near * top.max())
+        return [(int(size[:, k, i].argmax()), int(k), int(i)) for k, i in np.argwhere(peak)]
+
+    def rows(self, places: Sequence[tuple[int, int, int]]) -> Array:
+        """Derivatives by r, (n, N, nu), of the shares at these places: impulses read backward."""
+        N, nu = self.loops[0].N, self.loops[0].nu
+        out = np.zeros((len(places), N, nu))
+        for model in {place[0] for place in places}:
+            impulses = self.shares(np.moveaxis(self._impulses(model), 2, 0))
+            for row, (which, k, i) in zip(out, places, strict=True):
+                if which == model:
+                    row[: k + 1] = impulses[:, k::-1, i].T
+        return out
+
+    def _impulses(self, model: int) -> Array:
+        """Sticks, outputs and states (N, nu + ny + nx, nu) after one sample of each r."""
+        if model < len(self.loops) or self.others is None:
+            return self.loops[model].impulses()
+        return self.others.impulses(model - len(self.loops))
+
     def information(self, r: Array) -> list[Array]:
         """F (nf, nf) of each model."""
         J = [loop.sensitivities(loop.fly(r).z) for loop in self.loops]
@@ -113,45 +146,35 @@ class Task:
         return float(value), slope
 
 
-def improved(
-    task: Task, family: Sequence[Array], start: Sequence[Array], iterations: int
-) -> tuple[Array, list[Array]]:
-    """Best input found (N, nu) and its coefficients, one array an axis, from those given.
+def improved(task: Task, shapes: Sequence[Shape], iterations: int) -> Array:
+    """Best input found (N, nu) from where the shapes, one an axis, start.
 
-    Parameters
-    ----------
-    task : Task
-        What counts.
-    family : sequence of (N, n_j) array
-        Signals of each axis that may be superposed.
-    start : sequence of (n_j,) array
-        Coefficients; what they make may exceed limits.
-    iterations : int
-        Of L-BFGS, in all.
+    ``iterations`` are those of L-BFGS in all. Of the start and the results the best is returned, as
+    large as the limits let it be.
     """
-    edges = np.cumsum([len(each) for each in start])[:-1]
+    cut = np.cumsum([len(shape.start) for shape in shapes])[:-1]
 
-    def signal(c: Array) -> Array:
-        parts = zip(family, np.split(c, edges), task.sticks, strict=True)
-        return np.stack([B @ part * size for B, part, size in parts], axis=1)
+    def signal(x: Array) -> Array:
+        parts = zip(shapes, np.split(x, cut), strict=True)
+        return np.stack([shape.signal(part) for shape, part in parts], axis=1)
 
-    def judged(c: Array, p: int) -> tuple[float, Array]:
-        value, slope = task.slope(signal(c), p)
-        rows = zip(family, slope.T, task.sticks, strict=True)
-        return value, np.concatenate([B.T @ row * size for B, row, size in rows])
+    def judged(x: Array, p: int) -> tuple[float, Array]:
+        value, slope = task.slope(signal(x), p)
+        parts = zip(shapes, np.split(x, cut), slope.T, strict=True)
+        return value, np.concatenate([shape.pulled_back(part, row) for shape, part, row in parts])
 
     objective: Any = judged
-    best = np.concatenate([np.asarray(each, dtype=float) for each in start])
-    least = task.value(task.within(signal(best)))
-    c = best
+    x, rounds = np.concatenate([shape.start for shape in shapes]), iterations // len(POWERS)
+    bounds = np.concatenate([np.stack([each.lower, each.upper], axis=1) for each in shapes])
+    best = task.within(signal(x))
+    least = task.value(best)
+    options: Any = {"maxiter": rounds, "maxfun": TRIES * rounds + 1, "maxcor": MEMORY}
     for p in POWERS:
-        rounds = iterations // len(POWERS)
-        options: Any = {"maxiter": rounds, "maxfun": TRIES * rounds + 1, "maxcor": MEMORY}
-        found: Any = scipy.optimize.minimize(
-            objective, c, args=(p,), jac=True, method="L-BFGS-B", options=options
-        )
-        c = found.x
-        value = task.value(task.within(signal(c)))
+        x = scipy.optimize.minimize(
+            objective, x, args=(p,), jac=True, method="L-BFGS-B", bounds=bounds, options=options
+        ).x
+        found = task.within(signal(x))
+        value = task.value(found)
         if value < least:
-            best, least = c, value
-    return task.within(signal(best)), np.split(best, edges)
+            best, least = found, value
+    return best

@@ -122,6 +122,9 @@ class NextFlight:
         study's records.
     feedback : mapping
         What holds the aircraft.
+    trim : mapping
+        Of a nonlinear structure, total values at which it is to be flown; the rest is what the
+        records had before an input moved, moved to the nearest balance.
     settings : DesignSettings
         How inputs are designed, ``[design.settings]``; ``fixed`` and ``dt`` are the study's.
     """
@@ -131,6 +134,7 @@ class NextFlight:
     rates: Mapping[str, float] = field(default_factory=dict)
     responses: Mapping[str, float] = field(default_factory=dict)
     feedback: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    trim: Mapping[str, float] = field(default_factory=dict)
     settings: DesignSettings = field(default_factory=DesignSettings)
 
 

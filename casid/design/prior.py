@@ -1,8 +1,9 @@
 """What is known before the flight: structure, information, noise, and other possible values."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
@@ -15,7 +16,10 @@ from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
 
 OUT_OF_BALANCE = 1e-2  # largest |dx/dt| of a reference condition that still counts as a trim
-GUESSED, FITTED = 0.2, 0.1  # relative errors of a guess, and of a fit beside its covariance
+# Relative errors of a guess and of a fit, beside its covariance: what its structure lacks is in no
+# covariance (derivatives of `SixDof` fitted to the AH-1S are off its linearisation by some 20 %).
+GUESSED = FITTED = 0.2
+NEWTON = 50  # steps to a balance
 
 
 def linear_at(model: Model, trim: Trim | Mapping[str, float] | None) -> Model:
@@ -45,6 +49,27 @@ def check_balance(model: Model, trim: Trim | Mapping[str, float] | None) -> None
             f"d/dt {model.states[worst]} = {rate[worst]:.3g}: say where it is flown, "
             "trim=find_trim(model, {...}, unknown=(...))"
         )
+
+
+def nearest_trim(model: NonlinearModel, trim: Trim, held: Collection[str] = ()) -> Trim:
+    """The condition in balance that is nearest to a measured one, in shares of its values.
+
+    States and inputs that are ``held`` stay; what has no balance nearby is returned as near as it
+    gets, for `check_balance` to refuse.
+    """
+    names, values = (*model.states, *model.inputs), _condition(model, trim).values
+    at = np.array([values[name] for name in names])
+    z, nx = ca.SX.sym("z", len(names)), len(model.states)
+    f = model.equations()(z[:nx], z[nx:], model.vector())[0]
+    both = ca.Function("balance", [z], [f, ca.jacobian(f, z)])
+    size = np.where(np.isin(names, tuple(held)), 0.0, np.maximum(np.abs(at), 1.0))
+    for _ in range(NEWTON):
+        rate, slope = (np.asarray(each.full()) for each in both(at))
+        move = size * np.ravel(np.linalg.pinv(slope * size) @ rate)
+        at = at - move
+        if np.abs(move).max() < 1e-12 * size.max(initial=1.0):
+            break
+    return replace(trim, values=dict(zip(names, at.tolist(), strict=True)))
 
 
 def _condition(model: NonlinearModel, trim: Trim | Mapping[str, float] | None) -> Trim:

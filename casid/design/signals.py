@@ -1,4 +1,4 @@
-"""Inputs that need no optimisation, and the linear families that the optimised ones come from."""
+"""Inputs that need no optimisation, and the waves that multisines are made of."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -45,17 +45,6 @@ def turns_of_sweeps(t: Array, amplitudes: Array, rest: float, band: Sequence[flo
         fade = np.clip(s / 0.08, 0.0, 1.0) * np.clip((1 - s) / 0.05, 0.0, 1.0)
         r[part, j] = amplitudes[j] * fade * np.sin(phase)
     return r
-
-
-def step_family(t: Array, rest: float, step: float, rise: float) -> Array:
-    """Piecewise constant signals that may change every ``step`` s: (N, levels), edges of ``rise``.
-
-    They are zero for ``rest`` s and end on the way back to zero.
-    """
-    edges = np.arange(rest, t[-1] - step, step)
-    ramps = np.clip((t[:, None] - edges) / max(rise, 1e-9), 0.0, 1.0)
-    last = np.clip((t - edges[-1] - step) / max(rise, 1e-9), 0.0, 1.0)
-    return np.asarray(ramps - np.column_stack([ramps[:, 1:], last]))
 
 
 def harmonics(band: Sequence[float], length: float) -> Array:

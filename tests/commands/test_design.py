@@ -1,6 +1,7 @@
 """The command `design` on a small study."""
 
 import click.testing
+import numpy as np
 import pytest
 from truths.roll_study import write_study
 
@@ -100,3 +101,81 @@ def test_what_no_autopilot_has_is_refused_before_anything_is_designed(
     result = run(write_study(tmp_path), *options)
     assert result.exit_code == 2
     assert words in " ".join(result.stderr.split())
+
+
+SWING = """
+import casadi as ca
+
+from casid import NonlinearModel, Scalar, parameter
+
+
+class Swing(NonlinearModel):
+    states, inputs, outputs = (STATES), ("m",), (OUTPUTS)
+    k: Scalar = parameter(default=2.0, lower=0.1, upper=9.0, unit="1/s^2")
+    c: Scalar = parameter(default=0.5, lower=0.0, upper=9.0, unit="1/s")
+
+    def derivatives(self, x, u):
+        return [u.m - self.k * ca.sin(x.theta) - self.c * x.q, x.qMORE]
+"""
+RECORDS = """
+[model]
+file = "swing.py:Swing"
+[records.identification]
+files = ["at_*.csv"]
+[records.validation]
+files = ["at_0.csv"]
+[noise]
+seed = 1
+[noise.std]
+q = 0.003
+theta = 0.003
+"""
+
+
+def write_swing(folder, rests, speeds=()):
+    """A study of a pendulum that hangs at angles, in total values; with speeds they are a state."""
+    names, more = ('"q", "theta", "u"', ", 0.01 * x.q") if speeds else ('"q", "theta"', "")
+    text = SWING.replace("STATES", names).replace("OUTPUTS", names).replace("MORE", more)
+    (folder / "swing.py").write_text(text)
+    t = 0.05 * np.arange(160)
+    for number, rest in enumerate(rests):
+        moment = 2.0 * np.sin(rest) + 0.1 * (t > 2)
+        theta, q = rest + 0.2 * np.sin(t) * (t > 2), 0.2 * np.cos(t) * (t > 2)
+        rows = np.column_stack([t, moment, q, theta, *(v + 0.1 * q for v in speeds[number:][:1])])
+        text = f"t,m,q,theta{',u' if speeds else ''}\n" + "\n".join(
+            ",".join(map(str, row)) for row in rows.tolist()
+        )
+        (folder / f"at_{number}.csv").write_text(text + "\n")
+    study = folder / "study.toml"
+    extra = "u = 0.1\n" if speeds else ""
+    study.write_text(RECORDS + extra + TABLE.replace("sticks = { lat = 0.02 }", ""))
+    return study
+
+
+def test_a_nonlinear_structure_is_designed_for_where_its_records_were_flown(tmp_path):
+    result = run(write_swing(tmp_path, [0.8]), "-o", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    card = (tmp_path / "out/design/card.csv").read_text().splitlines()
+    largest = max(abs(float(row.split(",")[1])) for row in card[1:])
+    # of deviations from rest, 0.1 and 0.2 rad, not of the total values 1.43 and 1.0
+    assert 0.02 < largest <= 0.1 + 1e-9
+    elsewhere = run(study := tmp_path / "study.toml", "--trim", "theta=0.2")
+    assert elsewhere.exit_code == 0, elsewhere.output
+    refused = run(study, "--trim", "alpha=0.2")
+    assert "trim names 'alpha'; there are q, theta, m" in " ".join(refused.stderr.split())
+
+
+def test_of_several_speeds_the_one_to_fly_at_has_to_be_said(tmp_path):
+    study = write_swing(tmp_path, [0.8, 0.3], speeds=[20.0, 40.0])
+    result = run(study)
+    assert result.exit_code == 2
+    assert "flown at 2 speeds, 20, 40 m/s" in " ".join(result.stderr.split())
+    assert "--trim u=20" in result.stderr
+    result = run(study, "--trim", "u=38", "-o", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+
+
+def test_a_linear_structure_has_its_own_trim(tmp_path):
+    result = run(write_study(tmp_path), "--trim", "p=1")
+    assert result.exit_code == 2
+    assert "about its own trim" in " ".join(result.stderr.split())

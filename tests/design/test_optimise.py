@@ -1,5 +1,6 @@
 """The optimiser: slopes, limits, and that nothing near is better."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from casid.design.criterion import Goal
 from casid.design.loop import Crowd, Loop
 from casid.design.optimise import Task, improved
-from casid.design.signals import step_family
+from casid.design.shapes import Steps
 from casid.free import free_parameters
 from models.short_period import ShortPeriod
 
@@ -29,9 +30,13 @@ def task():
     return Task(loops=(loop,), goals=(goal,), limits=limits, others=crowd)
 
 
-def start(seed=0):
-    family = step_family(T, 1.0, 0.4, 0.1)
-    return family, np.random.default_rng(seed).choice([-0.5, 0.5], family.shape[1])
+def steps(seed=0, **change):
+    told = {"rest": 1.0, "step": 0.4, "edge": 0.15, "size": 0.1, **change}
+    return Steps(T, **told, rng=np.random.default_rng(seed))
+
+
+def at_start(shape):
+    return shape.signal(shape.start)[:, None]
 
 
 @pytest.mark.parametrize("ruling", [0, 1, 2, -1])  # sticks, rates, outputs, states
@@ -39,17 +44,41 @@ def test_slope_of_what_is_minimised_is_a_difference(task, ruling):
     limits = task.limits.copy()
     limits[ruling] *= 0.01  # the limit that counts most
     task = replace(task, limits=limits)
-    family, levels = start()
-    r = (family @ levels)[:, None]
-    way = 1e-4 * np.random.default_rng(1).standard_normal(r.shape)
+    r = at_start(steps())
+    slope = task.slope(r, 16)[1]
+    way = 1e-5 * np.sign(slope) * np.random.default_rng(1).uniform(size=r.shape)
     difference = task.slope(r + way, 16)[0] - task.slope(r - way, 16)[0]
-    assert 2 * np.sum(task.slope(r, 16)[1] * way) == pytest.approx(difference, rel=1e-4)
+    assert 2 * np.sum(slope * way) == pytest.approx(difference, rel=1e-4)
+
+
+def test_rows_of_shares_are_what_they_answer_to_an_input(task):
+    r = at_start(steps())
+    places = task.extremes(r, 0.7)
+    every = np.concatenate([task.shares(loop.fly(r).signals)[None] for loop in task.loops])
+    every = np.abs(np.concatenate([every, task.shares(task.others.fly(r))]))
+    assert any(model > 0 for model, *_ in places)
+    assert max(every[place] for place in places) == every.max()
+    found = np.abs(np.tensordot(task.rows(places), r, 2))
+    np.testing.assert_allclose(found, [every[place] for place in places], atol=1e-9)
 
 
 def test_the_best_found_keeps_its_limits_and_beats_random_sequences(task):
-    family, levels = start()
-    best, coefficients = improved(task, [family], [levels], 40)
+    best = improved(task, [steps()], 40)
     assert task.peaks(best).max() <= 1 + 1e-9
-    random = [task.value(task.within((family @ start(seed)[1])[:, None])) for seed in range(12)]
+    random = [task.value(task.within(at_start(steps(seed)))) for seed in range(12)]
     assert task.value(best) < min(random) - 0.1
-    assert len(coefficients[0]) == family.shape[1]
+
+
+def test_two_levels_switch_when_brute_force_says(task):
+    alone = replace(task, others=None, limits=np.append([0.1], np.full(len(task.limits) - 1, 1e3)))
+    shape = steps(2, step=3.0)  # of four starts one ends in a worse optimum
+    assert shape.n == 2
+    found = alone.value(improved(alone, [shape], 200))
+    every = []
+    for moves in itertools.product(np.arange(0, 0.95, 0.2), repeat=3):
+        begin, middle, end = np.array(moves) * [1, 1, -1]
+        for second in (-1.0, 1.0):
+            x = np.array([1.0, second, begin, middle - 0.4, end])
+            if np.all(np.diff(shape.times(x)) >= 0.15):
+                every.append(alone.value(shape.signal(x)[:, None]))
+    assert found < min(every) + 0.01  # n samples at a limit count as n^(1/60) times it

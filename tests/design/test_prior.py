@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from truths.swing import Swing
 
-from casid.design.prior import known_before, possible
+from casid import Trim
+from casid.design.prior import known_before, nearest_trim, possible
 from casid.free import free_parameters
 from models.short_period import ShortPeriod
 
@@ -49,3 +51,17 @@ def test_draws_keep_the_bounds():
     drawn = values(possible(FREE, NONE, 3.0, 50, 0))
     assert np.all(drawn >= FREE.lower[FREE.index])
     assert np.all(drawn <= FREE.upper[FREE.index])
+
+
+def test_the_nearest_balance_is_on_the_line_of_least_moves():
+    model = Swing(M=4.0, Mlon=5.0)
+    found = nearest_trim(model, Trim(values={"theta": 0.4, "lon": 0.3, "q": 0.02})).values
+    theta, lon = found["theta"], found["lon"]
+    assert found["q"] == pytest.approx(0.0, abs=1e-9)
+    assert 5.0 * np.cos(theta) * lon == pytest.approx(4.0 * np.sin(theta), abs=1e-9)
+    along = np.arctan(5.0 * 0.01 * np.arange(20, 50) / 4.0)  # balances at sticks of 0.2 to 0.49
+    distance = np.hypot(along - 0.4, 0.01 * np.arange(20, 50) - 0.3)
+    assert np.hypot(theta - 0.4, lon - 0.3) <= distance.min() + 1e-3
+    held = nearest_trim(model, Trim(values={"theta": 0.4, "lon": 0.3}), held=("theta",)).values
+    assert held["theta"] == 0.4
+    assert held["lon"] == pytest.approx(0.8 * np.tan(0.4))

@@ -26,16 +26,6 @@ def test_axes_take_turns_and_rest_before():
         assert 0.47 < peaks[1] <= 0.5
 
 
-def test_steps_are_levels_of_their_length_between_rests():
-    family = signals.step_family(t, 2.0, 0.5, 0.1)
-    levels = np.random.default_rng(0).uniform(-1, 1, family.shape[1])
-    r = family @ levels
-    at = 2.0 + 0.5 * np.arange(len(levels)) + 0.3
-    np.testing.assert_allclose(np.interp(at, t, r), levels, atol=1e-12)
-    assert not np.any(r[t <= 2.0])
-    assert abs(r[-1]) < 1e-12
-
-
 def test_harmonics_fill_the_band_and_waves_are_orthogonal():
     omega = signals.harmonics((1.0, 5.0), 18.0)
     np.testing.assert_allclose(omega * 18.0 / (2 * np.pi), np.arange(3, 15))
