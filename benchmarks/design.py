@@ -16,10 +16,12 @@ of the example's four 3-2-1-1 in the loop, with noise. `quarter` is held against
 and the four sweeps together and lasts a quarter of their time. All but `free`, `limited` and
 `quarter` are designed with the loop of the example's closed-loop records and flown in the nonlinear
 simulation of JSBSim (`ah1s.py`): peaks and sticks are those of that simulation, the share of the
-sticks' power from outside is the lower bound of the certificate of excitation. `--nonlinear` has a nonlinear structure as truth, `RigidBody` with the
-same derivatives, flies 3-2-1-1 and design in it and identifies both. `--monte-carlo RUNS` flies a
-design for the lateral-directional structure with feedback RUNS times with new noise and compares
-the scatter of output error with the standard errors that were predicted; likewise with `SixDof`.
+sticks' power from outside is the lower bound of the certificate of excitation.
+
+`--nonlinear` has a nonlinear structure as truth, `RigidBody` with the same derivatives, flies
+3-2-1-1 and design in it and identifies both. `--monte-carlo RUNS` flies a design for the
+lateral-directional structure with feedback RUNS times with new noise and compares the scatter of
+output error with the standard errors that were predicted; likewise with `SixDof`.
 """
 
 import argparse
