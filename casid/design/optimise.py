@@ -165,14 +165,16 @@ def improved(task: Task, shapes: Sequence[Shape], iterations: int) -> Array:
 
     objective: Any = judged
     x, rounds = np.concatenate([shape.start for shape in shapes]), iterations // len(POWERS)
-    bounds = np.concatenate([np.stack([each.lower, each.upper], axis=1) for each in shapes])
+    ends = [[each.lower for each in shapes], [each.upper for each in shapes]]
+    bounds = scipy.optimize.Bounds(*map(np.concatenate, ends))
     best = task.within(signal(x))
     least = task.value(best)
     options: Any = {"maxiter": rounds, "maxfun": TRIES * rounds + 1, "maxcor": MEMORY}
     for p in POWERS:
-        x = scipy.optimize.minimize(
+        result: Any = scipy.optimize.minimize(
             objective, x, args=(p,), jac=True, method="L-BFGS-B", bounds=bounds, options=options
-        ).x
+        )
+        x = result.x
         found = task.within(signal(x))
         value = task.value(found)
         if value < least:
