@@ -31,7 +31,7 @@ class Shown:
         **choice
             What to draw, where there is a choice: ``channels=("lat", "p")`` of a record,
             ``pair=("p", "lat")`` of a frequency response or a black box, ``rows=16`` of
-            parameters, ``modes=True`` of an envelope.
+            parameters, ``modes=True`` of an envelope, ``errors=True`` of a design.
 
         Raises
         ------

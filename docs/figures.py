@@ -54,14 +54,15 @@ def _ran(page: Path, image: str, folder: Path) -> dict[str, Any]:
     raise SystemExit(f"{page} does not show {image}")
 
 
-def _plotted(page: str, value: str) -> Callable[[Path], None]:
+def _plotted(page: str, value: str, **choice: bool) -> Callable[[Path], None]:
     """Draws the plot of a value that the Python of a page computes."""
 
     def draw(target: Path) -> None:
         mpl.use("Agg")
         with _workplace() as folder:
             names = _ran(ROOT / "docs" / page, target.name, folder)
-            np.ravel(names[value].plot())[0].figure.savefig(target, **PNG)
+            figure = np.ravel(names[value].plot(**choice))[0].figure
+            figure.savefig(target, bbox_inches="tight" if choice else None, **PNG)
 
     return draw
 
@@ -80,6 +81,7 @@ def _of_study(study: str, figure: str) -> Callable[[Path], None]:
 FIGURES: dict[str, Callable[[Path], None]] = {
     "chain.svg": chain.draw,
     "design.png": _plotted("how-to/design.md", "design"),
+    "design_errors.png": _plotted("how-to/design.md", "design", errors=True),
     "envelope.png": _plotted("how-to/envelope.md", "over"),
     "responses.png": _of_study("examples/ah1s/study.toml", "response_p_q_r_from_ped_lon.png"),
 }

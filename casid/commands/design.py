@@ -101,6 +101,7 @@ def design(
       design/inject.py   with --px4, a program that sends them
       design/design.md   what is compared, and every standard error before and after
       design/design.png  sticks and predicted responses with their limits
+      design/errors.png  predicted standard errors, parameter by parameter
     """  # noqa: D301
     console = terminal()
     with exits(console), logged(console, verbose):
@@ -128,7 +129,9 @@ def design(
         if asked["px4"]:
             write_text(folder / "inject.py", made.to_px4(asked["px4"]))
         write_text(folder / "design.md", _page(made))
-        np.ravel(made.plot())[0].figure.savefig(folder / "design.png", dpi=DPI)
+        for name, errors in (("design", False), ("errors", True)):
+            figure = np.ravel(made.plot(errors=errors))[0].figure
+            figure.savefig(folder / f"{name}.png", dpi=DPI, bbox_inches="tight")
         console.print(Text("Card: ").append(str((folder / "card.csv").resolve()), style="bold"))
 
 

@@ -165,8 +165,9 @@ def improved(task: Task, shapes: Sequence[Shape], iterations: int) -> Array:
 
     objective: Any = judged
     x, rounds = np.concatenate([shape.start for shape in shapes]), iterations // len(POWERS)
-    ends = [[each.lower for each in shapes], [each.upper for each in shapes]]
-    bounds = scipy.optimize.Bounds(*map(np.concatenate, ends))
+    lower = np.concatenate([shape.lower for shape in shapes])
+    upper = np.concatenate([shape.upper for shape in shapes])
+    bounds = scipy.optimize.Bounds(lower, upper)
     best = task.within(signal(x))
     least = task.value(best)
     options: Any = {"maxiter": rounds, "maxfun": TRIES * rounds + 1, "maxcor": MEMORY}

@@ -30,6 +30,7 @@ from casid.record import Record
 from casid.records import Records
 from casid.report import figures
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR
+from casid.report.designs import plot_card, plot_errors
 from casid.report.envelopes import plot_derivatives, plot_loci
 from casid.report.look import LOOK, WIDTH
 from casid.report.prices import CONFIDENCE, plot_bounds, plot_parameters
@@ -107,21 +108,10 @@ def _(value: Record, ax: Any, channels: Sequence[str] = ()) -> Any:  # noqa: ANN
 
 
 @_draw.register
-def _(value: Design, ax: Any) -> Any:  # noqa: ANN401
-    names = (*value.inputs, *value.outputs)
-    axes = _axes(ax, len(names), 1, height=0.9)
-    for j, each in enumerate(axes[: len(value.inputs)]):
-        if not np.allclose(value.r, value.u):  # feedback adds to what is designed
-            each.plot(value.t, value.r[:, j], color=GREY, linestyle=":", label="designed")
-            each.legend(loc="upper right", fontsize="xx-small")
-    flown = np.hstack([value.u, value.y])
-    for each, name, signal in zip(axes, names, flown.T, strict=True):
-        figures.plot_input(each, value.t, signal, channel=name, units=UNITS)
-        if share := value.used.get(name):
-            limit = float(np.abs(signal).max()) / share
-            for edge in (-limit, limit):
-                each.axhline(edge, color=GREY, linestyle="--", linewidth=0.6)
-    axes[-1].set_xlabel("t [s]")
+def _(value: Design, ax: Any, errors: bool = False) -> Any:  # noqa: ANN401
+    count = 1 if errors else len(value.inputs) + len(value.outputs)
+    axes = _axes(ax, count, 1, height=2.8 if errors else 0.9)
+    (plot_errors(axes[0], value) if errors else plot_card(axes, value))
     return _same(ax, axes)
 
 

@@ -57,7 +57,8 @@ def test_a_study_without_a_fit_is_designed_from_its_guess(tmp_path):
     assert card[0] == "t,lat"
     largest = max(abs(float(row.split(",")[1])) for row in card[1:])
     assert 0.03 < largest <= 0.05 + 1e-9  # the 3-2-1-1 of the study has 5 %
-    assert (tmp_path / "out/design/design.png").stat().st_size > 10_000
+    for picture in ("design.png", "errors.png"):
+        assert (tmp_path / "out/design" / picture).stat().st_size > 10_000
     assert "## Standard errors" in (tmp_path / "out/design/design.md").read_text()
 
 

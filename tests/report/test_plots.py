@@ -6,6 +6,7 @@ import pytest
 from truths.shown import Roll, record, values
 
 from casid import Design, compare
+from casid.design.plan import Alternative
 
 
 @pytest.fixture(autouse=True)
@@ -59,6 +60,21 @@ def test_comparisons_draw_each_model_over_the_measurement():
         compare({"fit": fit}, record(), pair=("p", "lat"))
     with pytest.raises(ValueError, match="no pair"):
         compare({"fit": fit}, values()["FrequencyResponse"], pair=("q", "lat"))
+
+
+def test_a_design_draws_its_errors_over_those_of_the_first_alternative():
+    t, errors = np.linspace(0, 4, 41), np.array([2.0, 5.0])
+    ways = {"3-2-1-1": errors, "steps": errors * [0.5, 0.2]}
+    design = Design(
+        kind="steps", inputs=("lat",), outputs=("p",), t=t, r=t[:, None], u=t[:, None],
+        y=t[:, None], names=("Lp", "Llat"), covariance=np.eye(2), before=errors, used={},
+        used_at_worst={},
+        alternatives=tuple(Alternative(name=n, std_errors=e) for n, e in ways.items()),
+    )  # fmt: skip
+    ax = design.plot(errors=True)
+    drawn = {line.get_label(): line.get_ydata().tolist() for line in ax.lines}
+    assert drawn == {"3-2-1-1": [1, 1], "steps": [0.5, 0.2]}
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["Lp", "Llat"]
 
 
 def test_a_design_draws_sticks_and_outputs_with_their_limits():

@@ -1,0 +1,42 @@
+"""Figures of a design: sticks and responses within their limits, and what the flight buys."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from casid.channels import UNITS
+from casid.design.plan import Design
+from casid.report import figures
+from casid.report.prices import COLOURS
+
+GREY = "#777777"
+
+
+def plot_card(axes: Sequence[Axes], design: Design) -> None:
+    """Sticks and outputs that the model predicts, one axes a channel, with their limits."""
+    for j, each in enumerate(axes[: len(design.inputs)]):
+        if not np.allclose(design.r, design.u):  # feedback adds to what is designed
+            each.plot(design.t, design.r[:, j], color=GREY, linestyle=":", label="designed")
+            each.legend(loc="upper right", fontsize="xx-small")
+    names, flown = (*design.inputs, *design.outputs), np.hstack([design.u, design.y])
+    for each, name, signal in zip(axes, names, flown.T, strict=True):
+        figures.plot_input(each, design.t, signal, channel=name, units=UNITS)
+        if share := design.used.get(name):
+            limit = float(np.abs(signal).max()) / share
+            for edge in (-limit, limit):
+                each.axhline(edge, color=GREY, linestyle="--", linewidth=0.6)
+    axes[-1].set_xlabel("t [s]")
+
+
+def plot_errors(ax: Axes, design: Design) -> Axes:
+    """Predicted standard errors over those of the 3-2-1-1, parameter by parameter."""
+    usual, place = design.alternatives[0].std_errors, np.arange(len(design.names))
+    for k, each in enumerate(design.alternatives):
+        marker = "-" if k == 0 else "o"
+        ax.plot(place, each.std_errors / usual, marker, color=COLOURS[k], label=each.name)
+    ax.set_yscale("log")
+    ax.set_ylabel("standard error over that of 3-2-1-1")
+    ax.set_xticks(place, design.names, rotation=90)
+    ax.legend(fontsize="x-small")
+    return ax
