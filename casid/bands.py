@@ -18,7 +18,7 @@ import scipy.stats
 
 from casid.arrays import Array, ComplexArray
 from casid.baseline.handling import handling_qualities
-from casid.display import Shown
+from casid.display import Shown, counted
 from casid.eigenmodes import Mode, modes
 from casid.embedding import StructureError
 from casid.fit import AnyFit
@@ -64,7 +64,8 @@ class ResponseBand(Shown):
         """Frequencies and typical width."""
         wide = 100 * float(np.median(self._half(self.magnitude_std)))
         return (
-            f"{len(self.outputs)} outputs from {len(self.inputs)} inputs, {self.omega[0]:.3g} to "
+            f"{counted(len(self.outputs), 'output')} from {counted(len(self.inputs), 'input')}, "
+            f"{self.omega[0]:.3g} to "
             f"{self.omega[-1]:.3g} rad/s; magnitude ± {wide:.2g} % in the median at "
             f"{100 * self.level:.3g} %"
         )

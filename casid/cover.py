@@ -10,8 +10,9 @@ a ratio γ, P and Q with m² Q <= P <= γ² m² Q over the grid is a linear prog
 coefficients, so the least γ is found by bisection; the roots in the left half-plane are W.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,7 +21,7 @@ import scipy.signal
 from numpy.polynomial import Chebyshev
 
 from casid.arrays import Array, ComplexArray
-from casid.display import Shown
+from casid.display import Shown, counted
 from casid.linear import StateSpace
 from casid.threads import one_thread
 from casid.validation import AnyModel, state_space
@@ -31,6 +32,9 @@ POINTS = 100  # of the linear programme
 EVERYWHERE = 150  # points from zero to infinity where P and Q must stay above zero
 CLEAR = 1e-5  # how far, relative to their size
 TIGHT = 3e-3  # relative width of the last interval of γ
+LIGHT = 0.02  # damping ratio below which the grid may step over a resonance
+HIGH = 1.05  # how far below the highest a peak may be that is looked at more closely
+LIFT = 1.01  # how far W may be lifted for what lies between the points of the fit
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -96,7 +100,7 @@ def cover(
     band : (float, float)
         Frequencies [rad/s] to cover.
     order : int
-        States of W, 1 to 10.
+        States of W, 1 to 10; fewer where more make it no tighter.
     kind : {"additive", "multiplicative"}
         Additive, or multiplicative at the output: for that G_0 needs as many outputs as inputs at
         least.
@@ -120,9 +124,11 @@ def cover(
     systems = [state_space(each) for each in (nominal, *models)]
     _check(systems, kind)
     points = max(GRID, int(GRID * np.log10(high / low)))
-    omega = np.geomspace(low, high, points)
-    error = _largest(systems, kind, omega, scale)
-    weight = _lifted(_fitted(omega, error, order), omega, error)
+    poles = np.concatenate([each.poles() for each in systems])
+    omega = np.union1d(np.geomspace(low, high, points), _resonances(poles, low, high))
+    errors = partial(_largest, systems, kind, scale=scale)
+    error = errors(omega)
+    weight = _tightest(omega, error, errors, order)
     ratio = np.abs(weight.response(omega)[:, 0, 0]) / error
     return Cover(
         weight=weight,
@@ -175,7 +181,8 @@ def _largest(
     right, sizes = np.asarray(inputs, float), np.asarray(outputs, float)
     if right.shape != (first.nu,) or sizes.shape != (first.ny,):
         raise ValueError(
-            f"scale={scale}: expected sizes of {first.nu} inputs and of {first.ny} outputs"
+            f"scale={scale}: expected sizes of {counted(first.nu, 'input')} and of "
+            f"{counted(first.ny, 'output')}"
         )
     if not all((each > 0).all() and np.isfinite(each).all() for each in (right, sizes)):
         raise ValueError(f"scale={scale}: expected finite sizes above 0")
@@ -237,14 +244,55 @@ def _between(x: Array, m2: Array, gamma2: float, order: int) -> tuple[Chebyshev,
     return Chebyshev(answer.x[: order + 1]), Chebyshev(answer.x[order + 1 : -1])
 
 
-def _lifted(found: tuple[Chebyshev, Chebyshev, float], omega: Array, error: Array) -> StateSpace:
-    """W of P/Q, lifted by what the dense grid still lacks."""
-    P, Q, center = found
-    zeros, poles = _stable_roots(P, center), _stable_roots(Q, center)
+def _resonances(roots: ComplexArray, low: float, high: float) -> Array:
+    """Frequencies within a band at and beside lightly damped roots."""
+    light = roots[(roots.imag > 0) & (np.abs(roots.real) < LIGHT * roots.imag)]
+    beside = light.imag[:, None] + np.abs(light.real)[:, None] * np.linspace(-4, 4, 17)
+    return np.asarray(beside[(beside >= low) & (beside <= high)])
+
+
+def _tightest(
+    omega: Array, error: Array, errors: Callable[[Array], Array], order: int
+) -> StateSpace:
+    """W of up to so many states that covers the errors on the grid and at its own resonances.
+
+    A high order may set a notch between the points of its fit, which lifts all of it: a lower one
+    is tried then.
+    """
+    none = np.zeros(0, dtype=complex)
+    best, least = _system(none, none), np.inf
+    for states in range(order, 0, -1):
+        P, Q, center = _fitted(omega, error, states)
+        zeros, poles = _stable_roots(P, center), _stable_roots(Q, center)
+        W = _system(zeros, poles)
+        size = np.abs(W.response(omega)[:, 0, 0])
+        own = _resonances(np.concatenate([zeros, poles]), omega[0], omega[-1])
+        own = np.concatenate([own, _peaks(omega, error / size)])
+        between = errors(own) / np.abs(W.response(own)[:, 0, 0])
+        gain, needed = float(np.max(error / size)), float(between.max(initial=0.0))
+        gain, lift = max(gain, needed) * (1 + 1e-9), max(1.0, needed / gain)
+        excess = float(np.mean(np.log(gain * size / error)))
+        if excess < least:
+            best, least = replace(W, C=gain * W.C, D=gain * W.D), excess
+        if lift <= LIFT:
+            break
+    return best
+
+
+def _peaks(omega: Array, ratio: Array) -> Array:
+    """Frequencies around the highest peaks of a ratio on a grid, within its neighbouring points."""
+    inner = ratio[1:-1]
+    high = (inner >= ratio[:-2]) & (inner >= ratio[2:]) & (inner > ratio.max() / HIGH)
+    at = 1 + np.flatnonzero(high)
+    share = np.linspace(0, 1, 21)
+    return np.asarray(
+        (omega[at - 1, None] + (omega[at + 1] - omega[at - 1])[:, None] * share).ravel()
+    )
+
+
+def _system(zeros: ComplexArray, poles: ComplexArray) -> StateSpace:
     A, B, C, D = (part.real for part in scipy.signal.zpk2ss(zeros, poles, 1.0))
-    W = StateSpace(A, B, C, D, None, ("w",), ("z",))
-    gain = float(np.max(error / np.abs(W.response(omega)[:, 0, 0])))
-    return StateSpace(A, B, gain * (1 + 1e-9) * C, gain * (1 + 1e-9) * D, None, ("w",), ("z",))
+    return StateSpace(A, B, C, D, None, ("w",), ("z",))
 
 
 def _stable_roots(of_x: Chebyshev, center: float) -> ComplexArray:

@@ -6,6 +6,11 @@ from importlib import import_module
 from typing import Any
 
 
+def counted(n: int, one: str, many: str = "") -> str:
+    """A number with its noun: 1 gap, 3 gaps."""
+    return f"{n} {one if n == 1 else many or one + 's'}"
+
+
 class Shown:
     """A value with a headline of its own; what draws and tabulates it stands in `casid.report`."""
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array, ComplexArray
-from casid.display import Shown
+from casid.display import Shown, counted
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
 from casid.nearest import BoxResponse, gain, kernel, movable
@@ -56,7 +56,8 @@ class StructureError(Shown):
     def headline(self) -> str:
         """Channels and frequencies."""
         return (
-            f"{len(self.outputs)} outputs from {len(self.inputs)} inputs, {self.omega[0]:.3g} to "
+            f"{counted(len(self.outputs), 'output')} from {counted(len(self.inputs), 'input')}, "
+            f"{self.omega[0]:.3g} to "
             f"{self.omega[-1]:.3g} rad/s"
         )
 

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.optimize
 
 from casid.arrays import Array, BoolArray, ComplexArray
-from casid.display import Shown, listed
+from casid.display import Shown, counted, listed
 from casid.errors import ModelError, warn
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
@@ -59,8 +59,8 @@ class Envelope(Shown):
         beside = "" if self.local is None else f", {len(self.local.speed)} local fits beside them"
         outside = f", {self.beyond.sum()} outside what was flown" if self.beyond.any() else ""
         return (
-            f"{listed(self.names, 10)} at {len(self.speed)} conditions from {self.speed[0]:.3g} to "
-            f"{self.speed[-1]:.3g} m/s{outside}{beside}"
+            f"{listed(self.names, 10)} at {counted(len(self.speed), 'condition')} from "
+            f"{self.speed[0]:.3g} to {self.speed[-1]:.3g} m/s{outside}{beside}"
         )
 
 

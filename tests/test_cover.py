@@ -85,7 +85,7 @@ def test_what_no_weight_can_cover_is_refused():
         ({"models": [stable], "kind": "input"}, 'expected "additive" or "multiplicative"'),
         ({"models": [stable], "scale": ([1.0, 0.0], [1.0])}, "finite sizes above 0"),
         ({"models": [stable], "scale": ([1.0, 1.0], [-1.0])}, "finite sizes above 0"),
-        ({"models": [stable], "scale": ([1.0], [1.0])}, "sizes of 2 inputs and of 1 outputs"),
+        ({"models": [stable], "scale": ([1.0], [1.0])}, "sizes of 2 inputs and of 1 output"),
         ({"models": [stable], "order": 0}, "order=0: expected 1 to 10"),
         ({"models": [stable], "band": (2.0, 1.0)}, "0 <= lowest < highest"),
     ):

@@ -6,7 +6,7 @@ import sys
 import pytest
 from truths.shown import record, values
 
-from casid.display import listed
+from casid.display import counted, listed
 
 NAMES = ["Record", "FrequencyResponse", "BlackBox", "Fit", "Validation", "Residuals"]
 NAMES += ["BoundsComparison", "Profile", "Ensemble"]
@@ -46,3 +46,8 @@ def test_neither_a_value_nor_its_line_loads_matplotlib():
     )
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "False"
+
+
+def test_nouns_follow_their_numbers():
+    assert [counted(n, "gap") for n in (0, 1, 2)] == ["0 gaps", "1 gap", "2 gaps"]
+    assert counted(2, "axis", "axes") == "2 axes"

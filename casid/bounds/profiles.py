@@ -17,7 +17,7 @@ from casid.arrays import Array
 from casid.bounds.cases import CaseSpec
 from casid.bounds.robust import weights
 from casid.bounds.trials import Data, Fits
-from casid.display import Shown
+from casid.display import Shown, counted
 from casid.errors import ConvergenceError, ModelError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, Fit
@@ -82,7 +82,9 @@ class Profile(Shown):
             f"{name} = {self.fit[name].value:.4g} [{low:.4g}, {high:.4g}]"
             for name, (low, high) in self.intervals.items()
         )
-        return f"{', '.join(each)} at {100 * self.level:.3g} %, {len(self.points)} points"
+        return (
+            f"{', '.join(each)} at {100 * self.level:.3g} %, {counted(len(self.points), 'point')}"
+        )
 
     def to_csv(self) -> str:
         """One row a point."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.bounds.trials import Draw, Fits
-from casid.display import Shown, listed
+from casid.display import Shown, counted, listed
 from casid.estimator import Estimator
 from casid.fit import AnyFit
 from casid.free import free_parameters
@@ -53,8 +53,8 @@ class Ensemble(Shown):
     def headline(self) -> str:
         """How many draws of how many parameters."""
         failed = sum(bool(reason) for reason in self.reasons)
-        draws = f"{len(self.values)} draws" + (f", {failed} failed" if failed else "")
-        return f"{draws}, of {len(self.names)} parameters: {listed(self.names)}"
+        draws = counted(len(self.values), "draw") + (f", {failed} failed" if failed else "")
+        return f"{draws}, of {counted(len(self.names), 'parameter')}: {listed(self.names)}"
 
     @property
     def bias(self) -> Array:
@@ -222,7 +222,8 @@ def bootstrap(
         raise ValueError(f"bootstrap needs an output-error fit; this is one by {fit.method}")
     if len(fit.biases) != len(flown):
         raise ValueError(
-            f"the fit is one of {len(fit.biases)} records; bootstrap was given {len(flown)}"
+            f"the fit is one of {counted(len(fit.biases), 'record')}; bootstrap was given "
+            f"{len(flown)}"
         )
     model, nonlinear = fit.model, isinstance(fit.model, NonlinearModel)
     simulated = [

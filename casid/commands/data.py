@@ -16,6 +16,7 @@ from casid.commands.inspection import Inspection, RecordFacts, inspect_records, 
 from casid.commands.scaffold import new_model
 from casid.commands.terminal import exits, new_table, terminal
 from casid.consistency.kinematics import KinematicCheck
+from casid.display import counted
 from casid.exchange import formats
 from casid.exchange.code import write_c, write_fmu
 from casid.exchange.equations import equations_of
@@ -101,7 +102,7 @@ def _convert_result(
     if content.get("casid") != "fit":
         response = _response(source, content)
         formats.write_frequency(target, response)
-        return f"{len(response.omega)} frequencies, {len(response.outputs)} outputs"
+        return f"{len(response.omega)} frequencies, {counted(len(response.outputs), 'output')}"
     fit = _load(source, structure)
     told = f"{type(fit.model).__name__} after {fit.method}"
     nonlinear = isinstance(fit.model, NonlinearModel)
@@ -264,7 +265,7 @@ def _advise(console: Console, advice: Sequence[str]) -> None:
 
 def _channel_table(facts: RecordFacts, inputs: Sequence[str]) -> Table:
     even = "" if facts.equidistant else ", not equidistant"
-    gaps = f", {len(facts.gaps)} gaps" if facts.gaps else ""
+    gaps = f", {counted(len(facts.gaps), 'gap')}" if facts.gaps else ""
     lacking = any(each.missing for each in facts.channels)
     title = (
         f"{facts.name}: {facts.samples} samples in {facts.duration:.5g} s, every "
@@ -311,6 +312,7 @@ def kinematics_table(found: KinematicCheck) -> Table:
 @click.argument("record", metavar="RECORD")
 @MODEL
 @UNIT
+@COLUMN
 @TIME
 @click.option(
     "--detrend",
@@ -325,6 +327,7 @@ def simulate(
     record: str,
     structure: str | None,
     units: dict[str, str],
+    renamed: dict[str, str],
     time: str,
     detrend: str,
     output: str | None,
@@ -339,8 +342,11 @@ def simulate(
     with exits(console):
         model = _load(Path(fit), structure).model
         how: Any = None if detrend == "none" else detrend
-        names: Any = {"inputs": model.inputs, "outputs": model.outputs, "time": time}
-        flown = formats.read_record(record, units=units, detrend=how, **names)
+        names: Any = {
+            kind: {name: renamed.get(name, name) for name in getattr(model, kind)}
+            for kind in ("inputs", "outputs")
+        }
+        flown = formats.read_record(record, **names, time=time, units=units, detrend=how)
         found = validate({"model": model}, [flown])
         title = f"{type(model).__name__} on {flown.name}, {flown.duration:.5g} s"
         table = new_table(title, "output", "rms error", "unit", "fit [%]", "Theil")

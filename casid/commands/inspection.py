@@ -12,6 +12,7 @@ from casid.channels import UNITS
 from casid.consistency.flightpath import noise
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.consistency.plausibility import unit_doubts
+from casid.display import counted
 from casid.excitations import Excitation, certified
 from casid.model import Bounds, Model
 from casid.record import Record
@@ -261,8 +262,8 @@ def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
     if facts.gaps:
         at, length = max(facts.gaps, key=lambda gap: gap[1])
         said.append(
-            f"{facts.name}: {len(facts.gaps)} gaps in time, the longest of {length:.3g} s at "
-            f"{at:.4g} s; split the record at long ones (Record.between)"
+            f"{facts.name}: {counted(len(facts.gaps), 'gap')} in time, the longest of "
+            f"{length:.3g} s at {at:.4g} s; split the record at long ones (Record.between)"
         )
     if facts.quiet < QUIET:
         said.append(

@@ -11,6 +11,7 @@ from casid.arrays import Array, BoolArray
 from casid.channels import UNITS
 from casid.commands.columns import COLUMN, UNIT
 from casid.commands.terminal import exits, new_table, terminal
+from casid.display import counted
 from casid.logs.drafting import Draft, import_log
 from casid.logs.reading import read_log
 from casid.logs.topics import Log
@@ -64,7 +65,9 @@ def import_command(
 def _list(console: Console, log: Log, *, columns: bool) -> None:
     last = ["columns"] if columns else []
     headings = ("samples", "Hz", "from", "to [s]", "gaps", "longest [s]", *last)
-    table = new_table(f"{log.path.name}: {log.kind}, {len(log.topics)} topics", "topic", *headings)
+    table = new_table(
+        f"{log.path.name}: {log.kind}, {counted(len(log.topics), 'topic')}", "topic", *headings
+    )
     for topic in log.topics.values():
         gaps = topic.gaps()
         longest = f"{max(length for _, length in gaps):.3g}" if gaps else ""

@@ -2,6 +2,7 @@
 
 import logging
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -11,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from casid.errors import ConvergenceError
+from casid.errors import ConvergenceError, DataWarning
 
 BAD_INPUT, NO_CONVERGENCE = 2, 3
 ENDLESS = 10_000  # columns of a file or pipe
@@ -39,7 +40,9 @@ def new_table(title: str, first: str, *headings: str) -> Table:
 def exits(console: Console) -> Iterator[None]:
     """Turn the failures a user can do something about into messages and exit codes."""
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.showwarning = _told(console, warnings.showwarning)
+            yield
     except ConvergenceError as error:
         complain(console, "No convergence", error)
         sys.exit(NO_CONVERGENCE)
@@ -50,6 +53,19 @@ def exits(console: Console) -> Iterator[None]:
         remedy = "earlier results are kept; make room or see to the file, then run the same again"
         complain(console, "Cannot read or write", f"{error}; {remedy}")
         sys.exit(BAD_INPUT)
+
+
+def _told(console: Console, usual: Callable[..., None]) -> Callable[..., None]:
+    """Shows warnings of data without the line of casid or click that they were issued for."""
+
+    def show(message: Warning | str, category: type[Warning], *where: Any) -> None:  # noqa: ANN401
+        if issubclass(category, DataWarning):
+            loud = Console(stderr=True, highlight=False, width=console.width)
+            loud.print(Text("! ", style="bold yellow").append(str(message), style="default"))
+        else:
+            usual(message, category, *where)
+
+    return show
 
 
 def complain(console: Console, what: str, error: Exception | str) -> None:

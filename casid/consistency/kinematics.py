@@ -25,6 +25,7 @@ from casid.consistency.flightpath import (
     reconstruct,
     signals,
 )
+from casid.display import counted
 from casid.record import Record
 from casid.records import Records, several
 
@@ -236,7 +237,9 @@ def _marked(pieces: Sequence[Record], marks: Sequence[BoolArray]) -> list[str]:
         at = [piece.t[where[:, i]] for piece, where in zip(pieces, marks, strict=True)]
         if count := sum(map(len, at)):
             first = next(each[0] for each in at if len(each))
-            notes.append(f"{name} has {count} outliers, left out here; the first at {first:.4g} s")
+            notes.append(
+                f"{name} has {counted(count, 'outlier')}, left out here; the first at {first:.4g} s"
+            )
     return notes
 
 

@@ -14,6 +14,7 @@ SLOW = 1.0  # sampling interval [s] no manoeuvre of a rotorcraft is recorded wit
 FULL_TURN = {"phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi + 0.1}  # rad
 TUMBLING = 6.0  # rad/s, a full turn a second
 RATES = ("p", "q", "r")
+PULSES = (700.0, 2300.0)  # µs, between which the pulses of a servo stay
 FULL = 2.0  # travels of a stick that no stick has
 
 
@@ -40,7 +41,8 @@ def _doubts(record: Record, time: str) -> Iterator[Doubt]:
         largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
         if name in CONTROLS and largest > FULL:
             said = f"{name!r} reaches {largest:.3g}, more than full travel"
-            yield Doubt(channel=name, said=said, units=("%", "1"))
+            pulses = PULSES[0] < float(np.nanmin(values)) and largest < PULSES[1]
+            yield Doubt(channel=name, said=said, units=("pwm" if pulses else "%", "1"))
         elif name in RATES and largest > TUMBLING:
             said = f"{name!r} reaches {largest:.3g} rad/s"
             yield Doubt(channel=name, said=said, units=("deg/s", "rad/s"))

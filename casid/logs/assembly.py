@@ -7,6 +7,7 @@ import numpy as np
 import scipy.signal
 
 from casid.arrays import Array, BoolArray
+from casid.display import counted
 from casid.logs.conventions import Source
 from casid.record import FEWEST, MOST, Hold, Record
 from casid.samples import Between, at_instants
@@ -114,7 +115,9 @@ def _records(
     step = min(dt, *(source.topic.interval for source in every.values()))
     step = dt / max(1, int(dt / step + 0.5))
     if (n := int((span[1] - span[0]) / step)) > MOST:
-        raise ValueError(f"{name}: {n} samples every {step:g} s in one stretch, at most {MOST}")
+        raise ValueError(
+            f"{name}: {counted(n, 'sample')} every {step:g} s in one stretch, at most {MOST}"
+        )
     t = span[0] + step * np.arange(n + 1)
     hold = hold_of(inputs, outputs, dt)
     columns = []

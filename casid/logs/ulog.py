@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.display import counted
 from casid.logs.topics import Bounded, DamagedLogError, Topic, make_topic
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -24,8 +25,8 @@ def read_ulog(data: bytes, library: ModuleType) -> tuple[Iterator[Topic], tuple[
     notes = []
     if lost := [each.duration for each in log.dropouts]:
         notes.append(
-            f"the logger dropped out {len(lost)} times, {sum(lost)} ms in all, {max(lost)} ms the "
-            "longest"
+            f"the logger dropped out {counted(len(lost), 'time')}, {sum(lost)} ms in all, "
+            f"{max(lost)} ms the longest"
         )
     if log.file_corruption:
         notes.append("the file is damaged; what could be read is here")

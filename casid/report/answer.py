@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 
-from casid.display import listed
+from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import Content
 from casid.report.evidence import apart
@@ -43,7 +43,10 @@ def told(judged: Sequence[Verdict], validation: Validation, *, enough: bool | No
     kinds = (each for each in ("good", "fair", "poor", "not judged") if each in words)
     count = ", ".join(f"{kind} on {words.count(kind)}" for kind in kinds)
     how = "predicted" if validation.predicted else "simulated in free run"
-    said = [f"Of {len(judged)} outputs of the validation records, {how}, the model is {count}."]
+    said = [
+        f"Of {counted(len(judged), 'output')} of the validation records, {how}, the model is "
+        f"{count}."
+    ]
     if worst := [v for v in ranked(judged) if v.theil > GOOD][:WORST]:
         named = ", ".join(f"{v.output} {v.theil:.2f}" for v in worst)
         said.append(f"It does worst on {named} (Theil's coefficient).")
@@ -79,7 +82,7 @@ def not_believed(content: Content, fit: AnyFit) -> str:
         if names := [name for name, reason in reasons.items() if reason == kind]:
             parts.append(f"{len(names)} {words} ({listed(names, NAMED)})")
     count = len(fit.free_names) or len(fit.parameters)
-    return f"Do not believe {len(reasons)} of {count} parameters: {'; '.join(parts)}."
+    return f"Do not believe {len(reasons)} of {counted(count, 'parameter')}: {'; '.join(parts)}."
 
 
 WORDS = {

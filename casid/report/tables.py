@@ -11,6 +11,7 @@ from casid.bounds.compare import BoundsComparison
 from casid.bounds.profiles import Profile
 from casid.bounds.resampling import Ensemble
 from casid.cover import Cover
+from casid.design.plan import Design
 from casid.display import Shown
 from casid.distances import Distances
 from casid.eigenmodes import modes
@@ -48,7 +49,7 @@ def summary(value: Shown) -> str:
     Parameters
     ----------
     value : Record, FrequencyResponse, BlackBox, Fit, Validation, Residuals, BoundsComparison, \
-Profile or Ensemble
+Profile, Ensemble, Design and other results
         Of a fit: every parameter with its standard error, the Cramér-Rao bound, its bounds, and
         what holds it.
     """
@@ -197,6 +198,13 @@ def _(value: Envelope) -> Cells:
         for speed, row, std in zip(value.speed, value.values, value.std_error, strict=True)
     ]
     return ("speed [m/s]", *value.names), rows
+
+
+@cells.register
+def _(value: Design) -> Cells:
+    columns = (value.before, value.alternatives[0].std_errors, value.std_errors)
+    rows = [[name, *(_short(c[k]) for c in columns)] for k, name in enumerate(value.names)]
+    return ("std. error of", "before", "with 3-2-1-1", "with this"), rows
 
 
 @cells.register

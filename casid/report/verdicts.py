@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid.display import listed
+from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Caution, Content
 from casid.report.evidence import WORSE, noise_levels
@@ -124,7 +124,7 @@ def unsolved(fit: AnyFit) -> Iterator[Caution]:
 def on_bounds(fit: AnyFit) -> Iterator[Caution]:
     """Parameters that their bounds hold."""
     if active := [row.name for row in fit.parameters if row.active]:
-        count = _count(len(active), "parameter lies", "parameters lie")
+        count = counted(len(active), "parameter lies", "parameters lie")
         yield Caution(
             f"{count} on a bound: {listed(active, NAMED)}. The data ask for a value beyond it: "
             "look at the price in the table, then at the bound.",
@@ -148,13 +148,9 @@ def uncertain(fit: AnyFit, *, lacking: bool = False) -> Iterator[Caution]:
             40,
         )
     if unsure := [row.name for row in rows if row.std_error > abs(row.value)]:
-        count = _count(len(unsure), "parameter is", "parameters is")
+        count = counted(len(unsure), "parameter is", "parameters is")
         yield Caution(
             f"The sign of {count} not determined (standard error above the value): "
             f"{listed(unsure, NAMED)}.",
             45,
         )
-
-
-def _count(n: int, one: str, many: str) -> str:
-    return f"{n} {one if n == 1 else many}"

@@ -19,6 +19,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.declaration import check_priors
+from casid.display import counted
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit, constraint_table, held_directions, on_bounds, parameter_table
 from casid.free import Free, free_parameters
@@ -283,8 +284,8 @@ def select_records(free: Free, records: Records, biases: bool) -> list[Record]:
     for record, count in zip(chosen, counts, strict=True):
         if count < needed:
             raise ValueError(
-                f"record {record.name!r} has {count} measurements; its initial state and biases "
-                f"alone need {needed}: leave it out"
+                f"record {record.name!r} has {counted(count, 'measurement')}; its initial state "
+                f"and biases alone need {needed}: leave it out"
             )
     unknowns = len(free.index) + needed * len(chosen)
     if sum(counts) < MANY * unknowns:

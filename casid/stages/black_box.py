@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.display import counted
 from casid.excitations import Excitation
 from casid.report.content import Caution, Content, Section, section
 from casid.report.drawings import draw_excitation, draw_singular_values
@@ -19,7 +20,9 @@ def _run(settings: Pbsid, task: Task) -> BlackBox:
 
 def _show(found: BlackBox, content: Content) -> Iterable[Section]:  # noqa: ARG001
     order, names = len(found.system.A), ", ".join(found.records)
-    told = f"A black box of order {order} was identified from {len(found.records)} records"
+    told = (
+        f"A black box of order {order} was identified from {counted(len(found.records), 'record')}"
+    )
     said, draw = tuple(Caution(text, 30) for text in found.doubts()), draw_singular_values
     more: Any = {"draw": partial(draw, found), "lead": f"{told} ({names}).", "cautions": said}
     yield section("black_box", "Black box", 95, found, **more)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from casid.display import counted
 from casid.eigenmodes import Mode, modes
 from casid.free import Free, free_parameters
 from casid.linear import StateSpace
@@ -36,7 +37,8 @@ class Overview:
         rows = {"A": system.states, "B": system.states, "C": system.outputs, "D": system.outputs}
         columns = {"A": system.states, "B": system.inputs, "C": system.states, "D": system.inputs}
         parts = [
-            f"{cls.__name__}: {system.nx} states, {system.nu} inputs, {system.ny} outputs, "
+            f"{cls.__name__}: {counted(system.nx, 'state')}, {counted(system.nu, 'input')}, "
+            f"{counted(system.ny, 'output')}, "
             f"{len(self.free.index)} free parameters"
         ]
         if isinstance(self.model, NonlinearModel):

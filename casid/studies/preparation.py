@@ -69,7 +69,7 @@ class Mending:
             marks = {key: outliers(record) for key, record in done.items()}
             done = {key: record.mask(marks[key]) for key, record in done.items()}
             if count := sum(int(each.sum()) for each in marks.values()):
-                warn(f"{count} outliers count as missing, as the study asks for")
+                warn(f"outliers count as missing, {count} in all, as the study asks for")
         by = self.shift
         if isinstance(by, str):
             by, why = _skews(tuple(done.values()), second)

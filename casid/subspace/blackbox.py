@@ -1,12 +1,14 @@
 """The black box: an unstructured model with what is known about it."""
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
-from casid.display import Shown
+from casid.display import Shown, counted
 from casid.excitations import Excitation
+from casid.files import read_json, write_json
 from casid.linear import StateSpace, from_zoh
 from casid.record import Hold
 from casid.subspace.columns import Segment
@@ -15,7 +17,7 @@ from casid.subspace.prediction import SampledUncertainty
 from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.settings import OrderSelection
 from casid.subspace.trust import Missed, data_doubts, growth_doubts, order_doubts
-from casid.values import storable
+from casid.values import decode, encode, storable
 
 
 @storable
@@ -99,11 +101,32 @@ class BlackBox(Shown):
         kind = "continuous" if self.system.dt is None else f"discrete, {self.system.dt:.4g} s"
         doubts = self.doubts()
         return (
-            f"order {self.order}, {kind}, {len(self.system.outputs)} outputs from "
-            f"{len(self.system.inputs)} inputs, {self.band[0]:.3g} to {self.band[1]:.3g} rad/s, "
-            f"{self.refinement}, {len(self.records)} records"
+            f"order {self.order}, {kind}, {counted(len(self.system.outputs), 'output')} from "
+            f"{counted(len(self.system.inputs), 'input')}, {self.band[0]:.3g} to "
+            f"{self.band[1]:.3g} rad/s, {self.refinement}, {counted(len(self.records), 'record')}"
             + (f"; doubtful: {'; '.join(doubts)}" if doubts else "")
         )
+
+    def save(self, path: str | Path) -> None:
+        """Write it as JSON, whole or not at all."""
+        write_json(path, {"casid": "black box", "version": 1, "result": encode(self)})
+
+    @classmethod
+    def load(cls, path: str | Path) -> "BlackBox":
+        """Read what `save` wrote, or what a study left in ``stages/pbsid.json``.
+
+        Raises
+        ------
+        ValueError
+            No black box, or a damaged one.
+        """
+        try:
+            found = decode(read_json(path)["result"])
+        except (TypeError, LookupError, AttributeError, RecursionError) as error:
+            raise ValueError(f"{path}: not a black box saved by casid ({error!r})") from error
+        if not isinstance(found, cls):
+            raise ValueError(f"{path}: a {type(found).__name__}, expected a black box")  # noqa: TRY004
+        return found
 
     def doubts(self) -> tuple[str, ...]:
         """Why records do not support a model, a mode of it or its order; empty where they do."""

@@ -55,7 +55,7 @@ def test_draws_depend_on_seed_and_run_alone_and_keep_gaps():
 
 def test_only_an_output_error_fit_of_the_records_is_bootstrapped():
     fit = output_error(Mixture(), [record()])
-    with pytest.raises(ValueError, match="of 1 records; bootstrap was given 2"):
+    with pytest.raises(ValueError, match="of 1 record; bootstrap was given 2"):
         bootstrap(fit, [record(), record(1)])
     # the same manoeuvre with other noise, and another one
     for other in (with_noise(record(), 7), record(1)):

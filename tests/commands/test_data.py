@@ -213,6 +213,16 @@ def test_simulate_compares_and_writes_histories():
 
 
 @pytest.mark.usefixtures("folder")
+def test_simulate_takes_columns_of_other_names(tmp_path):
+    own = Path("3211.csv").read_text("utf-8").replace("lat", "STICK").replace(",p,", ",ROLL,")
+    (tmp_path / "log.csv").write_text(own, encoding="utf-8")
+    simulate = ("--model", "roll.py:Roll", "--unit", "lat=%")
+    usual = casid("simulate", "fit.json", "3211.csv", *simulate).output
+    renamed = ("--column", "lat=STICK", "--column", "p=ROLL")
+    found = casid("simulate", "fit.json", tmp_path / "log.csv", *simulate, *renamed).output
+    assert found.replace("log", "3211").split() == usual.split()
+
+
 def test_simulate_needs_the_structure():
     assert "--model" in refused(casid("simulate", "fit.json", "3211.csv"))
 

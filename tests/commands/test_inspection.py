@@ -70,7 +70,7 @@ def test_inputs_that_move_alike_are_named():
         (lambda r: r.between(5, 20), ("an input moves within 0.5 s of the start",)),
         (lambda r: replace(r, y=np.where(r.t[:, None] % 1 < 0.1, np.nan, r.y)),
          ("p lacks 10.",)),
-        (lambda r: replace(r, t=r.t + (r.t > 10) * 0.5), ("1 gaps", "0.52 s")),
+        (lambda r: replace(r, t=r.t + (r.t > 10) * 0.5), ("1 gap in time", "0.52 s")),
         (lambda r: r.decimate(40), ("record faster",)),
         (lambda r: replace(r, t=1000 * r.t), ("time column 't' advances 20 s", "is it in ms?")),
         (lambda r: replace(r, y=600 * r.y), ("'p' reaches", "is it in deg/s?")),

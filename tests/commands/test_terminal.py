@@ -2,6 +2,7 @@
 
 import io
 import logging
+import warnings
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from casid import ConvergenceError, ModelError, inspect_records
 from casid.channels import CONTROLS
 from casid.cli import main
 from casid.commands.terminal import exits, logged, new_table, terminal
+from casid.errors import warn
 from casid.exchange.formats import read_record
 
 FLIGHT = Path(__file__).parents[2] / "examples/ah1s/data/3211_lat.csv"
@@ -75,3 +77,15 @@ def test_the_log_shows_only_when_wanted_and_is_left_as_it_was(capsys):
     said = capsys.readouterr().out
     assert "verbose: True" in said
     assert "verbose: False" not in said
+
+
+def test_a_warning_of_data_is_told_without_the_line_it_was_issued_for(capsys):
+    others = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = lambda message, *_: others.append(str(message))
+        with exits(terminal()):
+            warn("3 outliers count as missing")
+            warnings.warn("of something else", UserWarning, stacklevel=1)
+    assert capsys.readouterr().err == "! 3 outliers count as missing\n"
+    assert others == ["of something else"]

@@ -33,6 +33,12 @@ def test_a_channel_that_cannot_be_in_its_unit_is_doubted_until_it_is_stated(reco
     assert not unit_doubts(flight())
 
 
+def test_a_stick_in_pulses_of_a_servo_is_taken_for_that():
+    moves = flight(travel=400.0)
+    (doubt,) = unit_doubts(replace(moves, u=1500 + moves.u))
+    assert doubt.units == ("pwm", "1")
+
+
 def test_records_that_teach_nothing_are_refused():
     good = flight()
     check_plausible([good], [good], {})

@@ -45,7 +45,7 @@ def test_entries_are_formulas_of_names_and_trim_and_structural_zeros():
 
 def test_text_holds_parameters_delays_constraints_and_identifiability():
     text = str(describe(Tied(), fixed=("b",)))
-    assert "Tied: 3 states, 1 inputs, 1 outputs, 2 free parameters" in text
+    assert "Tied: 3 states, 1 input, 1 output, 2 free parameters" in text
     lines = [line.split() for line in text.splitlines()]
     assert ["a", "2", "0", "9", "1/s", "free"] in lines
     assert ["b", "3", "-9", "9", "-", "fixed"] in lines

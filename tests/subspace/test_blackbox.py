@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 from truths.systems import known_black_box, sampled_plant, unstable_plant
 
-from casid import StateSpace
+from casid import BlackBox, StateSpace
 
 
 def test_doubts_are_those_of_the_data_then_of_growth():
@@ -45,3 +45,19 @@ def test_a_pole_on_the_negative_axis_has_no_continuous_equivalent():
     system = StateSpace([[-0.5]], [[1.0]], [[1.0]], [[0.0]], 1.0)
     with pytest.raises(ValueError, match=r"pole at -0\.5: it has no continuous equivalent"):
         known_black_box(system).continuous()
+
+
+def test_a_saved_black_box_is_read_back_as_it_was(tmp_path):
+    box = known_black_box(unstable_plant())
+    box.save(tmp_path / "box.json")
+    back = BlackBox.load(tmp_path / "box.json")
+    assert repr(back) == repr(box)
+    for name in ("A", "B", "C", "D"):
+        np.testing.assert_array_equal(getattr(back.system, name), getattr(box.system, name))
+    np.testing.assert_array_equal(back.K, box.K)
+    back.save(tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_bytes() == (tmp_path / "box.json").read_bytes()
+    for text in ("{}", '{"result": {"tuple": []}}', "[]", "{"):
+        (tmp_path / "box.json").write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match=r"box\.json"):
+            BlackBox.load(tmp_path / "box.json")
