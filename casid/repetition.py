@@ -51,12 +51,19 @@ def without_repeats(record: Record) -> Record:
     return masked.take(known)
 
 
+def counted(x: Array) -> bool:
+    """Whether a channel (N,) is counted in coarse steps, or never moves."""
+    moves = np.abs(np.diff(x))
+    moves = moves[moves > 0]
+    return bool(len(moves) < 2 or np.quantile(moves, 0.05) > FINE * np.median(moves))
+
+
 def _repeated(x: Array) -> BoolArray:
     none = np.zeros(len(x), dtype=bool)
     at = np.flatnonzero(np.isfinite(x))
     steps = np.diff(x[at])
     moves = np.abs(steps[steps != 0])
-    if len(moves) < 2 or np.quantile(moves, 0.05) > FINE * np.median(moves):
+    if counted(x[at]):
         return none
     starts = np.concatenate([[0], np.flatnonzero(steps) + 1])
     lengths = np.diff(np.concatenate([starts, [len(at)]]))

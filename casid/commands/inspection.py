@@ -10,6 +10,7 @@ from casid.arrays import Array
 from casid.autoregression import outliers
 from casid.channels import UNITS
 from casid.consistency.flightpath import noise
+from casid.consistency.frozen import Frozen, frozen
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.consistency.plausibility import unit_doubts
 from casid.display import counted
@@ -59,6 +60,7 @@ class RecordFacts:
     quiet: float
     gaps: tuple[tuple[float, float], ...]
     channels: tuple[ChannelFacts, ...]
+    frozen: tuple[Frozen, ...]  # stretches of outputs that are stuck or copied
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -178,6 +180,7 @@ def _facts(record: Record) -> RecordFacts:
         channels=tuple(
             _channel(record, name, far.get(name, ()), source) for name, source in slow.items()
         ),
+        frozen=frozen(record),
     )
 
 
@@ -270,6 +273,7 @@ def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
             f"{facts.name}: an input moves within {QUIET:g} s of the start, so there is no trim; "
             "take that of another record (detrend)"
         )
+    said += [f"{facts.name}: {stretch.told()}" for stretch in facts.frozen]
     for channel in facts.channels:
         if channel.clipped:
             kind = "stop" if channel.name in inputs else "value"

@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from casid.consistency.flights import Repeats, repeats
+from casid.consistency.frozen import frozen
 from casid.consistency.plausibility import check_plausible
 from casid.design.plan import NextFlight
+from casid.errors import warn
 from casid.exchange.formats import read_record
 from casid.files import Column, read_csv
 from casid.model import Model
@@ -144,6 +146,9 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
     every = {record.name: record for records in done.values() for record in records}
     channels = study.channels
     check_plausible(done["identification"], tuple(every.values()), channels.units, channels.time)
+    for record in measured.values():
+        for stretch in frozen(record):
+            warn(f"record {record.name!r}: {stretch.told()}")
     flown = {role: [measured[file] for file in each.files] for role, each in study.roles.items()}
     return {role: done[role] for role in ROLES if role in done}, repeats(flown)
 

@@ -67,7 +67,10 @@ class Spectrum:
 
 
 def spectra(records: Sequence[Record], su: Array, sy: Array, top: float) -> tuple[Spectrum, ...]:
-    """Transforms of every record up to ``top`` [rad/s]; outputs must have no NaN."""
+    """Transforms of every record up to ``top`` [rad/s]; outputs must have no NaN.
+
+    Records too short for a line, as between two gaps, have none.
+    """
     found = []
     for record in records:
         lines = top * record.duration / (2 * np.pi)
@@ -76,7 +79,7 @@ def spectra(records: Sequence[Record], su: Array, sy: Array, top: float) -> tupl
         edges = np.linspace(0, record.N - 1, pieces + 1).astype(int)
         for start, end in pairwise(edges):
             found.append(_spectrum(record, slice(start, end + 1), su, sy, top))
-    return tuple(found)
+    return tuple(each for each in found if len(each.omega))
 
 
 def _spectrum(record: Record, cut: slice, su: Array, sy: Array, highest: float) -> Spectrum:

@@ -18,3 +18,13 @@ def test_a_long_record_is_transformed_in_pieces_of_limited_size(monkeypatch):
     )
     monkeypatch.setattr("casid.subspace.fourier.SAMPLES", record.N / 4)
     assert len(spectra([record], su, sy, 10.0)) == 4
+
+
+def test_a_stretch_too_short_for_a_line_is_left_out():
+    record = campaign(records=1, duration=30.0)[0]
+    su, sy = standard_deviations([record])
+    short = record.take(slice(0, 3))
+    both = spectra([short, record], su, sy, top=10.0)
+    assert [len(each.omega) for each in both] == [
+        len(each.omega) for each in spectra([record], su, sy, top=10.0)
+    ]

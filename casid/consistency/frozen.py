@@ -1,0 +1,123 @@
+"""Channels that stand still while the aircraft moves, and blocks of samples that occur twice.
+
+A stuck sensor repeats its last value, a logger that lost one may repeat a whole block. Neither is
+called so unless it must be: a channel that is counted in coarse steps may rest on one of them, a
+slower source is held, and what all other channels expect to rest may rest.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from casid.arrays import Array, BoolArray
+from casid.autoregression import filled
+from casid.record import Record
+from casid.repetition import counted
+
+SHORT, LONGER = 10, 4.0  # samples of a run that is looked at, and times the usual one
+MOVED = 0.1  # of a channel's deviation: what the others expect of it meanwhile
+WORD = 8  # samples whose equality is counted
+RARE = 1e-3  # blocks that chance repeats in a record
+PERIODIC = 0.25  # share of a channel's samples that occur again: it is periodic
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frozen:
+    """A stretch of one channel that was not measured."""
+
+    channel: str
+    start: float  # s
+    duration: float  # s
+    source: float | None = None  # start [s] of the block that it repeats; None where it is stuck
+
+    def told(self) -> str:
+        """What it is, and what to do."""
+        when = f"from {self.start:.4g} s for {self.duration:.3g} s"
+        what = f"{self.channel} stands still {when} while all else moves"
+        if self.source is not None:
+            what = f"{self.channel} repeats {when} exactly what it was at {self.source:.4g} s"
+        return f"{what}: it was not measured; mark these samples as missing (Record.mask)"
+
+
+def frozen(record: Record) -> tuple[Frozen, ...]:
+    """Stretches of outputs that are stuck or copied, by channel."""
+    return (*_stuck(record), *_copied(record))
+
+
+def _stuck(record: Record) -> Iterator[Frozen]:
+    marks = np.column_stack([_resting(x) for x in record.y.T])
+    for i in np.flatnonzero(marks.any(axis=0)):
+        own = np.zeros_like(marks)
+        own[:, i] = marks[:, i]
+        x = record.y[:, i]
+        expected = filled(record.mask(own))[0].y[:, i]
+        for first, last in _runs(marks[:, i]):
+            away = np.sqrt(np.mean((expected[first:last] - x[first - 1]) ** 2))
+            if away > MOVED * np.nanstd(x):
+                start, end = record.t[[first - 1, last - 1]].tolist()
+                yield Frozen(channel=record.outputs[i], start=start, duration=end - start)
+
+
+def _resting(x: Array) -> BoolArray:
+    """Samples (N,) that repeat the one before for much longer than is usual, inside the range."""
+    marks = np.zeros(len(x), dtype=bool)
+    at = np.flatnonzero(np.isfinite(x))
+    if len(at) < SHORT or counted(x[at]):
+        return marks
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(x[at])) + 1, [len(at)]])
+    lengths = np.diff(starts)
+    long = lengths > max(SHORT, LONGER * float(np.median(lengths)))
+    # Trim comes first. At its extremes a channel is saturated, which is told as such.
+    rest = np.isin(x[at[starts[:-1]]], [x[at[0]], x[at].min(), x[at].max()])
+    for k in np.flatnonzero(long & ~rest):
+        marks[at[starts[k] + 1] : at[starts[k + 1] - 1] + 1] = True
+    return marks
+
+
+def _copied(record: Record) -> Iterator[Frozen]:
+    for name, x in zip(record.outputs, record.y.T, strict=True):
+        at = np.flatnonzero(np.isfinite(x))
+        if len(at) < 4 * WORD:
+            continue
+        t = record.t[at]
+        for first, length, lag in _blocks(x[at]):
+            start, end = t[[first, first + length - 1]].tolist()
+            source = float(t[first - lag])
+            yield Frozen(channel=name, start=start, duration=end - start, source=source)
+
+
+def _blocks(x: Array) -> list[tuple[int, int, int]]:
+    """First sample, length and distance of blocks that repeat an earlier one of a channel."""
+    words = sliding_window_view(x + 0.0, WORD)
+    moving = np.flatnonzero(np.ptp(words, axis=1) > 0)
+    if not len(moving):
+        return []
+    _, which, count = np.unique(words[moving], axis=0, return_inverse=True, return_counts=True)
+    n = len(words)
+    chance = (np.sum(count * (count - 1.0)) + (n - len(moving)) ** 2 + 1) / n**2
+    if chance >= 1:
+        return []
+    # Blocks of so many samples would be equal by chance once in a thousand records.
+    least = max(2 * WORD, WORD * np.log(n**2 / RARE) / -np.log(chance))
+    order = np.lexsort((moving, which.ravel()))
+    lag = np.zeros(n, dtype=int)
+    again = np.diff(which.ravel()[order], prepend=-1) == 0
+    lag[moving[order]] = np.where(again, np.diff(moving[order], prepend=0), 0)
+    if np.mean(lag > 0) > PERIODIC:
+        return []
+    found = []
+    for first, last in _runs(lag > 0):
+        edges = [first, *(first + 1 + np.flatnonzero(np.diff(lag[first:last]))), last]
+        for a, b in pairwise(edges):
+            if (length := b - a + WORD - 1) >= least and lag[a] >= length:
+                found.append((int(a), int(length), int(lag[a])))
+    return found
+
+
+def _runs(marks: BoolArray) -> list[tuple[int, int]]:
+    """First and one past the last sample of each run."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marks, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

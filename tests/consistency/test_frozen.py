@@ -1,0 +1,78 @@
+"""Stuck and copied stretches put into flights, and honest channels that look a little like them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths import uh60
+
+from casid import Record, read_csv
+from casid.consistency.frozen import frozen
+
+STEPS = np.array([uh60.NOISE[name] for name in uh60.OUTPUTS])
+
+
+def flown(name="3211_lat", seed=None):
+    columns = {"inputs": uh60.INPUTS, "outputs": uh60.OUTPUTS}
+    record = read_csv(uh60.EXAMPLE / "data" / f"{name}.csv", **columns)
+    if seed is None:
+        return record
+    return record.with_noise(uh60.NOISE, np.random.default_rng(seed))
+
+
+def put(record, name, rows, values):
+    y = record.y.copy()
+    y[rows, record.outputs.index(name)] = values
+    return replace(record, y=y)
+
+
+def test_a_sensor_that_stops_is_named_with_its_place():
+    record = flown(seed=1)
+    p = record.channel("p")
+    (found,) = frozen(put(record, "p", slice(150, 200), p[150]))
+    assert (found.channel, found.source) == ("p", None)
+    assert (found.start, found.duration) == pytest.approx((record.t[150], 49 * 0.02))
+    assert found.told().startswith("p stands still from 3 s for 0.98 s while all else moves")
+    (found,) = frozen(put(record, "phi", slice(300, None), record.channel("phi")[300]))
+    assert (found.channel, found.start) == ("phi", pytest.approx(record.t[300]))
+
+
+def test_a_copied_block_is_named_with_its_source():
+    record = flown(seed=2)
+    ay = record.channel("ay")
+    (found,) = frozen(put(record, "ay", slice(400, 430), ay[100:130]))
+    place = (found.channel, found.start, found.duration, found.source)
+    assert place == ("ay", *map(pytest.approx, (record.t[400], 29 * 0.02, record.t[100])))
+    assert "exactly what it was at" in found.told()
+    # Of ten samples alike nothing is said where ten could be alike by chance.
+    coarse = replace(record, y=np.round(record.y / (4 * STEPS)) * 4 * STEPS)
+    assert not frozen(put(coarse, "ay", slice(400, 410), coarse.channel("ay")[100:110]))
+
+
+def held(record):
+    return replace(record, y=record.y[np.arange(record.N) // 4 * 4])
+
+
+def counted(record):
+    return replace(record, y=np.round(record.y / (3 * STEPS)) * 3 * STEPS)
+
+
+def lost(record):
+    return record.mask(np.random.default_rng(3).random(record.y.shape) < 0.2)
+
+
+def slower(record):
+    return record.mask(np.arange(record.N)[:, None] % [1, 1, 1, 1, 1, 1, 4, 4] != 0)
+
+
+@pytest.mark.parametrize("honest", [held, counted, lost, slower, lambda r: held(counted(r))])
+@pytest.mark.parametrize("seed", [None, 4])
+def test_slow_counted_and_held_channels_are_honest(honest, seed):
+    assert not frozen(flown(seed=seed))
+    assert not frozen(honest(flown(seed=seed)))
+
+
+def test_a_periodic_motion_is_no_copy():
+    k = np.arange(1000)
+    turn = np.round(np.sin(2 * np.pi * (k % 50) / 50), 6)[:, None]
+    assert not frozen(Record(0.02 * k, turn, turn, ("lat",), ("p",), "periodic"))
