@@ -122,7 +122,7 @@ def design_inputs(
         condition unless given.
     ensemble : sequence of Model
         Other values that are thought possible, as from `sample_models`: the criterion is the mean
-        over them and the model, and limits hold for all; none is drawn then.
+        over them and the model, and limits hold for all, beside those that are drawn.
     settings : DesignSettings
         Method, criterion, parameters that matter, sampling.
 
@@ -147,7 +147,7 @@ def design_inputs(
     problem = replace(problem, frees=(*problem.frees, *believed), feedback=feedback or {})
     h = max(settings.dt, min(duration / COARSE, 2 * np.pi / problem.band[1] / FINEST))
     rough = problem.task(h)
-    drawn = [] if ensemble else problem.drawn(h)
+    drawn = problem.drawn(h)
     if drawn:
         rough = replace(rough, others=Crowd(drawn[::2]), judges=Crowd(drawn[1::2] or drawn))
     flown = _baselines(problem, rough)

@@ -81,8 +81,8 @@ class DesignSettings:
         Of multisines and sweeps [rad/s]; from two periods in the duration to three times the
         fastest mode unless given.
     step : float or None
-        Times at which a multi-step sequence may change [s]: every so many seconds. A quarter period
-        of the band's upper edge unless given.
+        Time between the changes of a multi-step sequence, on average [s]. A quarter period of the
+        band's upper edge unless given.
     unit : float or None
         Of the 3-2-1-1 to compare with [s].
     rest : float
@@ -91,6 +91,10 @@ class DesignSettings:
         Of the optimisation.
     seed : int
         Of the sequence that it starts from.
+    spread : float or None
+        Relative error of the prior that limits are to be kept with; 0.2 unless given.
+    draws : int
+        Models drawn from the prior that the optimisation keeps within limits; as many judge it.
     """
 
     method: Method = "best"

@@ -17,6 +17,7 @@ from casid import (
     parameter,
 )
 from casid.design.inputs import _problem
+from casid.excitations import excitation
 from models.short_period import ShortPeriod
 
 MODEL = ShortPeriod()
@@ -78,6 +79,29 @@ def test_parameters_that_matter_are_told_better_than_when_all_count():
 def test_what_cannot_be_flown_is_refused_with_a_remedy(change, words):
     with pytest.raises(ValueError, match=words):
         designed(**change)
+
+
+def test_an_unstable_aircraft_needs_its_feedback_which_is_told_by_name():
+    unstable = replace(MODEL, Mw=0.05)
+    quick = DesignSettings(**QUICK, method="steps")
+    limits = Limits(sticks={STICK: 0.1})
+    with pytest.raises(ValueError, match=r"unstable .* give the feedback that is flown"):
+        design_inputs(unstable, limits, 10.0, noise=NOISE, settings=quick)
+    held = {STICK: {"q": 0.5}}
+    made = design_inputs(unstable, limits, 10.0, noise=NOISE, feedback=held, settings=quick)
+    assert np.abs(made.u).max() <= 0.1 + 1e-9
+    assert not np.allclose(made.u, made.r)
+
+
+@pytest.mark.slow
+def test_a_flight_of_a_design_in_its_loop_holds_the_aircraft_not_the_controller():
+    held = {STICK: {"q": 0.3}}
+    settings = DesignSettings(**QUICK, method="steps")
+    limits = Limits(sticks={STICK: 0.1})
+    made = design_inputs(MODEL, limits, 60.0, noise=NOISE, feedback=held, settings=settings)
+    flown = made.record().with_noise(NOISE, np.random.default_rng(2))
+    share = excitation(flown)
+    assert share.lower[share.within].min() > 0.5
 
 
 def test_noise_has_to_be_said():
