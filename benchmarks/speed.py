@@ -1,6 +1,6 @@
 """What casid's computations cost, each beside its limit and its peer.
 
-    python -m benchmarks.speed [NAME ...]    measure all or some, print the page's table
+    python -m benchmarks.speed [NAME ...]    measure all or some, write the page's table
     python -m benchmarks.speed --list        names
 
 Every figure is taken in a process of its own and kept in benchmarks/data/speed.json with its day,
@@ -14,6 +14,7 @@ import datetime as dt
 import json
 import operator
 import pickle
+import re
 import resource
 import subprocess
 import sys
@@ -34,6 +35,8 @@ from models.six_dof import SixDof
 
 ROOT = Path(__file__).resolve().parent.parent
 KEPT = ROOT / "benchmarks" / "data" / "speed.json"
+PAGE = ROOT / "docs" / "benchmarks-speed.md"
+TABLE = re.compile(r"^\| what \| figure .*\n(?:\|.*\n)+", re.MULTILINE)
 REFITS = 20  # measured, of the thousand that are stated
 
 
@@ -300,6 +303,8 @@ def main() -> None:
         print(name, kept[name]["value"], file=sys.stderr, flush=True)
         KEPT.write_text(json.dumps(kept, indent=1) + "\n")
     print(page(kept))
+    text = PAGE.read_text(encoding="utf-8")
+    PAGE.write_text(TABLE.sub(lambda _: page(kept).strip() + "\n", text, count=1), encoding="utf-8")
 
 
 if __name__ == "__main__":
