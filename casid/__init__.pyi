@@ -92,6 +92,8 @@ from .fit import (
     Fit as Fit,
     ParameterEstimate as ParameterEstimate,
 )
+from .frequency.distortion import Distortion as Distortion
+from .frequency.distortion import distortion as distortion
 from .frequency.estimation import (
     SpectralAnalysis as SpectralAnalysis,
     frequency_response as frequency_response,

@@ -1,0 +1,160 @@
+"""How much a response depends on the size of the inputs.
+
+Noise differs between manoeuvres that are flown alike; what a nonlinear aircraft does other than a
+linear one depends on amplitude (R. Pintelon, J. Schoukens, System Identification: A Frequency
+Domain Approach, 2nd ed., chapter 4: the best linear approximation is that of one class of inputs).
+Where each axis was flown at two amplitudes, one response is estimated from the smaller and one from
+the larger inputs. Linear, their difference is noise, of the size and correlation that both state.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.arrays import Array, BoolArray
+from casid.frequency.covariance import whitener
+from casid.frequency.estimation import SpectralAnalysis
+from casid.frequency.response import FrequencyResponse
+from casid.record import Record
+from casid.records import Records, same_channels, stretches
+from casid.values import storable
+
+RATIO = 1.5  # of two amplitudes, at least
+KNOWN = 0.5  # relative errors up to which a point is compared
+LEVEL = 3.5  # mean square of a pair's unit errors that noise does not reach in any
+FEWEST = 5  # frequencies of a pair
+ALIKE = 0.9  # cosine of the inputs' sizes in two flights of one manoeuvre
+LINEAR = 25.0  # square of one of them, up to which it counts: single points prove nothing
+
+
+@storable
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Distortion:
+    """What noise and what amplitude make of a response.
+
+    Parameters
+    ----------
+    omega : (K,) array
+        Frequencies [rad/s].
+    inputs, outputs : tuple of str
+        Channel names.
+    small, large : (nu,) array
+        Root mean square of each input in its two groups of records, at most.
+    noise : (K, ny, nu) array
+        Standard deviation of the difference of the two responses that noise and leakage make,
+        relative to the mean of the two; NaN where either is not known well enough.
+    distortion : (K, ny, nu) array
+        What the difference is beyond that, likewise, smoothed over three frequencies.
+    excess : (ny, nu) array
+        Mean square of the difference in independent standard errors, about one if linear; NaN
+        where fewer than five frequencies are known well enough.
+    """
+
+    omega: Array
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    small: Array
+    large: Array
+    noise: Array
+    distortion: Array
+    excess: Array
+
+    @property
+    def nonlinear(self) -> bool:
+        """Whether the response depends on amplitude by more than noise."""
+        return bool(np.nanmax(self.excess) > LEVEL)
+
+    def sentence(self) -> str:
+        """In words, with the pair and frequency at which it is clearest."""
+        if not self.nonlinear:
+            return "the response at two amplitudes differs by no more than noise"
+        i, j = (int(n) for n in np.unravel_index(np.nanargmax(self.excess), self.excess.shape))
+        share = self.distortion[:, i, j] / np.maximum(self.noise[:, i, j], 0.01)
+        k = int(np.nanargmax(share))
+        return (
+            f"the response depends on amplitude: {self.outputs[i]} after {self.inputs[j]} at "
+            f"{self.omega[k]:.2g} rad/s differs by {100 * self.distortion[k, i, j]:.2g} % between "
+            f"inputs of {self.small[j]:.2g} and {self.large[j]:.2g} (rms), of which noise explains "
+            f"{100 * self.noise[k, i, j]:.2g} %; a linear model holds for one of them"
+        )
+
+
+def distortion(records: Records, *, omega: Array | None = None) -> Distortion:
+    """Noise and nonlinear distortion of a response, told apart by two amplitudes.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Manoeuvres of every axis at two amplitudes whose ratio is 1.5 or more, alike in all else:
+        repeated sweeps, or 3-2-1-1.
+    omega : (K,) array
+        Frequencies [rad/s], as of `frequency_response`.
+
+    Raises
+    ------
+    ValueError
+        A manoeuvre that was not flown at two amplitudes.
+    """
+    flown = stretches(records)
+    inputs, outputs = same_channels(flown)
+    groups, sizes = _by_amplitude(flown)
+    grid = SpectralAnalysis(omega=omega).fit(groups[1]).omega
+    low, high = (SpectralAnalysis(omega=grid).fit(group) for group in groups)
+    both = (low.error < KNOWN) & (high.error < KNOWN)
+    noise, excess = _difference(low, high, both)
+    mean = np.abs(low.G + high.G) / 2
+    squared = np.where(both, np.abs(high.G - low.G) ** 2 / mean**2 / 2 - noise**2, np.nan)
+    padded = np.pad(squared, ((1, 1), (0, 0), (0, 0)), mode="edge")
+    smooth = (padded[:-2] + padded[1:-1] + padded[2:]) / 3
+    return Distortion(
+        omega=grid, inputs=inputs, outputs=outputs, small=sizes[0], large=sizes[1], noise=noise,
+        distortion=np.sqrt(2 * np.maximum(smooth, 0.0)), excess=excess,
+    )  # fmt: skip
+
+
+def _by_amplitude(
+    records: Sequence[Record],
+) -> tuple[tuple[list[Record], list[Record]], tuple[Array, Array]]:
+    """Records of smaller and of larger inputs, and the root mean squares of these (nu,)."""
+    size = np.array([np.std(record.u, axis=0) for record in records])
+    share = size / np.maximum(size.max(axis=0), 1e-300)
+    level = np.linalg.norm(share, axis=1)
+    share = share / np.maximum(level, 1e-300)[:, None]
+    groups: tuple[list[int], list[int]] = ([], [])
+    left = list(range(len(records)))
+    while left:
+        own = [k for k in left if share[k] @ share[left[0]] > ALIKE]
+        left = [k for k in left if k not in own]
+        smallest, largest = level[own].min(), level[own].max()
+        if largest < RATIO * smallest:
+            raise ValueError(
+                f"manoeuvre {records[own[0]].name!r} ({len(own)} records that move the inputs "
+                f"alike) was not flown at two amplitudes, the largest is {largest / smallest:.3g} "
+                f"times the smallest; give records of {RATIO:g} times the size as well"
+            )
+        for k in own:
+            groups[int(level[k] > np.sqrt(smallest * largest))].append(k)
+    small, large = (size[group].max(axis=0) for group in groups)
+    return ([records[k] for k in groups[0]], [records[k] for k in groups[1]]), (small, large)
+
+
+def _difference(
+    low: FrequencyResponse, high: FrequencyResponse, both: BoolArray
+) -> tuple[Array, Array]:
+    """Relative error of the difference of two responses, its mean square in such units by pair."""
+    mean = (low.G + high.G) / 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        parts = [np.abs(each.G) * each.error / np.abs(mean) for each in (low, high)]
+    noise = np.where(both, np.hypot(*parts), np.nan)
+    known = {name: (getattr(low, name) + getattr(high, name)) / 2
+             for name in ("output_correlation", "input_correlation", "resolution")}  # fmt: skip
+    stated = replace(low, G=mean, random_error=noise, leakage=0 * noise, flags={}, **known)
+    excess = np.full(both.shape[1:], np.nan)
+    for i, j in np.argwhere(both.sum(axis=0) >= FEWEST):
+        alone = np.zeros_like(both)
+        alone[:, i, j] = both[:, i, j]
+        rows = whitener(stated, alone)(high.G - low.G)
+        squares = np.concatenate([rows.real, rows.imag]) ** 2
+        excess[i, j] = np.mean(np.minimum(squares, LINEAR))
+    return noise, excess

@@ -1,0 +1,70 @@
+"""Noise and nonlinear distortion told apart by two amplitudes."""
+
+import numpy as np
+import pytest
+
+from casid import Record, distortion, frequency_response
+
+OMEGA = np.geomspace(1.0, 12.0, 20)
+DT = 0.04
+
+
+def swept(rng, size, damping, noise):
+    """A sweep of p' = -2 p - c p abs(p) - 0.3 phi + 20 lat, noise on p and phi."""
+    t = DT * np.arange(1751)
+    rate = np.log(50)
+    phase = 0.3 * 62 / rate * (np.exp(rate * np.clip(t - 3, 0, 62) / 62) - 1)
+    u = size * np.clip(np.minimum((t - 3) / 5, (65 - t) / 3), 0, 1) * np.sin(phase)
+    y, x = np.zeros((len(t), 2)), np.zeros(2)
+
+    def slope(x, u):
+        return np.array([-2 * x[0] - damping * x[0] * abs(x[0]) - 0.3 * x[1] + 20 * u, x[0]])
+
+    for n in range(len(t) - 1):
+        middle = (u[n] + u[n + 1]) / 2
+        first = slope(x, u[n])
+        second = slope(x + DT / 2 * first, middle)
+        third = slope(x + DT / 2 * second, middle)
+        fourth = slope(x + DT * third, u[n + 1])
+        x = x + DT / 6 * (first + 2 * second + 2 * third + fourth)
+        y[n + 1] = x
+    y += noise * rng.standard_normal(y.shape)
+    return Record(t, u[:, None], y, ("lat",), ("p", "phi"), f"size {size}")
+
+
+def flown(seed, damping, sizes=(0.03, 0.03, 0.06, 0.06), noise=0.003):
+    rng = np.random.default_rng(seed)
+    return [swept(rng, size, damping, noise) for size in sizes]
+
+
+@pytest.mark.slow
+def test_noise_raises_no_alarm_in_twenty_campaigns():
+    found = [distortion(flown([seed, 40], 0.0, (0.03, 0.06)), omega=OMEGA) for seed in range(20)]
+    assert not any(each.nonlinear for each in found)
+    assert "no more than noise" in found[0].sentence()
+    # Of a unit error; neighbours' errors are modelled as alike, which they are to a tenth or so.
+    assert 0.6 < np.mean([each.excess for each in found]) < 2.0
+
+
+def test_damping_that_grows_with_rate_is_told_from_noise_and_sized():
+    told = distortion(flown(1, 0.5), omega=OMEGA)
+    assert told.nonlinear
+    assert "depends on amplitude" in told.sentence()
+    assert told.large / told.small == pytest.approx(2.0, rel=0.01)
+    # Without noise the same flights differ by what is nonlinear alone.
+    flights = flown(1, 0.5, noise=1e-7)
+    small, large = (
+        frequency_response(flights[at], omega=OMEGA).G for at in (slice(2), slice(2, 4))
+    )
+    away, low = 2 * np.abs((large - small) / (large + small)), OMEGA < 4.0
+    np.testing.assert_allclose(
+        np.median(told.distortion[low], axis=0), np.median(away[low], axis=0), rtol=0.15
+    )
+    assert np.median(told.noise[low] / away[low]) < 0.3
+
+
+def test_one_amplitude_is_refused_by_the_name_of_the_manoeuvre():
+    with pytest.raises(
+        ValueError, match=r"manoeuvre 'size 0.03' \(2 records .*1 times the smallest"
+    ):
+        distortion(flown(2, 0.0, (0.03, 0.03)), omega=OMEGA)
