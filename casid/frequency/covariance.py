@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.frequency.response import FrequencyResponse
 
-ALONE = 0.03  # of a variance that neighbours do not share: finer grids then tell no more
+ALONE = 0.03  # of a variance that other pairs do not share
+ALONG = 0.15  # nor neighbours, which are less alike than their spectral windows
 LEAST = 1e-4  # of a response, the smallest error believed
 
 
@@ -104,6 +105,6 @@ def _root(omega: Array, width: Array) -> Array:
     square = b[:, None] ** 2 + b**2
     rho = np.sqrt(2 * np.outer(b, b) / square)
     rho *= np.exp(-((omega[:, None] - omega) ** 2) / (2 * square))
-    rho = (1 - ALONE) * rho + ALONE * np.eye(len(b))
+    rho = (1 - ALONG) * rho + ALONG * np.eye(len(b))
     lower = np.linalg.cholesky(rho)
     return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(b)), lower=True))

@@ -63,7 +63,7 @@ class Distortion:
     @property
     def nonlinear(self) -> bool:
         """Whether the response depends on amplitude by more than noise."""
-        return bool(np.nanmax(self.excess) > LEVEL)
+        return bool((np.nan_to_num(self.excess) > LEVEL).any())
 
     def sentence(self) -> str:
         """In words, with the pair and frequency at which it is clearest."""

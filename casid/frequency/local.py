@@ -38,7 +38,7 @@ ROUNDS = 8  # Gauss-Newton steps of the denominator
 CERTAIN = 25.0  # twice the gain in log-likelihood that makes a pair of poles more than noise
 NEAREST = 0.05  # abs(A), one at the centre, may fall to within a model
 SURE = 2.0  # of the noise of a difference that is no bias
-KERNEL = 0.3  # correlation of two local estimates, as a spectral window's width over a half width
+KERNEL = 0.33  # correlation of two local estimates, as a spectral window's width over a half width
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,6 +31,7 @@ def unit_rows(found, G):
 
 def test_independent_errors_are_divided_by_their_size(monkeypatch):
     monkeypatch.setattr(covariance, "ALONE", 0.0)
+    monkeypatch.setattr(covariance, "ALONG", 0.0)
     measured = response(leakage=np.full((len(OMEGA), 3, 2), 0.2))
     W = unit_rows(whitener(measured, EVERY), measured.G)
     expected = 1 / (np.hypot(0.1, 0.2) * np.abs(measured.G.ravel()))
@@ -41,6 +42,7 @@ def test_independent_errors_are_divided_by_their_size(monkeypatch):
 def test_correlated_errors_become_independent(monkeypatch):
     # Errors with just the covariance that is stated: of one frequency, and along frequency.
     monkeypatch.setattr(covariance, "ALONE", 1e-9)
+    monkeypatch.setattr(covariance, "ALONG", 1e-9)
     K = len(OMEGA)
     S = np.array([[1, 0.6j, 0], [-0.6j, 1, 0.3], [0, 0.3, 1]])
     Q = np.array([[1, 0.5 + 0.2j], [0.5 - 0.2j, 1]])
