@@ -31,7 +31,7 @@ def predicted(
             F, follow = quadratic_model(programme, x, newton.matrix(x, prices))
         except RuntimeError:  # an exactly singular factor
             return None
-        found = _step(programme, x, F, options)
+        found = step(programme, x, F, options)
         if not found.success:
             return None
         moved = follow @ [*found.x, 1.0]
@@ -41,7 +41,7 @@ def predicted(
     return x, (bounds, prices)
 
 
-def _step(programme: Programme, x: Array, F: Array, options: SolverOptions) -> Solution:
+def step(programme: Programme, x: Array, F: Array, options: SolverOptions) -> Solution:
     """Step of the unknowns that minimises a quadratic model within bounds and ties."""
     nf = programme.evaluator.nf
     d = ca.MX.sym("d", nf)

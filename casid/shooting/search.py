@@ -19,12 +19,14 @@ from casid.shooting.nearby import predicted
 from casid.shooting.newton import Newton
 from casid.shooting.nonlinear import Integration, NonlinearEvaluator
 from casid.shooting.programme import Programme
+from casid.shooting.reduced import completed
 from casid.shooting.sensitivity import Evaluator, Point
 from casid.shooting.starting import neighbouring_programme, noise_of
 
 ROUNDS = 12  # of solves
 PREDICTIONS = 3  # of the solution beside another: which bounds hold is settled then
 ROUGH = 1e-4  # tolerance of the first, whose R is that of the start
+EARLIER = 40  # of IPOPT's iterations, before the parameters alone go on
 MOVES = 5  # of delays across whole samples, at most
 GAIN = 1e-4  # of log-likelihood, that makes another stretch better
 MARGIN = 0.02  # of a stretch between whole samples, from its ends to a start in it
@@ -206,9 +208,15 @@ class Search:
             options = replace(options, ipopt=WARM | dict(options.ipopt))
         newton = Newton(programme, close=close)
         warm = None if warm is None else newton.extended(warm)
-        problem = newton.problem(programme.pack(point))
-        solution = solve(problem, options, stage=f"output error, round {number}", warm=warm)
-        return newton.stripped(solution)
+        start, stage = programme.pack(point), f"output error, round {number}"
+        alone = not programme.evaluator.filtering and not close
+        first = replace(options, max_iterations=min(EARLIER, options.max_iterations))
+        problem = newton.problem(start)
+        solution = solve(problem, first if alone else options, stage=stage, warm=warm)
+        solution = newton.stripped(solution)
+        if not alone or (solution.success and options.tolerance >= ROUGH):
+            return solution
+        return completed(programme, start, solution, options, stage)
 
 
 def _carried(solution: Solution, last: Programme, programme: Programme) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from casid.values import storable
 
 Sparse: TypeAlias = scipy.sparse.csc_array
 
-RIDGE = 1e-13  # on nuisance blocks, relative; an unobservable nuisance must not stop the rest
+RIDGE = 1e-16  # on nuisance blocks, relative; an unobservable nuisance must not stop the rest
 MANY = 500  # neighbours of a nuisance variable (the bias of a long record) that would fill factors
 SINGULAR = 1e-11  # eigenvalue of the information scaled to unit diagonal that counts as zero
 GONE = 1e-10  # share of a parameter's information that is rounding if no more is left

@@ -1,0 +1,238 @@
+"""Output error over the parameters alone: biases and initial states follow them.
+
+What records hardly tell of an initial state and a bias (the offset of a slow mode is nearly a bias)
+is multiplied by parameters in the model, so that steps in all variables at once are cut to nothing.
+Here every λ has its most likely biases and nodes, the intervals meeting (variable projection: Golub
+and Pereyra 1973), and what remains is well conditioned: steps minimise its quadratic model within
+bounds and ties, damped as far as the model is wrong (Levenberg 1944, Marquardt 1963; Nielsen 1999).
+The end is where an undamped step would gain next to nothing of the likelihood, which no damping and
+no scale of the parameters changes (Bates and Watts 1981).
+"""
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+
+from casid.arrays import Array, BoolArray
+from casid.nlp import Progress, Solution, SolverOptions
+from casid.shooting.nearby import step
+from casid.shooting.newton import MEET, Newton
+from casid.shooting.precision import quadratic_model
+from casid.shooting.programme import Programme
+
+STATED = 1e-3  # of log-likelihood that an undamped step may still gain: 0.05 standard errors
+LAST = 1e-6  # and where steps end, unless rounding ends them before
+LATER = 100  # steps, at most
+SETTLING, SETTLED = 12, 1e-7  # solves for the biases and nodes of one λ; what the last may gain
+CLOSED = 1e-7  # gaps, in units of unit curvature
+DAMPING, MOST = 1e-3, 1e6  # of the parameters' own information: the first one, and the last
+WELL, LESS = 0.25, 0.2  # share of the gain expected that lets damping fall, and to what at least
+CONVEX = 1.5  # times the damping that just makes the model convex
+TOUCHES = 1e-6  # from a bound, in units of unit curvature
+MANY, QUADRATIC = 200, {"tol": 1e-13, "compl_inf_tol": 1e-13, "acceptable_tol": 1e-11}  # a step
+NONE = 1e-12  # information of a parameter that has none, of the largest
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """The cost about a λ with biases and nodes that follow."""
+
+    form: Array  # (nf + 1, nf + 1): the cost is half this form of [d; 1], up to a constant
+    follow: Array  # biases, nodes and the continuity's multipliers by [d; 1]
+
+    def gain(self, d: Array) -> float:
+        """What a step (nf,) gains."""
+        return -float(d @ self.form[:-1, :-1] @ d / 2 + d @ self.form[:-1, -1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A λ with its most likely biases and nodes."""
+
+    x: Array  # scaled variables
+    cost: float  # of all observations
+    gauss: _Model
+    newton: _Model  # with second derivatives
+    floor: float  # damping that makes Newton's convex; 0 if it is
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A step of λ, what it should gain, and multipliers per observation."""
+
+    x: Array  # scaled variables where it leads
+    gain: float
+    bounds: Array
+    constraints: Array  # the continuity's, then the model's own
+
+
+def completed(
+    programme: Programme, start: Array, last: Solution, options: SolverOptions, stage: str
+) -> Solution:
+    """What IPOPT has found, or what steps of the parameters alone find from there.
+
+    They go on where it stopped early, from the ``start`` if that cannot be gone on from, and where
+    an undamped step would still gain: scales of the variables may have ended it too soon.
+    """
+    count = min(LATER, options.max_iterations - last.iterations)
+    left = replace(options, max_iterations=max(count, 1), ipopt={})
+    reduced = Reduced(programme, left, stage)
+    if count < 1 or (last.success and not reduced.gain(last.x) > STATED):
+        return last
+    found = reduced.run(last.x) or reduced.run(start)
+    if found is None or (last.success and not programme.n * (last.f - found.f) > STATED):
+        return last
+    meets = np.abs(last.g[: reduced.gaps]).max(initial=0.0) < MEET
+    if not found.success and meets and not found.f < last.f:
+        return last
+    return replace(
+        found, iterations=found.iterations + last.iterations, seconds=found.seconds + last.seconds
+    )
+
+
+class Reduced:
+    """Damped steps of λ in one programme, a filter's left out."""
+
+    def __init__(self, programme: Programme, options: SolverOptions, stage: str) -> None:
+        self.programme, self.options, self.stage = programme, options, stage
+        self._newton = Newton(programme)
+        self._quiet = replace(options, progress=None, max_iterations=MANY, ipopt=QUADRATIC)
+        self._nf = programme.evaluator.nf
+        self.gaps = len(programme.links) * programme.evaluator.nx
+
+    def gain(self, x: Array) -> float:
+        """Log-likelihood that an undamped step from scaled variables would gain; 0 if none is."""
+        place = self._settled(x)
+        step = None if place is None else self._undamped(place)
+        return 0.0 if step is None else step.gain
+
+    def run(self, x: Array) -> Solution | None:
+        """Where steps from scaled variables end; None if biases and nodes are not found there."""
+        begin, place = time.perf_counter(), self._settled(x)
+        damping, rise = 0.0, 2.0
+        for iteration in range(self.options.max_iterations):
+            free = None if place is None else self._undamped(place)
+            if place is None or free is None:
+                return None
+            seconds = self._tell(iteration, place, begin)
+            if free.gain < LAST:
+                return self._solution(place, free, iteration, seconds, "solved")
+            late = seconds > self.options.max_seconds
+            if late or damping > MOST or iteration == self.options.max_iterations - 1:
+                status = "solved" if free.gain < STATED else self._why(late, damping)
+                return self._solution(place, free, iteration, seconds, status)
+            taken = free if damping + place.floor == 0 else self._damped(place, damping)
+            trial = None if taken is None else self._settled(taken.x)
+            share = -1.0
+            if taken is not None and trial is not None and taken.gain > 0:
+                share = (place.cost - trial.cost) / taken.gain
+            if share < WELL:
+                damping, rise = max(rise * max(damping, place.floor), DAMPING), 2 * rise
+            else:
+                fall = max(LESS, 1 - (2 * min(share, 1.0) - 1) ** 3)
+                damping, rise = damping * fall * (damping > DAMPING / 100), 2.0
+            place = trial if trial is not None and trial.cost < place.cost else place
+        return None
+
+    @staticmethod
+    def _why(late: bool, damping: float) -> str:
+        """Why steps ended without success."""
+        if damping > MOST:
+            return "no step lowers the cost, though one should; start nearer"
+        what = ("time", "max_seconds") if late else ("iteration", "max_iterations")
+        return f"{what[0]} limit reached; raise {what[1]} or start nearer"
+
+    def _settled(self, x: Array) -> _Place | None:
+        """λ with its most likely biases and nodes; None if they are not found."""
+        programme = self.programme
+        for _ in range(SETTLING):
+            values = programme.values(x)
+            upper = programme.hessian_matrix(x) if np.isfinite(values.cost) else None
+            model = None if upper is None else self._model(x, upper)
+            if model is None:
+                return None
+            open_by = np.abs(values.g[: self.gaps]).max(initial=0.0)
+            if open_by < CLOSED and -model.form[-1, -1] / 2 < SETTLED:
+                return self._curved(x, programme.n * values.cost, model)
+            x = self._moved(x, np.zeros(self._nf), model)
+        return None
+
+    def _model(self, x: Array, upper: scipy.sparse.sparray) -> _Model | None:
+        """Quadratic model of the cost, from the upper triangle of a Hessian."""
+        full = upper + scipy.sparse.triu(upper, 1).T
+        try:
+            form, follow = quadratic_model(self.programme, x, full)
+        except RuntimeError:  # an exactly singular factor
+            return None
+        return _Model(form, follow) if np.isfinite(form).all() else None
+
+    def _curved(self, x: Array, cost: float, gauss: _Model) -> _Place:
+        """The place with second derivatives, and what it takes to make them convex."""
+        prices = np.zeros(len(self.programme.values(x).g))
+        prices[: self.gaps] = gauss.follow[len(gauss.follow) - self.gaps :, -1] / self.programme.n
+        exact = self._model(x, scipy.sparse.triu(self._newton.matrix(x, prices)))
+        if exact is None:
+            return _Place(x, cost, gauss, gauss, 0.0)
+        own = np.flatnonzero(~self._held(x[: self._nf], gauss.form[:-1, -1]))
+        unit = 1 / np.sqrt(_information(gauss)[own])
+        least = scipy.linalg.eigvalsh(exact.form[np.ix_(own, own)] * np.outer(unit, unit))
+        return _Place(x, cost, gauss, exact, max(0.0, -CONVEX * float(least.min(initial=0.0))))
+
+    def _held(self, lam: Array, gradient: Array) -> BoolArray:
+        """Which scaled unknowns are on a bound that they press on, (nf,)."""
+        lower, upper = self.programme.limits()[0]
+        low, high = lam - lower < TOUCHES, upper - lam < TOUCHES
+        return np.asarray((low & (gradient > 0)) | (high & (gradient < 0)))
+
+    def _undamped(self, place: _Place) -> _Step | None:
+        """Newton's step if its model is convex, or Gauss-Newton's."""
+        return self._step(place, place.newton if place.floor == 0 else place.gauss, 0.0)
+
+    def _damped(self, place: _Place, damping: float) -> _Step | None:
+        return self._step(place, place.newton, max(damping, place.floor))
+
+    def _step(self, place: _Place, model: _Model, damping: float) -> _Step | None:
+        """The best step of a model, damped by a multiple of the parameters' information."""
+        form, at = model.form.copy(), np.arange(self._nf)
+        form[at, at] += damping * _information(place.gauss)
+        found = step(self.programme, place.x, form, self._quiet)
+        if not found.success:
+            return None
+        follow = model.follow @ np.append(found.x, 1.0)
+        continuity = follow[len(follow) - self.gaps :] / self.programme.n
+        bounds = np.zeros(len(place.x))
+        bounds[: self._nf] = found.multipliers_x
+        constraints = np.concatenate([continuity, found.multipliers_g])
+        x = self._moved(place.x, found.x, model)
+        return _Step(x, model.gain(found.x), bounds, constraints)
+
+    def _moved(self, x: Array, d: Array, model: _Model) -> Array:
+        """Scaled variables after a step of λ, biases and nodes following."""
+        return x + np.append(d, (model.follow @ np.append(d, 1.0))[: len(x) - self._nf])
+
+    def _tell(self, iteration: int, place: _Place, begin: float) -> float:
+        """Seconds since the beginning, told with progress."""
+        seconds, cost = time.perf_counter() - begin, place.cost / self.programme.n
+        if self.options.progress is not None:
+            told = Progress(stage=self.stage, iteration=iteration, cost=cost, seconds=seconds)
+            self.options.progress(told)
+        return seconds
+
+    def _solution(
+        self, place: _Place, last: _Step, iterations: int, seconds: float, status: str
+    ) -> Solution:
+        values = self.programme.values(place.x)
+        return Solution(
+            x=place.x, f=values.cost, g=values.g, multipliers_x=last.bounds,
+            multipliers_g=last.constraints, success=status == "solved", status=status,
+            iterations=iterations, seconds=seconds,
+        )  # fmt: skip
+
+
+def _information(gauss: _Model) -> Array:
+    """Of every parameter, the others known, (nf,); never quite none."""
+    alone = np.diag(gauss.form)[:-1]
+    return np.maximum(alone, NONE * max(float(alone.max(initial=0.0)), 1e-300))

@@ -1,0 +1,105 @@
+"""Steps of the parameters alone: where they end, and when an end is one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.closed_roll import TRUTH, noisy
+from truths.mixture import Mixture, least_squares
+from truths.mixture import record as steps
+
+from casid import SolverOptions
+from casid.free import free_parameters
+from casid.nlp import solve
+from casid.shooting.intervals import lay_out
+from casid.shooting.newton import Newton
+from casid.shooting.reduced import STATED, Reduced, completed
+from casid.shooting.sensitivity import Evaluator
+from casid.shooting.starting import noise_of, starting_programme
+from casid.shooting.uncertainty import bound
+
+OPTIONS = SolverOptions()
+OFF = replace(TRUTH, Lp=-3.5, Lv=-0.1, Llat=14.0)
+
+
+def begun(model, records, **given):
+    """A programme that estimates R, and its start."""
+    free = free_parameters(model, **given)
+    evaluator = Evaluator(free, lay_out(records, 2.0))
+    first, point = starting_programme(evaluator, free, "diagonal", True)
+    programme = first.variant(noise=noise_of(evaluator, None, "diagonal"))
+    return programme, programme.pack(point)
+
+
+def by_ipopt(programme, x):
+    newton = Newton(programme)
+    tight = replace(OPTIONS, tolerance=1e-10, ipopt={"nlp_scaling_method": "none"})
+    return newton.stripped(solve(newton.problem(x), tight, stage="test"))
+
+
+@pytest.mark.parametrize("bounds", [{}, {"Lp": (-20.0, -2.6)}])
+def test_steps_of_the_parameters_alone_end_where_those_of_all_variables_do(bounds):
+    programme, x = begun(OFF, [noisy(seed=3)], bounds=bounds)
+    found, all_of_them = Reduced(programme, OPTIONS, "").run(x), by_ipopt(programme, x)
+    assert found.success
+    assert all_of_them.success
+    assert programme.n * abs(found.f - all_of_them.f) < 1e-4
+    # Multipliers are the slopes of the cost: those of the bound that holds, and of the continuity.
+    prices, others = found.multipliers_x, all_of_them.multipliers_x
+    np.testing.assert_allclose(prices, others, atol=1e-3 * max(np.abs(others).max(), 1e-3))
+    scale = np.abs(all_of_them.multipliers_g).max()
+    np.testing.assert_allclose(
+        found.multipliers_g, all_of_them.multipliers_g, atol=2e-3 * max(scale, 1e-3)
+    )
+    assert (np.abs(prices).max() > 1e-4) == bool(bounds)
+
+
+def test_a_tenth_of_a_standard_error_is_worth_half_a_hundredth_of_log_likelihood():
+    programme, x = begun(OFF, [noisy(seed=3)])
+    reduced = Reduced(programme, OPTIONS, "")
+    end = reduced.run(x).x
+    assert reduced.gain(end) < 1e-6
+    place = reduced._settled(end)
+    C = bound(place.gauss.form[:-1, :-1], np.zeros((0, programme.evaluator.nf)))
+    d = 0.1 * C[:, 2] / np.sqrt(C[2, 2])
+    assert reduced.gain(reduced._moved(end, d, place.gauss)) == pytest.approx(0.005, rel=0.05)
+
+
+def beyond_nothing():
+    """A gain just below zero, whose mode has a huge initial state: slopes by all are tiny."""
+    programme, x = begun(replace(Mixture(), a=-1e-4), [steps()])
+    reduced = Reduced(programme, OPTIONS, "")
+    return programme, reduced._settled(x).x, reduced
+
+
+def test_an_end_that_scales_of_the_variables_feign_is_none():
+    programme, x, reduced = beyond_nothing()
+    assert reduced.gain(x) > 100
+    values = programme.values(x)
+    feigned = replace(reduced.run(x), x=x, f=values.cost, success=True, iterations=1)
+    found = completed(programme, x, feigned, OPTIONS, "")
+    assert found.success
+    X, y = least_squares()
+    best, *_ = np.linalg.lstsq(X, y, rcond=None)
+    errors = np.sqrt(np.diag(np.linalg.inv(X.T @ X)))
+    np.testing.assert_array_less(
+        np.abs(programme.unpack(found.x).lam - best[:3]), 3e-3 * errors[:3]
+    )
+
+
+def test_an_end_is_left_as_it_is_and_limits_are_kept():
+    programme, x = begun(OFF, [noisy(seed=3)])
+    end = by_ipopt(programme, x)
+    assert completed(programme, x, end, OPTIONS, "") is end
+    reduced = Reduced(programme, OPTIONS, "")
+    x = reduced._settled(x).x
+    early = replace(end, x=x, f=programme.values(x).cost, success=False, iterations=2)
+    assert completed(programme, x, early, replace(OPTIONS, max_iterations=2), "") is early
+    hurried = completed(programme, x, early, replace(OPTIONS, max_iterations=7), "")
+    assert not hurried.success
+    assert hurried.iterations <= 7
+    assert hurried.f < early.f
+    assert "max_iterations" in hurried.status
+    whole = completed(programme, x, early, OPTIONS, "")
+    assert whole.success
+    assert programme.n * (whole.f - end.f) < STATED
