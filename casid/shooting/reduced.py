@@ -104,10 +104,12 @@ class Reduced:
         self.gaps = len(programme.links) * programme.evaluator.nx
 
     def gain(self, x: Array) -> float:
-        """Log-likelihood that an undamped step from scaled variables would gain; 0 if none is."""
-        place = self._settled(x)
-        step = None if place is None else self._undamped(place)
-        return 0.0 if step is None else step.gain
+        """Log-likelihood that Gauss-Newton's step from scaled variables would gain, in bounds."""
+        model = self._gauss(x)
+        if model is None:
+            return 0.0
+        found = step(self.programme, x, model.form, self._quiet)
+        return model.gain(found.x) - model.form[-1, -1] / 2 if found.success else 0.0
 
     def run(self, x: Array) -> Solution | None:
         """Where steps from scaled variables end; None if biases and nodes are not found there."""
@@ -150,8 +152,7 @@ class Reduced:
         programme = self.programme
         for _ in range(SETTLING):
             values = programme.values(x)
-            upper = programme.hessian_matrix(x) if np.isfinite(values.cost) else None
-            model = None if upper is None else self._model(x, upper)
+            model = self._gauss(x) if np.isfinite(values.cost) else None
             if model is None:
                 return None
             open_by = np.abs(values.g[: self.gaps]).max(initial=0.0)
@@ -160,11 +161,15 @@ class Reduced:
             x = self._moved(x, np.zeros(self._nf), model)
         return None
 
-    def _model(self, x: Array, upper: scipy.sparse.sparray) -> _Model | None:
-        """Quadratic model of the cost, from the upper triangle of a Hessian."""
-        full = upper + scipy.sparse.triu(upper, 1).T
+    def _gauss(self, x: Array) -> _Model | None:
+        """Gauss-Newton's model of the cost."""
+        upper = self.programme.hessian_matrix(x)
+        return self._model(x, upper + scipy.sparse.triu(upper, 1).T)
+
+    def _model(self, x: Array, hessian: scipy.sparse.sparray) -> _Model | None:
+        """Quadratic model of the cost with a Hessian; None if it is singular."""
         try:
-            form, follow = quadratic_model(self.programme, x, full)
+            form, follow = quadratic_model(self.programme, x, hessian)
         except RuntimeError:  # an exactly singular factor
             return None
         return _Model(form, follow) if np.isfinite(form).all() else None
@@ -173,7 +178,7 @@ class Reduced:
         """The place with second derivatives, and what it takes to make them convex."""
         prices = np.zeros(len(self.programme.values(x).g))
         prices[: self.gaps] = gauss.follow[len(gauss.follow) - self.gaps :, -1] / self.programme.n
-        exact = self._model(x, scipy.sparse.triu(self._newton.matrix(x, prices)))
+        exact = self._model(x, self._newton.matrix(x, prices))
         if exact is None:
             return _Place(x, cost, gauss, gauss, 0.0)
         own = np.flatnonzero(~self._held(x[: self._nf], gauss.form[:-1, -1]))
@@ -211,7 +216,7 @@ class Reduced:
 
     def _moved(self, x: Array, d: Array, model: _Model) -> Array:
         """Scaled variables after a step of λ, biases and nodes following."""
-        return x + np.append(d, (model.follow @ np.append(d, 1.0))[: len(x) - self._nf])
+        return np.asarray(x + np.append(d, (model.follow @ np.append(d, 1.0))[: len(x) - self._nf]))
 
     def _tell(self, iteration: int, place: _Place, begin: float) -> float:
         """Seconds since the beginning, told with progress."""
@@ -235,4 +240,4 @@ class Reduced:
 def _information(gauss: _Model) -> Array:
     """Of every parameter, the others known, (nf,); never quite none."""
     alone = np.diag(gauss.form)[:-1]
-    return np.maximum(alone, NONE * max(float(alone.max(initial=0.0)), 1e-300))
+    return np.asarray(np.maximum(alone, NONE * max(float(alone.max(initial=0.0)), 1e-300)))

@@ -1,6 +1,7 @@
 """Bounds, collinearity and coloured residuals against closed forms and brute force."""
 
 import numpy as np
+import pytest
 import scipy.linalg
 import scipy.signal
 import scipy.sparse
@@ -53,7 +54,17 @@ def test_a_nuisance_with_many_neighbours_is_eliminated_as_any_other(monkeypatch)
     together = eliminate(*parts)
     monkeypatch.setattr("casid.shooting.uncertainty.MANY", 3)
     for one, two in zip(together, eliminate(*parts), strict=True):
-        np.testing.assert_allclose(two, one, rtol=1e-8, atol=1e-8)  # ridge 1e-13 of the largest
+        np.testing.assert_allclose(two, one, rtol=1e-8, atol=1e-8)
+
+
+def test_a_nuisance_that_is_hardly_known_takes_its_information_all_the_same():
+    # Information 2 and 3 of λ and a nuisance of unit 1e-6, correlated; another is known to 1e-3.
+    weak = np.array([[1e6, 0.0], [0.0, 1e-6 * 3]])
+    F, _ = eliminate(
+        np.array([[2.0]]), scipy.sparse.csc_array(weak), np.array([[0.0], [1e-3 * 2.4]]),
+        scipy.sparse.csc_array((0, 2)), np.zeros((0, 1)),
+    )  # fmt: skip
+    assert F[0, 0] == pytest.approx(2 - 2.4**2 / 3, rel=5e-3)  # rounding is 1e-16 of 1e6
 
 
 def test_the_bound_is_the_inverse_of_the_information():
