@@ -279,7 +279,7 @@ def wanted(case, done):
     """Largest geometric mean and worst ratio."""
     if case != "ensemble" and "wrong" not in case:
         return WANTED.get(case, (0.4, 0.6))
-    return done.get("flown", {"mean": 0.4})["mean"] / SHRUNK, np.inf
+    return round(done.get("flown", {"mean": 0.4})["mean"] / SHRUNK, 3), np.inf
 
 
 def main():
@@ -309,7 +309,7 @@ def main():
         row = done[case]
         two = zip([row["mean"], row["worst"]], wanted(case, done), strict=True)
         peak = cell(row["responses"]) if case == "free" else against(row["responses"], TIMES)
-        told = [against(x, limit) for x, limit in two]
+        told = [against(x, limit) if limit < np.inf else cell(x) for x, limit in two]
         share = against(row["share"], 0.5, above=True)
         tail = [row["sticks"], peak, share, row["seconds"]]
         rows.append([case, row["length"], *told, row["of"], *tail])
