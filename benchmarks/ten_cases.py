@@ -103,7 +103,7 @@ def folder_of(name: str) -> Path:
 
 WAYS: dict[str, Callable[[Case], object]] = {
     "frequency only": lambda c: derivid(
-        c.start, frequency_response(c.records[len(STEPS):], omega=OMEGA)),
+        c.start, frequency_response(c.records[len(STEPS):], omega=OMEGA, method="windows")),
     "black box": Case.box,
     "quadratic, by reach": lambda c: c.matched("quadratic", "reachable"),
     "H∞, by reach": lambda c: c.matched("hinf", "reachable"),

@@ -100,8 +100,8 @@ def ah1s() -> Case:
     model = SixDof(U0=41.13, V0=0.035, W0=-1.412, phi0=-0.0251, theta0=-0.0343)
     return Case(
         name="AH-1S", model=model, steps=noisy(steps, 2), sweeps=noisy(sweeps, 3), unseen=unseen,
-        truth=frequency_response(exact, omega=OMEGA), truth_name="noise-free sweeps",
-        band=(0.4, 12.0),
+        truth=frequency_response(exact, omega=OMEGA, method="windows"),
+        truth_name="noise-free sweeps", band=(0.4, 12.0),
     )  # fmt: skip
 
 
@@ -162,7 +162,7 @@ def identify(case: Case):
     black_box = pbsid(
         case.steps, order=18, pole=10.0, past=10, future=10, feedthrough=["ax", "ay", "az"]
     )  # the settings of examples/uh60/study.toml
-    frf = frequency_response(case.sweeps, omega=OMEGA)
+    frf = frequency_response(case.sweeps, omega=OMEGA, method="windows")  # as CIFER does
     band = (max(case.band[0], black_box.band[0]), min(case.band[1], black_box.band[1]))
     matched = match(case.model, [black_box, frf], norm="hinf", omega=np.geomspace(*band, 40))
     steps, sweeps = ([r.decimate(2) for r in records] for records in (case.steps, case.sweeps))
