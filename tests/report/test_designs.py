@@ -1,0 +1,56 @@
+"""Figures of a design: limits where they are, errors over those of the 3-2-1-1."""
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from casid import summary
+from casid.design.plan import Alternative, Design
+from casid.report.designs import plot_card, plot_errors
+
+T = 0.1 * np.arange(50)
+WAVE = 0.05 * np.sin(T)[:, None]
+
+
+def design(feedback=0.0):
+    usual, own = np.array([0.2, 0.4]), np.array([0.1, 0.1])
+    return Design(
+        kind="multi-step",
+        inputs=("lat",),
+        outputs=("p",),
+        t=T,
+        r=WAVE - feedback,
+        u=WAVE,
+        y=2 * WAVE,
+        names=("Lp", "Llat"),
+        covariance=np.diag(own**2),
+        before=np.full(2, np.inf),
+        alternatives=(
+            Alternative(name="3-2-1-1", std_errors=usual),
+            Alternative(name="multi-step", std_errors=own),
+        ),
+        used={"lat": 0.5},
+        used_at_worst={"lat": 0.6},
+        instead=120.0,
+    )
+
+
+@pytest.mark.parametrize("feedback", [0.0, 0.01])
+def test_limits_stand_where_the_share_used_says(feedback):
+    axes = Figure().subplots(2, 1)
+    plot_card(axes, design(feedback))
+    levels = [line.get_ydata()[0] for line in axes[0].lines if line.get_linestyle() == "--"]
+    assert sorted(levels) == pytest.approx([-2 * np.abs(WAVE).max(), 2 * np.abs(WAVE).max()])
+    assert (axes[0].get_legend() is not None) == (feedback > 0)
+    assert not [line for line in axes[1].lines if line.get_linestyle() == "--"]
+
+
+def test_errors_are_relative_to_those_of_the_usual_input():
+    ax = plot_errors(Figure().subplots(), design())
+    drawn = {line.get_label(): line.get_ydata().tolist() for line in ax.lines}
+    assert drawn["3-2-1-1"] == [1.0, 1.0]
+    assert drawn["multi-step"] == pytest.approx([0.5, 0.25])
+
+
+def test_a_designs_table_has_all_three_errors():
+    assert "| Llat | ∞ | 0.4 | 0.1 |".replace(" ", "") in summary(design()).replace(" ", "")
