@@ -1,6 +1,7 @@
 """Tests mirror the package: a module with behaviour has a test file of its own."""
 
 import ast
+import statistics
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -44,3 +45,9 @@ def test_no_test_imports_another():
                 else [each.name for each in node.names] if isinstance(node, ast.Import) else []
             )  # fmt: skip
             assert not any(part.startswith("test_") for n in names for part in n.split(".")), path
+
+
+def test_modules_stay_short():
+    lines = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in MODULES}
+    assert {name: n for name, n in lines.items() if n > 400} == {}
+    assert statistics.median(lines.values()) <= 150

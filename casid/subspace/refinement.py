@@ -22,10 +22,9 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 from casid.subspace import modal as modes
 from casid.subspace.fourier import Lines, Spectrum
+from casid.subspace.weighing import known_weights, smoothed
 from casid.values import storable
 
-WIDTH = 0.35  # of the smoothing of residual spectra, in natural logarithms of ω
-FINE = 25  # intervals in that width
 ROUNDS = 2  # of estimating residual spectra
 STEPS = 6  # Gauss-Newton steps a round
 LEAST_DAMPING = 0.02  # of modes too fast for the data to show them unstable
@@ -162,7 +161,7 @@ def information_criteria(
     """
     lines = [spectrum for record in data for spectrum in record]
     omega, power = residual_powers(system, lines, su, sy)
-    smooth = _smoothed(np.log(omega), np.log(omega), power)
+    smooth = smoothed(np.log(omega), np.log(omega), power)
     deviance = 2 * (np.log(smooth) + power / smooth).sum(axis=1)
     n, N = system.nx, 2 * power.size
     k = n * (len(su) + len(sy)) + direct + n * len(lines)
@@ -229,39 +228,8 @@ def noise_weights(modal: modes.Modal, data: Sequence[Spectrum]) -> list[Array]:
     omega = np.log(np.concatenate([s.omega for s in data]))
     power = np.vstack([np.abs(E) ** 2 for E in residuals])
     floor = 1e-20 * np.vstack([np.abs(s.Y) ** 2 for s in data]).mean(axis=0)
-    smooth = [_smoothed(np.log(spectrum.omega), omega, power) for spectrum in data]
+    smooth = [smoothed(np.log(spectrum.omega), omega, power) for spectrum in data]
     return [1 / np.sqrt(level + floor) for level in smooth]
-
-
-def known_weights(data: Sequence[Spectrum], weights: Sequence[Array]) -> list[Array]:
-    """Weights as they count in a covariance, less where few lines tell a residual spectrum."""
-    # Of n lines, 1/Φ is estimated too large by n/(n - 1) in the mean, and estimates weighed by it
-    # scatter by (n + 1)/n more than those weighed by Φ itself.
-    omega = np.log(np.concatenate([s.omega for s in data]))
-    found = []
-    for spectrum, weight in zip(data, weights, strict=True):
-        kernel, count, _ = _nearness(np.log(spectrum.omega), omega, omega[:, None])
-        n = (kernel @ count) ** 2 / (kernel**2 @ count)
-        found.append(weight * np.sqrt(np.maximum(n - 1, 0.1) / (n + 1))[:, None])
-    return found
-
-
-def _smoothed(at: Array, omega: Array, power: Array) -> Array:
-    """Local mean of power (K, ny) over logarithms of frequency, at those asked for."""
-    kernel, count, sums = _nearness(at, omega, power)
-    return np.asarray(kernel @ sums / (kernel @ count)[:, None])
-
-
-def _nearness(at: Array, omega: Array, power: Array) -> tuple[Array, Array, Array]:
-    """Weights of intervals of ω at every frequency asked for, how many lines are in each, and sums.
-
-    The intervals are much narrower than the kernel, so that the work is linear in the lines.
-    """
-    place = np.floor(omega / (WIDTH / FINE)).astype(int)
-    _, which, count = np.unique(place, return_inverse=True, return_counts=True)
-    sums = [np.bincount(which, weights=column) for column in (omega, *power.T)]
-    kernel = np.exp(-0.5 * ((at[:, None] - sums[0] / count) / WIDTH) ** 2)
-    return kernel, np.asarray(count, dtype=float), np.array(sums[1:]).T.astype(float)
 
 
 def _cost(modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array]) -> float:

@@ -10,7 +10,6 @@ from casid.subspace.modal import Modal, mixed, moved, pair, to_modal
 from casid.subspace.refinement import (
     ResponseUncertainty,
     information_criteria,
-    known_weights,
     refine,
     residual_powers,
 )
@@ -60,18 +59,6 @@ def test_stated_errors_are_those_of_many_records_of_few_lines(duration):
     # 40 records of some six independent parameters: the root mean square is known within 5 %.
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.09)
     assert 0.92 <= np.mean(np.abs(errors) < 1.96) <= 0.98
-
-
-def test_weights_of_many_lines_are_those_of_a_known_spectrum():
-    record = campaign(records=1, duration=200.0)[0]
-    su, sy = standard_deviations([record])
-    data = spectra([record], su, sy, 20.0)
-    (one,) = [known_weights([lines], [np.ones((len(lines.omega), 3))])[0] for lines in data[:1]]
-    spacing = np.diff(data[0].omega)[0]
-    n = 2 * np.sqrt(np.pi) * 0.35 * data[0].omega / spacing  # lines in a Gaussian window over log ω
-    inside = (data[0].omega > 3) & (data[0].omega < 5)
-    expected = np.sqrt((n - 1) / (n + 1))[inside]
-    np.testing.assert_allclose(one[inside, 0], expected, rtol=0.01)
 
 
 def test_a_few_campaigns_agree_with_the_standard_deviation_of_the_response():
