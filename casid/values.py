@@ -28,6 +28,7 @@ _HOMES: Mapping[str, tuple[str, ...]] = {
     "distances": ("Distance", "Distances", "MissingMode"),
     "excitations": ("Excitation",),
     "fit": ("Certificate", "ConstraintEstimate", "Fit", "ParameterEstimate"),
+    "frequency.distortion": ("Distortion",),
     "frequency.response": ("FrequencyResponse",),
     "linear": ("StateSpace",),
     "matching.appraisal": ("MatchNotes", "MatchedSource", "Peak"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid.baseline.accuracy import accuracy, accuracy_row, scatter
+from casid.baseline.accuracy import accuracy, accuracy_row
 
 
 def test_parameters_that_data_cannot_tell_apart_have_infinite_error():
@@ -29,15 +29,6 @@ def test_parameters_on_a_bound_count_as_known():
     std, _, _ = accuracy(jacobian, np.array([False, True]))
     assert std[0] == pytest.approx(1 / np.sqrt(2 * 2))
     assert np.isnan(std[1])
-
-
-def test_scatter_is_that_of_least_squares_with_known_errors():
-    rng = np.random.default_rng(2)
-    jacobian, noise = rng.standard_normal((30, 2)), rng.uniform(0.5, 2.0, 30)
-    _, _, covariance = accuracy(jacobian, np.zeros(2, dtype=bool))
-    pseudo = np.linalg.pinv(jacobian)  # dλ = −J⁺ dr
-    expected = np.sqrt(np.diag(pseudo @ np.diag(noise**2) @ pseudo.T))
-    np.testing.assert_allclose(scatter(jacobian, covariance, noise), expected, rtol=1e-10)
 
 
 def test_rows_name_the_guidelines_they_miss():

@@ -46,7 +46,7 @@ def test_instances_are_topics_and_samples_have_an_age():
 def test_dropouts_are_told():
     data = ulog(2.0) + message("O", struct.pack("<H", 70))
     assert read_ulog(data, pyulog)[1] == (
-        "the logger dropped out 1 times, 70 ms in all, 70 ms the longest",
+        "the logger dropped out 1 time, 70 ms in all, 70 ms the longest",
     )
 
 
