@@ -33,6 +33,7 @@ from casid.matching.side import Side
 from casid.nlp import Problem, SolverOptions, solve
 
 START = 1.05  # t at the start, in units of the largest squared error there
+HELD = 100  # trial points beyond the line, after which a solve is given up
 TIE = 1e-3  # weight of the mean square error beside the largest squared one
 
 # A quadratic programme starts next to its solution, which its barrier must not blur.
@@ -81,7 +82,8 @@ class Programme:
         Keep A(λ) − σ I Hurwitz by a Lyapunov equation.
     line : float
         Real part [1/s] that no pole may exceed on the way: trial points where one does have no
-        value. Those of the start must not.
+        value. Those of the start must not. A solve that is held there again and again is given up,
+        no point having a value any more.
     """
 
     def __init__(
@@ -117,7 +119,7 @@ class Programme:
         self.first = nf + (norm == "hinf")
         self.factors = self.first + K * self.r**2
         self.points = np.arange(K * self.r**2).reshape(K, -1)
-        self._held = False
+        self._held = 0
         self._last: _Point | None = None
         self._slopes: tuple[_Point, ComplexArray] | None = None
 
@@ -135,7 +137,7 @@ class Programme:
             values=self.parameters(found.x), cost=found.f * unit, success=found.success,
             multipliers=-found.multipliers_x[: len(self.scale)] / self.scale * unit,
             prices=-found.multipliers_g[ties] * unit,
-            status=found.status, iterations=found.iterations, held=self._held,
+            status=found.status, iterations=found.iterations, held=self._held > 0,
         )  # fmt: skip
 
     def parameters(self, x: Array) -> Array:
@@ -244,8 +246,8 @@ class Programme:
             at, G = self.matrices(lam), np.full(self.comparison.G.shape, complex(np.nan))
             with contextlib.suppress(np.linalg.LinAlgError):  # a pole on a point, or far out
                 beyond = np.linalg.eigvals(at.blocks[0]).real.max() > self.line
-                self._held |= bool(beyond)
-                G = G if beyond else at.response(self.comparison.s)
+                self._held += int(beyond)
+                G = G if beyond or self._held > HELD else at.response(self.comparison.s)
             self._last = _Point(lam=lam, G=G, E=self.cost_of.errors(G))
         return self._last
 

@@ -88,7 +88,7 @@ class Search:
     def beside(
         self, near: AnyFit, evaluator: Evaluator, R: Array | CovarianceKind, biases: bool
     ) -> Outcome | None:
-        """Estimate in one round from where a fit nearby leads; None if that does not succeed."""
+        """The best about where a fit nearby leads; None if that does not succeed."""
         begun = neighbouring_programme(evaluator, self.free, R, biases, near)
         if evaluator.filtering or begun is None:
             return None
@@ -101,8 +101,8 @@ class Search:
         ipopt = NEAR | {"mu_init": self.options.tolerance / 1000} | dict(self.options.ipopt)
         options = replace(self.options, ipopt=ipopt)
         solution = self._solve(first, first.unpack(x), multipliers, 1, options, close=True)
-        outcome = Outcome(first, solution, solution.iterations, 1, True)
-        return outcome if solution.success else None
+        outcome = self.around(Outcome(first, solution, solution.iterations, 1, True))
+        return outcome if outcome.solution.success else None
 
     def run(
         self, programme: Programme, point: Point, R: Array | CovarianceKind, *, near: bool = False
@@ -209,13 +209,16 @@ class Search:
         newton = Newton(programme, close=close)
         warm = None if warm is None else newton.extended(warm)
         start, stage = programme.pack(point), f"output error, round {number}"
-        alone = not programme.evaluator.filtering and not close
+        alone = not programme.evaluator.filtering
         first = replace(options, max_iterations=min(EARLIER, options.max_iterations))
         problem = newton.problem(start)
         solution = solve(problem, first if alone else options, stage=stage, warm=warm)
         solution = newton.stripped(solution)
         if not alone or (solution.success and options.tolerance >= ROUGH):
             return solution
+        lam = programme.unpack(solution.x).lam
+        if close and not solution.success and any(neighbours(programme, lam, solved=False)):
+            return solution  # held on a kink: no steps end there, but those on either side
         return completed(programme, start, solution, options, stage)
 
 

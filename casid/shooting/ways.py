@@ -153,11 +153,10 @@ class Ways:
     ) -> Outcome:
         """Where the rounds of solves end."""
         outcome = None if near is None else search.beside(near, evaluator, self.R, self.biases)
-        if outcome is None:
-            outcome = search.run(
-                *starting_programme(evaluator, search.free, self.R, self.biases), self.R
-            )
-        return search.around(outcome)
+        if outcome is not None:
+            return outcome
+        begun = starting_programme(evaluator, search.free, self.R, self.biases)
+        return search.around(search.run(*begun, self.R))
 
     @property
     def _shortest(self) -> float:

@@ -1,11 +1,10 @@
 """Rounds of solves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from truths.closed_roll import (
-    noisy,
-    off,
-)
+from truths.closed_roll import NOISE, TRUTH, T, flown, noisy, off, with_response
 
 from casid import SolverOptions
 from casid.free import free_parameters
@@ -32,6 +31,32 @@ def test_the_start_from_a_neighbour_changes_the_effort_only(R):
         assert one.value == pytest.approx(other.value, rel=1e-6)
         assert one.multiplier == pytest.approx(other.multiplier, rel=1e-4, abs=1e-3)
         assert one.active == other.active == (one.name in bounds)
+
+
+def jerky(model, seed):
+    """A record whose sticks bend at every sample: likely most so on a whole sample of delay."""
+    rng = np.random.default_rng(seed)
+    record = flown(model, T[:300], seed)
+    record = replace(record, u=record.u + 0.05 * rng.normal(size=record.u.shape))
+    return with_response(record, model).with_noise(NOISE, rng)
+
+
+def test_a_delay_that_a_kink_holds_costs_a_neighbour_no_endless_steps():
+    truth, told = replace(TRUTH, tau=0.08), []
+    near = OutputError(interval=2.0).fit(truth, jerky(truth, 100))
+    assert abs(near.model.tau / 0.02 - 4) > 1e-3
+    estimator = OutputError(interval=2.0, solver=SolverOptions(progress=told.append))
+    warm = estimator.fit(truth, jerky(truth, 1), near=near)
+    assert len(told) < 100
+    assert warm.model.tau / 0.02 == pytest.approx(4, abs=1e-6)
+    left, at, right = (
+        OutputError(interval=2.0).fit(
+            replace(truth, tau=tau), jerky(truth, 1), fixed={"tau"}, near=near
+        )
+        for tau in (0.0799, 0.08, 0.0801)
+    )
+    assert warm.cost == pytest.approx(at.cost, abs=1e-4)
+    assert at.cost < min(left.cost, right.cost) - 1e-3
 
 
 def test_rounds_end_where_the_covariance_is_that_of_its_residuals():
