@@ -79,11 +79,13 @@ def complain(console: Console, what: str, error: Exception | str) -> None:
 def logged(console: Console, verbose: bool) -> Iterator[None]:
     """Show what casid logs, if that is wanted."""
     logger = logging.getLogger("casid")
-    handler = _Lines(lambda line: console.print(Text(f"  {line}", style="dim")))
+    # Without any handler, logging itself prints warnings, which are told as cautions anyway.
+    handler: logging.Handler = logging.NullHandler()
     level = logger.level
     if verbose:
-        logger.addHandler(handler)
+        handler = _Lines(lambda line: console.print(Text(f"  {line}", style="dim")))
         logger.setLevel(logging.INFO)
+    logger.addHandler(handler)
     try:
         yield
     finally:

@@ -12,8 +12,9 @@ but for noise.
 Departures. Both sides are integrated, with the measured attitudes and velocities in the products:
 the unknowns but for the skews then enter linearly, and no trajectory can diverge. Noise of the
 rates adds up in the integral; innovations of a filter with one gain an equation, fitted with the
-unknowns, are what is minimised (gain 0 is output error). Standard errors allow for what colour is
-left in them.
+unknowns, are what is minimised (gain 0 is output error), as far as aircraft move: up to `BAND`.
+Noise of the measured signals is in the regressors, too: what it pretends there is taken out at the
+end (`casid.consistency.pretended`). Standard errors allow for what colour is left.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -25,6 +26,7 @@ import scipy.signal
 
 from casid.arrays import Array
 from casid.autoregression import FAR, MAD, slow
+from casid.consistency.pretended import Corrected, Normal
 from casid.frequency.sampling import equidistant
 from casid.record import Record
 from casid.samples import at_instants
@@ -35,10 +37,13 @@ SHORTEST = 20  # samples
 GAPS = 0.2  # share of missing samples above which a channel is left out
 GAINS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 25)])
 ITERATIONS = 12
+CORRECTIONS, DRAWS = 5, 2  # last iterations, without what noise pretends, and its draws for it
+SETTLED = 1e-3  # of gains and skews [s]
+BAND = 4.0  # Hz: above that rates and forces are more noise and vibration than flight
 REGAIN = (2, 5, 8)  # iterations after which the filters' gains are fitted anew
 LATE = 0.5  # largest skew [s]
 BATCH = 1.0  # time [s] over which innovations may be correlated
-PRIOR = np.array([1.0, np.inf, LATE])  # of gain, bias and skew, so that nothing is singular
+PRIOR = np.array([1.0, np.inf, 0.1])  # of gain, bias and skew, so that nothing is singular
 FAR_OFF = 10.0  # from the centre of gravity [m], a prior too
 ROUNDING = 1e-9  # of a channel's range: no record is more exact
 
@@ -153,23 +158,29 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
     problem = _Reconstruction(flights, tuple(equations))
     n = len(problem.channels)
     start = np.append(np.tile([1.0, 0.0, 0.0], n), np.zeros(3))
-    prior = np.append(np.tile(PRIOR**-2.0, n), np.full(3, FAR_OFF**-2.0))
-    skews = slice(2, 3 * n, 3)
+    reach = np.append(np.tile(PRIOR, n), np.full(3, FAR_OFF))
+    prior = reach**-2.0
+    skews, settling = slice(2, 3 * n, 3), np.flatnonzero(np.arange(3 * n) % 3 != 1)  # no biases
     x = start.copy()
-    for iteration in range(ITERATIONS):
+    iteration = 0
+    while True:
         blocks = problem.blocks(x)
         if iteration in REGAIN:
             problem.fit_gains(blocks, x[: 3 * n : 3])
-        parts = problem.whitened(blocks)
-        information, slope = _normal(parts, prior, start - x)
-        scaled, size = _scaled(information)
-        step = np.linalg.lstsq(scaled, slope / size, rcond=1e-14)[0] / size
+        if iteration <= REGAIN[-1]:
+            problem.fit_sizes(blocks)
+        seen = _normal(problem.whitened(blocks), prior, start - x)
+        pretended = problem.pretended(x, DRAWS if iteration >= ITERATIONS else 0)
+        step = Corrected(seen, pretended).step()
+        settled = iteration > ITERATIONS and np.abs(step[settling]).max() < SETTLED
+        if settled or iteration == ITERATIONS + CORRECTIONS:
+            break
         step[skews] = np.clip(step[skews], -LATE / 4, LATE / 4)
         x = x + step
         x[skews] = np.clip(x[skews], -LATE, LATE)
-    blocks = problem.blocks(x)
-    parts = problem.whitened(blocks)
-    errors = np.sqrt(_variances(_normal(parts, prior, start - x)[0], problem.scores(parts)))
+        iteration += 1
+    corrected = Corrected(seen, pretended)
+    errors = np.sqrt(corrected.variances(problem.scores(problem.whitened(blocks)), reach) + step**2)
     return Instruments(
         channels=problem.channels,
         unknowns=x[:-3].reshape(n, 3),
@@ -196,6 +207,7 @@ class _Reconstruction:
             for flight in flights
         ]
         self.gains = dict.fromkeys(equations, 0.0)
+        self.sizes = dict.fromkeys(equations, 1.0)
 
     def against(self) -> dict[str, tuple[str, ...]]:
         """The equations in which each rate or force stands."""
@@ -241,14 +253,50 @@ class _Reconstruction:
         return f
 
     def whitened(self, blocks: Sequence[Block]) -> list[Block]:
-        """Innovations and their slopes, in standard deviations of the equation's innovations."""
-        parts = [(each, *_innovations(self.gains[each], e, X)) for each, e, X in blocks]
-        size = {}
+        """Innovations up to `BAND` and slopes, in standard deviations of all of the innovations."""
+        dt, found = self.flights[0].dt, []
+        for each, e, X in blocks:
+            left, slopes = _innovations(self.gains[each], e, X, dt)
+            found.append((each, left / self.sizes[each], slopes / self.sizes[each]))
+        return found
+
+    def fit_sizes(self, blocks: Sequence[Block]) -> None:
+        """Take the standard deviations of the innovations."""
         for each in self.equations:
-            e = np.concatenate([e for name, e, _ in parts if name == each])
+            mine = [_innovations(self.gains[each], e, e[:, None])[0]
+                    for name, e, _ in blocks if name == each]  # fmt: skip
             floor = ROUNDING * max(np.ptp(flight.values[each]) for flight in self.flights)
-            size[each] = np.sqrt(np.mean(e**2) + floor**2 + 1e-300)
-        return [(each, e / size[each], X / size[each]) for each, e, X in parts]
+            size = np.sqrt(np.mean(np.concatenate(mine) ** 2) + floor**2 + 1e-300)
+            self.sizes[each] = float(size)
+
+    def pretended(self, x: Array, draws: int) -> Normal:
+        """What the channels' noise adds to the normal equations: found by adding it again."""
+        none = np.zeros(len(x))
+        found = Normal(np.diag(none), none)
+        if not draws:
+            return found
+        rng = np.random.default_rng(0)
+        for _ in range(draws):
+            more = [
+                {k: noise(v) * rng.standard_normal(len(v)) for k, v in flight.values.items()}
+                for flight in self.flights
+            ]
+            for sign in (-1.0, 1.0):  # both, so that only what is quadratic in it remains
+                found += self._noisier(more, sign)._plain(x) * (0.5 / draws)
+        return found + self._plain(x) * -1.0
+
+    def _noisier(self, more: Sequence[Mapping[str, Array]], sign: float) -> "_Reconstruction":
+        flights = [
+            replace(flight, values={k: v + sign * add[k] for k, v in flight.values.items()})
+            for flight, add in zip(self.flights, more, strict=True)
+        ]
+        other = _Reconstruction(flights, self.equations)
+        other.gains, other.sizes = self.gains, self.sizes
+        return other
+
+    def _plain(self, x: Array) -> Normal:
+        none = np.zeros(len(x))
+        return _normal(self.whitened(self.blocks(x)), none, none)
 
     def fit_gains(self, blocks: Sequence[Block], scaling: Array) -> None:
         """Take the gains with the smallest innovations, no less than the rates' noise asks for."""
@@ -294,15 +342,18 @@ def _lever(moved: Mapping[str, tuple[Array, Array]]) -> Array | None:
     return np.moveaxis(np.array(rows), 1, 2)
 
 
-def _innovations(gain: float, e: Array, X: Array) -> tuple[Array, Array]:
+def _innovations(gain: float, e: Array, X: Array, dt: float = 0.0) -> tuple[Array, Array]:
     """What a filter of this gain leaves of residuals and slopes, the initial state projected out.
 
     e[k] − e[k−1] + (1 − K) ε[k−1] is the error of predicting a sum of white noise (in the rates)
-    that is seen through white noise (in the attitude) one sample ahead.
+    that is seen through white noise (in the attitude) one sample ahead. A sampling interval asks
+    for them up to `BAND`.
     """
     Z = np.column_stack([e, X, np.ones(len(e))])
     if gain > 0:
         Z = scipy.signal.lfilter([1.0, -1.0], [1.0, gain - 1.0], Z, axis=0)
+    if 0 < dt < 0.4 / BAND:
+        Z = scipy.signal.lfilter(*scipy.signal.butter(2, BAND, fs=1 / dt), Z, axis=0)
     z = Z[:, -1]
     Z = Z[:, :-1] - np.outer(z, z @ Z[:, :-1]) / (z @ z)
     return Z[:, 0], Z[:, 1:]
@@ -316,25 +367,9 @@ def noise(x: Array) -> float:
     return float(np.sqrt(np.mean(size[size <= limit] ** 2 if limit else size**2) / 20))
 
 
-def _normal(parts: Sequence[Block], prior: Array, pull: Array) -> tuple[Array, Array]:
-    """Information matrix and gradient, both with the prior."""
-    information = np.diag(prior)
-    slope = prior * pull
-    for _, e, X in parts:
-        information = information + X.T @ X
-        slope = slope + X.T @ e
-    return information, slope
-
-
-def _variances(information: Array, scores: Array) -> Array:
-    """The larger, unknown by unknown, of 1/information and of what the scores' scatter says."""
-    scaled, size = _scaled(information)
-    inverse = np.linalg.pinv(scaled, rcond=1e-14) / np.outer(size, size)
-    scatter = inverse @ (scores.T @ scores) @ inverse
-    return np.asarray(np.maximum(np.diag(inverse), np.diag(scatter)))
-
-
-def _scaled(information: Array) -> tuple[Array, Array]:
-    size = np.sqrt(np.diag(information))
-    size = np.where(size > 0, size, 1.0)
-    return information / np.outer(size, size), size
+def _normal(parts: Sequence[Block], prior: Array, pull: Array) -> Normal:
+    """Normal equations with the prior."""
+    return Normal(
+        np.diag(prior) + sum(X.T @ X for _, _, X in parts),
+        prior * pull + sum(X.T @ e for _, e, X in parts),
+    )

@@ -30,7 +30,7 @@ from casid.record import Record
 from casid.records import Records, several
 
 KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
-SIGNIFICANT = 3.0  # standard errors
+SIGNIFICANT = 3.5  # standard errors, of the largest of some twenty
 SCALE, SKEW, BIAS = 0.02, 0.01, 0.1  # what matters: relative, s, of the channel's deviation
 ROUGH = 0.1  # the scale that matters where an equation lacks a channel
 AWAY, SEEN = 0.2, 0.5  # m: an accelerometer's place that matters, and its largest error

@@ -174,6 +174,17 @@ def test_noise_of_good_instruments_gives_no_alarm(noisy):
     assert check.notes[0].startswith("specific forces were checked against gravity in trim only")
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", [0.0, 0.1, 0.3], ids=["exact", "good", "rough"])
+def test_noise_in_rates_and_forces_is_no_error_of_theirs(speed):
+    """It multiplies what is fitted, and pulls gains and skews where little else moves."""
+    std = FLOWN | dict.fromkeys(("u", "v", "w"), speed)
+    records = uh60(outputs=(*OUTPUTS, "u", "v", "w"))
+    for seed in (0, 3):
+        rng = np.random.default_rng(1000 + seed)
+        assert kinematic_check([record.with_noise(std, rng) for record in records]).remarks == ()
+
+
 MISTAKES = {
     "p upside down": ("p", -1.0, "p is -", "opposite sign"),
     "q in degrees": ("q", 180 / np.pi, "q is 57", "in degrees"),

@@ -1,0 +1,69 @@
+"""Least squares on noisy regressors: what their noise pretends to know is taken out again.
+
+Noise of a rate stands in the slopes as well as in the residuals. It counts as movement, so that
+standard errors come out too small, and pulls gains towards zero. Both are quadratic in the noise,
+so its share of information and slope is known once what it adds is: the corrected score of
+T. Nakamura, Biometrika 77, 1990; R. J. Carroll et al., Measurement Error in Nonlinear Models,
+2nd ed., chapters 5 and 7. Directions in which noise is most of what is seen are left alone, and
+nothing but the prior is known along them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import Array
+
+LEAST = 0.7  # share of the information that must be no noise's
+LEVEL = 0.5  # of the correction: its standard error, as noise is not quite white
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal equations: information (n, n) and slope (n,)."""
+
+    information: Array
+    slope: Array
+
+    def __add__(self, other: "Normal") -> "Normal":
+        return Normal(self.information + other.information, self.slope + other.slope)
+
+    def __mul__(self, factor: float) -> "Normal":
+        return Normal(factor * self.information, factor * self.slope)
+
+
+class Corrected:
+    """Normal equations without what noise adds to them."""
+
+    def __init__(self, seen: Normal, pretended: Normal) -> None:
+        size = np.sqrt(np.diag(seen.information))
+        self._size = np.where(size > 0, size, 1.0)
+        scale = np.outer(self._size, self._size)
+        lam, V = np.linalg.eigh(seen.information / scale)
+        W = V / np.sqrt(np.maximum(lam, 1e-14 * lam[-1]))  # W' information W = 1
+        noisy = W.T @ (pretended.information / scale) @ W
+        share, U = np.linalg.eigh(np.eye(len(W)) - noisy)
+        self._known = share > LEAST
+        self._share = np.where(self._known, share, 1.0)
+        self._W = W @ U
+        self._slope = self._W.T @ (seen.slope / self._size)
+        self._bias = self._W.T @ (pretended.slope / self._size)
+
+    def step(self) -> Array:
+        """Newton's step (n,)."""
+        slope = self._slope - np.where(self._known, self._bias, 0.0)
+        return np.asarray(self._W @ (slope / self._share) / self._size)
+
+    def variances(self, scores: Array, reach: Array) -> Array:
+        """Variances (n,) of the unknowns, which are at most their ``reach`` (n,).
+
+        The larger of the inverse and of what the scatter of the scores (m, n) says, and what noise
+        of another level or colour would do.
+        """
+        H = self._W / self._share
+        scatter = (scores / self._size) @ self._W - self._bias / len(scores)
+        seen = np.maximum(np.sum(H**2, axis=1), np.sum((scatter @ H.T) ** 2, axis=0))
+        seen += (LEVEL * (H @ np.where(self._known, self._bias, 0.0))) ** 2
+        lengths = (reach * self._size)[:, None] / np.maximum(np.abs(self._W), 1e-300)
+        unknown = self._W * np.where(self._known, 0.0, lengths.min(axis=0))
+        return np.asarray((seen + np.sum(unknown**2, axis=1)) / self._size**2)
