@@ -93,7 +93,7 @@ def _nonlinear(model: NonlinearModel, pade: int | None) -> Equations:
         StateSpace(empty, *through, None, names, names, (), model.system().delay), pade
     )
     x, u = ca.SX.sym("x", len(x0) + line.nx), ca.SX.sym("u", nu)
-    own, late = x[: len(x0)], x[len(x0) :]
+    own, late = x[: len(x0), 0], x[len(x0) :, 0]  # of one index a 1 x 1 makes a row
     rates, outputs = model.equations()(own, line.C @ late + line.D @ u, model.vector())
     rest = np.linalg.solve(line.A, -line.B @ u0) if line.nx else np.zeros(0)
     return Equations(

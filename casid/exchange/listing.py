@@ -17,6 +17,10 @@ BINARY = {
     ca.OP_LT: "({} < {}) + 0.0",
     ca.OP_LE: "({} <= {}) + 0.0",
     ca.OP_EQ: "({} == {}) + 0.0",
+    ca.OP_NE: "({0} < {1}) + ({0} > {1})",  # the languages spell unequal differently
+    ca.OP_AND: "(abs({}) > 0) * (abs({}) > 0)",
+    ca.OP_OR: "((abs({}) > 0) + (abs({}) > 0) > 0) + 0.0",
+    ca.OP_COPYSIGN: "abs({}) * (1 - 2 * ({} < 0))",
     ca.OP_ATAN2: "atan2({}, {})",
     ca.OP_HYPOT: "hypot({}, {})",
     ca.OP_IF_ELSE_ZERO: "{} * {}",  # of a condition, 0 or 1
@@ -29,6 +33,7 @@ UNARY = {
     ca.OP_INV: "1 / {}",
     ca.OP_NOT: "1 - {}",
     ca.OP_FABS: "abs({})",
+    ca.OP_SIGN: "({0} > 0) - ({0} < 0)",
 } | {
     getattr(ca, f"OP_{name.upper()}"): f"{name}({{}})"
     for name in (
@@ -133,6 +138,10 @@ def _lines(function: ca.Function, *, power: str, first: int) -> list[str]:
         elif op in UNARY or op in BINARY:
             text = (UNARY | BINARY)[op].format(*of)
         else:
-            raise ValueError(f"an operation of the structure (number {op}) has no form in text")
+            name = next(n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == op)
+            raise ValueError(
+                f"the structure uses {name[3:].lower()}, which has no form in text; write it by "
+                "other functions"
+            )
         lines.append(f"w{into[0]} = {text}")
     return lines

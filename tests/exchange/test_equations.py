@@ -7,7 +7,15 @@ import pytest
 import scipy.integrate
 from truths.climbing import AIRCRAFT
 
-from casid import Record, equations_of, simulate, without_delay
+from casid import (
+    NonlinearModel,
+    Record,
+    Scalar,
+    equations_of,
+    parameter,
+    simulate,
+    without_delay,
+)
 
 DEVIATE = np.array([0.02, 0.55])
 
@@ -57,3 +65,20 @@ def test_a_linear_systems_equations_are_its_matrices(system):
     np.testing.assert_allclose(found.measurements(0.0, x, u), plain.C @ x + plain.D @ u)
     with pytest.raises(ValueError, match="discrete"):
         equations_of(replace(system, dt=0.1))
+
+
+class Speed(NonlinearModel):
+    states, inputs, outputs = ("V",), ("thrust",), ("V",)
+    k: Scalar = parameter(default=0.02, lower=0.0, upper=1.0, unit="1/m")
+
+    def derivatives(self, x, u):
+        return [u.thrust - self.k * x.V**2]
+
+    def reference(self):
+        return {"V": 10.0, "thrust": 2.0}
+
+
+def test_a_structure_of_one_state_has_equations():
+    found = equations_of(Speed())
+    np.testing.assert_allclose(found.derivatives(0.0, np.array([5.0]), np.array([2.0])), [1.5])
+    np.testing.assert_allclose(found.measurements(0.0, np.array([5.0]), np.array([2.0])), [5.0])

@@ -2,7 +2,9 @@
 
 import re
 import runpy
+from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from truths.climbing import AIRCRAFT
@@ -45,3 +47,34 @@ def test_a_name_that_no_language_takes_is_refused(tmp_path):
     for name in ("model.txt", "my model.m"):
         with pytest.raises(ValueError, match=r"such as model\.m"):
             write_equations(tmp_path / name, equations_of(AIRCRAFT, 1))
+
+
+def test_conditions_and_signs_have_a_form_in_text(tmp_path):
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u", 1)
+    both, either = ca.logic_and(x[0] > 0, x[1] > 0), ca.logic_or(x[0] > 0, x[1] > 0)
+    rates = ca.vertcat(ca.sign(x[0]), ca.copysign(x[0], x[1]))
+    told = ca.Function("equations", [x, u], [rates, ca.vertcat(both, either, x[0] != x[1])])
+    found = replace(
+        equations_of(AIRCRAFT, 1),
+        states=("a", "b"),
+        inputs=("c",),
+        outputs=("d", "e", "f"),
+        x0=np.zeros(2),
+        u0=np.zeros(1),
+        function=told,
+    )
+    write_equations(tmp_path / "own.py", found)
+    write_equations(tmp_path / "own.m", found)
+    module, text = runpy.run_path(str(tmp_path / "own.py")), (tmp_path / "own.m").read_text("utf-8")
+    for at in ([1.0, -2.0], [-1.0, 2.0], [3.0, 3.0], [0.0, -1.0], [-1.0, -1.0]):
+        known = [part.full().ravel() for part in told(at, [0.0])]
+        for other in (module["equations"](at, [0.0]), as_matlab(text, at, [0.0])):
+            for one, own in zip(known, other, strict=True):
+                np.testing.assert_array_equal(own, one)
+
+
+def test_an_operation_without_a_form_is_named(tmp_path):
+    x, u = ca.SX.sym("x", 1), ca.SX.sym("u", 1)
+    told = ca.Function("equations", [x, u], [ca.floor(x), x])
+    with pytest.raises(ValueError, match="the structure uses floor, which has no form in text"):
+        write_equations(tmp_path / "own.m", replace(equations_of(AIRCRAFT, 1), function=told))
