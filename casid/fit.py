@@ -33,7 +33,8 @@ class ParameterEstimate:
     <= 0 on an upper one and 0 for a parameter inside its bounds. ``std_error`` is one standard
     deviation, others on their bounds held there; NaN on a bound, and where the estimator has no
     noise model. That of output error allows for residuals correlated in time and across outputs;
-    ``cramer_rao`` takes them for white and the model for true. ``insensitivity`` is 1/sqrt(F_ii).
+    ``cramer_rao`` takes them for white and the model for true. That of `derivid` comes from the
+    stated errors of the responses, ``cramer_rao`` from the cost. ``insensitivity`` is 1/sqrt(F_ii).
     ``prior`` and ``prior_std`` are what was known before, NaN if nothing.
     """
 

@@ -39,7 +39,7 @@ class ParameterAccuracy:
     value: float
     cramer_rao_percent: float  # 2 √(H⁻¹)ᵢᵢ
     insensitivity_percent: float  # 1/√Hᵢᵢ
-    scatter: float  # standard deviation that the response's random errors cause
+    scatter: float  # standard deviation that the response's random errors cause, NaN if not stated
     misses: tuple[str, ...]  # guidelines it does not meet: CR, I
 
 

@@ -16,7 +16,7 @@ from casid.baseline.pairs import Pairs, select, thin
 from casid.baseline.search import Minima, descents, pair_costs, solve
 from casid.checks import checked_fields
 from casid.declaration import check_priors
-from casid.errors import ConvergenceError
+from casid.errors import ConvergenceError, warn
 from casid.fit import (
     AnyFit,
     Fit,
@@ -156,8 +156,11 @@ def derivid(
     Returns
     -------
     Fit
-        ``cost`` is the sum of J over pairs. ``std_error`` is √(H⁻¹)ᵢᵢ and ``insensitivity``
-        1/√Hᵢᵢ, H the Gauss-Newton Hessian of the cost; parameters on a bound count as known.
+        ``cost`` is the sum of J over pairs. ``std_error`` and ``covariance`` are what the stated
+        errors of the responses cause, H⁻¹ JᵀW C W J H⁻¹ with their covariance C. ``cramer_rao`` is
+        √(H⁻¹)ᵢᵢ and ``insensitivity`` 1/√Hᵢᵢ, H the Gauss-Newton Hessian of the cost: T&R's
+        figures, in which the noise is not. Where responses state no errors ``std_error`` is
+        √(H⁻¹)ᵢᵢ too, and a `DataWarning` says so. Parameters on a bound count as known.
 
     Raises
     ------
@@ -197,13 +200,13 @@ def _result(
     active = np.array([table[i].active for i in free.index])
     jacobian = _residual_slopes(problem, values)
     held = holding(free, values, np.zeros_like(active))
-    std, insensitivity, covariance = accuracy(jacobian, active, held)
-    spread = _scatter(problem, frf, jacobian, covariance)
-    parameters = parameter_table(
-        free, values, best.multipliers, std_error=std, insensitivity=insensitivity, guess=model
-    )
+    cr, insensitivity, bound = accuracy(jacobian, active, held)
+    covariance = _scatter(problem, frf, jacobian, bound)
+    scatter = np.full(len(cr), np.nan) if covariance is None else np.sqrt(np.diag(covariance))
+    std = cr if covariance is None else scatter
+    parameters = parameter_table(free, values, best.multipliers, std, insensitivity, cr, model)
     pairs = _pair_rows(problem, values)
-    figures = zip(free.names, values, std, insensitivity, spread, strict=True)
+    figures = zip(free.names, values, cr, insensitivity, scatter, strict=True)
     ended = {name: getattr(best, name) for name in ("cost", "status", "success", "iterations")}
     return Fit(
         **ended,
@@ -219,7 +222,7 @@ def _result(
         ),
         constraints=constraint_table(solved, best.prices),
         held=held_directions(free, values, parameters),
-        covariance=covariance,
+        covariance=bound if covariance is None else covariance,
         free_names=free.names,
     )
 
@@ -234,12 +237,16 @@ def _residual_slopes(problem: Condensed, x: Array) -> Array:
 
 
 def _scatter(
-    problem: Condensed, frf: FrequencyResponse, jacobian: Array, covariance: Array
-) -> Array:
-    """Standard deviations (nf,) of λ that errors of the response cause, correlated as they are."""
+    problem: Condensed, frf: FrequencyResponse, jacobian: Array, bound: Array
+) -> Array | None:
+    """Covariance (nf, nf) of λ that errors of the response cause, correlated as they are.
+
+    ``bound`` is H⁻¹; what it has no finite number for keeps that. None, with a warning, where a
+    point that is fitted has no stated error.
+    """
     c, model = problem.comparison, problem.free.model
     weight, used = c.decibel_weight, c.W > 0
-    known = np.nan_to_num(covariance, nan=0.0, posinf=0.0)
+    known = np.nan_to_num(bound, nan=0.0, posinf=0.0)
     gain = 2 * known @ jacobian.T  # dλ = H⁻¹ 2Jᵀ dr
     n = int(used.sum())
     root = np.sqrt(weight[used])
@@ -251,11 +258,15 @@ def _scatter(
     place = np.ix_(range(len(own)), rows, columns)
     there = np.outer(np.array(rows) >= 0, np.array(columns) >= 0) & used[place]
     if not np.isfinite(frf.error[there]).all():
-        return np.full(len(gain), np.nan)
+        warn(
+            "derivid: the response states no errors at some points that are fitted; std_error and "
+            "all bands are √(H⁻¹) of the cost, which does not know the noise: give random_error"
+        )
+        return None
     white = whitener(replace(frf, flags={}), there)
-    total = np.diag(white.spread(np.where(there[..., None], own[place], 0.0)))
-    priors = np.sum((gain[:, 2 * n :] * c.price_of_surprise("decibel")) ** 2, axis=1)
-    return np.where(np.isfinite(np.diag(covariance)), np.sqrt(total + priors), np.nan)
+    total = white.spread(np.where(there[..., None], own[place], 0.0))
+    priors = gain[:, 2 * n :] * c.price_of_surprise("decibel")
+    return np.where(np.isfinite(bound), total + priors @ priors.T, bound)
 
 
 def _pair_rows(problem: Condensed, values: Array) -> tuple[PairCost, ...]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY
+from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY, DerividNotes
 from casid.bounds.trials import Data, Fits, aicc
 from casid.checks import checked_fields
 from casid.errors import ConvergenceError, ModelError
@@ -170,7 +170,8 @@ def reduce_structure(
         tried = fits([held | {r.name: v} for r, v in zip(rows, values, strict=True)], fit)
         done, row, value = min(zip(tried, rows, values, strict=True), key=_cost)
         better = replay is not None or _stands(criterion, done.result, fit, limit, many.data)
-        step = _step(row, value, done, many.data, accepted=not done.reason and better)
+        told = row.name, value, figures(fit, row)
+        step = _step(*told, done, many.data, accepted=not done.reason and better)
         steps.append(step)
         if step.accepted:
             fit, held = done.result, held | {row.name: value}
@@ -181,12 +182,16 @@ def reduce_structure(
     return Reduction(full=full, fit=fit, steps=tuple(steps), criterion=criterion)
 
 
-def figures(row: ParameterEstimate) -> tuple[float, float]:
-    """Insensitivity and Cramér-Rao figure of a parameter, % of its value."""
+def figures(fit: AnyFit, row: ParameterEstimate) -> tuple[float, float]:
+    """Insensitivity and Cramér-Rao figure of a parameter, % of its value.
+
+    The guidelines are T&R's, for √(H⁻¹) of a cost in decibels and degrees.
+    """
     size = abs(row.value) / 100
+    std = row.cramer_rao if isinstance(fit.notes, DerividNotes) else row.std_error
     if size == 0:
         return np.inf, np.inf
-    return row.insensitivity / size, 2 * row.std_error / size
+    return row.insensitivity / size, 2 * std / size
 
 
 def _check_known(model: Model, names: Sequence[str]) -> None:
@@ -220,7 +225,7 @@ def _worst(
         row.name: worst
         for row in fit.parameters
         if not (row.fixed or row.active or row.name in out)
-        and (worst := float(np.nanmax(np.array(figures(row)) / guide))) > 1
+        and (worst := float(np.nanmax(np.array(figures(fit, row)) / guide))) > 1
     }
     return [fit[name] for name in sorted(poor, key=lambda name: -poor[name])[:count]]
 
@@ -247,14 +252,19 @@ def _stands(
 
 
 def _step(
-    row: ParameterEstimate, value: float, done: Done, data: Sequence[Any], *, accepted: bool
+    name: str,
+    value: float,
+    before: tuple[float, float],
+    done: Done,
+    data: Sequence[Any],
+    *,
+    accepted: bool,
 ) -> Step:
-    insensitivity, cramer_rao = figures(row)
     return Step(
-        parameter=row.name,
+        parameter=name,
         value=value,
-        insensitivity=insensitivity,
-        cramer_rao=cramer_rao,
+        insensitivity=before[0],
+        cramer_rao=before[1],
         cost=np.nan if done.reason else done.result.cost,
         aicc=np.nan if done.reason else aicc(done.result, data),
         accepted=accepted,

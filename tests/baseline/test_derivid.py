@@ -9,6 +9,7 @@ from truths import uh60
 from casid import (
     Constraint,
     ConvergenceError,
+    DataWarning,
     Derivid,
     Fit,
     FrequencyResponse,
@@ -18,6 +19,7 @@ from casid import (
     derivid,
     frequency_response,
     parameter,
+    response_band,
 )
 from casid.matching.mismatch import pair_weights, residuals
 from casid.values import encode
@@ -156,7 +158,7 @@ def test_cramer_rao_and_insensitivity_come_from_the_hessian_of_the_cost():
     table = {row.name: row for row in fit.notes.table}
     # Central differences with a step of 1e-4: an error of its square times the fourth derivative.
     for i, name in enumerate(Roll.parameter_names()):
-        assert fit[name].std_error == pytest.approx(std[i], rel=1e-4)
+        assert fit[name].cramer_rao == pytest.approx(std[i], rel=1e-4)
         assert fit[name].insensitivity == pytest.approx(insensitive[i], rel=1e-4)
         percent = 100 / abs(values[i])
         assert table[name].cramer_rao_percent == pytest.approx(2 * std[i] * percent, rel=1e-4)
@@ -165,13 +167,41 @@ def test_cramer_rao_and_insensitivity_come_from_the_hessian_of_the_cost():
         )
 
 
-def test_scatter_is_that_of_repeated_measurements():
+@pytest.mark.parametrize("error", [0.003, 0.03])
+def test_errors_are_those_of_repeated_measurements(error):
     rng = np.random.default_rng(4)
-    fits = [derivid(Roll(), response(TRUTH, error=0.03, rng=rng), starts=1) for _ in range(40)]
-    spread = np.std([fit.model.vector() for fit in fits], axis=0)
-    stated = np.mean([[row.scatter for row in fit.notes.table] for fit in fits], axis=0)
+    fits = [derivid(Roll(), response(TRUTH, error=error, rng=rng), starts=1) for _ in range(40)]
+    off = np.array([fit.model.vector() for fit in fits]) - TRUTH.vector()
+    stated = np.mean([[row.std_error for row in fit.parameters] for fit in fits], axis=0)
     # A standard deviation from 40 runs is known to 11 %; three of these.
-    np.testing.assert_allclose(spread / stated, 1, atol=0.35)
+    np.testing.assert_allclose(np.std(off, axis=0) / stated, 1, atol=0.35)
+    # χ² of five degrees of freedom has variance 10: the mean of 40 is known to 0.5.
+    squares = [e @ np.linalg.solve(fit.covariance, e) for e, fit in zip(off, fits, strict=True)]
+    assert np.mean(squares) == pytest.approx(5, abs=1.5)
+    assert fits[0].notes.table[2].scatter == fits[0].parameters[2].std_error
+
+
+def test_a_band_of_a_fit_in_decibels_holds_the_truth():
+    rng = np.random.default_rng(5)
+    held = []
+    for _ in range(25):
+        fit = derivid(Roll(), response(TRUTH, error=0.02, rng=rng), starts=1)
+        low, high = response_band(fit, OMEGA).magnitude()
+        size = np.abs(TRUTH.system().response(OMEGA))
+        held.append(np.mean((low <= size) & (size <= high)))
+    # 40 points of a curve of five parameters are about ten independent ones: 250 of 95 % scatter
+    # by 1.4 %.
+    assert np.mean(held) == pytest.approx(0.95, abs=0.045)
+
+
+def test_without_stated_errors_the_cost_alone_is_said_to_be_the_error():
+    frf = response(TRUTH, error=0.05, rng=np.random.default_rng(3))
+    known = derivid(Roll(), frf, starts=1)
+    unknown = dataclasses.replace(frf, random_error=np.full(frf.G.shape, np.nan))
+    with pytest.warns(DataWarning, match="states no errors at some points that are fitted"):
+        fit = derivid(Roll(), unknown, starts=1)
+    assert fit["Lp"].std_error == fit["Lp"].cramer_rao == known["Lp"].cramer_rao
+    assert np.isnan(fit.notes.table[2].scatter)
 
 
 def test_guidelines_mark_what_they_are_missed_by():
@@ -341,9 +371,11 @@ def test_no_convergence_hands_over_the_best_iterate():
     assert np.isfinite(best.model.vector()).all()
 
 
+@pytest.mark.filterwarnings("ignore:derivid. the response states no errors")
 def test_prior_values_are_information_beside_the_cost():
     frf = response(TRUTH, error=0.05, rng=np.random.default_rng(3), coherence=0.9)
-    alone = derivid(Roll(), frf, starts=1)
+    frf = dataclasses.replace(frf, random_error=np.full(frf.G.shape, np.nan))
+    alone = derivid(Roll(), frf, starts=1)  # its covariance is H⁻¹
     std = alone["Lp"].std_error
     prior = alone["Lp"].value + 0.1 * std
     fit = derivid(Roll(), frf, starts=1, priors={"Lp": (prior, std)})
