@@ -34,6 +34,8 @@ CLEAR = 1e-5  # how far, relative to their size
 TIGHT = 3e-3  # relative width of the last interval of γ
 LIGHT = 0.02  # damping ratio below which the grid may step over a resonance
 HIGH = 1.05  # how far below the highest a peak may be that is looked at more closely
+RANK = 1e-12  # of the largest singular value: G_0 lacks rank below
+SHARE = 0.1  # of a direction without effect: an input that is named
 LIFT = 1.01  # how far W may be lifted for what lies between the points of the fit
 
 
@@ -112,11 +114,12 @@ def cover(
     ValueError
         No model, discrete ones, other channels; numbers of unstable poles that differ (robust
         stability cannot be concluded from a weight then); fewer outputs than inputs of a
-        multiplicative one; an order or a band out of range; sizes that are not positive.
+        multiplicative one, or a nominal model that lacks column rank in the band; an order or a
+        band out of range; sizes that are not positive.
     """
     low, high = band
-    if not 0 < low < high:
-        raise ValueError(f"band={band}: expected two increasing frequencies above 0 rad/s")
+    if not 0 < low < high < np.inf:
+        raise ValueError(f"band={band}: expected two increasing finite frequencies above 0 rad/s")
     if not 1 <= order <= 10:
         raise ValueError(f"order={order}: expected 1 to 10")
     if kind not in get_args(Kind):
@@ -188,7 +191,7 @@ def _largest(
         raise ValueError(f"scale={scale}: expected finite sizes above 0")
     left = np.reciprocal(sizes)
     G0 = left[:, None] * first.response(omega) * right
-    inverse: ComplexArray | None = np.linalg.pinv(G0) if kind == "multiplicative" else None
+    inverse = _inverse(G0, omega, first.inputs) if kind == "multiplicative" else None
     largest = np.zeros(len(omega))
     for system in others:
         delta = left[:, None] * system.response(omega) * right - G0
@@ -196,6 +199,20 @@ def _largest(
         largest = np.maximum(largest, np.linalg.norm(delta, ord=2, axis=(1, 2)))
     floor = 1e-6 * largest.max(initial=1e-300)  # a weight has no exact zero
     return np.asarray(np.maximum(largest, floor))
+
+
+def _inverse(G0: ComplexArray, omega: Array, inputs: Sequence[str]) -> ComplexArray:
+    """G_0⁺ (K, nu, ny); ValueError where inputs do nothing, which an error at the output misses."""
+    U, sizes, V = np.linalg.svd(G0, full_matrices=False)
+    if (short := sizes[:, -1] <= RANK * sizes[:, 0]).any():
+        without = np.abs(V[short, -1]).max(axis=0)  # what moves no output, by input
+        names = [name for name, share in zip(inputs, without, strict=True) if share > SHARE]
+        raise ValueError(
+            f"the nominal model does not answer to {' and '.join(names)} on their own at "
+            f"{omega[short].min():.4g} to {omega[short].max():.4g} rad/s: no error at its output "
+            'stands for models that do; take kind="additive", another nominal model or fewer inputs'
+        )
+    return np.asarray((U / sizes[:, None]).conj() @ V).swapaxes(1, 2)
 
 
 def _fitted(omega: Array, error: Array, order: int) -> tuple[Chebyshev, Chebyshev, float]:

@@ -12,6 +12,17 @@ LOCK = ".lock"  # kept when a run ends: the lock is the system's, and ends with 
 PARTIAL = ".partial"
 
 
+def spare(target: str | Path, *sources: str | Path) -> None:
+    """Refuse to write a file, by whatever name it goes, that holds what is read: ValueError."""
+    place = Path(target)
+    for source in map(Path, sources):
+        if place.exists() and source.exists() and place.samefile(source):
+            raise ValueError(
+                f"{target} is what this is made from ({source}) and would be lost; name another "
+                "file to write"
+            )
+
+
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """A temporary file beside a path, which takes its place when the block ends without an error.

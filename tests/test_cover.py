@@ -91,3 +91,24 @@ def test_what_no_weight_can_cover_is_refused():
     ):
         with pytest.raises(ValueError, match=match):
             cover(stable, **({"band": band} | wrong))
+
+
+@pytest.mark.parametrize("gain", [0.0, 1.0])
+def test_a_direction_to_which_the_nominal_model_does_not_answer_is_refused(gain):
+    # With rows (1, k) and (0, 0) both inputs do the same; without k the second does nothing.
+    def two(first, second):
+        B = [[1.0, gain], [0.0, first]] if second is None else [[1.0, 0.0], [0.0, second]]
+        names = {"inputs": ("lat", "ped"), "outputs": ("p", "r")}
+        return StateSpace(-np.diag([1.0, 2.0]), B, np.eye(2), np.zeros((2, 2)), **names)
+
+    how = {"band": (0.1, 10.0), "kind": "multiplicative", "order": 1}
+    named = "lat and ped on their own" if gain else "answer to ped on"
+    with pytest.raises(ValueError, match=rf"{named}.* at 0.1 to 10 rad/s.*additive"):
+        cover(two(0.0, None), [two(1.0, None)], **how)
+    assert cover(two(0.0, 0.5), [two(0.0, 0.6)], **how).error.max() == pytest.approx(0.2)
+
+
+def test_a_band_without_end_is_refused():
+    lag = StateSpace([[-2.0]], [[1.0]], [[1.0]], [[0.0]])
+    with pytest.raises(ValueError, match="finite"):
+        cover(lag, [lag], band=(0.1, np.inf))

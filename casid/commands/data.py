@@ -24,11 +24,13 @@ from casid.exchange.listing import write_equations
 from casid.exchange.standalone import write_module
 from casid.files import read_json
 from casid.fit import AnyFit, Fit
+from casid.folder import spare
 from casid.frequency.response import FrequencyResponse
+from casid.jobs.origins import structure_files
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.structure.modelfile import load_model
+from casid.structure.modelfile import load_model, locate_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
 from casid.validation import validate
@@ -83,6 +85,7 @@ def convert(
     """  # noqa: D301
     console = terminal()
     with exits(console):
+        spare(target, source)
         if Path(source).suffix.lower() == ".json":
             if units:
                 raise ValueError("--unit is for records; a response or a fit is in SI already")
@@ -104,6 +107,7 @@ def _convert_result(
         formats.write_frequency(target, response)
         return f"{len(response.omega)} frequencies, {counted(len(response.outputs), 'output')}"
     fit = _load(source, structure)
+    spare(target, *_files(structure))
     told = f"{type(fit.model).__name__} after {fit.method}"
     nonlinear = isinstance(fit.model, NonlinearModel)
     model = fit.model if isinstance(fit.model, NonlinearModel) else fit.model.system()
@@ -146,6 +150,11 @@ def _load(source: Path, structure: str | None) -> AnyFit:
     if structure is None:
         raise ValueError(f"{source} is a fit: name its structure, --model models/six_dof.py:SixDof")
     return Fit.load(source, model=load_model(structure))
+
+
+def _files(structure: str | None) -> Sequence[Path]:
+    """A structure's file and those of the user's that it imports."""
+    return [] if structure is None else list(structure_files(locate_model(structure)[0]))
 
 
 @click.command("inspect")
@@ -341,6 +350,8 @@ def simulate(
     console = terminal()
     with exits(console):
         model = _load(Path(fit), structure).model
+        if output is not None:
+            spare(output, record, fit, *_files(structure))
         how: Any = None if detrend == "none" else detrend
         names: Any = {
             kind: {name: renamed.get(name, name) for name in getattr(model, kind)}

@@ -29,6 +29,7 @@ from casid.studies.studyfile import read_study
 
 SHOWN = 12  # parameters in the table
 DPI = 120
+WRITTEN = ("card.csv", "card.lua", "inject.py", "design.md", "design.png", "errors.png")
 
 
 def _pairs(_: click.Context, option: click.Parameter, values: Sequence[str]) -> dict[str, float]:
@@ -106,6 +107,7 @@ def design(
     console = terminal()
     with exits(console), logged(console, verbose):
         what = read_study(study, output)
+        what.spare(*(f"design/{name}" for name in WRITTEN))
         model = _kept(what)
         structure = model.model if isinstance(model, Fit) else model
         trim, flown = _condition(structure, _flown(what), {**what.design.trim, **asked["trim"]})

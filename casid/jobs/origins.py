@@ -30,6 +30,11 @@ def source_digest() -> str:
 
 def structure_digest(path: str | Path) -> str:
     """Digest of a model file and of all modules of the user's that it imports, however deep."""
+    return digest(sorted(structure_files(path).values()))
+
+
+def structure_files(path: str | Path) -> dict[Path, bytes]:
+    """Content of a model file and of all modules of the user's that it imports, however deep."""
     # Modules of Python's own library, of installed packages and of casid do not count.
     seen: dict[Path, bytes] = {}
     waiting = [Path(path).resolve()]
@@ -41,7 +46,7 @@ def structure_digest(path: str | Path) -> str:
             waiting += [
                 each for each in imported_files(file) if not any(map(each.is_relative_to, others))
             ]
-    return digest(sorted(seen.values()))
+    return seen
 
 
 def imported_files(file: Path) -> Iterator[Path]:

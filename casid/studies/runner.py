@@ -27,6 +27,15 @@ from casid.tabulation import csv_text
 from casid.threads import one_thread
 from casid.validation import Validation
 
+WRITTEN = (
+    "report.html",
+    "fit.json",
+    "parameters.csv",
+    "bounds.csv",
+    "bounds_cases.csv",
+    "bounds.md",
+)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Outcome:
@@ -93,6 +102,7 @@ def run_study(
         Bad input; a stage that did not converge: its best iterate and all stages before it are
         kept. If it is an optional one, on which nothing rests, all else is done first.
     """
+    study.spare(*WRITTEN)
     watch = watch or Watch()
     started = time.perf_counter()
     watch.begin("records")

@@ -18,6 +18,7 @@ from casid.design.plan import NextFlight
 from casid.errors import warn
 from casid.exchange.formats import read_record
 from casid.files import Column, read_csv
+from casid.folder import spare
 from casid.model import Model
 from casid.record import Hold, Record
 from casid.stages.stage import ROLES, Role, Stage, Task
@@ -88,6 +89,12 @@ class Study:
     design: NextFlight = field(default_factory=NextFlight)
     png: bool = False  # whether figures are written as PNG beside the SVG
     responses: tuple[str, ...] = ()  # of the refinement, as the file names them
+
+    def spare(self, *names: str) -> None:
+        """Refuse files in the folder of results that the study itself is read from: ValueError."""
+        flown = [file for each in self.roles.values() for file in each.files]
+        for name in names:
+            spare(self.output / name, self.path, self.model_file, *flown)
 
     def task(self, roles: Mapping[Role, Any], checks: Mapping[Role, Any] | None = None) -> Task:
         """What the stages work on, with these records by role, and those with check channels."""

@@ -261,6 +261,7 @@ def test_a_nonlinear_fit_becomes_what_other_tools_run(tmp_path, monkeypatch):
     monkeypatch.setattr("casid.commands.data._load", lambda *_: fit)
     monkeypatch.chdir(tmp_path)
     Path("fit.json").write_text('{"casid": "fit"}', encoding="utf-8")
+    Path("any.py").touch()
     for name, more, text in (
         ("flown.c", ("--dt", "0.02"), "total values"),
         ("flown.m", ("--pade", "3"), "function [dx, y] = flown(x, u)"),
@@ -269,4 +270,50 @@ def test_a_nonlinear_fit_becomes_what_other_tools_run(tmp_path, monkeypatch):
         done = casid("convert", "fit.json", name, "--model", "any.py:Any", *more)
         assert done.output == f"{name}: Climbing after output error\n"
         assert text in Path(name).read_text("utf-8")
-    assert "pass pade=3" in refused(casid("convert", "fit.json", "flown.m", "--model", "a.py:A"))
+    assert "pass pade=3" in refused(
+        casid("convert", "fit.json", "flown.m", "--model", "any.py:Any")
+    )
+
+
+# ---- what is read is not written over ------------------------------------------------------------
+
+ROLL = ("--model", "roll.py:Roll")
+LOSSES = {
+    "a record by its simulation": ("3211.csv", ("simulate", "fit.json", "3211.csv", *ROLL, "-o")),
+    "a record by its units": ("3211.csv", ("convert", "3211.csv", "--unit", "lat=%")),
+    "a model by its simulator": ("roll.py", ("convert", "fit.json", *ROLL)),
+    "what a model imports": ("signs_of_roll.py", ("convert", "fit.json", *ROLL)),
+}
+
+
+@pytest.mark.parametrize("name", ["itself", "symbolic", "hard"])
+@pytest.mark.parametrize("loss", LOSSES, ids=lambda name: name.replace(" ", "-"))
+def test_no_output_replaces_what_it_is_made_from(loss, name, folder, monkeypatch):
+    file, command = LOSSES[loss]
+    (folder / "signs_of_roll.py").write_text("g = 9.80665\n", encoding="utf-8")
+    (folder / "roll.py").write_text(
+        "import signs_of_roll\n" + (folder / "roll.py").read_text("utf-8")
+    )
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.delitem(sys.modules, "signs_of_roll", raising=False)  # of another folder
+    before, target = (folder / file).read_bytes(), folder / f"linked{Path(file).suffix}"
+    if name == "itself":
+        target = folder / "." / file
+    elif name == "symbolic":
+        target.symlink_to(file)
+    else:
+        target.hardlink_to(folder / file)
+    assert "made from" in refused(casid(*command, target))
+    assert target.read_bytes() == (folder / file).read_bytes() == before
+    assert target.is_symlink() == (name == "symbolic")
+
+
+def test_a_study_does_not_replace_its_records(folder):
+    text = (folder / "study.toml").read_text("utf-8").replace("3211.csv", "parameters.csv")
+    (folder / "study.toml").write_text(text, encoding="utf-8")
+    before = (folder / "3211.csv").rename("parameters.csv").read_bytes()
+    assert "made from" in refused(casid("identify", "study.toml", "--output", "."))
+    assert Path("parameters.csv").read_bytes() == before
+    Path("design").mkdir()
+    Path("design/card.csv").hardlink_to("parameters.csv")
+    assert "made from" in refused(casid("design", "study.toml", "--output", "."))
