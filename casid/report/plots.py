@@ -3,7 +3,8 @@
 Everything is drawn by the ``plot_*`` functions of `casid.report.figures`; here are the sheets.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import singledispatch
 from typing import Any
 
@@ -42,9 +43,19 @@ POINTS = 160  # of a response
 GREY = "#777777"
 
 
+@contextmanager
+def _styled() -> Iterator[None]:
+    """The package's style, without loss of what the backend sets when it is loaded."""
+    # The first figure of a notebook loads its backend; within rc_context the end of that would
+    # undo what it sets, `interactive` above all, and no later figure would be shown.
+    plt.draw_if_interactive()
+    with rc_context(LOOK):
+        yield
+
+
 def plot(value: object, ax: Any = None, **choice: Any) -> Any:  # noqa: ANN401 - see Shown.plot
     """Draw a value on the axes given or on new ones; returns them."""
-    with rc_context(LOOK):
+    with _styled():
         return _draw(value, ax, **choice)
 
 
@@ -80,7 +91,7 @@ def compare(
     """
     if not models:
         raise ValueError('no models given; expected {"name": model, ...}')
-    with rc_context(LOOK):
+    with _styled():
         if isinstance(data, FrequencyResponse):
             systems = {name: state_space(model) for name, model in models.items()}
             return _pair(data, systems, pair or _clearest(data), ax)

@@ -1,5 +1,9 @@
 """Figures of values: what is drawn is what the value holds, on the axes given or on new ones."""
 
+import os
+import subprocess
+import sys
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -90,3 +94,18 @@ def test_a_design_draws_sticks_and_outputs_with_their_limits():
     assert "designed" in labels
     edges = [line.get_ydata()[0] for line in axes[1].lines if len(line.get_ydata()) == 2]
     np.testing.assert_allclose(edges, [-2 * 2 * signal.max(), 2 * 2 * signal.max()])
+
+
+def test_what_a_backend_sets_when_it_is_loaded_outlasts_the_first_figure(tmp_path):
+    # That of notebooks makes pyplot interactive; otherwise later figures are not shown.
+    (tmp_path / "like_notebooks.py").write_text(
+        "import matplotlib\n"
+        "from matplotlib.backends.backend_agg import FigureCanvas\n"
+        "matplotlib.interactive(True)\n",
+        encoding="utf-8",
+    )
+    program = "import matplotlib, truths.shown; truths.shown.record().plot(); "
+    program += "assert matplotlib.is_interactive()"
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    own = os.environ | {"MPLBACKEND": "module://like_notebooks", "PYTHONPATH": path}
+    subprocess.run([sys.executable, "-c", program], check=True, env=own, timeout=100)
