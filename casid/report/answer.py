@@ -5,7 +5,7 @@ from itertools import combinations
 
 from casid.display import counted, listed
 from casid.fit import AnyFit
-from casid.report.content import Content
+from casid.report.content import BLACK_BOX, Content
 from casid.report.evidence import apart
 from casid.report.verdicts import GOOD, Verdict
 from casid.validation import Validation
@@ -54,7 +54,7 @@ def told(judged: Sequence[Verdict], validation: Validation, *, enough: bool | No
         order = sorted(lacking, key=lacking.__getitem__, reverse=True)
         times = listed([f"{name} {lacking[name]:.1f} times" for name in order], NAMED)
         said.append(f"{FAULTS[enough]}the black box of the same records predicts {times} better.")
-    elif worst:
+    elif worst and BLACK_BOX in validation.models:
         said.append("The black box of the same records is not twice as good on any.")
     return " ".join(said)
 
@@ -76,7 +76,8 @@ def not_believed(content: Content, fit: AnyFit) -> str:
     """Which parameters not to believe, in a sentence."""
     reasons = doubted(content, fit)
     if not reasons:
-        return "No parameter is on a bound or of unknown sign, and no other estimate disagrees."
+        agreed = ", and no other estimate disagrees" if len(content.fits) > 1 else ""
+        return f"No parameter is on a bound or of unknown sign{agreed}."
     parts = []
     for kind, words in WORDS.items():
         if names := [name for name, reason in reasons.items() if reason == kind]:

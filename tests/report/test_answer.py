@@ -16,7 +16,8 @@ def verdict(output, theil, advantage=1.0, rms=1.0):
                    residual=0.1, records=(theil,), advantage=advantage)  # fmt: skip
 
 
-SIMULATED = SimpleNamespace(predicted="")
+SIMULATED = SimpleNamespace(predicted="", models=("black box", "output error"))
+ALONE = SimpleNamespace(predicted="", models=("output error",))
 
 
 def test_the_worst_output_stands_first_and_what_is_not_judged_last():
@@ -38,6 +39,7 @@ def test_a_black_box_that_does_no_better_does_not_blame_the_structure():
     said = told([verdict("r", 0.4, 1.5)], SIMULATED)
     assert "structure" not in said
     assert "not twice as good on any" in said
+    assert "black box" not in told([verdict("r", 0.4)], ALONE)
     assert told([], SIMULATED) == ""
 
 
@@ -69,4 +71,6 @@ def test_every_parameter_in_doubt_is_named_once_with_its_gravest_reason(content)
     sure = [dataclasses.replace(row, std_error=1e-9 * abs(row.value)) for row in fit.parameters]
     alone = dataclasses.replace(content, models={})
     certain = dataclasses.replace(fit, parameters=tuple(sure))
-    assert not_believed(alone, certain).startswith("No parameter")
+    assert not_believed(alone, certain) == "No parameter is on a bound or of unknown sign."
+    agreeing = dataclasses.replace(content, models={"one": certain, "other": certain})
+    assert "no other estimate disagrees" in not_believed(agreeing, certain)
