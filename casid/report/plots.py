@@ -48,7 +48,7 @@ def _styled() -> Iterator[None]:
     """The package's style, without loss of what the backend sets when it is loaded."""
     # The first figure of a notebook loads its backend; within rc_context the end of that would
     # undo what it sets, `interactive` above all, and no later figure would be shown.
-    plt.draw_if_interactive()
+    plt.draw_if_interactive()  # type: ignore[no-untyped-call]
     with rc_context(LOOK):
         yield
 
