@@ -30,8 +30,11 @@ ROWS = 20_000  # samples that it is fitted to
 ROUNDS = 2  # of fitting and filling
 PASSES = 8  # at most, in which outliers are looked for
 FEWEST = 50  # samples of a channel in which outliers are looked for
+PULSE = 0.2  # of an input's range
 SPAN = 9  # times the lags: samples whose covariance is looked at together
 FAR = 6.0  # deviations of a normal distribution that make an outlier
+GROSS = 10.0  # of one that no fit may see, as it would follow what all channels do at once
+BRIEF, FEW = 0.08, 4  # s and samples that such a jump lasts at most
 SLIGHT = 0.05  # of a channel's deviation: what is less does no harm
 MAD = 1.482602218505602  # standard deviation of a normal distribution over its median deviation
 
@@ -171,7 +174,7 @@ def _far(record: Record) -> BoolArray:
     if not len(there) or record.N < FEWEST:
         return found
     part, own = _regular(record.select(outputs=[record.outputs[i] for i in there]))
-    marks = np.zeros(part.y.shape, dtype=bool)
+    marks = _jumps(part)
     for _ in range(PASSES):
         whole, lost = filled(part.mask(marks))
         off, limit, p = _judged(whole, lost)
@@ -184,6 +187,35 @@ def _far(record: Record) -> BoolArray:
         marks |= far
     found[:, there] = marks[own]
     return found
+
+
+def _jumps(record: Record) -> BoolArray:
+    """Samples of several channels at once off what was around them and is expected there, (N, ny).
+
+    Channels that jump together bear each other out, and least squares follow: so these are looked
+    for in each channel alone, by its running median, and called if a fit without them says so too.
+    """
+    width = 2 * int(np.clip(round(BRIEF / record.dt), 1, FEW)) + 1
+    marks = np.column_stack([_brief(x, width) for x in record.y.T])
+    # A pulse of an input moves them all, and without its rows nobody would know.
+    off = np.abs(record.u - scipy.ndimage.median_filter(record.u, (width, 1), mode="nearest"))
+    pulses = np.any(off > PULSE * np.ptp(record.u, axis=0), axis=1)
+    marks &= ~scipy.ndimage.maximum_filter1d(pulses, 2 * width + 1)[:, None]
+    marks &= marks.sum(axis=1, keepdims=True) > 1
+    if marks.any():
+        whole, lost = filled(record.mask(marks))
+        limit = np.where(lost, np.nan, _judged(whole, lost)[1])
+        marks &= np.abs(record.y - whole.y) > GROSS / FAR * np.nanmedian(limit, axis=0)
+    return np.asarray(marks & (marks.sum(axis=1, keepdims=True) > 1))
+
+
+def _brief(x: Array, width: int) -> BoolArray:
+    """Samples (N,) far from the median of the ``width`` samples around, lost ones left out."""
+    marks, at = np.zeros(len(x), dtype=bool), np.flatnonzero(np.isfinite(x))
+    steady = scipy.ndimage.median_filter(x[at], width, mode="nearest")
+    off = np.abs(x[at] - steady)
+    marks[at] = off > np.maximum(GROSS * MAD * np.median(off), SLIGHT * np.std(steady))
+    return marks
 
 
 def _regular(record: Record) -> tuple[Record, NDArray[np.intp]]:

@@ -170,3 +170,27 @@ def test_an_output_is_judged_by_all_others_as_a_general_gaussian_is():
     np.testing.assert_allclose(
         std.ravel()[known][inner], 1 / np.sqrt(np.diag(inverse))[inner], rtol=1e-3
     )
+
+
+@pytest.mark.parametrize("size", [20, 200, 1e5])
+@pytest.mark.parametrize("length", [1, 3])
+def test_rows_where_all_channels_jump_together_are_found_however_far(size, length):
+    rng = np.random.default_rng(5)
+    record = closed_roll.flown(t=0.02 * np.arange(900), seed=11).with_noise(NOISE, rng)
+    rows = (np.array([[210], [330], [421], [555], [700]]) + np.arange(length)).ravel()
+    there = np.zeros(record.y.shape, dtype=bool)
+    there[rows] = True
+    jumps = size * np.array([NOISE[name] for name in record.outputs])
+    np.testing.assert_array_equal(outliers(replace(record, y=record.y + there * jumps)), there)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_quick_honest_motion_is_not_taken_for_a_jump(noise):
+    # Pulses of two samples, which the outputs follow at once.
+    k = np.arange(900)
+    u = np.where((k % 150 > 100) & (k % 150 < 103), 1.0, 0.0)[:, None]
+    y = np.zeros((900, 2))
+    for i in range(1, 900):
+        y[i] = [0.5 * y[i - 1, 0] + u[i, 0], 0.9 * y[i - 1, 1] + 0.3 * y[i - 1, 0]]
+    y += noise * 0.003 * np.random.default_rng(6).standard_normal(y.shape)
+    assert not outliers(Record(0.02 * k, u, y, ("lat",), ("p", "phi"), "pulses")).any()

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.autoregression import outliers
 from casid.channels import UNITS
 from casid.consistency.flightpath import noise
@@ -129,7 +129,10 @@ def inspect_records(
     """
     records = several(records)
     inputs, outputs = same_channels(records)
-    facts = tuple(_facts(record) for record in records)
+    marks = [outliers(record) for record in records]
+    facts = tuple(_facts(*each) for each in zip(records, marks, strict=True))
+    # What no instrument measured says nothing about units, kinematics and excitation.
+    records = tuple(record.mask(where) for record, where in zip(records, marks, strict=True))
     correlation = _correlation(records)
     kinematics = kinematic_check(records)
     found = None
@@ -155,11 +158,10 @@ def inspect_records(
     )
 
 
-def _facts(record: Record) -> RecordFacts:
+def _facts(record: Record, marks: BoolArray) -> RecordFacts:
     steps = np.diff(record.t)
     wide = np.flatnonzero(steps > GAP * record.dt)
     quiet = record.t[min(record.quiet_samples(), record.N - 1)] - record.t[0]
-    marks = outliers(record).T
     held = repeated(record)
     slow = {
         name: source_interval(record, held, i) if held[:, i].any() else 0.0
@@ -167,7 +169,7 @@ def _facts(record: Record) -> RecordFacts:
     }
     far = {
         name: tuple(record.t[mark].tolist())
-        for name, mark in zip(record.outputs, marks, strict=True)
+        for name, mark in zip(record.outputs, marks.T, strict=True)
     }
     return RecordFacts(
         name=record.name,
@@ -187,12 +189,14 @@ def _facts(record: Record) -> RecordFacts:
 def _channel(record: Record, name: str, far: tuple[float, ...], source: float) -> ChannelFacts:
     raw = record.channel(name) + record.trim.get(name, 0.0)
     known = ~np.isnan(raw)
+    missing = float(1 - known.mean())
+    known &= ~np.isin(record.t, far)
     t, values = record.t[known], raw[known]
     if len(values) < 4:  # nothing can be said
         numbers = ("lowest", "highest", "deviation", "noise")
         empty: dict[str, Any] = dict.fromkeys(numbers, np.nan) | {"band": np.full(3, np.nan)}
-        share, unit = float(1 - known.mean()), UNITS.get(name, "")
-        known_: Any = {"missing": share, "outliers": (), "clipped": 0, "source": 0.0}
+        unit = UNITS.get(name, "")
+        known_: Any = {"missing": missing, "outliers": (), "clipped": 0, "source": 0.0}
         return ChannelFacts(name=name, unit=unit, **known_, **empty)
     even = np.interp(np.linspace(t[0], t[-1], record.N), t, values)
     return ChannelFacts(
@@ -202,7 +206,7 @@ def _channel(record: Record, name: str, far: tuple[float, ...], source: float) -
         highest=float(values.max()),
         deviation=float(values.std()),
         noise=_noise(values),
-        missing=float(1 - known.mean()),
+        missing=missing,
         outliers=far,
         source=source,
         clipped=_clipped(values, stick=name in record.inputs),
@@ -309,12 +313,12 @@ def _excitation_advice(facts: Sequence[RecordFacts], inputs: Sequence[str]) -> l
             said.append(f"{name} never moves: {why}")
         elif name in inputs:
             interval = max(each.interval for each in facts)
-            worst = max((each for each in seen if each.deviation > 0), key=_noise_share)
-            if (share := _noise_share(worst)) > NOISY:
+            if (share := _noise_share(facts, i)) > NOISY:
                 said.append(
-                    f"{name} is measured with noise of {worst.noise:.2g}, {share:.0%} of what it "
-                    "moves: estimators take inputs for known, so gains come out small by some "
-                    f"{share**2:.1%} and standard errors too small; filter all channels alike "
+                    f"{name} has noise of {share:.0%} of what it moves in all records: if that is "
+                    "its instrument's, and not what a controller makes of noisy sensors, gains "
+                    f"come out small by up to {share**2:.1%} and standard errors too small, as "
+                    "estimators take inputs for known; filter all channels alike "
                     "(Record.resample), or record what the actuator was told"
                 )
             if best.band[2] * interval * PER_PERIOD > 2 * np.pi:
@@ -330,9 +334,13 @@ def _excitation_advice(facts: Sequence[RecordFacts], inputs: Sequence[str]) -> l
     return said
 
 
-def _noise_share(channel: ChannelFacts) -> float:
-    """Noise of a channel in its deviation."""
-    return float(np.nan_to_num(channel.noise / max(channel.deviation, 1e-300)))
+def _noise_share(facts: Sequence[RecordFacts], channel: int) -> float:
+    """Noise of a channel in its deviation, of all records' power: where it rests it biases none."""
+    power = np.zeros(2)
+    for each in facts:
+        seen = each.channels[channel]
+        power += each.samples * np.nan_to_num([seen.noise**2, seen.deviation**2])
+    return min(float(np.sqrt(power[0] / max(power[1], 1e-300))), 1.0)
 
 
 def _correlation_advice(correlation: Array, inputs: Sequence[str]) -> list[str]:

@@ -144,7 +144,27 @@ def test_noise_of_a_measured_input_is_told():
     )
     clean = Record(t, steps[:, None], y, ("lat",), ("p",), "steps")
     noisy = replace(clean, u=clean.u + 0.01 * np.random.default_rng(2).standard_normal((1500, 1)))
-    assert not any("measured with noise" in line for line in inspect_records(clean).advice)
-    (said,) = (line for line in inspect_records(noisy).advice if "measured with noise" in line)
+    assert not any("noise of" in line for line in inspect_records(clean).advice)
+    (said,) = (line for line in inspect_records(noisy).advice if "lat has noise of" in line)
     share = float(said.split("% of what it moves")[0].split()[-1])
     assert share == pytest.approx(10, abs=2)  # its steps look a little like noise
+
+
+def test_noise_of_an_input_that_rests_in_one_record_is_seen_beside_what_it_moves_in_others():
+    noise = 0.001 * np.random.default_rng(3).standard_normal((1500, 2))
+    moved = swept()
+    moved = replace(moved, u=moved.u + noise)
+    resting = replace(moved, u=moved.u * [1.0, 0.0] + noise, name="ped rests")
+    said = inspect_records([moved, resting]).advice
+    assert not any("noise of" in line for line in said)
+
+
+def test_nothing_is_blamed_for_rows_that_no_instrument_measured():
+    record = swept()
+    y = record.y.copy()
+    y[[300, 700]] = -999.0
+    found = inspect_records([replace(record, y=y)])
+    assert len(found.advice) == 2
+    assert all("has 2 outliers" in line for line in found.advice)
+    assert facts(found, "p").outliers == (record.t[300], record.t[700])
+    assert facts(found, "p").deviation == pytest.approx(record.y[:, 0].std(), rel=0.01)
