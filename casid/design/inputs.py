@@ -37,6 +37,7 @@ FEWEST = 50  # samples a stick
 MOST = 100_000  # samples of a manoeuvre
 COARSE = 800  # samples on which inputs are optimised
 EDGE = 3.0  # samples that a switching takes; cubic, it is 1.5 times as fast as a line
+UNITS = np.array([0.35, 0.5, 0.7, 1.0, 1.4])  # of a 3-2-1-1, over the usual one
 FINEST = 6.0  # samples of them in a period of the band's upper edge, at least
 
 
@@ -75,6 +76,12 @@ class _Problem:
         for each in possible(free, self.known, self.spread, 2 * settings.draws, settings.seed):
             with suppress(UnheldError):
                 made.append(Loop(each, self.feedback, self.R, h=h, N=N))
+        if settings.draws and not made:
+            raise ValueError(
+                f"none of {2 * settings.draws} plausible aircraft, which are {self.spread:.0%} off "
+                "the model, is held by the feedback given: give one that holds them, a smaller "
+                "spread if the model is known better, or draws = 0, without a margin"
+            )
         return made
 
     def goals(self, reference: Sequence[Array]) -> tuple[Goal, ...]:
@@ -151,9 +158,9 @@ def design_inputs(
     if drawn:
         rough = replace(rough, others=Crowd(drawn[::2]), judges=Crowd(drawn[1::2] or drawn))
     flown = _baselines(problem, rough)
-    errors = [
-        np.sqrt(np.diag(covariance(F + problem.known))) for F in rough.information(flown["3-2-1-1"])
-    ]
+    once = _as_large(rough, _turns(problem, rough, often=False))
+    # What slow parameters cost counts: the scale is one 3-2-1-1 an axis, with long rests.
+    errors = [np.sqrt(np.diag(covariance(F + problem.known))) for F in rough.information(once)]
     task = replace(rough, goals=problem.goals(errors))
     if settings.method != "multisine":
         flown["steps"] = _steps(problem, task)
@@ -162,8 +169,8 @@ def design_inputs(
     chosen = min(list(flown)[2:], key=lambda name: task.value(flown[name]))
     made = _predicted(problem, task, flown, chosen)
     blind = [f"{name}: no effect on the linearisation at the trim" for name in unfelt]
-    unheld = 2 * settings.draws - len(drawn) if drawn else 0
-    return replace(made, unheld=unheld, blind=(*made.blind, *blind))
+    count = 2 * settings.draws if drawn else 0
+    return replace(made, plausible=count, unheld=count - len(drawn), blind=(*made.blind, *blind))
 
 
 def _problem(
@@ -255,20 +262,33 @@ def _rise(task: Task) -> Array:
 
 
 def _baselines(problem: _Problem, task: Task) -> dict[str, Array]:
-    """What is flown without a design, as large as the limits let it be axis by axis."""
+    """What is flown without a design, as large as the limits let it be axis by axis.
+
+    Of 3-2-1-1 of several units, unless one is given, it is what tells most in the geometric mean.
+    """
     t, rest, (low, high) = _instants(task), problem.settings.rest, problem.band
     turn = (problem.duration - rest) / len(task.sticks)
-    unit = problem.settings.unit or 1.5 / np.sqrt(low * high)
-    made = {
-        "3-2-1-1": signals.turns_of_3211(t, task.sticks, rest, unit, _rise(task)),
-        "sweeps": signals.turns_of_sweeps(t, task.sticks, rest, (max(low, 4 * np.pi / turn), high)),
-    }
-    for r in made.values():
-        for j in range(r.shape[1]):  # each axis as large as it may be
-            alone = np.zeros_like(r)
-            alone[:, j] = r[:, j]
-            r[:, j] = task.within(alone)[:, j]
-    return {name: task.within(r) for name, r in made.items()}
+    units = UNITS if problem.settings.unit is None else (1.0,)
+    several = [_as_large(task, _turns(problem, task, share)) for share in units]
+    told = [covariance(task.information(r)[0] + problem.known) for r in several]
+    best = int(np.argmin([np.log(np.diag(C)).mean() for C in told]))
+    sweeps = signals.turns_of_sweeps(t, task.sticks, rest, (max(low, 4 * np.pi / turn), high))
+    return {"3-2-1-1": several[best], "sweeps": _as_large(task, sweeps)}
+
+
+def _turns(problem: _Problem, task: Task, share: float = 1.0, *, often: bool = True) -> Array:
+    """3-2-1-1 of a share of the unit asked for or usual, as large as the sticks may be, (N, nu)."""
+    settings, (low, high) = problem.settings, problem.band
+    unit = share * (settings.unit or 1.5 / np.sqrt(low * high))
+    return signals.turns_of_3211(
+        _instants(task), task.sticks, settings.rest, unit, _rise(task), often=often
+    )
+
+
+def _as_large(task: Task, r: Array) -> Array:
+    """An input (N, nu), each axis alone as large as it may be, then all together."""
+    alone = [task.within(r * only)[:, j] for j, only in enumerate(np.eye(r.shape[1]))]
+    return task.within(np.stack(alone, axis=1))
 
 
 def _steps(problem: _Problem, task: Task) -> Array:
@@ -317,6 +337,7 @@ def _predicted(problem: _Problem, rough: Task, flown: Mapping[str, Array], chose
     spread = {name: covariance(fine.information(r)[0] + problem.known) for name, r in exact.items()}
     r = exact[chosen]
     usual = fine.information(exact["3-2-1-1"])[0]
+    rest = problem.settings.rest
     longer = as_long(usual, problem.known, np.sqrt(np.diag(spread[chosen])))
     seen = fine.loops[0].fly(r)
     model = problem.frees[0].model
@@ -331,7 +352,7 @@ def _predicted(problem: _Problem, rough: Task, flown: Mapping[str, Array], chose
             Alternative(name=name, std_errors=np.sqrt(np.diag(C))) for name, C in spread.items()
         ),
         used=_named(model, share), used_at_worst=_named(model, at_most),
-        instead=longer * problem.duration,
+        instead=rest + longer * (problem.duration - rest),
     )  # fmt: skip
     judged = identifiability(model, made.record(), fixed=problem.settings.fixed, spread=0.0)
     return replace(made, blind=tuple(str(judged).splitlines()[1:]))

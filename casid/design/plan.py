@@ -70,7 +70,7 @@ class DesignSettings:
         of which the better is taken.
     criterion : {"A", "D", "E"}
         What is to be small: the mean square, the geometric mean (of the determinant) or the largest
-        of the standard errors over those of a 3-2-1-1.
+        of the standard errors over those of a single 3-2-1-1 an axis.
     matter : tuple of str
         Parameters that count; all free ones unless given.
     fixed : tuple of str
@@ -84,7 +84,7 @@ class DesignSettings:
         Time between the changes of a multi-step sequence, on average [s]. A quarter period of the
         band's upper edge unless given.
     unit : float or None
-        Of the 3-2-1-1 to compare with [s].
+        Of the 3-2-1-1 to compare with [s]; of several the best unless given.
     rest : float
         Of trim before anything moves [s].
     iterations : int
@@ -184,14 +184,17 @@ class Design(Shown):
     before : (nf,) array
         Standard errors before the flight; infinite if nothing was known.
     alternatives : tuple of Alternative
-        What else could be flown in that time, the first a 3-2-1-1 on one axis after the other.
+        What else could be flown in that time, the first 3-2-1-1 on one axis after the other, as
+        many as there is time for.
     used, used_at_worst : mapping
         Share of each limit that is used, by ``"lat"``, ``"lat rate"``, ``"phi"``: if the model is
         right, and by those of an ensemble or drawn from the prior that use most of it.
     instead : float
-        Time [s] of 3-2-1-1 after which standard errors would be as small in the geometric mean.
-    unheld : int
-        Models drawn from the prior that the feedback does not hold, which keep no limits.
+        Time [s] of 3-2-1-1, one after the other, after which standard errors would be as small in
+        the geometric mean.
+    plausible, unheld : int
+        Models drawn from the prior, and those of them that the feedback does not hold, which keep
+        no limits.
     blind : tuple of str
         What the inputs cannot tell apart, in words.
     """
@@ -210,6 +213,7 @@ class Design(Shown):
     used: Mapping[str, float]
     used_at_worst: Mapping[str, float]
     instead: float = np.nan
+    plausible: int = 0
     unheld: int = 0
     blind: tuple[str, ...] = ()
 
@@ -224,6 +228,16 @@ class Design(Shown):
             f"{self.kind} on {listed(self.inputs)}, {self.t[-1]:.4g} s: standard errors "
             f"{mean:.2g} times those of 3-2-1-1 (geometric mean), {ratio.max():.2g} at worst; "
             f"{in_minutes(self.t[-1])} of flight instead of {in_minutes(self.instead)}"
+            f"{'; ' * bool(self.unheld)}{self.warning()}"
+        )
+
+    def warning(self) -> str:
+        """For how many plausible aircraft limits do not hold; nothing if for all."""
+        if not self.unheld:
+            return ""
+        return (
+            f"{self.unheld} of {self.plausible} plausible aircraft are not held by the feedback "
+            "given: limits do not hold for them"
         )
 
     @property
@@ -275,7 +289,8 @@ class Design(Shown):
             [name, f"{100 * self.used[name]:.0f} %", f"{100 * share:.0f} %"]
             for name, share in self.used_at_worst.items()
         ]
-        return markdown_table(("limit", "used", "at worst"), rows)
+        table = markdown_table(("limit", "used", "at worst"), rows)
+        return f"{table}\n\n{self.warning()}" if self.unheld else table
 
     def to_csv(self) -> str:
         """The card: time and designed stick deviations, one row a sample."""

@@ -25,13 +25,23 @@ def multistep(t: Array, start: float, unit: float, rise: float) -> Array:
     return np.asarray(ramps @ jumps)
 
 
-def turns_of_3211(t: Array, amplitudes: Array, rest: float, unit: float, rise: Array) -> Array:
-    """3-2-1-1 on one axis after the other, (N, nu)."""
-    r = np.zeros((len(t), len(amplitudes)))
-    for j, part in enumerate(turns(len(t), r.shape[1], int(np.searchsorted(t, rest)))):
+def turns_of_3211(
+    t: Array, amplitudes: Array, rest: float, unit: float, rise: Array, *, often: bool = True
+) -> Array:
+    """3-2-1-1 on one axis after the other, (N, nu), as often as there is time for, or once each.
+
+    Each has a unit of rest behind it; from round to round the sign changes. The unit is shorter
+    where not every axis would have its turn.
+    """
+    nu = len(amplitudes)
+    r, room = np.zeros((len(t), nu)), float(t[-1]) - rest
+    fit = int(room / ((len(UNITS) + 1) * unit + float(rise.max())))
+    parts = turns(len(t), max(nu, fit) if often else nu, int(np.searchsorted(t, rest)))
+    for k, part in enumerate(parts):
+        j, sign = k % nu, (-1.0) ** (k // nu)
         width = min(unit, 0.9 * float(t[part][-1] - t[part][0]) / len(UNITS))
         one = multistep(t[part], float(t[part][0]), width, float(rise[j]))
-        r[part, j] = amplitudes[j] * one
+        r[part, j] = sign * amplitudes[j] * one
     return r
 
 

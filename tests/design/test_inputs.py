@@ -17,6 +17,7 @@ from casid import (
     parameter,
 )
 from casid.design.inputs import _problem
+from casid.design.loop import Loop, UnheldError
 from casid.excitations import excitation
 from models.short_period import ShortPeriod
 
@@ -45,6 +46,22 @@ def test_a_design_beats_what_is_usually_flown_within_the_same_limits(design):
     rates = np.abs(np.diff(design.r[:, 0])) / np.diff(design.t)
     assert rates.max() <= 1.0 + 1e-6
     assert np.abs(design.y[:, -1]).max() <= 0.05 + 1e-9
+
+
+def test_3211_that_fly_as_long_as_it_says_tell_as_much():
+    usual = {"unit": 1.0, "band": (0.5, 8.0), "draws": 0, "method": "steps"}
+    made = designed(duration=40.0, **usual)
+    longer = designed(duration=made.instead, **usual).alternatives[0].std_errors
+    # one of six more or less is 8 % in standard errors
+    assert np.exp(np.log(longer / made.std_errors).mean()) == pytest.approx(1.0, abs=0.08)
+
+
+def test_3211_of_the_best_unit_are_no_worse_than_those_of_any_other():
+    def errors(**unit):
+        made = designed(duration=30.0, draws=0, method="steps", **unit)
+        return np.log(made.alternatives[0].std_errors).mean()
+
+    assert errors() <= min(errors(unit=unit) for unit in (0.3, 0.6, 1.2, 2.4)) + 0.1
 
 
 def test_limits_hold_in_the_simulation_of_the_model(design):
@@ -91,6 +108,32 @@ def test_an_unstable_aircraft_needs_its_feedback_which_is_told_by_name():
     made = design_inputs(unstable, limits, 10.0, noise=NOISE, feedback=held, settings=quick)
     assert np.abs(made.u).max() <= 0.1 + 1e-9
     assert not np.allclose(made.u, made.r)
+
+
+def test_aircraft_that_the_feedback_does_not_hold_are_counted_and_said():
+    unstable, limits = replace(MODEL, Mw=0.08), Limits(sticks={STICK: 0.1})
+    quick = DesignSettings(**{**QUICK, "draws": 12, "iterations": 4}, method="steps")
+
+    def made(gain, settings=quick):
+        held = {STICK: {"q": gain}}
+        return design_inputs(unstable, limits, 12.0, noise=NOISE, feedback=held, settings=settings)
+
+    weak = made(0.4)
+    assert 0 < weak.unheld < weak.plausible == 24
+    assert f"{weak.unheld} of 24 plausible aircraft are not held" in weak.headline()
+    sure = replace(quick, spread=1e-6)
+    assert "plausible" not in made(0.4, sure).headline()
+
+
+def test_a_feedback_that_holds_no_plausible_aircraft_is_refused(monkeypatch):
+    def loop(free, *rest, **grid):
+        if free.model != MODEL:
+            raise UnheldError
+        return Loop(free, *rest, **grid)
+
+    monkeypatch.setattr("casid.design.inputs.Loop", loop)
+    with pytest.raises(ValueError, match=r"none of 8 plausible aircraft.*20% off.*draws = 0"):
+        designed(Limits(sticks={STICK: 0.1}, responses={"q": 0.1}))
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 """What a design says and writes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,13 @@ def test_it_says_what_it_buys(design):
     assert "| Llat | 0.2 | 0.4 | 0.1 |" in design.to_markdown()
     assert "| lat | 80 % | 100 % |" in design.shares()
     assert design.correlated() == (("Lp", "Llat", pytest.approx(0.95)),)
+
+
+def test_it_says_for_how_many_aircraft_its_limits_do_not_hold(design):
+    assert "held" not in design.headline() + design.shares()
+    some = replace(design, plausible=48, unheld=16)
+    for said in (some.headline(), some.shares(), some.to_px4({"lat": ("y", 1.0)})):
+        assert "16 of 48 plausible aircraft are not held by the feedback given: limits" in said
 
 
 def test_it_is_kept_and_read_back(design):
