@@ -12,7 +12,7 @@ from rich.text import Text
 
 from casid.commands.study import OUTPUT, STUDY, VERBOSE
 from casid.commands.terminal import exits, logged, new_table, terminal
-from casid.design.injection import check_axes, check_channels
+from casid.design.injection import check_axes, check_channels, remove_own
 from casid.design.inputs import design_inputs
 from casid.design.plan import Design, DesignSettings, Limits
 from casid.design.prior import nearest_trim
@@ -29,7 +29,8 @@ from casid.studies.studyfile import read_study
 
 SHOWN = 12  # parameters in the table
 DPI = 120
-WRITTEN = ("card.csv", "card.lua", "inject.py", "design.md", "design.png", "errors.png")
+SCRIPTS = ("card.lua", "inject.py")  # of ArduPilot, of PX4
+WRITTEN = ("card.csv", *SCRIPTS, "design.md", "design.png", "errors.png")
 
 
 def _pairs(_: click.Context, option: click.Parameter, values: Sequence[str]) -> dict[str, float]:
@@ -125,15 +126,17 @@ def design(
         )  # fmt: skip
         _say(console, made, model if isinstance(model, Fit) else None)
         folder = what.output / "design"
+        for script in SCRIPTS:  # of a former card
+            remove_own(folder / script)
         write_text(folder / "card.csv", made.to_csv())
-        if channels:
-            write_text(folder / "card.lua", made.to_ardupilot(channels))
-        if asked["px4"]:
-            write_text(folder / "inject.py", made.to_px4(asked["px4"]))
         write_text(folder / "design.md", _page(made))
         for name, errors in (("design", False), ("errors", True)):
             figure = np.ravel(made.plot(errors=errors))[0].figure
             figure.savefig(folder / f"{name}.png", dpi=DPI, bbox_inches="tight")
+        if channels:
+            write_text(folder / SCRIPTS[0], made.to_ardupilot(channels))
+        if asked["px4"]:
+            write_text(folder / SCRIPTS[1], made.to_px4(asked["px4"]))
         console.print(Text("Card: ").append(str((folder / "card.csv").resolve()), style="bold"))
 
 

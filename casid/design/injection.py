@@ -1,5 +1,6 @@
 """Programs that fly a card on autopilots."""
 
+import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from string import Template
@@ -7,10 +8,14 @@ from string import Template
 import numpy as np
 
 from casid.arrays import Array
+from casid.errors import warn
 
 LUA = Template(Path(__file__).with_name("ardupilot.lua.txt").read_text(encoding="utf-8"))
 PYTHON = Template(Path(__file__).with_name("px4.py.txt").read_text(encoding="utf-8"))
 ZERO = 2048  # of three hexadecimal digits
+FURTHEST = {"µs": 500, "units": 1000}  # from a stick's middle to its end
+COARSE = 5  # whole µs or units below which rounding, half of one, is said: a tenth of the largest
+OWN = "Written by casid"  # in every script
 RC = 16  # channels that ArduPilot has
 AXES = "xyzr"  # of MAVLink's MANUAL_CONTROL: pitch, roll, thrust, yaw
 
@@ -37,32 +42,72 @@ def check_axes(inputs: Iterable[str], axes: Mapping[str, tuple[str, float]]) -> 
 
 
 def ardupilot_script(
-    t: Array, r: Mapping[str, Array], channels: Mapping[str, tuple[int, float]], title: str
+    t: Array,
+    r: Mapping[str, Array],
+    channels: Mapping[str, tuple[int, float]],
+    title: str,
+    card: str,
 ) -> str:
-    """Lua script that adds r (N,) of each input to its RC channel, in µs a unit of the input."""
+    """Lua script that adds r (N,) of each input to its RC channel, in µs a unit of the input.
+
+    The text of the card is named by its digest.
+    """
     dt = float(np.median(np.diff(t)))
     check_channels(r, channels, dt)
     rows = []
     for name, (number, scale) in channels.items():
+        _check_reach(name, r[name], scale, "µs", f"RC channel {number}")
         moved = np.rint(np.asarray(r[name]) * scale).astype(int)
-        if np.abs(moved).max() >= ZERO:
-            raise ValueError(
-                f"{name!r} on RC channel {number} moves by {np.abs(moved).max()} µs; expected a "
-                f"scale in µs per unit of the input that keeps below {ZERO}"
-            )
         rows.append("".join(f"{value + ZERO:03x}" for value in moved))
     return LUA.substitute(
-        title=title, step=_step(dt), seconds=f"{t[-1]:.4g}", names=", ".join(channels),
+        title=title, own=OWN, digest=digest(card), step=_step(dt),
+        seconds=f"{t[-1]:.4g}", names=", ".join(channels),
         channels=", ".join(str(number) for number, _ in channels.values()),
         card=",\n".join(f'    "{row}"' for row in rows),
     )  # fmt: skip
 
 
-def px4_script(r: Mapping[str, Array], axes: Mapping[str, tuple[str, float]], title: str) -> str:
-    """Python program that sends a card as joystick: an axis of MANUAL_CONTROL for each input."""
+def px4_script(
+    r: Mapping[str, Array], axes: Mapping[str, tuple[str, float]], title: str, card: str
+) -> str:
+    """Python program that sends a card as joystick: an axis of MANUAL_CONTROL for each input.
+
+    It takes the card of this text only.
+    """
     check_axes(r, axes)
+    for name, (axis, scale) in axes.items():
+        _check_reach(name, r[name], scale, "units", f"axis {axis}")
     taken = {axis: (name, float(scale)) for name, (axis, scale) in axes.items()}
-    return PYTHON.substitute(title=title, axes=repr(taken).replace("'", '"'))
+    return PYTHON.substitute(
+        title=title, own=OWN, digest=digest(card), axes=repr(taken).replace("'", '"')
+    )
+
+
+def digest(card: str) -> str:
+    """What a card's text is known by: SHA-256, in hexadecimal digits."""
+    return hashlib.sha256(card.encode()).hexdigest()
+
+
+def remove_own(script: Path) -> None:
+    """Remove a script of a former card, and no file of somebody else."""
+    if script.exists() and OWN in script.read_text(encoding="utf-8", errors="replace"):
+        script.unlink()
+
+
+def _check_reach(name: str, r: Array, scale: float, unit: str, place: str) -> None:
+    """Refuse deviations that no stick can have, warn of those that rounding eats."""
+    most, end = float(np.abs(np.asarray(r) * scale).max()), FURTHEST[unit]
+    if most > end + 0.5:
+        raise ValueError(
+            f"{name!r} on {place} moves by {most:.0f} {unit}, a stick by {end} at most: lower its "
+            f"scale, which is in {unit} a unit of the input, {end} for an input of -1 to 1"
+        )
+    if most < COARSE:
+        warn(
+            f"{name!r} on {place} moves by {most:.2g} {unit} at most, which are whole numbers: "
+            f"raise its scale, which is in {unit} a unit of the input, if the card is to be flown "
+            "as it was designed"
+        )
 
 
 def _step(dt: float) -> int:

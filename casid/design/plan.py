@@ -308,9 +308,10 @@ class Design(Shown):
         Raises
         ------
         ValueError
-            Inputs without a channel, samples that are no whole milliseconds apart.
+            Inputs without a channel, samples that are no whole milliseconds apart, scales that move
+            a stick beyond its end, 500 µs.
         """
-        return ardupilot_script(self.t, self._columns(), channels, self.headline())
+        return ardupilot_script(self.t, self._columns(), channels, self.headline(), self.to_csv())
 
     def to_px4(self, axes: Mapping[str, tuple[str, float]]) -> str:
         """Python program that sends the card as a joystick does, by MAVLink's MANUAL_CONTROL.
@@ -324,9 +325,9 @@ class Design(Shown):
         Raises
         ------
         ValueError
-            Inputs without an axis, other axes.
+            Inputs without an axis, other axes, scales that move a stick beyond its end, 1000.
         """
-        return px4_script(self._columns(), axes, self.headline())
+        return px4_script(self._columns(), axes, self.headline(), self.to_csv())
 
     def _columns(self) -> dict[str, Array]:
         return dict(zip(self.inputs, self.r.T, strict=True))

@@ -1,5 +1,7 @@
 """The command `design` on a small study."""
 
+import hashlib
+
 import click.testing
 import numpy as np
 import pytest
@@ -37,7 +39,12 @@ def test_the_studys_table_says_what_is_asked_for_and_options_come_first(tmp_path
     assert (
         "local CHANNELS = {1} -- RC inputs: lat" in (tmp_path / "out/design/card.lua").read_text()
     )
-    assert 'AXES = {"y": ("lat", 1000.0)}' in (tmp_path / "out/design/inject.py").read_text()
+    script = (tmp_path / "out/design/inject.py").read_text()
+    assert 'AXES = {"y": ("lat", 1000.0)}' in script
+    assert hashlib.sha256((tmp_path / "out/design/card.csv").read_bytes()).hexdigest() in script
+    run(study, "--duration", "11", "--px4", "lat=y:900", "-o", tmp_path / "out")
+    assert not (tmp_path / "out/design/card.lua").exists()  # it would fly the card of before
+    assert 'lat", 900.0' in (tmp_path / "out/design/inject.py").read_text()
 
 
 def test_a_key_that_nobody_reads_is_refused_when_the_study_is_read(tmp_path):

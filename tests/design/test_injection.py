@@ -1,5 +1,6 @@
 """The scripts that fly a card, run against stand-ins for the autopilots."""
 
+import hashlib
 import sys
 from types import ModuleType, SimpleNamespace
 
@@ -7,10 +8,12 @@ import lupa.lua54
 import numpy as np
 import pytest
 
-from casid.design.injection import ardupilot_script, px4_script
+from casid.design.injection import ardupilot_script, px4_script, remove_own
+from casid.errors import DataWarning
 
 T = 0.04 * np.arange(6)
 R = {"lat": np.array([0, 0.1, 0.1, -0.2, 0, 0.0]), "ped": np.array([0, 0, 0.5, 0.5, 0, 0.0])}
+CARD = "t,lat\n0.0,0.0\n0.04,0.1\n"
 
 AUTOPILOT = """
 overrides, texts, now, switch, armed, lost = {}, {}, 0, 0, true, nil
@@ -35,7 +38,7 @@ def autopilot():
     lua = lupa.lua54.LuaRuntime()
     lua.execute(AUTOPILOT)
     channels = {"lat": (1, 500.0), "ped": (4, 400.0)}
-    lua.execute(ardupilot_script(T, R, channels, "steps"))
+    lua.execute(ardupilot_script(T, R, channels, "steps", CARD))
     return lua.globals()
 
 
@@ -78,21 +81,25 @@ def test_a_lost_channel_starts_nothing(autopilot):
 class Link:
     """What the script for PX4 uses of a link: its clock, messages and heartbeats."""
 
-    target_system = 1
-
     def __init__(self, changes_at=np.inf):
+        self.others = 0
         self.now, self.sent, self.changes_at, self.mav = 0.0, [], changes_at, self
 
     def manual_control_send(self, target, *sticks):
-        assert target == self.target_system
+        assert target == 1
         self.sent.append((round(self.now, 3), *sticks))
 
-    def wait_heartbeat(self):
-        return self.recv_match(type="HEARTBEAT", blocking=True)
-
     def recv_match(self, *, type, blocking):  # noqa: ARG002 - pymavlink's names
+        self.others = (self.others + 1) % 3  # of three heartbeats one is the autopilot's
         mode = 7 if self.now < self.changes_at else 3
-        return SimpleNamespace(custom_mode=mode, get_srcSystem=lambda: 1)
+        if self.others:  # a gimbal's, whose modes are its own
+            return SimpleNamespace(
+                custom_mode=100 + self.others, get_srcSystem=lambda: 1,
+                get_srcComponent=lambda: 154,
+            )  # fmt: skip
+        return SimpleNamespace(
+            custom_mode=mode, get_srcSystem=lambda: 1, get_srcComponent=lambda: 1
+        )
 
     def wait(self, seconds):
         self.now += seconds
@@ -104,24 +111,24 @@ def program(monkeypatch):
     monkeypatch.setitem(sys.modules, "pymavlink", ModuleType("pymavlink"))
     sys.modules["pymavlink"].mavutil = None
     names = {"__name__": "inject"}
-    exec(compile(px4_script(R, {"lat": ("y", 1000), "ped": ("r", 3000.0)}, "steps"), "i", "exec"),
-         names)  # fmt: skip
+    axes = {"lat": ("y", 1000), "ped": ("r", 1900.0)}
+    exec(compile(px4_script(R, axes, "steps", CARD), "i", "exec"), names)
     return SimpleNamespace(**names)
 
 
 def fly(program, link):
     card = {"t": T.tolist()} | {name: r.tolist() for name, r in R.items()}
-    centre = {"x": 20.0, "y": 0.0, "z": 430.0, "r": 0.0}
+    centre = {"x": 20.0, "y": 0.0, "z": 430.0, "r": 100.0}
     return program.fly(link, card, centre, clock=lambda: link.now, wait=link.wait)
 
 
 def test_px4_gets_the_card_as_a_joystick_within_its_range(program):
     link = Link()
     assert fly(program, link)
-    assert link.sent[0] == (0.0, 20, 0, 430, 0, 0)
-    assert (0.06, 20, 100, 430, 0, 0) in link.sent
-    assert (0.14, 20, -200, 430, 1000, 0) in link.sent  # 1500 is beyond a joystick's end
-    assert link.sent[-1][1:] == (20, 0, 430, 0, 0)
+    assert link.sent[0] == (0.0, 20, 0, 430, 100, 0)
+    assert (0.06, 20, 100, 430, 100, 0) in link.sent
+    assert (0.14, 20, -200, 430, 1000, 0) in link.sent  # 1050 is beyond a joystick's end
+    assert link.sent[-1][1:] == (20, 0, 430, 100, 0)
     assert link.now < T[-1] + 0.05
 
 
@@ -132,21 +139,78 @@ def test_a_change_of_mode_breaks_the_card_off(program):
 
 
 def test_the_card_is_read_back_from_its_file(program, tmp_path):
-    (tmp_path / "card.csv").write_text("t,lat\n0.0,0.0\n0.04,0.1\n")
+    (tmp_path / "card.csv").write_text(CARD)
     assert program.read(tmp_path / "card.csv") == {"t": [0.0, 0.04], "lat": [0.0, 0.1]}
+
+
+def test_another_card_than_the_one_it_was_written_for_is_not_flown(program, tmp_path):
+    (tmp_path / "card.csv").write_text(CARD.replace("0.1", "0.2"))
+    with pytest.raises(SystemExit, match="not the card that this script was written for"):
+        program.read(tmp_path / "card.csv")
+
+
+def test_a_script_says_which_card_it_flies():
+    known = hashlib.sha256(CARD.encode()).hexdigest()
+    assert known in ardupilot_script(T, R, {"lat": (1, 500.0), "ped": (2, 500.0)}, "", CARD)
+
+
+def test_only_scripts_of_casid_are_removed(tmp_path):
+    own, other = tmp_path / "card.lua", tmp_path / "inject.py"
+    own.write_text(ardupilot_script(T, R, {"lat": (1, 500.0), "ped": (2, 500.0)}, "", CARD))
+    other.write_text("print('mine')")
+    for path in (own, other, tmp_path / "none"):
+        remove_own(path)
+    assert not own.exists()
+    assert other.exists()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: ardupilot_script(T, R, {"lat": (1, 20.0), "ped": (2, 500.0)}, "", CARD),
+        lambda: px4_script(R, {"lat": ("y", 20.0), "ped": ("r", 1000.0)}, "", CARD),
+    ],
+    ids=["ardupilot", "px4"],
+)
+def test_a_card_that_rounding_eats_is_said(make):
+    with pytest.warns(DataWarning, match=r"'lat' on .* moves by 4 .* raise its scale"):
+        make()
 
 
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: ardupilot_script(T, R, {"lat": (1, 500.0)}, ""), "'ped' is in one of card"),
-        (lambda: ardupilot_script(T, R, {"lat": (1, 5e4), "ped": (2, 1.0)}, ""), "by 10000 µs"),
-        (lambda: ardupilot_script(T, R, {"lat": (1, 5.0), "ped": (1, 5.0)}, ""), "channel 1 is"),
-        (lambda: ardupilot_script(T, R, {"lat": (17, 5.0), "ped": (1, 5.0)}, ""), "channel 17; "),
-        (lambda: ardupilot_script(T, R, {"lat": (1, np.nan), "ped": (2, 5.0)}, ""), "is nan; "),
-        (lambda: ardupilot_script(T / 3, R, {"lat": (1, 5.0), "ped": (2, 5.0)}, ""), "13.3333 ms"),
-        (lambda: px4_script(R, {"lat": ("x", 0.0), "ped": ("r", 1.0)}, ""), "of 'lat' is 0.0"),
-        (lambda: px4_script(R, {"lat": ("q", 1.0), "ped": ("r", 1.0)}, ""), "'lat' on axis 'q'"),
+        (lambda: ardupilot_script(T, R, {"lat": (1, 500.0)}, "", CARD), "'ped' is in one of card"),
+        (
+            lambda: ardupilot_script(T, R, {"lat": (1, 5e4), "ped": (2, 1.0)}, "", CARD),
+            "by 10000 µs",
+        ),
+        (lambda: ardupilot_script(T, R, {"lat": (1, 99), "ped": (2, 1002)}, "", CARD), "by 501 µs"),
+        (lambda: px4_script(R, {"lat": ("x", 99), "ped": ("r", 2002)}, "", CARD), "by 1001 units"),
+        (
+            lambda: ardupilot_script(T, R, {"lat": (1, 5.0), "ped": (1, 5.0)}, "", CARD),
+            "channel 1 is",
+        ),
+        (
+            lambda: ardupilot_script(T, R, {"lat": (17, 5.0), "ped": (1, 5.0)}, "", CARD),
+            "channel 17; ",
+        ),
+        (
+            lambda: ardupilot_script(T, R, {"lat": (1, np.nan), "ped": (2, 5.0)}, "", CARD),
+            "is nan; ",
+        ),
+        (
+            lambda: ardupilot_script(T / 3, R, {"lat": (1, 5.0), "ped": (2, 5.0)}, "", CARD),
+            "13.3333 ms",
+        ),
+        (
+            lambda: px4_script(R, {"lat": ("x", 0.0), "ped": ("r", 1.0)}, "", CARD),
+            "of 'lat' is 0.0",
+        ),
+        (
+            lambda: px4_script(R, {"lat": ("q", 1.0), "ped": ("r", 1.0)}, "", CARD),
+            "'lat' on axis 'q'",
+        ),
     ],
 )
 def test_what_no_autopilot_could_fly_is_refused(make, words):

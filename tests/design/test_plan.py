@@ -39,7 +39,7 @@ def test_it_says_what_it_buys(design):
 def test_it_says_for_how_many_aircraft_its_limits_do_not_hold(design):
     assert "held" not in design.headline() + design.shares()
     some = replace(design, plausible=48, unheld=16)
-    for said in (some.headline(), some.shares(), some.to_px4({"lat": ("y", 1.0)})):
+    for said in (some.headline(), some.shares(), some.to_px4({"lat": ("y", 500.0)})):
         assert "16 of 48 plausible aircraft are not held by the feedback given: limits" in said
 
 
