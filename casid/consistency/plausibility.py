@@ -15,6 +15,7 @@ FULL_TURN = {"phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi + 0.1}  # rad
 TUMBLING = 6.0  # rad/s, a full turn a second
 RATES = ("p", "q", "r")
 PULSES = (700.0, 2300.0)  # µs, between which the pulses of a servo stay
+ROUNDING = 1e-9  # of a level, by which means of what stands still may differ
 FULL = 2.0  # travels of a stick that no stick has
 
 
@@ -56,8 +57,13 @@ def check_plausible(
     records: Sequence[Record],
     units: Mapping[str, str],
     time: str = "t",
+    *,
+    total: bool = False,
 ) -> None:
     """Refuse records that nothing can be learnt from, and units that must be others.
+
+    ``total`` says that the structure is of total values: an input that stands still in each record,
+    like a throttle, then teaches something if it does so elsewhere in another.
 
     ValueError: a sampling interval of a second or more, or angles and rates too large for radians,
     whose unit nobody stated; a record of a few samples; a channel constant in all of
@@ -76,17 +82,25 @@ def check_plausible(
                 f"record {record.name!r} has {record.N} samples, at least {FEWEST} are wanted; "
                 "is it cut off? Take it out of the study, or decimate less"
             )
-    _check_movement(identification)
+    _check_movement(identification, total=total)
 
 
-def _check_movement(records: Sequence[Record]) -> None:
+def _check_movement(records: Sequence[Record], *, total: bool) -> None:
     for name in still(records, (*records[0].inputs, *records[0].outputs)):
         kind = "input" if name in records[0].inputs else "output"
+        if kind == "input" and total and _differs(records, name):
+            continue
         remedy = "add a record that excites it" if kind == "input" else "look at its sensor"
         raise ValueError(
             f"{kind} {name!r} is constant in {_shown(records)}, so nothing can be learnt from it; "
             f"{remedy}, or take a model without it"
         )
+
+
+def _differs(records: Sequence[Record], name: str) -> bool:
+    """Whether a channel at rest in each record is elsewhere in some, by more than rounding."""
+    levels = [np.nanmean(record.totals()[name]) for record in records]
+    return bool(np.ptp(levels) > ROUNDING * np.max(np.abs(levels)))
 
 
 def _shown(records: Sequence[Record]) -> str:

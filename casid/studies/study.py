@@ -20,6 +20,7 @@ from casid.exchange.formats import read_record
 from casid.files import Column, read_csv
 from casid.folder import spare
 from casid.model import Model
+from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
 from casid.stages.stage import ROLES, Role, Stage, Task
 from casid.studies.preparation import Cutting, Mending, Second, with_inputs
@@ -152,7 +153,9 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
         done[role] = tuple(record.detrend(how) for record in raw[role])
     every = {record.name: record for records in done.values() for record in records}
     channels = study.channels
-    check_plausible(done["identification"], tuple(every.values()), channels.units, channels.time)
+    total = isinstance(study.model, NonlinearModel)
+    stated = channels.units, channels.time
+    check_plausible(done["identification"], tuple(every.values()), *stated, total=total)
     for record in measured.values():
         for stretch in frozen(record):
             warn(f"record {record.name!r}: {stretch.told()}")

@@ -53,3 +53,18 @@ def test_records_that_teach_nothing_are_refused():
     dead = replace(good, y=good.y * [1.0, 0.0])
     with pytest.raises(ValueError, match=r"output 'phi' is constant .*look at its sensor"):
         check_plausible([dead], [good], {})
+
+
+def test_an_input_at_rest_teaches_a_structure_of_total_values_if_it_rests_elsewhere_in_another():
+    good = flight()
+    slow, fast = (
+        replace(good, u=np.full_like(good.u, level), name=name).detrend("first")
+        for level, name in ((0.3, "slow"), (0.5, "fast"))
+    )
+    check_plausible([slow, fast], [slow, fast], {}, total=True)
+    for records, total in (([slow, fast], False), ([slow, replace(slow, name="again")], True)):
+        with pytest.raises(ValueError, match="input 'lat' is constant"):
+            check_plausible(records, records, {}, total=total)
+    dead = [replace(each, y=good.y * [1.0, 0.0]) for each in (slow, fast)]
+    with pytest.raises(ValueError, match="output 'phi' is constant"):
+        check_plausible(dead, dead, {}, total=True)
