@@ -10,7 +10,7 @@ such, in total values.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,7 +49,8 @@ class Validation(Shown):
     fit : mapping to (records, ny) array
         100 (1 - ‖y - ŷ‖ / ‖y - mean y‖) [%].
     theil : mapping to (records, ny) array
-        Theil's inequality coefficient rms(y - ŷ) / (rms y + rms ŷ): 0 is perfect, 1 useless.
+        Theil's inequality coefficient rms(y - ŷ) / (rms y + rms ŷ): 0 is perfect, 1 useless. Both
+        are deviations, see `datum`: beside an airspeed of 30 m/s every error would look small.
     whiteness : mapping to (records, ny) array
         Share of the residual's autocorrelations at lags of 1 to 40 samples inside the 99 % band of
         a white sequence: about 0.99 when white, near 0 when the model has missed dynamics. Missing
@@ -164,7 +165,7 @@ def validate(
         rms=rms,
         normalised={name: values / worst for name, values in rms.items()},
         fit={name: _each(fit_percent, records, ys) for name, ys in simulated.items()},
-        theil={name: _each(theil_coefficient, records, ys) for name, ys in simulated.items()},
+        theil={name: _theils(records, ys) for name, ys in simulated.items()},
         whiteness={name: _each(_whiteness, records, ys) for name, ys in simulated.items()},
         measured=records,
         simulated=simulated,
@@ -237,6 +238,21 @@ def _each(
             if there.any():
                 table[i, j] = measure(record.y[there, j], y_model[there, j])
     return table
+
+
+def datum(record: Record) -> Array:
+    """What deviations of each output count from, (ny,): its mean, or zero once its trim is out."""
+    known = np.isfinite(record.y)
+    count = np.maximum(known.sum(axis=0), 1)
+    mean = np.where(known, record.y, 0.0).sum(axis=0) / count
+    return np.where([name in record.trim for name in record.outputs], 0.0, mean)
+
+
+def _theils(records: Sequence[Record], simulated: Sequence[Array]) -> Array:
+    """Theil's coefficient of every record's deviations and output, (records, ny)."""
+    measured = [replace(record, y=record.y - datum(record)) for record in records]
+    found = [y - datum(record) for record, y in zip(records, simulated, strict=True)]
+    return _each(theil_coefficient, measured, found)
 
 
 def rms_error(y: Array, y_model: Array) -> float:

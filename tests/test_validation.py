@@ -98,8 +98,10 @@ def test_measures_are_their_formulas():
     power = ((y - y.mean(axis=0)) ** 2).sum(axis=0)
     expected = 100 * (1 - np.sqrt(((y - s) ** 2).sum(axis=0) / power))
     np.testing.assert_allclose(only(result, "fit"), expected)
-    size = np.sqrt((y**2).mean(axis=0)) + np.sqrt((s**2).mean(axis=0))
-    np.testing.assert_allclose(only(result, "theil"), only(result, "rms") / size)
+    for trim, datum in (({}, y.mean(axis=0)), ({"p": 5.0, "phi": 0.1}, 0.0)):
+        result = validate({"m": replace(TRUTH, A=1.05 * A)}, [replace(record, trim=trim)])
+        size = (np.sqrt(((each - datum) ** 2).mean(axis=0)) for each in (y, s))
+        np.testing.assert_allclose(only(result, "theil"), only(result, "rms") / sum(size))
 
 
 def test_rms_is_divided_by_the_worst_model():

@@ -9,7 +9,7 @@ from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Caution, Content
 from casid.report.evidence import WORSE, noise_levels
-from casid.validation import Validation, fit_percent, rms_error, theil_coefficient
+from casid.validation import Validation, datum, fit_percent, rms_error, theil_coefficient
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
 # or 0.3 speaks for a good model. Below 0.1 residuals are a tenth of what is simulated.
@@ -97,8 +97,9 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
 
 def _measures(validation: Validation, model: str, i: int) -> tuple[float, float, float]:
     """RMS error, fit and Theil's coefficient of one output, all records together."""
-    y = np.concatenate([record.y[:, i] for record in validation.measured])
-    y_model = np.concatenate([each[:, i] for each in validation.simulated[model]])
+    both = list(zip(validation.measured, validation.simulated[model], strict=True))
+    y = np.concatenate([(record.y - datum(record))[:, i] for record, _ in both])
+    y_model = np.concatenate([(found - datum(record))[:, i] for record, found in both])
     there = np.isfinite(y) & np.isfinite(y_model)
     if not there.any():
         return np.nan, np.nan, np.nan
