@@ -13,7 +13,8 @@ from casid.errors import warn
 from casid.nonlinear.expressions import Nonlinear, evaluated
 from casid.nonlinear.tables import noted
 
-MARGIN = 0.1  # of a span that a manoeuvre about its end may leave it by
+MARGIN = 0.1  # of a span that a manoeuvre about its end may leave it by,
+NEARBY = 0.05  # or of the largest value: one airspeed, flown with little change, is no wall
 SPEEDS = ("u", "V")  # states that are airspeeds by name
 
 Spans: TypeAlias = Mapping[str, tuple[float, float]]  # lowest and highest value of a variable
@@ -43,7 +44,8 @@ def joined(spans: Sequence[Spans]) -> dict[str, tuple[float, float]]:
 
 def leaves(span: tuple[float, float], covered: tuple[float, float]) -> bool:
     """Whether a span leaves what is covered by more than the margin."""
-    room = MARGIN * (covered[1] - covered[0])
+    size = max(map(abs, covered))
+    room = max(MARGIN * (covered[1] - covered[0]), NEARBY * size if np.isfinite(size) else 0.0)
     return span[0] < covered[0] - room or span[1] > covered[1] + room
 
 

@@ -17,7 +17,7 @@ from casid import (
     spline,
     validate,
 )
-from casid.nonlinear.coverage import joined, reached, tabulated
+from casid.nonlinear.coverage import joined, leaves, reached, tabulated
 
 
 class Pushed(NonlinearModel):
@@ -134,3 +134,20 @@ def test_records_widen_what_tables_cover():
     with pytest.warns(DataWarning, match="along the records of the fit: u runs from 3"):
         fit = output_error(Pushed(), records, biases=False)
     validate({"fit": fit}, flown(50.0, 0.2, Pushed(knots=wide)), horizon=np.inf)  # seen: silence
+
+
+def test_theils_coefficient_of_total_values_is_that_of_deviations():
+    total = flown(30.0, 0.02, Pushed(knots=()), seed=4)
+    off = Pushed(Mq=-3.0, Mlon=3.0, knots=())
+    found = [
+        validate({"off": off}, record, horizon=np.inf).theil["off"]
+        for record in (total, total.detrend("mean"))
+    ]
+    np.testing.assert_allclose(*found, rtol=1e-6)
+    assert found[0][0, 0] > 0.1  # u moves by 0.24 m/s about 30, with noise of 0.1
+
+
+def test_a_span_may_be_left_by_a_share_of_its_size():
+    assert not leaves((54.5, 57.0), (54.7, 54.9))
+    assert leaves((50.0, 54.8), (54.7, 54.9))
+    assert leaves((54.8, 58.0), (54.7, 54.9))
