@@ -1,18 +1,22 @@
 """The stage that judges all models on unseen records."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 from casid.bands import mode_bands
 from casid.eigenmodes import modes
+from casid.fit import Fit
+from casid.nonlinear.conditions import Trim
+from casid.nonlinear.model import NonlinearModel
 from casid.report import answer, drawings
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Caution, Content, Section, enough, section
 from casid.report.evidence import differences, disagreement
 from casid.report.verdicts import verdicts
+from casid.stages.conditions import condition
 from casid.stages.stage import Stage, Task
-from casid.validation import Validation, validate
+from casid.validation import AnyModel, Validation, validate
 
 NAMES = {OUTPUT_ERROR: "refined model"}  # of what is delivered, in words
 
@@ -64,14 +68,23 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
 
 
 def _compared(found: Validation, content: Content) -> Iterable[Section]:
-    """All models side by side: modes, responses, time histories, errors, residuals."""
+    """All models side by side: modes, responses, time histories, errors, residuals.
+
+    Modes and responses of nonlinear structures are those at the trim of the first record.
+    """
+    at = ""
+    if isinstance(content.model, NonlinearModel):
+        trim = condition(content.model, found.measured[0])
+        at = f"the trim of record {found.records[0]}: {_values(trim)}"
+        models = {name: _linear(each, trim) for name, each in content.models.items()}
+        content = replace(content, models=models)
     bands = {
         name: dict(enumerate(mode_bands(fit)))
         for name, fit in content.fits.items()
         if fit.covariance is not None
     }
     found_modes = {name: modes(fit.model.system()) for name, fit in content.fits.items()}
-    values = {"modes": found_modes, "bands": bands}
+    values = {"modes": found_modes, "bands": bands, "at": at}
     histories = partial(drawings.draw_histories, found, content.units)
     for name, title, place, draw in (
         ("modes", "Modes", 40, partial(drawings.draw_poles, content)),
@@ -81,6 +94,17 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
         ("whiteness", "Residuals", 80, partial(drawings.draw_whiteness, found, content.delivered)),
     ):
         yield section(name, title, place, found, values=values, draw=draw)
+
+
+def _linear(model: AnyModel, trim: Trim) -> AnyModel:
+    """A fit of a nonlinear structure as one of its linearisation; what else there is, itself."""
+    if isinstance(model, Fit) and isinstance(model.model, NonlinearModel):
+        return replace(model, model=model.model.at(trim))
+    return model
+
+
+def _values(trim: Trim) -> str:
+    return ", ".join(f"{name} {value:.3g}" for name, value in trim.values.items())
 
 
 VALIDATION = Stage(

@@ -16,7 +16,9 @@ from casid import (
     simulate,
     write_csv,
 )
+from casid.bands import mode_bands
 from casid.stages.conditions import OverSpeed, condition, conditions
+from casid.stages.judgement import _linear
 from casid.stages.listing import STAGES
 from casid.stages.stage import fitting
 from casid.structure.modelfile import load_model
@@ -176,4 +178,10 @@ def test_a_study_of_two_speeds_runs_from_records_to_the_figure(study):
     assert (np.abs(found.local.values - truth[[0, -1]]) < 4 * found.local.std_error).all()
     page = outcome.report.read_text(encoding="utf-8")
     assert "were left out" in page
+    assert page.count("linearised at the trim of record unseen: u 30") == 2
+    fitted = results["output_error"]
+    at = _linear(fitted, condition(fitted.model, read_records(told)["identification"][-1]))
+    slope = (truth[-1, 0] - truth[0, 0]) / (found.speed[-1] - found.speed[0])
+    assert at.model.system().poles().real.min() == pytest.approx(-1.5 + 10 * slope, abs=0.1)
+    assert max(each.real_std for each in mode_bands(at)) > 0
     assert list(outcome.report.parent.glob("figures/envelope_derivatives.*"))
