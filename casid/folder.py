@@ -12,6 +12,13 @@ LOCK = ".lock"  # kept when a run ends: the lock is the system's, and ends with 
 PARTIAL = ".partial"
 
 
+def check_target(target: str | Path, *sources: str | Path) -> None:
+    """Refuse what `spare` does, and a file in a folder that is not there: ValueError."""
+    spare(target, *sources)
+    if not Path(target).parent.is_dir():
+        raise ValueError(f"{target}: there is no folder {Path(target).parent}; make it first")
+
+
 def spare(target: str | Path, *sources: str | Path) -> None:
     """Refuse to write a file, by whatever name it goes, that holds what is read: ValueError."""
     place = Path(target)

@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.display import Shown, listed
+from casid.display import Shown, counted, listed
 from casid.fit import AnyFit, Fit
 from casid.linear import StateSpace
 from casid.model import Model
 from casid.nonlinear.coverage import joined, warn_beyond
 from casid.nonlinear.model import NonlinearModel
-from casid.prediction import Outlook, Prediction, growth_rate, outlook, predict
+from casid.prediction import PER_UNKNOWN, Outlook, Prediction, growth_rate, outlook, predict
 from casid.record import Record
 from casid.records import Records, same_channels, standard_deviations, stretches
 from casid.shooting.simulation import predict_nonlinear
@@ -135,8 +135,9 @@ def validate(
     ------
     ValueError
         No model, no record, a model whose inputs the records lack, no output in common, a discrete
-        model whose interval is not that of the records, a model with NaN in it, a horizon that does
-        not fit the records. A `DataWarning` tells of a nonlinear structure that is taken beyond
+        model whose interval is not that of the records, a model with NaN in it, a record with less
+        than three measurements for every initial state and bias, a horizon that does not fit the
+        records. A `DataWarning` tells of a nonlinear structure that is taken beyond
         its tables and the records of its fit.
     """
     if not models:
@@ -147,6 +148,7 @@ def validate(
     systems = {name: state_space(model) for name, model in models.items()}
     for name, system in systems.items():
         _check(name, system, records)
+        _check_lengths(name, system, records)
     far = [outlook(list(systems.values()), record, horizon) for record in records]
     predictions = {
         name: [_predicted(name, model, *each, scale) for each in zip(records, far, strict=True)]
@@ -192,6 +194,20 @@ def _check(name: str, system: StateSpace, records: Sequence[Record]) -> None:
             f"model {name!r} has outputs {', '.join(system.outputs)}, record {record.name!r} has "
             f"{', '.join(record.outputs)}: none in common"
         )
+
+
+def _check_lengths(name: str, system: StateSpace, records: Sequence[Record]) -> None:
+    """Refuse records whose initial state and biases would follow whatever was measured."""
+    for record in records:
+        shared = [i for i, output in enumerate(record.outputs) if output in system.outputs]
+        measured = int(np.sum(np.isfinite(record.y[:, shared])))
+        unknowns = system.nx + len(shared)
+        if measured < PER_UNKNOWN * unknowns:
+            raise ValueError(
+                f"model {name!r}, record {record.name!r}: {counted(measured, 'measurement')} for "
+                f"{unknowns} initial states and biases say nothing about a model, "
+                f"{PER_UNKNOWN * unknowns:.0f} or more are wanted; leave the record out"
+            )
 
 
 def _predicted(

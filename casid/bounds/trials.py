@@ -15,7 +15,7 @@ from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, Fit
 from casid.jobs.campaigns import Execution, Job, UnfinishedError, run_jobs
-from casid.jobs.origins import source_digest
+from casid.jobs.origins import equations_digest, source_digest
 from casid.jobs.store import Done
 from casid.jobs.transport import Reference, can_travel, refer, refuse_while_loading, resolve
 from casid.matching.targets import Target
@@ -36,11 +36,12 @@ class Setup:
     estimator: Estimator
     data: tuple[Any, ...]  # records or targets
     fixed: tuple[str, ...]  # parameters held
+    equations: str  # digest of what the structure's code builds
 
     @cached_property
     def key(self) -> str:
         """Digest of all of it, and of the code that computes results."""
-        structure = (self.reference.name, self.reference.digest)
+        structure = (self.reference.name, self.reference.digest, self.equations)
         return digest(source_digest(), structure, self.estimator, self.data, self.fixed)
 
 
@@ -83,7 +84,11 @@ class Fits:
             prepare(model, self.data, fixed=self.fixed, bounds=bounds) if prepare else estimator
         )
         self._setup = Setup(
-            reference=refer(type(model)), estimator=shared, data=self.data, fixed=self.fixed
+            reference=refer(type(model)),
+            estimator=shared,
+            data=self.data,
+            fixed=self.fixed,
+            equations=equations_digest(model),
         )
         self._execution = execution
 

@@ -24,7 +24,7 @@ from casid.exchange.listing import write_equations
 from casid.exchange.standalone import write_module
 from casid.files import read_json
 from casid.fit import AnyFit, Fit
-from casid.folder import spare
+from casid.folder import check_target, spare
 from casid.frequency.response import FrequencyResponse
 from casid.jobs.origins import structure_files
 from casid.model import Model
@@ -85,7 +85,7 @@ def convert(
     """  # noqa: D301
     console = terminal()
     with exits(console):
-        spare(target, source)
+        check_target(target, source)
         if Path(source).suffix.lower() == ".json":
             if units:
                 raise ValueError("--unit is for records; a response or a fit is in SI already")
@@ -351,7 +351,7 @@ def simulate(
     with exits(console):
         model = _load(Path(fit), structure).model
         if output is not None:
-            spare(output, record, fit, *_files(structure))
+            check_target(output, record, fit, *_files(structure))
         how: Any = None if detrend == "none" else detrend
         names: Any = {
             kind: {name: renamed.get(name, name) for name in getattr(model, kind)}

@@ -1,6 +1,8 @@
 """A first model file, commented, for a user to change."""
 
+import importlib.util
 import keyword
+import sys
 from pathlib import Path
 
 from casid.files import write_text
@@ -15,6 +17,8 @@ def new_model(name: str) -> tuple[Path, str]:
     ``MyRoll``. ValueError: no name for Python, a file that is there, a folder that is not.
     """
     path = Path(name)
+    if not path.name:
+        raise ValueError("a model file needs a name, such as my_roll")
     path = path if path.suffix == ".py" else path.with_name(f"{path.name}.py")
     stem = path.stem
     if not stem.isidentifier() or not stem.isascii() or keyword.iskeyword(stem):
@@ -28,6 +32,8 @@ def new_model(name: str) -> tuple[Path, str]:
     text = TEMPLATE.read_text(encoding="utf-8").format(title=words, name=words, file=path)
     if path.exists():
         raise ValueError(f"{path} is there already and is left as it is; choose another name")
+    if stem in sys.stdlib_module_names or importlib.util.find_spec(stem) is not None:
+        raise ValueError(f"{name!r}: Python has a module {stem} that it would hide; try my_{stem}")
     if not path.parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.parent}; make it first")
     write_text(path, text)

@@ -23,6 +23,7 @@ from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold
 
 MOST = 10_000  # samples of a delay
+SLOWEST = 3600.0  # s between samples
 
 
 def write_c(
@@ -68,8 +69,8 @@ def write_c(
     path = Path(path)
     if path.suffix != ".c" or not path.stem.isidentifier():
         raise ValueError(f"{path}: expected a name that C takes, such as model.c")
-    if not dt > 0:
-        raise ValueError(f"dt={dt}: expected a positive interval [s]")
+    if not 0 < dt <= SLOWEST:
+        raise ValueError(f"dt={dt}: expected a positive interval [s], {SLOWEST:g} at most")
     if steps is not None and steps < 1:
         raise ValueError(f"steps={steps}: expected a whole number above 0")
     linear = system.system() if isinstance(system, NonlinearModel) else system

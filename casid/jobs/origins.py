@@ -10,6 +10,8 @@ from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 
+from casid.model import Model
+from casid.nonlinear.model import NonlinearModel
 from casid.values import digest
 
 SHOWING = ("cli.py", "commands", "jobs", "report", "studies")  # change no result of a stage
@@ -47,6 +49,15 @@ def structure_files(path: str | Path) -> dict[Path, bytes]:
                 each for each in imported_files(file) if not any(map(each.is_relative_to, others))
             ]
     return seen
+
+
+def equations_digest(model: Model) -> str:
+    """Digest of a structure's equations as its code builds them, whatever that reads on the way."""
+    # Numbers from a data file, a time or an environment stand in the expressions.
+    built = [model.matrices().serialize()]
+    if isinstance(model, NonlinearModel):
+        return digest(built, model.equations().serialize(), model.operating_point())
+    return digest(built)
 
 
 def imported_files(file: Path) -> Iterator[Path]:

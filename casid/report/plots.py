@@ -350,6 +350,8 @@ def _axes(ax: Any, rows: int, columns: int, *, height: float) -> Any:  # noqa: A
         )
         return made.ravel()
     given = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
+    if strange := [each for each in given if not isinstance(each, Axes)]:
+        raise ValueError(f"ax holds {strange[0]!r}, expected Axes, as plt.subplots makes them")
     if len(given) != rows * columns:
         raise ValueError(
             f"this figure has {rows * columns} axes, {len(given)} given: pass plt.subplots({rows}, "

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from casid.errors import ConvergenceError, DataWarning
 from casid.fit import Fit
 from casid.jobs.campaigns import CampaignProgress, Execution
-from casid.jobs.origins import source_digest, structure_digest
+from casid.jobs.origins import equations_digest, source_digest, structure_digest
 from casid.jobs.store import Done, Store
 from casid.nlp import Progress
 from casid.report.content import Timing
@@ -60,6 +60,7 @@ class Keeper:
         self._store = Store(study.output / "stages", (type(study.model),))
         self._keys: dict[str, str] = {}
         self._source = source_digest()
+        self._structure = [structure_digest(study.model_file), equations_digest(study.model)]
 
     def __call__(self, stage: Stage, settings: Any, task: Task) -> Any:  # noqa: ANN401 - of any stage
         """Return the kept result of a stage, or compute and keep it."""
@@ -154,8 +155,7 @@ class Keeper:
         parts: list[Any] = [self._source, _own_source(stage), before, settings, task.records]
         if stage.structured:
             study = self._study
-            parts += [structure_digest(study.model_file), asdict(study.model)]
-            parts += [study.fixed, study.bounds]
+            parts += [self._structure, asdict(study.model), study.fixed, study.bounds]
         return digest(*parts)
 
 

@@ -116,6 +116,7 @@ def test_a_fit_becomes_matlab_and_a_module(folder):
     assert "lat" in run.stdout
 
 
+ROLL = ("--model", "roll.py:Roll")
 CONVERT_MISTAKES = {
     "a fit without its structure": (("fit.json", "m.py"), ("--model",)),
     "another structure": (("fit.json", "m.py", "--model", "other.py:Roll"), ("other.py",)),
@@ -132,6 +133,9 @@ CONVERT_MISTAKES = {
     "an unknown suffix": (("3211.csv", "a.xls"), ("'.xls'", ".parquet")),
     "a unit of no column": (("3211.csv", "a.csv", "--unit", "psi=deg"), ("no column 'psi'",)),
     "an unknown unit": (("3211.csv", "a.csv", "--unit", "lat=furlong"), ("furlong", "deg/s")),
+    "C without end": (("fit.json", "m.c", *ROLL, "--dt", "inf"), ("3600 at most",)),
+    "C at no rate": (("fit.json", "m.c", *ROLL, "--dt", "1e300"), ("3600 at most",)),
+    "a folder that is not there": (("3211.csv", "new/a.csv"), ("no folder new", "make it")),
     "a unit without channel": (("3211.csv", "a.csv", "--unit", "deg"), ("CHANNEL=UNIT",)),
     "a unit for a fit": (("frf.json", "a.csv", "--unit", "p=deg"), ("SI already",)),
 }
@@ -277,7 +281,6 @@ def test_a_nonlinear_fit_becomes_what_other_tools_run(tmp_path, monkeypatch):
 
 # ---- what is read is not written over ------------------------------------------------------------
 
-ROLL = ("--model", "roll.py:Roll")
 LOSSES = {
     "a record by its simulation": ("3211.csv", ("simulate", "fit.json", "3211.csv", *ROLL, "-o")),
     "a record by its units": ("3211.csv", ("convert", "3211.csv", "--unit", "lat=%")),

@@ -45,7 +45,9 @@ def test_a_new_model_never_overwrites(tmp_path, monkeypatch):
     assert (tmp_path / "mine.py").read_text() == "precious"
 
 
-@pytest.mark.parametrize("name", ["2fast", "a-b", "class", "nowhere/mine", "model", "_", "ÿes"])
+@pytest.mark.parametrize(
+    "name", ["", ".", "numpy", "json", "2fast", "a-b", "class", "nowhere/mine", "model", "_", "ÿes"]
+)
 def test_a_name_python_does_not_take_is_refused(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert refused(casid("new-model", name)).startswith("Bad input")

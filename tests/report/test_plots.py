@@ -60,6 +60,8 @@ def test_comparisons_draw_each_model_over_the_measurement():
     np.testing.assert_allclose(drawn["fit"].get_ydata(), 20 * np.log10(abs(G)), atol=1e-9)
     with pytest.raises(ValueError, match="no models given"):
         compare({}, record())
+    with pytest.raises(ValueError, match="ax holds 3, expected Axes"):
+        compare({"fit": fit}, record(), ax=[3, 3])
     with pytest.raises(ValueError, match="a pair is of a frequency response"):
         compare({"fit": fit}, record(), pair=("p", "lat"))
     with pytest.raises(ValueError, match="no pair"):

@@ -75,3 +75,21 @@ def test_a_changed_module_that_the_model_imports_computes_again(tmp_path, monkey
     importlib.invalidate_caches()
     assert _kept(run_study(read_study(study))) == ["pbsid"]
     sys.modules.pop("damping_of_roll")
+
+
+@pytest.mark.slow
+def test_a_changed_data_file_that_the_model_reads_computes_again(tmp_path):
+    study = write_study(tmp_path)
+    model = (tmp_path / "roll.py").read_text(encoding="utf-8")
+    model = model.replace("from casid", "from pathlib import Path\n\nfrom casid", 1)
+    read = 'float(Path(__file__).with_name("inertia.txt").read_text())'
+    model = model.replace("[self.Llat]", f"[self.Llat / {read}]")
+    (tmp_path / "roll.py").write_text(model, encoding="utf-8")
+    (tmp_path / "inertia.txt").write_text("1.0", encoding="utf-8")
+    before = run_study(read_study(study)).identification.results["output_error"]["Llat"].value
+    assert _kept(run_study(read_study(study))) == ["pbsid", "quadratic", "hinf", "output_error"]
+    (tmp_path / "inertia.txt").write_text("1.25", encoding="utf-8")
+    after = run_study(read_study(study))
+    assert _kept(after) == ["pbsid"]
+    found = after.identification.results["output_error"]["Llat"].value
+    assert found == pytest.approx(1.25 * before, rel=1e-3)
