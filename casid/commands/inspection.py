@@ -9,9 +9,9 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.autoregression import outliers
 from casid.channels import UNITS
-from casid.consistency.flightpath import noise
 from casid.consistency.frozen import Frozen, frozen
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
+from casid.consistency.measured import noise
 from casid.consistency.plausibility import unit_doubts
 from casid.display import counted
 from casid.excitations import Excitation, certified

@@ -17,7 +17,7 @@ Noise of the measured signals is in the regressors, too: what it pretends there 
 end (`casid.consistency.pretended`). Standard errors allow for what colour is left.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,16 +25,10 @@ import scipy.interpolate
 import scipy.signal
 
 from casid.arrays import Array
-from casid.autoregression import FAR, MAD, slow
+from casid.consistency.measured import FORCES, RATES, VELOCITIES, Flight, noise
 from casid.consistency.pretended import Corrected, Normal
-from casid.frequency.sampling import equidistant
-from casid.record import Record
-from casid.samples import at_instants
 
 GRAVITY = 9.80665  # m/s^2
-MOST = 60_000  # samples that are looked at
-SHORTEST = 20  # samples
-GAPS = 0.2  # share of missing samples above which a channel is left out
 GAINS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 25)])
 ITERATIONS = 12
 CORRECTIONS, DRAWS = 5, 2  # last iterations, without what noise pretends, and its draws for it
@@ -47,69 +41,14 @@ PRIOR = np.array([1.0, np.inf, 0.1])  # of gain, bias and skew, so that nothing 
 FAR_OFF = 10.0  # from the centre of gravity [m], a prior too
 ROUNDING = 1e-9  # of a channel's range: no record is more exact
 
-RATES, FORCES = ("p", "q", "r"), ("ax", "ay", "az")
-ATTITUDES, VELOCITIES = ("phi", "theta", "psi"), ("u", "v", "w")
-AIR = ("V", "alpha", "beta")
-
-
-@dataclass(frozen=True, eq=False)
-class Flight:
-    """Total values of the channels of one record on equidistant instants."""
-
-    dt: float
-    quiet: int
-    values: dict[str, Array]
-
-    @property
-    def t(self) -> Array:
-        """Instants from the first sample [s]."""
-        n = len(next(iter(self.values.values())))
-        return np.asarray(self.dt * np.arange(n))
-
-    def only(self, names: Collection[str]) -> "Flight":
-        """The same flight with some of its channels."""
-        return replace(self, values={name: self.values[name] for name in names})
-
-
-def looked_at(records: Sequence[Record]) -> list[Record]:
-    """Stretches of records without long gaps, cut where there are more samples than are used."""
-    pieces = [each for record in records for each in record.stretches() if each.N >= SHORTEST]
-    share = min(1.0, MOST / max(sum(piece.N for piece in pieces), 1))
-    return [piece.take(slice(max(int(share * piece.N), SHORTEST))) for piece in pieces]
-
-
-def signals(record: Record, trim: Mapping[str, float]) -> Flight:
-    """Total values of a record's channels on equidistant instants, missing samples filled in."""
-    quiet = record.quiet_samples()
-    if not record.equidistant:
-        record = equidistant(record, 0.0)
-    values = {}
-    for i, name in enumerate(record.outputs):
-        if name not in {*RATES, *FORCES, *ATTITUDES, *VELOCITIES, *AIR}:
-            continue
-        y = record.y[:, i] + record.trim.get(name, 0.0) + trim.get(name, 0.0)
-        missing = np.isnan(y)
-        if slow(missing[:, None]).all():  # nothing is lost: it is sampled less often than others
-            y = at_instants(record.t, y, record.t, "smooth")
-            missing = np.isnan(y)
-        if missing.mean() > GAPS:
-            continue
-        values[name] = np.interp(record.t, record.t[~missing], y[~missing])
-    if {*AIR} <= set(values) and not {*VELOCITIES} <= set(values):
-        V, alpha, beta = (values[name] for name in AIR)
-        values["u"] = V * np.cos(alpha) * np.cos(beta)
-        values["v"] = V * np.sin(beta)
-        values["w"] = V * np.sin(alpha) * np.cos(beta)
-    if "psi" in values:
-        values["psi"] = np.unwrap(values["psi"])
-    return Flight(record.dt, quiet, values)
-
 
 def _terms(equation: str, flight: Flight) -> tuple[dict[str, Array], Array]:
     """Factor of each rate and force in the derivative of an attitude or velocity; the rest."""
     n = len(flight.values[equation])
     zero, one = np.zeros(n), np.ones(n)
-    phi, theta = (flight.values.get(name, zero) for name in ("phi", "theta"))
+    phi, theta = (
+        flight.values.get(name, zero + flight.level.get(name, 0.0)) for name in ("phi", "theta")
+    )
     s, c, tan = np.sin(phi), np.cos(phi), np.tan(theta)
     if equation == "phi":
         return {"p": one, "q": s * tan, "r": c * tan}, zero
@@ -233,7 +172,8 @@ class _Reconstruction:
                     f[:, -4:-1] = -lever[VELOCITIES.index(each)]
                     f[:, -1] += f[:, -4:-1] @ place
                 F = _integral(f, flight.dt)
-                e = flight.values[each] - F[:, -1]
+                F = F[flight.rows[each]] if each in flight.rows else F
+                e = flight.own(each) - F[:, -1]
                 found.append((each, e - e.mean(), F[:, :-1]))
         return found
 
@@ -254,8 +194,9 @@ class _Reconstruction:
 
     def whitened(self, blocks: Sequence[Block]) -> list[Block]:
         """Innovations up to `BAND` and slopes, in standard deviations of all of the innovations."""
-        dt, found = self.flights[0].dt, []
+        first, found = self.flights[0], []
         for each, e, X in blocks:
+            dt = first.dt * first.step(each)
             left, slopes = _innovations(self.gains[each], e, X, dt)
             found.append((each, left / self.sizes[each], slopes / self.sizes[each]))
         return found
@@ -277,10 +218,7 @@ class _Reconstruction:
             return found
         rng = np.random.default_rng(0)
         for _ in range(draws):
-            more = [
-                {k: noise(v) * rng.standard_normal(len(v)) for k, v in flight.values.items()}
-                for flight in self.flights
-            ]
+            more = [flight.scatter(rng) for flight in self.flights]
             for sign in (-1.0, 1.0):  # both, so that only what is quadratic in it remains
                 found += self._noisier(more, sign)._plain(x) * (0.5 / draws)
         return found + self._plain(x) * -1.0
@@ -313,20 +251,22 @@ class _Reconstruction:
             self.gains[each] = float(max(GAINS[int(np.argmin(sizes))], floor))
 
     def _walk(self, equation: str, scaling: Array) -> float:
-        """Variance that the noise of rates and forces adds in one sampling interval."""
+        """Variance that the noise of rates and forces adds from one sample to the next."""
         total = 0.0
         for flight, terms in zip(self.flights, self.terms, strict=True):
             for name, gain in zip(self.channels, scaling, strict=True):
                 share = np.mean(np.square(terms[equation][0].get(name, 0.0)))
-                total += float(share * (gain * flight.dt * noise(flight.values[name])) ** 2)
+                span = flight.step(equation) * flight.step(name)
+                total += float(share * span * (gain * flight.dt * noise(flight.own(name))) ** 2)
         return total / len(self.flights)
 
     def scores(self, parts: Sequence[Block]) -> Array:
         """Sums of slope times innovation over stretches that count as independent."""
-        n = max(1, round(BATCH / self.flights[0].dt))
-        return np.concatenate(
-            [np.add.reduceat(X * e[:, None], np.arange(0, len(e), n), axis=0) for _, e, X in parts]
-        )
+        first, found = self.flights[0], []
+        for each, e, X in parts:
+            n = max(1, round(BATCH / (first.dt * first.step(each))))
+            found.append(np.add.reduceat(X * e[:, None], np.arange(0, len(e), n), axis=0))
+        return np.concatenate(found)
 
 
 def _lever(moved: Mapping[str, tuple[Array, Array]]) -> Array | None:
@@ -357,14 +297,6 @@ def _innovations(gain: float, e: Array, X: Array, dt: float = 0.0) -> tuple[Arra
     z = Z[:, -1]
     Z = Z[:, :-1] - np.outer(z, z @ Z[:, :-1]) / (z @ z)
     return Z[:, 0], Z[:, 1:]
-
-
-def noise(x: Array) -> float:
-    """Standard deviation of white noise on a smooth signal, from its third differences."""
-    # Differences beyond six robust deviations are those of outliers, and left out.
-    size = np.abs(np.diff(x, 3))
-    limit = FAR * MAD * np.median(size)
-    return float(np.sqrt(np.mean(size[size <= limit] ** 2 if limit else size**2) / 20))
 
 
 def _normal(parts: Sequence[Block], prior: Array, pull: Array) -> Normal:

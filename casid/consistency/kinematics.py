@@ -12,17 +12,15 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.autoregression import outliers
-from casid.consistency.flightpath import (
+from casid.consistency.flightpath import GRAVITY, Instruments, reconstruct
+from casid.consistency.measured import (
     ATTITUDES,
     FORCES,
-    GRAVITY,
     RATES,
     VELOCITIES,
     Flight,
-    Instruments,
     looked_at,
     noise,
-    reconstruct,
     signals,
 )
 from casid.display import counted

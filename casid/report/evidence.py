@@ -7,7 +7,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.baseline.accuracy import DerividNotes
-from casid.consistency.flightpath import noise
+from casid.consistency.measured import noise
 from casid.display import listed
 from casid.eigenmodes import modes
 from casid.fit import AnyFit

@@ -1,12 +1,9 @@
-"""Signals of a flight, their integrals and their noise, against closed forms."""
+"""Running integrals, against closed forms."""
 
 import numpy as np
 import pytest
-from truths.flights import NOISE, RATES, flight
 
-from casid import Record
-from casid.consistency.flightpath import _integral, looked_at, noise, signals
-from casid.consistency.kinematics import kinematic_check
+from casid.consistency.flightpath import _integral
 
 
 def test_running_integrals_are_exact_for_straight_lines_and_of_fourth_order_inside():
@@ -20,55 +17,3 @@ def test_running_integrals_are_exact_for_straight_lines_and_of_fourth_order_insi
         inside = found - found[1] - (np.cos(3 * t[1]) - np.cos(3 * t)) / 3
         errors.append(np.abs(inside[1:-1]).max())
     assert errors[0] / errors[1] == pytest.approx(16, rel=0.2)
-
-
-def test_noise_is_the_standard_deviation_of_what_is_not_smooth():
-    rng = np.random.default_rng(0)
-    t = 0.02 * np.arange(200_000)
-    # Third differences of white noise have the variance 1 + 9 + 9 + 1 = 20; 200 000 correlated
-    # squares give the standard deviation to 0.3 %, and the sine is 1e-5 of it.
-    x = np.sin(t) + 0.1 * rng.standard_normal(len(t))
-    assert noise(x) == pytest.approx(0.1, rel=0.01)
-
-
-def test_headings_pass_north_without_a_jump():
-    whole = flight(0, None, NOISE, (*RATES, "phi", "theta", "psi"))
-    psi = whole.channel("psi") - np.median(whole.channel("psi")) + np.pi
-    y = np.column_stack([whole.y[:, :-1], (psi + np.pi) % (2 * np.pi) - np.pi])
-    wrapped = Record(whole.t, whole.u, y, whole.inputs, whole.outputs, whole.name)
-    assert np.abs(np.diff(wrapped.channel("psi"))).max() > 6
-    found = signals(wrapped, {}).values["psi"]
-    np.testing.assert_allclose(found - found[0], psi - psi[0], atol=1e-12)
-
-
-def test_records_too_short_to_look_at_are_no_error():
-    short = flight(0, None, NOISE).take(slice(15))
-    assert kinematic_check(short).channels == ()
-
-
-def test_noise_is_not_that_of_a_few_outliers():
-    rng = np.random.default_rng(0)
-    x = np.sin(0.02 * np.arange(5000)) + 0.01 * rng.standard_normal(5000)
-    x[rng.integers(0, 5000, 5)] += 0.5
-    assert noise(x) == pytest.approx(0.01, rel=0.05)
-    repeated = np.repeat(rng.standard_normal(500), 10)  # most differences are zero
-    assert noise(repeated) > 0.1
-
-
-def test_total_values_come_back_and_speed_becomes_velocities():
-    record = flight(0)
-    trimmed = record.detrend("first")
-    whole = signals(trimmed, {})
-    np.testing.assert_allclose(whole.values["theta"], record.channel("theta"), atol=1e-12)
-    u, v, w = (record.channel(name) for name in "uvw")
-    V = np.sqrt(u**2 + v**2 + w**2)
-    air = np.column_stack([V, np.arctan2(w, u), np.arcsin(v / V), record.channel("p")])
-    seen = type(record)(record.t, record.u, air, ("lat",), ("V", "alpha", "beta", "p"))
-    for name, true in zip("uvw", (u, v, w), strict=True):
-        np.testing.assert_allclose(signals(seen, {}).values[name], true, atol=1e-9)
-    assert "phi" not in signals(record.mask(np.ones(record.y.shape, dtype=bool)), {}).values
-
-
-def test_long_records_are_looked_at_in_part_and_short_pieces_not_at_all():
-    record = flight(0)
-    assert [each.N for each in looked_at([record, record.take(slice(10))])] == [record.N]

@@ -12,6 +12,7 @@ from truths.roll_study import write_study
 from casid import read_csv
 from casid.consistency.kinematics import kinematic_check
 from casid.exchange.formats import read_table, write_table
+from casid.record import Record
 from casid.studies.runner import run_study
 from casid.studies.studyfile import read_study
 
@@ -251,6 +252,30 @@ def test_a_channel_sampled_less_often_than_the_others_is_judged_all_the_same():
     assert p.skew == pytest.approx(-0.08, abs=4 * p.skew_error + 0.002)
     assert p.skew_error < 0.01
     assert not [note for note in check.notes if "phi" in note]
+
+
+def calm(seed, every, slower):
+    """A flight in pitch alone; ``slower`` outputs are sampled every so many samples."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, 20.001, 0.01)
+    theta = 0.06 + 0.05 * np.sin(0.8 * t) * np.minimum(1, t / 3)
+    y = np.outer(theta, [0, 0, 0, 0, 1.0])
+    y[:, 1] = np.gradient(theta, t)
+    y += rng.normal(0, np.deg2rad([0.15, 0.15, 0.15, 0.1, 0.1]), y.shape)
+    names = (*RATES, "phi", "theta")
+    rare = np.isin(names, slower) & (np.arange(len(t)) % every != 0)[:, None]
+    return Record(t, np.zeros((len(t), 1)), np.where(rare, np.nan, y), ["el"], names, "calm")
+
+
+@pytest.mark.parametrize("every", [2, 4])
+@pytest.mark.parametrize("slower", [("phi", "theta"), RATES], ids="-".join)
+def test_slower_sampling_neither_alarms_nor_blinds(every, slower):
+    for seed in range(2):
+        record = calm(seed, every, slower)
+        assert kinematic_check(record).remarks == ()
+        (said,) = kinematic_check(times(record, "q", -1.0)).remarks
+        assert said.endswith("opposite sign")
+        assert "q is 1.2" in "".join(kinematic_check(times(record, "q", 1.25)).remarks)
 
 
 @pytest.mark.parametrize("channel", ["p", "phi"])

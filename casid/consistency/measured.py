@@ -1,0 +1,120 @@
+"""What was measured in flight, as kinematics looks at it: total values on equidistant instants."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.arrays import Array
+from casid.autoregression import FAR, MAD, slow
+from casid.frequency.sampling import equidistant
+from casid.record import Record
+from casid.samples import at_instants
+
+MOST = 60_000  # samples that are looked at
+SHORTEST = 20  # samples
+GAPS = 0.2  # share of missing samples above which a channel is left out
+
+RATES, FORCES = ("p", "q", "r"), ("ax", "ay", "az")
+ATTITUDES, VELOCITIES = ("phi", "theta", "psi"), ("u", "v", "w")
+AIR = ("V", "alpha", "beta")
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """Total values of the channels of one record on equidistant instants."""
+
+    dt: float
+    quiet: int
+    values: dict[str, Array]
+    rows: dict[str, NDArray[np.intp]] = field(default_factory=dict)  # own samples of slow channels
+    level: dict[str, float] = field(default_factory=dict)  # attitudes that were not recorded
+
+    @property
+    def t(self) -> Array:
+        """Instants from the first sample [s]."""
+        n = len(next(iter(self.values.values())))
+        return np.asarray(self.dt * np.arange(n))
+
+    def own(self, name: str) -> Array:
+        """A channel at its own samples, of which slower ones have fewer."""
+        return self.values[name][self.rows[name]] if name in self.rows else self.values[name]
+
+    def step(self, name: str) -> float:
+        """Instants from one sample of a channel to its next."""
+        return float(np.median(np.diff(self.rows[name]))) if name in self.rows else 1.0
+
+    def scatter(self, rng: np.random.Generator) -> dict[str, Array]:
+        """Noise as there is on each channel; straight lines between samples of a slow one."""
+        found = {}
+        for name, x in self.values.items():
+            own = self.own(name)
+            drawn = noise(own) * rng.standard_normal(len(own))
+            between = name in self.rows
+            found[name] = np.interp(np.arange(len(x)), self.rows[name], drawn) if between else drawn
+        return found
+
+    def only(self, names: Collection[str]) -> "Flight":
+        """The same flight with some of its channels."""
+        return replace(self, values={name: self.values[name] for name in names})
+
+
+def looked_at(records: Sequence[Record]) -> list[Record]:
+    """Stretches of records without long gaps, cut where there are more samples than are used."""
+    pieces = [each for record in records for each in record.stretches() if each.N >= SHORTEST]
+    share = min(1.0, MOST / max(sum(piece.N for piece in pieces), 1))
+    return [piece.take(slice(max(int(share * piece.N), SHORTEST))) for piece in pieces]
+
+
+def signals(record: Record, trim: Mapping[str, float]) -> Flight:
+    """Total values of a record's channels on equidistant instants, missing samples filled in."""
+    quiet = record.quiet_samples()
+    # A slow channel is judged at its own samples: what lies between them carries no noise.
+    lost = np.isnan(record.y)
+    rare = slow(lost)
+    taken = {record.outputs[i]: record.t[~lost[:, i]] for i in np.flatnonzero(rare)}
+    if not record.equidistant:
+        record = equidistant(record, 0.0)
+    values = {}
+    for i, name in enumerate(record.outputs):
+        if name not in {*RATES, *FORCES, *ATTITUDES, *VELOCITIES, *AIR}:
+            continue
+        y = record.y[:, i] + record.trim.get(name, 0.0) + trim.get(name, 0.0)
+        missing = np.isnan(y)
+        if rare[i]:  # nothing is lost: it is sampled less often than others
+            y = at_instants(record.t, y, record.t, "smooth")
+            missing = np.isnan(y)
+        if missing.mean() > GAPS:
+            continue
+        values[name] = np.interp(record.t, record.t[~missing], y[~missing])
+    if {*AIR} <= set(values) and not {*VELOCITIES} <= set(values):
+        values |= _velocities(values)
+        slowest = min({*AIR} & {*taken}, key=lambda name: len(taken[name]), default="")
+        taken |= dict.fromkeys(VELOCITIES, taken[slowest]) if slowest else {}
+    if "psi" in values:
+        values["psi"] = np.unwrap(values["psi"])
+    level = {
+        name: record.trim.get(f"{name}0", trim.get(name, 0.0))
+        for name in {"phi", "theta"} - {*values}
+    }
+    rows = {
+        name: np.unique(np.round((t - record.t[0]) / record.dt)).astype(int).clip(0, record.N - 1)
+        for name, t in taken.items()
+    }
+    return Flight(record.dt, quiet, values, rows, level)
+
+
+def _velocities(values: Mapping[str, Array]) -> dict[str, Array]:
+    """Body velocities from speed and flow angles."""
+    V, alpha, beta = (values[name] for name in AIR)
+    along = V * np.cos(beta)
+    return {"u": along * np.cos(alpha), "v": V * np.sin(beta), "w": along * np.sin(alpha)}
+
+
+def noise(x: Array) -> float:
+    """Standard deviation of white noise on a smooth signal, from its third differences."""
+    # Differences beyond six robust deviations are those of outliers, and left out.
+    size = np.abs(np.diff(x, 3))
+    limit = FAR * MAD * np.median(size)
+    return float(np.sqrt(np.mean(size[size <= limit] ** 2 if limit else size**2) / 20))
