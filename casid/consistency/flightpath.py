@@ -39,6 +39,7 @@ LATE = 0.5  # largest skew [s]
 BATCH = 1.0  # time [s] over which innovations may be correlated
 PRIOR = np.array([1.0, np.inf, 0.1])  # of gain, bias and skew, so that nothing is singular
 FAR_OFF = 10.0  # from the centre of gravity [m], a prior too
+TILT = 0.1  # rad: what an unknown pitch attitude may be
 ROUNDING = 1e-9  # of a channel's range: no record is more exact
 
 
@@ -129,6 +130,18 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
         place=x[-3:],
         place_errors=errors[-3:],
     )
+
+
+def reconstruct_level(flights: Sequence[Flight], equations: Sequence[str]) -> Instruments:
+    """The reconstruction; errors are wider where pitch attitude is neither recorded nor given."""
+    solution = reconstruct(flights, equations)
+    if not {"phi", "r"} <= {*flights[0].values} or any(
+        each.level.get("theta", TILT) for each in flights
+    ):
+        return solution
+    other = reconstruct([replace(each, level={"theta": TILT}) for each in flights], equations)
+    apart = np.hypot(solution.errors, other.unknowns - solution.unknowns)
+    return replace(solution, errors=apart)
 
 
 class _Reconstruction:

@@ -12,7 +12,7 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.autoregression import outliers
-from casid.consistency.flightpath import GRAVITY, Instruments, reconstruct
+from casid.consistency.flightpath import GRAVITY, Instruments, reconstruct_level
 from casid.consistency.measured import (
     ATTITUDES,
     FORCES,
@@ -149,7 +149,8 @@ class KinematicCheck:
         untold = {*RATES, *FORCES} & {*logger} - {*known}
         moves = dict(own)
         if {*own} <= alike:
-            moves = dict.fromkeys(alike if alike < {*known} else alike | untold, -skew)
+            moving = alike if alike < {*known} else alike | untold
+            moves = {name: -skew for name in (*RATES, *FORCES) if name in moving}
         more, stay = (
             ", ".join(sorted(names))
             for names in ({*moves} - {*own}, {*known} - {*moves} | untold - {*moves})
@@ -177,7 +178,8 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
         (specific force at the centre of gravity), u v w or V alpha beta. Equations whose channels
         are not there are left out. What `Record.detrend` subtracted is added again.
     trim : mapping
-        Added to channels that were recorded as perturbations.
+        Added to channels that were recorded as perturbations; ``theta0``, the pitch attitude [rad]
+        where theta was not recorded.
     """
     pieces = looked_at(several(records))
     marks = [outliers(piece) for piece in pieces]
@@ -196,7 +198,7 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
     turned = _turned(flights, names)
     if turned or not equations:
         return KinematicCheck(channels=(), residuals={}, notes=tuple(notes), further=turned)
-    solution = reconstruct([flight.only(names) for flight in flights], equations)
+    solution = reconstruct_level([flight.only(names) for flight in flights], equations)
     spread = {
         name: float(np.sqrt(np.mean([np.var(flight.values[name]) for flight in flights])))
         for name in (*solution.channels, *equations)

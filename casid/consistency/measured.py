@@ -47,12 +47,12 @@ class Flight:
 
     def scatter(self, rng: np.random.Generator) -> dict[str, Array]:
         """Noise as there is on each channel; straight lines between samples of a slow one."""
-        found = {}
+        found: dict[str, Array] = {}
         for name, x in self.values.items():
             own = self.own(name)
             drawn = noise(own) * rng.standard_normal(len(own))
-            between = name in self.rows
-            found[name] = np.interp(np.arange(len(x)), self.rows[name], drawn) if between else drawn
+            at = self.rows[name] if name in self.rows else np.arange(len(x))
+            found[name] = np.asarray(np.interp(np.arange(len(x)), at, drawn))
         return found
 
     def only(self, names: Collection[str]) -> "Flight":
@@ -95,7 +95,7 @@ def signals(record: Record, trim: Mapping[str, float]) -> Flight:
     if "psi" in values:
         values["psi"] = np.unwrap(values["psi"])
     level = {
-        name: record.trim.get(f"{name}0", trim.get(name, 0.0))
+        name: record.trim.get(f"{name}0", trim.get(f"{name}0", 0.0))
         for name in {"phi", "theta"} - {*values}
     }
     rows = {

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casid.autoregression import outliers
+from casid.consistency.clocks import aligned, told
 from casid.consistency.kinematics import kinematic_check
 from casid.errors import warn
 from casid.record import Record
@@ -56,11 +57,12 @@ class Mending:
         return said | ({"channels.outliers": "count as missing"} if self.mask else {})
 
     def mended(
-        self, records: Mapping[Any, Record], second: Collection[str] = ()
+        self, records: Mapping[Any, Record], second: Collection[str] = (), theta0: float = 0.0
     ) -> dict[Any, Record]:
         """Records with repeats and outliers marked as missing and channels moved in time.
 
-        Channels of the ``second`` logger move together, and so do all others.
+        Channels of the ``second`` logger move together, and so do all others; ``theta0`` [rad] is
+        the pitch attitude of the trim, where it was not recorded.
         """
         done = dict(records)
         if self.fresh:
@@ -72,9 +74,8 @@ class Mending:
                 warn(f"outliers count as missing, {count} in all, as the study asks for")
         by = self.shift
         if isinstance(by, str):
-            by, why = _skews(tuple(done.values()), second)
-            told = ", ".join(f"{name} {1e3 * lag:+.0f} ms" for name, lag in by.items())
-            said = "; ".join((told or "none", *why))
+            by, why = _skews(tuple(done.values()), second, theta0)
+            said = "; ".join((told(by), *why))
             warn(f"kinematics moves channels in time, as the study asks for: {said}")
         lags = by
         return {key: record.shift(lags) if lags else record for key, record in done.items()}
@@ -107,13 +108,12 @@ class Cutting:
 
 
 def _skews(
-    records: Sequence[Record], second: Collection[str]
+    records: Sequence[Record], second: Collection[str], theta0: float
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     """Shifts [s] that bring the channels of both loggers into line, and why in words."""
-    check, names = kinematic_check(records), records[0].outputs
-    first = [name for name in names if name not in second]
-    found = [check.shifts_of(logger) for logger in (first, second)]
-    return found[0][0] | found[1][0], (*found[0][1], *found[1][1])
+    check = kinematic_check(records, trim={"theta0": theta0})
+    first = [name for name in records[0].outputs if name not in second]
+    return aligned(check, first, second, records[0].inputs)
 
 
 def with_inputs(record: Record, names: tuple[str, ...]) -> Record:

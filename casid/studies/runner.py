@@ -1,6 +1,7 @@
 """Run a study: every stage in turn, each result kept as soon as it is there, then the report."""
 
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 from casid.bounds.compare import BoundsComparison
 from casid.chain import Identification
 from casid.consistency.flights import Repeats
-from casid.errors import ConvergenceError
+from casid.errors import ConvergenceError, DataWarning, warn
 from casid.files import write_text
 from casid.fit import AnyFit, ParameterEstimate
 from casid.folder import claimed
@@ -106,12 +107,26 @@ def run_study(
     watch = watch or Watch()
     started = time.perf_counter()
     watch.begin("records")
-    flights, again = read_flights(study)
+    (flights, again), said = _read(study)
     clock = [Timing(stage="records", seconds=time.perf_counter() - started)]
     watch.end(clock[0])
     with claimed(study.output):
         keeper = Keeper(study, watch, clock, fresh=fresh, command=command)
+        keeper.warnings += said
         return _run(study, flights, again, keeper)
+
+
+def _read(study: Study) -> tuple[tuple[Mapping[Role, Sequence[Record]], Repeats], list[str]]:
+    """Flights, and what was warned of as they were read: that belongs in the report, too."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DataWarning)
+        try:
+            found = read_flights(study)
+        finally:
+            said = list(dict.fromkeys(str(each.message) for each in caught))
+    for each in said:
+        warn(each)
+    return found, said
 
 
 def _run(

@@ -138,6 +138,7 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
             for file in role.files
         },
         second=() if study.channels.second is None else study.channels.second.channels,
+        theta0=float(getattr(study.model, "theta0", 0.0)),
     )
     raw: dict[Role, list[Record]] = {}
     for role, each in study.roles.items():

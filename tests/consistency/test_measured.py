@@ -65,7 +65,7 @@ def test_a_slow_channel_is_known_at_its_own_samples_and_noisy_there():
     record = flight(0, None, NOISE, (*RATES, "phi"))
     own = np.arange(record.N) % 4 == 1
     rare = record.mask(np.array([False] * 3 + [True]) & ~own[:, None])
-    found = signals(rare, {"theta": 0.06})
+    found = signals(rare, {"theta0": 0.06})
     np.testing.assert_array_equal(found.rows["phi"], np.flatnonzero(own))
     np.testing.assert_allclose(found.own("phi"), record.channel("phi")[own], atol=1e-12)
     assert (found.step("phi"), found.step("p")) == (4.0, 1.0)

@@ -1,0 +1,55 @@
+"""Which channels to move in time so that records agree with kinematics.
+
+Kinematics sees how channels stand to each other, inputs it does not see at all. What moves are the
+fewer: attitudes and velocities rather than all rates and forces, which were recorded with the
+inputs more often than not, and a second logger rather than the one with the inputs.
+"""
+
+from collections.abc import Collection, Mapping
+
+from casid.consistency.kinematics import KinematicCheck
+from casid.consistency.measured import ATTITUDES, FORCES, RATES
+
+Moves = dict[str, float]
+
+
+def aligned(
+    check: KinematicCheck, first: Collection[str], second: Collection[str], inputs: Collection[str]
+) -> tuple[Moves, tuple[str, ...]]:
+    """Shifts [s] of the channels of two loggers, and why in words."""
+    moves, why = check.shifts_of(first)
+    others, more = check.shifts_of(second)
+    fewer = () if others else _fewer(check, moves, first, () if {*inputs} & {*second} else second)
+    if not fewer:
+        return moves | others, (*why, *more)
+    (lag,) = {*moves.values()}
+    return dict.fromkeys(fewer, -lag), (f"{', '.join(moves)} are alike and stay with the inputs",)
+
+
+def _fewer(
+    check: KinematicCheck, moves: Moves, first: Collection[str], second: Collection[str]
+) -> tuple[str, ...]:
+    """What may move instead of all rates and forces of the first logger, if it is less."""
+    sensors = {*RATES, *FORCES} & {*first}
+    if {*moves} != sensors or len({*moves.values()}) != 1:
+        return ()
+    late = {each.channel: each.against for each in check.channels if each.channel in check.shifts}
+    against = {one for name in moves for one in late.get(name, ())}
+    if against <= {*second}:
+        return tuple(second)
+    if not against <= {*first}:
+        return ()
+    mates = {*ATTITUDES} if against & {*ATTITUDES} else set()
+    found = tuple(name for name in first if name in against | mates)
+    return found if len(found) < len(sensors) else ()
+
+
+def told(moves: Mapping[str, float]) -> str:
+    """What is moved by how much, and what that does to delays."""
+    if not moves:
+        return "none"
+    lags = ", ".join(f"{name} {1e3 * lag:+.0f} ms" for name, lag in moves.items())
+    return (
+        f"{lags}; inputs stay, so that their delays to {', '.join(moves)} change by as much: if "
+        "inputs share the clock of these, name both in channels.shift, by these values"
+    )

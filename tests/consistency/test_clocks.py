@@ -1,0 +1,64 @@
+"""Which channels move in time, by flights of which it is known which were late."""
+
+import numpy as np
+import pytest
+from truths.flights import FORCES, NOISE, RATES, flight
+
+from casid import Record
+from casid.consistency.clocks import aligned, told
+from casid.consistency.kinematics import kinematic_check
+
+OUTPUTS = (*RATES, *FORCES, "phi", "theta")
+
+
+@pytest.fixture(scope="module")
+def check():
+    late = {"phi": (0.0, 0.0, 0.1), "theta": (0.0, 0.0, 0.1)}
+    return kinematic_check(flight(0, late, NOISE, OUTPUTS))
+
+
+def test_the_fewer_move_and_stay_in_the_order_of_the_record(check):
+    moves, (why,) = aligned(check, OUTPUTS, (), ["lat"])
+    assert list(moves) == ["phi", "theta"]
+    np.testing.assert_allclose(list(moves.values()), -0.1, atol=0.005)
+    assert why == "p, q, r, ax, ay, az are alike and stay with the inputs"
+    assert told(moves).startswith("phi -")
+    assert "inputs stay" in told(moves)
+
+
+def test_rates_move_where_they_are_no_more_than_what_they_are_held_against(check):
+    outputs = ("p", "q", "phi", "theta")
+    moves, _ = aligned(check, outputs, (), ["lat"])
+    assert list(moves) == ["p", "q"]
+    np.testing.assert_allclose(list(moves.values()), 0.1, atol=0.005)
+
+
+def test_the_logger_without_inputs_moves_as_a_whole(check):
+    first, second = ("p", "q"), ("phi", "theta", "psi")
+    moves, _ = aligned(check, first, second, ["lat"])
+    assert list(moves) == list(second)
+    np.testing.assert_allclose(list(moves.values()), -0.1, atol=0.005)
+    assert list(aligned(check, first, (*second, "lat"), ["lat"])[0]) == list(first)
+
+
+def test_records_in_line_stay_as_they_are():
+    fine = kinematic_check(flight(1, None, NOISE, OUTPUTS))
+    moves, why = aligned(fine, OUTPUTS, (), ["lat"])
+    assert (moves, why, told(moves)) == ({}, (), "none")
+
+
+def test_pitch_attitude_that_was_not_recorded_is_told_or_widens_the_errors():
+    """phi' = p + r tan(theta), integrated by itself."""
+    rng, tilt = np.random.default_rng(5), 0.06
+    t = 0.02 * np.arange(2000)
+    p, r = 0.2 * np.sin(1.3 * t) * np.sin(0.2 * t), 0.3 * np.sin(0.7 * t + 0.4 * np.sin(0.11 * t))
+    rate = p + np.tan(tilt) * r
+    phi = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) * 0.01))
+    late = np.interp(t - 0.1, t, phi)
+    y = np.column_stack([p, r, late]) + 0.001 * rng.standard_normal((len(t), 3))
+    record = Record(t, np.zeros((len(t), 1)), y, ["lat"], ["p", "r", "phi"], "roll")
+    plain = kinematic_check(record).channels[0]
+    given = kinematic_check(record, trim={"theta0": tilt}).channels[0]
+    assert given.skew == pytest.approx(-0.1, abs=4 * given.skew_error)
+    assert plain.skew == pytest.approx(-0.1, abs=4 * plain.skew_error)
+    assert plain.skew_error > 1.5 * given.skew_error
