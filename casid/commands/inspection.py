@@ -60,7 +60,7 @@ class RecordFacts:
     quiet: float
     gaps: tuple[tuple[float, float], ...]
     channels: tuple[ChannelFacts, ...]
-    frozen: tuple[Frozen, ...]  # stretches of outputs that are stuck or copied
+    frozen: tuple[Frozen, ...]  # stretches that are stuck or copied
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -2,12 +2,15 @@
 
 A stuck sensor repeats its last value, a logger that lost one may repeat a whole block. Neither is
 called so unless it must be: a channel that is counted in coarse steps may rest on one of them, a
-slower source is held, and what all other channels expect to rest may rest.
+slower source is held, and what all other channels expect to rest may rest. Nothing tells what an
+input should have done: one is called stuck only where it never rests else, moves before and after,
+and is noisy or jumps when it moves again. Where all channels stop at once the logger did.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -21,17 +24,21 @@ SHORT, LONGER = 10, 4.0  # samples of a run that is looked at, and times the usu
 MOVED = 0.1  # of a channel's deviation: what the others expect of it meanwhile
 WORD = 8  # samples whose equality is counted
 RARE = 1e-3  # blocks that chance repeats in a record
+NOISY = 0.2  # noise over usual steps, from which on a channel never repeats a sample by itself
+JUMP = 4.0  # times the steps that follow
+AGAIN = 0.02  # share of repeated samples of a channel that rests now and then
 PERIODIC = 0.25  # share of a channel's samples that occur again: it is periodic
 
 
 @dataclass(frozen=True, kw_only=True)
 class Frozen:
-    """A stretch of one channel that was not measured."""
+    """A stretch of one channel, or of all, that was not measured."""
 
     channel: str
     start: float  # s
     duration: float  # s
     source: float | None = None  # start [s] of the block that it repeats; None where it is stuck
+    lost: Literal["output", "input", "rows"] = "output"
 
     def told(self) -> str:
         """What it is, and what to do."""
@@ -39,12 +46,70 @@ class Frozen:
         what = f"{self.channel} stands still {when} while all else moves"
         if self.source is not None:
             what = f"{self.channel} repeats {when} exactly what it was at {self.source:.4g} s"
-        return f"{what}: it was not measured; mark these samples as missing (Record.mask)"
+        if self.lost == "output":
+            return f"{what}: it was not measured; mark these samples as missing (Record.mask)"
+        if self.lost == "rows":
+            what = f"all channels stand still {when}: the logger stalled"
+        return f"{what}; no one knows the inputs there: leave these rows out (Record.cut)"
 
 
 def frozen(record: Record) -> tuple[Frozen, ...]:
-    """Stretches of outputs that are stuck or copied, by channel."""
-    return (*_stuck(record), *_copied(record))
+    """Stretches of channels that are stuck or copied, and of all at once if the logger stalls."""
+    stalls = tuple(_stalled(record))
+    single = (*_stuck(record), *_stuck_inputs(record), *_copied(record))
+    return (*stalls, *(each for each in single if not any(_within(each, s) for s in stalls)))
+
+
+def _within(each: Frozen, stall: Frozen) -> bool:
+    """Whether a stretch is no more than what a stall of the logger makes of its channel."""
+    apart = abs(each.start - stall.start) + abs(each.duration - stall.duration)
+    return apart < 0.1 * stall.duration
+
+
+def _stalled(record: Record) -> Iterator[Frozen]:
+    z = np.hstack([record.u, record.y])
+    same = (z[1:] == z[:-1]) | (np.isnan(z[1:]) & np.isnan(z[:-1]))
+    still = np.concatenate([[False], same.all(axis=1) & np.isfinite(record.y[1:]).any(axis=1)])
+    fresh = np.diff(np.flatnonzero(np.concatenate([~still, [True]])))
+    least = max(SHORT, LONGER * float(np.median(fresh)))
+    for first, last in _runs(still):
+        rest = np.array_equal(z[first], z[0], equal_nan=True)
+        if last - first >= least and not rest:
+            seen = [x for x in record.y.T if np.isfinite(x).all()]
+            if any(_breaks(x, still, first, last) for x in seen):
+                start, end = record.t[[first - 1, last - 1]].tolist()
+                yield Frozen(channel="all", start=start, duration=end - start, lost="rows")
+
+
+def _stuck_inputs(record: Record) -> Iterator[Frozen]:
+    for name, x in zip(record.inputs, record.u.T, strict=True):
+        marks = _resting(x)
+        for first, last in _runs(marks):
+            if _breaks(x, marks, first, last):
+                start, end = record.t[[first - 1, last - 1]].tolist()
+                yield Frozen(channel=name, start=start, duration=end - start, lost="input")
+
+
+def _breaks(x: Array, still: BoolArray, first: int, last: int) -> bool:
+    """Whether a run of equal samples of a channel (N,) is none of its own.
+
+    The channel moves before and after and rests nowhere else but in trim and in runs like this
+    (``still``), and is noisy or jumps at the end of the run.
+    """
+    steps = np.diff(x)
+    before, after = steps[max(first - 1 - SHORT, 0) : first - 1], steps[last : last + SHORT]
+    others = x[~still]
+    if min(len(before), len(after)) < SHORT or not (before.all() and after.all()):
+        return False
+    if np.mean((np.diff(others) == 0) & (others[1:] != x[0])) > AGAIN:
+        return False
+    return _noisy(others) or bool(abs(steps[last - 1]) > JUMP * np.abs(after).max())
+
+
+def _noisy(x: Array) -> bool:
+    """Whether a channel (N,) is too noisy to repeat samples, from its third differences."""
+    third, first = np.median(np.abs(np.diff(x, 3))), np.median(np.abs(np.diff(x)))
+    return bool(third > NOISY * np.sqrt(10) * first)  # of white noise alone √10 of them
 
 
 def _stuck(record: Record) -> Iterator[Frozen]:
@@ -78,15 +143,18 @@ def _resting(x: Array) -> BoolArray:
 
 
 def _copied(record: Record) -> Iterator[Frozen]:
-    for name, x in zip(record.outputs, record.y.T, strict=True):
+    for i, name in enumerate((*record.inputs, *record.outputs)):
+        x = record.channel(name)
         at = np.flatnonzero(np.isfinite(x))
-        if len(at) < 4 * WORD:
+        # What is given by a generator may be given again, noise may not.
+        if len(at) < 4 * WORD or (i < record.nu and not _noisy(x)):
             continue
         t = record.t[at]
+        lost: Literal["input", "output"] = "input" if i < record.nu else "output"
         for first, length, lag in _blocks(x[at]):
             start, end = t[[first, first + length - 1]].tolist()
             source = float(t[first - lag])
-            yield Frozen(channel=name, start=start, duration=end - start, source=source)
+            yield Frozen(channel=name, start=start, duration=end - start, source=source, lost=lost)
 
 
 def _blocks(x: Array) -> list[tuple[int, int, int]]:

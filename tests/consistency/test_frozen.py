@@ -76,3 +76,69 @@ def test_a_periodic_motion_is_no_copy():
     k = np.arange(1000)
     turn = np.round(np.sin(2 * np.pi * (k % 50) / 50), 6)[:, None]
     assert not frozen(Record(0.02 * k, turn, turn, ("lat",), ("p",), "periodic"))
+
+
+def steered(seed, noise=0.0005):
+    """A flight whose lateral stick never rests: a hand, and noise."""
+    record = flown(seed=seed)
+    rng = np.random.default_rng(seed)
+    hand = 0.02 * np.sin(1.3 * record.t + seed) + 0.01 * np.sin(3.1 * record.t)
+    return replace(record, u=record.u + hand[:, None] + noise * rng.standard_normal(record.u.shape))
+
+
+def with_input(record, rows, values):
+    u = record.u.copy()
+    u[rows, 0] = values
+    return replace(record, u=u)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.0005])
+def test_an_input_that_stops_amid_movement_is_named(noise):
+    record = steered(5, noise)
+    assert not frozen(record)
+    (found,) = frozen(with_input(record, slice(310, 410), record.u[310, 0]))
+    assert (found.channel, found.lost) == (record.inputs[0], "input")
+    assert (found.start, found.duration) == pytest.approx((record.t[310], 99 * 0.02))
+    assert "leave these rows out" in found.told()
+
+
+def test_a_copied_block_of_a_noisy_input_is_named():
+    record = steered(6)
+    (found,) = frozen(with_input(record, slice(400, 440), record.u[100:140, 0]))
+    assert (found.channel, found.source, found.lost) == (
+        record.inputs[0],
+        pytest.approx(record.t[100]),
+        "input",
+    )
+
+
+def test_a_stall_of_the_logger_is_named_once():
+    record = steered(7)
+    u, y = record.u.copy(), record.y.copy()
+    u[300:340], y[300:340] = u[300], y[300]
+    (found,) = frozen(replace(record, u=u, y=y))
+    assert (found.lost, found.start) == ("rows", pytest.approx(record.t[300]))
+    assert found.duration == pytest.approx(39 * 0.02)
+    assert found.told().startswith("all channels stand still from 6 s for 0.78 s")
+
+
+def ramps(t):
+    return np.interp(t, [2, 2.3, 4, 4.5, 6, 6.2, 8, 9], [0, 0.1, 0.1, -0.2, -0.2, 0.05, 0.05, 0])
+
+
+def levels(t):
+    return np.select([t < 2, t < 4, t < 5, t < 7], [0.0, 0.1, -0.13, 0.05], 0.0)
+
+
+def quantised(t):
+    return np.round(0.1 * np.sin(2 * t) / 0.004) * 0.004
+
+
+def held_at_five_hertz(t):
+    return 0.1 * np.sin(2 * np.floor(5 * t) / 5)
+
+
+@pytest.mark.parametrize("command", [ramps, levels, quantised, held_at_five_hertz])
+def test_commands_that_rest_by_themselves_are_honest(command):
+    record = flown(seed=8)
+    assert not frozen(with_input(record, slice(None), command(record.t)))
