@@ -3,7 +3,7 @@
 Holding combinations A λ of the parameters raises a likelihood's cost by half of Σ w_i χ²_i, one
 degree of freedom each, with w the eigenvalues of (A P Aᵀ)⁻¹ A V Aᵀ, P the inverse information and V
 the covariance that the estimates really have (J. T. Kent, Biometrika 69(1), 1982). They are 1 where
-residuals are white and the structure is true.
+residuals are white and the structure is true, n/(n - p) where R comes from those residuals.
 """
 
 import numpy as np

@@ -29,7 +29,9 @@ class OutputErrorNotes:
     nuisances : int
         Numbers estimated beside λ: initial states, biases, the noise's variances and the gain.
     cramer_rao : (nf, nf) array
-        Covariance of the estimates if residuals were white: the inverse information.
+        Covariance of the estimates if residuals were white: the inverse information at
+        ``Fit.R``. That of ``std_error`` is larger by n/(n - p) too, where n measurements gave
+        that R and p other unknowns.
     correlation : (nf, nf) array
         Of the estimates by it.
     collinear : tuple of Collinearity
@@ -107,9 +109,10 @@ def precision(programme: Programme, x: Array) -> Precision:
     lost = tuple(name for name, out in zip(names, unknown, strict=True) if out)
     if programme.evaluator.kalman:  # a noise that does not matter need not be known
         lost = tuple(name for name in lost if name in programme.free.names)
-    known = np.where(unknown | unknown[:, None], 0.0, scaled)
-    robust = np.where(np.isfinite(scaled), _coloured(programme, x, known, follow), scaled)
     n = len(programme.free.index)
+    known = np.where(unknown | unknown[:, None], 0.0, scaled)
+    tied = int(ties[:, :n].any(axis=1).sum())
+    robust = np.where(np.isfinite(scaled), _coloured(programme, x, known, follow, tied), scaled)
     unit = np.outer(programme.scales.lam, programme.scales.lam)
     diagonal = np.diag(F)[:n]
     with np.errstate(divide="ignore"):
@@ -185,7 +188,8 @@ def quadratic_model(
     return uncertainty.eliminate(own, H[nf:, nf:], cross, tied, gaps)
 
 
-def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) -> Array:
+def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array, held: int) -> Array:
+    """What residuals correlated as they are make of a covariance (nf, nf), few data allowed for."""
     e, s, layout = programme.evaluator, programme.scales, programme.evaluator.layout
     sweep = programme.blocks(x).sweep
     nf, nx, ny, first = e.nf, e.nx, e.ny, programme.first_node
@@ -204,8 +208,10 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array) 
     n = len(programme.free.index)
     unit, known = s.lam[:n], covariance[:, :n]
     surprise = programme.free.scatter_of_surprise(programme.unpack(x).lam[:n])
-    total = data + known @ (surprise * np.outer(unit, unit)) @ known.T
+    larger = programme.understatement(held)
+    total = larger * data + known @ (surprise * np.outer(unit, unit)) @ known.T
     if sweep.gains is None:
         return np.asarray(total)
     _, more = sweep.gains.through_covariance(sweep.motion.residuals)
-    return np.asarray(total + covariance @ (more * np.outer(s.lam, s.lam)) @ covariance)
+    more = larger * more * np.outer(s.lam, s.lam)
+    return np.asarray(total + covariance @ more @ covariance)

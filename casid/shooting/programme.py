@@ -121,9 +121,23 @@ class Programme:
     @property
     def nuisances(self) -> int:
         """How many numbers are estimated beside λ, those on continuity constraints left out."""
+        return self._local + self.noise.unknowns + self.evaluator.nf - len(self.free.index)
+
+    @property
+    def _local(self) -> int:
+        """Number of initial states and biases."""
         e = self.evaluator
-        local = self.records * (e.nx + self.biases * (e.ny - len(self.free.unbiased)))
-        return local + self.noise.unknowns + e.nf - len(self.free.index)
+        return self.records * (e.nx + self.biases * (e.ny - len(self.free.unbiased)))
+
+    def understatement(self, held: int) -> float:
+        """n/(n - p), by which residuals of p fitted numbers understate variances; 1 of a given R.
+
+        Of n measurements; ``held`` parameters are on bounds or tied to others.
+        """
+        if self.noise.given is not None:
+            return 1.0
+        p = self._local + len(self.free.index) - held
+        return self.n / max(self.n - p, 1)
 
     @property
     def first_node(self) -> int:

@@ -195,7 +195,8 @@ def coloured_covariance(
     P K P (Klein & Morelli, section 6.1.3; E. A. Morelli, V. Klein, J. Aircraft 34(2), 1997) with P
     the white-noise covariance and K that of the scores' sum: of a process of its own, which the
     residuals may be. Correlated in time, they mostly come of what the structure leaves out and
-    depend on the slopes; then K is in every direction the larger of that and of the blocks'.
+    depend on the slopes; then K is in every direction the larger of that and of the blocks'. Of
+    fewer samples than blocks take a correlation is chance as much, and K not below white noise's.
 
     Parameters
     ----------
@@ -216,6 +217,8 @@ def coloured_covariance(
     length = samples // (PARTS * blocks)
     if len(C) > 1 and PARTS * length >= len(C):
         K = _larger(K, block_scores(root, residuals, slopes(), length))
+    elif length == 0:
+        K = _larger(K, np.eye(len(K)))
     return np.asarray(root @ K @ root.T)
 
 

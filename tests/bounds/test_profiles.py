@@ -62,10 +62,10 @@ def test_the_interval_is_exact_when_the_noise_is_estimated_too():
     # The variance concentrated out, 2 ΔJ = n log(1 + d² / (v S)), S the sum of squares.
     free, covariance, squares, n = solved()
     v = covariance[1, 1]
-    half = np.sqrt(v * squares * np.expm1(QUANTILE / n))
+    w = n / (n - len(free))  # by which the residuals' variance is larger than their mean square
+    half = np.sqrt(v * squares * np.expm1(w * QUANTILE / n))
     values = free[1] + half * np.array([-1.5, 1.5])
     found = profile_parameters(Mixture(), record(), values={"b": values}, execution=HERE)
-    # twice the rise is weighed by the variance of the residuals' own process over the fit's: 1
     np.testing.assert_allclose(found.intervals["b"], [free[1] - half, free[1] + half], rtol=1e-4)
 
 

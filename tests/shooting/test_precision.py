@@ -138,3 +138,14 @@ def test_information_is_that_of_least_squares_with_all_else_projected_out():
     alone = 1 / np.linalg.norm(projected, axis=0)
     np.testing.assert_allclose(found.insensitivity, alone * programme.scales.lam[:n], rtol=1e-5)
     assert found.undetermined == ()
+
+
+def test_errors_allow_for_what_the_fit_took_from_the_residuals():
+    record = noisy(2)
+    free = output_error(TRUTH, record)
+    known = output_error(TRUTH, record, R=free.R)
+    n = np.isfinite(record.y).sum()
+    p = 7 + 3 + 3  # parameters, initial states and biases
+    # Where the residuals gave R it is n/(n - p) too small; a given one is right.
+    np.testing.assert_allclose(free.covariance / known.covariance, n / (n - p), rtol=1e-5)
+    np.testing.assert_allclose(free.notes.cramer_rao, known.notes.cramer_rao, rtol=1e-5)

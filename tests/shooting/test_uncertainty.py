@@ -205,3 +205,14 @@ def test_white_residuals_need_no_correction():
     found = coloured_covariance(covariance, [RNG.standard_normal((n, 1))], lambda: [[s]])
     # The variance of 20000 residuals scatters by 1 %.
     np.testing.assert_allclose(np.diag(found), np.diag(covariance), rtol=0.04)
+
+
+def test_few_residuals_that_alternate_by_chance_do_not_make_errors_smaller():
+    s, r = RNG.standard_normal((40, 1, 2)), np.tile([[1.0], [-1.0]], (20, 1))
+    s += 2.0  # slow, so that an alternating noise would average out
+    covariance = np.linalg.inv(np.einsum("nai,naj->ij", s, s))
+    found = coloured_covariance(covariance, [r], lambda: [[s]])
+    assert np.linalg.eigvalsh(found - covariance).min() > -1e-9 * covariance.max()
+    C = residual_covariance([r])
+    root = np.linalg.cholesky(covariance)
+    assert np.linalg.eigvalsh(process_scores(root, C, [[s]])).min() < 0.5  # what it would be
