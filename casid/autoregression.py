@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray
 from casid.record import Record
+from casid.repetition import least_step
 from casid.samples import at_instants
 
 REACH = 0.25  # time [s] that the lags reach back, within these limits
@@ -242,6 +243,9 @@ def _judged(whole: Record, lost: BoolArray) -> tuple[Array, Array, int]:
     seen = np.where(lost, np.nan, 1.0)
     std = std * np.maximum(MAD * np.nanmedian(seen * np.abs(off) / std, axis=0), 1.0)
     e = np.abs(model.innovations(whole.u, whole.y))
+    # What is counted in steps is off by up to half of one.
+    step = [least_step(x) / np.sqrt(12) for x in np.where(lost, np.nan, whole.y).T]
+    std = np.maximum(std, step)
     limit = FAR * np.maximum(std, MAD * np.nanmedian(seen[p:] * e, axis=0))
     return off, np.maximum(limit, SLIGHT * np.std(whole.y, axis=0)), p
 

@@ -58,6 +58,13 @@ def counted(x: Array) -> bool:
     return bool(len(moves) < 2 or np.quantile(moves, 0.05) > FINE * np.median(moves))
 
 
+def least_step(x: Array) -> float:
+    """Step that a channel (N,) is counted in, lost samples left out; 0 if it is not."""
+    seen = x[np.isfinite(x)]
+    moves = np.abs(np.diff(seen))
+    return float(np.quantile(moves[moves > 0], 0.05)) if counted(seen) and moves.any() else 0.0
+
+
 def _repeated(x: Array) -> BoolArray:
     none = np.zeros(len(x), dtype=bool)
     at = np.flatnonzero(np.isfinite(x))

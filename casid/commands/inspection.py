@@ -18,7 +18,7 @@ from casid.excitations import Excitation, certified
 from casid.model import Bounds, Model
 from casid.record import Record
 from casid.records import Records, same_channels, several
-from casid.repetition import repeated, source_interval
+from casid.repetition import least_step, repeated, source_interval
 from casid.structure.identifiability import Identifiability, identifiability
 
 GAP = 1.5  # median sampling intervals
@@ -232,7 +232,13 @@ def _clipped(values: Array, *, stick: bool) -> int:
         runs = edges[1::2] - edges[::2]
         inside = (edges[::2] > 0) & (edges[1::2] < len(values))  # trim at either end is no stop
         longest = max(longest, int(runs[inside].max(initial=0)))
-    return longest if longest >= CLIPPED else 0
+    # A channel that is counted in coarse steps rests on each of them.
+    usual = 0
+    if least_step(values) and not stick:
+        at = np.flatnonzero(np.diff(values, prepend=np.nan, append=np.nan))
+        inner = (values[at[:-1]] > values.min()) & (values[at[:-1]] < values.max())
+        usual = int(np.diff(at)[inner].max(initial=0))
+    return longest if longest >= max(CLIPPED, usual) else 0
 
 
 def _band(values: Array, duration: float) -> Array:

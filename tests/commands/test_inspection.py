@@ -168,3 +168,14 @@ def test_nothing_is_blamed_for_rows_that_no_instrument_measured():
     assert all("has 2 outliers" in line for line in found.advice)
     assert facts(found, "p").outliers == (record.t[300], record.t[700])
     assert facts(found, "p").deviation == pytest.approx(record.y[:, 0].std(), rel=0.01)
+
+
+@pytest.mark.parametrize("step", [0.02, 0.01])
+def test_a_channel_counted_in_coarse_steps_is_neither_wrong_nor_saturated(step):
+    record = swept()
+    y = record.y.copy()
+    y[:, 0] = np.round(y[:, 0] / step) * step
+    assert not any("p " in line for line in inspect_records([replace(record, y=y)]).advice)
+    y[500, 0] += 0.1
+    (said,) = (line for line in inspect_records([replace(record, y=y)]).advice if "p has" in line)
+    assert "p has 1 outlier," in said
