@@ -81,6 +81,12 @@ def checked_fields(cls: type[T]) -> type[T]:
     return cls
 
 
+def check_fields(value: object) -> None:
+    """Refuse a dataclass one of whose fields is of another kind than declared: ValueError."""
+    cls = type(value)
+    _check_kinds(cls.__name__, vars(value), _hints(cast("Hashable", cls)))
+
+
 @cache
 def _hints(owner: Hashable) -> Mapping[str, Any]:
     return get_type_hints(owner)  # of a function or a class

@@ -203,6 +203,7 @@ class Fit(Shown, Generic[M_co, N_co]):
 
 
 AnyFit: TypeAlias = Fit[Model, Any]
+FLAGS = ("active", "fixed")
 NUMERIC = tuple(each.name for each in fields(ParameterEstimate) if each.type is float)
 
 
@@ -211,7 +212,14 @@ def _decoded(content: Any, model: type[M], place: str | Path) -> Fit[M, Any]:  #
     if missing := [name for name in names if name not in content]:
         raise ValueError(f"{place}: the saved fit has no {missing[0]!r}; was the file edited?")
     _check_structure(content["model"]["value"], content["model"]["fields"], model, place)
-    return Fit(**{name: decode(content[name], (model,)) for name in names})
+    return Fit(**{name: _field(name, content[name], model, place) for name in names})
+
+
+def _field(name: str, content: Any, model: type[M], place: str | Path) -> Any:  # noqa: ANN401
+    try:
+        return decode(content, (model,))
+    except ValueError as error:
+        raise ValueError(f"{place}: {name}: {error}; was the file edited?") from error
 
 
 def _check_structure(
@@ -265,6 +273,10 @@ def _check_types(fit: AnyFit) -> None:
     values += [getattr(row, name) for row in rows for name in NUMERIC]
     texts: list[Any] = [fit.status, fit.method, *fit.free_names]
     texts += [text for row in rows for text in (row.name, row.unit)]
+    flags = {f"{row.name}.{name}": getattr(row, name) for row in rows for name in FLAGS}
+    flags |= {f"{row.name}.active": row.active for row in held} | {"success": fit.success}
+    if odd := [name for name, value in flags.items() if not isinstance(value, bool)]:
+        raise TypeError(f"{odd[0]} = {flags[odd[0]]!r} is neither true nor false")
     for kind, found in (
         (ParameterEstimate, rows), (ConstraintEstimate, held), (Certificate, optional),
         (np.ndarray, [each for each in arrays if each is not None]),

@@ -120,7 +120,10 @@ def _array(content: Mapping[str, Any], _: Sequence[type]) -> Any:  # noqa: ANN40
         re, im = (np.array(part, dtype=float) for part in content["array"])
         return (re + 1j * im).reshape(content["shape"])
     kinds = {"f": float, "b": bool, "i": int}
-    return np.array(content["array"], dtype=kinds[content["kind"]]).reshape(content["shape"])
+    found: np.ndarray = np.array(content["array"], dtype=kinds[content["kind"]])
+    if found.size and list(found.shape) != content["shape"]:
+        raise ValueError(f"an array of shape {list(found.shape)}, expected {content['shape']}")
+    return found.reshape(content["shape"])
 
 
 _DECODERS: Mapping[str, Callable[[Mapping[str, Any], Sequence[type]], Any]] = {

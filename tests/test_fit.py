@@ -149,6 +149,20 @@ def test_a_fit_of_another_structure_or_no_fit_is_refused(tmp_path):
     file.write_text(json.dumps(content))
     with pytest.raises(ValueError, match="the saved fit has no 'cost'"):
         Fit.load(file, model=Lag)
+    for damage, said in (
+        (lambda row: row.update(active=None), r"a\.active = None is neither true nor false"),
+        (lambda row: row.update(fixed=0), r"a\.fixed = 0 is neither"),
+    ):
+        fit().save(file)
+        content = json.loads(file.read_text())
+        damage(content["parameters"]["tuple"][0]["fields"])
+        file.write_text(json.dumps(content))
+        with pytest.raises(ValueError, match=said):
+            Fit.load(file, model=Lag)
+    content["covariance"]["array"] = 1.0
+    file.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=r"fit\.json: covariance: an array of shape"):
+        Fit.load(file, model=Lag)
     file.write_text('{"casid": "study"}')
     with pytest.raises(ValueError, match=r"fit\.json: not a fit saved by casid"):
         Fit.load(file, model=Lag)

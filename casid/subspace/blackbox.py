@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
+from casid.checks import check_fields
 from casid.display import Shown, counted
 from casid.excitations import Excitation
 from casid.files import read_json, write_json
@@ -120,12 +121,17 @@ class BlackBox(Shown):
         ValueError
             No black box, or a damaged one.
         """
+        content = read_json(path)
         try:
-            found = decode(read_json(path)["result"])
-        except (TypeError, LookupError, AttributeError, RecursionError) as error:
+            found = decode(content["result"])
+        except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
             raise ValueError(f"{path}: not a black box saved by casid ({error!r})") from error
         if not isinstance(found, cls):
             raise ValueError(f"{path}: a {type(found).__name__}, expected a black box")  # noqa: TRY004
+        try:
+            _check(found)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}; was the file edited?") from error
         return found
 
     def doubts(self) -> tuple[str, ...]:
@@ -191,3 +197,25 @@ class BlackBox(Shown):
         predictor, _ = from_zoh(system.A - self.K @ system.C, system.B, system.dt)
         K = np.linalg.lstsq(system.C.T, (found.A - predictor).T, rcond=None)[0].T
         return replace(self, system=found, K=K)
+
+
+def _check(box: BlackBox) -> None:
+    """Refuse fields of another kind, shape or range than those of a black box."""
+    sampled = box.transform == "none"  # has no Laguerre pole
+    check_fields(replace(box, pole=0.0) if sampled else box)
+    system = box.system
+    nx, nu, ny = system.nx, system.nu, system.ny
+    shapes = {"K": (nx, ny), "feedthrough": (ny, nu), "input_std": (nu,), "output_std": (ny,)}
+    shapes |= {"explained": (ny,)} if box.explained is not None else {}
+    for name, shape in shapes.items():
+        value = np.asarray(getattr(box, name))
+        if value.shape != shape or (name != "explained" and not np.isfinite(value).all()):
+            raise ValueError(f"{name} of shape {value.shape}, expected {shape}, all of it finite")
+    for letter in "ABCD":
+        if not np.isfinite(getattr(system, letter)).all():
+            raise ValueError(f"system: {letter} is not finite")
+    for name in ("input_std", "output_std"):
+        if (getattr(box, name) < 0).any():
+            raise ValueError(f"{name} = {getattr(box, name)}, expected 0 or more")
+    if not 0 <= box.band[0] < box.band[1] < np.inf:
+        raise ValueError(f"band = {box.band}, expected 0 <= lowest < highest [rad/s]")

@@ -1,5 +1,6 @@
 """The black box and what is known about it."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -48,7 +49,7 @@ def test_a_pole_on_the_negative_axis_has_no_continuous_equivalent():
 
 
 def test_a_saved_black_box_is_read_back_as_it_was(tmp_path):
-    box = known_black_box(unstable_plant())
+    box = replace(known_black_box(unstable_plant()), pole=2.0)
     box.save(tmp_path / "box.json")
     back = BlackBox.load(tmp_path / "box.json")
     assert repr(back) == repr(box)
@@ -61,3 +62,34 @@ def test_a_saved_black_box_is_read_back_as_it_was(tmp_path):
         (tmp_path / "box.json").write_text(text, encoding="utf-8")
         with pytest.raises(ValueError, match=r"box\.json"):
             BlackBox.load(tmp_path / "box.json")
+
+
+DAMAGE = {
+    "system": lambda box: box.update(system=None),
+    "band =": lambda box: box.update(band=None),
+    r"band = \(10": lambda box: box["band"]["tuple"].reverse(),
+    "explained": lambda box: box.update(explained=-1),
+    "output_std = ": lambda box: box["output_std"]["array"].__setitem__(0, -1.0),
+    "shape": lambda box: box["output_std"].update(array=[1.0]),
+    r"expected \[.*\]": lambda box: box["K"].update(array=0.0),
+    "K of shape": lambda box: box.update(K={"array": [1.0], "kind": "f", "shape": [1]}),
+    "pole": lambda box: box.update(pole={"float": "nan"}),
+    "system: A": lambda box: box["system"]["fields"]["A"]["array"][0].__setitem__(0, None),
+    "an array of shape": lambda box: box["system"]["fields"]["D"].update(array=-1),
+    "past": lambda box: box.update(past=1.5),
+}
+
+
+@pytest.mark.parametrize("field", DAMAGE)
+def test_a_damaged_black_box_is_refused_by_the_name_of_its_field(field, tmp_path):
+    replace(known_black_box(unstable_plant()), pole=2.0).save(tmp_path / "box.json")
+    content = json.loads((tmp_path / "box.json").read_text("utf-8"))
+    DAMAGE[field](content["result"]["fields"])
+    (tmp_path / "box.json").write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(ValueError, match=rf"box\.json.*{field}"):
+        BlackBox.load(tmp_path / "box.json")
+
+
+def test_a_black_box_of_samples_has_no_pole_and_is_read(tmp_path):
+    replace(known_black_box(sampled_plant()), transform="none").save(tmp_path / "box.json")
+    assert np.isnan(BlackBox.load(tmp_path / "box.json").pole)
