@@ -307,6 +307,11 @@ def _multisine(problem: _Problem, task: Task) -> Array:
     """Powers by the convex programme, phases of least peak, then all coefficients together."""
     settings, t, nu = problem.settings, _instants(task), len(task.sticks)
     omega = signals.harmonics(problem.band, problem.duration - settings.rest)
+    if len(omega) < nu:
+        raise ValueError(
+            f"the band has {len(omega)} harmonics of {problem.duration:g} s, fewer than {nu} "
+            "inputs: widen the band or fly longer"
+        )
     axis = shared_out(len(omega), nu)
     free = problem.frees[0]
     at = MatrixFunction(free)(free.guess)

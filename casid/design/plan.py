@@ -111,6 +111,17 @@ class DesignSettings:
     spread: float | None = None
     draws: int = 24
 
+    def __post_init__(self) -> None:
+        for name in ("rest", "iterations", "spread", "draws"):
+            if (value := getattr(self, name)) is not None and not 0 <= value < np.inf:
+                raise ValueError(f"{name} = {value:g}: expected a finite number, 0 or more")
+        if self.unit is not None and not 0 < self.unit < np.inf:
+            raise ValueError(f"unit = {self.unit:g} s: expected a time above 0")
+        if self.band is not None and not 0 < self.band[0] < self.band[1]:
+            raise ValueError(
+                f"band = {self.band}: expected (lowest, highest), 0 < lowest < highest"
+            )
+
 
 @checked_fields
 @dataclass(frozen=True, kw_only=True)
