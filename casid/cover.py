@@ -212,7 +212,7 @@ def _inverse(G0: ComplexArray, omega: Array, inputs: Sequence[str]) -> ComplexAr
             f"{omega[short].min():.4g} to {omega[short].max():.4g} rad/s: no error at its output "
             'stands for models that do; take kind="additive", another nominal model or fewer inputs'
         )
-    return np.asarray((U / sizes[:, None]).conj() @ V).swapaxes(1, 2)
+    return np.asarray(((U / sizes[:, None]) @ V).conj().swapaxes(1, 2))
 
 
 def _fitted(omega: Array, error: Array, order: int) -> tuple[Chebyshev, Chebyshev, float]:

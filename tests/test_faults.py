@@ -362,7 +362,7 @@ def test_a_clock_that_jumps_changes_no_result(days, copy, tmp_path):
 
 
 def failing(monkeypatch, beginning):
-    """IPOPT stops early in every solve whose name begins so."""
+    """IPOPT stops early in every solve whose name begins so, and no steps go on from there."""
     real = casid.nlp.solve
 
     def solve(problem, options, *, stage, warm=None):
@@ -373,6 +373,7 @@ def failing(monkeypatch, beginning):
 
     for module in ("matching.programme", "shooting.search"):
         monkeypatch.setattr(f"casid.{module}.solve", solve)
+    monkeypatch.setattr("casid.shooting.search.completed", lambda _, __, found, *___: found)
 
 
 SOLVES = {"quadratic": "match quadratic", "hinf": "match hinf", "output_error": "output error",

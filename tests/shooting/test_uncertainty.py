@@ -208,7 +208,8 @@ def test_white_residuals_need_no_correction():
 
 
 def test_few_residuals_that_alternate_by_chance_do_not_make_errors_smaller():
-    s, r = RNG.standard_normal((40, 1, 2)), np.tile([[1.0], [-1.0]], (20, 1))
+    rng = np.random.default_rng(0)
+    s, r = rng.standard_normal((40, 1, 2)), np.tile([[1.0], [-1.0]], (20, 1))
     s += 2.0  # slow, so that an alternating noise would average out
     covariance = np.linalg.inv(np.einsum("nai,naj->ij", s, s))
     found = coloured_covariance(covariance, [r], lambda: [[s]])
