@@ -18,7 +18,7 @@ Hold = Literal["foh", "zoh"]
 
 FEWEST = 16  # samples of a stretch between gaps
 MOST = 10_000_000  # samples that a record is resampled to
-QUIET = 0.02  # share of an input's range that still counts as trim
+REST = 0.5  # s of quiet that a trim should rest on
 
 
 @checked_methods
@@ -321,10 +321,10 @@ class Record(Shown):
     def quiet_samples(self) -> int:
         """Number of samples before the first input leaves its initial value.
 
-        An input has left when it is more than 2 % of its range away from its first sample.
+        An input has left when it is more than 2 % of its range away from its first sample or, if
+        it is noisy, five deviations of its noise from the mean of its first ten.
         """
-        away = np.abs(self.u - self.u[0]) > QUIET * np.maximum(np.ptp(self.u, axis=0), 1e-300)
-        moved = np.flatnonzero(away.any(axis=1))
+        moved = np.flatnonzero(samples.off_rest(self.u).any(axis=1))
         return int(moved[0]) if len(moved) else self.N
 
     def detrend(self, how: Literal["first", "mean"] | Mapping[str, float] | None) -> "Record":
@@ -333,14 +333,15 @@ class Record(Shown):
         Parameters
         ----------
         how : {"first", "mean"}, mapping or None
-            ``"first"``: the mean of the stretch before the first input moves; ``"mean"``: the mean
-            of the record; a mapping gives the trim of every channel (for a record that is excited
-            from its first sample: another record's ``trim``); None leaves it as it is.
+            ``"first"``: the mean of the stretch before the first input moves, with a `DataWarning`
+            if that is shorter than 0.5 s; ``"mean"``: the mean of the record; a mapping gives the
+            trim of every channel (for a record that is excited from its first sample: another
+            record's ``trim``); None leaves it as it is.
         """
         if how is None:
             return self
         if how == "first":
-            trim = self._means(max(self.quiet_samples(), 1))
+            trim = self._means(self._rest())
         elif how == "mean":
             trim = self._means(self.N)
         elif isinstance(how, Mapping):
@@ -362,6 +363,17 @@ class Record(Shown):
             _position(name, self.outputs, "output", self.name)
         sigma = np.array([std.get(name, 0.0) for name in self.outputs])
         return replace(self, y=self.y + sigma * rng.standard_normal(self.y.shape))
+
+    def _rest(self) -> int:
+        """Samples that a trim is taken from, one at least; a warning if they are few."""
+        n = max(self.quiet_samples(), 1)
+        if n < self.N and (length := float(self.t[n] - self.t[0])) < REST:
+            warn(
+                f"record {self.name!r}: an input moves {length:.3g} s after the start, so that its "
+                f"trim is the mean of {n} sample{'s' * (n > 1)}; take that of another record, or "
+                'detrend="mean"'
+            )
+        return n
 
     def _means(self, n: int) -> dict[str, float]:
         means = {name: float(self.u[:n, i].mean()) for i, name in enumerate(self.inputs)}

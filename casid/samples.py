@@ -10,10 +10,33 @@ from casid.arrays import Array, BoolArray
 
 Between = Literal["zoh", "foh", "smooth"]  # steps, straight lines, a cubic spline
 
+QUIET = 0.02  # share of an input's range that still counts as trim
+NOISY = 5.0  # deviations of a resting input's noise that do, too
+LEVEL = 10  # first samples of a noisy input, whose mean is its level at rest
+FEWEST = 50  # samples that show noise
+NORMAL = 1.4826  # standard deviation of a normal distribution over its median deviation
 USUAL = 0.95  # share of sampling intervals that are not longer than the usual one
 SLOWER = 1.5  # intervals that are longer by this factor need a filter first
 CLOSE = 0.05  # of the median interval: a curve through two samples so close swings far beyond both
 PASS = 0.8  # of the new Nyquist frequency: what is above it is taken out before sampling slower
+
+
+def noise(x: Array) -> Array:
+    """Standard deviation of white noise on every smooth column (N, n), by third differences."""
+    if len(x) < FEWEST:
+        return np.zeros(x.shape[1])
+    return np.asarray(NORMAL * np.median(np.abs(np.diff(x, 3, axis=0)), axis=0) / np.sqrt(20))
+
+
+def off_rest(u: Array) -> BoolArray:
+    """Where every column (N, n) is away from its first level by more than rest and noise do."""
+    # That level is the first sample or, of noise, the mean of those before, of ten at most.
+    first = np.cumsum(u[:LEVEL], axis=0)
+    means = first / np.arange(1, len(first) + 1)[:, None]
+    level = means[np.clip(np.arange(len(u)) - 1, 0, len(means) - 1)]
+    least, most = QUIET * np.ptp(u, axis=0), NOISY * noise(u)
+    level = np.where(most > least, level, u[0])
+    return np.asarray(np.abs(u - level) > np.maximum(np.maximum(least, most), 1e-300))
 
 
 def usual_interval(t: Array) -> float:

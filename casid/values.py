@@ -14,6 +14,9 @@ import numpy as np
 
 T = TypeVar("T")
 
+# What `decode` raises on a damaged file; overflow where a number has no place in its array.
+DAMAGED = (ValueError, TypeError, LookupError, AttributeError, RecursionError, OverflowError)
+
 _STORABLE: dict[str, type] = {}
 # Where each storable class is defined: a file may be read before anything has imported it.
 _HOMES: Mapping[str, tuple[str, ...]] = {

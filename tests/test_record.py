@@ -95,12 +95,34 @@ def test_the_quiet_stretch_ends_where_the_first_input_leaves_two_percent_of_its_
     assert record(u=np.ones((5, 2))).quiet_samples() == 5
 
 
+def noisy_stick(share, seed=0):
+    """A doublet at 2 s of a stick with white noise of that share of its range at rest."""
+    rng, t = np.random.default_rng(seed), 0.02 * np.arange(500)
+    u = np.where((t >= 2) & (t < 3), 1.0, 0.0) - np.where((t >= 3) & (t < 4), 1.0, 0.0)
+    u = u + 2 * share * rng.standard_normal(len(t))
+    return Record(t, u[:, None], 3 + rng.standard_normal((500, 1)), ("lat",), ("p",), "noisy")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.005, 0.02, 0.05])
+def test_noise_of_a_resting_stick_does_not_end_the_quiet_stretch(share):
+    for seed in range(20):
+        assert noisy_stick(share, seed).quiet_samples() == 100
+
+
+def test_a_trim_from_too_short_a_stretch_is_said_with_its_length():
+    late = noisy_stick(0.02).cut(1.8, 9.0)
+    with pytest.warns(DataWarning, match=r"'noisy': an input moves 0\.2 s after.*mean of 10 samp"):
+        trim = late.detrend("first").trim
+    assert trim["p"] == pytest.approx(late.y[:10].mean())
+
+
 def test_trim_is_subtracted_and_remembered():
     u = np.array([[1, 2], [1, 2], [5, 2], [1, 9], [1, 2.0]])
     y = np.ones((5, 3)) * [1, 2, 3]
     y[0, 0] = np.nan
     roll = record(u=u, y=y)
-    first = roll.detrend("first")
+    with pytest.warns(DataWarning, match="the mean of 2 samples"):
+        first = roll.detrend("first")
     np.testing.assert_array_equal(first.u, u - [1, 2])
     np.testing.assert_array_equal(first.y[1:], np.zeros((4, 3)))
     assert first.trim == {"lat": 1, "ped": 2, "p": 1, "r": 2, "phi": 3}
@@ -121,7 +143,10 @@ def test_trim_that_is_not_there_is_told():
     y[:2, 1] = np.nan
     u = np.zeros((5, 2))
     u[2:] = 1.0
-    with pytest.raises(ValueError, match="output 'r' has no sample in its first 2"):
+    with (
+        pytest.warns(DataWarning, match="the mean of 2 samples"),
+        pytest.raises(ValueError, match="output 'r' has no sample in its first 2"),
+    ):
         record(u=u, y=y).detrend("first")
 
 

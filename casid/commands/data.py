@@ -34,7 +34,7 @@ from casid.structure.modelfile import load_model, locate_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
 from casid.validation import validate
-from casid.values import decode
+from casid.values import DAMAGED, decode
 
 
 def _names(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...]:
@@ -136,7 +136,7 @@ def _response(source: Path, content: Mapping[str, Any]) -> FrequencyResponse:
         return FrequencyResponse.load(source)
     try:
         found = decode(content["result"])
-    except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
+    except DAMAGED:
         found = None
     if not isinstance(found, FrequencyResponse):
         raise ValueError(  # noqa: TRY004 - the file's fault

@@ -9,21 +9,20 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.autoregression import outliers
 from casid.channels import UNITS
-from casid.consistency.frozen import Frozen, frozen
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.consistency.measured import noise
 from casid.consistency.plausibility import unit_doubts
 from casid.display import counted
 from casid.excitations import Excitation, certified
+from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
-from casid.record import Record
+from casid.record import REST, Record
 from casid.records import Records, same_channels, several
 from casid.repetition import least_step, repeated, source_interval
 from casid.structure.identifiability import Identifiability, identifiability
 
 GAP = 1.5  # median sampling intervals
 CLIPPED = 5  # equal samples in a row at a channel's largest or smallest value
-QUIET = 0.5  # s without input that a trim should rest on
 ALIKE = 0.8  # correlation of two inputs over all records
 WEAK = 3.0  # signal over noise
 SHARES = (0.05, 0.5, 0.95)  # of a channel's power
@@ -278,9 +277,9 @@ def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
             f"{facts.name}: {counted(len(facts.gaps), 'gap')} in time, the longest of "
             f"{length:.3g} s at {at:.4g} s; split the record at long ones (Record.between)"
         )
-    if facts.quiet < QUIET:
+    if facts.quiet < REST:
         said.append(
-            f"{facts.name}: an input moves within {QUIET:g} s of the start, so there is no trim; "
+            f"{facts.name}: an input moves within {REST:g} s of the start, so there is no trim; "
             "take that of another record (detrend)"
         )
     said += [f"{facts.name}: {stretch.told()}" for stretch in facts.frozen]

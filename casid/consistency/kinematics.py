@@ -24,7 +24,7 @@ from casid.consistency.measured import (
     signals,
 )
 from casid.display import counted
-from casid.record import Record
+from casid.record import REST, Record
 from casid.records import Records, several
 
 KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
@@ -34,7 +34,6 @@ ROUGH = 0.1  # the scale that matters where an equation lacks a channel
 AWAY, SEEN = 0.2, 0.5  # m: an accelerometer's place that matters, and its largest error
 LEVEL = 0.005  # rad
 ALIKE = 0.2  # how near a factor is to that of a mistake
-REST = 0.5  # s of quiet that a trim is taken from
 MUCH = 0.3  # share of an attitude's movement left unexplained that matters
 
 UNITS = dict.fromkeys(RATES, "rad/s") | dict.fromkeys(FORCES, "m/s^2")

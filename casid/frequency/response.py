@@ -12,7 +12,7 @@ from casid.arrays import Array, ComplexArray
 from casid.display import Shown, listed
 from casid.files import read_json, write_json
 from casid.records import several
-from casid.values import storable
+from casid.values import DAMAGED, storable
 
 PAIRWISE = ("G", "coherence", "random_error", "leakage", "resolution")  # by pair
 CORRELATIONS = ("output_correlation", "input_correlation")
@@ -178,7 +178,7 @@ class FrequencyResponse(Shown):
             raise ValueError(f"{path}: not a frequency response saved by casid")
         try:
             return cls._from_content(content)
-        except (TypeError, LookupError, AttributeError, ValueError) as error:
+        except DAMAGED as error:
             raise ValueError(
                 f"{path}: the frequency response in it is damaged ({error}); save it again"
             ) from error

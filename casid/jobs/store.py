@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from casid.files import read_json, write_json
-from casid.values import decode, encode
+from casid.values import DAMAGED, decode, encode
 
 PLAIN = re.compile(r"[a-z0-9_]{1,40}")  # names that are file names on every system
-DAMAGED = (ValueError, TypeError, LookupError, AttributeError, RecursionError)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -18,11 +18,10 @@ from casid.logs.stretches import SHORTEST, Stretch, find_stretches, make_stretch
 from casid.logs.topics import Log
 from casid.logs.units import check_units, with_units
 from casid.model import Model
-from casid.record import Record
+from casid.record import REST, Record
 from casid.structure.modelfile import load_model, locate_model
 
 KEPT = 4  # of as many stretches one is kept for validation
-QUIET = 0.5  # s before an input moves that make a trim
 FIRST = 0.6  # of a single stretch that identifies
 TEMPLATE = """\
 # Drafted from {log} ({kind}). Paths are relative to this file.
@@ -233,7 +232,7 @@ def _write(
     else:
         reference = ":".join(map(str, locate_model(model)))
     files = [json.dumps([f"data/{each.name}.csv" for each in part]) for part in parts]
-    quiet = [all(each.quiet_samples() > QUIET / each.dt for each in part) for part in parts]
+    quiet = [all(each.quiet_samples() > REST / each.dt for each in part) for part in parts]
     trim = "first" if quiet[0] else "mean"
     words = {
         "log": log.path.name,

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from casid.consistency.flights import Repeats, repeats
-from casid.consistency.frozen import frozen
 from casid.consistency.plausibility import check_plausible
 from casid.design.plan import NextFlight
 from casid.errors import warn
 from casid.exchange.formats import read_record
 from casid.files import Column, read_csv
 from casid.folder import spare
+from casid.frozen import frozen
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record

@@ -18,7 +18,7 @@ from casid.subspace.prediction import SampledUncertainty
 from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.settings import OrderSelection
 from casid.subspace.trust import Missed, data_doubts, growth_doubts, order_doubts
-from casid.values import decode, encode, storable
+from casid.values import DAMAGED, decode, encode, storable
 
 
 @storable
@@ -124,7 +124,7 @@ class BlackBox(Shown):
         content = read_json(path)
         try:
             found = decode(content["result"])
-        except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+        except DAMAGED as error:
             raise ValueError(f"{path}: not a black box saved by casid ({error!r})") from error
         if not isinstance(found, cls):
             raise ValueError(f"{path}: a {type(found).__name__}, expected a black box")  # noqa: TRY004

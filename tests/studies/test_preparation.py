@@ -19,6 +19,7 @@ def read(folder, *changes):
     return {record.name: record for record in read_records(study)["identification"]}
 
 
+@pytest.mark.filterwarnings("ignore:record .sweep.*an input moves")
 def test_records_are_cut_and_resampled(tmp_path):
     plain = read(tmp_path, QUIET)["sweep"]
     changes = (PLACE, PLACE + "cut = [2.0, 20.0]\nresample = 0.08\n")

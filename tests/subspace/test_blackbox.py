@@ -76,6 +76,7 @@ DAMAGE = {
     "pole": lambda box: box.update(pole={"float": "nan"}),
     "system: A": lambda box: box["system"]["fields"]["A"]["array"][0].__setitem__(0, None),
     "an array of shape": lambda box: box["system"]["fields"]["D"].update(array=-1),
+    "too large": lambda box: box["feedthrough"].update(array=[[1e308]] * 3, kind="i"),
     "past": lambda box: box.update(past=1.5),
 }
 

@@ -7,7 +7,7 @@ import pytest
 from truths import uh60
 
 from casid import Record, read_csv
-from casid.consistency.frozen import frozen
+from casid.frozen import frozen
 
 STEPS = np.array([uh60.NOISE[name] for name in uh60.OUTPUTS])
 
