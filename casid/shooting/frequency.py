@@ -150,13 +150,19 @@ class SpectralProgramme:
         self._functions = [f_of, g_of, grad, jac, hess]  # CasADi does not keep them alive
         return f_of, g_of, {"nlp_grad_f": grad, "nlp_jac_g": jac}, hess
 
-    def balanced(self, x: Array) -> Array:
-        """Scales that make the curvature per observation one, at most the present ones."""
-        state = self.state(x)
+    def balanced(self, lam: Array) -> "SpectralProgramme":
+        """The same in scales that make the curvature at free values (nf,) per observation one.
+
+        Scales are at most the present ones.
+        """
+        state = self.state(lam / self.scales)
         if state is None:
-            return self.scales
+            return self
         size = np.diag(state.F) * self.scales**2 / self.n
-        return np.asarray(self.scales / np.sqrt(np.maximum(size, 1.0)))
+        scales = self.scales / np.sqrt(np.maximum(size, 1.0))
+        other = SpectralProgramme(self.residuals, self.spectra, scales)
+        other._last = (lam / scales).tobytes(), state
+        return other
 
 
 def measurements(lines: list[Lines]) -> float:
@@ -185,18 +191,21 @@ def search(
     start: Array,
     options: SolverOptions,
     held: tuple[NoiseSpectrum, ...] | None = None,
+    last: SpectralOutcome | None = None,
 ) -> SpectralOutcome:
     """Rounds of solves from free values (nf,); one, if the spectra are known and held.
+
+    The first is warm if the start is hardly off the end of a ``last`` one.
 
     All but the last take only lines that carry information. ValueError: a start without residuals.
     """
     options = replace(options, ipopt=IPOPT | dict(options.ipopt))
     lines, scales = residuals.lines, residuals.free.scale[residuals.free.index]
     if held is not None:
-        outcome = _round(SpectralProgramme(residuals, held, scales), start, None, options)
+        outcome = _round(SpectralProgramme(residuals, held, scales), start, last, options)
         return replace(outcome, settled=True)
     rough = replace(options, tolerance=max(ROUGH, options.tolerance))
-    spectra, lam, last, highest = white(lines), start, None, 0.0
+    spectra, lam, highest = white(lines), start, 0.0
     while True:
         state = SpectralProgramme(residuals, spectra, scales).state(lam / scales)
         if state is None:
@@ -219,8 +228,8 @@ def _round(
     programme: SpectralProgramme, lam: Array, last: SpectralOutcome | None, options: SolverOptions
 ) -> SpectralOutcome:
     """One solve from free values (nf,), the spectra held; settled if it hardly moves them."""
-    scales = programme.balanced(lam / programme.scales)
-    programme = SpectralProgramme(programme.residuals, programme.spectra, scales)
+    programme = programme.balanced(lam)
+    scales = programme.scales
     rounds, iterations, warm = 1, 0, None
     if last is not None:
         rounds, iterations = last.rounds + 1, last.iterations

@@ -13,7 +13,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.free import Free
 from casid.nlp import SolverOptions
-from casid.shooting.frequency import SpectralOutcome, SpectralProgramme, search
+from casid.shooting.frequency import ROUGH, SpectralOutcome, SpectralProgramme, search
 from casid.shooting.lines import Lines
 from casid.shooting.spectral import SpectralResiduals
 from casid.shooting.spectrum import NoiseSpectrum
@@ -29,14 +29,34 @@ def searched(
     options: SolverOptions,
     held: tuple[NoiseSpectrum, ...] | None = None,
 ) -> SpectralOutcome:
-    """The best end of `search`, from the guess and on both sides of kinks near where that ended."""
+    """The best end of `search`, from the guess and on both sides of kinks near where that ended.
+
+    A side is judged by the spectra of that end, and has its own estimated only if it is better; one
+    that a solution lies within is not tried again.
+    """
     best = outcome = search(SpectralResiduals(free, lines), free.guess, options, held)
+    known = outcome.programme.spectra if done(outcome) else held
+    judging = (
+        options if known is held else replace(options, tolerance=max(ROUGH, options.tolerance))
+    )
     for side in sides(free, lines, outcome.lam):
+        residuals = SpectralResiduals(side, lines)
         start = np.clip(outcome.lam, side.lower[free.index], side.upper[free.index])
-        end = search(SpectralResiduals(side, lines), start, options, held)
-        if done(end) and (not done(best) or likelihood(end) < likelihood(best) - GAIN):
+        if done(outcome) and (start == outcome.lam).all():
+            continue
+        end = search(residuals, start, judging, known, outcome if done(outcome) else None)
+        if known is not held:
+            if not _better(end, outcome):
+                continue
+            end = search(residuals, end.lam, options)
+        if _better(end, best):
             best = _released(end, free)
     return best
+
+
+def _better(end: SpectralOutcome, than: SpectralOutcome) -> bool:
+    """Whether an end is a solution, and another is none or less likely."""
+    return done(end) and (not done(than) or likelihood(end) < likelihood(than) - GAIN)
 
 
 def done(outcome: SpectralOutcome) -> bool:
@@ -58,7 +78,8 @@ def sides(free: Free, lines: list[Lines], lam: Array) -> Iterator[Free]:
         if not len(heard) or np.count_nonzero(m.dtau[:, heard]) > len(heard):
             continue
         direct = bool(D[:, heard].any() or slopes[:, :, heard].any())
-        steps = {each.record.dt for each in lines if direct or each.record.hold == "zoh"}
+        kinked = [each.record for each in lines if direct or each.record.hold == "zoh"]
+        steps = {float(f"{record.dt:.9g}") for record in kinked}  # not each rounding of one
         tau = m.tau[heard[0]]
         for h in sorted(steps):
             whole = round(tau / h)
