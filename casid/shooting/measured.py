@@ -85,25 +85,28 @@ class MeasuredResponses:
 
 
 def reweighed(
-    estimate: Callable[[Free], Fit[M, Any]], free: Free, near: AnyFit | None
+    estimate: Callable[[Free, AnyFit | None], Fit[M, Any]], free: Free, near: AnyFit | None
 ) -> Fit[M, Any]:
-    """The estimate with responses, weighed by its own residuals, or as that of a fit nearby."""
-    evidence = free.evidence
+    """The estimate with responses, weighed by its own residuals, or as that of a fit nearby.
+
+    Each round goes on from the last.
+    """
+    evidence, last = free.evidence, near
     if not isinstance(evidence, MeasuredResponses):
-        return estimate(free)
+        return estimate(free, near)
     known = getattr(near.notes, "response_weights", ()) if near is not None else ()
     held = [len(w) for w in known] == [len(w) for w in evidence.weights]
     weights, lam = known if held else evidence.excess(free.guess), free.guess
     iterations, seconds, rounds = 0, 0.0, 0
     while True:
         start = free.model.with_vector(free.full(lam))
-        fit = estimate(replace(free, model=start, evidence=evidence.weighed(weights)))
+        fit = estimate(replace(free, model=start, evidence=evidence.weighed(weights)), last)
         notes = replace(fit.notes, response_weights=tuple(weights))
         iterations, seconds = iterations + fit.iterations, seconds + fit.seconds
         lam = fit.model.vector()[free.index]
-        last, weights = weights, evidence.excess(lam)
-        pairs = zip(last, weights, strict=True)
-        rounds += 1
+        new = evidence.excess(lam)
+        pairs = zip(weights, new, strict=True)
+        weights, last, rounds = new, fit, rounds + 1
         settled = held or all(np.abs(np.log(a / b)).max() < ALIKE for a, b in pairs)
         if settled or rounds == ROUNDS:
             return replace(fit, notes=notes, iterations=iterations, seconds=seconds)

@@ -127,7 +127,12 @@ class OutputError:
         check_responses(model, self.responses, several(data))
         free = self.free(model, fixed, bounds)
         chosen = select_records(free, data, bool(self.biases))
-        fit = reweighed(lambda own: self._fitted(model, own, chosen, near), free, near)
+
+        def estimate(own: Free, last: AnyFit | None) -> Fit[M, OutputErrorNotes]:
+            known = last if self.domain == "time" else near  # spectra are estimated anew
+            return self._fitted(model, own, chosen, known)
+
+        fit = reweighed(estimate, free, near)
         if isinstance(fit.model, NonlinearModel):
             warn_beyond(fit.model, "along the records of the fit", fit.notes.covered)
         return fit

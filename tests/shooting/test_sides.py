@@ -54,3 +54,10 @@ def test_a_delay_of_whole_samples_is_found_in_spite_of_its_kink(times):
     for name in ("tau", "Lp", "Llat"):
         assert abs(fit[name].value - getattr(WHOLE, name)) < 4 * fit[name].std_error
     assert fit["tau"].multiplier == 0.0  # the end of a side is no bound
+
+
+def test_roundings_of_one_sampling_interval_are_one():
+    first, second = stepped(1)
+    records = [first, replace(second, t=second.t * (1 + 1e-12))]
+    assert len({record.dt for record in records}) == 2
+    assert len(ranges(WHOLE, records)) == 2
