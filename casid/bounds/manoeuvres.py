@@ -24,6 +24,8 @@ from casid.tabulation import markdown_table
 from casid.validation import validate
 
 FEWEST = 3  # manoeuvres, for an error of the mean over them
+NOISE = 0.9  # of the noise's power, which is not known exactly, is taken from errors' squares
+TOP = 0.75  # of the highest frequency, from where residuals are noise
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -36,6 +38,8 @@ class StructureComparison:
         Candidates, the records left out in turn, what was predicted.
     errors : (candidates, manoeuvres, ny) array
         Root mean square errors on the record left out; NaN where a fit has nothing to show.
+    noise : (ny,) array
+        Standard deviation of the white noise among these, by the residuals' highest frequencies.
     parameters : tuple of int
         Free parameters of every candidate.
     aicc : (candidates,) array
@@ -50,6 +54,7 @@ class StructureComparison:
     manoeuvres: tuple[str, ...]
     outputs: tuple[str, ...]
     errors: Array
+    noise: Array
     parameters: tuple[int, ...]
     aicc: Array
     fits: tuple[AnyFit | None, ...]
@@ -59,9 +64,12 @@ class StructureComparison:
     def excess(self) -> tuple[Array, Array]:
         """By how much the logarithm of the error exceeds the best one's, and its standard error.
 
-        Mean over outputs, then over manoeuvres; a candidate that failed on one is infinitely worse.
+        Of errors without the noise that no candidate predicts, mean over outputs, then over
+        manoeuvres; a candidate that failed on one is infinitely worse.
         """
-        size = np.log(np.maximum(self.errors, 1e-300)).mean(axis=2)
+        square = self.errors**2
+        own = np.maximum(square - NOISE * self.noise**2, (1 - NOISE) * square)
+        size = np.log(np.maximum(own, 1e-300)).mean(axis=2) / 2
         size = np.where(np.isfinite(size), size, np.inf)
         best = int(np.argmin(size.mean(axis=1)))
         apart = size - np.where(np.isfinite(size[best]), size[best], 0.0)
@@ -146,7 +154,7 @@ def compare_structures(
     for name in candidates:
         if name not in ways:
             raise ValueError(f"no estimator for {name!r}; there are {', '.join(ways)}")
-    errors = np.full((len(candidates), len(flown), len(outputs)), np.nan)
+    errors, noise = np.full((2, len(candidates), len(flown), len(outputs)), np.nan)
     fits: list[AnyFit | None] = []
     reasons: dict[str, str] = {}
     for k, (name, model) in enumerate(candidates.items()):
@@ -157,18 +165,22 @@ def compare_structures(
         if every.reason:
             reasons[f"{name}, all"] = every.reason
             continue
-        jobs = [
-            many.job(case, every.result, draw=Without(part), name=_without(name, part))
+        takes = getattr(ways[name], "takes", None)
+        jobs = {
+            part: many.job(case, every.result, draw=Without(part), name=_without(name, part))
             for part in parts
-        ]
-        done = many.run(jobs)
-        for part, each in zip(parts, done.values(), strict=True):
-            errors[k, list(part)] = [_error(each, flown[i], outputs) for i in part]
+            if takes is None or any(takes(flown[i]) for i in part)
+        }
+        done = many.run(list(jobs.values()))
+        for part in parts:
+            each = done[jobs[part].name] if part in jobs else every
+            for i in part:
+                errors[k, i], noise[k, i] = _error(each, flown[i], outputs)
         reasons |= {job: each.reason for job, each in done.items() if each.reason}
     return StructureComparison(
         names=tuple(candidates), manoeuvres=tuple(flown[i].name for i in left), outputs=outputs,
         parameters=tuple(0 if f is None else len(f.free_names) for f in fits),
-        errors=errors[:, left],
+        errors=errors[:, left], noise=_least(noise[:, left]),
         aicc=np.array([np.nan if f is None else aicc(f, flown) for f in fits]),
         fits=tuple(fits), reasons=reasons,
     )  # fmt: skip
@@ -211,9 +223,24 @@ def _checked(candidates: Mapping[str, Model], records: Sequence[Record]) -> tupl
     return first
 
 
-def _error(done: Done, record: Record, outputs: tuple[str, ...]) -> Array:
-    """Root mean square errors (ny,) of a fit on a record; NaN where it has nothing to show."""
+def _error(done: Done, record: Record, outputs: tuple[str, ...]) -> tuple[Array, Array]:
+    """Root mean square errors (ny,) of a fit on a record, and noise; NaN with nothing to show.
+
+    White noise of power σ² has lines of median σ² ln 2: lines of a vibration do not count.
+    """
     if done.result is None or done.reason:
-        return np.full(len(outputs), np.nan)
+        return np.full(len(outputs), np.nan), np.full(len(outputs), np.nan)
     own = record.select(done.result.model.inputs, outputs)
-    return np.asarray(validate({"fit": done.result}, own).rms["fit"][0])
+    found = validate({"fit": done.result}, own)
+    apart = own.y - found.simulated["fit"][0]
+    known = apart[np.isfinite(apart).all(axis=1)]
+    lines = np.abs(np.fft.rfft(known, axis=0)) ** 2 / max(len(known), 1)
+    top = np.median(lines[int(TOP * len(lines)) :], axis=0)
+    return np.asarray(found.rms["fit"][0]), np.sqrt(top / np.log(2))
+
+
+def _least(noise: Array) -> Array:
+    """Noise (ny,) by the median manoeuvre of the candidate that has least; zero if none tells."""
+    told = np.where(np.isfinite(noise), noise, np.inf)
+    least = np.median(told.min(axis=0), axis=0)
+    return np.where(np.isfinite(least), least, 0.0)

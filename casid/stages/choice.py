@@ -10,7 +10,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from casid.arrays import Array
-from casid.bounds.manoeuvres import StructureComparison, compare_structures
+from casid.bounds.manoeuvres import FEWEST, StructureComparison, compare_structures
 from casid.bounds.steps import LastStep
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit
@@ -153,19 +153,28 @@ def groups(names: tuple[str, ...]) -> list[tuple[str, ...]]:
     return [names[k::count] for k in range(count)]
 
 
-def _run(settings: Choosing, task: Task) -> StepChoice:
+def compared(settings: Choosing, task: Task) -> StructureComparison:
+    """The candidates' predictions of manoeuvres left out, and their estimates from all.
+
+    The long ones are left out, of which there are others of the same axis; all unless there are as
+    many as an error takes.
+    """
     (records, short), steps = _records(task), last_steps(settings, task)
+    long = tuple(each.name for each in records if each.name not in short)
     start = task.results["quadratic"].model
-    found = compare_structures(
+    return compare_structures(
         dict.fromkeys(steps, start),
         records,
         estimator=steps,
-        groups=groups(short),
+        groups=groups(long if len(long) >= FEWEST else tuple(each.name for each in records)),
         fixed=tuple(task.fixed),
         bounds=task.bounds,
         execution=task.execution,
     )
-    return chosen(found)
+
+
+def _run(settings: Choosing, task: Task) -> StepChoice:
+    return chosen(compared(settings, task))
 
 
 def chosen(found: StructureComparison) -> StepChoice:

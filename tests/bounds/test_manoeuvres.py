@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from truths.closed_roll import TRUTH, Roll, campaign
+from truths.closed_roll import NOISE, TRUTH, Roll, campaign
 from truths.mixture import Inline
 from truths.structures import HoverRoll
 
@@ -19,12 +19,12 @@ class Bare(Roll):
     Lped: Scalar = parameter(default=0.0, lower=0.0, upper=0.0, unit="rad/s^2")
 
 
-def comparison(sizes, parameters):
+def comparison(sizes, parameters, noise=0.0):
     errors = np.exp(np.array(sizes, dtype=float))[:, :, None] * np.ones((1, 1, 2))
     return StructureComparison(
         names=tuple("abc"[: len(sizes)]), manoeuvres=("x", "y", "z"), outputs=("p", "phi"),
         errors=errors, parameters=tuple(parameters), aicc=np.zeros(len(sizes)),
-        fits=(None,) * len(sizes), reasons={},
+        fits=(None,) * len(sizes), reasons={}, noise=np.full(2, noise),
     )  # fmt: skip
 
 
@@ -43,6 +43,15 @@ def test_a_candidate_that_failed_is_not_chosen():
     assert found.simplest == found.best == "a"
 
 
+def test_noise_that_nothing_predicts_counts_for_neither():
+    own = np.array([[1.0, 1.0, 1.0], [1.2, 1.2, 1.2]])
+    found = comparison(np.log(own**2 + 0.9 * 3.0**2) / 2, [9, 9], noise=3.0)
+    np.testing.assert_allclose(found.excess[0], [0.0, np.log(1.2)], rtol=1e-9)
+    np.testing.assert_allclose(found.excess[1], 0.0, atol=1e-9)
+    hidden = comparison(np.log([[3.0] * 3, [3.3] * 3]), [9, 9], noise=100.0)  # more than there is
+    np.testing.assert_allclose(hidden.excess[0], [0.0, np.log(1.1)], rtol=1e-9)
+
+
 def test_what_is_left_out_is_not_there():
     assert Without((1,))(tuple("abc")) == ("a", "c")
 
@@ -54,6 +63,8 @@ def test_a_structure_that_lacks_a_derivative_is_not_enough():
     assert found.simplest == "whole"
     assert found.parameters == (7, 6)
     assert found.excess[0][1] > 0.1
+    stated = [NOISE[name] for name in found.outputs]
+    np.testing.assert_allclose(found.noise, stated, rtol=0.15)  # a median of 250 lines
     assert "| bare" in found.to_markdown()
 
 

@@ -51,6 +51,7 @@ def comparison(errors):
     return StructureComparison(
         names=tuple("abc"[:n]), manoeuvres=("x", "y", "z"), outputs=TRUTH.outputs, errors=errors,
         parameters=(7,) * n, aicc=np.zeros(n), fits=tuple("ABC"[:n]), reasons={"c, all": "no"},
+        noise=np.zeros(3),
     )  # fmt: skip
 
 
