@@ -1,5 +1,7 @@
 """What goes into other tools' files comes back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.io
@@ -26,6 +28,7 @@ from casid.files import read_mat
 from casid.fit import Fit, parameter_table
 from casid.free import free_parameters
 from casid.structure.modelfile import load_model
+from models.lateral_directional import LateralDirectional
 
 OMEGA = np.geomspace(0.1, 20, 15)
 
@@ -167,3 +170,20 @@ def test_matlab_has_the_fit_with_names(fit, tmp_path):
     assert list(found["states"]) == list(system.states)
     assert list(found["parameters"]) == [row.name for row in fit.parameters]
     np.testing.assert_array_equal(found["value"], [row.value for row in fit.parameters])
+
+
+@pytest.mark.slow
+def test_octave_simulates_the_fit_of_the_matlab_file_delays_exactly(fit, octave, tmp_path):
+    late = replace(fit, model=LateralDirectional(tau_ped=0.13))
+    write_fit_mat(tmp_path / "fit.mat", late)
+    system = late.model.system()
+    assert len(np.unique(system.delay)) > 1
+    t, rng = 0.1 * np.arange(10), np.random.default_rng(2)
+    u = rng.uniform(-0.1, 0.1, (len(t), system.nu))
+    rates, outputs = "@(x, u) A * x + B * u", "@(x, u) C * x + D * u"
+    y = octave(
+        f"load fit.mat; y = simulate({rates}, {outputs}, t, u, zeros(rows(A), 1), delay);",
+        t=t[:, None],
+        u=u,
+    )
+    np.testing.assert_allclose(y, system.simulate(t, u), atol=1e-8 * np.abs(y).max(), rtol=0)

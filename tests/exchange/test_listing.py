@@ -7,9 +7,10 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from truths.climbing import AIRCRAFT
+from truths.climbing import AIRCRAFT, DT, X0, by_casid, commands
+from truths.systems import unstable_plant
 
-from casid import equations_of, write_equations
+from casid import StateSpace, equations_of, without_delay, write_equations
 from models.longitudinal_aero import LongitudinalAero
 
 
@@ -78,3 +79,31 @@ def test_an_operation_without_a_form_is_named(tmp_path):
     told = ca.Function("equations", [x, u], [ca.floor(x), x])
     with pytest.raises(ValueError, match="the structure uses floor, which has no form in text"):
         write_equations(tmp_path / "own.m", replace(equations_of(AIRCRAFT, 1), function=told))
+
+
+RUN = """
+f = @(x, u) nthargout(1, @own, x, u); h = @(x, u) nthargout(2, @own, x, u);
+y = simulate(f, h, t, u, x0, delay);
+"""
+
+
+@pytest.mark.slow
+def test_octave_integrates_a_linear_system_as_casid(tmp_path, octave):
+    plant = unstable_plant()
+    names = plant.inputs, plant.outputs, ()
+    system = StateSpace(plant.A, plant.B, plant.C, plant.D, None, *names, np.array([0.05, 0.0]))
+    write_equations(tmp_path / "own.m", equations_of(system, 3))
+    t, x0 = 0.1 * np.arange(8), np.r_[np.arange(5.0) / 5, 0, 0, 0]
+    u = np.random.default_rng(4).uniform(-1, 1, (len(t), 2))
+    y = octave(RUN, t=t[:, None], u=u, x0=x0, delay=np.zeros(2))
+    known = without_delay(system, 3).simulate(t, u, x0)
+    np.testing.assert_allclose(y, known, atol=1e-8 * np.abs(known).max(), rtol=0)
+
+
+@pytest.mark.slow
+def test_octave_integrates_a_nonlinear_structure_as_casid(tmp_path, octave):
+    write_equations(tmp_path / "own.m", equations_of(replace(AIRCRAFT, tau=0.0)))
+    t, u = DT * np.arange(25), commands()
+    y = octave(RUN, t=t[:, None], u=u[:25], x0=X0, delay=np.array([AIRCRAFT.tau, 0.0]))
+    known = by_casid(AIRCRAFT, u, "foh", 20)[:25]
+    np.testing.assert_allclose(y, known, atol=1e-8 * np.abs(known).max(), rtol=0)
