@@ -28,8 +28,9 @@ from casid.report.words import costliest, number, percent, price, prior
 
 PLOTLY = TEMPLATES / "plotly-basic.min.js.gz"  # plotly.js 4.1.1, MIT; see CONTRIBUTING
 UNUSED, TAG = re.compile(r'<g id="[^"]*">'), re.compile(r"<[^>]*>")
-PATH = re.compile(r'd="M[^"CQ]*"')  # of straight lines only
+PATH = re.compile(r'(?<= d=")M[^"A-KN-Y]*(?=")')  # of straight lines only
 CODED = re.compile(r"[^\w !$'()*+,\-./:;<=>?@\[\]^{|}~]+", re.ASCII)  # in an address within quotes
+POINT = re.compile(r"([MLz])(?:\s+([^\sMLz]+)\s+([^\sMLz]+))?")
 LONG_DECIMALS = re.compile(r"(\d\d\.\d)\d+")  # a tenth of a point is enough for a picture
 
 
@@ -155,7 +156,23 @@ def address(svg: str) -> Markup:
     """A picture as the address of an image, for an attribute in double quotes."""
     text = LONG_DECIMALS.sub(r"\1", " ".join(svg.split()))
     text = UNUSED.sub("<g>", text).replace("; stroke-linecap: square", "")
-    text = PATH.sub(lambda path: path[0].replace(" L ", " "), text)  # lines go on from a move
+    text = PATH.sub(lambda path: relative(path[0]), text)
     # What is in single quotes need not be escaped.
     text = TAG.sub(lambda tag: tag[0].replace("'", "").replace('"', "'"), text)
     return Markup(f"data:image/svg+xml,{CODED.sub(lambda found: quote(found[0]), text)}")
+
+
+def relative(path: str) -> str:
+    """A path of straight lines by its steps in tenths of a point, which take half the letters."""
+    said, before, at = "", "", (0, 0)
+    for letter, x, y in POINT.findall(path):
+        if letter != "z":
+            there = round(10 * float(x)), round(10 * float(y))
+            step = there if letter == "M" else (there[0] - at[0], there[1] - at[1])
+            one, two = (f"{n / 10:g}".replace("0.", "." if abs(n) < 10 else "0.") for n in step)
+            said += (" " if letter == before else letter.replace("L", "l")) + f"{one} {two}"
+            at = there
+        else:
+            said += letter
+        before = letter
+    return said.replace(" -", "-")

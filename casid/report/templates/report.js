@@ -97,9 +97,22 @@
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
     return new Response(stream).text();
   };
+  // Numbers come as second differences of whole steps, null where there is none.
+  const numbers = ({ step, log, turns }) => {
+    let [whole, slope] = [0, 0];
+    return turns.map((turn) => {
+      if (turn === null) return null;
+      slope += turn;
+      whole += slope;
+      return log ? 10 ** (step * whole) : step * whole;
+    });
+  };
   const draw = async (figure) => {
     const live = figure.querySelector(".live");
     const plot = JSON.parse(await text(figure.querySelector("script")));
+    for (const trace of plot.data) {
+      for (const axis of ["x", "y"]) if (trace[axis]?.turns) trace[axis] = numbers(trace[axis]);
+    }
     figure.classList.add("drawn");
     try {
       await Plotly.newPlot(live, plot.data, plot.layout, settings);
