@@ -24,6 +24,8 @@ from casid.embedding import StructureError
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
 from casid.model import M, Model
+from casid.nonlinear.model import NonlinearModel
+from casid.nonlinear.trims import warn_unbalanced
 from casid.threads import one_thread
 
 STEP = 1e-3  # of a standard error
@@ -311,6 +313,8 @@ def spread(
         A fit without covariance.
     """
     names, C = _covariance(fit)
+    if isinstance(fit.model, NonlinearModel):
+        warn_unbalanced(fit.model, "these are bands of its linearisation there")
     if error is not None:
         held = np.array([fit[name].active for name in names], dtype=bool)
         C = C + np.where(held[:, None] | held, 0.0, error.covariance)

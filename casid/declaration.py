@@ -113,16 +113,23 @@ def check_priors(
 def check_rows(cls: Any, built: Mapping[str, ca.SX]) -> None:  # noqa: ANN401 - Model lives above
     """A state nothing drives and an output nothing reaches are slips, not models."""
     A, B, C, D = (built[letter] for letter in "ABCD")
+    nonlinear = hasattr(cls, "derivatives")  # whose matrices are derived, not written
     for i, state in enumerate(cls.states):
         if A[i, :].nnz() + B[i, :].nnz() == 0 and state not in cls.constant_states:
+            why = "it depends on no state and no input" if nonlinear else f"row {i} of A, B is zero"
             raise ModelError(
-                f"{cls.__name__}: state {state!r} has no dynamics: row {i} of A and of B is zero"
+                f"{cls.__name__}: state {state!r} has no dynamics: {why}; write its derivative or "
+                "drop the state"
             )
     for i, output in enumerate(cls.outputs):
         if C[i, :].nnz() + D[i, :].nnz() == 0:
+            why = (
+                "the same: it depends on no state and no input"
+                if nonlinear
+                else (f"zero: row {i} of C and of D is zero")
+            )
             raise ModelError(
-                f"{cls.__name__}: output {output!r} is always zero: row {i} of C and of D is zero; "
-                "write that row or drop the output"
+                f"{cls.__name__}: output {output!r} is always {why}; write it or drop the output"
             )
 
 

@@ -14,8 +14,8 @@ from casid.free import Free
 from casid.model import Model
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
+from casid.nonlinear.trims import OUT_OF_BALANCE, imbalance
 
-OUT_OF_BALANCE = 1e-2  # largest |dx/dt| of a reference condition that still counts as a trim
 # Relative errors of a guess and of a fit, beside its covariance: what its structure lacks is in no
 # covariance (derivatives of `SixDof` fitted to the AH-1S are off its linearisation by some 20 %).
 GUESSED = FITTED = 0.2
@@ -40,13 +40,12 @@ def check_balance(model: Model, trim: Trim | Mapping[str, float] | None) -> None
         return
     values = [own.values[name] for name in (*model.states, *model.inputs)]
     x, u = np.split(np.array(values), [len(model.states)])
-    rate = np.ravel(model.equations()(x, u, model.vector())[0].full())
-    worst = int(np.argmax(np.where(np.isnan(rate), np.inf, np.abs(rate))))
-    if not abs(rate[worst]) <= OUT_OF_BALANCE:
+    state, rate = imbalance(model, x, u)
+    if not abs(rate) <= OUT_OF_BALANCE:
         raise ValueError(
             f"{type(model).__name__} is not in balance at "
             f"{'its reference condition' if trim is None else 'the trim given'}, where "
-            f"d/dt {model.states[worst]} = {rate[worst]:.3g}: say where it is flown, "
+            f"d/dt {state} = {rate:.3g}: say where it is flown, "
             "trim=find_trim(model, {...}, unknown=(...))"
         )
 

@@ -11,6 +11,7 @@ from casid.channels import UNITS
 from casid.exchange.delays import without_delay
 from casid.linear import StateSpace
 from casid.nonlinear.model import NonlinearModel
+from casid.nonlinear.trims import warn_unbalanced
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,7 +62,8 @@ def equations_of(model: StateSpace | NonlinearModel, pade: int | None = None) ->
     Raises
     ------
     ValueError
-        A discrete model, delays without ``pade``.
+        A discrete model, delays without ``pade``. A `DataWarning` tells of a reference condition
+        that is no trim.
     """
     if isinstance(model, NonlinearModel):
         return _nonlinear(model, pade)
@@ -86,6 +88,7 @@ def equations_of(model: StateSpace | NonlinearModel, pade: int | None = None) ->
 
 def _nonlinear(model: NonlinearModel, pade: int | None) -> Equations:
     """The structure's equations with its delays as a linear system before its inputs."""
+    warn_unbalanced(model, "what is exported starts there")
     (x0, u0), names = model.operating_point(), model.inputs
     nu, empty = len(names), np.zeros((0, 0))
     through = np.zeros((0, nu)), np.zeros((nu, 0)), np.eye(nu)

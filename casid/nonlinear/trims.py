@@ -14,6 +14,25 @@ from casid.nonlinear.model import NonlinearModel
 STARTS = 12  # from which other trims are looked for
 SPREAD = 0.3  # of those starts, relative to an unknown's size, at least absolute
 APART = 1e-3  # of two trims that differ, in the same units
+OUT_OF_BALANCE = 1e-2  # largest |dx/dt| of a reference condition that still counts as a trim
+
+
+def imbalance(model: NonlinearModel, x: Array, u: Array) -> tuple[str, float]:
+    """The state whose dx/dt is furthest from zero at (x, u), and how far."""
+    rate = np.ravel(model.equations()(x, u, model.vector())[0].full())
+    worst = int(np.argmax(np.where(np.isnan(rate), np.inf, np.abs(rate))))
+    return model.states[worst], float(rate[worst])
+
+
+def warn_unbalanced(model: NonlinearModel, rests: str) -> None:
+    """A `DataWarning` where the reference condition, on which something rests, is no trim."""
+    state, rate = imbalance(model, *model.operating_point())
+    if not abs(rate) <= OUT_OF_BALANCE:
+        warn(
+            f"{type(model).__name__} is not in balance at its reference condition, where d/dt "
+            f"{state} = {rate:.3g}, and {rests}: name a trim in its method reference, as find_trim "
+            "finds it, or linearise at one by model.at(trim)"
+        )
 
 
 def find_trim(

@@ -6,19 +6,21 @@ from itertools import combinations
 import numpy as np
 
 from casid.arrays import Array
+from casid.bands import mode_bands
 from casid.baseline.accuracy import DerividNotes
 from casid.consistency.measured import noise
 from casid.display import listed
-from casid.eigenmodes import modes
+from casid.eigenmodes import Mode, modes
 from casid.fit import AnyFit
 from casid.record import Record
-from casid.report.content import BLACK_BOX, Caution, Content, enough
+from casid.report.content import BLACK_BOX, Caution, Content, DataFile, enough
 from casid.validation import Validation
 
 WORSE = 2.0  # RMS error of the structure over that of the black box
 APART = 4.0  # standard errors of a difference: by chance once in 16 000
 WORST = 2.0  # of the guideline for J on average: what a single pair may have
 PER_UNKNOWN = 20.0  # measurements
+OPEN = 0.5  # standard error of an eigenvalue over its modulus: as good as any sign
 NAMED = 5  # before it says how many more
 REMEDIES = {  # by whether the structure is enough
     False: "Parameters make up for what the structure lacks; try a richer one.",
@@ -108,7 +110,7 @@ def misfit(fit: AnyFit) -> Iterator[Caution]:
 
 
 def few(fit: AnyFit, content: Content) -> Iterator[Caution]:
-    """Too few measurements for the unknowns, or records shorter than the slowest mode."""
+    """Too few measurements for the unknowns, or records too short to settle slow modes."""
     roles = {file.role for file in content.data}
     role = "refinement" if "refinement" in roles else "identification"
     files = [file for file in content.data if file.role == role]
@@ -123,16 +125,27 @@ def few(fit: AnyFit, content: Content) -> Iterator[Caution]:
             "state and biases of every record); fly more.",
             14,
         )
-    longest = max(file.seconds for file in files)
-    slow = {
-        mode.name if mode.name != "-" else f"at {mode.frequency:.2g} rad/s": length
-        for mode in modes(fit.model.system())
-        if longest < (length := min(mode.period, 2 * np.pi * mode.time_constant)) < np.inf
-    }
-    if slow:
-        told = [f"{name} ({length:.0f} s)" for name, length in slow.items()]
+    if vague := [f"{mode.name} ({mode.words}{error})" for mode, error in _vague(fit, files)]:
+        longest, total = max(file.seconds for file in files), sum(file.seconds for file in files)
         yield Caution(
-            f"Few data: no record of the estimation ({longest:.0f} s at most) is as long as one "
-            f"period of {listed(told, NAMED)}; what these modes rest on is poorly known.",
+            f"Few data: records of {longest:.0f} s at most, {total:.0f} s together, leave slow "
+            f"modes uncertain, {listed(vague, NAMED)}; what these modes rest on is poorly known.",
             14,
         )
+
+
+def _vague(fit: AnyFit, files: Sequence[DataFile]) -> Iterator[tuple[Mode, str]]:
+    """Slow modes that the records leave open, with the error of the eigenvalue if it is known.
+
+    Slow: a period, or the time constant of a real pole, is longer than any record.
+    """
+    longest = max(file.seconds for file in files)
+    bands = () if fit.covariance is None else mode_bands(fit)
+    for k, mode in enumerate(modes(fit.model.system())):
+        scale = mode.period if np.isfinite(mode.period) else mode.time_constant
+        if not longest < scale < np.inf:
+            continue
+        if not bands:
+            yield mode, ""
+        elif (std := np.hypot(bands[k].real_std, bands[k].imag_std)) > OPEN * mode.frequency:
+            yield mode, f", eigenvalue ±{100 * std / mode.frequency:.0f}%"

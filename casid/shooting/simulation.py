@@ -10,6 +10,7 @@ from casid.errors import ModelError
 from casid.free import Free
 from casid.nonlinear.coverage import joined, reached, warn_beyond
 from casid.nonlinear.model import NonlinearModel
+from casid.nonlinear.trims import warn_unbalanced
 from casid.prediction import Outlook, Prediction
 from casid.record import Record
 from casid.records import standard_deviations
@@ -44,13 +45,16 @@ def simulate(
     ------
     ValueError, ModelError
         An input that the record lacks, a state that is none; a solution that runs away. A
-        `DataWarning` tells of states beyond the structure's tables.
+        `DataWarning` tells of states beyond the structure's tables, and of a start from a
+        reference condition that is no trim.
     """
     total = record.total().select(model.inputs, ())
     empty = replace(total, y=np.zeros((record.N, len(model.outputs))), outputs=model.outputs)
     x0 = dict(zip(model.states, map(float, model.operating_point()[0]), strict=True))
     if unknown := sorted(set(start or {}) - set(x0)):
         raise ValueError(f"start names {unknown[0]!r}; the states are {', '.join(x0)}")
+    if set(x0) - set(start or {}):
+        warn_unbalanced(model, "the simulation starts from states of it")
     free, node = _all_free(model), np.array([list((x0 | dict(start or {})).values())])
     evaluator = NonlinearEvaluator(free, lay_out([empty], 1e9))
     point = Point(lam=model.vector(), bias=np.zeros((1, len(model.outputs))), nodes=node)

@@ -88,3 +88,19 @@ def test_a_parameter_named_like_a_part_of_the_base_is_refused():
         class Named(NonlinearModel):
             states, inputs, outputs = ("v",), ("lon",), ("v",)
             derivatives: Scalar = parameter(default=1.0, unit="-")
+
+
+@pytest.mark.parametrize(
+    ("method", "told"),
+    [
+        ("derivatives", "state 'v' has no dynamics: it depends on no state and no input"),
+        ("measurements", "output 'v' is always the same: it depends on no state and no input"),
+    ],
+)
+def test_what_depends_on_nothing_is_told_in_the_words_of_equations(method, told):
+    parts = {
+        "formula": lambda self, x, u: u.lon - self.a * x.v,
+        method: lambda self, x, u: [self.a],
+    }
+    with pytest.raises(ModelError, match=told):
+        type("Still", (Bad,), {"__module__": __name__, **parts})().system()

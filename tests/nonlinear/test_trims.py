@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from truths.swing import Swing
 
-from casid import DataWarning, ModelError, find_trim
+from casid import DataWarning, ModelError, Record, equations_of, find_trim
+from casid.shooting.simulation import simulate
 from models.longitudinal_aero import LongitudinalAero
 
 
@@ -47,3 +48,20 @@ def test_several_trims_are_told():
 def test_where_there_is_no_trim_the_equation_is_named(known, unknown, told):
     with pytest.raises(ModelError, match=told):
         find_trim(replace(Swing(), M=5.0), known, unknown)
+
+
+class Falling(Swing):
+    """A pendulum whose reference condition nothing holds."""
+
+    def reference(self):
+        return {"theta": 0.4}
+
+
+def test_a_reference_condition_out_of_balance_is_told_where_something_rests_on_it():
+    t = 0.05 * np.arange(20)
+    record = Record(t, np.zeros((20, 1)), np.zeros((20, 0)), ("lon",), ())
+    with pytest.warns(DataWarning, match="Falling is not in balance .* the simulation starts"):
+        simulate(Falling(), record)
+    simulate(Falling(), record, {"q": 0.0, "theta": 0.4})  # said, hence meant
+    with pytest.warns(DataWarning, match=r"what is exported starts there.*find_trim"):
+        equations_of(Falling(), 1)

@@ -1,7 +1,7 @@
 """What the box of cautions leads with: a study that must raise each, and one that must not."""
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -80,20 +80,48 @@ def test_noise_is_what_changes_too_fast_and_not_the_residual():
     assert noise_levels([quiet])[0] < 1e-4
 
 
-@pytest.mark.parametrize(("damping", "said"), [(-0.1, 1), (0.0, 0), (-3.0, 0)])
-def test_records_are_short_for_a_slow_mode_and_not_for_an_integrator(damping, said):
-    class Roll(Model):
-        states, inputs, outputs = ("p",), ("lat",), ("p",)
-        Lp: Scalar = parameter(default=-1.0, unit="1/s")
+class Damped(Model):
+    states, inputs, outputs = ("p",), ("lat",), ("p",)
+    Lp: Scalar = parameter(default=-1.0, unit="1/s")
 
-        def A(self) -> Rows:
-            return [[self.Lp]]
+    def A(self) -> Rows:
+        return [[self.Lp]]
 
-        def B(self) -> Rows:
-            return [[1]]
+    def B(self) -> Rows:
+        return [[1]]
 
+
+@pytest.mark.parametrize(
+    ("damping", "error", "said"),
+    [
+        (-0.1, None, 0),  # a time constant of 10 s, in records of 20 s
+        (-0.02, None, 1),
+        (-0.02, 0.005, 0),  # the records together tell it well enough
+        (-0.02, 0.03, 1),
+        (0.0, None, 0),  # an integrator
+    ],
+)
+def test_a_mode_slower_than_the_records_is_named_unless_its_error_is_small(damping, error, said):
     flown = SimpleNamespace(role="identification", samples=1000, seconds=20.0)
-    fit = SimpleNamespace(model=Roll(Lp=damping), free_names=("Lp",))
-    texts = [each.text for each in few(fit, SimpleNamespace(data=[flown]))]
+    covariance = None if error is None else np.array([[error**2]])
+    row = SimpleNamespace(value=damping, lower=-np.inf, upper=np.inf, active=False)
+    fit = Estimate(model=Damped(Lp=damping), free_names=("Lp",), covariance=covariance, row=row)
+    texts = [each.text for each in few(fit, SimpleNamespace(data=[flown, flown]))]
     assert len(texts) == said
-    assert all("63 s" in text for text in texts)
+    for text in texts:
+        assert "records of 20 s at most, 40 s together" in text
+        assert "time constant 50 s" in text
+        assert ("eigenvalue ±150%" in text) == (error is not None)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """As much of a fit as the modes ask for."""
+
+    model: Model
+    free_names: tuple[str, ...]
+    covariance: np.ndarray | None
+    row: SimpleNamespace
+
+    def __getitem__(self, name):
+        return self.row

@@ -29,7 +29,7 @@ class Climbing(NonlinearModel):
     tau: Scalar = parameter(default=0.07, lower=0.0, upper=0.3, unit="s")
 
     def reference(self) -> Mapping[str, Scalar]:
-        return {"V": 30.0, "theta": 0.05, "throttle": 0.5}
+        return {"V": 30.0, "throttle": 3.6 / 8.2}
 
     def derivatives(self, x: Any, u: Any) -> Sequence[Scalar]:
         damping = self.Mq * spline(x.V, (20.0, 30.0, 45.0), (0.7, 1.0, 1.4))
