@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
-import scipy.sparse
+import scipy
 
 from casid.arrays import Array
 from casid.nlp import Problem

@@ -14,9 +14,7 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.ndimage
-import scipy.sparse
-import scipy.sparse.linalg
+import scipy
 from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray

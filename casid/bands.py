@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.optimize
-import scipy.stats
+import scipy
 
 from casid.arrays import Array, ComplexArray
 from casid.baseline.handling import handling_qualities

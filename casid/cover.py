@@ -16,8 +16,7 @@ from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
-import scipy.optimize
-import scipy.signal
+import scipy
 from numpy.polynomial import Chebyshev
 
 from casid.arrays import Array, ComplexArray

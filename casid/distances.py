@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import scipy.optimize
-import scipy.stats
+import scipy
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.display import Shown

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.display import Shown, counted, listed

@@ -15,7 +15,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy.sparse
+import scipy
 
 from casid.arrays import Array, ComplexArray
 from casid.free import Free

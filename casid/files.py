@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-import scipy.io
-from scipy.io.matlab import matfile_version
+import scipy
 
 from casid.arrays import Array
 from casid.channels import factor_of
@@ -213,7 +212,7 @@ def read_variables(path: str | Path) -> dict[str, Any]:
     try:
         sizes = [8.0 * np.prod(shape, dtype=float) for _, shape, _ in scipy.io.whosmat(str(path))]
         check_size(path, sum(sizes), TABLE_BYTES, "a MATLAB file")
-        if matfile_version(str(path))[0] == 0:  # version 4
+        if scipy.io.matlab.matfile_version(str(path))[0] == 0:  # version 4
             return dict(scipy.io.loadmat(str(path), appendmat=False))
         held = numeric_variables(path)
         wanted = [name for name, numeric in held.items() if numeric]

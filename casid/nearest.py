@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from casid.arrays import Array, ComplexArray
 from casid.evaluation import MatrixFunction

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import TypeAlias, TypeVar
 
 import numpy as np
-import scipy.integrate
+import scipy
 
 from casid.arrays import Array
 from casid.errors import warn

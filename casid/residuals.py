@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from casid.arrays import Array
 from casid.display import Shown, listed

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.errors import ConvergenceError
@@ -211,7 +211,8 @@ class _Problem:
         lower = np.full(sum(self.order) + 1 + self.delay, -np.inf)
         if self.delay:
             lower[-1] = 0.0
-        fit = partial(least_squares, self.residual, jac=self.jacobian, x_scale="jac", max_nfev=500)
+        solver = scipy.optimize.least_squares
+        fit = partial(solver, self.residual, jac=self.jacobian, x_scale="jac", max_nfev=500)
         found = []
         for start in starts[:REFINED]:
             inside = start if not self.delay else np.append(start[:-1], max(start[-1], 1e-6))

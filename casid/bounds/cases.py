@@ -19,7 +19,7 @@ from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from casid.arrays import Array
 from casid.bounds.relations import Relation, parse_relation

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-import scipy.stats
+import scipy
 
 from casid.arrays import Array
 from casid.bounds.cases import CaseSpec

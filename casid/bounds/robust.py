@@ -7,7 +7,7 @@ residuals are white and the structure is true, n/(n - p) where R comes from thos
 """
 
 import numpy as np
-import scipy.stats
+import scipy
 
 from casid.arrays import Array
 from casid.fit import AnyFit

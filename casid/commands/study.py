@@ -16,10 +16,10 @@ from casid.bounds.compare import BoundsComparison
 from casid.commands.columns import COLUMN, TIME, UNIT
 from casid.commands.terminal import exits, logged, new_table, terminal
 from casid.exchange.formats import read_record
-from casid.fit import AnyFit
+from casid.fit import AnyFit, Fit
 from casid.interrupts import check_interrupt
 from casid.nlp import Progress
-from casid.report import Timing
+from casid.report.content import Timing
 from casid.report.words import brief, prior
 from casid.stages.listing import STAGES, in_tables, in_words
 from casid.structure.modelfile import load_model
@@ -82,9 +82,9 @@ def identify(
     fresh_times = [timing.seconds for timing in outcome.timings if not timing.kept]
     console.print(Text(_line("total", None, None, sum(fresh_times)), style="bold"))
     if parameters:
-        results = outcome.identification.results
-        delivered = results.get("chosen", results["output_error"])
-        console.print(parameter_table(delivered, of="the chosen step, " * ("chosen" in results)))
+        chosen = any(timing.stage == "chosen" for timing in outcome.timings)
+        delivered = Fit.load(asked.output / "fit.json", model=type(asked.model))
+        console.print(parameter_table(delivered, of="the chosen step, " * chosen))
     _judge(console, outcome)
     _say_where(console, outcome)
 
@@ -218,12 +218,8 @@ def _line(stage: str, iterations: int | None, cost: float | None, seconds: float
 
 def _judge(console: Console, outcome: Outcome) -> None:
     """Print what the report begins with: structure, verdict per output, what to be careful of."""
-    enough = outcome.identification.results.get("sufficiency")
-    if enough is not None:
-        console.print(Text(enough.headline(), style="green" if enough.enough else "yellow"))
-    choice = outcome.identification.results.get("choice")
-    if choice is not None:
-        console.print(Text(choice.headline()))
+    for said, good in outcome.headlines.items():
+        console.print(Text(said, style={True: "green", False: "yellow", None: ""}[good]))
     if outcome.verdicts:
         headings = ("verdict", "fit %", "Theil", "RMS error", "noise", "unit")
         table = new_table("On unseen records", "output", *headings)

@@ -21,8 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.interpolate
-import scipy.signal
+import scipy
 
 from casid.arrays import Array
 from casid.consistency.measured import FORCES, RATES, VELOCITIES, Flight, noise

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.fft
+import scipy
 
 from casid.arrays import Array
 from casid.evaluation import Matrices, MatrixFunction

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from casid.arrays import Array
 from casid.design.criterion import Goal

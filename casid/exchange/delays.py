@@ -1,8 +1,8 @@
 """Delays of a model turned into states."""
 
 import numpy as np
+import scipy
 import scipy.linalg
-import scipy.signal
 
 from casid.arrays import Array
 from casid.linear import StateSpace

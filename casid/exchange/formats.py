@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
-import scipy.io
+import scipy
 
 from casid import files
 from casid.arrays import Array

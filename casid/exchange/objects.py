@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from casid.arrays import Array
 from casid.exchange.delays import without_delay

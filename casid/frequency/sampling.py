@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy.interpolate
+import scipy
 
 from casid.arrays import Array, BoolArray
 from casid.errors import warn

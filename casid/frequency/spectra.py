@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.record import Record

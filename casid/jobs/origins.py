@@ -3,29 +3,34 @@
 import ast
 import hashlib
 import importlib.util
+import inspect
 import sys
 import sysconfig
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.values import digest
 
+PACKAGE = Path(__file__).parents[1]
 SHOWING = ("cli.py", "commands", "jobs", "report", "studies")  # change no result of a stage
 LIBRARIES = ("casadi", "numpy", "scipy")  # whose versions change results
 
 
-@lru_cache(maxsize=1)
-def source_digest() -> str:
-    """Digest of the code that computes results, and of the libraries it computes with."""
-    folder = Path(__file__).parents[1]
+@lru_cache(maxsize=2)
+def source_digest(*, shown: bool = False) -> str:
+    """Digest of the code that computes results, and of the libraries it computes with.
+
+    With ``shown`` of all code and templates of the package: of what shows results, too.
+    """
     sha = hashlib.sha256(repr([(name, version(name)) for name in LIBRARIES]).encode())
-    for file in sorted(folder.rglob("*.py")):
-        place = file.relative_to(folder)
-        if place.parts[0] not in SHOWING:
+    for file in sorted(PACKAGE.rglob("*.*" if shown else "*.py")):
+        place = file.relative_to(PACKAGE)
+        if place.suffix != ".pyc" and (shown or place.parts[0] not in SHOWING):
             sha.update(place.as_posix().encode() + file.read_bytes())
     return sha.hexdigest()
 
@@ -49,6 +54,12 @@ def structure_files(path: str | Path) -> dict[Path, bytes]:
                 each for each in imported_files(file) if not any(map(each.is_relative_to, others))
             ]
     return seen
+
+
+def own_source(function: Callable[..., Any]) -> bytes:
+    """The file of a function that is no part of casid; nothing of one that is."""
+    file = Path(inspect.getsourcefile(function) or __file__)
+    return b"" if file.is_relative_to(PACKAGE) else file.read_bytes()
 
 
 def equations_digest(model: Model) -> str:
@@ -94,4 +105,4 @@ def _files_of(name: str) -> Iterator[Path]:
 @lru_cache(maxsize=1)
 def _libraries() -> tuple[Path, ...]:
     places = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
-    return (*(Path(place).resolve() for place in places), Path(__file__).resolve().parents[1])
+    return (*(Path(place).resolve() for place in places), PACKAGE.resolve())

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from casid.arrays import Array, BoolArray
 from casid.display import counted

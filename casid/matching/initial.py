@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from casid.arrays import Array, ComplexArray
 from casid.matching.comparison import Comparison

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import casadi as ca
 import numpy as np
-import scipy.optimize
+import scipy
 
 from casid.arrays import Array
 from casid.errors import ModelError, warn

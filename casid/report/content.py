@@ -4,15 +4,16 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any
 
 from casid.channels import UNITS
 from casid.consistency.flights import Repeats
 from casid.fit import AnyFit, Fit
 from casid.model import Model
 from casid.validation import AnyModel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 BLACK_BOX, MATCH = "black box", "H∞ match"
 OUTPUT_ERROR, BASELINE = "output error", "frequency domain"
@@ -61,11 +62,11 @@ class Drawing:
 
     name: str
     caption: str
-    draw: Callable[[], Figure]  # when the page is written, perhaps in a process beside it
+    draw: "Callable[[], Figure]"  # when the page is written, perhaps in a process beside it
     interactive: bool = True
 
     @cached_property
-    def figure(self) -> Figure:
+    def figure(self) -> "Figure":
         """The figure, drawn once."""
         return self.draw()
 
@@ -102,6 +103,13 @@ def section(name: str, title: str, place: int, found: Any = None, **more: Any) -
     text = (TEMPLATES / f"{name}.html.j2").read_text(encoding="utf-8")
     values = {"found": found} | more.pop("values", {})
     return Section(name=name, title=title, place=place, template=text, values=values, **more)
+
+
+def cautions(content: "Content", sections: Iterable[Section]) -> tuple[str, ...]:
+    """What makes the result less certain than it looks, what matters most first."""
+    said = [caution for section in sections for caution in section.cautions]
+    said += [Caution(text) for text in content.warnings]
+    return tuple(dict.fromkeys(each.text for each in sorted(said, key=lambda each: each.rank)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -19,7 +19,7 @@ from casid.files import write_text
 from casid.report import intervals
 from casid.report.answer import place
 from casid.report.beside import beside
-from casid.report.content import TEMPLATES, Caution, Content, Drawing, Section
+from casid.report.content import TEMPLATES, Content, Drawing, Section, cautions
 from casid.report.drawings import save
 from casid.report.interactive import interactive
 from casid.report.look import LOOK
@@ -78,13 +78,6 @@ def write_report(content: Content, sections: Sequence[Section], folder: str | Pa
     )
     write_text(folder / "report.html", text)
     return folder / "report.html"
-
-
-def cautions(content: Content, sections: Sequence[Section]) -> tuple[str, ...]:
-    """What makes the result less certain than it looks, what matters most first."""
-    said = [caution for section in sections for caution in section.cautions]
-    said += [Caution(text) for text in content.warnings]
-    return tuple(dict.fromkeys(each.text for each in sorted(said, key=lambda each: each.rank)))
 
 
 def _environment() -> jinja2.Environment:

@@ -10,9 +10,9 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+import scipy
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from scipy.interpolate import CubicHermiteSpline
 
 from casid.arrays import Array
 from casid.bands import ResponseBand
@@ -195,7 +195,7 @@ def _(value: Profile, ax: Any) -> Any:  # noqa: ANN401
         x, name = value.points[:, 0], value.names[0]
         axes[0].plot(x, rise, "o", color="#0072B2", label="profile")
         there = np.flatnonzero(np.isfinite(rise))[np.argsort(x[np.isfinite(rise)])]
-        curve = CubicHermiteSpline(x[there], rise[there], value.slope[there, 0])
+        curve = scipy.interpolate.CubicHermiteSpline(x[there], rise[there], value.slope[there, 0])
         fine = np.linspace(x[there].min(), x[there].max(), POINTS)
         axes[0].plot(fine, curve(fine), color="#0072B2")
         axes[0].plot(x, value.parabola - value.fit.cost, "x", color=GREY, label="Cramér-Rao")

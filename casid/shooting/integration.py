@@ -6,7 +6,7 @@ The method being of fourth order, what is left then is a fifteenth of that.
 """
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from casid.arrays import Array
 from casid.shooting.nonlinear import MOST, Integration, NonlinearEvaluator

@@ -17,7 +17,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy.sparse
+import scipy
 
 from casid.arrays import Array
 from casid.assembly import NumPyFunction, Pattern, grid, stack

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 import scipy.linalg
-import scipy.sparse
 
 from casid.arrays import Array
 from casid.fit import ACTIVE, holding

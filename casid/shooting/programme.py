@@ -15,7 +15,7 @@ import copy
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from casid.arrays import Array
 from casid.assembly import Pattern, grid, stack, upper_triangle

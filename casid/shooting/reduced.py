@@ -13,8 +13,8 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 import scipy.linalg
-import scipy.sparse
 
 from casid.arrays import Array, BoolArray
 from casid.nlp import Progress, Solution, SolverOptions

@@ -8,9 +8,8 @@ poor start, or an unstable one, does not run away from the measurements.
 from dataclasses import replace
 
 import numpy as np
+import scipy
 import scipy.linalg
-import scipy.sparse
-import scipy.sparse.linalg
 
 from casid.arrays import Array
 from casid.errors import ConvergenceError

@@ -9,10 +9,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-import scipy.fft
+import scipy
 import scipy.linalg
-import scipy.sparse
-import scipy.sparse.linalg
 
 from casid.arrays import Array, BoolArray
 from casid.values import storable

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from casid import report
 from casid.display import counted
 from casid.excitations import Excitation
 from casid.report.content import Caution, Content, Section, section
-from casid.report.drawings import draw_excitation, draw_singular_values
 from casid.stages.stage import Stage, Task
 from casid.subspace.pbsid import BlackBox, Pbsid
 
@@ -23,8 +23,9 @@ def _show(found: BlackBox, content: Content) -> Iterable[Section]:  # noqa: ARG0
     told = (
         f"A black box of order {order} was identified from {counted(len(found.records), 'record')}"
     )
-    said, draw = tuple(Caution(text, 30) for text in found.doubts()), draw_singular_values
-    more: Any = {"draw": partial(draw, found), "lead": f"{told} ({names}).", "cautions": said}
+    said = tuple(Caution(text, 30) for text in found.doubts())
+    draw = partial(report.drawings.draw_singular_values, found)
+    more: Any = {"draw": draw, "lead": f"{told} ({names}).", "cautions": said}
     yield section("black_box", "Black box", 95, found, **more)
     if found.excitation is not None:
         yield _excitation(found.excitation)
@@ -41,7 +42,7 @@ def _excitation(found: Excitation) -> Section:
             share, most, k = float(np.median(lower)), float(np.median(upper)), int(lower.argmin())
             row = {"name": name, "low": omega[0], "high": omega[-1], "share": share, "most": most}
             rows.append({**row, "least": lower[k], "at": omega[k]})
-    more: Any = {"values": {"rows": rows}, "draw": partial(draw_excitation, found)}
+    more: Any = {"values": {"rows": rows}, "draw": partial(report.drawings.draw_excitation, found)}
     return section("excitation", "Aircraft or controller", 96, found, **more)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from casid import report
 from casid.arrays import Array
 from casid.errors import DataWarning
 from casid.fit import Fit
@@ -21,7 +22,6 @@ from casid.prediction import Outlook, outlook, predict
 from casid.record import Record
 from casid.records import standard_deviations
 from casid.report.content import Content, Section, section
-from casid.report.drawings import draw_histories, with_states
 from casid.stages.stage import LeftOutError, Stage, Task
 from casid.validation import Validation, fit_percent, rms_error, state_space, theil_coefficient
 
@@ -88,7 +88,7 @@ def _compared(settings: object, task: Task) -> MeasuredStates:  # noqa: ARG001 -
 def _simulated(fit: Fit[Any, Any], record: Record, flight: Record, far: Outlook) -> Array:
     """States (N, n) as the validation had them, constant biases against the measured removed."""
     system = state_space(fit)
-    extra = with_states(system, flight.outputs)
+    extra = report.drawings.with_states(system, flight.outputs)
     both = replace(
         system,
         C=np.vstack([system.C, extra.C]),
@@ -118,7 +118,7 @@ def _measures(
 
 
 def _show(found: MeasuredStates, content: Content) -> Iterable[Section]:
-    draw = partial(draw_histories, found.shown, content.units)
+    draw = partial(report.drawings.draw_histories, found.shown, content.units)
     values = {"units": content.units}
     yield section("states", "Measured states", 65, found, values=values, draw=draw)
 

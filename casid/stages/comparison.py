@@ -8,13 +8,13 @@ from typing import Any, cast
 
 import numpy as np
 
+from casid import report
 from casid.bounds.cases import read_cases
 from casid.bounds.compare import BoundsComparison, compare_bounds
 from casid.estimator import Estimator
 from casid.files import write_text
 from casid.fit import AnyFit
 from casid.report.content import Content, Section, section
-from casid.report.drawings import draw_bounds
 from casid.stages.chain import CHAIN, Chain
 from casid.stages.stage import Stage, Task, lacking, records_of, runnable
 
@@ -103,7 +103,7 @@ def _estimation(settings: Cases, task: Task) -> tuple[Estimator, Any, AnyFit]:
 
 def _show(found: BoundsComparison, content: Content) -> Iterable[Section]:  # noqa: ARG001
     most = max((case.increase for case in found.cases if np.isfinite(case.increase)), default=0.0)
-    more: Any = {"values": {"dearest": most}, "draw": partial(draw_bounds, found)}
+    more: Any = {"values": {"dearest": most}, "draw": partial(report.drawings.draw_bounds, found)}
     yield section("bounds", "Comparison of bounds", 30, found, **more)
 
 

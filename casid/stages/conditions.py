@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from casid import report
 from casid.envelope import Envelope, envelope
 from casid.errors import ModelError
 from casid.nonlinear.conditions import Trim
@@ -16,7 +17,6 @@ from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.tables import spline
 from casid.record import Record
 from casid.report.content import Content, Section, section
-from casid.report.envelopes import draw_envelope
 from casid.stages.refinement import OUTPUT_ERROR
 from casid.stages.stage import Stage, Task
 
@@ -136,7 +136,7 @@ def _run(settings: OverSpeed, task: Task) -> Envelope:
 def _show(found: Envelope, content: Content) -> Iterable[Section]:  # noqa: ARG001
     low, high = found.speed[0], found.speed[-1]
     lead = f"It is shown from {low:.3g} to {high:.3g} m/s, the speeds of its records."
-    draw = partial(draw_envelope, found)
+    draw = partial(report.envelopes.draw_envelope, found)
     yield section("envelope", "Over speed", 35, found, draw=draw, lead=lead)
 
 

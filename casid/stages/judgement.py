@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+from casid import report
 from casid.bands import mode_bands
 from casid.eigenmodes import modes
 from casid.fit import Fit
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
-from casid.report import answer, drawings
+from casid.report.answer import ranked, told
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Caution, Content, Section, enough, section
 from casid.report.evidence import differences, disagreement
 from casid.report.verdicts import verdicts
@@ -52,7 +53,7 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
     lead = f"It was judged on records that {new} ({names})."
     named = {"model": NAMES.get(content.delivered, content.delivered)}
     if judged:
-        seen: Any = {"verdicts": answer.ranked(judged), "compared": BLACK_BOX in found.models}
+        seen: Any = {"verdicts": ranked(judged), "compared": BLACK_BOX in found.models}
         seen |= named
         yield section(
             "answer",
@@ -60,7 +61,7 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
             0,
             found,
             values=seen,
-            answer=answer.told(judged, found, enough=enough(content.results)),
+            answer=told(judged, found, enough=enough(content.results)),
         )
     more: Any = {"values": {"verdicts": judged} | named, "lead": lead, "cautions": tuple(said)}
     yield section("verdicts", "Verdicts", 5, found, **more)
@@ -85,6 +86,7 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
     }
     found_modes = {name: modes(fit.model.system()) for name, fit in content.fits.items()}
     values = {"modes": found_modes, "bands": bands, "at": at}
+    drawings = report.drawings
     histories = partial(drawings.draw_histories, found, content.units)
     for name, title, place, draw in (
         ("modes", "Modes", 40, partial(drawings.draw_poles, content)),

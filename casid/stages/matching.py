@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
+from casid import report
 from casid.declaration import check_priors
 from casid.fit import Certificate, Fit
 from casid.free import free_parameters
@@ -12,7 +13,6 @@ from casid.matching.appraisal import MatchNotes
 from casid.matching.match import Match
 from casid.matching.targets import Target
 from casid.report.content import MATCH, Caution, Content, Section, section
-from casid.report.drawings import draw_match_error
 from casid.report.verdicts import unsolved
 from casid.report.words import number
 from casid.stages.stage import Stage, Task, placed
@@ -78,7 +78,8 @@ def _show(found: Fit[Any, MatchNotes], content: Content) -> Iterable[Section]:  
     if certificate is not None:
         low, high = (number(edge, 3) for edge in certificate.band)
         band = f" between {low} and {high} rad/s"
-    said, draw = (*unsolved(found), *_loose(certificate)), partial(draw_match_error, found)
+    said = (*unsolved(found), *_loose(certificate))
+    draw = partial(report.drawings.draw_match_error, found)
     lead = f"The structure was matched to it in the H∞ norm{band}{MEANING[found.notes.weight]}."
     title = "Match and certificate"
     yield section("certificate", title, 90, found, draw=draw, lead=lead, cautions=said)

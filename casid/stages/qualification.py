@@ -4,9 +4,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from casid import report
 from casid.qualification import TOLERANCES, Qualification, qualify, read_tolerance
 from casid.report.content import Caution, Content, Section, delivered, section
-from casid.report.drawings import draw_qualification
 from casid.stages.stage import Stage, Task
 
 
@@ -44,7 +44,7 @@ def _show(found: Qualification, content: Content) -> Iterable[Section]:
         if found.largest[i, j] > 1
     ]
     said = [Caution(f"Out of the tolerance band: {', '.join(failed)}.", 15)] if failed else []
-    draw = partial(draw_qualification, found, content.units)
+    draw = partial(report.drawings.draw_qualification, found, content.units)
     yield section("qualification", "Qualification", 75, found, draw=draw, cautions=tuple(said))
 
 

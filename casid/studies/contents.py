@@ -1,11 +1,9 @@
 """What a study hands to its report: results, digests of data and model, settings, versions."""
 
 import os
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from hashlib import sha256
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +12,10 @@ import numpy as np
 from casid.channels import units_of
 from casid.consistency.flights import Repeats
 from casid.record import Record
-from casid.report import Content, DataFile, Timing
+from casid.report.content import Content, DataFile, Timing
 from casid.stages.stage import Found, Role
 from casid.studies.study import Study
-
-PACKAGES = ("casid", "casadi", "numpy", "scipy", "matplotlib")
+from casid.studies.written import versions
 
 
 def content(
@@ -30,7 +27,6 @@ def content(
     warnings: Sequence[str],
 ) -> Content:
     """All that the report of a study shows, with the digests of what it rests on."""
-    versions = {"Python": platform.python_version()} | {name: version(name) for name in PACKAGES}
     return Content(
         title=study.title,
         model=study.model,
@@ -40,7 +36,7 @@ def content(
         model_digest=sha256(study.model_file.read_bytes()).hexdigest(),
         data=_data(study, records),
         settings=_settings(study),
-        versions=versions,
+        versions=versions(),
         timings=tuple(timings),
         warnings=tuple(dict.fromkeys(warnings)),
         repeats=again,

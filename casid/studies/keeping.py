@@ -1,19 +1,17 @@
 """What runs the stages of a study: results that still hold are taken, new ones kept, both told."""
 
-import inspect
 import logging
 import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any, TypeVar
 
 from casid.errors import ConvergenceError, DataWarning
 from casid.fit import Fit
 from casid.jobs.campaigns import CampaignProgress, Execution
-from casid.jobs.origins import equations_digest, source_digest, structure_digest
+from casid.jobs.origins import equations_digest, own_source, source_digest, structure_digest
 from casid.jobs.store import Done, Store
 from casid.nlp import Progress
 from casid.report.content import Timing
@@ -27,7 +25,6 @@ STALE = (
     "The {does} in the folder of results is of an earlier state of the study and is not shown; "
     "casid {command} makes it anew."
 )
-PACKAGE = Path(__file__).parents[1]
 
 
 class Watch:
@@ -152,7 +149,7 @@ class Keeper:
     def _key(self, stage: Stage, settings: Any, task: Task) -> str:  # noqa: ANN401
         """Digest of all a stage's result depends on."""
         before = [self._keys.get(name, "") for name in (*stage.needs, *stage.uses)]
-        parts: list[Any] = [self._source, _own_source(stage), before, settings, task.records]
+        parts: list[Any] = [self._source, own_source(stage.run), before, settings, task.records]
         if stage.structured:
             study = self._study
             parts += [self._structure, asdict(study.model), study.fixed, study.bounds]
@@ -165,9 +162,3 @@ class _Idle(Executor):
     def submit(self, *_: Any, **__: Any) -> Future[Any]:  # noqa: ANN401 - of any work
         """Refuse."""
         raise LeftOutError
-
-
-def _own_source(stage: Stage) -> bytes:
-    """The file of a stage that is no part of casid; nothing of one that is."""
-    file = Path(inspect.getsourcefile(stage.run) or __file__)
-    return b"" if file.is_relative_to(PACKAGE) else file.read_bytes()

@@ -2,11 +2,13 @@
 
 import time
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from casid import report as pages
 from casid.bounds.compare import BoundsComparison
 from casid.chain import Identification
 from casid.consistency.flights import Repeats
@@ -15,27 +17,20 @@ from casid.files import write_text
 from casid.fit import AnyFit, ParameterEstimate
 from casid.folder import claimed
 from casid.record import Record
-from casid.report import Content, Timing, write_report
-from casid.report.html import cautions
+from casid.report.content import Content, Timing, cautions, enough
 from casid.report.verdicts import Verdict, verdicts
 from casid.stages.listing import sections
-from casid.stages.stage import Role, run_stages
+from casid.stages.stage import Found, Role, run_stages
 from casid.studies.contents import content
 from casid.studies.keeping import Keeper, Watch
 from casid.studies.responses import with_measured
 from casid.studies.study import Study, read_flights, without_checks
+from casid.studies.written import WRITTEN, Written, digests, keep_written, read_written
 from casid.tabulation import csv_text
 from casid.threads import one_thread
 from casid.validation import Validation
 
-WRITTEN = (
-    "report.html",
-    "fit.json",
-    "parameters.csv",
-    "bounds.csv",
-    "bounds_cases.csv",
-    "bounds.md",
-)
+TOLD = ("verdicts", "cautions", "headlines")  # of what was written, as it was
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,8 +39,6 @@ class Outcome:
 
     Parameters
     ----------
-    identification : Identification
-        The result of each stage.
     timings : tuple of Timing
         Effort of each stage.
     report : Path
@@ -54,13 +47,24 @@ class Outcome:
         On each output of the unseen records; none without such records.
     cautions : tuple of str
         What makes the result less certain than it looks, what matters most first.
+    headlines : mapping
+        What was found out about structure and last step in a sentence each, and whether it is good
+        news.
+    found : callable
+        Returns the results of the stages, which are read when asked for if all were kept.
     """
 
-    identification: Identification[Any]
     timings: tuple[Timing, ...]
     report: Path
     verdicts: tuple[Verdict, ...] = ()
     cautions: tuple[str, ...] = ()
+    headlines: Mapping[str, bool | None] = field(default_factory=dict)
+    found: Callable[[], Mapping[str, Any]]
+
+    @cached_property
+    def identification(self) -> Identification[Any]:
+        """The result of each stage."""
+        return Identification(results=self.found())
 
     @property
     def validation(self) -> Validation:
@@ -105,15 +109,54 @@ def run_study(
     """
     study.spare(*WRITTEN)
     watch = watch or Watch()
+    if not fresh and not command and (outcome := _as_written(study, watch)):
+        return outcome
     started = time.perf_counter()
     watch.begin("records")
-    (flights, again), said = _read(study)
+    flown, said = _read(study)
     clock = [Timing(stage="records", seconds=time.perf_counter() - started)]
     watch.end(clock[0])
     with claimed(study.output):
         keeper = Keeper(study, watch, clock, fresh=fresh, command=command)
         keeper.warnings += said
-        return _run(study, flights, again, keeper)
+        outcome = _run(study, *flown, keeper)
+        written = {key: getattr(outcome, key) for key in ("timings", *TOLD)}
+        keep_written(study, Written(files=digests(study), warnings=tuple(said), **written))
+        return outcome
+
+
+def _as_written(study: Study, watch: Watch) -> Outcome | None:
+    """What an earlier run found and wrote, if all of it still holds: nothing is read but files."""
+    started = time.perf_counter()
+    written = read_written(study)
+    if written is None:
+        return None
+    for each in written.warnings:
+        warn(each)
+    clock = [replace(timing, kept=True) for timing in written.timings]
+    clock[0] = Timing(stage="records", seconds=time.perf_counter() - started)  # compared by digest
+    for timing in clock:
+        watch.end(timing)
+    told: Any = {key: getattr(written, key) for key in TOLD}
+    report = study.output / "report.html"
+    return Outcome(timings=tuple(clock), report=report, found=partial(_again, study), **told)
+
+
+def _again(study: Study) -> Mapping[str, Any]:
+    """Results of the stages, as they are kept."""
+    (flights, _), _ = _read(study)
+    keeper = Keeper(study, Watch(), [], fresh=False, command="")
+    return _stages(study, without_checks(study, flights), flights, keeper).results
+
+
+def _stages(
+    study: Study,
+    records: Mapping[Role, Sequence[Record]],
+    flights: Mapping[Role, Sequence[Record]],
+    keeper: Keeper,
+) -> Found:
+    task = with_measured(study.task(records, flights), study.responses)
+    return run_stages(task, keep=keeper)
 
 
 def _read(study: Study) -> tuple[tuple[Mapping[Role, Sequence[Record]], Repeats], list[str]]:
@@ -133,8 +176,7 @@ def _run(
     study: Study, flights: Mapping[Role, Sequence[Record]], again: Repeats, keeper: Keeper
 ) -> Outcome:
     records = without_checks(study, flights)
-    task = with_measured(study.task(records, flights), study.responses)
-    found = run_stages(task, keep=keeper)
+    found = _stages(study, records, flights, keeper)
     does = {stage.name: stage.does for stage in study.stages}
     lasting = {stage.name for stage in study.stages if stage.kept}
     keeper.warnings += [f"The {does[name]} is missing. {e}" for name, e in found.failures.items()]
@@ -148,22 +190,28 @@ def _run(
         clock = [timing for timing in keeper.clock if timing.stage in lasting]
         shown = content(study, records, again, found, clock, keeper.warnings)
         told = sections(study.stages, found.results, shown)
-        return write_report(shown, told, study.output), shown, cautions(shown, told)
+        return pages.write_report(shown, told, study.output), shown, cautions(shown, told)
 
     report, shown, said = keeper.timed("report", write)
     for failure in found.failures.values():
         raise ConvergenceError(
             f"{failure}\nThe report is written without it: {report}", failure.best
         ) from failure
-    named: Identification[Any] = Identification(results=found.results)
     judged = found.results.get("validation")
     return Outcome(
-        identification=named,
         timings=tuple(keeper.clock),
         report=report,
         verdicts=() if judged is None else verdicts(judged, shown),
         cautions=said,
+        headlines=_headlines(found.results),
+        found=lambda: found.results,
     )
+
+
+def _headlines(results: Mapping[str, Any]) -> dict[str, bool | None]:
+    """Whether the structure is enough, and which last step was chosen."""
+    said = {"sufficiency": enough(results), "choice": None}
+    return {results[name].headline(): good for name, good in said.items() if name in results}
 
 
 def write_parameters(path: str | Path, fit: AnyFit) -> None:

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.linalg
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.stats import chi2
 
 from casid.arrays import Array
 from casid.linear import StateSpace
@@ -94,9 +93,8 @@ def direct_term_is_ambiguous(stack: Stack) -> bool:
     feedback = stack.columns * (_log_det(u[own:]) - _log_det(u[both:]))
     y = R[both:, both + nu :]
     direct = stack.columns * (_log_det(y) - _log_det(y[nu:]))
-    return bool(
-        feedback > chi2.isf(LEVEL, nu * p * stack.ny) and direct > chi2.isf(LEVEL, nu * stack.ny)
-    )
+    rare = [scipy.stats.chi2.isf(LEVEL, freedom * stack.ny) for freedom in (nu * p, nu)]
+    return bool(feedback > rare[0] and direct > rare[1])
 
 
 def _log_det(rows: Array) -> float:

@@ -18,7 +18,7 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from casid.arrays import Array, ComplexArray
 from casid.record import Hold, Record
@@ -93,7 +93,7 @@ def _spectrum(record: Record, cut: slice, su: Array, sy: Array, highest: float) 
         U = np.fft.fft(u[:-1], axis=0)[1 : K + 1] * (h / np.sqrt(T))
         Y = np.fft.fft(y[:-1], axis=0)[1 : K + 1] * (h / np.sqrt(T))
         return Spectrum(omega, U, Y, h, record.hold)
-    even = CubicSpline(t, y)(np.linspace(0.0, T, n))
+    even = scipy.interpolate.CubicSpline(t, y)(np.linspace(0.0, T, n))
     even[0] = (even[0] + even[-1]) / 2  # both ends share one phase: the trapezoidal sum
     Y = np.fft.fft(even[:-1], axis=0)[1 : K + 1] * (h / np.sqrt(T))
     U = _held_transform(omega, t, u, record.hold) / np.sqrt(T)

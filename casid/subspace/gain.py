@@ -1,8 +1,7 @@
 """Innovation gains of a model that has moved away from the one they were estimated with."""
 
 import numpy as np
-from scipy.linalg import solve_continuous_are
-from scipy.optimize import linear_sum_assignment
+import scipy.linalg
 
 from casid.arrays import Array
 from casid.linear import StateSpace
@@ -17,7 +16,7 @@ def carried_gain(system: StateSpace, K: Array, refined: StateSpace, R: Array) ->
     lam, V = np.linalg.eig(refined.A)
     modal_gain = np.linalg.solve(V_old, K.astype(complex))
     size_old = np.linalg.norm(system.C @ V_old, axis=0)
-    order = linear_sum_assignment(np.abs(lam[:, None] - lam_old[None]))[1]
+    order = scipy.optimize.linear_sum_assignment(np.abs(lam[:, None] - lam_old[None]))[1]
     turned = np.sum((system.C @ V_old[:, order]).conj() * (refined.C @ V), axis=0)
     scale = turned / np.abs(turned) * size_old[order] / np.linalg.norm(refined.C @ V, axis=0)
     carried = np.real(V @ (scale.conj()[:, None] * modal_gain[order]))
@@ -30,7 +29,7 @@ def riccati_gain(A: Array, C: Array, K: Array, R: Array) -> Array:
     S = K @ R
     Q = K @ R @ K.T + 1e-9 * np.trace(K @ R @ K.T) / len(A) * np.eye(len(A))
     try:
-        P = solve_continuous_are(A.T, C.T, Q, R, s=S)
+        P = scipy.linalg.solve_continuous_are(A.T, C.T, Q, R, s=S)
     except np.linalg.LinAlgError as error:
         raise ValueError(
             f"no stable predictor of order {len(A)} exists for these data ({error}); "

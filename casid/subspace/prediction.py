@@ -21,8 +21,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import lfilter
+import scipy
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
@@ -176,7 +175,7 @@ def _filtered(lam: ComplexArray, w: Array | ComplexArray) -> ComplexArray:
     """x⁺ = μ x + w from rest, for every mode; w (N, nm, ...)."""
     out = np.empty(w.shape, dtype=complex)
     for m, pole in enumerate(lam):
-        out[:, m] = lfilter([0.0, 1.0], [1.0, -pole], w[:, m], axis=0)
+        out[:, m] = scipy.signal.lfilter([0.0, 1.0], [1.0, -pole], w[:, m], axis=0)
     return out
 
 
@@ -198,7 +197,7 @@ def _decay(modal: modes.Modal, N: int) -> ComplexArray:
     start[0] = 1.0
     out = np.empty_like(start)
     for m, pole in enumerate(modal.lam):
-        out[:, m] = lfilter([1.0], [1.0, -pole], start[:, m])
+        out[:, m] = scipy.signal.lfilter([1.0], [1.0, -pole], start[:, m])
     return out
 
 
@@ -249,7 +248,8 @@ def _levelled(modal: modes.Modal, data: Sequence[Stretch], W: Array) -> list[Str
     pairs = zip(prediction_errors(modal, data, W), data, strict=True)
     power = [np.mean((E @ W.T / s.weight) ** 2, axis=1, keepdims=True) for E, s in pairs]
     least = LEAST**2 * np.mean(np.vstack(power))
-    level = [np.sqrt(gaussian_filter1d(each, NEAR, axis=0) + least) for each in power]
+    smooth = scipy.ndimage.gaussian_filter1d
+    level = [np.sqrt(smooth(each, NEAR, axis=0) + least) for each in power]
     typical = np.exp(np.mean(np.log(np.vstack(level))))
     return [replace(s, weight=typical / each) for s, each in zip(data, level, strict=True)]
 

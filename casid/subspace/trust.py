@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
+import scipy
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace

@@ -130,7 +130,7 @@ def test_a_second_run_takes_what_was_kept(identified):
     result = casid("identify", folder / "study.toml")
     assert result.exit_code == 0
     kept = [line.split()[0] for line in result.output.splitlines() if line.endswith("kept")]
-    assert kept == ["pbsid", "quadratic", "hinf", "output_error"]
+    assert {"pbsid", "quadratic", "hinf", "output_error"} <= {*kept}
     assert (folder / "out/stages/output_error.json").stat().st_mtime_ns == stamp
 
 

@@ -22,7 +22,7 @@ def content(study_folder):
         return write_report(content, sections, folder)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("casid.studies.runner.write_report", keeping)
+        patch.setattr("casid.report.write_report", keeping)
         run_study(
             read_study(
                 write_study(

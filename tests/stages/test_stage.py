@@ -90,7 +90,7 @@ def test_a_stage_of_an_outsider_runs_is_kept_is_resumed_and_is_shown(tmp_path):
 
     again = run_study(study(tmp_path, "[toy]", "power = 3", 'channels = ["p", "phi"]'))
     assert len(RUNS) == 1
-    assert [timing.stage for timing in again.timings if timing.kept][-1] == "toy"
+    assert "toy" in [timing.stage for timing in again.timings if timing.kept]
     assert again.identification.results["toy"] == found
     changed = run_study(study(tmp_path, "[toy]", "power = 4"))
     assert len(RUNS) == 2

@@ -1,0 +1,90 @@
+"""What a study wrote, taken as it lies if nothing has changed that it was made of."""
+
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from hashlib import sha256
+from importlib.metadata import version
+
+from casid.folder import PARTIAL
+from casid.jobs.origins import equations_digest, own_source, source_digest, structure_digest
+from casid.jobs.store import Done, Store
+from casid.report.content import Timing
+from casid.report.verdicts import Verdict
+from casid.studies.study import Study
+from casid.values import digest
+
+NAME = "written"  # of its file in the folder of results
+PACKAGES = ("casid", "casadi", "numpy", "scipy", "matplotlib")  # whose versions the page names
+WRITTEN = (
+    "report.html",
+    "fit.json",
+    "parameters.csv",
+    "bounds.csv",
+    "bounds_cases.csv",
+    "bounds.md",
+)
+APART = ("output", "model", "stages")  # fields of a study that stand in the key otherwise, or not
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Written:
+    """Digests of the files a study wrote, by name, and what it had to say."""
+
+    files: Mapping[str, str]
+    timings: tuple[Timing, ...]
+    verdicts: tuple[Verdict, ...] = ()
+    cautions: tuple[str, ...] = ()
+    headlines: Mapping[str, bool | None]  # and whether it is good news
+    warnings: tuple[str, ...] = ()  # of the records
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of what computes and draws."""
+    return {"Python": platform.python_version()} | {name: version(name) for name in PACKAGES}
+
+
+def read_written(study: Study) -> Written | None:
+    """What an earlier run left, if all of it is there and made of the same; else None."""
+    store = _store(study)
+    if not store.path(NAME).exists():
+        return None
+    done = store.get(NAME, _key(study))
+    found: Written | None = None if done is None else done.result
+    return found if found is not None and found.files == digests(study) else None
+
+
+def keep_written(study: Study, written: Written) -> None:
+    """Note what a study wrote."""
+    _store(study).put(NAME, _key(study), Done(result=written))
+
+
+def digests(study: Study) -> dict[str, str]:
+    """Digests (SHA-256) of all files of the study in its folder of results."""
+    folders = ["figures", "stages", *(stage.name for stage in study.stages if stage.command)]
+    files = [study.output / name for name in WRITTEN]
+    files += [file for folder in folders for file in sorted((study.output / folder).glob("*"))]
+    return {
+        file.relative_to(study.output).as_posix(): sha256(file.read_bytes()).hexdigest()
+        for file in files
+        if file.is_file() and file.suffix != PARTIAL
+    }
+
+
+def _store(study: Study) -> Store:
+    return Store(study.output, (Written, Timing, Verdict))
+
+
+def _key(study: Study) -> str:
+    """Digest of all that the files of a study are made of: records as their files have them."""
+    said = [getattr(study, each.name) for each in fields(study) if each.name not in APART]
+    flown = [file for each in study.roles.values() for file in each.files]
+    second = study.channels.second
+    flown += [] if second is None else [second.beside(file) for file in flown]
+    return digest(
+        [source_digest(shown=True), versions()],
+        [structure_digest(study.model_file), equations_digest(study.model), asdict(study.model)],
+        [(stage.name, own_source(stage.run)) for stage in study.stages],
+        said,
+        [file.read_bytes() for file in (study.path, *dict.fromkeys(flown))],
+    )

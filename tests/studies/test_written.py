@@ -1,0 +1,69 @@
+"""A study that has not changed is taken as it lies: nothing computed, drawn or written again."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+from truths.roll_study import write_study
+
+from casid import read_study, run_study
+from casid.values import digest
+
+
+def _kept(outcome):
+    """Whether everything was taken as it was."""
+    return all(timing.kept for timing in outcome.timings if timing.stage != "records")
+
+
+def _state(folder):
+    return {file: file.stat().st_mtime_ns for file in sorted(folder.rglob("*.*"))}
+
+
+@pytest.mark.slow
+def test_nothing_changed_nothing_written_and_the_same_said(tmp_path):
+    study = read_study(write_study(tmp_path))
+    first = run_study(study)
+    before = _state(study.output)
+    again = run_study(read_study(tmp_path / "study.toml"))
+    assert not _kept(first)
+    assert _kept(again)
+    assert _state(study.output) == before
+    for said in ("verdicts", "cautions", "headlines", "report"):
+        assert getattr(again, said) == getattr(first, said)
+    assert digest(again.identification.results) == digest(first.identification.results)
+    assert again.validation.records == first.validation.records
+
+
+@pytest.mark.slow
+def test_whatever_changes_or_is_lost_is_made_again(tmp_path):
+    path = write_study(tmp_path)
+    study = read_study(path)
+    page = run_study(study).report.read_bytes()
+    figure = min((study.output / "figures").iterdir())
+    for break_ in (
+        lambda: study.output.joinpath("report.html").write_text("edited", encoding="utf-8"),
+        figure.unlink,
+        lambda: study.output.joinpath("written.json").write_text("{", encoding="utf-8"),
+    ):
+        break_()
+        outcome = run_study(read_study(path))
+        assert not _kept(outcome)
+        assert outcome.report.read_bytes() == page
+        assert figure.exists()
+    record = next(iter(study.roles["validation"].files))
+    record.write_text(record.read_text("utf-8") + "\n", encoding="utf-8")
+    assert not _kept(run_study(read_study(path)))
+    assert not _kept(run_study(replace(study, png=True)))
+    assert not _kept(run_study(replace(study, png=True), fresh=True))
+
+
+@pytest.mark.slow
+def test_a_study_that_is_done_imports_nothing_that_draws(tmp_path):
+    path = write_study(tmp_path)
+    run_study(read_study(path))
+    told = "import sys; from casid import read_study, run_study\n"
+    told += f"run_study(read_study({str(path)!r}))\n"
+    told += "print([name for name in ('matplotlib', 'scipy.optimize') if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", told], check=True, capture_output=True, text=True)
+    assert done.stdout.split("\n")[0] == "[]"
