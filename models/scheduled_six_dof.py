@@ -162,24 +162,24 @@ class ScheduledSixDof(NonlinearModel):
     def reference(self) -> dict[str, Any]:
         return self.trim_at(self.U0)
 
-    def aerodynamics(self, x: Any, u: Any) -> list[Any]:  # noqa: ANN401
+    def linear(self, axis: str, x: Any, u: Any) -> Any:  # noqa: ANN401
+        """Derivatives of an axis, at the speed, times what has left the trim curves."""
         rest, faster = self.trim_at(x.u), (x.u - self.U0) / self.span
-        sth, cth = ca.sin(rest["theta"]), ca.cos(rest["theta"])
-        down = {"Y": ca.sin(rest["phi"]), "Z": ca.cos(rest["phi"])}
-        at_rest = {"X": self.g * sth} | {n: -self.g * cth * part for n, part in down.items()}
-        moved = {n: getattr(x, n) - rest.get(n, 0.0) for n in ("v", "w", "p", "q", "r")}
-        moved |= {n: getattr(u, n) - rest[n] for n in self.inputs}
-        found = []
-        for axis in "XYZLMN":
-            force = at_rest.get(axis, 0.0) + getattr(self, f"{axis}trim")
-            force += getattr(self, f"{axis}u") * (x.u - self.U0)
-            for name, step in moved.items():
-                own = f"{axis}{name}"
-                slope = getattr(self, f"{own}_V", 0.0)  # force derivatives by rates: none
-                slope += getattr(self, f"{own}_VV", 0.0) * faster
-                force += (getattr(self, own) + slope * faster) * step
-            found.append(force)
+        found = getattr(self, f"{axis}trim", 0.0) + getattr(self, f"{axis}u", 0.0) * (x.u - self.U0)
+        for name in (*self.states[1:], *self.inputs):
+            own, value = f"{axis}{name}", getattr(x if name in self.states else u, name)
+            slope = getattr(self, f"{own}_V", 0.0) + getattr(self, f"{own}_VV", 0.0) * faster
+            found += (getattr(self, own, 0.0) + slope * faster) * (value - rest.get(name, 0.0))
         return found
+
+    def aerodynamics(self, x: Any, u: Any) -> list[Any]:  # noqa: ANN401
+        """Specific forces and angular accelerations."""
+        X, Y, Z, *moments = (self.linear(axis, x, u) for axis in "XYZLMN")
+        rest = self.trim_at(x.u)
+        X += self.g * ca.sin(rest["theta"])
+        Y -= self.g * ca.cos(rest["theta"]) * ca.sin(rest["phi"])
+        Z -= self.g * ca.cos(rest["theta"]) * ca.cos(rest["phi"])
+        return [X, Y, Z, *moments]
 
     def derivatives(self, x: Any, u: Any) -> Sequence[Scalar]:  # noqa: ANN401
         (X, Y, Z, *moments), tth = self.aerodynamics(x, u), ca.tan(x.theta)

@@ -30,7 +30,7 @@ class Mapped:
     def __call__(self, *arguments: Array) -> list[Array]:
         """Results (n, size) at n points; arguments are (n, size), those shared (size,)."""
         n = next(len(a) for i, a in enumerate(arguments) if i not in self._shared)
-        size = min(POINTS, n)
+        size = -(-n // -(-n // POINTS)) if n else 1  # of calls alike, the last one padded least
         results: list[Array] = [np.empty((n, width)) for width in self._widths]
         for first in range(0, n, size):
             inputs, outputs, run = self._buffers(size)

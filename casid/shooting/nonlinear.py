@@ -196,9 +196,9 @@ class NonlinearSweep(Sweep):
         self._delayed = np.flatnonzero(m.tau_lam.any(axis=0))
         N, nx, nf = len(evaluator.layout.y), evaluator.nx, evaluator.nf
         self.by_x: Array = np.empty((N, nx, nx))  # of the steps from the samples passed
-        small = 8 * N * nx * nf <= KEPT_BYTES
-        self._by_lam: Array | None = np.empty((N, nx, nf)) if small else None
-        self._known = np.zeros(N, dtype=bool)
+        self._kept: dict[bytes, tuple[Array, Array]] = {}
+        self._room = KEPT_BYTES
+        self._F: Array = np.zeros((PIECE, len(STAGES), nx, nf))  # other entries stay zero
 
     def _block(self, at: np.ndarray, S: Array) -> Array:
         """Sensitivities before each of K samples and after the last, (K + 1, nx, n, ns)."""
@@ -214,15 +214,20 @@ class NonlinearSweep(Sweep):
 
     def _transitions(self, flat: np.ndarray) -> tuple[Array, Array]:
         """∂Φ/∂x (n, nx, nx) and ∂Φ/∂λ (n, nx, nf) of the steps from samples."""
-        if self._by_lam is not None and self._known[flat].all():
-            return self.by_x[flat], self._by_lam[flat]
-        by_lam: Array = np.empty((len(flat), self.e.nx, self.e.nf))
-        for first in range(0, len(flat), PIECE):
-            piece = flat[first : first + PIECE]
-            self.by_x[piece], by_lam[first : first + PIECE] = self._advanced(piece)
-        if self._by_lam is not None:
-            self._by_lam[flat], self._known[flat] = by_lam, True
-        return self.by_x[flat], by_lam
+        key = flat.tobytes()
+        if key in self._kept:
+            return self._kept[key]
+        n, nx, nf = len(flat), self.e.nx, self.e.nf
+        by_x: Array = np.empty((n, nx, nx))
+        by_lam: Array = np.empty((n, nx, nf))
+        for first in range(0, n, PIECE):
+            piece = slice(first, first + PIECE)
+            by_x[piece], by_lam[piece] = self._advanced(flat[piece])
+        self.by_x[flat] = by_x
+        self._room -= by_lam.nbytes
+        if self._room > 0:
+            self._kept[key] = by_x, by_lam
+        return by_x, by_lam
 
     def _advanced(self, flat: np.ndarray) -> tuple[Array, Array]:
         """Derivatives (n, nx, nx) by the states before and (n, nx, nf) by λ of those one sample on.
@@ -230,10 +235,9 @@ class NonlinearSweep(Sweep):
         With slopes A_i, F_i of f by x and λ at the stages, at c_i after a step's beginning, those
         of the step are I + Σ M_i A_i and Σ M_i F_i, where M_i = w_i I + c_{i+1} M_{i+1} A_{i+1}.
         """
-        (nx, nf), n = (self.e.nx, self.e.nf), len(flat)
-        by_x: Array = np.tile(np.eye(nx), (n, 1, 1))
-        by_lam: Array = np.zeros((n, nx, nf))
-        A, F = np.empty((n, len(STAGES), nx, nx)), np.zeros((n, len(STAGES), nx, nf))
+        nx, nf, n = self.e.nx, self.e.nf, len(flat)
+        A, F = np.empty((n, len(STAGES), nx, nx)), self._F[:n]
+        passed: tuple[Array, Array] | None = None
         h = self._eta[flat, None, None]
         for s in range(self._u.shape[1]):
             x, u, late = self._track.inner[flat, s], self._u[flat, s], self._late[flat, s]
@@ -245,10 +249,10 @@ class NonlinearSweep(Sweep):
                 self._flow.f.lam.put(F[:, i], f_lam)
                 self._add_delays(F[:, i], f_u * late[:, stage, None])
             M = _weights(A, h)
-            own = M @ A.reshape(n, -1, nx)
-            by_lam += own @ by_lam + M @ F.reshape(n, -1, nf)
-            by_x += own @ by_x
-        return by_x, by_lam
+            own, moved = M @ A.reshape(n, -1, nx) + np.eye(nx), M @ F.reshape(n, -1, nf)
+            passed = (own @ passed[0], own @ passed[1] + moved) if passed else (own, moved)
+        assert passed is not None
+        return passed
 
     def _add_delays(self, target: Array, by_tau: Array) -> None:
         """Add what the delays do, (n, m, nu) by each, to derivatives (n, m, nf or more)."""
@@ -266,14 +270,14 @@ class NonlinearSweep(Sweep):
 
     def rows(self, at: np.ndarray, S: Array) -> Array:
         """Whitened Jacobian rows and residuals of K samples, (n, K, ny, nc)."""
-        e, (K, n), flat = self.e, at.shape, at.T.ravel()
+        e, (K, n), flat = self.e, at.shape, at.ravel()
         _, h_x, h_u, h_lam = self._flow.h(self.motion.states[flat], self._value[flat], self._lam)
-        through = h_x @ S.transpose(2, 0, 1, 3).reshape(n * K, e.nx, -1)
+        through = h_x @ S.transpose(0, 2, 1, 3).reshape(K * n, e.nx, -1)
         self._flow.h.lam.add(through, h_lam)
         self._add_delays(through, h_u * -self._slope[flat, None])
         out = np.empty((n, K, e.ny, self.ns + e.ny + 1))
         out[..., self.ns : -1] = np.eye(e.ny)
-        out[..., : self.ns] = through.reshape(n, K, e.ny, -1)
+        out[..., : self.ns] = through.reshape(K, n, e.ny, -1).transpose(1, 0, 2, 3)
         out[..., -1] = self.motion.residuals[at.T]
         return self._whitened(out, at)
 

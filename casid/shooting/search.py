@@ -169,6 +169,24 @@ class Search:
             outcome = best
         return outcome
 
+    def begun_inside(self, outcome: Outcome) -> Outcome:
+        """The outcome, or a better one of records that begin within what their states do then.
+
+        A state that enters the equations evenly, such as a rotor's speed, may be fitted from its
+        mirror image, through zero: a local minimum, in which lags are wrong.
+        """
+        programme = outcome.programme
+        if not isinstance(programme.evaluator, NonlinearEvaluator):
+            return outcome
+        if (point := _begun_inside(outcome)) is None:
+            return outcome
+        rounds = outcome.rounds + 1
+        solution = self._solve(programme, point, None, rounds, self.options)
+        iterations = outcome.iterations + solution.iterations
+        other = replace(outcome, solution=solution, rounds=rounds, iterations=iterations)
+        better = solution.success and not other.cost >= outcome.cost - GAIN
+        return other if better else replace(outcome, rounds=rounds, iterations=iterations)
+
     def _inside(self, outcome: Outcome, free: Free, delays: Array) -> Outcome:
         """The best within a stretch between whole samples, from an outcome without."""
         last, n = outcome.programme, len(free.index)
@@ -220,6 +238,25 @@ class Search:
         if close and not solution.success and any(neighbours(programme, lam, solved=False)):
             return solution  # held on a kink: no steps end there, but those on either side
         return completed(programme, start, solution, options, stage)
+
+
+def _begun_inside(outcome: Outcome) -> Point | None:
+    """The end, every record's first states brought into its others' span; None if none stuck out.
+
+    What sticks out does so by more than that span.
+    """
+    programme = outcome.programme
+    point, layout = programme.unpack(outcome.solution.x), programme.evaluator.layout
+    states, nodes = programme.values(outcome.solution.x).motion.states, point.nodes.copy()
+    first = 0
+    for number, record in enumerate(layout.records):
+        own = states[first + record.N // 10 + 1 : first + record.N]
+        low, high = own.min(axis=0), own.max(axis=0)
+        node = int(layout.node[layout.record == number].min())
+        out = np.maximum(nodes[node] - high, low - nodes[node]) > high - low
+        nodes[node, out] = np.clip(nodes[node], low, high)[out]
+        first += record.N
+    return replace(point, nodes=nodes) if np.any(nodes != point.nodes) else None
 
 
 def _carried(solution: Solution, last: Programme, programme: Programme) -> tuple[Array, Array]:

@@ -156,7 +156,7 @@ class Ways:
         if outcome is not None:
             return outcome
         begun = starting_programme(evaluator, search.free, self.R, self.biases)
-        return search.around(search.run(*begun, self.R))
+        return search.begun_inside(search.around(search.run(*begun, self.R)))
 
     @property
     def _shortest(self) -> float:
