@@ -29,7 +29,7 @@ def predicted(
     for _ in range(steps):
         try:
             F, follow = quadratic_model(programme, x, newton.matrix(x, prices))
-        except RuntimeError:  # an exactly singular factor
+        except (RuntimeError, np.linalg.LinAlgError):  # an exactly singular factor
             return None
         found = step(programme, x, F, options)
         if not found.success:

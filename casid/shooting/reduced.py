@@ -20,7 +20,7 @@ from casid.arrays import Array, BoolArray
 from casid.nlp import Progress, Solution, SolverOptions
 from casid.shooting.nearby import step
 from casid.shooting.newton import MEET, Newton
-from casid.shooting.precision import quadratic_model
+from casid.shooting.precision import quadratic_model, unknown_names
 from casid.shooting.programme import Programme
 
 STATED = 1e-3  # of log-likelihood that an undamped step may still gain: 0.05 standard errors
@@ -33,6 +33,10 @@ WELL, LESS = 0.25, 0.2  # share of the gain expected that lets damping fall, and
 CONVEX = 1.5  # times the damping that just makes the model convex
 TOUCHES = 1e-6  # from a bound, in units of unit curvature
 MANY, QUADRATIC = 200, {"tol": 1e-13, "compl_inf_tol": 1e-13, "acceptable_tol": 1e-11}  # a step
+UNTOLD = (
+    "the records do not determine {}, not where the search ended (singular information matrix): "
+    "fix or tie some of them, or start nearer"
+)
 NONE = 1e-12  # information of a parameter that has none, of the largest
 
 
@@ -80,9 +84,13 @@ def completed(
     count = min(LATER, options.max_iterations - last.iterations)
     left = replace(options, max_iterations=max(count, 1), ipopt={})
     reduced = Reduced(programme, left, stage)
-    if count < 1 or (last.success and not reduced.gain(last.x) > STATED):
+    gain = reduced.gain(last.x) if last.success and count > 0 else np.inf
+    if count < 1 or not gain > STATED:
         return last
     found = reduced.run(last.x) or reduced.run(start)
+    if found is None and last.success and gain == np.inf:
+        names = ", ".join(unknown_names(programme))
+        return replace(last, success=False, status=UNTOLD.format(names))
     if found is None or (last.success and not programme.n * (last.f - found.f) > STATED):
         return last
     meets = np.abs(last.g[: reduced.gaps]).max(initial=0.0) < MEET
@@ -104,12 +112,15 @@ class Reduced:
         self.gaps = len(programme.links) * programme.evaluator.nx
 
     def gain(self, x: Array) -> float:
-        """Log-likelihood that Gauss-Newton's step from scaled variables would gain, in bounds."""
+        """Log-likelihood that Gauss-Newton's step from scaled variables would gain, in bounds.
+
+        Infinite where the model is singular, NaN where its best step is not found.
+        """
         model = self._gauss(x)
         if model is None:
-            return 0.0
+            return np.inf
         found = step(self.programme, x, model.form, self._quiet)
-        return model.gain(found.x) - model.form[-1, -1] / 2 if found.success else 0.0
+        return model.gain(found.x) - model.form[-1, -1] / 2 if found.success else np.nan
 
     def run(self, x: Array) -> Solution | None:
         """Where steps from scaled variables end; None if biases and nodes are not found there."""
@@ -170,7 +181,7 @@ class Reduced:
         """Quadratic model of the cost with a Hessian; None if it is singular."""
         try:
             form, follow = quadratic_model(self.programme, x, hessian)
-        except RuntimeError:  # an exactly singular factor
+        except (RuntimeError, np.linalg.LinAlgError):  # an exactly singular factor
             return None
         return _Model(form, follow) if np.isfinite(form).all() else None
 

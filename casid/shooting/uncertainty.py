@@ -18,6 +18,7 @@ from casid.values import storable
 Sparse: TypeAlias = scipy.sparse.csc_array
 
 RIDGE = 1e-16  # on nuisance blocks, relative; an unobservable nuisance must not stop the rest
+SAME = 1e-14  # the same where that is lost in rounding
 MANY = 500  # neighbours of a nuisance variable (the bias of a long record) that would fill factors
 SINGULAR = 1e-11  # eigenvalue of the information scaled to unit diagonal that counts as zero
 GONE = 1e-10  # share of a parameter's information that is rounding if no more is left
@@ -70,15 +71,21 @@ def eliminate(
     many = np.diff(H_nuisance.indptr) > MANY
     if many.any():
         return _in_two_steps(H, H_nuisance, H_cross, G, G_cross, many)
-    nn, m = H_nuisance.shape[0], G.shape[0]
-    ridge = RIDGE * max(float(H_nuisance.diagonal().max()), 1e-300)
-    top = scipy.sparse.hstack([H_nuisance + ridge * scipy.sparse.eye_array(nn), G.T])
-    bottom = scipy.sparse.hstack([G, scipy.sparse.csc_array((m, m))])
-    K = scipy.sparse.csc_array(scipy.sparse.vstack([top, bottom]))
     cross = np.vstack([H_cross, G_cross])
-    solved = scipy.sparse.linalg.splu(K).solve(np.ascontiguousarray(cross))
+    try:
+        solved = _factor(H_nuisance, G, RIDGE).solve(np.ascontiguousarray(cross))
+    except RuntimeError:  # exactly singular: two nuisances are the same, an integral and its bias
+        solved = _factor(H_nuisance, G, SAME).solve(np.ascontiguousarray(cross))
     F = H - cross.T @ solved
     return (F + F.T) / 2, -solved
+
+
+def _factor(H: Sparse, G: Sparse, ridge: float) -> scipy.sparse.linalg.SuperLU:
+    """Factor of [H, Gᵀ; G, 0], H with a ridge relative to its largest diagonal entry."""
+    (m, nn), size = G.shape, max(float(H.diagonal().max()), 1e-300)
+    top = scipy.sparse.hstack([H + ridge * size * scipy.sparse.eye_array(nn), G.T])
+    bottom = scipy.sparse.hstack([G, scipy.sparse.csc_array((m, m))])
+    return scipy.sparse.linalg.splu(scipy.sparse.csc_array(scipy.sparse.vstack([top, bottom])))
 
 
 def _in_two_steps(

@@ -103,3 +103,19 @@ def test_an_end_is_left_as_it_is_and_limits_are_kept():
     whole = completed(programme, x, early, OPTIONS, "")
     assert whole.success
     assert programme.n * (whole.f - end.f) < STATED
+
+
+def test_an_end_about_which_nothing_can_be_told_is_none(monkeypatch):
+    programme, x = begun(OFF, [noisy(seed=3)])
+    end = by_ipopt(programme, x)
+    assert end.success
+
+    def singular(*_):
+        raise RuntimeError("Factor is exactly singular")
+
+    monkeypatch.setattr("casid.shooting.reduced.quadratic_model", singular)
+    assert Reduced(programme, OPTIONS, "").gain(end.x) == np.inf
+    found = completed(programme, x, end, OPTIONS, "")
+    assert not found.success
+    assert "do not determine Yv, Lv" in found.status
+    np.testing.assert_array_equal(found.x, end.x)  # the best there is

@@ -67,6 +67,20 @@ def test_a_nuisance_that_is_hardly_known_takes_its_information_all_the_same():
     assert F[0, 0] == pytest.approx(2 - 2.4**2 / 3, rel=5e-3)  # rounding is 1e-16 of 1e6
 
 
+@pytest.mark.parametrize("size", [1.0, 3.0, 7.0])
+def test_two_nuisances_that_are_the_same_take_what_one_of_them_would(size):
+    # An integral's initial value and its bias: of unit size their factor is exactly singular.
+    F, follow = eliminate(
+        size * np.eye(1),
+        scipy.sparse.csc_array(np.full((2, 2), size)),
+        np.full((2, 1), size / 2),
+        scipy.sparse.csc_array((0, 2)),
+        np.zeros((0, 1)),
+    )
+    np.testing.assert_allclose(F, 3 * size / 4, rtol=1e-12)  # the rest of a share of a quarter
+    assert follow.sum() == pytest.approx(-0.5)
+
+
 def test_the_bound_is_the_inverse_of_the_information():
     J, unit = RNG.standard_normal((50, 3)), np.array([1.0, 1e-4, 1e5])
     expected = np.linalg.inv(J.T @ J) / np.outer(unit, unit)
