@@ -21,6 +21,7 @@ from casid.shooting.spectrum import NoiseSpectrum
 NEAR = 0.1  # of a sampling interval: a kink that noise may have held an estimate on
 EDGE = 1e-4  # of a sampling interval, from a kink to where a side of it begins
 GAIN = 1e-4  # of log-likelihood, that makes the other side better
+FIRST = 40  # iterations of a solve before the sides are looked at: on a kink none is the last
 
 
 def searched(
@@ -34,7 +35,8 @@ def searched(
     A side is judged by the spectra of that end, and has its own estimated only if it is better; one
     that a solution lies within is not tried again.
     """
-    best = outcome = search(SpectralResiduals(free, lines), free.guess, options, held)
+    brief = replace(options, max_iterations=min(FIRST, options.max_iterations))
+    best = outcome = search(SpectralResiduals(free, lines), free.guess, brief, held)
     known = outcome.programme.spectra if done(outcome) else held
     judging = (
         options if known is held else replace(options, tolerance=max(ROUGH, options.tolerance))
@@ -51,6 +53,8 @@ def searched(
             end = search(residuals, end.lam, options)
         if _better(end, best):
             best = _released(end, free)
+    if not best.solution.success and options.max_iterations > FIRST:
+        return search(SpectralResiduals(free, lines), outcome.lam, options, held)
     return best
 
 

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.signal
 from truths.closed_roll import NOISE, TRUTH, T, excitation, with_response
 
-from casid import Record, output_error
+from casid import Model, Record, Rows, Scalar, SolverOptions, output_error, parameter
 from casid.free import free_parameters
 from casid.shooting.lines import transformed
-from casid.shooting.sides import EDGE, sides
+from casid.shooting.sides import EDGE, FIRST, sides
 
 WHOLE = replace(TRUTH, tau=0.06)  # three samples
 
@@ -61,3 +62,38 @@ def test_roundings_of_one_sampling_interval_are_one():
     records = [first, replace(second, t=second.t * (1 + 1e-12))]
     assert len({record.dt for record in records}) == 2
     assert len(ranges(WHOLE, records)) == 2
+
+
+class Roll(Model):
+    states, inputs, outputs = ("p",), ("lat",), ("p",)
+
+    Lp: Scalar = parameter(default=-2.0, lower=-25.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=8.0, lower=0.0, upper=60.0, unit="rad/s^2")
+    tau: Scalar = parameter(default=0.05, lower=0.0, upper=0.25, unit="s")
+
+    def A(self) -> Rows:
+        return [[self.Lp]]
+
+    def B(self) -> Rows:
+        return [[self.Llat]]
+
+    def delays(self):
+        return {"lat": self.tau}
+
+
+@pytest.mark.parametrize("seed", [7])
+def test_a_solve_that_ends_on_a_kink_is_left_for_its_sides_at_once(seed):
+    rng, h, N = np.random.default_rng(seed), 0.02, 400
+    u = np.repeat(rng.choice([-0.1, 0.0, 0.1], size=N // 20), 20)
+    keep = np.exp(-3.0 * h)  # p' = -3 p + 12 lat, one sample late, lat held in steps
+    p = scipy.signal.lfilter([0.0, 0.0, 4 * (1 - keep)], [1.0, -keep], u)
+    y = p + 0.01 * rng.standard_normal(N)
+    record = Record(h * np.arange(N), u[:, None], y[:, None], ("lat",), ("p",), hold="zoh")
+    steps = []
+    options = SolverOptions(progress=lambda told: steps.append(told.iteration))
+    fit = output_error(Roll(), record, domain="frequency", solver=options)
+    assert fit.success
+    for name, true in (("Lp", -3.0), ("Llat", 12.0), ("tau", h)):
+        assert abs(fit[name].value - true) < 4 * fit[name].std_error
+    assert max(steps) <= FIRST
+    assert steps.count(FIRST) == 1  # the solve that ends on the kink
