@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from casid import StateSpace, cover
+from casid.cover import _resonances
 
 
 def ensemble(rng, spread=0.1, count=20):
@@ -112,3 +113,10 @@ def test_a_band_without_end_is_refused():
     lag = StateSpace([[-2.0]], [[1.0]], [[1.0]], [[0.0]])
     with pytest.raises(ValueError, match="finite"):
         cover(lag, [lag], band=(0.1, np.inf))
+
+
+def test_errors_are_looked_at_beside_lightly_damped_roots_within_the_band():
+    roots = np.array([-0.02 + 2j, -0.02 - 2j, -1 + 1j, -0.01 + 30j])
+    at = _resonances(roots, 0.5, 20.0)
+    assert (at.min(), at.max()) == pytest.approx((1.92, 2.08))
+    assert np.abs(at - 2.0).min() < 1e-12

@@ -259,8 +259,7 @@ class _Reconstruction:
             ]
             seen = float(np.mean([noise(e) ** 2 for e in mine]))
             ratio = float(self._walk(each, scaling) / max(seen, 1e-300))
-            floor = (np.sqrt(ratio**2 + 4 * ratio) - ratio) / 2
-            self.gains[each] = float(max(GAINS[int(np.argmin(sizes))], floor))
+            self.gains[each] = max(float(GAINS[int(np.argmin(sizes))]), _steady_gain(ratio))
 
     def _walk(self, equation: str, scaling: Array) -> float:
         """Variance that the noise of rates and forces adds from one sample to the next."""
@@ -279,6 +278,11 @@ class _Reconstruction:
             n = max(1, round(BATCH / (first.dt * first.step(each))))
             found.append(np.add.reduceat(X * e[:, None], np.arange(0, len(e), n), axis=0))
         return np.concatenate(found)
+
+
+def _steady_gain(ratio: float) -> float:
+    """Kalman's for a random walk seen in noise, ``ratio`` the variance of its steps to that."""
+    return float((np.sqrt(ratio**2 + 4 * ratio) - ratio) / 2)
 
 
 def _lever(moved: Mapping[str, tuple[Array, Array]]) -> Array | None:

@@ -390,3 +390,11 @@ def test_prior_values_are_information_beside_the_cost():
     unit = np.outer(errors, errors)
     np.testing.assert_allclose(fit.covariance / unit, posterior / unit, atol=0.01)
     assert fit.cost > alone.cost
+
+
+def test_a_value_known_before_keeps_the_error_it_was_known_with():
+    frf = response(TRUTH, error=0.05, rng=np.random.default_rng(3), coherence=0.9)
+    alone = derivid(Roll(), frf, starts=1)
+    std = 1e-2 * alone["Lp"].std_error  # the response adds next to nothing
+    fit = derivid(Roll(), frf, starts=1, priors={"Lp": (alone["Lp"].value, std)})
+    assert fit["Lp"].std_error == pytest.approx(std, rel=1e-2)

@@ -47,6 +47,8 @@ def test_total_values_come_back_and_speed_becomes_velocities():
     trimmed = record.detrend("first")
     whole = signals(trimmed, {})
     np.testing.assert_allclose(whole.values["theta"], record.channel("theta"), atol=1e-12)
+    more = signals(trimmed, {"theta": 0.3}).values["theta"]
+    np.testing.assert_allclose(more, record.channel("theta") + 0.3, atol=1e-12)
     u, v, w = (record.channel(name) for name in "uvw")
     V = np.sqrt(u**2 + v**2 + w**2)
     air = np.column_stack([V, np.arctan2(w, u), np.arcsin(v / V), record.channel("p")])

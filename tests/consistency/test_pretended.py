@@ -46,3 +46,13 @@ def test_of_what_is_mostly_noise_nothing_but_the_prior_is_known():
     one, other = corrected.variances(np.zeros((10, 2)), np.array([1.0, 3.0]))
     assert one == pytest.approx(0.01)
     assert other == pytest.approx(9.01)
+
+
+def test_steps_without_noise_are_those_of_the_sum_of_normal_equations():
+    A, B = np.array([[1.0, 0.97], [0.97, 1.0]]), np.diag([3.0, 1e-2])
+    seen = Normal(A, np.array([1.0, 2.0])) + Normal(B, np.array([-4.0, 0.5]))
+    none = Normal(np.zeros((2, 2)), np.zeros(2))
+    expected = np.linalg.solve(A + B, [-3.0, 2.5])
+    np.testing.assert_allclose(Corrected(seen, none).step(), expected, rtol=1e-9)
+    close = Corrected(Normal(A, np.array([1.0, 0.0])), none).step()  # condition 66
+    np.testing.assert_allclose(close, np.linalg.solve(A, [1.0, 0.0]), rtol=1e-9)

@@ -216,3 +216,10 @@ def test_a_card_that_rounding_eats_is_said(make):
 def test_what_no_autopilot_could_fly_is_refused(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_a_card_of_broken_milliseconds_is_refused():
+    channels = {"lat": (1, 500.0), "ped": (2, 500.0)}
+    for dt in (0.0202, 0.001):
+        with pytest.raises(ValueError, match="whole milliseconds"):
+            ardupilot_script(T / 0.04 * dt, R, channels, "", CARD)

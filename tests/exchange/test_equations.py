@@ -70,6 +70,7 @@ def test_a_linear_systems_equations_are_its_matrices(system):
 class Speed(NonlinearModel):
     states, inputs, outputs = ("V",), ("thrust",), ("V",)
     k: Scalar = parameter(default=0.02, lower=0.0, upper=1.0, unit="1/m")
+    tau: Scalar = parameter(default=0.0, lower=0.0, upper=1.0, unit="s")
 
     def derivatives(self, x, u):
         return [u.thrust - self.k * x.V**2]
@@ -77,8 +78,17 @@ class Speed(NonlinearModel):
     def reference(self):
         return {"V": 10.0, "thrust": 2.0}
 
+    def delays(self):
+        return {"thrust": self.tau}
+
 
 def test_a_structure_of_one_state_has_equations():
     found = equations_of(Speed())
     np.testing.assert_allclose(found.derivatives(0.0, np.array([5.0]), np.array([2.0])), [1.5])
     np.testing.assert_allclose(found.measurements(0.0, np.array([5.0]), np.array([2.0])), [5.0])
+
+
+def test_a_delay_rests_at_an_input_that_is_not_zero():
+    found = equations_of(Speed(tau=0.3), 2)
+    assert len(found.x0) == 3
+    np.testing.assert_allclose(found.derivatives(0.0, found.x0, found.u0), 0, atol=1e-9)

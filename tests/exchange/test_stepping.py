@@ -10,7 +10,7 @@ from casid.exchange.stepping import steps_of, usual_steps
 
 
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
-@pytest.mark.parametrize("tau", [0.0, 0.013, 0.08, 0.113])
+@pytest.mark.parametrize("tau", [0.0, 0.013, 0.08, 0.113, 0.29])
 def test_steps_are_those_of_output_error(hold, tau):
     model, u = replace(AIRCRAFT, tau=tau), commands()
     start, step = steps_of(model, DT, hold, 2)

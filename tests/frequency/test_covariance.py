@@ -86,3 +86,11 @@ def test_a_response_without_errors_is_refused():
     unknown = replace(response(), random_error=np.full((len(OMEGA), 3, 2), np.nan))
     with pytest.raises(ValueError, match="states no error at any usable point"):
         whitener(unknown, EVERY)
+
+
+def test_errors_along_frequency_keep_their_size():
+    root = covariance._root(OMEGA, 0.2 * OMEGA)
+    C = np.linalg.inv(root) @ np.linalg.inv(root).T
+    np.testing.assert_allclose(np.diag(C), 1.0, rtol=1e-9)
+    assert np.all(np.diag(C, 1) > 0.1)
+    np.testing.assert_allclose(covariance._root(OMEGA, 0 * OMEGA), np.eye(len(OMEGA)), atol=1e-12)

@@ -135,3 +135,12 @@ def test_there_is_none_where_a_record_lacks_a_channel():
 def test_inputs_that_move_alike_have_no_local_model():
     record = white(TWO, np.random.default_rng(4), mix=[[1.0, 0.0], [1.0, 0.0]], duration=100.0)
     assert np.isnan(local_response([record], np.array([3.0])).G).all()
+
+
+def test_a_longer_record_resolves_more():
+    widths = []
+    for duration in (40.0, 160.0):
+        record = white(LAG, np.random.default_rng(5), duration=duration)
+        widths.append(local_response([record], np.array([0.6])).resolution[0, 0, 0])
+    # So low the half width is a number of lines, which are 2π/T apart.
+    assert widths[0] / widths[1] == pytest.approx(4.0, rel=0.2)
