@@ -138,8 +138,8 @@ def _pair(
         figures.plot_measured(column[0], column[1], measured, place, near=(omega, near))
         figures.plot_coherence(column[2], measured, place)
     for name, G in curves.items():
-        figures.plot_magnitude(column[0], omega, G, name=name)
-        figures.plot_phase(column[1], omega, G, name=name, near=near)
+        figures.plot_magnitude(column[0], omega, G, name=name, among=curves)
+        figures.plot_phase(column[1], omega, G, name=name, near=near, among=curves)
     # The models set the limits: a band of two sigma has no lower end where coherence is lost.
     low, high = _span([figures.decibel(G) for G in curves.values()], least=20.0)
     column[0].set_ylim(low - 3, high + 3)

@@ -4,7 +4,7 @@ The layout follows M. Bergamasco, M. Lovera, "Rotorcraft system identification: 
 domain approach": frequency responses (Figs. 1-8), time histories (9-10), RMS bars (11).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,9 +36,18 @@ STYLES: Mapping[str, dict[str, Any]] = {
 HATCHES = ("", "///", "...", "xxx", "\\\\\\")
 
 
-def style(name: str) -> dict[str, Any]:
-    """Line style of a model, the same in every figure; thin grey for a name unknown."""
-    return dict(STYLES.get(name, {"color": "#777777", "linestyle": "-", "linewidth": 1.2}))
+def style(name: str, among: Iterable[str] = ()) -> dict[str, Any]:
+    """Line style of a model, the same in every figure.
+
+    Names that are not the chain's take, in their order ``among`` those drawn together, the styles
+    that these leave; thin grey where none is left.
+    """
+    if name in STYLES:
+        return dict(STYLES[name])
+    drawn = list(among)
+    left = [look for known, look in STYLES.items() if known not in (MEASURED, *drawn)]
+    others = dict(zip([each for each in drawn if each not in STYLES], left, strict=False))
+    return dict(others.get(name, {"color": "#777777", "linestyle": "-", "linewidth": 1.2}))
 
 
 def axis_label(channel: str, units: Mapping[str, str]) -> str:
@@ -62,18 +71,26 @@ def phase(G: ComplexArray, near: Array | None = None) -> Array:
     return np.asarray(angle - 360 * np.round(gap / 360))
 
 
-def plot_magnitude(ax: Axes, omega: Array, G: ComplexArray, *, name: str) -> Axes:
-    """Draw the magnitude of one response G (K,) in dB over ω [rad/s]."""
-    _logarithmic(ax).plot(omega, decibel(G), label=name, **style(name))
+def plot_magnitude(
+    ax: Axes, omega: Array, G: ComplexArray, *, name: str, among: Iterable[str] = ()
+) -> Axes:
+    """Draw the magnitude of one response G (K,) in dB over ω [rad/s]; ``among`` as in `style`."""
+    _logarithmic(ax).plot(omega, decibel(G), label=name, **style(name, among))
     ax.set_ylabel("magnitude [dB]")
     return ax
 
 
 def plot_phase(
-    ax: Axes, omega: Array, G: ComplexArray, *, name: str, near: Array | None = None
+    ax: Axes,
+    omega: Array,
+    G: ComplexArray,
+    *,
+    name: str,
+    near: Array | None = None,
+    among: Iterable[str] = (),
 ) -> Axes:
-    """Draw the phase of one response G (K,) in degrees over ω [rad/s]."""
-    _logarithmic(ax).plot(omega, phase(G, near), label=name, **style(name))
+    """Draw the phase of one response G (K,) in degrees over ω [rad/s]; ``among`` as in `style`."""
+    _logarithmic(ax).plot(omega, phase(G, near), label=name, **style(name, among))
     ax.set_ylabel("phase [deg]")
     return ax
 
@@ -182,7 +199,7 @@ def plot_history(
     """
     ax.plot(t, joined(t, measured), label=MEASURED, **(style(MEASURED) | {"linewidth": 1.6}))
     for name, y in simulated.items():
-        ax.plot(t, y, label=name, **(style(name) | {"linewidth": 1.1}))
+        ax.plot(t, y, label=name, **(style(name, simulated) | {"linewidth": 1.1}))
     ax.set_ylabel(axis_label(channel, units))
     return ax
 
@@ -215,7 +232,7 @@ def plot_rms(ax: Axes, validation: Validation, *, record: int = 0) -> Axes:
             validation.normalised[name][record],
             width,
             label=name,
-            color=style(name)["color"],
+            color=style(name, names)["color"],
             hatch=HATCHES[k % len(HATCHES)],
             edgecolor="white",
             linewidth=0.4,
@@ -278,7 +295,7 @@ def plot_poles(ax: Axes, systems: Mapping[str, StateSpace]) -> Axes:
     for k, (name, system) in enumerate(systems.items()):
         poles = system.poles()
         look: dict[str, Any] = {
-            "color": style(name)["color"],
+            "color": style(name, systems)["color"],
             "markerfacecolor": "none",
             "linestyle": "none",
         }

@@ -313,8 +313,8 @@ def _pair(
         _known(pair, (*system.outputs, *system.inputs))
         i, j = system.outputs.index(pair[0]), system.inputs.index(pair[1])
         G = system.response(omega)[:, i, j]
-        figures.plot_magnitude(axes[0], omega, G, name=name)
-        figures.plot_phase(axes[1], omega, G, name=name, near=near)
+        figures.plot_magnitude(axes[0], omega, G, name=name, among=systems)
+        figures.plot_phase(axes[1], omega, G, name=name, near=near, among=systems)
     axes[1].set_ylabel("phase [deg]")
     axes[0].set_title(f"{pair[0]} / {pair[1]}", loc="left")
     axes[0].legend(ncols=4)

@@ -9,7 +9,7 @@ from matplotlib.ticker import FixedLocator
 from casid.bounds.compare import BoundsComparison
 from casid.fit import ParameterEstimate
 
-COLOURS = ("#000000", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#777777")
+COLOURS = ("#000000", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#6B3D00")
 CONFIDENCE = 1.96  # standard deviations of a 95 % interval
 REACH = 1.6  # of the largest value of a row: how far its axis goes
 

@@ -1,7 +1,10 @@
 """Curves, bars and bands: what each draws."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from truths.structures import SECOND, Lag, black_box
 
@@ -19,7 +22,8 @@ from casid.report import (
     plot_phase,
     plot_rms,
 )
-from casid.report.figures import decibel, groups, input_pairs, phase, style
+from casid.report.figures import STYLES, decibel, groups, input_pairs, phase, style
+from casid.report.prices import COLOURS
 
 MODELS = (BLACK_BOX, MATCH, OUTPUT_ERROR, BASELINE)
 
@@ -129,3 +133,50 @@ def test_a_fit_without_certificate_is_refused():
     bare = Fit(**{name: getattr(fit, name) for name in vars(fit)} | {"certificate": None})
     with pytest.raises(ValueError, match="has no certificate"):
         plot_match_error(Figure().subplots(), bare)
+
+
+# Linear RGB as seen, severity 1: G. M. Machado, M. M. Oliveira, L. A. F. Fernandes, A
+# physiologically-based model for simulation of color vision deficiency, IEEE TVCG 15 (2009), table.
+SEEN = {
+    "protanopia": [
+        [0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "deuteranopia": [
+        [0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "tritanopia": [
+        [1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
+    "all colours": np.eye(3).tolist(),
+}  # fmt: skip
+XYZ = [[0.4125, 0.3576, 0.1804], [0.2127, 0.7152, 0.0722], [0.0193, 0.1192, 0.9503]]  # of sRGB
+
+
+def lab(colour, seen):
+    """CIELAB of a colour as somebody sees it."""
+    own = np.array(to_rgb(colour))
+    light = np.where(own <= 0.04045, own / 12.92, ((own + 0.055) / 1.055) ** 2.4)
+    x = np.array(XYZ) @ np.clip(np.array(seen) @ light, 0, 1) / np.sum(XYZ, axis=1)
+    f = np.where(x > 216 / 24389, np.cbrt(x), (24389 / 27 * x + 16) / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+@pytest.mark.parametrize("seen", SEEN)
+@pytest.mark.parametrize("colours", [[look["color"] for look in STYLES.values()], COLOURS])
+def test_whoever_sees_no_red_green_or_blue_tells_the_colours_apart(seen, colours):
+    # 2.3 is just noticeable (Mahy and others 1994); curves a millimetre wide want some more.
+    apart = [
+        np.linalg.norm(lab(a, SEEN[seen]) - lab(b, SEEN[seen])) for a, b in combinations(colours, 2)
+    ]
+    assert min(apart) > 15
+
+
+def test_models_of_any_name_look_different():
+    names = ["mine", BLACK_BOX, "theirs", "older"]
+    looks = [style(name, names) for name in names]
+    assert len({look["color"] for look in looks}) == 4
+    assert looks[1] == STYLES[BLACK_BOX]
+    assert style("alone") == style("seventh", [*"abcdef", "seventh"])

@@ -24,13 +24,11 @@
   for (const table of document.querySelectorAll("table.sortable")) {
     for (const heading of table.tHead.rows[0].cells) {
       heading.setAttribute("aria-sort", "none");
-      heading.tabIndex = 0;
-      heading.addEventListener("click", () => sort(table, heading));
-      heading.addEventListener("keydown", (event) => {
-        if (event.key !== "Enter" && event.key !== " ") return;
-        event.preventDefault();
-        sort(table, heading);
-      });
+      const button = document.createElement("button");
+      button.type = "button";
+      button.append(...heading.childNodes);
+      button.addEventListener("click", () => sort(table, heading));
+      heading.append(button);
     }
   }
 
