@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from docs.build import build, faults
+from docs.build import build, faults, legible
 
 ROOT = Path(__file__).parent.parent
 CHROMIUM = shutil.which("chromium")
@@ -51,6 +51,18 @@ def test_a_reference_that_leads_nowhere_is_named_with_its_page(tmp_path, body, w
 def test_a_style_sheet_fetches_nothing_from_elsewhere(tmp_path):
     (tmp_path / "one.css").write_text("@import url(https://example.org/a.css);")
     assert faults(tmp_path) == ["one.css: https://example.org/a.css is fetched from elsewhere"]
+
+
+@pytest.mark.parametrize(
+    ("formula", "told"),
+    [
+        (r"\dot x = A(\lambda)\, x + B\, u(t - \tau)", "x\u0307 = A(λ) x + B u(t - τ)"),
+        (r"\hat D\, e^{-s\tau} \le \frac{1}{\sqrt{n}}", "D\u0302 e^(-sτ) ≤ (1)/(√(n))"),
+        (r"\bigl\lVert S_{y}^{-1}\bigr\rVert_F \pm \tfrac{2}{N}", "‖ S_y^(-1)‖_F ± (2)/(N)"),
+    ],
+)
+def test_formulas_are_legible_where_nothing_typesets_them(formula, told):
+    assert legible(formula) == told
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +136,10 @@ def test_pages_opened_from_disk_typeset_their_formulas_and_fetch_nothing(site, t
 
 @pytest.mark.slow
 def test_the_search_works_from_disk(site, tab):
+    for name in ("search.json", "search.js"):
+        text = (site / name).read_text(encoding="utf-8")
+        assert "ẋ = A(λ) x + B(λ) u(t - τ)".replace("ẋ", "x\u0307") in text
+        assert r"\\lambda" not in text
     tab.goto((site / "how-to" / "weights.html").as_uri())
     tab.keyboard.press("Control+k")
     tab.keyboard.type("from_laguerre", delay=20)
