@@ -23,9 +23,9 @@ sys.path[:0] = [str(ROOT), str(ROOT / "examples")]
 from compare_bounds import linearised  # noqa: E402 - found through the line above
 
 from casid import compare_bounds  # noqa: E402
-from casid.jobs.workers import processors  # noqa: E402
 from casid.studies.study import read_records  # noqa: E402
 from casid.studies.studyfile import read_study  # noqa: E402
+from casid.threads import cores  # noqa: E402
 
 WIDTHS = (200, 150, 120, 100, 80, 70, 60, 50, 40, 30, 20)  # % of the linearised values
 LIMIT = 4.0
@@ -53,7 +53,7 @@ def ladder(model, records, shared):
     for case in found.cases:
         print(f"  {case.name:8s} {case.fit.iterations:3d} iterations   +{case.increase:8.1f}"
               f", +{case.predicted:8.1f} predicted, {case.held} held")  # fmt: skip
-    print(f"  one cold case {cold:.1f} s, twelve {wall:.1f} s on {processors()} processors")
+    print(f"  one cold case {cold:.1f} s, twelve {wall:.1f} s on {cores()} processors")
     print(f"  processor time: {cold_cpu:.1f} s and {cpu:.1f} s: {cpu / cold_cpu:.1f} x")
     print(f"  twelve cases against a cold one (at most {LIMIT:g} x): {wall / cold:.1f} x")
 

@@ -26,7 +26,7 @@ from casid.record import Record
 from casid.shooting.gains import Gains
 from casid.shooting.intervals import Layout
 from casid.shooting.kalman import filter_gains
-from casid.shooting.stepping import Steps
+from casid.shooting.stepping import Breaks, Steps, collect_breaks
 from casid.shooting.unknowns import (
     FilterFunction,
     FilterMatrices,
@@ -119,12 +119,13 @@ class Evaluator:
         self.constants = [model.states.index(name) for name in model.constant_states]
         self._within: Array | None = None
         self._held: tuple[bytes, list[DelayedInput]] | None = None
+        self._breaks: tuple[bytes, Breaks] | None = None
         self._gains: tuple[bytes, Gains] | None = None
 
     def within(self, delays: Array | None) -> Self:
         """The same, samples passed as for these delays (nu,) instead of τ; NaN follows τ."""
         other = copy.copy(self)
-        other._within, other._held = delays, None
+        other._within, other._held, other._breaks = delays, None, None
         return other
 
     def sweep(self, point: Point, motion: Motion, W: Array) -> "Sweep":
@@ -149,6 +150,15 @@ class Evaluator:
         if self._held is None or self._held[0] != key:
             self._held = key, [self._held_by(m, record) for record in self.layout.records]
         return self._held[1]
+
+    def steps(self, m: FilterMatrices, *, slopes: bool, gains: Gains | None) -> Steps:
+        """The steps of all intervals; a simulation and its derivatives share the breaks."""
+        held, key = self.held(m), m.tau.tobytes() + m.A.tobytes()
+        if self._breaks is None or self._breaks[0] != key:
+            holds = [record.hold for record in self.layout.records]
+            self._breaks = key, collect_breaks(held, holds, m.A)
+        filtering, breaks = self.filtering, self._breaks[1]
+        return Steps(m, self.layout, held, filtering, slopes=slopes, gains=gains, breaks=breaks)
 
     def gains(self, lam: Array) -> Gains | None:
         """Kalman gains at the unknowns (nf,); None unless noises are estimated."""
@@ -192,7 +202,7 @@ class Evaluator:
         """States and residuals over all intervals."""
         layout, m = self.layout, self.matrices(point.lam)
         gains = self.gains(point.lam)
-        steps = Steps(m, layout, self.held(m), self.filtering, slopes=False, gains=gains)
+        steps = self.steps(m, slopes=False, gains=gains)
         seen = layout.patterns[layout.pattern]
         bias = np.repeat(point.bias, [record.N for record in layout.records], axis=0)
         r = steps.inputs[:, : self.nu] @ m.D.T + bias - layout.y
@@ -226,8 +236,7 @@ class Sweep:
         self.matrices = m = evaluator.matrices(point.lam)
         self.gains = gains = evaluator.gains(point.lam)
         self.W, self.kind = (W, layout.pattern) if gains is None else (gains.W, gains.which)
-        held, filtering = evaluator.held(m), evaluator.filtering
-        self.steps = Steps(m, layout, held, filtering, slopes=True, gains=gains)
+        self.steps = evaluator.steps(m, slopes=True, gains=gains)
         self.ns = evaluator.nf + evaluator.nx + (evaluator.ny if evaluator.filtering else 0)
         late = -m.D[:, :, None] * m.tau_lam
         self.drive = np.concatenate([m.C_lam, m.D_lam, late], axis=1)

@@ -56,8 +56,10 @@ def collect_breaks(held: Sequence[DelayedInput], holds: Sequence[Hold], A: Array
                 nodes, weights = interpolation(rest[members], A)
                 keys = [(int(j), ORDER[hold], float(np.round(r, 14))) for r in nodes]
                 number = np.array([columns.setdefault(key, len(columns)) for key in keys])
-                here = np.flatnonzero(np.isin(place, members))
-                share = weights[np.searchsorted(members, place[here])]
+                row = np.full(len(rest), -1)
+                row[members] = np.arange(len(members))
+                here = np.flatnonzero(row[place] >= 0)
+                share = weights[row[place[here]]]
                 jump = record.jump[mine[here], None] * share
                 entries.append((first + record.step[mine[here]], number, jump))
         first += len(record.value)
@@ -76,7 +78,7 @@ class Steps:
 
     ``held`` are the inputs of every record, ``filtering`` says whether innovations drive the
     states, by ``gains`` if those change from sample to sample, ``slopes`` whether derivatives are
-    wanted.
+    wanted; ``breaks`` are those of the inputs, where they are collected already.
     """
 
     def __init__(
@@ -87,12 +89,14 @@ class Steps:
         filtering: bool,
         slopes: bool,
         gains: Gains | None = None,
+        breaks: Breaks | None = None,
     ) -> None:
         self.nx, self.filtering, self._gains = len(matrices.A), filtering, gains
         self.inputs = np.hstack(
             [np.concatenate([getattr(part, name) for part in held]) for name in ("value", "slope")]
         )
-        self._breaks = collect_breaks(held, [r.hold for r in layout.records], matrices.A)
+        holds = [r.hold for r in layout.records]
+        self._breaks = breaks or collect_breaks(held, holds, matrices.A)
         members = list(octaves(layout.classes))
         tables = [interpolation(layout.classes[each], matrices.A) for each in members]
         self._group_of = np.empty(len(layout.classes), dtype=int)

@@ -15,6 +15,7 @@ Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapters
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -131,10 +132,11 @@ def _moved(
     weights: list[Array] = []
     for _ in range(rounds):
         weights = noise_weights(modal, data)
+        problem = _Problem(data, weights, free)
         modal = modes.descend(
             modal,
-            cost=partial(_cost, data=data, weights=weights),
-            normal=partial(normal_equations, data=data, weights=weights, free=free),
+            cost=problem.cost,
+            normal=problem.normal,
             tidy=lambda trial: replace(trial, lam=_capped(trial.lam, ceiling, fastest)),
             free=free, steps=STEPS, settled=SETTLED,
         )  # fmt: skip
@@ -232,13 +234,47 @@ def noise_weights(modal: modes.Modal, data: Sequence[Spectrum]) -> list[Array]:
     return [1 / np.sqrt(level + floor) for level in smooth]
 
 
-def _cost(modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array]) -> float:
-    """Weighted squared residuals with the best transients."""
-    total, seen = 0.0, modes.mixing(modal)
+class _Part(NamedTuple):
+    """Of one spectrum its factors, residual (K, ny), best transient (nm,) and its cost."""
+
+    f: _Factors
+    E: ComplexArray
+    delta: ComplexArray
+    cost: float
+
+
+def _parts(modal: modes.Modal, data: Sequence[Lines], weights: Sequence[Array]) -> list[_Part]:
+    """Parts of all spectra."""
+    found, seen = [], modes.mixing(modal)
     for spectrum, w in zip(data, weights, strict=True):
         f = _factors(modal, spectrum)
-        total += _transient(modal, f, _forced(modal, spectrum, f), w, seen)[1]
-    return total
+        E = _forced(modal, spectrum, f)
+        found.append(_Part(f, E, *_transient(modal, f, E, w, seen)))
+    return found
+
+
+class _Problem:
+    """Least squares of given weights; what the trial needed the step from it needs again."""
+
+    def __init__(
+        self, data: Sequence[Spectrum], weights: Sequence[Array], free: np.ndarray
+    ) -> None:
+        self._data, self._weights, self._free = data, weights, free
+        self._last: tuple[modes.Modal, list[_Part]] | None = None
+
+    def cost(self, modal: modes.Modal) -> float:
+        """Weighted squared residuals with the best transients."""
+        return sum(part.cost for part in self._parts(modal))
+
+    def normal(self, modal: modes.Modal) -> tuple[Array, Array]:
+        """See `normal_equations`."""
+        parts = self._parts(modal)
+        return normal_equations(modal, self._data, self._weights, self._free, parts)
+
+    def _parts(self, modal: modes.Modal) -> list[_Part]:
+        if self._last is None or self._last[0] is not modal:
+            self._last = modal, _parts(modal, self._data, self._weights)
+        return self._last[1]
 
 
 def _transient(
@@ -259,46 +295,47 @@ def _transient(
 
 
 def normal_equations(
-    modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array], free: np.ndarray
+    modal: modes.Modal,
+    data: Sequence[Spectrum],
+    weights: Sequence[Array],
+    free: np.ndarray,
+    parts: Sequence[_Part] | None = None,
 ) -> tuple[Array, Array]:
-    """Re Σ Jᴴ W J and Re Σ Jᴴ W E, transients eliminated."""
+    """Re Σ Jᴴ W J and Re Σ Jᴴ W E, transients eliminated; ``parts`` as computed already."""
     # Parameters are λ, B, C by mode (real parts, then imaginary ones) and the free entries of D.
     # All derivatives of an output are sums of signals that all outputs share, in a small number
     # that its row of C gives: these sums are taken of the Gram matrices, not of the signals.
     n = len(modal.lam) + int((~modal.real).sum())
     ny, nu = modal.D.shape
     size = n + n * nu + ny * n + len(free)
-    grams, heads = _shared_grams(modal, data, weights)
+    grams, heads = _shared_grams(modal, data, weights, parts or _parts(modal, data, weights))
     total = np.zeros((size + 1, size + 1))
     sides = np.zeros((len(data), n, n + size + 1))
     for o in range(ny):
-        whole, where = _seen(grams[o], modal, o, free)
-        total[np.ix_(where[n:] - n, where[n:] - n)] += _seen(whole[:, n:].T, modal, o, free)[0][
-            :, n:
-        ]
-        head = _seen(heads[:, o].reshape(-1, grams.shape[1]), modal, o, free)[0]
-        head = head.reshape(len(data), n, -1).transpose(0, 2, 1)
-        own = modes.mixed(head.reshape(-1, n), modal, o, 1)
-        sides[:, :, where] += own.reshape(len(data), -1, n).transpose(0, 2, 1)
+        T, where = _seen(modal, o, free)
+        whole = T.T @ (grams[o] @ T)
+        total[np.ix_(where[n:] - n, where[n:] - n)] += whole[n:, n:]
+        sides[:, :, where] += T[:n, :n].T @ (heads[:, o] @ T)
     others = sides[:, :, n:].reshape(-1, size + 1)
     total -= others.T @ modes.eliminator(sides, n).reshape(-1, size + 1)
     return total[:-1, :-1], total[:-1, -1]
 
 
-def _seen(M: Array, modal: modes.Modal, o: int, free: np.ndarray) -> tuple[Array, np.ndarray]:
-    """Columns of the shared signals as derivatives of output o, its error last, and their places.
+def _seen(modal: modes.Modal, o: int, free: np.ndarray) -> tuple[Array, np.ndarray]:
+    """What makes derivatives of output o of the shared signals, its error last, and their places.
 
     Those of its transient come first, then those of the parameters.
     """
     ny, nu = modal.D.shape
     n = len(modal.lam) + int((~modal.real).sum())
-    J, where = modes.output_derivative(M[:, :-1], modal, o, free)
+    J, where = modes.output_derivative(np.eye(n * (nu + 3) + nu + 1), modal, o, free)
     last = 2 * n + n * nu + ny * n + len(free)
-    return np.hstack([J, M[:, -1:]]), np.append(where, last)
+    error = np.eye(len(J))[:, -1:]
+    return np.hstack([J, error]), np.append(where, last)
 
 
 def _shared_grams(
-    modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array]
+    modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array], parts: Sequence[_Part]
 ) -> tuple[Array, Array]:
     """Gram matrices of the shared signals and the error, weighted as each output is.
 
@@ -308,11 +345,8 @@ def _shared_grams(
     n, ny = len(modal.lam) + int((~modal.real).sum()), len(modal.C)
     m = n * (len(modal.B.T) + 3) + len(modal.B.T) + 1
     grams, heads = np.zeros((ny, m, m)), np.empty((len(data), ny, n, m))
-    seen = modes.mixing(modal)
-    for spectrum, w, head in zip(data, weights, heads, strict=True):
-        f = _factors(modal, spectrum)
-        E = _forced(modal, spectrum, f)
-        basis = _basis(modal, spectrum, _transient(modal, f, E, w, seen)[0], f)
+    for spectrum, w, head, (f, E, delta, _) in zip(data, weights, heads, parts, strict=True):
+        basis = _basis(modal, spectrum, delta, f)
         rows = np.empty((2 * len(basis), m))
         rows[:, :-1] = modes.stacked(basis)
         weighted = np.empty_like(rows)
