@@ -95,13 +95,13 @@ class Convolution:
         d, nx, nf, ny = len(powers.M), e.nx, e.nf, e.ny
         moved = np.tensordot(powers.M, drive[:, self._live], axes=1)  # (d, nx, live, nf)
         self._states = moved.transpose(2, 0, 1, 3).reshape(-1, nx, nf)
-        self._filtered = d * (1 + len(self._live))
-        self.count = self._filtered + len(self._direct) + 1 + ny
+        self.filtered = d * (1 + len(self._live))
+        self.count = self.filtered + len(self._direct) + 1 + ny
         out = np.zeros((self.count, ny, nf + nx + ny + 1))
         out[:d, :, nf : nf + nx] = m.C @ powers.M
-        out[d : self._filtered, :, :nf] = m.C @ self._states
-        one = self._filtered + len(self._direct)
-        out[self._filtered : one, :, :nf] = sweep.drive[:, self._direct].transpose(1, 0, 2)
+        out[d : self.filtered, :, :nf] = m.C @ self._states
+        one = self.filtered + len(self._direct)
+        out[self.filtered : one, :, :nf] = sweep.drive[:, self._direct].transpose(1, 0, 2)
         out[one, :, nf + nx : -1] = np.eye(ny)
         out[one + 1 :, :, -1] = np.eye(ny)
         self._out = np.ascontiguousarray((self._W @ out).transpose(1, 0, 2))  # (ny, signals, nc)
@@ -143,8 +143,8 @@ class Convolution:
         count, d, n = self.sweep.layout.count[index], len(self.powers.M), len(index)
         gram = np.zeros((self.count - d, self.count - d))
         cross = np.zeros((d, n * self.count))
-        ends = np.empty((n, self._filtered))
-        y: Array = np.zeros((n * (self._filtered // d), d))
+        ends = np.empty((n, self.filtered))
+        y: Array = np.zeros((n * (self.filtered // d), d))
         y.reshape(n, -1, d)[:, 0] = self.powers.start
         Z = np.empty((min(STEPS, int(count[0])) + 1, n, self.count))
         for first in range(0, int(count[0]), STEPS):
@@ -152,7 +152,7 @@ class Convolution:
             y = self._filter(index, first, Z[: K + 1], y)
             node = Z[:K, 0, :d].copy()
             for j in np.flatnonzero((count > first) & (count <= first + K)):
-                ends[j] = Z[count[j] - first, j, : self._filtered]
+                ends[j] = Z[count[j] - first, j, : self.filtered]
             for j in np.flatnonzero(count < first + K):
                 Z[max(count[j] - first, 0) : K, j] = 0.0
             rows = Z[:K].reshape(K * n, -1)[:, d:]
@@ -162,7 +162,7 @@ class Convolution:
 
     def _filter(self, index: np.ndarray, first: int, Z: Array, y: Array) -> Array:
         """Write the signals of K samples and of the next into Z (K + 1, n, signals)."""
-        sweep, layout, f = self.sweep, self.sweep.layout, self._filtered
+        sweep, layout, f = self.sweep, self.sweep.layout, self.filtered
         (K, n), start = (len(Z) - 1, len(index)), layout.start[index]
         at = start + np.minimum(first + np.arange(K)[:, None], layout.count[index] - 1)
         both = np.concatenate([sweep.motion.states[at], sweep.steps.inputs[at]], axis=2)
