@@ -2,6 +2,7 @@
 
     python -m benchmarks.speed [NAME ...]    measure all or some, write the page's table
     python -m benchmarks.speed --list        names
+    python -m benchmarks.speed --stages      seconds by the clock of each stage of the UH-60 study
 
 Every figure is taken in a process of its own and kept in benchmarks/data/speed.json with its day,
 so that some may be measured anew; the table is made of all that are kept. Seconds are those of the
@@ -13,6 +14,7 @@ import argparse
 import datetime as dt
 import json
 import operator
+import os
 import pickle
 import re
 import resource
@@ -151,6 +153,37 @@ def kept_study() -> float:
         run = ["-m", "casid", "identify", "examples/uh60/study.toml", "--output", folder]
         command(*run)
         return command(*run)
+
+
+STAGES = {  # limits [s] of what stages take together, on two idle processors
+    ("records",): None,
+    ("kinematics",): None,
+    ("pbsid",): 1.0,
+    ("frequency",): None,
+    ("quadratic", "hinf"): 2.5,
+    ("output_error",): 0.6,
+    ("checked", "sufficiency", "validation", "states"): None,
+    ("derivid",): 1.0,
+    ("report",): 2.5,
+}
+
+
+def stages() -> str:
+    """Table of the seconds by the clock of a study of which nothing is kept, and of all of it."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = [sys.executable, "-m", "casid", "identify", "examples/uh60/study.toml", "-o", folder]
+        begin, before = time.perf_counter(), spent()
+        done = subprocess.run(run, check=True, cwd=ROOT, text=True, stdout=subprocess.PIPE)
+        whole, cpu = time.perf_counter() - begin, spent() - before
+    words = [line.split() for line in done.stdout.partition("total")[0].splitlines()[1:]]
+    took = {name: float(seconds) for name, *_, seconds in words}
+    rows = [
+        (", ".join(names), sum(took[name] for name in names), "" if most is None else f"≤ {most:g}")
+        for names, most in STAGES.items()
+    ]
+    rows += [("all, with imports", whole, "≤ 9"), ("all, seconds of the processor", cpu, "")]
+    load = os.getloadavg()[0]
+    return f"load {load:.0f}\n" + table(("stage", "seconds", "limit"), rows)
 
 
 def task_bytes() -> float:
@@ -297,10 +330,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", choices=[*FIGURES, []])
     parser.add_argument("--list", action="store_true")
+    parser.add_argument("--stages", action="store_true")
     parser.add_argument("--one", choices=FIGURES, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.one:
         print(FIGURES[asked.one][3]())
+        return
+    if asked.stages:
+        print(stages())
         return
     if asked.list:
         print("\n".join(FIGURES))
