@@ -107,16 +107,25 @@ class NonlinearModel(Model, base=True):
                 )
         given = [each if isinstance(each, Trim) else Trim(values=each) for each in conditions]
         linear = linearisation(self, given)
+        for each in given:
+            if not each.unknown:
+                said = ", ".join(f"{name} = {value:.4g}" for name, value in each.values.items())
+                _check_finite(self, self.equations(), *self._placed(each), f"at {said}")
         known = [self.reached_at(each) for each in given if not each.unknown]
         warn_beyond(self, "linearised at a condition", joined(known))
         return linear
 
     def reached_at(self, condition: Trim) -> dict[str, tuple[float, float]]:
         """Airspeed and the variables of tables at a condition, as spans of one value."""
-        usual = dict(zip((*self.states, *self.inputs), np.concatenate(self.operating_point()),
-                         strict=True))  # fmt: skip
-        own = np.array([[condition.values.get(name, value) for name, value in usual.items()]])
-        return reached(self, own[:, : len(self.states)], own[:, len(self.states) :])
+        x, u = self._placed(condition)
+        return reached(self, x[None], u[None])
+
+    def _placed(self, condition: Trim) -> tuple[Array, Array]:
+        """States (nx,) and inputs (nu,) of a condition, the reference's where it has none."""
+        usual = zip((*self.states, *self.inputs), np.concatenate(self.operating_point()),
+                    strict=True)  # fmt: skip
+        own = np.array([condition.values.get(name, value) for name, value in usual], dtype=float)
+        return own[: len(self.states)], own[len(self.states) :]
 
     def with_values_of(self, model: Model) -> Self:
         """The same structure with the values of another one's parameters of the same names."""
@@ -156,7 +165,8 @@ def _equations(cls: type[NonlinearModel], rest: tuple[tuple[str, Any], ...]) -> 
                 f"{cls.__name__}: {name!r} uses {found[0]}, which jumps and has no derivative; "
                 "write something smooth (casid.spline, casadi.tanh)"
             )
-    _check_finite(model, function)
+    where = "at the guess in the reference condition (method reference)"
+    _check_finite(model, function, *model.operating_point(), where)
     return function
 
 
@@ -167,14 +177,15 @@ def _check_units(cls: type[NonlinearModel]) -> None:
         )
 
 
-def _check_finite(model: NonlinearModel, function: ca.Function) -> None:
-    values = function(*model.operating_point(), model.vector())
+def _check_finite(
+    model: NonlinearModel, function: ca.Function, x: Array, u: Array, where: str
+) -> None:
+    values = function(x, u, model.vector())
     for said, names, part in zip(("d/dt of", "output"), (model.states, model.outputs), values,
                                  strict=True):  # fmt: skip
         for name, value in zip(names, part.full().ravel(), strict=True):
             if not np.isfinite(value):
                 raise ModelError(
-                    f"{type(model).__name__}: {said} {name!r} is {value} at the guess in the "
-                    "reference condition; check its formula, or name a condition in which it holds "
-                    "by the method reference"
+                    f"{type(model).__name__}: {said} {name!r} is {value} {where}; check its "
+                    "formula, or give a condition in which it holds"
                 )

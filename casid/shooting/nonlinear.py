@@ -159,6 +159,25 @@ class NonlinearEvaluator(Evaluator):
             self.model.with_vector(self._full(point.lam)), self.simulate(point).states, u
         )
 
+    def lost(self, point: Point) -> str:
+        """Where equations first have no value in a simulation from a point; "" if all have."""
+        x = self.simulate(point).states
+        u = np.concatenate([part.value for part in self.held(self.matrices(point.lam))])
+        f = self.flow.f(x, u, point.lam)[0]
+        rows, columns = np.nonzero(~np.isfinite(f) & np.isfinite(x).all(axis=1, keepdims=True))
+        if not len(rows):
+            return ""
+        first, model, records = int(rows[0]), self.model, self.layout.records
+        edges = np.cumsum([0, *(record.N for record in records)])
+        number = int(np.searchsorted(edges, first, side="right")) - 1
+        record, time = records[number], records[number].t[first - edges[number]]
+        named = zip((*model.states, *model.inputs), (*x[first], *u[first]), strict=True)
+        return (
+            f": d{model.states[columns[0]]}/dt is no number in record {record.name!r} at "
+            f"{time:.4g} s, where {', '.join(f'{name} = {value:.4g}' for name, value in named)} "
+            "(write an equation that has a value there, or cut the record)"
+        )
+
     def level(self) -> tuple[Array, Array]:
         """Inputs (nu,) and outputs (ny,) from which their sizes are counted: their means."""
         u, y = (np.concatenate([getattr(r, n) for r in self.layout.records]) for n in "uy")

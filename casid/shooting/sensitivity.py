@@ -144,6 +144,10 @@ class Evaluator:
         """Spans over the records of what a nonlinear structure is scheduled by: nothing."""
         return {}
 
+    def lost(self, point: Point) -> str:  # noqa: ARG002
+        """Where equations first have no value in a simulation from a point; a linear model: ""."""
+        return ""
+
     def held(self, m: FilterMatrices) -> list[DelayedInput]:
         """Delayed inputs of every record."""
         key = m.tau.tobytes()

@@ -121,7 +121,7 @@ def _smoothed(
     rest = point.nodes
     for _ in range(e.smoothings):
         blocks = programme.blocks(programme.pack(point))
-        point = replace(point, nodes=_smooth(blocks, point.nodes, rest, programme, drift))
+        point = replace(point, nodes=_smooth(blocks, point, rest, programme, drift))
     size = np.maximum(np.sqrt(np.mean(point.nodes**2, axis=0)), np.sqrt(np.diag(drift)))
     return point, _units(e, free, size)
 
@@ -165,15 +165,17 @@ def accumulated(A: Array, Q: Array, T: float) -> Array:
     return np.asarray(total)
 
 
-def _smooth(blocks: Blocks, nodes: Array, rest: Array, programme: Programme, drift: Array) -> Array:
+def _smooth(blocks: Blocks, point: Point, rest: Array, programme: Programme, drift: Array) -> Array:
     """Nodes minimising the residuals and, weighted by drift⁻¹, the gaps between intervals."""
     H, g, slope, link = blocks.Hnn, blocks.gn, blocks.slope_n, programme.links
+    nodes = point.nodes
     J, nx = g.shape
     gaps = blocks.ends[link] - nodes[link + 1]
     if not all(np.isfinite(part).all() for part in (H, g, slope, gaps, drift)):
         raise ConvergenceError(
-            "the starting model's simulation overflows within one interval; give a shorter "
-            "interval or a start nearer the data"
+            "the starting model's simulation overflows within one interval"
+            f"{programme.evaluator.lost(point)}; give a shorter interval or a "
+            "start nearer the data"
         )
     P = np.linalg.inv(drift)
     diagonal, right = H.copy(), -g

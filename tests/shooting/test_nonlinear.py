@@ -2,13 +2,23 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 import scipy
 from truths.motor import DEVIATION, Motor, answered, climbed
 from truths.swing import TRUTH, SmallSwing, Swing, WrittenOut, integrated, steps, swung
 
-from casid import ModelError, OutputError, Record, output_error
+from casid import (
+    ConvergenceError,
+    ModelError,
+    NonlinearModel,
+    OutputError,
+    Record,
+    Scalar,
+    output_error,
+    parameter,
+)
 from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.nonlinear import NonlinearEvaluator
@@ -146,3 +156,33 @@ def test_a_motor_of_eighty_radians_a_second_is_estimated_as_by_least_squares():
 def test_a_mode_too_fast_for_the_integration_is_named():
     with pytest.raises(ModelError, match=r"-1e\+05 rad/s, mostly of n, .*64 steps.* steady state"):
         output_error(Motor(lag=1e-5), climbed(), fixed=("lag",))
+
+
+class Stalled(NonlinearModel):
+    """V' = T - drag sqrt(V - 2), which has no value below 2 m/s."""
+
+    states, inputs, outputs = ("V",), ("T",), ("V",)
+
+    drag: Scalar = parameter(default=1.0, lower=0.0, upper=5.0, unit="-")
+
+    def derivatives(self, x, u):
+        return [u.T - self.drag * ca.sqrt(x.V - 2)]
+
+    def reference(self):
+        return {"V": 6.0, "T": 2.0}
+
+
+def test_a_node_where_an_equation_has_no_value_is_named_with_what_is_there():
+    t = 0.05 * np.arange(200)
+    y = np.full((200, 1), 6.0)
+    y[100:110] = 0.5
+    low = Record(t, np.full((200, 1), 2.0), y, ("T",), ("V",), "low")
+    told = r"dV/dt is no number in record 'low' at 5 s, where V = 0.5, T = 2 \(write an equation"
+    with pytest.raises(ConvergenceError, match=told) as failed:
+        output_error(Stalled(), low, biases=False, interval=0.5)
+    assert failed.value.best.model == Stalled()
+
+
+def test_a_condition_where_an_equation_has_no_value_is_named():
+    with pytest.raises(ModelError, match=r"d/dt of 'V' is nan at V = 1, T = 2; check its formula"):
+        Stalled().at({"V": 1.0, "T": 2.0})
