@@ -3,7 +3,10 @@
     PYTHONPATH=. python benchmarks/crazyflie.py [--method N4SID ...] [--order 2 ...]
 
 All see the same five flights at 50 Hz (the others as one record, means removed, channels scaled)
-and are simulated and predicted over the same two that none has seen, by `validate`.
+and are simulated and predicted over the same two that none has seen, by `validate`. Predictions of
+the others begin from the state of their own gains too. Two rows beside theirs: what the last sample
+held for good would give (persistence), and what the structure may at best, as its disturbances and
+noise, as large as they are from one sample to the next, grow over the horizon.
 """
 
 import argparse
@@ -13,7 +16,9 @@ import numpy as np
 
 from benchmarks import peers
 from casid import StateSpace, output_error, read_study, validate
+from casid.prediction import outlook
 from casid.studies.study import read_records
+from casid.validation import fit_percent
 
 STUDY = Path(__file__).resolve().parents[1] / "examples/crazyflie/study.toml"
 OUTPUTS = ("p", "q", "phi", "theta")
@@ -21,35 +26,87 @@ HORIZONS = (np.inf, 1.0, 0.1)
 
 
 def foreign(records, methods, orders):
-    """Models of the other programs by name."""
+    """Models of the other programs by name, and their gains."""
     first = records[0]
     u, y = (np.vstack([getattr(each, letter) for each in records]) for letter in "uy")
     su, sy = u.std(axis=0), y.std(axis=0)
     found = peers.identify(u / su, y / sy, orders, horizon=15, feedthrough=False, dt=first.dt,
                            methods=methods)  # fmt: skip
     return {
-        f"{method} {order}": StateSpace(
-            each.system.A, each.system.B / su, each.system.C * sy[:, None],
-            each.system.D * sy[:, None] / su, first.dt, first.inputs, first.outputs
+        f"{method} {order}": (
+            StateSpace(
+                each.system.A, each.system.B / su, each.system.C * sy[:, None],
+                each.system.D * sy[:, None] / su, first.dt, first.inputs, first.outputs
+            ),
+            each.K / sy,
         )
         for (method, order), each in found.items()
     }  # fmt: skip
 
 
-def table(models, records, horizon):
+def ahead(record, state, outlook):
+    """Pieces of a record predicted from each start by ``state(start, end)`` (n, outputs)."""
+    y = np.full((record.N, len(OUTPUTS)), np.nan)
+    starts = outlook.starts
+    for start, end in zip(starts, (*starts[1:], record.N - 1), strict=True):
+        y[start + 1 : end + 1] = state(start, end)
+    measured = record.y[:, [record.outputs.index(name) for name in OUTPUTS]]
+    there = np.isfinite(y[:, 0])
+    return [fit_percent(a, b) for a, b in zip(measured[there].T, y[there].T, strict=True)]
+
+
+def by_gain(system, K, record, outlook):
+    """Predictions from the states that a model's own gain gives."""
+    u = record.u[:, [record.inputs.index(name) for name in system.inputs]]
+    y = record.y[:, [record.outputs.index(name) for name in system.outputs]]
+    x = np.zeros((record.N, system.nx))
+    for k in range(record.N - 1):
+        x[k + 1] = system.A @ x[k] + system.B @ u[k] + K @ (y[k] - system.C @ x[k])
+    rows = [system.outputs.index(name) for name in OUTPUTS]
+
+    def predicted(start, end):
+        found = [x[start + 1]]
+        for k in range(start + 1, end):
+            found.append(system.A @ found[-1] + system.B @ u[k])
+        return np.array(found) @ system.C[rows].T
+
+    return ahead(record, predicted, outlook)
+
+
+def baselines(own, gains, records, horizon):
+    """Fits [%] of the others by their own gains, of the last sample held, and the best possible."""
+    found = validate({"own": own}, records, horizon=horizon)
+    columns = [found.outputs.index(name) for name in OUTPUTS]
+    looks = [outlook([system for system, _ in gains.values()] + [own], r, horizon) for r in records]
+    rows = {
+        f"{name}, its own gain": [by_gain(*each, r, o) for r, o in zip(records, looks, strict=True)]
+        for name, each in gains.items()
+    }
+    rows["persistence"] = [
+        ahead(r, lambda start, end, r=r: np.tile(r.y[start, columns], (end - start, 1)), o)
+        for r, o in zip(records, looks, strict=True)
+    ]
+    spread = [np.nanstd(r.y[:, columns], axis=0) for r in records]
+    return rows, 100 * (1 - found.expected["own"][:, columns] / spread)
+
+
+def table(own, gains, records, horizon):
     """Fit [%] of each model on each unseen flight; the best of the others a channel."""
-    rows = {}
-    for name, model in models.items():
-        found = validate({name: model}, records, horizon=horizon)
-        rows[name] = found.fit[name][:, [found.outputs.index(each) for each in OUTPUTS]]
+    models = {"Multirotor": own} | {name: system for name, (system, _) in gains.items()}
+    found = validate(models, records, horizon=horizon)
+    columns = [found.outputs.index(each) for each in OUTPUTS]
+    rows, last = {name: found.fit[name][:, columns] for name in models}, {}
+    if np.isfinite(horizon):
+        more, possible = baselines(own, gains, records, horizon)
+        rows |= more
+        last = {"Multirotor at best": possible}
     print(f"\npredicted {horizon:g} s ahead" if np.isfinite(horizon) else "\nsimulated whole")
     print("|  |" + "".join(f" {each.name}: {', '.join(OUTPUTS)} |" for each in records))
-    best = np.max([rows[name] for name in rows if name != "Multirotor"], axis=0)
-    for name, row in (*rows.items(), ("best of the others", best)):
-        print(
-            f"| {name} |"
-            + "".join(" " + ", ".join(f"{x:.0f}" for x in each) + " |" for each in row)
-        )
+    others = [row for name, row in rows.items() if name not in ("Multirotor", "persistence")]
+    best = np.nanmax(others, axis=0) if others else np.full_like(rows["Multirotor"], np.nan)
+    for name, row in (*rows.items(), ("best of the others", best), *last.items()):
+        cells = (" " + ", ".join(f"{x:.0f}" for x in each) + " |" for each in row)
+        print(f"| {name} |" + "".join(cells))
 
 
 def one_by_one(study, records):
@@ -74,11 +131,10 @@ def main(methods, orders):
         ]
         for role in ("identification", "validation")
     }
-    system = fit.model.system()
-    models = {"Multirotor": system} | foreign(chosen["identification"], methods, orders)
+    gains = foreign(chosen["identification"], methods, orders)
     full = [record.resample(0.01).decimate(2) for record in roles["validation"]]
     for horizon in HORIZONS:
-        table(models, full, horizon)
+        table(fit.model.system(), gains, full, horizon)
 
 
 if __name__ == "__main__":

@@ -4,11 +4,15 @@ All eight records with noise are spoiled and estimated from as they are; errors 
 e(ω), those of a linear model of the noise-free records being the truth (`benchmarks.uh60`), and
 stand beside those of the same records whole. Means over the seeds.
 
+Beside each stands the floor: by how much fewer samples of the same noise raise the error that an
+unbiased estimate has at least, the Cramér-Rao bound of a black box of this order and of output
+error's parameters, the stated error of a frequency response.
+
 Output error is that of the lateral structure on the two lateral 3-2-1-1, of which the estimates'
 largest change is printed too, in standard errors.
 
-Run: python -m benchmarks.flights [estimator [seeds]]      (estimator: response, black-box,
-output-error, or all; a minute or two each)
+Run: python -m benchmarks.flights [estimator [seeds [first seed]]]      (estimator: response,
+black-box, output-error, or all; a minute or two each)
 """
 
 import sys
@@ -103,7 +107,8 @@ def response(records):
 
 def black_box(records):
     found = pbsid(records, **BLACK_BOX)
-    return found.continuous().system.response(OMEGA), None, None
+    stated = np.hypot(*found.response_std(OMEGA))
+    return found.continuous().system.response(OMEGA), None, stated
 
 
 def lateral(records, start=START):
@@ -127,9 +132,15 @@ def error(found, truth, records):
 def covered(found, truth):
     """Share of points whose error is within two stated ones, of a complex normal one."""
     G, seen, stated = found
-    if stated is None:
+    if seen is None:
         return np.nan
     return float(np.mean((np.abs(G / truth - 1) < np.sqrt(-2 * np.log(0.05)) * stated)[seen]))
+
+
+def size(found):
+    """Median stated error."""
+    _, seen, stated = found
+    return float(np.median(stated if seen is None else stated[seen]))
 
 
 def noisier(records, density, seed):
@@ -143,7 +154,7 @@ def bound(seeds, truth):
     """Errors of black boxes of whole records with noise as dense as that of fewer samples."""
     densities = {scattered: lambda _: 1.25, rates: lambda name: RATES.get(name, 1)}
     found = {how: [] for how in (None, *densities)}
-    for seed in range(seeds):
+    for seed in seeds:
         whole = nonlinear_records(SWEEPS + STEPS, seed)
         for how, row in found.items():
             records = noisier(whole, densities[how], seed) if how else whole
@@ -157,19 +168,20 @@ def bound(seeds, truth):
 def compared(name, estimate, seeds, truth):
     """Errors of a response or a black box, of all that is done to records."""
     rows = {how: [] for how in (None, *SPOILED)}
-    for seed in range(seeds):
+    for seed in seeds:
         whole = nonlinear_records(SWEEPS + STEPS, seed)
         for how, row in rows.items():
             found = estimate(done(how, whole, seed))
-            row.append([error(found, truth, whole), covered(found, truth)])
+            row.append([error(found, truth, whole), size(found), covered(found, truth)])
     mean = {how: np.mean(row, axis=0) for how, row in rows.items()}
-    base = mean[None][0]
+    base, least, _ = mean[None]
     print(f"\n{name}: {100 * base:.2f} % from the whole records")
     lines = [
-        [told(how), against(mean[how][0] / base, limit), float(mean[how][1])]
+        [told(how), against(mean[how][0] / base, limit), mean[how][1] / least, mean[how][2]]
         for how, limit in SPOILED.items()
     ]
-    print(table(["records", "error, in that of the whole ones", "covered"], lines), flush=True)
+    heading = ["records", "error, in that of the whole ones", "floor", "covered"]
+    print(table(heading, lines), flush=True)
 
 
 def refined(seeds, truth):
@@ -178,7 +190,7 @@ def refined(seeds, truth):
     places = np.ix_(
         [OUTPUTS.index(n) for n in START.outputs], [INPUTS.index(n) for n in START.inputs]
     )
-    for seed in range(seeds):
+    for seed in seeds:
         whole = nonlinear_records(STEPS, seed)
         base = lateral(whole)
         apart = [
@@ -190,11 +202,12 @@ def refined(seeds, truth):
             to = parts if how is dropped else base
             change = [abs(fit[n].value - to[n].value) / to[n].std_error for n in base.free_names]
             e = [misfit(each.model, truth[:, *places], whole) for each in (fit, to)]
-            row.append([e[0] / e[1], max(change)])
+            floor = [fit[n].cramer_rao / to[n].cramer_rao for n in base.free_names]
+            row.append([e[0] / e[1], np.nanmedian(floor), np.nanmax(change)])
     whole_error = 100 * misfit(base.model, truth[:, *places], whole)
     print(f"\noutput error: {whole_error:.2f} % from the whole records")
     lines = [[told(how), *map(float, np.mean(row, axis=0))] for how, row in rows.items()]
-    heading = ["records", "error, in that of the whole ones", "largest change [σ]"]
+    heading = ["records", "error, in that of the whole ones", "floor", "largest change [σ]"]
     print(table(heading, lines), flush=True)
 
 
@@ -220,7 +233,8 @@ def told(how):
 
 def main():
     which = sys.argv[1] if sys.argv[1:] else "all"
-    seeds = int(sys.argv[2]) if sys.argv[2:] else 2
+    count, first = (*map(int, sys.argv[2:4]), *(2, 0)[len(sys.argv[2:4]) :])
+    seeds = range(first, first + count)
     truth = best_linear_approximation()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -3,7 +3,7 @@
     python peer_worker.py PROBLEM.npz ANSWER.npz
 
 The problem holds u (N, nu), y (N, ny), orders, methods, horizon and feedthrough; the answer, for
-every method and order that gave a model, its A, B, C, D and the seconds it took.
+every method and order that gave a model, its A, B, C, D, K and the seconds it took.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ def sippy(u, y, method, order, horizon, feedthrough):
         y.T.copy(), u.T.copy(), method, SS_f=horizon, SS_p=horizon, SS_fixed_order=order,
         SS_D_required=feedthrough,
     )  # fmt: skip
-    return model.A, model.B, model.C, model.D
+    return model.A, model.B, model.C, model.D, model.K
 
 
 def nfoursid(u, y, order, horizon):
@@ -33,7 +33,7 @@ def nfoursid(u, y, order, horizon):
     task = NFourSID(frame, outputs, inputs, num_block_rows=horizon)
     task.subspace_identification()
     model, _ = task.system_identification(rank=order)
-    return model.a, model.b, model.c, model.d
+    return model.a, model.b, model.c, model.d, 0 * model.c.T
 
 
 def identify(u, y, method, order, horizon, feedthrough):
@@ -64,7 +64,7 @@ def main(problem, answer):
             values = [np.real(np.asarray(each)) for each in matrices]
             if all(np.isfinite(each).all() for each in values):
                 found[f"{method}|{order}|seconds"] = np.array(seconds)
-                for letter, each in zip("ABCD", values, strict=True):
+                for letter, each in zip("ABCDK", values, strict=True):
                     found[f"{method}|{order}|{letter}"] = each
     np.savez(answer, **found)
 

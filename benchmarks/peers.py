@@ -22,9 +22,10 @@ METHODS = ("N4SID", "MOESP", "CVA", "PARSIM-K", "PARSIM-S", "PARSIM-P", "nfoursi
 
 @dataclass(frozen=True, eq=False)
 class PeerModel:
-    """A discrete model and the seconds it took to identify it."""
+    """A discrete model, its gain (0 if it has none) and the seconds it took to identify it."""
 
     system: StateSpace
+    K: np.ndarray
     seconds: float
 
 
@@ -51,8 +52,8 @@ def identify(u, y, orders, *, horizon, feedthrough, dt=1.0, methods=METHODS):
         for key in found.files:
             method, order, what = key.split("|")
             if what == "seconds":
-                A, B, C, D = (found[f"{method}|{order}|{letter}"] for letter in "ABCD")
+                A, B, C, D, K = (found[f"{method}|{order}|{letter}"] for letter in "ABCDK")
                 models[method, int(order)] = PeerModel(
-                    StateSpace(A, B, C, D, dt), float(found[key])
+                    StateSpace(A, B, C, D, dt), K, float(found[key])
                 )
         return models

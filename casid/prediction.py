@@ -7,20 +7,22 @@ The output is linear in what is not known of a record,
 so initial state and biases are one linear least-squares problem, outputs weighted by the inverse of
 their standard deviations.
 
+Growing modes would swamp the columns of Φ = C exp(A t), therefore the state is split (real Schur
+form, Sylvester equation) into a part that runs forward from its value at the start of the record
+and a fast growing part that runs backward from its value at the end.
+
 A model that grows by more than a few e-folds over a record cannot be simulated from its first
 state. It is judged by predictions instead: of pieces as long as a stated horizon, each from a state
-that is estimated on the past before it and nothing else. On that past growing modes would swamp the
-columns of Φ = C exp(A t), therefore the state is split (real Schur form, Sylvester equation) into a
-part that runs forward from its value at the start of the past and a fast growing part that runs
-backward from its value at the end of it, where the prediction begins.
+that is estimated on the past before it and nothing else (`casid.filtering`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg
 
+from casid import filtering
 from casid.arrays import Array
 from casid.linear import StateSpace
 from casid.record import Record
@@ -29,7 +31,7 @@ RANK = 1e-10  # singular values below this share of the largest are directions w
 GROWTH = 10.0  # e-folds over a record that a simulation from its first state may grow
 AHEAD = 0.1  # of a record: the horizon of predictions at most
 FOLDS = 3.0  # e-folds that the least unstable model grows over the horizon at most
-PAST = 3.0  # horizons before a prediction that its state is estimated on
+PAST = 3.0  # horizons before the first prediction
 PER_UNKNOWN = 3.0  # measurements on that past at least
 
 
@@ -39,7 +41,7 @@ class Outlook:
 
     horizon: float  # [s], infinite for a simulation over all of it
     starts: tuple[int, ...] = ()  # samples at which predictions begin
-    past: int = 0  # samples before each, on which its state is estimated
+    past: int = 0  # samples before the first
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,7 @@ class Prediction:
     y: Array  # (N, ny of the record)
     x0: Array  # state at the first sample used
     b: Array  # (ny,) mean biases
+    expected: Array  # (ny,) root mean square error that noise alone makes of predictions
     reached: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # if nonlinear
 
 
@@ -88,21 +91,26 @@ def outlook(systems: Sequence[StateSpace], record: Record, horizon: float | None
 def predict(system: StateSpace, record: Record, scale: Array, far: Outlook) -> Prediction:
     """Outputs of a model over a record; ``scale`` (ny,) weighs them, the intervals must agree."""
     follower = _Follower(system, record, scale)
-    y, mean = np.full(record.y.shape, np.nan), np.full(record.ny, np.nan)
+    y, (mean, expected) = np.full(record.y.shape, np.nan), np.full((2, record.ny), np.nan)
     if np.isinf(far.horizon):
-        x, bias = follower.estimate(0, record.N - 1)
+        x, bias = follower.estimate()
         first, biases = x[0], [bias]
         y[:, follower.shared] = follower.outputs(x, 0) + bias
     else:
-        first, biases = np.zeros(0), []
-        for start, end in zip(far.starts, (*far.starts[1:], record.N - 1), strict=True):
-            x, bias = follower.estimate(start - far.past, start)
-            first = first if len(first) else x[0]
-            ahead = follower.forward(x[-1], start, end)
-            y[start + 1 : end + 1, follower.shared] = follower.outputs(ahead, start)[1:] + bias
-            biases.append(bias)
+        found = list(follower.known(far.starts))
+        first, biases = found[0].first, [each.bias for each in found]
+        ends = (*far.starts[1:], record.N - 1)
+        for start, end, known in zip(far.starts, ends, found, strict=True):
+            ahead = follower.forward(known.x, start, end)
+            y[start + 1 : end + 1, follower.shared] = (
+                follower.outputs(ahead, start)[1:] + known.bias
+            )
+        variances = np.vstack(
+            [follower.spread(*each) for each in zip(found, far.starts, ends, strict=True)]
+        )
+        expected[follower.shared] = np.sqrt(variances.mean(axis=0))
     mean[follower.shared] = np.mean(biases, axis=0)
-    return Prediction(y, first, mean)
+    return Prediction(y, first, mean, expected)
 
 
 class _Follower:
@@ -127,24 +135,37 @@ class _Follower:
             found.append(self.steps.maps[self.steps.which[k]] @ found[-1] + self.steps.forcing[k])
         return np.array(found)
 
-    def estimate(self, begin: int, end: int) -> tuple[Array, Array]:
-        """States (n, nx) and biases that suit the measurements between two samples best."""
-        states = self._states(begin, end)
-        response = self.C @ states  # (n, outputs shared, 1 + nx)
-        residual = self.y[begin : end + 1] - response[:, :, 0] - self.direct[begin : end + 1]
+    def known(self, starts: Sequence[int]) -> Iterator[filtering.Start]:
+        """What the record up to each of these samples tells."""
+        return filtering.starts(self.steps, self.C, self.y, self.t, self.scale, starts)
+
+    def spread(self, known: filtering.Start, start: int, end: int) -> Array:
+        """Variances (end - start, ny) of the outputs about what is predicted from a start."""
+        P, found = known.P, []
+        for k in range(start, end):
+            A = self.steps.maps[self.steps.which[k]]
+            P = A @ P @ A.T + known.Q
+            found.append(np.einsum("ij,jk,ik->i", self.C, P, self.C) + known.r)
+        return np.array(found)
+
+    def estimate(self) -> tuple[Array, Array]:
+        """States (N, nx) and biases that suit all measurements best."""
+        states = self._states()
+        response = self.C @ states  # (N, outputs shared, 1 + nx)
+        residual = self.y - response[:, :, 0] - self.direct
         z, bias = _fit_unknowns(residual, response[:, :, 1:], self.scale)
         return states[:, :, 0] + states[:, :, 1:] @ z, bias
 
-    def _states(self, begin: int, end: int) -> Array:
-        """Forced and free responses of the state between two samples, all bounded, (n, nx, 1 + nx).
+    def _states(self) -> Array:
+        """Forced and free responses of the state, all bounded, (N, nx, 1 + nx).
 
         Column 0: the response to u with slow modes at zero at the start and fast growing ones at
         zero at the end; the others: free responses to a unit of either.
         """
-        which, n, nx = self.steps.which[begin:end], end - begin, self.system.nx
-        V, ns = _split(self.system, float(self.t[end] - self.t[begin]))
+        which, n, nx = self.steps.which, len(self.t) - 1, self.system.nx
+        V, ns = _split(self.system, float(self.t[-1] - self.t[0]))
         maps = [np.linalg.solve(V, Ad @ V) for Ad in self.steps.maps]
-        forcing = np.linalg.solve(V, self.steps.forcing[begin:end].T).T
+        forcing = np.linalg.solve(V, self.steps.forcing.T).T
         z = np.zeros((n + 1, nx, 1 + nx))
         z[0, :ns, 1 : 1 + ns] = np.eye(ns)
         z[n, ns:, 1 + ns :] = np.eye(nx - ns)

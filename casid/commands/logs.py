@@ -38,7 +38,7 @@ def import_command(
     fresh: bool,
     only: bool,
 ) -> None:
-    """Turn a log into records and a study: PX4 ULog, ArduPilot dataflash (.bin), TDMS.
+    """Turn a log into records and a study: PX4 ULog, ArduPilot dataflash (.bin, .log), TDMS.
 
     Lists topics with their rates and gaps, puts inputs, rates, attitudes, specific forces and
     velocities on one clock in SI, says how late topics are that hold the same, cuts out the

@@ -1,8 +1,11 @@
-"""ArduPilot's dataflash logs; formats of their messages as pymavlink has them.
+"""ArduPilot's dataflash logs, as written and as text; formats of messages as pymavlink has them.
 
 Every message is A3 95, a type and a body of fixed length; messages of type 128 say the length,
 field types and names of the others, FMTU, UNIT and MULT units and multipliers. The index is
 casid's own: that of pymavlink ends the process on a damaged log.
+
+As text every message is a line, ``ATT, 81000412, 1.25, -0.4``, and types of fields have been scaled
+as their letters say; a log begins with lines FMT, whose last field has commas of its own.
 """
 
 import struct
@@ -14,9 +17,11 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
+from casid.display import counted
 from casid.logs.topics import Topic, make_topic
 
 MAGIC = b"\xa3\x95\x80"
+TEXT_MAGIC = b"FMT,"
 HEAD, FORMAT = MAGIC[:2], MAGIC[2]
 CLOCKS = {"TimeUS": 1e-6, "TimeMS": 1e-3}  # s
 INSTANCE = ord("#")  # unit of the field that numbers several sensors of a kind
@@ -59,6 +64,49 @@ def read_dataflash(data: bytes, library: ModuleType) -> tuple[Iterator[Topic], t
     formats = _with_units(formats, tables)
     notes = (f"{skipped} bytes between messages are damaged and left out",) if skipped else ()
     return (topic for kind, rows in tables.items() for topic in _topics(formats[kind], rows)), notes
+
+
+def read_text(data: bytes, library: ModuleType) -> tuple[Iterator[Topic], tuple[str, ...]]:
+    """The same of a log that was converted to text."""
+    formats: dict[str, Format] = {}
+    kinds: dict[str, int] = {}
+    lines: dict[str, list[list[str]]] = {}
+    skipped = 0
+    whole = data[: data.rfind(b"\n") + 1]  # the end of a line that was cut off may be half a number
+    for line in filter(None, map(str.strip, whole.decode("utf-8", "replace").splitlines())):
+        name, *values = (each.strip() for each in line.split(","))
+        if name == "FMT" and len(values) > 4 and values[0].isdecimal():
+            words = [*values[2:4], ",".join(values[4:])]
+            if (found := _format(words, library.FORMAT_TO_STRUCT)) and found.name not in formats:
+                formats[found.name] = replace(found, factors=(1.0,) * len(found.fields))
+                kinds[found.name], lines[found.name] = int(values[0]), []
+        elif name in formats and len(values) >= len(formats[name].fields):
+            lines[name].append(values)  # a last field of text may have commas of its own
+        else:
+            skipped += 1
+    tables = {kinds[name]: _table(formats[name], rows) for name, rows in lines.items() if rows}
+    known = _with_units({kinds[name]: each for name, each in formats.items()}, tables)
+    notes = (f"{counted(skipped, 'line')} damaged and left out",) if skipped else ()
+    return (topic for kind, rows in tables.items() for topic in _topics(known[kind], rows)), notes
+
+
+def _table(form: Format, lines: Sequence[Sequence[str]]) -> Any:  # noqa: ANN401 - structured
+    """Messages of one type as a structured array: numbers, NaN where none, or bytes."""
+    columns = list(zip(*lines, strict=False))[: len(form.fields)]
+    kinds = ["S64" if code.endswith("s") else "<f8" for code in form.codes]
+    table = np.empty(len(lines), dtype=[(f"f{k}", kind) for k, kind in enumerate(kinds)])
+    for k, (kind, column) in enumerate(zip(kinds, columns, strict=True)):
+        numeric = kind != "S64"
+        table[f"f{k}"] = [_number(x) if numeric else x.encode() for x in column]
+    return table
+
+
+def _number(text: str) -> float:
+    """A field of a text log, units' letters included; NaN for what is no number."""
+    try:
+        return float(text)
+    except ValueError:
+        return float(ord(text)) if len(text) == 1 else np.nan
 
 
 def _index(
@@ -147,7 +195,7 @@ def _topics(form: Format, rows: Any) -> Iterator[Topic]:  # noqa: ANN401 - a str
             for k, name in enumerate(form.fields)
             if k not in (clock, number) and own[f"f{k}"].dtype.kind in "iuf"
         )
-        name = form.name if number is None else f"{form.name}[{value}]"
+        name = form.name if number is None else f"{form.name}[{value:g}]"
         stamps = own[f"f{clock}"] * CLOCKS[form.fields[clock]]
         if (topic := make_topic(name, stamps, columns)) is not None:
             yield topic

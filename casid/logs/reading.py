@@ -20,12 +20,13 @@ Reader: TypeAlias = Callable[[bytes, ModuleType], tuple[Iterator[Topic], tuple[s
 READERS: dict[bytes, tuple[str, str, Reader]] = {  # by the first bytes: format, package, reader
     ulog.MAGIC: ("PX4 ULog", "pyulog", ulog.read_ulog),
     dataflash.MAGIC: ("ArduPilot dataflash", "pymavlink.DFReader", dataflash.read_dataflash),
+    dataflash.TEXT_MAGIC: ("ArduPilot dataflash", "pymavlink.DFReader", dataflash.read_text),
     tdms.MAGIC: ("TDMS", "nptdms", tdms.read_tdms),
 }
 
 
 def read_log(path: str | Path) -> Log:
-    """What is in a log: PX4 ULog, ArduPilot dataflash (.bin) or TDMS.
+    """What is in a log: PX4 ULog, ArduPilot dataflash (.bin, .log) or TDMS.
 
     Needs ``pip install 'casid[logs]'``.
 
@@ -45,8 +46,8 @@ def read_log(path: str | Path) -> Log:
     found = next((READERS[magic] for magic in READERS if data.startswith(magic)), None)
     if found is None:
         raise ValueError(
-            f"{path}: it is no log of PX4 (ULog), ArduPilot (dataflash .bin) or LabVIEW (TDMS): it "
-            f"begins with {data[:8]!r}; other tables are read as .csv, .mat or .parquet"
+            f"{path}: it is no log of PX4 (ULog), ArduPilot (dataflash .bin, .log) or LabVIEW "
+            f"(TDMS): it begins with {data[:8]!r}; other tables are read as .csv, .mat or .parquet"
         )
     kind, package, read = found
     library = optional(package, f"{path}: a {kind} log", extra="logs")

@@ -129,7 +129,8 @@ def predict_nonlinear(
     mean = np.full(record.ny, np.nan)
     mean[columns] = np.mean(biases, axis=0)[mine]
     trim = np.array([record.trim.get(name, 0.0) for name in record.outputs])
-    return Prediction(found - trim, first, mean, joined(visited))
+    unknown = np.full(record.ny, np.nan)
+    return Prediction(found - trim, first, mean, unknown, joined(visited))
 
 
 def _answer(

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 from pymavlink import DFReader
-from truths.logs import FORMAT, dataflash, flight
+from truths.logs import FORMAT, dataflash, dataflash_text, flight
 
-from casid.logs.dataflash import read_dataflash
+from casid.logs.dataflash import read_dataflash, read_text
 
 
 def topics(data):
@@ -52,3 +52,48 @@ def test_formats_that_lie_about_their_length_are_not_believed():
     for length in range(256):
         form[3:5] = bytes([7, length])  # type 7, FMT's own fields
         assert topics(bytes(form) + b"\xa3\x95\x07" + bytes(300)) == {}
+
+
+def text_topics(data):
+    found, notes = read_text(data, DFReader)
+    return {topic.name: topic for topic in found}, notes
+
+
+def test_a_log_as_text_says_what_it_said_before():
+    whole, (found, notes) = topics(dataflash(1.0)), text_topics(dataflash_text(1.0))
+    assert not notes
+    assert list(found) == list(whole)
+    for name, topic in whole.items():
+        np.testing.assert_allclose(found[name].t, topic.t, rtol=1e-15)
+        for column, x in topic.columns.items():  # 8 bits of a letter c, 32 of f: printed in full
+            np.testing.assert_allclose(found[name].columns[column], x, rtol=1e-6, atol=1e-12)
+
+
+def test_pymavlink_reads_the_same_of_a_log_as_text(tmp_path):
+    path = tmp_path / "flight.log"
+    path.write_bytes(dataflash_text(1.0))
+    log, rows = DFReader.DFReader_text(str(path), zero_time_base=True), []
+    while (row := log.recv_match(type="ATT")) is not None:
+        rows.append((row.TimeUS * 1e-6, row.Roll))
+    log.filehandle.close()
+    t, roll = np.array(rows).T
+    topic = text_topics(path.read_bytes())[0]["ATT"]
+    np.testing.assert_allclose(topic.t, t, rtol=1e-15)
+    np.testing.assert_allclose(topic.columns["Roll"], np.radians(roll), rtol=1e-14, atol=1e-15)
+
+
+def test_lines_that_are_damaged_cost_themselves():
+    lines = dataflash_text(1.0).decode().splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("RATE"))
+    whole = text_topics("\n".join([*lines, ""]).encode())[0]
+    lines[at] = lines[at][:9]
+    lines.insert(at, "RATF, 1, 2, 3, 4")
+    found, notes = text_topics("\n".join([*lines, ""]).encode())
+    assert len(found["RATE"].t) == len(whole["RATE"].t) - 1
+    assert notes == ("2 lines damaged and left out",)
+
+
+def test_modes_written_as_words_are_no_numbers():
+    said = b"FMT, 7, 12, MODE, QM, TimeUS,Mode\nMODE, 5, STABILIZE\nMODE, 9, 3\n"
+    values = text_topics(said)[0]["MODE"].columns["Mode"]
+    np.testing.assert_array_equal(values, [np.nan, 3.0])

@@ -127,6 +127,19 @@ def dataflash(seconds=40.0):
     return b"".join(out)
 
 
+def dataflash_text(seconds=40.0):
+    """The same log as pymavlink converts it to text: values scaled as their letters say."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "flight.bin"
+        path.write_bytes(dataflash(seconds))
+        lines = []
+        with DFReader_binary(str(path), zero_time_base=True) as log:
+            while (row := log.recv_msg()) is not None:
+                values = (getattr(row, name) for name in row.fmt.columns)
+                lines.append(", ".join(map(str, (row.get_type(), *values))))
+    return "\n".join(lines).encode() + b"\n"
+
+
 # ---- TDMS --------------------------------------------------------------------------------------
 
 
@@ -146,7 +159,12 @@ def tdms(seconds=40.0):
     return file.getvalue()
 
 
-WRITERS = {"flight.ulg": ulog, "flight.bin": dataflash, "flight.tdms": tdms}
+WRITERS = {
+    "flight.ulg": ulog,
+    "flight.bin": dataflash,
+    "flight.tdms": tdms,
+    "flight.log": dataflash_text,
+}
 
 
 def damaged(data, rng):
@@ -188,18 +206,18 @@ def drafted(path):
 
 
 def fuzz(many=10_000, seed=1, more=200):
-    """Import damaged logs of at most 64 kB; none may take more than ``more`` MB of memory."""
+    """Import damaged logs of at most 64 kB, as text 256; none may take ``more`` MB."""
     warnings.simplefilter("ignore", DataWarning)
     rng = np.random.default_rng(seed)
     sound = {name: write(6.2) for name, write in WRITERS.items()}
-    assert max(map(len, sound.values())) < 2**16
+    assert max(map(len, sound.values())) < 2**18
     refused = 0
     with tempfile.TemporaryDirectory() as folder:
         for name, data in sound.items():  # what is imported late is no memory of a log
             outcome(Path(folder) / name, data, drafted)
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         for k in range(many):
-            name = list(sound)[k % 3]
+            name = list(sound)[k % len(sound)]
             data = damaged(sound[name], rng)
             refused += isinstance(outcome(Path(folder) / name, data, drafted), str)
         taken = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
