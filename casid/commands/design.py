@@ -122,7 +122,7 @@ def design(
         made = design_inputs(
             model, limits, what.design.duration if duration is None else duration, noise=noise,
             feedback=_feedback(what, asked["feedback"]), trim=trim,
-            settings=_settings(what, asked, dt),
+            settings=_settings(what, asked, dt, _held(what, model)),
         )  # fmt: skip
         _say(console, made, model if isinstance(model, Fit) else None)
         folder = what.output / "design"
@@ -140,10 +140,18 @@ def design(
         console.print(Text("Card: ").append(str((folder / "card.csv").resolve()), style="bold"))
 
 
-def _settings(study: Study, asked: Mapping[str, Any], dt: float) -> DesignSettings:
+def _settings(
+    study: Study, asked: Mapping[str, Any], dt: float, fixed: tuple[str, ...]
+) -> DesignSettings:
     """The study's, but for what was asked for."""
     said = {name: asked[name] for name in ("matter", "method") if asked[name]}
-    return replace(study.design.settings, fixed=study.fixed, dt=dt, **said)
+    return replace(study.design.settings, fixed=fixed, bounds=study.bounds, dt=dt, **said)
+
+
+def _held(study: Study, model: AnyFit | Model) -> tuple[str, ...]:
+    """What the study holds fixed, and what its fit did."""
+    rows = model.parameters if isinstance(model, Fit) else ()
+    return tuple(dict.fromkeys([*study.fixed, *(row.name for row in rows if row.fixed)]))
 
 
 def _feedback(study: Study, asked: Mapping[str, float]) -> dict[str, dict[str, float]]:

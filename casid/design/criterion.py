@@ -18,6 +18,8 @@ from casid.arrays import Array
 Criterion = Literal["A", "D", "E"]
 POWER = {"D": 0, "A": 1, "E": 8}
 LONGEST = 12.0  # logarithm of the longest time that is looked at, in times of one flight
+LOST = 1e4  # times the error of a parameter alone beyond which it is not told apart from others
+NOTHING = 1e-9  # effect of a parameter over the largest, each moved by its scale, that is rounding
 FAINT = 1e-12  # share of its own information that is added to every parameter, against singularity
 
 
@@ -56,14 +58,24 @@ def covariance(F: Array) -> Array:
     return np.asarray(np.linalg.inv(N + FAINT * np.eye(len(F))) / np.outer(size, size))
 
 
-def as_long(F: Array, known: Array, errors: Array) -> float:
-    """How many times F beside what is known gives these standard errors, in the geometric mean."""
+def told(F: Array, scale: Array) -> np.ndarray:
+    """Which parameters (nf,) of typical sizes F (nf, nf) tells, and not only with others."""
+    alone = np.sqrt(np.maximum(np.diag(F), 0.0))
+    inflation = alone * np.sqrt(np.diag(covariance(F)))
+    return np.asarray((alone * scale > NOTHING * (alone * scale).max()) & (inflation < LOST))
+
+
+def as_long(F: Array, known: Array, errors: Array, rows: np.ndarray) -> float:
+    """How many times F beside what is known gives these standard errors, in the geometric mean.
+
+    Those of the parameters in these rows count; infinite if F never does.
+    """
 
     def excess(log_times: float) -> float:
         now = np.diag(covariance(known + np.exp(log_times) * F))
-        return float(np.mean(np.log(now)) / 2 - np.mean(np.log(errors)))
+        return float(np.mean(np.log(now[rows])) / 2 - np.mean(np.log(errors[rows])))
 
     ends = (-LONGEST, LONGEST)
     if excess(ends[0]) * excess(ends[1]) > 0:  # already known, or never told
-        return float(np.exp(ends[0] if excess(ends[0]) < 0 else ends[1]))
+        return 0.0 if excess(ends[0]) < 0 else np.inf
     return float(np.exp(scipy.optimize.brentq(excess, *ends, xtol=1e-3)))

@@ -224,23 +224,27 @@ class Crowd:
     def __init__(self, loops: Sequence[Loop]) -> None:
         self.N, self.count = loops[0].N, len(loops)
         self._length = loops[0].length
-        channels = loops[0].nu + loops[0].ny + loops[0].nx
-        self._spectra = np.stack([loop.spectra[:, :channels] for loop in loops])
+        self._channels = loops[0].nu + loops[0].ny + loops[0].nx
+        # Of all models side by side, (frequencies, M (nu + ny + nx), nu): one product each.
+        self._spectra = np.concatenate([each.spectra[:, : self._channels] for each in loops], 1)
 
     def fly(self, r: Array) -> Array:
         """Sticks, outputs and states (M, N, nu + ny + nx) of every model after r (N, nu)."""
         spectrum = scipy.fft.rfft(r, self._length, axis=0)
         every = (self._spectra @ spectrum[:, :, None])[..., 0]
-        return np.asarray(scipy.fft.irfft(every, self._length, axis=1)[:, : self.N])
+        flown = scipy.fft.irfft(every, self._length, axis=0)[: self.N]
+        return np.moveaxis(flown.reshape(self.N, self.count, self._channels), 1, 0)
 
     def impulses(self, model: int) -> Array:
         """Of one model, as `Loop.impulses`."""
-        return scipy.fft.irfft(self._spectra[model], self._length, axis=0)[: self.N]
+        rows = slice(model * self._channels, (model + 1) * self._channels)
+        return scipy.fft.irfft(self._spectra[:, rows], self._length, axis=0)[: self.N]
 
     def pulled_back(self, signals: Array) -> Array:
         """Derivatives by r (N, nu) of a function with these derivatives by what `fly` gives."""
-        whole = scipy.fft.rfft(signals, self._length, axis=1)
-        product = np.einsum("mkij,mki->kj", np.conj(self._spectra), whole, optimize=True)
+        flat = np.moveaxis(signals, 0, 1).reshape(self.N, -1)
+        whole = np.conj(scipy.fft.rfft(flat, self._length, axis=0))[:, None]
+        product = np.conj(whole @ self._spectra)[:, 0]
         return np.asarray(scipy.fft.irfft(product, self._length, axis=0)[: self.N])
 
 

@@ -73,8 +73,10 @@ class DesignSettings:
         of the standard errors over those of a single 3-2-1-1 an axis.
     matter : tuple of str
         Parameters that count; all free ones unless given.
-    fixed : tuple of str
-        Parameters that are known.
+    fixed : tuple of str or None
+        Parameters that are known; those that a fit held fixed unless given.
+    bounds : mapping
+        Of parameters, as in `Estimator.fit`; a fit's own and the structure's unless given.
     dt : float
         Sampling interval of the records to come [s], to which the noise refers.
     band : (float, float) or None
@@ -100,7 +102,8 @@ class DesignSettings:
     method: Method = "best"
     criterion: Criterion = "A"
     matter: tuple[str, ...] = ()
-    fixed: tuple[str, ...] = ()
+    fixed: tuple[str, ...] | None = None
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     dt: float = 0.02
     band: tuple[float, float] | None = None
     step: float | None = None
@@ -141,7 +144,8 @@ class NextFlight:
         Of a nonlinear structure, total values at which it is to be flown; the rest is what the
         records had before an input moved, moved to the nearest balance.
     settings : DesignSettings
-        How inputs are designed, ``[design.settings]``; ``fixed`` and ``dt`` are the study's.
+        How inputs are designed, ``[design.settings]``; ``fixed``, ``bounds`` and ``dt`` are the
+        study's.
     """
 
     duration: float = 60.0
@@ -202,10 +206,13 @@ class Design(Shown):
         right, and by those of an ensemble or drawn from the prior that use most of it.
     instead : float
         Time [s] of 3-2-1-1, one after the other, after which standard errors would be as small in
-        the geometric mean.
+        the geometric mean; infinite if never.
     plausible, unheld : int
         Models drawn from the prior, and those of them that the feedback does not hold, which keep
         no limits.
+    untold : tuple of str
+        Parameters that no input tells, or only together with others. Nothing of what is compared
+        counts them.
     blind : tuple of str
         What the inputs cannot tell apart, in words.
     """
@@ -226,6 +233,7 @@ class Design(Shown):
     instead: float = np.nan
     plausible: int = 0
     unheld: int = 0
+    untold: tuple[str, ...] = ()
     blind: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -233,14 +241,17 @@ class Design(Shown):
 
     def headline(self) -> str:
         """What is flown, and how much better it is."""
-        ratio = self.std_errors / self.alternatives[0].std_errors
-        mean = np.exp(np.log(ratio).mean())
-        return (
+        _, mean, worst, name = next(row for row in self.ratios() if row[0] == self.kind)
+        longer = "instead of " + in_minutes(self.instead)
+        parts = [
             f"{self.kind} on {listed(self.inputs)}, {self.t[-1]:.4g} s: standard errors "
-            f"{mean:.2g} times those of 3-2-1-1 (geometric mean), {ratio.max():.2g} at worst; "
-            f"{in_minutes(self.t[-1])} of flight instead of {in_minutes(self.instead)}"
-            f"{'; ' * bool(self.unheld)}{self.warning()}"
-        )
+            f"{mean:.2g} times those of 3-2-1-1 (geometric mean), {worst:.2g} at worst ({name})",
+            f"{in_minutes(self.t[-1])} of flight "
+            f"{longer if self.instead < np.inf else 'for what no time of 3-2-1-1 tells'}",
+            f"without {listed(self.untold)}, which no input tells apart" * bool(self.untold),
+            self.warning(),
+        ]
+        return "; ".join(filter(None, parts))
 
     def warning(self) -> str:
         """For how many plausible aircraft limits do not hold; nothing if for all."""
@@ -275,13 +286,19 @@ class Design(Shown):
 
     def ratios(self) -> tuple[tuple[str, float, float, str], ...]:
         """Of each alternative: name, geometric mean and worst ratio to the 3-2-1-1, and whose."""
-        rows = []
+        rows, told = [], np.flatnonzero(~np.isin(self.names, self.untold))
         for each in self.alternatives:
-            ratio = each.std_errors / self.alternatives[0].std_errors
+            ratio = (each.std_errors / self.alternatives[0].std_errors)[told]
             worst = int(np.argmax(ratio))
             mean = float(np.exp(np.log(ratio).mean()))
-            rows.append((each.name, mean, float(ratio[worst]), self.names[worst]))
+            rows.append((each.name, mean, float(ratio[worst]), self.names[told[worst]]))
         return tuple(rows)
+
+    @property
+    def overlap(self) -> float:
+        """Largest correlation between the designed deviations of two sticks; 0 of one stick."""
+        size = np.maximum(np.linalg.norm(self.r, axis=0), 1e-300)
+        return float(np.abs(np.triu(self.r.T @ self.r / np.outer(size, size), 1)).max())
 
     def comparison(self) -> str:
         """Candidates side by side, standard errors over those of the 3-2-1-1, in Markdown."""
@@ -346,4 +363,6 @@ class Design(Shown):
 
 def in_minutes(seconds: float) -> str:
     """A time of flight in words."""
-    return f"{seconds:.2g} s" if seconds < 100 else f"{seconds / 60:.2g} minutes"
+    if seconds < 100:
+        return f"{seconds:.2g} s"
+    return f"{seconds / 60:{'.2g' if seconds < 600 else '.0f'}} minutes"

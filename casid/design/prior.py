@@ -8,8 +8,9 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.design.criterion import covariance
+from casid.design.plan import DesignSettings
 from casid.evaluation import MatrixFunction
-from casid.fit import AnyFit
+from casid.fit import ACTIVE, AnyFit
 from casid.free import Free
 from casid.model import Model
 from casid.nonlinear.conditions import Trim
@@ -77,6 +78,30 @@ def _condition(model: NonlinearModel, trim: Trim | Mapping[str, float] | None) -
     usual = dict(zip((*model.states, *model.inputs), (*x, *u), strict=True))
     given = trim if isinstance(trim, Trim) else Trim(values=trim or {})
     return replace(given, values=usual | dict(given.values))
+
+
+def as_fitted(settings: DesignSettings, fit: AnyFit | None) -> DesignSettings:
+    """Settings with what a fit held fixed and the bounds that it had, where they say nothing."""
+    rows = fit.parameters if fit else ()
+    free = {row.name: (row.lower, row.upper) for row in rows if not row.fixed}
+    fixed = settings.fixed
+    if fixed is None:
+        fixed = tuple(row.name for row in rows if row.fixed)
+    return replace(settings, fixed=fixed, bounds={**free, **settings.bounds})
+
+
+def inside(free: Free) -> Free:
+    """Free parameters as they are; refused if one is outside its bounds, which would move it."""
+    values = free.model.vector()
+    off = np.maximum(free.lower - values, values - free.upper)[free.index]
+    worst = int(np.argmax(off / free.scale[free.index]))
+    if off[worst] > ACTIVE * free.scale[k := free.index[worst]]:
+        raise ValueError(
+            f"{free.names[worst]} = {values[k]:g} is outside its bounds, {free.lower[k]:g} to "
+            f"{free.upper[k]:g}: give a value between them, or bounds that it is in, "
+            f"DesignSettings(bounds={{{free.names[worst]!r}: (lowest, highest)}})"
+        )
+    return free
 
 
 def without_effect(free: Free) -> tuple[str, ...]:

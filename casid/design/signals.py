@@ -69,3 +69,13 @@ def wave_family(t: Array, rest: float, omega: Array) -> Array:
     phase = np.maximum(t - rest, 0.0)[:, None] * omega
     on = (t >= rest)[:, None]
     return np.asarray(np.concatenate([on * np.cos(phase), on * np.sin(phase)], axis=1))
+
+
+def taper(t: Array, rest: float, fade: float) -> Array:
+    """One, (N,), but for cubics s² (3 - 2 s) from zero and back to it, ``fade`` [s] at either end.
+
+    It begins after ``rest`` and ends with the time, so that what it multiplies begins and ends in
+    trim.
+    """
+    s = np.clip(np.minimum(t - rest, t[-1] - t) / fade, 0.0, 1.0)
+    return np.asarray(s * s * (3.0 - 2.0 * s))

@@ -16,9 +16,9 @@ from casid import (
     output_error,
     parameter,
 )
-from casid.design.inputs import _problem
 from casid.design.loop import Loop, UnheldError
 from casid.excitations import excitation
+from models.lateral_directional import LateralDirectional
 from models.short_period import ShortPeriod
 
 MODEL = ShortPeriod()
@@ -67,6 +67,21 @@ def test_3211_of_the_best_unit_are_no_worse_than_those_of_any_other():
 def test_limits_hold_in_the_simulation_of_the_model(design):
     y = MODEL.system().simulate(design.t, design.u)
     np.testing.assert_allclose(y, design.y, atol=0.01 * np.abs(design.y).max())
+
+
+def test_a_multisine_begins_and_ends_in_trim_though_its_grid_is_not_the_cards():
+    roll = LateralDirectional(U0=41.0)
+    limits = Limits(sticks=dict.fromkeys(roll.inputs, 0.05))
+    noise = dict.fromkeys(roll.outputs, 0.01)
+    settings = DesignSettings(**{**QUICK, "dt": 0.015}, method="multisine", band=(0.6, 6.0))
+    made = design_inputs(roll, limits, 31.0, noise=noise, settings=settings)
+    still = made.t < 0.95  # the samples of the optimisation are 0.04 s apart
+    assert not np.any(made.r[still])
+    assert np.all(made.r[-1] == 0.0)
+    slow = 1.5 * 0.05 / (np.pi / 6.0)  # no faster than the taper and the waves together
+    assert np.abs(np.diff(made.r, axis=0)).max() / 0.015 <= slow + 0.05 * 6.0
+    assert 0 < made.overlap < 0.05
+    assert np.abs(made.r).max() == pytest.approx(0.05, rel=1e-3)
 
 
 def test_parameters_that_matter_are_told_better_than_when_all_count():
@@ -138,7 +153,7 @@ def test_a_feedback_that_holds_no_plausible_aircraft_is_refused(monkeypatch):
             raise UnheldError
         return Loop(free, *rest, **grid)
 
-    monkeypatch.setattr("casid.design.inputs.Loop", loop)
+    monkeypatch.setattr("casid.design.problem.Loop", loop)
     with pytest.raises(ValueError, match=r"none of 8 plausible aircraft.*20% off.*draws = 0"):
         designed(Limits(sticks={STICK: 0.1}, responses={"q": 0.1}))
 
@@ -233,6 +248,69 @@ def test_limits_hold_for_most_models_that_the_prior_allows():
     assert np.mean(kept) >= 0.8
 
 
+class Twins(Model):
+    """Of whose dampings an output feels the sum."""
+
+    states, inputs, outputs = ("p",), ("lat",), ("p",)
+    Lp: float = parameter(default=-2.0, lower=-9.0, upper=0.0, unit="1/s")
+    more: float = parameter(default=-1.0, lower=-9.0, upper=0.0, unit="1/s")
+    Llat: float = parameter(default=5.0, lower=0.0, upper=60.0, unit="rad/s^2")
+
+    def A(self):
+        return [[self.Lp + self.more]]
+
+    def B(self):
+        return [[self.Llat]]
+
+
+def rolled(**options):
+    quick = DesignSettings(**QUICK, method="steps", **options)
+    limits = Limits(sticks={"lat": 0.1})
+    return design_inputs(Twins(), limits, 10.0, noise={"p": 0.01}, settings=quick)
+
+
+def test_what_no_input_tells_apart_is_left_out_of_what_a_design_buys_and_named():
+    made = rolled()
+    assert made.untold == ("Lp", "more")
+    assert "without Lp, more, which no input tells apart" in made.headline()
+    alone = made.std_errors[2] / made.alternatives[0].std_errors[2]
+    assert made.ratios()[2] == ("steps", pytest.approx(alone), pytest.approx(alone), "Llat")
+    apart = rolled(fixed=("more",))
+    assert apart.untold == ()
+    # the sum is told as well as one of which the other is known
+    assert made.std_errors[2] == pytest.approx(apart.std_errors[1], rel=0.05)
+    with pytest.raises(ValueError, match=r"tells 'Lp' alone, of Lp, more only comb.*: fix one"):
+        rolled(matter=("Lp",))
+
+
+def test_values_outside_their_bounds_are_refused_or_given_wider_ones():
+    off, limits = replace(MODEL, Mq=-90.0), Limits(sticks={STICK: 0.1})
+
+    def made(**options):
+        quick = DesignSettings(**QUICK, method="steps", **options)
+        return design_inputs(off, limits, 10.0, noise=NOISE, settings=quick)
+
+    with pytest.raises(ValueError, match=r"Mq = -90 is outside its bounds, .*bounds=\{'Mq': \("):
+        made()
+    wide = made(bounds={"Mq": (-200.0, 0.0)})
+    np.testing.assert_allclose(
+        off.system().simulate(wide.t, wide.u), wide.y, atol=0.01 * np.abs(wide.y).max()
+    )
+
+
+def test_what_a_fit_held_fixed_stays_so_unless_asked_for(design):
+    record = design.record().with_noise(NOISE, np.random.default_rng(0))
+    fit = output_error(MODEL, record, fixed=("Mw", "Zw"))
+    quick = DesignSettings(**QUICK, method="steps")
+
+    def names(settings):
+        return design_inputs(fit, Limits(sticks={STICK: 0.1}), 10.0, settings=settings).names
+
+    assert set(MODEL.parameter_names()) - set(names(quick)) == {"Mw", "Zw"}
+    assert "Mw" in names(replace(quick, fixed=("Zw",)))
+    assert set(names(replace(quick, fixed=()))) == set(MODEL.parameter_names())
+
+
 @pytest.mark.slow
 def test_what_a_fit_knows_counts_and_its_residuals_are_the_noise(design):
     record = design.record().with_noise(NOISE, np.random.default_rng(0))
@@ -249,16 +327,3 @@ def test_what_a_fit_knows_counts_and_its_residuals_are_the_noise(design):
     coloured = replace(fit, parameters=tuple(rows))  # errors three times what white noise makes
     worse = design_inputs(coloured, Limits(sticks={STICK: 0.1}), 10.0, settings=quick)
     assert np.median(worse.std_errors / again.std_errors) > 1.2
-
-
-def test_information_does_not_depend_on_the_grid_it_is_computed_on():
-    problem = _problem(
-        MODEL, Limits(sticks={STICK: 0.1}), 10.0, None, NOISE, DesignSettings(**QUICK)
-    )
-    errors = []
-    for h in (0.05, 0.1):
-        task = problem.task(h)
-        t = h * np.arange(task.loops[0].N)
-        r = 0.1 * np.sin(t + 0.05 * t**2)[:, None] * np.clip(t, 0, 1)[:, None]
-        errors.append(np.diag(task.information(r)[0]))
-    np.testing.assert_allclose(errors[1], errors[0], rtol=0.1)

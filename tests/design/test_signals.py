@@ -72,3 +72,13 @@ def test_sweeps_run_through_their_band_evenly_in_logarithm_and_are_faded():
     early = fine <= 0.4  # an eighth of the fade
     phase = np.trapezoid(band[0] * (band[1] / band[0]) ** (fine[early] / 40), fine[early])
     assert r[early][-1] == pytest.approx(2.0 * np.sin(phase) / 8, rel=1e-2)
+
+
+def test_a_taper_leaves_trim_and_comes_back_to_it_smoothly():
+    shape = signals.taper(t, 2.0, 1.5)
+    assert not np.any(shape[t <= 2.0])
+    assert shape[-1] == 0.0
+    inner = (t >= 3.5) & (t <= t[-1] - 1.5)
+    np.testing.assert_array_equal(shape[inner], 1.0)
+    assert np.diff(shape).max() <= 1.5 / 1.5 * (t[1] - t[0]) + 1e-12
+    assert np.interp(2.75, t, shape) == pytest.approx(0.5, abs=1e-2)

@@ -1,0 +1,179 @@
+"""What a design is made for: all that was asked, checked, in arrays."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.design.criterion import Goal, told
+from casid.design.loop import Feedback, Loop, UnheldError
+from casid.design.optimise import Task
+from casid.design.plan import DesignSettings, Limits
+from casid.design.prior import FITTED, GUESSED, inside, known_before, noise_of, possible
+from casid.fit import AnyFit
+from casid.free import Free, free_parameters
+from casid.model import Model
+
+FEWEST = 50  # samples a stick
+MOST = 100_000  # samples of a manoeuvre
+COARSE = 800  # samples on which inputs are optimised
+FINEST = 6.0  # samples of them in a period of the band's upper edge, at least
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Problem:
+    """All that was asked, as `problem_of` has checked it."""
+
+    frees: tuple[Free, ...]
+    R: Array
+    known: Array
+    limits: Array
+    spread: float
+    feedback: Feedback
+    duration: float
+    band: tuple[float, float]
+    settings: DesignSettings
+    told: np.ndarray  # (nf,) which parameters a flight can tell
+
+    def task(self, h: float) -> Task:
+        """What counts on a grid of interval h [s]."""
+        N = round(self.duration / h) + 1
+        # Noise refers to dt: of fewer samples each counts for more.
+        R = self.R * self.settings.dt / h
+        loops = tuple(Loop(free, self.feedback, R, h=h, N=N) for free in self.frees)
+        scale = self.frees[0].scale[self.frees[0].index]
+        return Task(loops=loops, goals=self.goals([scale] * len(loops)), limits=self.limits)
+
+    def drawn(self, h: float) -> list[Loop]:
+        """Loops of models drawn from the prior, if limits may depend on their values.
+
+        Those that the feedback does not hold, with which nothing keeps the limits, are left out.
+        """
+        settings, free, nu = self.settings, self.frees[0], len(self.frees[0].model.inputs)
+        if not self.feedback and not np.isfinite(self.limits[2 * nu :]).any():
+            return []
+        made, N = [], round(self.duration / h) + 1
+        for each in possible(free, self.known, self.spread, 2 * settings.draws, settings.seed):
+            with suppress(UnheldError):
+                made.append(Loop(each, self.feedback, self.R, h=h, N=N))
+        if settings.draws and not made:
+            raise ValueError(
+                f"none of {2 * settings.draws} plausible aircraft, which are {self.spread:.0%} off "
+                "the model, is held by the feedback given: give one that holds them, a smaller "
+                "spread if the model is known better, or draws = 0, without a margin"
+            )
+        return made
+
+    def goals(self, reference: Sequence[Array]) -> tuple[Goal, ...]:
+        """The criterion of each model, over the standard errors (nf,) of its reference."""
+        names, matter = self.frees[0].names, self.settings.matter
+        rows = np.flatnonzero(self.told & np.isin(names, matter or names))
+        criterion, known = self.settings.criterion, self.known
+        return tuple(Goal(criterion, rows, scale[rows], known) for scale in reference)
+
+    def coarse(self) -> float:
+        """Interval on which inputs are optimised [s], of which the card is a whole number."""
+        dt, duration = self.settings.dt, self.duration
+        h = max(dt, min(duration / COARSE, 2 * np.pi / self.band[1] / FINEST))
+        length = dt * round(duration / dt)
+        return float(length / round(length / h))
+
+    def tellable(self, F: Array) -> np.ndarray:
+        """Which parameters (nf,) F tells; refused if it does not tell those that matter."""
+        free, matter = self.frees[0], self.settings.matter
+        found = told(F, free.scale[free.index])
+        lost = [name for name, seen in zip(free.names, found, strict=True) if not seen]
+        away = [name for name in matter if name in lost]
+        if away or not found.any():
+            raise ValueError(
+                f"no input tells {(away or lost)[0]!r} alone, of {', '.join(lost)} only "
+                "combinations: fix one of these, DesignSettings(fixed=...)"
+            )
+        return found
+
+
+def free_of(model: Model, settings: DesignSettings) -> Free:
+    """The free parameters of a design; refused if one is outside its bounds."""
+    return inside(free_parameters(model, settings.fixed or (), settings.bounds))
+
+
+def problem_of(
+    structure: Model,
+    limits: Limits,
+    duration: float,
+    fit: AnyFit | None,
+    noise: Mapping[str, float] | None,
+    settings: DesignSettings,
+) -> Problem:
+    """What is asked of a linear structure, of which a fit may be known; ValueError by name."""
+    _check_times(duration, limits, settings)
+    free = free_of(structure, settings)
+    if unknown := [name for name in settings.matter if name not in free.names]:
+        raise ValueError(f"matter names {unknown[0]!r}, which is not free: {', '.join(free.names)}")
+    band = settings.band or _band(structure, duration, settings.dt)
+    if band[1] > (nyquist := np.pi / settings.dt):
+        raise ValueError(
+            f"the band ends at {band[1]:g} rad/s, above the Nyquist frequency {nyquist:.4g} rad/s "
+            f"of samples {settings.dt:g} s apart: lower it, or sample faster (dt)"
+        )
+    if duration - settings.rest < (least := FEWEST * settings.dt * len(structure.inputs)):
+        raise ValueError(
+            f"{duration:g} s less {settings.rest:g} s of rest are too short for "
+            f"{len(structure.inputs)} inputs: fly longer, {settings.rest + least:.3g} s at least"
+        )
+    return Problem(
+        frees=(free,), R=noise_of(structure, fit, noise), known=known_before(free, fit),
+        limits=_arrays(structure, limits), feedback={}, duration=duration, band=band,
+        spread=settings.spread if settings.spread is not None else (FITTED if fit else GUESSED),
+        settings=settings, told=np.full(len(free.index), True),
+    )  # fmt: skip
+
+
+def _check_times(duration: float, limits: Limits, settings: DesignSettings) -> None:
+    """Refuse times that are none, more samples than can be worked on, changes that take too long.
+
+    A manoeuvre has room for two changes of each stick from end to end at least.
+    """
+    for name, value in (("duration", duration), ("dt", settings.dt)):
+        if not 0 < value < np.inf:
+            raise ValueError(f"{name} = {value:g} s: expected a time above 0")
+    if duration / settings.dt > MOST:
+        raise ValueError(
+            f"{duration:g} s have {duration / settings.dt:.3g} samples {settings.dt:g} s apart, "
+            f"more than the {MOST} that a design is made of: design "
+            f"{MOST * settings.dt:.4g} s at most and fly that again"
+        )
+    room = (duration - settings.rest) / 2
+    if settings.step is not None and room > 0 and not 0 < settings.step <= room:
+        raise ValueError(f"step = {settings.step:g} s: expected a time above 0, below {room:.3g} s")
+    for name, rate in limits.rates.items():
+        if (rise := 2 * limits.sticks[name] / rate) > room > 0:
+            raise ValueError(
+                f"at its rate of {rate:g} a second {name!r} takes {rise:.3g} s from one end of its "
+                f"limit {limits.sticks[name]:g} to the other, and {duration:g} s have no room for "
+                f"two such changes: lower the limit of the stick, to {rate * room / 2:.3g} at "
+                "most, or raise that of its rate"
+            )
+
+
+def _band(model: Model, duration: float, dt: float) -> tuple[float, float]:
+    """From two periods in the duration to three times the fastest mode."""
+    fastest = float(np.abs(model.system().poles()).max())
+    low = 4 * np.pi / duration
+    return low, min(max(3 * fastest, 8 * low), np.pi / dt / 2)
+
+
+def _arrays(model: Model, limits: Limits) -> Array:
+    """Limits of sticks, rates, outputs, states in their order; infinite where there is none."""
+    sides = (*model.outputs, *model.states)
+    named = ((limits.sticks, model.inputs), (limits.rates, model.inputs))
+    for group, known in (*named, (limits.responses, sides)):
+        if unknown := [name for name in group if name not in known]:
+            raise ValueError(f"limits name {unknown[0]!r}; there are {', '.join(known)}")
+    if missing := [name for name in model.inputs if name not in limits.sticks]:
+        raise ValueError(f"limits.sticks has no {missing[0]!r}: every input needs its limit")
+    hidden = tuple(name if name not in model.outputs else "" for name in model.states)
+    groups = (*named, (limits.responses, model.outputs), (limits.responses, hidden))
+    return np.array([group.get(name, np.inf) for group, names in groups for name in names])

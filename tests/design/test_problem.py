@@ -1,0 +1,45 @@
+"""What a design is made for: grids, and what a flight can tell."""
+
+import numpy as np
+import pytest
+
+from casid import DesignSettings, Limits
+from casid.design.problem import problem_of
+from models.short_period import ShortPeriod
+
+MODEL = ShortPeriod()
+STICK = MODEL.inputs[0]
+NOISE = dict.fromkeys(MODEL.outputs, 0.01)
+
+
+def problem(duration=10.0, **options):
+    settings = DesignSettings(**{"dt": 0.05, "rest": 1.0, **options})
+    return problem_of(MODEL, Limits(sticks={STICK: 0.1}), duration, None, NOISE, settings)
+
+
+def test_information_does_not_depend_on_the_grid_it_is_computed_on():
+    errors = []
+    for h in (0.05, 0.1):
+        task = problem().task(h)
+        t = h * np.arange(task.loops[0].N)
+        r = 0.1 * np.sin(t + 0.05 * t**2)[:, None] * np.clip(t, 0, 1)[:, None]
+        errors.append(np.diag(task.information(r)[0]))
+    np.testing.assert_allclose(errors[1], errors[0], rtol=0.1)
+
+
+@pytest.mark.parametrize(("dt", "duration"), [(0.02, 61.3), (0.015, 31.0), (0.05, 10.0)])
+def test_the_coarse_grid_ends_with_the_card(dt, duration):
+    made = problem(duration, dt=dt)
+    fine, rough = made.task(dt).loops[0], made.task(made.coarse()).loops[0]
+    assert rough.h * (rough.N - 1) == pytest.approx(fine.h * (fine.N - 1), rel=1e-12)
+    assert rough.h >= dt - 1e-12
+
+
+def test_parameters_of_which_only_combinations_are_told_are_found():
+    made = problem()
+    n = len(made.frees[0].index)
+    F = np.diag(np.arange(1.0, n + 1))
+    F[:2, :2] = 1.0
+    assert made.tellable(F).tolist() == [False, False] + [True] * (n - 2)
+    with pytest.raises(ValueError, match="no input tells"):
+        made.tellable(np.ones((n, n)))
