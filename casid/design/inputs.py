@@ -84,7 +84,7 @@ def design_inputs(
     for each in (structure, *(ensemble if trim is None else ())):
         check_balance(each, trim)
     linear = linear_at(structure, trim)
-    unfelt = without_effect(free_parameters(linear, settings.fixed, settings.bounds))
+    unfelt = without_effect(free_parameters(linear, settings.fixed or (), settings.bounds))
     settings = replace(settings, fixed=(*(settings.fixed or ()), *unfelt))
     problem = problem_of(linear, limits, duration, fit, noise, settings)
     believed = [free_of(linear_at(each, trim), settings) for each in ensemble]
@@ -225,7 +225,7 @@ def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen
         instead=rest + longer * (problem.duration - rest),
         untold=tuple(np.array(problem.frees[0].names)[~problem.told].tolist()),
     )  # fmt: skip
-    judged = identifiability(model, made.record(), fixed=problem.settings.fixed, spread=0.0)
+    judged = identifiability(model, made.record(), fixed=problem.settings.fixed or (), spread=0.0)
     return replace(made, blind=tuple(str(judged).splitlines()[1:]))
 
 
