@@ -124,7 +124,7 @@ def design(
             feedback=_feedback(what, asked["feedback"]), trim=trim,
             settings=_settings(what, asked, dt, _held(what, model)),
         )  # fmt: skip
-        _say(console, made, model if isinstance(model, Fit) else None)
+        _say(console, made)
         folder = what.output / "design"
         for script in SCRIPTS:  # of a former card
             remove_own(folder / script)
@@ -227,7 +227,7 @@ def _reached(records: Sequence[Record], names: Sequence[str]) -> dict[str, float
     return {n: max(float(np.nanmax(np.abs(r.channel(n)))) for r in records) for n in names}
 
 
-def _say(console: Console, made: Design, fit: AnyFit | None) -> None:
+def _say(console: Console, made: Design) -> None:
     """What is compared, what is weak and what becomes of it."""
     console.print(Text(made.headline()))
     rows = list(made.ratios())
@@ -235,16 +235,16 @@ def _say(console: Console, made: Design, fit: AnyFit | None) -> None:
     for name, mean, worst, parameter in rows:
         table.add_row(name, f"{mean:.3f}", f"{worst:.3f}", Text(parameter))
     console.print(table)
-    values = {row.name: row.value for row in fit.parameters} if fit else {}
     table = new_table("Weakest parameters", "parameter", "value", "before", "3-2-1-1", "this")
-    size = np.array([abs(values.get(name, 1.0)) for name in made.names])
     first, last = made.alternatives[0].std_errors, made.std_errors
-    weak = np.where(np.isfinite(made.before), made.before, first) / np.maximum(size, 1e-9)
+    weak = np.where(np.isfinite(made.before), made.before, first)
+    weak = weak / np.maximum(np.abs(made.values), 1e-9)
     for k in np.argsort(-weak)[:SHOWN]:
-        value = f"{values[made.names[k]]:.4g}" if values else ""
         errors = (f"{column[k]:.2g}" for column in (made.before, first, last))
-        table.add_row(made.names[k], value, *errors)
+        table.add_row(made.names[k], f"{made.values[k]:.4g}", *errors)
     console.print(table)
+    if beside := made.on_the_card():
+        console.print(Text(beside))
     for line in made.blind:
         console.print(Text("! ", style="bold yellow").append(line, style="default"))
 
@@ -254,6 +254,7 @@ def _page(made: Design) -> str:
     blind = ["## Not told apart", "\n".join(f"- {line}" for line in made.blind)]
     parts = [
         f"# {made.headline()}", "## What could be flown", made.comparison(),
+        f"Largest correlation between two sticks of the card: {made.overlap:.2g}.",
         "## Standard errors", made.to_markdown(), "## Share of each limit", made.shares(),
         "## Correlated errors", "\n".join(close) or "None above 0.9.",
         *(blind if made.blind else []),

@@ -217,7 +217,8 @@ def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen
     known = np.where(before > 0, np.sqrt(np.diag(covariance(problem.known))), np.inf)
     made = Design(
         kind=chosen, inputs=model.inputs, outputs=model.outputs, t=t, r=r, u=seen.u, y=seen.y,
-        names=problem.frees[0].names, covariance=spread[chosen], before=known,
+        names=problem.frees[0].names, values=problem.frees[0].guess, covariance=spread[chosen],
+        before=known,
         alternatives=tuple(
             Alternative(name=name, std_errors=np.sqrt(np.diag(C))) for name, C in spread.items()
         ),

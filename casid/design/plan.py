@@ -192,8 +192,8 @@ class Design(Shown):
         The designed deviations of the sticks; what feedback does comes on top.
     u, y : (N, nu), (N, ny) array
         Sticks and outputs that the model predicts, without noise.
-    names : tuple of str
-        Free parameters.
+    names, values : tuple of str, (nf,) array
+        Free parameters and what is believed of them.
     covariance : (nf, nf) array
         Predicted, with what was known before.
     before : (nf,) array
@@ -225,6 +225,7 @@ class Design(Shown):
     u: Array
     y: Array
     names: tuple[str, ...]
+    values: Array
     covariance: Array
     before: Array
     alternatives: tuple[Alternative, ...]
@@ -306,10 +307,11 @@ class Design(Shown):
         return markdown_table(("input", "geometric mean", "worst", "of"), rows)
 
     def to_markdown(self) -> str:
-        """One row a parameter: standard error before, after a 3-2-1-1, after this."""
-        columns = (self.before, self.alternatives[0].std_errors, self.std_errors)
+        """One row a parameter: its value, standard error before, after 3-2-1-1, after this."""
+        columns = (self.values, self.before, self.alternatives[0].std_errors, self.std_errors)
         rows = [[name, *(f"{c[k]:.3g}" for c in columns)] for k, name in enumerate(self.names)]
-        return markdown_table(("parameter", "before", "with 3-2-1-1", "with this"), rows)
+        heading = ("parameter", "value", "std. error before", "with 3-2-1-1", "with this")
+        return markdown_table(heading, rows)
 
     def shares(self) -> str:
         """Share of each limit that is used, if the model is right and at worst, in Markdown."""
@@ -318,11 +320,22 @@ class Design(Shown):
             for name, share in self.used_at_worst.items()
         ]
         table = markdown_table(("limit", "used", "at worst"), rows)
-        return f"{table}\n\n{self.warning()}" if self.unheld else table
+        return "\n\n".join(filter(None, (table, self.on_the_card(), self.warning())))
+
+    def on_the_card(self) -> str:
+        """How far the card itself goes, if feedback moves the sticks beside it; else nothing."""
+        most = zip(self.inputs, np.abs(self.r).max(axis=0), np.abs(self.u).max(axis=0), strict=True)
+        told = [f"{name} {card:.3g} instead of {stick:.3g}" for name, card, stick in most]
+        if np.allclose(self.r, self.u):
+            return ""
+        return (
+            "limits are those of the sticks with feedback; the card, which feedback adds to, "
+            f"deviates from trim by {listed(told)} at most"
+        )
 
     def to_csv(self) -> str:
         """The card: time and designed stick deviations, one row a sample."""
-        rows = np.column_stack([self.t, self.r]).round(9).tolist()
+        rows = (np.column_stack([self.t, self.r]).round(9) + 0.0).tolist()  # no -0
         return csv_text(["t", *self.inputs], rows)
 
     def to_ardupilot(self, channels: Mapping[str, tuple[int, float]]) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import FormatStrFormatter
 
 from casid.channels import UNITS
 from casid.design.plan import Design
@@ -16,8 +17,9 @@ GREY = "#777777"
 def plot_card(axes: Sequence[Axes], design: Design) -> None:
     """Sticks and outputs that the model predicts, one axes a channel, with their limits."""
     for j, each in enumerate(axes[: len(design.inputs)]):
-        if not np.allclose(design.r, design.u):  # feedback adds to what is designed
-            each.plot(design.t, design.r[:, j], color=GREY, linestyle=":", label="designed")
+        if not np.allclose(design.r[:, j], design.u[:, j]):  # feedback adds to what is designed
+            label = "card, before feedback"
+            each.plot(design.t, design.r[:, j], color=GREY, linestyle=":", label=label)
             each.legend(loc="upper right", fontsize="xx-small")
     names, flown = (*design.inputs, *design.outputs), np.hstack([design.u, design.y])
     for each, name, signal in zip(axes, names, flown.T, strict=True):
@@ -36,7 +38,10 @@ def plot_errors(ax: Axes, design: Design) -> Axes:
         marker = "-" if k == 0 else "o"
         ax.plot(place, each.std_errors / usual, marker, color=COLOURS[k], label=each.name)
     ax.set_yscale("log")
+    for part in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
+        part(FormatStrFormatter("%.3g"))
     ax.set_ylabel("standard error over that of 3-2-1-1")
     ax.set_xticks(place, design.names, rotation=90)
-    ax.legend(fontsize="x-small")
+    many = len(design.alternatives)
+    ax.legend(fontsize="x-small", ncols=many, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     return ax

@@ -202,9 +202,10 @@ def _(value: Envelope) -> Cells:
 
 @cells.register
 def _(value: Design) -> Cells:
-    columns = (value.before, value.alternatives[0].std_errors, value.std_errors)
+    usual = value.alternatives[0].std_errors
+    columns = (value.values, value.before, usual, value.std_errors)
     rows = [[name, *(_short(c[k]) for c in columns)] for k, name in enumerate(value.names)]
-    return ("std. error of", "before", "with 3-2-1-1", "with this"), rows
+    return ("parameter", "value", "std. error before", "with 3-2-1-1", "with this"), rows
 
 
 @cells.register

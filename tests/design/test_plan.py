@@ -18,7 +18,8 @@ def design():
     return Design(
         kind="steps", inputs=("lat",), outputs=("p",), t=t, r=np.sin(t)[:, None],
         u=np.sin(t)[:, None], y=np.cos(t)[:, None], names=("Lp", "Llat"), covariance=C,
-        before=np.array([np.inf, 0.2]), used={"lat": 0.8}, used_at_worst={"lat": 1.0},
+        values=np.array([-2.0, 9.0]), before=np.array([np.inf, 0.2]),
+        used={"lat": 0.8}, used_at_worst={"lat": 1.0},
         instead=1260.0,
         alternatives=(
             Alternative(name="3-2-1-1", std_errors=np.array([1.0, 0.4])),
@@ -31,7 +32,7 @@ def test_it_says_what_it_buys(design):
     assert "0.35 times those of 3-2-1-1 (geometric mean), 0.5 at worst" in repr(design)
     assert "; 2.9 s of flight instead of 21 minutes" in repr(design)
     assert "| steps | 0.354 | 0.500 | Lp |" in design.comparison()
-    assert "| Llat | 0.2 | 0.4 | 0.1 |" in design.to_markdown()
+    assert "| Llat | 9 | 0.2 | 0.4 | 0.1 |" in design.to_markdown()
     assert "| lat | 80 % | 100 % |" in design.shares()
     assert design.correlated() == (("Lp", "Llat", pytest.approx(0.95)),)
 
@@ -41,6 +42,19 @@ def test_it_says_for_how_many_aircraft_its_limits_do_not_hold(design):
     some = replace(design, plausible=48, unheld=16)
     for said in (some.headline(), some.shares(), some.to_px4({"lat": ("y", 500.0)})):
         assert "16 of 48 plausible aircraft are not held by the feedback given: limits" in said
+
+
+def test_it_says_how_far_a_card_goes_that_feedback_adds_to(design):
+    assert "card" not in design.shares()
+    held = replace(design, r=2.0 * design.u)
+    assert "lat 2 instead of 1 at most" in held.shares()
+
+
+def test_what_is_not_told_is_left_out_and_what_no_3211_tells_is_said(design):
+    some = replace(design, untold=("Lp",), instead=np.inf)
+    assert "0.25 times those of 3-2-1-1 (geometric mean), 0.25 at worst (Llat)" in some.headline()
+    assert "for what no time of 3-2-1-1 tells; without Lp, which no input tells" in some.headline()
+    assert "| steps | 0.250 | 0.250 | Llat |" in some.comparison()
 
 
 def test_it_is_kept_and_read_back(design):

@@ -23,6 +23,7 @@ def design(feedback=0.0):
         u=WAVE,
         y=2 * WAVE,
         names=("Lp", "Llat"),
+        values=np.array([-2.0, 9.0]),
         covariance=np.diag(own**2),
         before=np.full(2, np.inf),
         alternatives=(
@@ -53,4 +54,4 @@ def test_errors_are_relative_to_those_of_the_usual_input():
 
 
 def test_a_designs_table_has_all_three_errors():
-    assert "| Llat | ∞ | 0.4 | 0.1 |".replace(" ", "") in summary(design()).replace(" ", "")
+    assert "| Llat | 9 | ∞ | 0.4 | 0.1 |".replace(" ", "") in summary(design()).replace(" ", "")

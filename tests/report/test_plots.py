@@ -73,8 +73,8 @@ def test_a_design_draws_its_errors_over_those_of_the_first_alternative():
     ways = {"3-2-1-1": errors, "steps": errors * [0.5, 0.2]}
     design = Design(
         kind="steps", inputs=("lat",), outputs=("p",), t=t, r=t[:, None], u=t[:, None],
-        y=t[:, None], names=("Lp", "Llat"), covariance=np.eye(2), before=errors, used={},
-        used_at_worst={},
+        y=t[:, None], names=("Lp", "Llat"), values=errors, covariance=np.eye(2), before=errors,
+        used={}, used_at_worst={},
         alternatives=tuple(Alternative(name=n, std_errors=e) for n, e in ways.items()),
     )  # fmt: skip
     ax = design.plot(errors=True)
@@ -88,12 +88,12 @@ def test_a_design_draws_sticks_and_outputs_with_their_limits():
     signal = np.sin(t)[:, None]
     design = Design(
         kind="steps", inputs=("lat",), outputs=("p",), t=t, r=0.5 * signal, u=signal, y=2 * signal,
-        names=("Lp",), covariance=np.eye(1), before=np.ones(1), alternatives=(), used={"p": 0.5},
-        used_at_worst={"p": 0.5},
+        names=("Lp",), values=np.ones(1), covariance=np.eye(1), before=np.ones(1), alternatives=(),
+        used={"p": 0.5}, used_at_worst={"p": 0.5},
     )  # fmt: skip
     axes = design.plot()
     labels = [line.get_label() for line in axes[0].lines]
-    assert "designed" in labels
+    assert "card, before feedback" in labels
     edges = [line.get_ydata()[0] for line in axes[1].lines if len(line.get_ydata()) == 2]
     np.testing.assert_allclose(edges, [-2 * 2 * signal.max(), 2 * 2 * signal.max()])
 
