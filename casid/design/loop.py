@@ -222,7 +222,7 @@ class Crowd:
     """Loops of models of which only sticks, outputs and states are asked, on one grid."""
 
     def __init__(self, loops: Sequence[Loop]) -> None:
-        self.N, self.count = loops[0].N, len(loops)
+        self._loops, self.N, self.count = loops, loops[0].N, len(loops)
         self._length = loops[0].length
         self._channels = loops[0].nu + loops[0].ny + loops[0].nx
         # Of all models side by side, (frequencies, M (nu + ny + nx), nu): one product each.
@@ -234,6 +234,10 @@ class Crowd:
         every = (self._spectra @ spectrum[:, :, None])[..., 0]
         flown = scipy.fft.irfft(every, self._length, axis=0)[: self.N]
         return np.moveaxis(flown.reshape(self.N, self.count, self._channels), 1, 0)
+
+    def some(self, models: np.ndarray) -> "Crowd":
+        """Those models alone."""
+        return Crowd([self._loops[k] for k in models])
 
     def impulses(self, model: int) -> Array:
         """Of one model, as `Loop.impulses`."""
