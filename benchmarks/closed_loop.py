@@ -54,9 +54,9 @@ def multi():
     return plant, gain, {"order": 5, "feedthrough": ["z"]}
 
 
-def record(plant, gain, noise, rng):
+def record(plant, gain, noise, rng, duration=DURATION):
     """One record of the loop."""
-    N, hold = int(DURATION / INTERVAL), 20
+    N, hold = int(duration / INTERVAL), 20
     reference = np.repeat(rng.choice([-1.0, 1.0], size=(N // hold, plant.nu)), hold, axis=0)
     A, B0, B1 = foh_step(plant.A, plant.B, INTERVAL)
     pole = np.exp(-INTERVAL / LAG)
