@@ -2,12 +2,12 @@
 
     python benchmarks/mutants.py [--count 400] [MODULE ...]     such as linear frequency
 
-mutmut (its settings stand in pyproject.toml) breaks one expression at a time and runs the tests of
-the package that reach it, or all that reach it where its own do not. What was done before is kept
-in mutants/ until the function changes, so a run may be stopped and started again; survivors are
-tried again, for there may be new tests. They are listed with their change; those that no test can
-tell from the original stand with the reason in mutants.toml beside this file. The table is written
-to docs/mutants.md.
+mutmut (its settings stand in pyproject.toml) breaks one expression at a time and runs tests that
+reach it: those of its module first, then of its package, then others, the quickest first, as far as
+half a minute goes. What was done before is kept in mutants/ until the function changes, so a run
+may be stopped and started again; survivors are tried again, for there may be new tests. They are
+listed with their change; those that no test can tell from the original stand with the reason in
+mutants.toml beside this file. The table is written to docs/mutants.md.
 """
 
 import argparse
@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tomllib
 from collections import Counter, defaultdict
+from itertools import accumulate
 from pathlib import Path
 
 from mutmut.stats import status_by_exit_code
@@ -26,14 +27,15 @@ ROOT = Path(__file__).parents[1]
 WORK = ROOT / "mutants"
 STATS = WORK / "mutmut-stats.json"
 SEED = "casid"
+SECONDS = 30.0  # of tests for a mutant
 PAGE = """# Do the tests notice?
 
 A fixed sample of {count} changes to the numerical packages, drawn by
 [mutmut](https://mutmut.readthedocs.io): an operator, a number, a condition or an argument at a
-time, each run against the tests of its package that take seconds at most. Functions with a
-decorator, messages of errors and what only logs are left out. Changes that no test can tell from
-the original stand with the reason in `benchmarks/mutants.toml` and are not counted. Made by
-`make mutants`.
+time, each run against half a minute of quick tests, those of its module and package first.
+Functions with a decorator, messages of errors and what only logs are left out. Changes that no test
+can tell from the original stand with the reason in `benchmarks/mutants.toml` and are not counted.
+Made by `make mutants`.
 
 | package | mutants | killed | survived | equivalent | share killed |
 |---|---|---|---|---|---|
@@ -68,14 +70,23 @@ def sample(names, count, modules):
     ]
 
 
-def keep_own_tests():
-    """Leave each function the tests of its package, if one of them reaches it."""
+def keep_closest_tests():
+    """Leave each function the tests that are closest to it, the quickest first."""
     stats = json.loads(STATS.read_text(encoding="utf-8"))
-    reached = stats["tests_by_mangled_function_name"]
+    reached, took = stats["tests_by_mangled_function_name"], stats["duration_by_test"]
     for function, tests in reached.items():
-        home = package(function)
-        own = [t for t in tests if t.startswith((f"tests/{home}/", f"tests/test_{home}.py"))]
-        reached[function] = own or tests
+        *folders, module = function.split(".")[1:-1]
+        places = (
+            "/".join(["tests", *folders, f"test_{module}.py"]),
+            "/".join(["tests", *folders, ""]),
+        )
+
+        def far(test, places=places):
+            return [not test.startswith(place) for place in places], took.get(test, 0.0)
+
+        near = sorted(tests, key=far)
+        spent = accumulate(took.get(test, 0.0) for test in near)
+        reached[function] = [t for t, s in zip(near, spent, strict=True) if s < SECONDS] or near[:1]
     STATS.write_text(json.dumps(stats), encoding="utf-8")
 
 
@@ -119,7 +130,7 @@ def main():
     # Writes the mutants and finds which tests reach what; "nothing matches" is the end of it.
     mutmut("run", "none", stderr=subprocess.DEVNULL)
     chosen = sample(results(), wanted.count, wanted.modules)
-    keep_own_tests()
+    keep_closest_tests()
     codes, alive = results(), {"not checked", "survived", "no tests"}
     left = [name for name in chosen if status_by_exit_code[codes[name]] in alive]
     if left:

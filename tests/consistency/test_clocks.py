@@ -5,8 +5,8 @@ import pytest
 from truths.flights import FORCES, NOISE, RATES, flight
 
 from casid import Record
-from casid.consistency.clocks import aligned, told
-from casid.consistency.kinematics import kinematic_check
+from casid.consistency.clocks import _fewer, aligned, told
+from casid.consistency.kinematics import KinematicCheck, kinematic_check
 
 OUTPUTS = (*RATES, *FORCES, "phi", "theta")
 
@@ -62,3 +62,11 @@ def test_pitch_attitude_that_was_not_recorded_is_told_or_widens_the_errors():
     assert given.skew == pytest.approx(-0.1, abs=4 * given.skew_error)
     assert plain.skew == pytest.approx(-0.1, abs=4 * plain.skew_error)
     assert plain.skew_error > 1.5 * given.skew_error
+
+
+def test_another_logger_moves_only_if_all_rates_are_late_by_as_much():
+    check, second = KinematicCheck(channels=(), residuals={}), ("phi", "theta")
+    first = ("p", "q", "r")
+    assert _fewer(check, dict.fromkeys(first, 0.1), first, second) == second
+    assert _fewer(check, {"p": 0.1, "q": 0.1}, first, second) == ()
+    assert _fewer(check, {"p": 0.1, "q": 0.1, "r": 0.2}, first, second) == ()
