@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 from scipy.spatial.transform import Rotation
 
-from casid.consistency.flightpath import _integral, _lever, _steady_gain, _terms
+from casid.consistency.flightpath import _integral, _lever, _steady_gain, _terms, reconstruct
 from casid.consistency.measured import Flight
 
 
@@ -63,3 +63,16 @@ def test_the_least_gain_is_that_of_a_filter_of_a_random_walk(ratio):
     one = np.ones((1, 1))
     (P,) = scipy.linalg.solve_discrete_are(one, one, ratio * one, one).ravel()
     assert _steady_gain(ratio) == pytest.approx(P / (P + 1), rel=1e-9)
+
+
+def test_what_flights_do_not_tell_stays_where_it_was_expected():
+    # A rate that stands still tells of its bias alone, and nothing of the accelerometers' place.
+    attitude = 1e-3 * np.random.default_rng(2).standard_normal(500)
+    found = reconstruct([Flight(0.02, 0, {"p": np.zeros(500), "phi": attitude})], ["phi"])
+    assert found.channels == ("p",)
+    (gain, bias, skew), errors = found.unknowns[0], found.errors[0]
+    assert (gain, skew) == pytest.approx((1.0, 0.0), abs=1e-6)
+    assert (errors[0], errors[2]) == pytest.approx((1.0, 0.1), rel=1e-3)
+    assert abs(bias) < 4 * errors[1] < 0.01
+    np.testing.assert_allclose(found.place, 0, atol=1e-6)
+    np.testing.assert_allclose(found.place_errors, 10.0, rtol=1e-3)
