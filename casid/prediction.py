@@ -53,6 +53,7 @@ class Prediction:
     b: Array  # (ny,) mean biases
     expected: Array  # (ny,) root mean square error that noise alone makes of predictions
     reached: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # if nonlinear
+    states: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (N, nx) if nonlinear, total
 
 
 def growth_rate(system: StateSpace) -> float:

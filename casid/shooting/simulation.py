@@ -114,6 +114,7 @@ def predict_nonlinear(
     y[:, mine], weight[mine] = total.y, 1 / scale[columns]
     whole = replace(total, y=y, outputs=model.outputs)
     found, biases, visited = np.full(record.y.shape, np.nan), [], []
+    inner = np.full((record.N, len(model.states)), np.nan)
     first: Array = np.zeros(0)
     for start, end in zip(far.starts or (-1,), (*far.starts[1:], record.N - 1), strict=True):
         begin = max(start - far.past, 0)
@@ -125,12 +126,13 @@ def predict_nonlinear(
         visited.append(reached(model, states, piece.u))
         first = first if len(first) else x0
         found[start + 1 : end + 1, columns] = outputs[start + 1 - begin :, mine]
+        inner[start + 1 : end + 1] = states[start + 1 - begin :]
         biases.append(bias)
     mean = np.full(record.ny, np.nan)
     mean[columns] = np.mean(biases, axis=0)[mine]
     trim = np.array([record.trim.get(name, 0.0) for name in record.outputs])
     unknown = np.full(record.ny, np.nan)
-    return Prediction(found - trim, first, mean, unknown, joined(visited))
+    return Prediction(found - trim, first, mean, unknown, joined(visited), inner)
 
 
 def _answer(

@@ -17,11 +17,13 @@ from casid.errors import DataWarning
 from casid.fit import Fit
 from casid.frequency.estimation import SpectralAnalysis
 from casid.frequency.response import FrequencyResponse
+from casid.linear import StateSpace
 from casid.nonlinear.model import NonlinearModel
 from casid.prediction import Outlook, outlook, predict
 from casid.record import Record
 from casid.records import standard_deviations
 from casid.report.content import Content, Section, section
+from casid.shooting.simulation import predict_nonlinear
 from casid.stages.stage import LeftOutError, Stage, Task
 from casid.validation import Validation, fit_percent, rms_error, state_space, theil_coefficient
 
@@ -50,7 +52,7 @@ def _states(task: Task) -> tuple[str, ...]:
     known = next((records[0].outputs for records in task.checks.values()), ())
     hidden = [name for name in task.model.states if name not in task.model.outputs]
     states = tuple(name for name in hidden if name in known)
-    if not states or isinstance(task.model, NonlinearModel):  # whose outputs are what one likes
+    if not states:
         raise LeftOutError
     return states
 
@@ -87,7 +89,21 @@ def _compared(settings: object, task: Task) -> MeasuredStates:  # noqa: ARG001 -
 
 def _simulated(fit: Fit[Any, Any], record: Record, flight: Record, far: Outlook) -> Array:
     """States (N, n) as the validation had them, constant biases against the measured removed."""
-    system = state_space(fit)
+    scale = standard_deviations([record])[1]
+    if isinstance(fit.model, NonlinearModel):
+        places = [fit.model.states.index(name) for name in flight.outputs]
+        y = predict_nonlinear(fit.model, record, scale, far).states[:, places]
+    else:
+        y = _linear_states(state_space(fit), record, flight, scale, far)
+    apart = flight.y - y
+    bias = [np.nanmean(e) if np.isfinite(e).any() else 0.0 for e in apart.T]
+    return np.asarray(y + bias)
+
+
+def _linear_states(
+    system: StateSpace, record: Record, flight: Record, scale: Array, far: Outlook
+) -> Array:
+    """States (N, n) of a linear model, as outputs that nothing measures beside its own."""
     extra = report.drawings.with_states(system, flight.outputs)
     both = replace(
         system,
@@ -98,11 +114,7 @@ def _simulated(fit: Fit[Any, Any], record: Record, flight: Record, far: Outlook)
     unseen = np.full(flight.y.shape, np.nan)  # only the outputs tell where the state begins
     names = (*record.outputs, *flight.outputs)
     whole = replace(record, y=np.hstack([record.y, unseen]), outputs=names)
-    scale = np.concatenate([standard_deviations([record])[1], np.ones(flight.ny)])
-    y = predict(both, whole, scale, far).y[:, record.ny :]
-    apart = flight.y - y
-    bias = [np.nanmean(e) if np.isfinite(e).any() else 0.0 for e in apart.T]
-    return np.asarray(y + bias)
+    return predict(both, whole, np.r_[scale, np.ones(flight.ny)], far).y[:, record.ny :]
 
 
 def _measures(

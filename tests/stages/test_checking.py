@@ -1,10 +1,15 @@
 """States measured beside the outputs: what the report shows of them, and what stays untouched."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from truths.roll_study import Truth, write_study
+from truths.swing import Swing
 
-from casid import read_records, read_study, run_study
+from casid import Record, read_records, read_study, run_study, simulate
+from casid.prediction import Outlook
+from casid.stages.checking import _simulated
 from casid.studies.study import read_flights
 
 SWEEPS = (
@@ -61,3 +66,24 @@ def test_a_measured_state_stands_beside_the_models(tmp_path):
 def test_without_check_channels_nothing_is_shown_of_states(tmp_path):
     outcome = run_study(read_study(write_study(tmp_path, SWEEPS, LINES)))
     assert not {"states", "checked"} & set(outcome.identification.results)
+
+
+class Blind(Swing):
+    """The pendulum of which the rate alone is measured."""
+
+    outputs = ("q",)
+
+
+@pytest.mark.parametrize(
+    "far", [Outlook(np.inf), Outlook(1.0, (20, 40, 60, 80), 20)], ids=["simulated", "predicted"]
+)
+def test_states_of_a_nonlinear_structure_are_those_it_moved_through(far):
+    t, start = 0.05 * np.arange(100), {"q": 0.2, "theta": 0.9}
+    still = Record(t, 0.8 * np.sin(t)[:, None], np.zeros((100, 0)), Swing.inputs, ())
+    both, record = simulate(Swing(), still, start), simulate(Blind(), still, start)
+    off = both.select(outputs=["theta"])
+    flight = Record(t, off.u, off.y + 0.3, off.inputs, off.outputs)  # a sensor's bias
+    y = _simulated(SimpleNamespace(model=Blind()), record, flight, far)
+    known = np.isfinite(y[:, 0])
+    assert known[21:].all()
+    np.testing.assert_allclose(y[known], flight.y[known], atol=2e-3)  # from q alone, to 1e-5 rad/s
