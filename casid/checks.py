@@ -50,8 +50,11 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(function)
     def careful(*args: P.args, **kwargs: P.kwargs) -> T:
-        given = signature.bind(*args, **kwargs).arguments
         hints, owner = _hints(function), function.__qualname__
+        try:
+            given = signature.bind(*args, **kwargs).arguments
+        except TypeError as error:
+            raise TypeError(f"{owner}: {error}; it takes {signature}") from error
         _check_kinds(owner, given, hints)
         _check_ranges(owner, given)
         return function(*args, **kwargs)

@@ -178,7 +178,7 @@ class Fit(Shown, Generic[M_co, N_co]):
     @classmethod
     @checked
     def load(cls, path: str | Path, *, model: type[M]) -> "Fit[M, Any]":
-        """Read what `save` wrote; ``model`` is the structure's class.
+        """Read what `save` wrote, or what a study left in ``stages``; ``model`` is the class.
 
         Files of version 0.1 are read too, without their notes.
 
@@ -188,8 +188,9 @@ class Fit(Shown, Generic[M_co, N_co]):
             Not a fit, or the fit of another structure.
         """
         content = read_json(path)
-        if content.get("casid") != "fit":
+        if not is_fit(content):
             raise ValueError(f"{path}: not a fit saved by casid")
+        content = content.get("result", {"fields": content})["fields"]
         try:
             read = _first_version if content.get("version") == 1 else _decoded
             found = read(content, model, path)
@@ -203,6 +204,14 @@ class Fit(Shown, Generic[M_co, N_co]):
 
 
 AnyFit: TypeAlias = Fit[Model, Any]
+
+
+def is_fit(content: Mapping[str, Any]) -> bool:
+    """Whether a file holds a fit: a saved one, or one that is the result of a study's stage."""
+    kept = content.get("result")
+    return content.get("casid") == "fit" or (isinstance(kept, dict) and kept.get("value") == "Fit")
+
+
 FLAGS = ("active", "fixed")
 NUMERIC = tuple(each.name for each in fields(ParameterEstimate) if each.type is float)
 

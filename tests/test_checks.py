@@ -142,3 +142,10 @@ def test_values_fit_annotations(value, hint, fitting):
 def test_public_functions_are_found_again_by_processes():
     assert pickle.loads(pickle.dumps(casid.output_error)) is casid.output_error
     assert inspect.signature(casid.pbsid).parameters["order"].default is None
+
+
+def test_an_argument_too_many_or_missing_is_told_with_the_function_and_what_it_takes():
+    with pytest.raises(
+        TypeError, match=r"^residuals: missing a required.*'records'; it takes \(mo"
+    ):
+        casid.residuals(Roll())

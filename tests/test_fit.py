@@ -30,7 +30,9 @@ from casid import (
 )
 from casid.fit import constraint_table, on_bounds, parameter_table
 from casid.free import free_parameters
+from casid.jobs.store import Done, Store
 from casid.matching.appraisal import Peak
+from casid.values import digest
 
 OLD = Path(__file__).parent / "data" / "fit_0_1.json"
 PEAK = Peak(source="box", omega=2.0, output="x", input="u")
@@ -137,6 +139,12 @@ def test_what_a_fit_lacks_stays_absent(tmp_path):
     again = Fit.load(tmp_path / "fit.json", model=Lag)
     assert (again.certificate, again.covariance, again.R) == (None, None, None)
     assert np.isnan(again.cost)
+
+
+def test_the_fit_that_a_study_keeps_is_read_as_a_saved_one(tmp_path):
+    Store(tmp_path).put("output_error", "key", Done(result=fit(), seconds=1.0))
+    again = Fit.load(tmp_path / "output_error.json", model=Lag)
+    assert digest(again) == digest(fit())
 
 
 def test_a_fit_of_another_structure_or_no_fit_is_refused(tmp_path):

@@ -23,7 +23,7 @@ from casid.exchange.equations import equations_of
 from casid.exchange.listing import write_equations
 from casid.exchange.standalone import write_module
 from casid.files import read_json
-from casid.fit import AnyFit, Fit
+from casid.fit import AnyFit, Fit, is_fit
 from casid.folder import check_target, spare
 from casid.frequency.response import FrequencyResponse
 from casid.jobs.origins import structure_files
@@ -34,7 +34,6 @@ from casid.structure.modelfile import load_model, locate_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
 from casid.validation import validate
-from casid.values import DAMAGED, decode
 
 
 def _names(_: click.Context, __: click.Parameter, value: str | None) -> tuple[str, ...]:
@@ -101,9 +100,8 @@ def convert(
 def _convert_result(
     source: Path, target: Path, structure: str | None, steps: tuple[float | None, int | None]
 ) -> str:
-    content = read_json(source)
-    if content.get("casid") != "fit":
-        response = _response(source, content)
+    if not is_fit(read_json(source)):
+        response = FrequencyResponse.load(source)
         formats.write_frequency(target, response)
         return f"{len(response.omega)} frequencies, {counted(len(response.outputs), 'output')}"
     fit = _load(source, structure)
@@ -128,22 +126,6 @@ def _convert_result(
         known = ".mat, .m, .py, .c or .fmu"
         raise ValueError(f"{target}: a fit becomes {known}, not {target.suffix!r}")
     return told
-
-
-def _response(source: Path, content: Mapping[str, Any]) -> FrequencyResponse:
-    """A response that was saved, or that a study left as the result of its stage."""
-    if content.get("casid") == "frequency response":
-        return FrequencyResponse.load(source)
-    try:
-        found = decode(content["result"])
-    except DAMAGED:
-        found = None
-    if not isinstance(found, FrequencyResponse):
-        raise ValueError(  # noqa: TRY004 - the file's fault
-            f"{source}: neither a fit nor a frequency response saved by casid; a study leaves "
-            "them in fit.json and stages/frequency.json"
-        )
-    return found
 
 
 def _load(source: Path, structure: str | None) -> AnyFit:

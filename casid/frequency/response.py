@@ -12,7 +12,7 @@ from casid.arrays import Array, ComplexArray
 from casid.display import Shown, listed
 from casid.files import read_json, write_json
 from casid.records import several
-from casid.values import DAMAGED, storable
+from casid.values import DAMAGED, decode, storable
 
 PAIRWISE = ("G", "coherence", "random_error", "leakage", "resolution")  # by pair
 CORRELATIONS = ("output_correlation", "input_correlation")
@@ -166,22 +166,32 @@ class FrequencyResponse(Shown):
 
     @classmethod
     def load(cls, path: str | Path) -> "FrequencyResponse":
-        """Read what `save` wrote.
+        """Read what `save` wrote, or what a study left in ``stages/frequency.json``.
 
         Raises
         ------
         ValueError
-            Not a saved frequency response, or a damaged one.
+            No frequency response, or a damaged one.
         """
         content = read_json(path)
-        if content.pop("casid", None) != "frequency response":
-            raise ValueError(f"{path}: not a frequency response saved by casid")
+        kind = content.pop("casid", None)
+        if kind not in ("frequency response", "result"):
+            raise ValueError(
+                f"{path}: not a frequency response saved by casid; a study leaves one in "
+                "stages/frequency.json"
+            )
         try:
-            return cls._from_content(content)
+            found = decode(content["result"]) if kind == "result" else cls._from_content(content)
         except DAMAGED as error:
             raise ValueError(
                 f"{path}: the frequency response in it is damaged ({error}); save it again"
             ) from error
+        if not isinstance(found, cls):
+            raise ValueError(  # noqa: TRY004 - the file's fault
+                f"{path}: a {type(found).__name__}, no frequency response; a study leaves that in "
+                "stages/frequency.json"
+            )
+        return found
 
     @classmethod
     def _from_content(cls, content: dict[str, Any]) -> "FrequencyResponse":

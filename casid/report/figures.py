@@ -80,6 +80,32 @@ def plot_magnitude(
     return ax
 
 
+def plot_magnitudes(
+    axes: Any,  # noqa: ANN401 - an array of Axes
+    channels: FrequencyResponse | StateSpace,
+    pairs: Sequence[tuple[str, str]],
+    omega: Array,
+    G: ComplexArray,
+    width: Array,
+    name: str,
+) -> Any:  # noqa: ANN401
+    """Draw magnitudes (K, ny, nu) with bands of a relative width, each pair on axes of its own."""
+    for ax, (output, channel) in zip(axes, pairs, strict=True):
+        place = slice(None), channels.outputs.index(output), channels.inputs.index(channel)
+        low, high = (decibel(G[place]) + decibel(1 + sign * width[place]) for sign in (-1, 1))
+        ax.fill_between(omega, low, high, color="#000000", alpha=0.15, linewidth=0)
+        plot_magnitude(ax, omega, G[place], name=name)
+        ax.set_title(f"{output} / {channel}", loc="left", fontsize=7)
+        ax.set_ylabel("")
+        frequency_axis(ax, omega[0], omega[-1])
+    grid = axes.reshape(-1, len({channel for _, channel in pairs}))
+    for ax in grid[:, 0]:
+        ax.set_ylabel("[dB]")
+    for ax in grid[-1]:
+        ax.set_xlabel("ω [rad/s]")
+    return axes
+
+
 def plot_phase(
     ax: Axes,
     omega: Array,

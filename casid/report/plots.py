@@ -3,6 +3,7 @@
 Everything is drawn by the ``plot_*`` functions of `casid.report.figures`; here are the sheets.
 """
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import singledispatch
@@ -14,7 +15,6 @@ import scipy
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 
-from casid.arrays import Array
 from casid.bands import ResponseBand
 from casid.bounds.compare import BoundsComparison
 from casid.bounds.profiles import Profile
@@ -131,12 +131,10 @@ def _(value: FrequencyResponse, ax: Any, pair: tuple[str, str] | None = None) ->
     if pair is not None:
         return _pair(value, {}, pair, ax)
     axes = _axes(ax, len(value.outputs), len(value.inputs), height=1.2)
-    for each, (output, channel) in zip(axes, _pairs(value), strict=True):
-        i, j = value.index(output, channel)
-        G, width = value.G[:, i, j], np.minimum(2 * value.error[:, i, j], 0.99)
-        _band(each, value.omega, G, width)
-        figures.plot_magnitude(each, value.omega, G, name=figures.MEASURED)
-        _title(each, output, channel, value.omega)
+    width = np.minimum(2 * value.error, 0.99)
+    figures.plot_magnitudes(
+        axes, value, _pairs(value), value.omega, value.G, width, figures.MEASURED
+    )
     return _same(ax, axes)
 
 
@@ -147,15 +145,11 @@ def _(value: BlackBox, ax: Any, pair: tuple[str, str] | None = None) -> Any:  # 
     spread = np.zeros(G.shape)
     if value.uncertainty is not None:
         spread = np.minimum(2 * value.response_std(omega)[0], 0.99)
-    pairs = [(pair[0], pair[1])] if pair else _pairs(system)
+    pairs = [pair] if pair else _pairs(system)
+    _known([*itertools.chain(*pairs)], (*system.outputs, *system.inputs))
     shape = (1, 1) if pair else (len(system.outputs), len(system.inputs))
     axes = _axes(ax, *shape, height=1.2 if not pair else 2.4)
-    for each, (output, channel) in zip(axes, pairs, strict=True):
-        _known((output, channel), (*system.outputs, *system.inputs))
-        i, j = system.outputs.index(output), system.inputs.index(channel)
-        _band(each, omega, G[:, i, j], spread[:, i, j])
-        figures.plot_magnitude(each, omega, G[:, i, j], name=BLACK_BOX)
-        _title(each, output, channel, omega)
+    figures.plot_magnitudes(axes, system, pairs, omega, G, spread, BLACK_BOX)
     return _same(ax, axes)
 
 
@@ -241,7 +235,7 @@ def _(value: Residuals, ax: Any) -> Any:  # noqa: ANN401
             each.plot(value.lag, curve, color="#0072B2")
             each.axhspan(-band, band, **look)
         row[0].set_ylabel(value.outputs[i])
-        row[0].set_ylim(-0.3, 1.05)
+        row[0].set_ylim(1.05 * float(np.nanmin(value.auto[:, i], initial=-0.3)), 1.05)
     for each, name in zip(grid[0], ("autocorrelation", *value.inputs), strict=True):
         each.set_title(name, loc="left")
     for each in grid[-1]:
@@ -335,7 +329,7 @@ def _histories(found: Validation, channels: Sequence[str], ax: Any) -> Any:  # n
             drawn = {model: y[k][:, i] for model, y in found.simulated.items()}
             figures.plot_history(each, record.t, record.y[:, i], drawn, channel=name)
             good = [f"{model} {found.fit[model][k, i]:.3g} %" for model in drawn]
-            each.legend(["measured", *good], loc="upper right", fontsize="xx-small", ncols=2)
+            each.legend(["measured", *good], loc="upper right", fontsize="x-small", ncols=2)
         grid[0, k].set_title(record.name, loc="left")
         grid[-1, k].set_xlabel("t [s]")
     return _same(ax, axes)
@@ -381,18 +375,6 @@ def _clearest(data: FrequencyResponse) -> tuple[str, str]:
     mean = np.nanmean(data.coherence, axis=0)
     i, j = np.unravel_index(np.argmax(mean), mean.shape)
     return data.outputs[int(i)], data.inputs[int(j)]
-
-
-def _band(ax: Axes, omega: Array, G: Any, width: Array) -> None:  # noqa: ANN401
-    """Two standard deviations around a magnitude."""
-    low, high = (figures.decibel(G) + figures.decibel(1 + sign * width) for sign in (-1, 1))
-    ax.fill_between(omega, low, high, color="#000000", alpha=0.15, linewidth=0)
-
-
-def _title(ax: Axes, output: str, channel: str, omega: Array) -> None:
-    ax.set_title(f"{output} / {channel}", loc="left", fontsize=7)
-    ax.set_ylabel("")
-    figures.frequency_axis(ax, omega[0], omega[-1])
 
 
 def _unit(fit: Any, name: str) -> str:  # noqa: ANN401

@@ -42,7 +42,7 @@ def plot_bounds(ax: Axes, comparison: BoundsComparison, *, rows: int = 16) -> Ax
         sizes.append(f"{size:.3g}")
     for k, case in enumerate(shown):
         ax.plot([], [], "o", color=COLOURS[k % len(COLOURS)], markersize=4, label=case.name)
-    _decorate(ax, labels, sizes, "largest value")
+    _decorate(ax, labels, sizes, "largest value", "largest value")
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
     return ax
 
@@ -53,7 +53,8 @@ def plot_parameters(ax: Axes, rows: Sequence[ParameterEstimate]) -> Axes:
     for y, (row, size) in enumerate(zip(rows, sizes, strict=True)):
         _draw_one(ax, row, y, 0.6, size, "#D55E00" if row.active else "#0072B2")
     labels = [f"{row.name} [{row.unit}]" for row in rows]
-    _decorate(ax, labels, [f"{row.value:.3g}" for row in rows], "value")
+    values = [f"{row.value:.3g}" for row in rows]
+    _decorate(ax, labels, values, "larger of value and standard error", "value")
     return ax
 
 
@@ -73,14 +74,17 @@ def _draw_one(
     ax.plot(row.value / size, y, "o", color=colour, markerfacecolor=face, markersize=4)
 
 
-def _decorate(ax: Axes, labels: Sequence[str], sizes: Sequence[str], what: str) -> None:
+def _decorate(
+    ax: Axes, labels: Sequence[str], told: Sequence[str], size: str, right_label: str
+) -> None:
+    """Name the rows at the left, with a number each at the right, and what values are over."""
     ax.set_yticks(range(len(labels)), labels)
-    ax.set(xlim=(-REACH, REACH), ylim=(len(labels) - 0.4, -0.6), xlabel=f"value / {what} [-]")
+    ax.set(xlim=(-REACH, REACH), ylim=(len(labels) - 0.4, -0.6), xlabel=f"value / {size} [-]")
     ax.axvline(0, color="#777777", linewidth=0.8, zorder=0)
     ax.grid(visible=False, axis="y")
     for y in range(1, len(labels)):
         ax.axhline(y - 0.5, color="#e4e4e4", linewidth=0.5, zorder=0)
     right = ax.secondary_yaxis("right")
-    right.yaxis.set_major_locator(FixedLocator(list(range(len(sizes)))))
-    right.set_yticklabels(list(sizes))
-    right.set_ylabel(what)
+    right.yaxis.set_major_locator(FixedLocator(list(range(len(told)))))
+    right.set_yticklabels(list(told))
+    right.set_ylabel(right_label)

@@ -8,7 +8,6 @@ from typing import Any
 
 from casid.errors import DataWarning
 from casid.exchange.formats import read_table
-from casid.files import read_json
 from casid.frequency.estimation import SpectralAnalysis
 from casid.frequency.response import FrequencyResponse
 from casid.frequency.responses import read_frequency_csv
@@ -17,7 +16,6 @@ from casid.shooting.measured import check_responses
 from casid.stages.refinement import OUTPUT_ERROR
 from casid.stages.stage import Role, Task, placed, records_of
 from casid.tables import Table
-from casid.values import decode
 
 MEASURED: Role = "frequency"  # the response of the records of that role
 KINDS = ("dB", "deg", "coherence", "error")  # columns of a pair in a table of casid's
@@ -41,19 +39,7 @@ def _read(file: Path, model: Model) -> FrequencyResponse:
         )
     if file.suffix.lower() == ".csv":
         return _table(file, model)
-    content = read_json(file)
-    if content.get("casid") != "result":
-        return FrequencyResponse.load(file)
-    try:
-        found = decode(content["result"])
-    except (KeyError, TypeError, ValueError, AttributeError):
-        found = None
-    if not isinstance(found, FrequencyResponse):
-        raise ValueError(  # noqa: TRY004 - bad input
-            f"responses: {file} is the result of a stage, but no frequency response; name "
-            "stages/frequency.json"
-        )
-    return found
+    return FrequencyResponse.load(file)
 
 
 def _table(file: Path, model: Model) -> FrequencyResponse:

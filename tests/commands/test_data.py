@@ -126,7 +126,10 @@ CONVERT_MISTAKES = {
     ),
     "C without an interval": (("fit.json", "m.c", "--model", "roll.py:Roll"), ("--dt 0.02",)),
     "a response as a module": (("frf.json", "m.py"), ("unknown suffix '.py'",)),
-    "JSON of another kind": (("other.json", "m.mat"), ("neither a fit nor",)),
+    "JSON of another kind": (
+        ("other.json", "m.mat"),
+        ("not a frequency response", "leaves one in"),
+    ),
     "a file cut by semicolons": (("semi.csv", "a.mat"), ("separated by ';'", "commas")),
     "a file without header": (("bare.csv", "a.mat"), ("begins with numbers", "first line")),
     "a file that is not there": (("nothing.csv", "a.mat"), ("nothing.csv",)),

@@ -103,5 +103,5 @@ def test_responses_of_other_channels_and_no_responses_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"\[output_error\].*alien|no pair of r and ped|states no"):
         read_study(write_study(tmp_path, asked('["alien.json"]', "")))
     (tmp_path / "alien.json").write_text('{"casid": "result", "result": {"tuple": []}}')
-    with pytest.raises(ValueError, match="result of a stage, but no frequency response"):
+    with pytest.raises(ValueError, match="no frequency response; a study leaves that"):
         read_study(write_study(tmp_path, asked('["alien.json"]', "")))
