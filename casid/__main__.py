@@ -1,12 +1,17 @@
 """The command ``casid``: Ctrl-C is caught before anything that takes time is imported."""
 
+import io
 import signal
+import sys
 
 from casid.interrupts import INTERRUPTED, Interrupt, end_interrupted
 
 
 def main() -> None:
     """Run the command line; an interruption at any moment is one line and an exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # of a console that knows no ± or σ
     interrupt = Interrupt()
     signal.signal(signal.SIGINT, interrupt)
     try:
