@@ -65,11 +65,13 @@ class LocalResponse:
 def local_response(records: Sequence[Record], omega: Array) -> LocalResponse | None:
     """Response at frequencies (K,) [rad/s] of equidistant records, all of whose channels move.
 
-    None where a record lacks a channel.
+    None where a record lacks a channel, or losses leave no stretch at some frequency.
     """
     if any(np.isnan(record.y).all(axis=0).any() for record in records):
         return None
     lines = _lines_at(records, omega)
+    if not all(lines):
+        return None
     G, error, half, outputs, inputs = _at_all(lines, omega, WIDE)
     other, coarse, *_ = _at_all(lines, omega, NARROW)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -101,10 +103,18 @@ def _lines_at(records: Sequence[Record], omega: Array) -> list[Sequence[Lines]]:
 
 
 def _gaps(lost: BoolArray, longest: float) -> NDArray[np.intp]:
-    """First samples, and those after the last, of losses longer than so many (gaps, 2)."""
-    gone = lost.any(axis=1).astype(int)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], gone, [0]]))).reshape(-1, 2)
-    return edges[edges[:, 1] - edges[:, 0] > longest]
+    """First samples, and those after the last, of losses of a channel longer than so many (, 2)."""
+    gone = np.zeros(len(lost), dtype=bool)
+    for column in lost.T:  # slower channels need not have a sample in common
+        for start, end in _runs(column):
+            gone[start:end] |= end - start > longest
+    return _runs(gone)
+
+
+def _runs(lost: BoolArray) -> NDArray[np.intp]:
+    """First samples of runs, and those after the last (n, 2)."""
+    padded = np.concatenate([[0], lost.astype(int), [0]])
+    return np.flatnonzero(np.diff(padded)).reshape(-1, 2)
 
 
 def _between(record: Record, gaps: NDArray[np.intp]) -> list[Record]:

@@ -125,6 +125,24 @@ def test_long_losses_part_a_record_and_short_ones_do_not():
     assert np.abs(found.G / LAG.response(omega) - 1).max() < 0.05
 
 
+def test_channels_whose_samples_never_coincide_are_one_record():
+    record = white(TWO, np.random.default_rng(2), duration=60.0)
+    k, y = np.arange(record.N), record.y.copy()
+    y[k % 2 == 0, 0], y[k % 4 != 0, 1] = np.nan, np.nan
+    omega, slower = np.array([0.5, 3.0]), dataclasses.replace(record, y=y)
+    assert np.isnan(y).any(axis=1).all()
+    assert [len(each) for each in _lines_at([slower], omega)] == [1, 1]
+    both = [local_response([each], omega) for each in (record, slower)]
+    np.testing.assert_allclose(both[1].G, both[0].G, rtol=0.05, atol=0.01)
+
+
+def test_there_is_none_where_losses_leave_nothing():
+    record = white(TWO, np.random.default_rng(2), duration=60.0)
+    y = record.y.copy()
+    y[2:-2, 0] = np.nan
+    assert local_response([dataclasses.replace(record, y=y)], np.array([3.0])) is None
+
+
 def test_there_is_none_where_a_record_lacks_a_channel():
     rng = np.random.default_rng(3)
     whole, lacking = (white(TWO, rng, noise=0.1, duration=200.0, name=n) for n in ("a", "b"))
