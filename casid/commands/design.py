@@ -252,9 +252,10 @@ def _say(console: Console, made: Design) -> None:
 def _page(made: Design) -> str:
     close = [f"- {a} and {b}: {c:+.2f}" for a, b, c in made.correlated()]
     blind = ["## Not told apart", "\n".join(f"- {line}" for line in made.blind)]
+    overlap = [made.overlap] if len(made.inputs) > 1 else []
     parts = [
         f"# {made.headline()}", "## What could be flown", made.comparison(),
-        f"Largest correlation between two sticks of the card: {made.overlap:.2g}.",
+        *(f"Largest correlation between two sticks of the card: {x:.2g}." for x in overlap),
         "## Standard errors", made.to_markdown(), "## Share of each limit", made.shares(),
         "## Correlated errors", "\n".join(close) or "None above 0.9.",
         *(blind if made.blind else []),

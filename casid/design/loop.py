@@ -19,6 +19,7 @@ loop, and the derivatives of any criterion of F by r come from one recursion bac
 """
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -222,7 +223,7 @@ class Crowd:
     """Loops of models of which only sticks, outputs and states are asked, on one grid."""
 
     def __init__(self, loops: Sequence[Loop]) -> None:
-        self._loops, self.N, self.count = loops, loops[0].N, len(loops)
+        self.N, self.count = loops[0].N, len(loops)
         self._length = loops[0].length
         self._channels = loops[0].nu + loops[0].ny + loops[0].nx
         # Of all models side by side, (frequencies, M (nu + ny + nx), nu): one product each.
@@ -237,7 +238,10 @@ class Crowd:
 
     def some(self, models: np.ndarray) -> "Crowd":
         """Those models alone."""
-        return Crowd([self._loops[k] for k in models])
+        every, chosen = self._spectra.reshape(len(self._spectra), self.count, -1), copy(self)
+        chosen.count, some = len(models), every[:, models]
+        chosen._spectra = some.reshape(len(some), -1, self._spectra.shape[2])
+        return chosen
 
     def impulses(self, model: int) -> Array:
         """Of one model, as `Loop.impulses`."""

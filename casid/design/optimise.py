@@ -27,7 +27,7 @@ from casid.design.criterion import Goal
 from casid.design.loop import Crowd, Loop
 from casid.design.shapes import Shape
 
-POWERS = (16, 64, 64)  # p, one after the other, a third of the iterations each; powers of two
+POWERS = (16, 32, 64, 128, 256)  # p, one after the other; powers of two
 MEMORY = 20  # of L-BFGS
 TRIES = 3  # evaluations an iteration, on average, after which it gives up
 KEPT = 0.9  # share of the other models, and of the judges, with which limits are kept

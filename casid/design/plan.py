@@ -96,7 +96,8 @@ class DesignSettings:
     spread : float or None
         Relative error of the prior that limits are to be kept with; 0.2 unless given.
     draws : int
-        Models drawn from the prior that the optimisation keeps within limits; as many judge it.
+        Models drawn from the prior that the optimisation keeps within limits; three times as many
+        judge it.
     """
 
     method: Method = "best"
@@ -109,7 +110,7 @@ class DesignSettings:
     step: float | None = None
     unit: float | None = None
     rest: float = 2.0
-    iterations: int = 150
+    iterations: int = 200
     seed: int = 0
     spread: float | None = None
     draws: int = 24
@@ -324,13 +325,13 @@ class Design(Shown):
 
     def on_the_card(self) -> str:
         """How far the card itself goes, if feedback moves the sticks beside it; else nothing."""
-        most = zip(self.inputs, np.abs(self.r).max(axis=0), np.abs(self.u).max(axis=0), strict=True)
-        told = [f"{name} {card:.3g} instead of {stick:.3g}" for name, card, stick in most]
         if np.allclose(self.r, self.u):
             return ""
+        most = zip(self.inputs, np.abs(self.r).max(axis=0), np.abs(self.u).max(axis=0), strict=True)
+        told = [f"{name} {card:.3g} instead of {stick:.3g}" for name, card, stick in most]
         return (
-            "limits are those of the sticks with feedback; the card, which feedback adds to, "
-            f"deviates from trim by {listed(told)} at most"
+            "Limits are those of the sticks with feedback; the card, which feedback adds to, "
+            f"deviates from trim by {listed(told)} at most."
         )
 
     def to_csv(self) -> str:

@@ -77,7 +77,10 @@ def _condition(model: NonlinearModel, trim: Trim | Mapping[str, float] | None) -
     x, u = model.operating_point()
     usual = dict(zip((*model.states, *model.inputs), (*x, *u), strict=True))
     given = trim if isinstance(trim, Trim) else Trim(values=trim or {})
-    return replace(given, values=usual | dict(given.values))
+    values = usual | dict(given.values)
+    if lost := [name for name, value in values.items() if not np.isfinite(value)]:
+        raise ValueError(f"the trim has {lost[0]} = {values[lost[0]]}; expected a finite number")
+    return replace(given, values=values)
 
 
 def as_fitted(settings: DesignSettings, fit: AnyFit | None) -> DesignSettings:

@@ -12,12 +12,14 @@ from casid.design.loop import Feedback, Loop, UnheldError
 from casid.design.optimise import Task
 from casid.design.plan import DesignSettings, Limits
 from casid.design.prior import FITTED, GUESSED, inside, known_before, noise_of, possible
+from casid.display import counted
 from casid.fit import AnyFit
 from casid.free import Free, free_parameters
 from casid.model import Model
 
 FEWEST = 50  # samples a stick
 MOST = 100_000  # samples of a manoeuvre
+JUDGES = 3  # models that judge, for each that the optimisation keeps within limits
 COARSE = 800  # samples on which inputs are optimised
 FINEST = 6.0  # samples of them in a period of the band's upper edge, at least
 
@@ -51,16 +53,17 @@ class Problem:
 
         Those that the feedback does not hold, with which nothing keeps the limits, are left out.
         """
+        count = (1 + JUDGES) * self.settings.draws
         settings, free, nu = self.settings, self.frees[0], len(self.frees[0].model.inputs)
         if not self.feedback and not np.isfinite(self.limits[2 * nu :]).any():
             return []
         made, N = [], round(self.duration / h) + 1
-        for each in possible(free, self.known, self.spread, 2 * settings.draws, settings.seed):
+        for each in possible(free, self.known, self.spread, count, settings.seed):
             with suppress(UnheldError):
                 made.append(Loop(each, self.feedback, self.R, h=h, N=N))
         if settings.draws and not made:
             raise ValueError(
-                f"none of {2 * settings.draws} plausible aircraft, which are {self.spread:.0%} off "
+                f"none of {count} plausible aircraft, which are {self.spread:.0%} off "
                 "the model, is held by the feedback given: give one that holds them, a smaller "
                 "spread if the model is known better, or draws = 0, without a margin"
             )
@@ -121,7 +124,8 @@ def problem_of(
     if duration - settings.rest < (least := FEWEST * settings.dt * len(structure.inputs)):
         raise ValueError(
             f"{duration:g} s less {settings.rest:g} s of rest are too short for "
-            f"{len(structure.inputs)} inputs: fly longer, {settings.rest + least:.3g} s at least"
+            f"{counted(len(structure.inputs), 'input')}: fly longer, "
+            f"{settings.rest + least:.3g} s at least"
         )
     return Problem(
         frees=(free,), R=noise_of(structure, fit, noise), known=known_before(free, fit),
