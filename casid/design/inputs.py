@@ -8,13 +8,13 @@ import numpy as np
 from casid.arrays import Array
 from casid.design import signals
 from casid.design.criterion import as_long, covariance
-from casid.design.loop import Crowd, Feedback, Loop, gains
+from casid.design.loop import Crowd, Feedback, gains
 from casid.design.multisine import best_powers, schroeder, shared_out, unit_information
 from casid.design.optimise import Task, improved
 from casid.design.phases import least_peak
 from casid.design.plan import Alternative, Design, DesignSettings, Limits
 from casid.design.prior import as_fitted, check_balance, linear_at, without_effect
-from casid.design.problem import JUDGES, Problem, free_of, problem_of
+from casid.design.problem import Problem, free_of, problem_of
 from casid.design.shapes import Steps, Waves
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit, Fit
@@ -91,7 +91,8 @@ def design_inputs(
     problem = replace(problem, frees=(*problem.frees, *believed), feedback=feedback or {})
     rough = problem.task(h := problem.coarse())
     drawn = problem.drawn(h)
-    rough = _watched(rough, drawn)
+    if drawn:
+        rough = replace(rough, others=Crowd(drawn[::2]), judges=Crowd(drawn[1::2] or drawn))
     flown = _baselines(problem, rough)
     once = _as_large(rough, _turns(problem, rough, often=False))
     # What slow parameters cost counts: the scale is one 3-2-1-1 an axis, with long rests.
@@ -106,16 +107,8 @@ def design_inputs(
     chosen = min(list(flown)[2:], key=lambda name: task.value(flown[name]))
     made = _predicted(problem, task, flown, chosen)
     blind = [f"{name}: no effect on the linearisation at the trim" for name in unfelt]
-    count = (1 + JUDGES) * settings.draws if drawn else 0
+    count = 2 * settings.draws if drawn else 0
     return replace(made, plausible=count, unheld=count - len(drawn), blind=(*made.blind, *blind))
-
-
-def _watched(task: Task, drawn: Sequence[Loop]) -> Task:
-    """The task with models drawn from the prior: some keep limits, the rest, unseen, judge."""
-    if not drawn:
-        return task
-    judges = [each for k, each in enumerate(drawn) if k % (1 + JUDGES)]
-    return replace(task, others=Crowd(drawn[:: 1 + JUDGES]), judges=Crowd(judges or drawn))
 
 
 def _instants(task: Task) -> Array:

@@ -19,7 +19,6 @@ loop, and the derivatives of any criterion of F by r come from one recursion bac
 """
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -235,13 +234,6 @@ class Crowd:
         every = (self._spectra @ spectrum[:, :, None])[..., 0]
         flown = scipy.fft.irfft(every, self._length, axis=0)[: self.N]
         return np.moveaxis(flown.reshape(self.N, self.count, self._channels), 1, 0)
-
-    def some(self, models: np.ndarray) -> "Crowd":
-        """Those models alone."""
-        every, chosen = self._spectra.reshape(len(self._spectra), self.count, -1), copy(self)
-        chosen.count, some = len(models), every[:, models]
-        chosen._spectra = some.reshape(len(some), -1, self._spectra.shape[2])
-        return chosen
 
     def impulses(self, model: int) -> Array:
         """Of one model, as `Loop.impulses`."""

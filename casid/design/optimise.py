@@ -7,16 +7,14 @@ all limits and has standard errors s times as large. What is minimised is theref
     mean of ½ ln Φ(F(r)) over the models + ln s,
 
 in which the scale of r does not matter once a limit is reached. The limits are also those of other
-models, of which nothing else is asked, and of which one in ten may exceed them: these are left out
-after the first iterations (M. C. Campi, S. Garatti, Journal of Optimization Theory and Applications
-148, 2011: sampling and discarding). s, smooth, is (1 + Σ ratioᵖ)^(1/p),
+models, of which nothing else is asked. s, smooth, is (1 + Σ ratioᵖ)^(1/p),
 p rising; the last word has the largest ratio itself. It is not convex: the start decides which
 optimum is found. L-BFGS with exact derivatives takes it; IPOPT, tried on the same programme and
 with the limits as constraints, was slower and found worse.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,10 +25,10 @@ from casid.design.criterion import Goal
 from casid.design.loop import Crowd, Loop
 from casid.design.shapes import Shape
 
-POWERS = (16, 32, 64, 128, 256)  # p, one after the other; powers of two
+POWERS = (16, 64, 64)  # p, one after the other, a third of the iterations each; powers of two
 MEMORY = 20  # of L-BFGS
 TRIES = 3  # evaluations an iteration, on average, after which it gives up
-KEPT = 0.9  # share of the other models, and of the judges, with which limits are kept
+KEPT = 0.9  # share of the judges with which limits are kept
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,20 +70,16 @@ class Task:
     def peaks(self, r: Array) -> Array:
         """Largest shares of the limits (2 nu + ny + nx,) over all models.
 
-        Of the others and of the judges it is what all but one in ten keep.
+        Of the judges it is what all but one in ten keep.
         """
         every = [np.abs(self.shares(loop.fly(r).signals)).max(axis=0) for loop in self.loops]
-        for crowd in filter(None, (self.others, self.judges)):
-            found = np.abs(self.shares(crowd.fly(r))).max(axis=1)
-            every.extend(found[_most(found)])
+        if self.others:
+            every.extend(np.abs(self.shares(self.others.fly(r))).max(axis=1))
+        if self.judges:
+            found = np.abs(self.shares(self.judges.fly(r))).max(axis=1)
+            hardest = found.max(axis=1)
+            every.extend(found[hardest <= np.quantile(hardest, KEPT)])
         return np.asarray(np.max(every, axis=0))
-
-    def discarding(self, r: Array) -> "Task":
-        """The same without the other models that are hardest to keep within limits after r."""
-        if not self.others:
-            return self
-        found = np.abs(self.shares(self.others.fly(r))).max(axis=1)
-        return replace(self, others=self.others.some(np.flatnonzero(_most(found))))
 
     def within(self, r: Array) -> Array:
         """The same input as large as the limits let it be."""
@@ -153,12 +147,6 @@ class Task:
         return float(value), slope
 
 
-def _most(shares: Array) -> np.ndarray:
-    """Which models (M,) are not among the tenth that reaches most of any limit, of (M, n)."""
-    hardest = shares.max(axis=1)
-    return np.asarray(hardest <= np.quantile(hardest, KEPT))
-
-
 def _powers(share: Array, p: int) -> tuple[Array, Array]:
     """Shares to the p, a power of two, and to the p - 1: squared, which is faster than a power."""
     power, lower = share, np.ones_like(share)
@@ -180,10 +168,8 @@ def improved(task: Task, shapes: Sequence[Shape], iterations: int) -> Array:
         parts = zip(shapes, np.split(x, cut), strict=True)
         return np.stack([shape.signal(part) for shape, part in parts], axis=1)
 
-    asked = task
-
     def judged(x: Array, p: int) -> tuple[float, Array]:
-        value, slope = asked.slope(signal(x), p)
+        value, slope = task.slope(signal(x), p)
         parts = zip(shapes, np.split(x, cut), slope.T, strict=True)
         return value, np.concatenate([shape.pulled_back(part, row) for shape, part, row in parts])
 
@@ -200,7 +186,6 @@ def improved(task: Task, shapes: Sequence[Shape], iterations: int) -> Array:
             objective, x, args=(p,), jac=True, method="L-BFGS-B", bounds=bounds, options=options
         )
         x = result.x
-        asked = task.discarding(signal(x))
         found = task.within(signal(x))
         value = task.value(found)
         if value < least:

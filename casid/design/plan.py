@@ -96,8 +96,7 @@ class DesignSettings:
     spread : float or None
         Relative error of the prior that limits are to be kept with; 0.2 unless given.
     draws : int
-        Models drawn from the prior that the optimisation keeps within limits; three times as many
-        judge it.
+        Models drawn from the prior that the optimisation keeps within limits; as many judge it.
     """
 
     method: Method = "best"
@@ -110,7 +109,7 @@ class DesignSettings:
     step: float | None = None
     unit: float | None = None
     rest: float = 2.0
-    iterations: int = 200
+    iterations: int = 150
     seed: int = 0
     spread: float | None = None
     draws: int = 24

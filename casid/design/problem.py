@@ -19,7 +19,6 @@ from casid.model import Model
 
 FEWEST = 50  # samples a stick
 MOST = 100_000  # samples of a manoeuvre
-JUDGES = 3  # models that judge, for each that the optimisation keeps within limits
 COARSE = 800  # samples on which inputs are optimised
 FINEST = 6.0  # samples of them in a period of the band's upper edge, at least
 
@@ -53,17 +52,16 @@ class Problem:
 
         Those that the feedback does not hold, with which nothing keeps the limits, are left out.
         """
-        count = (1 + JUDGES) * self.settings.draws
         settings, free, nu = self.settings, self.frees[0], len(self.frees[0].model.inputs)
         if not self.feedback and not np.isfinite(self.limits[2 * nu :]).any():
             return []
         made, N = [], round(self.duration / h) + 1
-        for each in possible(free, self.known, self.spread, count, settings.seed):
+        for each in possible(free, self.known, self.spread, 2 * settings.draws, settings.seed):
             with suppress(UnheldError):
                 made.append(Loop(each, self.feedback, self.R, h=h, N=N))
         if settings.draws and not made:
             raise ValueError(
-                f"none of {count} plausible aircraft, which are {self.spread:.0%} off "
+                f"none of {2 * settings.draws} plausible aircraft, which are {self.spread:.0%} off "
                 "the model, is held by the feedback given: give one that holds them, a smaller "
                 "spread if the model is known better, or draws = 0, without a margin"
             )

@@ -62,18 +62,6 @@ def test_rows_of_shares_are_what_they_answer_to_an_input(task):
     np.testing.assert_allclose(found, [every[place] for place in places], atol=1e-9)
 
 
-def test_the_tenth_of_other_models_that_is_hardest_may_exceed_limits(task):
-    far = {name: 3.0 * getattr(MODEL, name) for name in ("Mlon", "Zlon")}
-    models = [MODEL] * 10 + [replace(MODEL, **far)]
-    crowd = Crowd([Loop(free_parameters(each), {}, np.eye(2), h=H, N=N) for each in models])
-    easy, hard = replace(task, others=None), replace(task, others=crowd)
-    r = at_start(steps())
-    assert hard.discarding(r).others.count == 10
-    np.testing.assert_allclose(hard.peaks(r), easy.peaks(r))
-    np.testing.assert_allclose(crowd.some(np.array([10])).fly(r)[0], crowd.fly(r)[10])
-    assert easy.discarding(r) is easy
-
-
 def test_the_best_found_keeps_its_limits_and_beats_random_sequences(task):
     best = improved(task, [steps()], 40)
     assert task.peaks(best).max() <= 1 + 1e-9
