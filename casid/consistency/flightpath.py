@@ -19,6 +19,7 @@ end (`casid.consistency.pretended`). Standard errors allow for what colour is le
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import scipy
@@ -309,10 +310,17 @@ def _innovations(gain: float, e: Array, X: Array, dt: float = 0.0) -> tuple[Arra
     if gain > 0:
         Z = scipy.signal.lfilter([1.0, -1.0], [1.0, gain - 1.0], Z, axis=0)
     if 0 < dt < 0.4 / BAND:
-        Z = scipy.signal.lfilter(*scipy.signal.butter(2, BAND, fs=1 / dt), Z, axis=0)
+        Z = scipy.signal.lfilter(*_low_pass(dt), Z, axis=0)
     z = Z[:, -1]
     Z = Z[:, :-1] - np.outer(z, z @ Z[:, :-1]) / (z @ z)
     return Z[:, 0], Z[:, 1:]
+
+
+@cache
+def _low_pass(dt: float) -> tuple[Array, Array]:
+    """Filter that lets pass what is below `BAND`, numerator and denominator."""
+    b, a = scipy.signal.butter(2, BAND, fs=1 / dt)
+    return np.asarray(b), np.asarray(a)
 
 
 def _normal(parts: Sequence[Block], prior: Array, pull: Array) -> Normal:
