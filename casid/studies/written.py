@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from hashlib import sha256
 from importlib.metadata import version
+from pathlib import Path
 
 from casid.folder import PARTIAL
 from casid.jobs.origins import equations_digest, own_source, source_digest, structure_digest
@@ -65,10 +66,14 @@ def digests(study: Study) -> dict[str, str]:
     files = [study.output / name for name in WRITTEN]
     files += [file for folder in folders for file in sorted((study.output / folder).glob("*"))]
     return {
-        file.relative_to(study.output).as_posix(): sha256(file.read_bytes()).hexdigest()
+        file.relative_to(study.output).as_posix(): _digest(file)
         for file in files
         if file.is_file() and file.suffix != PARTIAL
     }
+
+
+def _digest(file: Path) -> str:
+    return sha256(file.read_bytes()).hexdigest()
 
 
 def _store(study: Study) -> Store:
@@ -86,5 +91,5 @@ def _key(study: Study) -> str:
         [structure_digest(study.model_file), equations_digest(study.model), asdict(study.model)],
         [(stage.name, own_source(stage.run)) for stage in study.stages],
         said,
-        [file.read_bytes() for file in (study.path, *dict.fromkeys(flown))],
+        [_digest(file) for file in (study.path, *dict.fromkeys(flown))],
     )
