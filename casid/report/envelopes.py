@@ -73,7 +73,7 @@ def plot_derivatives(axes: Sequence[Axes], value: Envelope) -> Sequence[Axes]:
         ax.set_title(name, loc="left")
         ax.yaxis.set_major_locator(MaxNLocator(4))
     axes[-1].set_xlabel("speed [m/s]")
-    axes[0].legend()
+    _legend(axes[0])
     return axes
 
 
@@ -85,8 +85,13 @@ def plot_loci(ax: Axes, value: Envelope) -> Axes:
     if value.local is not None:
         poles = value.local.poles.ravel()
         ax.plot(poles.real, poles.imag, "x", color=LOCAL, linestyle="none", label="local")
-        ax.legend()
+        _legend(ax)
     ax.axvline(0, color="#777777", linewidth=0.8)
     ax.set_title(f"{value.speed[0]:.3g} to {value.speed[-1]:.3g} m/s (o)", loc="left")
     ax.set(xlabel="real part [rad/s]", ylabel="imaginary part [rad/s]")
     return ax
+
+
+def _legend(ax: Axes) -> None:
+    """The legend above the axes: within, its marks look like points or poles."""
+    ax.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderaxespad=0)
