@@ -27,12 +27,7 @@ from casid.shooting.gains import Gains
 from casid.shooting.intervals import Layout
 from casid.shooting.kalman import filter_gains
 from casid.shooting.stepping import Breaks, Steps, collect_breaks
-from casid.shooting.unknowns import (
-    FilterFunction,
-    FilterMatrices,
-    GainUnknowns,
-    NoiseUnknowns,
-)
+from casid.shooting.unknowns import FilterFunction, FilterMatrices, GainUnknowns, NoiseUnknowns
 
 LATE = 1e-6  # of a sampling interval: the delay that stands for 0 if it may grow
 BLOCK = 16  # samples of every interval whose Jacobian rows are held at once
