@@ -72,6 +72,9 @@ class BlackBox(Shown):
         What the inputs of a discrete black box do between samples.
     excitation : Excitation or None
         How much of the inputs came from outside; None of records too short to tell.
+    remarks : tuple of str
+        What is wrong with the records themselves: stretches that were not measured, a channel that
+        disagrees with the other records.
     """
 
     system: StateSpace
@@ -96,6 +99,7 @@ class BlackBox(Shown):
     refinement: str = "unrefined"
     hold: Hold = "zoh"
     excitation: Excitation | None = None
+    remarks: tuple[str, ...] = ()
 
     def headline(self) -> str:
         """Order, band, where it comes from, what is doubtful."""
@@ -139,7 +143,7 @@ class BlackBox(Shown):
         # Empty, too, where it is not known: without refinement, and on samples.
         outside = () if self.excitation is None else self.excitation.doubts()
         growth = growth_doubts(self.doubtful)
-        doubts = (*outside, *growth, *order_doubts(self.missed, self.order))
+        doubts = (*self.remarks, *outside, *growth, *order_doubts(self.missed, self.order))
         if self.explained is None:
             return doubts
         return (*data_doubts(self.explained, self.system.outputs), *doubts)

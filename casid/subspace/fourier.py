@@ -71,20 +71,23 @@ def spectra(records: Sequence[Record], su: Array, sy: Array, top: float) -> tupl
 
     Records too short for a line, as between two gaps, have none.
     """
-    found = []
-    for record in records:
-        lines = top * record.duration / (2 * np.pi)
-        pieces = int(np.ceil(max(lines / LINES, record.N / SAMPLES)))
-        pieces = max(min(pieces, record.N // 4), 1)
-        edges = np.linspace(0, record.N - 1, pieces + 1).astype(int)
-        for start, end in pairwise(edges):
-            found.append(_spectrum(record, slice(start, end + 1), su, sy, top))
+    found = [spectrum(part, su, sy, top) for record in records for part in parts(record, top)]
     return tuple(each for each in found if len(each.omega))
 
 
-def _spectrum(record: Record, cut: slice, su: Array, sy: Array, highest: float) -> Spectrum:
-    t = record.t[cut] - record.t[cut][0]
-    u, y = record.u[cut] / su, record.y[cut] / sy
+def parts(record: Record, top: float) -> list[Record]:
+    """Pieces of a record that are transformed by themselves."""
+    lines = top * record.duration / (2 * np.pi)
+    pieces = int(np.ceil(max(lines / LINES, record.N / SAMPLES)))
+    pieces = max(min(pieces, record.N // 4), 1)
+    edges = np.linspace(0, record.N - 1, pieces + 1).astype(int)
+    return [record.take(slice(start, end + 1)) for start, end in pairwise(edges)]
+
+
+def spectrum(record: Record, su: Array, sy: Array, highest: float) -> Spectrum:
+    """Transforms of a piece of a record up to ``highest`` [rad/s]."""
+    t = record.t - record.t[0]
+    u, y = record.u / su, record.y / sy
     T, n = float(t[-1]), len(t)
     K = min(int(highest * T / (2 * np.pi)), (n - 1) // 2)
     omega = 2 * np.pi * np.arange(1, K + 1) / T

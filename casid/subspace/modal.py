@@ -131,6 +131,25 @@ def output_derivative(basis: S, modal: Modal, o: int, free: np.ndarray) -> tuple
     return np.hstack(J), np.concatenate(where)
 
 
+def tangents(
+    modal: Modal, E: ComplexArray, basis: ComplexArray, w: Array, free: np.ndarray
+) -> tuple[Array, Array, Array]:
+    """Weighted residuals (2 K ny,) of a spectrum, output by output, and their slopes (2 K ny, P).
+
+    The transient is eliminated from both; the basis (2 K ny, n) of what it does comes last.
+    """
+    ny, nu = modal.D.shape
+    n = len(modal.lam) + int((~modal.real).sum())
+    J = np.zeros((ny, 2 * len(w), 2 * n + n * nu + ny * n + len(free)))
+    for o, rows in enumerate(J):
+        own, where = output_derivative(basis, modal, o, free)
+        rows[:, where] = stacked(own * w[:, o : o + 1])
+    whole = J.reshape(-1, J.shape[2])
+    Q = np.linalg.qr(whole[:, :n])[0]
+    e, slopes = stacked(E * w).T.ravel(), whole[:, n:]
+    return e - Q @ (Q.T @ e), slopes - Q @ (Q.T @ slopes), Q
+
+
 def gram(rows: Array | ComplexArray) -> Array:
     """Re(rowsᴴ rows)."""
     real = stacked(rows) if np.iscomplexobj(rows) else rows

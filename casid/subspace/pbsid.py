@@ -16,6 +16,7 @@ from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.errors import warn
 from casid.excitations import certified
+from casid.frozen import frozen
 from casid.linear import StateSpace
 from casid.records import Records
 from casid.subspace import settings as choice
@@ -238,6 +239,12 @@ class Pbsid:
     ) -> BlackBox:
         windows = self._windows(settings, len(campaign.sy))
         projected = not np.isnan(settings.pole)
+        remarks = [
+            f"Record {record.name}: {stretch.told()}."
+            for record in campaign.records
+            for stretch in frozen(record)
+        ]
+        remarks += [estimate.fault.told()] if estimate.fault else []
         return BlackBox(
             system=estimate.system, K=estimate.K,
             singular_values=campaign.subspace(settings.order, windows).singular_values,
@@ -250,6 +257,7 @@ class Pbsid:
             uncertainty=estimate.uncertainty, selection=selection, explained=estimate.explained,
             doubtful=estimate.doubtful, missed=estimate.missed, refinement=settings.refinement,
             hold=campaign.records[0].hold, excitation=certified(campaign.records),
+            remarks=tuple(remarks),
         )  # fmt: skip
 
 

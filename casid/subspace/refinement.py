@@ -321,6 +321,14 @@ def normal_equations(
     return total[:-1, :-1], total[:-1, -1]
 
 
+def linearised(
+    modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array]
+) -> list[tuple[ComplexArray, ComplexArray]]:
+    """Residuals (K, ny) but for transients, and what spans their slopes, of every spectrum."""
+    parts = zip(data, _parts(modal, data, weights), strict=True)
+    return [(part.E, _basis(modal, lines, part.delta, part.f)) for lines, part in parts]
+
+
 def _seen(modal: modes.Modal, o: int, free: np.ndarray) -> tuple[Array, np.ndarray]:
     """What makes derivatives of output o of the shared signals, its error last, and their places.
 

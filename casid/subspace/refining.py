@@ -9,6 +9,7 @@ import numpy as np
 from casid.arrays import Array, ComplexArray
 from casid.errors import warn
 from casid.linear import StateSpace
+from casid.subspace.agreement import Fault, disagreement
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.feedback import fed_back_noise
 from casid.subspace.fourier import Spectrum
@@ -42,6 +43,7 @@ class Estimate:
     explained: Array | None = None
     doubtful: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
     missed: Missed | None = None
+    fault: Fault | None = None  # of a record that disagrees with the others
 
 
 def refine_sampled(campaign: Campaign, found: Subspace, how: Refinement) -> Estimate:
@@ -102,9 +104,17 @@ def refine_projected(
         else:
             refined, K, uncertainty = held, gain, sampled
             grows = growth(refined, data, su, sy, mask)
-    share = explained_share(refined, data, su, sy, band)
+    # A model that misses dynamics blames records that show them.
+    told = disagreement(
+        richer if missed and richer else refined,
+        campaign,
+        pole,
+        HIGHEST * pole,
+        missing=missed is not None,
+    )
     doubtful = _doubtful(campaign, grows, system, refined, windows, data)
-    return Estimate(refined, K, uncertainty, share, doubtful, missed)
+    share = explained_share(refined, data, su, sy, band)
+    return Estimate(refined, K, uncertainty, share, doubtful, missed, told)
 
 
 def _doubtful(

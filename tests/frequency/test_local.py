@@ -47,7 +47,7 @@ def test_a_rational_response_is_recovered_beside_the_transients_of_every_record(
 
 def test_the_random_error_is_the_scatter_over_realisations_at_a_resonance_too():
     omega, scores = np.array([0.4, 2.0, 5.0]), []
-    for seed in range(60):
+    for seed in range(40):
         lines, response = rational(np.random.default_rng(seed), noise=0.1)
         G, error, *_ = _at_all([lines] * len(omega), omega, WIDE)
         scores.append((G - response(omega)) / np.abs(G) / error)
@@ -162,3 +162,23 @@ def test_a_longer_record_resolves_more():
         widths.append(local_response([record], np.array([0.6])).resolution[0, 0, 0])
     # So low the half width is a number of lines, which are 2π/T apart.
     assert widths[0] / widths[1] == pytest.approx(4.0, rel=0.2)
+
+
+def test_errors_of_neighbouring_frequencies_correlate_as_the_resolution_says():
+    # Spectral windows of standard deviation b, d apart, share exp(-d²/4b²) of what they see;
+    # those of local models are no Gaussian ones.
+    t, at = 0.1 * np.arange(1200), 6.0
+    fixed = np.random.default_rng(0).standard_normal(1200)
+    errors, b = [], 0.0
+    for seed in range(40):
+        y = np.random.default_rng([1, seed]).standard_normal(1200)
+        record = Record(t, fixed[:, None], y[:, None], ("u",), ("y",))
+        if not b:
+            b = local_response([record], np.array([at])).resolution[0, 0, 0]
+        omega = at + b * np.array([0.0, 1.0, 2.0, 6.0])
+        errors.append(local_response([record], omega).G[:, 0, 0])
+    errors = np.array(errors)
+    power = np.sum(np.abs(errors) ** 2, axis=0)
+    alike = np.abs(errors[:, 0].conj() @ errors) / np.sqrt(power[0] * power)
+    np.testing.assert_allclose(alike[1:3], np.exp([-0.25, -1.0]), atol=0.2)
+    assert alike[3] < 0.35  # of 40 independent pairs 0.14 on average
