@@ -14,13 +14,14 @@ UNITS = {  # in which a channel of that name is
 DEGREE = 0.017453292519943295  # rad
 MEASURES = {  # SI unit -> what one of each unit is in it; PWM travels 1000 µs, u16 has 16 bits
     "1": {"1": 1.0, "-": 1.0, "%": 0.01, "pwm": 1e-3, "u16": 1 / 65535},
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9},
     "rad": {"rad": 1.0, "deg": DEGREE},
     "rad/s": {"rad/s": 1.0, "deg/s": DEGREE, "dps": DEGREE},
     "m": {"m": 1.0, "ft": 0.3048, "in": 0.0254},
     "m/s": {"m/s": 1.0, "ft/s": 0.3048, "kt": 1852 / 3600, "kn": 1852 / 3600, "km/h": 1 / 3.6},
     "m/s²": {"m/s^2": 1.0, "m/s²": 1.0, "ft/s^2": 0.3048, "g": 9.80665},
 }
+PULSES = ("us", "µs")  # of a control: pulses of a servo
 SI = {unit: factor for row in MEASURES.values() for unit, factor in row.items()}
 
 
@@ -28,10 +29,11 @@ def factor_of(channel: str, unit: str) -> float:
     """What one of a channel's unit is in SI; ValueError for an unknown unit."""
     if unit not in SI:
         raise ValueError(f"channel {channel!r}: unknown unit {unit!r}; known are {', '.join(SI)}")
-    return SI[unit]
+    return SI["pwm" if channel in CONTROLS and unit in PULSES else unit]
 
 
 def units_of(stated: Mapping[str, str]) -> dict[str, str]:
     """SI unit by channel, given the units that were stated of columns; a number has its name's."""
     read_as = {unit: si for si, row in MEASURES.items() for unit in row if si != "1"}
+    stated = {k: u for k, u in stated.items() if k not in CONTROLS or u not in PULSES}
     return UNITS | {name: read_as[unit] for name, unit in stated.items() if unit in read_as}

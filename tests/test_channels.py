@@ -26,3 +26,9 @@ def test_a_channel_has_the_si_unit_of_what_was_stated_or_of_its_name():
     wanted = {"lat": "rad", "ped": "travel", "beta": "rad", "ay": "m/s²", "q": "rad/s"}
     assert {name: units[name] for name in wanted} == wanted
     assert all(SI[si] == 1.0 for si in MEASURES)
+
+
+def test_microseconds_of_a_stick_are_those_of_servo_pulses():
+    assert factor_of("lat", "µs") == factor_of("lat", "us") == factor_of("lat", "pwm") == 1e-3
+    assert factor_of("t", "µs") == 1e-6
+    assert units_of({"lat": "µs", "t": "µs"})["lat"] == "travel"

@@ -1,9 +1,10 @@
 """The stage of the measured frequency response."""
 
 import numpy as np
+import pytest
 from truths.closed_roll import TRUTH, noisy
 
-from casid import SpectralAnalysis, frequency_response
+from casid import Record, SpectralAnalysis, frequency_response
 from casid.stages.spectra import FREQUENCY
 from casid.stages.stage import Task, run_stages
 
@@ -19,3 +20,26 @@ def test_the_stage_measures_the_sweeps_alone_with_its_own_settings():
     assert len(found.omega) == 7
     without = Task(model=TRUTH, roles={"identification": others}, stages=(FREQUENCY,))
     assert run_stages(without).results == {}
+
+
+def test_a_check_channel_serves_as_the_reference_of_a_loop():
+    rng, t = np.random.default_rng(0), 0.02 * np.arange(3000)
+    r, v = rng.standard_normal((2, 300)).repeat(10, axis=1)
+    y, u = np.zeros(3000), np.zeros(3000)
+    for k in range(2999):  # y' = -2 y + 10 (u + v), u = r - y
+        u[k] = r[k] - y[k]
+        y[k + 1] = y[k] + 0.2 * (u[k] + v[k] - 0.2 * y[k])
+    whole = Record(t, u[:, None], np.column_stack([y, r]), ("lat",), ("p", "r_lat"), "loop", "zoh")
+    plain = whole.select(outputs=["p"])
+    own = SpectralAnalysis(omega=np.geomspace(1.5, 8.0, 9), reference=("r_lat",))
+    roles, checks = {"frequency": (plain,)}, {"frequency": (whole,)}
+    given = {"stages": (FREQUENCY,), "settings": {"frequency": own}}
+    found = run_stages(Task(model=TRUTH, roles=roles, checks=checks, **given)).results["frequency"]
+    assert (found.inputs, found.outputs) == (("lat",), ("p",))
+    direct = frequency_response([whole], omega=own.omega, reference=own.reference)
+    np.testing.assert_array_equal(found.G, direct.G)
+    true, biased = 10 / (1j * own.omega + 2), frequency_response([plain], omega=own.omega)
+    errors = [np.median(np.abs(each.G[:, 0, 0] / true - 1)) for each in (found, biased)]
+    assert errors[0] < 0.6 * errors[1]
+    with pytest.raises(ValueError, match=r"'r_lat' is not read; name it in channels\.check"):
+        run_stages(Task(model=TRUTH, roles=roles, **given))
