@@ -1,5 +1,5 @@
 # make study   identify the helicopter of examples/uh60; results in out/uh60
-# make paper   the paper's comparison on two helicopters; results in out/paper
+# make paper   the paper's comparison on two helicopters, and the chosen last step; in out/paper
 # make test    the quick tests, a few minutes
 # make slow    the slow tests, an hour and more
 # make mutants how many of 400 broken programs the tests notice (an hour and more; may be stopped)
@@ -19,6 +19,7 @@ study: install
 
 paper: install
 	$(VENV)/bin/python examples/paper.py
+	$(VENV)/bin/python -m benchmarks.choice --kept out/paper/choice
 
 test: install
 	$(VENV)/bin/pytest -n auto -m "not slow and not campaign"

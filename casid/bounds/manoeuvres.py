@@ -165,15 +165,12 @@ def compare_structures(
         if every.reason:
             reasons[f"{name}, all"] = every.reason
             continue
-        takes = getattr(ways[name], "takes", None)
-        jobs = {
-            part: many.job(case, every.result, draw=Without(part), name=_without(name, part))
+        jobs = [
+            many.job(case, every.result, draw=Without(part), name=_without(name, part))
             for part in parts
-            if takes is None or any(takes(flown[i]) for i in part)
-        }
-        done = many.run(list(jobs.values()))
-        for part in parts:
-            each = done[jobs[part].name] if part in jobs else every
+        ]
+        done = many.run(jobs)
+        for part, each in zip(parts, done.values(), strict=True):
             for i in part:
                 errors[k, i], noise[k, i] = _error(each, flown[i], outputs)
         reasons |= {job: each.reason for job, each in done.items() if each.reason}

@@ -41,11 +41,6 @@ class LastStep:
     decimate: int = 1
     black_box: Pbsid | None = None
 
-    def takes(self, record: Record) -> bool:
-        """Whether a manoeuvre makes any difference to it."""
-        listed = self.histories is None or record.name in self.histories
-        return listed or isinstance(self.estimator, Match) or self.responses is not None
-
     def fit(
         self,
         model: M,

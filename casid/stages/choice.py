@@ -10,7 +10,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from casid.arrays import Array
-from casid.bounds.manoeuvres import FEWEST, StructureComparison, compare_structures
+from casid.bounds.manoeuvres import StructureComparison, compare_structures
 from casid.bounds.steps import LastStep
 from casid.errors import ConvergenceError
 from casid.fit import AnyFit, Fit
@@ -154,19 +154,14 @@ def groups(names: tuple[str, ...]) -> list[tuple[str, ...]]:
 
 
 def compared(settings: Choosing, task: Task) -> StructureComparison:
-    """The candidates' predictions of manoeuvres left out, and their estimates from all.
-
-    The long ones are left out, of which there are others of the same axis; all unless there are as
-    many as an error takes.
-    """
+    """The candidates' predictions of short manoeuvres left out, and their estimates from all."""
     (records, short), steps = _records(task), last_steps(settings, task)
-    long = tuple(each.name for each in records if each.name not in short)
     start = task.results["quadratic"].model
     return compare_structures(
         dict.fromkeys(steps, start),
         records,
         estimator=steps,
-        groups=groups(long if len(long) >= FEWEST else tuple(each.name for each in records)),
+        groups=groups(short),
         fixed=tuple(task.fixed),
         bounds=task.bounds,
         execution=task.execution,

@@ -18,19 +18,6 @@ def test_a_step_takes_its_own_manoeuvres_as_time_histories():
     assert found.model == direct.model
 
 
-def test_a_step_says_what_it_takes():
-    first, last = RECORDS[0], RECORDS[-1]
-    short = LastStep(estimator=OutputError(), histories=("record 0",))
-    assert short.takes(first)
-    assert not short.takes(last)
-    for whole in (
-        LastStep(estimator=OutputError()),
-        LastStep(estimator=OutputError(), histories=("record 0",), responses=SpectralAnalysis()),
-        LastStep(estimator=Match(), histories=("record 0",)),
-    ):
-        assert whole.takes(last)
-
-
 def test_the_others_enter_as_a_response():
     step = LastStep(
         estimator=OutputError(), histories=("record 0",), responses=SpectralAnalysis(omega=OMEGA)
