@@ -6,7 +6,8 @@ UH-60 and AH-1S the best linear approximation of the noise-free records (a long 
 three campaigns of a structure that is true (`benchmarks.enough`), where the structure's error
 should hardly widen the band.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.bands AW109 [--kept FILE] [--only WORDS]
+    OMP_NUM_THREADS=1 python -m benchmarks.bands AW109 [--noise TIMES] [--seed S] [--kept FILE]
+        [--only WORDS]
 
 AW109 has the folders 040kt, 060kt, 080kt, and beside it the folder models their linearisations,
 aw109_040kt.json ... What FILE (JSON lines) holds is not computed again.
@@ -61,18 +62,19 @@ def held(fit, box, G):
     return found
 
 
-def records(helicopter: str, structure, data: Path):
+def records(helicopter: str, structure, asked: argparse.Namespace):
     """One of the ten cases."""
-    case = Case(helicopter, structure, data, 1)
+    case = Case(helicopter, structure, asked.data, asked.seed, asked.noise)
     fit = best(lambda: case.refined(4, "time"))
-    return held(fit, case.box(), true_response(case, helicopter, data))
+    return held(fit, case.box(), true_response(case, helicopter, asked.data))
 
 
-def campaign(name: str, data: Path):
+def campaign(name: str, asked: argparse.Namespace):
     """One campaign of a structure that is true."""
-    model, flown = truth(name, data)
-    rng = np.random.default_rng([1, 60])
-    noisy = [record.with_noise(NOISE, rng) for record in flown]
+    model, flown = truth(name, asked.data)
+    rng = np.random.default_rng([asked.seed, 60])
+    noise = {output: asked.noise * std for output, std in NOISE.items()}
+    noisy = [record.with_noise(noise, rng) for record in flown]
     fit = best(lambda: output_error(model, [record.decimate(2) for record in noisy[: len(STEPS)]]))
     return held(fit, pbsid(noisy, **SETTINGS), model.system().response(OMEGA))
 
@@ -92,22 +94,25 @@ def show(done):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
+    parser.add_argument("--noise", type=float, default=1.0, help="times the usual")
+    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kept", type=Path, default=Path("bands.jsonl"))
     parser.add_argument("--only", default="", help="words that a case must have")
     chosen = parser.parse_args()
     lines = chosen.kept.read_text().splitlines() if chosen.kept.exists() else []
     done = {row["key"]: row for row in map(json.loads, lines)}
     cases = {
-        f"{name}, {each.__name__}": (lambda n=name, s=each: records(n, s, chosen.data))
+        f"{name}, {each.__name__}": (lambda n=name, s=each: records(n, s, chosen))
         for name in HELICOPTERS
         for each in (SixDof, HybridFlap)
     }
-    cases |= {f"true: {name}": (lambda n=name: campaign(n, chosen.data)) for name in TRUE}
+    cases |= {f"true: {name}": (lambda n=name: campaign(n, chosen)) for name in TRUE}
     for key, compute in cases.items():
-        if key not in done and all(word in key for word in chosen.only.split()):
-            done[key] = {"key": key} | compute()
+        whole = f"{key}, noise {chosen.noise:g}, {chosen.seed}"
+        if whole not in done and all(word in key for word in chosen.only.split()):
+            done[whole] = {"key": whole} | compute()
             with chosen.kept.open("a") as file:
-                file.write(json.dumps(done[key]) + "\n")
+                file.write(json.dumps(done[whole]) + "\n")
     show(done)
 
 

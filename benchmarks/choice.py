@@ -32,7 +32,7 @@ from casid import (
     frequency_response,
     validate,
 )
-from casid.stages.choice import WORDS, Choosing, compared
+from casid.stages.choice import WORDS, Choosing, chosen, compared
 from casid.stages.stage import Task
 from models.hybrid_flap import HybridFlap
 from models.six_dof import SixDof
@@ -71,11 +71,14 @@ def run(case: Case, folder: Path) -> dict[str, object]:
     local = best(lambda: derivid(case.start, response))
     fits = {name: fit for name, fit in zip(found.names, found.fits, strict=True) if fit}
     rms = validate({"frequency only": alone, LOCAL: local, **fits}, case.unseen).rms
-    excess, error = found.excess
+    choice = chosen(found)
     return {
-        "chosen": found.best, "seconds": seconds, "reasons": dict(found.reasons),
+        "chosen": choice.chosen, "seconds": seconds, "reasons": dict(found.reasons),
         "rms": {name: each.mean(axis=0).tolist() for name, each in rms.items()},
-        "excess": dict(zip(found.names, zip(excess, error, strict=True), strict=True)),
+        "excess": {
+            name: pair
+            for name, *pair in zip(found.names, choice.excess, choice.error, strict=True)
+        },
         "errors": found.errors.tolist(), "noise": found.noise.tolist(),
         "vectors": {name: fit.model.vector().tolist() for name, fit in fits.items()},
     }  # fmt: skip
@@ -88,13 +91,13 @@ def show(done: dict[str, dict]) -> None:
         alone = np.array(row["rms"]["frequency only"])
         ratios = {name: np.array(each) / alone for name, each in row["rms"].items()}
         mean = {name: float(np.exp(np.log(each).mean())) for name, each in ratios.items()}
-        chosen = row["chosen"]
+        step = row["chosen"]
         least = min(mean[name] for name in WORDS if name in mean)
-        own.append(mean[chosen])
-        over.append(mean[chosen] / least)
-        wins.append(int((ratios[chosen] <= 1.05).sum()))
+        own.append(mean[step])
+        over.append(mean[step] / least)
+        wins.append(int((ratios[step] <= 1.05).sum()))
         cells = [f"{mean[name]:.2f}" if name in mean else "" for name in (*WORDS, LOCAL)]
-        rows.append([key, f"{chosen} {own[-1]:.2f} / {wins[-1]}", f"{over[-1]:.2f}", *cells])
+        rows.append([key, f"{step} {own[-1]:.2f} / {wins[-1]}", f"{over[-1]:.2f}", *cells])
     print(table(("case", "chosen", "over the best", *WORDS, LOCAL), rows))
     print(
         f"chosen: mean {np.mean(own):.2f}, at most {np.max(own):.2f}; within 5 % of the best in "
@@ -110,21 +113,21 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
     parser.add_argument("--kept", type=Path, default=Path("out/choice"))
     parser.add_argument("--only", default="", help="words that a case must have")
-    chosen = parser.parse_args()
-    chosen.kept.mkdir(parents=True, exist_ok=True)
-    file = chosen.kept / "cases.jsonl"
+    asked = parser.parse_args()
+    asked.kept.mkdir(parents=True, exist_ok=True)
+    file = asked.kept / "cases.jsonl"
     lines = file.read_text().splitlines() if file.exists() else []
     done = {row["key"]: row for row in map(json.loads, lines)}
-    helicopters = ["UH-60", "AH-1S", *(f"AW109 {speed}" for speed in KNOTS if chosen.data)]
+    helicopters = ["UH-60", "AH-1S", *(f"AW109 {speed}" for speed in KNOTS if asked.data)]
     cases = [
         (f"{name}, {each.__name__}, {seed}", name, each, seed)
-        for seed in chosen.seeds for name in helicopters for each in (SixDof, HybridFlap)
+        for seed in asked.seeds for name in helicopters for each in (SixDof, HybridFlap)
     ]  # fmt: skip
     for key, name, structure, seed in cases:
-        if key in done or not all(word in key for word in chosen.only.split()):
+        if key in done or not all(word in key for word in asked.only.split()):
             continue
-        case = Case(name, structure, chosen.data, seed)
-        done[key] = {"key": key} | run(case, chosen.kept / key)
+        case = Case(name, structure, asked.data, seed)
+        done[key] = {"key": key} | run(case, asked.kept / key)
         with file.open("a") as kept:
             kept.write(json.dumps(done[key]) + "\n")
     show({key: done[key] for key, *_ in cases if key in done})

@@ -5,7 +5,8 @@ tests in closed loop, with noise; a black box of these records is compared with 
 matched to it from a start 30 % off. An alarm anywhere in any campaign counts.
 
 Records: the ten cases of `benchmarks.ten_cases`; in how many bands the structure is at fault, and
-where by the clearest of each output.
+where by the clearest of each output. And which structure `compare_structures` names: the simplest
+that predicts 3-2-1-1 left out no worse.
 
     python -m benchmarks.enough AW109 [--campaigns 15] [--kept FILE] [--only WORDS]
 
@@ -25,7 +26,7 @@ import scipy.signal
 from benchmarks.tables import table
 from benchmarks.ten_cases import KNOTS, SETTINGS, Case, best
 from benchmarks.uh60 import INPUTS, NOISE, OUTPUTS, STEPS, SWEEPS, steps, sweep
-from casid import Model, Record, distances, frequency_response, match, pbsid
+from casid import Model, Record, compare_structures, distances, frequency_response, match, pbsid
 from casid.design.loop import Loop
 from casid.free import free_parameters
 from models.hybrid_flap import HybridFlap
@@ -102,12 +103,24 @@ def records(helicopter: str, structure: type[Model], data: Path) -> dict[str, ob
             "pedals": [row.told() for row in pedals], "told": found.sentences()}  # fmt: skip
 
 
+def named(helicopter: str, data: Path) -> dict[str, object]:
+    """Structures by manoeuvres left out."""
+    cases = {each.__name__: Case(helicopter, each, data, 1) for each in (SixDof, HybridFlap)}
+    found = compare_structures(
+        {name: case.rough() for name, case in cases.items()},
+        [record.decimate(2) for record in cases["SixDof"].records],
+        groups=[(name,) for name in STEPS],
+    )
+    return {"simplest": found.simplest, "table": found.to_markdown()}
+
+
 def todo(count: int) -> Iterator[tuple[str, ...]]:
     """Names of what there is to do."""
     for seed in range(count):
         yield from (("truth", name, str(seed)) for name in TRUTHS)
     for name in ("UH-60", "AH-1S", *(f"AW109 {speed}" for speed in KNOTS)):
         yield from (("records", name, each.__name__) for each in (SixDof, HybridFlap))
+        yield "named", name, ""
 
 
 def show(done: dict[str, dict]) -> None:
@@ -131,6 +144,9 @@ def show(done: dict[str, dict]) -> None:
     heading = ("records, structure", "at fault", "missed, rms", "above 3 rad/s", "r after pedals",
                "clearest")  # fmt: skip
     print("\n" + table(heading, rows))
+    for key, row in done.items():
+        if key.startswith("named"):
+            print(f"\n{key[8:-3]}: {row['simplest']}", row["table"], sep="\n\n")
 
 
 def main() -> None:
@@ -149,6 +165,8 @@ def main() -> None:
             continue
         if kind == "truth":
             result = campaign(name, int(last), chosen.data)
+        elif kind == "named":
+            result = named(name, chosen.data)
         else:
             result = records(name, structures[last], chosen.data)
         done[key] = {"key": key} | result

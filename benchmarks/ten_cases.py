@@ -53,12 +53,15 @@ SETTINGS = {"order": 18, "pole": 10.0, "past": 10, "future": 10, "feedthrough": 
 class Case:
     """A helicopter with a structure: records with noise, unseen ones without, the way to models."""
 
-    def __init__(self, name: str, structure: type[Model], data: Path, seed: int) -> None:
+    def __init__(
+        self, name: str, structure: type[Model], data: Path, seed: int, times: float = 1.0
+    ) -> None:
         self.name = name
         folder = data / name[-5:] if name not in TRIMS else folder_of(name)
         rng = np.random.default_rng([seed, 18])
         clean = self.read(folder, (*STEPS, *SWEEPS), "first")
-        self.records = [record.with_noise(NOISE, rng) for record in clean]
+        noise = {output: times * std for output, std in NOISE.items()}
+        self.records = [record.with_noise(noise, rng) for record in clean]
         known = clean[0].trim if name != "AH-1S" else "first"
         unseen = UNSEEN.get(name, ("validation_random",))
         self.unseen = self.read(folder, unseen, known)

@@ -61,26 +61,36 @@ class StructureComparison:
     reasons: Mapping[str, str]
 
     @property
-    def excess(self) -> tuple[Array, Array]:
-        """By how much the logarithm of the error exceeds the best one's, and its standard error.
-
-        Of errors without the noise that no candidate predicts, mean over outputs, then over
-        manoeuvres; a candidate that failed on one is infinitely worse.
-        """
-        square = self.errors**2
-        own = np.maximum(square - NOISE * self.noise**2, (1 - NOISE) * square)
-        size = np.log(np.maximum(own, 1e-300)).mean(axis=2) / 2
-        size = np.where(np.isfinite(size), size, np.inf)
-        best = int(np.argmin(size.mean(axis=1)))
-        apart = size - np.where(np.isfinite(size[best]), size[best], 0.0)
-        with np.errstate(invalid="ignore"):
-            spread = np.std(apart, axis=1, ddof=1) / np.sqrt(apart.shape[1])
-        return apart.mean(axis=1), np.where(np.isfinite(spread), spread, 0.0)
-
-    @property
     def best(self) -> str:
         """The candidate with the smallest errors."""
-        return self.names[int(np.argmin(self.excess[0]))]
+        return self.names[int(np.argmin(self._size(self.errors)))]
+
+    @property
+    def excess(self) -> tuple[Array, Array]:
+        """By how much the logarithm of the error exceeds the best one's, and its standard error."""
+        return self.over(self.best)
+
+    def over(self, name: str) -> tuple[Array, Array]:
+        """By how much the logarithm of the error exceeds that of a candidate, and its error.
+
+        Of root mean square errors over the manoeuvres, without the noise that nothing predicts,
+        mean over outputs; a candidate that failed on one is infinitely worse. Standard errors are
+        those of the jackknife over manoeuvres.
+        """
+        k, n = self.names.index(name), self.errors.shape[1]
+        parts = [self._size(np.delete(self.errors, i, axis=1)) for i in range(n)]
+        with np.errstate(invalid="ignore"):
+            apart = np.array([part - part[k] for part in parts])
+            error = np.sqrt(n - 1) * np.std(apart, axis=0)
+            mean = self._size(self.errors) - self._size(self.errors)[k]
+        return np.where(np.isnan(mean), np.inf, mean), np.where(np.isfinite(error), error, 0.0)
+
+    def _size(self, errors: Array) -> Array:
+        """Logarithm (candidates,) of errors (candidates, manoeuvres, ny), infinite of failures."""
+        square = np.mean(errors**2, axis=1)
+        own = np.maximum(square - NOISE * self.noise**2, (1 - NOISE) * square)
+        size = np.log(np.maximum(own, 1e-300)).mean(axis=1) / 2
+        return np.asarray(np.where(np.isfinite(size), size, np.inf))
 
     @property
     def simplest(self) -> str:

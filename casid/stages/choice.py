@@ -24,7 +24,7 @@ from casid.stages.stage import Stage, Task
 from casid.subspace.pbsid import Pbsid
 from casid.values import seal, storable
 
-TIE = 1.0  # standard errors that a candidate exceeds the best one's errors by, or is its equal
+TIE = 1.0  # standard errors by which a candidate exceeds another's errors, or is its equal
 MOST = 4  # groups of manoeuvres: each is one fit more of every candidate
 
 Candidate = Literal["joint", "frequency", "time", "short", "quadratic"]
@@ -66,10 +66,10 @@ class StepChoice:
     names, manoeuvres : tuple of str
         Candidates, and what each predicted without having seen it.
     excess, error : (candidates,) array
-        By how much the logarithm of the prediction error exceeds the best one's, mean over outputs
-        and manoeuvres, and its standard error; infinite for a candidate that failed.
+        By how much the logarithm of the prediction error exceeds the chosen one's, mean over
+        outputs, and its standard error; infinite for a candidate that failed.
     chosen : str
-        Name of the best.
+        The first of those that are equal to the best within a standard error.
     fit : Fit
         Its estimate from all manoeuvres.
     reasons : mapping
@@ -101,11 +101,11 @@ class StepChoice:
 
 
 def _beyond(excess: float, error: float) -> str:
-    """By how much a candidate's errors exceed the best one's, in words if that is not known."""
+    """By how much a candidate's errors exceed the chosen one's, in words if that is not known."""
     if not np.isfinite(excess):
         return "failed"
     said = f"{100 * np.expm1(excess):+.0f} ± {100 * error:.0f} %"
-    return said if excess > TIE * error else f"equal within errors ({said})"
+    return said if abs(excess) > TIE * error else f"equal within errors ({said})"
 
 
 def last_steps(settings: Choosing, task: Task) -> dict[str, LastStep]:
@@ -173,20 +173,24 @@ def _run(settings: Choosing, task: Task) -> StepChoice:
 
 
 def chosen(found: StructureComparison) -> StepChoice:
-    """The choice that a comparison leads to."""
-    excess, error = found.excess
-    if not np.isfinite(excess).any():
+    """The choice that a comparison leads to.
+
+    The candidates stand in the order of what they take from the manoeuvres: of equals, the first.
+    """
+    above, error = found.excess
+    if not np.isfinite(above).any():
         raise ConvergenceError(
             f"no last step could be estimated: {'; '.join(found.reasons.values())}"
         )
-    fit = cast("AnyFit", found.fits[found.names.index(found.best)])
+    k = int(np.argmax(above <= TIE * error))
+    excess, error = found.over(found.names[k])
     return StepChoice(
         names=found.names,
         manoeuvres=found.manoeuvres,
         excess=excess,
         error=error,
-        chosen=found.best,
-        fit=fit,
+        chosen=found.names[k],
+        fit=cast("AnyFit", found.fits[k]),
         reasons=found.reasons,
     )
 

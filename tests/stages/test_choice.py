@@ -55,14 +55,16 @@ def comparison(errors):
     )  # fmt: skip
 
 
-def test_the_one_with_the_smallest_errors_is_chosen():
+def test_the_one_with_the_smallest_errors_is_chosen_the_first_of_equals():
     clear = chosen(comparison([[0.3, 0.3, 0.2], [0.0, 0.1, 0.0], [np.nan] * 3]))
     assert (clear.chosen, clear.fit) == ("b", "B")
     assert clear.headline().startswith("Last step: b, by errors of x, y, z predicted")
     assert np.isinf(clear.excess[2])
     assert clear.headline().endswith("; above its errors: a +26 ± 3 %, c failed")
-    close = chosen(comparison([[0.02, -0.02, 0.01], [0.0, 0.0, 0.0]]))
-    assert "a equal within errors (+0 ± " in close.headline()
+    close = chosen(comparison([[0.03, -0.02, 0.01], [0.0, 0.0, 0.0]]))
+    assert (close.chosen, close.fit) == ("a", "A")
+    assert close.excess[1] < 0
+    assert "b equal within errors (-1 ± " in close.headline()
     with pytest.raises(ConvergenceError, match="no last step could be estimated: no"):
         chosen(comparison([[np.nan] * 3] * 2))
 
