@@ -3,8 +3,7 @@
 First order: the covariance J C Jᵀ of a function of the parameters, J its derivatives by central
 differences of a thousandth of each standard error, C the covariance that `Fit.std_error` is read
 from. It holds the noise and the colour of the residuals; what the structure lacks is added where a
-`StructureError` says how much that is. With it bands hold the true response where the noise of the
-records is small beside what is missing; noise that hides it leaves the bands too narrow.
+`StructureError` says how much that is.
 """
 
 from collections.abc import Callable
@@ -148,8 +147,8 @@ def response_band(
     level : float
         Share of the bands that hold the true value, between 0 and 1.
     error : StructureError
-        What the structure misses, from `structure_error`; added to the bands, too small where the
-        noise of the records is not small beside it.
+        What the structure misses, from `structure_error`; added to the bands. Zero where the noise
+        of the records hides it whole: there the band is that of the standard errors.
 
     Raises
     ------
