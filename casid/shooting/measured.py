@@ -85,31 +85,32 @@ class MeasuredResponses:
 
 
 def reweighed(
-    estimate: Callable[[Free, AnyFit | None], Fit[M, Any]], free: Free, near: AnyFit | None
+    estimate: Callable[[Free, bool], Fit[M, Any]], free: Free, near: AnyFit | None
 ) -> Fit[M, Any]:
-    """The estimate with responses, weighed by its own residuals, or as that of a fit nearby.
+    """The estimate with responses, weighed by the residuals of another, or as a fit nearby.
 
-    Each round goes on from the last.
+    ``estimate(free, rough)`` is asked for rough ones until their weights rest.
     """
-    evidence, last = free.evidence, near
+    evidence, lam = free.evidence, free.guess
     if not isinstance(evidence, MeasuredResponses):
-        return estimate(free, near)
-    known = getattr(near.notes, "response_weights", ()) if near is not None else ()
-    held = [len(w) for w in known] == [len(w) for w in evidence.weights]
-    weights, lam = known if held else evidence.excess(free.guess), free.guess
+        return estimate(free, False)
     iterations, seconds, rounds = 0, 0.0, 0
+    weights = getattr(near.notes, "response_weights", ()) if near is not None else ()
+    settled = [len(w) for w in weights] == [len(w) for w in evidence.weights]
+    if not settled:
+        weights = evidence.excess(lam)
     while True:
         start = free.model.with_vector(free.full(lam))
-        fit = estimate(replace(free, model=start, evidence=evidence.weighed(weights)), last)
-        notes = replace(fit.notes, response_weights=tuple(weights))
+        own = replace(free, model=start, evidence=evidence.weighed(weights))
+        fit = estimate(own, not settled)
         iterations, seconds = iterations + fit.iterations, seconds + fit.seconds
-        lam = fit.model.vector()[free.index]
-        new = evidence.excess(lam)
-        pairs = zip(weights, new, strict=True)
-        weights, last, rounds = new, fit, rounds + 1
-        settled = held or all(np.abs(np.log(a / b)).max() < ALIKE for a, b in pairs)
-        if settled or rounds == ROUNDS:
+        if settled:
+            notes = replace(fit.notes, response_weights=tuple(weights))
             return replace(fit, notes=notes, iterations=iterations, seconds=seconds)
+        lam, rounds = fit.model.vector()[free.index], rounds + 1
+        pairs = list(zip(weights, evidence.excess(lam), strict=True))
+        settled = rounds == ROUNDS or all(np.abs(np.log(a / b)).max() < ALIKE for a, b in pairs)
+        weights = [new for _, new in pairs]
 
 
 class _Measured:

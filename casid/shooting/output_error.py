@@ -36,7 +36,7 @@ from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
 from casid.shooting.nonlinear import MOST, Integration
 from casid.shooting.precision import OutputErrorNotes, Precision, precision
-from casid.shooting.search import IPOPT, Outcome, Search
+from casid.shooting.search import IPOPT, ROUGH, Outcome, Search
 from casid.shooting.transformed_fit import estimate
 from casid.shooting.unknowns import NoiseUnknowns
 from casid.shooting.ways import Ways
@@ -128,9 +128,10 @@ class OutputError:
         free = self.free(model, fixed, bounds)
         chosen = select_records(free, data, bool(self.biases))
 
-        def estimate(own: Free, last: AnyFit | None) -> Fit[M, OutputErrorNotes]:
-            known = last if self.domain == "time" else near  # spectra are estimated anew
-            return self._fitted(model, own, chosen, known)
+        def estimate(own: Free, rough: bool) -> Fit[M, OutputErrorNotes]:
+            tolerance = max(ROUGH, self.solver.tolerance) if rough else self.solver.tolerance
+            less = replace(self, solver=replace(self.solver, tolerance=tolerance))
+            return less._fitted(model, own, chosen, near)
 
         fit = reweighed(estimate, free, near)
         if isinstance(fit.model, NonlinearModel):
