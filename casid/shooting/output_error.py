@@ -127,26 +127,23 @@ class OutputError:
         check_responses(model, self.responses, several(data))
         free = self.free(model, fixed, bounds)
         chosen = select_records(free, data, bool(self.biases))
-
-        def estimate(own: Free, rough: bool) -> Fit[M, OutputErrorNotes]:
-            tolerance = max(ROUGH, self.solver.tolerance) if rough else self.solver.tolerance
-            less = replace(self, solver=replace(self.solver, tolerance=tolerance))
-            return less._fitted(model, own, chosen, near)
-
-        fit = reweighed(estimate, free, near)
+        fit = reweighed(
+            lambda own, rough: self._fitted(model, own, rough, chosen, near), free, near
+        )
         if isinstance(fit.model, NonlinearModel):
             warn_beyond(fit.model, "along the records of the fit", fit.notes.covered)
         return fit
 
     def _fitted(
-        self, model: M, free: Free, chosen: list[Record], near: AnyFit | None
+        self, model: M, free: Free, rough: bool, chosen: list[Record], near: AnyFit | None
     ) -> Fit[M, OutputErrorNotes]:
         """The estimate from selected records."""
         begin = time.perf_counter()
-        options = replace(self.solver, ipopt=IPOPT | dict(self.solver.ipopt))
+        solver = replace(self.solver, tolerance=max(ROUGH * rough, self.solver.tolerance))
+        options = replace(solver, ipopt=IPOPT | dict(solver.ipopt))
         if self.domain != "time":
             white = self._checked_for_lines(model)
-            return estimate(model, free, chosen, self.solver, R=white, near=near)
+            return estimate(model, free, chosen, solver, R=white, near=near)
         R = checked_covariance(self.R, len(model.outputs))
         ways = Ways(free, chosen, options, R, bool(self.biases), self.interval, self.steps)
         try:
