@@ -127,9 +127,7 @@ class OutputError:
         check_responses(model, self.responses, several(data))
         free = self.free(model, fixed, bounds)
         chosen = select_records(free, data, bool(self.biases))
-        fit = reweighed(
-            lambda own, rough: self._fitted(model, own, rough, chosen, near), free, near
-        )
+        fit = reweighed(lambda f, rough: self._fitted(model, f, rough, chosen, near), free, near)
         if isinstance(fit.model, NonlinearModel):
             warn_beyond(fit.model, "along the records of the fit", fit.notes.covered)
         return fit
