@@ -154,10 +154,9 @@ class Evaluator:
         """The steps of all intervals; a simulation and its derivatives share the breaks."""
         held, key = self.held(m), m.tau.tobytes() + m.A.tobytes()
         if self._breaks is None or self._breaks[0] != key:
-            holds = [record.hold for record in self.layout.records]
-            self._breaks = key, collect_breaks(held, holds, m.A)
-        filtering, breaks = self.filtering, self._breaks[1]
-        return Steps(m, self.layout, held, filtering, slopes=slopes, gains=gains, breaks=breaks)
+            self._breaks = key, collect_breaks(held, [r.hold for r in self.layout.records], m.A)
+        given = self.layout, held, self.filtering
+        return Steps(m, *given, slopes=slopes, gains=gains, breaks=self._breaks[1])
 
     def gains(self, lam: Array) -> Gains | None:
         """Kalman gains at the unknowns (nf,); None unless noises are estimated."""

@@ -14,7 +14,7 @@ Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapters
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -129,18 +129,32 @@ def _moved(
         )
         ceiling[np.isclose(modal.lam[:, None], decaying).any(axis=1)] = -NEUTRAL * limit
     modal = replace(modal, lam=_capped(modal.lam, ceiling, fastest))
+
+    def tidy(trial: modes.Modal) -> modes.Modal:
+        return replace(trial, lam=_capped(trial.lam, ceiling, fastest))
+
     weights: list[Array] = []
     for _ in range(rounds):
         weights = noise_weights(modal, data)
-        problem = _Problem(data, weights, free)
-        modal = modes.descend(
-            modal,
-            cost=problem.cost,
-            normal=problem.normal,
-            tidy=lambda trial: replace(trial, lam=_capped(trial.lam, ceiling, fastest)),
-            free=free, steps=STEPS, settled=SETTLED,
-        )  # fmt: skip
+        modal = _descended(modal, data, weights, free, tidy)
     return modal, weights
+
+
+def _descended(
+    modal: modes.Modal,
+    data: Sequence[Spectrum],
+    weights: Sequence[Array],
+    free: np.ndarray,
+    tidy: Callable[[modes.Modal], modes.Modal],
+) -> modes.Modal:
+    """The model at the least squares of given weights; a step needs what its trial needed."""
+    parts = lru_cache(1)(partial(_parts, data=data, weights=weights))
+    return modes.descend(
+        modal,
+        cost=lambda trial: sum(part.cost for part in parts(trial)),
+        normal=lambda model: normal_equations(model, data, weights, free, parts(model)),
+        tidy=tidy, free=free, steps=STEPS, settled=SETTLED,
+    )  # fmt: skip
 
 
 def residual_powers(
@@ -253,30 +267,6 @@ def _parts(modal: modes.Modal, data: Sequence[Lines], weights: Sequence[Array]) 
     return found
 
 
-class _Problem:
-    """Least squares of given weights; what the trial needed the step from it needs again."""
-
-    def __init__(
-        self, data: Sequence[Spectrum], weights: Sequence[Array], free: np.ndarray
-    ) -> None:
-        self._data, self._weights, self._free = data, weights, free
-        self._last: tuple[modes.Modal, list[_Part]] | None = None
-
-    def cost(self, modal: modes.Modal) -> float:
-        """Weighted squared residuals with the best transients."""
-        return sum(part.cost for part in self._parts(modal))
-
-    def normal(self, modal: modes.Modal) -> tuple[Array, Array]:
-        """See `normal_equations`."""
-        parts = self._parts(modal)
-        return normal_equations(modal, self._data, self._weights, self._free, parts)
-
-    def _parts(self, modal: modes.Modal) -> list[_Part]:
-        if self._last is None or self._last[0] is not modal:
-            self._last = modal, _parts(modal, self._data, self._weights)
-        return self._last[1]
-
-
 def _transient(
     modal: modes.Modal, f: _Factors, E: ComplexArray, w: Array, seen: Array
 ) -> tuple[ComplexArray, float]:
@@ -311,8 +301,10 @@ def normal_equations(
     grams, heads = _shared_grams(modal, data, weights, parts or _parts(modal, data, weights))
     total = np.zeros((size + 1, size + 1))
     sides = np.zeros((len(data), n, n + size + 1))
+    alone = np.eye(grams.shape[1])  # of the signals, the error last
     for o in range(ny):
-        T, where = _seen(modal, o, free)
+        J, where = modes.output_derivative(alone, modal, o, free)
+        T, where = np.hstack([J, alone[:, -1:]]), np.append(where, n + size)
         whole = T.T @ (grams[o] @ T)
         total[np.ix_(where[n:] - n, where[n:] - n)] += whole[n:, n:]
         sides[:, :, where] += T[:n, :n].T @ (heads[:, o] @ T)
@@ -327,19 +319,6 @@ def linearised(
     """Residuals (K, ny) but for transients, and what spans their slopes, of every spectrum."""
     parts = zip(data, _parts(modal, data, weights), strict=True)
     return [(part.E, _basis(modal, lines, part.delta, part.f)) for lines, part in parts]
-
-
-def _seen(modal: modes.Modal, o: int, free: np.ndarray) -> tuple[Array, np.ndarray]:
-    """What makes derivatives of output o of the shared signals, its error last, and their places.
-
-    Those of its transient come first, then those of the parameters.
-    """
-    ny, nu = modal.D.shape
-    n = len(modal.lam) + int((~modal.real).sum())
-    J, where = modes.output_derivative(np.eye(n * (nu + 3) + nu + 1), modal, o, free)
-    last = 2 * n + n * nu + ny * n + len(free)
-    error = np.eye(len(J))[:, -1:]
-    return np.hstack([J, error]), np.append(where, last)
 
 
 def _shared_grams(
