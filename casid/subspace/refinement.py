@@ -129,32 +129,18 @@ def _moved(
         )
         ceiling[np.isclose(modal.lam[:, None], decaying).any(axis=1)] = -NEUTRAL * limit
     modal = replace(modal, lam=_capped(modal.lam, ceiling, fastest))
-
-    def tidy(trial: modes.Modal) -> modes.Modal:
-        return replace(trial, lam=_capped(trial.lam, ceiling, fastest))
-
     weights: list[Array] = []
     for _ in range(rounds):
         weights = noise_weights(modal, data)
-        modal = _descended(modal, data, weights, free, tidy)
+        parts = lru_cache(1)(partial(_parts, data=data, weights=weights))  # of the last trial
+        modal = modes.descend(
+            modal,
+            cost=partial(_cost, parts=parts),
+            normal=partial(normal_equations, data=data, weights=weights, free=free, parts=parts),
+            tidy=lambda trial: replace(trial, lam=_capped(trial.lam, ceiling, fastest)),
+            free=free, steps=STEPS, settled=SETTLED,
+        )  # fmt: skip
     return modal, weights
-
-
-def _descended(
-    modal: modes.Modal,
-    data: Sequence[Spectrum],
-    weights: Sequence[Array],
-    free: np.ndarray,
-    tidy: Callable[[modes.Modal], modes.Modal],
-) -> modes.Modal:
-    """The model at the least squares of given weights; a step needs what its trial needed."""
-    parts = lru_cache(1)(partial(_parts, data=data, weights=weights))
-    return modes.descend(
-        modal,
-        cost=lambda trial: sum(part.cost for part in parts(trial)),
-        normal=lambda model: normal_equations(model, data, weights, free, parts(model)),
-        tidy=tidy, free=free, steps=STEPS, settled=SETTLED,
-    )  # fmt: skip
 
 
 def residual_powers(
@@ -267,6 +253,11 @@ def _parts(modal: modes.Modal, data: Sequence[Lines], weights: Sequence[Array]) 
     return found
 
 
+def _cost(modal: modes.Modal, parts: Callable[[modes.Modal], list[_Part]]) -> float:
+    """Weighted squared residuals with the best transients."""
+    return sum(part.cost for part in parts(modal))
+
+
 def _transient(
     modal: modes.Modal, f: _Factors, E: ComplexArray, w: Array, seen: Array
 ) -> tuple[ComplexArray, float]:
@@ -289,16 +280,18 @@ def normal_equations(
     data: Sequence[Spectrum],
     weights: Sequence[Array],
     free: np.ndarray,
-    parts: Sequence[_Part] | None = None,
+    parts: Callable[[modes.Modal], list[_Part]] | None = None,
 ) -> tuple[Array, Array]:
-    """Re Σ Jᴴ W J and Re Σ Jᴴ W E, transients eliminated; ``parts`` as computed already."""
+    """Re Σ Jᴴ W J and Re Σ Jᴴ W E, transients eliminated; ``parts`` may know those of a model."""
     # Parameters are λ, B, C by mode (real parts, then imaginary ones) and the free entries of D.
     # All derivatives of an output are sums of signals that all outputs share, in a small number
     # that its row of C gives: these sums are taken of the Gram matrices, not of the signals.
     n = len(modal.lam) + int((~modal.real).sum())
     ny, nu = modal.D.shape
     size = n + n * nu + ny * n + len(free)
-    grams, heads = _shared_grams(modal, data, weights, parts or _parts(modal, data, weights))
+    grams, heads = _shared_grams(
+        modal, data, weights, parts(modal) if parts else _parts(modal, data, weights)
+    )
     total = np.zeros((size + 1, size + 1))
     sides = np.zeros((len(data), n, n + size + 1))
     alone = np.eye(grams.shape[1])  # of the signals, the error last
