@@ -12,6 +12,7 @@ from casid.errors import ModelError, warn
 from casid.limits import OutOfTimeError, time_limit
 
 WIDEST = 1e12  # of a finite bound
+NOTHING = "it depends on no state and no input"
 
 
 def check_names(cls: type, attribute: str, names: Any) -> None:  # noqa: ANN401 - unchecked
@@ -116,18 +117,14 @@ def check_rows(cls: Any, built: Mapping[str, ca.SX]) -> None:  # noqa: ANN401 - 
     nonlinear = hasattr(cls, "derivatives")  # whose matrices are derived, not written
     for i, state in enumerate(cls.states):
         if A[i, :].nnz() + B[i, :].nnz() == 0 and state not in cls.constant_states:
-            why = "it depends on no state and no input" if nonlinear else f"row {i} of A, B is zero"
+            why = NOTHING if nonlinear else f"row {i} of A and of B is zero"
             raise ModelError(
                 f"{cls.__name__}: state {state!r} has no dynamics: {why}; write its derivative or "
                 "drop the state"
             )
     for i, output in enumerate(cls.outputs):
         if C[i, :].nnz() + D[i, :].nnz() == 0:
-            why = (
-                "the same: it depends on no state and no input"
-                if nonlinear
-                else (f"zero: row {i} of C and of D is zero")
-            )
+            why = f"the same: {NOTHING}" if nonlinear else f"zero: row {i} of C and of D is zero"
             raise ModelError(
                 f"{cls.__name__}: output {output!r} is always {why}; write it or drop the output"
             )

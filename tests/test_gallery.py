@@ -98,7 +98,8 @@ def test_coefficients_are_found_from_large_manoeuvres_at_one_speed():
     record = Record(t, u, still, truth.inputs, truth.outputs, "doublets")
     size = (0.1, 0.003, 0.003, 0.003, 0.02, 0.1)
     noise = dict(zip(truth.outputs, size, strict=True))
-    flown = simulate(truth, record).with_noise(noise, np.random.default_rng(3))
+    level = {"V": truth.V0, "alpha": truth.alpha0, "q": 0.0, "theta": truth.theta0}
+    flown = simulate(truth, record, level).with_noise(noise, np.random.default_rng(3))
     assert np.ptp(flown.y[:, 0]) > 10  # m/s: far from any linearisation
     fit = output_error(LongitudinalAero(), flown, biases=False)
     for row in fit.parameters:

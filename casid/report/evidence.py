@@ -113,8 +113,7 @@ def few(fit: AnyFit, content: Content) -> Iterator[Caution]:
     """Too few measurements for the unknowns, or records too short to settle slow modes."""
     roles = {file.role for file in content.data}
     role = "refinement" if "refinement" in roles else "identification"
-    files = [file for file in content.data if file.role == role]
-    if not files:
+    if not (files := [file for file in content.data if file.role == role]):
         return
     model = type(fit.model)
     measured = sum(file.samples for file in files) * len(model.outputs)
