@@ -15,12 +15,13 @@ import numpy as np
 from casid.arrays import Array
 from casid.baseline.accuracy import StartCost
 from casid.matching.descent import Condensed, descend
-from casid.matching.initial import Start, distinct, least_squares
+from casid.matching.initial import Start, least_squares
 from casid.matching.mismatch import residuals
 from casid.matching.programme import Optimum, Programme
 from casid.nlp import SolverOptions
 
 STEPS = 200  # at most, of the descent on the cost
+TRIES = 3  # to solve from ends as good as the best, which are many along a valley
 AGREES = 1e-4  # between J as IPOPT has it and J of the model found, relative to 1 + J
 
 
@@ -68,11 +69,13 @@ def _points(problem: Condensed, count: int, seed: int) -> Iterator[tuple[str, Ar
 
 
 def solve(problem: Condensed, found: Minima, options: SolverOptions) -> Optimum:
-    """The programme from the best minimum; from the next if that fails, and so on."""
+    """The programme from the best minimum; from the next as good if that fails, and so on."""
     best: Optimum | None = None
     iterations = 0
     minima = [Start(name=row.start, values=values, cost=row.J) for row, values in found]
-    for start in distinct(minima):
+    minima.sort(key=lambda start: start.cost)
+    limit = minima[0].cost + AGREES * (1 + minima[0].cost)  # a worse minimum is no answer
+    for start in [minima[0], *(each for each in minima[1:] if each.cost <= limit)][:TRIES]:
         programme = Programme(problem.free, problem.comparison, "decibel", start.values)
         optimum = _checked(problem, programme.solve(options, f"derivid, start {start.name}"))
         iterations += optimum.iterations

@@ -30,6 +30,7 @@ from casid.nonlinear.coverage import warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import Records, check_alive, several, stretches
+from casid.shooting import uncertainty
 from casid.shooting.innovation import ProcessNoise
 from casid.shooting.knowledge import with_knowledge
 from casid.shooting.likelihood import CovarianceKind
@@ -329,10 +330,7 @@ def _verdict(outcome: Outcome, found: Precision) -> tuple[bool, str]:
         )
     lost = len(found.undetermined)
     if lost and (outcome.solution.success or lost < outcome.programme.evaluator.nf):
-        reasons.append(
-            f"the records do not determine {', '.join(found.undetermined)} (singular information "
-            "matrix): fix or tie some of them, or add a manoeuvre that excites them"
-        )
+        reasons.append(uncertainty.singular(found.undetermined))
     return not reasons, "; ".join(reasons) or outcome.solution.status
 
 

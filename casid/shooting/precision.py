@@ -110,7 +110,7 @@ def precision(programme: Programme, x: Array) -> Precision:
     if programme.evaluator.kalman:  # a noise that does not matter need not be known
         lost = tuple(name for name in lost if name in programme.free.names)
     n = len(programme.free.index)
-    known = np.where(unknown | unknown[:, None], 0.0, scaled)
+    known = uncertainty.determined(F, ties, alone)  # scores keep clear of what is confounded
     tied = int(ties[:, :n].any(axis=1).sum())
     robust = np.where(np.isfinite(scaled), _coloured(programme, x, known, follow, tied), scaled)
     unit = np.outer(programme.scales.lam, programme.scales.lam)

@@ -113,10 +113,7 @@ def _verdict(outcome: SpectralOutcome, lost: tuple[str, ...]) -> tuple[bool, str
     elif not outcome.settled:
         reasons.append(f"the noise spectra have not settled after {outcome.rounds} rounds; give R")
     if lost:
-        reasons.append(
-            f"the records do not determine {', '.join(lost)} (singular information matrix): fix or "
-            "tie some of them, or add a manoeuvre that excites them"
-        )
+        reasons.append(uncertainty.singular(lost))
     return not reasons, "; ".join(reasons) or outcome.solution.status
 
 

@@ -126,13 +126,28 @@ def bound(F: Array, ties: Array, alone: Array | None = None) -> Array:
     Directions without information have infinite variance: the rows of the parameters in them are
     infinite on the diagonal and NaN elsewhere.
     """
-    unit, values, directions, lost = _directions(F, ties, alone)
-    root = directions[:, ~lost] / np.sqrt(values[~lost])
-    covariance = root @ root.T * np.outer(unit, unit)
+    _, _, directions, lost = _directions(F, ties, alone)
+    covariance = determined(F, ties, alone)
     unknown = np.flatnonzero((np.abs(directions[:, lost]) > 1e-3).any(axis=1))
     covariance[unknown], covariance[:, unknown] = np.nan, np.nan
     covariance[unknown, unknown] = np.inf
-    return np.asarray(covariance)
+    return covariance
+
+
+def determined(F: Array, ties: Array, alone: Array | None = None) -> Array:
+    """`bound` with directions without information held: finite, (nf, nf)."""
+    unit, values, directions, lost = _directions(F, ties, alone)
+    root = directions[:, ~lost] / np.sqrt(values[~lost])
+    return np.asarray(root @ root.T * np.outer(unit, unit))
+
+
+def singular(names: Sequence[str]) -> str:
+    """What is said of parameters in directions without information."""
+    return (
+        f"the records do not determine {', '.join(names)} (singular information matrix): fix or "
+        "tie some of them, add a manoeuvre that excites them, or, where a product with zero hides "
+        "them, start from other values"
+    )
 
 
 def correlation(covariance: Array) -> Array:

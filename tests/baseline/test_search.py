@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from truths.structures import TRUTH, HoverRoll
 
-from casid import FrequencyResponse, SolverOptions
+from casid import (
+    ConvergenceError,
+    FrequencyResponse,
+    Model,
+    Scalar,
+    SolverOptions,
+    derivid,
+    parameter,
+)
 from casid.baseline import search
 from casid.baseline.pairs import select
 from casid.free import free_parameters
@@ -36,6 +44,40 @@ def test_starts_are_named_and_reproducible():
     best = min(found, key=lambda pair: pair[0].J)
     np.testing.assert_allclose(best[1], TRUTH.vector(), rtol=1e-5)
     assert best[0].success
+
+
+class Product(Model):
+    """Two parameters that show as their product alone; with both signs wrong, a worse minimum."""
+
+    states, inputs, outputs = ("p",), ("lat",), ("p",)
+    Lp: Scalar = parameter(default=-2.0, lower=-20.0, upper=0.0, unit="1/s")
+    k: Scalar = parameter(default=-2.0, lower=-20.0, upper=20.0, unit="-")
+    m: Scalar = parameter(default=2.0, lower=-60.0, upper=60.0, unit="-")
+
+    def A(self):
+        return [[self.Lp]]
+
+    def B(self):
+        return [[self.k * self.m]]
+
+
+def test_a_worse_minimum_is_no_answer_where_the_best_is_a_valley():
+    rng, shape = np.random.default_rng(0), (30, 1, 1)
+    omega = np.geomspace(0.5, 15, 30)
+    noise = rng.standard_normal(30) + 1j * rng.standard_normal(30)
+    G = 12 / (1j * omega + 4) * (1 + 0.01 * noise)
+    frf = FrequencyResponse(
+        omega=omega, G=G.reshape(shape), coherence=np.full(shape, 0.98),
+        random_error=np.full(shape, 0.01), inputs=("lat",), outputs=("p",),
+        input_std=np.ones(1), output_std=np.ones(1),
+    )  # fmt: skip
+    fit = derivid(Product(), frf)
+    assert fit.cost == pytest.approx(min(row.J for row in fit.notes.starts), rel=1e-3)
+    assert fit.model.k * fit.model.m == pytest.approx(12.0, rel=0.01)
+    assert np.isinf(fit["k"].std_error)
+    with pytest.raises(ConvergenceError) as caught:  # the guess ends in the worse one
+        derivid(Product(), frf, starts=2)
+    assert caught.value.best.cost < 1.0
 
 
 def test_costs_of_pairs_add_up_to_that_of_the_programme():

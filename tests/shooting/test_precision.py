@@ -40,7 +40,10 @@ def test_parameters_that_show_only_together_are_named():
     assert np.isinf(best["Lextra"].std_error)
     assert best["Lp"].std_error < 0.1
     assert best["Llat"].value + best["Lextra"].value == pytest.approx(TRUTH.Llat, rel=0.01)
-    assert output_error(Twin(), [noisy()], fixed=("Lextra",)).success
+    alone = output_error(Twin(), [noisy()], fixed=("Lextra",))
+    assert alone.success
+    for name in set(alone.free_names) - {"Llat"}:  # errors are those of the same likelihood
+        assert best[name].std_error == pytest.approx(alone[name].std_error, rel=0.01), name
 
 
 def test_a_control_that_never_moves_is_named_and_the_rest_estimated():
