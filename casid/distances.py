@@ -192,12 +192,15 @@ class Distances(Shown):
         heading = ("pair", "rad/s", "structure", "level", "measured", "level", "share", "lacks")
         rows = [
             [
-                f"{row.output}/{row.input}", f"{row.band[0]:.3g}-{row.band[1]:.3g}",
+                f"{row.output}/{row.input}",
+                f"{row.band[0]:.3g}-{row.band[1]:.3g}",
                 *(f"{x:.2g}" for x in (row.structure, row.structure_level, row.measured)),
-                f"{row.measured_level:.2g}", f"{row.share:.0%}", str(row.missing or ""),
+                f"{row.measured_level:.2g}",
+                f"{row.share:.0%}",
+                str(row.missing or ""),
             ]
             for row in self.faults
-        ]  # fmt: skip
+        ]
         return markdown_table(heading, rows)
 
 
@@ -302,9 +305,12 @@ def _limit(freedom: float, chance: float) -> float:
 
 
 def _measured(
-    responses: Sequence[FrequencyResponse], box: BlackBox, pair: tuple[str, str],
-    edges: tuple[float, float], chance: float,
-) -> dict[str, float]:  # fmt: skip
+    responses: Sequence[FrequencyResponse],
+    box: BlackBox,
+    pair: tuple[str, str],
+    edges: tuple[float, float],
+    chance: float,
+) -> dict[str, float]:
     """Distance of the black box to a measured response, and its level; nothing without one."""
     known = [each for each in responses if pair[0] in each.outputs and pair[1] in each.inputs]
     if not known:

@@ -122,7 +122,10 @@ def structure_error(
     )
     moved = np.einsum("pkij,klij->plij", K, root, optimize=True).reshape(len(K), -1)
     return StructureError(
-        omega=omega, std=std / target.scale,
+        omega=omega,
+        std=std / target.scale,
         covariance=moved.real @ moved.real.T + moved.imag @ moved.imag.T,
-        free_names=free.names, inputs=free.model.inputs, outputs=free.model.outputs,
-    )  # fmt: skip
+        free_names=free.names,
+        inputs=free.model.inputs,
+        outputs=free.model.outputs,
+    )

@@ -287,10 +287,13 @@ def _check_types(fit: AnyFit) -> None:
     if odd := [name for name, value in flags.items() if not isinstance(value, bool)]:
         raise TypeError(f"{odd[0]} = {flags[odd[0]]!r} is neither true nor false")
     for kind, found in (
-        (ParameterEstimate, rows), (ConstraintEstimate, held), (Certificate, optional),
+        (ParameterEstimate, rows),
+        (ConstraintEstimate, held),
+        (Certificate, optional),
         (np.ndarray, [each for each in arrays if each is not None]),
-        (int | float, values), (str, texts),
-    ):  # fmt: skip
+        (int | float, values),
+        (str, texts),
+    ):
         if wrong := [each for each in found if not isinstance(each, kind)]:
             raise TypeError(f"{wrong[0]!r} is no {getattr(kind, '__name__', 'number')}")
 

@@ -185,12 +185,16 @@ def compare_structures(
                 errors[k, i], noise[k, i] = _error(each, flown[i], outputs)
         reasons |= {job: each.reason for job, each in done.items() if each.reason}
     return StructureComparison(
-        names=tuple(candidates), manoeuvres=tuple(flown[i].name for i in left), outputs=outputs,
+        names=tuple(candidates),
+        manoeuvres=tuple(flown[i].name for i in left),
+        outputs=outputs,
         parameters=tuple(0 if f is None else len(f.free_names) for f in fits),
-        errors=errors[:, left], noise=_least(noise[:, left]),
+        errors=errors[:, left],
+        noise=_least(noise[:, left]),
         aicc=np.array([np.nan if f is None else aicc(f, flown) for f in fits]),
-        fits=tuple(fits), reasons=reasons,
-    )  # fmt: skip
+        fits=tuple(fits),
+        reasons=reasons,
+    )
 
 
 def _without(name: str, part: Sequence[int]) -> str:

@@ -217,8 +217,11 @@ class _Reconstruction:
     def fit_sizes(self, blocks: Sequence[Block]) -> None:
         """Take the standard deviations of the innovations."""
         for each in self.equations:
-            mine = [_innovations(self.gains[each], e, e[:, None])[0]
-                    for name, e, _ in blocks if name == each]  # fmt: skip
+            mine = [
+                _innovations(self.gains[each], e, e[:, None])[0]
+                for name, e, _ in blocks
+                if name == each
+            ]
             floor = ROUNDING * max(np.ptp(flight.values[each]) for flight in self.flights)
             size = np.sqrt(np.mean(np.concatenate(mine) ** 2) + floor**2 + 1e-300)
             self.sizes[each] = float(size)

@@ -194,10 +194,14 @@ class _Campaign:
         elapsed = time.perf_counter() - self.begin
         left, fresh = len(self.jobs) - len(self.done), len(self.done) - self.kept
         advance = CampaignProgress(
-            name=job.name, done=len(self.done), total=len(self.jobs), seconds=done.seconds,
+            name=job.name,
+            done=len(self.done),
+            total=len(self.jobs),
+            seconds=done.seconds,
             failed=sum(1 for each in self.done.values() if each.reason),
-            elapsed=elapsed, remaining=elapsed / fresh * left,
-        )  # fmt: skip
+            elapsed=elapsed,
+            remaining=elapsed / fresh * left,
+        )
         LOG.info("%s%s", advance, f"; failed: {done.reason}" if done.reason else "")
         if self.progress is not None:
             self.progress(advance)

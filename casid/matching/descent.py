@@ -51,9 +51,13 @@ class Condensed:
         """The quadratic norm of a comparison."""
         size = np.linalg.norm(comparison.W * comparison.G) / np.sqrt(len(comparison.s))
         return cls(
-            free=free, comparison=comparison, norm="quadratic", matrices=MatrixFunction(free),
-            penalty=PENALTY * float(size), guarded=guarded and comparison.line is not None,
-        )  # fmt: skip
+            free=free,
+            comparison=comparison,
+            norm="quadratic",
+            matrices=MatrixFunction(free),
+            penalty=PENALTY * float(size),
+            guarded=guarded and comparison.line is not None,
+        )
 
     @cached_property
     def scale(self) -> Array:

@@ -137,11 +137,15 @@ class Search:
             cost = appraisal.grid_norm
             unit = 1 / (2 * max(cost, self.negligible, 1e-300))
         return Found(
-            values=optimum.values, multipliers=optimum.multipliers * unit,
-            prices=optimum.prices * unit, cost=cost, success=optimum.success and doubt is None,
+            values=optimum.values,
+            multipliers=optimum.multipliers * unit,
+            prices=optimum.prices * unit,
+            cost=cost,
+            success=optimum.success and doubt is None,
             status=optimum.status if doubt is None or not optimum.success else doubt,
-            start=start, appraisal=appraisal,
-        )  # fmt: skip
+            start=start,
+            appraisal=appraisal,
+        )
 
     def _programme(self, norm: str, values: Array, against: Comparison, *, stable: bool) -> Optimum:
         free = stable or not self.stable or self._unstable(values)

@@ -61,10 +61,11 @@ def starting_noises(
     least = (FLOOR * size) ** 2
     variance = np.maximum(noise, 4 * least) if given is None else np.diag(given)
     seen = [
-        np.max(np.diag(system.C @ accumulated(system.A, np.diag(one), HORIZON) @ system.C.T)
-               / variance)
+        np.max(
+            np.diag(system.C @ accumulated(system.A, np.diag(one), HORIZON) @ system.C.T) / variance
+        )
         for one in np.eye(system.nx)
-    ]  # fmt: skip
+    ]
     constant = np.isin(model.states, model.constant_states)
     heard = (np.array(seen) > 0) & ~constant
     q0 = np.where(heard, NOTICED / np.where(heard, seen, 1.0), 0.0)

@@ -50,9 +50,13 @@ def step(programme: Programme, x: Array, F: Array, options: SolverOptions) -> So
     slopes = programme.constraint_matrix(x)[first:, :nf].toarray()
     now = programme.values(x).g[first:]
     problem = Problem(
-        x=d, f=ca.bilin(ca.DM(F / programme.n), ca.vertcat(d, 1)) / 2,
-        g=ca.mtimes(ca.DM(slopes), d) if len(slopes) else ca.MX(0, 1), x0=np.zeros(nf),
-        lower_x=lower - x[:nf], upper_x=upper - x[:nf],
-        lower_g=lower_c - now, upper_g=upper_c - now,
-    )  # fmt: skip
+        x=d,
+        f=ca.bilin(ca.DM(F / programme.n), ca.vertcat(d, 1)) / 2,
+        g=ca.mtimes(ca.DM(slopes), d) if len(slopes) else ca.MX(0, 1),
+        x0=np.zeros(nf),
+        lower_x=lower - x[:nf],
+        upper_x=upper - x[:nf],
+        lower_g=lower_c - now,
+        upper_g=upper_c - now,
+    )
     return solve(problem, options, stage="output error, prediction")

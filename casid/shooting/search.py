@@ -149,9 +149,12 @@ class Search:
             warm, rounds = (solution.multipliers_x, solution.multipliers_g), outcome.rounds + 1
             new = self._solve(programme, last.unpack(solution.x), warm, rounds, self.options)
             outcome = replace(
-                outcome, programme=programme, solution=new, rounds=rounds,
+                outcome,
+                programme=programme,
+                solution=new,
+                rounds=rounds,
                 iterations=outcome.iterations + new.iterations,
-            )  # fmt: skip
+            )
         return outcome, None
 
     def around(self, outcome: Outcome) -> Outcome:
