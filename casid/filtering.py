@@ -13,6 +13,7 @@ of Statistics 19, 1991).
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -28,14 +29,41 @@ SETTLED = 1e-10  # change of a covariance, relative, after which gains are kept
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """What is known at one sample."""
+    """What is known at one sample; the first axis (levels) is that of the filters."""
 
-    x: Array  # (nx,) state there
-    first: Array  # (nx,) state at the first sample
-    bias: Array  # (ny,)
-    P: Array  # (nx, nx) covariance of x, z being known
-    Q: Array  # (nx, nx) covariance of what the next steps of usual length will add each
+    X: Array  # (levels, nx, 1 + nx + ny) states there: what inputs and outputs make, and by z
+    P: Array  # (levels, nx, nx) covariances of the state, z being known
+    Q: Array  # (levels, nx, nx) of what the next steps of usual length will add each
     r: Array  # (ny,) variances of measurement noise
+    moments: Array  # (levels, *2 * [1 + nx + ny]) of the whitened innovations so far, and by z
+    sizes: Array  # (levels,) sums of log det S
+
+    @cached_property
+    def likeliest(self) -> tuple[int, Array]:
+        """The level with the largest likelihood, and 1 beside what it knows of z."""
+        H, g = self.moments[:, 1:, 1:], self.moments[:, 1:, 0]
+        unit = np.sqrt(np.diagonal(H, axis1=1, axis2=2))
+        unit = np.where(unit == 0, 1.0, unit)
+        scaled = H / (unit[:, :, None] * unit[:, None])
+        inverse = np.linalg.pinv(scaled, rcond=RANK, hermitian=True)
+        z = -(inverse @ (g / unit)[:, :, None])[:, :, 0] / unit
+        best = int(np.argmin(self.sizes + self.moments[:, 0, 0] + np.sum(g * z, axis=1)))
+        return best, np.r_[1.0, z[best]]
+
+    def known_by(self, later: "Start") -> Array:
+        """State (nx,), z and the level being those of a later sample."""
+        best, z = later.likeliest
+        return np.asarray(self.X[best] @ z)
+
+    @property
+    def x(self) -> Array:
+        """State (nx,)."""
+        return self.known_by(self)
+
+    @property
+    def bias(self) -> Array:
+        """Biases (ny,)."""
+        return self.likeliest[1][1 + self.X.shape[1] :]
 
 
 def noises(steps: Steps, C: Array, y: Array, scale: Array) -> tuple[Array, Array]:
@@ -57,25 +85,30 @@ def noises(steps: Steps, C: Array, y: Array, scale: Array) -> tuple[Array, Array
 def starts(
     steps: Steps, C: Array, y: Array, t: Array, scale: Array, at: Collection[int]
 ) -> Iterator[Start]:
-    """State at each of the samples, in order, from the outputs (N, ny) up to it; NaN is missing."""
-    q, r = noises(steps, C, y, scale)
-    (ny, nx), unit = C.shape, np.diff(t) / np.median(np.diff(t))
-    bank = _Bank(q, r, C)
+    """What is known at each of the samples, in order, from the outputs (N, ny) up to it.
+
+    NaN is missing; C is (ny, nx) or (N, ny, nx). What comes after a sample is read when the next
+    is asked for: whoever linearises may set it on the way.
+    """
+    C = np.broadcast_to(C, (len(t), *C.shape[-2:]))
+    q, r = noises(steps, C[0], y[: max(at) + 1], scale)
+    (ny, nx), unit = C.shape[1:], np.diff(t) / np.median(np.diff(t))
+    bank = _Bank(q, r)
     X = np.zeros((len(LEVELS), nx, 1 + nx + ny))  # states: of inputs and outputs, and by z
     X[:, :, 1 : 1 + nx] = np.eye(nx)
     moments, sizes = np.zeros((len(LEVELS), *2 * [1 + nx + ny])), np.zeros(len(LEVELS))
     for k in range(max(at) + 1):
         seen = np.isfinite(y[k])
-        K, W, size = bank.look(seen)
-        E = -C @ X
+        K, W, size = bank.look(C[k], seen)
+        E = -C[k] @ X
         E[:, :, 0] += np.where(seen, y[k] - steps.direct[k], 0.0)
         E[:, :, 1 + nx :] -= np.eye(ny)
         X = X + K @ E
         white = W @ E
-        moments += white.transpose(0, 2, 1) @ white
-        sizes += size
+        moments = moments + white.transpose(0, 2, 1) @ white
+        sizes = sizes + size
         if k in at:
-            yield _likeliest(X, moments, sizes, bank)
+            yield Start(X, bank.after, bank.Q, r, moments, sizes)
         if k < len(unit):
             A = steps.maps[steps.which[k]]
             X = A @ X
@@ -86,17 +119,17 @@ def starts(
 class _Bank:
     """Covariances of filters with all levels of process noise."""
 
-    def __init__(self, q: Array, r: Array, C: Array) -> None:
-        self.Q, self.r, self._C = LEVELS[:, None, None] * np.diag(q), r, C
+    def __init__(self, q: Array, r: Array) -> None:
+        self.Q, self.r = LEVELS[:, None, None] * np.diag(q), r
         self._P = self.after = self.Q.copy()  # before and after a sample
         self._kept: tuple[Array, Array, Array] | None = None
         self._seen: BoolArray = np.zeros(0, bool)
         self._step, self._same = -1, False
 
-    def look(self, seen: BoolArray) -> tuple[Array, Array, Array]:
+    def look(self, C: Array, seen: BoolArray) -> tuple[Array, Array, Array]:
         """Gains (b, nx, ny), whiteners (b, ny, ny) and log det S (b,); 0 where nothing is seen."""
         if not (self._same and self._kept is not None and np.array_equal(seen, self._seen)):
-            C, r = self._C * seen[:, None], np.where(seen, self.r, 1.0)
+            C, r = C * seen[:, None], np.where(seen, self.r, 1.0)
             S = C @ self._P @ C.T + np.diag(r)
             W = np.linalg.inv(np.linalg.cholesky(S))
             K = self._P @ C.T @ W.transpose(0, 2, 1) @ W
@@ -117,19 +150,3 @@ class _Bank:
             (change <= SETTLED * np.abs(P).max(axis=(1, 2))).all()
         )
         self._P, self._step = P, step
-
-
-def _likeliest(X: Array, moments: Array, sizes: Array, bank: _Bank) -> Start:
-    """What the level with the largest likelihood knows."""
-    costs, solutions = [], []
-    for M, size in zip(moments, sizes, strict=True):
-        H, g = M[1:, 1:], M[1:, 0]
-        unit = np.sqrt(np.diag(H))
-        unit[unit == 0] = 1.0
-        inverse = np.linalg.pinv(H / np.outer(unit, unit), rcond=RANK, hermitian=True)
-        solutions.append(-inverse @ (g / unit) / unit)
-        costs.append(size + M[0, 0] + g @ solutions[-1])
-    best = int(np.argmin(costs))
-    z, nx = solutions[best], X.shape[1]
-    x = X[best, :, 0] + X[best, :, 1:] @ z
-    return Start(x, z[:nx], z[nx:], bank.after[best], bank.Q[best], bank.r)

@@ -17,14 +17,14 @@ that is estimated on the past before it and nothing else (`casid.filtering`).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.linalg
 
 from casid import filtering
 from casid.arrays import Array
-from casid.linear import StateSpace
+from casid.linear import StateSpace, Steps
 from casid.record import Record
 
 RANK = 1e-10  # singular values below this share of the largest are directions without effect
@@ -48,12 +48,20 @@ class Outlook:
 class Prediction:
     """Outputs of a model over a record, NaN where it has none or nothing can be predicted yet."""
 
-    y: Array  # (N, ny of the record)
+    y: Array  # (N, ny)
     x0: Array  # state at the first sample used
     b: Array  # (ny,) mean biases
     expected: Array  # (ny,) root mean square error that noise alone makes of predictions
+    states: Array  # (N, nx)
     reached: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # if nonlinear
-    states: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (N, nx) if nonlinear, total
+
+    def placed(self, columns: np.ndarray, ny: int) -> "Prediction":
+        """Own outputs in columns of ny of a record's; -1 is none."""
+        y, ours = np.full((len(self.y), ny), np.nan), columns >= 0
+        b, expected = np.full((2, ny), np.nan)
+        for place, own in zip((y.T, b, expected), (self.y.T, self.b, self.expected), strict=True):
+            place[columns[ours]] = own[ours]
+        return replace(self, y=y, b=b, expected=expected)
 
 
 def growth_rate(system: StateSpace) -> float:
@@ -91,43 +99,52 @@ def outlook(systems: Sequence[StateSpace], record: Record, horizon: float | None
 
 def predict(system: StateSpace, record: Record, scale: Array, far: Outlook) -> Prediction:
     """Outputs of a model over a record; ``scale`` (ny,) weighs them, the intervals must agree."""
-    follower = _Follower(system, record, scale)
-    y, (mean, expected) = np.full(record.y.shape, np.nan), np.full((2, record.ny), np.nan)
+    follower = Follower(system, record, scale)
     if np.isinf(far.horizon):
-        x, bias = follower.estimate()
-        first, biases = x[0], [bias]
-        y[:, follower.shared] = follower.outputs(x, 0) + bias
+        states, bias = follower.estimate()
+        y = follower.outputs(states, 0) + bias
+        found = Prediction(y, states[0], bias, np.full(len(bias), np.nan), states)
     else:
-        found = list(follower.known(far.starts))
-        first, biases = found[0].first, [each.bias for each in found]
-        ends = (*far.starts[1:], record.N - 1)
-        for start, end, known in zip(far.starts, ends, found, strict=True):
-            ahead = follower.forward(known.x, start, end)
-            y[start + 1 : end + 1, follower.shared] = (
-                follower.outputs(ahead, start)[1:] + known.bias
-            )
-        variances = np.vstack(
-            [follower.spread(*each) for each in zip(found, far.starts, ends, strict=True)]
-        )
-        expected[follower.shared] = np.sqrt(variances.mean(axis=0))
-    mean[follower.shared] = np.mean(biases, axis=0)
-    return Prediction(y, first, mean, expected)
+        found = follower.pieces(far.starts)
+    return found.placed(np.array(follower.shared), record.ny)
 
 
-class _Follower:
-    """Estimates and continues the state of one model along one record."""
+class Follower:
+    """Estimates and continues the state of one model, linear unless derived, along one record."""
+
+    origin: Array  # (nx,) state that the filters count from
+    steps: Steps
+    C: Array  # (N, ny, nx)
 
     def __init__(self, system: StateSpace, record: Record, scale: Array) -> None:
         self.shared = [i for i, name in enumerate(record.outputs) if name in system.outputs]
         rows = [system.outputs.index(record.outputs[i]) for i in self.shared]
         u = record.u[:, [record.inputs.index(channel) for channel in system.inputs]]
         self.system, self.steps = system, system.steps(record.t, u, record.hold)
-        self.C, self.direct = system.C[rows], self.steps.direct[:, rows]
+        self.steps = replace(self.steps, direct=self.steps.direct[:, rows])
+        self.C = np.broadcast_to(system.C[rows], (record.N, len(rows), system.nx))
+        self.origin = np.zeros(system.nx)
         self.t, self.y, self.scale = record.t, record.y[:, self.shared], scale[self.shared]
+
+    def pieces(self, starts: Sequence[int]) -> Prediction:
+        """Predictions from each start to the next, each from what is known there."""
+        N, ny, nx = self.C.shape
+        y, states = np.full((N, ny), np.nan), np.full((N, nx), np.nan)
+        biases, variances, first = [], [], np.zeros(0)
+        ends = (*starts[1:], N - 1)
+        for start, end, known in zip(starts, ends, self.known(starts), strict=True):
+            path = self.forward(self.origin + known.x, start, end)
+            ahead = slice(start + 1, end + 1)
+            states[ahead], y[ahead] = path[1:], self.outputs(path, start)[1:] + known.bias
+            variances.append(self.spread(known, start, end))
+            biases.append(known.bias)
+            first = first if len(first) else self.origin + known.likeliest[1][1 : 1 + nx]
+        expected = np.sqrt(np.concatenate(variances).mean(axis=0))
+        return Prediction(y, first, np.mean(biases, axis=0), expected, states)
 
     def outputs(self, x: Array, begin: int) -> Array:
         """Outputs without biases of states (n, nx) from a sample on."""
-        return np.asarray(x @ self.C.T + self.direct[begin : begin + len(x)])
+        return np.asarray(x @ self.C[0].T + self.steps.direct[begin : begin + len(x)])
 
     def forward(self, x: Array, begin: int, end: int) -> Array:
         """States from one sample to another."""
@@ -142,18 +159,19 @@ class _Follower:
 
     def spread(self, known: filtering.Start, start: int, end: int) -> Array:
         """Variances (end - start, ny) of the outputs about what is predicted from a start."""
-        P, found = known.P, []
+        level, found = known.likeliest[0], []
+        P = known.P[level]
         for k in range(start, end):
-            A = self.steps.maps[self.steps.which[k]]
-            P = A @ P @ A.T + known.Q
-            found.append(np.einsum("ij,jk,ik->i", self.C, P, self.C) + known.r)
+            A, C = self.steps.maps[self.steps.which[k]], self.C[k + 1]
+            P = A @ P @ A.T + known.Q[level]
+            found.append(np.einsum("ij,jk,ik->i", C, P, C) + known.r)
         return np.array(found)
 
     def estimate(self) -> tuple[Array, Array]:
         """States (N, nx) and biases that suit all measurements best."""
         states = self._states()
-        response = self.C @ states  # (N, outputs shared, 1 + nx)
-        residual = self.y - response[:, :, 0] - self.direct
+        response = self.C[0] @ states  # (N, outputs shared, 1 + nx)
+        residual = self.y - response[:, :, 0] - self.steps.direct
         z, bias = _fit_unknowns(residual, response[:, :, 1:], self.scale)
         return states[:, :, 0] + states[:, :, 1:] @ z, bias
 

@@ -68,8 +68,8 @@ class Validation(Shown):
         the past alone; infinite where they were simulated over all of it.
     expected : mapping to (records, ny) array
         Root mean square error that disturbances and noise alone, as large as the records show from
-        one sample to the next, make of the predictions; NaN where records were simulated, and of
-        nonlinear structures. Far less than ``rms`` says that the model is wrong.
+        one sample to the next, make of the predictions; NaN where records were simulated. Far less
+        than ``rms`` says that the model is wrong.
     growth : mapping to float
         Rate [1/s] of each model's fastest growing mode; 0 of a stable one.
 

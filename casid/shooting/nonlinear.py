@@ -241,18 +241,19 @@ class NonlinearSweep(Sweep):
         by_lam: Array = np.empty((n, nx, nf))
         for first in range(0, n, PIECE):
             piece = slice(first, first + PIECE)
-            by_x[piece], by_lam[piece] = self._advanced(flat[piece])
+            by_x[piece], by_lam[piece] = self.advanced(flat[piece])
         self.by_x[flat] = by_x
         self._room -= by_lam.nbytes
         if self._room > 0:
             self._kept[key] = by_x, by_lam
         return by_x, by_lam
 
-    def _advanced(self, flat: np.ndarray) -> tuple[Array, Array]:
+    def advanced(self, flat: np.ndarray) -> tuple[Array, Array]:
         """Derivatives (n, nx, nx) by the states before and (n, nx, nf) by λ of those one sample on.
 
-        With slopes A_i, F_i of f by x and λ at the stages, at c_i after a step's beginning, those
-        of the step are I + Σ M_i A_i and Σ M_i F_i, where M_i = w_i I + c_{i+1} M_{i+1} A_{i+1}.
+        At most `PIECE` samples at once. With slopes A_i, F_i of f by x and λ at the stages, at c_i
+        after a step's beginning, those of the step are I + Σ M_i A_i and Σ M_i F_i, where
+        M_i = w_i I + c_{i+1} M_{i+1} A_{i+1}.
         """
         nx, nf, n = self.e.nx, self.e.nf, len(flat)
         A, F = np.empty((n, len(STAGES), nx, nx)), self._F[:n]

@@ -1,21 +1,23 @@
 """Nonlinear structures simulated, and predicted from states that a record's past tells."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from casid import filtering
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.free import Free
-from casid.nonlinear.coverage import joined, reached, warn_beyond
+from casid.linear import Steps
+from casid.nonlinear.coverage import reached, warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.trims import warn_unbalanced
-from casid.prediction import Outlook, Prediction
+from casid.prediction import Follower, Outlook, Prediction
 from casid.record import Record
 from casid.records import standard_deviations
 from casid.shooting.intervals import lay_out
-from casid.shooting.nonlinear import MOST, NonlinearEvaluator
+from casid.shooting.nonlinear import MOST, PIECE, NonlinearEvaluator, Track
 from casid.shooting.sensitivity import Point
 from casid.threads import one_thread
 
@@ -23,6 +25,7 @@ SAME = 1e-6  # change of outputs, over their size, from halving the steps that e
 ROUNDS = 20  # of Gauss-Newton steps for a state
 STILL = 1e-10  # change of the cost, relative, that ends them
 AWAY = "the structure runs away from its start; predict over a shorter horizon"
+PASSES = 5  # along the past before the first prediction, each linearised about the one before
 WEAK = 1e-8  # information below this share of the largest moves nothing
 
 
@@ -102,37 +105,96 @@ def predict_nonlinear(
 ) -> Prediction:
     """Outputs of a nonlinear structure over a record, as `casid.prediction.predict` has a linear's.
 
-    Initial state and biases are those of least squares weighted by ``scale`` (ny,): over all of
-    the record, or before each prediction on its past alone. ValueError: a missing channel, a state
-    that no step from the measured one on improves.
+    Simulated with the initial state and the biases of least squares weighted by ``scale`` (ny,), or
+    predicted from what extended Kalman filters tell at each start. ValueError: a missing channel, a
+    state that no step from the measured one on improves, a solution that runs away.
     """
-    own = [name for name in model.outputs if name in record.outputs]
-    mine = [model.outputs.index(name) for name in own]
-    columns = [record.outputs.index(name) for name in own]
-    total = record.total().select(model.inputs, own)
-    y, weight = np.full((record.N, len(model.outputs)), np.nan), np.ones(len(model.outputs))
-    y[:, mine], weight[mine] = total.y, 1 / scale[columns]
-    whole = replace(total, y=y, outputs=model.outputs)
-    found, biases, visited = np.full(record.y.shape, np.nan), [], []
-    inner = np.full((record.N, len(model.states)), np.nan)
-    first: Array = np.zeros(0)
-    for start, end in zip(far.starts or (-1,), (*far.starts[1:], record.N - 1), strict=True):
-        begin = max(start - far.past, 0)
-        piece = whole.take(slice(begin, end + 1))
-        known = piece.y.copy()
-        if far.starts:
-            known[far.past + 1 :] = np.nan  # what is predicted is not looked at
-        (x0, bias), outputs, states = _answer(model, replace(piece, y=known), weight)
-        visited.append(reached(model, states, piece.u))
-        first = first if len(first) else x0
-        found[start + 1 : end + 1, columns] = outputs[start + 1 - begin :, mine]
-        inner[start + 1 : end + 1] = states[start + 1 - begin :]
-        biases.append(bias)
-    mean = np.full(record.ny, np.nan)
-    mean[columns] = np.mean(biases, axis=0)[mine]
+    total = record.total()
+    columns = np.array(
+        [record.outputs.index(n) if n in record.outputs else -1 for n in model.outputs]
+    )
+    y, sizes = np.where(columns < 0, np.nan, total.y[:, columns]), scale[columns]
+    whole = replace(total.select(model.inputs, ()), y=y, outputs=model.outputs)
+    if far.starts:
+        found = _ExtendedFilter(model, whole, sizes).pieces(far.starts)
+    else:
+        (x0, bias), y, states = _answer(model, whole, 1 / sizes)
+        found = Prediction(y, x0, bias, np.full(len(bias), np.nan), states)
+    found = found.placed(columns, record.ny)
     trim = np.array([record.trim.get(name, 0.0) for name in record.outputs])
-    unknown = np.full(record.ny, np.nan)
-    return Prediction(found - trim, first, mean, unknown, joined(visited), inner)
+    return replace(found, y=found.y - trim, reached=reached(model, found.states, whole.u))
+
+
+class _ExtendedFilter(Follower):
+    """What a record's past tells of a nonlinear structure's states: `casid.filtering`, extended.
+
+    The filters are of deviations from one state. Steps and outputs are linearised about what is
+    known at each sample; up to the first start, before which nothing is predicted, about the states
+    that all of that past tells, in some passes.
+    """
+
+    def __init__(self, model: NonlinearModel, record: Record, scale: Array) -> None:
+        e = self._e = NonlinearEvaluator(_all_free(model), lay_out([record], 1e9))
+        self._lam, self.y, self.t, self.scale = model.vector(), record.y, record.t, scale
+        m, (N, ny), nx = e.matrices(self._lam), record.y.shape, e.nx
+        self._stages = e.stages(m)[0].reshape(N, e.substeps, -1)
+        self._u = np.concatenate([part.value for part in e.held(m)])
+        point = Point(lam=self._lam, bias=np.zeros((1, ny)), nodes=e.resting())
+        self._inner = np.zeros((N, e.substeps, nx))
+        track = Track(self._inner[:, 0], np.zeros((N, ny)), point.nodes, self._inner)
+        self._sweep = e.sweep(point, track, np.zeros((1, ny, ny)))
+        self.origin, self.C, self._A = point.nodes[0], np.zeros((N, ny, nx)), np.zeros((N, nx, nx))
+        self.steps = Steps(tuple(self._A), np.arange(N - 1), np.zeros((N, nx)), np.zeros((N, ny)))
+        self._linearise(np.arange(N), np.tile(self.origin, (N, 1)))
+
+    def known(self, starts: Sequence[int]) -> Iterator[filtering.Start]:
+        """What is known at each start; asked for the next, it forgets linearisations ahead."""
+        past, rest = range(starts[0] + 1), range(starts[0], starts[-1] + 1)
+        for _ in range(PASSES):
+            found = list(super().known(past))
+            near = np.array([each.known_by(found[-1]) for each in found])
+            self._linearise(np.array(past), self.origin + near)
+        for k, known in zip(rest, super().known(rest), strict=True):
+            if k in starts:
+                yield known
+            self.forward(self.origin + known.x, k, k + 1)
+
+    def forward(self, x: Array, begin: int, end: int) -> Array:
+        """States from one sample to another; steps and outputs are linearised about them."""
+        found = [x[None]]
+        for k in range(begin, end):
+            found.append(self._step(np.array([k]), found[-1]))
+        self._linearise(np.arange(begin, end + 1), states := np.concatenate(found))
+        return states
+
+    def outputs(self, x: Array, begin: int) -> Array:
+        """Outputs without biases of states (n, nx) from a sample on."""
+        y = self._e.flow.output(x, self._u[begin : begin + len(x)], self._lam)
+        if not np.isfinite(y).all():
+            raise ValueError(AWAY)
+        return y
+
+    def _linearise(self, at: np.ndarray, x: Array) -> None:
+        """Take steps from samples and outputs there about states (n, nx), if they have values."""
+        ends, parts = self._step(at, x), np.split(at, range(PIECE, len(at), PIECE))
+        A = np.concatenate([self._sweep.advanced(part)[0] for part in parts])
+        h, C = self._e.flow.h(x, self._u[at], self._lam)[:2]
+        away = (x - self.origin)[:, :, None]
+        forcing = ends - self.origin - (A @ away)[:, :, 0]
+        direct = h - (C @ away)[:, :, 0]
+        values = np.hstack([forcing, direct, A.reshape(len(at), -1), C.reshape(len(at), -1)])
+        good = np.isfinite(values).all(axis=1)
+        places = self.steps.forcing, self.steps.direct, self._A, self.C
+        for place, value in zip(places, (forcing, direct, A, C), strict=True):
+            place[at[good]] = value[good]
+
+    def _step(self, at: np.ndarray, x: Array) -> Array:
+        """States (n, nx) one sample on, those at Runge-Kutta steps within being kept."""
+        for s in range(self._e.substeps):
+            self._inner[at, s] = x
+            eta = self._e.lengths[at] / self._e.substeps
+            x = self._e.flow.step(x, self._stages[at, s], eta, self._lam)
+        return x
 
 
 def _answer(
