@@ -108,7 +108,10 @@ def design_inputs(
     made = _predicted(problem, task, flown, chosen)
     blind = [f"{name}: no effect on the linearisation at the trim" for name in unfelt]
     count = 2 * settings.draws if drawn else 0
-    return replace(made, plausible=count, unheld=count - len(drawn), blind=(*made.blind, *blind))
+    return replace(
+        made, plausible=count, unheld=count - len(drawn), spread=problem.spread,
+        blind=(*made.blind, *blind),
+    )  # fmt: skip
 
 
 def _instants(task: Task) -> Array:

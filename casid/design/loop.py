@@ -93,23 +93,32 @@ class Loop:
     def _impulses(self, K: Array) -> None:
         """Responses of sticks, outputs and z to one sample of each r, (N, ..., nu), as spectra."""
         # A line rises to the impulse from the sample before.
-        nx, nu, n = self.nx, self.nu, self.N + 1
+        nx, nu = self.nx, self.nu
         now, rise = np.where(self._lag == 0, [1.0 - self._part, np.full(nu, 1 / self.h)], 0.0)
         own = self.C @ (self._from_next_v * rise) + self.D * now
-        inverse, eye = np.linalg.inv(np.eye(nu) + K @ own), np.eye(nu)
-        before = int(self._lag.max()) + 1  # samples at rest
-        u = np.zeros((before + n, nu, nu))
-        x, d, v = np.zeros((n, nx, nu)), np.zeros((n, nu, nu)), np.zeros((n, nu, nu))
+        inverse, before = np.linalg.inv(np.eye(nu) + K @ own), int(self._lag.max()) + 1
+        sizes = np.cumsum([nx, nu, nu])
+        now, rise = now[:, None], rise[:, None]
+
+        def after(s: Array, impulse: Array) -> Array:
+            """States, delayed sticks, their slopes and the last sticks, one sample later."""
+            x, d, v, u = np.split(s, sizes)
+            past = np.concatenate([u, 0.0 * impulse]).reshape(before + 1, nu, -1)
+            d_now, v_now = self._delayed(past, before)
+            step = self.E @ x + self._from_d @ d + self._from_v @ v + self._from_next_v @ v_now
+            u_now = inverse @ (impulse - K @ (self.C @ step + self.D @ d_now))
+            x = step + self._from_next_v @ (rise * u_now)
+            return np.concatenate([x, d_now + now * u_now, v_now + rise * u_now, u[nu:], u_now])
+
+        n = nx + (2 + before) * nu
+        every = after(np.zeros((n, nu)), np.eye(nu))[None]
         with np.errstate(over="ignore", invalid="ignore"):  # of a loop that is refused below
-            for k in range(1, n):
-                d[k], v[k] = self._delayed(u, before + k)
-                step = self.E @ x[k - 1] + self._from_d @ d[k - 1] + self._from_v @ v[k - 1]
-                step += self._from_next_v @ v[k]
-                u[before + k] = inverse @ (eye * (k == 1) - K @ (self.C @ step + self.D @ d[k]))
-                d[k] += now[:, None] * u[before + k]
-                v[k] += rise[:, None] * u[before + k]
-                x[k] = step + self._from_next_v @ (rise[:, None] * u[before + k])
-        x, u, d, v = x[1:], u[before + 1 :], d[1:], v[1:]
+            further = after(np.eye(n), np.zeros((nu, n)))
+            while len(every) < self.N:  # twice as far with every product
+                every = np.concatenate([every, further @ every])
+                further = further @ further
+        x, d, v, u = np.split(every[: self.N], sizes, axis=1)
+        u = u[:, -nu:]
         self._check_stable(u, K)
         y = self.C @ x + self.D @ d
         self._sizes = np.cumsum([nu, self.ny])

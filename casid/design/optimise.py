@@ -150,10 +150,10 @@ class Task:
 
 def _powers(share: Array, p: int) -> tuple[Array, Array]:
     """Shares to the p, a power of two, and to the p - 1: squared, which is faster than a power."""
-    power, lower = share, np.ones_like(share)
-    for _ in range(p.bit_length() - 1):
-        lower = lower * power
-        power = power * power
+    power, lower = share * share, share.copy()
+    for _ in range(p.bit_length() - 2):
+        lower *= power
+        power *= power
     return power, lower
 
 

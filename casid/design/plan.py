@@ -210,6 +210,8 @@ class Design(Shown):
     plausible, unheld : int
         Models drawn from the prior, and those of them that the feedback does not hold, which keep
         no limits.
+    spread : float
+        Standard deviation, relative, by which their values are scattered.
     untold : tuple of str
         Parameters that no input tells, or only together with others. Nothing of what is compared
         counts them.
@@ -234,6 +236,7 @@ class Design(Shown):
     instead: float = np.nan
     plausible: int = 0
     unheld: int = 0
+    spread: float = 0.0
     untold: tuple[str, ...] = ()
     blind: tuple[str, ...] = ()
 
@@ -320,7 +323,19 @@ class Design(Shown):
             for name, share in self.used_at_worst.items()
         ]
         table = markdown_table(("limit", "used", "at worst"), rows)
-        return "\n\n".join(filter(None, (table, self.on_the_card(), self.warning())))
+        told = (table, self.margin(), self.on_the_card(), self.warning())
+        return "\n\n".join(filter(None, told))
+
+    def margin(self) -> str:
+        """Which aircraft limits are kept with; nothing if no other than the model was asked."""
+        if not self.plausible:
+            return ""
+        beside = " beside the errors of the fit" if np.isfinite(self.before).any() else ""
+        return (
+            f"Limits are kept with nine in ten aircraft whose values are scattered by "
+            f"{self.spread:.0%}{beside} about those believed. One that is further off may exceed "
+            "them: if you know yours less well, say so (spread, or an ensemble)."
+        )
 
     def on_the_card(self) -> str:
         """How far the card itself goes, if feedback moves the sticks beside it; else nothing."""

@@ -44,6 +44,15 @@ def test_it_says_for_how_many_aircraft_its_limits_do_not_hold(design):
         assert "16 of 48 plausible aircraft are not held by the feedback given: limits" in said
 
 
+def test_it_says_which_aircraft_its_limits_are_kept_with(design):
+    assert "nine in ten" not in design.shares()  # no other was drawn
+    guess = replace(design, plausible=48, spread=0.2, before=np.full(2, np.inf))
+    assert "aircraft whose values are scattered by 20% about those believed." in guess.shares()
+    assert "say so (spread, or an ensemble)" in guess.shares()
+    fitted = replace(design, plausible=48, spread=0.2)
+    assert "scattered by 20% beside the errors of the fit about those" in fitted.shares()
+
+
 def test_it_says_how_far_a_card_goes_that_feedback_adds_to(design):
     assert "card" not in design.shares()
     held = replace(design, r=2.0 * design.u)
