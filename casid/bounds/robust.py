@@ -59,7 +59,10 @@ def _whitener(fit: AnyFit, A: Array) -> tuple[Array, Array]:
     if not (np.isfinite(P).all() and np.isfinite(V).all()):
         return nothing
     sizes = np.linalg.norm(A * np.sqrt(np.diag(P)), axis=1)
-    unit = 1 / np.where(sizes > 0, sizes, 1.0)
+    alone = np.linalg.norm(A * [fit[name].insensitivity for name in fit.free_names], axis=1)
+    # A parameter on its bound has the variance of a rounding: as nothing beside that with all
+    # others known, which is the least one that moves can have but for ties.
+    unit = 1 / np.where(sizes > SMALLEST * np.nan_to_num(alone), sizes, np.inf)
     values, vectors = np.linalg.eigh(A @ P @ A.T * np.outer(unit, unit))
     free = values > SMALLEST * max(values.max(), SMALLEST)
     return unit[:, None] * vectors[:, free] / np.sqrt(values[free]), A @ V @ A.T

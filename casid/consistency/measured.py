@@ -56,8 +56,8 @@ class Flight:
         return found
 
     def only(self, names: Collection[str]) -> "Flight":
-        """The same flight with some of its channels."""
-        return replace(self, values={name: self.values[name] for name in names})
+        """The same flight with some of its channels, in the order they have."""
+        return replace(self, values={k: x for k, x in self.values.items() if k in names})
 
 
 def looked_at(records: Sequence[Record]) -> list[Record]:

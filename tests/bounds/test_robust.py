@@ -55,6 +55,18 @@ def test_rows_that_repeat_or_hold_nothing_do_not_count(fit):
     assert p_value(3.0, np.zeros(0)) == 1.0
 
 
+def test_a_variance_that_is_but_rounding_does_not_count(fit):
+    # As a parameter on its bound has it: 1e-35 and 1e-29 where others have 1e-6.
+    tiny = np.diag([1.0, 1e-16, 1.0])
+    held = replace(
+        fit,
+        covariance=1e4 * tiny @ fit.covariance @ tiny,
+        notes=replace(fit.notes, cramer_rao=tiny @ fit.notes.cramer_rao @ tiny),
+    )
+    expected = 1e4 * weights(fit, np.eye(3)[[0, 2]])
+    np.testing.assert_allclose(weights(held, np.eye(3)), expected, rtol=1e-6)
+
+
 def test_a_price_is_as_surprising_as_its_multiplier_is_many_sigmas():
     X, y = least_squares()
     x, C = np.linalg.lstsq(X, y)[0], np.linalg.inv(X.T @ X)

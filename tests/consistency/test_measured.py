@@ -6,7 +6,7 @@ from truths.flights import NOISE, RATES, flight
 
 from casid import Record
 from casid.consistency.kinematics import kinematic_check
-from casid.consistency.measured import looked_at, noise, signals
+from casid.consistency.measured import Flight, looked_at, noise, signals
 
 
 def test_noise_is_the_standard_deviation_of_what_is_not_smooth():
@@ -75,3 +75,14 @@ def test_a_slow_channel_is_known_at_its_own_samples_and_noisy_there():
     drawn = found.scatter(np.random.default_rng(0))["phi"]
     assert np.std(drawn[own]) == pytest.approx(NOISE["phi"], rel=0.15)
     np.testing.assert_allclose(drawn[3:-4:4], (drawn[1:-6:4] + drawn[5:-2:4]) / 2, atol=1e-12)
+
+
+def test_noise_drawn_again_does_not_depend_on_the_order_in_which_channels_are_asked_for():
+    rng = np.random.default_rng(1)
+    whole = Flight(0.02, 0, {name: rng.standard_normal(200) for name in ("q", "p", "theta", "r")})
+    one, other = (
+        whole.only(names).scatter(np.random.default_rng(0)) for names in (["r", "p"], ["p", "r"])
+    )
+    assert list(one) == list(other) == ["p", "r"]
+    for name, drawn in one.items():
+        np.testing.assert_array_equal(drawn, other[name])
