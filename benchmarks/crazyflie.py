@@ -74,9 +74,8 @@ def by_gain(system, K, record, outlook):
 
 
 def baselines(own, gains, records, horizon):
-    """Fits [%] of the others by their own gains, of the last sample held, and the best possible."""
-    found = validate({"own": own}, records, horizon=horizon)
-    columns = [found.outputs.index(name) for name in OUTPUTS]
+    """Fits [%] of the others by their own gains, and of the last sample held."""
+    columns = [records[0].outputs.index(name) for name in OUTPUTS]
     looks = [outlook([system for system, _ in gains.values()] + [own], r, horizon) for r in records]
     rows = {
         f"{name}, its own gain": [by_gain(*each, r, o) for r, o in zip(records, looks, strict=True)]
@@ -86,8 +85,7 @@ def baselines(own, gains, records, horizon):
         ahead(r, lambda start, end, r=r: np.tile(r.y[start, columns], (end - start, 1)), o)
         for r, o in zip(records, looks, strict=True)
     ]
-    spread = [np.nanstd(r.y[:, columns], axis=0) for r in records]
-    return rows, 100 * (1 - found.expected["own"][:, columns] / spread)
+    return rows
 
 
 def table(own, gains, records, horizon):
@@ -95,16 +93,14 @@ def table(own, gains, records, horizon):
     models = {"Multirotor": own} | {name: system for name, (system, _) in gains.items()}
     found = validate(models, records, horizon=horizon)
     columns = [found.outputs.index(each) for each in OUTPUTS]
-    rows, last = {name: found.fit[name][:, columns] for name in models}, {}
+    rows = {name: found.fit[name][:, columns] for name in models}
     if np.isfinite(horizon):
-        more, possible = baselines(own, gains, records, horizon)
-        rows |= more
-        last = {"Multirotor at best": possible}
+        rows |= baselines(own, gains, records, horizon)
     print(f"\npredicted {horizon:g} s ahead" if np.isfinite(horizon) else "\nsimulated whole")
     print("|  |" + "".join(f" {each.name}: {', '.join(OUTPUTS)} |" for each in records))
     others = [row for name, row in rows.items() if name not in ("Multirotor", "persistence")]
     best = np.nanmax(others, axis=0) if others else np.full_like(rows["Multirotor"], np.nan)
-    for name, row in (*rows.items(), ("best of the others", best), *last.items()):
+    for name, row in (*rows.items(), ("best of the others", best)):
         cells = (" " + ", ".join(f"{x:.0f}" for x in each) + " |" for each in row)
         print(f"| {name} |" + "".join(cells))
 

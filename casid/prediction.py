@@ -51,17 +51,16 @@ class Prediction:
     y: Array  # (N, ny)
     x0: Array  # state at the first sample used
     b: Array  # (ny,) mean biases
-    expected: Array  # (ny,) root mean square error that noise alone makes of predictions
     states: Array  # (N, nx)
     reached: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # if nonlinear
 
     def placed(self, columns: np.ndarray, ny: int) -> "Prediction":
         """Own outputs in columns of ny of a record's; -1 is none."""
         y, ours = np.full((len(self.y), ny), np.nan), columns >= 0
-        b, expected = np.full((2, ny), np.nan)
-        for place, own in zip((y.T, b, expected), (self.y.T, self.b, self.expected), strict=True):
+        b = np.full(ny, np.nan)
+        for place, own in zip((y.T, b), (self.y.T, self.b), strict=True):
             place[columns[ours]] = own[ours]
-        return replace(self, y=y, b=b, expected=expected)
+        return replace(self, y=y, b=b)
 
 
 def growth_rate(system: StateSpace) -> float:
@@ -103,7 +102,7 @@ def predict(system: StateSpace, record: Record, scale: Array, far: Outlook) -> P
     if np.isinf(far.horizon):
         states, bias = follower.estimate()
         y = follower.outputs(states, 0) + bias
-        found = Prediction(y, states[0], bias, np.full(len(bias), np.nan), states)
+        found = Prediction(y, states[0], bias, states)
     else:
         found = follower.pieces(far.starts)
     return found.placed(np.array(follower.shared), record.ny)
@@ -130,17 +129,15 @@ class Follower:
         """Predictions from each start to the next, each from what is known there."""
         N, ny, nx = self.C.shape
         y, states = np.full((N, ny), np.nan), np.full((N, nx), np.nan)
-        biases, variances, first = [], [], np.zeros(0)
+        biases, first = [], np.zeros(0)
         ends = (*starts[1:], N - 1)
         for start, end, known in zip(starts, ends, self.known(starts), strict=True):
             path = self.forward(self.origin + known.x, start, end)
             ahead = slice(start + 1, end + 1)
             states[ahead], y[ahead] = path[1:], self.outputs(path, start)[1:] + known.bias
-            variances.append(self.spread(known, start, end))
             biases.append(known.bias)
             first = first if len(first) else self.origin + known.likeliest[1][1 : 1 + nx]
-        expected = np.sqrt(np.concatenate(variances).mean(axis=0))
-        return Prediction(y, first, np.mean(biases, axis=0), expected, states)
+        return Prediction(y, first, np.mean(biases, axis=0), states)
 
     def outputs(self, x: Array, begin: int) -> Array:
         """Outputs without biases of states (n, nx) from a sample on."""
@@ -156,16 +153,6 @@ class Follower:
     def known(self, starts: Sequence[int]) -> Iterator[filtering.Start]:
         """What the record up to each of these samples tells."""
         return filtering.starts(self.steps, self.C, self.y, self.t, self.scale, starts)
-
-    def spread(self, known: filtering.Start, start: int, end: int) -> Array:
-        """Variances (end - start, ny) of the outputs about what is predicted from a start."""
-        level, found = known.likeliest[0], []
-        P = known.P[level]
-        for k in range(start, end):
-            A, C = self.steps.maps[self.steps.which[k]], self.C[k + 1]
-            P = A @ P @ A.T + known.Q[level]
-            found.append(np.einsum("ij,jk,ik->i", C, P, C) + known.r)
-        return np.array(found)
 
     def estimate(self) -> tuple[Array, Array]:
         """States (N, nx) and biases that suit all measurements best."""

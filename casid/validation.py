@@ -66,10 +66,6 @@ class Validation(Shown):
     horizon : tuple of float
         How far ahead models were predicted in each record [s], each time from a state estimated on
         the past alone; infinite where they were simulated over all of it.
-    expected : mapping to (records, ny) array
-        Root mean square error that disturbances and noise alone, as large as the records show from
-        one sample to the next, make of the predictions; NaN where records were simulated. Far less
-        than ``rms`` says that the model is wrong.
     growth : mapping to float
         Rate [1/s] of each model's fastest growing mode; 0 of a stable one.
 
@@ -91,7 +87,6 @@ class Validation(Shown):
     initial_states: Mapping[str, tuple[Array, ...]]
     biases: Mapping[str, Array]
     horizon: tuple[float, ...]
-    expected: Mapping[str, Array]
     growth: Mapping[str, float]
 
     def headline(self) -> str:
@@ -113,20 +108,7 @@ class Validation(Shown):
         why = f": unstable models grow ({', '.join(growing)})" if growing else ""
         return (
             f"Predicted up to {reach} s ahead, each time from a state estimated on the past alone, "
-            f"not simulated over the whole record{why}.{self._excused}"
-        )
-
-    @property
-    def _excused(self) -> str:
-        """How much of the predictions' errors disturbances and noise make, in words."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shares = {n: np.minimum((e / self.rms[n]) ** 2, 1) for n, e in self.expected.items()}
-        told = [f"{n} {np.nanmedian(x):.0%}" for n, x in shares.items() if np.isfinite(x).any()]
-        if not told:
-            return ""
-        return (
-            " Of an output's mean squared error, disturbances and noise alone make, as "
-            f"large as they are from one sample to the next: {', '.join(told)} (median)."
+            f"not simulated over the whole record{why}."
         )
 
 
@@ -192,7 +174,6 @@ def validate(
         initial_states={name: tuple(p.x0 for p in ps) for name, ps in predictions.items()},
         biases={name: np.array([p.b for p in ps]) for name, ps in predictions.items()},
         horizon=tuple(each.horizon for each in far),
-        expected={name: np.array([p.expected for p in ps]) for name, ps in predictions.items()},
         growth={name: growth_rate(system) for name, system in systems.items()},
     )
 

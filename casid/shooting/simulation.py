@@ -119,7 +119,7 @@ def predict_nonlinear(
         found = _ExtendedFilter(model, whole, sizes).pieces(far.starts)
     else:
         (x0, bias), y, states = _answer(model, whole, 1 / sizes)
-        found = Prediction(y, x0, bias, np.full(len(bias), np.nan), states)
+        found = Prediction(y, x0, bias, states)
     found = found.placed(columns, record.ny)
     trim = np.array([record.trim.get(name, 0.0) for name in record.outputs])
     return replace(found, y=found.y - trim, reached=reached(model, found.states, whole.u))

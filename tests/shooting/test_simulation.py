@@ -54,7 +54,7 @@ def test_a_linear_structure_written_as_a_nonlinear_one_is_judged_alike(horizon):
     record = swung(5, size=0.05)
     models = {"linear": small, "written": WrittenOut().with_values_of(small)}
     found = validate(models, record, horizon=horizon)
-    for name in ("rms", "biases", "expected"):
+    for name in ("rms", "biases"):
         ours, theirs = (getattr(found, name)[each] for each in models)
         np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-5)
 
@@ -132,9 +132,6 @@ def test_predictions_of_a_disturbed_flight_err_less_than_a_fit_without_disturban
     ours = np.sqrt(np.nanmean((found.y - record.y) ** 2, axis=0))
     theirs = np.sqrt(np.mean(list(without_disturbances(record, far)), axis=0))
     assert (ours < 0.8 * theirs).all()
-    # Nine predictions whose errors hang together, and levels of noise a factor of ten apart.
-    assert (ours < 1.3 * found.expected).all()
-    assert (ours > 0.4 * found.expected).all()
 
 
 def without_disturbances(record, far):
