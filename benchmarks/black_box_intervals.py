@@ -17,6 +17,7 @@ from closed_loop import multi, record, single
 from tables import table
 
 from casid import DataWarning, Record, StateSpace, pbsid
+from casid.linear import foh_step
 
 OMEGA = np.geomspace(0.5, 6.0, 12)
 NOISE, INTERVAL = 0.1, 0.02  # s
@@ -30,6 +31,25 @@ def loop(system, scale, duration, noise=NOISE):
         return [record(plant, scale * gain, noise, rng, duration) for _ in range(2)]
 
     return plant, {**settings, "past": 10, "pole": 6.0}, fly
+
+
+def gusts(turbulence, duration=30.0, gain=1.0):
+    """The same of rate and attitude fed back, u = r - gain (0.3 p + 0.6 φ), turbulence on p."""
+    truth = StateSpace([[-2.0, 1.5], [1.0, 0.2]], [[8.0], [0.0]], np.eye(2), np.zeros((2, 1)))
+    A, B0, B1 = foh_step(truth.A, truth.B, INTERVAL)
+    t, back = np.arange(0, duration, INTERVAL), gain * np.array([0.3, 0.6])
+
+    def fly(rng):
+        phase, x, u, y = rng.uniform(0, 6), np.zeros(2), np.zeros(len(t)), np.empty((len(t), 2))
+        r = 0.1 * np.sign(np.sin(0.9 * t + phase) + np.sin(2.3 * t + 2 * phase)) * (t > 0.5)
+        for k in range(len(t)):
+            y[k] = x + rng.normal(0, (0.02, 0.01))
+            u[k] = r[k] - back @ y[k]
+            x = A @ x + (B0 + B1)[:, 0] * u[k] + [turbulence * rng.standard_normal(), 0.0]
+        return Record(t, u[:, None], y, ("lat",), ("p", "phi"), "gusts", "zoh")
+
+    settings = {"order": 2, "past": 10, "pole": 8.0, "feedthrough": False}
+    return truth, settings, lambda rng: [fly(rng) for _ in range(2)]
 
 
 def lines(duration):
@@ -55,6 +75,11 @@ CASES = {
     "two inputs, 2 × 40 s": loop(multi, 1, 40.0),
     "two inputs, 2 × 16 s": loop(multi, 1, 16.0),
     "two inputs, gain × 2, 2 × 40 s": loop(multi, 2, 40.0),
+    "no turbulence, 2 × 30 s": gusts(0.0),
+    "turbulence 0.01, 2 × 30 s": gusts(0.01),
+    "turbulence 0.02, 2 × 30 s": gusts(0.02),
+    "turbulence 0.02, gain × 2, 2 × 30 s": gusts(0.02, gain=2.0),
+    "turbulence 0.02, 2 × 10 s": gusts(0.02, 10.0),
     "open loop, 40 s": lines(40.0),
     "open loop, 20 s": lines(20.0),
     "open loop, 10 s": lines(10.0),
@@ -62,16 +87,21 @@ CASES = {
 
 
 def run(truth, settings, fly, seeds):
-    """Errors of the logarithm over their stated deviations, (runs, 2, K, ny, nu)."""
-    true, found = truth.response(OMEGA), []
+    """Errors of the logarithm over their stated deviations, (runs, 2, K, ny, nu).
+
+    And how many runs ended with prediction errors, and how many are doubted.
+    """
+    true, found, doubted, moved = truth.response(OMEGA), [], 0, 0
     for seed in seeds:
         box = pbsid(fly(np.random.default_rng([12, seed])), **settings)
         if box.uncertainty is None:
             continue
+        doubted += bool(box.doubts())
+        moved += box.refinement == "prediction"
         size, phase = box.response_std(OMEGA)
         error = np.log(box.continuous().system.response(OMEGA) / true)
         found.append([error.real / size, error.imag / phase])
-    return np.array(found)
+    return np.array(found), moved, doubted
 
 
 def main():
@@ -84,11 +114,19 @@ def main():
     rows = []
     for name, case in CASES.items():
         if wanted.only in name:
-            off = run(*case, range(wanted.first, wanted.first + wanted.runs))
+            off, moved, doubted = run(*case, range(wanted.first, wanted.first + wanted.runs))
             bias = np.sqrt(np.mean(np.mean(off, axis=0) ** 2))
             held = 100 * np.mean(np.abs(off) < 1.96)
             rows.append(
-                [name, f"{len(off)} of {wanted.runs}", np.sqrt(np.mean(off**2)), bias, held]
+                [
+                    name,
+                    f"{len(off)} of {wanted.runs}",
+                    moved,
+                    doubted,
+                    np.sqrt(np.mean(off**2)),
+                    bias,
+                    held,
+                ]
             )
             print(rows[-1], flush=True)
     print(
@@ -96,6 +134,8 @@ def main():
             [
                 "records",
                 "runs with intervals",
+                "by prediction errors",
+                "doubted",
                 "rms error, σ",
                 "rms mean error, σ",
                 "95 % intervals cover, %",

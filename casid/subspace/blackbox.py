@@ -66,15 +66,16 @@ class BlackBox(Shown):
     missed : Missed or None
         Where a model of two more states leaves clearly less of an output.
     refinement : str
-        What followed the subspace estimate: "unrefined", "fourier" on projections; on samples
-        "linear", "prediction", "simulation" or "local simulation", see `Pbsid`.
+        What followed the subspace estimate: "unrefined", "fourier" on projections, "prediction"
+        where noise fed back would have biased that; on samples "linear", "prediction",
+        "simulation" or "local simulation", see `Pbsid`.
     hold : {"foh", "zoh"}
         What the inputs of a discrete black box do between samples.
     excitation : Excitation or None
         How much of the inputs came from outside; None of records too short to tell.
     remarks : tuple of str
         What is wrong with the records themselves: stretches that were not measured, a channel that
-        disagrees with the other records.
+        disagrees with the other records, noise fed back that biases this black box.
     """
 
     system: StateSpace

@@ -5,8 +5,10 @@ outputs' noise v: |bias| <= |Φ_vu|/Φ_u at every frequency, and by Schwarz
 
     |bias|/|G| <= √(Φ_fed/Φ_u) √(Φ_v/(|G|² Φ_u)),
 
-the share of the input that is noise fed back times the noise-to-signal ratio of the output. Both
-follow from the one-step prediction errors of a model with a stable predictor.
+the share of the input that is noise fed back times the noise-to-signal ratio of the output. The
+share follows from the one-step prediction errors e of a model with a stable predictor; so does the
+ratio where v is white. Where it is not, as in turbulence, v is many times e at low frequency, and
+the share alone says whether there may be a bias (`casid.subspace.refining`).
 """
 
 from collections.abc import Sequence
@@ -29,7 +31,15 @@ LEVEL = 1e-3  # of the tests for feedback and for a direct term
 def fed_back_noise(
     system: StateSpace, K: Array, records: Sequence[Record], su: Array, sy: Array
 ) -> float:
-    """Bound on the relative bias that noise fed back by a controller gives the response."""
+    """Bound on the relative bias that white noise fed back by a controller gives the response."""
+    share, size = fed_back(system, K, records, su, sy)
+    return float(np.sqrt(share)) * size
+
+
+def fed_back(
+    system: StateSpace, K: Array, records: Sequence[Record], su: Array, sy: Array
+) -> tuple[float, float]:
+    """Share of an input's power that prediction errors make, and the size of these."""
     # The largest over inputs, for the average output; 0 where no feedback shows. A - KC is stable,
     # no sample is missing.
     lags = min(LAGS, max(int(MEMORY / max(record.dt for record in records)), 2))
@@ -39,32 +49,33 @@ def fed_back_noise(
         if 6 * lags * (len(su) + 1) >= record.N:
             continue
         u = (record.u - record.u.mean(axis=0)) / su
-        e = _without_model_error(prediction_errors(system, K, record) / sy, u, lags)
+        now = record.hold == "foh" or bool(system.D.any())
+        e = _without_model_error(prediction_errors(system, K, record) / sy, u, lags, now=now)
         errors.append(e)
         past = sliding_window_view(e[:-1], lags, axis=0)
         rows.append(past.reshape(len(past), -1))
         targets.append(u[-len(past) :])
     if not rows:
-        return 0.0
+        return 0.0, 0.0
     X, U = np.vstack(rows), np.vstack(targets)
     if len(X) <= 2 * X.shape[1]:
-        return 0.0
+        return 0.0, 0.0
     X = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
     # The share of U that X explains is compared with some per cent: products are precise enough.
     inner, outer = X.T @ X + 1e-10 * np.eye(X.shape[1]), X.T @ U
     explained = np.sum(outer * scipy.linalg.solve(inner, outer, assume_a="pos"), axis=0)
     left = (np.sum(U**2, axis=0) - explained) / (len(X) - X.shape[1])
     fed = np.max(1 - left / np.mean(U**2, axis=0))
-    ratio = np.mean(np.std(np.vstack(errors), axis=0))
-    return float(np.sqrt(max(fed, 0.0)) * ratio)
+    return max(float(fed), 0.0), float(np.mean(np.std(np.vstack(errors), axis=0)))
 
 
-def _without_model_error(e: Array, u: Array, lags: int) -> Array:
-    """What inputs until now do not explain of the prediction errors; the first 2 ``lags`` are cut.
+def _without_model_error(e: Array, u: Array, lags: int, *, now: bool) -> Array:
+    """What inputs do not explain of the prediction errors; the first 2 ``lags`` are cut.
 
     White noise is not explained by what came before it, fed back or not; an error of the model is.
+    Inputs of this sample count where they act ``now``: a controller may have made them of it.
     """
-    window = sliding_window_view(u, 2 * lags + 1, axis=0)[:, :, ::2]
+    window = sliding_window_view(u, 2 * lags + 1, axis=0)[:, :, 0 if now else 1 :: 2]
     past = window.reshape(len(window), -1)
     left = e[2 * lags :]
     return left - past @ np.linalg.lstsq(past, left, rcond=1e-10)[0]

@@ -24,6 +24,7 @@ from casid.subspace.blackbox import BlackBox
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.columns import Feedthrough, Segment, check_pole
 from casid.subspace.feedback import direct_term_is_ambiguous
+from casid.subspace.prediction import SampledUncertainty
 from casid.subspace.refining import Estimate, refine_projected, refine_sampled
 from casid.subspace.sampled import (
     ORDERS,
@@ -245,6 +246,8 @@ class Pbsid:
             for stretch in frozen(record)
         ]
         remarks += [estimate.fault.told()] if estimate.fault else []
+        remarks += [estimate.remark] if estimate.remark else []
+        causal = isinstance(estimate.uncertainty, SampledUncertainty)
         return BlackBox(
             system=estimate.system, K=estimate.K,
             singular_values=campaign.subspace(settings.order, windows).singular_values,
@@ -255,7 +258,8 @@ class Pbsid:
             regularisation=settings.regularisation,
             segments=campaign.segments(windows.past, windows.pole),
             uncertainty=estimate.uncertainty, selection=selection, explained=estimate.explained,
-            doubtful=estimate.doubtful, missed=estimate.missed, refinement=settings.refinement,
+            doubtful=estimate.doubtful, missed=estimate.missed,
+            refinement="prediction" if causal else settings.refinement,
             hold=campaign.records[0].hold, excitation=certified(campaign.records),
             remarks=tuple(remarks),
         )  # fmt: skip

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from casid.errors import warn
 from casid.linear import StateSpace
 from casid.subspace.agreement import Fault, disagreement
 from casid.subspace.campaign import Campaign, Windows
-from casid.subspace.feedback import fed_back_noise
+from casid.subspace.feedback import fed_back, fed_back_noise
 from casid.subspace.fourier import Spectrum
 from casid.subspace.gain import carried_gain, riccati_gain
 from casid.subspace.held import refine_held
@@ -30,7 +30,11 @@ from casid.subspace.trust import (
     unsteady_growth,
 )
 
-FED_BACK = 0.2  # bound on the relative bias from noise fed back, above which it is dealt with
+FED_BACK = 0.2  # bound on the relative bias from white noise fed back, above which it is certain
+SHARE = 0.03  # of an input, made by prediction errors, above which a bias is looked for
+POINTS = 12  # frequencies of the band at which two estimates are compared
+APART = 0.4  # stated errors between them: intervals off by as much still hold 93 %
+CREDIBLE = 0.85  # of the stated errors of transforms: those of prediction errors are not less
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +48,7 @@ class Estimate:
     doubtful: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
     missed: Missed | None = None
     fault: Fault | None = None  # of a record that disagrees with the others
+    remark: str = ""  # that a controller biases it
 
 
 def refine_sampled(campaign: Campaign, found: Subspace, how: Refinement) -> Estimate:
@@ -95,15 +100,11 @@ def refine_projected(
     richer = _at_order(campaign, refined.nx + 2, windows, data) if windows else None
     band = campaign.band(pole)
     missed = missed_dynamics(refined, richer, data, su, sy, band) if richer else None
-    if fed_back_noise(refined, K, pieces.records, su, sy) > FED_BACK:
-        try:
-            held, gain, sampled = refine_held(refined, K, pieces)
-            gain = riccati_gain(held.A, held.C, gain, R)
-        except ValueError as error:
-            _warn_fed_back(f"prediction errors would remove that, but: {error}")
-        else:
-            refined, K, uncertainty = held, gain, sampled
-            grows = growth(refined, data, su, sy, mask)
+    taken = Estimate(refined, K, uncertainty, missed=missed)  # inputs as they are
+    moved = _without_feedback(taken, pieces, pole, R)
+    if moved.system is not refined:
+        grows = growth(moved.system, data, su, sy, mask)
+    refined = moved.system
     # A model that misses dynamics blames records that show them.
     told = disagreement(
         richer if missed and richer else refined,
@@ -114,7 +115,51 @@ def refine_projected(
     )
     doubtful = _doubtful(campaign, grows, system, refined, windows, data)
     share = explained_share(refined, data, su, sy, band)
-    return Estimate(refined, K, uncertainty, share, doubtful, missed, told)
+    return replace(moved, explained=share, doubtful=doubtful, fault=told)
+
+
+def _without_feedback(found: Estimate, pieces: Campaign, pole: float, R: Array) -> Estimate:
+    """The estimate, or that of prediction errors where noise fed back biases it.
+
+    Turbulence adds up to many times its innovations, in all outputs together, and biases transforms
+    weighted output by output though little of it is fed back. Prediction errors have no such bias:
+    where some is fed back, how far they are from it in stated errors is the test (J. Hausman,
+    Econometrica 46, 1978). They state too small errors of short records, which disqualifies them.
+    """
+    share, size = fed_back(found.system, found.K, pieces.records, pieces.su, pieces.sy)
+    much = np.sqrt(share) * size > FED_BACK
+    if not much and (share <= SHARE or found.missed):  # what is missed is in prediction errors, too
+        return found
+    try:
+        held, gain, sampled = refine_held(found.system, found.K, pieces)
+        causal = Estimate(held, riccati_gain(held.A, held.C, gain, R), sampled)
+    except ValueError as error:
+        remedy = f"prediction errors would tell and remove that, but: {error}"
+        return replace(found, remark=_warn_fed_back(remedy))
+    distance, ratio = _apart(found, causal, np.geomspace(*pieces.band(pole), POINTS))
+    if much or (distance > APART and ratio > CREDIBLE):
+        return causal
+    if distance <= APART:
+        return found
+    remedy = (
+        f"prediction errors, which are not, are {distance:.2g} stated errors away, but state too "
+        "small errors themselves of records as short as these; longer records tell more"
+    )
+    return replace(found, remark=_warn_fed_back(remedy))
+
+
+def _apart(found: Estimate, other: Estimate, omega: Array) -> tuple[float, float]:
+    """Distance of another estimate in stated errors, and its stated errors over these; rms."""
+    if found.uncertainty is None or other.uncertainty is None:
+        return 0.0, 1.0
+    G = found.system.response(omega)
+    off = (other.system.response(omega) - G) / G
+    own, its = (
+        np.array([np.linalg.norm(part, axis=-1) for part in (F.real, F.imag)])
+        for F in (s.response_factor(omega) for s in (found.uncertainty, other.uncertainty))
+    )
+    distance = np.array([off.real, off.imag]) / own
+    return float(np.sqrt(np.mean(distance**2))), float(np.sqrt(np.mean((its / own) ** 2)))
 
 
 def _doubtful(
@@ -150,8 +195,11 @@ def _at_order(
         return None
 
 
-def _warn_fed_back(remedy: str) -> None:
-    warn(
+def _warn_fed_back(remedy: str) -> str:
+    """Warn that the estimate is biased; what was said."""
+    said = (
         "the controller feeds so much of the outputs' noise back into the inputs that the black "
-        f"box is biased; {remedy}; a smaller pole or less feedback helps too"
+        f"box may be biased; {remedy}; a smaller pole or less feedback helps too"
     )
+    warn(said)
+    return said[0].upper() + said[1:] + "."
