@@ -174,11 +174,27 @@ def _doubtful(
     further = [grows.doubtful]
     if windows is not None and len(grows.modes) > len(grows.doubtful):
         further.append(unsteady_growth(refined, start, data, more=1.0))
-        if (fewer := _at_order(campaign, refined.nx - 1, windows, data)) is not None:
-            further.append(unsteady_growth(refined, fewer, data))
+        further.append(_unfound(campaign, refined, windows, data))
     modes = np.concatenate(further)
     again = np.isclose(modes[:, None], modes)
     return np.asarray(modes[~np.tril(again, -1).any(axis=1)])
+
+
+def _unfound(
+    campaign: Campaign, refined: StateSpace, windows: Windows, data: Sequence[Spectrum]
+) -> ComplexArray:
+    """Growing modes that a model of one state less does not find, though it may well."""
+    su, sy, pole = campaign.su, campaign.sy, windows.pole
+    fewer = _at_order(campaign, refined.nx - 1, windows, data)
+    none = np.zeros(0, dtype=complex)
+    if fewer is None or not len(modes := unsteady_growth(refined, fewer, data)):
+        return none
+    # It says nothing if it cannot follow the aircraft at all, and neither can a model whose modes
+    # are the same but decay.
+    decaying, _ = refine(refined, data, su, sy, campaign.mask, pole, decaying=modes)
+    band = campaign.band(pole)
+    missed = (missed_dynamics(each, refined, data, su, sy, band) for each in (fewer, decaying))
+    return none if all(missed) else modes
 
 
 def _at_order(

@@ -7,8 +7,9 @@ from truths.systems import campaign, closed_loop_record
 from truths.uh60 import sweeps
 
 from casid import Record, StateSpace, pbsid
-from casid.subspace.campaign import Campaign
+from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.refinement import refine
+from casid.subspace.refining import _unfound
 from casid.subspace.trust import (
     data_doubts,
     growth,
@@ -170,6 +171,40 @@ def test_a_sound_unstable_campaign_raises_no_doubt():
     box = pbsid(campaign(noise=0.02), order=5, past=10, pole=6.0, feedthrough=["z"])
     assert box.system.poles().real.max() > 0
     assert box.doubts() == ()
+
+
+@pytest.mark.parametrize(
+    ("A", "gain"),
+    [
+        ([[-1.5, 1.0], [1.0, 0.0]], [[0.5, 1.0]]),  # poles 0.5 and -2
+        ([[0.3, -2.0], [2.0, 0.3]], [[0.15, 0.5]]),  # a pair, which one state cannot have
+    ],
+)
+def test_growth_that_one_state_less_cannot_follow_is_not_doubted(A, gain):
+    plant = StateSpace(A, [[12.0], [0.0]], np.eye(2), np.zeros((2, 1)), None, ("u",), ("p", "phi"))
+    rng = np.random.default_rng(1)
+    options = {"duration": 30.0, "noise": 0.01, "gain": np.array(gain)}
+    records = [closed_loop_record(plant, rng, **options, name=f"{k}") for k in range(4)]
+    box = pbsid(records, order=2, past=8, pole=8.0, feedthrough=False)
+    growth = np.linalg.eigvals(A).real.max()
+    assert box.system.poles().real.max() == pytest.approx(growth, rel=0.02)
+    assert box.doubts() == ()
+
+
+@pytest.mark.parametrize(
+    ("true", "rate", "unfound"),
+    [(-0.01, 0.05, [0.05]), (0.4, 0.4, [])],  # decay follows the first as well
+)
+def test_what_follows_no_record_does_not_tell_growth_from_decay(true, rate, unfound, monkeypatch):
+    still = StateSpace([[-9.0]], [[1e-3]], [[1.0]], [[0.0]], None, ("u",), ("y",))
+    monkeypatch.setattr("casid.subspace.refining._at_order", lambda *_: still)
+    rng = np.random.default_rng(3)
+    options = {"duration": 20.0, "noise": 0.3, "gain": np.array([[2.0]])}
+    records = [closed_loop_record(slow_plant(true), rng, **options) for _ in range(4)]
+    campaign = Campaign.of(records, False)
+    data = campaign.spectra(10.0, 20.0)
+    modes = _unfound(campaign, slow_plant(rate), Windows(8, 8, 10.0, 0.0), data)
+    assert modes == pytest.approx(unfound)
 
 
 @pytest.mark.parametrize(("lines", "missed"), [(8, False), (80, True)])
