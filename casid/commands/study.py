@@ -26,7 +26,7 @@ from casid.structure.modelfile import load_model
 from casid.structure.overview import describe
 from casid.studies.keeping import Watch
 from casid.studies.runner import Outcome, run_study
-from casid.studies.study import Study, read_records
+from casid.studies.study import Study, read_flights
 from casid.studies.studyfile import read_study
 
 WIDE = 24  # column of stages
@@ -222,7 +222,9 @@ def _judge(console: Console, outcome: Outcome) -> None:
         console.print(Text(said, style={True: "green", False: "yellow", None: ""}[good]))
     if outcome.verdicts:
         headings = ("verdict", "fit %", "Theil", "RMS error", "noise", "unit")
-        table = new_table("On unseen records", "output", *headings)
+        seen = f"validation records (an estimation has seen {', '.join(outcome.seen)})"
+        title = f"On {seen if outcome.seen else 'unseen records'}"
+        table = new_table(title, "output", *headings)
         for each in outcome.verdicts:
             figures = (f"{each.fit:.3g}", f"{each.theil:.2f}", f"{each.rms:.3g}")
             style = "yellow" if each.word == "poor" else None
@@ -277,9 +279,12 @@ def _describe(console: Console, study: Study) -> None:
     free = len(structure.parameter_names()) - len(study.fixed)
     console.print(Text(f"{study.title}: structure {structure.__name__}, {free} free parameters"))
     table = new_table("Records", "record", "role", "samples", "seconds", "interval")
-    for role, records in read_records(study).items():
+    flights, again = read_flights(study)
+    for role, records in flights.items():
         for record in records:
             numbers = (str(record.N), f"{record.duration:g}", f"{record.dt:g}")
             table.add_row(Text(record.name), role, *numbers)
     console.print(table)
-    console.print("The study is in order.")
+    for said in again.told():
+        console.print(Text("! ", style="bold yellow").append(said, style="default"))
+    console.print("Mend the records first." if again.told() else "The study is in order.")

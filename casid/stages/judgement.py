@@ -1,6 +1,6 @@
 """The stage that judges all models on unseen records."""
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -43,14 +43,12 @@ def _run(settings: Judgement, task: Task) -> Validation:
 def _show(found: Validation, content: Content) -> Iterable[Section]:
     judged = verdicts(found, content)
     poor = [each for each in judged if each.word in ("poor", "not judged")]
-    names = ", ".join(found.records)
-    new = "estimations had seen" if content.repeats.seen else "no estimation had seen"
     said = [Caution(each, 3) for each in content.repeats.told()]
     said += [*disagreement(found, content), *differences(content)]
     said += [Caution(each.caution, 20) for each in poor]
     if found.predicted:
         said.append(Caution(f"Validation records: {found.predicted}", 21))
-    lead = f"It was judged on records that {new} ({names})."
+    lead = _lead(found.records, content.repeats.seen)
     named = {"model": NAMES.get(content.delivered, content.delivered)}
     if judged:
         seen: Any = {"verdicts": ranked(judged), "compared": BLACK_BOX in found.models}
@@ -66,6 +64,15 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
     more: Any = {"values": {"verdicts": judged} | named, "lead": lead, "cautions": tuple(said)}
     yield section("verdicts", "Verdicts", 5, found, **more)
     yield from _compared(found, content)
+
+
+def _lead(names: Sequence[str], seen: Container[str]) -> str:
+    """Which records it was judged on, those apart that are no new ones."""
+    old = [name for name in names if name in seen]
+    new = [name for name in names if name not in seen]
+    said = {"estimations had seen": old, "no estimation had seen": new}
+    parts = [f"records that {who} ({', '.join(own)})" for who, own in said.items() if own]
+    return f"It was judged on {' and on '.join(parts)}."
 
 
 def _compared(found: Validation, content: Content) -> Iterable[Section]:

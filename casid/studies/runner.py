@@ -30,7 +30,7 @@ from casid.tabulation import csv_text
 from casid.threads import one_thread
 from casid.validation import Validation
 
-TOLD = ("verdicts", "cautions", "headlines")  # of what was written, as it was
+TOLD = ("verdicts", "cautions", "headlines", "seen")  # of what was written, as it was
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,6 +50,8 @@ class Outcome:
     headlines : mapping
         What was found out about structure and last step in a sentence each, and whether it is good
         news.
+    seen : tuple of str
+        Validation records that an estimation has seen: verdicts on them are no proof.
     found : callable
         Returns the results of the stages, which are read when asked for if all were kept.
     """
@@ -59,6 +61,7 @@ class Outcome:
     verdicts: tuple[Verdict, ...] = ()
     cautions: tuple[str, ...] = ()
     headlines: Mapping[str, bool | None] = field(default_factory=dict)
+    seen: tuple[str, ...] = ()
     found: Callable[[], Mapping[str, Any]]
 
     @cached_property
@@ -204,6 +207,7 @@ def _run(
         verdicts=() if judged is None else verdicts(judged, shown),
         cautions=said,
         headlines=_headlines(found.results),
+        seen=tuple(again.seen),
         found=lambda: found.results,
     )
 

@@ -37,6 +37,7 @@ class Written:
     verdicts: tuple[Verdict, ...] = ()
     cautions: tuple[str, ...] = ()
     headlines: Mapping[str, bool | None]  # and whether it is good news
+    seen: tuple[str, ...] = ()  # validation records that an estimation has seen
     warnings: tuple[str, ...] = ()  # of the records
 
 

@@ -142,6 +142,33 @@ def test_check_lists_the_records_and_computes_nothing(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def copied(folder):
+    """The study with a copy of a record of the identification among those of the validation."""
+    path = write_study(folder, ('["random.csv"]', '["random.csv", "copy.csv"]'))
+    (folder / "copy.csv").write_bytes((folder / "sweep.csv").read_bytes())
+    return path
+
+
+def test_check_tells_of_a_copy_before_anything_is_computed(tmp_path):
+    result = casid("check", copied(tmp_path))
+    said = " ".join(result.output.split())
+    assert result.exit_code == 0
+    assert "Record copy is for validation, but an estimation has seen it (as sweep)" in said
+    assert "in order" not in said
+
+
+@pytest.mark.slow
+def test_what_is_judged_on_a_copy_is_not_headed_unseen(tmp_path):
+    path = copied(tmp_path)
+    for _ in range(2):  # computed, and as it was written
+        said = " ".join(casid("identify", path).output.split())
+        assert "On validation records (an estimation has seen copy)" in said
+        assert "On unseen records" not in said
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    told = "estimations had seen (copy) and on records that no estimation had seen (random)"
+    assert f"judged on records that {told}" in page
+
+
 @pytest.mark.slow
 def test_an_interrupted_study_says_that_the_same_command_goes_on(tmp_path, monkeypatch):
     def interrupted(*_, **__):
