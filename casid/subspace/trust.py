@@ -125,9 +125,13 @@ class Missed:
 
 
 def missed_dynamics(
-    system: StateSpace, richer: StateSpace, data: Sequence[Spectrum], su: Array, sy: Array,
+    system: StateSpace,
+    richer: StateSpace,
+    data: Sequence[Spectrum],
+    su: Array,
+    sy: Array,
     band: tuple[float, float],
-) -> Missed | None:  # fmt: skip
+) -> Missed | None:
     """Where in the band a refined model of a higher order leaves clearly less; None for nowhere."""
     # In windows narrow enough for one lightly damped mode. Two more states have there a pole, a
     # residue for every input and a transient for every piece of a record, one complex number each;
