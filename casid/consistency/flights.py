@@ -39,16 +39,17 @@ class Repeats:
 def repeats(roles: Mapping[Any, Sequence[Record]]) -> Repeats:
     """Which records of these roles, as measured, are pieces of the same flight."""
     # Samples are compared in all channels together, trim included and time left out, so that a
-    # copy, a piece and a file of another format or precision are recognised. Those of "validation"
-    # are to be new.
+    # copy, a piece and a file of another format or precision are recognised; and less their means,
+    # so that a copy is whose trim was removed before. Those of "validation" are to be new.
     every = {(role, r.name): r for role, records in roles.items() for r in records}
     prints = dict(zip(every, _fingerprints(list(every.values())), strict=True))
+    centred = dict(zip(every, _fingerprints(list(every.values()), centred=True), strict=True))
     seen: dict[str, str] = {}
     twice: dict[tuple[str, str], None] = {}
     for (role, name), own in prints.items():
         for (other_role, other), theirs in prints.items():
-            least = min(len(own), len(theirs))
-            if len(own & theirs) <= SHARED * least or (role, name) == (other_role, other):
+            alike = _alike(own, theirs) or _alike(centred[role, name], centred[other_role, other])
+            if not alike or (role, name) == (other_role, other):
                 continue
             if role == "validation" != other_role:
                 seen.setdefault(name, other)
@@ -57,18 +58,26 @@ def repeats(roles: Mapping[Any, Sequence[Record]]) -> Repeats:
     return Repeats(seen=seen, twice=tuple(twice))
 
 
-def _fingerprints(records: Sequence[Record]) -> list[set[bytes]]:
-    """The different samples of every record, rounded alike in all of them."""
+def _alike(own: set[bytes], theirs: set[bytes]) -> bool:
+    return len(own & theirs) > SHARED * min(len(own), len(theirs))
+
+
+def _fingerprints(records: Sequence[Record], *, centred: bool = False) -> list[set[bytes]]:
+    """The different samples of every record, ``centred`` less their mean, rounded alike in all."""
     tables = []
     for record in records:
         names = (*record.inputs, *record.outputs)
         offset = np.array([record.trim.get(name, 0.0) for name in names])
-        tables.append(np.column_stack([record.u, record.y]) + offset)
+        table = np.column_stack([record.u, record.y])
+        known = np.isfinite(table)
+        mean = np.where(known, table, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        tables.append(table - mean if centred else table + offset)
     scale: dict[int, np.ndarray] = {}
     for width in {table.shape[1] for table in tables}:
         size = np.nanstd(np.vstack([each for each in tables if each.shape[1] == width]), axis=0)
         scale[width] = np.where(size > 0, GRAIN * size, 1.0)
-    return [_rows(np.floor(table / scale[table.shape[1]] + 0.5)) for table in tables]
+    found = [_rows(np.floor(table / scale[table.shape[1]] + 0.5)) for table in tables]
+    return [rows if len(rows) > 1 or not centred else set() for rows in found]  # all at rest
 
 
 def _rows(table: np.ndarray) -> set[bytes]:

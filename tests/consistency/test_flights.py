@@ -35,11 +35,16 @@ def pieces():
         "clock": later,
         "trim": trimmed,
         "piece": cut,
+        "mean removed": replace(
+            record, u=record.u - record.u.mean(0), y=record.y - record.y.mean(0), name="b"
+        ),
         "decimated": replace(record.decimate(3), name="b"),
     }
 
 
-@pytest.mark.parametrize("how", ["copy", "precision", "clock", "trim", "piece", "decimated"])
+@pytest.mark.parametrize(
+    "how", ["copy", "precision", "clock", "trim", "piece", "decimated", "mean removed"]
+)
 def test_a_copy_a_piece_and_another_precision_are_the_same_flight(how):
     other = pieces()[how]
     assert repeats({"identification": [flown(), other]}).twice == (("flight", "b"),)
@@ -57,6 +62,12 @@ def test_the_same_manoeuvre_flown_again_is_another_flight():
         found = repeats({"identification": [record], "validation": [other]})
         assert (dict(found.seen), found.twice) == ({}, ())
     assert repeats({"identification": [record], "refinement": [record]}).told() == []
+
+
+def test_records_at_rest_of_different_trims_are_different_flights():
+    rest = Record(T, np.zeros((1000, 1)), np.zeros((1000, 2)), ("lat",), ("p", "phi"), "rest")
+    other = replace(rest, y=rest.y + 0.1, name="b")
+    assert repeats({"identification": [rest, other]}).twice == ()
 
 
 def test_missing_samples_do_not_hide_a_flight():
