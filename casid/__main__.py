@@ -1,4 +1,4 @@
-"""The command ``casid``: Ctrl-C is caught before anything that takes time is imported."""
+"""The command ``casid``: Ctrl-C and SIGTERM are caught before what takes time is imported."""
 
 import io
 import signal
@@ -14,6 +14,7 @@ def main() -> None:
             stream.reconfigure(errors="replace")  # of a console that knows no ± or σ
     interrupt = Interrupt()
     signal.signal(signal.SIGINT, interrupt)
+    signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
     try:
         from casid.cli import main as command  # noqa: PLC0415 - takes a second
 

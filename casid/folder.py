@@ -96,11 +96,13 @@ def _taken(lock: IO[str]) -> bool:
     if sys.platform == "win32":
         return True
     import fcntl  # noqa: PLC0415 - not on Windows
+    from multiprocessing.util import register_after_fork  # noqa: PLC0415 - by runs that write
 
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         return False
+    register_after_fork(lock, lambda file: file.close())  # or a fork would hold it beyond our end
     lock.truncate(0)
     lock.write(f"process {os.getpid()}")
     lock.flush()

@@ -6,6 +6,8 @@ import sys
 import pytest
 from truths.roll_study import write_study
 
+from casid.folder import claimed
+
 # Sends the process an interrupt when a module is looked for the first time, or when a method of
 # casid is called for the n-th time.
 PROGRAM = """
@@ -72,3 +74,19 @@ def test_an_interruption_at_any_moment_is_one_line_and_keeps_what_had_ended(mome
     assert "Traceback" not in done.stdout
     assert {path.stem for path in tmp_path.glob("out/stages/*.json")} == BEFORE[moment]
     assert not list(tmp_path.glob("out/**/*.partial"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "moment", ["casid.nlp._Watcher:eval:60", "matplotlib.backends.backend_svg"]
+)
+def test_a_run_that_is_terminated_ends_alike_and_leaves_no_lock(moment, tmp_path):
+    study = write_study(tmp_path)
+    program = PROGRAM.replace("SIGINT", "SIGTERM")
+    command = [sys.executable, "-c", program, moment, "identify", str(study)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 130, done.stderr
+    assert "Interrupted; what had ended is kept" in done.stderr.splitlines()[-1]
+    assert {path.stem for path in tmp_path.glob("out/stages/*.json")} == BEFORE[moment]
+    with claimed(tmp_path / "out"):
+        pass

@@ -4,10 +4,11 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -26,7 +27,7 @@ def beside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         return
     context = multiprocessing.get_context("fork")
     here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_send, args=(there, work), daemon=True)
+    process = context.Process(target=_send, args=(here, there, work), daemon=True)
     with warnings.catch_warnings():  # the thread that draws the progress takes no lock of figures
         warnings.simplefilter("ignore", DeprecationWarning)
         process.start()
@@ -40,12 +41,22 @@ def beside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         process.close()
 
 
-def _send(end: Connection, work: Callable[[], Any]) -> None:
+def _send(other: Connection, end: Connection, work: Callable[[], Any]) -> None:
     """Send the result of the work, nothing if it fails; terminated, leave no file half written."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever began this ends it
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    other.close()
+    threading.Thread(target=_end_alike, daemon=True).start()
     with end:
         end.send(work())
+
+
+def _end_alike() -> None:
+    """Terminate this process when the one that began it is gone, however that ended."""
+    began = multiprocessing.parent_process()
+    if began is not None:
+        wait([began.sentinel])
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _receive(end: Connection, work: Callable[[], T]) -> T:

@@ -24,14 +24,14 @@ KINEMATICS: Literal["kinematics"] = "kinematics"
 class Second:
     """A second logger of the same flights: its file beside each record's, channels and clock."""
 
-    file: str  # "{name}_nav.csv", beside the record's own
+    file: str  # "{name}_nav.csv" or "../nav/{name}.csv", from the folder of the record's own
     channels: tuple[str, ...]
     time: str = "t"
     clock: float = 0.0  # added to its time [s]
 
     def beside(self, file: Path) -> Path:
         """The file that belongs to a record's."""
-        return file.with_name(self.file.replace("{name}", file.stem))
+        return file.parent / self.file.replace("{name}", file.stem)
 
     def told(self) -> str:
         """What is joined."""

@@ -1,10 +1,13 @@
 """Work in a process beside this one."""
 
 import os
+import subprocess
+import sys
 import time
 
 import pytest
 
+from casid.folder import claimed
 from casid.report.beside import beside
 
 
@@ -34,3 +37,47 @@ def test_nobody_waits_for_work_when_the_other_half_fails():
 
     with pytest.raises(RuntimeError, match="the other half"):
         interrupted()
+
+
+KILLED = """
+import os, pathlib, signal, sys, time
+from casid.folder import claimed
+from casid.report.beside import beside
+
+def work():
+    print(os.getpid(), flush=True)
+    time.sleep(600)
+
+with claimed(sys.argv[1]), beside(work):
+    while not pathlib.Path(sys.argv[1], "killed").exists():
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def _runs(process):
+    try:
+        with open(f"/proc/{process}/stat", encoding="ascii") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux") or len(os.sched_getaffinity(0)) < 2, reason="no fork"
+)
+def test_nothing_is_left_of_a_run_that_was_killed(tmp_path):
+    command = [sys.executable, "-c", KILLED, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
+        other = int(run.stdout.readline())
+        assert _runs(other)
+        (tmp_path / "killed").touch()
+        assert run.wait(timeout=60) == -9
+        with claimed(tmp_path):  # at once: the lock was never the other's
+            pass
+        patience = time.monotonic() + 20
+        while _runs(other) and time.monotonic() < patience:
+            time.sleep(0.02)
+        if left := _runs(other):
+            os.kill(other, 9)
+    assert not left
