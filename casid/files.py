@@ -241,7 +241,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
     """Write JSON atomically; arrays become lists, NaN and infinities become null or strings."""
-    write_text(path, json.dumps(_plain(content), indent=1, allow_nan=False) + "\n")
+    write_text(path, json.dumps(plain(content), indent=1, allow_nan=False) + "\n")
 
 
 def read_json(path: str | Path) -> dict[str, Any]:
@@ -262,15 +262,16 @@ def number(value: float | str | None) -> float:
     return np.nan if value is None else float(value)
 
 
-def _plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any
+def plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any
+    """A value as `write_json` writes it and `read_json` returns it."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return plain(value.item())
     if isinstance(value, float) and not np.isfinite(value):
         return None if np.isnan(value) else str(value)
     return value

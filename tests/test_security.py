@@ -13,7 +13,7 @@ from truths.roll_study import Truth
 
 import casid
 from casid import files, limits
-from casid.jobs.store import Done, Store
+from casid.jobs.store import Done, Store, content_digest
 from casid.studies import settings
 
 ROOT = Path(__file__).parents[1]
@@ -65,6 +65,7 @@ def test_a_stored_result_makes_nothing_but_results(value, tmp_path):
     assert store.get("pbsid", "k").result == 1.0
     content = json.loads((tmp_path / "pbsid.json").read_text(encoding="utf-8"))
     content["result"] = {"value": value, "fields": fields}
+    content["digest"] = content_digest(content)
     (tmp_path / "pbsid.json").write_text(json.dumps(content), encoding="utf-8")
     assert store.get("pbsid", "k") is None
     assert not target.exists()

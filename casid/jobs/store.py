@@ -1,18 +1,20 @@
 """Results on disk, so that interrupted work goes on where it stopped.
 
 Stages of a study and the jobs of a campaign are kept alike: a file each, written whole or not at
-all, with a key in it, a digest of all the result depends on. A result is taken again only if
-nothing it rests on has changed.
+all, with a key in it, a digest of all the result depends on, and one of the file's content. A
+result is taken again only if nothing it rests on has changed, nor the file itself.
 """
 
 import hashlib
+import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from casid.files import read_json, write_json
+from casid.errors import warn
+from casid.files import plain, read_json, write_json
 from casid.values import DAMAGED, decode, encode
 
 PLAIN = re.compile(r"[a-z0-9_]{1,40}")  # names that are file names on every system
@@ -45,12 +47,18 @@ class Store:
         return (self.folder or Path()) / f"{name}.json"
 
     def get(self, name: str, key: str) -> Done | None:
-        """What is kept under a name; None unless it was finished with the same key."""
+        """What is kept under a name; None unless it was finished with the same key.
+
+        A file whose content is not what was written is not taken either: `DataWarning`.
+        """
         if self.folder is None or not self.path(name).exists():
             return None
         try:
             content = read_json(self.path(name))
             if content["casid"] != "result" or content["key"] != key:
+                return None
+            if content["digest"] != content_digest(content):
+                warn(f"{self.path(name)} was changed after casid wrote it; it is computed again")
                 return None
             parts = {part: decode(content[part], self.also) for part in PARTS}
             return Done(**parts, kept=True)
@@ -61,7 +69,14 @@ class Store:
         """Keep a result."""
         if self.folder is not None:
             parts = {part: encode(getattr(done, part)) for part in PARTS}
-            write_json(self.path(name), {"casid": "result", "name": name, "key": key} | parts)
+            content = plain({"casid": "result", "name": name, "key": key} | parts)
+            write_json(self.path(name), content | {"digest": content_digest(content)})
+
+
+def content_digest(content: Mapping[str, Any]) -> str:
+    """Digest (SHA-256) of all that a result's file holds beside it."""
+    held = {name: part for name, part in content.items() if name != "digest"}
+    return hashlib.sha256(json.dumps(held).encode()).hexdigest()
 
 
 PARTS = ("reason", "seconds", "warnings", "source", "result")

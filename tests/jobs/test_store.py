@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from truths.mixture import Mixture, record
 
-from casid import output_error
-from casid.jobs.store import Done, Store
+from casid import DataWarning, output_error
+from casid.jobs.store import Done, Store, content_digest
 
 
 def test_a_result_comes_back_with_all_that_is_said_of_it(tmp_path):
@@ -28,12 +28,24 @@ def test_a_result_comes_back_with_all_that_is_said_of_it(tmp_path):
 @pytest.mark.parametrize("damage", [
     "{", "[]", "{}", '{"casid": "result", "key": "k"}',
     '{"casid": "result", "key": "k", "reason": "", "seconds": 1, "warnings": [], "source": "", '
-    '"result": {"value": "os:system", "fields": {"command": "true"}}}',
+    '"result": {"value": "os:system", "fields": {"command": "true"}}, "digest": "DIGEST"}',
 ])  # fmt: skip
 def test_a_damaged_file_or_that_of_another_version_is_not_taken(damage, tmp_path):
     store = Store(tmp_path)
+    if "DIGEST" in damage:
+        damage = damage.replace("DIGEST", content_digest(json.loads(damage)))
     (tmp_path / "pbsid.json").write_text(damage, encoding="utf-8")
     assert store.get("pbsid", "k") is None
+
+
+def test_a_digit_changed_in_a_kept_result_is_seen_and_told(tmp_path):
+    store, found = Store(tmp_path), {"x": np.array([-4.0057, np.nan, np.inf, -0.0, 1e-300, 1 / 3])}
+    store.put("output_error", "k", Done(result=found, seconds=1.0))
+    np.testing.assert_array_equal(store.get("output_error", "k").result["x"], found["x"])
+    text = store.path("output_error").read_text(encoding="utf-8")
+    store.path("output_error").write_text(text.replace("-4.0057", "-9.0057"), encoding="utf-8")
+    with pytest.warns(DataWarning, match=r"output_error\.json was changed .* computed again"):
+        assert store.get("output_error", "k") is None
 
 
 def test_without_a_folder_nothing_is_kept():

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -57,10 +58,10 @@ with claimed(sys.argv[1]), beside(work):
 
 def _runs(process):
     try:
-        with open(f"/proc/{process}/stat", encoding="ascii") as file:
-            return file.read().rpartition(")")[2].split()[0] != "Z"
+        said = Path(f"/proc/{process}/stat").read_text(encoding="ascii")
     except OSError:
         return False
+    return said.rpartition(")")[2].split()[0] != "Z"
 
 
 @pytest.mark.skipif(

@@ -18,7 +18,7 @@ from casid.exchange.formats import read_table
 from casid.files import read_json
 from casid.fit import Fit
 from casid.hdf import write_hdf
-from casid.jobs.store import Store
+from casid.jobs.store import Store, content_digest
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
@@ -201,6 +201,8 @@ def check_simulate(content):
 def check_stage(content):
     stages = FOLDER / "stages"
     stages.mkdir(exist_ok=True)
+    if isinstance(content, dict):
+        content["digest"] = content_digest(content)
     (stages / "pbsid.json").write_text(json.dumps(content), encoding="utf-8")
     Store(stages, (_structure(),)).get("pbsid", "k")  # a result or None, whatever is there
 
