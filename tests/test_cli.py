@@ -47,6 +47,21 @@ def test_a_solver_that_stops_early_gives_code_three_and_keeps_what_there_was(tmp
     assert best["success"] is False
 
 
+@pytest.mark.slow
+def test_after_a_failure_older_files_are_told_and_after_success_no_iterate_is_left(tmp_path):
+    assert casid("identify", write_study(tmp_path)).exit_code == 0
+    limit = ("[match]\n", "[match]\nsolver = { max_iterations = 2 }\n")
+    failed = casid("identify", write_study(tmp_path, limit))
+    assert failed.exit_code == 3
+    told = "report.html, fit.json, parameters.csv and figures in"
+    assert told in failed.stderr
+    assert "are not of this run but of the last one that ended, 2" in failed.stderr
+    best = tmp_path / "out/stages/quadratic_best.json"
+    assert best.exists()
+    assert casid("identify", write_study(tmp_path, ("order = 3", "order = 4"))).exit_code == 0
+    assert not best.exists()
+
+
 # ---- bad input ---------------------------------------------------------------------------------
 
 STUDY_MISTAKES = {

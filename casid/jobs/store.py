@@ -46,8 +46,8 @@ class Store:
             name = f"{short}.{hashlib.sha256(name.encode()).hexdigest()[:8]}"
         return (self.folder or Path()) / f"{name}.json"
 
-    def get(self, name: str, key: str) -> Done | None:
-        """What is kept under a name; None unless it was finished with the same key.
+    def get(self, name: str, key: str | None) -> Done | None:
+        """What is kept under a name; None unless finished with the same key, if one is given.
 
         A file whose content is not what was written is not taken either: `DataWarning`.
         """
@@ -55,7 +55,7 @@ class Store:
             return None
         try:
             content = read_json(self.path(name))
-            if content["casid"] != "result" or content["key"] != key:
+            if content["casid"] != "result" or key not in (None, content["key"]):
                 return None
             if content["digest"] != content_digest(content):
                 warn(f"{self.path(name)} was changed after casid wrote it; it is computed again")

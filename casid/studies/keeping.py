@@ -69,6 +69,7 @@ class Keeper:
         kept = None if self._fresh else self._store.get(stage.name, key)
         if kept is None:
             return self._computed(stage, settings, task, key)
+        self._drop_best(stage)
         self.warnings += kept.warnings
         self._note(stage.name, kept.seconds, kept.result, kept=True)
         return kept.result
@@ -95,6 +96,7 @@ class Keeper:
         self.warnings += said
         done = Done(result=result, seconds=seconds, warnings=said)
         self._store.put(stage.name, key, done)
+        self._drop_best(stage)
         self._note(stage.name, seconds, result)
         return result
 
@@ -109,6 +111,12 @@ class Keeper:
             "serve as [model.values]), and so is every stage before.",
             error.best,
         )
+
+    def _drop_best(self, stage: Stage) -> None:
+        """Delete the best iterate of an earlier failure: the stage has a result."""
+        best = self._store.path(f"{stage.name}_best")
+        if best.exists():
+            best.unlink()
 
     def _watched(self, settings: Any) -> Any:  # noqa: ANN401
         """Settings whose solver, if they have one, tells its iterations."""

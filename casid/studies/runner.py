@@ -25,7 +25,15 @@ from casid.studies.contents import content
 from casid.studies.keeping import Keeper, Watch
 from casid.studies.responses import with_measured
 from casid.studies.study import Study, read_flights, without_checks
-from casid.studies.written import WRITTEN, Written, digests, keep_written, read_written
+from casid.studies.written import (
+    WRITTEN,
+    Written,
+    delete_earlier,
+    digests,
+    keep_written,
+    made,
+    read_written,
+)
 from casid.tabulation import csv_text
 from casid.threads import one_thread
 from casid.validation import Validation
@@ -122,9 +130,12 @@ def run_study(
     with claimed(study.output):
         keeper = Keeper(study, watch, clock, fresh=fresh, command=command)
         keeper.warnings += said
+        before = made(study)
         outcome = _run(study, *flown, keeper)
+        own = delete_earlier(study, before)
         written = {key: getattr(outcome, key) for key in ("timings", *TOLD)}
-        keep_written(study, Written(files=digests(study), warnings=tuple(said), **written))
+        files = digests(study)
+        keep_written(study, Written(files=files, made=own, warnings=tuple(said), **written))
         return outcome
 
 
@@ -179,7 +190,10 @@ def _run(
     study: Study, flights: Mapping[Role, Sequence[Record]], again: Repeats, keeper: Keeper
 ) -> Outcome:
     records = without_checks(study, flights)
-    found = _stages(study, records, flights, keeper)
+    try:
+        found = _stages(study, records, flights, keeper)
+    except ConvergenceError as error:
+        raise ConvergenceError(f"{error}{_earlier(study)}", error.best) from error
     does = {stage.name: stage.does for stage in study.stages}
     lasting = {stage.name for stage in study.stages if stage.kept}
     keeper.warnings += [f"The {does[name]} is missing. {e}" for name, e in found.failures.items()]
@@ -209,6 +223,19 @@ def _run(
         headlines=_headlines(found.results),
         seen=tuple(again.seen),
         found=lambda: found.results,
+    )
+
+
+def _earlier(study: Study) -> str:
+    """Which files of an earlier run lie in the folder of results, and of when; "" without any."""
+    files = [file for name in WRITTEN if (file := study.output / name).exists()]
+    if not files:
+        return ""
+    last = time.localtime(max(file.stat().st_mtime for file in files))
+    names = ", ".join(file.name for file in files)
+    return (
+        f"\n{names} and figures in {study.output} are not of this run but of the last one that "
+        f"ended, {time.strftime('%Y-%m-%d %H:%M', last)}."
     )
 
 

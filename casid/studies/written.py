@@ -33,6 +33,7 @@ class Written:
     """Digests of the files a study wrote, by name, and what it had to say."""
 
     files: Mapping[str, str]
+    made: tuple[str, ...] = ()  # of them, what is no stage's result but page, table or figure
     timings: tuple[Timing, ...]
     verdicts: tuple[Verdict, ...] = ()
     cautions: tuple[str, ...] = ()
@@ -59,6 +60,30 @@ def read_written(study: Study) -> Written | None:
 def keep_written(study: Study, written: Written) -> None:
     """Note what a study wrote."""
     _store(study).put(NAME, _key(study), Done(result=written))
+
+
+def made(study: Study) -> dict[str, tuple[int, int]]:
+    """Pages, tables and figures in the folder of results, by name; a new file has other numbers."""
+    files = [study.output / name for name in WRITTEN]
+    files += sorted((study.output / "figures").glob("*"))
+    states = {file: file.stat() for file in files if file.is_file()}
+    return {
+        file.relative_to(study.output).as_posix(): (state.st_ino, state.st_mtime_ns)
+        for file, state in states.items()
+    }
+
+
+def delete_earlier(study: Study, before: Mapping[str, tuple[int, int]]) -> tuple[str, ...]:
+    """Delete what an earlier run made and this one did not; the names of what this one made.
+
+    ``before`` is what `made` returned when this run began. Files of others stay.
+    """
+    now = made(study)
+    own = tuple(name for name, state in now.items() if before.get(name) != state)
+    last = _store(study).get(NAME, None)
+    for name in set() if last is None else {*last.result.made} & {*now} - {*own}:
+        (study.output / name).unlink(missing_ok=True)
+    return own
 
 
 def digests(study: Study) -> dict[str, str]:

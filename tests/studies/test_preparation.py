@@ -1,6 +1,7 @@
 """What a study does to its records, against the same done by hand or undone beforehand."""
 
 from dataclasses import replace
+from shutil import copyfile
 
 import numpy as np
 import pytest
@@ -82,6 +83,13 @@ def test_a_second_logger_is_joined_on_its_clock(tmp_path):
     path.write_text(path.read_text().replace("[records.id", f"{second}[records.id", 1))
     joined = read_records(read_study(path))["identification"][1]
     assert joined.outputs == ("p", "phi")
+    (tmp_path / "nav").mkdir()
+    for file in tmp_path.glob("*_nav.csv"):
+        copyfile(file, tmp_path / "nav" / file.name)
+    text = path.read_text()
+    path.write_text(text.replace("{name}_nav", "nav/{name}_nav"))
+    np.testing.assert_array_equal(read_records(read_study(path))["identification"][1].y, joined.y)
+    path.write_text(text)
     np.testing.assert_allclose(joined.totals()["phi"], plain.totals()["phi"], atol=1e-9)
     # each file has a time of its own, each with its unit
     for file in [*tmp_path.glob("[3sr]*.csv")]:

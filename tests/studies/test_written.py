@@ -67,3 +67,23 @@ def test_a_study_that_is_done_imports_nothing_that_draws(tmp_path):
     told += "print([name for name in ('matplotlib', 'scipy.optimize') if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", told], check=True, capture_output=True, text=True)
     assert done.stdout.split("\n")[0] == "[]"
+
+
+@pytest.mark.slow
+def test_figures_of_an_earlier_state_go_and_files_of_others_stay(tmp_path):
+    path = write_study(tmp_path)
+    study = read_study(path)
+    figures = study.output / "figures"
+    run_study(replace(study, png=True))
+    (figures / "own.png").write_bytes(b"notes")
+    earlier = {file.name for file in figures.iterdir()}
+    assert "rms.png" in earlier
+    (tmp_path / "random.csv").rename(tmp_path / "later.csv")
+    path.write_text(path.read_text("utf-8").replace("random.csv", "later.csv"), encoding="utf-8")
+    for title in ("One", "Two"):  # what others put there is theirs in the second run too
+        run_study(replace(read_study(path), title=title))
+        left = {file.name for file in figures.iterdir()}
+        assert [name for name in left if name.endswith(".png")] == ["own.png"]
+        assert not [name for name in left if "random" in name]
+        assert [name for name in earlier if "random" in name and name.endswith(".svg")]
+        assert [name for name in left if "later" in name]
