@@ -16,6 +16,7 @@ from casid.design.injection import check_axes, check_channels, remove_own
 from casid.design.inputs import design_inputs
 from casid.design.plan import Design, DesignSettings, Limits
 from casid.design.prior import nearest_trim
+from casid.errors import warn
 from casid.files import write_text
 from casid.fit import AnyFit, Fit
 from casid.model import Model
@@ -24,8 +25,10 @@ from casid.nonlinear.coverage import SPEEDS
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.stages.conditions import condition, conditions
+from casid.studies.runner import kept_fit
 from casid.studies.study import Study, read_records
 from casid.studies.studyfile import read_study
+from casid.values import digest
 
 SHOWN = 12  # parameters in the table
 DPI = 120
@@ -164,11 +167,20 @@ def _feedback(study: Study, asked: Mapping[str, float]) -> dict[str, dict[str, f
 
 
 def _kept(study: Study) -> Any:  # noqa: ANN401 - a fit, or a model without one
-    """The fit of the study's last identification, if there is one, else its guess."""
+    """The fit of the study's last identification, if there is one, else its guess.
+
+    One of other records or settings is told, one that is not what was kept refused: ValueError.
+    """
     path = study.output / "fit.json"
     if not path.exists():
         return study.model
-    return Fit.load(path, model=type(study.model))
+    found = Fit.load(path, model=type(study.model))
+    kept = kept_fit(study)
+    if kept is None:
+        warn(f"{path} is of earlier records or settings; run casid identify to design with theirs")
+    elif digest(kept) != digest(found):
+        raise ValueError(f"{path} is not the fit that was kept in stages; run casid identify")
+    return found
 
 
 def _flown(study: Study) -> list[Record]:

@@ -164,6 +164,25 @@ class Keeper:
         return digest(*parts)
 
 
+class Holding(Keeper):
+    """Takes what is kept and still holds, and computes nothing."""
+
+    def _computed(self, stage: Stage, settings: Any, task: Task, key: str) -> Any:  # noqa: ANN401, ARG002
+        raise LeftOutError
+
+    def timed(self, name: str, compute: Callable[[], T]) -> T:
+        """Only the chosen step, which is kept with the choice."""
+        if name != "chosen":
+            raise LeftOutError
+        return compute()
+
+    def _asked(self, stage: Stage, settings: Any, task: Task) -> Any:  # noqa: ANN401, ARG002
+        raise LeftOutError
+
+    def _drop_best(self, stage: Stage) -> None:
+        """Nothing is deleted."""
+
+
 class _Idle(Executor):
     """Refuses all work: what is kept needs none."""
 

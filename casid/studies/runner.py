@@ -22,7 +22,7 @@ from casid.report.verdicts import Verdict, verdicts
 from casid.stages.listing import sections
 from casid.stages.stage import Found, Role, run_stages
 from casid.studies.contents import content
-from casid.studies.keeping import Keeper, Watch
+from casid.studies.keeping import Holding, Keeper, Watch
 from casid.studies.responses import with_measured
 from casid.studies.study import Study, read_flights, without_checks
 from casid.studies.written import (
@@ -163,6 +163,21 @@ def _again(study: Study) -> Mapping[str, Any]:
     return _stages(study, without_checks(study, flights), flights, keeper).results
 
 
+def kept_fit(study: Study) -> AnyFit | None:
+    """The fit that was kept of just these records and settings; None without one."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataWarning)  # told where the records serve
+        flights, _ = read_flights(study)
+    keeper = Holding(study, Watch(), [], fresh=False, command="")
+    return _last(_stages(study, without_checks(study, flights), flights, keeper).results)
+
+
+def _last(results: Mapping[str, Any]) -> AnyFit | None:
+    """The fit of the last step."""
+    found: AnyFit | None = results.get("chosen", results.get("output_error"))
+    return found
+
+
 def _stages(
     study: Study,
     records: Mapping[Role, Sequence[Record]],
@@ -197,7 +212,7 @@ def _run(
     does = {stage.name: stage.does for stage in study.stages}
     lasting = {stage.name for stage in study.stages if stage.kept}
     keeper.warnings += [f"The {does[name]} is missing. {e}" for name, e in found.failures.items()]
-    last = found.results.get("chosen", found.results.get("output_error"))
+    last = _last(found.results)
     if last is not None:
         last.save(study.output / "fit.json")
         write_parameters(study.output / "parameters.csv", last)

@@ -1,6 +1,7 @@
 """The command `design` on a small study."""
 
 import hashlib
+import json
 
 import click.testing
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from truths.roll_study import write_study
 
 from casid.cli import main
+from casid.studies.runner import run_study
 from casid.studies.studyfile import read_study
 
 
@@ -187,3 +189,29 @@ def test_a_linear_structure_has_its_own_trim(tmp_path):
     result = run(write_study(tmp_path), "--trim", "p=1")
     assert result.exit_code == 2
     assert "about its own trim" in " ".join(result.stderr.split())
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("always:.*earlier records or settings")
+def test_a_fit_of_earlier_records_is_told_and_one_that_was_changed_refused(tmp_path):
+    study = write_study(tmp_path)
+    run_study(read_study(study))
+    study.write_text(study.read_text() + TABLE)  # no fit depends on it
+    sound = run(study)
+    assert sound.exit_code == 0, sound.output
+    assert "earlier records" not in sound.stderr
+    fit = tmp_path / "out/fit.json"
+    text = fit.read_text()
+    value = json.loads(text)["model"]["fields"]["Lp"]
+    fit.write_text(text.replace(f"{value}", f"{1.5 * value}"))
+    refused = run(study)
+    assert refused.exit_code == 2
+    assert "is not the fit that was kept in stages; run casid identify" in refused.stderr
+    fit.write_text(text)
+    record = tmp_path / "3211.csv"
+    rows = [line.split(",") for line in record.read_text().splitlines()]
+    rows[200][2] = f"{float(rows[200][2]) + 0.001}"
+    record.write_text("\n".join(map(",".join, rows)) + "\n")
+    stale = run(study)
+    assert stale.exit_code == 0, stale.output
+    assert "is of earlier records or settings; run casid identify" in stale.stderr
