@@ -22,7 +22,7 @@ from casid.linear import Steps
 
 LEVELS = 10.0 ** np.array([-6, -4, -3, -2, -1, 0, 1, 2, 3, 4])  # c
 FELT = 10  # samples over which a state's noise of level 1 adds as much to an output as v does
-FLOOR = 1e-6  # of an output's deviation: the least measurement noise
+FLOOR = 1e-2  # of an output's deviation: the least noise; with less, model errors move biases
 RANK = 1e-10  # of information: directions of z with less are left alone
 SETTLED = 1e-10  # change of a covariance, relative, after which gains are kept
 
@@ -71,7 +71,7 @@ def noises(steps: Steps, C: Array, y: Array, scale: Array) -> tuple[Array, Array
     for i, column in enumerate(y.T):
         bends = np.diff(column[np.isfinite(column)], 2)
         if len(bends):
-            r[i] += np.mean(bends**2) / 6
+            r[i] = max(r[i], np.mean(bends**2) / 6)
     usual = steps.maps[int(np.argmax(np.bincount(steps.which)))]
     felt, seen = np.zeros(C.shape), C
     for _ in range(FELT):
