@@ -18,7 +18,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.display import counted
-from casid.logs.topics import Topic, make_topic
+from casid.logs.topics import SI_OF, Topic, make_topic
 
 MAGIC = b"\xa3\x95\x80"
 TEXT_MAGIC = b"FMT,"
@@ -26,6 +26,18 @@ HEAD, FORMAT = MAGIC[:2], MAGIC[2]
 CLOCKS = {"TimeUS": 1e-6, "TimeMS": 1e-3}  # s
 INSTANCE = ord("#")  # unit of the field that numbers several sensors of a kind
 UNITS = {"m/s/s": "m/s^2"}  # as ArduPilot spells them
+# Of messages in logs without FMTU: https://ardupilot.org/copter/docs/logmessages.html
+_ANGLES = dict.fromkeys(("Roll", "Pitch", "Yaw"), "deg")
+_IMU = dict.fromkeys(("GyrX", "GyrY", "GyrZ"), "rad/s")
+_IMU |= dict.fromkeys(("AccX", "AccY", "AccZ"), "m/s/s")
+DOCUMENTED: Mapping[str, Mapping[str, str]] = {
+    "ATT": _ANGLES | dict.fromkeys(("DesRoll", "DesPitch", "DesYaw"), "deg"),
+    "IMU": _IMU | {"I": "#"},
+    "IMU2": _IMU,
+    "NKF1": _ANGLES | dict.fromkeys(("VN", "VE", "VD"), "m/s"),
+    "RATE": dict.fromkeys(("R", "P", "Y", "RDes", "PDes", "YDes"), "deg/s"),
+    "XKF1": _ANGLES | dict.fromkeys(("VN", "VE", "VD"), "m/s") | {"C": "#"},
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +50,7 @@ class Format:
     factors: tuple[float, ...]
     own: tuple[bool, ...]  # whether a factor is that of the type of field
     units: tuple[str, ...]
+    stated: bool = False  # whether units are the log's own
 
     @property
     def size(self) -> int:
@@ -61,9 +74,8 @@ def read_dataflash(data: bytes, library: ModuleType) -> tuple[Iterator[Topic], t
         for kind, each in formats.items()
         if places.get(kind)
     }
-    formats = _with_units(formats, tables)
     notes = (f"{skipped} bytes between messages are damaged and left out",) if skipped else ()
-    return (topic for kind, rows in tables.items() for topic in _topics(formats[kind], rows)), notes
+    return _read(formats, tables, notes)
 
 
 def read_text(data: bytes, library: ModuleType) -> tuple[Iterator[Topic], tuple[str, ...]]:
@@ -85,8 +97,19 @@ def read_text(data: bytes, library: ModuleType) -> tuple[Iterator[Topic], tuple[
         else:
             skipped += 1
     tables = {kinds[name]: _table(formats[name], rows) for name, rows in lines.items() if rows}
-    known = _with_units({kinds[name]: each for name, each in formats.items()}, tables)
     notes = (f"{counted(skipped, 'line')} damaged and left out",) if skipped else ()
+    return _read({kinds[name]: each for name, each in formats.items()}, tables, notes)
+
+
+def _read(
+    formats: Mapping[int, Format], tables: Mapping[int, Any], notes: tuple[str, ...]
+) -> tuple[Iterator[Topic], tuple[str, ...]]:
+    """Topics of the messages of every type; ``notes`` and what is said of their units."""
+    known = _with_units(formats, tables)
+    used = (known[kind] for kind in tables)
+    if taken := sorted(each.name for each in used if each.name in DOCUMENTED and not each.stated):
+        names = ", ".join(taken)
+        notes += (f"the log has no units of {names}: taken as ArduPilot's documentation has them",)
     return (topic for kind, rows in tables.items() for topic in _topics(known[kind], rows)), notes
 
 
@@ -156,7 +179,7 @@ def _format(words: Sequence[str], types: Mapping[str, Any]) -> Format | None:
         fields=names,
         factors=tuple(factor or 1.0 for factor in factors),
         own=own,
-        units=("",) * len(names),
+        units=tuple(DOCUMENTED.get(name, {}).get(each, "") for each in names),
     )
 
 
@@ -176,6 +199,7 @@ def _with_units(formats: Mapping[int, Format], tables: Mapping[int, Any]) -> dic
         found[int(kind)] = replace(
             each,
             units=tuple(spelt[: len(blank)]),
+            stated=True,
             factors=tuple(factor if own else scale for factor, own, scale in scaled),
         )
     return found
@@ -188,14 +212,20 @@ def _topics(form: Format, rows: Any) -> Iterator[Topic]:  # noqa: ANN401 - a str
         return
     number = form.units.index("#") if "#" in form.units else None
     which: Array = np.zeros(len(rows)) if number is None else rows[f"f{number}"]
+    # What nobody states is told, what a user states is read for what stood there.
+    spelt = {
+        name: UNITS.get(unit, unit)
+        for name, unit in zip(form.fields, form.units, strict=True)
+        if unit in SI_OF or not (form.stated or form.name in DOCUMENTED)
+    }
     for value in np.unique(which) if which.dtype.kind in "iuf" else ():
         own = rows[which == value]
         columns = (
-            (name, own[f"f{k}"] * form.factors[k], UNITS.get(form.units[k], form.units[k]))
+            (name, own[f"f{k}"] * form.factors[k], spelt.get(name, ""))
             for k, name in enumerate(form.fields)
             if k not in (clock, number) and own[f"f{k}"].dtype.kind in "iuf"
         )
         name = form.name if number is None else f"{form.name}[{value:g}]"
         stamps = own[f"f{clock}"] * CLOCKS[form.fields[clock]]
         if (topic := make_topic(name, stamps, columns)) is not None:
-            yield topic
+            yield replace(topic, units=spelt)

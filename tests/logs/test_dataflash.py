@@ -3,7 +3,10 @@ import pytest
 from pymavlink import DFReader
 from truths.logs import FORMAT, dataflash, dataflash_text, flight
 
+from casid import read_log
+from casid.logs.conventions import find_channels
 from casid.logs.dataflash import read_dataflash, read_text
+from casid.logs.units import check_units, with_units
 
 
 def topics(data):
@@ -91,6 +94,32 @@ def test_lines_that_are_damaged_cost_themselves():
     found, notes = text_topics("\n".join([*lines, ""]).encode())
     assert len(found["RATE"].t) == len(whole["RATE"].t) - 1
     assert notes == ("2 lines damaged and left out",)
+
+
+@pytest.mark.parametrize("name", ["flight.bin", "flight.log"])
+def test_messages_without_units_have_those_that_ardupilot_documents(name, tmp_path):
+    whole, silent = topics(dataflash(1.0)), dataflash(1.0).replace(b"FMTU", b"FMTX")
+    lines = [line for line in dataflash_text(1.0).splitlines(keepends=True) if b"FMTU" not in line]
+    (tmp_path / name).write_bytes(silent if name.endswith("bin") else b"".join(lines))
+    log = read_log(tmp_path / name)
+    for topic in ("ATT", "IMU[0]", "IMU[1]"):
+        for column, x in whole[topic].columns.items():
+            found = log.topics[topic].columns[column]
+            np.testing.assert_allclose(found, x, rtol=1e-6, atol=1e-12)
+    said = "the log has no units of ATT, IMU, RATE: taken as ArduPilot's documentation has them"
+    assert said in log.notes
+    outputs = find_channels(log)[1]
+    stated = with_units(outputs, {"phi": "deg", "p": "deg/s"})  # as the column stands in the log
+    np.testing.assert_allclose(stated["phi"].values, outputs["phi"].values, rtol=1e-12)
+    np.testing.assert_allclose(stated["p"].values, np.radians(outputs["p"].values), rtol=1e-12)
+
+
+def test_units_that_nobody_knows_are_told(tmp_path):
+    rows = (f"GYR9, {k}, {k % 7}\n" for k in range(1, 99))
+    path = tmp_path / "flight.log"
+    path.write_text("FMT, 7, 15, GYR9, Qf, TimeUS,p\n" + "".join(rows), "utf-8")
+    _, outputs = find_channels(read_log(path))
+    assert check_units(path, outputs) == ["unit of p not stated: taken as rad/s"]
 
 
 def test_modes_written_as_words_are_no_numbers():
