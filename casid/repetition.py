@@ -11,6 +11,7 @@ from casid.samples import known_inputs
 SHARE = 0.02  # of the samples while a channel moves, from which on it counts as held
 LONGER = 3.0  # times the usual run of equal samples: rest; or times what chance makes
 SHORT = 5  # samples of such a run that are no rest in any case
+ROUNDING = 1e-12  # of the largest value: a smaller step is none
 FINE = 0.2  # small steps over usual ones; above, a channel is counted in coarse steps
 
 
@@ -69,6 +70,7 @@ def _repeated(x: Array) -> BoolArray:
     none = np.zeros(len(x), dtype=bool)
     at = np.flatnonzero(np.isfinite(x))
     steps = np.diff(x[at])
+    steps[np.abs(steps) <= ROUNDING * np.abs(x[at]).max(initial=0.0)] = 0.0
     moves = np.abs(steps[steps != 0])
     if counted(x[at]):
         return none

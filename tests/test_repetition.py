@@ -46,6 +46,14 @@ def test_rest_steps_and_chance_are_no_repetition():
         assert not repeated(record(x, x)).any()
 
 
+def test_roundings_are_no_steps():
+    digits = np.round(WAVE - WAVE.mean(), 1)  # of a file, where chance repeats some
+    again = np.flatnonzero(np.diff(digits) == 0)[3]
+    digits -= digits[again]
+    digits[again] = 3e-18
+    assert not repeated(record(digits, WAVE))[:, 0].any()
+
+
 def test_missing_samples_lie_between_own_ones():
     x = held(WAVE, 4)
     x[2::4] = np.nan
