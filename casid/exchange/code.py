@@ -36,15 +36,15 @@ def write_c(
 ) -> None:
     """Write C source (C99, nothing to link but the mathematical library) that steps a model.
 
-    The file has two functions in the calling convention of CasADi's generated code,
+    The file ``model.c`` has two functions in the calling convention of CasADi's generated code,
 
-        start(x0, u0) -> (z)        memory of the model at rest under u0, from the state x0
-        step(z, u) -> (z, y)        outputs at this sample, memory for the next
+        model_start(x0, u0) -> (z)  memory of the model at rest under u0, from the state x0
+        model_step(z, u) -> (z, y)  outputs at this sample, memory for the next
 
-    exact for inputs that are held as said between samples and then delayed: as
-    `StateSpace.simulate`. A nonlinear structure is integrated by the classical Runge-Kutta method,
-    its delays exact too; total values then. Names, sizes and order of the channels stand in a
-    comment.
+    so that several models link together; exact for inputs that are held as said between samples
+    and then delayed: as `StateSpace.simulate`. A nonlinear structure is integrated by the classical
+    Runge-Kutta method, its delays exact too; total values then. Names, sizes and order of the
+    channels stand in a comment.
 
     Parameters
     ----------
@@ -88,11 +88,12 @@ def write_c(
         (start, step), units, kind = _steps(system, dt, hold), UNITS, "deviations from trim"
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         code = ca.CodeGenerator(path.stem, {"with_header": True, "cpp": False})
-        code.add(start)
-        code.add(step)
+        for each in (start, step):  # named after the file, or two models would not link together
+            given, names = each.sx_in(), (each.name_in(), each.name_out())
+            code.add(ca.Function(f"{path.stem}_{each.name()}", given, each.call(given), *names))
         code.generate()
         source, header = (Path(f"{path.stem}.{end}").read_text("utf-8") for end in "ch")
-    head = _comment(linear, (dt, hold, kind), units, step.size1_in(0))
+    head = _comment(linear, (path.stem, dt, hold, kind), units, step.size1_in(0))
     write_text(path, head + source)
     write_text(path.with_suffix(".h"), head + header)
 
@@ -134,6 +135,7 @@ def write_fmu(
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         files = dae.export_fmu({"no_warning": True, "with_serialization": False})
         _define_units(Path(next(name for name in files if name.endswith("modelDescription.xml"))))
+        _answer_without_indicators(Path(f"{path.stem}_wrap.c"))
         if binary:
             files = dae.compile_fmu(files, {"include_dirs": [headers]})
         packed = Path(dae.pack_fmu(files, {"path": path.name})).read_bytes()
@@ -191,10 +193,10 @@ def _taps(system: StateSpace, dt: float, hold: Hold) -> tuple[list[Array], list[
 
 
 def _comment(
-    system: StateSpace, how: tuple[float, Hold, str], units: Mapping[str, str], memory: int
+    system: StateSpace, how: tuple[str, float, Hold, str], units: Mapping[str, str], memory: int
 ) -> str:
-    """What a C programmer has to know; ``how``: interval, hold, what the values are."""
-    dt, hold, kind = how
+    """What a C programmer has to know; ``how``: name, interval, hold, what the values are."""
+    name, dt, hold, kind = how
 
     def named(names: tuple[str, ...]) -> str:
         return ", ".join(f"{name} [{units.get(name, '-')}]" for name in names)
@@ -205,7 +207,8 @@ def _comment(
         f"   x: {named(system.states)}\n   u: {named(system.inputs)}\n"
         f"   y: {named(system.outputs)}\n"
         f"   z: memory, {memory} numbers.\n"
-        "   start(x0, u0) -> z at the first sample; step(z, u) -> z of the next sample, y now.\n"
+        f"   {name}_start(x0, u0) -> z at the first sample;\n"
+        f"   {name}_step(z, u) -> z of the next sample, y now.\n"
         f"   SI units and radians; {kind}. */\n"
     )
 
@@ -251,6 +254,15 @@ def _define_units(path: Path) -> None:
             raise RuntimeError(f"{path}: no variables in it; casid does not know this CasADi")
         at = first.start() + 1
         path.write_text(text[:at] + units + text[at:], "utf-8")
+
+
+def _answer_without_indicators(path: Path) -> None:
+    """Let a model without events say so; CasADi's is fatal, and FMPy's Euler always asks."""
+    text = path.read_text("utf-8")
+    refused = "  // No zero crossings\n  return fmi3Fatal;"
+    if refused not in text:
+        raise RuntimeError(f"{path}: no refusal of indicators; casid does not know this CasADi")
+    path.write_text(text.replace(refused, refused.replace("Fatal", "OK")), "utf-8")
 
 
 def _headers() -> str:

@@ -57,10 +57,10 @@ def test_compiled_source_steps_as_the_simulation(tmp_path, hold, delay):
     text = (tmp_path / "model.c").read_text("utf-8")
     memory = int(text.split("memory, ")[1].split(" ")[0])
     u, x0 = stepped_input(N, 2, np.random.default_rng(0), hold=5), np.arange(5.0) / 5
-    (z,) = library("start", x0, u[0], sizes=[memory])
+    (z,) = library("model_start", x0, u[0], sizes=[memory])
     y = np.empty((N, 3))
     for k in range(N):
-        z, y[k] = library("step", z, u[k], sizes=[memory, 3])
+        z, y[k] = library("model_step", z, u[k], sizes=[memory, 3])
     by_casid = system.simulate(DT * np.arange(N), u, x0, hold)
     np.testing.assert_allclose(y, by_casid, atol=1e-10 * np.abs(by_casid).max())
 
@@ -76,9 +76,9 @@ def test_compiled_source_steps_a_nonlinear_structure(tmp_path, hold):
     memory = int(text.split("memory, ")[1].split(" ")[0])
     u = commands()
     y = np.empty((len(u), 3))
-    (z,) = library("start", X0, u[0], sizes=[memory])
+    (z,) = library("model_start", X0, u[0], sizes=[memory])
     for k in range(len(u)):
-        z, y[k] = library("step", z, u[k], sizes=[memory, 3])
+        z, y[k] = library("model_step", z, u[k], sizes=[memory, 3])
     known = by_casid(AIRCRAFT, u, hold, 3)
     np.testing.assert_allclose(y, known, atol=1e-10 * np.abs(known).max())
     with pytest.raises(ValueError, match="steps=0"):
@@ -101,6 +101,20 @@ def test_an_fmu_of_a_nonlinear_structure_starts_at_its_reference_condition(tmp_p
     y = np.array([own.measurements(0.0, x, u) for x in known.y.T])
     for i, name in enumerate(AIRCRAFT.outputs):
         np.testing.assert_allclose(found[name], y[:, i], atol=1e-8 * np.abs(y).max())
+
+
+@needs_compiler
+def test_two_models_link_together(tmp_path):
+    (tmp_path / "main.c").write_text(
+        '#include "one.h"\n#include "two.h"\nint main(void) {return (int)(one_start_checkout() + '
+        "two_start_checkout() + one_step_checkout() + two_step_checkout());}\n"
+    )
+    write_c(tmp_path / "one.c", unstable_plant(), dt=DT)
+    write_c(tmp_path / "two.c", AIRCRAFT, dt=DT, steps=1)
+    assert "two_step(z, u)" in (tmp_path / "two.h").read_text("utf-8")
+    sources = [tmp_path / f"{name}.c" for name in ("main", "one", "two")]
+    subprocess.run([COMPILER, *sources, "-o", tmp_path / "main", "-lm"], check=True)
+    subprocess.run([tmp_path / "main"], check=True)
 
 
 def test_the_comment_says_what_to_call(tmp_path):
@@ -151,6 +165,10 @@ def test_an_fmu_runs_in_another_program(tmp_path):
     y = states @ np.hstack([plain.C, plain.D]).T
     for i, name in enumerate(names[1]):
         np.testing.assert_allclose(found[name], y[:, i], atol=1e-8 * np.abs(y).max())
+    euler = fmpy.simulate_fmu(  # asks for event indicators, of which there are none
+        str(tmp_path / "plant.fmu"), stop_time=0.1, step_size=0.01, solver="Euler"
+    )
+    assert euler["time"][-1] == pytest.approx(0.1)
 
 
 def test_an_fmu_of_source_holds_names_and_units(tmp_path):
