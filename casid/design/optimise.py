@@ -9,9 +9,9 @@ all limits and has standard errors s times as large. What is minimised is theref
 in which the scale of r does not matter once a limit is reached. The limits are also those of other
 models, of which nothing else is asked. s, smooth, is (1 + Σ ratioᵖ)^(1/p),
 p rising; the last word has the largest ratio itself. It is not convex: the start decides which
-optimum is found. L-BFGS with exact derivatives takes it; IPOPT, with the limits as constraints and
-exact second derivatives, finds errors a few per cent smaller where there are few parameters, in
-some forty times the time.
+optimum is found. L-BFGS with exact derivatives takes it; in trials on few parameters IPOPT, with
+the limits as constraints and exact second derivatives, found somewhat smaller errors in far more
+time.
 """
 
 from collections.abc import Sequence
