@@ -1,10 +1,10 @@
 """Do the stated errors of frequency responses hold, in the edges of the band too?
 
-Linear truths, each flown through four sweeps in its loop, the noise of the instruments fed back:
-the 32-state UH-60, the AH-1S's eight states, and the twelve of AW109 (MODEL, its JSON). By method
-and fifth of the band (0.4-12 rad/s, logarithmic), of points with coherence of 0.6 or more in the
-averaged spectra: root mean square error of the response's logarithm, and the share of gains and
-phases within 1.96 stated errors.
+Linear truths, each flown through four sweeps of 70 s, four 3-2-1-1 of 16 s, or all eight in its
+loop, the noise of the instruments fed back: the 32-state UH-60, the AH-1S's eight states, and the
+twelve of AW109 (MODEL, its JSON). By records, method and fifth of the band (0.4-12 rad/s,
+logarithmic), of points with coherence of 0.6 or more in the averaged spectra: root mean square
+error of the response's logarithm, and the share of gains and phases within 1.96 stated errors.
 
     OMP_NUM_THREADS=1 python -m benchmarks.coverage [MODEL] [--runs 20] [--first 0]
 """
@@ -12,26 +12,29 @@ phases within 1.96 stated errors.
 import argparse
 import json
 import warnings
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.tables import table
-from benchmarks.uh60 import INPUTS, NOISE, OUTPUTS, ROOT, oracle, sweep
+from benchmarks.uh60 import INPUTS, NOISE, OUTPUTS, ROOT, oracle, steps, sweep
 from casid import Record, StateSpace, frequency_response
 
 OMEGA = np.geomspace(0.4, 12.0, 40)
 DT, LAG = 0.02, 0.06  # s
+SEEN = 0.02  # share of coherent points that is enough to speak of
 FEEDBACK = {  # p phi, q theta, r to sticks as shares of full travel
     "UH-60": (0.05, 0.15, 0.20, 0.25, 0.20),
     "AH-1S": (0.20, 0.40, -0.40, -0.50, -0.30),
     "AW109": (0.15, 0.40, -0.40, -0.80, -0.40),
 }
-SIZE = {  # of the sweeps, shares of full travel
+SIZE = {  # of sweeps and steps, shares of full travel
     "UH-60": (0.04, 0.04, 0.025, 0.05),
     "AH-1S": (0.05, 0.10, 0.06, 0.10),
     "AW109": (0.04, 0.04, 0.025, 0.05),
 }
+FLOWN = {"sweeps": slice(4), "3-2-1-1": slice(4, 8), "all eight": slice(8)}
 
 
 def truths(aw109: Path | None) -> dict[str, StateSpace]:
@@ -71,31 +74,40 @@ def loop(name: str, plant: StateSpace) -> StateSpace:
     return StateSpace(A, B, C, np.zeros((12, 12)))
 
 
-def sweeps(name: str, closed: StateSpace, rng: np.random.Generator) -> list[Record]:
-    """Four sweeps of 70 s with noise, one axis at a time."""
-    t, found = DT * np.arange(3501), []
-    for j, axis in enumerate(INPUTS):
+def flights(name: str, closed: StateSpace, rng: np.random.Generator) -> list[Record]:
+    """Four sweeps of 70 s and four 3-2-1-1 of 16 s, with noise, one axis at a time."""
+    found = []
+    for kind, axis in product(("sweep", "3-2-1-1"), INPUTS):
+        t, j = DT * np.arange(3501 if kind == "sweep" else 801), INPUTS.index(axis)
         r, noise = np.zeros((len(t), 4)), rng.standard_normal((len(t), 8)) * list(NOISE.values())
-        r[:, j] = SIZE[name][j] * sweep(t)
+        r[:, j] = SIZE[name][j] * (sweep(t) if kind == "sweep" else steps(t, axis))
         y, u = np.split(closed.simulate(t, np.hstack([r, noise])), [8], axis=1)
-        found.append(Record(t, u, y + noise, INPUTS, OUTPUTS, f"sweep {axis}"))
+        found.append(Record(t, u, y + noise, INPUTS, OUTPUTS, f"{kind} {axis}"))
     return found
 
 
-def measure(name: str, plant: StateSpace, runs: range) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Squared errors of gain and phase and what lies within (runs, 2, K, pairs), by method."""
+def measure(name: str, plant: StateSpace, runs: range) -> dict[tuple[str, str], list[np.ndarray]]:
+    """Errors of gain and phase, NaN where incoherent, and stated ones (runs, 2, K, ny, nu)."""
     truth, closed = plant.response(OMEGA), loop(name, plant)
-    found: dict[str, list] = {"local": [], "windows": []}
+    found: dict[tuple[str, str], list] = {each: [] for each in product(FLOWN, ("local", "windows"))}
     for run in runs:
-        records = sweeps(name, closed, np.random.default_rng([run, 70]))
-        for method, rows in found.items():
-            each = frequency_response(records, omega=OMEGA, method=method)
+        records = flights(name, closed, np.random.default_rng([run, 70]))
+        for (flown, method), rows in found.items():
+            each = frequency_response(records[FLOWN[flown]], omega=OMEGA, method=method)
             ratio = np.log(each.G / truth)
             error = np.where(each.coherence >= 0.6, [ratio.real, ratio.imag], np.nan)
-            within = np.where(np.isnan(error), np.nan, np.abs(error) < 1.96 * each.error)
-            rows.append((error**2, within))
-    return {m: tuple(np.array(column) for column in zip(*rows, strict=True))
-            for m, rows in found.items()}  # fmt: skip
+            rows.append((error, np.broadcast_to(each.error, error.shape)))
+    return {key: [np.array(column) for column in zip(*rows, strict=True)]
+            for key, rows in found.items()}  # fmt: skip
+
+
+def cell(error: np.ndarray, stated: np.ndarray) -> str:
+    """Root mean square error, and share within 1.96 stated ones; a dash where none is coherent."""
+    seen = np.isfinite(error)
+    if seen.mean() < SEEN:
+        return "-"
+    rms, within = np.sqrt(np.mean(error[seen] ** 2)), np.abs(error[seen]) < 1.96 * stated[seen]
+    return f"{100 * rms:.1f} / {100 * within.mean():.0f}"
 
 
 def main() -> None:
@@ -108,14 +120,11 @@ def main() -> None:
     rows = []
     for name, plant in truths(chosen.aw109).items():
         runs = range(chosen.first, chosen.first + chosen.runs)
-        for method, (squared, within) in measure(name, plant, runs).items():
+        for key, (error, stated) in measure(name, plant, runs).items():
             fifths = np.array_split(np.arange(len(OMEGA)), 5)
-            rms = [100 * np.sqrt(np.nanmean(squared[:, :, at])) for at in fifths]
-            held = [100 * np.nanmean(within[:, :, at]) for at in fifths]
-            cells = [f"{r:.1f} / {h:.0f}" for r, h in zip(rms, held, strict=True)]
-            rows.append([name, method, *cells])
+            rows.append([name, *key, *(cell(error[:, :, at], stated[:, :, at]) for at in fifths)])
     head = ("lowest fifth", "second", "third", "fourth", "highest")
-    print(table(("truth", "method", *head), rows))
+    print(table(("truth", "records", "method", *head), rows))
     print("rms error [%] / share within 95 % interval [%]")
 
 

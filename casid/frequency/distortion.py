@@ -4,7 +4,8 @@ Noise differs between manoeuvres that are flown alike; what a nonlinear aircraft
 linear one depends on amplitude (R. Pintelon, J. Schoukens, System Identification: A Frequency
 Domain Approach, 2nd ed., chapter 4: the best linear approximation is that of one class of inputs).
 Where each axis was flown at two amplitudes, one response is estimated from the smaller and one from
-the larger inputs. Linear, their difference is noise, of the size and correlation that both state.
+the larger inputs. Linear, their difference is noise, of the size and correlation that both state:
+leakage and other bias are alike where manoeuvres are.
 """
 
 from collections.abc import Sequence
@@ -42,7 +43,7 @@ class Distortion:
     small, large : (nu,) array
         Root mean square of each input in its two groups of records, at most.
     noise : (K, ny, nu) array
-        Standard deviation of the difference of the two responses that noise and leakage make,
+        Standard deviation of the difference of the two responses that noise makes,
         relative to the mean of the two; NaN where either is not known well enough.
     distortion : (K, ny, nu) array
         What the difference is beyond that, likewise, smoothed over three frequencies.
@@ -145,7 +146,7 @@ def _difference(
     """Relative error of the difference of two responses, its mean square in such units by pair."""
     mean = (low.G + high.G) / 2
     with np.errstate(invalid="ignore", divide="ignore"):
-        parts = [np.abs(each.G) * each.error / np.abs(mean) for each in (low, high)]
+        parts = [np.abs(each.G) * each.random_error / np.abs(mean) for each in (low, high)]
     noise = np.where(both, np.hypot(*parts), np.nan)
     known = {name: (getattr(low, name) + getattr(high, name)) / 2
              for name in ("output_correlation", "input_correlation", "resolution")}  # fmt: skip

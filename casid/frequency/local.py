@@ -12,12 +12,13 @@ record and output, A of degree two for all of them, since all share the poles. T
 before the record and goes on after it, leakage: it is estimated, not tapered away. B(0) is the
 response. Output by output the residuals V have one variance there; it makes the random error.
 
-Departure: what models of finite width miss (bias) is estimated too, from the difference to
-narrower ones, and stated beside the random error.
+Departure: what models of finite width miss (bias) is estimated too, from the differences to
+narrower ones and to those of a degree more, and stated beside the random error.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -26,19 +27,34 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
+from casid.frequency.leakage import FEW
 from casid.frequency.spectra import correlation
 from casid.record import Record
 
-WIDE, NARROW = (0.3, 5.0), (0.2, 4.0)  # half widths: share of the frequency, lines at least
-EQUATIONS = {WIDE: 3.0, NARROW: 7 / 3}  # at least, per unknown of a pair's numerator
-POWERS = 3  # of x in numerators of pairs
 EDGES = 2  # of x in numerators of transients
 POLES = 2  # of the denominator
 ROUNDS = 8  # Gauss-Newton steps of the denominator
 CERTAIN = 25.0  # twice the gain in log-likelihood that makes a pair of poles more than noise
 NEAREST = 0.05  # abs(A), one at the centre, may fall to within a model
 SURE = 2.0  # of the noise of a difference that is no bias
+LENGTH = 0.25  # of the most power near a frequency: records of less do not widen models for it
+MISSED = 4  # power of a half width with which bias grows: 3 without poles, 5 with them
+ALIKE = 0.9  # ratio of half widths, at most, whose models differ enough to show a bias
 KERNEL = 0.33  # correlation of two local estimates, as a spectral window's width over a half width
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Width and degree of local models."""
+
+    share: float  # half width, of the frequency
+    lines: float  # half width, at least
+    equations: float  # at least, per input
+    powers: int  # of x in numerators of pairs
+
+
+WIDE, NARROW = Extent(0.3, 5.0, 9.0, 3), Extent(0.2, 4.0, 7.0, 3)
+CUBIC = Extent(0.3, 5.0, 9.0, 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,18 +89,33 @@ def local_response(records: Sequence[Record], omega: Array) -> LocalResponse | N
     if not all(lines):
         return None
     G, error, half, outputs, inputs = _at_all(lines, omega, WIDE)
-    other, coarse, *_ = _at_all(lines, omega, NARROW)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # What noise alone makes of the difference: the wider model is the more efficient one.
-        random = SURE * 2 * np.maximum(coarse**2 - error**2, 0.0)
-        squared = np.nan_to_num(np.abs(other - G) ** 2 / np.abs(G) ** 2 - random, posinf=0.0)
-    padded = np.pad(squared, ((1, 1), (0, 0), (0, 0)), mode="edge")
-    smooth = (padded[:-2] + padded[1:-1] + padded[2:]) / 3
+    narrow, coarse, less, *_ = _at_all(lines, omega, NARROW)
+    cubic, fine, *_ = _at_all(lines, omega, CUBIC)
+    # A narrower model misses less, but not nothing: the difference is a share of the bias.
+    share = 1 - np.minimum(less / half, ALIKE) ** MISSED
+    squared = _beyond_noise(G, error, narrow, coarse) / share[:, None, None] ** 2
+    squared += _beyond_noise(G, error, cubic, fine)
+    # Records of few periods resolve no mode there, of which all pairs have the same.
+    few = omega < FEW * np.array([_spacing(*each) for each in zip(lines, omega, strict=True)])
+    common = np.median(squared, axis=(1, 2), keepdims=True)
+    squared = np.where(few[:, None, None], np.maximum(squared, common), squared)
     # An input is smooth between its samples, or straight: sinc²(ωh/2) lies between the two.
     between = omega**2 * max((r.dt**2 for r in records if r.hold != "zoh"), default=0.0) / 12
-    bias = np.sqrt(np.maximum(smooth, 0.0) + between[:, None, None] ** 2)
+    bias = np.sqrt(np.maximum(squared, 0.0) + between[:, None, None] ** 2)
     width = np.broadcast_to(KERNEL * half[:, None, None], G.shape)
     return LocalResponse(G, error, np.where(np.isfinite(G), bias, np.nan), width, outputs, inputs)
+
+
+def _beyond_noise(G: ComplexArray, error: Array, other: ComplexArray, more: Array) -> Array:
+    """Squared relative differences of two estimates, less what noise alone makes of them.
+
+    Mean of three neighbouring frequencies; the estimate G is the more efficient one.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        random = SURE * 2 * np.maximum(more**2 - error**2, 0.0)
+        squared = np.nan_to_num(np.abs(other - G) ** 2 / np.abs(G) ** 2 - random, posinf=0.0)
+    padded = np.pad(squared, ((1, 1), (0, 0), (0, 0)), mode="edge")
+    return np.asarray((padded[:-2] + padded[1:-1] + padded[2:]) / 3)
 
 
 def _lines_at(records: Sequence[Record], omega: Array) -> list[Sequence[Lines]]:
@@ -135,7 +166,7 @@ def _lines(record: Record) -> Lines:
 
 
 def _at_all(
-    lines: Sequence[Sequence[Lines]], omega: Array, width: tuple[float, float]
+    lines: Sequence[Sequence[Lines]], omega: Array, extent: Extent
 ) -> tuple[ComplexArray, Array, Array, ComplexArray, ComplexArray]:
     """Responses, random errors, half widths and correlations of outputs and inputs."""
     K, nu, ny = len(omega), *(len(each.T) for each in (lines[0][0].U, lines[0][0].Y))
@@ -143,9 +174,8 @@ def _at_all(
     half, outputs = np.zeros(K), np.tile(np.eye(ny, dtype=complex), (K, 1, 1))
     inputs = np.tile(np.eye(nu, dtype=complex), (K, 1, 1))
     for k, (near, centre) in enumerate(zip(lines, omega, strict=True)):
-        least = max(width[0] * centre, width[1] * _spacing(near))
-        half[k] = _half_width(near, centre, least, EQUATIONS[width])
-        model = _Model.of(near, centre, half[k])
+        half[k] = _half_width(near, centre, extent)
+        model = _Model.of(near, centre, half[k], extent.powers)
         found = model.solved() if model is not None else None
         if model is None or found is None:
             continue
@@ -158,18 +188,22 @@ def _at_all(
     return G, error, half, outputs, inputs
 
 
-def _spacing(lines: Sequence[Lines]) -> float:
-    """Distance of lines [rad/s] in the records that move the input whose records are shortest."""
+def _spacing(lines: Sequence[Lines], centre: float) -> float:
+    """Distance of lines [rad/s] in the records that move the input whose records are shortest.
+
+    Of several that move it about as much near the frequency the longest counts: wide models for
+    the sake of short records would miss what the long one resolves.
+    """
     apart = np.array([each.omega[0] for each in lines])
-    power = np.array([np.sum(np.abs(each.U) ** 2, axis=0) * each.omega[0] for each in lines])
-    power = power / np.maximum(power.sum(axis=0), 1e-300)
-    return float(np.max(apart @ power, initial=apart.min()))
+    near = [each.U[(each.omega > centre / 2) & (each.omega < 2 * centre)] for each in lines]
+    energy = np.array([np.sum(np.abs(U) ** 2, axis=0) for U in near]).T
+    return max(float(apart[each >= LENGTH * each.max()].min()) for each in energy)
 
 
-def _half_width(lines: Sequence[Lines], centre: float, least: float, equations: float) -> float:
-    """The least half width [rad/s] that leaves so many equations per unknown of a numerator."""
-    wanted = equations * POWERS * lines[0].U.shape[1]
-    half = least
+def _half_width(lines: Sequence[Lines], centre: float, extent: Extent) -> float:
+    """The least half width [rad/s] that leaves equations enough for the numerators."""
+    wanted = extent.equations * lines[0].U.shape[1]
+    half = max(extent.share * centre, extent.lines * _spacing(lines, centre))
     while True:
         counts = np.array([_near(each, centre, half).sum() for each in lines])
         if np.maximum(counts - EDGES, 0).sum() >= wanted or half > lines[0].omega[-1]:
@@ -191,10 +225,11 @@ class _Model:
     U: ComplexArray  # (m, nu)
     Y: ComplexArray  # (m, ny)
     records: tuple[slice, ...]  # lines of each
+    powers: int  # of x in numerators of pairs
     freedom: float  # of the residuals of one output
 
     @classmethod
-    def of(cls, lines: Sequence[Lines], centre: float, half: float) -> "_Model | None":
+    def of(cls, lines: Sequence[Lines], centre: float, half: float, powers: int) -> "_Model | None":
         """The lines of all records that have more than their own transient takes."""
         near = [(each, _near(each, centre, half)) for each in lines]
         used = [(each, at) for each, at in near if at.sum() > EDGES]
@@ -203,11 +238,11 @@ class _Model:
         ends = np.cumsum([0, *(at.sum() for _, at in used)])
         U = np.vstack([each.U[at] for each, at in used])
         Y = np.vstack([each.Y[at] for each, at in used])
-        unknown = POWERS * U.shape[1] + EDGES * len(used) + POLES / Y.shape[1]
+        unknown = powers * U.shape[1] + EDGES * len(used) + POLES / Y.shape[1]
         freedom = len(U) - unknown
         x = np.concatenate([(each.omega[at] - centre) / half for each, at in used])
         slices = tuple(slice(a, b) for a, b in pairwise(ends))
-        return cls(x, U, Y, slices, freedom) if freedom > 1 else None
+        return cls(x, U, Y, slices, powers, freedom) if freedom > 1 else None
 
     def solved(self) -> tuple[ComplexArray, Array, ComplexArray, ComplexArray] | None:
         """Response (ny, nu), its variance, covariance of residuals, inverse of the inputs' power.
@@ -237,9 +272,9 @@ class _Fit:
     a: ComplexArray  # (POLES,)
     A: ComplexArray  # (m,) values of the denominator
     edges: tuple[ComplexArray, ...]  # orthonormal bases (m_r, EDGES) of transients
-    Q: ComplexArray  # (m, POWERS nu) orthonormal basis of the inputs, transients removed
-    inverse: ComplexArray  # (POWERS nu, POWERS nu) of the triangular factor
-    theta: ComplexArray  # (POWERS nu, ny) numerators
+    Q: ComplexArray  # (m, powers nu) orthonormal basis of the inputs, transients removed
+    inverse: ComplexArray  # (powers nu, powers nu) of the triangular factor
+    theta: ComplexArray  # (powers nu, ny) numerators
     E: ComplexArray  # (m, ny) residuals
 
     @classmethod
@@ -247,7 +282,7 @@ class _Fit:
         A = 1 + _powers(model.x) @ a
         if np.abs(A).min() < NEAREST:
             return None
-        bases = np.vander(model.x, POWERS, increasing=True) / A[:, None]
+        bases = np.vander(model.x, model.powers, increasing=True) / A[:, None]
         edges = tuple(np.linalg.qr(bases[rows, :EDGES])[0] for rows in model.records)
         pairs = (bases[:, :, None] * model.U[:, None, :]).reshape(len(A), -1)
         K, Y = _without(model, edges, pairs), _without(model, edges, model.Y)
@@ -261,7 +296,7 @@ class _Fit:
         inner = Q.conj().T @ Y
         return cls(model, a, A, edges, Q, inverse, inverse @ inner, Y - Q @ inner)
 
-    @property
+    @cached_property
     def variance(self) -> Array:
         """Of an output's residuals, (ny,)."""
         power = np.sum(np.abs(self.model.Y) ** 2, axis=0)

@@ -84,6 +84,46 @@ def test_what_began_before_the_record_is_told_from_the_response(system):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*finer than a record")
+@pytest.mark.parametrize("sweeps", [True, False], ids=["3-2-1-1 and sweeps", "3-2-1-1"])
+def test_stated_errors_hold_where_records_hold_few_periods(sweeps):
+    omega = np.geomspace(*((0.4, 12.0, 40) if sweeps else (0.85, 12.0, 30)))
+    truth = uh60.oracle().response(omega)
+    kinds = (uh60.linear_sweep, uh60.linear_steps)[not sweeps :]
+    clean = [kind(axis) for kind in kinds for axis in uh60.INPUTS]
+    inside = []
+    for seed in range(3):
+        rng = np.random.default_rng([seed, 32])
+        found = frequency_response([r.with_noise(uh60.NOISE, rng) for r in clean], omega=omega)
+        error = np.log(found.G / truth) / found.error
+        within = np.abs([error.real, error.imag]) < 1.96
+        inside.append(np.where(found.coherence >= 0.6, within, np.nan))
+    fifths = np.array_split(np.arange(len(omega)), 5)
+    covered = [np.nanmean(np.array(inside)[:, :, at]) for at in fifths]
+    assert min(covered) > 0.88
+    assert max(covered) < 0.99
+
+
+def test_short_records_beside_a_long_one_do_not_blur_what_that_resolves():
+    A, B = [[0, 1], [-0.16, -0.1]], [[0], [1]]
+    system = StateSpace(A, B, np.eye(2), np.zeros((2, 1)), None, ("u",), ("a", "b"))
+    omega, errors = np.geomspace(0.45, 4.0, 20), []
+    for seed in range(2):
+        rng, flown = np.random.default_rng([seed, 4]), []
+        for duration in (100, 16, 16, 16):
+            t = 0.05 * np.arange(20 * duration)
+            u = rng.choice([-1.0, 1.0], duration).repeat(20)[:, None]
+            y = system.simulate(t, u)
+            y += 0.02 * np.std(y, axis=0) * rng.standard_normal(y.shape)
+            flown.append(Record(t, u, y, ("u",), ("a", "b")))
+        found = [local_response(records, omega) for records in (flown[:1], flown)]
+        assert found[1].resolution[0, 0, 0] == found[0].resolution[0, 0, 0]
+        errors.append([np.mean(np.abs(f.G / system.response(omega) - 1) ** 2) for f in found])
+    alone, together = np.sqrt(np.mean(errors, axis=0))
+    assert together < alone
+
+
+@pytest.mark.slow
 def test_stated_errors_hold_in_every_fifth_of_the_band_and_are_smaller_than_of_windows():
     omega = np.geomspace(0.4, 12.0, 40)
     truth = uh60.oracle().response(omega)

@@ -69,8 +69,20 @@ def linear_sweep(axis, dt=0.02, duration=70.0):
     rate = np.log(15 / 0.3)
     phase = 0.3 * span / rate * (np.exp(rate * since / span) - 1)
     fade = np.clip(np.minimum(since / 5, (65 - t) / 3), 0, 1)
+    return _linear(axis, t, fade * np.sin(phase))
+
+
+def linear_steps(axis):
+    """A 3-2-1-1 of 16 s in the same loop."""
+    t, unit = 0.02 * np.arange(801), 1.0 if axis == "col" else 0.7
+    at = np.searchsorted([0, 3, 5, 6, 7], (t - 2) / unit, side="right")
+    return _linear(axis, t, np.array([0.0, 1.0, -1.0, 1.0, -1.0, 0.0])[at])
+
+
+def _linear(axis, t, command):
+    """The 32-state model in its loop after a command to one axis."""
     r = np.zeros((len(t), 4))
-    r[:, INPUTS.index(axis)] = AMPLITUDE[axis] * fade * np.sin(phase)
+    r[:, INPUTS.index(axis)] = AMPLITUDE[axis] * command
     plant, lag = oracle(), 0.06
     K = np.zeros((4, 32))  # per unit of travel and rad
     K[1, [3, 6]], K[2, [4, 7]], K[3, 5] = (0.05, 0.15), (0.20, 0.25), 0.20
