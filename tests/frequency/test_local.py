@@ -84,7 +84,7 @@ def test_what_began_before_the_record_is_told_from_the_response(system):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.*finer than a record")
+@pytest.mark.filterwarnings("ignore::casid.DataWarning")
 @pytest.mark.parametrize("sweeps", [True, False], ids=["3-2-1-1 and sweeps", "3-2-1-1"])
 def test_stated_errors_hold_where_records_hold_few_periods(sweeps):
     omega = np.geomspace(*((0.4, 12.0, 40) if sweeps else (0.85, 12.0, 30)))
