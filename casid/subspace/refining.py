@@ -106,16 +106,12 @@ def refine_projected(
         grows = growth(moved.system, data, su, sy, mask)
     refined = moved.system
     # A model that misses dynamics blames records that show them.
-    told = (
-        disagreement(
-            richer if missed and richer else refined,
-            campaign,
-            windows,
-            HIGHEST * pole,
-            missing=missed is not None,
-        )
-        if windows
-        else None
+    told = disagreement(
+        richer if missed and richer else refined,
+        campaign,
+        pole,
+        HIGHEST * pole,
+        missing=missed is not None,
     )
     doubtful = _doubtful(campaign, grows, system, refined, windows, data)
     share = explained_share(refined, data, su, sy, band)
