@@ -94,7 +94,7 @@ def test_an_fmu_of_a_nonlinear_structure_starts_at_its_reference_condition(tmp_p
         str(tmp_path / "aircraft.fmu"), stop_time=3.0, output_interval=0.1,
         relative_tolerance=1e-11, start_values={"lon": 0.03}, output=list(AIRCRAFT.outputs),
     )  # fmt: skip
-    own, u = equations_of(AIRCRAFT, 3), np.array([0.03, 0.5])
+    own, u = equations_of(AIRCRAFT, 3), np.array([0.03, 3.6 / 8.2])
     known = scipy.integrate.solve_ivp(
         own.derivatives, (0, 3), own.x0, "DOP853", found["time"], args=(u,), rtol=1e-12, atol=1e-13
     )

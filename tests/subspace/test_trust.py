@@ -6,7 +6,7 @@ import pytest
 from truths.systems import campaign, closed_loop_record
 from truths.uh60 import sweeps
 
-from casid import Record, StateSpace, pbsid
+from casid import DataWarning, Record, StateSpace, pbsid
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.refinement import refine
 from casid.subspace.refining import _unfound
@@ -32,7 +32,8 @@ def trex():
 
 
 def test_a_flight_that_does_not_support_a_model_is_said_to():
-    box = pbsid([trex()], order=10, past=10, pole=10.0, feedthrough=False)
+    with pytest.warns(DataWarning, match="the controller feeds so much of the outputs' noise"):
+        box = pbsid([trex()], order=10, past=10, pole=10.0, feedthrough=False)
     said, *_ = box.doubts()
     assert said.startswith("These data do not support a model")
     for name in ("u", "v", "w", "p", "r", "phi"):
