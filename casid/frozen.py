@@ -160,12 +160,15 @@ def _copied(record: Record) -> Iterator[Frozen]:
 def _blocks(x: Array) -> list[tuple[int, int, int]]:
     """First sample, length and distance of blocks that repeat an earlier one of a channel."""
     words = sliding_window_view(x + 0.0, WORD)
-    moving = np.flatnonzero(np.ptp(words, axis=1) > 0)
+    n, still = len(words), np.ptp(words, axis=1) == 0
+    # Words of noise hold values that occur once: only the others need be compared.
+    ascending = np.sort(x)
+    twice = np.isin(x, ascending[1:][ascending[1:] == ascending[:-1]])
+    moving = np.flatnonzero(~still & sliding_window_view(twice, WORD).all(axis=1))
     if not len(moving):
         return []
     _, which, count = np.unique(words[moving], axis=0, return_inverse=True, return_counts=True)
-    n = len(words)
-    chance = (np.sum(count * (count - 1.0)) + (n - len(moving)) ** 2 + 1) / n**2
+    chance = (np.sum(count * (count - 1.0)) + still.sum() ** 2 + 1) / n**2
     if chance >= 1:
         return []
     # Blocks of so many samples would be equal by chance once in a thousand records.

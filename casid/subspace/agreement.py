@@ -19,7 +19,7 @@ from casid.linear import StateSpace
 from casid.record import Record
 from casid.subspace import modal as modes
 from casid.subspace.campaign import Campaign
-from casid.subspace.fourier import Spectrum, parts, spectrum
+from casid.subspace.fourier import Spectrum, parts, spectrum, transformed
 from casid.subspace.refinement import linearised, noise_weights, normal_equations
 
 # What nonlinear aircraft show between manoeuvres: a fault is larger by `CLEAR` errors. A clock is
@@ -84,39 +84,44 @@ class _Piece:
     su: Array
     sy: Array
 
-    def signals(self, e: ComplexArray) -> Iterator[tuple[Fault, ComplexArray]]:
-        """Every possible fault, and what it adds to the outputs' transforms (K, ny).
+    def faults(self, e: ComplexArray) -> Iterator[tuple[list[Fault], slice, Array]]:
+        """Possible faults of each output, then of all inputs, and what they add to the residuals.
 
-        ``e`` (K, ny) is what the model leaves of these.
+        ``e`` (K, ny) is what the model leaves of the outputs' transforms. The additions are
+        weighted as `modes.tangents` does, (rows, faults), of the rows of that output, or of all.
         """
-        record, s = self.record, 1j * self.lines.omega[:, None]
+        record, s, K = self.record, 1j * self.lines.omega[:, None], 2 * len(self.w)
         y = record.y / self.sy
         ends = (y[-3:].mean(axis=0) - y[:3].mean(axis=0)) / np.sqrt(record.duration)
         Y = self.lines.Y - e
-        yield from self._outputs("gain", 1.0, Y)
-        yield from self._outputs("delay", 1.0, -s * Y - ends)  # of a derivative from end to end
+        kinds = [("gain", 1.0), ("delay", 1.0)]
+        made = [Y, -s * Y - ends]  # a delay's: of a derivative from end to end
         for rate in _rates(record.duration):
-            yield from self._outputs("clock", rate, self.lines.Y - self._read(1 + rate))
+            kinds.append(("clock", rate))
+            made.append(self.lines.Y - self._read(1 + rate))
+        weighted = np.array([modes.stacked(x * self.w) for x in made])
+        for o, name in enumerate(record.outputs):
+            own = [self._fault(name, kind, size) for kind, size in kinds]
+            yield own, slice(o * K, (o + 1) * K), weighted[:, :, o].T
+        named, rows = [], []
         for name, g, u in zip(
             record.inputs, self.G.transpose(2, 0, 1), self.lines.U.T, strict=True
         ):
-            for kind, x in (("gain", -g * u[:, None]), ("delay", s * g * u[:, None])):
-                yield Fault(record=record.name, channel=name, kind=kind, size=1.0), x
+            named += [self._fault(name, kind, 1.0) for kind in ("gain", "delay")]
+            rows += [modes.stacked(x * u[:, None] * self.w).T.ravel() for x in (-g, s * g)]
+        yield named, slice(None), np.array(rows).T
 
-    def _outputs(
-        self, kind: str, size: float, signals: ComplexArray
-    ) -> Iterator[tuple[Fault, ComplexArray]]:
-        for o, name in enumerate(self.record.outputs):
-            alone = np.zeros_like(signals)
-            alone[:, o] = signals[:, o]
-            yield Fault(record=self.record.name, channel=name, kind=kind, size=size), alone
+    def _fault(self, channel: str, kind: str, size: float) -> Fault:
+        return Fault(record=self.record.name, channel=channel, kind=kind, size=size)
 
     def _read(self, rate: float) -> ComplexArray:
         """Transforms of the outputs read at another rate than that of their clock."""
-        t, top = self.record.t - self.record.t[0], float(self.lines.omega[-1])
+        t, y = self.record.t - self.record.t[0], self.record.y / self.sy
         at = np.clip(rate * t, 0.0, t[-1])
-        y = np.column_stack([np.interp(at, t, x) for x in self.record.y.T])
-        return spectrum(replace(self.record, y=y), self.su, self.sy, top * (1 + 1e-9)).Y
+        i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+        along = ((at - t[i]) / (t[i + 1] - t[i]))[:, None]
+        read = (1 - along) * y[i] + along * y[i + 1]
+        return transformed(t, read, len(self.w), even=self.lines.h is not None)
 
 
 def _rates(duration: float) -> list[float]:
@@ -167,33 +172,36 @@ def disagreement(
 
 def _seen(piece: _Piece, e: Array, J: Array, Q: Array, factor: Array) -> _Seen:
     """What tells the faults of a piece, from weighted residuals and slopes of `modes.tangents`."""
-    ny = len(piece.sy)
-    each = e.reshape(ny, -1)
+    # A fault of an output has rows X of that output only. What transients and other models explain
+    # of it, Q g and J c, has all rows: of these the products over each band are enough.
+    ny, n = len(piece.sy), Q.shape[1]
+    each, S = e.reshape(ny, -1), np.hstack([Q, J])
     real, imag = np.split(each, 2, axis=1)
-    signals = list(piece.signals(np.asarray((real + 1j * imag).T / piece.w, dtype=complex)))
-    faults = [fault for fault, _ in signals]
-    X = np.array([modes.stacked(x * piece.w).T.ravel() for _, x in signals]).T
-    X -= Q @ (Q.T @ X)
-    known = factor.T @ (J.T @ X)
-    own = X - J @ (factor @ known)
     bands = np.floor(np.log(piece.lines.omega / piece.lines.omega[0]) / BAND)
-    which = np.tile(bands, 2 * ny) == np.unique(bands)[:, None]
+    inside = np.tile(bands, 2 * ny) == np.unique(bands)[:, None]
+    which = inside.astype(float)
+    QS, eS = np.array([Q[rows].T @ S[rows] for rows in inside]), (which * e) @ S
     left = dict(zip(piece.record.outputs, np.sum(each**2, axis=1), strict=True))
-    return _Seen(
-        faults,
-        known,
-        pull=factor.T @ (J.T @ e),
-        size=which @ (X * own),
-        score=which @ (own * e[:, None]),
-        left=np.array([left.get(fault.channel, e @ e) for fault in faults]),
-        whole=np.sum(X**2, axis=0),
-    )
+    faults, columns = [], []
+    for some, rows, X in piece.faults(np.asarray((real + 1j * imag).T / piece.w, dtype=complex)):
+        d = S[rows].T @ X
+        g, known = d[:n].copy(), factor.T @ d[n:]
+        d[n:] = factor @ known
+        rest, band = X - S[rows] @ d - Q[rows] @ g, which[:, rows]
+        size = band @ (X * rest) + np.sum((QS @ d) * g, axis=1)
+        score = band @ (X * e[rows, None]) - eS @ d
+        columns.append((known, size, score, np.sum(X**2, axis=0) - np.sum(g**2, axis=0)))
+        faults += some
+    known, size, score, whole = (np.concatenate(x, axis=-1) for x in zip(*columns, strict=True))
+    showing = np.array([left.get(fault.channel, e @ e) for fault in faults])
+    return _Seen(faults, known, factor.T @ (J.T @ e), size, score, showing, whole)
 
 
 def _clearest(seen: Sequence[_Seen], slack: float) -> Fault | None:
     clear: list[tuple[float, Fault]] = []
-    for piece in seen:
-        others = np.array([-(each.pull @ piece.known) for each in seen if each is not piece])
+    pulls = np.array([each.pull for each in seen])
+    for i, piece in enumerate(seen):
+        others = -np.delete(pulls, i, axis=0) @ piece.known
         information = np.maximum(piece.size.sum(axis=0), 1e-100)
         score = piece.score.sum(axis=0) + others.sum(axis=0)
         a, gain = score / information, score**2 / information

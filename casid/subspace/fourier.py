@@ -23,7 +23,7 @@ import scipy
 from casid.arrays import Array, ComplexArray
 from casid.record import Hold, Record
 
-LINES, SAMPLES = 500, 12_000  # at most of a piece: what is held at once does not grow with a record
+LINES, SAMPLES = 500, 12_000  # of a piece, about: what is held at once does not grow with a record
 
 
 class Lines(Protocol):
@@ -79,8 +79,11 @@ def parts(record: Record, top: float) -> list[Record]:
     """Pieces of a record that are transformed by themselves."""
     lines = top * record.duration / (2 * np.pi)
     pieces = int(np.ceil(max(lines / LINES, record.N / SAMPLES)))
-    pieces = max(min(pieces, record.N // 4), 1)
-    edges = np.linspace(0, record.N - 1, pieces + 1).astype(int)
+    if pieces < 2 or record.N < 8:
+        return [record]
+    # All but the last of a length that is transformed fast, which one with a large prime is not.
+    length = scipy.fft.next_fast_len(max((record.N - 1) // pieces, 4), real=True)
+    edges = [*range(0, record.N - 1 - length // 2, length), record.N - 1]
     return [record.take(slice(start, end + 1)) for start, end in pairwise(edges)]
 
 
@@ -92,15 +95,21 @@ def spectrum(record: Record, su: Array, sy: Array, highest: float) -> Spectrum:
     K = min(int(highest * T / (2 * np.pi)), (n - 1) // 2)
     omega = 2 * np.pi * np.arange(1, K + 1) / T
     h = T / (n - 1)
-    if record.equidistant:
-        U = np.fft.fft(u[:-1], axis=0)[1 : K + 1] * (h / np.sqrt(T))
-        Y = np.fft.fft(y[:-1], axis=0)[1 : K + 1] * (h / np.sqrt(T))
-        return Spectrum(omega, U, Y, h, record.hold)
-    even = scipy.interpolate.CubicSpline(t, y)(np.linspace(0.0, T, n))
-    even[0] = (even[0] + even[-1]) / 2  # both ends share one phase: the trapezoidal sum
-    Y = np.fft.fft(even[:-1], axis=0)[1 : K + 1] * (h / np.sqrt(T))
+    even = record.equidistant
+    Y = transformed(t, y, K, even=even)
+    if even:
+        return Spectrum(omega, transformed(t, u, K, even=even), Y, h, record.hold)
     U = _held_transform(omega, t, u, record.hold) / np.sqrt(T)
     return Spectrum(omega, U, Y, None, record.hold)
+
+
+def transformed(t: Array, y: Array, K: int, *, even: bool) -> ComplexArray:
+    """The first ``K`` transforms of outputs (N, ny) over √T, equidistant if ``even``; (K, ny)."""
+    T, n = float(t[-1] - t[0]), len(t)
+    if not even:
+        y = scipy.interpolate.CubicSpline(t, y)(np.linspace(t[0], t[-1], n))
+        y[0] = (y[0] + y[-1]) / 2  # both ends share one phase: the trapezoidal sum
+    return np.asarray(np.fft.rfft(y[:-1], axis=0)[1 : K + 1] * (np.sqrt(T) / (n - 1)))
 
 
 def _hold_weights(x: ComplexArray, hold: Hold) -> tuple[ComplexArray, ComplexArray]:

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from truths.systems import campaign
 
+from casid import Record
 from casid.records import standard_deviations
-from casid.subspace.fourier import spectra
+from casid.subspace.fourier import parts, spectra
 
 
 def test_a_long_record_is_transformed_in_pieces_of_limited_size(monkeypatch):
@@ -28,3 +29,15 @@ def test_a_stretch_too_short_for_a_line_is_left_out():
     assert [len(each.omega) for each in both] == [
         len(each.omega) for each in spectra([record], su, sy, top=10.0)
     ]
+
+
+@pytest.mark.parametrize("samples", [27_198, 49_999, 200_003])
+def test_pieces_meet_at_one_sample_and_have_lengths_without_large_primes(samples):
+    t, none = 0.01 * np.arange(samples), np.zeros((samples, 1))
+    pieces = parts(Record(t, none, none, ("lat",), ("p",)), 1.0)
+    assert [each.t[0] for each in pieces[1:]] == [each.t[-1] for each in pieces[:-1]]
+    assert (pieces[0].t[0], pieces[-1].t[-1]) == (t[0], t[-1])
+    for each in pieces[:-1]:
+        assert 30**20 % (each.N - 1) == 0  # 2, 3 and 5 only
+        assert each.N < 12_400
+    assert len(pieces[-1].t) < 18_000
