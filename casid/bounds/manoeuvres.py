@@ -235,19 +235,25 @@ def _checked(candidates: Mapping[str, Model], records: Sequence[Record]) -> tupl
 
 
 def _error(done: Done, record: Record, outputs: tuple[str, ...]) -> tuple[Array, Array]:
-    """Root mean square errors (ny,) of a fit on a record, and noise; NaN with nothing to show.
-
-    White noise of power σ² has lines of median σ² ln 2: lines of a vibration do not count.
-    """
+    """Root mean square errors (ny,) of a fit on a record, and noise; NaN with nothing to show."""
     if done.result is None or done.reason:
         return np.full(len(outputs), np.nan), np.full(len(outputs), np.nan)
     own = record.select(done.result.model.inputs, outputs)
     found = validate({"fit": done.result}, own)
     apart = own.y - found.simulated["fit"][0]
-    known = apart[np.isfinite(apart).all(axis=1)]
-    lines = np.abs(np.fft.rfft(known, axis=0)) ** 2 / max(len(known), 1)
-    top = np.median(lines[int(TOP * len(lines)) :], axis=0)
-    return np.asarray(found.rms["fit"][0]), np.sqrt(top / np.log(2))
+    noise = [_white(e[np.isfinite(e)]) for e in apart.T]  # outputs need not share a sample
+    return np.asarray(found.rms["fit"][0]), np.array(noise)
+
+
+def _white(e: Array) -> float:
+    """Standard deviation of the white noise in residuals (n,); NaN of none.
+
+    White noise of power σ² has lines of median σ² ln 2: lines of a vibration do not count.
+    """
+    if not len(e):
+        return np.nan
+    lines = np.abs(np.fft.rfft(e)) ** 2 / len(e)
+    return float(np.sqrt(np.median(lines[int(TOP * len(lines)) :]) / np.log(2)))
 
 
 def _least(noise: Array) -> Array:

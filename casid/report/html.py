@@ -163,7 +163,8 @@ def relative(path: str) -> str:
             there = round(10 * float(x)), round(10 * float(y))
             step = there if letter == "M" else (there[0] - at[0], there[1] - at[1])
             one, two = (f"{n / 10:g}".replace("0.", "." if abs(n) < 10 else "0.") for n in step)
-            said += (" " if letter == before else letter.replace("L", "l")) + f"{one} {two}"
+            # What follows a move without a letter is a line to it.
+            said += (" " if letter == before == "L" else letter.replace("L", "l")) + f"{one} {two}"
             at = there
         else:
             said += letter

@@ -59,12 +59,12 @@ def _states(task: Task) -> tuple[str, ...]:
 
 def _spectra(settings: object, task: Task) -> FrequencyResponse:  # noqa: ARG001 - it has none
     names = _states(task)
-    own = replace(task.settings.get("frequency", SpectralAnalysis()), reference=())
+    own: SpectralAnalysis = replace(
+        task.settings.get("frequency", SpectralAnalysis()), reference=()
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataWarning)  # the stage of the outputs says the same
-        records = [record.select(outputs=names) for record in task.checks["frequency"]]
-        found: FrequencyResponse = replace(own, reference=()).fit(records)
-    return found
+        return own.fit([record.select(outputs=names) for record in task.checks["frequency"]])
 
 
 def _compared(settings: object, task: Task) -> MeasuredStates:  # noqa: ARG001 - it has none

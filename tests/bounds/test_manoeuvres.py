@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from truths.closed_roll import NOISE, TRUTH, Roll, campaign
+from truths.closed_roll import NOISE, TRUTH, Roll, T, campaign
 from truths.mixture import Inline
 from truths.structures import HoverRoll
 
@@ -66,6 +66,16 @@ def test_a_structure_that_lacks_a_derivative_is_not_enough():
     stated = [NOISE[name] for name in found.outputs]
     np.testing.assert_allclose(found.noise, stated, rtol=0.15)  # a median of 250 lines
     assert "| bare" in found.to_markdown()
+
+
+def test_the_noise_of_outputs_that_share_no_sample_is_theirs():
+    k = np.arange(len(T))
+    turns = np.column_stack([k % 3 != j for j in range(3)])
+    records = [record.mask(turns) for record in RECORDS]
+    way = OutputError(interval=2.0)
+    found = compare_structures({"whole": TRUTH}, records, estimator=way, execution=HERE)
+    stated = [NOISE[name] for name in found.outputs]
+    np.testing.assert_allclose(found.noise, stated, rtol=0.3)  # a median of 80 lines
 
 
 def test_one_structure_in_several_ways():

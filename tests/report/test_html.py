@@ -100,7 +100,7 @@ def test_standard_errors_and_the_cramer_rao_bound_stand_side_by_side(page, conte
 
 
 def test_a_picture_as_an_address_is_the_same_picture():
-    drawn = "M 10.1234 0 L 11 20.56 L 10.8 4 z M 1 2 L 1.2 10"
+    drawn = "M 10.1234 0 L 11 20.56 L 10.8 4 z M 5 6 M 1 2 L 1.2 10"  # one point alone
     line = f"""<path d="{drawn}" style="font: 8px 'DejaVu Sans'; fill: #00ff00"/>"""
     said = "<text>5\" &lt; 6 &amp; 7' 100 %</text>"
     svg = f'<svg xmlns="http://www.w3.org/2000/svg"><g id="a">{line}{said}</g></svg>'
@@ -109,7 +109,7 @@ def test_a_picture_as_an_address_is_the_same_picture():
     assert "&" not in found
     kept = ET.fromstring(unquote(found.partition(",")[2]))
     path, text = (kept.find(f".//{{http://www.w3.org/2000/svg}}{tag}") for tag in ("path", "text"))
-    assert path.get("d") == "M10.1 0l.9 20.5-.2-16.5zM1 2l.2 8"
+    assert path.get("d") == "M10.1 0l.9 20.5-.2-16.5zM5 6M1 2l.2 8"
     assert path.get("style") == "font: 8px DejaVu Sans; fill: #00ff00"
     assert text.text == "5\" < 6 & 7' 100 %"
 

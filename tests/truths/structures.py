@@ -48,6 +48,25 @@ class HoverRoll(Model):
         return {"lat": self.tau}
 
 
+class LateRoll(Model):
+    """p' = Lp p + Llat lat(t - tau)."""
+
+    states, inputs, outputs = ("p",), ("lat",), ("p",)
+
+    Lp: Scalar = parameter(default=-3.0, lower=-25.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=10.0, lower=0.0, upper=60.0, unit="rad/s^2")
+    tau: Scalar = parameter(default=0.03, lower=0.0, upper=0.25, unit="s")
+
+    def A(self) -> Rows:
+        return [[self.Lp]]
+
+    def B(self) -> Rows:
+        return [[self.Llat]]
+
+    def delays(self):
+        return {"lat": self.tau}
+
+
 class Lag(Model):
     """k / (s + a): two parameters, to be searched by brute force."""
 
