@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from casid.arrays import Array, BoolArray
 from casid.record import Record
 from casid.repetition import least_step
-from casid.samples import at_instants
+from casid.samples import MAD, at_instants
 
 REACH = 0.25  # time [s] that the lags reach back, within these limits
 LAGS = (2, 10)
@@ -35,7 +35,6 @@ FAR = 6.0  # deviations of a normal distribution that make an outlier
 GROSS = 10.0  # of one that no fit may see, as it would follow what all channels do at once
 BRIEF, FEW = 0.08, 4  # s and samples that such a jump lasts at most
 SLIGHT = 0.05  # of a channel's deviation: what is less does no harm
-MAD = 1.482602218505602  # standard deviation of a normal distribution over its median deviation
 
 
 @dataclass(frozen=True, eq=False)

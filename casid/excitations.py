@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casid import samples
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
 from casid.errors import DataWarning
@@ -167,8 +168,7 @@ class Excitation:
 
 def runs(omega: Array, where: BoolArray) -> list[tuple[float, float]]:
     """Stretches of neighbouring frequencies, from and to, as wide as is told."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(int)))
-    spans = [(float(omega[a]), float(omega[b - 1])) for a, b in edges.reshape(-1, 2)]
+    spans = [(float(omega[a]), float(omega[b - 1])) for a, b in samples.runs(where)]
     return [(a, b) for a, b in spans if b >= WIDE * a]
 
 

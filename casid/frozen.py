@@ -19,6 +19,7 @@ from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
 from casid.record import Record
 from casid.repetition import counted
+from casid.samples import runs
 
 SHORT, LONGER = 10, 4.0  # samples of a run that is looked at, and times the usual one
 MOVED = 0.1  # of a channel's deviation: what the others expect of it meanwhile
@@ -72,7 +73,7 @@ def _stalled(record: Record) -> Iterator[Frozen]:
     still = np.concatenate([[False], same.all(axis=1) & np.isfinite(record.y[1:]).any(axis=1)])
     fresh = np.diff(np.flatnonzero(np.concatenate([~still, [True]])))
     least = max(SHORT, LONGER * float(np.median(fresh)))
-    for first, last in _runs(still):
+    for first, last in runs(still):
         rest = np.array_equal(z[first], z[0], equal_nan=True)
         if last - first >= least and not rest:
             seen = [x for x in record.y.T if np.isfinite(x).all()]
@@ -84,7 +85,7 @@ def _stalled(record: Record) -> Iterator[Frozen]:
 def _stuck_inputs(record: Record) -> Iterator[Frozen]:
     for name, x in zip(record.inputs, record.u.T, strict=True):
         marks = _resting(x)
-        for first, last in _runs(marks):
+        for first, last in runs(marks):
             if _breaks(x, marks, first, last):
                 start, end = record.t[[first - 1, last - 1]].tolist()
                 yield Frozen(channel=name, start=start, duration=end - start, lost="input")
@@ -119,7 +120,7 @@ def _stuck(record: Record) -> Iterator[Frozen]:
         own[:, i] = marks[:, i]
         x = record.y[:, i]
         expected = filled(record.mask(own))[0].y[:, i]
-        for first, last in _runs(marks[:, i]):
+        for first, last in runs(marks[:, i]):
             away = np.sqrt(np.mean((expected[first:last] - x[first - 1]) ** 2))
             if away > MOVED * np.nanstd(x):
                 start, end = record.t[[first - 1, last - 1]].tolist()
@@ -180,15 +181,9 @@ def _blocks(x: Array) -> list[tuple[int, int, int]]:
     if np.mean(lag > 0) > PERIODIC:
         return []
     found = []
-    for first, last in _runs(lag > 0):
+    for first, last in runs(lag > 0):
         edges = [first, *(first + 1 + np.flatnonzero(np.diff(lag[first:last]))), last]
         for a, b in pairwise(edges):
             if (length := b - a + WORD - 1) >= least and lag[a] >= length:
                 found.append((int(a), int(length), int(lag[a])))
     return found
-
-
-def _runs(marks: BoolArray) -> list[tuple[int, int]]:
-    """First and one past the last sample of each run."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], marks, [False]]).astype(int)))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

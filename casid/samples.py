@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray
 
@@ -14,18 +15,24 @@ QUIET = 0.02  # share of an input's range that still counts as trim
 NOISY = 5.0  # deviations of a resting input's noise that do, too
 LEVEL = 10  # first samples of a noisy input, whose mean is its level at rest
 FEWEST = 50  # samples that show noise
-NORMAL = 1.4826  # standard deviation of a normal distribution over its median deviation
+MAD = 1.482602218505602  # standard deviation of a normal distribution over its median deviation
 USUAL = 0.95  # share of sampling intervals that are not longer than the usual one
 SLOWER = 1.5  # intervals that are longer by this factor need a filter first
 CLOSE = 0.05  # of the median interval: a curve through two samples so close swings far beyond both
 PASS = 0.8  # of the new Nyquist frequency: what is above it is taken out before sampling slower
 
 
+def runs(marks: BoolArray) -> NDArray[np.intp]:
+    """First and one past the last sample of every run of marked samples (N,), (runs, 2)."""
+    padded = np.concatenate([[False], marks, [False]]).astype(np.int8)
+    return np.flatnonzero(np.diff(padded)).reshape(-1, 2)
+
+
 def noise(x: Array) -> Array:
     """Standard deviation of white noise on every smooth column (N, n), by third differences."""
     if len(x) < FEWEST:
         return np.zeros(x.shape[1])
-    return np.asarray(NORMAL * np.median(np.abs(np.diff(x, 3, axis=0)), axis=0) / np.sqrt(20))
+    return np.asarray(MAD * np.median(np.abs(np.diff(x, 3, axis=0)), axis=0) / np.sqrt(20))
 
 
 def off_rest(u: Array) -> BoolArray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid.samples import at_instants, resampled, usual_interval
+from casid.samples import at_instants, resampled, runs, usual_interval
 
 T = 0.02 * np.arange(500)
 
@@ -44,3 +44,8 @@ def test_the_usual_interval_is_the_median_unless_sampling_is_irregular():
     assert usual_interval(np.delete(T, [50, 51, 52])) == pytest.approx(0.02)
     t = np.cumsum(np.where(np.arange(100) % 5, 0.01, 0.03))
     assert usual_interval(t) == pytest.approx(0.03)
+
+
+def test_runs_are_told_at_both_ends_and_of_one_sample():
+    assert runs(np.array([1, 0, 1, 1, 0, 0, 1], dtype=bool)).tolist() == [[0, 1], [2, 4], [6, 7]]
+    assert runs(np.zeros(3, dtype=bool)).shape == runs(np.zeros(0, dtype=bool)).shape == (0, 2)

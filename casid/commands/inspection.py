@@ -19,6 +19,7 @@ from casid.model import Bounds, Model
 from casid.record import REST, Record
 from casid.records import Records, same_channels, several
 from casid.repetition import least_step, repeated, source_interval
+from casid.samples import runs
 from casid.structure.identifiability import Identifiability, identifiability
 
 GAP = 1.5  # median sampling intervals
@@ -226,11 +227,9 @@ def _clipped(values: Array, *, stick: bool) -> int:
     for extreme in (values.min(), values.max()):
         if np.ptp(values) == 0 or (stick and abs(extreme) not in (0.0, 1.0)):
             continue
-        at = np.concatenate([[False], values == extreme, [False]])
-        edges = np.flatnonzero(np.diff(at.astype(int)))
-        runs = edges[1::2] - edges[::2]
-        inside = (edges[::2] > 0) & (edges[1::2] < len(values))  # trim at either end is no stop
-        longest = max(longest, int(runs[inside].max(initial=0)))
+        start, end = runs(values == extreme).T
+        inside = (start > 0) & (end < len(values))  # trim at either end is no stop
+        longest = max(longest, int((end - start)[inside].max(initial=0)))
     # A channel that is counted in coarse steps rests on each of them.
     usual = 0
     if least_step(values) and not stick:

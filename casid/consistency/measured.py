@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import Array
-from casid.autoregression import FAR, MAD, slow
+from casid.autoregression import FAR, slow
 from casid.frequency.sampling import equidistant
 from casid.record import Record
-from casid.samples import at_instants
+from casid.samples import MAD, at_instants
 
 MOST = 60_000  # samples that are looked at
 SHORTEST = 20  # samples

@@ -30,6 +30,7 @@ from casid.autoregression import filled
 from casid.frequency.leakage import FEW
 from casid.frequency.spectra import correlation
 from casid.record import Record
+from casid.samples import runs
 
 EDGES = 2  # of x in numerators of transients
 POLES = 2  # of the denominator
@@ -134,18 +135,12 @@ def _lines_at(records: Sequence[Record], omega: Array) -> list[Sequence[Lines]]:
 
 
 def _gaps(lost: BoolArray, longest: float) -> NDArray[np.intp]:
-    """First samples, and those after the last, of losses of a channel longer than so many (, 2)."""
+    """Losses of a channel longer than so many samples, as `runs` has them."""
     gone = np.zeros(len(lost), dtype=bool)
     for column in lost.T:  # slower channels need not have a sample in common
-        for start, end in _runs(column):
+        for start, end in runs(column):
             gone[start:end] |= end - start > longest
-    return _runs(gone)
-
-
-def _runs(lost: BoolArray) -> NDArray[np.intp]:
-    """First samples of runs, and those after the last (n, 2)."""
-    padded = np.concatenate([[0], lost.astype(int), [0]])
-    return np.flatnonzero(np.diff(padded)).reshape(-1, 2)
+    return runs(gone)
 
 
 def _between(record: Record, gaps: NDArray[np.intp]) -> list[Record]:

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from casid import samples
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.record import Record
 
@@ -147,8 +148,7 @@ def _weights_of_windows(lost: BoolArray, dt: float, omega: Array, length: float)
 
 def longest_run(lost: BoolArray) -> int:
     """Most samples in a row that are lost."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(int)))
-    return int(np.max(edges[1::2] - edges[::2], initial=0))
+    return int(np.max(np.diff(samples.runs(lost)), initial=0))
 
 
 def transform(x: Array, dt: float, omega: Array) -> ComplexArray:

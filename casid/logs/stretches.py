@@ -11,6 +11,7 @@ from casid.arrays import Array, BoolArray
 from casid.excitations import Excitation, certified
 from casid.logs.conventions import RATES
 from casid.record import Record
+from casid.samples import runs
 
 WINDOW = 2.0  # s that are judged at once
 ACTIVE = 0.25  # of the movement over the whole log
@@ -84,10 +85,9 @@ def _bends(record: Record, kind: Literal["u", "y"]) -> Array:
 def _spans(active: BoolArray, record: Record) -> list[tuple[float, float]]:
     """Instants from and to of runs of active windows with one window on either side, chopped."""
     wide = np.convolve(active, np.ones(3), mode="full")[1:-1] > 0
-    edges = np.flatnonzero(np.diff(np.concatenate([[0.0], wide.astype(float), [0.0]])))
     n = min(max(8, round(WINDOW / record.dt)), record.N)
     spans = []
-    for a, b in edges.reshape(-1, 2):
+    for a, b in runs(wide):
         start, end = float(record.t[a * n]), float(record.t[min(b * n, record.N - 1)])
         pieces = max(1, int(np.ceil((end - start) / LONGEST)))
         at = np.linspace(start, end, pieces + 1)

@@ -23,6 +23,7 @@ from casid.qualification import Qualification
 from casid.record import Record
 from casid.report.words import number, percent, prior
 from casid.residuals import Residuals
+from casid.samples import runs
 from casid.subspace.blackbox import BlackBox
 from casid.tabulation import markdown_table
 from casid.validation import Validation
@@ -230,9 +231,8 @@ def _pole(pole: complex) -> str:
 
 def _spans(omega: np.ndarray, usual: np.ndarray) -> str:
     """The longest run of usable frequencies [rad/s]."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], usual.astype(int), [0]))))
-    runs = edges.reshape(-1, 2)
-    if not len(runs):
+    found = runs(usual)
+    if not len(found):
         return "–"
-    first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    first, last = found[np.argmax(found[:, 1] - found[:, 0])]
     return f"{omega[first]:.3g} to {omega[last - 1]:.3g}"

@@ -13,6 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
 from casid.record import Record
+from casid.samples import runs
 from casid.subspace.laguerre import project_blocks, support
 from casid.subspace.predictor import Stack, accumulate, triangular
 from casid.values import storable
@@ -187,8 +188,7 @@ def pieces_of(record: Record, whole: Record, a: float) -> Iterator[tuple[Record,
         yield record, 0
         return
     bad = _in_long_gap(record.t, missing, LONG_GAP / a) | np.isnan(whole.y).any(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], bad, [True]]).astype(int)))
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
+    for start, end in runs(~bad):
         if end - start > 1:
             cut = slice(start, end)
             piece = replace(record, t=record.t[cut], u=record.u[cut], y=whole.y[cut])
@@ -249,8 +249,7 @@ def _in_long_gap(t: Array, missing: BoolArray, longest: float) -> BoolArray:
     """Samples in a gap of some channel that is longer than allowed, or at a record's end."""
     bad = np.zeros(len(t), dtype=bool)
     for column in missing.T:
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], column, [False]]).astype(int)))
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
+        for start, end in runs(column):
             open_end = start == 0 or end == len(t)
             if open_end or t[end] - t[start - 1] > longest:
                 bad[start:end] = True

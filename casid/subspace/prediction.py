@@ -26,6 +26,7 @@ import scipy
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 from casid.record import Record
+from casid.samples import runs
 from casid.subspace import modal as modes
 from casid.subspace.refinement import log_factor, response_derivative
 from casid.values import storable
@@ -95,8 +96,7 @@ def stretches(records: Sequence[Record], su: Array, sy: Array, shortest: int) ->
     found = []
     for record in records:
         whole = np.isfinite(record.y).all(axis=1)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], whole, [False]]).astype(int)))
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
+        for start, end in runs(whole):
             if end - start >= shortest:
                 y = record.y[start:end] / sy
                 v = np.hstack([record.u[start:end] / su, y])
