@@ -84,9 +84,7 @@ def _fit(
     lam = on_bounds(free, solution.x * programme.scales, multipliers)
     model, ties = start.with_vector(free.full(lam)), free.model.constraints()
     prices = -programme.n * solution.multipliers_g[: len(ties)]
-    found = _precision(programme, solution.x, lam)
-    if estimated:
-        found = _allowing(found, programme, solution.x, lam)
+    found = _precision(programme, solution.x, lam, estimated=estimated)
     std, white_std = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white_std)
     success, status = _verdict(outcome, found.undetermined)
@@ -128,8 +126,11 @@ def _variances(programme: SpectralProgramme, x: Array) -> Array:
     return np.asarray(np.maximum(power / np.maximum(count, 1.0), 1e-300))
 
 
-def _precision(programme: SpectralProgramme, x: Array, lam: Array) -> Precision:
-    """Precision of the free parameters; the robust one allows for correlated outputs."""
+def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated: bool) -> Precision:
+    """Precision of the free parameters; the robust one allows for correlated outputs.
+
+    And for spectra that are ``estimated``, of few lines.
+    """
     free, state, n = programme.residuals.free, programme.state(x), len(lam)
     if state is None:
         nothing = np.where(np.eye(n, dtype=bool), np.inf, np.nan)
@@ -143,30 +144,32 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array) -> Precision:
     F = state.F * unit
     scaled = uncertainty.bound(F, ties, alone)
     unknown = np.isinf(np.diag(scaled))
-    known = np.where(unknown | unknown[:, None], 0.0, scaled)
+    known = uncertainty.determined(F, ties, alone)  # scores keep clear of what is confounded
     middle = _scatter(programme, state, lam) * unit
     robust = np.where(np.isfinite(scaled), known @ middle @ known, scaled)
     with np.errstate(divide="ignore"):
         insensitivity = 1 / np.sqrt(np.maximum(np.diag(state.F), 0.0))
-    return Precision(
+    found = Precision(
         cramer_rao=scaled * unit,
         covariance=robust * unit,
         insensitivity=insensitivity,
         collinear=uncertainty.collinearities(F, ties, free.names, alone),
         undetermined=tuple(np.array(free.names)[unknown].tolist()),
     )
+    return _allowing(found, known * unit, programme, state, lam) if estimated else found
 
 
-def _allowing(found: Precision, programme: SpectralProgramme, x: Array, lam: Array) -> Precision:
+def _allowing(
+    found: Precision, known: Array, programme: SpectralProgramme, state: State, lam: Array
+) -> Precision:
     """The precision with errors widened for a spectrum that is estimated, from few lines.
 
     By what the lines' own residuals tell beyond the smoothed ones, and as Student's t of their
-    degrees of freedom is wider than the normal distribution; warns where those are few.
+    degrees of freedom is wider than the normal distribution; warns where those are few. ``known``
+    is the covariance of what is determined.
     """
-    state = programme.state(x)
-    known = np.where(np.isfinite(found.cramer_rao), found.cramer_rao, 0.0)
-    told = np.diag(known) > 0
-    if state is None or not told.any():
+    told = np.isfinite(np.diag(found.cramer_rao)) & (np.diag(known) > 0)
+    if not told.any():
         return found
     lines = programme.residuals.lines
     middle = scatter_of_lines(lines, state.residuals, programme.powers, state.F)

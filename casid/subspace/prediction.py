@@ -95,8 +95,7 @@ def stretches(records: Sequence[Record], su: Array, sy: Array, shortest: int) ->
     """Scaled stretches between missing samples, at least ``shortest``: two more than the order."""
     found = []
     for record in records:
-        whole = np.isfinite(record.y).all(axis=1)
-        for start, end in runs(whole):
+        for start, end in runs(np.asarray(np.isfinite(record.y).all(axis=1))):
             if end - start >= shortest:
                 y = record.y[start:end] / sy
                 v = np.hstack([record.u[start:end] / su, y])

@@ -32,15 +32,16 @@ class Twin(Roll):
         return [[self.Ylat, 0], [self.Llat + self.Lextra, self.Lped], [0, 0]]
 
 
-def test_parameters_that_show_only_together_are_named():
+@pytest.mark.parametrize("domain", ["time", "frequency"])
+def test_parameters_that_show_only_together_are_named(domain):
     with pytest.raises(ConvergenceError, match="do not determine Llat, Lextra") as caught:
-        output_error(Twin(), [noisy()])
+        output_error(Twin(), [noisy()], domain=domain)
     best = caught.value.best
     assert np.isinf(best["Llat"].std_error)
     assert np.isinf(best["Lextra"].std_error)
     assert best["Lp"].std_error < 0.1
     assert best["Llat"].value + best["Lextra"].value == pytest.approx(TRUTH.Llat, rel=0.01)
-    alone = output_error(Twin(), [noisy()], fixed=("Lextra",))
+    alone = output_error(Twin(), [noisy()], fixed=("Lextra",), domain=domain)
     assert alone.success
     for name in set(alone.free_names) - {"Llat"}:  # errors are those of the same likelihood
         assert best[name].std_error == pytest.approx(alone[name].std_error, rel=0.01), name
