@@ -271,6 +271,20 @@ def _theils(records: Sequence[Record], simulated: Sequence[Array]) -> Array:
     return _each(theil_coefficient, measured, found)
 
 
+def measures(
+    measured: Sequence[Record], simulated: Sequence[Array], i: int
+) -> tuple[float, float, float]:
+    """RMS error, fit and Theil's coefficient of one output's deviations, all records together."""
+    both = list(zip(measured, simulated, strict=True))
+    y = np.concatenate([(record.y - datum(record))[:, i] for record, _ in both])
+    y_model = np.concatenate([(found - datum(record))[:, i] for record, found in both])
+    there = np.isfinite(y) & np.isfinite(y_model)
+    if not there.any():
+        return np.nan, np.nan, np.nan
+    y, y_model = y[there], y_model[there]
+    return rms_error(y, y_model), fit_percent(y, y_model), theil_coefficient(y, y_model)
+
+
 def rms_error(y: Array, y_model: Array) -> float:
     """Root of the mean squared error."""
     return float(np.sqrt(np.mean((y - y_model) ** 2)))

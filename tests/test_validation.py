@@ -11,7 +11,7 @@ from casid import BlackBox, Fit, Model, Record, Rows, Scalar, StateSpace, parame
 from casid.fit import parameter_table
 from casid.free import free_parameters
 from casid.linear import foh_step
-from casid.validation import Validation, _whiteness, validate
+from casid.validation import Validation, _whiteness, measures, validate
 
 DT = 0.02
 T = DT * np.arange(600)
@@ -102,6 +102,24 @@ def test_measures_are_their_formulas():
         result = validate({"m": replace(TRUTH, A=1.05 * A)}, [replace(record, trim=trim)])
         size = (np.sqrt(((each - datum) ** 2).mean(axis=0)) for each in (y, s))
         np.testing.assert_allclose(only(result, "theil"), only(result, "rms") / sum(size))
+
+
+def test_total_values_of_several_records_are_measured_as_deviations_from_their_means():
+    slow, fast = flown(noise=0.05, name="slow"), flown(noise=0.05, name="fast")
+    apart = [1.1 * record.y for record in (slow, fast)]
+    totals = [
+        replace(record, y=record.y - record.y.mean(axis=0) + level)
+        for record, level in ((slow, 30.0), (fast, 50.0))
+    ]
+    moved = [
+        y - 1.1 * record.y.mean(axis=0) + level
+        for y, record, level in zip(apart, (slow, fast), (30.0, 50.0), strict=True)
+    ]
+    for i in range(2):
+        y = np.concatenate([record.y[:, i] - record.y[:, i].mean() for record in (slow, fast)])
+        _, fit, theil = measures(totals, moved, i)
+        assert fit == pytest.approx(90.0)
+        assert theil == pytest.approx(np.std(0.1 * y) / (np.std(y) + np.std(1.1 * y)))
 
 
 def test_rms_is_divided_by_the_worst_model():

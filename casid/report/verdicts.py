@@ -9,7 +9,7 @@ from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Caution, Content
 from casid.report.evidence import WORSE, noise_levels
-from casid.validation import Validation, datum, fit_percent, rms_error, theil_coefficient
+from casid.validation import Validation, measures
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
 # or 0.3 speaks for a good model. Below 0.1 residuals are a tenth of what is simulated.
@@ -76,8 +76,8 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
     other = BLACK_BOX if BLACK_BOX in validation.models else name
     found = []
     for i, output in enumerate(validation.outputs):
-        rms, fit, theil = _measures(validation, name, i)
-        least, _, black_box = _measures(validation, other, i)
+        rms, fit, theil = measures(validation.measured, validation.simulated[name], i)
+        least, _, black_box = measures(validation.measured, validation.simulated[other], i)
         floor = np.fmax(least, noise[i])  # nobody need predict noise
         verdict = Verdict(
             output=output,
@@ -93,18 +93,6 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
         )
         found.append(verdict)
     return tuple(found)
-
-
-def _measures(validation: Validation, model: str, i: int) -> tuple[float, float, float]:
-    """RMS error, fit and Theil's coefficient of one output, all records together."""
-    both = list(zip(validation.measured, validation.simulated[model], strict=True))
-    y = np.concatenate([(record.y - datum(record))[:, i] for record, _ in both])
-    y_model = np.concatenate([(found - datum(record))[:, i] for record, found in both])
-    there = np.isfinite(y) & np.isfinite(y_model)
-    if not there.any():
-        return np.nan, np.nan, np.nan
-    y, y_model = y[there], y_model[there]
-    return rms_error(y, y_model), fit_percent(y, y_model), theil_coefficient(y, y_model)
 
 
 def word(theil: float) -> str:

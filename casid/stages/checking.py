@@ -25,7 +25,7 @@ from casid.records import standard_deviations
 from casid.report.content import Content, Section, section
 from casid.shooting.simulation import predict_nonlinear
 from casid.stages.stage import LeftOutError, Stage, Task
-from casid.validation import Validation, fit_percent, rms_error, state_space, theil_coefficient
+from casid.validation import Validation, measures, state_space
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -82,7 +82,7 @@ def _compared(settings: object, task: Task) -> MeasuredStates:  # noqa: ARG001 -
         found, models=tuple(fits), outputs=states, measured=tuple(flights), simulated=simulated
     )
     table = {
-        (state, name): _measures(flights, ys, i)
+        (state, name): measures(flights, ys, i)
         for i, state in enumerate(states)
         for name, ys in simulated.items()
     }
@@ -117,18 +117,6 @@ def _linear_states(
     names = (*record.outputs, *flight.outputs)
     whole = replace(record, y=np.hstack([record.y, unseen]), outputs=names)
     return predict(both, whole, np.r_[scale, np.ones(flight.ny)], far).y[:, record.ny :]
-
-
-def _measures(
-    flights: list[Record], simulated: tuple[Array, ...], i: int
-) -> tuple[float, float, float]:
-    y = np.concatenate([each.y[:, i] for each in flights])
-    y_model = np.concatenate([each[:, i] for each in simulated])
-    there = np.isfinite(y) & np.isfinite(y_model)
-    if not there.any():
-        return (np.nan,) * 3
-    y, y_model = y[there], y_model[there]
-    return rms_error(y, y_model), fit_percent(y, y_model), theil_coefficient(y, y_model)
 
 
 def _show(found: MeasuredStates, content: Content) -> Iterable[Section]:
