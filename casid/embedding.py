@@ -18,13 +18,12 @@ from casid.arrays import Array, ComplexArray
 from casid.display import Shown, counted
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
-from casid.nearest import BoxResponse, gain, kernel, movable
+from casid.nearest import BoxResponse, gain, kernel, movable, nearness
 from casid.subspace.blackbox import BlackBox
 from casid.threads import one_thread
 from casid.values import seal
 
 POINTS = 48  # frequencies
-REACH = 0.35  # nepers of frequency over which the process forgets
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -70,16 +69,10 @@ class StructureError(Shown):
     def drawn(self, omega: Array, count: int, *, seed: int = 0) -> ComplexArray:
         """Realisations Δ (count, n, ny, nu) at frequencies."""
         rng, shape = np.random.default_rng(seed), (len(omega), *self.std.shape[1:])
-        values, vectors = np.linalg.eigh(correlation(omega))
+        values, vectors = np.linalg.eigh(nearness(omega))  # its correlation
         root = vectors * np.sqrt(np.maximum(values, 0.0) / 2)
         z = rng.standard_normal((count, *shape)) + 1j * rng.standard_normal((count, *shape))
         return np.asarray(np.einsum("kl,nlij->nkij", root, z) * self.at(omega))
-
-
-def correlation(omega: Array) -> Array:
-    """Correlation of the process between frequencies, (n, n)."""
-    L = np.log(omega)
-    return np.asarray(np.exp(-0.5 * ((L[:, None] - L) / REACH) ** 2))
 
 
 @one_thread
@@ -117,7 +110,7 @@ def structure_error(
     K = gain(target.scale * dG, W)
     root = (
         std[:, None]
-        * np.linalg.cholesky(correlation(omega) + 1e-6 * np.eye(POINTS))[:, :, None, None]
+        * np.linalg.cholesky(nearness(omega) + 1e-6 * np.eye(POINTS))[:, :, None, None]
         / np.sqrt(2)
     )
     moved = np.einsum("pkij,klij->plij", K, root, optimize=True).reshape(len(K), -1)

@@ -23,7 +23,7 @@ from casid.subspace.blackbox import BlackBox
 ALLOWED = 0.01  # of a pair's response, 0.003 of its row's: a black box of finite order is no better
 OF_ROW = 0.003
 ROUGH = 0.1  # of a pair's response: what the first weights take a structure to miss
-REACH = 0.35  # nepers of frequency over which the misfit is smoothed for the next weights
+REACH = 0.35  # nepers of frequency over which misfits are alike: those of next weights are smoothed
 ROUNDS = 2  # of weights by what is left
 STEPS = 30  # of Gauss and Newton a round
 LEAST = 0.01  # of a step that is worth trying
@@ -76,10 +76,15 @@ class BoxResponse:
         return np.asarray(np.tensordot(kernel(self.omega), np.abs(E) ** 2, 1))
 
 
-def kernel(omega: Array) -> Array:
-    """Weights (K, K) of a mean over neighbours: a Gaussian of the frequencies' logarithms."""
+def nearness(omega: Array) -> Array:
+    """Gaussian (K, K) of how far frequencies' logarithms are apart."""
     L = np.log(omega)
-    near = np.exp(-0.5 * ((L[:, None] - L) / REACH) ** 2)
+    return np.asarray(np.exp(-0.5 * ((L[:, None] - L) / REACH) ** 2))
+
+
+def kernel(omega: Array) -> Array:
+    """Weights (K, K) of a mean over neighbours."""
+    near = nearness(omega)
     return np.asarray(near / near.sum(axis=1, keepdims=True))
 
 

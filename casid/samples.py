@@ -15,6 +15,7 @@ QUIET = 0.02  # share of an input's range that still counts as trim
 NOISY = 5.0  # deviations of a resting input's noise that do, too
 LEVEL = 10  # first samples of a noisy input, whose mean is its level at rest
 FEWEST = 50  # samples that show noise
+BEGUN = 100  # first samples, at rest where there is any
 MAD = 1.482602218505602  # standard deviation of a normal distribution over its median deviation
 USUAL = 0.95  # share of sampling intervals that are not longer than the usual one
 SLOWER = 1.5  # intervals that are longer by this factor need a filter first
@@ -41,7 +42,10 @@ def off_rest(u: Array) -> BoolArray:
     first = np.cumsum(u[:LEVEL], axis=0)
     means = first / np.arange(1, len(first) + 1)[:, None]
     level = means[np.clip(np.arange(len(u)) - 1, 0, len(means) - 1)]
-    least, most = QUIET * np.ptp(u, axis=0), NOISY * noise(u)
+    whole, begun = noise(u), noise(u[:BEGUN])
+    # What is flown may be as rough as noise: then that of the rest before is clearly less.
+    least = QUIET * np.ptp(u, axis=0)
+    most = NOISY * np.where(begun < whole / 2, begun, whole)
     level = np.where(most > least, level, u[0])
     return np.asarray(np.abs(u - level) > np.maximum(np.maximum(least, most), 1e-300))
 

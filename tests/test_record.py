@@ -109,6 +109,15 @@ def test_noise_of_a_resting_stick_does_not_end_the_quiet_stretch(share):
         assert noisy_stick(share, seed).quiet_samples() == 100
 
 
+@pytest.mark.parametrize("share", [0.0, 0.005, 0.02])
+def test_an_input_as_rough_as_noise_ends_the_quiet_stretch_all_the_same(share):
+    for seed in range(10):
+        rest = noisy_stick(share, seed)
+        rough = np.random.default_rng([seed, 1]).choice([-1.0, 1.0], (rest.N, 1))
+        u = np.where(rest.t[:, None] < 2, rest.u, rough)
+        assert replace(rest, u=u).quiet_samples() == 100
+
+
 def test_a_trim_from_too_short_a_stretch_is_said_with_its_length():
     late = noisy_stick(0.02).cut(1.8, 9.0)
     with pytest.warns(DataWarning, match=r"'noisy': an input moves 0\.2 s after.*mean of 10 samp"):

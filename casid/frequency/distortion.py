@@ -16,6 +16,7 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.frequency.covariance import whitener
 from casid.frequency.estimation import SpectralAnalysis
+from casid.frequency.leakage import over_three
 from casid.frequency.response import FrequencyResponse
 from casid.record import Record
 from casid.records import Records, same_channels, stretches
@@ -106,11 +107,9 @@ def distortion(records: Records, *, omega: Array | None = None) -> Distortion:
     noise, excess = _difference(low, high, both)
     mean = np.abs(low.G + high.G) / 2
     squared = np.where(both, np.abs(high.G - low.G) ** 2 / mean**2 / 2 - noise**2, np.nan)
-    padded = np.pad(squared, ((1, 1), (0, 0), (0, 0)), mode="edge")
-    smooth = (padded[:-2] + padded[1:-1] + padded[2:]) / 3
     return Distortion(
         omega=grid, inputs=inputs, outputs=outputs, small=sizes[0], large=sizes[1], noise=noise,
-        distortion=np.sqrt(2 * np.maximum(smooth, 0.0)), excess=excess,
+        distortion=np.sqrt(2 * np.maximum(over_three(squared), 0.0)), excess=excess,
     )  # fmt: skip
 
 

@@ -38,12 +38,17 @@ def leakage(
     for w in range(len(L) if pairs else 0):
         i = w if w in pairs else min(pairs)
         total += W[w] * _squared(parts[i], parts[pairs[i]], L[i] / L[pairs[i]]) * (L[i] / L[w]) ** 4
-    padded = np.pad(total, ((1, 1), (0, 0), (0, 0)), mode="edge")
-    smooth = (padded[:-2] + padded[1:-1] + padded[2:]) / 3
+    smooth = over_three(total)
     few = (omega * L[-1] / (2 * np.pi) < FEW)[:, None, None]
     least = np.maximum(smooth, np.median(smooth, axis=(1, 2), keepdims=True))
     smooth = np.where(few, (1 + RATIO) ** 2 * least, smooth)  # (RATIO² - 1)/(RATIO - 1)
     return np.asarray(np.sqrt(smooth))
+
+
+def over_three(x: Array) -> Array:
+    """Means (K, ...) over three neighbouring frequencies; the ends count twice for themselves."""
+    padded = np.concatenate([x[:1], x, x[-1:]])
+    return np.asarray((padded[:-2] + padded[1:-1] + padded[2:]) / 3)
 
 
 def _shorter(lengths: Array, i: int) -> int | None:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
-from casid.frequency.leakage import FEW
+from casid.frequency.leakage import FEW, over_three
 from casid.frequency.spectra import correlation
 from casid.record import Record
 from casid.samples import runs
@@ -115,8 +115,7 @@ def _beyond_noise(G: ComplexArray, error: Array, other: ComplexArray, more: Arra
     with np.errstate(invalid="ignore", divide="ignore"):
         random = SURE * 2 * np.maximum(more**2 - error**2, 0.0)
         squared = np.nan_to_num(np.abs(other - G) ** 2 / np.abs(G) ** 2 - random, posinf=0.0)
-    padded = np.pad(squared, ((1, 1), (0, 0), (0, 0)), mode="edge")
-    return np.asarray((padded[:-2] + padded[1:-1] + padded[2:]) / 3)
+    return over_three(squared)
 
 
 def _lines_at(records: Sequence[Record], omega: Array) -> list[Sequence[Lines]]:

@@ -121,8 +121,8 @@ class Stretches:
             others = [r for j, r in enumerate(campaign.records) if j != i]
             edges = np.linspace(record.N // 2, record.N, each + 1).astype(int)
             for start, end in pairwise(edges):
-                learnt = campaign.part([*others, _until(record, start)])
-                folds.append(_Fold(learnt, _until(record, end), int(start)))
+                learnt = campaign.part([*others, record.take(slice(start))])
+                folds.append(_Fold(learnt, record.take(slice(end)), int(start)))
             shown.append(record.y[edges[0] :])
         y = np.vstack(shown)
         return cls(campaign, tuple(folds), np.sum((y - y.mean(axis=0)) ** 2, axis=0))
@@ -162,10 +162,6 @@ def _learnt(campaign: Campaign, order: int, windows: Windows, how: Refinement) -
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what is said is said of the whole records
         return refine_projected(campaign, found, windows.pole, move=True)
-
-
-def _until(record: Record, end: int) -> Record:
-    return replace(record, t=record.t[:end], u=record.u[:end], y=record.y[:end])
 
 
 def _simulation_errors(fold: _Fold, system: StateSpace) -> Array:
