@@ -65,9 +65,8 @@ class ResponseBand(Shown):
         wide = 100 * float(np.median(self._half(self.magnitude_std)))
         return (
             f"{counted(len(self.outputs), 'output')} from {counted(len(self.inputs), 'input')}, "
-            f"{self.omega[0]:.3g} to "
-            f"{self.omega[-1]:.3g} rad/s; magnitude ± {wide:.2g} % in the median at "
-            f"{100 * self.level:.3g} %"
+            f"{self.omega[0]:.3g} to {self.omega[-1]:.3g} rad/s; magnitude ± {wide:.2g} % in the "
+            f"median at {100 * self.level:.3g} %"
         )
 
     def magnitude(self) -> Array:
@@ -91,8 +90,8 @@ class ResponseBand(Shown):
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class ModeBand:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ModeBand(Shown):
     """One mode of a fit with standard deviations.
 
     Parameters
@@ -111,9 +110,15 @@ class ModeBand:
     frequency_std: float
     damping_std: float
 
+    def headline(self) -> str:
+        """Name and pole with its standard deviations."""
+        pole = self.mode.pole
+        turn = f", ±({pole.imag:.3g} ± {self.imag_std:.2g})j" if pole.imag else ""
+        return f"{self.mode.name}: pole {pole.real:.3g} ± {self.real_std:.2g}{turn} 1/s (1σ)"
 
-@dataclass(frozen=True, kw_only=True)
-class HandlingBand:
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class HandlingBand(Shown):
     """Bandwidth and phase delay of a fit with standard deviations.
 
     Parameters
@@ -128,6 +133,13 @@ class HandlingBand:
     bandwidth_std: float
     phase_delay: float
     phase_delay_std: float
+
+    def headline(self) -> str:
+        """Both, with their standard deviations."""
+        return (
+            f"bandwidth {self.bandwidth:.3g} ± {self.bandwidth_std:.2g} rad/s, phase delay "
+            f"{self.phase_delay:.3g} ± {self.phase_delay_std:.2g} s (1σ)"
+        )
 
 
 @one_thread

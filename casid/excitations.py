@@ -25,6 +25,7 @@ import numpy as np
 from casid import samples
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
+from casid.display import Shown
 from casid.errors import DataWarning
 from casid.record import Record
 from casid.records import Records, same_channels, stretches
@@ -51,8 +52,8 @@ MOVING = 0.5  # of an input's deviation, above which it moves
 
 
 @storable
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Excitation:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Excitation(Shown):
     """Shares of the inputs' power that do not come back from the outputs.
 
     Parameters
@@ -94,7 +95,7 @@ class Excitation:
     unanswered: tuple[tuple[str, float, float], ...] = ()
     singular: bool = False
 
-    def __str__(self) -> str:
+    def headline(self) -> str:
         """The median share of every input from outside, and where it is smallest."""
         if self.singular:
             return (

@@ -14,7 +14,7 @@ from casid.errors import ModelError, warn
 from casid.files import number, read_json, write_json
 from casid.free import Free
 from casid.model import M, Model
-from casid.values import decode, encode, seal, storable
+from casid.values import check_digest, decode, encode, seal, storable
 
 M_co = TypeVar("M_co", bound=Model, covariant=True)
 N_co = TypeVar("N_co", covariant=True)
@@ -185,11 +185,13 @@ class Fit(Shown, Generic[M_co, N_co]):
         Raises
         ------
         ValueError, ModelError
-            Not a fit, or the fit of another structure.
+            Not a fit, the fit of another structure, or a stage's file that was changed.
         """
         content = read_json(path)
         if not is_fit(content):
             raise ValueError(f"{path}: not a fit saved by casid")
+        if "result" in content:
+            check_digest(content, path)
         content = content.get("result", {"fields": content})["fields"]
         try:
             read = _first_version if content.get("version") == 1 else _decoded

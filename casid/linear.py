@@ -7,6 +7,7 @@ import numpy as np
 import scipy.linalg
 
 from casid.arrays import Array, ComplexArray
+from casid.display import Shown, listed
 from casid.intersample import break_forcing, delayed_input, integrals
 from casid.record import Hold
 from casid.values import storable
@@ -15,8 +16,8 @@ NEGLIGIBLE = 1e-250  # entries of a matrix, whose inverses would overflow
 
 
 @storable
-@dataclass(frozen=True, eq=False)
-class StateSpace:
+@dataclass(frozen=True, eq=False, repr=False)
+class StateSpace(Shown):
     """A state-space model; continuous when ``dt`` is None, else discrete with that interval [s].
 
     Parameters
@@ -67,6 +68,13 @@ class StateSpace:
     def _keep(self, name: str, values: Array) -> None:
         values.setflags(write=False)
         object.__setattr__(self, name, values)
+
+    def headline(self) -> str:
+        """Order, time, channels."""
+        kind = "continuous" if self.dt is None else f"discrete, every {self.dt:g} s"
+        late = f", delays up to {self.delay.max():.3g} s" if np.any(self.delay) else ""
+        names = f"inputs {listed(self.inputs)}, outputs {listed(self.outputs)}"
+        return f"order {self.nx}, {kind}, {names}{late}"
 
     @property
     def nx(self) -> int:

@@ -4,10 +4,11 @@ A file may name the classes registered by `storable` and no others.
 """
 
 import hashlib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from importlib import import_module
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Any, TypeVar
 
 import numpy as np
@@ -137,6 +138,20 @@ _DECODERS: Mapping[str, Callable[[Mapping[str, Any], Sequence[type]], Any]] = {
     },
     "float": lambda content, _: float(content["float"]),
 }
+
+
+def content_digest(content: Mapping[str, Any]) -> str:
+    """Digest (SHA-256) of all that a stored result's file holds beside it."""
+    held = {name: part for name, part in content.items() if name != "digest"}
+    return hashlib.sha256(json.dumps(held).encode()).hexdigest()
+
+
+def check_digest(content: Mapping[str, Any], path: str | Path) -> None:
+    """ValueError unless a stored result is what was written."""
+    if content.get("digest") != content_digest(content):
+        raise ValueError(
+            f"{path}: changed after casid wrote it, what it holds is no result; run the study again"
+        )
 
 
 def digest(*parts: Any) -> str:  # noqa: ANN401 - any value casid knows

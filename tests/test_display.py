@@ -8,11 +8,8 @@ from truths.shown import record, values
 
 from casid.display import counted, listed
 
-NAMES = ["Record", "FrequencyResponse", "BlackBox", "Fit", "Validation", "Residuals"]
-NAMES += ["BoundsComparison", "Profile", "Ensemble"]
 
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", list(values()))
 def test_a_value_is_one_short_line(name):
     text = repr(values()[name])
     assert text.startswith(f"{name}(")

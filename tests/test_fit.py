@@ -145,6 +145,12 @@ def test_the_fit_that_a_study_keeps_is_read_as_a_saved_one(tmp_path):
     Store(tmp_path).put("output_error", "key", Done(result=fit(), seconds=1.0))
     again = Fit.load(tmp_path / "output_error.json", model=Lag)
     assert digest(again) == digest(fit())
+    kept = tmp_path / "output_error.json"
+    content = json.loads(kept.read_text())
+    content["result"]["fields"]["cost"] = 0.5
+    kept.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=r"output_error\.json: changed after casid wrote it"):
+        Fit.load(kept, model=Lag)
 
 
 def test_a_fit_of_another_structure_or_no_fit_is_refused(tmp_path):

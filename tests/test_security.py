@@ -13,8 +13,9 @@ from truths.roll_study import Truth
 
 import casid
 from casid import files, limits
-from casid.jobs.store import Done, Store, content_digest
+from casid.jobs.store import Done, Store
 from casid.studies import settings
+from casid.values import content_digest
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted(Path(casid.__file__).parent.rglob("*.py"))

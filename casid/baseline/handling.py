@@ -26,6 +26,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from casid.arrays import Array
+from casid.display import Shown
 from casid.frequency.response import FrequencyResponse, holding
 
 Kind = Literal["attitude", "rate", "loop"]
@@ -34,8 +35,8 @@ PHASE_MARGIN, GAIN_MARGIN = 45.0, 6.0  # degrees, dB
 COHERENT = 0.6
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class HandlingQualities:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class HandlingQualities(Shown):
     """What is read off one response; NaN where it does not apply or lies outside the band.
 
     Parameters
@@ -78,6 +79,14 @@ class HandlingQualities:
     gain_margin: float = np.nan
     satisfactory: bool | None = None
     remarks: tuple[str, ...] = ()
+
+    def headline(self) -> str:
+        """What was read off."""
+        if self.kind == "loop":
+            verdict = {True: "satisfactory", False: "not satisfactory", None: "not all in the band"}
+            return f"{self.output}/{self.input}, open loop, margins {verdict[self.satisfactory]}"
+        delay = "" if np.isnan(self.phase_delay) else f", phase delay {self.phase_delay:.3f} s"
+        return f"{self.output}/{self.input}, bandwidth {self.bandwidth:.2f} rad/s{delay} (ADS-33)"
 
 
 def handling_qualities(

@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array, BoolArray, ComplexArray
+from casid.display import Shown
 from casid.errors import ConvergenceError
 from casid.frequency.response import FrequencyResponse, holding
 from casid.matching.mismatch import DB, DEG, TURN, log_ratio, pair_weights, residuals
@@ -26,8 +27,8 @@ REFINED = 3  # starts that are carried to the end
 SWEEPS = 8  # Sanathanan-Koerner iterations of a start
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class TransferFunction:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class TransferFunction(Shown):
     """A low-order equivalent system and how well it fits.
 
     Parameters
@@ -59,6 +60,14 @@ class TransferFunction:
     mismatch_deg: Array
     output: str
     input: str
+
+    def headline(self) -> str:
+        """Pair, degrees, delay and cost."""
+        degrees = len(self.numerator) - 1, len(self.denominator) - 1
+        return (
+            f"{self.output}/{self.input}, degrees {degrees[0]}/{degrees[1]}, delay "
+            f"{round(self.delay, 6):g} s, J {self.J:.3g}"
+        )
 
     @property
     def poles(self) -> ComplexArray:

@@ -30,6 +30,7 @@ from casid.jobs.origins import structure_files
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
+from casid.report.tables import cells
 from casid.structure.modelfile import load_model, locate_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
@@ -239,7 +240,7 @@ def _show(console: Console, found: Inspection) -> None:
     for note in found.kinematics.notes:
         console.print(Text(f"note: {note}"))
     if found.excitation is not None:
-        console.print(Text(f"Excitation: {found.excitation}"))
+        console.print(Text(f"Excitation: {found.excitation.headline()}"))
     if found.identifiability is not None:
         told = str(found.identifiability).splitlines()[0]
         can = "can" if found.usable else "cannot"
@@ -283,18 +284,10 @@ def _correlation_table(found: Inspection) -> Table:
 
 def kinematics_table(found: KinematicCheck) -> Table:
     """Scale, skew and bias of each rate and specific force, for the terminal."""
-    headings = ("against", "scale [%]", "late [ms]", "bias", "unit")
-    table = new_table("Kinematic consistency", "channel", *headings)
-    for each in found.channels:
-        cells = ["not determined", "", ""]
-        if each.determined:
-            cells = [
-                f"{100 * each.scale:+.2f} ± {100 * each.scale_error:.2g}",
-                f"{1000 * each.skew:+.1f} ± {1000 * each.skew_error:.2g}",
-                f"{each.bias:+.2g} ± {each.bias_error:.1g}",
-            ]
-        style = "yellow" if each.remarks else None
-        table.add_row(each.channel, ", ".join(each.against), *cells, each.unit, style=style)
+    heading, rows = cells(found)
+    table = new_table("Kinematic consistency", *heading)
+    for each, row in zip(found.channels, rows, strict=True):
+        table.add_row(*row, style="yellow" if each.remarks else None)
     return table
 
 

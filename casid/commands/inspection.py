@@ -12,13 +12,14 @@ from casid.channels import UNITS
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.consistency.measured import noise
 from casid.consistency.plausibility import unit_doubts
-from casid.display import counted
+from casid.display import Shown, counted, listed
 from casid.excitations import Excitation, certified
 from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
 from casid.record import REST, Record
 from casid.records import Records, same_channels, several
 from casid.repetition import least_step, repeated, source_interval
+from casid.report.tables import Cells, cells
 from casid.samples import runs
 from casid.structure.identifiability import Identifiability, identifiability
 
@@ -63,8 +64,8 @@ class RecordFacts:
     frozen: tuple[Frozen, ...]  # stretches that are stuck or copied
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Inspection:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Inspection(Shown):
     """All that `inspect_records` found.
 
     Parameters
@@ -94,10 +95,22 @@ class Inspection:
     identifiability: Identifiability | None
     advice: tuple[str, ...]
 
+    def headline(self) -> str:
+        """Records, channels, and how much there is to mend or to know."""
+        return (
+            f"{counted(len(self.records), 'record')}, inputs {listed(self.inputs)}, outputs "
+            f"{listed(self.outputs)}; {counted(len(self.advice), 'thing')} to mend or to know"
+        )
+
     @property
     def usable(self) -> bool | None:
         """Whether the records can tell the structure's parameters apart; None without one."""
         return None if self.identifiability is None else self.identifiability.identifiable
+
+
+@cells.register
+def _(value: Inspection) -> Cells:
+    return ("advice",), [[said] for said in value.advice or ("nothing is in the way",)]
 
 
 def inspect_records(

@@ -23,7 +23,7 @@ from casid.consistency.measured import (
     noise,
     signals,
 )
-from casid.display import counted
+from casid.display import Shown, counted, listed
 from casid.record import REST, Record
 from casid.records import Records, several
 
@@ -90,8 +90,8 @@ class ChannelCheck:
         return bool(np.isfinite(self.scale))
 
 
-@dataclass(frozen=True, kw_only=True)
-class KinematicCheck:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class KinematicCheck(Shown):
     """Whether the channels of records agree with each other.
 
     Parameters
@@ -115,6 +115,11 @@ class KinematicCheck:
     further: tuple[str, ...] = ()
     place: tuple[float, ...] = (np.nan,) * 3
     place_error: tuple[float, ...] = (np.nan,) * 3
+
+    def headline(self) -> str:
+        """What was compared and what was found."""
+        compared = listed([each.channel for each in self.channels if each.determined])
+        return f"{compared or 'nothing'} compared; {'; '.join(self.remarks) or 'no remark'}"
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -209,15 +214,13 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
         for each in checks
         if not each.determined
     ]
+    left = {n: float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for n, e in solution.left.items()}
     known = solution.place_errors < SEEN
     place = np.where(known, solution.place, np.nan)
     errors = np.where(known, solution.place_errors, np.nan)
     return KinematicCheck(
         channels=checks,
-        residuals={
-            each: float(np.sqrt(np.mean(np.concatenate(e) ** 2)))
-            for each, e in solution.left.items()
-        },
+        residuals=left,
         notes=tuple(notes),
         further=(
             *_against_gravity(flights, names),

@@ -12,7 +12,7 @@ from casid.arrays import Array, ComplexArray
 from casid.display import Shown, listed
 from casid.files import read_json, write_json
 from casid.records import several
-from casid.values import DAMAGED, decode, storable
+from casid.values import DAMAGED, check_digest, decode, storable
 
 PAIRWISE = ("G", "coherence", "random_error", "leakage", "resolution")  # by pair
 CORRELATIONS = ("output_correlation", "input_correlation")
@@ -171,7 +171,7 @@ class FrequencyResponse(Shown):
         Raises
         ------
         ValueError
-            No frequency response, or a damaged one.
+            No frequency response, a damaged one, or a stage's file that was changed.
         """
         content = read_json(path)
         kind = content.pop("casid", None)
@@ -180,6 +180,8 @@ class FrequencyResponse(Shown):
                 f"{path}: not a frequency response saved by casid; a study leaves one in "
                 "stages/frequency.json"
             )
+        if kind == "result":
+            check_digest({"casid": kind} | content, path)
         try:
             found = decode(content["result"]) if kind == "result" else cls._from_content(content)
         except DAMAGED as error:

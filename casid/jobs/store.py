@@ -6,16 +6,15 @@ result is taken again only if nothing it rests on has changed, nor the file itse
 """
 
 import hashlib
-import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from casid.errors import warn
 from casid.files import plain, read_json, write_json
-from casid.values import DAMAGED, decode, encode
+from casid.values import DAMAGED, content_digest, decode, encode
 
 PLAIN = re.compile(r"[a-z0-9_]{1,40}")  # names that are file names on every system
 
@@ -71,12 +70,6 @@ class Store:
             parts = {part: encode(getattr(done, part)) for part in PARTS}
             content = plain({"casid": "result", "name": name, "key": key} | parts)
             write_json(self.path(name), content | {"digest": content_digest(content)})
-
-
-def content_digest(content: Mapping[str, Any]) -> str:
-    """Digest (SHA-256) of all that a result's file holds beside it."""
-    held = {name: part for name, part in content.items() if name != "digest"}
-    return hashlib.sha256(json.dumps(held).encode()).hexdigest()
 
 
 PARTS = ("reason", "seconds", "warnings", "source", "result")

@@ -59,17 +59,16 @@ def told(judged: Sequence[Verdict], validation: Validation, *, enough: bool | No
     return " ".join(said)
 
 
-def doubted(content: Content, fit: AnyFit) -> Mapping[str, str]:
-    """Why not to believe a parameter's value, by its name, the gravest reason of each."""
-    reasons: dict[str, str] = {}
-    for one, other in combinations(content.fits.values(), 2):
-        reasons |= dict.fromkeys(apart(one, other), "apart")
+def doubted(content: Content, fit: AnyFit) -> Mapping[str, tuple[str, ...]]:
+    """Why not to believe a parameter's value, by its name: all reasons, keys of ``WORDS``."""
+    pairs = combinations(content.fits.values(), 2)
+    differing = {name for one, other in pairs for name in apart(one, other)}
+    reasons = {}
     for row in fit.parameters:
-        if not row.fixed and row.std_error > abs(row.value):
-            reasons[row.name] = "unsure"
-        if row.active:
-            reasons[row.name] = "held"
-    return {row.name: reasons[row.name] for row in fit.parameters if row.name in reasons}
+        unsure = not row.fixed and row.std_error > abs(row.value)
+        there = {"held": row.active, "unsure": unsure, "apart": row.name in differing}
+        reasons[row.name] = tuple(reason for reason in WORDS if there[reason])
+    return {name: found for name, found in reasons.items() if found}
 
 
 def not_believed(content: Content, fit: AnyFit) -> str:
@@ -80,7 +79,7 @@ def not_believed(content: Content, fit: AnyFit) -> str:
         return f"No parameter is on a bound or of unknown sign{agreed}."
     parts = []
     for kind, words in WORDS.items():
-        if names := [name for name, reason in reasons.items() if reason == kind]:
+        if names := [name for name, found in reasons.items() if kind in found]:
             parts.append(f"{len(names)} {words} ({listed(names, NAMED)})")
     count = len(fit.free_names) or len(fit.parameters)
     return f"Do not believe {len(reasons)} of {counted(count, 'parameter')}: {'; '.join(parts)}."

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from casid.channels import UNITS
 from casid.envelope import Envelope
 from casid.report.content import Drawing
 from casid.report.look import LOOK, WIDTH
@@ -70,11 +71,20 @@ def plot_derivatives(axes: Sequence[Axes], value: Envelope) -> Sequence[Axes]:
                 linestyle="none",
                 label="local",
             )
-        ax.set_title(name, loc="left")
+        ax.set_title(_titled(name), loc="left")
         ax.yaxis.set_major_locator(MaxNLocator(4))
     axes[-1].set_xlabel("speed [m/s]")
     _legend(axes[0])
     return axes
+
+
+def _titled(entry: str) -> str:
+    """An entry's name, "q' by w", with its unit where the names of both channels say theirs."""
+    state, _, by = entry.partition("' by ")
+    if state not in UNITS or by not in UNITS:
+        return entry
+    rate = {"m/s": "m/s²", "rad/s": "rad/s²"}.get(UNITS[state], f"{UNITS[state]}/s")
+    return f"{entry} [{rate} per {UNITS[by]}]"
 
 
 def plot_loci(ax: Axes, value: Envelope) -> Axes:

@@ -13,6 +13,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, MultipleLocator, NullLo
 
 from casid.arrays import Array, ComplexArray
 from casid.channels import UNITS
+from casid.embedding import StructureError
 from casid.excitations import LITTLE, Excitation
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
@@ -51,8 +52,8 @@ def style(name: str, among: Iterable[str] = ()) -> dict[str, Any]:
 
 
 def axis_label(channel: str, units: Mapping[str, str]) -> str:
-    """Name of a channel with its unit."""
-    return f"{channel} [{units.get(channel, '-')}]"
+    """Name of a channel with its unit, if that is known."""
+    return f"{channel} [{units[channel]}]" if channel in units else channel
 
 
 def decibel(G: ComplexArray | Array) -> Array:
@@ -72,7 +73,7 @@ def phase(G: ComplexArray, near: Array | None = None) -> Array:
 
 
 def plot_magnitude(
-    ax: Axes, omega: Array, G: ComplexArray, *, name: str, among: Iterable[str] = ()
+    ax: Axes, omega: Array, G: ComplexArray | Array, *, name: str, among: Iterable[str] = ()
 ) -> Axes:
     """Draw the magnitude of one response G (K,) in dB over ω [rad/s]; ``among`` as in `style`."""
     _logarithmic(ax).plot(omega, decibel(G), label=name, **style(name, among))
@@ -82,10 +83,10 @@ def plot_magnitude(
 
 def plot_magnitudes(
     axes: Any,  # noqa: ANN401 - an array of Axes
-    channels: FrequencyResponse | StateSpace,
+    channels: FrequencyResponse | StateSpace | StructureError,
     pairs: Sequence[tuple[str, str]],
     omega: Array,
-    G: ComplexArray,
+    G: ComplexArray | Array,
     width: Array,
     name: str,
 ) -> Any:  # noqa: ANN401
@@ -288,6 +289,8 @@ def plot_excitation(ax: Axes, found: Excitation, channel: int) -> Axes:
     color = style(BLACK_BOX)["color"]
     ax.fill_between(omega, lower, upper, color=color, alpha=0.2, linewidth=0, label="at most")
     ax.semilogx(omega, lower, color=color, label="from outside")
+    if len(omega) > 1:
+        frequency_axis(ax, omega[0], omega[-1])
     ax.axhline(LITTLE, color="#777777", linestyle=":", linewidth=1)
     ax.set(xlabel="frequency [rad/s]", ylabel=f"{found.inputs[channel]} [-]", ylim=(0, 1.02))
     return ax

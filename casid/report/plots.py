@@ -4,25 +4,27 @@ Everything is drawn by the ``plot_*`` functions of `casid.report.figures`; here 
 """
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from functools import singledispatch
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import scipy
-from matplotlib import rc_context
-from matplotlib.axes import Axes
 
+from casid.arrays import Array, ComplexArray
 from casid.bands import ResponseBand
+from casid.baseline.handling import HandlingQualities
+from casid.baseline.loes import TransferFunction
 from casid.bounds.compare import BoundsComparison
 from casid.bounds.profiles import Profile
 from casid.bounds.resampling import Ensemble
 from casid.channels import UNITS
 from casid.cover import Cover
 from casid.design.plan import Design
+from casid.distances import Distances
+from casid.embedding import StructureError
 from casid.envelope import Envelope
+from casid.excitations import Excitation
 from casid.fit import Fit
 from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
@@ -33,29 +35,25 @@ from casid.report import figures
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR
 from casid.report.designs import plot_card, plot_errors
 from casid.report.envelopes import plot_derivatives, plot_loci
-from casid.report.look import LOOK, WIDTH
 from casid.report.prices import CONFIDENCE, plot_bounds, plot_parameters
+from casid.report.readings import (
+    plot_distances,
+    plot_handling_qualities,
+    plot_transfer_function,
+)
+from casid.report.sheets import as_given, known, new_axes, styled
 from casid.residuals import Residuals
 from casid.subspace.blackbox import BlackBox
 from casid.validation import AnyModel, Validation, state_space, validate
 
+SLOWEST = 1e-6  # rad/s: what is slower is an integrator
 POINTS = 160  # of a response
 GREY = "#777777"
 
 
-@contextmanager
-def _styled() -> Iterator[None]:
-    """The package's style, without loss of what the backend sets when it is loaded."""
-    # The first figure of a notebook loads its backend; within rc_context the end of that would
-    # undo what it sets, `interactive` above all, and no later figure would be shown.
-    plt.draw_if_interactive()  # type: ignore[no-untyped-call]
-    with rc_context(LOOK):
-        yield
-
-
 def plot(value: object, ax: Any = None, **choice: Any) -> Any:  # noqa: ANN401 - see Shown.plot
     """Draw a value on the axes given or on new ones; returns them."""
-    with _styled():
+    with styled():
         return _draw(value, ax, **choice)
 
 
@@ -91,7 +89,7 @@ def compare(
     """
     if not models:
         raise ValueError('no models given; expected {"name": model, ...}')
-    with _styled():
+    with styled():
         if isinstance(data, FrequencyResponse):
             systems = {name: state_space(model) for name, model in models.items()}
             return _pair(data, systems, pair or _clearest(data), ax)
@@ -100,42 +98,40 @@ def compare(
                 f"pair={pair}: a pair is of a frequency response; over records name outputs, "
                 "channels=[...]"
             )
-        return _histories(validate(models, data), channels, ax)
+        own = (getattr(getattr(each, "model", each), "units", {}) for each in models.values())
+        units = UNITS | {name: unit for named in own for name, unit in named.items()}
+        return _histories(validate(models, data), channels, units, ax)
 
 
 @singledispatch
 def _draw(value: object, ax: Any) -> Any:  # noqa: ANN401, ARG001
-    raise TypeError(f"a {type(value).__name__} has no figure; expected a result of casid")
+    raise TypeError(f"{type(value).__name__} has no figure; casid.summary prints its table")
 
 
 @_draw.register
 def _(value: Record, ax: Any, channels: Sequence[str] = ()) -> Any:  # noqa: ANN401
-    names = _known(channels, (*value.inputs, *value.outputs))
-    axes = _axes(ax, len(names), 1, height=0.9)
+    names = known(channels, (*value.inputs, *value.outputs))
+    axes = new_axes(ax, len(names), 1, height=0.9)
     for each, name in zip(axes, names, strict=True):
         figures.plot_input(each, value.t, value.channel(name), channel=name, units=UNITS)
     axes[-1].set_xlabel("t [s]")
-    return _same(ax, axes)
+    return as_given(ax, axes)
 
 
 @_draw.register
 def _(value: Design, ax: Any, errors: bool = False) -> Any:  # noqa: ANN401
     count = 1 if errors else len(value.inputs) + len(value.outputs)
-    axes = _axes(ax, count, 1, height=2.8 if errors else 0.9)
+    axes = new_axes(ax, count, 1, height=2.8 if errors else 0.9)
     (plot_errors(axes[0], value) if errors else plot_card(axes, value))
-    return _same(ax, axes)
+    return as_given(ax, axes)
 
 
 @_draw.register
 def _(value: FrequencyResponse, ax: Any, pair: tuple[str, str] | None = None) -> Any:  # noqa: ANN401
     if pair is not None:
         return _pair(value, {}, pair, ax)
-    axes = _axes(ax, len(value.outputs), len(value.inputs), height=1.2)
     width = np.minimum(2 * value.error, 0.99)
-    figures.plot_magnitudes(
-        axes, value, _pairs(value), value.omega, value.G, width, figures.MEASURED
-    )
-    return _same(ax, axes)
+    return _magnitudes(value, value.omega, value.G, width, figures.MEASURED, None, ax)
 
 
 @_draw.register
@@ -145,45 +141,55 @@ def _(value: BlackBox, ax: Any, pair: tuple[str, str] | None = None) -> Any:  # 
     spread = np.zeros(G.shape)
     if value.uncertainty is not None:
         spread = np.minimum(2 * value.response_std(omega)[0], 0.99)
-    pairs = [pair] if pair else _pairs(system)
-    _known([*itertools.chain(*pairs)], (*system.outputs, *system.inputs))
-    shape = (1, 1) if pair else (len(system.outputs), len(system.inputs))
-    axes = _axes(ax, *shape, height=1.2 if not pair else 2.4)
-    figures.plot_magnitudes(axes, system, pairs, omega, G, spread, BLACK_BOX)
-    return _same(ax, axes)
+    return _magnitudes(system, omega, G, spread, BLACK_BOX, pair, ax)
+
+
+@_draw.register
+def _(value: StateSpace, ax: Any, pair: tuple[str, str] | None = None) -> Any:  # noqa: ANN401
+    poles = value.poles() if value.dt is None else np.log(value.poles()) / value.dt
+    sizes = np.abs(poles)[np.abs(poles) > SLOWEST]
+    low, high = (sizes.min(), sizes.max()) if len(sizes) else (1.0, 1.0)
+    most = np.inf if value.dt is None else np.pi / value.dt
+    omega = np.geomspace(low / 10, min(10 * high, most), POINTS)
+    G = value.response(omega)
+    return _magnitudes(value, omega, G, np.zeros(G.shape), figures.MEASURED, pair, ax)
+
+
+@_draw.register
+def _(value: StructureError, ax: Any, pair: tuple[str, str] | None = None) -> Any:  # noqa: ANN401
+    omega, std = value.omega, np.where(value.std > 0, value.std, np.nan)
+    return _magnitudes(value, omega, std, np.zeros(std.shape), figures.MEASURED, pair, ax)
 
 
 @_draw.register
 def _(value: Fit, ax: Any, rows: int = 100) -> Any:  # type: ignore[type-arg] # noqa: ANN401
     free = [row for row in value.parameters if not row.fixed][:rows]
-    axes = _axes(ax, 1, 1, height=0.6 + 0.18 * len(free))
+    axes = new_axes(ax, 1, 1, height=0.6 + 0.18 * len(free))
     plot_parameters(axes[0], free)
     axes[0].set_title(value.headline(), loc="left", wrap=True)
-    return _same(ax, axes)
+    return as_given(ax, axes)
 
 
 @_draw.register
 def _(value: Validation, ax: Any) -> Any:  # noqa: ANN401
-    axes = _axes(ax, len(value.records), 1, height=1.8)
+    axes = new_axes(ax, len(value.records), 1, height=1.8)
     for k, each in enumerate(axes):
         figures.plot_rms(each, value, record=k)
         each.set_title(value.records[k], loc="left")
     axes[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=len(value.models))
-    return _same(ax, axes)
+    return as_given(ax, axes)
 
 
 @_draw.register
 def _(value: BoundsComparison, ax: Any, rows: int = 16) -> Any:  # noqa: ANN401
-    shown = min(rows, len(value.ranked()))
-    axes = _axes(ax, 1, 1, height=1.0 + 0.42 * shown)
+    axes = new_axes(ax, 1, 1, height=1.0 + 0.42 * min(rows, len(value.ranked())))
     plot_bounds(axes[0], value, rows=rows)
-    return _same(ax, axes)
+    return as_given(ax, axes)
 
 
 @_draw.register
 def _(value: Profile, ax: Any) -> Any:  # noqa: ANN401
-    axes = _axes(ax, 1, 1, height=2.8)
-    rise = value.cost - value.fit.cost
+    axes, rise = new_axes(ax, 1, 1, height=2.8), value.cost - value.fit.cost
     at = [value.fit[name].value for name in value.names]
     if len(value.names) == 1:
         x, name = value.points[:, 0], value.names[0]
@@ -205,27 +211,27 @@ def _(value: Profile, ax: Any) -> Any:  # noqa: ANN401
         axes[0].plot(*at, "+", color="#000000")
         first, second = (_unit(value.fit, name) for name in value.names)
         axes[0].set(xlabel=first, ylabel=second, title="rise of the cost [-]")
-    return _same(ax, axes)
+    return as_given(ax, axes)
 
 
 @_draw.register
 def _(value: Ensemble, ax: Any) -> Any:  # noqa: ANN401
-    axes = _axes(ax, 1, 1, height=0.8 + 0.22 * len(value.names))
+    axes = new_axes(ax, 1, 1, height=0.8 + 0.22 * len(value.names))
     good = ~np.isnan(value.values).any(axis=1)
     size = np.maximum(np.nanmean(value.std_errors, axis=0), 1e-300)
     away = (value.values[good] - value.reference) / size
     axes[0].boxplot(away, orientation="horizontal", tick_labels=list(value.names), whis=(2.5, 97.5))
     for edge in (-CONFIDENCE, CONFIDENCE):
         axes[0].axvline(edge, color=GREY, linestyle=":")
-    axes[0].set(xlabel="(estimate - reference) / mean standard error [-]")
+    axes[0].set(xlabel="(estimate - reference) / mean standard error [-]; dotted: 95 % interval")
     axes[0].invert_yaxis()
-    return _same(ax, axes)
+    return as_given(ax, axes)
 
 
 @_draw.register
 def _(value: Residuals, ax: Any) -> Any:  # noqa: ANN401
     columns = 1 + len(value.inputs)
-    axes = _axes(ax, len(value.outputs), columns, height=1.1)
+    axes = new_axes(ax, len(value.outputs), columns, height=1.1)
     grid = axes.reshape(len(value.outputs), columns)
     look: dict[str, Any] = {"color": GREY, "alpha": 0.15, "linewidth": 0}
     for i, row in enumerate(grid):
@@ -240,15 +246,15 @@ def _(value: Residuals, ax: Any) -> Any:  # noqa: ANN401
         each.set_title(name, loc="left")
     for each in grid[-1]:
         each.set_xlabel("lag [s]")
-    return _same(ax, axes)
+    return as_given(ax, axes)
 
 
 @_draw.register
 def _(value: ResponseBand, ax: Any, pair: tuple[str, str] | None = None) -> Any:  # noqa: ANN401
     output, channel = pair or (value.outputs[0], value.inputs[0])
-    _known((output, channel), (*value.outputs, *value.inputs))
+    known((output, channel), (*value.outputs, *value.inputs))
     place = slice(None), value.outputs.index(output), value.inputs.index(channel)
-    axes = _axes(ax, 2, 1, height=1.8)
+    axes = new_axes(ax, 2, 1, height=1.8)
     turn = figures.phase(value.G[place])
     half = 0.5 * np.degrees(np.ptp(value.phase()[(slice(None), *place)], axis=0))
     figures.plot_magnitude(axes[0], value.omega, value.G[place], name=OUTPUT_ERROR)
@@ -259,36 +265,80 @@ def _(value: ResponseBand, ax: Any, pair: tuple[str, str] | None = None) -> Any:
         figures.frequency_axis(each, value.omega[0], value.omega[-1])
     axes[0].set_title(f"{output} / {channel}, {100 * value.level:.3g} % band", loc="left")
     axes[1].set_xlabel("ω [rad/s]")
-    return _same(ax, axes)
+    return as_given(ax, axes)
 
 
 @_draw.register
 def _(value: Qualification, ax: Any) -> Any:  # noqa: ANN401
-    axes = _axes(ax, len(value.records), 1, height=1.6)
+    axes = new_axes(ax, len(value.records), 1, height=1.6)
     for each, record, row in zip(axes, value.records, value.largest, strict=True):
         colours = ["#0072B2" if x <= 1 else "#D55E00" for x in row]
         each.bar(value.outputs, row, color=colours)
         each.axhline(1.0, color="#000000", linestyle="--", linewidth=1)
         each.set_title(f"{record}: largest error over half the band", loc="left")
-    return _same(ax, axes)
+    return as_given(ax, axes)
 
 
 @_draw.register
 def _(value: Envelope, ax: Any, modes: bool = False) -> Any:  # noqa: ANN401
-    axes = _axes(ax, 1 if modes else len(value.names), 1, height=2.8 if modes else 1.2)
+    axes = new_axes(ax, 1 if modes else len(value.names), 1, height=2.8 if modes else 1.2)
     (plot_loci(axes[0], value) if modes else plot_derivatives(axes, value))
-    return _same(ax, axes)
+    return as_given(ax, axes)
 
 
 @_draw.register
 def _(value: Cover, ax: Any) -> Any:  # noqa: ANN401
-    axes = _axes(ax, 1, 1, height=2.6)
+    axes = new_axes(ax, 1, 1, height=2.6)
     W = np.abs(value.weight.response(value.omega)[:, 0, 0])
     axes[0].loglog(value.omega, value.error, color="#000000", label="largest error of the models")
     axes[0].loglog(value.omega, W, color="#D55E00", label=f"weight of order {value.weight.nx}")
     axes[0].set(xlabel="ω [rad/s]", ylabel=f"{value.kind} error [-]")
     axes[0].legend()
-    return _same(ax, axes)
+    return as_given(ax, axes)
+
+
+@_draw.register
+def _(value: Distances, ax: Any) -> Any:  # noqa: ANN401
+    axes = new_axes(ax, 1, 1, height=0.8 + 0.2 * len(value.by_pair()))
+    plot_distances(axes[0], value)
+    return as_given(ax, axes)
+
+
+@_draw.register
+def _(value: Excitation, ax: Any) -> Any:  # noqa: ANN401
+    axes = new_axes(ax, len(value.inputs), 1, height=1.3)
+    for channel, each in enumerate(axes):
+        figures.plot_excitation(each, value, channel).label_outer()
+    axes[0].legend(loc="lower right", ncols=2)
+    return as_given(ax, axes)
+
+
+@_draw.register
+def _(value: HandlingQualities | TransferFunction, ax: Any) -> Any:  # noqa: ANN401
+    axes = new_axes(ax, 2, 1, height=2.0)
+    if isinstance(value, HandlingQualities):
+        plot_handling_qualities(axes[0], axes[1], value)
+    else:
+        plot_transfer_function(axes[0], axes[1], value)
+    return as_given(ax, axes)
+
+
+def _magnitudes(
+    channels: FrequencyResponse | StateSpace | StructureError,
+    omega: Array,
+    G: ComplexArray | Array,
+    width: Array,
+    name: str,
+    pair: tuple[str, str] | None,
+    ax: Any,  # noqa: ANN401
+) -> Any:  # noqa: ANN401
+    """Magnitudes of one pair or of all, in rows of outputs and columns of inputs."""
+    pairs = [pair] if pair else list(itertools.product(channels.outputs, channels.inputs))
+    known([*itertools.chain(*pairs)], (*channels.outputs, *channels.inputs))
+    shape = (1, 1) if pair else (len(channels.outputs), len(channels.inputs))
+    axes = new_axes(ax, *shape, height=2.4 if pair else 1.2)
+    figures.plot_magnitudes(axes, channels, pairs, omega, G, width, name)
+    return as_given(ax, axes)
 
 
 def _pair(
@@ -299,12 +349,12 @@ def _pair(
 ) -> Any:  # noqa: ANN401
     """Magnitude, phase, coherence of one pair, models over it."""
     place, omega = measured.index(*pair), measured.omega
-    axes = _axes(ax, 3, 1, height=1.8)
+    axes = new_axes(ax, 3, 1, height=1.8)
     figures.plot_measured(axes[0], axes[1], measured, place)
     figures.plot_coherence(axes[2], measured, place)
     near = figures.phase(measured.G[:, place[0], place[1]])
     for name, system in systems.items():
-        _known(pair, (*system.outputs, *system.inputs))
+        known(pair, (*system.outputs, *system.inputs))
         i, j = system.outputs.index(pair[0]), system.inputs.index(pair[1])
         G = system.response(omega)[:, i, j]
         figures.plot_magnitude(axes[0], omega, G, name=name, among=systems)
@@ -315,67 +365,36 @@ def _pair(
     axes[2].set_xlabel("ω [rad/s]")
     for each in axes:
         figures.frequency_axis(each, omega[0], omega[-1])
-    return _same(ax, axes)
+    return as_given(ax, axes)
 
 
-def _histories(found: Validation, channels: Sequence[str], ax: Any) -> Any:  # noqa: ANN401
+def _histories(
+    found: Validation,
+    channels: Sequence[str],
+    units: Mapping[str, str],
+    ax: Any,  # noqa: ANN401
+) -> Any:  # noqa: ANN401
     """Outputs of each record below each other, models over them."""
-    names = _known(channels, found.outputs)
-    axes = _axes(ax, len(names), len(found.records), height=1.2)
+    names = known(channels, found.outputs)
+    axes = new_axes(ax, len(names), len(found.records), height=1.2)
     grid = axes.reshape(len(names), len(found.records))
     for k, record in enumerate(found.measured):
         for each, name in zip(grid[:, k], names, strict=True):
             i = record.outputs.index(name)
             drawn = {model: y[k][:, i] for model, y in found.simulated.items()}
-            figures.plot_history(each, record.t, record.y[:, i], drawn, channel=name)
+            figures.plot_history(each, record.t, record.y[:, i], drawn, channel=name, units=units)
             good = [f"{model} {found.fit[model][k, i]:.3g} %" for model in drawn]
             each.legend(["measured", *good], loc="upper right", fontsize="x-small", ncols=2)
         grid[0, k].set_title(record.name, loc="left")
         grid[-1, k].set_xlabel("t [s]")
-    return _same(ax, axes)
-
-
-def _axes(ax: Any, rows: int, columns: int, *, height: float) -> Any:  # noqa: ANN401
-    """The axes given, if there are as many as needed; else those of a new figure, in one row."""
-    if ax is None:
-        size = WIDTH, 0.6 + height * rows
-        _, made = plt.subplots(
-            rows, columns, sharex=rows > 1, squeeze=False, figsize=size, layout="constrained"
-        )
-        return made.ravel()
-    given = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
-    if strange := [each for each in given if not isinstance(each, Axes)]:
-        raise ValueError(f"ax holds {strange[0]!r}, expected Axes, as plt.subplots makes them")
-    if len(given) != rows * columns:
-        raise ValueError(
-            f"this figure has {rows * columns} axes, {len(given)} given: pass plt.subplots({rows}, "
-            f"{columns})[1], none, or choose less to draw"
-        )
-    return given
-
-
-def _same(ax: Any, axes: Any) -> Any:  # noqa: ANN401
-    """As the axes were given: one alone, or an array."""
-    return axes[0] if isinstance(ax, Axes) or len(axes) == 1 else axes
-
-
-def _known(wanted: Sequence[str], known: Sequence[str]) -> Sequence[str]:
-    """What was asked for, all if nothing was."""
-    if missing := [name for name in wanted if name not in known]:
-        raise ValueError(f"no channel {missing[0]!r}; there are {', '.join(known)}")
-    return wanted or known
-
-
-def _pairs(value: FrequencyResponse | StateSpace) -> list[tuple[str, str]]:
-    return [(output, channel) for output in value.outputs for channel in value.inputs]
+    return as_given(ax, axes)
 
 
 def _clearest(data: FrequencyResponse) -> tuple[str, str]:
     """The pair of the largest mean coherence."""
-    mean = np.nanmean(data.coherence, axis=0)
-    i, j = np.unravel_index(np.argmax(mean), mean.shape)
-    return data.outputs[int(i)], data.inputs[int(j)]
+    best = np.argmax(np.nanmean(data.coherence, axis=0))
+    return data.outputs[best // len(data.inputs)], data.inputs[best % len(data.inputs)]
 
 
 def _unit(fit: Any, name: str) -> str:  # noqa: ANN401
-    return f"{name} [{fit[name].unit}]"
+    return f"{name} [{fit[name].unit.replace('^2', '²')}]"

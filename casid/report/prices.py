@@ -78,7 +78,7 @@ def _decorate(
     ax: Axes, labels: Sequence[str], told: Sequence[str], size: str, right_label: str
 ) -> None:
     """Name the rows at the left, with a number each at the right, and what values are over."""
-    ax.set_yticks(range(len(labels)), labels)
+    ax.set_yticks(range(len(labels)), [label.replace("^2", "²") for label in labels])
     ax.set(xlim=(-REACH, REACH), ylim=(len(labels) - 0.4, -0.6), xlabel=f"value / {size} [-]")
     ax.axvline(0, color="#777777", linewidth=0.8, zorder=0)
     ax.grid(visible=False, axis="y")

@@ -1,4 +1,4 @@
-"""The figure of a handling-qualities reading: what was read, where, on which definition."""
+"""Figures of what is read off responses: handling qualities, low-order systems, distances."""
 
 from typing import Any
 
@@ -6,7 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from casid.baseline.handling import HandlingQualities
-from casid.report.figures import frequency_axis, phase_axis
+from casid.baseline.loes import TransferFunction
+from casid.distances import Distances
+from casid.report.content import BASELINE
+from casid.report.figures import MEASURED, decibel, frequency_axis, phase, phase_axis, style
 
 MARK: dict[str, Any] = {"color": "#D55E00", "linewidth": 0.9}
 
@@ -42,7 +45,7 @@ def plot_handling_qualities(
     above = np.interp(np.log(read.omega_180), x, read.gain_db) + 6
     level = 0.0 if read.kind == "loop" else float(above)
     magnitude.axhline(level, color="#777777", linewidth=0.8, linestyle=":")
-    magnitude.set(ylabel="gain [dB]", title=_title(read))
+    magnitude.set(ylabel="gain [dB]", title=read.headline())
     angle.set(ylabel="phase [deg]", xlabel="ω [rad/s]")
     for ax in (magnitude, angle):
         ax.legend(loc="lower left", fontsize="small")
@@ -64,9 +67,37 @@ def _loop(read: HandlingQualities) -> list[tuple[str, float, bool]]:
     ]
 
 
-def _title(read: HandlingQualities) -> str:
-    if read.kind == "loop":
-        verdict = {True: "satisfactory", False: "not satisfactory", None: "not all in the band"}
-        return f"{read.output}/{read.input}, open loop, margins {verdict[read.satisfactory]}"
-    delay = "" if np.isnan(read.phase_delay) else f", phase delay {read.phase_delay:.3f} s"
-    return f"{read.output}/{read.input}, bandwidth {read.bandwidth:.2f} rad/s{delay} (ADS-33)"
+def plot_transfer_function(
+    magnitude: Axes, angle: Axes, found: TransferFunction
+) -> tuple[Axes, Axes]:
+    """Draw the response of a low-order system over the measurement that it was fitted to."""
+    fitted = found.response(found.omega)
+    turn = np.radians(found.mismatch_deg)
+    measured = fitted * 10 ** (-found.mismatch_db / 20) * np.exp(-1j * turn)
+    for name, G in ((MEASURED, measured), (BASELINE, fitted)):
+        label = name if name == MEASURED else "fit"
+        magnitude.semilogx(found.omega, decibel(G), label=label, **style(name))
+        angle.semilogx(found.omega, phase(G, phase(measured)), **style(name))
+    magnitude.set(ylabel="magnitude [dB]", title=found.headline())
+    angle.set(ylabel="phase [deg]", xlabel="ω [rad/s]")
+    magnitude.legend()
+    for ax in (magnitude, angle):
+        frequency_axis(ax, found.omega[0], found.omega[-1])
+    return magnitude, angle
+
+
+def plot_distances(ax: Axes, found: Distances) -> Axes:
+    """Draw in a grid of pairs and bands how many errors a structure misses; ! where at fault."""
+    rows = found.by_pair()
+    size = np.array([[each.structure for each in row] for row in rows.values()])
+    ax.imshow(np.log10(np.maximum(size, 1.0)), cmap="Greys", vmin=0.0, vmax=2.5, aspect="auto")
+    for y, row in enumerate(rows.values()):
+        for x, each in enumerate(row):
+            look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7}
+            ink = "#ffffff" if each.structure > 20 else "#000000"
+            ax.text(x, y, f"{each.structure:.2g}σ{'!' * each.fault}", color=ink, **look)
+    ax.set_yticks(range(len(rows)), [" / ".join(pair) for pair in rows])
+    ax.set_xticks(range(len(found.bands)), [f"{a:.2g}-{b:.2g}" for a, b in found.bands])
+    ax.set(xlabel="band [rad/s]", title="distance of the structure to the black box")
+    ax.grid(visible=False)
+    return ax

@@ -2,14 +2,19 @@
 
 from collections.abc import Sequence
 from functools import singledispatch
+from typing import NamedTuple
 
 import jinja2
 import numpy as np
 
-from casid.bands import ResponseBand
+from casid.arrays import Array
+from casid.bands import HandlingBand, ModeBand, ResponseBand
+from casid.baseline.handling import HandlingQualities
+from casid.baseline.loes import TransferFunction
 from casid.bounds.compare import BoundsComparison
 from casid.bounds.profiles import Profile
 from casid.bounds.resampling import Ensemble
+from casid.consistency.kinematics import KinematicCheck
 from casid.cover import Cover
 from casid.design.plan import Design
 from casid.display import Shown
@@ -17,16 +22,32 @@ from casid.distances import Distances
 from casid.eigenmodes import modes
 from casid.embedding import StructureError
 from casid.envelope import Envelope
+from casid.excitations import Excitation
 from casid.fit import Fit
 from casid.frequency.response import FrequencyResponse
+from casid.linear import StateSpace
 from casid.qualification import Qualification
 from casid.record import Record
 from casid.report.words import number, percent, prior
 from casid.residuals import Residuals
 from casid.samples import runs
+from casid.structure.identifiability import Identifiability
 from casid.subspace.blackbox import BlackBox
 from casid.tabulation import markdown_table
 from casid.validation import Validation
+
+
+class Share(NamedTuple):
+    """Of one input from outside: its band [rad/s], median, at most, least, and where [rad/s]."""
+
+    name: str
+    low: float
+    high: float
+    share: float
+    most: float
+    least: float
+    at: float
+
 
 Cells = tuple[Sequence[str], Sequence[Sequence[str]]]  # heading and rows
 PAGE = jinja2.Template(
@@ -109,10 +130,7 @@ def _(value: FrequencyResponse) -> Cells:
 
 @cells.register
 def _(value: BlackBox) -> Cells:
-    system = value.continuous().system
-    found = modes(system)
-    rows = [[_pole(mode.pole), mode.words, _seen(mode.observable)] for mode in found]
-    return ("eigenvalue [1/s]", "mode", "seen"), rows
+    return cells(value.continuous().system)
 
 
 @cells.register
@@ -214,6 +232,109 @@ def _(value: Cover) -> Cells:
     poles = [["pole [1/s]", _pole(pole)] for pole in value.weight.poles() if pole.imag >= 0]
     figures = (("excess, mean", value.excess), ("margin, least", value.margin))
     return ("weight", "value"), [*poles, *([name, f"{x:.4g}"] for name, x in figures)]
+
+
+@cells.register
+def _(value: StateSpace) -> Cells:
+    if value.dt is None:
+        rows = [[_pole(mode.pole), mode.words, _seen(mode.observable)] for mode in modes(value)]
+        return ("eigenvalue [1/s]", "mode", "seen"), rows
+    return ("eigenvalue [-]",), [[_pole(pole)] for pole in value.poles() if pole.imag >= 0]
+
+
+@cells.register
+def _(value: Excitation) -> Cells:
+    rows = [
+        [row.name, f"{row.low:.2g} to {row.high:.2g}", *(f"{x:.0%}" for x in row[3:6])]
+        for row in shares(value)
+    ]
+    return ("input", "band [rad/s]", "from outside", "at most", "least"), rows
+
+
+def shares(found: Excitation) -> list[Share]:
+    """Share of every input that moves from outside, over its band."""
+    rows = []
+    for i, name in enumerate(found.inputs):
+        inside = found.within[:, i]
+        omega, lower, upper = found.omega[inside], found.lower[inside, i], found.upper[inside, i]
+        if len(omega):
+            middle, most, k = np.median(lower), np.median(upper), int(lower.argmin())
+            rows.append(Share(name, omega[0], omega[-1], middle, most, lower[k], omega[k]))
+    return rows
+
+
+@cells.register
+def _(value: KinematicCheck) -> Cells:
+    rows = []
+    for each in value.channels:
+        found = ["not determined", "", ""]
+        if each.determined:
+            found = [
+                f"{100 * each.scale:+.2f} ± {100 * each.scale_error:.2g}",
+                f"{1000 * each.skew:+.1f} ± {1000 * each.skew_error:.2g}",
+                f"{each.bias:+.2g} ± {each.bias_error:.1g}",
+            ]
+        rows.append([each.channel, ", ".join(each.against), *found, each.unit])
+    return ("channel", "against", "scale [%]", "late [ms]", "bias", "unit"), rows
+
+
+@cells.register
+def _(value: Identifiability) -> Cells:
+    rows = [[n, _short(x)] for n, x in zip(value.names, value.inflation, strict=True)]
+    return ("parameter", "its error grows, as the others are unknown, by"), rows
+
+
+@cells.register
+def _(value: HandlingQualities) -> Cells:
+    figures = (
+        ("ω180 [rad/s]", value.omega_180),
+        ("bandwidth [rad/s]", value.bandwidth),
+        ("by phase [rad/s]", value.bandwidth_phase),
+        ("by gain [rad/s]", value.bandwidth_gain),
+        ("phase delay [s]", value.phase_delay),
+        ("crossover [rad/s]", value.crossover),
+        ("phase margin [deg]", value.phase_margin),
+        ("gain margin [dB]", value.gain_margin),
+    )
+    remarks = [["remark", remark] for remark in value.remarks]
+    return ("reading", "value"), [*([n, _short(x)] for n, x in figures if np.isfinite(x)), *remarks]
+
+
+@cells.register
+def _(value: TransferFunction) -> Cells:
+    errors = iter(value.std_error)
+    top = [(f"numerator s^{k}", x) for k, x in _powers(value.numerator)]
+    bottom = [(f"denominator s^{k}", x) for k, x in _powers(value.denominator)[1:]]
+    rows = [
+        [n, _short(x), _short(next(errors))] for n, x in (*top, *bottom, ("delay [s]", value.delay))
+    ]
+    return ("coefficient", "value", "std. error"), rows
+
+
+@cells.register
+def _(value: ModeBand) -> Cells:
+    mode = value.mode
+    rows = [
+        ("real part [1/s]", mode.pole.real, value.real_std),
+        ("imaginary part [1/s]", mode.pole.imag, value.imag_std),
+        ("frequency [rad/s]", mode.frequency, value.frequency_std),
+        ("damping [-]", mode.damping, value.damping_std),
+    ]
+    return (mode.name, "value", "std. deviation"), [[n, _short(x), _short(s)] for n, x, s in rows]
+
+
+@cells.register
+def _(value: HandlingBand) -> Cells:
+    rows = [
+        ("bandwidth [rad/s]", value.bandwidth, value.bandwidth_std),
+        ("phase delay [s]", value.phase_delay, value.phase_delay_std),
+    ]
+    return ("reading", "value", "std. deviation"), [[n, _short(x), _short(s)] for n, x, s in rows]
+
+
+def _powers(coefficients: Array) -> list[tuple[int, float]]:
+    """Powers of s, falling, with their coefficients."""
+    return list(zip(range(len(coefficients) - 1, -1, -1), coefficients, strict=True))
 
 
 def _short(value: float) -> str:

@@ -81,7 +81,7 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
         floor = np.fmax(least, noise[i])  # nobody need predict noise
         verdict = Verdict(
             output=output,
-            unit=content.units.get(output, "-"),
+            unit=content.units.get(output, ""),
             rms=rms,
             fit=fit,
             theil=theil,

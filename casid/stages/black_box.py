@@ -4,12 +4,11 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from casid import report
 from casid.display import counted
 from casid.excitations import Excitation
 from casid.report.content import Caution, Content, Section, section
+from casid.report.tables import shares
 from casid.stages.stage import Stage, Task
 from casid.subspace.pbsid import BlackBox, Pbsid
 
@@ -33,16 +32,8 @@ def _show(found: BlackBox, content: Content) -> Iterable[Section]:  # noqa: ARG0
 
 def _excitation(found: Excitation) -> Section:
     """Share of every input that comes from outside: in numbers, and over frequency."""
-    rows: list[dict[str, Any]] = []
-    for i, name in enumerate(found.inputs):
-        omega, lower, upper = (
-            x[found.within[:, i]] for x in (found.omega, found.lower[:, i], found.upper[:, i])
-        )
-        if len(omega):
-            share, most, k = float(np.median(lower)), float(np.median(upper)), int(lower.argmin())
-            row = {"name": name, "low": omega[0], "high": omega[-1], "share": share, "most": most}
-            rows.append({**row, "least": lower[k], "at": omega[k]})
-    more: Any = {"values": {"rows": rows}, "draw": partial(report.drawings.draw_excitation, found)}
+    draw = partial(report.drawings.draw_excitation, found)
+    more: Any = {"values": {"rows": shares(found)}, "draw": draw}
     return section("excitation", "Aircraft or controller", 96, found, **more)
 
 

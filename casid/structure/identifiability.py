@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import Array, ComplexArray
+from casid.display import Shown
 from casid.evaluation import Matrices, MatrixFunction
 from casid.free import Free, free_parameters
 from casid.frequency.response import FrequencyResponse
@@ -52,8 +53,8 @@ ROUNDING = 1e-10  # share of an information that eliminating the unknowns leaves
 MOST = 200  # frequencies of a record that are used, for time and memory
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Identifiability:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Identifiability(Shown):
     """What an excitation can tell of a structure.
 
     Parameters
@@ -94,6 +95,10 @@ class Identifiability:
     def identifiable(self) -> bool:
         """Whether all free parameters can be told apart."""
         return self.rank == len(self.names)
+
+    def headline(self) -> str:
+        """Rank, condition and findings."""
+        return "; ".join(str(self).splitlines())
 
     def __str__(self) -> str:
         """Findings and remedies, one a line."""

@@ -7,7 +7,8 @@ import pytest
 from truths.mixture import Mixture, record
 
 from casid import DataWarning, output_error
-from casid.jobs.store import Done, Store, content_digest
+from casid.jobs.store import Done, Store
+from casid.values import content_digest
 
 
 def test_a_result_comes_back_with_all_that_is_said_of_it(tmp_path):

@@ -29,7 +29,8 @@ LOCAL = replace(
 def test_the_band_is_that_of_95_percent_and_local_fits_have_bars():
     axes = Figure().subplots(2)
     plot_derivatives(axes, replace(OVER, local=LOCAL))
-    assert [ax.get_title(loc="left") for ax in axes] == list(NAMES)
+    titles = [f"{NAMES[0]} [rad/s² per m/s]", f"{NAMES[1]} [rad/s² per travel]"]
+    assert [ax.get_title(loc="left") for ax in axes] == titles
     edges = axes[1].collections[0].get_paths()[0].vertices
     np.testing.assert_allclose(edges[:, 1].max(), 5 + 1.96 * 0.25, rtol=1e-3)
     point, _, (bars,) = axes[1].containers[0]

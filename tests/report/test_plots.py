@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from truths.shown import Roll, record, values
 
-from casid import Design, compare
+from casid import Design, StateSpace, compare
 from casid.design.plan import Alternative
 
 
@@ -24,17 +24,58 @@ def first(axes):
     return np.atleast_1d(np.asarray(axes, dtype=object)).ravel()[0]
 
 
-@pytest.mark.parametrize("name", list(values()))
+TABLES = ("ModeBand", "HandlingBand", "Identifiability", "KinematicCheck", "Inspection")
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_what_is_a_table_says_so_when_asked_for_a_figure(name):
+    with pytest.raises(TypeError, match=f"{name} has no figure; casid.summary prints its table"):
+        values()[name].plot()
+
+
+@pytest.mark.parametrize("name", [name for name in values() if name not in TABLES])
 def test_every_value_draws_itself_on_new_axes(name):
     figure = first(values()[name].plot()).figure
     figure.canvas.draw()
-    assert any(ax.lines or ax.patches or ax.collections for ax in figure.axes)
+    assert any(ax.lines or ax.patches or ax.collections or ax.images for ax in figure.axes)
 
 
 @pytest.mark.parametrize("name", ["BlackBox", "Fit", "BoundsComparison", "Profile", "Ensemble"])
 def test_a_figure_of_one_sheet_takes_the_axes_given(name):
     _, ax = plt.subplots()
     assert values()[name].plot(ax) is ax
+
+
+def test_a_low_order_system_is_drawn_over_what_it_was_fitted_to():
+    found, measured = values()["TransferFunction"], values()["FrequencyResponse"]
+    lines = {line.get_label(): line for line in found.plot()[0].lines}
+    omega = lines["measured"].get_xdata()
+    there = np.searchsorted(measured.omega, omega)
+    np.testing.assert_allclose(
+        lines["measured"].get_ydata(), 20 * np.log10(np.abs(measured.G[there, 0, 0])), atol=1e-9
+    )
+    (b,), (_, a) = found.numerator, found.denominator
+    np.testing.assert_allclose(  # by hand
+        lines["fit"].get_ydata(), 20 * np.log10(np.abs(b / (1j * omega + a))), atol=1e-6
+    )
+
+
+def test_a_system_draws_its_response_around_its_poles():
+    line = values()["StateSpace"].plot().lines[0]
+    omega = line.get_xdata()
+    assert omega[[0, -1]] == pytest.approx([0.25, 25.0])
+    np.testing.assert_allclose(line.get_ydata(), 20 * np.log10(5 / np.abs(1j * omega + 2.5)))
+    discrete = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    assert discrete.plot().lines[0].get_xdata()[-1] == pytest.approx(np.pi / 0.1)
+    still = StateSpace(np.zeros((1, 1)), [[1.0]], [[1.0]], [[0.0]])
+    assert np.isfinite(still.plot().lines[0].get_ydata()).all()
+
+
+def test_distances_are_written_in_a_grid_of_pairs_and_bands():
+    found = values()["Distances"]
+    ax = found.plot()
+    assert [text.get_text() for text in ax.texts] == [f"{x.structure:.2g}σ" for x in found.rows]
+    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["p / lat"]
 
 
 def test_a_record_draws_its_channels():

@@ -3,18 +3,19 @@
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from truths.shown import record, values
 
 from casid import summary
-from casid.report.tables import cells, html
+from casid.report.tables import cells, html, shares
 
 
 @pytest.mark.parametrize("name", list(values()))
 def test_every_value_has_a_table_whose_rows_are_as_wide_as_its_heading(name):
     heading, rows = cells(values()[name])
-    assert rows
-    assert {len(row) for row in rows} == {len(heading)}
+    assert rows or name == "KinematicCheck"  # of a record without attitudes
+    assert all(len(row) == len(heading) for row in rows)
     assert summary(values()[name]).startswith(f"{name}(")
 
 
@@ -44,3 +45,28 @@ def test_names_of_users_are_escaped_in_html():
 def test_what_is_no_result_is_refused():
     with pytest.raises(TypeError, match="a list has no table"):
         cells([1, 2])
+
+
+def test_readings_and_bands_show_each_number_with_its_error():
+    band, system = values()["HandlingBand"], values()["TransferFunction"]
+    assert cells(band)[1] == [
+        ["bandwidth [rad/s]", "3", "0.1"],
+        ["phase delay [s]", "0.05", "0.01"],
+    ]
+    rows = {row[0]: row[1:] for row in cells(system)[1]}
+    assert list(rows) == ["numerator s^0", "denominator s^0", "delay [s]"]
+    assert float(rows["denominator s^0"][0]) == pytest.approx(system.denominator[1], rel=1e-3)
+    assert float(rows["denominator s^0"][1]) == pytest.approx(system.std_error[1], rel=1e-3)
+    mode = values()["ModeBand"]
+    (real, *_) = cells(mode)[1]
+    assert float(real[1].replace("−", "-")) == pytest.approx(mode.mode.pole.real, rel=1e-3)
+    assert float(real[2]) == pytest.approx(mode.real_std, rel=1e-2)
+
+
+def test_shares_of_an_excitation_are_read_within_its_band():
+    found = values()["Excitation"]
+    (row,) = shares(found)
+    inside = found.lower[found.within[:, 0], 0]
+    assert (row.share, row.least) == (np.median(inside), inside.min())
+    assert found.lower[found.omega == row.at, 0] == row.least
+    assert found.omega[found.within[:, 0]][[0, -1]].tolist() == [row.low, row.high]

@@ -1,9 +1,12 @@
 """What a study hands to its report."""
 
+from types import SimpleNamespace
+
 import pytest
 from truths.roll_study import write_study
 
 from casid import read_study, run_study
+from casid.studies.contents import _units
 
 
 @pytest.mark.slow
@@ -25,3 +28,12 @@ def test_a_copy_under_another_name_is_no_unseen_record_and_no_second_flight(tmp_
     assert "Records 3211 and again are the same flight: it counts twice" in page
     assert "judged on records that estimations had seen (copy)" in page
     assert "no estimation had seen" not in page
+
+
+def test_a_structure_s_own_units_count_and_those_stated_of_columns_more():
+    model = SimpleNamespace(units={"V": "m/s", "alpha": "rad", "power": "W"})
+    stated = SimpleNamespace(units={"alpha": "deg", "power": "kn"})
+    found = _units(SimpleNamespace(model=model, channels=stated))
+    assert (found["V"], found["alpha"], found["power"]) == ("m/s", "rad", "m/s")
+    assert found["p"] == "rad/s"
+    assert "valve" not in found

@@ -18,10 +18,11 @@ from casid.exchange.formats import read_table
 from casid.files import read_json
 from casid.fit import Fit
 from casid.hdf import write_hdf
-from casid.jobs.store import Store, content_digest
+from casid.jobs.store import Store
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
+from casid.values import content_digest
 from truths.roll_study import MODEL, STUDY, write_study
 
 _UNTIL_EXIT = tempfile.TemporaryDirectory(prefix="casid-fuzz-", ignore_cleanup_errors=True)

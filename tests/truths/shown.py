@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 
 from casid import (
+    HandlingBand,
     Model,
     Record,
     Rows,
@@ -12,12 +13,20 @@ from casid import (
     StateSpace,
     bootstrap,
     compare_bounds,
+    distances,
     frequency_response,
+    handling_qualities,
+    identifiability,
+    inspect_records,
+    kinematic_check,
+    mode_bands,
     output_error,
     parameter,
     pbsid,
     profile_parameters,
     residuals,
+    structure_error,
+    transfer_function,
     validate,
 )
 
@@ -70,5 +79,16 @@ def values():
         compare_bounds(Roll(), flown, cases=cases),
         profile_parameters(Roll(), flown, values={"Lp": at.tolist()}),
         bootstrap(fit, flown, runs=3, seed=0),
+        distances(fit, box),
+        structure_error(fit, box),
+        TRUTH,
+        box.excitation,
+        handling_qualities(frequency_response(flown), ("p", "lat"), kind="rate"),
+        transfer_function(frequency_response(flown), (0, 1)),
+        mode_bands(fit)[0],
+        HandlingBand(bandwidth=3.0, bandwidth_std=0.1, phase_delay=0.05, phase_delay_std=0.01),
+        identifiability(Roll(), flown),
+        kinematic_check(flown),
+        inspect_records(flown),
     ]
     return {type(each).__name__: each for each in found}
