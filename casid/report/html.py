@@ -16,9 +16,9 @@ from markupsafe import Markup
 from matplotlib import rc_context
 
 from casid.files import write_text
+from casid.jobs.beside import beside
 from casid.report import intervals
 from casid.report.answer import place
-from casid.report.beside import beside
 from casid.report.content import TEMPLATES, Content, Drawing, Section, cautions
 from casid.report.drawings import save
 from casid.report.interactive import interactive

@@ -41,6 +41,7 @@ BASELINE = Stage(
     linear=True,
     structured=True,
     optional=True,
+    ahead=True,
     label=LABEL,
     start="quadratic",
     data=lambda _, task: task.results["frequency"],

@@ -132,6 +132,7 @@ CHECKED = Stage(
     role=("frequency",),
     needs=("frequency",),
     kept=False,
+    ahead=True,
 )
 STATES = Stage(
     name="states",

@@ -41,4 +41,5 @@ FREQUENCY = Stage(
     table="frequency",
     settings=SpectralAnalysis(),
     role=("frequency",),
+    ahead=True,
 )

@@ -92,6 +92,9 @@ class Stage:
     command : str
         The command that runs the stage; "" for ``casid identify``. Such a stage keeps what it
         finds itself, in the folder of its task's execution.
+    ahead : bool
+        Whether it may run before its turn, in a process beside the stages before: it takes of them
+        only what ``needs`` and ``uses`` say, and uses one processor.
     label : str
         The result's name among the models that are compared; "" if it is none.
     check : callable
@@ -120,6 +123,7 @@ class Stage:
     optional: bool = False
     kept: bool = True
     command: str = ""
+    ahead: bool = False
     label: str = ""
     check: Callable[[Any, Task], None] = lambda _, task: None  # noqa: ARG005
     start: str = ""
@@ -154,22 +158,27 @@ class Found:
 
 
 def run_stages(
-    task: Task, *, keep: Keep = compute, known: Mapping[str, Any] | None = None
+    task: Task,
+    *,
+    keep: Keep = compute,
+    known: Mapping[str, Any] | None = None,
+    begin: Callable[[Stage, Any, Task], None] | None = None,
 ) -> Found:
     """Run the stages of a task in turn, each behind those it takes from, through ``keep``.
 
     A stage whose table is missing in the settings has its own defaults, or is left out if optional;
     ``known`` results are not computed. ConvergenceError comes from one on which others may rest.
+    Before each, ``begin`` is told of those behind it that may run ahead and have all they take.
     """
     results, models = dict(known or {}), dict[str, AnyModel]()
     failures: dict[str, ConvergenceError] = {}
-    for stage in task.stages:
-        own = records_of(stage, task.roles)
-        if stage.name not in results and runs(stage, task.settings, results, own):
-            settings = task.settings.get(stage.table, stage.settings)
-            ready = replace(task, records=own, results=dict(results), models=dict(models))
+    for k, stage in enumerate(task.stages):
+        now = replace(task, results=dict(results), models=dict(models))
+        if begin is not None:
+            _begin_ready(begin, task.stages[k:], now)
+        if stage.name not in results and (given := _given(stage, now)):
             try:
-                results[stage.name] = keep(stage, settings, ready)
+                results[stage.name] = keep(stage, *given)
             except LeftOutError:
                 continue
             except ConvergenceError as error:
@@ -179,6 +188,26 @@ def run_stages(
         if stage.label and stage.name in results:
             models[stage.label] = results[stage.name]
     return Found(results=results, models=models, failures=failures)
+
+
+def _begin_ready(
+    begin: Callable[[Stage, Any, Task], None], stages: Sequence[Stage], task: Task
+) -> None:
+    """Begin stages behind the first that may run ahead and take nothing of those before them."""
+    before = {stages[0].name}
+    for stage in stages[1:]:
+        apart = stage.ahead and stage.name not in task.results
+        if apart and not before & {*stage.needs, *stage.uses} and (given := _given(stage, task)):
+            begin(stage, *given)
+        before.add(stage.name)
+
+
+def _given(stage: Stage, task: Task) -> tuple[Any, Task] | None:
+    """Settings and task of a stage that runs; None of another."""
+    own = records_of(stage, task.roles)
+    if not runs(stage, task.settings, task.results, own):
+        return None
+    return task.settings.get(stage.table, stage.settings), replace(task, records=own)
 
 
 def fitting(model: Model, stages: Sequence[Stage], tables: Collection[str]) -> tuple[Stage, ...]:

@@ -1,15 +1,20 @@
 """What runs the stages of a study: results that still hold are taken, new ones kept, both told."""
 
 import logging
+import sys
 import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from contextlib import ExitStack
 from dataclasses import asdict, replace
-from typing import Any, TypeVar
+from functools import partial
+from logging.handlers import BufferingHandler
+from typing import Any, TypeAlias, TypeVar
 
-from casid.errors import ConvergenceError, DataWarning
+from casid.errors import ConvergenceError, DataWarning, warn
 from casid.fit import Fit
+from casid.jobs.beside import beside
 from casid.jobs.campaigns import CampaignProgress, Execution
 from casid.jobs.origins import equations_digest, own_source, source_digest, structure_digest
 from casid.jobs.store import Done, Store
@@ -17,6 +22,7 @@ from casid.nlp import Progress
 from casid.report.content import Timing
 from casid.stages.stage import LeftOutError, Stage, Task
 from casid.studies.study import Study
+from casid.threads import cores
 from casid.values import digest
 
 T = TypeVar("T")
@@ -56,6 +62,8 @@ class Keeper:
         self.warnings: list[str] = []
         self._store = Store(study.output / "stages", (type(study.model),))
         self._keys: dict[str, str] = {}
+        self.processes = ExitStack()  # beside this one
+        self._begun: dict[str, Callable[[], _Apart] | None] = {}  # there; None of what is kept
         self._source = source_digest()
         self._structure = [structure_digest(study.model_file), equations_digest(study.model)]
 
@@ -64,7 +72,11 @@ class Keeper:
         if stage.command:
             return self._asked(stage, settings, task)
         if not stage.kept:
-            return self.timed(stage.name, lambda: stage.run(settings, task))
+            done = self._done(stage, settings, task)
+            for said in done.warnings:
+                warn(said)
+            self._note(stage.name, done.seconds, done.result)
+            return done.result
         key = self._keys[stage.name] = self._key(stage, settings, task)
         kept = None if self._fresh else self._store.get(stage.name, key)
         if kept is None:
@@ -73,6 +85,20 @@ class Keeper:
         self.warnings += kept.warnings
         self._note(stage.name, kept.seconds, kept.result, kept=True)
         return kept.result
+
+    def begin(self, stage: Stage, settings: Any, task: Task) -> None:  # noqa: ANN401 - of any stage
+        """Begin a stage before its turn, in a process beside this one, if a processor is free."""
+        if stage.name in self._begun:
+            return
+        if stage.kept and not self._fresh:
+            key = self._key(stage, settings, task)
+            if self._store.get(stage.name, key) is not None:
+                self._begun[stage.name] = None
+                return
+        busy = sum(begun is not None for begun in self._begun.values())
+        if busy < cores() > 1:
+            work = partial(_apart, stage, settings, task)
+            self._begun[stage.name] = self.processes.enter_context(beside(work))
 
     def timed(self, name: str, compute: Callable[[], T]) -> T:
         """Compute a step that is not kept."""
@@ -83,22 +109,25 @@ class Keeper:
         return result
 
     def _computed(self, stage: Stage, settings: Any, task: Task, key: str) -> Any:  # noqa: ANN401
-        self._watch.begin(stage.name)
-        start = time.perf_counter()
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", DataWarning)
-            try:
-                result = stage.run(self._watched(settings), task)
-            except ConvergenceError as error:
-                raise self._with_best(stage, error) from error
-        seconds = time.perf_counter() - start
-        said = tuple(dict.fromkeys(str(each.message) for each in caught))
-        self.warnings += said
-        done = Done(result=result, seconds=seconds, warnings=said)
+        try:
+            done = self._done(stage, settings, task)
+        except ConvergenceError as error:
+            raise self._with_best(stage, error) from error
+        self.warnings += done.warnings
         self._store.put(stage.name, key, done)
         self._drop_best(stage)
-        self._note(stage.name, seconds, result)
-        return result
+        self._note(stage.name, done.seconds, done.result)
+        return done.result
+
+    def _done(self, stage: Stage, settings: Any, task: Task) -> Done:  # noqa: ANN401
+        """What a stage finds, here or in the process that has begun it."""
+        self._watch.begin(stage.name)
+        if (begun := self._begun.pop(stage.name, None)) is None:
+            return _made(stage, self._watched(settings), task)
+        done, logged = begun()
+        for each in logged:
+            LOG.handle(each)
+        return done
 
     def _with_best(self, stage: Stage, error: ConvergenceError) -> ConvergenceError:
         """The error, its best iterate written to a file."""
@@ -164,17 +193,39 @@ class Keeper:
         return digest(*parts)
 
 
+_Apart: TypeAlias = tuple[Done, list[logging.LogRecord]]
+
+
+def _made(stage: Stage, settings: Any, task: Task) -> Done:  # noqa: ANN401
+    """What a stage finds, how long it takes and what it warns of."""
+    start = time.perf_counter()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DataWarning)
+        result = stage.run(settings, task)
+    said = tuple(dict.fromkeys(str(each.message) for each in caught))
+    return Done(result=result, seconds=time.perf_counter() - start, warnings=said)
+
+
+def _apart(stage: Stage, settings: Any, task: Task) -> _Apart:  # noqa: ANN401
+    """The same in a process beside, and what it logs, to be told when it is its turn."""
+    own, heard = (LOG.handlers, LOG.propagate), BufferingHandler(sys.maxsize)
+    LOG.handlers, LOG.propagate = [heard], False
+    try:
+        return _made(stage, settings, task), heard.buffer
+    finally:
+        LOG.handlers, LOG.propagate = own
+
+
 class Holding(Keeper):
     """Takes what is kept and still holds, and computes nothing."""
 
-    def _computed(self, stage: Stage, settings: Any, task: Task, key: str) -> Any:  # noqa: ANN401, ARG002
-        raise LeftOutError
+    def begin(self, stage: Stage, settings: Any, task: Task) -> None:  # noqa: ANN401
+        """Begin nothing."""
 
-    def timed(self, name: str, compute: Callable[[], T]) -> T:
-        """Only the chosen step, which is kept with the choice."""
-        if name != "chosen":
+    def _done(self, stage: Stage, settings: Any, task: Task) -> Done:  # noqa: ANN401
+        if stage.name != "chosen":  # which is kept with the choice
             raise LeftOutError
-        return compute()
+        return super()._done(stage, settings, task)
 
     def _asked(self, stage: Stage, settings: Any, task: Task) -> Any:  # noqa: ANN401, ARG002
         raise LeftOutError

@@ -185,7 +185,8 @@ def _stages(
     keeper: Keeper,
 ) -> Found:
     task = with_measured(study.task(records, flights), study.responses)
-    return run_stages(task, keep=keeper)
+    with keeper.processes:
+        return run_stages(task, keep=keeper, begin=keeper.begin)
 
 
 def _read(study: Study) -> tuple[tuple[Mapping[Role, Sequence[Record]], Repeats], list[str]]:

@@ -1,15 +1,21 @@
 """Keeping the results of stages, going on where a study stopped."""
 
 import importlib
+import logging
+import os
 import sys
+import time
 import warnings
+from dataclasses import replace
 
 import pytest
 from truths.roll_study import write_study
 
-from casid import DataWarning, read_study, run_study
+from casid import ConvergenceError, DataWarning, read_study, run_study
 from casid.shooting.output_error import OutputError
 from casid.stages.black_box import Pbsid
+from casid.stages.stage import Stage, run_stages
+from casid.studies.keeping import Keeper, Watch
 
 
 def _kept(outcome):
@@ -94,3 +100,91 @@ def test_a_changed_data_file_that_the_model_reads_computes_again(tmp_path):
     assert _kept(after) == ["pbsid"]
     found = after.identification.results["output_error"]["Llat"].value
     assert found == pytest.approx(1.25 * before, rel=1e-3)
+
+
+def _first(*_):
+    logging.getLogger("casid").info("first")
+    return [os.getpid()]
+
+
+def _second(*_):
+    logging.getLogger("casid").info("second")
+    warnings.warn("the second has doubts", DataWarning, stacklevel=1)
+    return [os.getpid()]
+
+
+def _failing(*_):
+    raise ConvergenceError("the second stops early")
+
+
+def _interrupted(*_):
+    raise KeyboardInterrupt
+
+
+def _slow(*_):
+    time.sleep(600)
+
+
+def _third(_, task):
+    return [*task.results["first"], *task.results["second"]]
+
+
+class Lines(Watch):
+    def __init__(self):
+        self.said = []
+
+    def begin(self, stage):
+        self.said.append(f"{stage} begins")
+
+    def end(self, timing):
+        self.said.append(f"{timing.stage} ends")
+
+
+def _run(tmp_path, *stages, **options):
+    study = read_study(write_study(tmp_path))
+    keeper = Keeper(study, watch := Lines(), [], fresh=False, command="", **options)
+    task = study.task({}, {})
+    with keeper.processes:
+        return run_stages(replace(task, stages=stages), keep=keeper, begin=keeper.begin), watch
+
+
+@pytest.mark.parametrize("kept", [True, False])
+@pytest.mark.parametrize("processors", [1, 2])
+def test_what_ran_ahead_is_told_in_its_turn(tmp_path, monkeypatch, caplog, kept, processors):
+    monkeypatch.setattr("casid.studies.keeping.cores", lambda: processors)
+    caplog.set_level(logging.INFO, logger="casid")
+    stages = (
+        Stage(name="first", does="", run=_first, kept=False),
+        Stage(name="second", does="", run=_second, kept=kept, ahead=True),
+        Stage(name="third", does="", run=_third, needs=("first", "second"), kept=False, ahead=True),
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found, watch = _run(tmp_path, *stages)
+    here, there = found.results["third"]
+    assert here == os.getpid()
+    assert (there != here) == (processors > 1 and len(os.sched_getaffinity(0)) > 1)
+    assert watch.said == [f"{n} {v}" for n in found.results for v in ("begins", "ends")]
+    assert caplog.messages == ["first", "second"]
+    assert [str(each.message) for each in caught] == ["the second has doubts"] * (not kept)
+    if kept:  # so is its result, and nothing begins again
+        assert _run(tmp_path, *stages)[0].results["second"] == [there]
+        assert caplog.messages == ["first", "second", "first"]
+
+
+def test_what_fails_ahead_fails_in_its_turn_without_a_word_before(tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr("casid.studies.keeping.cores", lambda: 2)
+    first = Stage(name="first", does="", run=_first)
+    with pytest.raises(ConvergenceError, match="the second stops early"):
+        _run(tmp_path, first, Stage(name="second", does="", run=_failing, ahead=True))
+    assert (tmp_path / "out" / "stages" / "first.json").exists()
+    assert capfd.readouterr().err == ""
+
+
+def test_nobody_waits_for_what_runs_ahead_of_an_interrupted_stage(tmp_path, monkeypatch):
+    monkeypatch.setattr("casid.studies.keeping.cores", lambda: 2)
+    first = Stage(name="first", does="", run=_interrupted)
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        _run(tmp_path, first, Stage(name="second", does="", run=_slow, ahead=True))
+    assert time.monotonic() < begin + 300

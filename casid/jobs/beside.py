@@ -7,7 +7,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar
 
@@ -47,7 +47,7 @@ def _send(other: Connection, end: Connection, work: Callable[[], Any]) -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     other.close()
     threading.Thread(target=_end_alike, daemon=True).start()
-    with end:
+    with end, suppress(Exception):
         end.send(work())
 
 
