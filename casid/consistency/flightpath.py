@@ -174,11 +174,12 @@ class _Reconstruction:
         table, place = x[:-3].reshape(-1, 3), x[-3:]
         found = []
         for flight, splines, terms in zip(self.flights, self.splines, self.terms, strict=True):
-            moved = {}
-            for name, (_, _, skew) in zip(self.channels, table, strict=True):
+            moved, true = {}, {}
+            for name, (gain, bias, skew) in zip(self.channels, table, strict=True):
                 at = np.clip(flight.t + skew, 0.0, flight.t[-1])
-                moved[name] = (splines[name](at), splines[name](at, nu=1))
-            lever = _lever(moved)
+                m, rate = moved[name] = (splines[name](at), splines[name](at, nu=1))
+                true[name] = (gain * m - bias, gain * rate)
+            lever = _lever(true)
             for each in self.equations:
                 f = self._derivative(terms[each], moved, table)
                 if each in VELOCITIES and lever is not None:

@@ -1,11 +1,22 @@
 """Kinematics of rigid bodies and what filters them, against closed forms and rotation matrices."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.optimize
 from scipy.spatial.transform import Rotation
+from truths.flights import FORCES, RATES, STATES, truth
 
-from casid.consistency.flightpath import _integral, _lever, _steady_gain, _terms, reconstruct
+from casid.consistency.flightpath import (
+    _integral,
+    _lever,
+    _steady_gain,
+    _terms,
+    reconstruct,
+    reconstruct_level,
+)
 from casid.consistency.measured import Flight
 
 
@@ -76,3 +87,126 @@ def test_what_flights_do_not_tell_stays_where_it_was_expected():
     assert abs(bias) < 4 * errors[1] < 0.01
     np.testing.assert_allclose(found.place, 0, atol=1e-6)
     np.testing.assert_allclose(found.place_errors, 10.0, rtol=1e-3)
+
+
+OMEGA, PHASE = np.array([0.7, 1.1, 1.9, 2.6]), np.array([0.3, 2.0, 4.1, 5.2])
+
+
+def waves(t, late=0.0, order=0):
+    """Four sines of 0.1 each, so many seconds late, and derivatives; order -1 is the integral."""
+    angle = OMEGA * (t[:, None] - late) + PHASE + order * np.pi / 2
+    return np.sum(0.1 * OMEGA ** float(order) * np.sin(angle), axis=1)
+
+
+def rolls(rng, lengths, noise):
+    """Flights in which p reads 1.25 true + 0.05 and is 0.12 s late; the bank has noise."""
+    found = []
+    for n, begin in zip(lengths, (0.0, 40.0, 90.0), strict=False):
+        t = begin + 0.02 * np.arange(n)
+        bank = 0.2 + waves(t, 0.0, -1) + noise * rng.standard_normal(n)
+        found.append(Flight(0.02, 0, {"p": 1.25 * waves(t, 0.12) + 0.05, "phi": bank}))
+    return found
+
+
+def test_a_rate_late_and_out_of_scale_is_found_as_by_nonlinear_least_squares():
+    flights = rolls(np.random.default_rng(3), (900, 1500), 0.01)
+    found = reconstruct(flights, ["phi"])
+
+    def left(z):
+        gain, bias, skew = z[:3]
+        parts = []
+        for flight, start, begin in zip(flights, z[3:], (0.0, 40.0), strict=True):
+            t = flight.t
+            # The integral of what p will have read: closed, but for its straight line.
+            read = 1.25 * (waves(begin + t, 0.12 - skew, -1)) + 0.05 * t
+            parts.append(flight.values["phi"] - (gain * read - bias * t + start))
+        return np.concatenate(parts) / 0.01
+
+    best = scipy.optimize.least_squares(left, [1, 0, 0, 0.2, 0.2], x_scale=[1, 1, 0.1, 1, 1])
+    std = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)))[:3]
+    inside = [(0.8, 0.04, 0.12), best.x[:3]]
+    for each, limit in zip(inside, (4.0, 0.5), strict=True):
+        assert np.abs((found.unknowns[0] - each) / std).max() < limit
+    assert (found.errors[0] > 0.9 * std).all()
+    assert (found.errors[0] < 1.4 * std).all()
+    assert found.against == {"p": ("phi",)}
+    assert [len(e) for e in found.left["phi"]] == [900, 1500]
+    np.testing.assert_allclose([np.std(e) for e in found.left["phi"]], 0.01, rtol=0.1)
+
+
+LATER = dict(zip((*RATES, *FORCES), (0.3, -0.25, 0.2, 0.28, -0.3, 0.22), strict=True))
+GAINS = dict(zip((*RATES, *FORCES), (0.7, 1.4, 0.8, 0.9, 1.2, 1.1), strict=True))
+PLACE = np.array([0.8, -0.4, 0.5])
+
+
+def test_far_skews_scales_and_a_lever_are_found_together_and_hold_where_they_are():
+    signals, t = truth(2, duration=20.0)
+    values = {name: signals(t)[name] for name in STATES}
+    for name in RATES:
+        values[name] = signals(t - LATER[name])[name] / GAINS[name] + 0.02
+    for k, name in enumerate(FORCES):
+        at = t - LATER[name]
+        omega, before, after = (
+            np.column_stack([signals(each)[rate] for rate in RATES])
+            for each in (at, at - 1e-4, at + 1e-4)
+        )
+        turned = np.cross((after - before) / 2e-4, PLACE) + np.cross(omega, np.cross(omega, PLACE))
+        values[name] = (signals(at)[name] + turned[:, k]) / GAINS[name] - 0.1
+    found = reconstruct([Flight(0.02, 0, values)], STATES)
+    assert found.channels == (*RATES, *FORCES)
+    gain, skew = np.array([*GAINS.values()]), np.array([*LATER.values()])
+    true = np.column_stack([gain, gain * [0.02, 0.02, 0.02, -0.1, -0.1, -0.1], skew])
+    assert np.abs((found.unknowns - true) / found.errors).max() < 4
+    assert np.abs((found.place - PLACE) / found.place_errors).max() < 4
+    np.testing.assert_allclose(found.unknowns[:, 0], gain, rtol=3e-3)
+    np.testing.assert_allclose(found.unknowns[:, 2], skew, atol=3e-3)
+    np.testing.assert_allclose(found.place, PLACE, atol=0.1)
+
+
+@pytest.mark.parametrize("late", [0.7, -0.7])
+def test_no_skew_leaves_the_span_that_is_looked_at(late):
+    t = 0.02 * np.arange(1000)
+    phi, theta, late_rate = waves(t, 0, -1), waves(t, 1, -1), waves(t, late)
+    flight = Flight(0.02, 0, {"p": late_rate, "q": waves(t, 1 + late), "phi": phi, "theta": theta})
+    found = reconstruct([flight], ["phi", "theta"])
+    np.testing.assert_allclose(found.unknowns[:, 2], np.sign(late) * 0.5, atol=1e-9)
+
+
+def tilted(rng, tilt, **known):
+    """Bank of a flight at a pitch attitude, which is recorded, given or neither."""
+    t = 0.02 * np.arange(1500)
+    bank = waves(t, 0, -1) + np.tan(tilt) * waves(t, 0.3, -1) + 0.002 * rng.standard_normal(1500)
+    values = {"p": waves(t), "r": waves(t, 0.3), "phi": bank}
+    level = {} if "theta" in known else {"theta": known.get("level", 0.0)}
+    if "theta" in known:
+        values["theta"] = np.full(1500, known["theta"])
+    return Flight(0.02, 0, values, level=level)
+
+
+def test_where_pitch_attitude_is_not_known_errors_tell_of_it():
+    rng = np.random.default_rng(6)
+    unknown = [tilted(rng, 0.0), tilted(rng, 0.0)]
+    level = reconstruct(unknown, ["phi"])
+    other = reconstruct([replace(each, level={"theta": 0.1}) for each in unknown], ["phi"])
+    wide = reconstruct_level(unknown, ["phi"])
+    np.testing.assert_array_equal(wide.unknowns, level.unknowns)
+    expected = np.sqrt(level.errors**2 + (other.unknowns - level.unknowns) ** 2)
+    np.testing.assert_allclose(wide.errors, expected, rtol=1e-12)
+    assert (wide.errors[0] > 3 * level.errors[0])[[0, 2]].all()
+
+
+@pytest.mark.parametrize("known", [{"theta": 0.0}, {"theta": 0.1}, {"level": 0.05}], ids=str)
+def test_a_pitch_attitude_recorded_or_given_in_any_flight_leaves_errors_alone(known):
+    rng = np.random.default_rng(6)
+    flights = [tilted(rng, 0.0, **known), tilted(rng, 0.0)]
+    if "theta" in known:
+        flights = flights[:1]
+    plain, found = reconstruct(flights, ["phi"]), reconstruct_level(flights, ["phi"])
+    np.testing.assert_array_equal(found.errors, plain.errors)
+
+
+def test_without_yaw_rate_pitch_attitude_does_not_matter():
+    (flight,) = rolls(np.random.default_rng(3), (900,), 0.01)
+    flight = replace(flight, level={"theta": 0.0})
+    plain, found = reconstruct([flight], ["phi"]), reconstruct_level([flight], ["phi"])
+    np.testing.assert_array_equal(found.errors, plain.errors)
