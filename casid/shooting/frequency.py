@@ -23,7 +23,7 @@ from casid.shooting.spectral import Residual, SpectralResiduals
 from casid.shooting.spectrum import NoiseSpectrum, leverages, noise_spectra, powers, reach
 
 ROUNDS = 20  # of solves
-ROUGH = 1e-4  # tolerance of the first, whose spectrum is that of the start
+ROUGH = 1e-4  # tolerance of all but the last
 SETTLED = 2e-2  # standard errors that a round may move the estimates and be the last but one
 TAIL = 0.1  # of the information about a parameter that the rounds before the last may leave out
 IPOPT: dict[str, float | str] = {
@@ -197,7 +197,8 @@ def search(
 
     The first is warm if the start is hardly off the end of a ``last`` one.
 
-    All but the last take only lines that carry information. ValueError: a start without residuals.
+    All but the last take only lines that carry information; without a ``last`` one the first weighs
+    them alike. ValueError: a start without residuals.
     """
     options = replace(options, ipopt=IPOPT | dict(options.ipopt))
     lines, scales = residuals.lines, residuals.free.scale[residuals.free.index]
@@ -206,6 +207,10 @@ def search(
         return replace(outcome, settled=True)
     rough = replace(options, tolerance=max(ROUGH, options.tolerance))
     spectra, lam, highest = white(lines), start, 0.0
+    if last is None:  # what a poor start leaves is no noise: its spectrum would excuse it
+        first = _round(SpectralProgramme(residuals, spectra, scales), start, None, rough)
+        if first.solution.success:
+            last, lam = replace(first, settled=False), first.lam
     while True:
         state = SpectralProgramme(residuals, spectra, scales).state(lam / scales)
         if state is None:

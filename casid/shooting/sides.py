@@ -21,6 +21,7 @@ from casid.shooting.spectrum import NoiseSpectrum
 NEAR = 0.1  # of a sampling interval: a kink that noise may have held an estimate on
 EDGE = 1e-4  # of a sampling interval, from a kink to where a side of it begins
 GAIN = 1e-4  # of log-likelihood, that makes the other side better
+MOVES = 12  # across kinks, at most
 FIRST = 40  # iterations of a solve before the sides are looked at: on a kink none is the last
 
 
@@ -30,14 +31,33 @@ def searched(
     options: SolverOptions,
     held: tuple[NoiseSpectrum, ...] | None = None,
 ) -> SpectralOutcome:
-    """The best end of `search`, from the guess and on both sides of kinks near where that ended.
+    """The best end of `search`, from the guess and across kinks near where that ended.
 
     A side is judged by the spectra of that end, and has its own estimated only if it is better; one
-    that a solution lies within is not tried again.
+    that a solution lies within is not tried again. What ends beside the next kink goes on there.
     """
     brief = replace(options, max_iterations=min(FIRST, options.max_iterations))
-    best = outcome = search(SpectralResiduals(free, lines), free.guess, brief, held)
-    known = outcome.programme.spectra if done(outcome) else held
+    best = search(SpectralResiduals(free, lines), free.guess, brief, held)
+    first = best.lam
+    for _ in range(MOVES):
+        outcome = best
+        best = _beside(free, lines, options, outcome, held)
+        if best is outcome:
+            break
+    if not best.solution.success and options.max_iterations > FIRST:
+        return search(SpectralResiduals(free, lines), first, options, held)
+    return best
+
+
+def _beside(
+    free: Free,
+    lines: list[Lines],
+    options: SolverOptions,
+    outcome: SpectralOutcome,
+    held: tuple[NoiseSpectrum, ...] | None,
+) -> SpectralOutcome:
+    """The best of an outcome and the sides of kinks next to it."""
+    best, known = outcome, outcome.programme.spectra if done(outcome) else held
     judging = (
         options if known is held else replace(options, tolerance=max(ROUGH, options.tolerance))
     )
@@ -53,8 +73,6 @@ def searched(
             end = search(residuals, end.lam, options)
         if _better(end, best):
             best = _released(end, free)
-    if not best.solution.success and options.max_iterations > FIRST:
-        return search(SpectralResiduals(free, lines), outcome.lam, options, held)
     return best
 
 
@@ -83,6 +101,7 @@ def sides(free: Free, lines: list[Lines], lam: Array) -> Iterator[Free]:
             continue
         direct = bool(D[:, heard].any() or slopes[:, :, heard].any())
         kinked = [each.record for each in lines if direct or each.record.hold == "zoh"]
+        jump = direct and any(record.hold == "zoh" for record in kinked)
         steps = {float(f"{record.dt:.9g}") for record in kinked}  # not each rounding of one
         tau = m.tau[heard[0]]
         for h in sorted(steps):
@@ -90,15 +109,19 @@ def sides(free: Free, lines: list[Lines], lam: Array) -> Iterator[Free]:
             if abs(tau / h - whole) < NEAR:
                 for low in (whole - 1, whole):
                     ends = h * np.array([low + EDGE, low + 1 - EDGE])
-                    yield from _within(free, a, np.sort(lam[a] + (ends - tau) / slope[heard[0]]))
+                    edges = np.sort(lam[a] + (ends - tau) / slope[heard[0]])
+                    yield from _within(free, a, edges, jump)
 
 
-def _within(free: Free, a: int, ends: Array) -> Iterator[Free]:
-    """The bounds with one free parameter between two values, if that leaves any room."""
+def _within(free: Free, a: int, ends: Array, jump: bool) -> Iterator[Free]:
+    """The bounds with one free parameter between two values, if that leaves any room.
+
+    Or none on its bound, where outputs ``jump``: what is there belongs to the side beyond.
+    """
     i = free.index[a]
     lower, upper = free.lower.copy(), free.upper.copy()
     lower[i], upper[i] = np.clip(ends, lower[i], upper[i])
-    if lower[i] < upper[i]:
+    if lower[i] < upper[i] or (jump and upper[i] == free.lower[i]):
         yield replace(free, lower=lower, upper=upper)
 
 

@@ -8,6 +8,7 @@ import scipy.signal
 from truths.closed_roll import NOISE, TRUTH, T, excitation, with_response
 from truths.structures import LateRoll
 
+from benchmarks.between_samples import BOUNDS, H, flight
 from casid import Record, SolverOptions, output_error
 from casid.free import free_parameters
 from casid.shooting.lines import transformed
@@ -40,7 +41,11 @@ def test_both_sides_of_a_whole_sample_nearby_are_tried():
     expected = [(0.04 + edge, 0.06 - edge), (0.06 + edge, 0.08 - edge)]
     np.testing.assert_allclose(ranges(replace(WHOLE, tau=0.0611), stepped(1)), expected)
     assert ranges(replace(WHOLE, tau=0.07), stepped(1)) == []
-    np.testing.assert_allclose(ranges(replace(WHOLE, tau=0.0), stepped(1)), [(edge, 0.02 - edge)])
+    # The output jumps at 0: what is there belongs to neither side.
+    expected = [(0.0, 0.0), (edge, 0.02 - edge)]
+    np.testing.assert_allclose(ranges(replace(WHOLE, tau=0.0), stepped(1)), expected)
+    (side,) = ranges(replace(WHOLE, tau=0.0), stepped(1, "foh"))
+    np.testing.assert_allclose(side, expected[1])
 
 
 def test_straight_lines_break_only_where_they_act_directly():
@@ -66,7 +71,7 @@ def test_roundings_of_one_sampling_interval_are_one():
 
 
 def test_a_solve_that_ends_on_a_kink_is_left_for_its_sides_at_once():
-    rng, h, N = np.random.default_rng(7), 0.02, 400
+    rng, h, N = np.random.default_rng(13), 0.02, 400
     u = np.repeat(rng.choice([-0.1, 0.0, 0.1], size=N // 20), 20)
     keep = np.exp(-3.0 * h)  # p' = -3 p + 12 lat, one sample late, lat held in steps
     p = scipy.signal.lfilter([0.0, 0.0, 4 * (1 - keep)], [1.0, -keep], u)
@@ -81,3 +86,19 @@ def test_a_solve_that_ends_on_a_kink_is_left_for_its_sides_at_once():
         assert abs(fit[name].value - true) < 4 * fit[name].std_error
     assert max(steps) <= FIRST
     assert steps.count(FIRST) == 1  # the solve that ends on the kink
+
+
+@pytest.mark.filterwarnings("ignore:output error in the frequency domain.*few lines")
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_a_start_two_samples_off_passes_all_kinks_on_the_way(hold):
+    truth, rng = replace(TRUTH, tau=0.0), np.random.default_rng([78, 3])
+    record = flight(truth, hold, 0.0, rng, 120)  # brute force, sticks felt at once
+    away = 1 + 0.4 * rng.uniform(-1, 1, len(truth.vector()))
+    far = replace(truth.with_vector(truth.vector() * away), tau=2.5 * H)
+    fits = [
+        output_error(start, record, bounds=BOUNDS, domain="frequency") for start in (truth, far)
+    ]
+    for fit in fits:
+        assert fit["tau"].value == pytest.approx(0.0, abs=0.1 * H)
+    # Spectra estimated from either side settle alike but for a hundredth of a standard error.
+    assert fits[1].cost == pytest.approx(fits[0].cost, abs=0.1)
