@@ -52,7 +52,8 @@ class Gains:
         counts, white = np.bincount(self.which, minlength=len(self.S)), self.whitened(r)
         moments = np.zeros_like(self.S)
         np.add.at(moments, self.which, white[:, :, None] * white[:, None, :])
-        V = np.einsum("gab,gbcf,gdc->gadf", self.W, self.S_lam, self.W, optimize=True)
+        V = self.W @ self.S_lam.reshape(*self.S.shape[:2], -1)
+        V = self.W[:, None] @ V.reshape(self.S_lam.shape)
         surplus = counts[:, None, None] * np.eye(self.S.shape[1]) - moments
         gradient = np.einsum("gab,gabf->f", surplus, V) / 2
         V = (V * np.sqrt(counts / 2)[:, None, None, None]).reshape(-1, V.shape[3])

@@ -10,16 +10,17 @@ by ever smaller R. Over every step, by the channels measured,
 
 K being the best gain, its own derivative cancels in that of P⁺ (Joseph's form):
 
-    dP⁺ = F dP Fᵀ + dF P Fᵀ + F P dFᵀ + K dR Kᵀ + dQ_d,    dF = dA_d - K dC.
+    dP⁺ = F dP Fᵀ + dF P Fᵀ + F P dFᵀ + K dR Kᵀ + dQ_d,    dF = dA_d - K dC,
+    dK = ((dF P + F dP) Cᵀ + F P dCᵀ - K dR) S⁻¹.
 
 Where neither step nor channels change both converge within seconds of flight: P to the solution of
 the algebraic Riccati equation, dP to that of its Lyapunov equation; from there one gain serves all
 samples (R. V. Jategaonkar, Flight Vehicle System Identification, ch. 5, has that gain alone).
-Missing samples, several rates and irregular sampling need nothing more.
+Missing samples, several rates and irregular sampling need nothing more. What drives dP follows from
+P alone, all samples at once; derivatives are not computed where only a likelihood is wanted.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,15 +34,18 @@ from casid.shooting.unknowns import FilterMatrices
 SETTLED = 1e-11  # change of P over a step, relative, that ends its recursion
 OFTEN = 8  # samples after which that is looked at
 EARLIER = 2.0  # s, since when filters run
+ROWS = 64  # of the tables whose derivatives are made at once: they stay in the cache
 POINTS = 12  # of Gauss and Legendre: ∫ e^{As} Q e^{Aᵀs} ds to rounding for ‖A‖h up to 4
 
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """A_d and Q_d of every class of steps (c), and behind each its derivatives by all unknowns."""
+    """A_d and Q_d of every class of steps (c), and their derivatives by all unknowns."""
 
-    A: Array  # (c, 1 + nf, nx, nx)
-    Q: Array  # (c, 1 + nf, nx, nx)
+    A: Array  # (c, nx, nx)
+    Q: Array  # (c, nx, nx)
+    A_lam: Array  # (c, nx, nx, nf)
+    Q_lam: Array  # (c, nx, nx, nf)
 
 
 def transitions(m: FilterMatrices, classes: Array) -> Transitions:
@@ -66,12 +70,13 @@ def transitions(m: FilterMatrices, classes: Array) -> Transitions:
         A[np.ix_(members, index)] = np.tensordot(shares, here, axes=1)
         Q[np.ix_(members, index)] = np.tensordot(shares, spread, axes=1)
         Q[members, 1:] += np.tensordot(shares, by_noise, axes=1)
-    return Transitions(A, Q)
+    slopes = (np.ascontiguousarray(np.moveaxis(part[:, 1:], 1, 3)) for part in (A, Q))
+    return Transitions(A[:, 0], Q[:, 0], *slopes)
 
 
-def filter_gains(m: FilterMatrices, layout: Layout) -> Gains:
-    """Gains at all samples of a layout."""
-    moves, recursion = transitions(m, layout.classes), _Recursion(m, layout)
+def filter_gains(m: FilterMatrices, layout: Layout, slopes: bool) -> Gains:
+    """Gains at all samples of a layout, with derivatives by all unknowns or by none."""
+    recursion = _Recursion(m if slopes else _held(m), layout)
     which = np.empty(len(layout.y), dtype=int)
     first = np.cumsum([0, *(record.N for record in layout.records)])
     done: list[tuple[np.ndarray, np.ndarray]] = []
@@ -83,90 +88,143 @@ def filter_gains(m: FilterMatrices, layout: Layout) -> Gains:
                 which[mine] = found[: len(kinds)]
                 break
         else:
-            which[mine] = list(recursion.run(moves, kinds))
+            which[mine] = recursion.run(kinds)
             done.append((kinds, which[mine]))
     return recursion.gains(which)
 
 
-class _Recursion:
-    """The filter's covariance from the first sample of a record on, and tables of what it gives.
+def _held(m: FilterMatrices) -> FilterMatrices:
+    """The same without unknowns."""
+    none = {name: getattr(m, name)[..., :0] for name in ("A_lam", "C_lam", "Q_lam", "R_lam")}
+    return replace(m, **none)
 
-    Arrays hold a value and behind it, along the first axis, its derivatives by the unknowns that
-    move it.
-    """
+
+class _Recursion:
+    """The filter's covariance from the first sample of a record on, and tables of what it gives."""
 
     def __init__(self, m: FilterMatrices, layout: Layout) -> None:
-        self._m, self._nf = m, m.A_lam.shape[2]
+        self._m, self._moves, self._patterns = m, transitions(m, layout.classes), layout.patterns
         parts = (m.A_lam, m.C_lam, m.Q_lam[None], m.R_lam)
         self._moving = np.flatnonzero(sum(part.any(axis=(0, 1)) for part in parts))
-        self._C = np.concatenate([m.C[None], np.moveaxis(m.C_lam[..., self._moving], 2, 0)])
-        self._R = np.concatenate([m.R[None], np.moveaxis(m.R_lam[..., self._moving], 2, 0)])
-        self._patterns = layout.patterns
         self._early = round(EARLIER / float(np.median(layout.classes[layout.step])))
-        self._K: list[Array] = []
-        self._S: list[Array] = []
-        self._seen: list[np.ndarray] = []
+        self._tables: list[tuple[Array, ...]] = []
 
-    def run(self, moves: Transitions, kinds: np.ndarray) -> Iterator[int]:
+    def run(self, kinds: np.ndarray) -> np.ndarray:
         """Row of the tables for every sample of a record; ``kinds`` (N, 2) are step and pattern."""
-        index = np.concatenate([[0], 1 + self._moving])
-        P = self._begun(moves.A[kinds[0, 0], index], moves.Q[kinds[0, 0], index])
-        settled, row = False, -1
-        for k, (step, pattern) in enumerate(kinds):
-            if not (settled and k and np.array_equal(kinds[k], kinds[k - 1])):
-                row, before = len(self._K), P
-                P, tables = self._advance(P, moves.A[step, index], moves.Q[step, index], pattern)
-                for table, entry in zip((self._K, self._S, self._seen), tables, strict=True):
-                    table.append(entry)
-                settled = k % OFTEN == 0 and _alike(before, P)
-            yield row
-
-    def _begun(self, A: Array, Q: Array) -> Array:
-        """P after some seconds of steps with all channels, from none."""
-        P = np.zeros_like(A)
-        for _ in range(self._early):
-            before, (P, _) = P, self._advance(P, A, Q, 0)
+        done = sum(len(K) for K, *_ in self._tables)
+        rows: list[tuple[Array, ...]] = []
+        P: Array = np.zeros_like(self._m.A)
+        for _ in range(self._early):  # all channels, from no uncertainty
+            before, P = P, self._advance(P, np.array([kinds[0, 0], 0]), rows)
             if _alike(before, P):
                 break
-        return P
+        early, settled, which = len(rows), False, np.empty(len(kinds), dtype=int)
+        same = np.append(False, (kinds[1:] == kinds[:-1]).all(axis=1)).tolist()
+        for k, kind in enumerate(kinds):
+            if not (settled and same[k]):
+                before, P = P, self._advance(P, kind, rows)
+                settled = k % OFTEN == 0 and _alike(before, P)
+            which[k] = done + len(rows) - early - 1
+        kind, P, K, S = (np.array(part) for part in zip(*rows, strict=True))
+        tables = (K, S, self._patterns[kind[:, 1]], *self._slopes(kind, P, K, S))
+        self._tables.append(tuple(table[early:] for table in tables))
+        return which
 
-    def _advance(
-        self, P: Array, A: Array, Q: Array, pattern: int
-    ) -> tuple[Array, tuple[Array, Array, np.ndarray]]:
-        """P one step on, and K, S and the channels of its sample."""
-        seen = self._patterns[pattern]
-        C, R = self._C * seen[:, None], self._R * (seen & seen[:, None])
-        CP = C[0] @ P
-        CP[1:] += C[1:] @ P[0]
-        S = CP @ C[0].T + R
-        S[0] += np.diag(~seen)
-        S[1:] += CP[0] @ C[1:].transpose(0, 2, 1)
-        AP = A[0] @ CP.transpose(0, 2, 1)
-        AP[1:] += A[1:] @ CP[0].T
-        inverse = np.linalg.inv(S[0])
-        K = AP @ inverse
-        K[1:] -= K[0] @ S[1:] @ inverse
-        F = A - K[0] @ C
-        ahead = F[0] @ P @ F[0].T + K[0] @ R @ K[0].T + Q
-        turned = F[1:] @ (P[0] @ F[0].T)
-        ahead[1:] += turned + turned.transpose(0, 2, 1)
-        return np.asarray(ahead + ahead.transpose(0, 2, 1)) / 2, (K, S, seen)
+    def _advance(self, P: Array, kind: np.ndarray, rows: list[tuple[Array, ...]]) -> Array:
+        """P one step on; kind, P, K and S of the sample are added to the rows."""
+        step, seen = kind[0], self._patterns[kind[1]]
+        C, R = self._m.C * seen[:, None], self._m.R * (seen & seen[:, None])
+        A, Q = self._moves.A[step], self._moves.Q[step]
+        CP = C @ P
+        S = CP @ C.T + R + np.diag(~seen)
+        K = np.linalg.solve(S, CP @ A.T).T
+        rows.append((kind, P, K, S))
+        F = A - K @ C
+        ahead = F @ P @ F.T + K @ R @ K.T + Q
+        return np.asarray(ahead + ahead.T) / 2
 
     def gains(self, which: np.ndarray) -> Gains:
         """The tables, with derivatives by all unknowns."""
-        K, S, seen = (np.array(part) for part in (self._K, self._S, self._seen))
-        W = np.linalg.inv(np.linalg.cholesky(S[:, 0])) * seen[:, :, None]
-        K_lam, S_lam = (np.zeros((len(K), *part.shape[2:], self._nf)) for part in (K, S))
-        K_lam[..., self._moving] = np.moveaxis(K[:, 1:], 1, 3)
-        S_lam[..., self._moving] = np.moveaxis(S[:, 1:], 1, 3)
-        return Gains(which, K[:, 0], S[:, 0], W, K_lam, S_lam)
+        K, S, seen, *some = (np.concatenate(part) for part in zip(*self._tables, strict=True))
+        W = np.linalg.inv(np.linalg.cholesky(S)) * seen[:, :, None]
+        K_lam, S_lam = (np.zeros((*part.shape, self._m.A_lam.shape[2])) for part in (K, S))
+        K_lam[..., self._moving], S_lam[..., self._moving] = some
+        return Gains(which, K, S, W, K_lam, S_lam)
+
+    def _slopes(self, kinds: np.ndarray, P: Array, K: Array, S: Array) -> tuple[Array, Array]:
+        """Derivatives of K and S (g, ..., n) of all rows by the unknowns that move them."""
+        K_lam, S_lam = (np.zeros((*part.shape, len(self._moving))) for part in (K, S))
+        P_lam: Array = np.zeros((*P.shape[1:], len(self._moving)))
+        for first in range(0, len(P) if len(self._moving) else 0, ROWS):
+            at = slice(first, first + ROWS)
+            filtered = P[at], K[at], S[at]
+            rows = _Rows(self._m, self._moves, self._moving, kinds[at, 0], filtered)
+            seen = self._patterns[kinds[at, 1]]
+            all_lam, P_lam = rows.carried(P_lam)
+            K_lam[at] = rows.of_gains(all_lam) * seen[:, None, :, None]
+            S_lam[at] = rows.of_covariances(all_lam) * (seen[:, :, None] & seen[:, None])[..., None]
+        return K_lam, S_lam
+
+
+class _Rows:
+    """Derivatives of some rows (g) by what moves them, n of it, as if all channels were measured.
+
+    K being 0 where one is missing, only that channel's own row and column are wrong then.
+    """
+
+    def __init__(
+        self,
+        m: FilterMatrices,
+        moves: Transitions,
+        moving: np.ndarray,
+        step: np.ndarray,
+        filtered: tuple[Array, Array, Array],
+    ) -> None:
+        self._C, (self._P, self._K, self._S) = m.C, filtered
+        self._C_lam, self._R_lam = (each[:, :, moving] for each in (m.C_lam, m.R_lam))
+        A_lam, self._Q_lam = (each[..., moving][step] for each in (moves.A_lam, moves.Q_lam))
+        self._F = moves.A[step] - self._K @ m.C
+        self._F_lam = A_lam - np.tensordot(self._K, self._C_lam, axes=1)
+        self._noise = np.tensordot(self._K, self._R_lam, axes=1)  # K dR
+
+    def carried(self, P_lam: Array) -> tuple[Array, Array]:
+        """The derivative of P in all rows (g, nx, nx, n), and behind them, from the first row's."""
+        turned = _times(self._F_lam, self._P @ self._F.transpose(0, 2, 1))
+        drive = self._Q_lam + turned + turned.transpose(0, 2, 1, 3)
+        drive += _times(self._noise, self._K.transpose(0, 2, 1))
+        found = np.empty_like(drive)
+        for k, F in enumerate(self._F):
+            found[k] = P_lam
+            P_lam = F @ _turned(F, P_lam) + drive[k]
+        return found, P_lam
+
+    def of_gains(self, P_lam: Array) -> Array:
+        """The derivative of K (g, nx, ny, n)."""
+        K_lam = self._C @ (_times(self._F_lam, self._P) + _turned(self._F, P_lam)) - self._noise
+        K_lam += np.tensordot(self._F @ self._P, self._C_lam.transpose(1, 0, 2), axes=1)
+        return _times(K_lam, np.linalg.inv(self._S))
+
+    def of_covariances(self, P_lam: Array) -> Array:
+        """The derivative of S (g, ny, ny, n)."""
+        turned = _times(self._C_lam[None], self._P @ self._C.T)
+        both = turned + turned.transpose(0, 2, 1, 3) + self._R_lam
+        return np.asarray(self._C @ _turned(self._C, P_lam) + both)
+
+
+def _turned(X: Array, M: Array) -> Array:
+    """Matrices X (..., k, i) times matrices M (..., i, j, n) with derivatives last."""
+    flat = X @ M.reshape(*M.shape[:-2], -1)
+    return np.asarray(flat.reshape(*flat.shape[:-1], *M.shape[-2:]))
+
+
+def _times(M: Array, X: Array) -> Array:
+    """Matrices M (g, i, j, n) with derivatives last, times matrices X (g, j, k)."""
+    return np.asarray(X.transpose(0, 2, 1)[:, None] @ M)
 
 
 def _alike(before: Array, after: Array) -> bool:
-    """Whether matrices (n, nx, nx), each in its own scale, are the same but for rounding."""
-    unit = np.sqrt(np.abs(np.einsum("nii->ni", after)).max(axis=0))
+    """Whether P (nx, nx), in its own scale, is the same but for rounding."""
+    unit = np.sqrt(np.diag(after))
     unit[unit == 0] = 1.0
-    size, change = (
-        np.abs(part / np.outer(unit, unit)).max(axis=(1, 2)) for part in (after, after - before)
-    )
-    return bool((change <= SETTLED * size).all())
+    scaled = np.outer(unit, unit)
+    return bool(np.abs((after - before) / scaled).max() <= SETTLED * np.abs(after / scaled).max())

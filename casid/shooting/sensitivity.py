@@ -115,7 +115,7 @@ class Evaluator:
         self._within: Array | None = None
         self._held: tuple[bytes, list[DelayedInput]] | None = None
         self._breaks: tuple[bytes, Breaks] | None = None
-        self._gains: tuple[bytes, Gains] | None = None
+        self._gains: tuple[bytes, bool, Gains] | None = None
 
     def within(self, delays: Array | None) -> Self:
         """The same, samples passed as for these delays (nu,) instead of τ; NaN follows τ."""
@@ -158,14 +158,14 @@ class Evaluator:
         given = self.layout, held, self.filtering
         return Steps(m, *given, slopes=slopes, gains=gains, breaks=self._breaks[1])
 
-    def gains(self, lam: Array) -> Gains | None:
+    def gains(self, lam: Array, *, slopes: bool = False) -> Gains | None:
         """Kalman gains at the unknowns (nf,); None unless noises are estimated."""
         if not self.kalman:
             return None
-        key = lam.tobytes()
-        if self._gains is None or self._gains[0] != key:
-            self._gains = key, filter_gains(self.matrices(lam), self.layout)
-        return self._gains[1]
+        key, kept = lam.tobytes(), self._gains
+        if kept is None or kept[0] != key or slopes > kept[1]:
+            self._gains = kept = key, slopes, filter_gains(self.matrices(lam), self.layout, slopes)
+        return kept[2]
 
     def held_gain(self, lam: Array) -> Array | None:
         """Gain K (nx, ny) of innovations held over the step; a Kalman filter's is its last."""
@@ -232,7 +232,7 @@ class Sweep:
         layout = evaluator.layout
         self.e, self.layout, self.motion = evaluator, layout, motion
         self.matrices = m = evaluator.matrices(point.lam)
-        self.gains = gains = evaluator.gains(point.lam)
+        self.gains = gains = evaluator.gains(point.lam, slopes=True)
         self.W, self.kind = (W, layout.pattern) if gains is None else (gains.W, gains.which)
         self.steps = evaluator.steps(m, slopes=True, gains=gains)
         self.ns = evaluator.nf + evaluator.nx + (evaluator.ny if evaluator.filtering else 0)

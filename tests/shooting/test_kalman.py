@@ -77,6 +77,22 @@ def test_the_likelihood_is_that_of_a_filter_written_out_whatever_is_missing():
     assert told == pytest.approx(cost, rel=1e-9)
 
 
+def test_gains_and_covariances_follow_every_unknown_also_where_channels_are_missing():
+    record = with_holes(noisy(1).between(0, 1.5))
+    evaluator, lam = filtered([record])
+    there = evaluator.gains(lam, slopes=True)
+    assert not there.S_lam[there.which[0]].any(axis=(0, 1)).all()  # B moves no covariance
+    for i in range(len(lam)):
+        step = 1e-5 * max(1.0, abs(lam[i])) * np.eye(len(lam))[i]
+        ahead, behind = (evaluator.gains(lam + sign * step) for sign in (1, -1))
+        for name in ("K", "S"):
+            slope = getattr(there, f"{name}_lam")[there.which, ..., i]
+            both = (getattr(g, name)[g.which] for g in (ahead, behind))
+            by_difference = np.subtract(*both) / (2 * step[i])
+            size = max(np.abs(by_difference).max(), 1e-6 * np.abs(getattr(there, name)).max())
+            np.testing.assert_allclose(slope, by_difference, atol=1e-5 * size)
+
+
 def test_in_still_air_the_filter_is_output_error():
     records = [noisy(1).between(0, 6), noisy(2).between(0, 6)]
     plain = output_error(TRUTH, records)
