@@ -19,6 +19,7 @@ from casid.baseline.handling import handling_qualities
 from casid.display import Shown, counted
 from casid.eigenmodes import Mode, modes
 from casid.embedding import StructureError
+from casid.errors import warn
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
 from casid.model import M, Model
@@ -359,12 +360,21 @@ def _drawn(read: Callable[[ComplexArray], Array], G: ComplexArray, errors: Compl
 
 
 def _covariance(fit: AnyFit) -> tuple[tuple[str, ...], Array]:
-    """Free parameters and their covariance; those on a bound do not move."""
+    """Free parameters and their covariance; those on a bound do not move.
+
+    A `DataWarning` names those that have none because nothing determines them.
+    """
     if fit.covariance is None:
         raise ValueError(
             f"a fit by {fit.method} has no covariance: take that of output_error or derivid"
         )
     held = np.array([fit[name].active for name in fit.free_names], dtype=bool)
+    unknown = ~np.isfinite(np.diag(fit.covariance)) & ~held
+    if unknown.any():
+        warn(
+            f"the data do not determine {', '.join(np.array(fit.free_names)[unknown])}, which "
+            "count as known here: what depends on them lacks their part of its error; fix or tie some"
+        )
     C = np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
     C[held], C[:, held] = 0.0, 0.0
     return fit.free_names, C

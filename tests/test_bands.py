@@ -10,6 +10,7 @@ from truths.closed_roll import noisy
 from truths.shown import values
 
 from casid import (
+    DataWarning,
     Model,
     Record,
     Rows,
@@ -117,6 +118,18 @@ def test_what_a_bound_holds_does_not_move():
     assert spread(fit, lambda model: np.array(float(model.Lp))) == 0
     drawn = [float(model.Lp) for model in sample_models(fit, 5)]
     np.testing.assert_allclose(drawn, fit["Lp"].value, atol=1e-6)  # rounding of a square root
+
+
+def test_a_parameter_that_nothing_determines_is_told_where_its_error_is_missing():
+    fit = values()["Fit"]
+    k = fit.free_names.index("Llat")
+    C = fit.covariance.copy()
+    C[k], C[:, k] = np.nan, np.nan
+    C[k, k] = np.inf
+    with pytest.warns(DataWarning, match="do not determine Llat, which count as known here"):
+        band = response_band(replace(fit, covariance=C), OMEGA)
+    alone = np.abs((1 / (1j * OMEGA - fit["Lp"].value)).real) * fit["Lp"].std_error
+    np.testing.assert_allclose(band.magnitude_std[:, 0, 0], alone, rtol=1e-6)
 
 
 def test_what_makes_no_sense_is_refused():
