@@ -28,7 +28,7 @@ from casid.shooting.intervals import lay_out
 from casid.shooting.newton import Newton
 from casid.shooting.nonlinear import NonlinearEvaluator
 from casid.shooting.programme import Programme
-from casid.shooting.search import IPOPT
+from casid.shooting.frequency import IPOPT
 from casid.shooting.sensitivity import whiteners
 from casid.shooting.starting import starting_programme
 from models.rigid_body import RigidBody

@@ -32,10 +32,10 @@ from benchmarks.uh60 import DATA, INPUTS, NOISE, OUTPUTS, STEPS, SWEEPS
 from casid import Model, Record, SolverOptions, match, output_error, pbsid, read_csv
 from casid.free import Free, free_parameters
 from casid.nlp import Problem, solve
+from casid.shooting.frequency import IPOPT
 from casid.shooting.intervals import Layout, lay_out
 from casid.shooting.newton import Newton
 from casid.shooting.programme import Programme
-from casid.shooting.search import IPOPT
 from casid.shooting.sensitivity import Evaluator, whiteners
 from casid.shooting.starting import starting_programme
 from models.six_dof import SixDof

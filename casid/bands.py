@@ -373,7 +373,7 @@ def _covariance(fit: AnyFit) -> tuple[tuple[str, ...], Array]:
     if unknown.any():
         warn(
             f"the data do not determine {', '.join(np.array(fit.free_names)[unknown])}, which "
-            "count as known here: what depends on them lacks their part of its error; fix or tie some"
+            "count as known here: what depends on them lacks their part of its error; fix some"
         )
     C = np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
     C[held], C[:, held] = 0.0, 0.0

@@ -3,11 +3,13 @@
 from collections.abc import Mapping
 
 CONTROLS = ("col", "lat", "lon", "ped")
+RATES, FORCES = ("p", "q", "r"), ("ax", "ay", "az")
+ATTITUDES, VELOCITIES = ("phi", "theta", "psi"), ("u", "v", "w")
 UNITS = {  # in which a channel of that name is
-    **dict.fromkeys(("ax", "ay", "az"), "m/s²"),
-    **dict.fromkeys(("p", "q", "r"), "rad/s"),
-    **dict.fromkeys(("phi", "theta", "psi"), "rad"),
-    **dict.fromkeys(("u", "v", "w"), "m/s"),
+    **dict.fromkeys(FORCES, "m/s²"),
+    **dict.fromkeys(RATES, "rad/s"),
+    **dict.fromkeys(ATTITUDES, "rad"),
+    **dict.fromkeys(VELOCITIES, "m/s"),
     **dict.fromkeys(CONTROLS, "travel"),
 }
 

@@ -25,6 +25,7 @@ import numpy as np
 from casid import samples
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
+from casid.channels import RATES
 from casid.display import Shown
 from casid.errors import DataWarning
 from casid.record import Record
@@ -43,7 +44,6 @@ WEAK = 0.003  # power of a combination of inputs of power one, below which it do
 WIDE = 1.3  # ratio of frequencies that a doubted band spans at least
 ANSWER = 0.5  # share of an output that outside inputs make, and
 COHERENT = 0.85  # that goes with the inputs, below both of which it does not answer them
-RATES = "p", "q", "r"
 APART = 0.4  # of an angular rate: if less goes with the inputs it is disturbed
 SINGULAR = 1e-9  # relative power of an innovation that no noise drives
 WINDOW = 2.0  # s in which inputs that move are to be answered

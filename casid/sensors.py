@@ -18,6 +18,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
+from casid.channels import FORCES, RATES, VELOCITIES
 from casid.errors import ModelError
 
 Scalar: TypeAlias = float | ca.SX
@@ -25,8 +26,7 @@ Scalar: TypeAlias = float | ca.SX
 ORDER = 3  # states of one output's delay
 POLES = 60.0, 36.0, 9.0  # of the Padé approximation: (τs)³ + 9 (τs)² + 36 τs + 60
 ZEROS = 1.0, -0.4, 0.05  # of it: 1 − 2/5 τs + 1/20 (τs)²
-RATES = ("p", "q", "r")
-AXES = {name: i for names in (("ax", "ay", "az"), ("u", "v", "w")) for i, name in enumerate(names)}
+AXES = {name: i for names in (FORCES, VELOCITIES) for i, name in enumerate(names)}
 VANES = {"alpha": (2, "w"), "beta": (1, "v")}  # the velocity that each measures, over the airspeed
 
 

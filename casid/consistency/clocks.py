@@ -7,8 +7,8 @@ inputs more often than not, and a second logger rather than the one with the inp
 
 from collections.abc import Collection, Mapping
 
+from casid.channels import ATTITUDES, FORCES, RATES
 from casid.consistency.kinematics import KinematicCheck
-from casid.consistency.measured import ATTITUDES, FORCES, RATES
 
 Moves = dict[str, float]
 

@@ -25,7 +25,8 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array
-from casid.consistency.measured import FORCES, RATES, VELOCITIES, Flight, noise
+from casid.channels import FORCES, RATES, VELOCITIES
+from casid.consistency.measured import Flight, noise
 from casid.consistency.pretended import Corrected, Normal
 
 GRAVITY = 9.80665  # m/s^2

@@ -12,12 +12,9 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.autoregression import outliers
+from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.consistency.flightpath import GRAVITY, Instruments, reconstruct_level
 from casid.consistency.measured import (
-    ATTITUDES,
-    FORCES,
-    RATES,
-    VELOCITIES,
     Flight,
     looked_at,
     noise,

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array
 from casid.autoregression import FAR, slow
+from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.frequency.sampling import equidistant
 from casid.record import Record
 from casid.samples import MAD, at_instants
@@ -16,8 +17,6 @@ MOST = 60_000  # samples that are looked at
 SHORTEST = 20  # samples
 GAPS = 0.2  # share of missing samples above which a channel is left out
 
-RATES, FORCES = ("p", "q", "r"), ("ax", "ay", "az")
-ATTITUDES, VELOCITIES = ("phi", "theta", "psi"), ("u", "v", "w")
 AIR = ("V", "alpha", "beta")
 
 

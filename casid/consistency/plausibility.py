@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid.channels import CONTROLS
+from casid.channels import CONTROLS, RATES
 from casid.record import Record
 from casid.records import still
 
@@ -13,7 +13,6 @@ FEWEST = 16  # samples of a record
 SLOW = 1.0  # sampling interval [s] no manoeuvre of a rotorcraft is recorded with
 FULL_TURN = {"phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi + 0.1}  # rad
 TUMBLING = 6.0  # rad/s, a full turn a second
-RATES = ("p", "q", "r")
 PULSES = (700.0, 2300.0)  # µs, between which the pulses of a servo stay
 ROUNDING = 1e-9  # of a level, by which means of what stands still may differ
 FULL = 2.0  # travels of a stick that no stick has

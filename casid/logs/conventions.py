@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import Array
+from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.logs.topics import Log, Topic
 
 LARGEST = 1e6  # in SI, or whatever an input is in: no channel of an aircraft reaches it
 MEASURED = 0.5  # of a column's samples, without which it is none
 BODY = "body velocity"  # a topic of casid's own
-RATES, ATTITUDES = ("p", "q", "r"), ("phi", "theta", "psi")
-FORCES, VELOCITIES = ("ax", "ay", "az"), ("u", "v", "w")
 OUTPUTS: Mapping[str, tuple[str, ...]] = {  # first the best: measured, not estimated
     **{
         name: (

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from casid.channels import RATES
 from casid.checks import checked
 from casid.excitations import certified
 from casid.files import write_csv, write_text
 from casid.logs.assembly import Lateness, assemble, delays, hold_told, usual_dt
 from casid.logs.axes import axes_structure
-from casid.logs.conventions import ACTUATORS, RATES, Source, derived, find_channels, others
+from casid.logs.conventions import ACTUATORS, Source, derived, find_channels, others
 from casid.logs.reading import read_log
 from casid.logs.stretches import SHORTEST, Stretch, find_stretches, make_stretch
 from casid.logs.topics import Log

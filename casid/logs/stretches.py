@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from casid.arrays import Array, BoolArray
+from casid.channels import RATES
 from casid.excitations import Excitation, certified
-from casid.logs.conventions import RATES
 from casid.record import Record
 from casid.samples import runs
 

@@ -29,7 +29,7 @@ TAIL = 0.1  # of the information about a parameter that the rounds before the la
 IPOPT: dict[str, float | str] = {
     "nlp_scaling_method": "none",
     "mu_strategy": "monotone",
-    "acceptable_tol": 1e-5,
+    "acceptable_tol": 1e-5,  # where rounding ends the descent, as without noise
     "acceptable_iter": 5,
     "acceptable_obj_change_tol": 1e-12,
 }

@@ -31,13 +31,14 @@ from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import Records, check_alive, several, stretches
 from casid.shooting import uncertainty
+from casid.shooting.frequency import IPOPT
 from casid.shooting.innovation import ProcessNoise
 from casid.shooting.knowledge import with_knowledge
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
 from casid.shooting.nonlinear import MOST, Integration
 from casid.shooting.precision import OutputErrorNotes, Precision, precision
-from casid.shooting.search import IPOPT, ROUGH, Outcome, Search
+from casid.shooting.search import ROUGH, Outcome, Search
 from casid.shooting.transformed_fit import estimate
 from casid.shooting.unknowns import NoiseUnknowns
 from casid.shooting.ways import Ways

@@ -12,6 +12,7 @@ from casid.arrays import Array
 from casid.fit import AnyFit
 from casid.free import Free
 from casid.nlp import Solution, SolverOptions, solve
+from casid.shooting import frequency
 from casid.shooting.delays import neighbours
 from casid.shooting.integration import factor_wanted, integration
 from casid.shooting.likelihood import CovarianceKind
@@ -32,27 +33,15 @@ GAIN = 1e-4  # of log-likelihood, that makes another stretch better
 MARGIN = 0.02  # of a stretch between whole samples, from its ends to a start in it
 SETTLED = 4.0  # factor by which a variance may fall in the last round: the scales still fit
 
-IPOPT: dict[str, float | str] = {
-    "nlp_scaling_method": "none",
-    "mu_strategy": "monotone",
-    "acceptable_tol": 1e-5,  # where rounding ends the descent, as without noise
-    "acceptable_iter": 5,
-    "acceptable_obj_change_tol": 1e-12,
-}
 NEAR: dict[str, float | str] = {
     "bound_push": 1e-9,
     "bound_frac": 1e-9,
     "bound_mult_init_val": 1e-2,  # the cost is a mean over samples: so are prices
     "compl_inf_tol": 1e-10,  # and cheap bounds are to be reached too
 }
-WARM: dict[str, float | str] = {  # a warm round stays where it starts
-    "mu_init": 1e-6,
-    "warm_start_bound_push": 1e-9,
-    "warm_start_bound_frac": 1e-9,
-    "warm_start_slack_bound_push": 1e-9,
-    "warm_start_slack_bound_frac": 1e-9,
-    "warm_start_mult_bound_push": 1e-9,
-}
+WARM = frequency.WARM | dict.fromkeys(
+    ("warm_start_slack_bound_push", "warm_start_slack_bound_frac"), 1e-9
+)
 
 
 @dataclass(frozen=True, eq=False)
