@@ -24,11 +24,11 @@ from benchmarks.tables import table
 from casid import Record, SolverOptions, output_error
 from casid.free import free_parameters
 from casid.nlp import Problem, solve
+from casid.shooting.frequency import IPOPT
 from casid.shooting.intervals import lay_out
 from casid.shooting.newton import Newton
 from casid.shooting.nonlinear import NonlinearEvaluator
 from casid.shooting.programme import Programme
-from casid.shooting.frequency import IPOPT
 from casid.shooting.sensitivity import whiteners
 from casid.shooting.starting import starting_programme
 from models.rigid_body import RigidBody

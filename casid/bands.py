@@ -8,7 +8,7 @@ from. It holds the noise and the colour of the residuals; what the structure lac
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -87,7 +87,8 @@ class ResponseBand(Shown):
     def _half(self, std: Array) -> Array:
         """Half the width of a part's band, relative to the magnitude."""
         return np.asarray(
-            _quantile(self.level) * np.hypot(std, np.asarray(self.missed) / np.sqrt(2))
+            scipy.stats.norm.ppf(0.5 + self.level / 2)
+            * np.hypot(std, np.asarray(self.missed) / np.sqrt(2))
         )
 
 
@@ -381,11 +382,7 @@ def _covariance(fit: AnyFit) -> tuple[tuple[str, ...], Array]:
 
 
 def _with(model: M, names: tuple[str, ...], values: Array) -> M:
-    named = dict(zip(names, values.tolist(), strict=True))
-    given = model.vector().tolist()
-    return model.with_vector(
-        np.array([named.get(n, x) for n, x in zip(model.parameter_names(), given, strict=True)])
-    )
+    return replace(model, **dict(zip(names, values.tolist(), strict=True)))
 
 
 def _exact(model: Model, omega: Array, G: ComplexArray) -> FrequencyResponse:
@@ -401,7 +398,3 @@ def _exact(model: Model, omega: Array, G: ComplexArray) -> FrequencyResponse:
         input_std=np.ones(G.shape[2]),
         output_std=np.ones(G.shape[1]),
     )
-
-
-def _quantile(level: float) -> float:
-    return float(scipy.stats.norm.ppf(0.5 + level / 2))

@@ -11,31 +11,13 @@ from pathlib import Path
 
 import pytest
 from truths.mixture import CASES, Inline, Mixture, record
+from truths.sums import add, job, results
 
 from casid import Execution, OutputError, SolverOptions, compare_bounds
-from casid.jobs.campaigns import CampaignProgress, Job, UnfinishedError, run_jobs
+from casid.jobs.campaigns import CampaignProgress, run_jobs
 from casid.jobs.store import Store
 
 TESTS = Path(__file__).parents[1]
-
-
-def add(payload, start):
-    """Sum of the payload and the result it starts from."""
-    if payload is None:
-        raise ValueError("nothing to add")
-    if payload == "best":
-        raise UnfinishedError("halfway", 7)
-    if payload == "die":
-        os._exit(1)
-    return payload + (start or 0)
-
-
-def job(name, payload, *after, key="key"):
-    return Job(name=name, key=key, payload=payload, after=after)
-
-
-def results(done):
-    return {name: (each.result, each.reason, each.source) for name, each in done.items()}
 
 
 def test_a_job_starts_from_the_nearest_that_succeeded():
@@ -81,6 +63,7 @@ import sys, time
 sys.path[:0] = [{root!r}, {tests!r}]
 from casid import Execution, compare_bounds
 from truths.mixture import CASES, Inline, Mixture, record
+from truths.sums import add, job, results
 
 if __name__ == "__main__":
     found = compare_bounds(Mixture(), [record()], cases=CASES,

@@ -11,30 +11,12 @@ from pathlib import Path
 
 import pytest
 from truths.mixture import Inline
+from truths.sums import add, job, results
 
 from casid import Execution
-from casid.jobs.campaigns import Job, UnfinishedError, run_jobs
+from casid.jobs.campaigns import run_jobs
 
 TESTS = Path(__file__).parents[1]
-
-
-def add(payload, start):
-    """Sum of the payload and the result it starts from."""
-    if payload is None:
-        raise ValueError("nothing to add")
-    if payload == "best":
-        raise UnfinishedError("halfway", 7)
-    if payload == "die":
-        os._exit(1)
-    return payload + (start or 0)
-
-
-def job(name, payload, *after, key="key"):
-    return Job(name=name, key=key, payload=payload, after=after)
-
-
-def results(done):
-    return {name: (each.result, each.reason, each.source) for name, each in done.items()}
 
 
 @pytest.mark.parametrize("executor", [Inline, ThreadPoolExecutor, ProcessPoolExecutor])
@@ -74,6 +56,7 @@ import sys
 sys.path[:0] = [{root!r}, {tests!r}]
 from casid import Execution, compare_bounds
 from truths.mixture import Mixture, record
+from truths.sums import add, job, results
 
 if __name__ == "__main__":
     cases = {{str(k): {{"a": [0.01 * k, 2.0]}} for k in range(60)}}

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import scipy.optimize
-from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
+from truths.structures import ACTUATOR, SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import (
     ConvergenceError,
@@ -93,18 +93,12 @@ def test_certificate_bounds_the_norm_over_the_band():
 
 
 def test_certificate_holds_with_delays_and_unstable_poles():
-    # The truth has an actuator that the structure can only answer with its delay.
-    actuator = StateSpace(
-        [[-0.2, 0, 9.81, 0], [-0.3, -2.5, 0, 12.0], [0, 1, 0, 0], [0, 0, 0, -8.0]],
-        [[0], [0], [0], [8.0]], [[0, 1.0, 0, 0], [0, 0, 1.0, 0]], np.zeros((2, 1)),
-        inputs=("lat",), outputs=("p", "phi"), delay=np.array([0.05]),
-    )  # fmt: skip
-    fit = match(HoverRoll(), black_box(actuator), omega=np.geomspace(0.1, 10.0, 9))
+    fit = match(HoverRoll(), black_box(ACTUATOR), omega=np.geomspace(0.1, 10.0, 9))
     assert fit["tau"].value > 0.1
     shift = fit.certificate.shift
-    assert shift > actuator.poles()[0].real > 0
+    assert shift > ACTUATOR.poles()[0].real > 0
     dense = np.geomspace(0.1, 10.0, 5000)
-    error = fit.model.system().response(dense, shift) - actuator.response(dense, shift)
+    error = fit.model.system().response(dense, shift) - ACTUATOR.response(dense, shift)
     largest = np.linalg.norm(error, 2, axis=(1, 2)).max()
     assert largest <= fit.certificate.upper_bound <= 1.01 * fit.certificate.grid_norm
     # Nine points are too few: the peaks between them were added.

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from truths import uh60
-from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
+from truths.structures import ACTUATOR, SECOND, TRUTH, HoverRoll, Lag, black_box
 
-from casid import ConvergenceError, StateSpace, match, pbsid, read_csv
+from casid import ConvergenceError, match, pbsid, read_csv
 from casid.matching import search
 from casid.matching.initial import Start
 from models.hybrid_flap import HybridFlap
@@ -29,13 +29,6 @@ def test_a_gap_that_stays_is_told(monkeypatch):
         match(HoverRoll(), black_box(ACTUATOR), norm="hinf", omega=few)
     certificate = caught.value.best.certificate
     assert certificate.upper_bound > 1.01 * certificate.grid_norm
-
-
-ACTUATOR = StateSpace(
-    [[-0.2, 0, 9.81, 0], [-0.3, -2.5, 0, 12.0], [0, 1, 0, 0], [0, 0, 0, -8.0]],
-    [[0], [0], [0], [8.0]], [[0, 1.0, 0, 0], [0, 0, 1.0, 0]], np.zeros((2, 1)),
-    inputs=("lat",), outputs=("p", "phi"), delay=np.array([0.05]),
-)  # fmt: skip
 
 
 POOR = np.array([15.0, -20.0])

@@ -122,6 +122,14 @@ SECOND = StateSpace([[-1.0, 1.0], [0.0, -3.0]], [[0.5], [2.0]], [[1.0, 0.2]], [[
                     inputs=("u",), outputs=("x",))  # fmt: skip
 
 
+# An actuator that a structure can only answer with its delay.
+ACTUATOR = StateSpace(
+    [[-0.2, 0, 9.81, 0], [-0.3, -2.5, 0, 12.0], [0, 1, 0, 0], [0, 0, 0, -8.0]],
+    [[0], [0], [0], [8.0]], [[0, 1.0, 0, 0], [0, 0, 1.0, 0]], np.zeros((2, 1)),
+    inputs=("lat",), outputs=("p", "phi"), delay=np.array([0.05]),
+)  # fmt: skip
+
+
 def structure(**parts):
     """A lag with one part replaced by a faulty one."""
     lag = {
