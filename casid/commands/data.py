@@ -351,12 +351,9 @@ def simulate(
 
 
 def _histories(record: Record, simulated: np.ndarray) -> dict[str, Any]:
-    columns = {"t": record.t}
-    for i, name in enumerate(record.inputs):
-        columns[name] = record.u[:, i] + record.trim.get(name, 0.0)
-    for i, name in enumerate(record.outputs):
-        trim = record.trim.get(name, 0.0)
-        columns |= {name: record.y[:, i] + trim, f"{name}_sim": simulated[:, i] + trim}
+    columns = {"t": record.t} | record.totals()
+    for name, y in zip(record.outputs, simulated.T, strict=True):
+        columns[f"{name}_sim"] = y + record.trim.get(name, 0.0)
     return columns
 
 
