@@ -66,10 +66,11 @@ class MissingMode:
     def __str__(self) -> str:
         """The mode with its errors, in words."""
         real = f"{self.real:.2g}{_error(self.real_std)}"
+        told = " (1σ)" if np.isfinite(self.real_std) else ""
         if not self.imag:
-            return f"a mode at {real}".replace("-", "−")
+            return f"a mode at {real}{told}".replace("-", "−")
         imag = f"{self.imag:.2g}{_error(self.imag_std)}"
-        return f"a pair at {real} and ±{imag} j".replace("-", "−")
+        return f"a pair at {real} and ±{imag} j{told}".replace("-", "−")
 
 
 @storable

@@ -144,9 +144,9 @@ def determined(F: Array, ties: Array, alone: Array | None = None) -> Array:
 def singular(names: Sequence[str]) -> str:
     """What is said of parameters in directions without information."""
     return (
-        f"the records do not determine {', '.join(names)} (singular information matrix): fix or "
-        "tie some of them, add a manoeuvre that excites them, or, where a product with zero hides "
-        "them, start from other values"
+        f"the records do not determine {', '.join(names)} here (singular information matrix): fix "
+        "or tie some of them, or add a manoeuvre that excites them. Where one of them multiplies "
+        "another that is zero, this is a saddle of the cost and no lack of data: start elsewhere"
     )
 
 

@@ -12,9 +12,8 @@ LOG = logging.getLogger("casid")
 
 
 def _run(settings: Any, task: Task) -> KinematicCheck:  # noqa: ANN401, ARG001 - it has none
-    found = kinematic_check(
-        task.records, trim={"theta0": float(getattr(task.model, "theta0", 0.0))}
-    )
+    flights = task.checks.get("identification", task.records)  # velocities may be check channels
+    found = kinematic_check(flights, trim={"theta0": float(getattr(task.model, "theta0", 0.0))})
     for remark in found.remarks:
         LOG.warning("The records do not agree with kinematics: %s", remark)
     return found

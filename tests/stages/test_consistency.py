@@ -11,6 +11,16 @@ from casid.stages.consistency import KINEMATICS
 from casid.stages.stage import Task
 
 
+def test_check_channels_are_compared_too():
+    whole = flown(bias=(0.0, 0.0, 0.0)).with_noise(NOISE, np.random.default_rng(1))
+    own = whole.select(TRUTH.inputs, ("p",))
+    both = whole.select(TRUTH.inputs, ("p", "phi"))
+    alone = KINEMATICS.run(None, Task(model=TRUTH, records=(own,)))
+    task = Task(model=TRUTH, records=(own,), checks={"identification": (both,)})
+    assert alone.channels == ()
+    assert [each.channel for each in KINEMATICS.run(None, task).channels] == ["p"]
+
+
 def test_remarks_are_logged_and_become_cautions(caplog):
     good = flown(bias=(0.0, 0.0, 0.0)).with_noise(NOISE, np.random.default_rng(1))
     good = good.select(TRUTH.inputs, ("p", "phi"))
