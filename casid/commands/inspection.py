@@ -42,7 +42,7 @@ class ChannelFacts:
     highest: float
     deviation: float
     noise: float  # standard deviation, from third differences
-    missing: float  # share of samples
+    missing: float  # share of the samples at its own rate
     outliers: tuple[float, ...]  # instants [s] of samples that nothing around or beside bears out
     source: float  # interval [s] of the slower source whose samples are repeated, 0 if none are
     clipped: int  # longest run of equal samples at an extreme, if saturated
@@ -202,7 +202,7 @@ def _facts(record: Record, marks: BoolArray) -> RecordFacts:
 def _channel(record: Record, name: str, far: tuple[float, ...], source: float) -> ChannelFacts:
     raw = record.channel(name) + record.trim.get(name, 0.0)
     known = ~np.isnan(raw)
-    missing = float(1 - known.mean())
+    missing = _missing(known)
     known &= ~np.isin(record.t, far)
     t, values = record.t[known], raw[known]
     if len(values) < 4:  # nothing can be said
@@ -225,6 +225,12 @@ def _channel(record: Record, name: str, far: tuple[float, ...], source: float) -
         clipped=_clipped(values, stick=name in record.inputs),
         band=_band(even, record.duration),
     )
+
+
+def _missing(known: BoolArray) -> float:
+    """Share of a channel's samples that are missing; a slower one has but every n-th."""
+    every = max(1, int(np.median(np.diff(np.flatnonzero(known))))) if known.sum() > 1 else 1
+    return float(max(0.0, 1 - known.sum() / np.ceil(len(known) / every)))
 
 
 def _noise(values: Array) -> float:

@@ -34,6 +34,7 @@ STYLES: Mapping[str, dict[str, Any]] = {
     BASELINE: {"color": "#009E73", "linestyle": (0, (1, 1)), "linewidth": 1.6},
     CHOSEN: {"color": "#CC79A7", "linestyle": (0, (8, 1.5)), "linewidth": 1.6},
 }
+LONG = 200.0  # ratio of frequencies
 HATCHES = ("", "///", "...", "xxx", "\\\\\\")
 
 
@@ -133,9 +134,9 @@ def _logarithmic(ax: Axes) -> Axes:
 
 
 def frequency_axis(ax: Axes, low: float, high: float) -> Axes:
-    """Limit an axis of frequencies [rad/s] and mark it 1, 2, 5, 10."""
-    decades = 10.0 ** np.arange(-4, 5)
-    ticks = (decades[:, None] * [1, 2, 5]).ravel()
+    """Limit an axis of frequencies [rad/s] and mark it 1, 2, 5, 10, a long one 1, 10, 100."""
+    decades = 10.0 ** np.arange(-6, 7)
+    ticks = (decades[:, None] * ([1, 2, 5] if high < LONG * low else [1])).ravel()
     ticks = ticks[(ticks >= 0.999 * low) & (ticks <= 1.001 * high)]
     ax.xaxis.set_major_locator(FixedLocator(ticks.tolist()))
     ax.xaxis.set_major_formatter("{x:g}")
@@ -289,8 +290,8 @@ def plot_excitation(ax: Axes, found: Excitation, channel: int) -> Axes:
     color = style(BLACK_BOX)["color"]
     ax.fill_between(omega, lower, upper, color=color, alpha=0.2, linewidth=0, label="at most")
     ax.semilogx(omega, lower, color=color, label="from outside")
-    if len(omega) > 1:
-        frequency_axis(ax, omega[0], omega[-1])
+    if len(band := found.omega[found.within.any(axis=1)]) > 1:
+        frequency_axis(ax, band[0], band[-1])
     ax.axhline(LITTLE, color="#777777", linestyle=":", linewidth=1)
     ax.set(xlabel="frequency [rad/s]", ylabel=f"{found.inputs[channel]} [-]", ylim=(0, 1.02))
     return ax

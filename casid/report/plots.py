@@ -49,6 +49,7 @@ from casid.validation import AnyModel, Validation, state_space, validate
 SLOWEST = 1e-6  # rad/s: what is slower is an integrator
 POINTS = 160  # of a response
 GREY = "#777777"
+ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 0.9), "fontsize": "x-small"}
 
 
 def plot(value: object, ax: Any = None, **choice: Any) -> Any:  # noqa: ANN401 - see Shown.plot
@@ -384,7 +385,7 @@ def _histories(
             drawn = {model: y[k][:, i] for model, y in found.simulated.items()}
             figures.plot_history(each, record.t, record.y[:, i], drawn, channel=name, units=units)
             good = [f"{model} {found.fit[model][k, i]:.3g} %" for model in drawn]
-            each.legend(["measured", *good], loc="upper right", fontsize="x-small", ncols=2)
+            each.legend(["measured", *good], **ABOVE, ncols=len(good) + 1)
         grid[0, k].set_title(record.name, loc="left")
         grid[-1, k].set_xlabel("t [s]")
     return as_given(ax, axes)

@@ -82,6 +82,19 @@ def test_what_is_in_the_way_is_said_with_the_culprit(damage, words):
         assert word in said
 
 
+def test_a_slower_channel_misses_nothing_but_what_its_own_rate_promises():
+    record = swept()
+    slow = record.y.copy()
+    slow[np.arange(record.N) % 4 != 0, 1] = np.nan
+    found = inspect_records(replace(record, y=slow))
+    assert facts(found, "r").missing == 0
+    assert not any("lacks" in said for said in found.advice)
+    slow[500:800, 1] = np.nan
+    found = inspect_records(replace(record, y=slow))
+    assert facts(found, "r").missing == pytest.approx(0.2)
+    assert "sine: r lacks 20.0% of its samples" in found.advice
+
+
 def test_an_outlier_is_listed_and_makes_no_good_channel_noise():
     record = swept().with_noise({"p": 0.001, "r": 0.001}, np.random.default_rng(2))
     y = record.y.copy()

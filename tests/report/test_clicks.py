@@ -108,6 +108,16 @@ def test_all_plots_are_drawn_with_their_curves(page):
     assert page.locator("figure .scatterlayer path.js-line").count() > 20
 
 
+def test_the_page_asks_for_nothing_but_itself(chromium, compared):
+    found, asked = chromium.new_page(viewport={"width": 1300, "height": 9000}), []
+    found.on("request", lambda request: asked.append(request.url))
+    found.goto(compared.as_uri(), wait_until="load")
+    found.wait_for_function("document.querySelector('figure.interactive').dataset.state")
+    assert compared.stat().st_size < 3e6
+    assert [url for url in asked if not url.startswith("data:")] == [compared.as_uri()]
+    found.close()
+
+
 def test_headings_sort_by_the_keyboard_too(page, content):
     rows = sorted(content.results["output_error"].parameters, key=lambda row: row.value)
     page.get_by_role("button", name="Value", exact=True).first.focus()
