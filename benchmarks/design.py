@@ -50,13 +50,15 @@ DT, LENGTH, TIMES, FINE = 0.04, 64.0, 1.5, 0.01
 # Of the example's records, u = r - K y: fractions of travel per rad/s and rad.
 FEEDBACK = {"lat": {"p": 0.2, "phi": 0.4}, "lon": {"q": -0.4, "theta": -0.5}, "ped": {"r": -0.3}}
 CASES = (
-    *(f"{case} {seed}".removesuffix(" 0") for case in ("free", "limited", "flown")
-      for seed in range(3)),
-    "quarter", "identified",
-    *(f"{case} {k}" for case in ("wrong prior", "margin", "ensemble") for k in range(1, 6)),
+    *(f"{case} {seed}".removesuffix(" 0") for case in ("free", "limited", "narrow", "flown")
+      for seed in range(5 if case in ("narrow", "flown") else 3)),
+    "quarter", "both", "identified",
+    *(f"{case} {k}" for case in ("wrong prior", "margin", "ensemble") for k in range(1, 4)),
 )  # fmt: skip
-LINEAR = ("free", "limited", "quarter")  # cases that are not flown in JSBSim
+LINEAR = ("free", "limited", "narrow", "quarter")  # cases that are not flown in JSBSim
+SPREADS = {"narrow": 0.1, "margin": 0.3, "ensemble": 0.3}  # margins; of the others the usual one
 WANTED = {"free": (0.27, 0.34), "quarter": (1.0, np.inf)}  # of the others 0.4 and 0.6
+WRONG = ("wrong prior", "margin", "ensemble")
 SHRUNK = 0.75  # share of the gain that is left with a wrong prior, at least
 
 
@@ -127,7 +129,7 @@ def moved(model, seed, by=0.3):
 def prior(case, model):
     """What is believed before the flight, and other models that are thought possible."""
     kind, _, number = case.rpartition(" ")
-    if kind in ("wrong prior", "margin", "ensemble"):
+    if kind in WRONG:
         wrong = moved(model, int(number))
         others = [moved(wrong, 20 * int(number) + k) for k in range(1, 5)]
         return wrong, others if kind == "ensemble" else ()
@@ -151,8 +153,8 @@ def run(case):
     feedback = {} if case.startswith(LINEAR) else FEEDBACK
     believed, ensemble = prior(case, model)
     settings = DesignSettings(
-        method="steps", dt=DT, seed=int(number or 0) if kind in ("free", "limited", "flown") else 0,
-        spread=0.3 if kind in ("margin", "ensemble") else None,
+        method="best" if case == "both" else "steps", dt=DT,
+        seed=int(number) if kind and kind not in WRONG else 0, spread=SPREADS.get(kind or case),
     )  # fmt: skip
     begin = time.process_time()
     made = design_inputs(
@@ -300,7 +302,7 @@ def scatter(model, allowed, length, feedback, runs):
 
 def wanted(case, done):
     """Largest geometric mean and worst ratio."""
-    if not case.startswith(("wrong prior", "margin", "ensemble")):
+    if not case.startswith(WRONG):
         return WANTED.get(case.split()[0], (0.4, 0.6))
     return round(done.get("flown", {"mean": 0.4})["mean"] / SHRUNK, 3), np.inf
 

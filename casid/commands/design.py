@@ -83,6 +83,7 @@ def _limit(flag: str, what: str) -> Callable[[Callable[..., None]], Callable[...
 @_limit("--trim", "Total value of a state or input to fly a nonlinear structure at.")
 @click.option("--matter", multiple=True, metavar="NAME", help="Parameter that counts; else all.")
 @click.option("--method", help="best, steps or multisine.")
+@click.option("--spread", type=float, help="Share by which values may be wrong; 0.2 unless given.")
 @_place("--ardupilot", "NAME=CHANNEL:US", "RC channel of an input, µs a unit of it: lat=1:500.")
 @_place("--px4", "NAME=AXIS:UNITS", "Axis of MANUAL_CONTROL, its units a unit of it: lat=y:1000.")
 @VERBOSE
@@ -148,6 +149,8 @@ def _settings(
 ) -> DesignSettings:
     """The study's, but for what was asked for."""
     said = {name: asked[name] for name in ("matter", "method") if asked[name]}
+    if asked["spread"] is not None:
+        said["spread"] = asked["spread"]
     return replace(study.design.settings, fixed=fixed, bounds=study.bounds, dt=dt, **said)
 
 

@@ -8,13 +8,13 @@ import numpy as np
 from casid.arrays import Array
 from casid.design import signals
 from casid.design.criterion import as_long, covariance
-from casid.design.loop import Crowd, Feedback, gains
+from casid.design.loop import Feedback, gains
 from casid.design.multisine import best_powers, schroeder, shared_out, unit_information
 from casid.design.optimise import Task, improved
 from casid.design.phases import least_peak
 from casid.design.plan import Alternative, Design, DesignSettings, Limits
 from casid.design.prior import as_fitted, check_balance, linear_at, without_effect
-from casid.design.problem import Problem, free_of, problem_of
+from casid.design.problem import JUDGES, Problem, free_of, problem_of
 from casid.design.shapes import Steps, Waves
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit, Fit
@@ -91,8 +91,7 @@ def design_inputs(
     problem = replace(problem, frees=(*problem.frees, *believed), feedback=feedback or {})
     rough = problem.task(h := problem.coarse())
     drawn = problem.drawn(h)
-    if drawn:
-        rough = replace(rough, others=Crowd(drawn[::2]), judges=Crowd(drawn[1::2] or drawn))
+    rough = replace(rough, others=drawn.get("others"), judges=drawn.get("judges"))
     flown = _baselines(problem, rough)
     once = _as_large(rough, _turns(problem, rough, often=False))
     # What slow parameters cost counts: the scale is one 3-2-1-1 an axis, with long rests.
@@ -107,10 +106,10 @@ def design_inputs(
     chosen = min(list(flown)[2:], key=lambda name: task.value(flown[name]))
     made = _predicted(problem, task, flown, chosen)
     blind = [f"{name}: no effect on the linearisation at the trim" for name in unfelt]
-    count = 2 * settings.draws if drawn else 0
+    count = (1 + JUDGES) * settings.draws if drawn else 0
     return replace(
-        made, plausible=count, unheld=count - len(drawn), spread=problem.spread,
-        blind=(*made.blind, *blind),
+        made, plausible=count, unheld=count - sum(crowd.count for crowd in drawn.values()),
+        spread=problem.spread, blind=(*made.blind, *blind),
     )  # fmt: skip
 
 

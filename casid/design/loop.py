@@ -18,14 +18,14 @@ too, projected out. All is linear in r, so z is a convolution of r with impulse 
 loop, and the derivatives of any criterion of F by r come from one recursion backward in time.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import scipy
 
-from casid.arrays import Array
+from casid.arrays import Array, ComplexArray
 from casid.evaluation import Matrices, MatrixFunction
 from casid.free import Free
 from casid.intersample import integral_slopes
@@ -228,30 +228,54 @@ class Loop:
 
 
 class Crowd:
-    """Loops of models of which only sticks, outputs and states are asked, on one grid."""
+    """Loops of models of which only shares of limits are asked, on one grid, in single precision.
 
-    def __init__(self, loops: Sequence[Loop]) -> None:
-        self.N, self.count = loops[0].N, len(loops)
-        self._length = loops[0].length
-        self._channels = loops[0].nu + loops[0].ny + loops[0].nx
-        # Of all models side by side, (frequencies, M (nu + ny + nx), nu): one product each.
-        self._spectra = np.concatenate([each.spectra[:, : self._channels] for each in loops], 1)
+    Parameters
+    ----------
+    loops : iterable of Loop
+        Taken one by one, because each knows far more than is kept of it.
+    limits : (n,) array
+        Of sticks, rates, outputs and states; only signals with a finite one, C of them, are kept.
+    """
+
+    def __init__(self, loops: Iterable[Loop], limits: Array) -> None:
+        self.places, self._n = np.flatnonzero(np.isfinite(limits)), len(limits)
+        parts = []
+        for each in loops:
+            self.N, self._length = each.N, each.length
+            parts.append(self._shares(each, limits).astype(np.complex64))
+        self.count = len(parts)
+        # Of all models side by side, (frequencies, M C, nu): one product each.
+        self._spectra = np.concatenate(parts, axis=1) if parts else np.zeros((0, 0, 0))
+
+    def _shares(self, loop: Loop, limits: Array) -> ComplexArray:
+        """Spectra of shares after one sample of each r, (frequencies, C, nu)."""
+        u, sides, _ = np.split(loop.spectra, [loop.nu, loop.nu + loop.ny + loop.nx], axis=1)
+        before = np.exp(-2j * np.pi * np.arange(len(u)) / loop.length)[:, None, None]
+        whole = np.concatenate([u, (1.0 - before) * u / loop.h, sides], axis=1)
+        return np.asarray(whole[:, self.places] / limits[self.places, None])
 
     def fly(self, r: Array) -> Array:
-        """Sticks, outputs and states (M, N, nu + ny + nx) of every model after r (N, nu)."""
-        spectrum = scipy.fft.rfft(r, self._length, axis=0)
+        """Shares (M, N, C) of every model after r (N, nu)."""
+        spectrum = scipy.fft.rfft(r.astype(np.float32), self._length, axis=0)
         every = (self._spectra @ spectrum[:, :, None])[..., 0]
         flown = scipy.fft.irfft(every, self._length, axis=0)[: self.N]
-        return np.moveaxis(flown.reshape(self.N, self.count, self._channels), 1, 0)
+        return np.moveaxis(flown.reshape(self.N, self.count, -1), 1, 0)
+
+    def peaks(self, r: Array) -> Array:
+        """Largest shares (M, n) of each model; zero of what has no limit."""
+        out = np.zeros((self.count, self._n))
+        out[:, self.places] = np.abs(self.fly(r)).max(axis=1)
+        return out
 
     def impulses(self, model: int) -> Array:
-        """Of one model, as `Loop.impulses`."""
-        rows = slice(model * self._channels, (model + 1) * self._channels)
+        """Shares (N, C, nu) of one model after one sample of each r."""
+        rows = slice(model * len(self.places), (model + 1) * len(self.places))
         return scipy.fft.irfft(self._spectra[:, rows], self._length, axis=0)[: self.N]
 
-    def pulled_back(self, signals: Array) -> Array:
+    def pulled_back(self, slope: Array) -> Array:
         """Derivatives by r (N, nu) of a function with these derivatives by what `fly` gives."""
-        flat = np.moveaxis(signals, 0, 1).reshape(self.N, -1)
+        flat = np.moveaxis(slope, 0, 1).reshape(self.N, -1)
         whole = np.conj(scipy.fft.rfft(flat, self._length, axis=0))[:, None]
         product = np.conj(whole @ self._spectra)[:, 0]
         return np.asarray(scipy.fft.irfft(product, self._length, axis=0)[: self.N])

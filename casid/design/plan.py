@@ -96,7 +96,8 @@ class DesignSettings:
     spread : float or None
         Relative error of the prior that limits are to be kept with; 0.2 unless given.
     draws : int
-        Models drawn from the prior that the optimisation keeps within limits; as many judge it.
+        Models drawn from the prior that the optimisation keeps within limits; twice as many, which
+        it does not see, judge it.
     """
 
     method: Method = "best"
@@ -112,7 +113,7 @@ class DesignSettings:
     iterations: int = 150
     seed: int = 0
     spread: float | None = None
-    draws: int = 24
+    draws: int = 48
 
     def __post_init__(self) -> None:
         for name in ("rest", "iterations", "spread", "draws"):

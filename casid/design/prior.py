@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
+import scipy
 
 from casid.arrays import Array
 from casid.design.criterion import covariance
@@ -147,9 +148,9 @@ def known_before(free: Free, fit: AnyFit | None) -> Array:
 def possible(free: Free, known: Array, spread: float, count: int, seed: int) -> list[Free]:
     """The structure at ``count`` other values, drawn from what is known before.
 
-    λ = λ₀ exp(s ξ) + η, with s the relative spread, ξ normal and η of the covariance of what is
-    known, of which a standard deviation counts up to the parameter's own size. λ is kept within its
-    bounds.
+    λ = λ₀ exp(s ξ) + η, with s the relative spread, ξ normal, the models together a Latin hypercube
+    (M. D. McKay and others, Technometrics 21, 1979), and η of the covariance of what is known, of
+    which a standard deviation counts up to the parameter's own size. λ is kept within its bounds.
     """
     rng = np.random.default_rng(seed)
     n, rows = len(free.index), np.flatnonzero(np.diag(known) > 0)
@@ -158,9 +159,11 @@ def possible(free: Free, known: Array, spread: float, count: int, seed: int) -> 
     share = np.minimum(1.0, size / np.sqrt(np.diag(C)))
     sizes, axes = np.linalg.eigh(C * np.outer(share, share))
     root = axes * np.sqrt(np.maximum(sizes, 0.0))
+    order = rng.permuted(np.tile(np.arange(count), (n, 1)), axis=1).T
+    scatter = scipy.special.ndtri((order + rng.random((count, n))) / max(count, 1))
     made = []
-    for _ in range(count):
-        values = free.guess * np.exp(spread * rng.standard_normal(n))
+    for off in scatter:
+        values = free.guess * np.exp(spread * off)
         values[rows] += root @ rng.standard_normal(len(rows))
         values = np.clip(values, free.lower[free.index], free.upper[free.index])
         made.append(replace(free, model=free.model.with_vector(free.full(values))))

@@ -1,6 +1,6 @@
 """What a design is made for: all that was asked, checked, in arrays."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.design.criterion import Goal, told
-from casid.design.loop import Feedback, Loop, UnheldError
+from casid.design.loop import Crowd, Feedback, Loop, UnheldError
 from casid.design.optimise import Task
 from casid.design.plan import DesignSettings, Limits
 from casid.design.prior import FITTED, GUESSED, inside, known_before, noise_of, possible
@@ -19,6 +19,7 @@ from casid.model import Model
 
 FEWEST = 50  # samples a stick
 MOST = 100_000  # samples of a manoeuvre
+JUDGES = 2  # models that judge limits for each that leads the optimisation
 COARSE = 800  # samples on which inputs are optimised
 FINEST = 6.0  # samples of them in a period of the band's upper edge, at least
 
@@ -47,25 +48,35 @@ class Problem:
         scale = self.frees[0].scale[self.frees[0].index]
         return Task(loops=loops, goals=self.goals([scale] * len(loops)), limits=self.limits)
 
-    def drawn(self, h: float) -> list[Loop]:
-        """Loops of models drawn from the prior, if limits may depend on their values.
+    def drawn(self, h: float) -> dict[str, Crowd]:
+        """Models drawn from the prior, others and judges; none if limits do not depend on values.
 
         Those that the feedback does not hold, with which nothing keeps the limits, are left out.
         """
-        settings, free, nu = self.settings, self.frees[0], len(self.frees[0].model.inputs)
-        if not self.feedback and not np.isfinite(self.limits[2 * nu :]).any():
-            return []
-        made, N = [], round(self.duration / h) + 1
-        for each in possible(free, self.known, self.spread, 2 * settings.draws, settings.seed):
-            with suppress(UnheldError):
-                made.append(Loop(each, self.feedback, self.R, h=h, N=N))
-        if settings.draws and not made:
+        settings, limits = self.settings, self.limits.copy()
+        if not self.feedback:  # sticks and rates are those of the card
+            limits[: 2 * len(self.frees[0].model.inputs)] = np.inf
+        if not settings.draws or not np.isfinite(limits).any():
+            return {}
+        counts = {"others": settings.draws, "judges": JUDGES * settings.draws}
+        made = {role: Crowd(self._held(n, n, h), limits) for role, n in counts.items()}
+        if not all(crowd.count for crowd in made.values()):
             raise ValueError(
-                f"none of {2 * settings.draws} plausible aircraft, which are {self.spread:.0%} off "
+                f"none of {settings.draws} plausible aircraft, which are {self.spread:.0%} off "
                 "the model, is held by the feedback given: give one that holds them, a smaller "
                 "spread if the model is known better, or draws = 0, without a margin"
             )
         return made
+
+    def _held(self, count: int, seed: int, h: float) -> Iterator[Loop]:
+        """Loops of so many models drawn from the prior, without those that are not held.
+
+        They do not depend on the seed of the start, so that starts are held against one another.
+        """
+        N = round(self.duration / h) + 1
+        for each in possible(self.frees[0], self.known, self.spread, count, seed):
+            with suppress(UnheldError):
+                yield Loop(each, self.feedback, self.R, h=h, N=N)
 
     def goals(self, reference: Sequence[Array]) -> tuple[Goal, ...]:
         """The criterion of each model, over the standard errors (nf,) of its reference."""

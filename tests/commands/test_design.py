@@ -87,6 +87,7 @@ def test_a_study_without_a_fit_is_designed_from_its_guess(tmp_path):
         (["--duration", "1e6"], "fly that again"),
         (["--ardupilot", "lat=one:500"], "expected NAME=CHANNEL:US"),
         (["--method", "magic"], "method = 'magic'"),
+        (["--spread", "-0.1"], "spread = -0.1: expected"),
     ],
 )
 def test_what_makes_no_sense_is_refused(tmp_path, options, words):

@@ -141,8 +141,8 @@ def test_aircraft_that_the_feedback_does_not_hold_are_counted_and_said():
         return design_inputs(unstable, limits, 12.0, noise=NOISE, feedback=held, settings=settings)
 
     weak = made(0.4)
-    assert 0 < weak.unheld < weak.plausible == 24
-    assert f"{weak.unheld} of 24 plausible aircraft are not held" in weak.headline()
+    assert 0 < weak.unheld < weak.plausible == 36
+    assert f"{weak.unheld} of 36 plausible aircraft are not held" in weak.headline()
     sure = replace(quick, spread=1e-6)
     assert "plausible" not in made(0.4, sure).headline()
 
@@ -154,7 +154,7 @@ def test_a_feedback_that_holds_no_plausible_aircraft_is_refused(monkeypatch):
         return Loop(free, *rest, **grid)
 
     monkeypatch.setattr("casid.design.problem.Loop", loop)
-    with pytest.raises(ValueError, match=r"none of 8 plausible aircraft.*20% off.*draws = 0"):
+    with pytest.raises(ValueError, match=r"none of 4 plausible aircraft.*20% off.*draws = 0"):
         designed(Limits(sticks={STICK: 0.1}, responses={"q": 0.1}))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from casid import Model, Record, output_error, parameter
-from casid.design.loop import Loop
+from casid.design.loop import Crowd, Loop
 from casid.free import free_parameters
 
 
@@ -127,3 +127,33 @@ def test_unstable_aircraft_need_their_feedback_and_short_manoeuvres():
         loop_of(Roll(), {"lat": {"p": -2.0}})
     with pytest.raises(ValueError, match="feedback names 'q'"):
         loop_of(Roll(), {"lat": {"q": 0.1}})
+
+
+def crowd_of_two():
+    """Loops, limits of (lat, its rate, p, phi, ap, and both states), and the crowd."""
+    held = {"lat": {"p": 0.4, "phi": 0.3}}
+    loops = [loop_of(Roll(Lp=Lp, tau=0.13), held) for Lp in (-1.0, 1.0)]
+    limits = np.array([0.5, 2.0, np.inf, 0.3, 1.0, 0.7, np.inf])
+    return loops, limits, Crowd(iter(loops), limits)
+
+
+def test_a_crowd_answers_with_the_shares_of_its_loops_in_single_precision():
+    (loops, limits, crowd), r = crowd_of_two(), steps(120)
+    for loop, shares, peaks in zip(loops, crowd.fly(r), crowd.peaks(r), strict=True):
+        flown = loop.fly(r).signals
+        rates = np.diff(flown[:, :1], axis=0, prepend=0.0) / 0.05
+        every = np.concatenate([flown[:, :1], rates, flown[:, 1:]], axis=1) / limits
+        kept = every[:, np.isfinite(limits)]
+        np.testing.assert_allclose(shares, kept, atol=3e-6 * np.abs(kept).max())
+        np.testing.assert_allclose(peaks, np.abs(every).max(axis=0), rtol=3e-6, atol=3e-6)
+
+
+def test_what_a_crowd_pulls_back_is_the_adjoint_of_its_flight():
+    _, _, crowd = crowd_of_two()
+    rng, r = np.random.default_rng(0), steps(120, seed=1)
+    flown = crowd.fly(r)
+    slope = rng.standard_normal(flown.shape)
+    assert np.sum(crowd.pulled_back(slope) * r) == pytest.approx(np.sum(slope * flown), rel=1e-4)
+    first = np.einsum("kcu,u->kc", crowd.impulses(1), [1.0])
+    alone = crowd.fly(np.eye(120)[:, :1])[1]
+    np.testing.assert_allclose(first, alone, atol=1e-5 * np.abs(alone).max())

@@ -27,7 +27,7 @@ def task_of(limits, change=1.2):
     goal = Goal("D", np.arange(nf), np.ones(nf), np.zeros((nf, nf)))
     every = np.append(limits, np.full(len(MODEL.states), np.inf))
     loops = (Loop(free, {}, R, h=H, N=N),)
-    return Task(loops=loops, goals=(goal,), limits=every, others=Crowd([other]))
+    return Task(loops=loops, goals=(goal,), limits=every, others=Crowd([other], every))
 
 
 def waves(count):

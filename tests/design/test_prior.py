@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.stats
 from truths.swing import Swing
 
 from casid import Trim
@@ -22,6 +23,16 @@ def test_draws_scatter_as_they_are_told():
     moved = np.log(values(possible(FREE, NONE, 0.02, 500, 0))[:, some] / FREE.guess[some])
     # 500 draws of each parameter; none of the guesses is within 4 s of a bound
     assert np.std(moved) == pytest.approx(0.02, rel=0.03)
+
+
+def test_every_parameter_has_one_draw_in_each_slice_of_its_range():
+    some = np.flatnonzero(FREE.guess)
+    moved = np.log(values(possible(FREE, NONE, 0.02, 40, 3))[:, some] / FREE.guess[some]) / 0.02
+    slices = np.floor(40 * scipy.stats.norm.cdf(moved)).astype(int)
+    np.testing.assert_array_equal(
+        np.sort(slices, axis=0), np.tile(np.arange(40)[:, None], len(some))
+    )
+    assert np.abs(np.corrcoef(moved.T) - np.eye(len(some))).max() < 0.6
 
 
 def test_a_covariance_is_drawn_from_with_its_correlations():
