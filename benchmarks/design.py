@@ -8,17 +8,19 @@ its own initial states and biases. The designs last 64 s, the sticks within the 
 those records and, where responses are limited, every output and velocity within 1.5 times its
 largest there, as far as the models drawn from the prior say. Nor are sticks faster than the edges
 of those records, from end to end within a sample. Each case is kept in FILE when it is done; the
-seconds are processor time. A number behind `free`, `limited` and `flown` is the seed of the square
-wave that the optimisation starts from, 0 without.
+seconds are processor time. A number behind `free`, `limited`, `narrow` and `flown` is the seed of
+the square wave that the optimisation starts from, 0 without.
 
-A `wrong prior` has every derivative wrong by 30 %, up or down at random, five times; the design is
-judged by the truth. `margin` is designed for the same priors with a margin for these 30 %,
-`ensemble` for four models besides that are each 30 % away from it. `identified` has as prior what
-output error makes of the example's four 3-2-1-1 in the loop, with noise. `quarter` is held against
-the four 3-2-1-1 and the four sweeps together and lasts a quarter of their time. All but `free`,
-`limited` and `quarter` are designed with the loop of the example's closed-loop records and flown in
-the nonlinear simulation of JSBSim (`ah1s.py`): peaks and sticks are those of that simulation, the
-share of the sticks' power from outside is the lower bound of the certificate of excitation.
+`limited` has the usual margin, for 20 %, `narrow` one for 10 %. A `wrong prior` has every
+derivative wrong by 30 %, up or down at random; the design is judged by the truth. `margin` is
+designed for the same priors with a margin for these 30 %, `ensemble` for four models besides, each
+30 % away from it. `identified` has as prior what output error makes of the example's four 3-2-1-1 in the
+loop, with noise. `quarter` is held against the four 3-2-1-1 and the four sweeps together and lasts
+a quarter of their time. `both` has steps and multisine, of which the better is taken, as is usual.
+All but `free`, `limited`, `narrow` and `quarter` are designed with the loop of the example's
+closed-loop records and flown in the nonlinear simulation of JSBSim (`ah1s.py`): peaks and sticks
+are those of that simulation, the share of the sticks' power from outside is the lower bound of the
+certificate of excitation.
 
 `--nonlinear` has a nonlinear structure as truth, `RigidBody` with the same derivatives, flies
 3-2-1-1 and design in it and identifies both. `--monte-carlo RUNS` flies a design for the
