@@ -13,14 +13,14 @@ the square wave that the optimisation starts from, 0 without.
 
 `limited` has the usual margin, for 20 %, `narrow` one for 10 %. A `wrong prior` has every
 derivative wrong by 30 %, up or down at random; the design is judged by the truth. `margin` is
-designed for the same priors with a margin for these 30 %, `ensemble` for four models besides, each
-30 % away from it. `identified` has as prior what output error makes of the example's four 3-2-1-1 in the
-loop, with noise. `quarter` is held against the four 3-2-1-1 and the four sweeps together and lasts
-a quarter of their time. `both` has steps and multisine, of which the better is taken, as is usual.
-All but `free`, `limited`, `narrow` and `quarter` are designed with the loop of the example's
-closed-loop records and flown in the nonlinear simulation of JSBSim (`ah1s.py`): peaks and sticks
-are those of that simulation, the share of the sticks' power from outside is the lower bound of the
-certificate of excitation.
+designed for the same priors with a margin for these 30 %, `ensemble` for four models besides,
+each 30 % away from it. `identified` has as prior what output error makes of the example's four
+3-2-1-1 in the loop, with noise. `quarter` is held against the four 3-2-1-1 and the four sweeps
+together and lasts a quarter of their time. `both` has steps and multisine, of which the better is
+taken. All but `free`, `limited`, `narrow` and `quarter` are designed with the loop of the
+example's closed-loop records and flown in the nonlinear simulation of JSBSim (`ah1s.py`): peaks
+and sticks are those of that simulation, the share of the sticks' power from outside is the lower
+bound of the certificate of excitation.
 
 `--nonlinear` has a nonlinear structure as truth, `RigidBody` with the same derivatives, flies
 3-2-1-1 and design in it and identifies both. `--monte-carlo RUNS` flies a design for the
