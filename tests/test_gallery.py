@@ -22,6 +22,7 @@ from models.longitudinal import Longitudinal
 from models.longitudinal_aero import LongitudinalAero
 from models.multirotor import Multirotor
 from models.rigid_body import RigidBody
+from models.scheduled_hybrid import ScheduledHybrid
 from models.scheduled_six_dof import ScheduledSixDof
 from models.short_period import ShortPeriod
 from models.six_dof import SixDof
@@ -44,41 +45,98 @@ def test_the_rigid_body_is_six_degrees_of_freedom_about_any_trim():
     np.testing.assert_array_equal(found.delay, expected.delay)
 
 
-def scheduled():
+def named(structure):
+    return structure.__name__
+
+
+def scheduled(structure):
     """A structure over 20-45 m/s with curves of a helicopter's kind."""
     curves = (
         (0.1, 0.0, -0.1), (0.5, 1.5, 3.5), (0.02, 0.015, 0.02), (0.06, 0.05, 0.02),
         (0.36, 0.32, 0.4), (0.36, 0.37, 0.38), (0.6, 0.65, 0.7), (0.5, 0.43, 0.4),
     )  # fmt: skip
-    model = ScheduledSixDof(U0=31.0, speeds=(20.0, 31.0, 45.0), curves=curves)
-    moved = somewhere(ScheduledSixDof, share=0.03)
-    held = dict.fromkeys(ScheduledSixDof.balance, 0.0)
+    model = structure(U0=31.0, speeds=(20.0, 31.0, 45.0), curves=curves)
+    moved = somewhere(structure, share=0.03)
+    held = dict.fromkeys(structure.balance, 0.0)
     return replace(model.with_values_of(moved), **held)
 
 
+def on_trim(model, V):
+    """States and inputs of a scheduled structure on its trim curves."""
+    trim = {name: float(value) for name, value in model.trim_at(V).items()}
+    return dict.fromkeys((*model.states, *model.inputs), 0.0) | trim
+
+
+@pytest.mark.parametrize("structure", [ScheduledSixDof, ScheduledHybrid], ids=named)
 @pytest.mark.parametrize("V", [20.0, 27.0, 31.0, 40.0])
-def test_a_scheduled_structure_is_balanced_along_its_trim_curves(V):
-    model, step = scheduled(), 1e-4
+def test_a_scheduled_structure_is_balanced_along_its_trim_curves(structure, V):
+    model, step = scheduled(structure), 1e-4
+    n = len(model.states)
 
     def point(V):
-        trim = model.trim_at(V)
-        states = [float(trim.get(name, 0.0)) for name in model.states]
-        return np.array([*states, *(float(trim[name]) for name in model.inputs)])
+        return np.array(list(on_trim(model, V).values()))
 
-    f = model.equations()(point(V)[:8], point(V)[8:], model.vector())[0]
+    f = model.equations()(point(V)[:n], point(V)[n:], model.vector())[0]
     np.testing.assert_allclose(f.full(), 0.0, atol=1e-12)
     along = (point(V + step) - point(V - step)) / (2 * step)
-    trim = dict(zip((*model.states, *model.inputs), point(V), strict=True))
-    system = model.at(trim).system()
+    system = model.at(on_trim(model, V)).system()
     np.testing.assert_allclose(np.hstack([system.A, system.B]) @ along, 0.0, atol=1e-7)
 
 
 def test_a_scheduled_structure_has_the_derivatives_of_its_speed():
-    model = scheduled()
-    trim = model.trim_at(41.0)
-    system = model.at({name: float(value) for name, value in trim.items()}).system()
+    model = scheduled(ScheduledSixDof)
+    system = model.at(on_trim(model, 41.0)).system()
     assert system.A[3, 3] == pytest.approx(model.Lp + model.Lp_V)
     assert system.B[4, 2] == pytest.approx(model.Mlon + model.Mlon_V)
+    hybrid = scheduled(ScheduledHybrid)
+    system = hybrid.at(on_trim(hybrid, 26.0)).system()
+    assert system.A[5, 5] == pytest.approx(hybrid.Nr - hybrid.Nr_V / 2 + hybrid.Nr_VV / 4)
+
+
+def test_scheduled_flapping_at_a_trim_is_that_of_the_hybrid_model():
+    model = scheduled(ScheduledHybrid)
+    absent = ("Zb1c", "Lped", "Mq", "Mfv", "Mfw", "Mflat", "Lfv", "Lfw", "Xtilt", "Ytilt")
+    model = replace(model, **dict.fromkeys(absent, 0.0))
+    trim = on_trim(model, model.U0)
+    up = 9.80665 * np.cos(trim["theta"]) * np.cos(trim["phi"])
+    names = HybridFlap.parameter_names()
+    shared = {name: getattr(model, name, 0.0) for name in names}
+    renamed = {f"{a}f{b}": getattr(model, f"{a}fb1{b}") for a in "ML" for b in "cs"}
+    at = {"U0": "u", "V0": "v", "W0": "w", "phi0": "phi", "theta0": "theta"}
+    hybrid = HybridFlap(
+        **(shared | renamed | {"Xb1c": -up, "Yb1s": up}),
+        **{field: trim[name] for field, name in at.items()},
+    )
+    found, expected = model.at(trim).system(), hybrid.system()
+    rows = [found.outputs.index(name) for name in expected.outputs]
+    # The first column is the balance's.
+    np.testing.assert_allclose(found.A[:, 1:], expected.A[:, 1:], atol=1e-12)
+    np.testing.assert_allclose(found.B, expected.B, atol=1e-12)
+    np.testing.assert_allclose(found.C[rows][:, 1:], expected.C[:, 1:], atol=1e-12)
+    np.testing.assert_allclose(found.D[rows], expected.D, atol=1e-12)
+
+
+def test_more_thrust_goes_where_the_disk_is_tilted_and_turns_the_body_by_the_hubs_height():
+    model = replace(scheduled(ScheduledHybrid), Xtilt=-0.06, Ytilt=0.04, Lhub=1.5, Mhub=0.5, Mww=0)
+    model = replace(model, Zb1c=0.0, Lw=0.0, Mw=0.0, Mb1c=9.0, Lb1s=35.0)
+    state = on_trim(model, model.U0)
+
+    def read(**moved):
+        x = np.array(list((state | moved).values()))
+        f, y = model.equations()(x[:10], x[10:], model.vector())
+        return np.r_[y.full().ravel()[:3], f.full().ravel()[3:5]]
+
+    down = state["w"] + 2.0
+    upright, more = read(), read(w=down)
+    thrust = more[2] - upright[2]
+    assert thrust == pytest.approx(2.0 * model.Zw)
+    assert more[0] - upright[0] == pytest.approx(-0.06 * thrust)
+    assert more[1] - upright[1] == pytest.approx(0.04 * thrust)
+    tilted = read(w=down, b1c=0.1, b1s=0.2) - more
+    np.testing.assert_allclose(tilted[:2], [0.1 * more[2], -0.2 * more[2]])
+    Lb1c, Mb1s = model.Lb1c * 0.1, model.Mb1s * 0.2
+    assert tilted[3] - Lb1c == pytest.approx((35.0 - 1.5 * thrust) * 0.2)
+    assert tilted[4] - Mb1s == pytest.approx((9.0 - 0.5 * thrust) * 0.1)
 
 
 def test_the_fixed_wing_by_coefficients_has_the_textbooks_modes():
@@ -104,10 +162,6 @@ def test_coefficients_are_found_from_large_manoeuvres_at_one_speed():
     fit = output_error(LongitudinalAero(), flown, biases=False)
     for row in fit.parameters:
         assert abs(row.value - getattr(truth, row.name)) < 4 * row.cramer_rao
-
-
-def named(structure):
-    return structure.__name__
 
 
 def somewhere(structure, seed=1, share=0.005):
@@ -233,7 +287,7 @@ def test_a_hybrid_model_with_a_fast_rotor_is_the_quasi_steady_one(structure):
     assert np.abs(G - G_rigid).max(axis=0)[size > 0].max() < 0.03 * size.max()
 
 
-@pytest.mark.parametrize("structure", GALLERY, ids=named)
+@pytest.mark.parametrize("structure", [*GALLERY, ScheduledHybrid], ids=named)
 def test_every_parameter_has_a_unit_bounds_and_room_to_move(structure):
     for name, info in structure.infos().items():
         assert np.isfinite([info.lower, info.upper]).all(), name
