@@ -158,8 +158,8 @@ def _(value: StateSpace, ax: Any, pair: tuple[str, str] | None = None) -> Any:  
 
 @_draw.register
 def _(value: StructureError, ax: Any, pair: tuple[str, str] | None = None) -> Any:  # noqa: ANN401
-    omega, std = value.omega, np.where(value.std > 0, value.std, np.nan)
-    return _magnitudes(value, omega, std, np.zeros(std.shape), figures.MEASURED, pair, ax)
+    std = np.where(value.std > 0, value.std, np.nan)
+    return _magnitudes(value, value.omega, std, 0 * std, figures.MEASURED, pair, ax)
 
 
 @_draw.register
@@ -301,8 +301,7 @@ def _(value: Cover, ax: Any) -> Any:  # noqa: ANN401
 @_draw.register
 def _(value: Distances, ax: Any) -> Any:  # noqa: ANN401
     axes = new_axes(ax, 1, 1, height=0.8 + 0.2 * len(value.by_pair()))
-    plot_distances(axes[0], value)
-    return as_given(ax, axes)
+    return as_given(ax, [plot_distances(axes[0], value)])
 
 
 @_draw.register
