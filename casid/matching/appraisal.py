@@ -186,7 +186,8 @@ def violated(free: Free, values: Array) -> str | None:
         if not float(wanted.lower) - slack <= value <= float(wanted.upper) + slack:
             return (
                 f"constraint {item.name!r} is {value:.4g}, wanted between {wanted.lower:.4g} and "
-                f"{wanted.upper:.4g}; loosen it, or a bound that contradicts it"
+                f"{wanted.upper:.4g}; loosen it, or a bound that contradicts it; of a trim, make "
+                "another state or input unknown"
             )
     return None
 

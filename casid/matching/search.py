@@ -132,6 +132,9 @@ class Search:
             optimum = self._programme(norm, values, comparison, stable=True)
         appraisal = appraise(self.system(optimum.values), comparison)
         doubt = doubts(self.free, optimum.values, self.free.guess, appraisal, stable=self.stable)
+        status = optimum.status if doubt is None or not optimum.success else doubt
+        if not optimum.success and (broken := violated(self.free, optimum.values)):
+            status = f"{status}: {broken}"
         cost, unit = optimum.cost, 1.0
         if norm == "hinf":  # the programme minimises t, the cost is √t
             cost = appraisal.grid_norm
@@ -142,7 +145,7 @@ class Search:
             prices=optimum.prices * unit,
             cost=cost,
             success=optimum.success and doubt is None,
-            status=optimum.status if doubt is None or not optimum.success else doubt,
+            status=status,
             start=start,
             appraisal=appraisal,
         )

@@ -135,7 +135,7 @@ def _methods(airframe: Nonlinear, conditions: tuple[Trim, ...]) -> dict[str, Any
             if condition.unknown:
                 f = ca.vertsplit(balances(model, *point(self, model, n, conditions)))
                 found += [
-                    Constraint(at_condition(f"d{name}/dt", condition, conditions), _plain(f[i]))
+                    Constraint(f"trim {condition.name!r}: d{name}/dt", _plain(f[i]))
                     for i, name in _balanced(airframe, conditions, n)
                 ]
         return [*model.constraints(), *found]
