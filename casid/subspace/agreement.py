@@ -18,8 +18,9 @@ from casid.arrays import Array, ComplexArray
 from casid.linear import StateSpace
 from casid.record import Record
 from casid.subspace import modal as modes
-from casid.subspace.campaign import Campaign
+from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.fourier import Spectrum, parts, spectrum, transformed
+from casid.subspace.left_out import Jackknife
 from casid.subspace.refinement import linearised, noise_weights, normal_equations
 
 # What nonlinear aircraft show between manoeuvres: a fault is larger by `CLEAR` errors. A clock is
@@ -27,8 +28,9 @@ from casid.subspace.refinement import linearised, noise_weights, normal_equation
 SLIGHT = {"gain": 0.1, "delay": 0.02, "clock": 0.5}
 MISSING = 2.0  # times as much where the model misses dynamics
 CLEAR = 2.5
-FAR = {"gain": 0.6, "delay": 0.3, "clock": np.inf}  # beyond, what first order says is no size
-SHARE = 0.4  # of what is left of its channel, or by an input of all: a fault explains that much
+FAR = 0.3  # s: beyond, what first order says of a delay is no size
+LARGE = 0.8  # of a gain less one: beyond, first order does not tell which record is wrong
+SHARE = 0.65  # of what is left of its channel, or by an input of all: a fault explains that much
 TOLD = 0.2  # of a fault's signal: what no other model explains
 BAND = 0.3  # in natural logarithms of ω
 FASTEST = 0.024  # rate of clocks that are tried, less one
@@ -45,28 +47,30 @@ class Fault:
     kind: str  # a key of `SLIGHT`
     size: float  # gain less one, s late, or rate less one
     error: float = 0.0
+    other: str = ""  # the only record that tells it, which may as well be the wrong one
 
     def told(self) -> str:
         """What it is, and what to do."""
         name, size, error = self.channel, self.size, self.error
-        if abs(size) > FAR[self.kind]:
-            how = "gain, sign or unit" if self.kind == "gain" else "delay"
-            return (
-                f"Record {self.record}, or another that moves {name} as much, disagrees with the "
-                f"others: {name} is of another {how} than their model predicts. Look at sensor and "
-                "logger of these records: leave out the wrong one, or mend the channel."
-            )
         what = {
-            "gain": f"{name} is {1 + size:.2f} ± {error:.2f} times what",
+            "gain": f"{name} is {1 + size:.3g} ± {error:.2g} times what",
             "delay": f"{name} is {1e3 * abs(size):.0f} ± {1e3 * error:.0f} ms "
             f"{'later' if size > 0 else 'earlier'} than",
             "clock": f"the clock of {name} runs {100 * abs(size):.1f} % "
             f"{'slower' if size > 0 else 'faster'} than",
         }[self.kind]
+        if self.kind == "delay" and abs(size) > FAR:
+            what = f"{name} is of another delay than"
+        if self.other:
+            return (
+                f"Records {self.record} and {self.other} disagree: in {self.record} {what} the "
+                "model of the others predicts, and no third record tells which of the two is "
+                "wrong. Look at sensor and logger of both: leave out the wrong one, or mend the "
+                "channel."
+            )
         return (
             f"Record {self.record} disagrees with the others: {what} their model predicts. "
-            f"Look at sensor and logger of this record, and of others that move {name} as much: "
-            "leave out the wrong one, or mend the channel."
+            "Look at sensor and logger of this record: leave it out, or mend the channel."
         )
 
 
@@ -144,13 +148,41 @@ class _Seen:
 
 
 def disagreement(
-    system: StateSpace, campaign: Campaign, pole: float, top: float, *, missing: bool = False
+    system: StateSpace,
+    campaign: Campaign,
+    pole: float,
+    top: float,
+    *,
+    windows: Windows | None = None,
+    missing: bool = False,
 ) -> Fault | None:
     """The fault of one channel of one record that explains most; None where nothing clear does.
 
     ``system`` is refined on the transforms of the records up to ``top`` [rad/s]; dynamics may be
-    ``missing`` in it.
+    ``missing`` in it. Models of fewer records are made with ``windows``.
     """
+    jackknife = windows and Jackknife(
+        system=system, campaign=campaign, pole=pole, top=top, windows=windows
+    )
+    gain = jackknife.other_gain() if jackknife and len(campaign.records) > 1 else None
+    if gain:
+        name, size = campaign.records[gain.record].name, gain.gain - 1
+        found: Fault | None = Fault(
+            record=name, channel=gain.channel, kind="gain", size=size, error=gain.error
+        )
+    else:
+        found = _by_score(system, campaign, pole, top, missing)
+    if not (found and jackknife):
+        return found
+    names = [record.name for record in campaign.records]
+    other = jackknife.rival(names.index(found.record), found.channel)
+    return found if other is None else replace(found, other=names[other])
+
+
+def _by_score(
+    system: StateSpace, campaign: Campaign, pole: float, top: float, missing: bool
+) -> Fault | None:
+    """The slight fault that explains most."""
     su, sy, mask = campaign.su, campaign.sy, campaign.mask
     records = [part for piece in campaign.pieces(pole) for part in parts(piece, top)]
     pairs = [(record, spectrum(record, su, sy, top)) for record in records]
@@ -205,14 +237,15 @@ def _clearest(seen: Sequence[_Seen], slack: float) -> Fault | None:
         information = np.maximum(piece.size.sum(axis=0), 1e-100)
         score = piece.score.sum(axis=0) + others.sum(axis=0)
         a, gain = score / information, score**2 / information
-        apart = np.sum((piece.score - a * piece.size) ** 2, axis=0) + np.sum(others**2, axis=0)
+        apart = np.sum((piece.score - a * piece.size) ** 2, axis=0)
+        apart += np.sum(others**2, axis=0)
         error = np.sqrt(np.maximum(apart / information**2, 1 / (2 * information)))
         slight = slack * np.array([SLIGHT[fault.kind] for fault in piece.faults])
         clocks = np.array([fault.kind == "clock" for fault in piece.faults])
         sure = np.where(clocks, a, np.abs(a)) > slight + CLEAR * error
         sure &= (TOLD * piece.whole < information) & (gain > SHARE * piece.left)
         gains = np.array([fault.kind == "gain" for fault in piece.faults])
-        sure &= ~gains | (np.abs(1 + a) > CLEAR * error)  # or it follows something else, as gusts
+        sure &= ~gains | (np.abs(a) < LARGE)  # or it follows something else, as gusts
         gain = gain / np.where(clocks, SIMPLER, 1.0)
         for k in np.flatnonzero(sure):
             tried = piece.faults[k].size

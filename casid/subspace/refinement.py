@@ -149,7 +149,7 @@ def residual_powers(
     """Frequencies (K,) and squared residuals (K, ny) of all spectra with their best transients."""
     modal = modes.to_modal(system, su, sy, np.ones((system.ny, system.nu), dtype=bool))
     omega = np.concatenate([spectrum.omega for spectrum in data])
-    return omega, np.vstack([np.abs(E) ** 2 for E in _residuals(modal, data)])
+    return omega, np.vstack([np.abs(E) ** 2 for E in without_transients(modal, data)])
 
 
 def information_criteria(
@@ -205,7 +205,21 @@ def _forced(modal: modes.Modal, spectrum: Lines, f: _Factors) -> ComplexArray:
     return spectrum.Y - X @ modal.C.T - Xc @ modal.C.conj().T - U @ modal.D.T
 
 
-def _residuals(modal: modes.Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
+def forced_outputs(modal: modes.Modal, spectrum: Lines) -> ComplexArray:
+    """What the inputs make of the outputs, (K, ny)."""
+    return spectrum.Y - _forced(modal, spectrum, _factors(modal, spectrum))
+
+
+def off_transients(modal: modes.Modal, spectrum: Lines, X: ComplexArray) -> ComplexArray:
+    """Part of signals (K, n) that no transient of any initial state makes, each for itself."""
+    f = _factors(modal, spectrum)
+    shared = modes.pair(f.transient[:, :, None], f.transient_c[:, :, None], modal.real)
+    Q, both = np.linalg.qr(np.vstack([shared.real, shared.imag]))[0], np.vstack([X.real, X.imag])
+    real, imag = np.split(both - Q @ (Q.T @ both), 2)
+    return np.asarray(real + 1j * imag)
+
+
+def without_transients(modal: modes.Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
     """Residuals (K, ny) of every spectrum with its best transient."""
     # What a transient does to an output are sums of n signals that all share, so that the least
     # squares over all lines of all outputs are those over n rows of each, Q their orthogonal basis.
@@ -226,7 +240,7 @@ def _residuals(modal: modes.Modal, data: Sequence[Spectrum]) -> list[ComplexArra
 
 def noise_weights(modal: modes.Modal, data: Sequence[Spectrum]) -> list[Array]:
     """1/√Φ (K, ny) of every spectrum, Φ the residual spectrum smoothed over log ω."""
-    residuals = _residuals(modal, data)
+    residuals = without_transients(modal, data)
     omega = np.log(np.concatenate([s.omega for s in data]))
     power = np.vstack([np.abs(E) ** 2 for E in residuals])
     floor = 1e-20 * np.vstack([np.abs(s.Y) ** 2 for s in data]).mean(axis=0)

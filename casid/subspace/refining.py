@@ -111,6 +111,7 @@ def refine_projected(
         campaign,
         pole,
         HIGHEST * pole,
+        windows=windows,
         missing=missed is not None,
     )
     doubtful = _doubtful(campaign, grows, system, refined, windows, data)

@@ -71,6 +71,6 @@ def test_a_trim_that_does_not_exist_is_named_with_what_keeps_it_from_balance():
     # At theta of at most 1.2 rad a stick of 50 turns it by 8 * 50 * cos(1.2) - 6 * sin(1.2) = 139.
     trim = Trim(name="60 kn", values={"theta": 0.3, "lon": 50.0}, unknown=("theta",))
     model, bounds = replace(TRUTH, Mq=-0.5), {"theta_trim": (-1.2, 1.2)}
-    with pytest.raises(ConvergenceError, match="'60 kn': dq/dt\" is 139.*make another") as told:
+    with pytest.raises(ConvergenceError, match=r"'60 kn': dq/dt\" is 139.*another") as told:
         match(model, {trim: TRUTH.at(CONDITIONS[1]).system()}, fixed={"M", "Mlon"}, bounds=bounds)
     assert not told.value.best.success

@@ -42,13 +42,26 @@ def test_flights_of_one_aircraft_agree(seed):
     assert remarks(flights(seed)) == ()
 
 
-def test_another_sign_is_told_without_a_size_that_first_order_cannot_have():
+@pytest.mark.parametrize("factor", [-1.0, 57.3])
+def test_another_sign_or_unit_is_named_with_its_factor(factor):
     records = flights()
-    records[2] = scaled(records[2], "x", -1.0)
+    records[2] = scaled(records[2], "x", factor)
     (said,) = remarks(records)
-    assert said.startswith("Record flight 2, or another that moves x as much, disagrees with")
-    assert "x is of another gain, sign or unit than" in said
-    assert "±" not in said
+    assert said.startswith("Record flight 2 disagrees with the others: x is ")
+    assert abs(float(said.split("x is ")[1].split(" ±")[0]) / factor - 1) < 0.05
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.filterwarnings("ignore:the controller feeds")
+@pytest.mark.parametrize("factor", [-1.0, 3.0])
+def test_of_two_records_that_disagree_both_are_named(seed, factor):
+    records = flights(seed)[:2]
+    records[1] = scaled(records[1], "y", factor)
+    (said,) = (each for each in remarks(records) if "disagree" in each)
+    assert said.startswith("Records flight ")
+    assert "flight 0" in said
+    assert "flight 1" in said
+    assert "no third record tells which of the two is wrong" in said
 
 
 @pytest.mark.parametrize(("name", "factor"), [("x", 1.3), ("y", 1.3), ("z", 1 / 1.3)])
@@ -97,5 +110,6 @@ def test_a_record_alone_has_nothing_to_disagree_with():
 def test_faults_are_told_in_words():
     late = Fault(record="a", channel="q", kind="delay", size=-0.05, error=0.004)
     assert "q is 50 ± 4 ms earlier than their model predicts" in late.told()
+    assert "q is of another delay than their model" in replace(late, size=-0.5).told()
     loud = replace(late, kind="gain", size=0.29, error=0.02)
     assert "q is 1.29 ± 0.02 times what their model predicts" in loud.told()
