@@ -17,8 +17,8 @@ from casid.subspace import modal as modes
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.fourier import Spectrum
 from casid.subspace.refinement import (
-    forced_outputs,
-    off_transients,
+    factors,
+    forced,
     refined_system,
     without_transients,
 )
@@ -27,6 +27,7 @@ from casid.subspace.weighing import smoothed
 UNEXPLAINED = 0.3  # of a channel's power in a record, above which that is left out
 MOVED = 0.3  # of the most that a channel moves in any record, above which it is looked at
 FOLLOWS = 0.8  # of a channel's power that the others' model explains, but for a gain
+REST = 0.5  # of the power of its other channels, less than that must be left: else it is the air
 APART = 2.0  # at least, or at most its inverse: such a gain
 CLEAR = 2.5  # errors by which it differs from one, and from none
 BETTER = 0.3  # nepers of power, over all outputs, that a clearly better model leaves less
@@ -152,7 +153,8 @@ def _gains(jackknife: Jackknife, k: int) -> Iterator[Gain]:
     for o, name in enumerate(record.outputs):
         alone = np.arange(len(record.outputs)) == o
         a, error, evidence = _regressed(alone * Y, alone * P.sum(axis=2), band)
-        if evidence:
+        off, power = (np.sum(np.abs(each[:, ~alone]) ** 2) for each in (E, Y))
+        if evidence and off < REST * power:
             yield Gain(record=k, channel=name, gain=a, error=error, evidence=evidence)
     for j, name in enumerate(record.inputs):
         a, error, evidence = _regressed(E + P[:, :, j], P[:, :, j], band)
@@ -176,13 +178,27 @@ def _regressed(y: ComplexArray, x: ComplexArray, band: Array) -> tuple[float, fl
 
 def _measured(modal: modes.Modal, lines: Sequence[Spectrum]) -> ComplexArray:
     """Outputs (K, ny) of a record but for transients."""
-    return np.vstack([off_transients(modal, s, s.Y) for s in lines])
+    return np.vstack([_off_transients(modal, s, s.Y) for s in lines])
 
 
 def _predicted(modal: modes.Modal, lines: Sequence[Spectrum]) -> ComplexArray:
     """What every input makes of the outputs (K, ny, nu), but for what transients explain of it."""
     found = []
     for alone in np.eye(modal.D.shape[1]):
-        each = [(s, forced_outputs(modal, replace(s, U=alone * s.U))) for s in lines]
-        found.append(np.vstack([off_transients(modal, s, made) for s, made in each]))
+        each = [(s, _made(modal, replace(s, U=alone * s.U))) for s in lines]
+        found.append(np.vstack([_off_transients(modal, s, made) for s, made in each]))
     return np.stack(found, axis=2)
+
+
+def _made(modal: modes.Modal, lines: Spectrum) -> ComplexArray:
+    """What the inputs make of the outputs, (K, ny)."""
+    return lines.Y - forced(modal, lines, factors(modal, lines))
+
+
+def _off_transients(modal: modes.Modal, lines: Spectrum, X: ComplexArray) -> ComplexArray:
+    """Part of signals (K, n) that no transient of any initial state makes, each for itself."""
+    f = factors(modal, lines)
+    shared = modes.pair(f.transient[:, :, None], f.transient_c[:, :, None], modal.real)
+    Q, both = np.linalg.qr(np.vstack([shared.real, shared.imag]))[0], np.vstack([X.real, X.imag])
+    real, imag = np.split(both - Q @ (Q.T @ both), 2)
+    return np.asarray(real + 1j * imag)

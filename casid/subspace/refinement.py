@@ -188,7 +188,7 @@ class _Factors:
     drift_c: ComplexArray
 
 
-def _factors(modal: modes.Modal, spectrum: Lines) -> _Factors:
+def factors(modal: modes.Modal, spectrum: Lines) -> _Factors:
     """``slope`` and ``drift`` are the derivatives of ``r`` and ``transient`` by λ."""
     both = spectrum.pole_factors(np.concatenate([modal.lam, modal.lam.conj()]))
     r, slope, transient, drift = (each[:, : len(modal.lam)] for each in both)
@@ -198,25 +198,11 @@ def _factors(modal: modes.Modal, spectrum: Lines) -> _Factors:
     return _Factors(r, rc, slope, slope_c, transient, transient_c, drift, drift_c)
 
 
-def _forced(modal: modes.Modal, spectrum: Lines, f: _Factors) -> ComplexArray:
+def forced(modal: modes.Modal, spectrum: Lines, f: _Factors) -> ComplexArray:
     """Output residual without transient, (K, ny)."""
     U = spectrum.U
     X, Xc = f.r * (U @ modal.B.T), f.rc * (U @ modal.B.conj().T)
     return spectrum.Y - X @ modal.C.T - Xc @ modal.C.conj().T - U @ modal.D.T
-
-
-def forced_outputs(modal: modes.Modal, spectrum: Lines) -> ComplexArray:
-    """What the inputs make of the outputs, (K, ny)."""
-    return spectrum.Y - _forced(modal, spectrum, _factors(modal, spectrum))
-
-
-def off_transients(modal: modes.Modal, spectrum: Lines, X: ComplexArray) -> ComplexArray:
-    """Part of signals (K, n) that no transient of any initial state makes, each for itself."""
-    f = _factors(modal, spectrum)
-    shared = modes.pair(f.transient[:, :, None], f.transient_c[:, :, None], modal.real)
-    Q, both = np.linalg.qr(np.vstack([shared.real, shared.imag]))[0], np.vstack([X.real, X.imag])
-    real, imag = np.split(both - Q @ (Q.T @ both), 2)
-    return np.asarray(real + 1j * imag)
 
 
 def without_transients(modal: modes.Modal, data: Sequence[Spectrum]) -> list[ComplexArray]:
@@ -225,8 +211,8 @@ def without_transients(modal: modes.Modal, data: Sequence[Spectrum]) -> list[Com
     # squares over all lines of all outputs are those over n rows of each, Q their orthogonal basis.
     found: list[ComplexArray] = []
     for spectrum in data:
-        f = _factors(modal, spectrum)
-        E = _forced(modal, spectrum, f)
+        f = factors(modal, spectrum)
+        E = forced(modal, spectrum, f)
         shared = modes.pair(f.transient[:, :, None], f.transient_c[:, :, None], modal.real)
         Q, R = np.linalg.qr(np.vstack([shared.real, shared.imag]))
         seen = np.array([modes.mixed(R, modal, o, 1) for o in range(E.shape[1])])
@@ -261,8 +247,8 @@ def _parts(modal: modes.Modal, data: Sequence[Lines], weights: Sequence[Array]) 
     """Parts of all spectra."""
     found, seen = [], modes.mixing(modal)
     for spectrum, w in zip(data, weights, strict=True):
-        f = _factors(modal, spectrum)
-        E = _forced(modal, spectrum, f)
+        f = factors(modal, spectrum)
+        E = forced(modal, spectrum, f)
         found.append(_Part(f, E, *_transient(modal, f, E, w, seen)))
     return found
 
@@ -405,9 +391,9 @@ def response_derivative(
     dG = np.zeros((K, ny, nu, size), dtype=complex)
     for j in range(nu):
         unit = lines(np.tile(np.eye(nu, dtype=complex)[j], (K, 1)))
-        f = _factors(modal, unit)
+        f = factors(modal, unit)
         basis = _basis(modal, unit, np.zeros(len(modal.lam), dtype=complex), f)
-        G[:, :, j] = -_forced(modal, unit, f)
+        G[:, :, j] = -forced(modal, unit, f)
         for o in range(ny):
             J, where = modes.output_derivative(basis, modal, o, free)
             dG[:, o, j, where[n:] - n] = J[:, n:]

@@ -87,8 +87,8 @@ def test_residuals_are_those_of_least_squares_over_all_lines():
     data = spectra([record], su, sy, 12.0)
     _, power = residual_powers(plant, data, su, sy)
     modal = to_modal(plant, su, sy, np.ones(plant.D.shape, dtype=bool))
-    factors = refinement._factors(modal, data[0])
-    E = refinement._forced(modal, data[0], factors)
+    factors = refinement.factors(modal, data[0])
+    E = refinement.forced(modal, data[0], factors)
     shared = pair(factors.transient[:, :, None], factors.transient_c[:, :, None], modal.real)
     P = np.vstack([mixed(shared, modal, o, 1) for o in range(plant.ny)])
     both = [np.concatenate([v.real, v.imag]) for v in (P, E.T.ravel())]
