@@ -24,6 +24,7 @@ from casid.threads import on_all_cores
 
 STEPS = 256  # samples of an interval whose signals are held at once
 BYTES = 4e6  # of signals held at once by a thread: they stay in the cache
+AT_ONCE = 8  # steps that one product filters
 ROUNDING = 1e-12  # by which powers of A_d may miss the space of the M_i, relative
 
 
@@ -77,6 +78,19 @@ class Powers:
         start[0] = np.sqrt(nx)
         return cls(M / scale, H, start)
 
+    def ahead(self, steps: int) -> Array:
+        """What h_0 at the first sample and what drives it at each make of h at the next, as rows.
+
+        (d + steps, (steps + 1) d): of samples 0 to ``steps``, one after the other.
+        """
+        d = len(self.H)
+        found = np.zeros((d + steps, steps + 1, d))
+        found[:d, 0] = np.eye(d)
+        for k in range(steps):
+            found[:, k + 1] = found[:, k] @ self.H.T
+            found[d + k, k + 1] = self.start
+        return found.reshape(d + steps, -1)
+
 
 class Convolution:
     """The signals of a sweep, and what parameters, nodes and outputs make of them.
@@ -95,6 +109,7 @@ class Convolution:
         d, nx, nf, ny = len(powers.M), e.nx, e.nf, e.ny
         moved = np.tensordot(powers.M, drive[:, self._live], axes=1)  # (d, nx, live, nf)
         self._states = moved.transpose(2, 0, 1, 3).reshape(-1, nx, nf)
+        self._ahead = powers.ahead(AT_ONCE)
         self.filtered = d * (1 + len(self._live))
         self.count = self.filtered + len(self._direct) + 1 + ny
         out = np.zeros((self.count, ny, nf + nx + ny + 1))
@@ -144,8 +159,8 @@ class Convolution:
         gram = np.zeros((self.count - d, self.count - d))
         cross = np.zeros((d, n * self.count))
         ends = np.empty((n, self.filtered))
-        y: Array = np.zeros((n * (self.filtered // d), d))
-        y.reshape(n, -1, d)[:, 0] = self.powers.start
+        y: Array = np.zeros((n, self.filtered // d, d))
+        y[:, 0] = self.powers.start
         Z = np.empty((min(STEPS, int(count[0])) + 1, n, self.count))
         for first in range(0, int(count[0]), STEPS):
             K = min(STEPS, int(count[0]) - first)
@@ -167,16 +182,20 @@ class Convolution:
         at = start + np.minimum(first + np.arange(K)[:, None], layout.count[index] - 1)
         both = np.concatenate([sweep.motion.states[at], sweep.steps.inputs[at]], axis=2)
         V = np.concatenate([both, self._jumps[at]], axis=2)[:, :, self._live]
-        V *= self.powers.start[0]
         one = f + len(self._direct)
         Z[:-1, :, f:one] = both[:, :, self._direct]
         Z[:-1, :, one] = 1.0
         Z[:-1, :, one + 1 :] = sweep.motion.residuals[at]
-        turned = np.ascontiguousarray(self.powers.H.T)
-        for k in range(K):
-            Z[k, :, :f] = y.reshape(n, f)
-            y = y @ turned
-            y.reshape(n, -1, len(turned))[:, 1:, 0] += V[k]
+        d = y.shape[-1]
+        for k in range(0, K, AT_ONCE):
+            some = V[k : k + AT_ONCE].transpose(1, 2, 0)
+            both = np.zeros((n, f // d, d + AT_ONCE))
+            both[:, :, :d] = y
+            both[:, 1:, d : d + some.shape[2]] = some
+            made = (both.reshape(-1, d + AT_ONCE) @ self._ahead).reshape(n, f // d, -1, d)
+            made = made[:, :, : some.shape[2] + 1].transpose(2, 0, 1, 3)
+            Z[k : k + len(made) - 1, :, :f] = made[:-1].reshape(-1, n, f)
+            y = made[-1]
         Z[K, :, :f] = y.reshape(n, f)
         return y
 
