@@ -57,6 +57,30 @@ def test_a_state_is_that_of_least_squares_over_all_disturbances(even, monkeypatc
         np.testing.assert_allclose(found.bias, bias, rtol=1e-6, atol=1e-8)
 
 
+def test_a_filter_that_has_settled_goes_on_where_the_sampling_changes(monkeypatch):
+    monkeypatch.setattr(filtering, "LEVELS", np.array([1e4]))
+    rng, n, later = np.random.default_rng(2), 50, 40
+    t = DT * np.append(np.arange(later), later + 3 * np.arange(n - later))
+    steps, y = SYSTEM.steps(t, rng.standard_normal((n, 1)), "zoh"), rng.standard_normal((n, 2))
+    q, r = filtering.noises(steps, SYSTEM.C, y, np.ones(2))
+    (found,) = filtering.starts(steps, SYSTEM.C, y, t, np.ones(2), (n - 1,))
+    x, bias = least_squares(steps, y, t, 1e4 * q, r, n - 1)
+    np.testing.assert_allclose(found.x, x, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(found.bias, bias, rtol=1e-6, atol=1e-8)
+
+
+def test_a_state_knows_nothing_of_what_comes_later():
+    t, steps, y = flight(np.random.default_rng(3))
+    later = y.copy()
+    later[31:] = 100.0
+    one, other = (
+        next(iter(filtering.starts(steps, SYSTEM.C, each, t, np.ones(2), (30,))))
+        for each in (y, later)
+    )
+    np.testing.assert_array_equal(one.x, other.x)
+    np.testing.assert_array_equal(one.r, other.r)
+
+
 def disturbed(rng, n=3000, size=0.3):
     """A record of a stable system that white noise drives, with its rates of measurement."""
     A = np.array([[-1.0, 2.0], [-2.0, -1.0]])
