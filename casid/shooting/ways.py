@@ -21,7 +21,7 @@ from casid.shooting.intervals import lay_out
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.newton import MEET
 from casid.shooting.nonlinear import NonlinearEvaluator
-from casid.shooting.search import GAIN, Outcome, Search
+from casid.shooting.search import GAIN, ROUGH, Outcome, Search
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import continued_programme, starting_programme
 from casid.shooting.unknowns import GainUnknowns, NoiseUnknowns
@@ -65,7 +65,7 @@ class Ways:
         return min(ends, key=_merit)
 
     def filtered(self, process_noise: ProcessNoise) -> Outcome:
-        """Where a filter ends, from the model given and, unless that is as good, output error."""
+        """Where a filter ends, from output error and, unless that is as good, the model given."""
         more = filter_unknowns(self.free, self.records, process_noise, self.R)
         if more is None:
             return self.output_error()
@@ -73,7 +73,8 @@ class Ways:
             return self._searched(
                 Search(self.free, self.options, self.steps), self._evaluator(more)
             )
-        plain = replace(self, options=self._limited()).output_error()  # a start, and what to beat
+        rough = replace(self._limited(), tolerance=max(ROUGH, self.options.tolerance))
+        plain = replace(self, options=rough).output_error()  # a start, and what to beat
         if isinstance(more, NoiseUnknowns):
             ends = self._noise_ends(more, plain)
         else:
@@ -85,13 +86,15 @@ class Ways:
         return best if best.solution.success else min(ends, key=_merit)
 
     def _noise_ends(self, more: NoiseUnknowns, plain: Outcome) -> list[Outcome]:
-        """Ends of a Kalman filter from the guess, and from output error unless that is worse."""
-        solved = plain.solution.success
-        search = Search(self.free, self._limited() if solved else self.options)
-        ends = [self._searched(search, self._evaluator(self._likely_noises(more)))]
-        if solved and not ends[0].cost <= plain.cost + GAIN:
+        """Ends of a Kalman filter from output error and, unless that is as good, the guess."""
+        ends = []
+        if plain.solution.success:
             R = plain.programme.values(plain.solution.x).R
-            ends.append(self._continued(plain, more.calm(R)))
+            limited = replace(self, options=self._limited())
+            ends.append(limited._continued(plain, more.calm(R)))
+        if not ends or not ends[0].cost <= plain.cost + GAIN:
+            search = Search(self.free, self.options)
+            ends.append(self._searched(search, self._evaluator(self._likely_noises(more))))
         return ends
 
     def _gain_ends(self, more: GainUnknowns, plain: Outcome, known: bool) -> list[Outcome]:
