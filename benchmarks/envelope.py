@@ -1,10 +1,10 @@
 """One scheduled model of a helicopter over 40 to 80 kn, against a fit at each speed.
 
 Records are those of heli-gym's AW109 (folders 040kt, 060kt, 080kt of DATA) at 25 Hz, noise added,
-an airspeed of 0.5 m/s among it: the four 3-2-1-1 at each speed, `ScheduledSixDof` started from
-local fits of `SixDof` to the same records. "Own" are fits of the same class to the records of one
-speed. Errors are those of simulations, or predictions 3 s ahead, of noise-free records that no fit
-has seen, geometric means over the outputs of their ratio to another's.
+an airspeed of 0.5 m/s among it: the four 3-2-1-1 at each speed, `ScheduledHybrid` started from
+fits of it to the records of one speed ("own"), these from a fit of `SixDof`. Errors are those of
+simulations, or predictions 3 s ahead, of noise-free records that no fit has seen, geometric means
+over the outputs of their ratio to another's.
 
     OMP_NUM_THREADS=1 python -m benchmarks.envelope DATA [--kept FOLDER] [--seed N]
 
@@ -29,14 +29,16 @@ from casid import (
     OutputError,
     Record,
     Scalar,
+    SolverOptions,
     Trim,
     output_error,
     parameter,
     read_csv,
+    simulate,
     validate,
 )
 from casid.bounds.trials import aicc
-from models.scheduled_six_dof import CURVES, ScheduledSixDof
+from models.scheduled_hybrid import CURVES, ScheduledHybrid
 from models.six_dof import SixDof
 
 SPEEDS = ("040kt", "060kt", "080kt")
@@ -44,63 +46,53 @@ UNSEEN = ("validation_random", "validation_large")
 CHANGES = ("accelerate", "decelerate")
 AHEAD = 3.0  # s, of predictions: the phugoid is unstable
 BASE, OUT = "three speeds", "without 60 kn"
-SIX, SIX_OUT = "three speeds, no attitude", "without 60 kn, no attitude"
 FREED, SEEN = "speed derivatives free", "with changes of speed"
-ATTITUDE = ("Ltheta", "Ltheta_V", "Ntheta", "Ntheta_V")
 SPEED_NOISE = 0.5  # m/s
-BENT = tuple(f"{n}_VV" for n in ("Zw", "Zcol", "Mw", "Mq", "Mcol", "Mlon", "Nv", "Nr", "Nped"))
-TRIMS = tuple(f"{axis}trim" for axis in "XYZLMN")
-HELD = ScheduledSixDof.balance
+LAG = 13.0  # 1/s, of flapping, to start from
+TAUS = ("tau_col", "tau_lat", "tau_lon", "tau_ped")  # sticks are recorded behind the servos
+HELD = (*ScheduledHybrid.balance, *TAUS)
 # Speeds of a fit, what it holds, manoeuvres at 60 kn beside the 3-2-1-1.
-CASES = {
-    SIX: (SPEEDS, (*HELD, *ATTITUDE), ()),
-    SIX_OUT: (SPEEDS[::2], (*HELD, *BENT, *ATTITUDE), ()),
+CASES: dict[str, tuple[Sequence[str], Sequence[str], Sequence[str]]] = {
     BASE: (SPEEDS, HELD, ()),
-    OUT: (SPEEDS[::2], (*HELD, *BENT), ()),
-    FREED: (SPEEDS, TRIMS, ()),
+    OUT: (SPEEDS[::2], HELD, ()),
+    FREED: (SPEEDS, TAUS, ()),
     SEEN: (SPEEDS, HELD, CHANGES),
 }
+ESTIMATOR = OutputError(
+    interval=2.0, biases=False, steps=1, solver=SolverOptions(tolerance=1e-6, max_iterations=100)
+)
 
 
-class Flown(ScheduledSixDof):
-    """With a measured airspeed, some derivatives parabolas over speed, moments by pitch attitude.
+class Flown(ScheduledHybrid):
+    """With more that changes with speed, where fits at one speed differ by 4 errors and more.
 
-    These are no aerodynamics: the inflow of this simulation's tail rotor depends on the attitude.
+    Roll and yaw moments by pitch attitude are no aerodynamics: in this simulation the power of a
+    climb is a torque at once.
     """
-
-    outputs = (*ScheduledSixDof.outputs, "u")
-
-    Zw_VV: Scalar = parameter(default=0.0, lower=-0.5, upper=0.5, unit="1/s")
-    Zcol_VV: Scalar = parameter(default=0.0, lower=-50, upper=50, unit="m/s^2")
-    Mw_VV: Scalar = parameter(default=0.0, lower=-0.2, upper=0.2, unit="rad/(m s)")
-    Mq_VV: Scalar = parameter(default=0.0, lower=-2, upper=2, unit="1/s")
-    Mcol_VV: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="rad/s^2")
-    Mlon_VV: Scalar = parameter(default=0.0, lower=-10, upper=10, unit="rad/s^2")
-    Nv_VV: Scalar = parameter(default=0.0, lower=-0.2, upper=0.2, unit="rad/(m s)")
-    Nr_VV: Scalar = parameter(default=0.0, lower=-1, upper=1, unit="1/s")
-    Nped_VV: Scalar = parameter(default=0.0, lower=-10, upper=10, unit="rad/s^2")
 
     Ltheta: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="1/s^2")
     Ltheta_V: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="1/s^2")
     Ntheta: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="1/s^2")
     Ntheta_V: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="1/s^2")
+    Lped_V: Scalar = parameter(default=0.0, lower=-60, upper=60, unit="rad/s^2")
+    Lhub_V: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="1/m")
+    Mb1s_V: Scalar = parameter(default=0.0, lower=-200, upper=200, unit="1/s^2")
+    Mlat_V: Scalar = parameter(default=0.0, lower=-60, upper=60, unit="rad/s^2")
+    Np_V: Scalar = parameter(default=0.0, lower=-10, upper=10, unit="1/s")
+    Mfb1s_V: Scalar = parameter(default=0.0, lower=-30, upper=30, unit="1/s")
+    Mflat_V: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="rad/s")
+    Xtilt_VV: Scalar = parameter(default=0.0, lower=-0.2, upper=0.2, unit="-")
+    Lw_VV: Scalar = parameter(default=0.0, lower=-0.5, upper=0.5, unit="rad/(m s)")
+    Llon_VV: Scalar = parameter(default=0.0, lower=-60, upper=60, unit="rad/s^2")
+    Mb1c_VV: Scalar = parameter(default=0.0, lower=-200, upper=200, unit="1/s^2")
+    Mhub_VV: Scalar = parameter(default=0.0, lower=-10, upper=10, unit="1/m")
+    Nlon_VV: Scalar = parameter(default=0.0, lower=-60, upper=60, unit="rad/s^2")
+    Mfcol_VV: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="rad/s")
+    Ltheta_VV: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="1/s^2")
 
-    def measurements(self, x: Any, u: Any) -> Sequence[Any]:
-        return [*ScheduledSixDof.measurements(self, x, u), x.u]
 
-
-def bent() -> type[Flown]:
-    """The structure with all derivatives parabolas over speed."""
-    infos, body = Flown(U0=30.0).infos(), {}
-    for name in (*SixDof.parameter_names(), "Ltheta", "Ntheta"):
-        if name in infos and name not in HELD and not name.startswith("tau"):
-            wide = max(abs(infos[name].lower), abs(infos[name].upper)) / 2
-            for own in (f"{name}_V", f"{name}_VV"):
-                if own not in infos:
-                    unit = infos[name].unit
-                    body[own] = parameter(default=0.0, lower=-wide, upper=wide, unit=unit)
-    notes = {"__annotations__": dict.fromkeys(body, Scalar), "__module__": __name__}
-    return type("Parabolas", (Flown,), {**notes, **body, "__qualname__": "Parabolas"})
+SLOPES = tuple(name for name in Flown.parameter_names() if "_V" in name)
+BENT = tuple(name for name in SLOPES if name.endswith("_VV"))  # two speeds do not tell
 
 
 class Flights:
@@ -168,43 +160,57 @@ def local(flights: Flights, folder: Path, speed: str) -> Any:
     return kept(folder / f"{speed}.json", SixDof, lambda: output_error(start, records))
 
 
-def scheduled(flights: Flights, folder: Path, case: str, near: dict[str, Any]) -> Any:
-    """The scheduled structure fitted to the records of a case, from local fits."""
+def scheduled(flights: Flights, folder: Path, case: str, alone: dict[str, Any]) -> Any:
+    """The structure fitted to the records of a case, from the fits to one speed each."""
     speeds, fixed, more = CASES[case]
+    fixed = fixed if len(speeds) > 2 else (*fixed, *BENT)
     records = [flights.noisy(speed, name) for speed in speeds for name in STEPS]
     records += [flights.noisy("060kt", name) for name in more]
-    start = along_speed(flights.structure(speeds), [near[speed].model for speed in speeds])
-    estimator = OutputError(interval=2.0, biases=False, steps=1)
-    return kept(folder / f"{case}.json", Flown, lambda: estimator.fit(start, records, fixed=fixed))
+    start = along_speed(flights.structure(speeds), [alone[speed].model for speed in speeds])
+    return kept(folder / f"{case}.json", Flown, lambda: ESTIMATOR.fit(start, records, fixed=fixed))
 
 
-def own(flights: Flights, folder: Path, speed: str, near: dict[str, Any], held: Any = HELD) -> Any:
+def own(flights: Flights, path: Path, speed: str, near: Any, **settings: Any) -> Any:
     """The same structure fitted to the records of one speed, derivatives constant."""
+    fixed = (*settings.pop("held", HELD), *SLOPES)
     at = replace(flights.structure(SPEEDS), U0=flights.trims[speed]["u"])
-    start = replace(at.with_values_of(near[speed].model), **dict.fromkeys(HELD, 0.0))
-    fixed = (*held, *(name for name in at.parameter_names() if "_V" in name))
+    start = from_quasi_steady(at, near) if isinstance(near, SixDof) else at.with_values_of(near)
+    start = replace(start, **dict.fromkeys((*HELD, *SLOPES), 0.0))
     records = [flights.noisy(speed, name) for name in STEPS]
-    estimator = OutputError(interval=2.0, biases=False, steps=1)
-    path = folder / f"own {speed}{'' if held == HELD else ' freed'}.json"
+    estimator = replace(ESTIMATOR, **settings)
     return kept(path, Flown, lambda: estimator.fit(start, records, fixed=fixed))
 
 
-def along_speed(structure: Flown, models: Sequence[SixDof]) -> Flown:
-    """Derivatives of local fits by straight lines over speed."""
+def from_quasi_steady(at: Flown, six: SixDof) -> Flown:
+    """The flapping that has a quasi-steady rotor's damping and control of roll and pitch."""
+    Mb1c, Lb1s = max(-LAG * six.Mq, 1.0), -LAG * six.Lp
+    flap = {"Mfb1c": -LAG, "Lfb1s": -LAG, "Mb1c": Mb1c, "Lb1s": Lb1s}
+    for stick in ("lat", "lon"):
+        flap[f"Mf{stick}"] = getattr(six, f"M{stick}") * LAG / Mb1c
+        flap[f"Lf{stick}"] = getattr(six, f"L{stick}") * LAG / Lb1s
+    moved = dict.fromkeys(("Mlat", "Llon", "Mq"), 0.0)
+    return within(at, {n: getattr(six, n) for n in six.parameter_names()} | flap | moved)
+
+
+def along_speed(structure: Flown, models: Sequence[Flown]) -> Flown:
+    """Parabolas or straight lines over speed through local fits, as the structure has them."""
     faster = [(model.U0 - structure.U0) / structure.span for model in models]
-    values = {}
-    for name in SixDof.parameter_names():
-        if name in structure.parameter_names() and name not in HELD:
-            found = [getattr(model, name) for model in models]
-            slope, middle = np.polyfit(faster, found, 1)
-            values |= {name: middle} | ({f"{name}_V": slope} if hasattr(structure, f"{name}_V")
-                                        else {name: np.mean(found)})  # fmt: skip
-    infos = structure.infos()
-    within = {
-        name: float(np.clip(value, infos[name].lower, infos[name].upper))
-        for name, value in values.items()
-    }
-    return structure.with_values_of(type(structure)(**within))
+    values, names = {}, structure.parameter_names()
+    for name in names:
+        if name not in (*HELD, *SLOPES):
+            own = [each for each in (name, f"{name}_V", f"{name}_VV") if each in names]
+            degree = min(len(own), len(models)) - 1
+            line = np.polyfit(faster, [getattr(model, name) for model in models], degree)
+            values |= dict(zip(own, line[::-1], strict=False))
+    return within(structure, values | dict.fromkeys(HELD, 0.0))
+
+
+def within(structure: Flown, values: dict[str, float]) -> Flown:
+    """The structure with values of its parameters, brought within their bounds."""
+    return replace(structure, **{
+        name: float(np.clip(values[name], info.lower, info.upper))
+        for name, info in structure.infos().items() if name in values
+    })  # fmt: skip
 
 
 def ratio(one: Any, other: Any) -> float:
@@ -225,82 +231,110 @@ def predicted(flights: Flights, models: dict[str, Any], speed: str, name: str) -
     return {each: values[0, : len(OUTPUTS)] for each, values in rms.items()}
 
 
-def unseen(
-    flights: Flights, near: dict[str, Any], alone: dict[str, Any], fits: dict[str, Any]
-) -> Any:
-    """Errors linearised at the measured trim over local and own fits, and as they are."""
-    six = [(case, "SixDof") for case in (SIX, SIX_OUT, BASE, OUT)]
-    pairs, rows = [*six, (BASE, "own"), (OUT, "own")], []
+def unseen(flights: Flights, near: Any, alone: dict[str, Any], fits: dict[str, Any]) -> Any:
+    """Errors linearised at the measured trim and, 3 s ahead, as they are."""
+    pairs = [(one, other) for other in ("SixDof", "own") for one in (BASE, OUT)]
+    rows = []
     for name in UNSEEN:
         for speed in SPEEDS:
-            trim = Trim(values=flights.trims[speed])
-            models = {"SixDof": near[speed], "own": alone[speed].model.at(trim)}
-            models |= {case: fits[case].model.at(trim) for case, _ in six}
-            e = simulated(flights, models, speed, name)
-            pair = {"SixDof": near[speed], BASE: fits[BASE].model}
-            ahead = predicted(flights, pair, speed, name)
-            found = [ratio(e[a], e[b]) for a, b in pairs]
-            rows.append((name, speed, *found, ratio(ahead[BASE], ahead["SixDof"])))
-    head = (f"{a} / {b}" for a, b in pairs)
-    return ("record", "speed", *head, f"{BASE}, as it is / SixDof, 3 s ahead"), rows
+            trim, six = Trim(values=flights.trims[speed]), {"SixDof": near[speed]}
+            models = {"own": alone[speed].model} | {case: fits[case].model for case in (BASE, OUT)}
+            linear = {each: model.at(trim) for each, model in models.items()}
+            e = simulated(flights, six | linear, speed, name)
+            ahead = predicted(flights, six | models, speed, name)
+            found = [ratio(errors[a], errors[b]) for errors in (e, ahead) for a, b in pairs]
+            rows.append((name, speed, *found))
+    head = [f"{a} / {b}" for a, b in pairs]
+    return ("record", "speed", *head, *(f"{each}, {AHEAD:.0f} s ahead" for each in head)), rows
 
 
 def changes(flights: Flights, near: dict[str, Any], fits: dict[str, Any]) -> Any:
-    """Errors of predictions while the speed changes, over those of a fit that saw these records."""
+    """Errors while the speed changes, over those of a fit that saw these records."""
     rows = []
     for name in CHANGES:
+        record = flights.read("060kt", name, (*OUTPUTS, "u", "v", "w"))
+        piece = {case: pieces(fits[case].model, record) for case in (BASE, SEEN)}
         models = {"SixDof": near["060kt"]} | {case: fits[case].model for case in (BASE, SEEN)}
         e = predicted(flights, models, "060kt", name)
-        rows.append((name, ratio(e[BASE], e[SEEN]), ratio(e[BASE], e["SixDof"])))
-    return ("record", "unseen / seen", "unseen / SixDof at 60 kn"), rows
+        found = ratio(piece[BASE], piece[SEEN]), ratio(e[BASE], e[SEEN])
+        rows.append((name, *found, ratio(e[BASE], e["SixDof"])))
+    ahead = f"{AHEAD:.0f} s ahead"
+    head = (
+        f"unseen / seen, {ahead} of recorded states",
+        f"unseen / seen, {ahead} of filtered ones",
+    )
+    return ("record", *head, f"unseen / SixDof at 60 kn, {ahead} of filtered ones"), rows
 
 
-def worth(flights: Flights, folder: Path, one: Any) -> Any:
-    """Parameters and AICc of one model, of it with parabolas only, and of three, of the same R."""
+def pieces(model: Flown, record: Record) -> Any:
+    """RMS (8,) of simulations of some seconds, each from the recorded state, flapping settled."""
+    errors = []
+    for begin in np.arange(record.t[0], record.t[-1] - AHEAD, AHEAD):
+        piece = record.cut(begin, begin + AHEAD)
+        seen = piece.select(outputs=model.outputs)
+        found = simulate(model, seen, settled(model, piece))
+        errors.append((found.y - seen.y)[1:, : len(OUTPUTS)])
+    return np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+
+
+def settled(model: Flown, record: Record) -> dict[str, float]:
+    """The first state of a record, those that are not recorded in balance with the others."""
+    first = {name: float(values[0]) for name, values in record.totals().items()}
+    x = np.array([first.get(name, 0.0) for name in model.states])
+    u = [first[name] for name in model.inputs]
+    rest = [i for i, name in enumerate(model.states) if name not in first]
+    moves = np.vstack([x, x + np.eye(len(x))[rest]])
+    f = np.array([model.equations()(each, u, model.vector())[0].full().ravel() for each in moves])
+    x[rest] -= np.linalg.solve((f[1:] - f[0])[:, rest].T, f[0, rest])  # linear in them
+    return dict(zip(model.states, x, strict=True))
+
+
+def worth(flights: Flights, folder: Path, one: Any, alone: dict[str, Any]) -> Any:
+    """Parameters and AICc of one model and of three, each with its own R, or all with one's."""
     flown = {speed: [flights.noisy(speed, name) for name in STEPS] for speed in SPEEDS}
     every = [record for some in flown.values() for record in some]
-    estimator, model = OutputError(interval=2.0, biases=False, steps=1, R=one.R), one.model
-    still = {name: 0.0 for name in Flown.parameter_names() if "_V" in name}
-
-    def fitted(name: str, start: Any, records: list[Record], fixed: Sequence[str] = HELD) -> Any:
-        path = folder / f"{name}.json"
-        return kept(path, type(start), lambda: estimator.fit(start, records, fixed=fixed))
-
-    bow = bent()(U0=model.U0, speeds=model.speeds, curves=model.curves).with_values_of(model)
-    curved = fitted("parabolas R", bow, every)
-    straight = fitted("three R", model, every)
-    rows = [
-        (name, len(fit.free_names), aicc(fit, every))
-        for name, fit in (("one model", straight), ("one model, parabolas", curved))
-    ]
-    three = []
-    for speed, records in flown.items():
-        start = replace(at_speed(curved.model, model, flights.trims[speed]["u"]), **still)
-        three.append(fitted(f"own R {speed}", start, records, (*HELD, *still)))
-    total = sum(aicc(fit, flown[speed]) for speed, fit in zip(SPEEDS, three, strict=True))
-    rows.append(("three own fits", sum(len(fit.free_names) for fit in three), total))
-    return ("", "parameters", "AICc"), [(*row[:2], f"{row[2]:.0f}") for row in rows]
-
-
-def at_speed(curved: Any, model: Flown, speed: float) -> Flown:
-    """The structure with the derivatives that another has at a speed, within bounds."""
-    faster, infos = (speed - curved.U0) / curved.span, model.infos()
-    values = {
-        name: getattr(curved, name)
-        + getattr(curved, f"{name}_V", 0.0) * faster
-        + getattr(curved, f"{name}_VV", 0.0) * faster**2
-        for name in infos
-        if "_V" not in name and name not in HELD
+    alike = {
+        speed: own(flights, folder / f"own R {speed}.json", speed, fit.model, R=one.R)
+        for speed, fit in alone.items()
     }
-    within = {n: float(np.clip(v, infos[n].lower, infos[n].upper)) for n, v in values.items()}
-    return replace(model, U0=speed, **within)
+    n, whole = len(one.free_names), aicc(one, every)
+    apart = whole + 2 * (cost_apart(one, list(flown.values())) - one.cost)
+    apart += 2 * len(one.R) * (len(SPEEDS) - 1)
+    rows = [("one model", n, whole), ("one model, an R a speed", n, apart)]
+    for name, fits in (("three own fits, R of the one", alike), ("three own fits", alone)):
+        total = sum(aicc(fit, flown[speed]) for speed, fit in fits.items())
+        rows.append((name, sum(len(fit.free_names) for fit in fits.values()), total))
+    rows = [(name, count, f"{value:.0f}") for name, count, value in rows]
+    return ("", "parameters", "AICc"), rows
 
 
-def beyond(fits: dict[str, Any]) -> Any:
+def cost_apart(fit: Any, groups: Sequence[Sequence[Record]]) -> float:
+    """Negative log-likelihood of a fit as it is, if each group of records had its own R."""
+    cost, first = 0.0, iter(fit.initial_states)
+    for records in groups:
+        paths = [
+            simulate(fit.model, record, dict(zip(fit.model.states, next(first), strict=True)))
+            for record in records
+        ]
+        pairs = zip(paths, records, strict=True)
+        residuals = np.concatenate([path.y - record.y for path, record in pairs])
+        N, ny = residuals.shape
+        cost += N * (np.log(np.sqrt(np.mean(residuals**2, axis=0))).sum() + ny / 2)
+    return float(cost)
+
+
+def beyond(fits: dict[str, Any], trim: Trim) -> Any:
     """What the derivatives by speed have beyond the trim curves, over their standard errors."""
-    names = [name for name in HELD if name.endswith("u")]
-    rows = [(n, *(fit[n].value / fit[n].std_error for fit in fits.values())) for n in names]
-    return ("derivative, σ from the trim curves", *fits), rows
+    free = fits[FREED].model
+    A = replace(free, **dict.fromkeys(ScheduledHybrid.balance, 0.0)).at(trim).system().A
+    whole = (A[:8, :8] - A[:8, 8:] @ np.linalg.solve(A[8:, 8:], A[8:, :8]))[:6, 0]  # rotor settled
+    rows = [
+        (name, 100 * getattr(free, name) / own, *(
+            fit[name].value / fit[name].std_error for fit in fits.values()
+        ))
+        for name, own in zip(ScheduledHybrid.balance, whole, strict=True)
+    ]  # fmt: skip
+    return ("beyond the trim curves", f"{FREED}, %", *(f"{fit}, σ" for fit in fits)), rows
 
 
 def main() -> None:
@@ -314,10 +348,18 @@ def main() -> None:
     warnings.simplefilter("ignore")  # of speeds beyond the trims
     folder = chosen.kept
     near = {speed: local(flights, folder, speed) for speed in SPEEDS}
-    alone = {speed: own(flights, folder, speed, near) for speed in SPEEDS}
-    fits = {case: scheduled(flights, folder, case, near) for case in CASES}
-    freed = {FREED: fits[FREED], "60 kn alone": own(flights, folder, "060kt", near, TRIMS)}
-    print(f"\n{table(*worth(flights, folder, fits[BASE]))}\n\n{table(*beyond(freed))}", flush=True)
+    middle = own(flights, folder / "own 060kt.json", "060kt", near["060kt"].model)
+    alone = {
+        speed: own(flights, folder / f"own {speed}.json", speed, middle.model) for speed in SPEEDS
+    }
+    fits = {case: scheduled(flights, folder, case, alone) for case in CASES}
+    middle_trim = Trim(values=flights.trims["060kt"])
+    freed = {FREED: fits[FREED]} | {
+        f"{speed} alone": own(flights, folder / f"freed {speed}.json", speed, fit.model, held=TAUS)
+        for speed, fit in alone.items()
+    }
+    print(f"\n{table(*worth(flights, folder, fits[BASE], alone))}", flush=True)
+    print(f"\n{table(*beyond(freed, middle_trim))}", flush=True)
     print(f"\n{table(*unseen(flights, near, alone, fits))}", flush=True)
     print(f"\n{table(*changes(flights, near, fits))}")
 
