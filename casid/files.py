@@ -355,7 +355,10 @@ def _whole_rows(file: Iterable[str], n: int) -> Iterator[str]:
 def _find(name: str, columns: list[str], path: Path) -> int:
     if name not in columns:
         shown = ", ".join(columns[:SHOWN]) + ", ..." * (len(columns) > SHOWN)
-        raise ValueError(f"{path}: no column {name!r}; it has {shown[:2000]}{header_hint(columns)}")
+        hint = header_hint(columns) or (
+            "; say which columns they are: time = NAME, and columns = {channel: NAME} for the rest"
+        )
+        raise ValueError(f"{path}: no column {name!r}; it has {shown[:2000]}{hint}")
     if columns.count(name) > 1:
         raise ValueError(
             f"{path}: column {name!r} stands there {columns.count(name)} times; rename one"

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.signal
 from click.testing import CliRunner
 from truths import uh60
 
-from casid import output_error, validate
+from casid import Fit, output_error, validate
 from casid.cli import main
 from casid.commands.inspection import inspect_records
 from casid.records import standard_deviations
@@ -22,6 +23,7 @@ from casid.studies.studyfile import read_study
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+STUDY = re.search(r"```toml.*?\n(.*?)```", README, flags=re.DOTALL)[1]
 SCRIPT, STRUCTURE = re.findall(r"```python.*?\n(.*?)```", README, flags=re.DOTALL)
 
 
@@ -64,6 +66,35 @@ def test_the_structure_of_the_readme_is_declared_and_can_be_told_from_a_record(t
     model = load_model("roll.py:Roll", tmp_path)(Lp=-3.0, Llat=8.0, tau=0.1)
     response = model.system().response(np.array([2.0]))[0, 0, 0]
     assert abs(response - 8.0 * np.exp(-0.2j) / (2j + 3.0)) < 1e-12
+
+
+@pytest.mark.slow
+def test_the_study_of_the_readme_finds_what_its_flights_were_made_from(tmp_path):
+    (tmp_path / "roll.py").write_text(STRUCTURE, encoding="utf-8")
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    rng, t = np.random.default_rng(61), np.arange(0.0, 20.0, 0.02)
+    for file, begin in (("flights/1.csv", 1.0), ("flights/2.csv", 2.5), ("unseen/3.csv", 2.0)):
+        edges = begin + np.array([0.0, 3.0, 5.0, 6.0, 7.0])
+        stick = np.interp(
+            t, np.repeat(edges, 2) + np.tile([0.0, 0.04], 5), [0, 5, 5, -5, -5, 5, 5, -5, -5, 0]
+        )  # %, 3-2-1-1
+        late = np.interp(t - 0.1, t, stick, left=0.0) / 100
+        rate = scipy.signal.lsim(([8.0], [1.0, 3.0]), late, t)[1]
+        measured = np.rad2deg(rate) + rng.normal(0.0, 0.2, len(t))
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        np.savetxt(
+            tmp_path / file,
+            np.column_stack([t, stick, measured]),
+            delimiter=",",
+            header="t,lat,p",
+            comments="",
+        )
+    run = CliRunner().invoke(main, ["identify", f"{tmp_path}/study.toml"])
+    assert run.exit_code == 0, run.output
+    structure = load_model("roll.py:Roll", tmp_path)
+    fit = Fit.load(tmp_path / "out" / "fit.json", model=structure)
+    for name, truth in {"Lp": -3.0, "Llat": 8.0, "tau": 0.1}.items():
+        assert abs(fit[name].value - truth) < 4 * fit[name].std_error < 0.1 * abs(truth)
 
 
 def test_every_link_of_the_readme_leads_to_a_file():

@@ -74,7 +74,7 @@ def test_trim_is_removed_on_reading_and_written_back(tmp_path):
     ("text", "options", "message"),
     [
         ("t,lat,p\n0,1,2\n", {}, "roll.csv: no column 'phi'; it has t, lat, p"),
-        ("x,lat,p,phi\n0,1,2,3\n", {}, "no column 't'"),
+        ("x,lat,p,phi\n0,1,2,3\n", {}, "no column 't'; it has .*time = NAME"),
         ("t,lat,p,p,phi\n0,1,2,3,4\n", {}, "column 'p' stands there 2 times"),
         ("t,lat,p,phi\n", {}, "no samples below the header of t, lat, p, phi"),
         ("", {}, "the file is empty; expected a header"),
