@@ -21,7 +21,7 @@ from casid.shooting.intervals import lay_out
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.newton import MEET
 from casid.shooting.nonlinear import NonlinearEvaluator
-from casid.shooting.search import GAIN, ROUGH, Outcome, Search
+from casid.shooting.search import GAIN, Outcome, Search
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import continued_programme, starting_programme
 from casid.shooting.unknowns import GainUnknowns, NoiseUnknowns
@@ -73,8 +73,7 @@ class Ways:
             return self._searched(
                 Search(self.free, self.options, self.steps), self._evaluator(more)
             )
-        rough = replace(self._limited(), tolerance=max(ROUGH, self.options.tolerance))
-        plain = replace(self, options=rough).output_error()  # a start, and what to beat
+        plain = replace(self, options=self._limited()).output_error()  # a start, and what to beat
         if isinstance(more, NoiseUnknowns):
             ends = self._noise_ends(more, plain)
         else:
@@ -90,8 +89,7 @@ class Ways:
         ends = []
         if plain.solution.success:
             R = plain.programme.values(plain.solution.x).R
-            limited = replace(self, options=self._limited())
-            ends.append(limited._continued(plain, more.calm(R)))
+            ends.append(self._continued(plain, more.calm(R)))
         if not ends or not ends[0].cost <= plain.cost + GAIN:
             search = Search(self.free, self.options)
             ends.append(self._searched(search, self._evaluator(self._likely_noises(more))))
