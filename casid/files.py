@@ -85,8 +85,7 @@ def read_csv(
 
 def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, Array]:
     """Named columns of a table of numbers with a header, CSV; ValueError for anything else."""
-    path = Path(path)
-    columns = csv_columns(path)
+    columns = csv_columns(path := Path(path))
     values = _csv_values(path, columns, [_find(name, columns, path) for name in names])
     return dict(zip(names, values.T, strict=True))
 
@@ -355,9 +354,7 @@ def _whole_rows(file: Iterable[str], n: int) -> Iterator[str]:
 def _find(name: str, columns: list[str], path: Path) -> int:
     if name not in columns:
         shown = ", ".join(columns[:SHOWN]) + ", ..." * (len(columns) > SHOWN)
-        hint = header_hint(columns) or (
-            "; say which columns they are: time = NAME, and columns = {channel: NAME} for the rest"
-        )
+        hint = header_hint(columns) or "; say so with time = NAME, or columns = {channel: NAME}"
         raise ValueError(f"{path}: no column {name!r}; it has {shown[:2000]}{hint}")
     if columns.count(name) > 1:
         raise ValueError(
