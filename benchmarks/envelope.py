@@ -64,31 +64,15 @@ ESTIMATOR = OutputError(
 
 
 class Flown(ScheduledHybrid):
-    """With more that changes with speed, where fits at one speed differ by 4 errors and more.
+    """With roll and yaw moments by pitch attitude.
 
-    Roll and yaw moments by pitch attitude are no aerodynamics: in this simulation the power of a
-    climb is a torque at once.
+    They are no aerodynamics: in this simulation the power of a climb is a torque at once.
     """
 
     Ltheta: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="1/s^2")
     Ltheta_V: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="1/s^2")
     Ntheta: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="1/s^2")
     Ntheta_V: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="1/s^2")
-    Lped_V: Scalar = parameter(default=0.0, lower=-60, upper=60, unit="rad/s^2")
-    Lhub_V: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="1/m")
-    Mb1s_V: Scalar = parameter(default=0.0, lower=-200, upper=200, unit="1/s^2")
-    Mlat_V: Scalar = parameter(default=0.0, lower=-60, upper=60, unit="rad/s^2")
-    Np_V: Scalar = parameter(default=0.0, lower=-10, upper=10, unit="1/s")
-    Mfb1s_V: Scalar = parameter(default=0.0, lower=-30, upper=30, unit="1/s")
-    Mflat_V: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="rad/s")
-    Xtilt_VV: Scalar = parameter(default=0.0, lower=-0.2, upper=0.2, unit="-")
-    Lw_VV: Scalar = parameter(default=0.0, lower=-0.5, upper=0.5, unit="rad/(m s)")
-    Llon_VV: Scalar = parameter(default=0.0, lower=-60, upper=60, unit="rad/s^2")
-    Mb1c_VV: Scalar = parameter(default=0.0, lower=-200, upper=200, unit="1/s^2")
-    Mhub_VV: Scalar = parameter(default=0.0, lower=-10, upper=10, unit="1/m")
-    Nlon_VV: Scalar = parameter(default=0.0, lower=-60, upper=60, unit="rad/s^2")
-    Mfcol_VV: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="rad/s")
-    Ltheta_VV: Scalar = parameter(default=0.0, lower=-20, upper=20, unit="1/s^2")
 
 
 SLOPES = tuple(name for name in Flown.parameter_names() if "_V" in name)
