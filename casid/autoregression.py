@@ -268,11 +268,10 @@ def _apart(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> tuple[
     e = np.vstack([none, model.innovations(u, y) @ W.T, none])
     slope = sum((e[i : i + N] @ S[i] for i in range(p + 1)), np.zeros((N, ny)))
     span = min(N, SPAN * p)  # Q is a band matrix, of which parts are enough
-    J = np.zeros((span, ny, span, ny))
-    for n in range(p, span):
-        J[n, :, n - p : n + 1] = S[::-1].swapaxes(0, 1)
-    Q = J.reshape(span * ny, -1)
-    Q = Q.T @ Q
+    each = np.hstack([*S[::-1]])  # of one sample's innovations by the outputs up to it
+    Q = np.zeros((span * ny, span * ny))
+    for n in range(0, (span - p) * ny, ny):
+        Q[n : n + len(each.T), n : n + len(each.T)] += each.T @ each
     Q += 1e-9 * np.diag(np.tile(np.diag(W.T @ W), span))
     sharp = np.zeros((N, ny))
     for k in range(0, N, max(span - 4 * p, 1)):

@@ -19,10 +19,11 @@ end (`casid.consistency.pretended`). Standard errors allow for what colour is le
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from casid.arrays import Array
 from casid.channels import FORCES, RATES, VELOCITIES
@@ -68,9 +69,18 @@ def _terms(equation: str, flight: Flight) -> tuple[dict[str, Array], Array]:
 
 def _integral(f: Array, dt: float) -> Array:
     """Running integral of columns from the first sample, of fourth order inside."""
-    padded = np.concatenate([2 * f[:1] - f[1:2], f, 2 * f[-1:] - f[-2:-1]])
-    step = (13 * (padded[1:-2] + padded[2:-1]) - padded[:-3] - padded[3:]) * (dt / 24)
-    return np.concatenate([np.zeros_like(f[:1]), np.cumsum(step, axis=0)])
+    rows = f.T  # each in one piece of memory, here and in what follows
+    found = np.zeros(rows.shape)
+    step = found[:, 1:]
+    np.add(rows[:, 1:], rows[:, :-1], out=step)
+    step *= 13
+    step[:, 1:] -= rows[:, :-2]
+    step[:, :-1] -= rows[:, 2:]
+    step[:, 0] -= 2 * rows[:, 0] - rows[:, 1]
+    step[:, -1] -= 2 * rows[:, -1] - rows[:, -2]
+    step *= dt / 24
+    np.cumsum(step, axis=1, out=step)
+    return found.T
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,7 +97,7 @@ class Instruments:
 
 
 Terms = tuple[dict[str, Array], Array]  # factors of rates and forces, the rest
-Block = tuple[str, Array, Array]  # equation, residual (N,), slopes of the prediction (N, unknowns)
+Block = tuple[str, Array, Array]  # equation, residual (N,), slopes by its own unknowns (N, own)
 
 
 def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instruments:
@@ -110,9 +120,11 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
             problem.fit_gains(blocks, x[: 3 * n : 3])
         if iteration <= REGAIN[-1]:
             problem.fit_sizes(blocks)
-        seen = _normal(problem.whitened(blocks), prior, start - x)
-        pretended = problem.pretended(x, DRAWS if iteration >= ITERATIONS else 0)
-        step = Corrected(seen, pretended).step()
+        parts = problem.whitened(blocks)
+        plain = problem.normal(parts, len(x))
+        pretended = problem.pretended(x, plain) if iteration >= ITERATIONS else plain * 0.0
+        corrected = Corrected(plain + Normal(np.diag(prior), prior * (start - x)), pretended)
+        step = corrected.step()
         settled = iteration > ITERATIONS and np.abs(step[settling]).max() < SETTLED
         if settled or iteration == ITERATIONS + CORRECTIONS:
             break
@@ -120,8 +132,7 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
         x = x + step
         x[skews] = np.clip(x[skews], -LATE, LATE)
         iteration += 1
-    corrected = Corrected(seen, pretended)
-    errors = np.sqrt(corrected.variances(problem.scores(problem.whitened(blocks)), reach) + step**2)
+    errors = np.sqrt(corrected.variances(problem.scores(parts, len(x)), reach) + step**2)
     return Instruments(
         channels=problem.channels,
         unknowns=x[:-3].reshape(n, 3),
@@ -154,11 +165,8 @@ class _Reconstruction:
         felt = {name for factors, _ in self.terms[0].values() for name in factors}
         known = felt & set(flights[0].values)
         self.channels = tuple(name for name in (*RATES, *FORCES) if name in known)
-        spline = scipy.interpolate.make_interp_spline
-        self.splines = [
-            {name: spline(flight.t, flight.values[name], k=3) for name in self.channels}
-            for flight in flights
-        ]
+        self.splines = [_splines(flight, self.channels) for flight in flights]
+        self.columns = {each: self._own(each) for each in equations}
         self.gains = dict.fromkeys(equations, 0.0)
         self.sizes = dict.fromkeys(equations, 1.0)
 
@@ -170,23 +178,33 @@ class _Reconstruction:
             for name in self.channels
         }
 
+    def _own(self, equation: str) -> NDArray[np.intp]:
+        """Which unknowns stand in an equation."""
+        factors, n = self.terms[0][equation][0], len(self.channels)
+        own = [i for i, name in enumerate(self.channels) if name in factors]
+        found = [3 * i + k for i in own for k in range(3)]
+        levered = equation in VELOCITIES and {*RATES} <= {*self.channels}
+        return np.array(found + levered * [3 * n, 3 * n + 1, 3 * n + 2])
+
     def blocks(self, x: Array) -> list[Block]:
         """Residuals and slopes of each equation and flight at these unknowns."""
         table, place = x[:-3].reshape(-1, 3), x[-3:]
         found = []
         for flight, splines, terms in zip(self.flights, self.splines, self.terms, strict=True):
             moved, true = {}, {}
-            for name, (gain, bias, skew) in zip(self.channels, table, strict=True):
-                at = np.clip(flight.t + skew, 0.0, flight.t[-1])
-                m, rate = moved[name] = (splines[name](at), splines[name](at, nu=1))
+            for name, pieces, (gain, bias, skew) in zip(
+                self.channels, splines, table, strict=True
+            ):
+                m, rate = moved[name] = _read(pieces, skew, flight.dt)
                 true[name] = (gain * m - bias, gain * rate)
             lever = _lever(true)
             for each in self.equations:
-                f = self._derivative(terms[each], moved, table)
+                slopes, f = self._derivative(terms[each], moved, table)
                 if each in VELOCITIES and lever is not None:
-                    f[:, -4:-1] = -lever[VELOCITIES.index(each)]
-                    f[:, -1] += f[:, -4:-1] @ place
-                F = _integral(f, flight.dt)
+                    arms = -lever[VELOCITIES.index(each)]
+                    slopes += [*arms.T]
+                    f = f + arms @ place
+                F = _integral(np.array([*slopes, f]).T, flight.dt)
                 F = F[flight.rows[each]] if each in flight.rows else F
                 e = flight.own(each) - F[:, -1]
                 found.append((each, e - e.mean(), F[:, :-1]))
@@ -194,96 +212,123 @@ class _Reconstruction:
 
     def _derivative(
         self, terms: Terms, moved: Mapping[str, tuple[Array, Array]], table: Array
-    ) -> Array:
-        """Slopes of one equation's right-hand side by the unknowns, and itself, (N, n + 1)."""
-        # Those by the place of the accelerometers come later.
-        factors, rest = terms
-        f = np.zeros((len(rest), table.size + 4))
-        f[:, -1] = rest
-        for i, (name, (gain, bias, _)) in enumerate(zip(self.channels, table, strict=True)):
+    ) -> tuple[list[Array], Array]:
+        """Slopes of an equation's right-hand side by gains, biases and skews, and itself, (N,)."""
+        factors, f = terms
+        slopes = []
+        for name, (gain, bias, _) in zip(self.channels, table, strict=True):
             if name in factors:
                 a, (m, rate) = factors[name], moved[name]
-                f[:, 3 * i : 3 * i + 3] = np.column_stack([a * m, -a, gain * a * rate])
-                f[:, -1] += a * (gain * m - bias)
-        return f
+                slopes += [a * m, -a, gain * a * rate]
+                f = f + a * (gain * m - bias)
+        return slopes, f
 
     def whitened(self, blocks: Sequence[Block]) -> list[Block]:
         """Innovations up to `BAND` and slopes, in standard deviations of all of the innovations."""
         first, found = self.flights[0], []
         for each, e, X in blocks:
             dt = first.dt * first.step(each)
-            left, slopes = _innovations(self.gains[each], e, X, dt)
-            found.append((each, left / self.sizes[each], slopes / self.sizes[each]))
+            Z = _innovations(self.gains[each], np.vstack([e, X.T]), dt) / self.sizes[each]
+            found.append((each, Z[0], Z[1:].T))
         return found
 
     def fit_sizes(self, blocks: Sequence[Block]) -> None:
         """Take the standard deviations of the innovations."""
         for each in self.equations:
-            mine = [
-                _innovations(self.gains[each], e, e[:, None])[0]
-                for name, e, _ in blocks
-                if name == each
-            ]
+            mine = [_innovations(self.gains[each], e[None])[0] for n, e, _ in blocks if n == each]
             floor = ROUNDING * max(np.ptp(flight.values[each]) for flight in self.flights)
             size = np.sqrt(np.mean(np.concatenate(mine) ** 2) + floor**2 + 1e-300)
             self.sizes[each] = float(size)
 
-    def pretended(self, x: Array, draws: int) -> Normal:
+    def normal(self, parts: Sequence[Block], n: int) -> Normal:
+        """Normal equations of all ``n`` unknowns, without a prior."""
+        found = Normal(np.zeros((n, n)), np.zeros(n))
+        for each, e, X in parts:
+            own = self.columns[each]
+            found.information[np.ix_(own, own)] += X.T @ X
+            found.slope[own] += X.T @ e
+        return found
+
+    def pretended(self, x: Array, plain: Normal) -> Normal:
         """What the channels' noise adds to the normal equations: found by adding it again."""
-        none = np.zeros(len(x))
-        found = Normal(np.diag(none), none)
-        if not draws:
-            return found
-        rng = np.random.default_rng(0)
-        for _ in range(draws):
+        found = plain * -1.0
+        for other in self._noisier:
+            noisy = other.normal(other.whitened(other.blocks(x)), len(x))
+            found += noisy * (1 / len(self._noisier))
+        return found
+
+    @cached_property
+    def _noisier(self) -> list["_Reconstruction"]:
+        """The same with noise on top, of both signs so that only what is quadratic in it remains."""
+        rng, found = np.random.default_rng(0), []
+        for _ in range(DRAWS):
             more = [flight.scatter(rng) for flight in self.flights]
-            for sign in (-1.0, 1.0):  # both, so that only what is quadratic in it remains
-                found += self._noisier(more, sign)._plain(x) * (0.5 / draws)
-        return found + self._plain(x) * -1.0
-
-    def _noisier(self, more: Sequence[Mapping[str, Array]], sign: float) -> "_Reconstruction":
-        flights = [
-            replace(flight, values={k: v + sign * add[k] for k, v in flight.values.items()})
-            for flight, add in zip(self.flights, more, strict=True)
-        ]
-        other = _Reconstruction(flights, self.equations)
-        other.gains, other.sizes = self.gains, self.sizes
-        return other
-
-    def _plain(self, x: Array) -> Normal:
-        none = np.zeros(len(x))
-        return _normal(self.whitened(self.blocks(x)), none, none)
+            for sign in (-1.0, 1.0):
+                flights = [
+                    replace(flight, values={k: v + sign * add[k] for k, v in flight.values.items()})
+                    for flight, add in zip(self.flights, more, strict=True)
+                ]
+                found.append(_Reconstruction(flights, self.equations))
+                found[-1].gains, found[-1].sizes = self.gains, self.sizes
+        return found
 
     def fit_gains(self, blocks: Sequence[Block], scaling: Array) -> None:
         """Take the gains with the smallest innovations, no less than the rates' noise asks for."""
         # Without that floor a bias explains a random walk too well now and then: K = 0.
+        sizes = {each: np.zeros(len(GAINS)) for each in self.equations}
+        for n in {len(e) for _, e, _ in blocks}:
+            names = [name for name, e, _ in blocks if len(e) == n]
+            alike = np.array([e for _, e, _ in blocks if len(e) == n])
+            for k, K in enumerate(GAINS):
+                for name, left in zip(names, _innovations(K, alike), strict=True):
+                    sizes[name][k] += left @ left
         for each in self.equations:
-            mine = [e for name, e, _ in blocks if name == each]
-            sizes = [
-                sum(float(np.sum(_innovations(K, e, np.zeros((len(e), 0)))[0] ** 2)) for e in mine)
-                for K in GAINS
-            ]
-            seen = float(np.mean([noise(e) ** 2 for e in mine]))
+            seen = float(np.mean([noise(e) ** 2 for name, e, _ in blocks if name == each]))
             ratio = float(self._walk(each, scaling) / max(seen, 1e-300))
-            self.gains[each] = max(float(GAINS[int(np.argmin(sizes))]), _steady_gain(ratio))
+            self.gains[each] = max(float(GAINS[int(np.argmin(sizes[each]))]), _steady_gain(ratio))
 
     def _walk(self, equation: str, scaling: Array) -> float:
         """Variance that the noise of rates and forces adds from one sample to the next."""
         total = 0.0
-        for flight, terms in zip(self.flights, self.terms, strict=True):
+        for flight, terms, level in zip(self.flights, self.terms, self._levels, strict=True):
             for name, gain in zip(self.channels, scaling, strict=True):
-                share = np.mean(np.square(terms[equation][0].get(name, 0.0)))
-                span = flight.step(equation) * flight.step(name)
-                total += float(share * span * (gain * flight.dt * noise(flight.own(name))) ** 2)
+                if name in terms[equation][0]:
+                    share = np.mean(np.square(terms[equation][0][name]))
+                    span = flight.step(equation) * flight.step(name)
+                    total += float(share * span * (gain * flight.dt * level[name]) ** 2)
         return total / len(self.flights)
 
-    def scores(self, parts: Sequence[Block]) -> Array:
+    @cached_property
+    def _levels(self) -> list[dict[str, float]]:
+        """Noise of each rate and force in each flight."""
+        return [{name: noise(each.own(name)) for name in self.channels} for each in self.flights]
+
+    def scores(self, parts: Sequence[Block], n: int) -> Array:
         """Sums of slope times innovation over stretches that count as independent."""
         first, found = self.flights[0], []
         for each, e, X in parts:
-            n = max(1, round(BATCH / (first.dt * first.step(each))))
-            found.append(np.add.reduceat(X * e[:, None], np.arange(0, len(e), n), axis=0))
+            rows = max(1, round(BATCH / (first.dt * first.step(each))))
+            sums = np.add.reduceat(X * e[:, None], np.arange(0, len(e), rows), axis=0)
+            found.append(np.zeros((len(sums), n)))
+            found[-1][:, self.columns[each]] = sums
         return np.concatenate(found)
+
+
+def _splines(flight: Flight, names: Sequence[str]) -> Array:
+    """Cubic pieces of some channels between one sample and the next, (channels, 4, N - 1)."""
+    y = np.column_stack([flight.values[name] for name in names])
+    found = scipy.interpolate.CubicSpline(flight.t, y).c
+    return np.ascontiguousarray(np.moveaxis(found, 2, 0))
+
+
+def _read(pieces: Array, skew: float, dt: float) -> tuple[Array, Array]:
+    """A channel (4, N - 1) so much later, but within its flight, and its slope, (N,)."""
+    last = pieces.shape[1]
+    place = np.clip(np.arange(last + 1) + skew / dt, 0.0, last)
+    piece = np.minimum(place.astype(int), last - 1)
+    s = dt * (place - piece)
+    a, b, c, d = np.take(pieces, piece, axis=1)
+    return ((a * s + b) * s + c) * s + d, (3 * a * s + 2 * b) * s + c
 
 
 def _steady_gain(ratio: float) -> float:
@@ -304,21 +349,22 @@ def _lever(moved: Mapping[str, tuple[Array, Array]]) -> Array | None:
     return np.moveaxis(np.array(rows), 1, 2)
 
 
-def _innovations(gain: float, e: Array, X: Array, dt: float = 0.0) -> tuple[Array, Array]:
-    """What a filter of this gain leaves of residuals and slopes, the initial state projected out.
+def _innovations(gain: float, rows: Array, dt: float = 0.0) -> Array:
+    """What a filter of this gain leaves of residual and slopes (n, N), initial state projected out.
 
     e[k] − e[k−1] + (1 − K) ε[k−1] is the error of predicting a sum of white noise (in the rates)
     that is seen through white noise (in the attitude) one sample ahead. A sampling interval asks
     for them up to `BAND`.
     """
-    Z = np.column_stack([e, X, np.ones(len(e))])
-    if gain > 0:
-        Z = scipy.signal.lfilter([1.0, -1.0], [1.0, gain - 1.0], Z, axis=0)
+    Z = np.vstack([rows, np.ones(rows.shape[1])])
+    b, a = ([1.0, -1.0], [1.0, gain - 1.0]) if gain > 0 else ([1.0], [1.0])
     if 0 < dt < 0.4 / BAND:
-        Z = scipy.signal.lfilter(*_low_pass(dt), Z, axis=0)
-    z = Z[:, -1]
-    Z = Z[:, :-1] - np.outer(z, z @ Z[:, :-1]) / (z @ z)
-    return Z[:, 0], Z[:, 1:]
+        b, a = map(np.convolve, (b, a), _low_pass(dt))
+    if len(a) > 1:
+        Z = scipy.signal.lfilter(b, a, Z)
+    found, z = Z[:-1], Z[-1]
+    found -= np.outer(found @ z / (z @ z), z)
+    return np.asarray(found)
 
 
 @cache
@@ -327,10 +373,3 @@ def _low_pass(dt: float) -> tuple[Array, Array]:
     b, a = scipy.signal.butter(2, BAND, fs=1 / dt)
     return np.asarray(b), np.asarray(a)
 
-
-def _normal(parts: Sequence[Block], prior: Array, pull: Array) -> Normal:
-    """Normal equations with the prior."""
-    return Normal(
-        np.diag(prior) + sum(X.T @ X for _, _, X in parts),
-        prior * pull + sum(X.T @ e for _, e, X in parts),
-    )

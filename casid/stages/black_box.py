@@ -45,6 +45,7 @@ BLACK_BOX = Stage(
     settings=Pbsid(),
     linear=True,
     role=("identification",),
+    ahead=True,
     label="black box",
     show=_show,
 )
