@@ -97,7 +97,7 @@ class Instruments:
 
 
 Terms = tuple[dict[str, Array], Array]  # factors of rates and forces, the rest
-Block = tuple[str, Array, Array]  # equation, residual (N,), slopes by its own unknowns (N, own)
+Block = tuple[str, Array]  # equation; residual and slopes by its own unknowns (1 + own, N)
 
 
 def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instruments:
@@ -138,7 +138,7 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
         unknowns=x[:-3].reshape(n, 3),
         errors=errors[:-3].reshape(n, 3),
         against=problem.against(),
-        left={each: [e for name, e, _ in blocks if name == each] for each in equations},
+        left={each: [rows[0] for name, rows in blocks if name == each] for each in equations},
         place=x[-3:],
         place_errors=errors[-3:],
     )
@@ -192,9 +192,7 @@ class _Reconstruction:
         found = []
         for flight, splines, terms in zip(self.flights, self.splines, self.terms, strict=True):
             moved, true = {}, {}
-            for name, pieces, (gain, bias, skew) in zip(
-                self.channels, splines, table, strict=True
-            ):
+            for name, pieces, (gain, bias, skew) in zip(self.channels, splines, table, strict=True):
                 m, rate = moved[name] = _read(pieces, skew, flight.dt)
                 true[name] = (gain * m - bias, gain * rate)
             lever = _lever(true)
@@ -204,10 +202,11 @@ class _Reconstruction:
                     arms = -lever[VELOCITIES.index(each)]
                     slopes += [*arms.T]
                     f = f + arms @ place
-                F = _integral(np.array([*slopes, f]).T, flight.dt)
-                F = F[flight.rows[each]] if each in flight.rows else F
-                e = flight.own(each) - F[:, -1]
-                found.append((each, e - e.mean(), F[:, :-1]))
+                F = _integral(np.array([f, *slopes]).T, flight.dt).T
+                F = F[:, flight.rows[each]] if each in flight.rows else F
+                F[0] = flight.own(each) - F[0]
+                F[0] -= F[0].mean()
+                found.append((each, F))
         return found
 
     def _derivative(
@@ -226,16 +225,15 @@ class _Reconstruction:
     def whitened(self, blocks: Sequence[Block]) -> list[Block]:
         """Innovations up to `BAND` and slopes, in standard deviations of all of the innovations."""
         first, found = self.flights[0], []
-        for each, e, X in blocks:
+        for each, rows in blocks:
             dt = first.dt * first.step(each)
-            Z = _innovations(self.gains[each], np.vstack([e, X.T]), dt) / self.sizes[each]
-            found.append((each, Z[0], Z[1:].T))
+            found.append((each, _innovations(self.gains[each], rows, dt) / self.sizes[each]))
         return found
 
     def fit_sizes(self, blocks: Sequence[Block]) -> None:
         """Take the standard deviations of the innovations."""
         for each in self.equations:
-            mine = [_innovations(self.gains[each], e[None])[0] for n, e, _ in blocks if n == each]
+            mine = [_innovations(self.gains[each], r[:1])[0] for n, r in blocks if n == each]
             floor = ROUNDING * max(np.ptp(flight.values[each]) for flight in self.flights)
             size = np.sqrt(np.mean(np.concatenate(mine) ** 2) + floor**2 + 1e-300)
             self.sizes[each] = float(size)
@@ -243,10 +241,10 @@ class _Reconstruction:
     def normal(self, parts: Sequence[Block], n: int) -> Normal:
         """Normal equations of all ``n`` unknowns, without a prior."""
         found = Normal(np.zeros((n, n)), np.zeros(n))
-        for each, e, X in parts:
-            own = self.columns[each]
-            found.information[np.ix_(own, own)] += X.T @ X
-            found.slope[own] += X.T @ e
+        for each, rows in parts:
+            own, products = self.columns[each], rows @ rows.T
+            found.information[np.ix_(own, own)] += products[1:, 1:]
+            found.slope[own] += products[1:, 0]
         return found
 
     def pretended(self, x: Array, plain: Normal) -> Normal:
@@ -259,7 +257,7 @@ class _Reconstruction:
 
     @cached_property
     def _noisier(self) -> list["_Reconstruction"]:
-        """The same with noise on top, of both signs so that only what is quadratic in it remains."""
+        """The same with noise of both signs on top: only what is quadratic in it remains."""
         rng, found = np.random.default_rng(0), []
         for _ in range(DRAWS):
             more = [flight.scatter(rng) for flight in self.flights]
@@ -276,14 +274,14 @@ class _Reconstruction:
         """Take the gains with the smallest innovations, no less than the rates' noise asks for."""
         # Without that floor a bias explains a random walk too well now and then: K = 0.
         sizes = {each: np.zeros(len(GAINS)) for each in self.equations}
-        for n in {len(e) for _, e, _ in blocks}:
-            names = [name for name, e, _ in blocks if len(e) == n]
-            alike = np.array([e for _, e, _ in blocks if len(e) == n])
+        for n in {rows.shape[1] for _, rows in blocks}:
+            names = [name for name, rows in blocks if rows.shape[1] == n]
+            alike = np.array([rows[0] for _, rows in blocks if rows.shape[1] == n])
             for k, K in enumerate(GAINS):
                 for name, left in zip(names, _innovations(K, alike), strict=True):
                     sizes[name][k] += left @ left
         for each in self.equations:
-            seen = float(np.mean([noise(e) ** 2 for name, e, _ in blocks if name == each]))
+            seen = float(np.mean([noise(rows[0]) ** 2 for name, rows in blocks if name == each]))
             ratio = float(self._walk(each, scaling) / max(seen, 1e-300))
             self.gains[each] = max(float(GAINS[int(np.argmin(sizes[each]))]), _steady_gain(ratio))
 
@@ -306,11 +304,12 @@ class _Reconstruction:
     def scores(self, parts: Sequence[Block], n: int) -> Array:
         """Sums of slope times innovation over stretches that count as independent."""
         first, found = self.flights[0], []
-        for each, e, X in parts:
-            rows = max(1, round(BATCH / (first.dt * first.step(each))))
-            sums = np.add.reduceat(X * e[:, None], np.arange(0, len(e), rows), axis=0)
-            found.append(np.zeros((len(sums), n)))
-            found[-1][:, self.columns[each]] = sums
+        for each, rows in parts:
+            step = max(1, round(BATCH / (first.dt * first.step(each))))
+            starts = np.arange(0, rows.shape[1], step)
+            found.append(np.zeros((len(starts), n)))
+            sums = np.add.reduceat(rows[1:] * rows[0], starts, axis=1)
+            found[-1][:, self.columns[each]] = sums.T
         return np.concatenate(found)
 
 
@@ -356,15 +355,13 @@ def _innovations(gain: float, rows: Array, dt: float = 0.0) -> Array:
     that is seen through white noise (in the attitude) one sample ahead. A sampling interval asks
     for them up to `BAND`.
     """
-    Z = np.vstack([rows, np.ones(rows.shape[1])])
+    found, z = rows, np.ones(rows.shape[1])
     b, a = ([1.0, -1.0], [1.0, gain - 1.0]) if gain > 0 else ([1.0], [1.0])
     if 0 < dt < 0.4 / BAND:
         b, a = map(np.convolve, (b, a), _low_pass(dt))
     if len(a) > 1:
-        Z = scipy.signal.lfilter(b, a, Z)
-    found, z = Z[:-1], Z[-1]
-    found -= np.outer(found @ z / (z @ z), z)
-    return np.asarray(found)
+        found, z = (scipy.signal.lfilter(b, a, each) for each in (found, z))
+    return np.asarray(found - np.outer(found @ z / (z @ z), z))
 
 
 @cache
@@ -372,4 +369,3 @@ def _low_pass(dt: float) -> tuple[Array, Array]:
     """Filter that lets pass what is below `BAND`, numerator and denominator."""
     b, a = scipy.signal.butter(2, BAND, fs=1 / dt)
     return np.asarray(b), np.asarray(a)
-
