@@ -356,7 +356,7 @@ def _innovations(gain: float, rows: Array, dt: float = 0.0) -> Array:
     for them up to `BAND`.
     """
     found, z = rows, np.ones(rows.shape[1])
-    b, a = ([1.0, -1.0], [1.0, gain - 1.0]) if gain > 0 else ([1.0], [1.0])
+    b, a = np.array([[1.0, -1.0], [1.0, gain - 1.0]] if gain > 0 else [[1.0], [1.0]])
     if 0 < dt < 0.4 / BAND:
         b, a = map(np.convolve, (b, a), _low_pass(dt))
     if len(a) > 1:
