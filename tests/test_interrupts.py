@@ -55,7 +55,7 @@ BEFORE = {  # what is kept by then
     "casid.files.Path:read_text:1": set(),
     "casid.nlp._Watcher:eval:1": {"pbsid"},
     "casid.nlp._Watcher:eval:60": {"pbsid", "quadratic"},
-    "casid.report.html.Markup:__new__:3": {"pbsid", "quadratic", "hinf", "output_error"},
+    "casid.report.html:body:3": {"pbsid", "quadratic", "hinf", "output_error"},
     "matplotlib.backends.backend_svg": {"pbsid", "quadratic", "hinf", "output_error"},
 }
 
