@@ -61,7 +61,8 @@ class Matrices:
         used, row, column = self._used
         rows, columns = left.transpose(2, 0, 1).copy(), right.transpose(1, 0, 2).copy()
         terms = rows[row][..., None] * columns[column][:, :, None, :]
-        slope = np.asarray(self.dN[:, used] @ terms.reshape(len(used), -1)).reshape(-1, *G.shape)
+        flat = np.asarray(self.dN[:, used] @ terms.reshape(len(used), G.size))
+        slope = flat.reshape(-1, *G.shape)
         late = np.flatnonzero(self.dtau.any(axis=1))
         slope[late] -= self.dtau[late, None, None, :] * (s[:, None, None] * G)
         return G, slope

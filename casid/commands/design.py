@@ -16,7 +16,7 @@ from casid.design.injection import check_axes, check_channels, remove_own
 from casid.design.inputs import design_inputs
 from casid.design.plan import Design, DesignSettings, Limits
 from casid.design.prior import nearest_trim
-from casid.errors import warn
+from casid.errors import ModelError, warn
 from casid.files import write_text
 from casid.fit import AnyFit, Fit
 from casid.model import Model
@@ -122,7 +122,7 @@ def design(
             check_channels(what.model.inputs, channels, dt)
         if asked["px4"]:
             check_axes(what.model.inputs, asked["px4"])
-        noise = None if isinstance(model, Fit) or what.noise is None else what.noise.std
+        noise = None if isinstance(model, Fit) else _noise(what)
         made = design_inputs(
             model, limits, what.design.duration if duration is None else duration, noise=noise,
             feedback=_feedback(what, asked["feedback"]), trim=trim,
@@ -169,6 +169,17 @@ def _feedback(study: Study, asked: Mapping[str, float]) -> dict[str, dict[str, f
     return found
 
 
+def _noise(study: Study) -> Mapping[str, float]:
+    """Standard deviations of the outputs, which without a fit the study has to say."""
+    if study.noise is None:
+        raise ValueError(
+            "nothing says how noisy the outputs are: run casid identify, whose residuals say it, "
+            "or give the study the tables [noise], with seed = 0, and [noise.std], with "
+            f"{', '.join(f'{name} = ...' for name in study.model.outputs)}"
+        )
+    return study.noise.std
+
+
 def _kept(study: Study) -> Any:  # noqa: ANN401 - a fit, or a model without one
     """The fit of the study's last identification, if there is one, else its guess.
 
@@ -177,7 +188,10 @@ def _kept(study: Study) -> Any:  # noqa: ANN401 - a fit, or a model without one
     path = study.output / "fit.json"
     if not path.exists():
         return study.model
-    found = Fit.load(path, model=type(study.model))
+    try:
+        found = Fit.load(path, model=type(study.model))
+    except ModelError as error:
+        raise ModelError(f"{error}; if it has changed, run casid identify again") from error
     kept = kept_fit(study)
     if kept is None:
         warn(f"{path} is of earlier records or settings; run casid identify to design with theirs")

@@ -20,6 +20,7 @@ POWER = {"D": 0, "A": 1, "E": 8}
 LONGEST = 12.0  # logarithm of the longest time that is looked at, in times of one flight
 LOST = 1e4  # times the error of a parameter alone beyond which it is not told apart from others
 NOTHING = 1e-9  # effect of a parameter over the largest, each moved by its scale, that is rounding
+KEPT = 0.9  # share of the plausible aircraft that are held with which limits are kept
 FAINT = 1e-12  # share of its own information that is added to every parameter, against singularity
 
 

@@ -13,11 +13,11 @@ from casid.errors import warn
 LUA = Template(Path(__file__).with_name("ardupilot.lua.txt").read_text(encoding="utf-8"))
 PYTHON = Template(Path(__file__).with_name("px4.py.txt").read_text(encoding="utf-8"))
 ZERO = 2048  # of three hexadecimal digits
-FURTHEST = {"µs": 500, "units": 1000}  # from a stick's middle to its end
+END_PWM = 500  # µs from a stick's middle to its end
+END_UNITS = {"x": 1000, "y": 1000, "z": 500, "r": 1000}  # as much in units; z is from 0 to 1000
 COARSE = 5  # whole µs or units below which rounding, half of one, is said: a tenth of the largest
 OWN = "Written by casid"  # in every script
 RC = 16  # channels that ArduPilot has
-AXES = "xyzr"  # of MAVLink's MANUAL_CONTROL: pitch, roll, thrust, yaw
 
 
 def check_channels(
@@ -36,8 +36,9 @@ def check_axes(inputs: Iterable[str], axes: Mapping[str, tuple[str, float]]) -> 
     """Refuse axes and scales that MANUAL_CONTROL does not have."""
     _check_names(inputs, axes)
     for name, (axis, scale) in axes.items():
-        if axis not in AXES or len(axis) != 1:
-            raise ValueError(f"{name!r} on axis {axis!r}; MANUAL_CONTROL has {', '.join(AXES)}")
+        if axis not in END_UNITS:
+            known = ", ".join(END_UNITS)
+            raise ValueError(f"{name!r} on axis {axis!r}; MANUAL_CONTROL has {known}")
         _check_scale(name, scale, "1000")
 
 
@@ -56,7 +57,7 @@ def ardupilot_script(
     check_channels(r, channels, dt)
     rows = []
     for name, (number, scale) in channels.items():
-        _check_reach(name, r[name], scale, "µs", f"RC channel {number}")
+        _check_reach(name, scale * r[name], END_PWM, "µs", f"RC channel {number}")
         moved = np.rint(np.asarray(r[name]) * scale).astype(int)
         rows.append("".join(f"{value + ZERO:03x}" for value in moved))
     return LUA.substitute(
@@ -76,7 +77,7 @@ def px4_script(
     """
     check_axes(r, axes)
     for name, (axis, scale) in axes.items():
-        _check_reach(name, r[name], scale, "units", f"axis {axis}")
+        _check_reach(name, scale * r[name], END_UNITS[axis], "units", f"axis {axis}")
     taken = {axis: (name, float(scale)) for name, (axis, scale) in axes.items()}
     return PYTHON.substitute(
         title=title, own=OWN, digest=digest(card), axes=repr(taken).replace("'", '"')
@@ -94,9 +95,9 @@ def remove_own(script: Path) -> None:
         script.unlink()
 
 
-def _check_reach(name: str, r: Array, scale: float, unit: str, place: str) -> None:
-    """Refuse deviations that no stick can have, warn of those that rounding eats."""
-    most, end = float(np.abs(np.asarray(r) * scale).max()), FURTHEST[unit]
+def _check_reach(name: str, moved: Array, end: int, unit: str, place: str) -> None:
+    """Refuse deviations (N,) that no stick can have, warn of those that rounding eats."""
+    most = float(np.abs(moved).max())
     if most > end + 0.5:
         raise ValueError(
             f"{name!r} on {place} moves by {most:.0f} {unit}, a stick by {end} at most: lower its "

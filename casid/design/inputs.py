@@ -18,7 +18,7 @@ from casid.design.problem import JUDGES, Problem, free_of, problem_of
 from casid.design.shapes import Steps, Waves
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit, Fit
-from casid.free import free_parameters
+from casid.free import Free, free_parameters
 from casid.model import Model
 from casid.nonlinear.conditions import Trim
 from casid.structure.identifiability import identifiability
@@ -81,13 +81,15 @@ def design_inputs(
     fit = model if isinstance(model, Fit) else None
     settings = as_fitted(settings or DesignSettings(), fit)
     structure = model.model if isinstance(model, Fit) else model
-    for each in (structure, *(ensemble if trim is None else ())):
-        check_balance(each, trim)
+    check_balance(structure, trim)
     linear = linear_at(structure, trim)
     unfelt = without_effect(free_parameters(linear, settings.fixed or (), settings.bounds))
     settings = replace(settings, fixed=(*(settings.fixed or ()), *unfelt))
     problem = problem_of(linear, limits, duration, fit, noise, settings)
-    believed = [free_of(linear_at(each, trim), settings) for each in ensemble]
+    believed = [
+        _believed(structure, each, f"ensemble[{number}]", trim, settings)
+        for number, each in enumerate(ensemble)
+    ]
     problem = replace(problem, frees=(*problem.frees, *believed), feedback=feedback or {})
     rough = problem.task(h := problem.coarse())
     drawn = problem.drawn(h)
@@ -113,6 +115,27 @@ def design_inputs(
     )  # fmt: skip
 
 
+def _believed(
+    structure: Model,
+    other: Model,
+    place: str,
+    trim: Trim | Mapping[str, float] | None,
+    settings: DesignSettings,
+) -> Free:
+    """The free parameters of a member of the ensemble, by whose place errors are told."""
+    if not isinstance(other, type(structure)):
+        raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
+            f"{place} is a {type(other).__name__}; expected other values of the structure that is "
+            f"designed for, {type(structure).__name__}"
+        )
+    try:
+        if trim is None:
+            check_balance(other, trim)
+        return free_of(linear_at(other, trim), settings)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from error
+
+
 def _instants(task: Task) -> Array:
     return np.asarray(task.loops[0].h * np.arange(task.loops[0].N))
 
@@ -132,7 +155,7 @@ def _baselines(problem: Problem, task: Task) -> dict[str, Array]:
     units = UNITS if problem.settings.unit is None else (1.0,)
     several = [_as_large(task, _turns(problem, task, share)) for share in units]
     told = [covariance(task.information(r)[0] + problem.known) for r in several]
-    best = int(np.argmin([np.log(np.diag(C)).mean() for C in told]))
+    best = int(np.argmin([np.log(np.diag(C)[problem.rows]).mean() for C in told]))
     sweeps = signals.turns_of_sweeps(t, task.sticks, rest, (max(low, 4 * np.pi / turn), high))
     return {"3-2-1-1": several[best], "sweeps": _as_large(task, sweeps)}
 
@@ -209,8 +232,8 @@ def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen
     r = exact[chosen]
     usual = fine.information(exact["3-2-1-1"])[0]
     rest = problem.settings.rest
-    told = np.flatnonzero(problem.told)
-    longer = as_long(usual, problem.known, np.sqrt(np.diag(spread[chosen])), told)
+    errors = np.sqrt(np.diag(spread[chosen]))
+    longer = as_long(usual, problem.known, errors, problem.rows)
     seen = fine.loops[0].fly(r)
     model = problem.frees[0].model
     share = fine.peaks(r)
@@ -227,6 +250,7 @@ def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen
         used=_named(model, share), used_at_worst=_named(model, at_most),
         instead=rest + longer * (problem.duration - rest),
         untold=tuple(np.array(problem.frees[0].names)[~problem.told].tolist()),
+        matter=problem.settings.matter,
     )  # fmt: skip
     judged = identifiability(model, made.record(), fixed=problem.settings.fixed or (), spread=0.0)
     return replace(made, blind=tuple(str(judged).splitlines()[1:]))

@@ -33,6 +33,7 @@ from casid.intersample import integral_slopes
 Feedback = Mapping[str, Mapping[str, float]]  # {"lat": {"p": 0.15}}: u_lat = r_lat - 0.15 p
 
 GROWTH = 15.0  # e-folds of an unstable mode over a manoeuvre beyond which numbers lose their sense
+ALONE = 2.0  # e-folds that are left to an unstable mode that no feedback holds
 GROWN = 3.0  # how much larger the end of an impulse response may be than all before
 
 
@@ -141,10 +142,11 @@ class Loop:
                 f"e^{growth * span:.0f} over {span:.4g} s: design manoeuvres of "
                 f"{GROWTH / growth:.2g} s at most"
             )
-        if not K.any() and growth * span > 2.0:
+        if not K.any() and growth * span > ALONE:
             raise UnheldError(
                 f"the aircraft is unstable ({growth:.3g} 1/s) and nothing holds it over "
-                f"{span:.4g} s: give the feedback that is flown, "
+                f"{span:.4g} s, in which it grows by more than e^{ALONE:g}: give the feedback that "
+                "is flown, "
                 'feedback={"lat": {"p": 0.1, "phi": 0.3}}'
             )
         last = 4 * self.N // 5

@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array
-from casid.design.criterion import Goal
+from casid.design.criterion import KEPT, Goal
 from casid.design.loop import Crowd, Loop
 from casid.design.shapes import Shape
 
@@ -30,7 +30,6 @@ POWERS = (16, 64, 64)  # p, one after the other, a third of the iterations each;
 MEMORY = 20  # of L-BFGS
 TRIES = 3  # evaluations an iteration, on average, after which it gives up
 FAINT = 0.3  # share of a limit whose powers are nothing, and slow in single precision
-KEPT = 0.9  # share of the judges with which limits are kept
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.checks import checked_fields
-from casid.design.criterion import Criterion
+from casid.design.criterion import KEPT, Criterion
 from casid.design.injection import ardupilot_script, px4_script
 from casid.display import Shown, listed
 from casid.record import Record
@@ -72,7 +72,7 @@ class DesignSettings:
         What is to be small: the mean square, the geometric mean (of the determinant) or the largest
         of the standard errors over those of a single 3-2-1-1 an axis.
     matter : tuple of str
-        Parameters that count; all free ones unless given.
+        Parameters that count, in what is told of the design, too; all free ones unless given.
     fixed : tuple of str or None
         Parameters that are known; those that a fit held fixed unless given.
     bounds : mapping
@@ -127,37 +127,6 @@ class DesignSettings:
             )
 
 
-@checked_fields
-@dataclass(frozen=True, kw_only=True)
-class NextFlight:
-    """What a study's table ``[design]`` asks for.
-
-    Parameters
-    ----------
-    duration : float
-        Of the manoeuvre [s].
-    sticks, rates, responses : mapping
-        Limits as in `Limits`; sticks and outputs that are not named may deviate as far as in the
-        study's records.
-    feedback : mapping
-        What holds the aircraft.
-    trim : mapping
-        Of a nonlinear structure, total values at which it is to be flown; the rest is what the
-        records had before an input moved, moved to the nearest balance.
-    settings : DesignSettings
-        How inputs are designed, ``[design.settings]``; ``fixed``, ``bounds`` and ``dt`` are the
-        study's.
-    """
-
-    duration: float = 60.0
-    sticks: Mapping[str, float] = field(default_factory=dict)
-    rates: Mapping[str, float] = field(default_factory=dict)
-    responses: Mapping[str, float] = field(default_factory=dict)
-    feedback: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    trim: Mapping[str, float] = field(default_factory=dict)
-    settings: DesignSettings = field(default_factory=DesignSettings)
-
-
 @storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Alternative:
@@ -204,13 +173,13 @@ class Design(Shown):
         many as there is time for.
     used, used_at_worst : mapping
         Share of each limit that is used, by ``"lat"``, ``"lat rate"``, ``"phi"``: if the model is
-        right, and by those of an ensemble or drawn from the prior that use most of it.
+        right, and by those of an ensemble or drawn from the prior, and held, that use most of it.
     instead : float
         Time [s] of 3-2-1-1, one after the other, after which standard errors would be as small in
         the geometric mean; infinite if never.
     plausible, unheld : int
-        Models drawn from the prior, and those of them that the feedback does not hold, which keep
-        no limits.
+        Models drawn from the prior, and those of them that the feedback does not hold, or that need
+        one where none was given: they keep no limits.
     spread : float
         Standard deviation, relative, by which their values are scattered.
     untold : tuple of str
@@ -218,6 +187,8 @@ class Design(Shown):
         counts them.
     blind : tuple of str
         What the inputs cannot tell apart, in words.
+    matter : tuple of str
+        Parameters that count; all unless named. Nothing of what is compared counts others.
     """
 
     kind: str
@@ -240,31 +211,44 @@ class Design(Shown):
     spread: float = 0.0
     untold: tuple[str, ...] = ()
     blind: tuple[str, ...] = ()
+    matter: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         seal(self)
 
     def headline(self) -> str:
-        """What is flown, and how much better it is."""
+        """What is flown, and how much better it is, if it is."""
         _, mean, worst, name = next(row for row in self.ratios() if row[0] == self.kind)
-        longer = "instead of " + in_minutes(self.instead)
+        of = f"of {listed(self.matter)} " * bool(self.matter)
         parts = [
-            f"{self.kind} on {listed(self.inputs)}, {self.t[-1]:.4g} s: standard errors "
+            f"{self.kind} on {listed(self.inputs)}, {self.t[-1]:.4g} s: standard errors {of}"
             f"{mean:.2g} times those of 3-2-1-1 (geometric mean), {worst:.2g} at worst ({name})",
-            f"{in_minutes(self.t[-1])} of flight "
-            f"{longer if self.instead < np.inf else 'for what no time of 3-2-1-1 tells'}",
+            self._gain(mean),
             f"without {listed(self.untold)}, which no input tells apart" * bool(self.untold),
             self.warning(),
         ]
         return "; ".join(filter(None, parts))
 
+    def _gain(self, mean: float) -> str:
+        """The flight time that is saved; what to do where there is no gain."""
+        if mean >= 1:
+            return "no better than the 3-2-1-1: fly that, or give more iterations or flight time"
+        if self.instead == np.inf:
+            return f"{in_minutes(self.t[-1])} of flight for what no time of 3-2-1-1 tells"
+        if not self.instead > self.t[-1]:
+            return ""
+        return f"{in_minutes(self.t[-1])} of flight instead of {in_minutes(self.instead)}"
+
     def warning(self) -> str:
         """For how many plausible aircraft limits do not hold; nothing if for all."""
         if not self.unheld:
             return ""
+        why = "not held by the feedback given"
+        if np.allclose(self.r, self.u):
+            why = "too unstable to be flown without feedback"
         return (
-            f"{self.unheld} of {self.plausible} plausible aircraft are not held by the feedback "
-            "given: limits do not hold for them"
+            f"{self.unheld} of {self.plausible} plausible aircraft are {why}: limits do not hold "
+            "for them"
         )
 
     @property
@@ -290,8 +274,12 @@ class Design(Shown):
         return Record(self.t, self.u, self.y, self.inputs, self.outputs, name=self.kind)
 
     def ratios(self) -> tuple[tuple[str, float, float, str], ...]:
-        """Of each alternative: name, geometric mean and worst ratio to the 3-2-1-1, and whose."""
-        rows, told = [], np.flatnonzero(~np.isin(self.names, self.untold))
+        """Of each alternative: name, geometric mean and worst ratio to the 3-2-1-1, and whose.
+
+        Parameters that count are compared, those that no input tells apart are not.
+        """
+        counts = np.isin(self.names, self.matter or self.names)
+        rows, told = [], np.flatnonzero(counts & ~np.isin(self.names, self.untold))
         for each in self.alternatives:
             ratio = (each.std_errors / self.alternatives[0].std_errors)[told]
             worst = int(np.argmax(ratio))
@@ -332,10 +320,14 @@ class Design(Shown):
         if not self.plausible:
             return ""
         beside = " beside the errors of the fit" if np.isfinite(self.before).any() else ""
+        held = ""
+        if self.unheld:
+            kept = KEPT * (1 - self.unheld / self.plausible)
+            held = f" and that are held, {kept:.0%} of all with such values"
         return (
             f"Limits are kept with nine in ten aircraft whose values are scattered by "
-            f"{self.spread:.0%}{beside} about those believed. One that is further off may exceed "
-            "them: if you know yours less well, say so (spread, or an ensemble)."
+            f"{self.spread:.0%}{beside} about those believed{held}. One that is further off may "
+            "exceed them: if you know yours less well, say so (spread, or an ensemble)."
         )
 
     def on_the_card(self) -> str:

@@ -14,7 +14,7 @@ from casid.evaluation import MatrixFunction
 from casid.fit import ACTIVE, AnyFit
 from casid.free import Free
 from casid.model import Model
-from casid.nonlinear.conditions import Trim
+from casid.nonlinear.conditions import Trim, check_named
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.trims import OUT_OF_BALANCE, imbalance
 
@@ -78,6 +78,7 @@ def _condition(model: NonlinearModel, trim: Trim | Mapping[str, float] | None) -
     x, u = model.operating_point()
     usual = dict(zip((*model.states, *model.inputs), (*x, *u), strict=True))
     given = trim if isinstance(trim, Trim) else Trim(values=trim or {})
+    check_named(model, given.values)
     values = usual | dict(given.values)
     if lost := [name for name, value in values.items() if not np.isfinite(value)]:
         raise ValueError(f"the trim has {lost[0]} = {values[lost[0]]}; expected a finite number")

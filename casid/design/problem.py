@@ -12,6 +12,7 @@ from casid.design.loop import Crowd, Feedback, Loop, UnheldError
 from casid.design.optimise import Task
 from casid.design.plan import DesignSettings, Limits
 from casid.design.prior import FITTED, GUESSED, inside, known_before, noise_of, possible
+from casid.design.signals import longest_unit
 from casid.display import counted
 from casid.fit import AnyFit
 from casid.free import Free, free_parameters
@@ -39,6 +40,12 @@ class Problem:
     settings: DesignSettings
     told: np.ndarray  # (nf,) which parameters a flight can tell
 
+    @property
+    def rows(self) -> np.ndarray:
+        """Places of the parameters that count and that a flight can tell."""
+        names = self.frees[0].names
+        return np.flatnonzero(self.told & np.isin(names, self.settings.matter or names))
+
     def task(self, h: float) -> Task:
         """What counts on a grid of interval h [s]."""
         N = round(self.duration / h) + 1
@@ -61,9 +68,10 @@ class Problem:
         counts = {"others": settings.draws, "judges": JUDGES * settings.draws}
         made = {role: Crowd(self._held(n, n, h), limits) for role, n in counts.items()}
         if not all(crowd.count for crowd in made.values()):
+            held = "held by the feedback given" if self.feedback else "held, without feedback"
             raise ValueError(
                 f"none of {settings.draws} plausible aircraft, which are {self.spread:.0%} off "
-                "the model, is held by the feedback given: give one that holds them, a smaller "
+                f"the model, is {held}: give one that holds them, a smaller "
                 "spread if the model is known better, or draws = 0, without a margin"
             )
         return made
@@ -80,9 +88,7 @@ class Problem:
 
     def goals(self, reference: Sequence[Array]) -> tuple[Goal, ...]:
         """The criterion of each model, over the standard errors (nf,) of its reference."""
-        names, matter = self.frees[0].names, self.settings.matter
-        rows = np.flatnonzero(self.told & np.isin(names, matter or names))
-        criterion, known = self.settings.criterion, self.known
+        rows, criterion, known = self.rows, self.settings.criterion, self.known
         return tuple(Goal(criterion, rows, scale[rows], known) for scale in reference)
 
     def coarse(self) -> float:
@@ -121,6 +127,7 @@ def problem_of(
 ) -> Problem:
     """What is asked of a linear structure, of which a fit may be known; ValueError by name."""
     _check_times(duration, limits, settings)
+    _check_unit(duration, len(structure.inputs), settings)
     free = free_of(structure, settings)
     if unknown := [name for name in settings.matter if name not in free.names]:
         raise ValueError(f"matter names {unknown[0]!r}, which is not free: {', '.join(free.names)}")
@@ -169,6 +176,16 @@ def _check_times(duration: float, limits: Limits, settings: DesignSettings) -> N
                 f"two such changes: lower the limit of the stick, to {rate * room / 2:.3g} at "
                 "most, or raise that of its rate"
             )
+
+
+def _check_unit(duration: float, count: int, settings: DesignSettings) -> None:
+    """Refuse a unit with which there is no time for a 3-2-1-1 on each of ``count`` inputs."""
+    longest = longest_unit((duration - settings.rest) / count)
+    if settings.unit is not None and settings.unit > longest > 0:
+        raise ValueError(
+            f"unit = {settings.unit:g} s: {duration:g} s have no room for a 3-2-1-1 on "
+            f"{counted(count, 'input')} to compare with: {longest:.3g} s at most, or leave it out"
+        )
 
 
 def _band(model: Model, duration: float, dt: float) -> tuple[float, float]:

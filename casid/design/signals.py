@@ -25,6 +25,11 @@ def multistep(t: Array, start: float, unit: float, rise: float) -> Array:
     return np.asarray(ramps @ jumps)
 
 
+def longest_unit(turn: float) -> float:
+    """Of a 3-2-1-1 for which there is so much time [s], a tenth of it rest."""
+    return 0.9 * turn / len(UNITS)
+
+
 def turns_of_3211(
     t: Array, amplitudes: Array, rest: float, unit: float, rise: Array, *, often: bool = True
 ) -> Array:
@@ -39,7 +44,7 @@ def turns_of_3211(
     parts = turns(len(t), max(nu, fit) if often else nu, int(np.searchsorted(t, rest)))
     for k, part in enumerate(parts):
         j, sign = k % nu, (-1.0) ** (k // nu)
-        width = min(unit, 0.9 * float(t[part][-1] - t[part][0]) / len(UNITS))
+        width = min(unit, longest_unit(float(t[part][-1] - t[part][0])))
         one = multistep(t[part], float(t[part][0]), width, float(rise[j]))
         r[part, j] = sign * amplitudes[j] * one
     return r

@@ -76,6 +76,13 @@ def linearisation(model: Nonlinear, conditions: Sequence[Trim]) -> Model:
     return cls(**{f.name: getattr(model, f.name) for f in fields(model)})
 
 
+def check_named(model: Nonlinear, values: Mapping[str, float]) -> None:
+    """Refuse a trim with names that are no channel, ValueError; those of outputs do not count."""
+    known = (*model.states, *model.inputs)
+    if unknown := [name for name in values if name not in {*known, *model.outputs}]:
+        raise ValueError(f"trim names {unknown[0]!r}; there are {', '.join(known)}")
+
+
 def at_condition(name: str, condition: Trim, conditions: Sequence[Trim]) -> str:
     """Name of a channel at one of several conditions."""
     return name if len(conditions) == 1 else f"{name}@{condition.name}"

@@ -16,7 +16,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.model import Model, Rows
-from casid.nonlinear.conditions import Trim, linearisation
+from casid.nonlinear.conditions import Trim, check_named, linearisation
 from casid.nonlinear.coverage import joined, reached, warn_beyond
 from casid.nonlinear.expressions import JUMPS, evaluated, linearised, operations, reference_point
 from casid.sensors import Scalar
@@ -82,8 +82,9 @@ class NonlinearModel(Model, base=True):
         Parameters
         ----------
         conditions : Trim or mapping
-            Total values of states and inputs, such as a record's ``trim``. Several, named, stand
-            side by side in one linear structure with channels like ``p@60 kn``.
+            Total values of states and inputs, such as a record's ``trim``, which may have further
+            names and is therefore a `Trim`. Several, named, stand side by side in one linear
+            structure with channels like ``p@60 kn``.
 
         Returns
         -------
@@ -95,8 +96,9 @@ class NonlinearModel(Model, base=True):
         Raises
         ------
         ValueError, ModelError
-            What is no condition, such as a record; an unknown that is no state or input, a balance
-            that nothing unknown can bring about, several conditions without names of their own.
+            What is no condition, such as a record; a mapping with a name that is no channel; an
+            unknown that is no state or input, a balance that nothing unknown can bring about,
+            several conditions without names of their own.
         """
         for each in conditions:
             if not isinstance(each, Trim | Mapping):
@@ -105,6 +107,8 @@ class NonlinearModel(Model, base=True):
                     "states and inputs, model.at(Trim(values={...})), as a detrended record has "
                     "them: model.at(Trim(values=record.trim))"
                 )
+            if not isinstance(each, Trim):
+                check_named(self, each)
         given = [each if isinstance(each, Trim) else Trim(values=each) for each in conditions]
         linear = linearisation(self, given)
         for each in given:

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from casid.checks import checked_fields
 from casid.consistency.flights import Repeats, repeats
 from casid.consistency.plausibility import check_plausible
-from casid.design.plan import NextFlight
+from casid.design.plan import DesignSettings
 from casid.errors import warn
 from casid.exchange.formats import read_record
 from casid.files import Column, read_csv
@@ -69,6 +70,37 @@ class Noise:
 
     seed: int
     std: Mapping[str, float]
+
+
+@checked_fields
+@dataclass(frozen=True, kw_only=True)
+class NextFlight:
+    """What a study's table ``[design]`` asks for.
+
+    Parameters
+    ----------
+    duration : float
+        Of the manoeuvre [s].
+    sticks, rates, responses : mapping
+        Limits as in `Limits`; sticks and outputs that are not named may deviate as far as in the
+        study's records.
+    feedback : mapping
+        What holds the aircraft.
+    trim : mapping
+        Of a nonlinear structure, total values at which it is to be flown; the rest is what the
+        records had before an input moved, moved to the nearest balance.
+    settings : DesignSettings
+        How inputs are designed, ``[design.settings]``; ``fixed``, ``bounds`` and ``dt`` are the
+        study's.
+    """
+
+    duration: float = 60.0
+    sticks: Mapping[str, float] = field(default_factory=dict)
+    rates: Mapping[str, float] = field(default_factory=dict)
+    responses: Mapping[str, float] = field(default_factory=dict)
+    feedback: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    trim: Mapping[str, float] = field(default_factory=dict)
+    settings: DesignSettings = field(default_factory=DesignSettings)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

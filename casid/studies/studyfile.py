@@ -13,7 +13,6 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
-from casid.design.plan import NextFlight
 from casid.errors import ModelError
 from casid.files import Column
 from casid.free import free_parameters
@@ -27,7 +26,7 @@ from casid.structure.modelfile import load_model, locate_model
 from casid.studies.preparation import read_cutting, read_mending, read_second, read_trim
 from casid.studies.responses import check_flights, read_responses
 from casid.studies.settings import read_settings
-from casid.studies.study import Channels, Noise, RecordSet, Study
+from casid.studies.study import Channels, NextFlight, Noise, RecordSet, Study
 from casid.tables import Table, read_toml
 
 REQUIRED: tuple[Role, ...] = ("identification", "validation")

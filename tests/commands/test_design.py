@@ -6,8 +6,9 @@ import json
 import click.testing
 import numpy as np
 import pytest
-from truths.roll_study import write_study
+from truths.roll_study import Truth, write_study
 
+from casid import Record, output_error
 from casid.cli import main
 from casid.studies.runner import run_study
 from casid.studies.studyfile import read_study
@@ -69,6 +70,32 @@ def test_a_study_without_a_fit_is_designed_from_its_guess(tmp_path):
     for picture in ("design.png", "errors.png"):
         assert (tmp_path / "out/design" / picture).stat().st_size > 10_000
     assert "## Standard errors" in (tmp_path / "out/design/design.md").read_text()
+
+
+def test_without_a_fit_the_study_has_to_say_the_noise_in_its_own_words(tmp_path):
+    study = write_study(tmp_path)
+    text = study.read_text().replace("noise = true\n", "")
+    study.write_text(text[: (k := text.index("[noise]"))] + text[text.index("\n\n", k) :])
+    result = run(study, "-o", tmp_path / "out")
+    assert result.exit_code == 2, result.output
+    said = " ".join(result.stderr.split())
+    assert "give the study the tables [noise], with seed = 0, and [noise.std], with p = " in said
+    assert "noise={" not in said
+
+
+def test_a_fit_of_the_structure_as_it_was_is_to_be_made_again(tmp_path):
+    study = write_study(tmp_path)
+    t = 0.05 * np.arange(200)
+    u = 0.05 * np.sin(t + 0.1 * t**2)[:, None]
+    y = Truth().system().simulate(t, u)
+    noisy = Record(t, u, y, ("lat",), ("p", "phi")).with_noise(
+        {"p": 0.002, "phi": 0.002}, np.random.default_rng(0)
+    )
+    (tmp_path / "out").mkdir()
+    output_error(Truth(), noisy).save(tmp_path / "out/fit.json")
+    result = run(study, "-o", tmp_path / "out")
+    assert result.exit_code == 2, result.output
+    assert "it has changed, run casid identify again" in " ".join(result.stderr.split())
 
 
 @pytest.mark.parametrize(

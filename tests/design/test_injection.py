@@ -111,14 +111,14 @@ def program(monkeypatch):
     monkeypatch.setitem(sys.modules, "pymavlink", ModuleType("pymavlink"))
     sys.modules["pymavlink"].mavutil = None
     names = {"__name__": "inject"}
-    axes = {"lat": ("y", 1000), "ped": ("r", 1900.0)}
+    axes = {"lat": ("y", 1000), "ped": ("r", 1800.0)}
     exec(compile(px4_script(R, axes, "steps", CARD), "i", "exec"), names)
     return SimpleNamespace(**names)
 
 
-def fly(program, link):
+def fly(program, link, **trim):
     card = {"t": T.tolist()} | {name: r.tolist() for name, r in R.items()}
-    centre = {"x": 20.0, "y": 0.0, "z": 430.0, "r": 100.0}
+    centre = {"x": 20.0, "y": 0.0, "z": 430.0, "r": 100.0} | trim
     return program.fly(link, card, centre, clock=lambda: link.now, wait=link.wait)
 
 
@@ -127,9 +127,31 @@ def test_px4_gets_the_card_as_a_joystick_within_its_range(program):
     assert fly(program, link)
     assert link.sent[0] == (0.0, 20, 0, 430, 100, 0)
     assert (0.06, 20, 100, 430, 100, 0) in link.sent
-    assert (0.14, 20, -200, 430, 1000, 0) in link.sent  # 1050 is beyond a joystick's end
+    assert (0.14, 20, -200, 430, 1000, 0) in link.sent
     assert link.sent[-1][1:] == (20, 0, 430, 100, 0)
     assert link.now < T[-1] + 0.05
+
+
+@pytest.mark.parametrize(
+    ("trim", "words"),
+    [
+        ({"r": 101.0}, "axis r would go from 101 to 1001, which has -1000 to 1000: trim nearer"),
+        ({"y": -900.0}, "axis y would go from -1100 to -800"),
+        ({"z": -1.0}, "axis z would go from -1 to -1, which has 0 to 1000"),
+    ],
+)
+def test_a_card_that_the_sticks_cannot_follow_from_trim_is_not_begun(program, trim, words):
+    link = Link()
+    with pytest.raises(SystemExit, match=words):
+        fly(program, link, **trim)
+    assert link.sent == []
+
+
+def test_axis_z_has_half_the_units_of_the_others():
+    px4_script(R, {"lat": ("y", 1000.0), "ped": ("z", 1000.0)}, "", CARD)  # by 500
+    px4_script(R, {"lat": ("y", 1000.0), "ped": ("x", 2000.0)}, "", CARD)  # by 1000
+    with pytest.raises(ValueError, match=r"'ped' on axis z moves by 501 units, .* 500 at most"):
+        px4_script(R, {"lat": ("y", 1000.0), "ped": ("z", 1002.0)}, "", CARD)
 
 
 def test_a_change_of_mode_breaks_the_card_off(program):

@@ -107,6 +107,7 @@ def test_parameters_that_matter_are_told_better_than_when_all_count():
         ({"band": (2.2, 2.3), "method": "multisine"}, "0 harmonics .* widen the band or fly"),
         ({"band": (0.0, 2.0)}, "0 < lowest < highest"),
         ({"unit": -1.0}, "unit = -1 s"),
+        ({"unit": 1.2}, "unit = 1.2 s: 10 s have no room .* 1 input .*: 1.16 s at most, or leave"),
         ({"rest": -1.0}, "rest = -1: expected"),
         ({"draws": -1}, "draws = -1: expected"),
         ({"iterations": -3}, "iterations = -3: expected"),
@@ -120,11 +121,42 @@ def test_what_cannot_be_flown_is_refused_with_a_remedy(change, words):
         designed(**change)
 
 
+def test_a_delay_alone_can_be_designed_for():
+    others = tuple(name for name in MODEL.parameter_names() if name != "tau_lon")
+    assert designed(fixed=others).names == ("tau_lon",)
+
+
+def test_what_matters_is_what_a_design_tells_of():
+    made = designed(matter=("tau_lon",))
+    k = made.names.index("tau_lon")
+    ratio = pytest.approx(made.std_errors[k] / made.alternatives[0].std_errors[k])
+    row = next(row for row in made.ratios() if row[0] == made.kind)
+    assert row == (made.kind, ratio, ratio, "tau_lon")
+    assert "standard errors of tau_lon" in made.headline()
+    # information grows with the time less its rest, of one parameter that few others blur
+    alone = 1.0 + 9.0 * float(row[1]) ** -2
+    assert made.instead == pytest.approx(alone, rel=0.02)
+
+
+def test_a_member_of_the_ensemble_is_named():
+    limits, quick = Limits(sticks={STICK: 0.1}), DesignSettings(**QUICK, method="steps")
+
+    def made(*others):
+        design_inputs(MODEL, limits, 10.0, noise=NOISE, ensemble=others, settings=quick)
+
+    with pytest.raises(ValueError, match=r"ensemble\[1\] is a Linear; expected .*, ShortPeriod"):
+        made(replace(MODEL, Mq=-2.0), Linear())
+    with pytest.raises(ValueError, match=r"ensemble\[0\]: Mq = -90 is outside its bounds"):
+        made(replace(MODEL, Mq=-90.0))
+    with pytest.raises(ValueError, match=r"ensemble\[1\]: Pendulum is not in balance"):
+        swung(Pendulum(), ensemble=[Pendulum(c=0.6), Pendulum(k=2.3)])
+
+
 def test_an_unstable_aircraft_needs_its_feedback_which_is_told_by_name():
     unstable = replace(MODEL, Mw=0.05)
     quick = DesignSettings(**QUICK, method="steps")
     limits = Limits(sticks={STICK: 0.1})
-    with pytest.raises(ValueError, match=r"unstable .* give the feedback that is flown"):
+    with pytest.raises(ValueError, match=r"unstable .* more than e\^2: give the feedback that is"):
         design_inputs(unstable, limits, 10.0, noise=NOISE, settings=quick)
     held = {STICK: {"q": 0.5}}
     made = design_inputs(unstable, limits, 10.0, noise=NOISE, feedback=held, settings=quick)
@@ -228,6 +260,8 @@ def test_a_nonlinear_structure_has_to_be_in_balance_and_a_linear_one_has_its_tri
         swung(Pendulum(), trim=Trim(values={"theta": 0.3}))
     with pytest.raises(ValueError, match=r"at the trim given, where d/dt theta = 0\.1"):
         swung(Pendulum(), trim={"q": 0.1, "m": 2 * np.sin(0.8) + 0.05})
+    with pytest.raises(ValueError, match="trim names 'Theta'; there are q, theta, m"):
+        swung(Pendulum(), trim={"Theta": 0.3})
     with pytest.raises(ValueError, match="the trim has theta = nan"):
         swung(Pendulum(), trim=Trim(values={"theta": np.nan}))
     others = swung(

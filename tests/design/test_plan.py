@@ -39,9 +39,35 @@ def test_it_says_what_it_buys(design):
 
 def test_it_says_for_how_many_aircraft_its_limits_do_not_hold(design):
     assert "held" not in design.headline() + design.shares()
-    some = replace(design, plausible=48, unheld=16)
+    some = replace(design, plausible=48, unheld=16, r=2.0 * design.r)
     for said in (some.headline(), some.shares(), some.to_px4({"lat": ("y", 500.0)})):
         assert "16 of 48 plausible aircraft are not held by the feedback given: limits" in said
+
+
+def test_without_feedback_it_does_not_speak_of_any(design):
+    alone = replace(design, plausible=48, unheld=16).warning()
+    assert "16 of 48 plausible aircraft are too unstable to be flown without feedback:" in alone
+    assert "held by the feedback" not in alone
+
+
+def test_what_is_no_better_than_the_3211_is_not_recommended(design):
+    errors = design.alternatives[0].std_errors
+    same = replace(
+        design, covariance=np.diag(errors**2), instead=2.9,
+        alternatives=(design.alternatives[0], Alternative(name="steps", std_errors=errors)),
+    )  # fmt: skip
+    assert "; no better than the 3-2-1-1: fly that, or give more" in same.headline()
+    assert "of flight" not in same.headline()
+    assert "no better" not in design.headline()
+    assert "instead" not in replace(design, instead=1.0).headline()  # no gain in time
+
+
+def test_what_matters_is_what_is_compared(design):
+    some = replace(design, matter=("Llat",))
+    assert "errors of Llat 0.25 times those of 3-2-1-1 (geometric mean), 0.25 at worst (Llat)" in (
+        some.headline()
+    )
+    assert "| steps | 0.250 | 0.250 | Llat |" in some.comparison()
 
 
 def test_it_says_which_aircraft_its_limits_are_kept_with(design):
@@ -49,6 +75,9 @@ def test_it_says_which_aircraft_its_limits_are_kept_with(design):
     guess = replace(design, plausible=48, spread=0.2, before=np.full(2, np.inf))
     assert "aircraft whose values are scattered by 20% about those believed." in guess.shares()
     assert "say so (spread, or an ensemble)" in guess.shares()
+    assert "held" not in guess.shares()
+    some = replace(guess, unheld=16)  # 0.9 of two thirds
+    assert "about those believed and that are held, 60% of all with such values." in some.shares()
     fitted = replace(design, plausible=48, spread=0.2)
     assert "scattered by 20% beside the errors of the fit about those" in fitted.shares()
 

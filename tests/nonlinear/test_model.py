@@ -17,6 +17,13 @@ def test_a_nonlinear_structure_is_its_linearisation_at_its_reference():
     np.testing.assert_allclose(TRUTH.system().A, [[-0.8, -6.0], [1.0, 0.0]])
 
 
+def test_a_flight_condition_has_no_names_but_of_channels():
+    TRUTH.at(dict.fromkeys((*TRUTH.states, *TRUTH.inputs, *TRUTH.outputs), 0.0))
+    with pytest.raises(ValueError, match="trim names 'Theta'; there are "):
+        TRUTH.at({"Theta": 0.3})
+    TRUTH.at(Trim(values={"wind": 3.0}))  # as a record knows it
+
+
 def test_a_record_is_no_flight_condition_but_its_trim_is():
     record = swung(1).detrend("mean")
     with pytest.raises(ValueError, match=r"a Record is no flight condition.*model.at\(Trim\("):
