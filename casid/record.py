@@ -322,10 +322,10 @@ class Record(Shown):
         """Number of samples before the first input leaves its initial value.
 
         An input has left when it is more than 2 % of its range away from its first sample or, if
-        it is noisy, five deviations of its noise from the mean of its first ten.
+        it is noisy, five deviations of its noise from the mean of its first ten; it began to leave
+        behind the last sample before that differs no more than its own noise does.
         """
-        moved = np.flatnonzero(samples.off_rest(self.u).any(axis=1))
-        return int(moved[0]) if len(moved) else self.N
+        return samples.resting(self.u)
 
     def detrend(self, how: Literal["first", "mean"] | Mapping[str, float] | None) -> "Record":
         """Subtract the trim from every channel and remember it.

@@ -14,6 +14,9 @@ Between = Literal["zoh", "foh", "smooth"]  # steps, straight lines, a cubic spli
 QUIET = 0.02  # share of an input's range that still counts as trim
 NOISY = 5.0  # deviations of a resting input's noise that do, too
 LEVEL = 10  # first samples of a noisy input, whose mean is its level at rest
+FADED = 4.0  # deviations of its noise at rest from which on an input that fades in has begun
+FAINT = 0.001  # share of an input's range that a rest which is not exact may wander
+ROUNDING = 1e-9  # of an input's largest value: a smaller change is none
 FEWEST = 50  # samples that show noise
 BEGUN = 100  # first samples, at rest where there is any
 MAD = 1.482602218505602  # standard deviation of a normal distribution over its median deviation
@@ -48,6 +51,33 @@ def off_rest(u: Array) -> BoolArray:
     most = NOISY * np.where(begun < whole / 2, begun, whole)
     level = np.where(most > least, level, u[0])
     return np.asarray(np.abs(u - level) > np.maximum(np.maximum(least, most), 1e-300))
+
+
+def resting(u: Array) -> int:
+    """Number of samples before the first column (N, n) begins to leave its rest.
+
+    From where `off_rest` has it away, each is followed back to the last sample that its own rest
+    explains: what fades in has left long before.
+    """
+    away = off_rest(u)
+    ends = (_begun(x, int(np.argmax(off))) for x, off in zip(u.T, away.T, strict=True) if off.any())
+    return min(ends, default=len(u))
+
+
+def _begun(x: Array, found: int) -> int:
+    """The sample at which a channel (N,), found away from its rest, began to leave it."""
+    n, exact = found, ROUNDING * np.abs(x).max()
+    while n >= 2 * LEVEL:  # its first half tells the rest: again, while it may have moved there
+        head = x[: n // 2]
+        spread = FADED * head.std()
+        rest = max(spread, FAINT * np.ptp(x)) if spread > exact else exact
+        begun = int(np.flatnonzero(np.abs(x[:n] - head.mean()) <= rest)[-1]) + 1
+        if begun < found / 2 and spread > exact:
+            return found  # it wanders all along, as a controller lets it
+        if begun == n:
+            break
+        n = begun
+    return n
 
 
 def usual_interval(t: Array) -> float:

@@ -118,6 +118,25 @@ def test_an_input_as_rough_as_noise_ends_the_quiet_stretch_all_the_same(share):
         assert replace(rest, u=u).quiet_samples() == 100
 
 
+@pytest.mark.parametrize(
+    ("noise", "drift", "late"), [(0, 0, 0), (1e-4, 0, 16), (3e-3, 0, 30), (1e-4, 5e-4, 12)]
+)
+def test_a_sweep_that_fades_in_ends_the_quiet_stretch_where_it_begins(noise, drift, late):
+    for seed in range(5):
+        t = 0.02 * np.arange(2000)
+        x = np.clip(t - 3, 0, None)
+        u = np.clip(x / 5, 0, 1) * np.sin(0.3 * x + 0.05 * x**2) + drift * np.sin(t)
+        u += noise * np.random.default_rng(seed).standard_normal(len(t))
+        quiet = Record(t, 0.5 + u[:, None], t[:, None], ("lat",), ("p",)).quiet_samples()
+        assert 150 <= quiet <= 151 + late  # it passes 2 % of its range after 0.8 s, 41 samples
+
+
+def test_a_stick_that_wanders_at_rest_as_a_controller_lets_it_stays_quiet():
+    t = 0.02 * np.arange(500)
+    u = np.where(t >= 2, 1.0, 0.004 * t)
+    assert Record(t, u[:, None], t[:, None], ("lat",), ("p",)).quiet_samples() == 100
+
+
 def test_a_trim_from_too_short_a_stretch_is_said_with_its_length():
     late = noisy_stick(0.02).cut(1.8, 9.0)
     with pytest.warns(DataWarning, match=r"'noisy': an input moves 0\.2 s after.*mean of 10 samp"):
