@@ -24,8 +24,8 @@ STATUS = {  # IPOPT's word, what it means and what to do
     "Maximum_Iterations_Exceeded": "iteration limit reached; raise max_iterations or start nearer",
     "Maximum_CpuTime_Exceeded": "time limit reached; raise max_seconds",
     "Maximum_WallTime_Exceeded": "time limit reached; raise max_seconds",
-    "Infeasible_Problem_Detected": "no point satisfies the constraints near here; relax ties or "
-    "bounds",
+    "Infeasible_Problem_Detected": "no feasible point was found near here; start nearer, or "
+    "relax ties and bounds if there are any",
     "Restoration_Failed": "no feasible step found; start nearer, or check the scale of the "
     "parameters",
     "Search_Direction_Becomes_Too_Small": "no further progress at this precision; loosen tolerance",

@@ -32,13 +32,15 @@ def stretches(records: Records) -> tuple[Record, ...]:
     a rate and its attitude are hardly in units alike. ValueError: a record with nothing but gaps.
     """
     pieces = tuple(piece for record in several(records) for piece in _pieces(record))
-    seen: dict[str, Record] = {}
+    seen: dict[str, list[str]] = {}
     for piece in pieces:
-        other = seen.setdefault(digest(piece.u, piece.y), piece)
-        if other is not piece:
+        seen.setdefault(digest(piece.u, piece.y), []).append(repr(piece.name))
+    for names in seen.values():
+        if (n := len(names)) > 1:
             warn(
-                f"records {other.name!r} and {piece.name!r} hold the same samples: one flight "
-                "counts twice, and errors come out too small by up to √2; leave one out"
+                f"records {', '.join(names[:-1])} and {names[-1]} hold the same samples: one "
+                f"flight counts {'twice' if n == 2 else f'{n} times'}, and errors come out too "
+                f"small by up to √{n}; leave one in"
             )
     for rate, angle in ATTITUDES.items():
         odd = [(piece, ratio) for piece in pieces if (ratio := _unlike(piece, rate, angle))]

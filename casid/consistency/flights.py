@@ -28,12 +28,25 @@ class Repeats:
                 f"Record {name} is for validation, but an estimation has seen it{same}: its "
                 "verdict is no proof."
             )
-        for name, other in self.twice:
+        for names in self._flights():
+            n = len(names)
             said.append(
-                f"Records {name} and {other} are the same flight: it counts twice, and standard "
-                "errors come out too small by up to √2; leave one of them out."
+                f"Records {', '.join(names[:-1])} and {names[-1]} are the same flight: it counts "
+                f"{'twice' if n == 2 else f'{n} times'}, and standard errors come out too small by "
+                f"up to √{n}; leave one of them in."
             )
         return said
+
+    def _flights(self) -> list[list[str]]:
+        """Records of one role by the flight that they are."""
+        found: list[list[str]] = []
+        for pair in self.twice:
+            joined = [names for names in found if not {*pair}.isdisjoint(names)]
+            found = [names for names in found if names not in joined]
+            found.append(
+                list(dict.fromkeys([name for names in joined for name in names] + [*pair]))
+            )
+        return found
 
 
 def repeats(roles: Mapping[Any, Sequence[Record]]) -> Repeats:

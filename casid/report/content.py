@@ -1,6 +1,6 @@
 """What a report is made of: frozen values, and the sections in which stages show theirs."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 BLACK_BOX, MATCH = "black box", "H∞ match"
 OUTPUT_ERROR, BASELINE = "output error", "frequency domain"
 CHOSEN = "chosen step"
+LEADING = 8  # rank of a caution up to which it leads
 TEMPLATES = Path(__file__).parent / "templates"
 
 
@@ -96,6 +97,7 @@ class Section:
     answer: str = ""  # for the page's first paragraph: is it good, where not, why
     lead: str = ""  # a sentence on how it was made
     cautions: tuple[Caution, ...] = ()  # for the box on top
+    praise: bool = False  # whether its lead is told only where no caution contradicts it
 
 
 def section(name: str, title: str, place: int, found: Any = None, **more: Any) -> Section:  # noqa: ANN401
@@ -110,6 +112,17 @@ def cautions(content: "Content", sections: Iterable[Section]) -> tuple[str, ...]
     said = [caution for section in sections for caution in section.cautions]
     said += [Caution(text) for text in content.warnings]
     return tuple(dict.fromkeys(each.text for each in sorted(said, key=lambda each: each.rank)))
+
+
+def contradicted(sections: Iterable[Section]) -> bool:
+    """Whether a caution leads that speaks against records, structure or estimate."""
+    return any(each.rank <= LEADING for section in sections for each in section.cautions)
+
+
+def leads(sections: Sequence[Section]) -> tuple[str, ...]:
+    """How the result was made; praise only where nothing contradicts it."""
+    doubted = contradicted(sections)
+    return tuple(each.lead for each in sections if each.lead and not (each.praise and doubted))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -20,6 +20,8 @@ WORSE = 2.0  # RMS error of the structure over that of the black box
 APART = 4.0  # standard errors of a difference: by chance once in 16 000
 WORST = 2.0  # of the guideline for J on average: what a single pair may have
 PER_UNKNOWN = 20.0  # measurements
+COLOURED = 1.5  # standard error over the Cramér-Rao bound, that of white residuals
+STRANGE = 4.0  # RMS error over residual of the estimation, the median of outputs
 OPEN = 0.5  # standard error of an eigenvalue over its modulus: as good as any sign
 NAMED = 5  # before it says how many more
 REMEDIES = {  # by whether the structure is enough
@@ -61,6 +63,27 @@ def disagreement(validation: Validation, content: Content) -> Iterator[Caution]:
             + REMEDIES[enough(content.results)],
             5,
         )
+
+
+def strangers(validation: Validation, content: Content) -> Iterator[Caution]:
+    """Validation records that neither model explains, though one left white noise in its own."""
+    fit, model = content.fits.get(content.delivered), content.delivered
+    if fit is None or fit.R is None or not {BLACK_BOX, model} <= set(validation.models):
+        return
+    rows = [row for row in fit.parameters if not row.fixed and row.cramer_rao > 0]
+    if not rows or np.median([row.std_error / row.cramer_rao for row in rows]) > COLOURED:
+        return
+    left = dict(zip(type(fit.model).outputs, np.sqrt(np.diag(fit.R)), strict=False))
+    size = np.array([left.get(name, np.nan) for name in validation.outputs])
+    least = np.fmin(validation.rms[model], validation.rms[BLACK_BOX]) / size
+    for name, ratio in zip(validation.records, np.nanmedian(least, axis=1), strict=True):
+        if ratio > STRANGE:
+            yield Caution(
+                f"Validation record {name} is not explained as the identification records are: "
+                f"another aircraft, clock, unit or trim? Errors of both models are {ratio:.1f} "
+                "times the residuals there, the median of outputs.",
+                4,
+            )
 
 
 def _pooled(rms: Array) -> Array:

@@ -19,7 +19,7 @@ from casid.files import write_text
 from casid.jobs.beside import beside
 from casid.report import intervals
 from casid.report.answer import place
-from casid.report.content import TEMPLATES, Content, Drawing, Section, cautions
+from casid.report.content import TEMPLATES, Content, Drawing, Section, cautions, leads
 from casid.report.drawings import save
 from casid.report.interactive import interactive
 from casid.report.look import LOOK
@@ -72,7 +72,7 @@ def write_report(content: Content, sections: Sequence[Section], folder: str | Pa
         chapters=chapters,
         opening=[body(each, content) for each in ordered if each.template and not each.title],
         answers=[each.answer for each in ordered if each.answer],
-        leads=[section.lead for section in sections if section.lead],
+        leads=leads(sections),
         cautions=cautions(content, sections),
         plotly=base64.b64encode(PLOTLY.read_bytes()).decode("ascii"),
     )

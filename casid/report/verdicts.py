@@ -8,14 +8,13 @@ import numpy as np
 from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Caution, Content
-from casid.report.evidence import WORSE, noise_levels
+from casid.report.evidence import COLOURED, WORSE, noise_levels
 from casid.validation import Validation, measures
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
 # or 0.3 speaks for a good model. Below 0.1 residuals are a tenth of what is simulated.
 GOOD, FAIR = 0.1, 0.3
 NOISY = 1.2  # RMS error over standard deviation of the noise
-COLOURED = 1.5  # standard error over the Cramér-Rao bound, that of white residuals
 NAMED = 12  # names in a warning before it says how many more
 
 

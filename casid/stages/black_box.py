@@ -22,7 +22,8 @@ def _show(found: BlackBox, content: Content) -> Iterable[Section]:  # noqa: ARG0
     told = (
         f"A black box of order {order} was identified from {counted(len(found.records), 'record')}"
     )
-    said = tuple(Caution(text, 30) for text in found.doubts())
+    ranks = dict.fromkeys(found.remarks, 6)  # records disagree, or stand still
+    said = tuple(Caution(text, ranks.get(text, 30)) for text in found.doubts())
     draw = partial(report.drawings.draw_singular_values, found)
     more: Any = {"draw": draw, "lead": f"{told} ({names}).", "cautions": said}
     yield section("black_box", "Black box", 95, found, **more)

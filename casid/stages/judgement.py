@@ -13,7 +13,7 @@ from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
 from casid.report.answer import ranked, told
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Caution, Content, Section, enough, section
-from casid.report.evidence import differences, disagreement
+from casid.report.evidence import differences, disagreement, strangers
 from casid.report.verdicts import verdicts
 from casid.stages.conditions import condition
 from casid.stages.stage import Stage, Task
@@ -35,6 +35,10 @@ class Judgement:
 
     horizon: float | None = None
 
+    def __post_init__(self) -> None:
+        if self.horizon is not None and not self.horizon > 0:
+            raise ValueError(f"horizon = {self.horizon:g}, expected seconds above 0")
+
 
 def _run(settings: Judgement, task: Task) -> Validation:
     return validate(task.models, task.records, horizon=settings.horizon)
@@ -44,8 +48,8 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
     judged = verdicts(found, content)
     poor = [each for each in judged if each.word in ("poor", "not judged")]
     said = [Caution(each, 3) for each in content.repeats.told()]
-    said += [*disagreement(found, content), *differences(content)]
-    said += [Caution(each.caution, 20) for each in poor]
+    said += [*strangers(found, content), *disagreement(found, content), *differences(content)]
+    said += [Caution(each.caution, 20 if each.noisy else 7) for each in poor]
     if found.predicted:
         said.append(Caution(f"Validation records: {found.predicted}", 21))
     lead = _lead(found.records, content.repeats.seen)
@@ -70,8 +74,9 @@ def _lead(names: Sequence[str], seen: Container[str]) -> str:
     """Which records it was judged on, those apart that are no new ones."""
     old = [name for name in names if name in seen]
     new = [name for name in names if name not in seen]
-    said = {"estimations had seen": old, "no estimation had seen": new}
-    parts = [f"records that {who} ({', '.join(own)})" for who, own in said.items() if own]
+    copies = ", as far as casid recognises copies"
+    said = {"estimations had seen": (old, ""), "no estimation had seen": (new, copies)}
+    parts = [f"records that {who}{how} ({', '.join(x)})" for who, (x, how) in said.items() if x]
     return f"It was judged on {' and on '.join(parts)}."
 
 

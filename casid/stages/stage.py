@@ -183,11 +183,17 @@ def run_stages(
                 continue
             except ConvergenceError as error:
                 if not stage.optional:
-                    raise
+                    raise ConvergenceError(f"{error}{_doubts(results)}", error.best) from error
                 failures[stage.name] = error
         if stage.label and stage.name in results:
             models[stage.label] = results[stage.name]
     return Found(results=results, models=models, failures=failures)
+
+
+def _doubts(results: Mapping[str, Any]) -> str:
+    """What results before a failure say against themselves, for they may be why; "" if nothing."""
+    said = [text for each in results.values() for text in getattr(each, "doubts", tuple)()]
+    return "\n".join(["", "What came before may be why:", *said]) if said else ""
 
 
 def _begin_ready(

@@ -51,6 +51,7 @@ def _show(found: Distances, content: Content) -> Iterable[Section]:  # noqa: ARG
         answer = f"It is farther from the black box than errors explain: {found.sentences()[0]}."
     title = "Is the structure enough?"
     whole: Any = {"lead": lead, "answer": answer, "cautions": tuple(said)}
+    whole["praise"] = found.enough
     yield section("sufficiency", title, 3, found, **whole)
 
 

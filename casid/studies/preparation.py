@@ -17,6 +17,7 @@ from casid.repetition import without_repeats
 from casid.samples import known_inputs
 from casid.tables import Table, hint
 
+FINER = 0.9  # of a record's interval, from which on resampling adds samples
 KINEMATICS: Literal["kinematics"] = "kinematics"
 
 
@@ -103,8 +104,20 @@ class Cutting:
         if span is not None:
             record = record.cut(*span)
         if self.resample is not None:
-            record = record.resample(self.resample)
+            record = self._resampled(record, self.resample)
         return record.decimate(self.decimate)
+
+    @staticmethod
+    def _resampled(record: Record, dt: float) -> Record:
+        if dt < FINER * record.dt:
+            warn(
+                f"record {record.name!r} is measured every {record.dt:g} s: resample = {dt:g} adds "
+                "samples that nobody measured, and standard errors count them; leave it out"
+            )
+        try:
+            return record.resample(dt)
+        except ValueError as error:
+            raise ValueError(f"resample = {dt:g}: {error}") from error
 
 
 def _skews(

@@ -17,7 +17,7 @@ from casid.files import write_text
 from casid.fit import AnyFit, ParameterEstimate
 from casid.folder import claimed
 from casid.record import Record
-from casid.report.content import Content, Timing, cautions, enough
+from casid.report.content import Content, Section, Timing, cautions, contradicted, enough
 from casid.report.verdicts import Verdict, verdicts
 from casid.stages.listing import sections
 from casid.stages.stage import Found, Role, run_stages
@@ -218,14 +218,14 @@ def _run(
         last.save(study.output / "fit.json")
         write_parameters(study.output / "parameters.csv", last)
 
-    def write() -> tuple[Path, Content, tuple[str, ...]]:
+    def write() -> tuple[Path, Content, tuple[Section, ...]]:
         # Seconds of what is computed every time would make two pages of one result differ.
         clock = [timing for timing in keeper.clock if timing.stage in lasting]
         shown = content(study, records, again, found, clock, keeper.warnings)
         told = sections(study.stages, found.results, shown)
-        return pages.write_report(shown, told, study.output), shown, cautions(shown, told)
+        return pages.write_report(shown, told, study.output), shown, tuple(told)
 
-    report, shown, said = keeper.timed("report", write)
+    report, shown, told = keeper.timed("report", write)
     for failure in found.failures.values():
         raise ConvergenceError(
             f"{failure}\nThe report is written without it: {report}", failure.best
@@ -235,8 +235,8 @@ def _run(
         timings=tuple(keeper.clock),
         report=report,
         verdicts=() if judged is None else verdicts(judged, shown),
-        cautions=said,
-        headlines=_headlines(found.results),
+        cautions=cautions(shown, told),
+        headlines=_headlines(found.results, doubted=contradicted(told)),
         seen=tuple(again.seen),
         found=lambda: found.results,
     )
@@ -255,9 +255,11 @@ def _earlier(study: Study) -> str:
     )
 
 
-def _headlines(results: Mapping[str, Any]) -> dict[str, bool | None]:
-    """Whether the structure is enough, and which last step was chosen."""
+def _headlines(results: Mapping[str, Any], *, doubted: bool) -> dict[str, bool | None]:
+    """Whether the structure is enough, if nothing contradicts that, and which step was chosen."""
     said = {"sufficiency": enough(results), "choice": None}
+    if doubted and said["sufficiency"]:
+        del said["sufficiency"]
     return {results[name].headline(): good for name, good in said.items() if name in results}
 
 

@@ -23,8 +23,9 @@ from casid.frozen import frozen
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
-from casid.stages.stage import ROLES, Role, Stage, Task
+from casid.stages.stage import ROLES, Role, Stage, Task, placed
 from casid.studies.preparation import Cutting, Mending, Second, with_inputs
+from casid.subspace.pbsid import Pbsid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,6 +190,8 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
     total = isinstance(study.model, NonlinearModel)
     stated = channels.units, channels.time
     check_plausible(done["identification"], tuple(every.values()), *stated, total=total)
+    with placed("pbsid"):
+        study.settings.get("pbsid", Pbsid()).check_lengths(done["identification"])
     for record in measured.values():
         for stretch in frozen(record):
             warn(f"record {record.name!r}: {stretch.told()}")

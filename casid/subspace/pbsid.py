@@ -7,6 +7,7 @@ of them. Departures: the projections are computed exactly from the samples
 term may be masked.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar, get_args
 
@@ -18,6 +19,7 @@ from casid.errors import warn
 from casid.excitations import certified
 from casid.frozen import frozen
 from casid.linear import StateSpace
+from casid.record import Record
 from casid.records import Records
 from casid.subspace import settings as choice
 from casid.subspace.blackbox import BlackBox
@@ -215,6 +217,18 @@ class Pbsid:
             _warn_direct_term(np.array(found.system.outputs)[campaign.mask.any(axis=1)])
         estimate = refine_sampled(campaign, found, settings.refinement)
         return self._black_box(campaign, settings, estimate, chosen)
+
+    def check_lengths(self, records: Sequence[Record]) -> None:
+        """ValueError: windows, or those that the order needs, are longer than every record."""
+        longest = max(records, key=lambda record: record.N)
+        needed = -(-(self.order or 0) // longest.ny)  # samples, or Laguerre functions
+        for name, length in {"past": self.past, "future": self.future, "order": needed}.items():
+            if length is not None and length >= longest.N:
+                value = self.order if name == "order" else length
+                raise ValueError(
+                    f"{name} = {value} needs a window of {length}, and the longest record, "
+                    f"{longest.name!r}, has {longest.N} samples; lower it"
+                )
 
     def _windows(self, settings: choice.Candidate, ny: int) -> Windows:
         """The windows asked for, checked."""

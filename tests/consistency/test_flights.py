@@ -81,3 +81,10 @@ def test_identify_tells_of_a_flight_that_serves_twice():
     record = flown()
     with pytest.warns(DataWarning, match="Records flight and b are the same flight: it counts tw"):
         identify(Roll(), [record, replace(record, name="b")], stages=())
+
+
+def test_seven_copies_of_a_flight_are_one_sentence():
+    records = [replace(flown(), name=f"copy {k}") for k in range(7)]
+    (said,) = repeats({"identification": [*records, flown(seed=1, name="other")]}).told()
+    assert said.startswith("Records copy 0, copy 1, copy 2, copy 3, copy 4, copy 5 and copy 6 are")
+    assert "counts 7 times, and standard errors come out too small by up to √7" in said

@@ -7,8 +7,8 @@ import pytest
 from truths.structures import SECOND, Lag, black_box
 
 from casid import match
-from casid.report import Content
-from casid.report.content import TEMPLATES, section
+from casid.report import Caution, Content, Section
+from casid.report.content import TEMPLATES, leads, section
 
 
 def test_structured_models_are_told_from_the_others():
@@ -30,3 +30,12 @@ def test_a_section_has_the_template_of_its_name_and_knows_its_result(name):
     assert jinja2.Environment(autoescape=True).parse(made.template).body
     assert (made.title, made.place, made.lead) == ("Title", 7, "Lead.")
     assert made.values == {"found": 3, "more": 4}
+
+
+def test_praise_is_told_only_where_no_caution_contradicts_it():
+    praised = Section(name="a", lead="It misses nothing.", praise=True)
+    plain = Section(name="b", lead="It was made.", cautions=(Caution("Look at bounds.", 10),))
+    assert leads([praised, plain]) == ("It misses nothing.", "It was made.")
+    for rank in (3, 5, 7):
+        worse = Section(name="c", cautions=(Caution("Model and data disagree.", rank),))
+        assert leads([praised, plain, worse]) == ("It was made.",)

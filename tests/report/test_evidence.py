@@ -6,10 +6,20 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from truths.roll_study import write_study
+from truths.roll_study import Truth, write_study
 
-from casid import Model, Record, Rows, Scalar, parameter, read_study, run_study
-from casid.report.evidence import few, noise_levels
+from casid import (
+    Model,
+    Record,
+    Rows,
+    Scalar,
+    output_error,
+    parameter,
+    read_study,
+    run_study,
+    validate,
+)
+from casid.report.evidence import few, noise_levels, strangers
 
 MEASURED = (
     ("[records.validation]", "[records.frequency]\nfiles = ['sweep.csv']\nnoise = true\n\n"
@@ -125,3 +135,26 @@ class Estimate:
 
     def __getitem__(self, name):
         return self.row
+
+
+def judged(late):
+    """What is told of two validation records of the roll axis, the sticks of one maybe late."""
+    rng, t = np.random.default_rng(1), 0.02 * np.arange(1000)
+    u = 0.05 * np.repeat(rng.choice([-1.0, 1.0], 25), 40)[:, None]
+    records = []
+    for name, lag in (("own", 0), ("new", 0), ("old", late)):
+        stick = np.roll(u, 13 * len(records), axis=0)
+        clean = Truth().system().simulate(t, np.roll(stick, -lag, axis=0))
+        y = clean + 0.003 * rng.standard_normal((1000, 2))
+        records.append(Record(t, stick, y, ("lat",), ("p", "phi"), name))
+    fit = output_error(Truth(), records[0])
+    models = {"black box": fit.model.system(), "output error": fit}
+    found = validate(models, records[1:])
+    content = SimpleNamespace(fits={"output error": fit}, delivered="output error")
+    return [each.text for each in strangers(found, content)]
+
+
+def test_a_validation_record_that_no_model_explains_is_told():
+    assert judged(0) == []
+    (said,) = judged(8)
+    assert said.startswith("Validation record old is not explained as the identification records")

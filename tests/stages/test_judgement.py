@@ -9,7 +9,7 @@ from truths.roll_study import Truth
 from casid import Record, StateSpace, validate
 from casid.report import Content
 from casid.report.html import body
-from casid.stages.judgement import VALIDATION
+from casid.stages.judgement import VALIDATION, Judgement
 
 T = 0.02 * np.arange(1000)
 U = np.sin(T)[:, None]
@@ -44,3 +44,9 @@ def test_a_prediction_is_called_one_in_table_figure_and_box(pole):
     assert ("s ahead, not simulated" in history.caption) == predicted
     (bars,) = sections["rms"].draw()
     assert bars.caption.startswith(f"RMS {'prediction' if predicted else 'simulation'} error")
+
+
+@pytest.mark.parametrize("horizon", [-1.0, 0.0, np.nan])
+def test_a_horizon_that_is_none_is_refused(horizon):
+    with pytest.raises(ValueError, match="expected seconds above 0"):
+        Judgement(horizon=horizon)

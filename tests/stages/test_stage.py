@@ -3,15 +3,16 @@
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from truths.roll_study import write_study
 
-from casid import ModelError, identify, read_study, run_study
+from casid import ConvergenceError, ModelError, identify, read_study, run_study
 from casid.report import Caution, Section
 from casid.stages.listing import STAGES
-from casid.stages.stage import Stage
+from casid.stages.stage import Stage, Task, run_stages
 from casid.studies.study import read_records
 from casid.values import storable
 
@@ -141,3 +142,16 @@ def test_a_stage_that_rests_on_one_that_is_not_there_is_told(tmp_path):
     with pytest.raises(ValueError, match="no stage is called 'nothing'") as caught:
         read_study(path, stages=(*STAGES, lost))
     assert not isinstance(caught.value, ModelError)
+
+
+def test_what_comes_before_a_failure_says_its_doubts_with_it():
+    def fails(*_):
+        raise ConvergenceError("no point", "best")
+
+    def before(*_):
+        return SimpleNamespace(doubts=lambda: ("Order 2 misses a mode.",))
+
+    stages = tuple(Stage(name=run.__name__, does="", run=run) for run in (before, fails))
+    with pytest.raises(ConvergenceError, match=r"^no point\n.*\nOrder 2 misses a mode\.$") as told:
+        run_stages(Task(model=None, stages=stages))
+    assert told.value.best == "best"

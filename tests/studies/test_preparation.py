@@ -134,3 +134,22 @@ def test_a_logger_of_inputs_gives_them_as_they_are_held():
 def test_what_is_asked_for_wrongly_is_told(tmp_path, change, message):
     with pytest.raises(ValueError, match=message):
         read_study(write_study(tmp_path, (PLACE, change)))
+
+
+def test_samples_that_nobody_measured_are_told_and_a_senseless_interval_names_its_key(tmp_path):
+    with pytest.warns(DataWarning, match=r"measured every 0.04 s: resample = 0.01 adds samples"):
+        read(tmp_path, QUIET, (PLACE, PLACE + "resample = 0.01\n"))
+    with pytest.raises(ValueError, match=r"^resample = 1000: record "):
+        read(tmp_path, QUIET, (PLACE, PLACE + "resample = 1000\n"))
+
+
+@pytest.mark.parametrize(
+    "key", ["past = 5000", "past = 10\nfuture = 5000", "past = 10\norder = 100000"]
+)
+def test_windows_longer_than_every_record_are_refused_when_records_are_read(tmp_path, key):
+    text = write_study(tmp_path, QUIET).read_text()
+    head, rest = text.split("[pbsid]\n")
+    rest = rest[rest.index("\n[") :] if "\n[" in rest else ""
+    (tmp_path / "study.toml").write_text(f"{head}[pbsid]\n{key}\n{rest}")
+    with pytest.raises(ValueError, match=rf"\[pbsid\] {key.splitlines()[-1]} needs a window of"):
+        read_records(read_study(tmp_path / "study.toml"))
