@@ -50,6 +50,11 @@ class Free:
         """Guess of the free parameters, (nf,), moved onto its bounds where it violates them."""
         return np.asarray(np.clip(self.model.vector(), self.lower, self.upper)[self.index])
 
+    def allows(self, values: Array) -> bool:
+        """Whether free values (nf,) are within the bounds."""
+        low, high = self.lower[self.index], self.upper[self.index]
+        return bool(((low <= values) & (values <= high)).all())
+
     def surprise(self, values: Array) -> tuple[Array, Array]:
         """(λ − λ₀)/σ of all priors at free values (nf,), and the derivatives (priors, nf).
 

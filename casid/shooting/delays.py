@@ -7,7 +7,7 @@ jumps, is compared with the best on the other side.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,31 +19,86 @@ NEAR = 0.1  # of a sampling interval: a kink that noise may have held an estimat
 EDGE = 1e-6  # of a sampling interval: on a whole sample
 
 
+@dataclass(frozen=True, eq=False)
+class _Delay:
+    """A free parameter that is the delay of inputs of its own, and where the likelihood breaks."""
+
+    a: int  # its place among the free parameters
+    heard: np.ndarray  # the inputs
+    tau: float
+    slope: float  # of the delay by the parameter
+    steps: list[float]  # sampling intervals whose multiples break the likelihood
+    jump: bool  # outputs jump there
+
+    def own(self) -> tuple[float, float]:
+        """The stretch between whole samples that the delay is in, or begins."""
+        return _stretch(self.tau + EDGE * min(self.steps), self.steps)
+
+
+def held(programme: Programme, lam: Array) -> tuple[Free, Array]:
+    """Bounds, and delays within, that hold what makes outputs jump in its stretch; as neighbours'.
+
+    Nothing is held, and all is NaN, where no output jumps.
+    """
+    free, within = programme.free, np.full(programme.evaluator.nu, np.nan)
+    for delay in _delays(programme, lam):
+        if delay.jump:
+            low, high = delay.own()
+            below = _stretch(low - EDGE * min(delay.steps), delay.steps)
+            for ends in ((low, high), below):  # the last on the upper bound
+                found = _within(programme, free, within, delay, lam, ends)
+                if found:
+                    free, within = found
+                    break
+    return free, within
+
+
 def neighbours(programme: Programme, lam: Array, solved: bool) -> Iterator[tuple[Free, Array]]:
     """Stretches between whole samples that a delay of its own parameter may belong to as well.
 
     Bounds that hold the parameter in the stretch, and for `Evaluator.within` the delay in its
-    middle (nu,), NaN for other inputs. ``lam`` (nf,) is where a solve has ended, ``solved`` with
-    success: its own stretch need not be tried.
+    middle (nu,), NaN for other inputs but those `held`. ``lam`` (nf,) is where a solve has ended,
+    ``solved`` with success: its own stretch need not be tried.
     """
-    m, free = programme.evaluator.matrices(lam), programme.free
-    for a in range(len(free.index)):
+    free, within = held(programme, lam)
+    for delay in _delays(programme, lam):
+        for ends in _stretches(delay, solved):
+            found = _within(programme, free, within, delay, lam, ends)
+            if found:
+                yield found
+
+
+def _within(
+    programme: Programme,
+    free: Free,
+    within: Array,
+    delay: _Delay,
+    lam: Array,
+    ends: tuple[float, float],
+) -> tuple[Free, Array] | None:
+    """Bounds and delays within, of a delay between two more; None if that leaves no room."""
+    edges = lam[delay.a] + (np.array(ends) - delay.tau) / delay.slope
+    i, given = programme.free.index[delay.a], programme.free
+    lower, upper = np.clip(np.sort(edges), given.lower[i], given.upper[i])
+    if not (upper > lower or (delay.jump and given.lower[i] == upper)):
+        return None
+    middle, bounds = within.copy(), (free.lower.copy(), free.upper.copy())
+    middle[delay.heard] = sum(ends) / 2
+    upper = max(upper, lower + EDGE * (ends[1] - ends[0]) / abs(delay.slope))
+    bounds[0][i], bounds[1][i] = lower, upper
+    return replace(free, lower=bounds[0], upper=bounds[1]), middle
+
+
+def _delays(programme: Programme, lam: Array) -> Iterator[_Delay]:
+    """The delays in which the likelihood breaks."""
+    m = programme.evaluator.matrices(lam)
+    for a in range(len(programme.free.index)):
         heard = np.flatnonzero(m.tau_lam[:, a])
         if not len(heard) or np.count_nonzero(m.tau_lam[heard]) > len(heard):
             continue
         steps, jump = _broken(programme, heard, m.D, m.D_lam)
-        slope, tau = m.tau_lam[heard[0], a], m.tau[heard[0]]
-        for low, high in _stretches(tau, steps, jump, solved):
-            edges = lam[a] + (np.array([low, high]) - tau) / slope
-            i = free.index[a]
-            lower, upper = np.clip(np.sort(edges), free.lower[i], free.upper[i])
-            if upper > lower or (jump and free.lower[i] == upper):
-                within = np.full(len(m.tau), np.nan)
-                within[heard] = (low + high) / 2
-                upper = max(upper, lower + EDGE * (high - low) / abs(slope))
-                bounds = free.lower.copy(), free.upper.copy()
-                bounds[0][i], bounds[1][i] = lower, upper
-                yield replace(free, lower=bounds[0], upper=bounds[1]), within
+        if steps:
+            yield _Delay(a, heard, m.tau[heard[0]], m.tau_lam[heard[0], a], steps, jump)
 
 
 def _broken(
@@ -52,24 +107,20 @@ def _broken(
     """Sampling intervals whose multiples break the likelihood in τ, and whether it jumps."""
     direct = bool(D[:, heard].any() or D_lam[:, heard].any())
     records = [r for r in programme.evaluator.layout.records if r.equidistant]
-    steps = {r.dt for r in records if direct or r.hold == "zoh"}
+    steps = {float(f"{r.dt:.9g}") for r in records if direct or r.hold == "zoh"}  # no roundings
     return sorted(steps), direct and any(r.hold == "zoh" for r in records)
 
 
-def _stretches(
-    tau: float, steps: list[float], jump: bool, solved: bool
-) -> Iterator[tuple[float, float]]:
+def _stretches(delay: _Delay, solved: bool) -> Iterator[tuple[float, float]]:
     """Stretches to try: across the whole samples near τ, and τ's own if that is not solved."""
-    if not steps:
-        return
-    tiny = EDGE * min(steps)
-    low, high = _stretch(tau + tiny, steps)
-    below, above = (jump or abs(tau - edge) < NEAR * min(steps) for edge in (low, high))
+    low, high = delay.own()
+    tau, steps, least = delay.tau, delay.steps, min(delay.steps)
+    below, above = (delay.jump or abs(tau - edge) < NEAR * least for edge in (low, high))
     if below:
-        yield _stretch(low - tiny, steps)
+        yield _stretch(low - EDGE * least, steps)
     if above:
-        yield _stretch(high + tiny, steps)
-    if (below or above) and (not solved or tau - low < tiny):
+        yield _stretch(high + EDGE * least, steps)
+    if (below or above) and (not solved or tau - low < EDGE * least):
         yield low, high
 
 

@@ -4,6 +4,7 @@ The first holds R as the start's residuals have it, the others maximise the like
 concentrated out, in new units each, until R has settled.
 """
 
+import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from casid.fit import AnyFit
 from casid.free import Free
 from casid.nlp import Solution, SolverOptions, solve
 from casid.shooting import frequency
-from casid.shooting.delays import neighbours
+from casid.shooting.delays import held, neighbours
 from casid.shooting.integration import factor_wanted, integration
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.nearby import predicted
@@ -24,11 +25,13 @@ from casid.shooting.reduced import completed
 from casid.shooting.sensitivity import Evaluator, Point
 from casid.shooting.starting import neighbouring_programme, noise_of
 
+LOG = logging.getLogger("casid")
+
 ROUNDS = 12  # of solves
 PREDICTIONS = 3  # of the solution beside another: which bounds hold is settled then
 ROUGH = 1e-4  # tolerance of the first, whose R is that of the start
 EARLIER = 40  # of IPOPT's iterations, before the parameters alone go on
-MOVES = 5  # of delays across whole samples, at most
+MOVES = 50  # of delays across whole samples, at most; each makes the records likelier
 GAIN = 1e-4  # of log-likelihood, that makes another stretch better
 MARGIN = 0.02  # of a stretch between whole samples, from its ends to a start in it
 SETTLED = 4.0  # factor by which a variance may fall in the last round: the scales still fit
@@ -146,18 +149,45 @@ class Search:
             )
         return outcome, None
 
+    def begun(
+        self, programme: Programme, point: Point, R: Array | CovarianceKind, *, near: bool = False
+    ) -> Outcome:
+        """The best about the start; where outputs jump, of the delays held in its stretch first.
+
+        And of those free from the start, unless that is ``near`` a solution: far from one, a poor R
+        may lead them many samples away, and seldom far enough back.
+        """
+        free, within = held(programme, point.lam)
+        if np.isnan(within).all():
+            return self.around(self.run(programme, point, R, near=near))
+        inside = programme.variant(free=free, evaluator=programme.evaluator.within(within))
+        best = self.around(self._released(self.run(inside, point, R, near=near)))
+        if near and best.solution.success:
+            return best
+        other = self.around(self.run(programme, point, R, near=near))
+        LOG.info(
+            "output error, delays held in their samples, and free: %s", (best.cost, other.cost)
+        )
+        return min(best, other, key=lambda end: end.cost)
+
     def around(self, outcome: Outcome) -> Outcome:
         """The outcome, or a better one beyond the whole samples next to its delays."""
+        left: list[Array] = []
         for _ in range(MOVES):
             best, solution = outcome, outcome.solution
             lam = outcome.programme.unpack(solution.x).lam
             own = outcome.programme.variant(free=self.free)
             for free, delays in neighbours(own, lam, solution.success):
+                if any(free.allows(each) for each in left):
+                    continue
                 other = self._inside(outcome, free, delays)
                 if other.solution.success and other.cost < best.cost - GAIN:
                     best = other
             if best is outcome:
                 break
+            LOG.info("output error, delays across whole samples: %.6g, better", best.cost)
+            if solution.success:
+                left.append(lam[: len(self.free.index)])
             outcome = best
         return outcome
 
@@ -197,12 +227,22 @@ class Search:
         rounds = outcome.rounds + 1
         solution = self._solve(programme, point, warm, rounds, self.options)
         iterations = outcome.iterations + solution.iterations
-        bounds = self.free.lower[free.index], self.free.upper[free.index]
-        prices = solution.multipliers_x.copy()  # none for the end of a stretch
-        prices[:n] *= (low == bounds[0]) * (prices[:n] < 0) + (high == bounds[1]) * (prices[:n] > 0)
-        solution = replace(solution, multipliers_x=prices)
-        programme = programme.variant(free=self.free)
-        return Outcome(programme, solution, iterations, rounds, True)
+        return self._released(Outcome(programme, solution, iterations, rounds, True))
+
+    def _released(self, outcome: Outcome) -> Outcome:
+        """The outcome under its own bounds; the ends of a stretch have no price."""
+        index, bounded = self.free.index, outcome.programme.free
+        prices = outcome.solution.multipliers_x.copy()
+        lower, upper = (
+            getattr(bounded, side)[index] == getattr(self.free, side)[index]
+            for side in ("lower", "upper")
+        )
+        own = prices[: len(index)]
+        own *= np.where(own < 0, lower, upper)
+        solution = replace(outcome.solution, multipliers_x=prices)
+        return replace(
+            outcome, programme=outcome.programme.variant(free=self.free), solution=solution
+        )
 
     @staticmethod
     def _solve(

@@ -124,7 +124,7 @@ class Ways:
         """Where a filter ends from another's end, or output error's."""
         search, evaluator = Search(self.free, self.options, self.steps), self._evaluator(more)
         begun = continued_programme(evaluator, self.free, self.R, last.programme, last.solution.x)
-        return search.around(search.run(*begun, self.R, near=True))
+        return search.begun(*begun, self.R, near=True)
 
     def _limited(self) -> SolverOptions:
         limit = min(PATIENCE, self.options.max_iterations)
@@ -157,7 +157,7 @@ class Ways:
         if outcome is not None:
             return outcome
         begun = starting_programme(evaluator, search.free, self.R, self.biases)
-        return search.begun_inside(search.around(search.run(*begun, self.R)))
+        return search.begun_inside(search.begun(*begun, self.R))
 
     @property
     def _shortest(self) -> float:
