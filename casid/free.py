@@ -51,9 +51,9 @@ class Free:
         return np.asarray(np.clip(self.model.vector(), self.lower, self.upper)[self.index])
 
     def allows(self, values: Array) -> bool:
-        """Whether free values (nf,) are within the bounds."""
-        low, high = self.lower[self.index], self.upper[self.index]
-        return bool(((low <= values) & (values <= high)).all())
+        """Whether free values (nf,) are within the bounds, as far as a solver keeps to them."""
+        low, high, near = self.lower[self.index], self.upper[self.index], self.scale[self.index]
+        return bool(((low - 1e-7 * near <= values) & (values <= high + 1e-7 * near)).all())
 
     def surprise(self, values: Array) -> tuple[Array, Array]:
         """(λ − λ₀)/σ of all priors at free values (nf,), and the derivatives (priors, nf).

@@ -32,7 +32,7 @@ class _Delay:
 
     def own(self) -> tuple[float, float]:
         """The stretch between whole samples that the delay is in, or begins."""
-        return _stretch(self.tau + EDGE * min(self.steps), self.steps)
+        return stretch(self.tau + EDGE * min(self.steps), self.steps)
 
 
 def held(programme: Programme, lam: Array) -> tuple[Free, Array]:
@@ -44,7 +44,7 @@ def held(programme: Programme, lam: Array) -> tuple[Free, Array]:
     for delay in _delays(programme, lam):
         if delay.jump:
             low, high = delay.own()
-            below = _stretch(low - EDGE * min(delay.steps), delay.steps)
+            below = stretch(low - EDGE * min(delay.steps), delay.steps)
             for ends in ((low, high), below):  # the last on the upper bound
                 found = _within(programme, free, within, delay, lam, ends)
                 if found:
@@ -117,14 +117,14 @@ def _stretches(delay: _Delay, solved: bool) -> Iterator[tuple[float, float]]:
     tau, steps, least = delay.tau, delay.steps, min(delay.steps)
     below, above = (delay.jump or abs(tau - edge) < NEAR * least for edge in (low, high))
     if below:
-        yield _stretch(low - EDGE * least, steps)
+        yield stretch(low - EDGE * least, steps)
     if above:
-        yield _stretch(high + EDGE * least, steps)
+        yield stretch(high + EDGE * least, steps)
     if (below or above) and (not solved or tau - low < EDGE * least):
         yield low, high
 
 
-def _stretch(tau: float, steps: list[float]) -> tuple[float, float]:
+def stretch(tau: float, steps: list[float]) -> tuple[float, float]:
     """The multiples of the sampling intervals next to τ."""
     whole = [np.floor(tau / h) for h in steps]
     low = max(n * h for n, h in zip(whole, steps, strict=True))

@@ -5,24 +5,30 @@ directly. A solve that ends beside one, or on one without success, is compared w
 either side, where all is smooth.
 """
 
+import logging
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.free import Free
 from casid.nlp import SolverOptions
+from casid.shooting.delays import stretch
 from casid.shooting.frequency import ROUGH, SpectralOutcome, SpectralProgramme, search
 from casid.shooting.lines import Lines
 from casid.shooting.spectral import SpectralResiduals
 from casid.shooting.spectrum import NoiseSpectrum
 
+LOG = logging.getLogger("casid")
+
 NEAR = 0.1  # of a sampling interval: a kink that noise may have held an estimate on
 EDGE = 1e-4  # of a sampling interval, from a kink to where a side of it begins
 GAIN = 1e-4  # of log-likelihood, that makes the other side better
-MOVES = 12  # across kinks, at most
-FIRST = 40  # iterations of a solve before the sides are looked at: on a kink none is the last
+CLEAR = 1.0  # of log-likelihood, that is no matter of spectra
+GLANCE = 12  # iterations with nothing held where outputs jump: they tell where else to look
+MOVES = 30  # across kinks, at most; each makes the records likelier
+FIRST = 25  # iterations of a solve before the sides are looked at: on a kink none is the last
 
 
 def searched(
@@ -35,17 +41,42 @@ def searched(
 
     A side is judged by the spectra of that end, and has its own estimated only if it is better; one
     that a solution lies within is not tried again. What ends beside the next kink goes on there.
+    Where outputs jump the search begins between the whole samples about the guess, and goes on to
+    those next to them, whatever is better; then also from where it leads when nothing is held.
     """
     brief = replace(options, max_iterations=min(FIRST, options.max_iterations))
-    best = search(SpectralResiduals(free, lines), free.guess, brief, held)
-    first = best.lam
+    around = _between(free, lines, free.guess)
+    first = search(SpectralResiduals(around, lines), free.guess, brief, held)
+    left: list[Array] = []
+    ends = [_descent(free, lines, brief, held, _released(first, free), left)]
+    if around is not free:
+        glance = replace(options, max_iterations=min(GLANCE, options.max_iterations))
+        end = search(SpectralResiduals(free, lines), free.guess, glance, held)
+        ends.append(_descent(free, lines, brief, held, end, [*left, ends[0].lam]))
+    best = ends[-1] if _better(ends[-1], ends[0]) else ends[0]
+    if not best.solution.success and options.max_iterations > FIRST:
+        start = free.guess if around is free else best.lam
+        bounded = SpectralResiduals(_between(free, lines, start), lines)
+        return _released(search(bounded, start, options, held), free)
+    return best
+
+
+def _descent(
+    free: Free,
+    lines: list[Lines],
+    options: SolverOptions,
+    held: tuple[NoiseSpectrum, ...] | None,
+    best: SpectralOutcome,
+    left: list[Array],
+) -> SpectralOutcome:
+    """Where moves across kinks from an end lead, that are ``left`` behind one by one."""
     for _ in range(MOVES):
         outcome = best
-        best = _beside(free, lines, options, outcome, held)
+        best = _beside(free, lines, options, outcome, held, left)
         if best is outcome:
             break
-    if not best.solution.success and options.max_iterations > FIRST:
-        return search(SpectralResiduals(free, lines), first, options, held)
+        left.append(outcome.lam)
+        LOG.info("output error, delays across whole samples: %.6g, better", likelihood(best))
     return best
 
 
@@ -55,20 +86,25 @@ def _beside(
     options: SolverOptions,
     outcome: SpectralOutcome,
     held: tuple[NoiseSpectrum, ...] | None,
+    left: list[Array],
 ) -> SpectralOutcome:
-    """The best of an outcome and the sides of kinks next to it."""
+    """The best of an outcome and the sides of kinks next to it, but those ``left`` before."""
     best, known = outcome, outcome.programme.spectra if done(outcome) else held
     judging = (
         options if known is held else replace(options, tolerance=max(ROUGH, options.tolerance))
     )
     for side in sides(free, lines, outcome.lam):
+        if done(best) and not done(outcome):
+            break  # from a solution the other sides are judged in no time
+        if any(side.allows(each) for each in left):
+            continue
         residuals = SpectralResiduals(side, lines)
         start = np.clip(outcome.lam, side.lower[free.index], side.upper[free.index])
         if done(outcome) and (start == outcome.lam).all():
             continue
         end = search(residuals, start, judging, known, outcome if done(outcome) else None)
         if known is not held:
-            if not _better(end, outcome):
+            if not _better(end, best if done(best) else outcome):
                 continue
             end = search(residuals, end.lam, options)
         if _better(end, best):
@@ -77,8 +113,14 @@ def _beside(
 
 
 def _better(end: SpectralOutcome, than: SpectralOutcome) -> bool:
-    """Whether an end is a solution, and another is none or less likely."""
-    return done(end) and (not done(than) or likelihood(end) < likelihood(than) - GAIN)
+    """Whether an end is better than another: more likely, or a solution where that is none.
+
+    Clearly so, if only one of them is a solution: costs of spectra not settled hardly compare.
+    """
+    gain = likelihood(than) - likelihood(end)
+    if done(end) == done(than):
+        return gain > GAIN
+    return gain > -CLEAR or not than.settled if done(end) else end.settled and gain > CLEAR
 
 
 def done(outcome: SpectralOutcome) -> bool:
@@ -91,8 +133,25 @@ def likelihood(outcome: SpectralOutcome) -> float:
     return outcome.programme.likelihood(outcome.solution.x)
 
 
-def sides(free: Free, lines: list[Lines], lam: Array) -> Iterator[Free]:
-    """Bounds on either side of the kinks next to free values (nf,)."""
+@dataclass(frozen=True, eq=False)
+class _Delay:
+    """A free parameter that is the delay of inputs of its own, and where it has kinks."""
+
+    a: int  # its place among the free parameters
+    tau: float
+    slope: float  # of the delay by the parameter
+    steps: list[float]  # sampling intervals
+    jump: bool  # outputs jump there
+
+    def between(self, value: float, low: float, high: float) -> Array:
+        """Values of the parameter, now ``value``, that keep the delay within its ends."""
+        edge = EDGE * min(self.steps)
+        ends = np.array([low + edge, high - edge])
+        return np.sort(value + (ends - self.tau) / self.slope)
+
+
+def _delays(free: Free, lines: list[Lines], lam: Array) -> Iterator[_Delay]:
+    """Delays with kinks at free values (nf,)."""
     m = SpectralResiduals(free, lines).matrices(lam)
     D, slopes = m.blocks[3], m.slopes[:, m.nx :, m.nx :]
     for a, slope in enumerate(m.dtau):
@@ -101,16 +160,49 @@ def sides(free: Free, lines: list[Lines], lam: Array) -> Iterator[Free]:
             continue
         direct = bool(D[:, heard].any() or slopes[:, :, heard].any())
         kinked = [each.record for each in lines if direct or each.record.hold == "zoh"]
+        steps = sorted({float(f"{record.dt:.9g}") for record in kinked})  # not each rounding of one
         jump = direct and any(record.hold == "zoh" for record in kinked)
-        steps = {float(f"{record.dt:.9g}") for record in kinked}  # not each rounding of one
-        tau = m.tau[heard[0]]
-        for h in sorted(steps):
+        if steps:
+            yield _Delay(a, float(m.tau[heard[0]]), float(slope[heard[0]]), steps, jump)
+
+
+def _between(free: Free, lines: list[Lines], lam: Array) -> Free:
+    """Bounds that hold delays between whole samples where outputs jump; the same if none do."""
+    bounded = free
+    for delay in _delays(free, lines, lam):
+        if delay.jump:
+            ends = stretch(delay.tau + EDGE * min(delay.steps), delay.steps)
+            edges = delay.between(lam[delay.a], *ends)
+            bounded = next(_within(bounded, delay.a, edges, jump=False), bounded)
+    return bounded
+
+
+def sides(free: Free, lines: list[Lines], lam: Array) -> Iterator[Free]:
+    """Bounds on either side of the kinks next to free values (nf,).
+
+    Where outputs jump the stretch of the delay is among them, with those below and above.
+    """
+    around = _between(free, lines, lam)
+    for delay in _delays(free, lines, lam):
+        a, tau, steps, value = delay.a, delay.tau, delay.steps, lam[delay.a]
+        i, own = (
+            free.index[a],
+            replace(around, lower=around.lower.copy(), upper=around.upper.copy()),
+        )
+        own.lower[i], own.upper[i] = free.lower[i], free.upper[i]
+        tiny = EDGE * min(steps)
+        low, high = stretch(tau + tiny, steps)
+        below, above = stretch(low - tiny, steps), stretch(high + tiny, steps)
+        if delay.jump:
+            for ends in (below, (low, high), above):
+                yield from _within(own, a, delay.between(value, *ends), jump=True)
+            continue
+        for h in steps:
             whole = round(tau / h)
             if abs(tau / h - whole) < NEAR:
-                for low in (whole - 1, whole):
-                    ends = h * np.array([low + EDGE, low + 1 - EDGE])
-                    edges = np.sort(lam[a] + (ends - tau) / slope[heard[0]])
-                    yield from _within(free, a, edges, jump)
+                for first in (whole - 1, whole):
+                    edges = delay.between(value, h * first, h * (first + 1))
+                    yield from _within(own, a, edges, jump=False)
 
 
 def _within(free: Free, a: int, ends: Array, jump: bool) -> Iterator[Free]:

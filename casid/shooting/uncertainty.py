@@ -146,7 +146,9 @@ def singular(names: Sequence[str]) -> str:
     return (
         f"the records do not determine {', '.join(names)} here (singular information matrix): fix "
         "or tie some of them, or add a manoeuvre that excites them. Where one of them multiplies "
-        "another that is zero, this is a saddle of the cost and no lack of data: start elsewhere"
+        "another that is zero, this is a saddle of the cost and no lack of data: start elsewhere. "
+        "A delay of an input held in steps may be told from no gain between two samples: hold the "
+        "delay, sample faster or off the input's grid, or add an output"
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, flown
+from truths.heave import Heave, heaved
 
 from benchmarks.between_samples import BOUNDS, SIGMA, H, Roll, Smooth, flight
 from casid import output_error
@@ -84,3 +85,16 @@ def test_within_a_stretch_the_estimator_is_analytic_in_the_delay():
     # A second difference over the step falls with it where all is smooth, and stays at a kink.
     assert second_difference(evaluator.within(late)) < 0.05
     assert second_difference(evaluator) > 5.0
+
+
+@pytest.mark.parametrize(
+    ("steps", "start"),
+    [((0.02,), 0.11), pytest.param((0.02, 0.04), 0.05, marks=pytest.mark.slow)],
+)
+def test_no_fit_is_less_likely_than_with_a_jumping_delay_held_at_its_truth(steps, start):
+    truth, records = Heave(), heaved(steps=steps)
+    held = output_error(truth, records, fixed=("tcol",))
+    fit = output_error(replace(truth, tlon=0.05, Zcol=-60.0, Mlon=6.0, tcol=start), records)
+    assert fit.success
+    assert fit.cost <= held.cost + 1e-6
+    assert 0.1 <= fit.model.tcol <= 0.12  # what samples every 20 ms tell of 0.117 s

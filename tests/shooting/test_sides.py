@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.signal
 from truths.closed_roll import NOISE, TRUTH, T, excitation, with_response
+from truths.heave import Heave, heaved
 from truths.structures import LateRoll
 
 from benchmarks.between_samples import BOUNDS, H, flight
@@ -39,13 +40,20 @@ def ranges(model, records):
 def test_both_sides_of_a_whole_sample_nearby_are_tried():
     edge = EDGE * 0.02
     expected = [(0.04 + edge, 0.06 - edge), (0.06 + edge, 0.08 - edge)]
-    np.testing.assert_allclose(ranges(replace(WHOLE, tau=0.0611), stepped(1)), expected)
-    assert ranges(replace(WHOLE, tau=0.07), stepped(1)) == []
-    # The output jumps at 0: what is there belongs to neither side.
-    expected = [(0.0, 0.0), (edge, 0.02 - edge)]
-    np.testing.assert_allclose(ranges(replace(WHOLE, tau=0.0), stepped(1)), expected)
+    np.testing.assert_allclose(ranges(replace(WHOLE, tau=0.0611), stepped(1, "foh")), expected)
+    assert ranges(replace(WHOLE, tau=0.07), stepped(1, "foh")) == []
     (side,) = ranges(replace(WHOLE, tau=0.0), stepped(1, "foh"))
-    np.testing.assert_allclose(side, expected[1])
+    np.testing.assert_allclose(side, (edge, 0.02 - edge))
+
+
+def test_where_the_output_jumps_stretches_next_to_the_delays_are_tried_wherever_it_is():
+    edge = EDGE * 0.02
+    expected = [(h + edge, h + 0.02 - edge) for h in (0.04, 0.06, 0.08)]
+    for tau in (0.0611, 0.07):
+        np.testing.assert_allclose(ranges(replace(WHOLE, tau=tau), stepped(1)), expected)
+    # What is at 0 belongs to neither side.
+    expected = [(0.0, 0.0), (edge, 0.02 - edge), (0.02 + edge, 0.04 - edge)]
+    np.testing.assert_allclose(ranges(replace(WHOLE, tau=0.0), stepped(1)), expected)
 
 
 def test_straight_lines_break_only_where_they_act_directly():
@@ -67,7 +75,7 @@ def test_roundings_of_one_sampling_interval_are_one():
     first, second = stepped(1)
     records = [first, replace(second, t=second.t * (1 + 1e-12))]
     assert len({record.dt for record in records}) == 2
-    assert len(ranges(WHOLE, records)) == 2
+    assert len(ranges(WHOLE, records)) == 3  # the delay's own and the next ones
 
 
 def test_a_solve_that_ends_on_a_kink_is_left_for_its_sides_at_once():
@@ -102,3 +110,13 @@ def test_a_start_two_samples_off_passes_all_kinks_on_the_way(hold):
         assert fit["tau"].value == pytest.approx(0.0, abs=0.1 * H)
     # Spectra estimated from either side settle alike but for a hundredth of a standard error.
     assert fits[1].cost == pytest.approx(fits[0].cost, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:output error in the frequency domain.*few lines")
+def test_no_lines_are_less_likely_than_with_a_jumping_delay_held_at_its_truth():
+    truth, records = Heave(), heaved(masked=False)
+    held = output_error(truth, records, fixed=("tcol",), domain="frequency")
+    fit = output_error(replace(truth, tlon=0.05, tcol=0.1 - 0.005), records, domain="frequency")
+    assert fit.success
+    assert fit.cost <= held.cost
