@@ -32,7 +32,7 @@ def test_the_shares_of_the_inputs_from_outside_are_shown():
         joint=lower[:, 0], answer=np.ones(1), coherence=np.ones(1), within=within, lags=3,
     )  # fmt: skip
     _, section = BLACK_BOX.show(replace(black_box(SECOND), excitation=shares), SimpleNamespace())
-    lat, lon = section.values["rows"]
+    lat, lon = (row._asdict() for row in section.values["rows"])
     assert (lat["name"], lat["low"], lat["high"]) == ("lat", 1.0, 4.0)
     assert [lat[key] for key in ("share", "most", "least", "at")] == pytest.approx(
         [0.8, 0.9, 0.7, 4]
