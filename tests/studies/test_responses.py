@@ -8,7 +8,9 @@ from truths.roll_study import Truth, write_study
 
 from casid import FrequencyResponse, OutputError, read_records, read_study, run_study
 from casid.exchange.formats import write_frequency
+from casid.files import write_json
 from casid.shooting.measured import MeasuredResponses
+from casid.values import content_digest
 
 SPLIT = (
     "[records.validation]",
@@ -102,6 +104,7 @@ def test_responses_of_other_channels_and_no_responses_are_refused(tmp_path):
     alien.save(tmp_path / "alien.json")
     with pytest.raises(ValueError, match=r"\[output_error\].*alien|no pair of r and ped|states no"):
         read_study(write_study(tmp_path, asked('["alien.json"]', "")))
-    (tmp_path / "alien.json").write_text('{"casid": "result", "result": {"tuple": []}}')
+    other = {"casid": "result", "result": {"tuple": []}}
+    write_json(tmp_path / "alien.json", other | {"digest": content_digest(other)})
     with pytest.raises(ValueError, match="no frequency response; a study leaves that"):
         read_study(write_study(tmp_path, asked('["alien.json"]', "")))
