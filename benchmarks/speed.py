@@ -338,6 +338,7 @@ def within(value: float, limit: float) -> bool:
     return value >= -limit if limit < 0 else value <= limit
 
 
+@one_thread  # threads that wait for each other cost time of the processor, too
 def ratios() -> bool:
     """Measure and print the ratios of processor times; returns whether all keep their limits."""
     found = {name: measure() for name, (_, _, measure) in RATIOS.items()}

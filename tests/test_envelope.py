@@ -137,7 +137,8 @@ def test_the_figures_have_bands_points_and_loci(fit):
     plt = pytest.importorskip("matplotlib.pyplot")
     found = envelope(fit, at(20.0, 40.0), PAIRS, local=dict.fromkeys(at(30.0), fit))
     axes = found.plot()
-    assert [ax.get_title(loc="left") for ax in axes] == list(found.names)
+    titles = ["q' by q [rad/s² per rad/s]", "q' by lon [rad/s² per travel]"]
+    assert [ax.get_title(loc="left") for ax in axes] == titles
     assert axes[0].containers, "no point of a local fit"
     loci = found.plot(modes=True)
     assert "20 to 40 m/s" in loci.get_title(loc="left")

@@ -222,7 +222,7 @@ def test_modal_damping_bound_is_active_where_the_truth_violates_it():
 
 
 def test_constraint_that_bounds_contradict_is_named():
-    with pytest.raises(ConvergenceError, match="relax ties or bounds") as caught:
+    with pytest.raises(ConvergenceError, match="relax ties and bounds") as caught:
         match(Tied(), black_box(YAW.system()), bounds={"Nlat": (8.0, 10.0), "Llat": (1.0, 20.0)})
     assert not caught.value.best.success
 

@@ -181,11 +181,11 @@ def test_wrong_records_are_explained():
 def test_intervals_chosen_here_are_shortened_until_a_solve_ends(monkeypatch):
     run, tried = Search.run, []
 
-    def stopping(search, programme, point, R):
+    def stopping(search, programme, point, R, **given):
         """A solver that reaches its limit on intervals above one second."""
         length = programme.evaluator.layout.count.max() * 0.02
         tried.append(length)
-        outcome = run(search, programme, point, R)
+        outcome = run(search, programme, point, R, **given)
         stopped = replace(outcome.solution, success=length < 1.0, status="iteration limit reached")
         return replace(outcome, solution=stopped)
 

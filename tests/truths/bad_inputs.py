@@ -288,8 +288,8 @@ bad("no order", study("order = 3", "order = 0"), "order", "1")
 bad(
     "an order past all data",
     study("order = 3", "order = 1000000"),
-    "order 1000000",
-    "needs past and future of",
+    "order = 1000000",
+    "the longest record, '3211', has 750 samples; lower it",
 )
 bad("an order that is true", study("order = 3", "order = true"), "order = True", "expected int")
 bad("an order in words", study("order = 3", 'order = "three"'), "order = 'three'", "expected int")
