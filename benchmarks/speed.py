@@ -329,7 +329,7 @@ RATIOS: dict[str, tuple[str, float, Callable[[], float]]] = {
         8.0,
         lambda: growth(excitation, 50_000),
     ),
-    "textbook": ("output error, 8 s, times as fast as the textbook's", -2.5, textbook_in_short),
+    "textbook": ("output error, 8 s, times as fast as the textbook's", -2.0, textbook_in_short),
 }
 
 
