@@ -20,7 +20,7 @@ EDGE = 1e-6  # of a sampling interval: on a whole sample
 
 
 @dataclass(frozen=True, eq=False)
-class _Delay:
+class Delay:
     """A free parameter that is the delay of inputs of its own, and where the likelihood breaks."""
 
     a: int  # its place among the free parameters
@@ -72,7 +72,7 @@ def _within(
     programme: Programme,
     free: Free,
     within: Array,
-    delay: _Delay,
+    delay: Delay,
     lam: Array,
     ends: tuple[float, float],
 ) -> tuple[Free, Array] | None:
@@ -89,7 +89,7 @@ def _within(
     return replace(free, lower=bounds[0], upper=bounds[1]), middle
 
 
-def _delays(programme: Programme, lam: Array) -> Iterator[_Delay]:
+def _delays(programme: Programme, lam: Array) -> Iterator[Delay]:
     """The delays in which the likelihood breaks."""
     m = programme.evaluator.matrices(lam)
     for a in range(len(programme.free.index)):
@@ -98,7 +98,7 @@ def _delays(programme: Programme, lam: Array) -> Iterator[_Delay]:
             continue
         steps, jump = _broken(programme, heard, m.D, m.D_lam)
         if steps:
-            yield _Delay(a, heard, m.tau[heard[0]], m.tau_lam[heard[0], a], steps, jump)
+            yield Delay(a, heard, m.tau[heard[0]], m.tau_lam[heard[0], a], steps, jump)
 
 
 def _broken(
@@ -111,7 +111,7 @@ def _broken(
     return sorted(steps), direct and any(r.hold == "zoh" for r in records)
 
 
-def _stretches(delay: _Delay, solved: bool) -> Iterator[tuple[float, float]]:
+def _stretches(delay: Delay, solved: bool) -> Iterator[tuple[float, float]]:
     """Stretches to try: across the whole samples near τ, and τ's own if that is not solved."""
     low, high = delay.own()
     tau, steps, least = delay.tau, delay.steps, min(delay.steps)

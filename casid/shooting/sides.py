@@ -7,14 +7,14 @@ either side, where all is smooth.
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.free import Free
 from casid.nlp import SolverOptions
-from casid.shooting.delays import stretch
+from casid.shooting.delays import Delay, stretch
 from casid.shooting.frequency import ROUGH, SpectralOutcome, SpectralProgramme, search
 from casid.shooting.lines import Lines
 from casid.shooting.spectral import SpectralResiduals
@@ -133,24 +133,14 @@ def likelihood(outcome: SpectralOutcome) -> float:
     return outcome.programme.likelihood(outcome.solution.x)
 
 
-@dataclass(frozen=True, eq=False)
-class _Delay:
-    """A free parameter that is the delay of inputs of its own, and where it has kinks."""
-
-    a: int  # its place among the free parameters
-    tau: float
-    slope: float  # of the delay by the parameter
-    steps: list[float]  # sampling intervals
-    jump: bool  # outputs jump there
-
-    def between(self, value: float, low: float, high: float) -> Array:
-        """Values of the parameter, now ``value``, that keep the delay within its ends."""
-        edge = EDGE * min(self.steps)
-        ends = np.array([low + edge, high - edge])
-        return np.sort(value + (ends - self.tau) / self.slope)
+def _edges(delay: Delay, value: float, low: float, high: float) -> Array:
+    """Values of the parameter, now ``value``, that keep its delay within its ends."""
+    edge = EDGE * min(delay.steps)
+    ends = np.array([low + edge, high - edge])
+    return np.sort(value + (ends - delay.tau) / delay.slope)
 
 
-def _delays(free: Free, lines: list[Lines], lam: Array) -> Iterator[_Delay]:
+def _delays(free: Free, lines: list[Lines], lam: Array) -> Iterator[Delay]:
     """Delays with kinks at free values (nf,)."""
     m = SpectralResiduals(free, lines).matrices(lam)
     D, slopes = m.blocks[3], m.slopes[:, m.nx :, m.nx :]
@@ -163,7 +153,7 @@ def _delays(free: Free, lines: list[Lines], lam: Array) -> Iterator[_Delay]:
         steps = sorted({float(f"{record.dt:.9g}") for record in kinked})  # not each rounding of one
         jump = direct and any(record.hold == "zoh" for record in kinked)
         if steps:
-            yield _Delay(a, float(m.tau[heard[0]]), float(slope[heard[0]]), steps, jump)
+            yield Delay(a, heard, m.tau[heard[0]], slope[heard[0]], steps, jump)
 
 
 def _between(free: Free, lines: list[Lines], lam: Array) -> Free:
@@ -172,7 +162,7 @@ def _between(free: Free, lines: list[Lines], lam: Array) -> Free:
     for delay in _delays(free, lines, lam):
         if delay.jump:
             ends = stretch(delay.tau + EDGE * min(delay.steps), delay.steps)
-            edges = delay.between(lam[delay.a], *ends)
+            edges = _edges(delay, lam[delay.a], *ends)
             bounded = next(_within(bounded, delay.a, edges, jump=False), bounded)
     return bounded
 
@@ -185,23 +175,21 @@ def sides(free: Free, lines: list[Lines], lam: Array) -> Iterator[Free]:
     around = _between(free, lines, lam)
     for delay in _delays(free, lines, lam):
         a, tau, steps, value = delay.a, delay.tau, delay.steps, lam[delay.a]
-        i, own = (
-            free.index[a],
-            replace(around, lower=around.lower.copy(), upper=around.upper.copy()),
-        )
+        i = free.index[a]
+        own = replace(around, lower=around.lower.copy(), upper=around.upper.copy())
         own.lower[i], own.upper[i] = free.lower[i], free.upper[i]
         tiny = EDGE * min(steps)
         low, high = stretch(tau + tiny, steps)
         below, above = stretch(low - tiny, steps), stretch(high + tiny, steps)
         if delay.jump:
             for ends in (below, (low, high), above):
-                yield from _within(own, a, delay.between(value, *ends), jump=True)
+                yield from _within(own, a, _edges(delay, value, *ends), jump=True)
             continue
         for h in steps:
             whole = round(tau / h)
             if abs(tau / h - whole) < NEAR:
                 for first in (whole - 1, whole):
-                    edges = delay.between(value, h * first, h * (first + 1))
+                    edges = _edges(delay, value, h * first, h * (first + 1))
                     yield from _within(own, a, edges, jump=False)
 
 
