@@ -28,6 +28,7 @@ from casid.stages.conditions import condition, conditions
 from casid.studies.runner import kept_fit
 from casid.studies.study import Study, read_records
 from casid.studies.studyfile import read_study
+from casid.tables import hint
 from casid.values import digest
 
 SHOWN = 12  # parameters in the table
@@ -217,8 +218,8 @@ def _condition(
             )
         return None, records
     if unknown := [name for name in asked if name not in (*model.states, *model.inputs)]:
-        known = ", ".join((*model.states, *model.inputs))
-        raise ValueError(f"trim names {unknown[0]!r}; there are {known}")
+        meant = hint(unknown[0], (*model.states, *model.inputs))
+        raise ValueError(f"trim names {unknown[0]!r}, which is no state or input; {meant}")
     fast = any(name in SPEEDS for name in model.states)
     places = conditions(model, records) if fast else [(condition(model, records[0]), records)]
     speeds = [place.speed for place, _ in places]

@@ -55,16 +55,17 @@ def ardupilot_script(
     """
     dt = float(np.median(np.diff(t)))
     check_channels(r, channels, dt)
-    rows = []
+    rows, furthest = [], []
     for name, (number, scale) in channels.items():
         _check_reach(name, scale * r[name], END_PWM, "µs", f"RC channel {number}")
         moved = np.rint(np.asarray(r[name]) * scale).astype(int)
         rows.append("".join(f"{value + ZERO:03x}" for value in moved))
+        furthest.append(f"{{{moved.min()}, {moved.max()}}}")
     return LUA.substitute(
         title=title, own=OWN, digest=digest(card), step=_step(dt),
         seconds=f"{t[-1]:.4g}", names=", ".join(channels),
         channels=", ".join(str(number) for number, _ in channels.values()),
-        card=",\n".join(f'    "{row}"' for row in rows),
+        furthest=", ".join(furthest), card=",\n".join(f'    "{row}"' for row in rows),
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from casid.errors import ModelError
 from casid.model import Constraint, Model, Rows, parameter
 from casid.nonlinear.expressions import Nonlinear, balances, linearised, reference_point
 from casid.sensors import Scalar
+from casid.tables import hint
 from casid.values import storable
 
 BALANCE = 1e-6  # |dx/dt| of an equation without unknowns that still counts as trimmed
@@ -27,7 +28,7 @@ class Trim:
     ----------
     values : mapping
         Total value of each state and input, as measured (a record's ``trim``) or solved for; the
-        structure's reference where not named. Other names, as of further outputs, do not count.
+        structure's reference where not named. Those of outputs do not count.
     name : str
         What tables call the condition.
     unknown : tuple of str
@@ -80,7 +81,10 @@ def check_named(model: Nonlinear, values: Mapping[str, float]) -> None:
     """Refuse a trim with names that are no channel, ValueError; those of outputs do not count."""
     known = (*model.states, *model.inputs)
     if unknown := [name for name in values if name not in {*known, *model.outputs}]:
-        raise ValueError(f"trim names {unknown[0]!r}; there are {', '.join(known)}")
+        raise ValueError(
+            f"trim names {unknown[0]!r}, which is no channel of {type(model).__name__}; "
+            f"{hint(unknown[0], known)}; of a record's trim give these only"
+        )
 
 
 def at_condition(name: str, condition: Trim, conditions: Sequence[Trim]) -> str:

@@ -82,9 +82,8 @@ class NonlinearModel(Model, base=True):
         Parameters
         ----------
         conditions : Trim or mapping
-            Total values of states and inputs, such as a record's ``trim``, which may have further
-            names and is therefore a `Trim`. Several, named, stand side by side in one linear
-            structure with channels like ``p@60 kn``.
+            Total values of states and inputs, such as those in a record's ``trim``. Several,
+            named, stand side by side in one linear structure with channels like ``p@60 kn``.
 
         Returns
         -------
@@ -96,7 +95,7 @@ class NonlinearModel(Model, base=True):
         Raises
         ------
         ValueError, ModelError
-            What is no condition, such as a record; a mapping with a name that is no channel; an
+            What is no condition, such as a record; a name that is no channel; an
             unknown that is no state or input, a balance that nothing unknown can bring about,
             several conditions without names of their own.
         """
@@ -107,8 +106,7 @@ class NonlinearModel(Model, base=True):
                     "states and inputs, model.at(Trim(values={...})), as a detrended record has "
                     "them: model.at(Trim(values=record.trim))"
                 )
-            if not isinstance(each, Trim):
-                check_named(self, each)
+            check_named(self, each.values if isinstance(each, Trim) else each)
         given = [each if isinstance(each, Trim) else Trim(values=each) for each in conditions]
         linear = linearisation(self, given)
         for each in given:

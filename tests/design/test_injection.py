@@ -27,6 +27,8 @@ rc = {}
 function rc:get_pwm(n) if n ~= lost then return centre[n] end end
 function rc:get_aux_cached(option) if option == 300 then return switch end end
 function rc:get_channel(n) return {set_override = function(_, pwm) overrides[n] = pwm end} end
+ends = {RC1_MIN = 1310, RC1_MAX = 1900, RC4_MIN = 1100, RC4_MAX = 1695}
+param = {get = function(_, name) return ends[name] end}
 arming = {is_armed = function() return armed end}
 gcs = {send_text = function(_, level, text) texts[#texts + 1] = text end}
 """
@@ -76,6 +78,21 @@ def test_a_lost_channel_starts_nothing(autopilot):
     after(autopilot, 0)
     assert after(autopilot, 100) == (None, None)
     assert "card: no RC input 4" in list(autopilot.texts.values())
+
+
+@pytest.mark.parametrize(
+    ("end", "value", "words"),
+    [
+        ("RC1_MIN", 1411, "card: RC1 to 1410..1560, has 1411..1900"),
+        ("RC4_MAX", 1694, "card: RC4 to 1495..1695, has 1100..1694"),
+        ("RC4_MAX", None, "card: no RC4_MIN, RC4_MAX"),
+    ],
+)
+def test_a_card_that_no_rc_channel_can_follow_from_trim_is_not_begun(autopilot, end, value, words):
+    autopilot.switch, autopilot.ends[end] = 2, value
+    after(autopilot, 0)
+    assert after(autopilot, 100) == (None, None)
+    assert words in list(autopilot.texts.values())
 
 
 class Link:

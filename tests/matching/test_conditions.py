@@ -60,6 +60,7 @@ def test_conditions_tell_what_none_of_them_tells_alone():
         (SmallSwing(), {CONDITIONS[0]: TRUTH.system()}, "SmallSwing is linear"),
         (Swing(), {"60 kn": TRUTH.system()}, "{Trim"),
         (Swing(), {}, "{Trim"),
+        (Swing(), {Trim(values={"thtea": 0.3}): TRUTH.system()}, "'thtea', .* mean 'theta'"),
     ],
 )
 def test_what_is_no_condition_is_told(model, data, told):

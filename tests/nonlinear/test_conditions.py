@@ -24,7 +24,7 @@ def slopes(model, x0, u0, step=1e-6):
 
 def test_the_linear_structure_is_the_jacobian_at_the_trim():
     model = Swing()
-    linear = model.at(Trim(values={"theta": 0.4, "lon": 0.3, "ax": 9.0}))
+    linear = model.at(Trim(values={"theta": 0.4, "lon": 0.3}))
     expected = slopes(model, np.array([0.0, 0.4]), np.array([0.3]))
     system = linear.system()
     np.testing.assert_allclose(np.hstack([system.A, system.B]), expected, atol=1e-8)
