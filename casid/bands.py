@@ -87,7 +87,7 @@ class ResponseBand(Shown):
     def _half(self, std: Array) -> Array:
         """Half the width of a part's band, relative to the magnitude."""
         return np.asarray(
-            scipy.stats.norm.ppf(0.5 + self.level / 2)
+            scipy.special.ndtri(0.5 + self.level / 2)
             * np.hypot(std, np.asarray(self.missed) / np.sqrt(2))
         )
 

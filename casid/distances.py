@@ -302,7 +302,7 @@ def _score(
 
 def _limit(freedom: float, chance: float) -> float:
     """What the root mean square of that many standard normal numbers exceeds with a chance."""
-    return float(np.sqrt(scipy.stats.chi2.isf(chance, freedom) / freedom))
+    return float(np.sqrt(scipy.special.chdtri(freedom, chance) / freedom))
 
 
 def _measured(

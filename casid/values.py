@@ -78,7 +78,7 @@ def encode(value: Any) -> Any:  # noqa: ANN401 - JSON is any
         return [encode(item) for item in value]
     if isinstance(value, np.ndarray):
         complex_ = value.dtype.kind == "c"
-        parts = [value.real.tolist(), value.imag.tolist()] if complex_ else value.tolist()
+        parts = [_numbers(value.real), _numbers(value.imag)] if complex_ else _numbers(value)
         return {"array": parts, "kind": value.dtype.kind, "shape": list(value.shape)}
     if is_dataclass(value) and not isinstance(value, type):
         content = {each.name: encode(getattr(value, each.name)) for each in fields(value)}
@@ -86,6 +86,16 @@ def encode(value: Any) -> Any:  # noqa: ANN401 - JSON is any
     if isinstance(value, tuple):
         return {"tuple": [encode(item) for item in value]}
     return _encode_plain(value)
+
+
+def _numbers(array: np.ndarray) -> Any:  # noqa: ANN401 - lists as deep as it has axes
+    """Nested lists of an array; JSON has no NaN and no infinities, which become null and text."""
+    if array.dtype.kind != "f" or np.isfinite(array).all():
+        return array.tolist()
+    named = array.astype(object)
+    named[np.isnan(array)] = None
+    named[np.isinf(array)] = [str(each) for each in array[np.isinf(array)].tolist()]
+    return named.tolist()
 
 
 def _encode_plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any

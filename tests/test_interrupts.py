@@ -50,7 +50,7 @@ main()
 BEFORE = {  # what is kept by then
     "click": set(),
     "casadi": set(),
-    "scipy.signal": set(),
+    "scipy.interpolate": set(),
     "casid.studies.runner": set(),
     "casid.files.Path:read_text:1": set(),
     "casid.nlp._Watcher:eval:1": {"pbsid"},

@@ -152,7 +152,7 @@ def profile_parameters(
         raise ConvergenceError(f"profile_parameters: nothing held: {whole.reason}", whole.result)
     found = [done[_label(names, point)] for point in points]
     fits: list[AnyFit | None] = [None if each.reason else each.result for each in found]
-    quantile = float(np.sqrt(scipy.stats.chi2.ppf(level, 1)))
+    quantile = float(np.sqrt(scipy.special.chdtri(1, 1 - level)))
     return Profile(
         names=names,
         points=points,

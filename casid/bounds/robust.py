@@ -34,7 +34,7 @@ def p_value(statistic: float, w: Array) -> float:
     if not len(w):
         return 1.0
     scale = float(w @ w / w.sum())
-    return float(scipy.stats.chi2.sf(statistic / scale, w.sum() / scale))
+    return float(scipy.special.chdtrc(w.sum() / scale, statistic / scale))
 
 
 def price_p_values(fit: AnyFit, A: Array, prices: Array) -> Array:
@@ -47,7 +47,7 @@ def price_p_values(fit: AnyFit, A: Array, prices: Array) -> Array:
     inverse = root @ root.T  # of A P Aᵀ
     variance = np.diag(inverse @ V @ inverse)
     z = np.abs(prices) / np.sqrt(np.where(variance > 0, variance, np.nan))
-    return np.asarray(2 * scipy.stats.norm.sf(z))
+    return np.asarray(2 * scipy.special.ndtr(-z))
 
 
 def _whitener(fit: AnyFit, A: Array) -> tuple[Array, Array]:

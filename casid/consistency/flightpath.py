@@ -19,11 +19,12 @@ end (`casid.consistency.pretended`). Standard errors allow for what colour is le
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dtbtrs
 
 from casid.arrays import Array
 from casid.channels import FORCES, RATES, VELOCITIES
@@ -360,12 +361,24 @@ def _innovations(gain: float, rows: Array, dt: float = 0.0) -> Array:
     if 0 < dt < 0.4 / BAND:
         b, a = map(np.convolve, (b, a), _low_pass(dt))
     if len(a) > 1:
-        found, z = (scipy.signal.lfilter(b, a, each) for each in (found, z))
+        found, z = _filtered(b, a, rows), _filtered(b, a, z[None])[0]
     return np.asarray(found - np.outer(found @ z / (z @ z), z))
 
 
-@cache
+def _filtered(b: Array, a: Array, rows: Array) -> Array:
+    """Rows (n, N) through the filter b/a from rest, a[0] being 1."""
+    moving = b[0] * rows
+    for k in range(1, len(b)):
+        moving[:, k:] += b[k] * rows[:, :-k]
+    # The recursion is a banded triangular system: SciPy's filters would import most of it.
+    band = np.asfortranarray(np.tile(a[:, None], moving.shape[1]))
+    found = dtbtrs(band, moving.T, uplo="L", diag="U", overwrite_b=True)[0]
+    return np.asarray(found.T)
+
+
 def _low_pass(dt: float) -> tuple[Array, Array]:
-    """Filter that lets pass what is below `BAND`, numerator and denominator."""
-    b, a = scipy.signal.butter(2, BAND, fs=1 / dt)
-    return np.asarray(b), np.asarray(a)
+    """Butterworth's filter of second order that lets pass what is below `BAND`, b and a."""
+    w = np.tan(np.pi * BAND * dt)
+    whole = 1 + np.sqrt(2) * w + w**2
+    a = np.array([whole, 2 * (w**2 - 1), 1 - np.sqrt(2) * w + w**2])
+    return w**2 / whole * np.array([1.0, 2.0, 1.0]), a / whole

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy
 
 from casid import samples
 from casid.arrays import Array, BoolArray, ComplexArray
@@ -168,7 +167,7 @@ def _windowed(record: Record, omega: Array, length: float) -> tuple[ComplexArray
     stretches = np.array([values[i : i + M] for i in starts]).reshape(
         len(starts), M, record.nu + record.ny
     )
-    taper = scipy.signal.get_window("hann", M)
+    taper = np.sin(np.pi * np.arange(M) / M) ** 2  # Hann's
     # Density: mean square per unit of frequency is 2 |X|² / (2π ∫ taper² dt), one-sided.
     density = np.sqrt(1 / (np.pi * record.dt * np.sum(taper**2)))
     Z = density * transform(stretches * taper[:, None], record.dt, omega)

@@ -9,6 +9,7 @@ from concurrent.futures import Executor, Future
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from functools import partial
+from importlib import import_module
 from logging.handlers import BufferingHandler
 from typing import Any, TypeAlias, TypeVar
 
@@ -124,6 +125,7 @@ class Keeper:
         self._watch.begin(stage.name)
         if (begun := self._begun.pop(stage.name, None)) is None:
             return _made(stage, self._watched(settings), task)
+        import_module("casid.report.html")  # needed in the end: the other process may still work
         done, logged = begun()
         for each in logged:
             LOG.handle(each)

@@ -14,7 +14,7 @@ the share alone says whether there may be a bias (`casid.subspace.refining`).
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.linalg
+import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
 from casid.arrays import Array
@@ -104,7 +104,7 @@ def direct_term_is_ambiguous(stack: Stack) -> bool:
     feedback = stack.columns * (_log_det(u[own:]) - _log_det(u[both:]))
     y = R[both:, both + nu :]
     direct = stack.columns * (_log_det(y) - _log_det(y[nu:]))
-    rare = [scipy.stats.chi2.isf(LEVEL, freedom * stack.ny) for freedom in (nu * p, nu)]
+    rare = [scipy.special.chdtri(freedom * stack.ny, LEVEL) for freedom in (nu * p, nu)]
     return bool(feedback > rare[0] and direct > rare[1])
 
 

@@ -86,7 +86,7 @@ def growth(
     plain = np.linalg.norm(factor, axis=1) / np.sqrt(2)
     pulls = factor @ (whole.T @ np.array([gradient for _, gradient in parts]).T)
     robust = np.linalg.norm(pulls, axis=1) * np.sqrt(count / max(count - 1, 1))
-    least = scipy.stats.t.ppf(AGREED, count - 1) if count > 1 else 0.0
+    least = scipy.special.stdtrit(count - 1, AGREED) if count > 1 else 0.0
     return Growth(
         modal.lam[grows],
         needed=(rates >= CERTAIN * plain)[grows],
@@ -145,7 +145,7 @@ def missed_dynamics(
     ratio = (kernel @ left + floor) / (kernel @ less + floor)
     more = 1 + system.nu + len(data)
     spare = np.maximum(lines - more, 0.5)
-    least = 1 + scipy.stats.f.isf(RARELY, 2 * more, 2 * spare) * more / spare
+    least = 1 + more / spare / scipy.special.fdtri(2 * spare, 2 * more, RARELY)  # 1/F is F, too
     clear = (ratio > CLEARLY) & (ratio > least[:, None])
     gain = np.where(clear, lines[:, None] * np.log(ratio), 0.0)
     k, i = np.unravel_index(np.argmax(gain), gain.shape)

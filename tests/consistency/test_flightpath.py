@@ -6,18 +6,32 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.optimize
+import scipy.signal
 from scipy.spatial.transform import Rotation
 from truths.flights import FORCES, RATES, STATES, truth
 
 from casid.consistency.flightpath import (
+    _filtered,
     _integral,
     _lever,
+    _low_pass,
     _steady_gain,
     _terms,
     reconstruct,
     reconstruct_level,
 )
 from casid.consistency.measured import Flight
+
+
+def test_filters_are_those_of_a_signal_processing_library():
+    rows = np.random.default_rng(0).standard_normal((3, 200))
+    for dt in (0.01, 0.04):
+        b, a = _low_pass(dt)
+        np.testing.assert_allclose((b, a), scipy.signal.butter(2, 4.0, fs=1 / dt), atol=1e-14)
+        b, a = np.convolve(b, [1.0, -1.0]), np.convolve(a, [1.0, -0.9])
+        expected = scipy.signal.lfilter(b, a, rows)
+        np.testing.assert_allclose(_filtered(b, a, rows), expected, atol=1e-13)
+        np.testing.assert_allclose(_filtered(b, a, rows[:, :2]), expected[:, :2], atol=1e-13)
 
 
 def test_running_integrals_are_exact_for_straight_lines_and_of_fourth_order_inside():

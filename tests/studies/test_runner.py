@@ -1,6 +1,8 @@
 """A study from its file to its report."""
 
 import csv
+import subprocess
+import sys
 from dataclasses import fields
 
 import pytest
@@ -19,6 +21,17 @@ def test_output_error_that_stops_early_leaves_its_best_iterate(tmp_path):
         run_study(study)
     assert (study.output / "stages" / "output_error_best.json").exists()
     assert {path.name for path in study.output.iterdir()} == {"stages", ".lock"}
+
+
+@pytest.mark.slow
+def test_a_study_loads_no_library_of_filters_and_distributions(tmp_path):
+    # Either takes longer to import than most stages to run, in every process anew.
+    code = "import sys, casid; casid.run_study(casid.read_study(sys.argv[1])); print(*sys.modules)"
+    program = [sys.executable, "-W", "ignore", "-c", code, str(write_study(tmp_path))]
+    run = subprocess.run(program, capture_output=True, text=True, check=True)
+    found = set(run.stdout.split())
+    assert "casid.report.html" in found
+    assert not {"scipy.signal", "scipy.stats"} & found
 
 
 @pytest.mark.slow
