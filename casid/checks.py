@@ -232,8 +232,12 @@ def words(hint: Any) -> str:  # noqa: ANN401 - an annotation
         return name
     if issubclass(kind, Mapping):
         return f"a mapping {{{words(inner[0])}: {words(inner[1])}}}"
+    return _several(inner[0])
+
+
+def _several(hint: Any) -> str:  # noqa: ANN401 - an annotation
     many = {int: "whole numbers", float: "numbers", str: "texts"}
-    return many.get(inner[0], f"several {words(inner[0])}")
+    return many.get(hint, f"several {words(hint)}")
 
 
 def _one_of(inner: tuple[Any, ...]) -> str:
@@ -254,7 +258,7 @@ _PHRASES: Mapping[Any, Callable[[tuple[Any, ...]], str]] = {
     Literal: lambda inner: " or ".join(f'"{each}"' for each in inner),
     type: lambda _: "a class",
     tuple: lambda inner: (
-        f"several {words(inner[0])}" if Ellipsis in inner else f"({', '.join(map(words, inner))})"
+        _several(inner[0]) if Ellipsis in inner else f"({', '.join(map(words, inner))})"
     ),
 }
 

@@ -6,9 +6,11 @@ names, ``+ - * /`` and parentheses; ``0.05 Llat`` is a product. Nothing else is 
 nothing is evaluated as Python.
 """
 
+import ast
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,11 +18,10 @@ import numpy as np
 from casid.errors import ModelError
 
 TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_]\w*)"
-    r"|(?P<mark><=|>=|==|[-+*/()=<>]))"
+    r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_]\w*|<=|>=|==|[-+*/()=<>]|(?P<other>\S)"
 )
 SPELT = str.maketrans({"−": "-", "·": "*", "×": "*", "≤": "<", "≥": ">"})
-RELATIONS = {"=": "=", "==": "=", "<": "<", "<=": "<", ">": ">", ">=": ">"}
+MARKS = {ast.Eq: "=", ast.Lt: "<", ast.LtE: "<", ast.Gt: ">", ast.GtE: ">"}
 
 
 @dataclass(frozen=True)
@@ -50,31 +51,91 @@ class Relation:
 
 def parse_relation(text: str) -> Relation:
     """Read one relation; ModelError says where it is not a linear one between parameters."""
-    reader = _Reader(text)
-    sides, marks = [reader.sum()], []
-    while reader.peek() in RELATIONS:
-        marks.append(RELATIONS[reader.take()])
-        sides.append(reader.sum())
-    reader.end()
+    try:
+        return _read(text.strip())
+    except ModelError as error:
+        raise ModelError(
+            f"relation {text!r}: {error}; write linear relations such as "
+            '"Nlat = 0.05 Llat", "Lp <= 2 Mq - 0.1" or "-5 <= Lp + Mq <= -1"'
+        ) from error
+
+
+def _read(text: str) -> Relation:
+    """The relation; the messages of its errors are the reasons alone."""
+    tree = _tree(text)
+    parts = [tree.left, *tree.comparators] if isinstance(tree, ast.Compare) else []
+    sides = [_affine(part) for part in parts]
+    marks = [MARKS.get(type(op), "") for op in tree.ops] if isinstance(tree, ast.Compare) else []
     if len(marks) not in (1, 2) or len(set(marks)) > 1 or (len(marks) == 2 and "=" in marks):
-        raise reader.wrong("expected one of =, <=, >= between two sums, or low <= sum <= high")
+        raise ModelError("expected one of =, <=, >= between two sums, or low <= sum <= high")
     if marks[0] == ">":
         sides.reverse()
     if len(sides) == 3:
         low, middle, high = sides
-        if low.factors or high.factors:
-            raise reader.wrong("expected numbers on the outer sides of low <= sum <= high")
-        return _relation(reader, middle, low.constant, high.constant)
-    difference = sides[0].plus(sides[1], -1.0)
-    tie = marks[0] == "="
-    return _relation(reader, difference, 0.0 if tie else -np.inf, 0.0)
+        if {*low, *high} - {""}:
+            raise ModelError("expected numbers on the outer sides of low <= sum <= high")
+        return _relation(text, middle, low.get("", 0.0), high.get("", 0.0))
+    difference = _added(sides[0], sides[1], -1.0)
+    return _relation(text, difference, 0.0 if marks[0] == "=" else -np.inf, 0.0)
 
 
-def _relation(reader: "_Reader", total: "_Affine", lower: float, upper: float) -> Relation:
-    factors = {name: a for name, a in total.factors.items() if a != 0}
+def _tree(text: str) -> ast.expr:
+    """The syntax of a text in Python's terms, ``*`` written where a product has none."""
+    tokens = list(TOKEN.finditer(text.translate(SPELT)))
+    if wrong := [token["other"] for token in tokens if token["other"]]:
+        raise ModelError(f"{wrong[0]!r} is not understood")
+    spelt = ["==" if token[0] == "=" else token[0] for token in tokens]
+    words = spelt[:1]
+    for before, token in pairwise(spelt):
+        ends, begins = before == ")" or before[-1] not in "(+-*/<>=", token[0] not in ")+-*/<>="
+        words += ["*", token] if ends and begins else [token]
+    try:
+        return ast.parse(" ".join(words), mode="eval").body
+    except (SyntaxError, RecursionError, MemoryError) as error:
+        closed = spelt.count("(") == spelt.count(")")
+        why = "something is missing or out of place" if closed else "a parenthesis is not closed"
+        raise ModelError(why) from error
+
+
+def _affine(node: ast.expr) -> dict[str, float]:
+    """Coefficients by parameter of what a part of a relation is, its constant by ""."""
+    match node:
+        case ast.Constant(value=int() | float() as number):
+            return {"": float(number)}
+        case ast.Name(id=name):
+            return {name: 1.0}
+        case ast.UnaryOp(op=op, operand=inner):
+            return _added({}, _affine(inner), -1.0 if isinstance(op, ast.USub) else 1.0)
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
+            sign = 1.0 if isinstance(op, ast.Add) else -1.0
+            return _added(_affine(left), _affine(right), sign)
+        case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as op, right=right):
+            return _product(_affine(left), _affine(right), inverse=isinstance(op, ast.Div))
+    raise ModelError(f"{ast.unparse(node)!r} is out of place")
+
+
+def _product(a: Mapping[str, float], b: Mapping[str, float], *, inverse: bool) -> dict[str, float]:
+    """Coefficients of a times b, or over b; one of them must be a number."""
+    if inverse:
+        if {*b} != {""} or not b[""]:
+            raise ModelError("a divisor must be a number other than zero")
+        b = {"": 1 / b[""]}
+    number, other = sorted((a, b), key=lambda side: {*side} != {""})
+    if {*number} != {""}:
+        raise ModelError("a product of parameters is not linear")
+    return _added({}, other, number[""])
+
+
+def _added(a: Mapping[str, float], b: Mapping[str, float], times: float) -> dict[str, float]:
+    """Coefficients of a + times b."""
+    return {name: a.get(name, 0.0) + times * b.get(name, 0.0) for name in {**a, **b}}
+
+
+def _relation(text: str, total: Mapping[str, float], lower: float, upper: float) -> Relation:
+    factors = {name: a for name, a in total.items() if a != 0 and name}
     if not factors:
-        raise reader.wrong("no parameter is left in it")
-    lower, upper = lower - total.constant, upper - total.constant
+        raise ModelError("no parameter is left in it")
+    lower, upper = lower - total.get("", 0.0), upper - total.get("", 0.0)
     if len(factors) == 1:  # 2 Lp <= -3 is Lp <= -1.5
         ((name, a),) = factors.items()
         factors, (lower, upper) = {name: 1.0}, sorted((lower / a, upper / a))
@@ -82,105 +143,4 @@ def _relation(reader: "_Reader", total: "_Affine", lower: float, upper: float) -
         factors = {name: -a for name, a in factors.items()}
         lower, upper = -upper, -lower
     # 0.0 + clears the sign of a negative zero
-    return Relation(
-        reader.text.strip(), tuple(factors), tuple(factors.values()), 0.0 + lower, 0.0 + upper
-    )
-
-
-@dataclass(frozen=True)
-class _Affine:
-    """constant + Σ factor · name."""
-
-    constant: float = 0.0
-    factors: Mapping[str, float] = field(default_factory=dict)
-
-    def plus(self, other: "_Affine", sign: float = 1.0) -> "_Affine":
-        names = dict.fromkeys([*self.factors, *other.factors])
-        factors = {
-            name: self.factors.get(name, 0.0) + sign * other.factors.get(name, 0.0)
-            for name in names
-        }
-        return _Affine(self.constant + sign * other.constant, factors)
-
-    def times(self, factor: float) -> "_Affine":
-        return _Affine(self.constant * factor, {k: a * factor for k, a in self.factors.items()})
-
-
-class _Reader:
-    """Recursive descent over the tokens of one relation."""
-
-    def __init__(self, text: str) -> None:
-        self.text = text
-        self._tokens: list[tuple[str, str]] = []
-        plain, at = text.translate(SPELT), 0
-        while plain[at:].strip():
-            found = TOKEN.match(plain, at)
-            if found is None:
-                raise self.wrong(f"{plain[at:].strip()[0]!r} is not understood")
-            kind = str(found.lastgroup)
-            self._tokens.append((kind, found[kind]))
-            at = found.end()
-        self._at = 0
-
-    def wrong(self, why: str) -> ModelError:
-        return ModelError(
-            f"relation {self.text!r}: {why}; write linear relations such as "
-            '"Nlat = 0.05 Llat", "Lp <= 2 Mq - 0.1" or "-5 <= Lp + Mq <= -1"'
-        )
-
-    def peek(self) -> str:
-        return self._tokens[self._at][1] if self._at < len(self._tokens) else ""
-
-    def kind(self) -> str:
-        return self._tokens[self._at][0] if self._at < len(self._tokens) else ""
-
-    def take(self) -> str:
-        token = self.peek()
-        self._at += 1
-        return token
-
-    def end(self) -> None:
-        if self.peek():
-            raise self.wrong(f"{self.peek()!r} is out of place")
-
-    def sum(self) -> _Affine:
-        total = self.product()
-        while self.peek() in ("+", "-"):
-            sign = 1.0 if self.take() == "+" else -1.0
-            total = total.plus(self.product(), sign)
-        return total
-
-    def product(self) -> _Affine:
-        total = self.factor()
-        while self.peek() in ("*", "/", "(") or self.kind() in ("name", "number"):
-            if self.peek() == "/":
-                self.take()
-                divisor = self.factor()
-                if divisor.factors or divisor.constant == 0:
-                    raise self.wrong("a divisor must be a number other than zero")
-                total = total.times(1 / divisor.constant)
-                continue
-            if self.peek() == "*":
-                self.take()
-            total = self._multiplied(total, self.factor())
-        return total
-
-    def _multiplied(self, a: _Affine, b: _Affine) -> _Affine:
-        if a.factors and b.factors:
-            raise self.wrong("a product of parameters is not linear")
-        return b.times(a.constant) if b.factors else a.times(b.constant)
-
-    def factor(self) -> _Affine:
-        kind, token = self.kind(), self.take()
-        if token in ("+", "-"):
-            return self.factor().times(1.0 if token == "+" else -1.0)
-        if kind == "number":
-            return _Affine(float(token))
-        if kind == "name":
-            return _Affine(0.0, {token: 1.0})
-        if token == "(":
-            inner = self.sum()
-            if self.take() != ")":
-                raise self.wrong("a parenthesis is not closed")
-            return inner
-        raise self.wrong(f"{token!r} is out of place" if token else "something is missing")
+    return Relation(text, tuple(factors), tuple(factors.values()), 0.0 + lower, 0.0 + upper)

@@ -1,35 +1,15 @@
 """What matching minimises, as functions of the structure's response, with their derivatives.
 
 An error E is analytic in the response G, dE = factor ∘ dG; derivatives of a cost by E are numbers
-P with d cost = Re Σ conj(P) ∘ dE.
+P, ``pull``, with d cost = Re Σ conj(P) ∘ dE, and V (nf, ...), ``curved``, with the cost's second
+derivatives Re Σ conj(dE_i) ∘ V_j, G being linear.
 """
-
-from typing import Protocol
 
 import numpy as np
 
 from casid.arrays import Array, ComplexArray
 from casid.matching.comparison import Comparison
 from casid.matching.mismatch import DB, TINY, TURN, log_ratio
-
-
-class Cost(Protocol):
-    """A sum over all entries of the error."""
-
-    def errors(self, G: ComplexArray) -> ComplexArray:
-        """E of a response (K, ny, nu)."""
-
-    def factor(self, G: ComplexArray) -> Array | ComplexArray:
-        """Derivative of E by G."""
-
-    def value(self, E: ComplexArray) -> float:
-        """The cost."""
-
-    def pull(self, E: ComplexArray) -> ComplexArray:
-        """P, its derivative by E."""
-
-    def curved(self, E: ComplexArray, dE: ComplexArray) -> ComplexArray:
-        """V (nf, ...) with the cost's second derivatives Re Σ conj(dE_i) ∘ V_j, G being linear."""
 
 
 class MeanSquare:
@@ -52,11 +32,11 @@ class MeanSquare:
         return self._share * float(np.linalg.norm(E) ** 2)
 
     def pull(self, E: ComplexArray) -> ComplexArray:
-        """See `Cost.pull`."""
+        """P, the derivative by E."""
         return 2 * self._share * E
 
     def curved(self, _: ComplexArray, dE: ComplexArray) -> ComplexArray:
-        """See `Cost.curved`."""
+        """V, from the derivatives of E."""
         return 2 * self._share * dE
 
 
@@ -83,9 +63,9 @@ class Decibels:
         return float(np.sum(self._gain * E.real**2 + self._phase * E.imag**2))
 
     def pull(self, E: ComplexArray) -> ComplexArray:
-        """See `Cost.pull`."""
+        """P, the derivative by E."""
         return np.asarray(2 * (self._gain * E.real + 1j * self._phase * E.imag))
 
     def curved(self, E: ComplexArray, dE: ComplexArray) -> ComplexArray:
-        """See `Cost.curved`; d² ln G holds −(dG/G)²."""
+        """V; d² ln G holds −(dG/G)²."""
         return np.asarray(self.pull(dE) - self.pull(E) * dE.conj())

@@ -108,9 +108,9 @@ def test_a_stage_of_an_outsider_runs_is_kept_is_resumed_and_is_shown(tmp_path):
     [
         (("[toyy]",), "unknown key 'toyy'; did you mean 'toy'"),
         (("[toy]", "powr = 2"), r"\[toy\]: unknown key 'powr'; did you mean 'power'\? Known are"),
-        (("[toy]", 'power = "two"'), r"\[toy\]: power = 'two', expected float"),
-        (("[toy]", "centred = 1"), r"\[toy\]: centred = 1, expected bool"),
-        (("[toy]", "channels = 3"), r"\[toy\]: channels = 3, expected tuple"),
+        (("[toy]", 'power = "two"'), r"\[toy\]: power = 'two', expected a number"),
+        (("[toy]", "centred = 1"), r"\[toy\]: centred = 1, expected True or False"),
+        (("[toy]", "channels = 3"), r"\[toy\]: channels = 3, expected texts"),
         (("[toy]", "power = -1"), r"\[toy\]: power = -1, expected above 0"),
         (("[derivid]",), r"\[derivid\] would not be read: it needs records; write \[records.freq"),
         (("[frequency]",), r"\[frequency\] would not be read: it needs records"),

@@ -291,8 +291,8 @@ bad(
     "order = 1000000",
     "the longest record, '3211', has 750 samples; lower it",
 )
-bad("an order that is true", study("order = 3", "order = true"), "order = True", "expected int")
-bad("an order in words", study("order = 3", 'order = "three"'), "order = 'three'", "expected int")
+bad("an order that is true", study("order = 3", "order = true"), "order = True", "a whole number")
+bad("an order in words", study("order = 3", 'order = "three"'), "order = 'three'", "a whole number")
 bad("a negative pole", study("pole = 4.0", "pole = -4.0"), "pole", "> 0 rad/s")
 bad("a window of nothing", study("past = 6", "past = 0"), "past", "1")
 bad("a grid backwards", study("from = 0.5, to = 5", "from = 5, to = 0.5"), "omega", "from < to")
@@ -314,7 +314,7 @@ bad(
     "max_iterations",
     "expected at least 1",
 )
-bad("no time", within("match.solver", "max_seconds = nan"), "max_seconds", "expected at least")
+bad("no time", within("match.solver", "max_seconds = nan"), "max_seconds", "expected a number")
 bad("an option IPOPT does not know", within("match.solver", "ipopt = { mu_strat = 1 }"),
     "mu_strat", "IPOPT")  # fmt: skip
 bad("targets unknown", study("[match]\n", '[match]\ntargets = ["sky"]\n'), "sky", "black box")
