@@ -310,19 +310,7 @@ def spread(
 ) -> Array:
     """Standard deviation of each entry of a function of the model, to first order.
 
-    Parameters
-    ----------
-    fit : Fit
-        With a covariance.
-    function : callable
-        Takes a model with other parameter values, returns an array.
-    error : StructureError
-        Whose covariance of the parameters is added.
-
-    Raises
-    ------
-    ValueError
-        A fit without covariance.
+    The covariance of the parameters that ``error`` has is added. ValueError: a fit without one.
     """
     names, C = _covariance(fit)
     if isinstance(fit.model, NonlinearModel):

@@ -27,25 +27,14 @@ ROUNDING = 1e-9  # of the shortest sampling interval: what falls together so clo
 
 
 class DelayedInput(NamedTuple):
-    """u(t - τ) of one record.
+    """u(t - τ) of one record."""
 
-    Parameters
-    ----------
-    value, slope : (N, nu) array
-        At every sample, and after it until the next break.
-    channel, step : (n,) integer array
-        Input of every break, and the number of the sample before it.
-    rest, jump : (n,) array
-        Time from the break to the next sample [s], and what changes there: the slope (foh) or the
-        input itself (zoh).
-    """
-
-    value: Array
-    slope: Array
-    channel: np.ndarray
-    step: np.ndarray
-    rest: Array
-    jump: Array
+    value: Array  # (N, nu) at every sample
+    slope: Array  # (N, nu) after it until the next break
+    channel: np.ndarray  # (n,) input of every break
+    step: np.ndarray  # (n,) number of the sample before it
+    rest: Array  # (n,) time from the break to the next sample [s]
+    jump: Array  # (n,) what changes there: the slope (foh) or the input itself (zoh)
 
 
 def delayed_input(

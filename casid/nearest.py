@@ -1,22 +1,21 @@
 """A structure moved to where its response comes nearest to a black box's, and what is left.
 
-Weighted least squares on the response, parameters within their bounds, by steps of Gauss and
-Newton. The weights are those of what can be reached: first of a share of the response, then of the
-black box's variance and of what the step before has left, smoothed over frequency, so that a pair
-the structure cannot make does not rule all others.
+Weighted least squares on the response, parameters within their bounds. The weights are those of
+what can be reached: first of a share of the response, then of the black box's variance and of what
+the step before has left, smoothed over frequency, so that a pair the structure cannot make does not
+rule all others.
 """
 
-from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from casid.arrays import Array, ComplexArray
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
 from casid.free import Free, free_parameters
+from casid.matching.comparison import Comparison, Source
+from casid.matching.descent import Condensed, descend
 from casid.model import Model
 from casid.subspace.blackbox import BlackBox
 
@@ -25,12 +24,9 @@ OF_ROW = 0.003
 ROUGH = 0.1  # of a pair's response: what the first weights take a structure to miss
 REACH = 0.35  # nepers of frequency over which misfits are alike: those of next weights are smoothed
 ROUNDS = 2  # of weights by what is left
-STEPS = 30  # of Gauss and Newton a round
-LEAST = 0.01  # of a step that is worth trying
-SETTLED = 1e-4  # relative decrease of the cost that ends a round
+STEPS = 60  # of the descent a round
+SETTLED = 1e-6  # relative decrease of the cost that ends a round
 HELD = 1e-9  # of the width between bounds
-
-Slopes = Callable[[Array], tuple[ComplexArray, ComplexArray]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -113,60 +109,27 @@ class Nearest:
 def nearest(free: Free, target: BoxResponse) -> Nearest:
     """The structure's parameters that make its response most like the black box's."""
     matrices, s = MatrixFunction(free), 1j * target.omega
-
-    def slopes(lam: Array) -> tuple[ComplexArray, ComplexArray]:
-        G, dG = matrices(lam).response_slopes(s)
-        return target.scale * G - target.G, target.scale * dG
-
-    bounds = free.lower[free.index], free.upper[free.index]
-    lam = np.asarray(np.clip(free.guess, *bounds), dtype=float)
-    E, _ = slopes(lam)
-    W = 1 / np.sqrt(target.allowed**2 + (ROUGH * np.abs(target.G)) ** 2 + target.smoothed(E))
-    lam, E, J = _settled(slopes, lam, bounds, W)
-    for _ in range(ROUNDS):
-        W = 1 / np.sqrt(target.variance + target.smoothed(E))
-        lam, E, J = _settled(slopes, lam, bounds, W)
-    width = np.where(np.isfinite(bounds[1] - bounds[0]), bounds[1] - bounds[0], 1.0)
-    inside = np.minimum(lam - bounds[0], bounds[1] - lam) > HELD * width
+    low, high = free.lower[free.index], free.upper[free.index]
+    lam, error = free.guess, (ROUGH * np.abs(target.G)) ** 2 + target.allowed**2
+    for _ in range(1 + ROUNDS):
+        E = target.scale * matrices(lam).response(s) - target.G
+        W = 1 / np.sqrt(error + target.smoothed(E))
+        lam, error = _settled(free, target, lam, W), target.variance
+    G, dG = matrices(lam).response_slopes(s)
+    width = np.where(np.isfinite(high - low), high - low, 1.0)
+    inside = np.minimum(lam - low, high - lam) > HELD * width
     moved = free.model.with_vector(free.full(lam))
-    return Nearest(model=moved, E=E, factor=_left(target.F, J[inside], W))
+    factor = _left(target.F, target.scale * dG[inside], W)
+    return Nearest(model=moved, E=target.scale * G - target.G, factor=factor)
 
 
-def _settled(
-    slopes: Slopes, lam: Array, bounds: tuple[Array, Array], W: Array
-) -> tuple[Array, ComplexArray, ComplexArray]:
-    """Parameters, misfit and slopes after steps within bounds under weights held."""
-    E, J = slopes(lam)
-    for _ in range(STEPS):
-        before = float(np.sum(np.abs(W * E) ** 2))
-        step, share, cost, trial = _step(W * E, W * J, lam, bounds), 1.0, np.inf, lam
-        while not cost < before and share > LEAST:
-            trial = np.asarray(np.clip(lam + share * step, *bounds))
-            share /= 2
-            with suppress(np.linalg.LinAlgError):  # a pole on a line
-                cost = float(np.sum(np.abs(W * slopes(trial)[0]) ** 2))
-        if cost < before:
-            lam = trial
-            E, J = slopes(lam)
-        if not cost < (1 - SETTLED) * before:
-            break
-    return lam, E, J
-
-
-def _step(E: ComplexArray, J: ComplexArray, lam: Array, bounds: tuple[Array, Array]) -> Array:
-    """Step to the least squares of the linearised misfit, parameters within their bounds."""
-    columns = _real(J.reshape(len(J), -1))
-    size = np.linalg.norm(columns, axis=1)
-    size = np.where(size > 0, size, 1.0)
-    low, high = ((bound - lam) * size for bound in bounds)
-    room = np.where(high > low, 0.0, 1.0)  # a width of nothing is no interval to the solver
-    found = scipy.optimize.lsq_linear(
-        (columns / size[:, None]).T,
-        -_real(E.reshape(1, -1))[0],
-        (np.minimum(low, 0.0) - room, np.maximum(high, 0.0) + room),
-        method="bvls",
-    )
-    return np.asarray(np.clip(found.x, low, high) / size)
+def _settled(free: Free, target: BoxResponse, lam: Array, W: Array) -> Array:
+    """Free parameters (nf,) after a descent on the misfit under weights held."""
+    source = Source.measured(target.omega, target.G / target.scale, target.scale * W)
+    band, inputs = (float(target.omega[0]), float(target.omega[-1])), np.ones(W.shape[2])
+    comparison = Comparison(sources=(source,), input_scale=inputs, band=band, shift=0.0)
+    problem = replace(Condensed.of(free, comparison), penalty=0.0)  # constraints do not count
+    return descend(problem, lam, steps=STEPS, tolerance=SETTLED).values
 
 
 def _left(F: ComplexArray, J: ComplexArray, W: Array) -> ComplexArray:

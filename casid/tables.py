@@ -2,11 +2,13 @@
 
 import difflib
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from casid.errors import ModelError
 from casid.limits import TEXT_BYTES, check_file
 
 
@@ -60,10 +62,29 @@ class Table:
             raise ValueError(f"{self.place} {key} = {value!r}, expected a list of names")
         return tuple(value)
 
+    def pair(self, key: str, wanted: str) -> tuple[float, float]:
+        """Return two numbers; ``wanted`` says in words which."""
+        value = self.take(key, list)
+        numeric = all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
+        if len(value) != 2 or not numeric:
+            raise ValueError(f"{self.place} {key} = {value!r}, expected {wanted}")
+        return float(value[0]), float(value[1])
+
     def numbers(self, key: str) -> dict[str, float]:
         """Return a table of numbers."""
         table = self.table(key)
         return {name: float(table.take(name, (int, float))) for name in table.content}
+
+
+@contextmanager
+def placed(place: str) -> Iterator[None]:
+    """What is refused within is told with its place."""
+    try:
+        yield
+    except ModelError as error:
+        raise ModelError(f"{place} {error}") from error
+    except ValueError as error:
+        raise ValueError(f"{place} {error}") from error
 
 
 def read_toml(path: Path) -> Table:

@@ -1,7 +1,7 @@
 """Last steps of the chain as estimators from the same manoeuvres, to be compared by prediction."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 from casid.checks import checked_fields
@@ -20,26 +20,15 @@ from casid.subspace.pbsid import Pbsid
 class LastStep:
     """An estimator, and what of the manoeuvres it takes in which form.
 
-    Parameters
-    ----------
-    estimator : OutputError or Match
-        A match is to a black box of all manoeuvres.
-    histories : collection of str
-        Names of the manoeuvres that enter as time histories; all unless given.
-    responses : SpectralAnalysis
-        How the others become a frequency response in the same likelihood; unless given, they do not
-        enter.
-    decimate : int
-        Every how many samples of a time history are taken.
-    black_box : Pbsid
-        How a match's black box is identified; as `Pbsid` does unless given.
+    Those that do not enter as time histories become a frequency response in the same likelihood, if
+    ``responses`` says how, or do not enter.
     """
 
-    estimator: OutputError | Match
-    histories: Collection[str] | None = None
+    estimator: OutputError | Match  # a match is to a black box of all manoeuvres
+    histories: Collection[str] | None = None  # names of time histories; all unless given
     responses: SpectralAnalysis | None = None
-    decimate: int = 1
-    black_box: Pbsid | None = None
+    decimate: int = 1  # every how many samples of a time history are taken
+    black_box: Pbsid = field(default_factory=Pbsid)  # how a match's black box is identified
 
     def fit(
         self,
@@ -53,7 +42,7 @@ class LastStep:
         """The estimate from these manoeuvres, or what is there of them."""
         records, held = several(data), cast("Any", {"fixed": fixed, "bounds": bounds})
         if isinstance(self.estimator, Match):
-            return self.estimator.fit(model, (self.black_box or Pbsid()).fit(records), **held)
+            return self.estimator.fit(model, self.black_box.fit(records), **held)
         own = [each for each in records if self.histories is None or each.name in self.histories]
         others = [each for each in records if each not in own]
         estimator = self.estimator

@@ -1,23 +1,38 @@
 """Options of commands that read records: units, names of columns, time."""
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import click
 
+T = TypeVar("T")
 
-def _pairs(_: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    found = {}
-    for value in values:
-        name, equals, other = value.partition("=")
-        if not equals or not other:
-            raise click.BadParameter(f"{value!r}: expected {parameter.metavar}")
-        found[name] = other
-    return found
+
+def pairs(
+    read: Callable[[str], T],
+) -> Callable[[click.Context, click.Parameter, tuple[str, ...]], dict[str, T]]:
+    """What click calls to make a mapping of ``name=value``, values as ``read`` reads them."""
+
+    def made(_: click.Context, option: click.Parameter, values: tuple[str, ...]) -> dict[str, T]:
+        found = {}
+        for value in values:
+            name, equals, other = value.partition("=")
+            try:
+                found[name] = read(other)
+            except ValueError:
+                equals = ""
+            if not equals or not other:
+                raise click.BadParameter(f"{value!r}: expected {option.metavar}", param=option)
+        return found
+
+    return made
 
 
 UNIT = click.option(
     "--unit",
     "units",
     multiple=True,
-    callback=_pairs,
+    callback=pairs(str),
     metavar="CHANNEL=UNIT",
     help="Unit of a column that is not in SI, such as p=deg/s or lat=%; may be repeated.",
 )
@@ -25,7 +40,7 @@ COLUMN = click.option(
     "--column",
     "renamed",
     multiple=True,
-    callback=_pairs,
+    callback=pairs(str),
     metavar="CHANNEL=COLUMN",
     help="Column that holds a channel under another name, such as p=ROLL_RATE; may be repeated.",
 )

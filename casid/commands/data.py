@@ -14,7 +14,7 @@ from casid.channels import CONTROLS, UNITS
 from casid.commands.columns import COLUMN, TIME, UNIT
 from casid.commands.inspection import Inspection, RecordFacts, inspect_records, unit_advice
 from casid.commands.scaffold import new_model
-from casid.commands.terminal import exits, new_table, terminal
+from casid.commands.terminal import exits, new_table
 from casid.consistency.kinematics import KinematicCheck
 from casid.display import counted
 from casid.exchange import formats
@@ -83,8 +83,7 @@ def convert(
     Parquet and version 7.3 need: pip install 'casid[tables]'. Of a record all columns are taken,
     whether inputs or outputs; --unit turns one into SI on the way.
     """  # noqa: D301
-    console = terminal()
-    with exits(console):
+    with exits() as console:
         check_target(target, source)
         if Path(source).suffix.lower() == ".json":
             if units:
@@ -175,8 +174,7 @@ def inspect_command(
     be told apart. Nothing is fitted. RECORD is .csv, .mat or .parquet; of a study the records of
     identification are taken, as the study reads them.
     """
-    console = terminal()
-    with exits(console):
+    with exits() as console:
         first, *others = sources
         if first.endswith(".toml"):
             if others or inputs or outputs or units or renamed:
@@ -322,8 +320,7 @@ def simulate(
     that grows too much over it is predicted piece by piece instead, which the output then says.
     Theil's coefficient is 0 for a perfect prediction, 1 for a useless one.
     """
-    console = terminal()
-    with exits(console):
+    with exits() as console:
         model = _load(Path(fit), structure).model
         if output is not None:
             check_target(output, record, fit, *_files(structure))
@@ -364,8 +361,7 @@ def new_model_command(name: str) -> None:
 
     my_roll becomes my_roll.py with the class MyRoll. A file that is there is never overwritten.
     """
-    console = terminal()
-    with exits(console):
+    with exits() as console:
         path, structure = new_model(name)
         told = f"{path}: look at it with  casid check {path}:{structure}"
         console.print(Text(told), soft_wrap=True)

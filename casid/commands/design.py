@@ -10,8 +10,9 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
+from casid.commands.columns import pairs
 from casid.commands.study import OUTPUT, STUDY, VERBOSE
-from casid.commands.terminal import exits, logged, new_table, terminal
+from casid.commands.terminal import caution, exits, logged, new_table
 from casid.design.injection import check_axes, check_channels, remove_own
 from casid.design.inputs import design_inputs
 from casid.design.plan import Design, DesignSettings, Limits
@@ -37,56 +38,48 @@ SCRIPTS = ("card.lua", "inject.py")  # of ArduPilot, of PX4
 WRITTEN = ("card.csv", *SCRIPTS, "design.md", "design.png", "errors.png")
 
 
-def _pairs(_: click.Context, option: click.Parameter, values: Sequence[str]) -> dict[str, float]:
-    """``name=number`` as a mapping; of several the last counts."""
-    found = {}
-    for value in values:
-        name, number = [*value.split("=", 1), ""][:2]
-        try:
-            found[name] = float(number)
-        except ValueError:
-            raise click.BadParameter(f"{value!r}, expected NAME=NUMBER", param=option) from None
-    return found
+def _scaled(text: str) -> tuple[str, float]:
+    """``place:scale``."""
+    place, _, scale = text.partition(":")
+    return place, float(scale)
 
 
-def _places(
-    _: click.Context, option: click.Parameter, values: Sequence[str]
-) -> dict[str, tuple[str, float]]:
-    """``name=place:scale`` as a mapping."""
-    found = {}
-    for value in values:
-        name, rest = [*value.split("=", 1), ""][:2]
-        place, scale = [*rest.split(":", 1), ""][:2]
-        try:
-            found[name] = (str(int(place)) if option.name == "ardupilot" else place, float(scale))
-        except ValueError:
-            told = f"{value!r}, expected {option.metavar}"
-            raise click.BadParameter(told, param=option) from None
-    return found
+def _of_channel(text: str) -> tuple[int, float]:
+    """``number:scale``."""
+    place, scale = _scaled(text)
+    return int(place), scale
 
 
-def _place(flag: str, form: str, what: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    return click.option(flag, multiple=True, callback=_places, metavar=form, help=what)
-
-
-def _limit(flag: str, what: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    return click.option(flag, multiple=True, callback=_pairs, metavar="NAME=NUMBER", help=what)
+def _given(
+    flag: str, what: str, form: str = "NAME=NUMBER", read: Callable[[str], Any] = float
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    return click.option(flag, multiple=True, callback=pairs(read), metavar=form, help=what)
 
 
 @click.command()
 @STUDY
 @OUTPUT
 @click.option("--duration", type=float, help="Of the manoeuvre [s], 60 unless given.")
-@_limit("--stick", "Largest deviation of an input, SI; the largest flown unless given.")
-@_limit("--rate", "Largest rate of an input, SI per second; free unless given.")
-@_limit("--response", "Largest deviation of an output, SI; the largest flown unless given.")
-@_limit("--feedback", "Gain of the loop that is flown: lat:p=0.15 is u_lat = r_lat - 0.15 p.")
-@_limit("--trim", "Total value of a state or input to fly a nonlinear structure at.")
+@_given("--stick", "Largest deviation of an input, SI; the largest flown unless given.")
+@_given("--rate", "Largest rate of an input, SI per second; free unless given.")
+@_given("--response", "Largest deviation of an output, SI; the largest flown unless given.")
+@_given("--feedback", "Gain of the loop that is flown: lat:p=0.15 is u_lat = r_lat - 0.15 p.")
+@_given("--trim", "Total value of a state or input to fly a nonlinear structure at.")
 @click.option("--matter", multiple=True, metavar="NAME", help="Parameter that counts; else all.")
 @click.option("--method", help="best, steps or multisine.")
 @click.option("--spread", type=float, help="Share by which values may be wrong; 0.2 unless given.")
-@_place("--ardupilot", "NAME=CHANNEL:US", "RC channel of an input, µs a unit of it: lat=1:500.")
-@_place("--px4", "NAME=AXIS:UNITS", "Axis of MANUAL_CONTROL, its units a unit of it: lat=y:1000.")
+@_given(
+    "--ardupilot",
+    "RC channel of an input, µs a unit of it: lat=1:500.",
+    "NAME=CHANNEL:US",
+    _of_channel,
+)
+@_given(
+    "--px4",
+    "Axis of MANUAL_CONTROL, its units a unit of it: lat=y:1000.",
+    "NAME=AXIS:UNITS",
+    _scaled,
+)
 @VERBOSE
 def design(
     study: Path,
@@ -110,16 +103,14 @@ def design(
       design/design.png  sticks and predicted responses with their limits
       design/errors.png  predicted standard errors, parameter by parameter
     """  # noqa: D301
-    console = terminal()
-    with exits(console), logged(console, verbose):
+    with exits() as console, logged(console, verbose):
         what = read_study(study, output)
         what.spare(*(f"design/{name}" for name in WRITTEN))
         model = _kept(what)
         structure = model.model if isinstance(model, Fit) else model
         trim, flown = _condition(structure, _flown(what), {**what.design.trim, **asked["trim"]})
         limits, dt = _limits(what, flown, asked)
-        channels = {name: (int(c), x) for name, (c, x) in asked["ardupilot"].items()}
-        if channels:
+        if channels := asked["ardupilot"]:
             check_channels(what.model.inputs, channels, dt)
         if asked["px4"]:
             check_axes(what.model.inputs, asked["px4"])
@@ -276,7 +267,7 @@ def _say(console: Console, made: Design) -> None:
     if beside := made.on_the_card():
         console.print(Text(beside))
     for line in made.blind:
-        console.print(Text("! ", style="bold yellow").append(line, style="default"))
+        caution(console, line)
 
 
 def _page(made: Design) -> str:

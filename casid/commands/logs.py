@@ -10,7 +10,7 @@ from rich.text import Text
 from casid.arrays import Array, BoolArray
 from casid.channels import UNITS
 from casid.commands.columns import COLUMN, UNIT
-from casid.commands.terminal import exits, new_table, terminal
+from casid.commands.terminal import caution, exits, new_table
 from casid.display import counted
 from casid.logs.drafting import Draft, import_log
 from casid.logs.reading import read_log
@@ -51,8 +51,7 @@ def import_command(
       data/            a record (CSV, SI, total values) for every stretch
       axes.py          a structure to start from, unless --model names one
     """  # noqa: D301
-    console = terminal()
-    with exits(console):
+    with exits() as console:
         if only:
             _list(console, read_log(log), columns=True)
             return
@@ -92,7 +91,7 @@ def _show(console: Console, draft: Draft) -> None:
             table.add_row(Text(name), kind, Text(source.place), Text(unit), rate, age)
     console.print(table, "")
     for assumed in draft.assumed:
-        console.print(Text("! ", style="bold yellow").append(assumed, style="default"))
+        caution(console, assumed)
     for each in draft.delays:
         if abs(each.seconds) >= SHOWN:
             after = "after" if each.seconds > 0 else "before"
@@ -108,7 +107,7 @@ def _show(console: Console, draft: Draft) -> None:
         table.add_row(record.name, f"{record.t[0]:.6g}", f"{record.t[-1]:.6g}", *moved, share)
     console.print(table, "")
     for doubt in draft.doubts:
-        console.print(Text("! ", style="bold yellow").append(doubt, style="default"))
+        caution(console, doubt)
     study = Path(draft.study)
     console.print(Text(f"{study}: look with  casid inspect {study}"), soft_wrap=True)
     console.print(Text(f"then  casid identify {study}"), soft_wrap=True)

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from casid.bounds.compare import BoundsComparison
 from casid.commands.columns import COLUMN, TIME, UNIT
-from casid.commands.terminal import exits, logged, new_table, terminal
+from casid.commands.terminal import caution, exits, logged, new_table
 from casid.exchange.formats import read_record
 from casid.fit import AnyFit, Fit
 from casid.interrupts import check_interrupt
@@ -32,15 +32,11 @@ from casid.studies.studyfile import read_study
 WIDE = 24  # column of stages
 
 
-def _path(_: click.Context, __: click.Parameter, value: str | None) -> Path | None:
-    return None if value is None else Path(value)
-
-
-STUDY = click.argument("study", callback=_path, metavar="STUDY.toml")
+STUDY = click.argument("study", type=click.Path(path_type=Path), metavar="STUDY.toml")
 OUTPUT = click.option(
     "--output",
     "-o",
-    callback=_path,
+    type=click.Path(path_type=Path),
     metavar="FOLDER",
     help="Folder of the results, instead of the one the study names.",
 )
@@ -74,8 +70,8 @@ def identify(
     study: Path, output: Path | None, fresh: bool, parameters: bool, png: bool, verbose: bool
 ) -> None:
     """Identify the structure a study names and write its report."""
-    console, begun = terminal(), perf_counter()
-    with exits(console), logged(console, verbose), Monitor(console) as monitor:
+    begun = perf_counter()
+    with exits() as console, logged(console, verbose), Monitor(console) as monitor:
         asked = read_study(study, output)
         asked = replace(asked, png=png or asked.png)
         outcome = run_study(asked, fresh=fresh, watch=monitor)
@@ -105,8 +101,7 @@ def bounds(study: Path, output: Path | None, verbose: bool) -> None:
       bounds.md        both tables, for reading
       bounds/          the result of each case
     """  # noqa: D301
-    console = terminal()
-    with exits(console), logged(console, verbose), Monitor(console) as monitor:
+    with exits() as console, logged(console, verbose), Monitor(console) as monitor:
         asked = read_study(study, output)
         if "bounds" not in asked.settings:
             raise ValueError(f"{study}: there is no table [bounds] with cases to compare")
@@ -145,8 +140,7 @@ def check(
     the guess, the parameters, the eigenvalues, what the outputs do not see, and which parameters
     the excitation cannot tell apart: one 3-2-1-1 a control, or the records given.
     """
-    console = terminal()
-    with exits(console), logged(console, verbose):
+    with exits() as console, logged(console, verbose):
         if what.endswith(".toml"):
             _describe(console, read_study(Path(what)))
         else:
@@ -230,8 +224,8 @@ def _judge(console: Console, outcome: Outcome) -> None:
             noise = f"{each.noise:.2g}"
             table.add_row(each.output, each.word, *figures, noise, Text(each.unit), style=style)
         console.print(table)
-    for caution in outcome.cautions:
-        console.print(Text("! ", style="bold yellow").append(brief(caution), style="default"))
+    for said in outcome.cautions:
+        caution(console, brief(said))
 
 
 def _say_where(console: Console, outcome: Outcome) -> None:
@@ -285,5 +279,5 @@ def _describe(console: Console, study: Study) -> None:
             table.add_row(Text(record.name), role, *numbers)
     console.print(table)
     for said in again.told():
-        console.print(Text("! ", style="bold yellow").append(said, style="default"))
+        caution(console, said)
     console.print("Mend the records first." if again.told() else "The study is in order.")

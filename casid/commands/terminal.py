@@ -37,12 +37,13 @@ def new_table(title: str, first: str, *headings: str) -> Table:
 
 
 @contextmanager
-def exits(console: Console) -> Iterator[None]:
-    """Turn the failures a user can do something about into messages and exit codes."""
+def exits() -> Iterator[Console]:
+    """A console; failures a user can do something about become messages and exit codes."""
+    console = terminal()
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _told(console, warnings.showwarning)
-            yield
+            yield console
     except ConvergenceError as error:
         complain(console, "No convergence", error)
         sys.exit(NO_CONVERGENCE)
@@ -60,12 +61,16 @@ def _told(console: Console, usual: Callable[..., None]) -> Callable[..., None]:
 
     def show(message: Warning | str, category: type[Warning], *where: Any) -> None:  # noqa: ANN401
         if issubclass(category, DataWarning):
-            loud = Console(stderr=True, highlight=False, width=console.width)
-            loud.print(Text("! ", style="bold yellow").append(str(message), style="default"))
+            caution(Console(stderr=True, highlight=False, width=console.width), str(message))
         else:
             usual(message, category, *where)
 
     return show
+
+
+def caution(console: Console, said: str) -> None:
+    """Print what a user should know."""
+    console.print(Text("! ", style="bold yellow").append(said, style="default"))
 
 
 def complain(console: Console, what: str, error: Exception | str) -> None:

@@ -26,21 +26,11 @@ LEAST = 1e-4  # of a response, the smallest error believed
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
-    """Makes the errors of a response's usable points independent, of unit variance.
+    """Makes the errors of a response's usable points independent, of unit variance."""
 
-    Parameters
-    ----------
-    used : (K, ny, nu) array
-        Points that count: measured, with a stated error, not flagged.
-    across : (K, ny nu, ny nu) complex array
-        A_k⁻¹ between the pairs of one frequency, lower triangular; zero where not used.
-    along : tuple of (pair, places in ω (n,), (n, n) array)
-        Inverse roots of ρ, one a pair.
-    """
-
-    used: BoolArray
-    across: ComplexArray
-    along: tuple[tuple[int, NDArray[np.intp], Array], ...]
+    used: BoolArray  # (K, ny, nu) points that count: measured, with a stated error, not flagged
+    across: ComplexArray  # (K, ny nu, ny nu) A_k⁻¹ of a frequency's pairs, triangular; zero unused
+    along: tuple[tuple[int, NDArray[np.intp], Array], ...]  # pair, its places, inverse root of ρ
 
     def __call__(self, values: ComplexArray) -> ComplexArray:
         """Values (K, ny, nu, ...) as rows (points, ...) whose errors are independent.

@@ -1,6 +1,7 @@
 """Frequency responses of other tools: read from CSV, and put together pair by pair."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -102,16 +103,22 @@ def merge_responses(
     responses = several(responses)
     if not responses:
         raise ValueError("no responses given; at least one is needed")
-    first = responses[0]
+    omega = responses[0].omega
     for other in responses[1:]:
-        if other.omega.shape != first.omega.shape or not np.allclose(other.omega, first.omega):
+        if other.omega.shape != omega.shape or not np.allclose(other.omega, omega):
             raise ValueError(
-                f"responses on {len(first.omega)} and {len(other.omega)} frequencies that differ; "
+                f"responses on {len(omega)} and {len(other.omega)} frequencies that differ; "
                 "estimate or export them on one grid"
             )
+    return side_by_side([replace(one, omega=omega) for one in responses])
+
+
+def side_by_side(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
+    """All pairs of responses at all their frequencies, NaN where a pair was not measured."""
+    omega = np.unique(np.concatenate([one.omega for one in responses]))
     outputs = tuple(dict.fromkeys(name for one in responses for name in one.outputs))
     inputs = tuple(dict.fromkeys(name for one in responses for name in one.inputs))
-    shape = (len(first.omega), len(outputs), len(inputs))
+    shape = (len(omega), len(outputs), len(inputs))
     G = np.full(shape, np.nan, dtype=complex)
     coherence, error, leaks = (np.full(shape, np.nan) for _ in range(3))
     sizes: tuple[dict[str, float], dict[str, float]] = ({}, {})
@@ -120,13 +127,13 @@ def merge_responses(
         sizes[1].update(zip(one.outputs, one.output_std, strict=True))
         rows = [outputs.index(name) for name in one.outputs]
         columns = [inputs.index(name) for name in one.inputs]
-        place = np.ix_(range(shape[0]), rows, columns)
+        place = np.ix_(np.searchsorted(omega, one.omega), rows, columns)
         there = np.isfinite(one.G)
         parts = (one.G, one.coherence, one.random_error, one.leakage)
         for whole, part in zip((G, coherence, error, leaks), parts, strict=True):
             whole[place] = np.where(there, part, whole[place])
     return FrequencyResponse(
-        omega=first.omega,
+        omega=omega,
         G=G,
         coherence=coherence,
         random_error=error,

@@ -88,20 +88,11 @@ class Source:
 def find_channels(
     log: Log, asked: Mapping[str, str] | None = None
 ) -> tuple[dict[str, Source], dict[str, Source]]:
-    """Inputs and outputs of a log by name.
+    """Inputs and outputs by name of a log with `derived` topics.
 
-    Parameters
-    ----------
-    log : Log
-        With `derived` topics.
-    asked : mapping
-        Columns for channels, ``{"lat": "RCOU.C1"}``, a sign before one that runs the other way;
-        names other than those of outputs are inputs, which replace those that would be found.
-
-    Raises
-    ------
-    ValueError
-        A column that is not there.
+    ``asked`` are columns for channels, ``{"lat": "RCOU.C1"}``, a sign before one that runs the
+    other way; names other than those of outputs are inputs, which replace those that would be
+    found. ValueError: a column that is not there.
     """
     given = {name: _source(log, place) for name, place in (asked or {}).items()}
     if missing := [name for name, source in given.items() if source is None]:

@@ -47,8 +47,7 @@ class Format:
     name: str
     codes: tuple[str, ...]
     fields: tuple[str, ...]
-    factors: tuple[float, ...]
-    own: tuple[bool, ...]  # whether a factor is that of the type of field
+    factors: tuple[float | None, ...]  # that of the type of field, or the log's; None where neither
     units: tuple[str, ...]
     stated: bool = False  # whether units are the log's own
 
@@ -150,9 +149,7 @@ def _index(
             continue
         if kind == FORMAT:
             number, length, *rest = struct.unpack("<BB4s16s64s", data[at + 3 : at + size])
-            found = _format(
-                [each.split(b"\0")[0].decode("ascii", "replace") for each in rest], types
-            )
+            found = _format(list(map(_text, rest)), types)
             if found is not None and found.size == length and number != FORMAT:
                 formats[number], sizes[number] = found, length
                 places[number] = []
@@ -172,13 +169,11 @@ def _format(words: Sequence[str], types: Mapping[str, Any]) -> Format | None:
     if not name or len(names) != len(letters) or any(letter not in types for letter in letters):
         return None
     codes, factors, _ = zip(*(types[letter] for letter in letters), strict=True)
-    own = tuple(factor is not None for factor in factors)
     return Format(
         name=name,
         codes=codes,
         fields=names,
-        factors=tuple(factor or 1.0 for factor in factors),
-        own=own,
+        factors=factors,
         units=tuple(DOCUMENTED.get(name, {}).get(each, "") for each in names),
     )
 
@@ -195,12 +190,11 @@ def _with_units(formats: Mapping[int, Format], tables: Mapping[int, Any]) -> dic
         each, blank = formats[kind], [ord("-")] * len(formats[kind].fields)
         spelt = ["#" if mark == INSTANCE else units.get(mark, "") for mark in [*unit_marks, *blank]]
         scales = [factors.get(mark, 0.0) or 1.0 for mark in [*factor_marks, *blank]]
-        scaled = zip(each.factors, each.own, scales, strict=False)
         found[int(kind)] = replace(
             each,
             units=tuple(spelt[: len(blank)]),
             stated=True,
-            factors=tuple(factor if own else scale for factor, own, scale in scaled),
+            factors=tuple(x or y for x, y in zip(each.factors, scales, strict=False)),
         )
     return found
 
@@ -221,7 +215,7 @@ def _topics(form: Format, rows: Any) -> Iterator[Topic]:  # noqa: ANN401 - a str
     for value in np.unique(which) if which.dtype.kind in "iuf" else ():
         own = rows[which == value]
         columns = (
-            (name, own[f"f{k}"] * form.factors[k], spelt.get(name, ""))
+            (name, own[f"f{k}"] * (form.factors[k] or 1.0), spelt.get(name, ""))
             for k, name in enumerate(form.fields)
             if k not in (clock, number) and own[f"f{k}"].dtype.kind in "iuf"
         )

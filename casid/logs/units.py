@@ -23,10 +23,7 @@ def with_units(sources: Mapping[str, Source], stated: Mapping[str, str]) -> dict
 def check_units(path: Path, sources: Mapping[str, Source]) -> list[str]:
     """What is taken where no known unit is stated, a sentence each.
 
-    Raises
-    ------
-    ValueError
-        An output in a unit that is none of its quantity's: it would be wrong by any factor.
+    ValueError: an output in a unit that is none of its quantity's, wrong by any factor.
     """
     said = []
     for name, source in sources.items():

@@ -45,16 +45,8 @@ def band_norm(
 ) -> Band:
     """Bound the largest singular value of the weighted error between the ends of the grid.
 
-    Parameters
-    ----------
-    system : StateSpace
-        The model, in the channels of the source.
-    source : Source
-        What it is compared with; of a measured response only the points exist.
-    tolerance : float
-        Relative gap between the bounds at which to stop.
-    negligible : float
-        Bounds below this are as good as zero: a gap to it is not closed.
+    Of a measured response only the points exist. Ends when the relative gap between the bounds is
+    below ``tolerance``, or the upper one below ``negligible``.
     """
     omega = source.omega
     sigma = np.linalg.svd(source.error(system), compute_uv=False)

@@ -8,11 +8,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
-import numpy as np
-
 from casid.estimator import Estimator
 from casid.fit import Fit
 from casid.frequency.response import FrequencyResponse
+from casid.frequency.responses import side_by_side
 from casid.linear import StateSpace
 from casid.matching.targets import Target
 from casid.model import Bounds, M
@@ -34,12 +33,8 @@ def fit_at_conditions(
     """Estimate a nonlinear structure from targets at flight conditions, ``{trim: target, ...}``.
 
     The result's model is the nonlinear structure; unknowns of the trims stand in its table. With
-    ``merged`` the estimator is given one measured response.
-
-    Raises
-    ------
-    ValueError
-        A linear structure, a condition that is no `Trim`, none at all.
+    ``merged`` the estimator is given one measured response. ValueError: a linear structure, a
+    condition that is no `Trim`, none at all.
     """
     if not isinstance(model, NonlinearModel):
         raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
@@ -55,7 +50,7 @@ def fit_at_conditions(
         for condition, given in data.items()
         for target in several(given)
     ]
-    chosen: Any = together(cast("list[FrequencyResponse]", targets)) if merged else targets
+    chosen: Any = side_by_side(cast("list[FrequencyResponse]", targets)) if merged else targets
     fit = estimator.fit(linear, chosen, fixed=fixed, bounds=bounds)
     return cast("Fit[M, Any]", replace(fit, model=model.with_values_of(fit.model)))
 
@@ -70,37 +65,3 @@ def named(target: Target, condition: Trim, conditions: Sequence[Trim]) -> Target
         for names in (target.inputs, target.outputs)
     )
     return replace(target, inputs=inputs, outputs=outputs)
-
-
-def together(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
-    """Responses of different channels as one, NaN where a pair was not measured."""
-    omega = np.unique(np.concatenate([each.omega for each in responses]))
-    inputs, outputs = (
-        tuple(dict.fromkeys(name for each in responses for name in getattr(each, kind)))
-        for kind in ("inputs", "outputs")
-    )
-    shape = (len(omega), len(outputs), len(inputs))
-
-    G, coherence = np.full(shape, complex(np.nan, np.nan)), np.zeros(shape)
-    error = np.full(shape, np.nan)
-    sizes: dict[str, float] = {}
-    for each in responses:
-        columns = np.array([inputs.index(name) for name in each.inputs])
-        lines = np.array([outputs.index(name) for name in each.outputs])
-        at = np.ix_(np.searchsorted(omega, each.omega), lines, columns)
-        G[at], coherence[at], error[at] = each.G, each.coherence, each.random_error
-        sizes |= dict(zip(each.inputs, each.input_std, strict=True))
-        sizes |= dict(zip(each.outputs, each.output_std, strict=True))
-    return FrequencyResponse(
-        omega=omega,
-        G=G,
-        coherence=coherence,
-        random_error=error,
-        inputs=inputs,
-        outputs=outputs,
-        input_std=np.array([sizes[name] for name in inputs]),
-        output_std=np.array([sizes[name] for name in outputs]),
-        leakage=np.zeros(shape),
-        multiple_coherence=np.full(shape[:2], np.nan),
-        condition=np.ones(len(omega)),
-    )

@@ -68,22 +68,10 @@ class _Point:
 class Programme:
     """One programme over x = (λ, t, L_k of all points, Lyapunov factor), each scaled.
 
-    Parameters
-    ----------
-    free : Free
-        The parameters to estimate.
-    comparison : Comparison
-        Points, responses, weights.
-    norm : {"quadratic", "hinf", "decibel"}
-        What to minimise.
-    values : (nf,) array
-        Free parameters to start from, in physical units.
-    stable : bool
-        Keep A(λ) − σ I Hurwitz by a Lyapunov equation.
-    line : float
-        Real part [1/s] that no pole may exceed on the way: trial points where one does have no
-        value. Those of the start must not. A solve that is held there again and again is given up,
-        no point having a value any more.
+    The norm is "quadratic", "hinf" or "decibel"; it starts from free values (nf,) in physical
+    units. If ``stable``, a Lyapunov equation keeps A(λ) − σ I Hurwitz. Trial points where a pole
+    exceeds the ``line`` [1/s] have no value; those of the start must not. A solve that is held
+    there again and again is given up, no point having a value any more.
     """
 
     def __init__(

@@ -61,13 +61,9 @@ class Trim:
 def linearisation(model: Nonlinear, conditions: Sequence[Trim]) -> Model:
     """The linear structure at one flight condition, or at several side by side.
 
-    Several have the channels of each under names of their own, ``p@60 kn``.
-
-    Raises
-    ------
-    ModelError
-        An unknown that is no state or input, a balance that nothing unknown can bring about, two
-        conditions of one name.
+    Several have the channels of each under names of their own, ``p@60 kn``. ModelError: an unknown
+    that is no state or input, a balance that nothing unknown can bring about, two conditions of one
+    name.
     """
     names = [each.name for each in conditions]
     if len(conditions) > 1 and (len(set(names)) < len(names) or "" in names):

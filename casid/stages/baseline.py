@@ -12,11 +12,12 @@ from casid.report.content import BASELINE as LABEL
 from casid.report.content import Content, Section, section
 from casid.report.evidence import misfit
 from casid.report.verdicts import unsolved
-from casid.stages.stage import Stage, Task, placed
+from casid.stages.stage import Stage, Task
+from casid.tables import placed
 
 
 def _check(settings: Derivid, task: Task) -> None:
-    with placed("derivid"):
+    with placed("[derivid]"):
         free_parameters(task.model, **task.held, priors=settings.priors)
         check_priors(task.model, settings.priors, **task.held)
 

@@ -15,7 +15,8 @@ from casid.matching.targets import Target
 from casid.report.content import MATCH, Caution, Content, Section, section
 from casid.report.verdicts import unsolved
 from casid.report.words import number
-from casid.stages.stage import Stage, Task, placed
+from casid.stages.stage import Stage, Task
+from casid.tables import placed
 
 GAP = 0.01  # of the certificate, relative
 SOURCES = {"black box": "pbsid", "frequency response": "frequency"}  # stages by name of target
@@ -58,7 +59,7 @@ def _check(settings: Matching, task: Task) -> None:
         raise ValueError(
             "[match] targets: 'frequency response' needs records: write [records.frequency]"
         )
-    with placed("match"):
+    with placed("[match]"):
         free_parameters(task.model, **task.held, priors=settings.priors)
         check_priors(task.model, settings.priors, **task.held)
 

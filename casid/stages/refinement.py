@@ -16,7 +16,8 @@ from casid.report.intervals import SHAPES, TICKS
 from casid.report.verdicts import on_bounds, uncertain, unsolved
 from casid.shooting.output_error import OutputError
 from casid.shooting.precision import OutputErrorNotes
-from casid.stages.stage import Stage, Task, placed
+from casid.stages.stage import Stage, Task
+from casid.tables import placed
 
 
 def _records(settings: OutputError, task: Task) -> tuple[Record, ...]:  # noqa: ARG001
@@ -24,7 +25,7 @@ def _records(settings: OutputError, task: Task) -> tuple[Record, ...]:  # noqa: 
 
 
 def _check(settings: OutputError, task: Task) -> None:
-    with placed("output_error"):
+    with placed("[output_error]"):
         settings.free(task.model, **task.held)
         check_priors(task.model, settings.priors, **task.held)
 

@@ -4,12 +4,11 @@ A stage is one value: its settings (a frozen value, which its table in a study f
 it takes from stages before it, what it computes, and the sections of the report that show it.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol, TypeAlias, get_args
 
-from casid.errors import ConvergenceError, ModelError
+from casid.errors import ConvergenceError
 from casid.jobs.campaigns import Execution
 from casid.model import Bounds, Model
 from casid.nonlinear.model import NonlinearModel
@@ -262,17 +261,6 @@ def check_task(task: Task) -> None:
             if stage.name not in before:
                 raise ValueError(f"[{table}] would not be read: {lacking(stage, task, before)}")
             stage.check(value, task)
-
-
-@contextmanager
-def placed(table: str) -> Iterator[None]:
-    """What is refused within is told with the table it stands in."""
-    try:
-        yield
-    except ModelError as error:
-        raise ModelError(f"[{table}] {error}") from error
-    except ValueError as error:
-        raise ValueError(f"[{table}] {error}") from error
 
 
 def lacking(stage: Stage, task: Task, before: Collection[str]) -> str:

@@ -30,6 +30,7 @@ from casid.display import Shown
 from casid.evaluation import Matrices, MatrixFunction
 from casid.free import Free, free_parameters
 from casid.frequency.response import FrequencyResponse
+from casid.matching.targets import in_channels
 from casid.model import Bounds, Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
@@ -266,36 +267,21 @@ def _response_information(free: Free, response: Responses) -> Array:
     if isinstance(response, BlackBox):
         system = response.system
         omega: Array = np.geomspace(*response.band, POINTS)
-        G, good = system.response(omega), np.ones((POINTS, system.ny, system.nu), dtype=bool)
-        names = system.outputs, system.inputs
+        G, names = system.response(omega), (system.outputs, system.inputs)
+        coherence = np.ones(G.shape)
     else:
         omega, G, names = response.omega, response.G, (response.outputs, response.inputs)
-        good = np.isfinite(G) & (np.nan_to_num(response.coherence) >= COHERENCE)
-    _, slope = MatrixFunction(free)(free.guess).response_slopes(1j * omega)
-    rows = []
-    for i, j, a, b in _shared(model, *names):
-        here = good[:, a, b] & (np.abs(G[:, a, b]) > 0)
-        rows.append(_real(slope[:, here, i, j].T / np.abs(G[here, a, b])[:, None]))
-    J = np.concatenate(rows)
-    return np.asarray(J.T @ J)
-
-
-def _shared(
-    model: Model, outputs: Sequence[str], inputs: Sequence[str]
-) -> list[tuple[int, int, int, int]]:
-    """Positions (output, input) in the model and in the response of the pairs both have."""
-    pairs = [
-        (i, j, outputs.index(y), inputs.index(u))
-        for i, y in enumerate(model.outputs)
-        for j, u in enumerate(model.inputs)
-        if y in outputs and u in inputs
-    ]
-    if not pairs:
+        coherence = np.nan_to_num(response.coherence)
+    if not (set(names[0]) & set(model.outputs) and set(names[1]) & set(model.inputs)):
         raise ValueError(
-            f"the response has {', '.join(inputs)} -> {', '.join(outputs)}, the model "
+            f"the response has {', '.join(names[1])} -> {', '.join(names[0])}, the model "
             f"{', '.join(model.inputs)} -> {', '.join(model.outputs)}: no pair in common"
         )
-    return pairs
+    G, coherence = in_channels(model, *names, G), in_channels(model, *names, coherence)
+    good = np.isfinite(G) & (coherence >= COHERENCE) & (np.abs(G) > 0)
+    _, slope = MatrixFunction(free)(free.guess).response_slopes(1j * omega)
+    J: Array = _real((slope[:, good] / np.abs(G[good])).T)
+    return np.asarray(J.T @ J)
 
 
 def _real(J: ComplexArray) -> Array:

@@ -207,8 +207,7 @@ def read_trim(table: Table, files: Collection[str]) -> dict[str, dict[str, float
 
 
 def _span(table: Table, key: str) -> tuple[float, float]:
-    value = table.take(key, list)
-    numeric = all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
-    if len(value) != 2 or not numeric or not value[0] < value[1]:
-        raise ValueError(f"{table.place} {key} = {value!r}, expected [start, end] in seconds")
-    return float(value[0]), float(value[1])
+    start, end = table.pair(key, wanted := "[start, end] in seconds")
+    if not start < end:
+        raise ValueError(f"{table.place} {key} = {[start, end]}, expected {wanted}")
+    return start, end

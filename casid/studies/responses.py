@@ -14,8 +14,8 @@ from casid.frequency.responses import read_frequency_csv
 from casid.model import Model
 from casid.shooting.measured import check_responses
 from casid.stages.refinement import OUTPUT_ERROR
-from casid.stages.stage import Role, Task, placed, records_of
-from casid.tables import Table
+from casid.stages.stage import Role, Task, records_of
+from casid.tables import Table, placed
 
 MEASURED: Role = "frequency"  # the response of the records of that role
 KINDS = ("dB", "deg", "coherence", "error")  # columns of a pair in a table of casid's
@@ -26,7 +26,7 @@ def read_responses(names: Sequence[str], folder: Path, model: Model) -> list[Fre
 
     ValueError: a file that is not there or holds no response of the structure's channels.
     """
-    with placed("output_error"):
+    with placed("[output_error]"):
         return [_read(folder / name, model) for name in names if name != MEASURED]
 
 
@@ -100,7 +100,7 @@ def with_measured(task: Task, names: Sequence[str]) -> Task:
             warnings.simplefilter("ignore", DataWarning)  # the stage tells them
             found = analysis.fit(task.roles[MEASURED])
         own = replace(own, responses=(*own.responses, found))
-    with placed(OUTPUT_ERROR.table):
+    with placed(f"[{OUTPUT_ERROR.table}]"):
         check_responses(task.model, own.responses, records_of(OUTPUT_ERROR, task.roles))
     settings: dict[str, Any] = {**task.settings, OUTPUT_ERROR.table: own}
     return replace(task, settings=settings)

@@ -9,8 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.checks import fits, words
-from casid.errors import ModelError
-from casid.tables import Table
+from casid.tables import Table, placed
 
 S = TypeVar("S")
 
@@ -31,12 +30,8 @@ def read_settings(table: Table, defaults: S, given: Collection[str] = ()) -> S:
     known = [f.name for f in fields(defaults) if f.name in kinds]  # type: ignore[arg-type]
     table.only(known)
     values = {key: _value(table, key, kinds[key], getattr(defaults, key)) for key in table.content}
-    try:
+    with placed(table.place):
         return replace(defaults, **values)  # type: ignore[type-var]
-    except ModelError as error:
-        raise ModelError(f"{table.place} {error}") from error
-    except ValueError as error:
-        raise ValueError(f"{table.place} {error}") from error
 
 
 def _value(table: Table, key: str, kind: Any, default: Any) -> Any:  # noqa: ANN401 - any field's

@@ -23,9 +23,10 @@ from casid.frozen import frozen
 from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
-from casid.stages.stage import ROLES, Role, Stage, Task, placed
+from casid.stages.stage import ROLES, Role, Stage, Task
 from casid.studies.preparation import Cutting, Mending, Second, with_inputs
 from casid.subspace.pbsid import Pbsid
+from casid.tables import placed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +191,7 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
     total = isinstance(study.model, NonlinearModel)
     stated = channels.units, channels.time
     check_plausible(done["identification"], tuple(every.values()), *stated, total=total)
-    with placed("pbsid"):
+    with placed("[pbsid]"):
         study.settings.get("pbsid", Pbsid()).check_lengths(done["identification"])
     for record in measured.values():
         for stretch in frozen(record):

@@ -13,7 +13,6 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
-from casid.errors import ModelError
 from casid.files import Column
 from casid.free import free_parameters
 from casid.frequency.response import FrequencyResponse
@@ -27,7 +26,7 @@ from casid.studies.preparation import read_cutting, read_mending, read_second, r
 from casid.studies.responses import check_flights, read_responses
 from casid.studies.settings import read_settings
 from casid.studies.study import Channels, NextFlight, Noise, RecordSet, Study
-from casid.tables import Table, read_toml
+from casid.tables import Table, placed, read_toml
 
 REQUIRED: tuple[Role, ...] = ("identification", "validation")
 
@@ -86,18 +85,9 @@ def read_study(
         design=read_settings(top.table("design"), NextFlight()),
         png=heading.take("png", bool, False),
     )
-    _check(study)
+    with placed(f"{path}:"):  # before any record is read, what the stages would refuse
+        check_task(study.task(flown))
     return study
-
-
-def _check(study: Study) -> None:
-    """Refuse, before any record is read, what the stages would refuse."""
-    try:
-        check_task(study.task({role: each.files for role, each in study.roles.items()}))
-    except ModelError as error:
-        raise ModelError(f"{study.path}: {error}") from error
-    except ValueError as error:
-        raise ValueError(f"{study.path}: {error}") from error
 
 
 def _model(
@@ -118,7 +108,7 @@ def _model(
             raise ValueError(f"{table.place} {name} = {value}, expected a finite number")
     limits = table.table("bounds")
     limits.only(infos)
-    bounds = {name: _pair(limits, name) for name in limits.content}
+    bounds = {name: limits.pair(name, "[lower, upper]") for name in limits.content}
     fixed = table.names("fixed")
     for name, value in values.items():
         low, high = bounds.get(name, (infos[name].lower, infos[name].upper))
@@ -128,47 +118,23 @@ def _model(
                 "move the value or the bound"
             )
     model = replace(structure(), **trim, **values)
-    try:
+    with placed(table.place):
         model.system()
         free_parameters(model, fixed, bounds)
-    except ModelError as error:
-        raise ModelError(f"{table.place} {error}") from error
     return model, locate_model(reference, folder)[0], fixed, bounds
 
 
-def _pair(table: Table, name: str) -> tuple[float, float]:
-    value = table.take(name, list)
-    numeric = all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
-    if len(value) != 2 or not numeric:
-        raise ValueError(f"{table.place} {name} = {value!r}, expected [lower, upper]")
-    return float(value[0]), float(value[1])
-
-
 def _channels(table: Table, structure: type[Model]) -> Channels:
-    table.only(
-        (
-            "inputs",
-            "outputs",
-            "check",
-            "time",
-            "units",
-            "columns",
-            "dt",
-            "hold",
-            "shift",
-            "outliers",
-            "repeats",
-            "join",
-        )
-    )
+    own = ("inputs", "outputs", "check", "time", "units", "columns", "dt", "hold")
+    table.only((*own, "shift", "outliers", "repeats", "join"))
     inputs = table.names("inputs", structure.inputs)
     outputs = table.names("outputs", structure.outputs)
     wanted = (("inputs", inputs, structure.inputs), ("outputs", outputs, structure.outputs))
-    for kind, given, own in wanted:
-        if given != own:
+    for kind, given, named in wanted:
+        if given != named:
             raise ValueError(
                 f"{table.place} {kind} are {', '.join(given)}, those of {structure.__name__} are "
-                f"{', '.join(own)}; name the same ones in the same order, or leave the key out"
+                f"{', '.join(named)}; name the same ones in the same order, or leave the key out"
             )
     check = table.names("check")
     if wrong := [name for name in check if name in {*inputs, *outputs} or check.count(name) > 1]:

@@ -54,7 +54,7 @@ def test_a_narrow_terminal_folds_what_does_not_fit():
     ],
 )
 def test_what_a_user_can_mend_is_a_message_and_an_exit_code(error, code, told, capsys):
-    with pytest.raises(SystemExit) as caught, exits(terminal()):
+    with pytest.raises(SystemExit) as caught, exits():
         raise error
     assert caught.value.code == code
     said = capsys.readouterr()
@@ -63,7 +63,7 @@ def test_what_a_user_can_mend_is_a_message_and_an_exit_code(error, code, told, c
 
 
 def test_what_nobody_can_mend_is_no_message():
-    with pytest.raises(ZeroDivisionError), exits(terminal()):
+    with pytest.raises(ZeroDivisionError), exits():
         raise ZeroDivisionError
 
 
@@ -84,7 +84,7 @@ def test_a_warning_of_data_is_told_without_the_line_it_was_issued_for(capsys):
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         warnings.showwarning = lambda message, *_: others.append(str(message))
-        with exits(terminal()):
+        with exits():
             warn("3 outliers count as missing")
             warnings.warn("of something else", UserWarning, stacklevel=1)
     assert capsys.readouterr().err == "! 3 outliers count as missing\n"
