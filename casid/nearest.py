@@ -110,11 +110,16 @@ def nearest(free: Free, target: BoxResponse) -> Nearest:
     """The structure's parameters that make its response most like the black box's."""
     matrices, s = MatrixFunction(free), 1j * target.omega
     low, high = free.lower[free.index], free.upper[free.index]
-    lam, error = free.guess, (ROUGH * np.abs(target.G)) ** 2 + target.allowed**2
-    for _ in range(1 + ROUNDS):
+
+    def weights(lam: Array, error: Array) -> Array:
         E = target.scale * matrices(lam).response(s) - target.G
-        W = 1 / np.sqrt(error + target.smoothed(E))
-        lam, error = _settled(free, target, lam, W), target.variance
+        return np.asarray(1 / np.sqrt(error + target.smoothed(E)))
+
+    W = weights(free.guess, (ROUGH * np.abs(target.G)) ** 2 + target.allowed**2)
+    lam = _settled(free, target, free.guess, W)
+    for _ in range(ROUNDS):
+        W = weights(lam, target.variance)
+        lam = _settled(free, target, lam, W)
     G, dG = matrices(lam).response_slopes(s)
     width = np.where(np.isfinite(high - low), high - low, 1.0)
     inside = np.minimum(lam - low, high - lam) > HELD * width

@@ -125,8 +125,8 @@ def side_by_side(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     for one in reversed(responses):
         sizes[0].update(zip(one.inputs, one.input_std, strict=True))
         sizes[1].update(zip(one.outputs, one.output_std, strict=True))
-        rows = [outputs.index(name) for name in one.outputs]
-        columns = [inputs.index(name) for name in one.inputs]
+        rows = np.array([outputs.index(name) for name in one.outputs])
+        columns = np.array([inputs.index(name) for name in one.inputs])
         place = np.ix_(np.searchsorted(omega, one.omega), rows, columns)
         there = np.isfinite(one.G)
         parts = (one.G, one.coherence, one.random_error, one.leakage)
