@@ -80,6 +80,11 @@ class Qualification(Shown):
         """Whether all of an output's samples are inside, (records, outputs)."""
         return np.asarray(self.largest <= 1.0)
 
+    @property
+    def unjudged(self) -> tuple[str, ...]:
+        """Outputs without a tolerance."""
+        return tuple(name for name in self.validation.outputs if name not in self.outputs)
+
     def headline(self) -> str:
         """Passed and failed."""
         judged = np.isfinite(self.largest)
@@ -128,11 +133,12 @@ def qualify(
         width = np.column_stack(
             [_width(x, band) for x, band in zip(measured.T, bands, strict=True)]
         )
+        there = np.isfinite(measured)
         over = np.abs(y[:, columns] - measured) / width
-        there = np.isfinite(over)
+        over[there & ~np.isfinite(over)] = np.inf  # of a model that has left every band
         empty = ~there.any(axis=0)
         largest.append(np.where(empty, np.nan, np.where(there, over, -1.0).max(axis=0)))
-        outside.append((over > 1.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
+        outside.append((there & (over > 1.0)).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
         widths.append(width)
     return Qualification(
         model=model,

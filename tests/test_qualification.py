@@ -1,10 +1,13 @@
 """Tolerance bands: their width by hand, pass and fail, words that are no tolerance."""
 
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from casid import Record, StateSpace, qualify, validate
-from casid.qualification import TOLERANCES, read_tolerance
+from casid.qualification import SOURCE, TOLERANCES, read_tolerance
 
 DEG = np.pi / 180
 T = 0.02 * np.arange(500)
@@ -44,6 +47,27 @@ def test_what_was_not_measured_neither_passes_nor_fails():
     y = flown().measured[0].y.copy()
     y[50:90] = np.nan
     assert qualify(flown(y=y)).passed.all()
+
+
+def test_a_model_that_grows_beyond_all_numbers_fails():
+    seen = flown()
+    seen.simulated["m"][0][300:] = [[np.nan]]
+    found = qualify(seen)
+    assert not found.passed.any()
+    assert found.outside[0, 0] == pytest.approx(200 / 500)
+
+
+def test_outputs_without_a_tolerance_are_named():
+    assert qualify(flown()).unjudged == ()
+    both = Record(T, np.ones((500, 1)), np.ones((500, 2)), ("lat",), ("p", "ay"))
+    model = StateSpace([[-2.0]], [[4.0]], [[1.0], [2.0]], [[0.0]] * 2, None, ("lat",), ("p", "ay"))
+    assert qualify(validate({"m": model}, both)).unjudged == ("ay",)
+
+
+def test_the_documentation_has_the_usual_tolerances_to_edit():
+    page = (Path(__file__).parents[1] / "docs/reference/study.md").read_text("utf-8")
+    (text,) = (each.split("```")[0] for each in page.split("```toml") if "[qualification." in each)
+    assert tomllib.loads(text)["qualification"] == {"source": SOURCE, "tolerances": TOLERANCES}
 
 
 def test_the_usual_tolerances_are_understood():

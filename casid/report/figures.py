@@ -25,6 +25,7 @@ from casid.validation import Validation
 
 MEASURED = "measured"
 
+DASH_DOT_DOT = (0, (7, 1, 1, 1, 1, 1))
 # Okabe and Ito's palette, told apart without colour by dash and by lightness.
 STYLES: Mapping[str, dict[str, Any]] = {
     MEASURED: {"color": "#000000", "linestyle": "-", "linewidth": 1.0},
@@ -32,7 +33,7 @@ STYLES: Mapping[str, dict[str, Any]] = {
     MATCH: {"color": "#E69F00", "linestyle": (0, (5, 1.5)), "linewidth": 1.6},
     OUTPUT_ERROR: {"color": "#D55E00", "linestyle": (0, (4, 1, 1, 1)), "linewidth": 1.6},
     BASELINE: {"color": "#009E73", "linestyle": (0, (1, 1)), "linewidth": 1.6},
-    CHOSEN: {"color": "#CC79A7", "linestyle": (0, (8, 1.5)), "linewidth": 1.6},
+    CHOSEN: {"color": "#CC79A7", "linestyle": DASH_DOT_DOT, "linewidth": 1.6},
 }
 LONG = 200.0  # ratio of frequencies
 HATCHES = ("", "///", "...", "xxx", "\\\\\\")

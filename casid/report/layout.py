@@ -17,6 +17,7 @@ GRID: dict[str, Any] = {
     "linewidths": LOOK["grid.linewidth"],
     "zorder": 0.5,
 }
+WIDE, BESIDE = 0.57, 3.8  # of a legend: a letter, a line with its gaps; in sizes of the letters
 LEFT, RIGHT, TOP, BOTTOM, GAP = 0.66, 0.1, 0.42, 0.42, 0.1  # inches around and between axes
 
 
@@ -90,8 +91,11 @@ def _lines_of_grid(axes: np.ndarray) -> None:
 
 
 def legend_above(figure: Figure, ax: Axes) -> None:
-    """What the curves of these axes are called, above all; bands last."""
+    """What the curves of these axes are called, above all, in letters that fit; bands last."""
     handles, labels = ax.get_legend_handles_labels()
     order = sorted(range(len(labels)), key=lambda k: labels[k].endswith("σ"))
     handles, labels = [handles[k] for k in order], [labels[k] for k in order]
-    figure.legend(handles, labels, loc="upper center", ncols=len(labels), borderaxespad=0.2)
+    wide = sum(WIDE * len(label) + BESIDE for label in labels)
+    look: dict[str, Any] = {"ncols": len(labels), "borderaxespad": 0.2, "columnspacing": 1.0}
+    look["fontsize"] = min(LOOK["font.size"], 72 * figure.get_figwidth() / wide)
+    figure.legend(handles, labels, loc="upper center", **look)

@@ -10,6 +10,7 @@ from casid.bounds.compare import BoundsComparison
 from casid.fit import ParameterEstimate
 
 COLOURS = ("#000000", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#6B3D00")
+MARKS = ("o", "s", "D", "^", "v", "P", "X", "*")
 CONFIDENCE = 1.96  # standard deviations of a 95 % interval
 REACH = 1.6  # of the largest value of a row: how far its axis goes
 
@@ -37,11 +38,12 @@ def plot_bounds(ax: Axes, comparison: BoundsComparison, *, rows: int = 16) -> Ax
         size = max(*(abs(row.value) for row in each), 1e-300)
         for k, row in enumerate(each):
             height = y + 0.8 * ((k + 0.5) / len(each) - 0.5)
-            _draw_one(ax, row, height, 0.6 / len(each), size, COLOURS[k % len(COLOURS)])
+            _draw_one(ax, row, height, 0.6 / len(each), size, *_look(k))
         labels.append(f"{name} [{each[0].unit}]")
         sizes.append(f"{size:.3g}")
     for k, case in enumerate(shown):
-        ax.plot([], [], "o", color=COLOURS[k % len(COLOURS)], markersize=4, label=case.name)
+        colour, mark = _look(k)
+        ax.plot([], [], mark, color=colour, markersize=4, label=case.name)
     _decorate(ax, labels, sizes, "largest value", "largest value")
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
     return ax
@@ -58,8 +60,19 @@ def plot_parameters(ax: Axes, rows: Sequence[ParameterEstimate]) -> Axes:
     return ax
 
 
+def _look(case: int) -> tuple[str, str]:
+    """Colour and mark of a case; it is told without colour too."""
+    return COLOURS[case % len(COLOURS)], MARKS[case % len(MARKS)]
+
+
 def _draw_one(
-    ax: Axes, row: ParameterEstimate, y: float, height: float, size: float, colour: str
+    ax: Axes,
+    row: ParameterEstimate,
+    y: float,
+    height: float,
+    size: float,
+    colour: str,
+    mark: str = "o",
 ) -> None:
     """One case's range, interval and value in one row."""
     low, high = np.clip(np.array([row.lower, row.upper]) / size, -2 * REACH, 2 * REACH)
@@ -71,7 +84,7 @@ def _draw_one(
         ends = [row.value / size - spread, row.value / size + spread]
         ax.plot(ends, [y, y], color=colour, linewidth=1.2)
     face = colour if row.active else "white"
-    ax.plot(row.value / size, y, "o", color=colour, markerfacecolor=face, markersize=4)
+    ax.plot(row.value / size, y, mark, color=colour, markerfacecolor=face, markersize=4)
 
 
 def _decorate(

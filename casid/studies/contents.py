@@ -87,7 +87,8 @@ def _settings(study: Study) -> dict[str, str]:
     if study.bounds:
         said["bounds"] = ", ".join(f"{k} [{a:g}, {b:g}]" for k, (a, b) in study.bounds.items())
     for table, value in study.settings.items():
-        said |= _written(table, value, next(s.settings for s in study.stages if s.table == table))
+        usual = next(stage.settings for stage in study.stages if stage.table == table)
+        said |= _written(table, value, usual) or {table: "as usual"}
     own = ", ".join(study.responses)
     return said | ({"output_error.responses": own} if own else {})
 
@@ -109,4 +110,4 @@ def _shown(value: object) -> str:
         return f"{len(value)} values, {value[0]:g} to {value[-1]:g}"
     if isinstance(value, np.ndarray):
         return np.array2string(value, precision=4, threshold=1000, separator=", ")
-    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    return ", ".join(map(str, value)) if isinstance(value, tuple | list) else str(value)

@@ -8,6 +8,7 @@ from casid import (
     compare_bounds,
 )
 from casid.report import plot_bounds
+from casid.report.prices import MARKS
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def test_the_figure_has_a_row_a_parameter_the_largest_price_first(compared):
 def test_a_held_value_is_filled_and_has_no_interval(compared):
     ax = Figure().subplots()
     plot_bounds(ax, compared)
-    marks = [line for line in ax.lines if line.get_marker() == "o" and len(line.get_xdata())]
+    marks = [line for line in ax.lines if line.get_marker() in MARKS and len(line.get_xdata())]
     filled = [line for line in marks if line.get_markerfacecolor() != "white"]
-    assert len(marks) == 9
+    assert [line.get_marker() for line in marks] == ["o", "s", "D"] * 3  # told without colour
     assert len(filled) == 1
