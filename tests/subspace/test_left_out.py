@@ -1,13 +1,16 @@
 """Records of two axes, two on each, by SciPy's sampling alone: what is wrong in one of them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy
 
 from casid import Record, pbsid
-from casid.subspace.left_out import _regressed
+from casid.subspace.fourier import Spectrum
+from casid.subspace.left_out import _gains, _regressed
+from casid.subspace.modal import Modal
 
 DT = 0.04
 ROLL = np.array([[-3.0, 0, 0, 0], [1, 0, 0, 0], [0.4, 0, -1.2, 2.0], [0, 0, -2.0, -1.2]])
@@ -75,3 +78,59 @@ def test_a_multiple_is_told_and_what_follows_something_else_is_not():
     np.testing.assert_allclose((a, error, power), (-2, 0, 4 * np.sum(np.abs(x) ** 2)), atol=1e-12)
     assert _regressed(3 * other, x, band)[2] == 0  # nothing of it follows x
     assert _regressed(1.1 * x, x, band)[2] == 0  # no other gain
+
+
+@pytest.mark.parametrize(("gain", "told"), [(2.1, True), (1.9, False), (0.48, True), (0.52, False)])
+def test_a_gain_twice_or_half_as_large_is_another(gain, told):
+    x, band = np.ones((20, 1)), np.repeat(np.arange(4), 5)
+    assert (_regressed(gain * x, x, band)[2] > 0) == told
+
+
+@pytest.mark.parametrize(("off", "told"), [(0.49, True), (0.51, False)])
+def test_a_gain_explains_four_fifths_of_the_power(off, told):
+    x, band = np.ones((20, 1)), np.repeat(np.arange(4), 5)
+    assert (_regressed(3 * (1 + 1j * off) * x, x, band)[2] > 0) == told  # 1 / (1 + off²) of it
+
+
+@pytest.mark.parametrize(("errors", "told"), [(2.55, True), (2.45, False)])
+def test_a_clear_gain_is_two_and_a_half_errors_of_one_band_left_out(errors, told):
+    x, band = np.ones((2, 1)), np.arange(2)
+    apart = 3 / errors / np.sqrt(2)  # left with either band alone, the gain is off by this
+    y = np.array([[3 + apart], [3 - apart]])
+    a, error, power = _regressed(y, x, band)
+    alone = [np.linalg.lstsq(x[band != b], y[band != b])[0].item() for b in band]
+    np.testing.assert_allclose((a, error), (3, np.linalg.norm(np.subtract(alone, 3))))
+    assert (power > 0) == told
+
+
+def other(factors):
+    """Gains found in a record whose outputs p, r are such multiples (K, 2) of what moves them."""
+    rng, K = np.random.default_rng(1), len(factors)
+    modal = Modal(-np.ones(1) + 0j, np.zeros((1, 1)), np.ones((2, 1)) + 0j, np.ones((2, 1)))
+    omega = np.exp(np.log(0.1) + 0.3 / 40 * (np.arange(K) + 0.5))  # 40 in 0.3 nepers
+    U = np.exp(2j * np.pi * rng.random((K, 1)))
+    noise = rng.normal(0, 0.01, (K, 2)) + 1j * rng.normal(0, 0.01, (K, 2))
+    own, rest = (Spectrum(omega, U, Y, None, "foh") for Y in (factors * U, U + noise))
+    record = SimpleNamespace(inputs=("lat",), outputs=("p", "r"))
+    campaign = SimpleNamespace(records=[record, record])
+    jackknife = SimpleNamespace(
+        model=lambda _: modal, data=[[own], [rest]], rest=lambda _: [rest], campaign=campaign
+    )
+    return {gain.channel: gain for gain in _gains(jackknife, 0)}
+
+
+@pytest.mark.parametrize(
+    ("factor", "told"), [(3.3, True), (3.5, False), (0.6, True), (0.57, False)]
+)
+def test_a_sign_is_told_where_half_of_the_other_channels_power_is_explained(factor, told):
+    found = other(np.tile([-1.0, factor], (400, 1)))  # leaves (1 - 1 / factor)² of r's power
+    assert list(found) == ["p"] * told
+
+
+@pytest.mark.parametrize(("lines", "spread"), [(20, 0.0), (40, 0.3)])
+def test_the_error_of_a_gain_is_its_scatter_between_bands_of_three_tenths_of_a_neper(lines, spread):
+    up_and_down = np.resize(np.repeat([1.0, -1.0], lines), 400)
+    (gain,) = other(np.stack([-1 + 0.3 * up_and_down, np.ones(400)], axis=1)).values()
+    # ten bands of one power, so that one left out moves the mean by a ninth of its distance
+    np.testing.assert_allclose(gain.error, spread * np.sqrt(10) / 9, rtol=0.04, atol=0.006)
+    np.testing.assert_allclose(gain.gain, -1, atol=0.02)
