@@ -28,7 +28,7 @@ slow: install
 	$(VENV)/bin/pytest -m "slow or campaign"
 
 mutants: install
-	$(VENV)/bin/python benchmarks/mutants.py
+	$(VENV)/bin/python -m benchmarks.mutants
 
 docs: install
 	$(VENV)/bin/python -m docs.build

@@ -1,41 +1,59 @@
 """How many wrong programs the tests notice: a fixed sample of mutants of the numerical packages.
 
-    python benchmarks/mutants.py [--count 400] [MODULE ...]     such as linear frequency
+    python -m benchmarks.mutants [--count 400] [--processes 2] [PACKAGE ...]    such as bounds
 
-mutmut (its settings stand in pyproject.toml) breaks one expression at a time and runs tests that
-reach it: those of its module first, then of its package, then others, the quickest first, as far as
-half a minute goes. What was done before is kept in mutants/ until the function changes, so a run
-may be stopped and started again; survivors are tried again, for there may be new tests. They are
-listed with their change; those that no test can tell from the original stand with the reason in
-mutants.toml beside this file. The table is written to docs/mutants.md.
+mutmut (its settings stand in pyproject.toml) breaks one expression at a time. Each such program has
+to pass the tests of its module's own file, then those of its folder that reach the broken function,
+the quickest first, as far as 20 seconds of processor time go each time. What was found is kept in
+mutants/ until the function changes, or, if it survived, the tests do: a run may be stopped and
+started again. Survivors are listed with their change; those that no test can tell from the original
+stand with the reason in mutants.toml beside this file. The table is written to docs/mutants.md.
 """
 
 import argparse
+import contextlib
+import fcntl
 import hashlib
+import importlib
+import io
 import json
 import os
-import subprocess
+import shutil
+import signal
 import sys
+import time
 import tomllib
 from collections import Counter, defaultdict
+from datetime import date
+from functools import cache
 from itertools import accumulate
+from multiprocessing import get_context
 from pathlib import Path
 
-from mutmut.stats import status_by_exit_code
+import pytest
+from mutmut.__main__ import copy_also_copy_files, copy_src_dir, create_mutants
+from mutmut.configuration import config
+from mutmut.mutation.diff_apply import get_diff_for_mutant
+from mutmut.mutation.trampoline import set_mutant_under_test
+from mutmut.state import state
 
 ROOT = Path(__file__).parents[1]
 WORK = ROOT / "mutants"
-STATS = WORK / "mutmut-stats.json"
+FOUND, REACH = WORK / "found.json", WORK / "reach"
 SEED = "casid"
-SECONDS = 30.0  # of tests for a mutant
+SECONDS = 20.0  # of processor time, for the tests of a mutant in each of two steps
+SURVIVED = {0: "survived", 4: "survived", 5: "no tests"}  # pytest's exit codes that notice nothing
 PAGE = """# Do the tests notice?
 
-A fixed sample of {count} changes to the numerical packages, drawn by
+A fixed sample of {count} of {total} changes to the numerical packages, drawn by
 [mutmut](https://mutmut.readthedocs.io): an operator, a number, a condition or an argument at a
-time, each run against half a minute of quick tests, those of its module and package first.
-Functions with a decorator, messages of errors and what only logs are left out. Changes that no test
-can tell from the original stand with the reason in `benchmarks/mutants.toml` and are not counted.
-Made by `make mutants`.
+time. Each such program has to pass 20 seconds of quick tests of its module's own file, then 20
+seconds of those of its folder that reach the change. What starts another program, such as the
+command line's tests, is not among them. Functions with a decorator, messages of errors and what
+only logs are left out. Changes that no test can tell from the original stand with the reason in
+`benchmarks/mutants.toml` and are not counted. A program that takes more than five times as long as
+it should counts as killed. The sample is the first by a hash of the names, whatever else changes.
+Made by `make mutants` on {day}.
 
 | package | mutants | killed | survived | equivalent | share killed |
 |---|---|---|---|---|---|
@@ -43,17 +61,117 @@ Made by `make mutants`.
 """
 
 
-def mutmut(*arguments, **options):
-    """Run the tool in the repository; returns what it printed, if that is captured."""
-    run = [sys.executable, "-m", "mutmut", *arguments]
-    return subprocess.run(run, cwd=ROOT, text=True, check=False, **options).stdout
+class Reach:
+    """A plugin of pytest that finds the functions which a test that passes calls, and its time."""
+
+    def __init__(self):
+        self.found = {}
+
+    def pytest_runtest_logstart(self):
+        state()._stats.clear()
+        self.start = time.process_time()
+
+    def pytest_runtest_logreport(self, report):
+        if report.when == "call" and report.passed:
+            took = time.process_time() - self.start
+            self.found[report.nodeid] = [took, sorted(state()._stats)]
 
 
-def results():
-    """Exit code of the tests by mutant, None where they have not been run."""
+def outcome(mutant, seconds, arguments, out, plugin=None):
+    """Exit code of pytest in a process of its own with a mutant active, minus a signal's number."""
+    child = os.fork()
+    if not child:
+        code = 3
+        try:
+            os.chdir(WORK)
+            set_mutant_under_test(mutant)
+            signal.setitimer(signal.ITIMER_PROF, seconds)  # of processor time
+            signal.alarm(int(60 + 20 * seconds))  # where it only waits
+            with Path(out).open("w", encoding="utf-8") as log:
+                os.dup2(log.fileno(), 1)
+                os.dup2(log.fileno(), 2)
+            options = ["--rootdir=.", "-q", "--tb=line", *config().pytest_add_cli_args]
+            code = pytest.main([*options, *arguments], plugin and [plugin])
+            if plugin:
+                Path(out).write_text(json.dumps(plugin.found), encoding="utf-8")
+        finally:
+            os._exit(code)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+@cache
+def reach(file):
+    """Processor time and functions reached of the tests of a file that pass as the program is."""
+    known = REACH / f"{file.stem}-{digest(file)}-{program()}.json"
+    with known.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # one process finds it, the others wait
+        if not known.exists():
+            made = known.with_suffix(".new")
+            code = outcome("stats", 3600, [str(file.relative_to(WORK))], made, Reach())
+            if code not in {0, 5}:
+                print(f"{file}: {code}, tests that fail as the program is are left out", flush=True)
+            made.replace(known)
+    return json.loads(known.read_text(encoding="utf-8"))
+
+
+def digest(*files):
+    """A short digest of what files say."""
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+
+
+@cache
+def program():
+    """Digest of what every test depends on: the program and the tests' truths."""
+    return digest(*sorted(ROOT.glob("casid/**/*.py")), *sorted(ROOT.glob("tests/truths/*.py")))
+
+
+def closest(name):
+    """The file of a mutant's module, where there is one, and the others of its folder."""
+    *folders, module = name.split(".")[1:-1]
+    place = WORK.joinpath("tests", *folders)
+    own, chosen = place / f"test_{module}.py", config().pytest_add_cli_args_test_selection
+    others = [f for f in sorted(place.glob("test_*.py")) if folders or f"tests/{f.name}" in chosen]
+    return [own] * own.exists(), [f for f in others if f != own]
+
+
+def tests_of(name, step):
+    """Digest of the tests that a mutant may have to pass, up to a step."""
+    own, others = closest(name)
+    return digest(*own, *others * step)
+
+
+def trial(task):
+    """A mutant, the exit code of its tests of a step and the digest of all that it had to pass.
+
+    The first step is the file of its module, the second the others that reach its function.
+    """
+    name, step = task
+    function, files = name.partition("__mutmut_")[0], closest(name)[step]
+    found = {test: each for file in files for test, each in reach(file).items()}
+    near = [test for test, (_, reached) in found.items() if function in reached or not step]
+    near.sort(key=lambda test: (function not in found[test][1], found[test][0]))
+    spent = list(accumulate(found[test][0] for test in near))
+    near = [test for test, seconds in zip(near, spent, strict=True) if seconds < SECONDS]
+    limit = 10 + 5 * max((seconds for seconds in spent if seconds < SECONDS), default=0.0)
+    log = WORK / "trials" / f"{name}-{step}.txt"
+    code = outcome(name, limit, ["-x", *near], log) if near else 5
+    return name, code, tests_of(name, step)
+
+
+def load():
+    """What is known of mutants: exit code, digest of the function, digest of the tests."""
+    return json.loads(FOUND.read_text(encoding="utf-8")) if FOUND.exists() else {}
+
+
+def functions():
+    """Digest of the function of every mutant."""
     found = {}
-    for path in sorted(WORK.rglob("*.meta")):
-        found |= json.loads(path.read_text(encoding="utf-8"))["exit_code_by_key"]
+    for path in sorted(WORK.glob("casid/**/*.meta")):
+        if (ROOT / path.relative_to(WORK)).with_suffix("").exists():
+            meta = json.loads(path.read_text(encoding="utf-8"))
+            for name in meta["exit_code_by_key"]:
+                key = name.rpartition(".")[2].partition("__mutmut_")[0]
+                found[name] = meta["hash_by_function_name"][key]
     return found
 
 
@@ -62,62 +180,82 @@ def package(name):
     return name.split(".")[1]
 
 
-def sample(names, count, modules):
+def sample(names, count, packages):
     """The same mutants whatever else has changed: the first by a hash of their names."""
-    chosen = [name for name in names if not modules or package(name) in modules]
-    return sorted(chosen, key=lambda name: hashlib.sha256((SEED + name).encode()).hexdigest())[
-        :count
-    ]
+    chosen = [name for name in names if not packages or package(name) in packages]
+    chosen.sort(key=lambda name: hashlib.sha256((SEED + name).encode()).hexdigest())
+    return chosen[:count]
 
 
-def keep_closest_tests():
-    """Leave each function the tests that are closest to it, the quickest first."""
-    stats = json.loads(STATS.read_text(encoding="utf-8"))
-    reached, took = stats["tests_by_mangled_function_name"], stats["duration_by_test"]
-    for function, tests in reached.items():
-        *folders, module = function.split(".")[1:-1]
-        places = (
-            "/".join(["tests", *folders, f"test_{module}.py"]),
-            "/".join(["tests", *folders, ""]),
-        )
+def generate(processes):
+    """Write the mutants beside copies of the tests and of what they need."""
+    shutil.rmtree(WORK / "tests", ignore_errors=True)
+    for folder in (REACH, WORK / "trials"):
+        folder.mkdir(parents=True, exist_ok=True)
+    with contextlib.redirect_stdout(io.StringIO()):
+        copy_src_dir()
+        copy_also_copy_files()
+        create_mutants(processes)
+    sys.path[:] = [str(WORK), *(p for p in sys.path if Path(p).resolve() != ROOT)]
 
-        def far(test, places=places):
-            return [not test.startswith(place) for place in places], took.get(test, 0.0)
 
-        near = sorted(tests, key=far)
-        spent = accumulate(took.get(test, 0.0) for test in near)
-        reached[function] = [t for t, s in zip(near, spent, strict=True) if s < SECONDS] or near[:1]
-    STATS.write_text(json.dumps(stats), encoding="utf-8")
+def run(chosen, processes):
+    """Exit codes of all mutants chosen."""
+    digests, known = functions(), load()
+
+    def settled(name, step):
+        code, function, tests = known.get(name, (0, None, None))
+        same = code not in SURVIVED or tests in {tests_of(name, s) for s in range(step, 2)}
+        return function == digests[name] and same
+
+    program()
+    for module in ("casadi", "hypothesis", "scipy.signal", *map(module_of, chosen)):
+        importlib.import_module(module)  # once, not for every mutant
+    with get_context("fork").Pool(processes) as pool:
+        for step in range(2):
+            left = [(name, step) for name in chosen if not settled(name, step)]
+            for name, code, tests in pool.imap_unordered(trial, left):
+                known[name] = code, digests[name], tests
+                FOUND.write_text(json.dumps(known, indent=1), encoding="utf-8")
+                print(f"{step} {code:4} {name}", flush=True)
+    return {name: known[name][0] for name in chosen}
+
+
+def module_of(name):
+    """The module of a mutant."""
+    return name.rpartition(".")[0]
 
 
 def change(name):
     """Lines a mutant takes away and adds."""
-    lines = mutmut("show", name, stdout=subprocess.PIPE).splitlines()
+    lines = get_diff_for_mutant(name).splitlines()
     return [line for line in lines if line[:1] in "+-" and line[:3] not in ("+++", "---")]
 
 
-def table(chosen, codes, equivalent):
+def survivors(codes):
+    """Those of no use, and those that no test can tell from the original, by mutants.toml."""
+    listed = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    reasons = {tuple(each["change"]) for each in listed["equivalent"]}
+    alive = {name: change(name) for name, code in codes.items() if code in SURVIVED}
+    same = {
+        n for n, lines in alive.items() if tuple(x[0] + x[1:].strip() for x in lines) in reasons
+    }
+    return {name: lines for name, lines in alive.items() if name not in same}, same
+
+
+def table(codes, alive, equivalent):
     """A row for each package and one for all."""
     rows = defaultdict(Counter)
-    for name in chosen:
-        status = status_by_exit_code[codes[name]]
-        kind = "equivalent" if name in equivalent else status
-        kind = kind if kind in {"equivalent", "survived", "no tests"} else "killed"
+    for name in codes:
+        kind = "survived" if name in alive else "equivalent" if name in equivalent else "killed"
         for place in (package(name), "all"):
             rows[place][kind] += 1
     lines = []
     for place in sorted(rows, key=lambda each: (each == "all", each)):
-        found, lived = rows[place], rows[place]["survived"] + rows[place]["no tests"]
-        share = 100 * found["killed"] / max(found["killed"] + lived, 1)
-        cells = (
-            place,
-            found.total(),
-            found["killed"],
-            lived,
-            found["equivalent"],
-            f"{share:.0f} %",
-        )
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
+        found = rows[place]
+        share = 100 * found["killed"] / max(found["killed"] + found["survived"], 1)
+        counts = found.total(), found["killed"], found["survived"], found["equivalent"]
+        lines.append("| " + " | ".join(map(str, (place, *counts, f"{share:.0f} %"))) + " |")
     return "\n".join(lines)
 
 
@@ -125,31 +263,20 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=400)
     parser.add_argument("--processes", type=int, default=os.cpu_count())
-    parser.add_argument("modules", nargs="*")
+    parser.add_argument("packages", nargs="*")
     wanted = parser.parse_args()
-    # Writes the mutants and finds which tests reach what; "nothing matches" is the end of it.
-    mutmut("run", "none", stderr=subprocess.DEVNULL)
-    chosen = sample(results(), wanted.count, wanted.modules)
-    keep_closest_tests()
-    codes, alive = results(), {"not checked", "survived", "no tests"}
-    left = [name for name in chosen if status_by_exit_code[codes[name]] in alive]
-    if left:
-        mutmut("run", "--max-children", str(wanted.processes), *left)
-    codes = results()
-    listed = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-    reasons = {"\n".join(each["change"]): each["reason"] for each in listed["equivalent"]}
-    equivalent = set()
-    for name in chosen:
-        if status_by_exit_code[codes[name]] in {"survived", "no tests"}:
-            lines = change(name)
-            if "\n".join(line[0] + line[1:].strip() for line in lines) in reasons:
-                equivalent.add(name)
-            else:
-                print(name, *lines, sep="\n    ")
-    rows = table(chosen, codes, equivalent)
+    os.chdir(ROOT)
+    os.environ |= {"HYPOTHESIS_PROFILE": "fixed", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    generate(wanted.processes)
+    names = list(functions())
+    codes = run(sample(names, wanted.count, wanted.packages), wanted.processes)
+    alive, equivalent = survivors(codes)
+    for name, lines in alive.items():
+        print(name, *lines, sep="\n    ")
+    rows = table(codes, alive, equivalent)
     print(rows)
-    if not wanted.modules:
-        page = PAGE.format(count=len(chosen), rows=rows)
+    if not wanted.packages:
+        page = PAGE.format(count=len(codes), total=len(names), rows=rows, day=date.today())
         (ROOT / "docs" / "mutants.md").write_text(page, encoding="utf-8")
 
 

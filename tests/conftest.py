@@ -11,6 +11,7 @@ collect_ignore = ["atheris_readers.py"]  # a script for a tool that only a campa
 patient = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}  # no test times
 settings.register_profile("dev", max_examples=25, **patient)
 settings.register_profile("ci", max_examples=200, derandomize=True, **patient)
+settings.register_profile("fixed", max_examples=25, derandomize=True, **patient)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "dev"))
 
 threadpool_limits(1)  # for what tests compute themselves; casid sets its own

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import StateSpace
-from casid.matching.certificate import band_norm, peaks
+from casid.matching.certificate import TERMS, _series, band_norm, peaks
 from casid.matching.targets import compare
 
 
@@ -43,6 +43,25 @@ def test_bounds_enclose_a_dense_search(seed, nx, ny, nu, relative):
     found = np.linalg.norm(dense.error(system), 2, axis=(1, 2)).max()
     assert found <= band.upper * (1 + 1e-12)
     assert band.lower <= band.upper <= band.lower * (1 + 1e-3) * (1 + 1e-12)
+
+
+def test_a_series_with_delays_is_off_by_less_than_its_bound_and_by_its_order():
+    system = random_system(np.random.default_rng(4), nx=3, ny=2, nu=2, delay=1.0)
+    centre, turns = np.array([0.5j, 2.0j]), np.exp(2j * np.pi * np.arange(8) / 8)
+    off, bounds = [], []
+    for h in (0.1, 0.05):
+        g, tail = _series(system, centre, np.full(2, h))
+        assert g.shape == (TERMS + 1, 2, 2, 2)
+        s = centre + h * turns[:, None]
+        R = np.linalg.inv(s[..., None, None] * np.eye(3) - system.A)
+        exact = (system.C @ R @ system.B + system.D) * np.exp(-s[..., None, None] * system.delay)
+        kept = np.einsum("kc,kn...->cn...", (h * turns) ** np.arange(TERMS + 1)[:, None], g)
+        off.append(abs(exact - kept).max(axis=0))
+        assert (off[-1] <= tail).all()
+        bounds.append(tail)
+    # half as far, the first term left out is 2^5 times smaller, the others more
+    assert (off[0] > 25 * off[1]).all()
+    assert (bounds[0] > 25 * bounds[1]).all()
 
 
 def test_a_resonance_between_the_points_is_found():
