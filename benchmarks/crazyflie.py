@@ -3,10 +3,10 @@
     PYTHONPATH=. python benchmarks/crazyflie.py [--method N4SID ...] [--order 2 ...]
 
 All see the same five flights at 50 Hz (the others as one record, means removed, channels scaled)
-and are simulated and predicted over the same two that none has seen, by `validate`. Predictions of
-the others begin from the state of their own gains too. Two rows beside theirs: what the last sample
-held for good would give (persistence), and what the structure may at best, as its disturbances and
-noise, as large as they are from one sample to the next, grow over the horizon.
+and are simulated and predicted over the same two that none has seen, by `validate`, as if inputs
+ahead were prescribed and as answers of a controller that keeps outputs bounded (`closed_loop`);
+predictions of the others also from the state of their own gains. Persistence is the last sample
+held.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from casid.validation import fit_percent
 STUDY = Path(__file__).resolve().parents[1] / "examples/crazyflie/study.toml"
 OUTPUTS = ("p", "q", "phi", "theta")
 HORIZONS = (np.inf, 1.0, 0.1)
+METHODS = ("N4SID", "CVA", "PARSIM-K")
 
 
 def foreign(records, methods, orders):
@@ -89,18 +90,21 @@ def baselines(own, gains, records, horizon):
 
 
 def table(own, gains, records, horizon):
-    """Fit [%] of each model on each unseen flight; the best of the others a channel."""
+    """Fit [%] of each model on each unseen flight; the best of the others an output."""
     models = {"Multirotor": own} | {name: system for name, (system, _) in gains.items()}
-    found = validate(models, records, horizon=horizon)
-    columns = [found.outputs.index(each) for each in OUTPUTS]
-    rows = {name: found.fit[name][:, columns] for name in models}
+    rows = {}
+    for closed_loop in (False, True)[: 1 + np.isfinite(horizon)]:
+        found = validate(models, records, horizon=horizon, closed_loop=closed_loop)
+        columns = [found.outputs.index(each) for each in OUTPUTS]
+        said = ", closed loop" * closed_loop
+        rows |= {name + said: found.fit[name][:, columns] for name in models}
     if np.isfinite(horizon):
         rows |= baselines(own, gains, records, horizon)
     print(f"\npredicted {horizon:g} s ahead" if np.isfinite(horizon) else "\nsimulated whole")
     print("|  |" + "".join(f" {each.name}: {', '.join(OUTPUTS)} |" for each in records))
-    others = [row for name, row in rows.items() if name not in ("Multirotor", "persistence")]
-    best = np.nanmax(others, axis=0) if others else np.full_like(rows["Multirotor"], np.nan)
-    for name, row in (*rows.items(), ("best of the others", best)):
+    others = [row for name, row in rows.items() if name.startswith(METHODS)]
+    rows["best of the others"] = np.nanmax(others, axis=0)
+    for name, row in rows.items():
         cells = (" " + ", ".join(f"{x:.0f}" for x in each) + " |" for each in row)
         print(f"| {name} |" + "".join(cells))
 
@@ -135,7 +139,7 @@ def main(methods, orders):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--method", nargs="+", default=("N4SID", "CVA", "PARSIM-K"))
+    parser.add_argument("--method", nargs="+", default=METHODS)
     parser.add_argument("--order", nargs="+", type=int, default=range(2, 17))
     asked = parser.parse_args()
     main(asked.method, asked.order)

@@ -32,6 +32,7 @@ class Start:
     """What is known at one sample; the first axis (levels) is that of the filters."""
 
     X: Array  # (levels, nx, 1 + nx + ny) states there: what inputs and outputs make, and by z
+    P: Array  # (levels, nx, nx) covariances of these states, z known
     Q: Array  # (levels, nx, nx) of what the next steps of usual length will add each
     r: Array  # (ny,) variances of measurement noise
     moments: Array  # (levels, *2 * [1 + nx + ny]) of the whitened innovations so far, and by z
@@ -107,7 +108,7 @@ def starts(
         moments = moments + white.transpose(0, 2, 1) @ white
         sizes = sizes + size
         if k in at:
-            yield Start(X, bank.Q, r, moments, sizes)
+            yield Start(X, bank.P, bank.Q, r, moments, sizes)
         if k < len(unit):
             A = steps.maps[steps.which[k]]
             X = A @ X
@@ -120,7 +121,7 @@ class _Bank:
 
     def __init__(self, q: Array, r: Array) -> None:
         self.Q, self.r = LEVELS[:, None, None] * np.diag(q), r
-        self._P = self._after = self.Q.copy()  # before and after a sample
+        self._P = self.P = self.Q.copy()  # before and after a sample
         self._kept: tuple[Array, Array, Array] | None = None
         self._seen: BoolArray = np.zeros(0, bool)
         self._step, self._same = -1, False
@@ -133,7 +134,7 @@ class _Bank:
             W = np.linalg.inv(np.linalg.cholesky(S))
             K = self._P @ C.T @ W.transpose(0, 2, 1) @ W
             F = np.eye(len(self.Q[0])) - K @ C
-            self._after = F @ self._P @ F.transpose(0, 2, 1) + (K * r) @ K.transpose(0, 2, 1)
+            self.P = F @ self._P @ F.transpose(0, 2, 1) + (K * r) @ K.transpose(0, 2, 1)
             size = -2 * np.log(np.diagonal(W, axis1=1, axis2=2)).sum(axis=1)
             self._kept = K, W * seen, size
             self._seen, self._same = seen, False
@@ -143,7 +144,7 @@ class _Bank:
         """On by a step of its class, ``unit`` times the usual one."""
         if self._same and step == self._step:
             return
-        P = A @ self._after @ A.T + unit * self.Q
+        P = A @ self.P @ A.T + unit * self.Q
         change = np.abs(P - self._P).max(axis=(1, 2))
         self._same = step == self._step and bool(
             (change <= SETTLED * np.abs(P).max(axis=(1, 2))).all()

@@ -14,6 +14,12 @@ and a fast growing part that runs backward from its value at the end.
 A model that grows by more than a few e-folds over a record cannot be simulated from its first
 state. It is judged by predictions instead: of pieces as long as a stated horizon, each from a state
 that is estimated on the past before it and nothing else (`casid.filtering`).
+
+Of a flight in closed loop more is known: a controller answers disturbances, therefore outputs stay
+where they use to be, however fast the aircraft alone would leave. Among the disturbances that the
+filter allows for, those are likely ahead with which the inputs ahead end there: as in the stable
+inversion of unstable systems (S. Devasia, D. Chen, B. Paden, "Nonlinear inversion-based output
+tracking", IEEE Transactions on Automatic Control 41, 1996), inputs tell growing modes backward.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -42,6 +48,7 @@ class Outlook:
     horizon: float  # [s], infinite for a simulation over all of it
     starts: tuple[int, ...] = ()  # samples at which predictions begin
     past: int = 0  # samples before the first
+    closed_loop: bool = False  # whether inputs ahead answer what comes, and keep outputs bounded
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +111,7 @@ def predict(system: StateSpace, record: Record, scale: Array, far: Outlook) -> P
         y = follower.outputs(states, 0) + bias
         found = Prediction(y, states[0], bias, states)
     else:
-        found = follower.pieces(far.starts)
+        found = follower.pieces(far)
     return found.placed(np.array(follower.shared), record.ny)
 
 
@@ -125,14 +132,17 @@ class Follower:
         self.origin = np.zeros(system.nx)
         self.t, self.y, self.scale = record.t, record.y[:, self.shared], scale[self.shared]
 
-    def pieces(self, starts: Sequence[int]) -> Prediction:
+    def pieces(self, far: Outlook) -> Prediction:
         """Predictions from each start to the next, each from what is known there."""
+        starts = far.starts
         N, ny, nx = self.C.shape
         y, states = np.full((N, ny), np.nan), np.full((N, nx), np.nan)
         biases, first = [], np.zeros(0)
         ends = (*starts[1:], N - 1)
         for start, end, known in zip(starts, ends, self.known(starts), strict=True):
             path = self.forward(self.origin + known.x, start, end)
+            if far.closed_loop:
+                path = self._bounded(path, start, known)
             ahead = slice(start + 1, end + 1)
             states[ahead], y[ahead] = path[1:], self.outputs(path, start)[1:] + known.bias
             biases.append(known.bias)
@@ -149,6 +159,23 @@ class Follower:
         for k in range(begin, end):
             found.append(self.steps.maps[self.steps.which[k]] @ found[-1] + self.steps.forcing[k])
         return np.array(found)
+
+    def _bounded(self, path: Array, begin: int, known: filtering.Start) -> Array:
+        """States of a piece, given that outputs at its end are their means within deviations."""
+        # A smoother's, to which the means are a last measurement.
+        end, level = begin + len(path) - 1, known.likeliest[0]
+        seen = np.isfinite(self.y).any(axis=0)
+        C, unit = self.C[end][seen], np.diff(self.t) / np.median(np.diff(self.t))
+        maps = [self.steps.maps[self.steps.which[k]] for k in range(begin, end)]
+        P, felt = [known.P[level]], [C.T]  # covariances; at the end, of a state at each sample
+        for k, A in enumerate(maps, begin):
+            P.append(A @ P[-1] @ A.T + unit[k] * known.Q[level])
+        for A in reversed(maps):
+            felt.append(A.T @ felt[-1])
+        S = C @ P[-1] @ C.T + np.diag(self.scale[seen] ** 2)
+        away = self.outputs(path, begin)[-1] + known.bias
+        pull = np.linalg.solve(S, away[seen] - np.nanmean(self.y[:, seen], axis=0))
+        return np.asarray(path - np.array(P) @ np.array(felt[::-1]) @ pull)
 
     def known(self, starts: Sequence[int]) -> Iterator[filtering.Start]:
         """What the record up to each of these samples tells."""

@@ -68,6 +68,8 @@ class Validation(Shown):
         the past alone; infinite where they were simulated over all of it.
     growth : mapping to float
         Rate [1/s] of each model's fastest growing mode; 0 of a stable one.
+    closed_loop : bool
+        Whether inputs ahead were taken for answers that keep outputs bounded.
 
     A model that lacks an output of the records has NaN there, and so have all models before the
     first prediction.
@@ -88,6 +90,7 @@ class Validation(Shown):
     biases: Mapping[str, Array]
     horizon: tuple[float, ...]
     growth: Mapping[str, float]
+    closed_loop: bool = False
 
     def headline(self) -> str:
         """Models, records, mean fit over outputs and records."""
@@ -106,15 +109,20 @@ class Validation(Shown):
         reach = f"{far[0]:.3g}" if len(far) == 1 else f"{far[0]:.3g} to {far[-1]:.3g}"
         growing = [f"{name} e-fold in {1 / r:.2g} s" for name, r in self.growth.items() if r]
         why = f": unstable models grow ({', '.join(growing)})" if growing else ""
+        bounded = ", and from inputs ahead that keep outputs bounded" if self.closed_loop else ""
         return (
-            f"Predicted up to {reach} s ahead, each time from a state estimated on the past alone, "
-            f"not simulated over the whole record{why}."
+            f"Predicted up to {reach} s ahead, each time from a state estimated on the past alone"
+            f"{bounded}, not simulated over the whole record{why}."
         )
 
 
 @one_thread
 def validate(
-    models: Mapping[str, AnyModel], records: Records, *, horizon: float | None = None
+    models: Mapping[str, AnyModel],
+    records: Records,
+    *,
+    horizon: float | None = None,
+    closed_loop: bool = False,
 ) -> Validation:
     """Simulate or predict each model on each record and measure what is left.
 
@@ -130,6 +138,12 @@ def validate(
         in any case. Unless given, a record is simulated if no model grows by more than ten e-folds
         over it; else all models are predicted, a tenth of the record ahead or as long as the least
         unstable of those that grow takes for three e-folds.
+    closed_loop : bool
+        The records were flown by a controller, which kept outputs within what they do in the
+        records: the end of each prediction is expected at an output's mean in the record, within
+        its standard deviation, so that inputs ahead tell of disturbances ahead. Without, an
+        unstable model makes of these whatever grows, true or not. With it growing modes that are
+        not there are largely excused: judge modes without.
 
     Raises
     ------
@@ -149,7 +163,8 @@ def validate(
     for name, system in systems.items():
         _check(name, system, records)
         _check_lengths(name, system, records)
-    far = [outlook(list(systems.values()), record, horizon) for record in records]
+    looks = [outlook(list(systems.values()), record, horizon) for record in records]
+    far = [replace(each, closed_loop=closed_loop) for each in looks]
     predictions = {
         name: [_predicted(name, model, *each, scale) for each in zip(records, far, strict=True)]
         for name, model in models.items()
@@ -175,6 +190,7 @@ def validate(
         biases={name: np.array([p.b for p in ps]) for name, ps in predictions.items()},
         horizon=tuple(each.horizon for each in far),
         growth={name: growth_rate(system) for name, system in systems.items()},
+        closed_loop=closed_loop,
     )
 
 

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 
 from casid import Record, StateSpace, validate
-from casid.prediction import AHEAD, FOLDS, growth_rate
+from casid.prediction import AHEAD, FOLDS, Follower, growth_rate, outlook, predict
 
 DT = 0.02
 T = DT * np.arange(1500)
@@ -91,3 +92,65 @@ def test_growth_of_a_discrete_system_is_that_of_the_continuous_one():
                           np.zeros((2, 1)), 0.1)  # fmt: skip
     assert growth_rate(discrete) == pytest.approx(0.7)
     assert growth_rate(STABLE) == 0.0
+
+
+def regulated(seed, n=1500):
+    """An unstable aircraft in gusts, flown by a controller that sees noisy outputs."""
+    rng = np.random.default_rng(seed)
+    system = StateSpace([[0.0, 1.0], [4.0, -0.5]], [[0.0], [5.0]], np.eye(2), np.zeros((2, 1)),
+                        inputs=("u",), outputs=("a", "b"))  # fmt: skip
+    steps = system.steps(np.array([0.0, DT]), np.zeros((2, 1)), "zoh")
+    Ad, Bd = steps.maps[0], system.steps(np.array([0.0, DT]), np.ones((2, 1)), "zoh").forcing[0]
+    x, u, y = np.zeros(2), np.zeros((n, 1)), np.zeros((n, 2))
+    for k in range(n):
+        y[k] = x + 0.01 * rng.standard_normal(2)
+        u[k] = -2.0 * y[k, 0] - 0.6 * y[k, 1]
+        x = Ad @ x + Bd * u[k] + (0.0, 0.15) * rng.standard_normal(2)
+    return system, Record(DT * np.arange(n), u, y, ("u",), ("a", "b"), f"{seed}", hold="zoh")
+
+
+def smoothed(system, record, known, start, end, scale):
+    """States ahead by least squares over the state at the start and all disturbances ahead."""
+    steps = system.steps(record.t, record.u, record.hold)
+    (Ad,), level, count = steps.maps, known.likeliest[0], end - start
+    P, Q = known.P[level], known.Q[level]
+    make = np.zeros((count + 1, 2, 2 * (count + 1)))  # of each state by x0 and every w
+    make[0, :, :2] = np.eye(2)
+    path = [known.x]
+    for k in range(count):
+        make[k + 1] = Ad @ make[k]
+        make[k + 1, :, 2 * k + 2 : 2 * k + 4] = np.eye(2)
+        path.append(Ad @ path[-1] + steps.forcing[start + k])
+    root = np.linalg.cholesky(P)
+    prior = scipy.linalg.block_diag(
+        np.linalg.inv(root), np.diag(np.tile(np.diag(Q) ** -0.5, count))
+    )
+    last = make[-1] / scale[:, None]
+    wanted = (record.y.mean(axis=0) - path[-1] - known.bias) / scale
+    found = np.linalg.lstsq(np.vstack([prior, last]), np.append(np.zeros(len(prior)), wanted))[0]
+    return np.array(path) + make @ found
+
+
+def test_in_closed_loop_states_ahead_are_those_of_least_squares_over_disturbances_ahead():
+    system, record = regulated(1)
+    scale = record.y.std(axis=0)
+    far = replace(outlook([system], record, 1.0), closed_loop=True)
+    found = predict(system, record, scale, far).states
+    follower = Follower(system, record, scale)
+    ends = (*far.starts[1:], record.N - 1)
+    for start, end, known in zip(far.starts, ends, follower.known(far.starts), strict=True):
+        wanted = smoothed(system, record, known, start, end, scale)[1:]
+        np.testing.assert_allclose(found[start + 1 : end + 1], wanted, rtol=1e-5, atol=1e-7)
+
+
+def test_inputs_of_a_controller_tell_of_disturbances_ahead():
+    system, record = regulated(2)
+    alone, told = (
+        validate({"truth": system}, [record], horizon=2.0, closed_loop=each)
+        for each in (False, True)
+    )
+    # The mean has 0 %. The truth grows by e^3.5 in 2 s, and disturbances with it.
+    assert (told.fit["truth"] > 10).all()
+    assert (alone.fit["truth"] < -100).all()
+    assert "inputs ahead that keep outputs bounded" in told.predicted
+    assert "bounded" not in alone.predicted

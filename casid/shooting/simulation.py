@@ -116,7 +116,7 @@ def predict_nonlinear(
     y, sizes = np.where(columns < 0, np.nan, total.y[:, columns]), scale[columns]
     whole = replace(total.select(model.inputs, ()), y=y, outputs=model.outputs)
     if far.starts:
-        found = _ExtendedFilter(model, whole, sizes).pieces(far.starts)
+        found = _ExtendedFilter(model, whole, sizes).pieces(far)
     else:
         (x0, bias), y, states = _answer(model, whole, 1 / sizes)
         found = Prediction(y, x0, bias, states)

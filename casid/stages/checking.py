@@ -73,7 +73,10 @@ def _compared(settings: object, task: Task) -> MeasuredStates:  # noqa: ARG001 -
     fits = {name: each for name, each in task.models.items() if isinstance(each, Fit)}
     systems = [state_space(each) for each in task.models.values()]
     pairs = list(zip(found.measured, flights, strict=True))
-    far = [outlook(systems, pairs[k][0], horizon) for k, horizon in enumerate(found.horizon)]
+    far = [
+        replace(outlook(systems, pair[0], horizon), closed_loop=found.closed_loop)
+        for pair, horizon in zip(pairs, found.horizon, strict=True)
+    ]
     simulated = {
         name: tuple(_simulated(fit, *pair, ahead) for pair, ahead in zip(pairs, far, strict=True))
         for name, fit in fits.items()

@@ -31,9 +31,12 @@ class Judgement:
     horizon : float
         As in `validate`: how far ahead models are predicted [s]; infinite, records are simulated
         whole even by unstable models, from the state that suits all of a record best.
+    closed_loop : bool
+        As there: whether a controller that flew the records kept outputs bounded.
     """
 
     horizon: float | None = None
+    closed_loop: bool = False
 
     def __post_init__(self) -> None:
         if self.horizon is not None and not self.horizon > 0:
@@ -41,7 +44,9 @@ class Judgement:
 
 
 def _run(settings: Judgement, task: Task) -> Validation:
-    return validate(task.models, task.records, horizon=settings.horizon)
+    return validate(
+        task.models, task.records, horizon=settings.horizon, closed_loop=settings.closed_loop
+    )
 
 
 def _show(found: Validation, content: Content) -> Iterable[Section]:
