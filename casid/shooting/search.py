@@ -31,6 +31,7 @@ ROUNDS = 12  # of solves
 PREDICTIONS = 3  # of the solution beside another: which bounds hold is settled then
 ROUGH = 1e-4  # tolerance of the first, whose R is that of the start
 EARLIER = 40  # of IPOPT's iterations, before the parameters alone go on
+SOON = 8  # likewise where it starts with a prediction: it needs more only on a kink
 MOVES = 50  # of delays across whole samples, at most; each makes the records likelier
 GAIN = 1e-4  # of log-likelihood, that makes another stretch better
 MARGIN = 0.02  # of a stretch between whole samples, from its ends to a start in it
@@ -222,12 +223,35 @@ class Search:
         point = replace(point, lam=lam)
         evaluator = last.evaluator.within(delays)
         loose = last.variant(noise=noise, evaluator=evaluator, free=free)
+        if outcome.solution.success and self._leads_back(loose, outcome.solution.x):
+            return outcome.failed("it is best where the outcome's own stretch begins")
         programme = loose.variant(scales=loose.balanced(point))
         warm = _carried(outcome.solution, last, programme)
         rounds = outcome.rounds + 1
         solution = self._solve(programme, point, warm, rounds, self.options)
         iterations = outcome.iterations + solution.iterations
         return self._released(Outcome(programme, solution, iterations, rounds, True))
+
+    def _leads_back(self, programme: Programme, x: Array) -> bool:
+        """Whether a stretch next to a solution's is best at the end that both have in common.
+
+        There the solution, which is the best of its own, is at least as good: unless outputs jump.
+        """
+        jumps = not np.isnan(held(programme, programme.unpack(x).lam)[1]).all()
+        if jumps or programme.evaluator.filtering:
+            return False
+        guess = predicted(programme, x, PREDICTIONS - 1, replace(self.options, progress=None))
+        if guess is None:
+            return False
+        (lower, upper), _ = programme.limits()
+        own, there, prices = (part[: len(lower)] for part in (x, guess[0], guess[1][0]))
+        width = upper - lower
+        at_end = np.minimum(there - lower, upper - there) < ROUGH * width
+        back = (own - there) * prices > 0
+        dear = np.abs(prices) * width * programme.n > 1  # in units of log-likelihood
+        given, free = self.free, programme.free
+        narrowed = (free.lower != given.lower) | (free.upper != given.upper)
+        return bool((at_end & back & dear)[narrowed[free.index]].any())
 
     def _released(self, outcome: Outcome) -> Outcome:
         """The outcome under its own bounds; the ends of a stretch have no price."""
@@ -260,7 +284,8 @@ class Search:
         warm = None if warm is None else newton.extended(warm)
         start, stage = programme.pack(point), f"output error, round {number}"
         alone = not programme.evaluator.filtering
-        first = replace(options, max_iterations=min(EARLIER, options.max_iterations))
+        limit = min(SOON if close else EARLIER, options.max_iterations)
+        first = replace(options, max_iterations=limit)
         problem = newton.problem(start)
         solution = solve(problem, first if alone else options, stage=stage, warm=warm)
         solution = newton.stripped(solution)

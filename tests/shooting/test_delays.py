@@ -12,6 +12,7 @@ from casid import output_error
 from casid.free import free_parameters
 from casid.shooting.delays import neighbours
 from casid.shooting.intervals import lay_out
+from casid.shooting.search import Search
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
 
@@ -98,3 +99,31 @@ def test_no_fit_is_less_likely_than_with_a_jumping_delay_held_at_its_truth(steps
     assert fit.success
     assert fit.cost <= held.cost + 1e-6
     assert 0.1 <= fit.model.tcol <= 0.12  # what samples every 20 ms tell of 0.117 s
+
+
+@pytest.mark.slow
+def test_a_stretch_that_is_passed_over_has_nothing_better(monkeypatch):
+    judged, ends = [], []
+    honest, solved = Search._leads_back, Search._inside
+
+    def both(search, programme, x):
+        judged.append(honest(search, programme, x))
+        return False  # solved all the same
+
+    def inside(search, outcome, free, delays):
+        before = len(judged)
+        end = solved(search, outcome, free, delays)
+        ends.append((judged[before:] == [True], end.cost - outcome.cost))
+        return end
+
+    monkeypatch.setattr(Search, "_leads_back", both)
+    monkeypatch.setattr(Search, "_inside", inside)
+    for structure, hold in ((Roll, "foh"), (Smooth, "zoh")):
+        for seed in range(3):
+            truth = structure(tau=1.0 * H)
+            output_error(truth, flights(structure, hold, 1.0, seed), bounds=BOUNDS)
+    passed, more = (np.array(each) for each in zip(*ends, strict=True))
+    assert passed.sum() > 2
+    assert more[passed].min() > -1e-4  # nothing better, and found: no end without success
+    assert np.isfinite(more[passed]).all()
+    assert len(ends) > passed.sum()
