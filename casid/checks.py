@@ -4,8 +4,9 @@ What an argument may be its annotation says, and what its numbers may be its nam
 thing everywhere.
 """
 
+import difflib
 import inspect
-from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, wraps
 from numbers import Integral, Real
 from types import FunctionType, NoneType, UnionType
@@ -88,6 +89,24 @@ def check_fields(value: object) -> None:
     """Refuse a dataclass one of whose fields is of another kind than declared: ValueError."""
     cls = type(value)
     _check_kinds(cls.__name__, vars(value), _hints(cast("Hashable", cls)))
+
+
+def check_known(
+    said: str, names: Iterable[str], known: Iterable[str], error: type[ValueError] = ValueError
+) -> None:
+    """Refuse the first name that is none of those known, ``said`` of it, and tell the nearest."""
+    known = tuple(known)
+    for name in names:
+        if name not in known:
+            raise error(f"{said} {name!r}; {hint(name, known)}")
+
+
+def hint(name: str, known: Iterable[str]) -> str:
+    """What was meant by a name that is not known, or all names that are."""
+    known = tuple(known)
+    near = difflib.get_close_matches(name, known, n=1)
+    others = f"known are {', '.join(known)}" if known else "there are none"
+    return f"did you mean {near[0]!r}? {others[0].upper()}{others[1:]}" if near else others
 
 
 @cache
@@ -190,10 +209,6 @@ def _is_array(value: Any) -> bool:  # noqa: ANN401
         return False
 
 
-def _is_whole(value: Any) -> bool:  # noqa: ANN401
-    return isinstance(value, Integral) and not isinstance(value, bool | np.bool_)
-
-
 def _is_number(value: Any) -> bool:  # noqa: ANN401
     if isinstance(value, bool | np.bool_):
         return False
@@ -209,7 +224,7 @@ _PLAIN: Mapping[Any, Callable[[Any], bool]] = {
     np.ndarray: _is_array,
     Callable: callable,
     bool: lambda value: isinstance(value, bool | np.bool_),
-    int: _is_whole,
+    int: lambda x: isinstance(x, Integral) and not isinstance(x, bool | np.bool_),
     float: _is_number,
 }
 _GENERIC: Mapping[Any, Callable[[Any, tuple[Any, ...]], bool]] = {

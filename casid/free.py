@@ -9,6 +9,7 @@ import numpy as np
 
 from casid import declaration
 from casid.arrays import Array
+from casid.checks import check_known
 from casid.errors import ModelError
 from casid.model import NO_DELAY, Bounds, Model, Priors
 
@@ -163,8 +164,5 @@ def _check_choice(model: Model, fixed: Collection[str], bounds: Bounds) -> None:
         )
     if isinstance(fixed, str):
         raise ModelError(f"fixed={fixed!r}: expected a collection of names, ({fixed!r},)")
-    for name in (*fixed, *bounds):
-        if name not in (known := model.parameter_names()):
-            raise ModelError(
-                f"{type(model).__name__} has no parameter {name!r}; it has {', '.join(known)}"
-            )
+    said = f"{type(model).__name__} has no parameter"
+    check_known(said, (*fixed, *bounds), model.parameter_names(), ModelError)

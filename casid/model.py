@@ -18,6 +18,7 @@ import numpy as np
 
 from casid import declaration, sensors
 from casid.arrays import Array
+from casid.checks import check_known
 from casid.errors import ModelError
 from casid.linear import StateSpace
 from casid.sensors import Scalar, Sensor
@@ -254,11 +255,7 @@ def _expressions(symbolic: Model) -> tuple[ca.SX, ...]:
     )
     declaration.check_rows(cls, built)
     delays = declaration.written(symbolic, "delays", declaration.check_delays)
-    if unknown := [name for name in delays if name not in cls.inputs]:
-        raise ModelError(
-            f"{cls.__name__}.delays names {unknown[0]!r}, which is no input; "
-            f"inputs are {', '.join(cls.inputs)}"
-        )
+    check_known(f"{cls.__name__}.delays: no input is called", delays, cls.inputs, ModelError)
     where = f"{cls.__name__}.delays: that of"
     tau = [declaration.scalar(delays.get(name, 0.0), f"{where} {name!r}") for name in cls.inputs]
     return (

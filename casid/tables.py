@@ -1,6 +1,5 @@
 """Tables of a TOML file that know their place, so that a message can name it."""
 
-import difflib
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -8,16 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from casid.checks import check_known
 from casid.errors import ModelError
 from casid.limits import TEXT_BYTES, check_file
-
-
-def hint(name: str, known: Iterable[str]) -> str:
-    """What was meant by a name that is not known, or all names that are."""
-    known = tuple(known)
-    near = difflib.get_close_matches(name, known, n=1)
-    others = f"known are {', '.join(known)}" if known else "there are none"
-    return f"did you mean {near[0]!r}? {others[0].upper()}{others[1:]}" if near else others
 
 
 @dataclass(frozen=True)
@@ -29,10 +21,7 @@ class Table:
 
     def only(self, known: Iterable[str]) -> None:
         """Refuse keys that nobody reads."""
-        known = tuple(known)
-        for key in self.content:
-            if key not in known:
-                raise ValueError(f"{self.place} unknown key {key!r}; {hint(key, known)}")
+        check_known(f"{self.place} unknown key", self.content, known)
 
     def table(self, key: str, *, needed: bool = False) -> "Table":
         """Return a table within this one, empty if it is not there."""

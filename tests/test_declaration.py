@@ -54,7 +54,7 @@ def test_a_faulty_declaration_is_told_with_its_name(parts, message):
         ({"outputs": ("z",)}, "Lag.C: Lag has no method C, and output 'z' is no state"),
         ({"A": lambda _: [[0]], "B": lambda _: [[0]]}, "Lag: state 'x' has no dynamics: row 0"),
         ({"C": lambda _: [[0]]}, "Lag: output 'x' is always zero: row 0"),
-        ({"delays": lambda self: {"lat": self.a}}, "Lag.delays names 'lat', which is no input"),
+        ({"delays": lambda self: {"lat": self.a}}, "Lag.delays: no input is called 'lat'"),
         ({"delays": lambda self: {"u": self.tau}}, "Lag.delays uses 'tau', which Lag does not"),
         ({"delays": lambda self: [self.a]}, r"Lag.delays: it is \[.*\], expected delays by input"),
         ({"delays": lambda _: {"u": "0.1"}}, "Lag.delays: that of 'u' is '0.1', expected a number"),

@@ -23,6 +23,7 @@ import scipy
 
 from casid.arrays import Array
 from casid.bounds.relations import Relation, parse_relation
+from casid.checks import check_known
 from casid.errors import ModelError
 from casid.fit import AnyFit
 from casid.free import free_parameters
@@ -138,10 +139,8 @@ class _Writer:
             return
         if parameter in self.model.parameter_names():
             raise self.wrong(f"{parameter} is fixed in all cases; take it out of fixed")
-        raise self.wrong(
-            f"{type(self.model).__name__} has no parameter {parameter!r}; it has "
-            f"{', '.join(self.model.parameter_names())}"
-        )
+        said = f"case {self.name!r}: {type(self.model).__name__} has no parameter"
+        check_known(said, [parameter], self.model.parameter_names(), ModelError)
 
     def _one(self, parameter: str, content: Any) -> None:  # noqa: ANN401 - what a user wrote
         guess = float(getattr(self.model, parameter))

@@ -7,11 +7,13 @@ one standard error: L. Breiman and others, Classification and Regression Trees, 
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.bounds.trials import Fits, aicc
+from casid.checks import check_known
 from casid.estimator import Estimator
 from casid.fit import AnyFit
 from casid.jobs.campaigns import Execution
@@ -161,9 +163,7 @@ def compare_structures(
     parts = _parts(groups, flown)
     left = [i for part in parts for i in part]
     ways = estimator if isinstance(estimator, Mapping) else dict.fromkeys(candidates, estimator)
-    for name in candidates:
-        if name not in ways:
-            raise ValueError(f"no estimator for {name!r}; there are {', '.join(ways)}")
+    check_known("no estimator for", candidates, ways)
     errors, noise = np.full((2, len(candidates), len(flown), len(outputs)), np.nan)
     fits: list[AnyFit | None] = []
     reasons: dict[str, str] = {}
@@ -176,8 +176,9 @@ def compare_structures(
             reasons[f"{name}, all"] = every.reason
             continue
         jobs = [
-            many.job(case, every.result, draw=Without(part), name=_without(name, part))
+            many.job(case, every.result, draw=Without(part), name=f"{name}, without {left_out}")
             for part in parts
+            for left_out in [", ".join(str(i + 1) for i in part)]
         ]
         done = many.run(jobs)
         for part, each in zip(parts, done.values(), strict=True):
@@ -197,10 +198,6 @@ def compare_structures(
     )
 
 
-def _without(name: str, part: Sequence[int]) -> str:
-    return f"{name}, without {', '.join(str(i + 1) for i in part)}"
-
-
 def _parts(
     groups: Sequence[Collection[str]] | None, records: Sequence[Record]
 ) -> list[tuple[int, ...]]:
@@ -208,8 +205,7 @@ def _parts(
     if groups is None:
         return [(i,) for i in range(len(records))]
     names = [each.name for each in records]
-    if wrong := [each for group in groups for each in group if each not in names]:
-        raise ValueError(f"no manoeuvre is called {wrong[0]!r}; there are {', '.join(names)}")
+    check_known("no manoeuvre is called", chain.from_iterable(groups), names)
     parts = [tuple(i for i, name in enumerate(names) if name in group) for group in groups]
     if len(parts) < 2 or any(len(part) in {0, len(records)} for part in parts):
         raise ValueError("groups: expected two or more, none of them empty or of all manoeuvres")

@@ -158,7 +158,7 @@ def _tied(row: ParameterEstimate, tie: ConstraintEstimate) -> ParameterEstimate:
 
 def _shares(here: tuple[Case, AnyFit], there: tuple[Case, AnyFit]) -> dict[str, float]:
     """½ Σ (μ + μ₀)(λ - λ₀), by parameter or relation."""
-    at, base = (_values(fit) for _, fit in (here, there))
+    at, base = ({row.name: row.value for row in fit.parameters} for _, fit in (here, there))
     shares: dict[str, float] = defaultdict(float)
     for case, fit in (here, there):
         for name, row in ((row.name, row) for row in fit.parameters if row.active):
@@ -173,7 +173,3 @@ def _shares(here: tuple[Case, AnyFit], there: tuple[Case, AnyFit]) -> dict[str, 
             label = relation.names[0] if len(relation.names) == 1 else relation.text
             shares[label] += 0.5 * priced.multiplier * change
     return {label: float(share) for label, share in shares.items() if share}
-
-
-def _values(fit: AnyFit) -> dict[str, float]:
-    return {row.name: row.value for row in fit.parameters}

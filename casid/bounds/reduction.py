@@ -12,7 +12,7 @@ import numpy as np
 
 from casid.baseline.accuracy import CRAMER_RAO, INSENSITIVITY, DerividNotes
 from casid.bounds.trials import Data, Fits, aicc
-from casid.checks import checked_fields
+from casid.checks import check_known, checked_fields
 from casid.errors import ConvergenceError, ModelError
 from casid.estimator import Estimator
 from casid.fit import AnyFit, ParameterEstimate
@@ -152,7 +152,10 @@ def reduce_structure(
         An unknown parameter, an estimator without standard errors; no fit of the whole structure.
     """
     replay = rule.replay
-    _check_known(model, (*rule.protect, *(replay or {})))
+    check_known(
+        f"{type(model).__name__} has no parameter",
+        (*rule.protect, *(replay or {})), model.parameter_names(), ModelError,
+    )  # fmt: skip
     many = Fits(model, data, estimator, fixed, bounds, execution)
 
     def fits(holds: Sequence[Mapping[str, float]], near: Model | AnyFit | None) -> list[Done]:
@@ -168,7 +171,10 @@ def reduce_structure(
     while rows := _worst(fit, {*held, *passed}, replay, rule.candidates):
         values = [_value(row, replay) for row in rows]
         tried = fits([held | {r.name: v} for r, v in zip(rows, values, strict=True)], fit)
-        done, row, value = min(zip(tried, rows, values, strict=True), key=_cost)
+        done, row, value = min(
+            zip(tried, rows, values, strict=True),
+            key=lambda each: np.inf if each[0].reason else float(each[0].result.cost),
+        )
         better = replay is not None or _stands(criterion, done.result, fit, limit, many.data)
         told = row.name, value, figures(fit, row)
         step = _step(*told, done, many.data, accepted=not done.reason and better)
@@ -192,14 +198,6 @@ def figures(fit: AnyFit, row: ParameterEstimate) -> tuple[float, float]:
     if size == 0:
         return np.inf, np.inf
     return row.insensitivity / size, 2 * std / size
-
-
-def _check_known(model: Model, names: Sequence[str]) -> None:
-    if unknown := [name for name in names if name not in model.parameter_names()]:
-        raise ModelError(
-            f"{type(model).__name__} has no parameter {unknown[0]!r}; it has "
-            f"{', '.join(model.parameter_names())}"
-        )
 
 
 def _whole(done: Done) -> AnyFit:
@@ -234,10 +232,6 @@ def _value(row: ParameterEstimate, replay: Mapping[str, float] | None) -> float:
     if replay is not None:
         return float(replay[row.name])
     return 0.0 if row.lower <= 0 <= row.upper else row.value
-
-
-def _cost(tried: tuple[Done, ParameterEstimate, float]) -> float:
-    return np.inf if tried[0].reason else float(tried[0].result.cost)
 
 
 def _stands(

@@ -8,6 +8,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.bounds.trials import Draw, Fits
+from casid.checks import check_known
 from casid.display import Shown, counted, listed
 from casid.estimator import Estimator
 from casid.fit import AnyFit
@@ -164,8 +165,7 @@ def monte_carlo(
         Too few runs, noise on what is no output.
     """
     _check_runs(runs, estimator)
-    if wrong := [name for name in noise if name not in model.outputs]:
-        raise ValueError(f"noise names {wrong[0]!r}, expected of {', '.join(model.outputs)}")
+    check_known("noise names", noise, model.outputs)
     flown = [piece for record in several(records) for piece in record.stretches()]
     clean = [_simulated(model, record) for record in flown]
     draws: list[Draw] = [NoiseDraw(dict(noise), (seed, run)) for run in range(runs)]

@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
+from casid.checks import hint
 from casid.commands.columns import pairs
 from casid.commands.study import OUTPUT, STUDY, VERBOSE
 from casid.commands.terminal import caution, exits, logged, new_table
@@ -29,7 +30,6 @@ from casid.stages.conditions import condition, conditions
 from casid.studies.runner import kept_fit
 from casid.studies.study import Study, read_records
 from casid.studies.studyfile import read_study
-from casid.tables import hint
 from casid.values import digest
 
 SHOWN = 12  # parameters in the table

@@ -166,7 +166,11 @@ class _Reconstruction:
         felt = {name for factors, _ in self.terms[0].values() for name in factors}
         known = felt & set(flights[0].values)
         self.channels = tuple(name for name in (*RATES, *FORCES) if name in known)
-        self.splines = [_splines(flight, self.channels) for flight in flights]
+        self.splines = []  # cubic pieces of the channels between samples, (channels, 4, N - 1)
+        for flight in flights:
+            y = np.column_stack([flight.values[name] for name in self.channels])
+            pieces = scipy.interpolate.CubicSpline(flight.t, y).c
+            self.splines.append(np.ascontiguousarray(np.moveaxis(pieces, 2, 0)))
         self.columns = {each: self._own(each) for each in equations}
         self.gains = dict.fromkeys(equations, 0.0)
         self.sizes = dict.fromkeys(equations, 1.0)
@@ -312,13 +316,6 @@ class _Reconstruction:
             sums = np.add.reduceat(rows[1:] * rows[0], starts, axis=1)
             found[-1][:, self.columns[each]] = sums.T
         return np.concatenate(found)
-
-
-def _splines(flight: Flight, names: Sequence[str]) -> Array:
-    """Cubic pieces of some channels between one sample and the next, (channels, 4, N - 1)."""
-    y = np.column_stack([flight.values[name] for name in names])
-    found = scipy.interpolate.CubicSpline(flight.t, y).c
-    return np.ascontiguousarray(np.moveaxis(found, 2, 0))
 
 
 def _read(pieces: Array, skew: float, dt: float) -> tuple[Array, Array]:

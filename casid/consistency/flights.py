@@ -89,9 +89,7 @@ def _fingerprints(records: Sequence[Record], *, centred: bool = False) -> list[s
     for width in {table.shape[1] for table in tables}:
         size = np.nanstd(np.vstack([each for each in tables if each.shape[1] == width]), axis=0)
         scale[width] = np.where(size > 0, GRAIN * size, 1.0)
-    found = [_rows(np.floor(table / scale[table.shape[1]] + 0.5)) for table in tables]
+    grains = [np.floor(table / scale[table.shape[1]] + 0.5) for table in tables]
+    whole = [np.nan_to_num(table, nan=-(2.0**60)) + 0.0 for table in grains]
+    found = [{row.tobytes() for row in table} for table in whole]
     return [rows if len(rows) > 1 or not centred else set() for rows in found]  # all at rest
-
-
-def _rows(table: np.ndarray) -> set[bytes]:
-    return {row.tobytes() for row in np.nan_to_num(table, nan=-(2.0**60)) + 0.0}

@@ -91,17 +91,16 @@ def assemble(
     start = max(float(topic.t[0]) for topic in clocks.values())
     end = min(float(topic.t[-1]) for topic in clocks.values())
     records = []
-    for lost, back in sorted([*_losses([topic.t for topic in clocks.values()]), (end, end)]):
+    losses = [
+        (float(topic.t[k]), float(topic.t[k + 1]))
+        for topic in clocks.values()
+        for k in np.flatnonzero(np.diff(topic.t) > APART)
+    ]
+    for lost, back in sorted([*losses, (end, end)]):
         if lost - start >= FEWEST * dt:
             records += _records(inputs, outputs, (start, min(lost, end)), dt, name)
         start = max(start, back)
     return records
-
-
-def _losses(clocks: Sequence[Array]) -> list[tuple[float, float]]:
-    """From when to when no sample came, [s]."""
-    places = [(t, np.flatnonzero(np.diff(t) > APART)) for t in clocks]
-    return [(float(t[k]), float(t[k + 1])) for t, rows in places for k in rows]
 
 
 def _records(

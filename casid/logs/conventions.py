@@ -103,11 +103,13 @@ def find_channels(
     named = {name: source for name, source in given.items() if source is not None}
     outputs = {}
     for name, places in OUTPUTS.items():
-        found = named.get(name) or _first(log, (*places, *_plain(log, name)))
-        if found is not None:
+        tried = (_source(log, place) for place in (*places, *_plain(log, name)))
+        first = next((each for each in tried if each is not None and _moves(each)), None)
+        if (found := named.get(name) or first) is not None:
             outputs[name] = found
     inputs = {name: source for name, source in named.items() if name not in OUTPUTS}
-    for wanted in () if inputs else (*INPUTS, *(_own(log, names) for names in STICKS)):
+    sticks = ({n: own[0] for n in names if (own := _plain(log, n))} for names in STICKS)
+    for wanted in () if inputs else (*INPUTS, *sticks):
         found_ = {name: _source(log, place) for name, place in wanted.items()}
         inputs = {name: each for name, each in found_.items() if each is not None and _moves(each)}
         if inputs:
@@ -126,10 +128,6 @@ def _moves(source: Source) -> bool:
     return bool(len(known) and np.ptp(known) > 0)
 
 
-def _own(log: Log, names: tuple[str, ...]) -> dict[str, str]:
-    return {name: places[0] for name in names if (places := _plain(log, name))}
-
-
 def _plain(log: Log, name: str) -> list[str]:
     """Columns of exactly that name, in any topic."""
     return [
@@ -138,11 +136,6 @@ def _plain(log: Log, name: str) -> list[str]:
         for column in topic.columns
         if column.lower() == name
     ]
-
-
-def _first(log: Log, places: tuple[str, ...]) -> Source | None:
-    found = (_source(log, place) for place in places)
-    return next((each for each in found if each is not None and _moves(each)), None)
 
 
 def _source(log: Log, place: str) -> Source | None:
@@ -164,7 +157,9 @@ def derived(log: Log) -> Log:
     for (name, *velocity), attitude in NED:
         if {name, attitude} <= set(topics) and BODY not in topics:
             topic, reference = topics[name], replace(log, topics=topics)
-            angles = [_source(reference, place) for place in _attitudes(attitude)]
+            places = [place for name in ATTITUDES for place in OUTPUTS[name]]
+            own = [place for place in places if place.startswith(f"{attitude}.")]
+            angles = [_source(reference, place) for place in own]
             if set(velocity) <= set(topic.columns) and all(angles):
                 speeds = [topic.columns[each] for each in velocity]
                 held = [
@@ -175,10 +170,6 @@ def derived(log: Log) -> Log:
                 columns = dict(zip(VELOCITIES, into_body(speeds, held), strict=True))
                 topics[BODY] = Topic(name=BODY, t=topic.t, columns=columns, age=topic.age)
     return replace(log, topics=topics)
-
-
-def _attitudes(topic: str) -> list[str]:
-    return [place for name in ATTITUDES for place in OUTPUTS[name] if place.startswith(f"{topic}.")]
 
 
 def _with_angles(topic: Topic) -> Topic:

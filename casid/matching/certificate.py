@@ -53,7 +53,8 @@ def band_norm(
     if source.system is None or len(omega) == 1:
         return Band(upper=float(sigma[:, 0].max()), omega=omega, sigma=sigma)
     seen, values = [omega], [sigma]
-    edges = np.unique(np.concatenate([omega, _inside(source.nodes, omega)]))
+    nodes = source.nodes[(source.nodes > omega[0]) & (source.nodes < omega[-1])]
+    edges = np.unique(np.concatenate([omega, nodes]))
     left, right = edges[:-1], edges[1:]
     closed, pending, examined = 0.0, 0.0, 0
     while len(left) and examined < LIMIT:
@@ -89,10 +90,6 @@ def peaks(band: Band, above: float, spacing: float) -> Array:
         if all(abs(band.omega[i] - other) > spacing * other for other in kept):
             kept.append(float(band.omega[i]))
     return np.array(sorted(kept))
-
-
-def _inside(nodes: Array, omega: Array) -> Array:
-    return np.asarray(nodes[(nodes > omega[0]) & (nodes < omega[-1])])
 
 
 def _interval_bound(

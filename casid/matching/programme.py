@@ -211,7 +211,9 @@ class Programme:
         off = self.free.surprise(point.lam)[1] * self.price * s
         H = 2 * f * off.T @ off + _gram(dE, curved)
         at = self.matrices(point.lam)
-        by_N, by_tau, bend = at.response_curvature(self.comparison.s, pull * self._back(point))
+        by_N, by_tau, bend = at.response_curvature(
+            self.comparison.s, pull * np.conj(self.cost_of.factor(point.G))
+        )
         H += (bend + self.matrices.curvature(point.lam, by_N, by_tau)) * np.outer(s, s)
         beside = self.side.curvature(self._own(x), mu[self.points.size :])
         H += beside[:nf, :nf]
@@ -247,10 +249,6 @@ class Programme:
             dG *= self.cost_of.factor(point.G) * self.scale[:, None, None, None]
             self._slopes = point, dG
         return self._slopes
-
-    def _back(self, point: _Point) -> ComplexArray:
-        """What takes derivatives by E to those by G."""
-        return np.conj(self.cost_of.factor(point.G))
 
     def _tall(self, E: ComplexArray) -> ComplexArray:
         """Errors (..., q, r), r <= q; and back."""

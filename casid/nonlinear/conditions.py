@@ -9,11 +9,11 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
+from casid.checks import hint
 from casid.errors import ModelError
 from casid.model import Constraint, Model, Rows, parameter
 from casid.nonlinear.expressions import Nonlinear, balances, linearised, reference_point
 from casid.sensors import Scalar
-from casid.tables import hint
 from casid.values import storable
 
 BALANCE = 1e-6  # |dx/dt| of an equation without unknowns that still counts as trimmed

@@ -6,6 +6,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 
 from casid import declaration
+from casid.checks import check_known
 from casid.errors import ModelError
 from casid.model import Rows
 
@@ -56,11 +57,9 @@ def reference_point(model: Nonlinear) -> tuple[list[Any], list[Any]]:
     """States and inputs of the reference condition, numbers or expressions of the parameters."""
     given = declaration.written(model, "reference", dict)
     names = (*model.states, *model.inputs)
-    if unknown := [name for name in given if name not in names]:
-        raise ModelError(
-            f"{type(model).__name__}.reference names {unknown[0]!r}, which is no state or input; "
-            f"there are {', '.join(names)}"
-        )
+    check_known(
+        f"{type(model).__name__}.reference: no state or input is called", given, names, ModelError
+    )
     values = [given.get(name, 0.0) for name in names]
     return values[: len(model.states)], values[len(model.states) :]
 

@@ -54,7 +54,8 @@ def spline(x: Any, knots: Sequence[float], values: Sequence[Any]) -> Any:  # noq
     # none behind the last one, since natural splines have none there.
     span = float(t[-1] - t[0])
     z = (x - float(t[0])) / span
-    basis = [1.0, z, *(_ramp(z - float(knot)) ** 3 for knot in (t - t[0]) / span)]
+    ramp = (lambda x: ca.fmax(x, 0)) if isinstance(z, ca.SX) else (lambda x: max(x, 0.0))
+    basis = [1.0, z, *(ramp(z - float(knot)) ** 3 for knot in (t - t[0]) / span)]
     weights = _powers((t - t[0]) / span) @ np.eye(len(t))
     total: Any = 0.0
     for i, value in enumerate(values):
@@ -70,8 +71,3 @@ def _powers(z: Array) -> Array:
     ends = np.array([np.r_[0.0, 0.0, np.ones(n)], np.r_[0.0, 0.0, z]])
     right = np.vstack([np.eye(n), np.zeros((2, n))])
     return np.asarray(np.linalg.solve(np.vstack([basis, ends]), right))
-
-
-def _ramp(z: Any) -> Any:  # noqa: ANN401 - SX or float
-    """max(z, 0); its cube has two continuous derivatives."""
-    return ca.fmax(z, 0) if isinstance(z, ca.SX) else max(z, 0.0)

@@ -7,6 +7,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array
+from casid.checks import check_known
 from casid.errors import ModelError, warn
 from casid.nonlinear.conditions import BALANCE, Trim
 from casid.nonlinear.model import NonlinearModel
@@ -62,8 +63,8 @@ def find_trim(
         A name that is no state or input, no balance within reach: the message names the equation.
     """
     names = (*model.states, *model.inputs)
-    if wrong := [each for each in (*known, *unknown) if each not in names]:
-        raise ModelError(f"find_trim: {wrong[0]!r} is no state or input of {type(model).__name__}")
+    said = f"find_trim: {type(model).__name__} has no state or input"
+    check_known(said, (*known, *unknown), names, ModelError)
     if not unknown:
         raise ModelError("find_trim: nothing is unknown; name the states and inputs to find")
     start = dict(zip(names, map(float, np.concatenate(model.operating_point())), strict=True))

@@ -8,13 +8,13 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol, TypeAlias, get_args
 
+from casid.checks import hint
 from casid.errors import ConvergenceError
 from casid.jobs.campaigns import Execution
 from casid.model import Bounds, Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.report.content import Content, Section
-from casid.tables import hint
 from casid.validation import AnyModel
 
 Role: TypeAlias = Literal["identification", "frequency", "refinement", "validation"]

@@ -9,13 +9,14 @@ from typing import Any, Literal
 import numpy as np
 
 from casid.autoregression import outliers
+from casid.checks import hint
 from casid.consistency.clocks import aligned, told
 from casid.consistency.kinematics import kinematic_check
 from casid.errors import warn
 from casid.record import Record
 from casid.repetition import without_repeats
 from casid.samples import known_inputs
-from casid.tables import Table, hint
+from casid.tables import Table
 
 FINER = 0.9  # of a record's interval, from which on resampling adds samples
 KINEMATICS: Literal["kinematics"] = "kinematics"

@@ -12,6 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
+from casid.checks import check_known
 from casid.record import Record
 from casid.samples import runs
 from casid.subspace.laguerre import project_blocks, support
@@ -50,9 +51,7 @@ def feedthrough_mask(
         if feedthrough.shape != shape:
             raise ValueError(f"feedthrough has shape {feedthrough.shape}, expected {shape}")
         return feedthrough.astype(bool)
-    for name in feedthrough:
-        if name not in outputs:
-            raise ValueError(f"feedthrough names {name!r}, no output; they are {outputs}")
+    check_known("feedthrough names no output", feedthrough, outputs)
     return np.array([[name in feedthrough] * len(inputs) for name in outputs])
 
 

@@ -93,7 +93,7 @@ def test_ensembles_of_nothing_are_refused(settings, said):
         bootstrap(fit, record(), **settings)
     with pytest.raises(ValueError, match="runs=1"):
         monte_carlo(TRUTH, record(), noise={"y": NOISE}, runs=1)
-    with pytest.raises(ValueError, match="noise names 'zz', expected of y"):
+    with pytest.raises(ValueError, match="noise names 'zz'; known are y"):
         monte_carlo(TRUTH, record(), noise={"y": NOISE, "zz": 0.01})
 
 

@@ -62,7 +62,7 @@ class Lag(Model):
         (
             "    def A",
             '    def delays(self): return {"v": 1}\n    def A',
-            "names 'v', which is no in",
+            "no input is called 'v'",
         ),
         ("(default=-1.0", "(default=-1.0, lower=2, upper=1", "Lag.a: lower bound 2.0 > upper"),
         ("import Model, Rows", "import Modell, Rows", "does not import: ImportError"),

@@ -80,7 +80,9 @@ def test_too_few_expressions_are_told():
 def test_units_and_references_of_nothing_are_told():
     with pytest.raises(ModelError, match=r"units names 'w'"):
         broken(lambda m, x, u: x.v, units={"w": "m/s"}).equations()
-    with pytest.raises(ModelError, match=r"reference names 'w'.*there are v, lon"):
+    with pytest.raises(
+        ModelError, match=r"reference: no state or input is called 'w'; known are v, lon"
+    ):
         broken(lambda m, x, u: x.v, reference=lambda m: {"w": 1.0}).system()
 
 

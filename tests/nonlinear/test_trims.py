@@ -41,7 +41,7 @@ def test_several_trims_are_told():
     ("known", "unknown", "told"),
     [
         ({"q": 0.3}, ["lon"], "no trim here: with lon unknown dtheta/dt stays at 0.3"),
-        ({"p": 0.3}, ["lon"], "'p' is no state or input of Swing"),
+        ({"p": 0.3}, ["lon"], "Swing has no state or input 'p'"),
         ({"q": 0.0}, [], "nothing is unknown"),
     ],
 )

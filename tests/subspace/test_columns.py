@@ -35,7 +35,7 @@ def test_mask_is_built_from_every_accepted_form():
     np.testing.assert_array_equal(
         feedthrough_mask(["y"], inputs, outputs), [[False, False], [True, True]]
     )
-    with pytest.raises(ValueError, match="feedthrough names 'q', no output"):
+    with pytest.raises(ValueError, match="feedthrough names no output 'q'"):
         feedthrough_mask(["q"], inputs, outputs)
     with pytest.raises(ValueError, match="expected \\(2, 2\\)"):
         feedthrough_mask(np.ones((1, 2), dtype=bool), inputs, outputs)
