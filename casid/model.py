@@ -181,8 +181,7 @@ class Model:
         ModelError
             A method that raises, matrices whose shapes disagree, a delay for no input.
         """
-        infos, cls = self.infos(), cast(Any, type(self))
-        trim = tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in infos)
+        cls, trim = cast(Any, type(self)), constants(self)
         try:
             hash(trim)
         except TypeError:  # a field that its owner may change
@@ -211,6 +210,12 @@ class Model:
 
 
 M = TypeVar("M", bound=Model)  # a user's structure
+
+
+def constants(model: Model) -> tuple[tuple[str, Any], ...]:
+    """Names and values of fields that are no parameters."""
+    own = model.infos()
+    return tuple((f.name, getattr(model, f.name)) for f in fields(model) if f.name not in own)
 
 
 @lru_cache(maxsize=64)

@@ -12,7 +12,7 @@ from truths.closed_roll import Roll, flown
 
 import casid
 from casid import Fit, Match, Model, OutputError, Pbsid, SpectralAnalysis, StateSpace
-from casid.checks import fits
+from casid.checks import fits, hint
 
 WORDS_OF_A_STRUCTURE = {"parameter", "matrix", "spline"}
 FUNCTIONS = [
@@ -149,3 +149,9 @@ def test_an_argument_too_many_or_missing_is_told_with_the_function_and_what_it_t
         TypeError, match=r"^residuals: missing a required.*'records'; it takes \(mo"
     ):
         casid.residuals(Roll())
+
+
+def test_a_hint_names_the_nearest_and_then_all():
+    assert hint("ordre", ["order", "past"]) == "did you mean 'order'? Known are order, past"
+    assert hint("zzz", ["order", "past"]) == "known are order, past"
+    assert hint("order", []) == "there are none"

@@ -44,7 +44,7 @@ def test_scales_come_from_the_file_the_guess_or_the_bounds():
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
-        ({"fixed": ("Lq",)}, "Roll has no parameter 'Lq'; did you mean 'Lp'"),
+        ({"fixed": ("Lq",)}, "Roll has no parameter 'Lq'; known are Yv, Lv"),
         ({"bounds": {"g": (0, 1)}}, "Roll has no parameter 'g'"),
         ({"bounds": {"Lp": (0.0, -1.0)}}, "Lp: lower bound 0.0 > upper bound -1.0"),
         ({"bounds": {"Lp": (np.nan, 0.0)}}, "Lp: lower bound nan"),

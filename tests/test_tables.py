@@ -2,13 +2,7 @@
 
 import pytest
 
-from casid.tables import Table, hint, read_toml
-
-
-def test_a_hint_names_the_nearest_and_then_all():
-    assert hint("ordre", ["order", "past"]) == "did you mean 'order'? Known are order, past"
-    assert hint("zzz", ["order", "past"]) == "known are order, past"
-    assert hint("order", []) == "there are none"
+from casid.tables import Table, read_toml
 
 
 @pytest.mark.parametrize(

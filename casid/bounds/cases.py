@@ -24,12 +24,14 @@ import scipy
 from casid.arrays import Array
 from casid.bounds.relations import Relation, parse_relation
 from casid.checks import check_known
+from casid.declaration import check_pair
 from casid.errors import ModelError
 from casid.fit import AnyFit
 from casid.free import free_parameters
 from casid.matching.delays import delay_parameters
 from casid.model import Bounds, Constraint, Model
 from casid.shooting.precision import OutputErrorNotes
+from casid.tables import placed
 
 CaseSpec: TypeAlias = Mapping[str, Any] | Sequence[str] | str
 
@@ -104,16 +106,17 @@ class _Writer:
         self.bounds, self.relations = dict(limits), list[Relation]()
 
     def read(self, spec: CaseSpec) -> Case:
-        given, texts = self._parts(spec)
-        everyone = given.pop(ALL, None)
-        for parameter in () if everyone is None else self.bounds:
-            if parameter not in given and getattr(self.model, parameter) != 0:
-                self._one(parameter, everyone)
-        for parameter, content in given.items():
-            self._known(parameter)
-            self._one(parameter, content)
-        for text in texts:
-            self._relation(text)
+        with placed(f"case {self.name!r}:"):
+            given, texts = self._parts(spec)
+            everyone = given.pop(ALL, None)
+            for parameter in () if everyone is None else self.bounds:
+                if parameter not in given and getattr(self.model, parameter) != 0:
+                    self._one(parameter, everyone)
+            for parameter, content in given.items():
+                self._known(parameter)
+                self._one(parameter, content)
+            for text in texts:
+                self._relation(text)
         return Case(self.name, self.bounds, tuple(self.relations))
 
     def _parts(self, spec: CaseSpec) -> tuple[dict[str, Any], list[str]]:
@@ -128,30 +131,27 @@ class _Writer:
         texts = [content] if isinstance(content, str) else list(content)
         for text in texts:
             if not isinstance(text, str):
-                raise self.wrong(f'{text!r} is no relation; expected "Nlat = 0.05 Llat"')
+                raise ModelError(f'{text!r} is no relation; expected "Nlat = 0.05 Llat"')
         return texts
-
-    def wrong(self, why: str) -> ModelError:
-        return ModelError(f"case {self.name!r}: {why}")
 
     def _known(self, parameter: str) -> None:
         if parameter in self.bounds:
             return
         if parameter in self.model.parameter_names():
-            raise self.wrong(f"{parameter} is fixed in all cases; take it out of fixed")
-        said = f"case {self.name!r}: {type(self.model).__name__} has no parameter"
+            raise ModelError(f"{parameter} is fixed in all cases; take it out of fixed")
+        said = f"{type(self.model).__name__} has no parameter"
         check_known(said, [parameter], self.model.parameter_names(), ModelError)
 
     def _one(self, parameter: str, content: Any) -> None:  # noqa: ANN401 - what a user wrote
         guess = float(getattr(self.model, parameter))
         if isinstance(content, bool) or not isinstance(content, str | int | float | list | tuple):
-            raise self.wrong(f"{parameter} = {content!r} is not understood; {HELP}")
+            raise ModelError(f"{parameter} = {content!r} is not understood; {HELP}")
         if isinstance(content, int | float):
-            self._fix(parameter, float(content))
+            self._relation(f"{parameter} = {float(content)!r}")
         elif not isinstance(content, str):
             self._replace(parameter, content)
         elif content.strip() == "fixed":
-            self._fix(parameter, guess)
+            self._relation(f"{parameter} = {guess!r}")
         elif content.strip() == "free":
             self.bounds[parameter] = (0.0 if parameter in self.delays else -np.inf, np.inf)
         elif around := AROUND.fullmatch(content):
@@ -159,7 +159,7 @@ class _Writer:
         elif content.strip()[:1] in "<>=≤≥":
             self._relation(f"{parameter} {content.strip()}")
         else:
-            raise self.wrong(f"{parameter} = {content!r} is not understood; {HELP}")
+            raise ModelError(f"{parameter} = {content!r} is not understood; {HELP}")
 
     def _interval(self, parameter: str, guess: float, around: re.Match[str]) -> tuple[float, float]:
         centre = guess if around["centre"] is None else _number(around["centre"])
@@ -167,27 +167,20 @@ class _Writer:
         if around["unit"]:
             width *= abs(centre) / 100
             if centre == 0:
-                raise self.wrong(
+                raise ModelError(
                     f"{parameter} = {around[0]!r} is relative to a guess of zero; give the guess a "
                     'value, or write "±0.1" in the unit of the parameter'
                 )
         return centre - width, centre + width
 
     def _replace(self, parameter: str, pair: Sequence[Any]) -> None:
-        if len(pair) != 2 or not all(isinstance(x, int | float) for x in pair):
-            raise self.wrong(f"{parameter} = {pair!r}, expected [lower, upper]")
-        low, high = float(pair[0]), float(pair[1])
-        if not low <= high:
-            raise self.wrong(f"{parameter}: lower bound {low:g} > upper bound {high:g}")
-        self._narrow(parameter, low, high)
-
-    def _fix(self, parameter: str, value: float) -> None:
-        self._relation(f"{parameter} = {value!r}")
+        check_pair(parameter, pair)
+        self._narrow(parameter, *map(float, pair))
 
     def _tighten(self, parameter: str, low: float, high: float) -> None:
         lower, upper = self.bounds[parameter]
         if not max(low, lower) <= min(high, upper):
-            raise self.wrong(
+            raise ModelError(
                 f"{parameter} in [{low:g}, {high:g}] contradicts its bounds [{lower:g}, {upper:g}]"
             )
         self._narrow(parameter, max(low, lower), min(high, upper))
@@ -202,10 +195,7 @@ class _Writer:
             self.bounds[parameter] = (low, high)
 
     def _relation(self, text: str) -> None:
-        try:
-            relation = parse_relation(text)
-        except ModelError as error:
-            raise self.wrong(str(error)) from error
+        relation = parse_relation(text)
         for name in relation.names:
             self._known(name)
         first, *others = relation.names

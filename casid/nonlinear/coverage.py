@@ -1,7 +1,6 @@
 """Where a nonlinear structure is backed by data: the spans of its tables and of a fit's records."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from functools import lru_cache
 from typing import Any, TypeAlias, cast
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import warn
+from casid.model import constants
 from casid.nonlinear.expressions import Nonlinear, evaluated
 from casid.nonlinear.tables import noted
 
@@ -22,13 +22,13 @@ Spans: TypeAlias = Mapping[str, tuple[float, float]]  # lowest and highest value
 
 def tabulated(model: Nonlinear) -> dict[str, tuple[float, float]]:
     """Span of the knots of each variable that tables are over; the narrowest of several tables."""
-    names, _, knots = _scheduled(cast(Any, type(model)), _constants(model))
+    names, _, knots = _scheduled(cast(Any, type(model)), constants(model))
     return {name: ends for name, ends in zip(names, knots, strict=True) if ends is not None}
 
 
 def reached(model: Nonlinear, x: Array, u: Array) -> dict[str, tuple[float, float]]:
     """Span of each scheduled variable, and of airspeed, over states (N, nx) and inputs (N, nu)."""
-    names, function, _ = _scheduled(cast(Any, type(model)), _constants(model))
+    names, function, _ = _scheduled(cast(Any, type(model)), constants(model))
     values = function(np.transpose(x), np.transpose(u), model.vector()).full()
     seen = {name: row[np.isfinite(row)] for name, row in zip(names, values, strict=True)}
     return {n: (float(row.min()), float(row.max())) for n, row in seen.items() if len(row)}
@@ -65,12 +65,6 @@ def warn_beyond(model: Nonlinear, told: str, visited: Spans, flown: Spans | None
             f"{type(model).__name__}, {told}: {'; '.join(said)}. Beyond them the structure is "
             "extrapolated: stay inside, or fly there and fit or tabulate again"
         )
-
-
-def _constants(model: Nonlinear) -> tuple[tuple[str, Any], ...]:
-    """Fields that are no parameters."""
-    own = model.infos()
-    return tuple((f.name, getattr(model, f.name)) for f in fields(model) if f.name not in own)
 
 
 @lru_cache(maxsize=64)

@@ -6,7 +6,7 @@ its reference condition; `NonlinearModel.at` linearises elsewhere.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, ClassVar, Self, cast
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.model import Model, Rows
+from casid.model import Model, Rows, constants
 from casid.nonlinear.conditions import Trim, check_named, linearisation
 from casid.nonlinear.coverage import joined, reached, warn_beyond
 from casid.nonlinear.expressions import JUMPS, evaluated, linearised, operations, reference_point
@@ -67,9 +67,7 @@ class NonlinearModel(Model, base=True):
             Methods that raise or do not give one expression a state and an output, operations that
             no estimator can differentiate, values not finite at the reference condition.
         """
-        own = self.infos()
-        rest = tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in own)
-        return _equations(cast(Any, type(self)), rest)
+        return _equations(cast(Any, type(self)), constants(self))
 
     def operating_point(self) -> tuple[Array, Array]:
         """States (nx,) and inputs (nu,) of the reference condition."""

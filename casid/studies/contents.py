@@ -27,8 +27,6 @@ def content(
     warnings: Sequence[str],
 ) -> Content:
     """All that the report of a study shows, with the digests of what it rests on."""
-    # Units by channel: as stated, as the structure has it, as its name says.
-    own, stated = getattr(study.model, "units", {}), study.channels.units
     return Content(
         title=study.title,
         model=study.model,
@@ -42,9 +40,15 @@ def content(
         timings=tuple(timings),
         warnings=tuple(dict.fromkeys(warnings)),
         repeats=again,
-        units=units_of({}) | dict(own) | {k: u for k, u in units_of(stated).items() if k in stated},
+        units=_units(study),
         png=study.png,
     )
+
+
+def _units(study: Study) -> dict[str, str]:
+    """By channel: as stated, as the structure has it, as its name says."""
+    own, stated = getattr(study.model, "units", {}), study.channels.units
+    return units_of({}) | dict(own) | {k: u for k, u in units_of(stated).items() if k in stated}
 
 
 def _data(study: Study, records: Mapping[Role, Sequence[Record]]) -> tuple[DataFile, ...]:

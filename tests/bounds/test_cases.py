@@ -65,7 +65,7 @@ def test_relations_stand_beside_bounds_or_alone():
     ("spec", "why"),
     [
         ({"z": 1}, "no parameter 'z'"), ({"a": "about 2"}, "not understood"),
-        ({"a": "> 10"}, "contradicts"), ({"a": [1, 0]}, "lower bound 1 > upper bound 0"),
+        ({"a": "> 10"}, "contradicts"), ({"a": [1, 0]}, "lower bound 1.0 > upper bound 0.0"),
         ({"a": [1]}, "expected"), ({"a": True}, "not understood"), (["a = a"], "no parameter"),
         ({"d": "±20 %"}, "guess of zero"), ([3], "no relation"),
     ],
