@@ -24,8 +24,8 @@ OF_ROW = 0.003
 ROUGH = 0.1  # of a pair's response: what the first weights take a structure to miss
 REACH = 0.35  # nepers of frequency over which misfits are alike: those of next weights are smoothed
 ROUNDS = 2  # of weights by what is left
-STEPS = 60  # of the descent a round
-SETTLED = 1e-6  # relative decrease of the cost that ends a round
+STEPS = 100  # of the descent a round
+SETTLED = 1e-7  # relative decrease of the cost that ends a round
 HELD = 1e-9  # of the width between bounds
 
 

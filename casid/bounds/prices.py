@@ -146,14 +146,12 @@ def _parameters(fit: AnyFit, case: Case) -> tuple[ParameterEstimate, ...]:
     """Rows of the parameters; a fixed value has equal bounds and the price of its tie."""
     relations = zip(_own(fit, case)[1], case.relations, strict=True)
     ties = {tie.names[0]: row for row, tie in relations if len(tie.names) == 1}
-    return tuple(_tied(row, ties[row.name]) if row.name in ties else row for row in fit.parameters)
-
-
-def _tied(row: ParameterEstimate, tie: ConstraintEstimate) -> ParameterEstimate:
-    """A parameter's row as the tie to a value has it."""
-    at, price = tie.lower, tie.multiplier
-    row = replace(row, value=at, lower=at, upper=at, active=True, multiplier=price)
-    return replace(row, std_error=np.nan)
+    rows = {row.name: row for row in fit.parameters}
+    for name, tie in ties.items():
+        fixed = dict.fromkeys(("value", "lower", "upper"), tie.lower)
+        fixed |= {"multiplier": tie.multiplier, "std_error": np.nan}
+        rows[name] = replace(rows[name], active=True, **fixed)
+    return tuple(rows.values())
 
 
 def _shares(here: tuple[Case, AnyFit], there: tuple[Case, AnyFit]) -> dict[str, float]:

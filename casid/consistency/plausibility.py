@@ -89,9 +89,11 @@ def _check_movement(records: Sequence[Record], *, total: bool) -> None:
         kind = "input" if name in records[0].inputs else "output"
         if kind == "input" and total and _differs(records, name):
             continue
+        names = ", ".join(repr(record.name) for record in records[:4])
         remedy = "add a record that excites it" if kind == "input" else "look at its sensor"
         raise ValueError(
-            f"{kind} {name!r} is constant in {_shown(records)}, so nothing can be learnt from it; "
+            f"{kind} {name!r} is constant in record{'s' * (len(records) > 1)} {names}, so nothing "
+            "can be learnt from it; "
             f"{remedy}, or take a model without it"
         )
 
@@ -100,8 +102,3 @@ def _differs(records: Sequence[Record], name: str) -> bool:
     """Whether a channel at rest in each record is elsewhere in some, by more than rounding."""
     levels = [np.nanmean(record.totals()[name]) for record in records]
     return bool(np.ptp(levels) > ROUNDING * np.max(np.abs(levels)))
-
-
-def _shown(records: Sequence[Record]) -> str:
-    names = ", ".join(repr(record.name) for record in records[:4])
-    return f"record {names}" if len(records) == 1 else f"records {names}"

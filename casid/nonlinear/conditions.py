@@ -142,7 +142,10 @@ def _methods(airframe: Nonlinear, conditions: tuple[Trim, ...]) -> dict[str, Any
             if condition.unknown:
                 f = ca.vertsplit(balances(model, *point(self, model, n, conditions)))
                 found += [
-                    Constraint(f"trim {condition.name!r}: d{name}/dt", _plain(f[i]))
+                    Constraint(
+                        f"trim {condition.name!r}: d{name}/dt",
+                        float(f[i]) if f[i].is_constant() else f[i],
+                    )
                     for i, name in _balanced(airframe, conditions, n)
                 ]
         return [*model.constraints(), *found]
@@ -157,11 +160,6 @@ def _methods(airframe: Nonlinear, conditions: tuple[Trim, ...]) -> dict[str, Any
 def _own(linear: Any, airframe: Nonlinear) -> Any:  # noqa: ANN401
     """The nonlinear structure with the values or symbols of a linear one."""
     return airframe(**{each.name: getattr(linear, each.name) for each in fields(airframe)})
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401 - SX
-    """A number where an expression is one."""
-    return float(value) if value.is_constant() else value
 
 
 def point(

@@ -63,9 +63,10 @@ def write_report(content: Content, sections: Sequence[Section], folder: str | Pa
     every = [one for each in drawings.values() for one in each]
     pictures = _pictures(every, folder / "figures", png=content.png)
     chapters = [
-        _chapter(each, content, [pictures[one.name] for one in drawings[id(each)]])
+        Chapter(name=each.name, title=each.title, body=body(each, content, own))
         for each in ordered
         if each.title
+        for own in [[pictures[one.name] for one in drawings[id(each)]]]
     ]
     text = page.render(
         content=content,
@@ -102,10 +103,6 @@ def body(section: Section, content: Content, pictures: Sequence[Picture] = ()) -
     found = environment.from_string(section.template)
     values = {"content": content, "figures": lambda: Markup(drawn)} | dict(section.values)
     return Markup(found.render(values))
-
-
-def _chapter(section: Section, content: Content, pictures: Sequence[Picture]) -> Chapter:
-    return Chapter(name=section.name, title=section.title, body=body(section, content, pictures))
 
 
 def _pictures(drawings: Sequence[Drawing], folder: Path, *, png: bool) -> dict[str, Picture]:

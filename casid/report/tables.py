@@ -237,7 +237,10 @@ def _(value: Cover) -> Cells:
 @cells.register
 def _(value: StateSpace) -> Cells:
     if value.dt is None:
-        rows = [[_pole(mode.pole), mode.words, _seen(mode.observable)] for mode in modes(value)]
+        rows = [
+            [_pole(mode.pole), mode.words, "yes" if mode.observable else "no"]
+            for mode in modes(value)
+        ]
         return ("eigenvalue [1/s]", "mode", "seen"), rows
     return ("eigenvalue [-]",), [[_pole(pole)] for pole in value.poles() if pole.imag >= 0]
 
@@ -339,10 +342,6 @@ def _powers(coefficients: Array) -> list[tuple[int, float]]:
 
 def _short(value: float) -> str:
     return number(float(value))
-
-
-def _seen(observable: bool) -> str:
-    return "yes" if observable else "no"
 
 
 def _pole(pole: complex) -> str:

@@ -127,7 +127,11 @@ class Reduced:
         begin, place = time.perf_counter(), self._settled(x)
         damping, rise = 0.0, 2.0
         for iteration in range(self.options.max_iterations):
-            free = None if place is None else self._undamped(place)
+            free = (
+                None
+                if place is None
+                else self._step(place, place.newton if place.floor == 0 else place.gauss, 0.0)
+            )
             if place is None or free is None:
                 return None
             seconds = self._tell(iteration, place, begin)
@@ -137,7 +141,9 @@ class Reduced:
             if late or damping > MOST or iteration == self.options.max_iterations - 1:
                 status = "solved" if free.gain < STATED else self._why(late, damping)
                 return self._solution(place, free, iteration, seconds, status)
-            taken = free if damping + place.floor == 0 else self._damped(place, damping)
+            taken = free
+            if damping + place.floor > 0:
+                taken = self._step(place, place.newton, max(damping, place.floor))
             trial = None if taken is None else self._settled(taken.x)
             share = -1.0
             if taken is not None and trial is not None and taken.gain > 0:
@@ -202,13 +208,6 @@ class Reduced:
         lower, upper = self.programme.limits()[0]
         low, high = lam - lower < TOUCHES, upper - lam < TOUCHES
         return np.asarray((low & (gradient > 0)) | (high & (gradient < 0)))
-
-    def _undamped(self, place: _Place) -> _Step | None:
-        """Newton's step if its model is convex, or Gauss-Newton's."""
-        return self._step(place, place.newton if place.floor == 0 else place.gauss, 0.0)
-
-    def _damped(self, place: _Place, damping: float) -> _Step | None:
-        return self._step(place, place.newton, max(damping, place.floor))
 
     def _step(self, place: _Place, model: _Model, damping: float) -> _Step | None:
         """The best step of a model, damped by a multiple of the parameters' information."""

@@ -84,7 +84,7 @@ def _residual(
     if not np.isfinite(R).all():
         raise np.linalg.LinAlgError("a pole on a line")
     W = np.sqrt(weight * lines.seen)[:, :, None]
-    Z = np.hstack([_applied(R, S @ drive[:, nx:].T), S])
+    Z = np.hstack([(R @ (S @ drive[:, nx:].T)[:, :, None])[:, :, 0], S])
     begun = R * (lines.z / np.sqrt(lines.record.N))[:, None, None]
     E, T = (lines.Y - Z @ direct.T) * lines.seen, W * (C @ begun)
     d, root = _transient(T, W[:, :, 0] * E)
@@ -104,10 +104,6 @@ def _held(lines: Lines, m: Matrices) -> DelayedInput:
         moves &= ~m.blocks[3].any(axis=0)  # outputs jump there
     within = np.where(moves, np.maximum(m.tau, LATE * record.dt), m.tau)
     return delayed_input(record.t, record.u, m.tau, record.hold, within)
-
-
-def _applied(R: ComplexArray, vectors: ComplexArray) -> ComplexArray:
-    return np.asarray((R @ vectors[:, :, None])[:, :, 0])
 
 
 def _gram(left: ComplexArray, right: ComplexArray) -> Array:

@@ -182,7 +182,8 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
     for role in sorted(raw, key=lambda role: study.roles[role].detrend in ROLES):
         how: Any = study.roles[role].detrend
         if how in ROLES:
-            how = _common_trim(done[how])
+            names = (*done[how][0].inputs, *done[how][0].outputs)
+            how = {name: float(np.mean([r.trim[name] for r in done[how]])) for name in names}
         elif how == "none":
             how = None
         done[role] = tuple(record.detrend(how) for record in raw[role])
@@ -255,8 +256,3 @@ def _noisy(study: Study, record: Record) -> Record:
         part = {name: value for name, value in std.items() if name in names}
         y.append(record.select(outputs=names).with_noise(part, rng).y)
     return replace(record, y=np.hstack(y))
-
-
-def _common_trim(records: Sequence[Record]) -> dict[str, float]:
-    names = (*records[0].inputs, *records[0].outputs)
-    return {name: float(np.mean([r.trim[name] for r in records])) for name in names}

@@ -37,6 +37,11 @@ class Modal:
         """Which modes are real."""
         return np.asarray(self.lam.imag == 0)
 
+    @property
+    def order(self) -> int:
+        """Number of states: two of every complex pair."""
+        return len(self.lam) + int((~self.real).sum())
+
     def place(self, columns: int) -> tuple[np.ndarray, np.ndarray]:
         """Positions of real and imaginary parts of ``columns`` numbers a mode, (nm, columns)."""
         nm, nc = len(self.lam), int((~self.real).sum())
@@ -117,7 +122,7 @@ def mixing(modal: Modal) -> Array:
 def output_derivative(basis: S, modal: Modal, o: int, free: np.ndarray) -> tuple[S, np.ndarray]:
     """Derivatives of output o by the transient and the parameters it depends on, and which."""
     ny, nu = modal.D.shape
-    n = len(modal.lam) + int((~modal.real).sum())
+    n = modal.order
     B, C = 2 * n, 2 * n + n * nu
     direct = np.flatnonzero(free[:, 0] == o)
     J = [
@@ -139,7 +144,7 @@ def tangents(
     The transient is eliminated from both; the basis (2 K ny, n) of what it does comes last.
     """
     ny, nu = modal.D.shape
-    n = len(modal.lam) + int((~modal.real).sum())
+    n = modal.order
     J = np.zeros((ny, 2 * len(w), 2 * n + n * nu + ny * n + len(free)))
     for o, rows in enumerate(J):
         own, where = output_derivative(basis, modal, o, free)
@@ -164,7 +169,7 @@ def stacked(rows: Array | ComplexArray) -> Array:
 def moved(modal: Modal, step: Array, free: np.ndarray) -> Modal:
     """The model a step further; a complex pair stays one, a real mode stays real."""
     ny, nu = modal.D.shape
-    n = len(modal.lam) + int((~modal.real).sum())
+    n = modal.order
     dlam = to_complex(modal, step[:n], 1)[:, 0]
     dB = to_complex(modal, step[n : n + n * nu], nu)
     start = n + n * nu

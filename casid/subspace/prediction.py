@@ -222,12 +222,6 @@ def _states(
     return forced + decay * modes.to_complex(modal, x0, 1)[:, 0], decay, e - seen
 
 
-def _size(modal: modes.Modal) -> int:
-    """Number of signals derivatives are made of."""
-    n, nv = len(modal.lam) + int((~modal.real).sum()), int(modal.D.shape[1])
-    return n * (3 + nv) + nv
-
-
 def prediction_errors(modal: modes.Modal, data: Sequence[Stretch], W: Array) -> list[Array]:
     """Weighted errors (N, ny) of every stretch with its best initial state and constant."""
     return [_states(modal, each, W)[2] for each in data]
@@ -266,9 +260,9 @@ def normal_equations(
     entries of D.
     """
     ny, nv = modal.D.shape
-    n = len(modal.lam) + int((~modal.real).sum())
+    n = modal.order
     size = n + n * nv + ny * n + len(free)
-    q = _size(modal)
+    q = n * (3 + nv) + nv  # signals that derivatives are made of
     T = np.zeros((ny, q, n + size))
     for o in range(ny):
         J, where = modes.output_derivative(np.eye(q, dtype=complex), modal, o, free)

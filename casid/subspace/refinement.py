@@ -286,7 +286,7 @@ def normal_equations(
     # Parameters are λ, B, C by mode (real parts, then imaginary ones) and the free entries of D.
     # All derivatives of an output are sums of signals that all outputs share, in a small number
     # that its row of C gives: these sums are taken of the Gram matrices, not of the signals.
-    n = len(modal.lam) + int((~modal.real).sum())
+    n = modal.order
     ny, nu = modal.D.shape
     size = n + n * nu + ny * n + len(free)
     grams, heads = _shared_grams(
@@ -322,7 +322,7 @@ def _shared_grams(
     Their sums over all spectra (ny, m, m), and the rows of each spectrum's transient
     (spectra, ny, n, m).
     """
-    n, ny = len(modal.lam) + int((~modal.real).sum()), len(modal.C)
+    n, ny = modal.order, len(modal.C)
     m = n * (len(modal.B.T) + 3) + len(modal.B.T) + 1
     grams, heads = np.zeros((ny, m, m)), np.empty((len(data), ny, n, m))
     for spectrum, w, head, (f, E, delta, _) in zip(data, weights, heads, parts, strict=True):
@@ -385,7 +385,7 @@ def response_derivative(
 ) -> tuple[ComplexArray, ComplexArray]:
     """G (K, ny, nu) of scaled channels and its slopes; ``lines`` transforms what inputs do."""
     ny, nu = modal.D.shape
-    n = len(modal.lam) + int((~modal.real).sum())
+    n = modal.order
     size = n + n * nu + ny * n + len(free)
     G = np.empty((K, ny, nu), dtype=complex)
     dG = np.zeros((K, ny, nu, size), dtype=complex)
