@@ -148,7 +148,7 @@ def _parameters(fit: AnyFit, case: Case) -> tuple[ParameterEstimate, ...]:
     ties = {tie.names[0]: row for row, tie in relations if len(tie.names) == 1}
     rows = {row.name: row for row in fit.parameters}
     for name, tie in ties.items():
-        fixed = dict.fromkeys(("value", "lower", "upper"), tie.lower)
+        fixed: Any = dict.fromkeys(("value", "lower", "upper"), tie.lower)
         fixed |= {"multiplier": tie.multiplier, "std_error": np.nan}
         rows[name] = replace(rows[name], active=True, **fixed)
     return tuple(rows.values())

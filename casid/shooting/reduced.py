@@ -141,7 +141,7 @@ class Reduced:
             if late or damping > MOST or iteration == self.options.max_iterations - 1:
                 status = "solved" if free.gain < STATED else self._why(late, damping)
                 return self._solution(place, free, iteration, seconds, status)
-            taken = free
+            taken: _Step | None = free
             if damping + place.floor > 0:
                 taken = self._step(place, place.newton, max(damping, place.floor))
             trial = None if taken is None else self._settled(taken.x)
