@@ -152,10 +152,8 @@ def reduce_structure(
         An unknown parameter, an estimator without standard errors; no fit of the whole structure.
     """
     replay = rule.replay
-    check_known(
-        f"{type(model).__name__} has no parameter",
-        (*rule.protect, *(replay or {})), model.parameter_names(), ModelError,
-    )  # fmt: skip
+    named, said = (*rule.protect, *(replay or {})), f"{type(model).__name__} has no parameter"
+    check_known(said, named, model.parameter_names(), ModelError)
     many = Fits(model, data, estimator, fixed, bounds, execution)
 
     def fits(holds: Sequence[Mapping[str, float]], near: Model | AnyFit | None) -> list[Done]:
