@@ -6,8 +6,8 @@ and sines of the phases φ, so that
     minimise s   subject to   -s ≤ Σ_k a_ik cos φ_k + b_ik sin φ_k ≤ s
 
 is a programme with exact derivatives, not convex, which IPOPT takes from Schroeder's phases. Of all
-samples only those count at which a signal is large; phases move a little, then these are gathered
-anew (exchange: R. Hettich, K. O. Kortanek, SIAM Review 35, 1993).
+samples only those count at which a signal is large, and of their two sides that one; phases move a
+little, then these are gathered anew (exchange: R. Hettich, K. O. Kortanek, SIAM Review 35, 1993).
 """
 
 from collections.abc import Sequence
@@ -20,6 +20,7 @@ from casid.design.optimise import Task
 from casid.nlp import Problem, SolverOptions, solve
 
 NEAR = 0.5  # share of the largest share from which a local extreme counts
+MOST = 200  # extremes that count, the largest: the time of a programme grows with their square
 EXCHANGES = 5
 REACH = 0.4  # how far phases move in between [rad]
 OPTIONS = SolverOptions(tolerance=1e-4, max_iterations=60)
@@ -61,14 +62,19 @@ def least_peak(task: Task, waves: Sequence[Array], phases: Array) -> Array:
 
 
 def _solved(a: Array, b: Array, phases: Array) -> Array:
-    """Phases of the least |a cos φ + b sin φ| at the places (m,) that count, (m, n) each."""
+    """Phases of the least |a cos φ + b sin φ| where it is largest, of the places (m,), (m, n) each.
+
+    What is small at these phases does not count.
+    """
+    now = a @ np.cos(phases) + b @ np.sin(phases)
+    top, most = float(np.abs(now).max()), np.argsort(-np.abs(now))[:MOST]
+    a, b = (np.sign(now[most])[:, None] * each[most] for each in (a, b))
     m, n = a.shape
     x = ca.MX.sym("x", n + 1)
     share = ca.mtimes(ca.DM(a), ca.cos(x[:n])) + ca.mtimes(ca.DM(b), ca.sin(x[:n]))
-    top = float(np.abs(a @ np.cos(phases) + b @ np.sin(phases)).max())
     problem = Problem(
-        x=x, f=x[n], g=ca.vertcat(share - x[n], -share - x[n]), x0=np.append(phases, 1.01 * top),
+        x=x, f=x[n], g=share - x[n], x0=np.append(phases, 1.01 * top),
         lower_x=np.append(phases - REACH, 0.0), upper_x=np.append(phases + REACH, np.inf),
-        lower_g=np.full(2 * m, -np.inf), upper_g=np.zeros(2 * m),
+        lower_g=np.full(m, -np.inf), upper_g=np.zeros(m),
     )  # fmt: skip
     return solve(problem, OPTIONS, stage="phases").x[:n]

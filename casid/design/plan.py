@@ -68,9 +68,10 @@ class DesignSettings:
     method : {"best", "steps", "multisine"}
         What is optimised: multi-step sequences on all axes at once, orthogonal multisines, or both,
         of which the better is taken.
-    criterion : {"A", "D", "E"}
-        What is to be small: the mean square, the geometric mean (of the determinant) or the largest
-        of the standard errors over those of a single 3-2-1-1 an axis.
+    criterion : {"A", "D", "E", "MV"}
+        What is to be small of the standard errors over those of a single 3-2-1-1 an axis: the mean
+        square, the geometric mean (of the determinant), the largest of any combination of
+        parameters, the largest of a parameter.
     matter : tuple of str
         Parameters that count, in what is told of the design, too; all free ones unless given.
     fixed : tuple of str or None

@@ -28,9 +28,11 @@ def test_determinant_trace_and_largest_eigenvalue():
     assert Goal("A", ROWS, S, NONE)(F)[0] == pytest.approx(0.5 * np.log(values.mean()))
     mean = np.mean(values**8) ** (1 / 8)
     assert Goal("E", ROWS, S, NONE)(F)[0] == pytest.approx(0.5 * np.log(mean))
+    own = np.mean(np.diag(scaled()) ** 4) ** (1 / 4)
+    assert Goal("MV", ROWS, S, NONE)(F)[0] == pytest.approx(0.5 * np.log(own))
 
 
-@pytest.mark.parametrize("criterion", ["D", "A", "E"])
+@pytest.mark.parametrize("criterion", ["D", "A", "E", "MV"])
 def test_slopes_are_differences_and_known_information_counts(criterion):
     goal = Goal(criterion, ROWS, S, 0.3 * F)
     way = rng.standard_normal((4, 4))
