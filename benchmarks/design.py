@@ -8,16 +8,17 @@ its own initial states and biases. The designs last 64 s, the sticks within the 
 those records and, where responses are limited, every output and velocity within 1.5 times its
 largest there, as far as the models drawn from the prior say. Nor are sticks faster than the edges
 of those records, from end to end within a sample. Each case is kept in FILE when it is done; the
-seconds are processor time. A number behind `free`, `limited`, `narrow` and `flown` is the seed of
-the square wave that the optimisation starts from, 0 without.
+seconds are processor time. A number behind `free`, `limited`, `equal`, `narrow` and `flown` is the
+seed of the square wave that the optimisation starts from, 0 without.
 
-`limited` has the usual margin, for 20 %, `narrow` one for 10 %. A `wrong prior` has every
-derivative wrong by 30 %, up or down at random; the design is judged by the truth. `margin` is
+`limited` has the usual margin, for 20 %, `narrow` one for 10 %; `equal` is `limited` as long as the
+four 3-2-1-1 together and with the criterion that weighs the largest error (MV). A `wrong prior` has
+every derivative wrong by 30 %, up or down; the design is judged by the truth. `margin` is
 designed for the same priors with a margin for these 30 %, `ensemble` for four models besides,
 each 30 % away from it. `identified` has as prior what output error makes of the example's four
 3-2-1-1 in the loop, with noise. `quarter` is held against the four 3-2-1-1 and the four sweeps
 together and lasts a quarter of their time. `both` has steps and multisine, of which the better is
-taken. All but `free`, `limited`, `narrow` and `quarter` are designed with the loop of the
+taken. All but `free`, `limited`, `equal`, `narrow` and `quarter` are designed with the loop of the
 example's closed-loop records and flown in the nonlinear simulation of JSBSim (`ah1s.py`): peaks
 and sticks are those of that simulation, the share of the sticks' power from outside is the lower
 bound of the certificate of excitation.
@@ -52,12 +53,13 @@ DT, LENGTH, TIMES, FINE = 0.04, 64.0, 1.5, 0.01
 # Of the example's records, u = r - K y: fractions of travel per rad/s and rad.
 FEEDBACK = {"lat": {"p": 0.2, "phi": 0.4}, "lon": {"q": -0.4, "theta": -0.5}, "ped": {"r": -0.3}}
 CASES = (
-    *(f"{case} {seed}".removesuffix(" 0") for case in ("free", "limited", "narrow", "flown")
+    *(f"{case} {seed}".removesuffix(" 0")
+      for case in ("free", "limited", "equal", "narrow", "flown")
       for seed in range(5 if case in ("narrow", "flown") else 3)),
     "quarter", "both", "identified",
     *(f"{case} {k}" for case in ("wrong prior", "margin", "ensemble") for k in range(1, 4)),
 )  # fmt: skip
-LINEAR = ("free", "limited", "narrow", "quarter")  # cases that are not flown in JSBSim
+LINEAR = ("free", "limited", "equal", "narrow", "quarter")  # cases that are not flown in JSBSim
 SPREADS = {"narrow": 0.1, "margin": 0.3, "ensemble": 0.3}  # margins; of the others the usual one
 WANTED = {"free": (0.27, 0.34), "quarter": (1.0, np.inf)}  # of the others 0.4 and 0.6
 WRONG = ("wrong prior", "margin", "ensemble")
@@ -151,11 +153,14 @@ def run(case):
         sweeps = flown("sweep_{}")
         bought = errors_of(model, [*four, *sweeps])
         length = sum(r.duration for r in (*four, *sweeps)) / 4
+    if case.startswith("equal"):
+        length = sum(r.duration for r in four)
     kind, _, number = case.rpartition(" ")
     feedback = {} if case.startswith(LINEAR) else FEEDBACK
     believed, ensemble = prior(case, model)
     settings = DesignSettings(
         method="best" if case == "both" else "steps", dt=DT,
+        criterion="MV" if case.startswith("equal") else "A",
         seed=int(number) if kind and kind not in WRONG else 0, spread=SPREADS.get(kind or case),
     )  # fmt: skip
     begin = time.process_time()
