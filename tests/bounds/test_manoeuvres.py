@@ -7,7 +7,7 @@ from truths.mixture import Inline
 from truths.structures import HoverRoll
 
 from casid import Execution, OutputError, Scalar, compare_structures, parameter
-from casid.bounds.manoeuvres import StructureComparison, Without
+from casid.bounds.manoeuvres import StructureComparison, Without, _parts
 
 RECORDS = campaign(1)
 HERE = Execution(executor=Inline())
@@ -95,3 +95,15 @@ def test_comparisons_that_make_no_sense_are_refused():
         compare_structures({"a": TRUTH, "b": HoverRoll()}, RECORDS)
     with pytest.raises(ValueError, match="no estimator for 'a'"):
         compare_structures({"a": TRUTH}, RECORDS, estimator={"b": OutputError()})
+
+
+def test_manoeuvres_are_left_out_one_by_one_or_in_two_groups_or_more():
+    names = [record.name for record in RECORDS]
+    alone = [(i,) for i in range(len(RECORDS))]
+    assert _parts(None, RECORDS) == alone
+    assert _parts([names[:2], names[2:]], RECORDS) == [(0, 1), tuple(range(2, len(names)))]
+    for groups in ([names[:2]], [names[:2], []], [names[:2], names]):
+        with pytest.raises(ValueError, match="expected two or more, none of them empty or of all"):
+            _parts(groups, RECORDS)
+    with pytest.raises(ValueError, match="no manoeuvre is called 'x'"):
+        _parts([names[:2], ["x"]], RECORDS)

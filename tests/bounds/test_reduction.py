@@ -1,5 +1,7 @@
 """Reducing structures that have a parameter too many."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from truths.mixture import Inline, Mixture, record
@@ -16,8 +18,10 @@ from casid import (
     ReductionRule,
     SolverOptions,
     StateSpace,
+    output_error,
     reduce_structure,
 )
+from casid.bounds.reduction import figures
 
 IDLE = Mixture(a=1.0, b=0.6, d=0.0)  # the truth has no direct term
 DATA = [record(3, IDLE)]
@@ -37,6 +41,14 @@ def test_a_parameter_the_data_do_not_need_is_dropped_and_no_other():
         assert row.std_error < found.full[name].std_error
     assert "d" in found.to_markdown()
     assert found.to_csv().splitlines()[1].startswith("d,0,")
+
+
+@pytest.mark.parametrize("value", [0.5, 100.0, -100.0])
+def test_figures_are_per_cent_of_a_value_and_without_end_where_that_is_zero(value):
+    fit = output_error(Mixture(), DATA)
+    row = replace(fit["d"], value=value, std_error=0.2, cramer_rao=0.1, insensitivity=0.3)
+    assert figures(fit, row) == pytest.approx((30 / abs(value), 40 / abs(value)))
+    assert figures(fit, replace(row, value=0.0)) == (np.inf, np.inf)
 
 
 def test_a_step_that_costs_too_much_is_rejected_and_told():

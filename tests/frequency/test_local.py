@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import scipy
 from truths import uh60
 from truths.systems import LAG, TWO, white
 
@@ -54,6 +55,20 @@ def test_the_random_error_is_the_scatter_over_realisations_at_a_resonance_too():
     # Complex errors of 60 runs, three outputs, two inputs: known to 1/√720; the fit is nonlinear.
     power = np.mean(np.abs(scores) ** 2, axis=(0, 2, 3)) / 2
     np.testing.assert_allclose(power, 1.0, atol=0.2)
+
+
+def test_a_held_input_is_the_steps_that_it_is():
+    rng, dt, omega = np.random.default_rng(6), 0.2, np.array([0.5, 2.0, 6.0])
+    u = rng.standard_normal((1000, 1))
+    record = Record(dt * np.arange(1000), u, LAG.simulate(dt * np.arange(1000), u, hold="zoh"),
+                    LAG.inputs, LAG.outputs, "held", "zoh")  # fmt: skip
+    G = local_response([record], omega).G[:, 0, 0]
+    # The samples answer by the pulse transfer function, by SciPy, to samples of the input; steps
+    # have the spectrum of these times that of one.
+    z = np.exp(1j * omega * dt)
+    A, B, C, D, _ = scipy.signal.cont2discrete((LAG.A, LAG.B, LAG.C, LAG.D), dt, "zoh")
+    pulse = [(C @ np.linalg.solve(at * np.eye(1) - A, B) + D).item() for at in z]
+    np.testing.assert_allclose(G, pulse / ((1 - 1 / z) / (1j * omega * dt)), rtol=1e-3)
 
 
 def test_errors_of_outputs_and_inputs_correlate_as_noise_and_inputs_do():

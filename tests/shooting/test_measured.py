@@ -86,6 +86,8 @@ def test_what_is_no_response_of_the_structure_is_refused():
         output_error(TRUTH, RECORDS, responses=TRUTH.system())
     with pytest.raises(ValueError, match="no pair of"):
         output_error(TRUTH, RECORDS, responses=replace(measured(), outputs=("a", "b", "c")))
+    with pytest.raises(ValueError, match="no pair of"):
+        output_error(TRUTH, RECORDS, responses=replace(measured(), inputs=("a", "b")))
 
 
 def test_responses_that_are_worse_than_stated_widen_the_errors():
