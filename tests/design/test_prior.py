@@ -76,3 +76,13 @@ def test_the_nearest_balance_is_on_the_line_of_least_moves():
     held = nearest_trim(model, Trim(values={"theta": 0.4, "lon": 0.3}), held=("theta",)).values
     assert held["theta"] == 0.4
     assert held["lon"] == pytest.approx(0.8 * np.tan(0.4))
+
+
+def test_distances_from_a_balance_are_shares_of_values_above_one():
+    model, given = Swing(M=4.0, Mlon=5.0), np.array([1.1, 2.0])
+    found = nearest_trim(model, Trim(values={"theta": given[0], "lon": given[1]})).values
+    theta = np.linspace(1.0, 1.4, 40_001)
+    line = np.array([theta, 0.8 * np.tan(theta)])  # the balances
+    away = np.linalg.norm((line.T - given) / np.maximum(given, 1.0), axis=1)
+    # each step is the shortest to where the slope has the balance: off in second order
+    assert found["theta"] == pytest.approx(theta[np.argmin(away)], abs=0.003)
