@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from casid import StateSpace, cover
-from casid.cover import _resonances
+from casid.cover import _peaks, _resonances
 
 
 def ensemble(rng, spread=0.1, count=20):
@@ -120,3 +120,10 @@ def test_errors_are_looked_at_beside_lightly_damped_roots_within_the_band():
     at = _resonances(roots, 0.5, 20.0)
     assert (at.min(), at.max()) == pytest.approx((1.92, 2.08))
     assert np.abs(at - 2.0).min() < 1e-12
+
+
+def test_a_flat_top_is_looked_at_over_all_its_length():
+    omega = np.array([1.0, 2.0, 4.0, 5.0, 7.0])
+    at = _peaks(omega, np.array([0.5, 0.9, 0.9, 0.5, 0.4]))
+    assert (at.min(), at.max()) == (1.0, 5.0)
+    assert np.diff(np.unique(at)).max() <= 0.15 * (1 + 1e-9)  # a twentieth of 3 rad/s

@@ -1,6 +1,7 @@
 """The condensed problem's derivatives against differences, and what a descent promises."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from truths.structures import SECOND, TRUTH, HoverRoll, Lag
 
 from casid import Constraint, ModelError, Rows, Scalar, parameter
 from casid.free import free_parameters
-from casid.matching.descent import Condensed, check_effects, descend
+from casid.matching.descent import Condensed, _step, check_effects, descend
 from casid.matching.mismatch import DB, DEG, PHASE
 from casid.matching.targets import compare
 
@@ -92,3 +93,23 @@ def test_a_parameter_without_effect_is_named():
     problem = Condensed.of(free_parameters(Idle()), compare(Idle(), [SECOND]))
     with pytest.raises(ModelError, match="nothing has no effect on any weighted response"):
         check_effects(problem)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_step_stops_at_bounds_and_is_the_least_squares_one_of_what_is_left(seed):
+    rng = np.random.default_rng(seed)
+    J, r = np.eye(6, 4) + 0.2 * rng.standard_normal((6, 4)), rng.standard_normal(6)
+    x, damping = np.array([0.0, 1.0, 0.2, -0.4]), 0.1
+    limits = np.array([0.0, 0.8, 0.0, -0.5]), np.array([0.3, 1.0, 0.3, -0.3])
+    step = _step(SimpleNamespace(limits=limits), x, J.T @ J, J.T @ r, damping)
+    low, high = limits[0] - x, limits[1] - x
+    assert (step >= low).all()
+    assert (step <= high).all()
+    held = (step == low) | (step == high)
+    root = np.diag(np.sqrt(damping * np.sum(J**2, axis=0)))
+    rows, right = np.vstack([J, root]), np.concatenate([-r, np.zeros(4)])
+    alone = np.linalg.lstsq(rows[:, ~held], right - rows[:, held] @ step[held])[0]
+    np.testing.assert_allclose(step[~held], alone, atol=1e-12)
+    # as far as the gradient leads there at once, those on a bound are
+    out = ((x == limits[0]) & (J.T @ r > 0)) | ((x == limits[1]) & (J.T @ r < 0))
+    assert held[out].all()

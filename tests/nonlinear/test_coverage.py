@@ -151,3 +151,8 @@ def test_a_span_may_be_left_by_a_share_of_its_size():
     assert not leaves((54.5, 57.0), (54.7, 54.9))
     assert leaves((50.0, 54.8), (54.7, 54.9))
     assert leaves((54.8, 58.0), (54.7, 54.9))
+
+
+def test_a_span_may_be_left_by_a_tenth_of_what_is_covered():
+    assert not leaves((-10.0, 109.0), (0.0, 100.0))
+    assert leaves((0.0, 111.0), (0.0, 100.0))

@@ -71,6 +71,12 @@ def test_what_is_wrong_with_an_equation_is_told(formula, told):
         broken(formula).equations()
 
 
+def test_a_condition_in_which_an_equation_has_no_value_is_told_whole():
+    sound_at_one = broken(lambda m, x, u: m.a * ca.sqrt(x.v), reference=lambda m: {"v": 1.0})
+    with pytest.raises(ModelError, match=r"d/dt of 'v' is nan at v = -1, lon = 0\.5; check its"):
+        sound_at_one.at({"v": -1.0, "lon": 0.5})
+
+
 def test_too_few_expressions_are_told():
     wrong = type("Wrong", (Bad,), {"derivatives": lambda m, x, u: [], "__module__": __name__})()
     with pytest.raises(ModelError, match="derivatives: it has 0 expressions, expected 1: v"):

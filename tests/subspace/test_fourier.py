@@ -31,6 +31,12 @@ def test_a_stretch_too_short_for_a_line_is_left_out():
     ]
 
 
+def test_a_record_of_twice_a_fast_length_is_halved():
+    t, none = 0.01 * np.arange(2 * 11_664 + 1), np.zeros((2 * 11_664 + 1, 1))  # 2⁴ 3⁶
+    pieces = parts(Record(t, none, none, ("lat",), ("p",)), 1.0)
+    assert [each.N - 1 for each in pieces] == [11_664, 11_664]
+
+
 @pytest.mark.parametrize("samples", [27_198, 49_999, 200_003])
 def test_pieces_meet_at_one_sample_and_have_lengths_without_large_primes(samples):
     t, none = 0.01 * np.arange(samples), np.zeros((samples, 1))
