@@ -10,13 +10,12 @@ those of the cost with the transients eliminated.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
-from casid.assembly import NumPyFunction
+from casid.assembly import evaluated
 from casid.nlp import Problem, Solution, SolverOptions, solve
 from casid.shooting.lines import Lines
 from casid.shooting.spectral import Residual, SpectralResiduals
@@ -65,7 +64,6 @@ class SpectralProgramme:
         ]
         self.n = measurements(lines)
         self._last: tuple[bytes, State | None] = b"", None
-        self._functions: list[ca.Function] = []
 
     def state(self, x: Array) -> State | None:
         """The likelihood at scaled parameters; None where the model has a pole on a line."""
@@ -106,49 +104,34 @@ class SpectralProgramme:
         free, s = self.residuals.free, self.scales
         ties, n = free.model.constraints(), len(start)
         limits = np.array([(tie.lower, tie.upper) for tie in ties]).reshape(-1, 2)
-        f, g, functions, hessian = self._evaluated(n, len(ties))
-        symbol = ca.MX.sym("x", n)
-        return Problem(
-            x=symbol, f=f(symbol), g=g(symbol) if ties else ca.MX(0, 1), x0=start,
-            lower_x=free.lower[free.index] / s, upper_x=free.upper[free.index] / s,
-            lower_g=limits[:, 0], upper_g=limits[:, 1], hessian=hessian, functions=functions,
-        )  # fmt: skip
+        x = start, free.lower[free.index] / s, free.upper[free.index] / s
+        J, H = ca.Sparsity.dense(len(ties), n), ca.Sparsity.upper(n)
+        return evaluated(self, x, (limits[:, 0], limits[:, 1]), J, H)
 
-    def _evaluated(
-        self, n: int, m: int
-    ) -> tuple[ca.Function, ca.Function, dict[str, ca.Function], ca.Function]:
-        """Cost, constraints, their first derivatives and the Hessian."""
-        x, p, one, g = (ca.Sparsity.dense(k, 1) if k else ca.Sparsity(0, 0) for k in (n, 0, 1, m))
-        J, H = ca.Sparsity.dense(m, n), ca.Sparsity.upper(n)
-        s, matrices, above = self.scales, self.residuals.matrices, np.tril_indices(n)
+    def cost(self, x: Array) -> float:
+        """The cost per measurement, NaN where the model has a pole on a line."""
+        state = self.state(x)
+        return np.nan if state is None else state.cost / self.n
 
-        def cost(x: Array) -> list[Any]:
-            state = self.state(x)
-            return [np.nan if state is None else state.cost / self.n]
+    def gradient(self, x: Array) -> Array:
+        """Its gradient."""
+        state = self.state(x)
+        return np.full(len(x), np.nan) if state is None else state.g * self.scales / self.n
 
-        def gradient(x: Array, _: Array) -> list[Any]:
-            state = self.state(x)
-            slope = np.full(n, np.nan) if state is None else state.g * s / self.n
-            return [*cost(x), slope]
+    def constraints(self, x: Array) -> Array:
+        """Values of the structure's constraints."""
+        return self.residuals.matrices(x * self.scales).c
 
-        def constraints(x: Array) -> list[Any]:
-            return [matrices(x * s).c]
+    def jacobian(self, x: Array) -> Array:
+        """Their derivatives, column by column."""
+        slopes = self.residuals.matrices(x * self.scales).dc
+        return np.asarray((slopes * self.scales[:, None]).ravel())
 
-        def jacobian(x: Array, _: Array) -> list[Any]:
-            return [matrices(x * s).c, (matrices(x * s).dc * s[:, None]).ravel()]
-
-        def curvature(x: Array, _: Array, f: Array, __: Array) -> list[Any]:
-            state = self.state(x)
-            F = np.full((n, n), np.nan) if state is None else state.F * np.outer(s, s) / self.n
-            return [float(f[0]) * F[above]]  # symmetric: the upper triangle by columns
-
-        f_of = NumPyFunction("f", [x], [one], cost)
-        g_of = NumPyFunction("g", [x], [g], constraints)
-        grad = NumPyFunction("nlp_grad_f", [x, p], [one, x], gradient)
-        jac = NumPyFunction("nlp_jac_g", [x, p], [g, J], jacobian)
-        hess = NumPyFunction("nlp_hess_l", [x, p, one, g], [H], curvature)
-        self._functions = [f_of, g_of, grad, jac, hess]  # CasADi does not keep them alive
-        return f_of, g_of, {"nlp_grad_f": grad, "nlp_jac_g": jac}, hess
+    def hessian(self, x: Array, f: float, mu: Array) -> Array:  # noqa: ARG002 - as `Calls` has it
+        """Upper triangle, by columns, of Gauss-Newton's Hessian of f times the cost."""
+        state, s = self.state(x), self.scales
+        F = np.full((len(x),) * 2, np.nan) if state is None else state.F * np.outer(s, s) / self.n
+        return np.asarray(f * F[np.tril_indices(len(x))])
 
     def balanced(self, lam: Array) -> "SpectralProgramme":
         """The same in scales that make the curvature at free values (nf,) per observation one.

@@ -13,14 +13,14 @@ NumPy on the blocks of all intervals.
 """
 
 from dataclasses import replace
-from typing import Any
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 import scipy
 
 from casid.arrays import Array
-from casid.assembly import NumPyFunction, Pattern, grid, stack
+from casid.assembly import Pattern, evaluated, grid, stack
 from casid.nlp import Problem, Solution
 from casid.shooting.curvature import Curvature, curvature
 from casid.shooting.hamiltonian import hamiltonian
@@ -35,8 +35,7 @@ LEAP = 10.0  # times the step into the neighbourhood: too long for one within
 class Newton:
     """Cost, constraints and derivatives of a programme for IPOPT; auxiliary variables come last.
 
-    It must outlive the problems made by it. ``close`` says that the start is as near the solution
-    as Newton's steps need.
+    ``close`` says that the start is as near the solution as Newton's steps need.
     """
 
     def __init__(self, programme: Programme, *, close: bool = False) -> None:
@@ -44,55 +43,44 @@ class Newton:
         self._descent = _Descent(programme.n, close)
         noise, e = programme.noise, programme.evaluator
         self.auxiliary = e.ny if noise.concentrated and e.curved else 0
-        self._functions: list[ca.Function] = []
 
     def problem(self, start: Array) -> Problem:
         """The problem for `casid.nlp.solve`, from the programme's scaled variables."""
-        own, m = self.programme.size, self.programme.jacobian_pattern.rows
-        n = own + self.auxiliary
-        f, g, functions, hessian = self._evaluated(n, m)
-        symbol = ca.MX.sym("x", n)
+        more, pattern = self.auxiliary, self.programme.jacobian_pattern
         (lower, upper), (lower_c, upper_c) = self.programme.limits()
-        nowhere, closed = np.full(n - len(lower), np.inf), np.zeros(m - len(lower_c))
-        return Problem(
-            x=symbol, f=f(symbol), g=g(symbol) if m else ca.MX(0, 1),
-            x0=np.concatenate([start, np.zeros(self.auxiliary)]),
-            lower_x=np.concatenate([lower, -nowhere]), upper_x=np.concatenate([upper, nowhere]),
-            lower_g=np.concatenate([closed, lower_c]), upper_g=np.concatenate([closed, upper_c]),
-            hessian=hessian, functions=functions,
-        )  # fmt: skip
+        nowhere = np.full(self.programme.size + more - len(lower), np.inf)
+        closed = np.zeros(pattern.rows - len(lower_c))
+        x = np.append(start, np.zeros(more)), np.append(lower, -nowhere), np.append(upper, nowhere)
+        g = np.concatenate([closed, lower_c]), np.concatenate([closed, upper_c])
+        J = ca.horzcat(pattern.sparsity, ca.Sparsity(pattern.rows, more))
+        return evaluated(self, x, g, J, self._pattern.sparsity)
 
-    def _evaluated(
-        self, n: int, m: int
-    ) -> tuple[ca.Function, ca.Function, dict[str, ca.Function], ca.Function]:
-        """Cost, constraints, their first derivatives and the Hessian, of all n variables."""
-        own, programme, still = self.programme.size, self.programme, np.zeros(self.auxiliary)
-        x, p, one, g = (ca.Sparsity.dense(k, 1) if k else ca.Sparsity(0, 0) for k in (n, 0, 1, m))
-        J = ca.horzcat(programme.jacobian_pattern.sparsity, ca.Sparsity(m, self.auxiliary))
-        pattern = Pattern(*self.places(), size=n)
+    @cached_property
+    def _pattern(self) -> Pattern:
+        return Pattern(*self.places(), size=self.programme.size + self.auxiliary)
 
-        def cost(x: Array) -> list[Any]:
-            return [programme.values(x[:own]).cost]
+    def cost(self, x: Array) -> float:
+        """The cost per observation."""
+        return float(self.programme.values(x[: self.programme.size]).cost)
 
-        def constraints(x: Array) -> list[Any]:
-            return [programme.values(x[:own]).g]
+    def gradient(self, x: Array) -> Array:
+        """Its gradient."""
+        slope = self.programme.gradient(x[: self.programme.size])
+        return np.concatenate([slope, np.zeros(self.auxiliary)])
 
-        def gradient(x: Array, _: Array) -> list[Any]:
-            return [*cost(x), np.concatenate([programme.gradient(x[:own]), still])]
+    def constraints(self, x: Array) -> Array:
+        """Gaps between the intervals, then the structure's own."""
+        return self.programme.values(x[: self.programme.size]).g
 
-        def jacobian(x: Array, _: Array) -> list[Any]:
-            return [*constraints(x), programme.jacobian(x[:own])]
+    def jacobian(self, x: Array) -> Array:
+        """Nonzeros of their Jacobian."""
+        return self.programme.jacobian(x[: self.programme.size])
 
-        def hessian(x: Array, _: Array, f: Array, lam: Array) -> list[Any]:
-            return [pattern.order(self._hessian(x[:own], float(f[0]), lam))]
-
-        f_of = NumPyFunction("f", [x], [one], cost)
-        g_of = NumPyFunction("g", [x], [g], constraints)
-        grad = NumPyFunction("nlp_grad_f", [x, p], [one, x], gradient)
-        jac = NumPyFunction("nlp_jac_g", [x, p], [g, J], jacobian)
-        hess = NumPyFunction("nlp_hess_l", [x, p, one, g], [pattern.sparsity], hessian)
-        self._functions = [f_of, g_of, grad, jac, hess]  # CasADi does not keep them alive
-        return f_of, g_of, {"nlp_grad_f": grad, "nlp_jac_g": jac}, hess
+    def hessian(self, x: Array, f: float, mu: Array) -> Array:
+        """Nonzeros of the Hessian at IPOPT's iterate x: Newton's if that is close."""
+        own = x[: self.programme.size]
+        close = self._descent.close(own, self.programme.values(own).cost)
+        return self._pattern.order(f * self.entries(own, mu / f if close and f > 0 else None))
 
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the entries of the Hessian's upper triangle."""
@@ -101,12 +89,7 @@ class Newton:
         beside = grid(np.arange(own)[None], auxiliary[None])
         return stack([self.programme.hessian_places(), beside, (auxiliary, auxiliary)])
 
-    def _hessian(self, x: Array, f: float, multipliers: Array) -> Array:
-        """Entries of IPOPT's Hessian at its iterate x: Newton's if that is close."""
-        close = self._descent.close(x, self.programme.values(x).cost)
-        return f * self.hessian(x, multipliers / f if close and f > 0 else None)
-
-    def hessian(self, x: Array, multipliers: Array | None) -> Array:
+    def entries(self, x: Array, multipliers: Array | None) -> Array:
         """Entries of the Hessian of the cost and the constraints, per observation."""
         # Gauss-Newton's without multipliers, or where the intervals do not meet.
         programme, blocks = self.programme, self.programme.blocks(x)
@@ -125,7 +108,7 @@ class Newton:
     def matrix(self, x: Array, multipliers: Array) -> scipy.sparse.csc_array:
         """The Hessian of the whole cost's Lagrangian, symmetric, with the auxiliary variables."""
         n = self.programme.size + self.auxiliary
-        entries = self.programme.n * self.hessian(x, multipliers)
+        entries = self.programme.n * self.entries(x, multipliers)
         upper = scipy.sparse.csc_array((entries, self.places()), (n, n))
         return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
 

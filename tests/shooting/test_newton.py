@@ -44,7 +44,7 @@ def test_newtons_hessian_is_that_of_the_lagrangian(kind, monkeypatch):
     def slope(x):
         return programme.gradient(x) + programme.constraint_matrix(x).T @ price
 
-    H = dense(newton.hessian(x, price))
+    H = dense(newton.entries(x, price))
     n = programme.size
     found = H[:n, :n] - H[:n, n:] @ H[n:, :n]
     V, eps = rng.standard_normal((programme.size, 2)), 1e-5
