@@ -5,6 +5,7 @@ thing everywhere.
 """
 
 import difflib
+import importlib
 import inspect
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, wraps
@@ -107,6 +108,16 @@ def hint(name: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(name, known, n=1)
     others = f"known are {', '.join(known)}" if known else "there are none"
     return f"did you mean {near[0]!r}? {others[0].upper()}{others[1:]}" if near else others
+
+
+def optional(module: str, what: str, *, extra: str = "tables") -> Any:  # noqa: ANN401 - a module
+    """Import a package that casid does not depend on; ValueError where it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise ValueError(
+            f"{what} needs {module}, which is not installed: pip install 'casid[{extra}]'"
+        ) from error
 
 
 @cache

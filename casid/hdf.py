@@ -1,12 +1,12 @@
 """MATLAB files of version 7.3, which are HDF5; h5py is optional."""
 
-import importlib
 import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from casid.checks import optional
 from casid.folder import replacing
 from casid.limits import TABLE_BYTES, check_size
 
@@ -21,19 +21,9 @@ def is_hdf(path: Path) -> bool:
     return any(head.startswith(SIGNATURE, offset) for offset in OFFSETS)
 
 
-def _h5py(path: Path) -> Any:  # noqa: ANN401 - a module, if it is there
-    try:
-        return importlib.import_module("h5py")
-    except ImportError as error:
-        raise ValueError(
-            f"{path}: a MATLAB file of version 7.3 needs h5py: pip install h5py, or save it with "
-            "-v7 in MATLAB"
-        ) from error
-
-
 def read_hdf(path: Path) -> dict[str, Any]:
     """Numeric variables of a version 7.3 file by name; ValueError if damaged, large, no h5py."""
-    h5py = _h5py(path)
+    h5py = optional("h5py", f"{path}: version 7.3")
     try:
         with h5py.File(path, "r") as file:
             found = {
@@ -55,7 +45,7 @@ def read_hdf(path: Path) -> dict[str, Any]:
 
 def write_hdf(path: Path, variables: dict[str, Any]) -> None:
     """Write arrays so that MATLAB loads them as a version 7.3 file."""
-    h5py = _h5py(path)
+    h5py = optional("h5py", f"{path}: version 7.3")
     buffer = io.BytesIO()  # a full disk would make HDF5 fail at every object once more
     with h5py.File(buffer, "w", userblock_size=512) as file:
         for name, values in variables.items():

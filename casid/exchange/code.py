@@ -13,8 +13,9 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.channels import UNITS
+from casid.checks import optional
+from casid.exchange.delays import check_continuous
 from casid.exchange.equations import Equations, equations_of
-from casid.exchange.objects import optional
 from casid.exchange.stepping import steps_of, usual_steps
 from casid.files import write_text
 from casid.folder import replacing
@@ -74,7 +75,7 @@ def write_c(
     if steps is not None and steps < 1:
         raise ValueError(f"steps={steps}: expected a whole number above 0")
     linear = system.system() if isinstance(system, NonlinearModel) else system
-    _continuous(linear)
+    check_continuous(linear)
     if (longest := linear.delay.max(initial=0.0)) > MOST * dt:
         raise ValueError(
             f"dt={dt}: a delay of {longest:g} s takes a memory of {longest / dt:.3g} samples, more "
@@ -141,14 +142,6 @@ def write_fmu(
         packed = Path(dae.pack_fmu(files, {"path": path.name})).read_bytes()
     with replacing(path) as temporary:
         temporary.write_bytes(packed)
-
-
-def _continuous(system: StateSpace) -> None:
-    if system.dt is not None:
-        raise ValueError(
-            f"the model is discrete with an interval of {system.dt:g} s; convert it to continuous "
-            "time first (BlackBox.continuous)"
-        )
 
 
 def _steps(system: StateSpace, dt: float, hold: Hold) -> tuple[ca.Function, ca.Function]:

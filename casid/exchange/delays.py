@@ -79,3 +79,12 @@ def _delay_line(system: StateSpace, j: int, pade: int | None) -> tuple[Array, Ar
         line = scipy.signal.tf2ss(numerator, denominator)
         return tuple(np.atleast_2d(part) for part in line)  # type: ignore[return-value]
     return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
+
+
+def check_continuous(system: StateSpace) -> None:
+    """Refuse a discrete model: ValueError."""
+    if system.dt is not None:
+        raise ValueError(
+            f"the model is discrete with an interval of {system.dt:g} s; convert it to continuous "
+            "time first (BlackBox.continuous)"
+        )

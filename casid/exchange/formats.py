@@ -12,7 +12,8 @@ import scipy
 from casid import files
 from casid.arrays import Array
 from casid.channels import UNITS, factor_of
-from casid.exchange.objects import from_dataframe, optional, to_dataframe
+from casid.checks import optional
+from casid.exchange.objects import from_dataframe, to_dataframe
 from casid.fit import AnyFit
 from casid.folder import replacing
 from casid.frequency.response import FrequencyResponse

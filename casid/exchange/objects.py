@@ -1,6 +1,5 @@
 """Systems and records as the objects of other packages: python-control, SciPy, pandas."""
 
-import importlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -10,6 +9,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array
+from casid.checks import optional
 from casid.exchange.delays import without_delay
 from casid.exchange.equations import equations_of
 from casid.files import Channels, Detrend, build
@@ -176,13 +176,3 @@ def _column(frame: Any, name: str) -> Array:  # noqa: ANN401
         return np.asarray(frame[name].to_numpy(dtype=float, na_value=np.nan))
     except (TypeError, ValueError) as error:
         raise ValueError(f"column {name!r} holds no numbers: {error}") from error
-
-
-def optional(module: str, what: str, *, extra: str = "tables") -> Any:  # noqa: ANN401 - a module
-    """Import a package that casid does not depend on; ValueError where it is not installed."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise ValueError(
-            f"{what} needs {module}, which is not installed: pip install 'casid[{extra}]'"
-        ) from error

@@ -8,6 +8,7 @@ from pathlib import Path
 from casid import intersample, linear
 from casid.arrays import Array
 from casid.channels import UNITS
+from casid.exchange.delays import check_continuous
 from casid.files import write_text
 from casid.linear import StateSpace
 
@@ -42,11 +43,7 @@ def write_module(path: str | Path, system: StateSpace, *, title: str = "") -> No
 
 def module_text(system: StateSpace, title: str) -> str:
     """Text of the file; the title is reduced to characters that cannot end a docstring."""
-    if system.dt is not None:
-        raise ValueError(
-            f"the model is discrete with an interval of {system.dt:g} s; convert it to continuous "
-            "time first (BlackBox.continuous)"
-        )
+    check_continuous(system)
     plain = "".join(each for each in title if each.isprintable() and each not in "\\\"'")
     names = (*system.states, *system.inputs, *system.outputs)
     head = HEAD.read_text(encoding="utf-8").format(

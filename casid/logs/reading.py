@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from casid.exchange.objects import optional
+from casid.checks import optional
 from casid.limits import MIB, check_file
 from casid.logs import dataflash, tdms, ulog
 from casid.logs.topics import Log, Topic, printable

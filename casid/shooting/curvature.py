@@ -14,13 +14,18 @@ and of the delayed inputs. The integral is taken by the trapezoidal rule and the
 in λ: an approximate Hessian costs an iteration, never the solution.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.assembly import groups
+from casid.shooting.intervals import Layout
 from casid.shooting.sensitivity import Sweep, counts
+
+Back: TypeAlias = Callable[[np.ndarray, Array], Array]  # costates one step before samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +46,9 @@ class Curvature:
 def curvature(sweep: Sweep, mu: Array) -> Curvature:
     """Curvature of output error over all intervals; ``mu`` (J, nx) multiplies their end states."""
     e, layout, motion, m = sweep.e, sweep.layout, sweep.motion, sweep.matrices
-    rho = np.empty_like(motion.residuals)
-    for p, mine in groups(layout.pattern, len(sweep.W)):
-        rho[mine] = motion.residuals[mine] @ (sweep.W[p].T @ sweep.W[p])
-    weight, last, after = _costates(sweep, rho @ m.C, mu[layout.node])
+    rho = weighed(sweep)
+    back: Back = lambda at, p: sweep.steps.back(layout.step[at], p)  # noqa: E731
+    weight, last, after, _ = costates(layout, rho @ m.C, mu[layout.node], back)
     total, at_nodes = _moments(sweep, np.hstack([weight, rho]), last)
     by_lam = np.concatenate([m.A_lam, m.C_lam])
     Hll = np.einsum("vms,vma->sa", total, by_lam) + _delayed(sweep, after, rho)
@@ -60,26 +64,38 @@ def curvature(sweep: Sweep, mu: Array) -> Curvature:
     return Curvature(Hll + Hll.T, Hln, Hnn, gl, gb, gn)
 
 
-def _costates(sweep: Sweep, jumps: Array, mu: Array) -> tuple[Array, Array, Array]:
+def weighed(sweep: Sweep) -> Array:
+    """R⁻¹ r of all samples, (N, ny); zero where an output is missing."""
+    r = sweep.motion.residuals
+    rho = np.empty_like(r)
+    for p, mine in groups(sweep.layout.pattern, len(sweep.W)):
+        rho[mine] = r[mine] @ (sweep.W[p].T @ sweep.W[p])
+    return rho
+
+
+def costates(
+    layout: Layout, jumps: Array, mu: Array, back: Back
+) -> tuple[Array, Array, Array, Array]:
     """Costates weighted for the trapezoidal rule at all samples (N, nx) and at the ends (J, nx).
 
-    The third, (N, nx), is unweighted, one step after every sample. The rule takes the costate
-    before a sample's jump for the step that ends there and the one after it for the step that
-    begins; the last step of an interval ends at its end state.
+    The others, (N, nx), are unweighted: one step after every sample, and from there ``back`` at it,
+    before its jump. The rule takes the costate before a sample's jump for the step that ends there
+    and the one after it for the step that begins; the last step of an interval ends at its end
+    state.
     """
-    layout = sweep.layout
     half = layout.classes[layout.step][:, None] / 2
     weight, later, p = np.zeros_like(jumps), np.empty_like(jumps), mu.copy()
+    earlier = np.empty_like(jumps)
     many = counts(layout.count)
     for k in range(len(many) - 1, -1, -1):
         at = layout.start[: many[k]] + k
         after = many[k + 1] if k + 1 < len(many) else 0
         weight[at[:after] + 1] += half[at[:after]] * p[:after]
         later[at] = p[: many[k]]
-        before = sweep.steps.back(layout.step[at], p[: many[k]])
-        weight[at] += half[at] * before
-        p[: many[k]] = before + jumps[at]
-    return weight, half[layout.start + layout.count - 1] * mu, later
+        earlier[at] = back(at, p[: many[k]])
+        weight[at] += half[at] * earlier[at]
+        p[: many[k]] = earlier[at] + jumps[at]
+    return weight, half[layout.start + layout.count - 1] * mu, later, earlier
 
 
 def _moments(sweep: Sweep, weight: Array, last: Array) -> tuple[Array, Array]:

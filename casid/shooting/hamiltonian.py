@@ -13,23 +13,20 @@ trapezoidal rule over the samples: an approximate Hessian costs an iteration, ne
 import numpy as np
 
 from casid.arrays import Array
-from casid.assembly import groups
 from casid.intersample import ORDER
-from casid.shooting.curvature import Curvature
+from casid.shooting.curvature import Back, Curvature, costates, weighed
 from casid.shooting.nonlinear import NonlinearSweep
-from casid.shooting.sensitivity import counts
 
 
 def hamiltonian(sweep: NonlinearSweep, mu: Array) -> Curvature:
     """Curvature of output error over all intervals; ``mu`` (J, nx) multiplies their end states."""
-    e, layout, motion = sweep.e, sweep.layout, sweep.motion
+    e, layout, rho = sweep.e, sweep.layout, weighed(sweep)
     nf, nx, J = e.nf, e.nx, len(layout.count)
-    rho = np.empty_like(motion.residuals)
-    for p, mine in groups(layout.pattern, len(sweep.W)):
-        rho[mine] = motion.residuals[mine] @ (sweep.W[p].T @ sweep.W[p])
     jumps = np.einsum("nc,ncx->nx", rho, sweep.slopes(e.flow.h)[0])
-    weight, middle = _costates(sweep, jumps, mu[layout.node])
-    Hll = _kinks(sweep, middle)
+    back: Back = lambda at, p: np.einsum("nij,ni->nj", sweep.by_x[at], p)  # noqa: E731
+    weight, last, later, earlier = costates(layout, jumps, mu[layout.node], back)
+    weight[layout.start + layout.count - 1] += last  # goes to the sample before the end
+    Hll = _kinks(sweep, (later + earlier) / 2)
     Hln, Hnn = np.empty((J, nf, nx)), np.empty((J, nx, nx))
     slopes = np.zeros((J, e.ny, sweep.ns + e.ny))
     for index in sweep.portions():
@@ -52,28 +49,6 @@ def hamiltonian(sweep: NonlinearSweep, mu: Array) -> Curvature:
     gn[:, layout.node] = slopes[:, :, nf : sweep.ns].transpose(1, 0, 2)
     gl = slopes[:, :, :nf].sum(axis=0)
     return Curvature(Hll, Hln, Hnn, gl, gb.transpose(1, 0, 2), gn)
-
-
-def _costates(sweep: NonlinearSweep, jumps: Array, mu: Array) -> tuple[Array, Array]:
-    """Costates weighted for the trapezoidal rule, and in the middle of every step, (N, nx) each.
-
-    The weight of an interval's end goes to the sample before it.
-    """
-    layout = sweep.layout
-    half = layout.classes[layout.step][:, None] / 2
-    weight, middle, p = np.zeros_like(jumps), np.empty_like(jumps), mu.copy()
-    last = layout.start + layout.count - 1
-    weight[last] = half[last] * mu
-    many = counts(layout.count)
-    for k in range(len(many) - 1, -1, -1):
-        at = layout.start[: many[k]] + k
-        after = many[k + 1] if k + 1 < len(many) else 0
-        weight[at[:after] + 1] += half[at[:after]] * p[:after]
-        before = np.einsum("nij,ni->nj", sweep.by_x[at], p[: many[k]])
-        weight[at] += half[at] * before
-        middle[at] = (p[: many[k]] + before) / 2
-        p[: many[k]] = before + jumps[at]
-    return weight, middle
 
 
 def _kinks(sweep: NonlinearSweep, middle: Array) -> Array:
