@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array, ComplexArray
-from casid.baseline.handling import handling_qualities
+from casid.baseline.handling import HandlingQualities, handling_qualities
 from casid.display import Shown, counted
 from casid.eigenmodes import Mode, modes
 from casid.embedding import StructureError
@@ -129,19 +129,22 @@ class HandlingBand(Shown):
         [rad/s], ADS-33.
     phase_delay, phase_delay_std : float
         [s].
+    remarks : tuple of str
+        What to know before believing the numbers, and why one is missing (NaN).
     """
 
     bandwidth: float
     bandwidth_std: float
     phase_delay: float
     phase_delay_std: float
+    remarks: tuple[str, ...] = ()
 
     def headline(self) -> str:
-        """Both, with their standard deviations."""
-        return (
-            f"bandwidth {self.bandwidth:.3g} ± {self.bandwidth_std:.2g} rad/s, phase delay "
-            f"{self.phase_delay:.3g} ± {self.phase_delay_std:.2g} s (1σ)"
-        )
+        """Both, with their standard deviations, or why not."""
+        told = f"bandwidth {self.bandwidth:.3g} ± {self.bandwidth_std:.2g} rad/s"
+        if np.isfinite(self.phase_delay):
+            told += f", phase delay {self.phase_delay:.3g} ± {self.phase_delay_std:.2g} s"
+        return "; ".join((f"{told} (1σ)", *self.remarks))
 
 
 @one_thread
@@ -249,28 +252,40 @@ def handling_band(
     error : StructureError
         What the structure misses, from `structure_error`: its part comes from 100 draws.
     **reading
-        ``kind``, ``sign``, ``attitude_command`` of `handling_qualities`.
+        ``kind`` ("attitude" or "rate"), ``sign``, ``attitude_command`` of `handling_qualities`.
 
     Raises
     ------
     ValueError
-        A fit without covariance, and what `handling_qualities` raises.
+        A fit without covariance, an open loop, and what `handling_qualities` raises.
     """
+    if reading.get("kind") == "loop":
+        raise ValueError(
+            'kind="loop": expected "attitude" or "rate"; handling_qualities reads the margins of a '
+            "loop, of each of sample_models for their spread"
+        )
+
+    def qualities(G: ComplexArray) -> HandlingQualities:
+        return handling_qualities(_exact(fit.model, omega, G), pair, **reading)
 
     def read(G: ComplexArray) -> Array:
-        found = handling_qualities(_exact(fit.model, omega, G), pair, **reading)
+        found = qualities(G)
         return np.array([found.bandwidth, found.phase_delay])
 
     def of(model: Model) -> Array:
         return read(model.system().response(omega))
 
-    std = spread(fit, of)
+    std, G = spread(fit, of), fit.model.system().response(omega)
     if error is not None:
-        drawn = _drawn(read, fit.model.system().response(omega), error.drawn(omega, DRAWS))
+        drawn = _drawn(read, G, error.drawn(omega, DRAWS))
         std = np.hypot(std, np.nanstd(drawn, axis=0))
-    value, std = of(fit.model).tolist(), std.tolist()
+    found, (of_bandwidth, of_delay) = qualities(G), std.tolist()
     return HandlingBand(
-        bandwidth=value[0], bandwidth_std=std[0], phase_delay=value[1], phase_delay_std=std[1]
+        bandwidth=found.bandwidth,
+        bandwidth_std=of_bandwidth,
+        phase_delay=found.phase_delay,
+        phase_delay_std=of_delay,
+        remarks=found.remarks,
     )
 
 

@@ -35,6 +35,7 @@ LIGHT = 0.02  # damping ratio below which the grid may step over a resonance
 HIGH = 1.05  # how far below the highest a peak may be that is looked at more closely
 RANK = 1e-12  # of the largest singular value: G_0 lacks rank below
 SHARE = 0.1  # of a direction without effect: an input that is named
+BETWEEN = 4e-6  # by how much W is lifted for what a still denser grid finds
 LIFT = 1.01  # how far W may be lifted for what lies between the points of the fit
 
 
@@ -196,6 +197,8 @@ def _largest(
         delta = left[:, None] * system.response(omega) * right - G0
         delta = delta if inverse is None else delta @ inverse
         largest = np.maximum(largest, np.linalg.norm(delta, ord=2, axis=(1, 2)))
+    if len(omega) and not largest.any():
+        raise ValueError("all models equal the nominal one: there is no error to cover")
     floor = 1e-6 * largest.max(initial=1e-300)  # a weight has no exact zero
     return np.asarray(np.maximum(largest, floor))
 
@@ -286,7 +289,7 @@ def _tightest(
         own = np.concatenate([own, _peaks(omega, error / size)])
         between = errors(own) / np.abs(W.response(own)[:, 0, 0])
         gain, needed = float(np.max(error / size)), float(between.max(initial=0.0))
-        gain, lift = max(gain, needed) * (1 + 1e-9), max(1.0, needed / gain)
+        gain, lift = max(gain, needed) * (1 + BETWEEN), max(1.0, needed / gain)
         excess = float(np.mean(np.log(gain * size / error)))
         if excess < least:
             best, least = replace(W, C=gain * W.C, D=gain * W.D), excess

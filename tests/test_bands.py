@@ -110,6 +110,11 @@ def test_the_bandwidth_s_error_is_that_of_its_equation():
     assert found.bandwidth == pytest.approx(bandwidth(*at), rel=1e-4)
     assert found.bandwidth_std == pytest.approx(np.sqrt(slopes @ C @ slopes), rel=0.02)
     assert found.phase_delay_std > 0
+    short = handling_band(fit, ("phi", "lat"), np.geomspace(0.2, 8.0, 500))
+    assert np.isnan(short.phase_delay)
+    assert "lies beyond the grid: no phase delay" in short.headline()
+    with pytest.raises(ValueError, match='"loop": expected "attitude" or "rate"'):
+        handling_band(fit, ("phi", "lat"), OMEGA, kind="loop")
 
 
 def test_what_a_bound_holds_does_not_move():

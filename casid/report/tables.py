@@ -332,7 +332,9 @@ def _(value: HandlingBand) -> Cells:
         ("bandwidth [rad/s]", value.bandwidth, value.bandwidth_std),
         ("phase delay [s]", value.phase_delay, value.phase_delay_std),
     ]
-    return ("reading", "value", "std. deviation"), [[n, _short(x), _short(s)] for n, x, s in rows]
+    told = [[n, _short(x), _short(s)] for n, x, s in rows if np.isfinite(x)]
+    remarks = [["remark", remark, ""] for remark in value.remarks]
+    return ("reading", "value", "std. deviation"), [*told, *remarks]
 
 
 def _powers(coefficients: Array) -> list[tuple[int, float]]:
