@@ -279,14 +279,12 @@ def handling_band(
     if error is not None:
         drawn = _drawn(read, G, error.drawn(omega, DRAWS))
         std = np.hypot(std, np.nanstd(drawn, axis=0))
-    found, (of_bandwidth, of_delay) = qualities(G), std.tolist()
-    return HandlingBand(
-        bandwidth=found.bandwidth,
-        bandwidth_std=of_bandwidth,
-        phase_delay=found.phase_delay,
-        phase_delay_std=of_delay,
-        remarks=found.remarks,
+    found, errors = (
+        qualities(G),
+        dict(zip(("bandwidth_std", "phase_delay_std"), std.tolist(), strict=True)),
     )
+    read_off = {name: getattr(found, name) for name in ("bandwidth", "phase_delay", "remarks")}
+    return HandlingBand(**read_off, **errors)
 
 
 def sample_models(fit: "AnyFit", count: int, *, seed: int = 0) -> tuple[Model, ...]:

@@ -1,8 +1,10 @@
 """The whole method in one call; its stages and sources are those of `casid.stages.chain`."""
 
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from math import nan
+from time import perf_counter
 from typing import Any, Generic, cast
 
 from casid.consistency.flights import repeats
@@ -12,12 +14,24 @@ from casid.fit import Fit, M_co
 from casid.frequency.response import FrequencyResponse
 from casid.matching.appraisal import MatchNotes
 from casid.model import Bounds, M
+from casid.nlp import Progress
 from casid.record import Record
 from casid.records import several
+from casid.report.content import Timing
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.choice import StepChoice
 from casid.stages.listing import STAGES
-from casid.stages.stage import Role, Stage, Task, check_task, fitting, run_stages
+from casid.stages.stage import (
+    Keep,
+    Role,
+    Stage,
+    Task,
+    check_task,
+    compute,
+    fitting,
+    run_stages,
+    watched,
+)
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread
 from casid.validation import Validation
@@ -76,6 +90,20 @@ class Identification(Generic[M_co]):
         return self.results.get("validation")
 
 
+def _telling(progress: Callable[[Progress | Timing], None]) -> Keep:
+    """Runs a stage and tells when it begins, iterates and has ended."""
+
+    def keep(stage: Stage, settings: Any, task: Task) -> Any:  # noqa: ANN401
+        begun = perf_counter()
+        progress(Progress(stage=stage.does, iteration=0, cost=nan, seconds=0.0))
+        result = compute(stage, watched(settings, progress), task)
+        steps = result.iterations if isinstance(result, Fit) else None
+        progress(Timing(stage=stage.does, seconds=perf_counter() - begun, iterations=steps))
+        return result
+
+    return keep
+
+
 @one_thread
 def identify(
     model: M,
@@ -88,6 +116,7 @@ def identify(
     bounds: Bounds | None = None,
     settings: Mapping[str, Any] | None = None,
     stages: Sequence[Stage] = STAGES,
+    progress: Callable[[Progress | Timing], None] | None = None,
 ) -> Identification[M]:
     """Identify a structure from records.
 
@@ -107,6 +136,9 @@ def identify(
         optional stage runs if its table is there.
     stages : sequence of Stage
         What is done.
+    progress : callable
+        Called with a `Progress` when a stage begins and after each iteration, and with a ``Timing``
+        when it has ended; `ProgressLine` writes them.
 
     Raises
     ------
@@ -125,7 +157,7 @@ def identify(
     check_task(task)
     for said in repeats({role: each for role, each in roles.items() if each}).told():
         warnings.warn(said, DataWarning, stacklevel=2)
-    found = run_stages(task)
+    found = run_stages(task, keep=compute if progress is None else _telling(progress))
     for failure in found.failures.values():
         raise failure
     return Identification(results=found.results)

@@ -1,9 +1,10 @@
 """Values that show themselves: a line in a console, a table in a notebook, a figure on demand."""
 
+import sys
 from abc import abstractmethod
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, TextIO
 
 
 def counted(n: int, one: str, many: str = "") -> str:
@@ -44,6 +45,30 @@ class Shown:
             Another number of axes than the figure has; an unknown channel.
         """
         return _drawn_above("plots").plot(self, ax, **choice)
+
+
+class ProgressLine:
+    """Writes how far a computation is, in a notebook as in a terminal.
+
+    Iterations are written over each other, what has ended stays. Give one wherever ``progress`` is
+    taken: by `identify`, `SolverOptions` and `Execution`.
+
+    Parameters
+    ----------
+    file : text stream
+        Standard output unless given.
+    """
+
+    def __init__(self, file: TextIO | None = None) -> None:
+        self._file, self._width = file, 0
+
+    def __call__(self, told: object) -> None:
+        """Write a `Progress`, a `CampaignProgress`, a `Timing` of a stage."""
+        text, passing = str(told), hasattr(told, "iteration")
+        out = self._file or sys.stdout
+        out.write("\r" + text.ljust(self._width) + ("" if passing else "\n"))
+        out.flush()
+        self._width = len(text) if passing else 0
 
 
 def _drawn_above(name: str) -> Any:  # noqa: ANN401

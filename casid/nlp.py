@@ -45,6 +45,11 @@ class Progress:
     cost: float
     seconds: float
 
+    def __str__(self) -> str:
+        """What runs, and where it is once it has begun to iterate."""
+        at = f"iteration {self.iteration}, cost {self.cost:.6g}, {self.seconds:.1f} s"
+        return f"{self.stage}: {at if self.iteration else '...'}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class SolverOptions:

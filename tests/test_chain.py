@@ -3,17 +3,25 @@
 import pytest
 from truths.roll_study import write_study
 
-from casid import Chain, identify, read_records, read_study
+from casid import Chain, Progress, identify, read_records, read_study
 
 
 @pytest.mark.slow
 def test_identify_does_what_the_study_does_and_judges_unseen_records(tmp_path):
     study = read_study(write_study(tmp_path))
-    records = read_records(study)
+    records, told = read_records(study), []
     found = identify(
-        study.model, records["identification"], unseen=records["validation"],
+        study.model,
+        records["identification"],
+        unseen=records["validation"],
         settings=study.settings,
-    )  # fmt: skip
+        progress=told.append,
+    )
+    ended = [str(each) for each in told if not isinstance(each, Progress)]
+    assert len(ended) == len(found.results)
+    assert ended[3].startswith("H-infinity match: ")
+    assert str(found.hinf.iterations) in ended[3]
+    assert any(each.iteration > 3 for each in told if isinstance(each, Progress))
     assert list(found.results) == [
         "kinematics", "pbsid", "quadratic", "hinf", "output_error", "sufficiency", "validation",
     ]  # fmt: skip

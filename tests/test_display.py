@@ -1,11 +1,13 @@
 """Values that show themselves: short, true, and without loading what draws."""
 
+import io
 import subprocess
 import sys
 
 import pytest
 from truths.shown import record, values
 
+from casid import CampaignProgress, Progress, ProgressLine
 from casid.display import counted, listed
 
 
@@ -48,3 +50,19 @@ def test_neither_a_value_nor_its_line_loads_matplotlib():
 def test_nouns_follow_their_numbers():
     assert [counted(n, "gap") for n in (0, 1, 2)] == ["0 gaps", "1 gap", "2 gaps"]
     assert counted(2, "axis", "axes") == "2 axes"
+
+
+def test_progress_is_a_line_of_iterations_and_lines_of_what_has_ended():
+    out = io.StringIO()
+    line = ProgressLine(out)
+    line(Progress(stage="match", iteration=0, cost=float("nan"), seconds=0.0))
+    line(Progress(stage="match", iteration=7, cost=0.25, seconds=1.5))
+    line(
+        CampaignProgress(name="free", done=1, total=2, failed=0, seconds=1, elapsed=1, remaining=1)
+    )
+    line("the end")
+    _, *passing, ended, last = out.getvalue().split("\r")
+    assert passing == ["match: ...", "match: iteration 7, cost 0.25, 1.5 s"]
+    assert ended.startswith("1 of 2: free in 1.0 s")
+    assert len(ended.rstrip("\n")) >= len(passing[1])  # nothing of the iterations is left
+    assert last == "the end\n"

@@ -43,6 +43,11 @@ class Timing:
     cost: float | None = None
     kept: bool = False
 
+    def __str__(self) -> str:
+        """The stage and its seconds."""
+        steps = "" if self.iterations is None else f", {self.iterations} iterations"
+        return f"{self.stage}: {self.seconds:.1f} s{steps}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class DataFile:

@@ -9,7 +9,6 @@ from functools import singledispatch
 from typing import Any
 
 import numpy as np
-import scipy
 
 from casid.arrays import Array, ComplexArray
 from casid.bands import ResponseBand
@@ -35,7 +34,7 @@ from casid.report import figures
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR
 from casid.report.designs import plot_card, plot_errors
 from casid.report.envelopes import plot_derivatives, plot_loci
-from casid.report.prices import CONFIDENCE, plot_bounds, plot_parameters
+from casid.report.prices import CONFIDENCE, plot_bounds, plot_parameters, plot_profile
 from casid.report.readings import (
     plot_distances,
     plot_handling_qualities,
@@ -190,28 +189,8 @@ def _(value: BoundsComparison, ax: Any, rows: int = 16) -> Any:  # noqa: ANN401
 
 @_draw.register
 def _(value: Profile, ax: Any) -> Any:  # noqa: ANN401
-    axes, rise = new_axes(ax, 1, 1, height=2.8), value.cost - value.fit.cost
-    at = [value.fit[name].value for name in value.names]
-    if len(value.names) == 1:
-        x, name = value.points[:, 0], value.names[0]
-        axes[0].plot(x, rise, "o", color="#0072B2", label="profile")
-        there = np.flatnonzero(np.isfinite(rise))[np.argsort(x[np.isfinite(rise)])]
-        curve = scipy.interpolate.CubicHermiteSpline(x[there], rise[there], value.slope[there, 0])
-        fine = np.linspace(x[there].min(), x[there].max(), POINTS)
-        axes[0].plot(fine, curve(fine), color="#0072B2")
-        axes[0].plot(x, value.parabola - value.fit.cost, "x", color=GREY, label="Cramér-Rao")
-        low, high = value.intervals[name]
-        axes[0].axvspan(low, high, color="#0072B2", alpha=0.12, linewidth=0)
-        axes[0].set(xlabel=_unit(value.fit, name), ylabel="rise of the cost [-]")
-        axes[0].axvline(at[0], color="#000000", linewidth=0.8)
-        axes[0].legend()
-    else:
-        there = np.isfinite(rise)
-        drawn = axes[0].tricontour(*value.points[there].T, rise[there], colors="#0072B2")
-        axes[0].clabel(drawn, fontsize=7)
-        axes[0].plot(*at, "+", color="#000000")
-        first, second = (_unit(value.fit, name) for name in value.names)
-        axes[0].set(xlabel=first, ylabel=second, title="rise of the cost [-]")
+    axes = new_axes(ax, 1, 1, height=2.8 if len(value.names) == 1 else 4.2)
+    plot_profile(axes[0], value)
     return as_given(ax, axes)
 
 
@@ -394,7 +373,3 @@ def _clearest(data: FrequencyResponse) -> tuple[str, str]:
     """The pair of the largest mean coherence."""
     best = np.argmax(np.nanmean(data.coherence, axis=0))
     return data.outputs[best // len(data.inputs)], data.inputs[best % len(data.inputs)]
-
-
-def _unit(fit: Any, name: str) -> str:  # noqa: ANN401
-    return f"{name} [{fit[name].unit.replace('^2', '²')}]"

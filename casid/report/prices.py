@@ -1,17 +1,22 @@
-"""The figure of a comparison of bounds."""
+"""The figures of what bounds and ties cost: comparisons, profiles."""
 
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator
+from matplotlib.tri import CubicTriInterpolator, Triangulation
 
+from casid.arrays import Array
 from casid.bounds.compare import BoundsComparison
+from casid.bounds.profiles import Profile
 from casid.fit import ParameterEstimate
 
 COLOURS = ("#000000", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#6B3D00")
 MARKS = ("o", "s", "D", "^", "v", "P", "X", "*")
 CONFIDENCE = 1.96  # standard deviations of a 95 % interval
+POINTS = 100  # of a curve between the points of a profile, and each way of its surface
 REACH = 1.6  # of the largest value of a row: how far its axis goes
 
 
@@ -58,6 +63,48 @@ def plot_parameters(ax: Axes, rows: Sequence[ParameterEstimate]) -> Axes:
     values = [f"{row.value:.3g}" for row in rows]
     _decorate(ax, labels, values, "larger of value and standard error", "value")
     return ax
+
+
+def plot_profile(ax: Axes, profile: Profile) -> Axes:
+    """Draw how the cost rises away from the estimate, over one parameter or two.
+
+    Between the points it is cubic, with the slopes found at them; the cross is the estimate, the
+    shaded range a parameter's 95 % interval.
+    """
+    rise, at = profile.cost - profile.fit.cost, [profile.fit[name] for name in profile.names]
+    labels = [f"{row.name} [{row.unit}]".replace("^2", "²") for row in at]
+    there = np.isfinite(rise) & np.isfinite(profile.slope).all(axis=1)
+    points, slope = profile.points[there], profile.slope[there]
+    if len(at) == 1:
+        order = np.argsort(points[:, 0])
+        x, y, known = points[order, 0], rise[there][order], slope[order, 0]
+        fine = np.linspace(x[0], x[-1], POINTS)
+        ax.plot(x, y, "o", color="#0072B2", label="profile")
+        ax.plot(fine, scipy.interpolate.CubicHermiteSpline(x, y, known)(fine), color="#0072B2")
+        parabola = profile.parabola - profile.fit.cost
+        ax.plot(profile.points[:, 0], parabola, "x", color="#777777", label="Cramér-Rao")
+        ax.axvline(at[0].value, color="#000000", linewidth=0.8)
+        ax.set(xlabel=labels[0], ylabel="rise of the cost [-]")
+    else:
+        drawn = ax.contour(*_surface(points, rise[there], slope), colors="#0072B2")
+        ax.clabel(drawn, fontsize=7)
+        ax.plot(*points.T, ".", color="#777777", label="profile")
+        ax.plot(*([row.value] for row in at), "+", color="#000000", label="estimate")
+        ax.axhspan(*profile.intervals[at[1].name], color="#0072B2", alpha=0.08, linewidth=0)
+        ax.set(xlabel=labels[0], ylabel=labels[1], title="rise of the cost [-]")
+    ax.axvspan(*profile.intervals[at[0].name], color="#0072B2", alpha=0.08, linewidth=0)
+    ax.legend()
+    return ax
+
+
+def _surface(points: Array, rise: Array, slope: Array) -> tuple[Array, Array, Array]:
+    """Grid over the points (n, 2), and the surface with their heights and slopes on it."""
+    size = np.ptp(points, axis=0)
+    triangles = Triangulation(*(points / size).T)
+    curved = CubicTriInterpolator(triangles, rise, kind="user", dz=tuple((slope * size).T))
+    edges = zip(points.min(axis=0), points.max(axis=0), strict=True)
+    x, y = np.meshgrid(*(np.linspace(*edge, POINTS) for edge in edges))
+    return x, y, curved(x / size[0], y / size[1])
 
 
 def _look(case: int) -> tuple[str, str]:

@@ -12,6 +12,7 @@ from casid.checks import hint
 from casid.errors import ConvergenceError
 from casid.jobs.campaigns import Execution
 from casid.model import Bounds, Model
+from casid.nlp import Progress
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.report.content import Content, Section
@@ -145,6 +146,13 @@ class Keep(Protocol):
 def compute(stage: Stage, settings: Any, task: Task) -> Any:  # noqa: ANN401 - of any stage
     """Run a stage, no more."""
     return stage.run(settings, task)
+
+
+def watched(settings: Any, progress: Callable[[Progress], None]) -> Any:  # noqa: ANN401
+    """Settings whose solver, if they have one, tells its iterations."""
+    if not hasattr(settings, "solver"):
+        return settings
+    return replace(settings, solver=replace(settings.solver, progress=progress))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -21,7 +21,7 @@ from casid.jobs.origins import equations_digest, own_source, source_digest, stru
 from casid.jobs.store import Done, Store
 from casid.nlp import Progress
 from casid.report.content import Timing
-from casid.stages.stage import LeftOutError, Stage, Task
+from casid.stages.stage import LeftOutError, Stage, Task, watched
 from casid.studies.study import Study
 from casid.threads import cores
 from casid.values import digest
@@ -124,7 +124,7 @@ class Keeper:
         """What a stage finds, here or in the process that has begun it."""
         self._watch.begin(stage.name)
         if (begun := self._begun.pop(stage.name, None)) is None:
-            return _made(stage, self._watched(settings), task)
+            return _made(stage, watched(settings, self._watch.progress), task)
         import_module("casid.report.html")  # needed in the end: the other process may still work
         done, logged = begun()
         for each in logged:
@@ -148,12 +148,6 @@ class Keeper:
         best = self._store.path(f"{stage.name}_best")
         if best.exists():
             best.unlink()
-
-    def _watched(self, settings: Any) -> Any:  # noqa: ANN401
-        """Settings whose solver, if they have one, tells its iterations."""
-        if not hasattr(settings, "solver"):
-            return settings
-        return replace(settings, solver=replace(settings.solver, progress=self._watch.progress))
 
     def _asked(self, stage: Stage, settings: Any, task: Task) -> Any:  # noqa: ANN401
         """What a stage of another command found, if it still holds; if asked for, run it."""

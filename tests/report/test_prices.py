@@ -1,5 +1,6 @@
 """The figure of what bounds cost."""
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from truths.mixture import Mixture, record
@@ -8,7 +9,7 @@ from casid import (
     compare_bounds,
 )
 from casid.report import plot_bounds
-from casid.report.prices import MARKS
+from casid.report.prices import MARKS, _surface
 
 
 @pytest.fixture(scope="module")
@@ -36,3 +37,14 @@ def test_a_held_value_is_filled_and_has_no_interval(compared):
     filled = [line for line in marks if line.get_markerfacecolor() != "white"]
     assert [line.get_marker() for line in marks] == ["o", "s", "D"] * 3  # told without colour
     assert len(filled) == 1
+
+
+def test_the_surface_over_two_parameters_is_right_between_its_points():
+    def cost(x, y):
+        return 2 * x**2 - 3e3 * x * y + 5e6 * y**2  # a valley, scales far apart
+
+    grid = np.meshgrid([-1.0, 0.4, 1.0], [-1e-3, 2e-4, 1e-3])
+    a, b = points = np.array([each.ravel() for each in grid])
+    slope = np.column_stack([4 * a - 3e3 * b, -3e3 * a + 1e7 * b])
+    x, y, z = _surface(points.T, cost(a, b), slope)
+    np.testing.assert_allclose(z, cost(x, y), atol=1e-6 * np.ptp(cost(a, b)))
