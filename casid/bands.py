@@ -279,10 +279,8 @@ def handling_band(
     if error is not None:
         drawn = _drawn(read, G, error.drawn(omega, DRAWS))
         std = np.hypot(std, np.nanstd(drawn, axis=0))
-    found, errors = (
-        qualities(G),
-        dict(zip(("bandwidth_std", "phase_delay_std"), std.tolist(), strict=True)),
-    )
+    found, (of_bandwidth, of_delay) = qualities(G), std.tolist()
+    errors = {"bandwidth_std": of_bandwidth, "phase_delay_std": of_delay}
     read_off = {name: getattr(found, name) for name in ("bandwidth", "phase_delay", "remarks")}
     return HandlingBand(**read_off, **errors)
 
