@@ -14,6 +14,7 @@ of the signals, taken once a record instead of for every output.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy.linalg
@@ -30,15 +31,19 @@ ROUNDING = 1e-12  # by which powers of A_d may miss the space of the M_i, relati
 
 def summed(sweep: Sweep) -> Sums:
     """Gauss-Newton blocks of a sweep, by shared signals where that is possible and less work."""
+    shared = convolved(sweep)
+    return gathered(sweep) if shared is None else shared.sums()
+
+
+def convolved(sweep: Sweep) -> "Convolution | None":
+    """The shared signals of a sweep; None where there are none, or sensitivities are less work."""
     e, layout = sweep.e, sweep.layout
     alike = type(sweep) is Sweep and len(layout.classes) == 1 and (layout.pattern == 0).all()
     if not alike or e.filtering:
-        return gathered(sweep)
+        return None
     powers = Powers.of(sweep.matrices.A, sweep.steps.uniform()[0])
-    if powers is None:
-        return gathered(sweep)
-    shared = Convolution(sweep, powers)
-    return shared.sums() if shared.pays else gathered(sweep)
+    shared = None if powers is None else Convolution(sweep, powers)
+    return shared if shared is not None and shared.pays else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +133,8 @@ class Convolution:
 
     def sums(self) -> Sums:
         """Blocks of all records and intervals; the same however many threads there are."""
-        e, layout, d = self.sweep.e, self.sweep.layout, len(self.powers.M)
-        found = Sums.zeros(e)
+        layout, d = self.sweep.layout, len(self.powers.M)
+        found = Sums.zeros(self.sweep.e)
         signals = np.zeros((len(layout.records), self.count - d, self.count - d))
         portions = list(self._portions())
         for index, (gram, nodes, slopes) in zip(
@@ -138,11 +143,35 @@ class Convolution:
             signals[layout.record[index[0]]] += gram
             found.nodes[layout.node[index]] = nodes
             found.slopes[layout.node[index]] = slopes
-        records = found.records
-        for seen in self._out[:, d:]:
-            records += seen.T @ (signals @ seen)
+        self._add_records(found.records, signals)
         found.ends[layout.node] = self.sweep.motion.ends
         return found
+
+    def _add_records(self, records: Array, signals: Array) -> None:
+        """What the Gram matrices of each record's signals (records, s, s) add to `Sums.records`."""
+        whole, out = signals.sum(axis=0), self._out[:, len(self.powers.M) :]
+        for seen in out:
+            records[0] += seen.T @ (whole @ seen)
+        # A bias moves each output by the signal that is one: each record's is that row of its own.
+        one, b = -1 - len(out), slice(-1 - len(out), -1)
+        rows = np.einsum("ob,orc->rbc", out[:, one, b], signals[:, one] @ out)
+        records[:, b], records[:, :, b] = rows, rows.transpose(0, 2, 1)
+
+    def moments(self, weight: Array, last: Array) -> tuple[Array, Array]:
+        """Σ_k weight_k ⊗ S_k over all samples (N, nv) and the ends, whose weights are the first nx.
+
+        By the parameters over all intervals (nv, nx, nf), by its node for each (J, nv, nx, nx); the
+        weights of the ends ``last`` (J, nx) and the nodes stand in the order of the layout.
+        """
+        d, nv = len(self.powers.M), weight.shape[1]
+        driven, at_nodes = np.zeros((nv, self.count)), np.zeros((len(last), nv, d))
+        portions = list(self._portions())
+        moments = on_all_cores(partial(self._moments, weight=weight, last=last), portions)
+        for index, (total, own) in zip(portions, moments, strict=True):
+            driven += total
+            at_nodes[index] = own
+        total = np.tensordot(driven[:, d : self.filtered], self._states, axes=1)
+        return total, np.tensordot(at_nodes, self.powers.M, axes=1)
 
     def _portions(self) -> Iterator[np.ndarray]:
         """Rows of the layout, each portion of one record, the longest first."""
@@ -159,13 +188,8 @@ class Convolution:
         gram = np.zeros((self.count - d, self.count - d))
         cross = np.zeros((d, n * self.count))
         ends = np.empty((n, self.filtered))
-        y: Array = np.zeros((n, self.filtered // d, d))
-        y[:, 0] = self.powers.start
-        Z = np.empty((min(STEPS, int(count[0])) + 1, n, self.count))
-        for first in range(0, int(count[0]), STEPS):
-            K = min(STEPS, int(count[0]) - first)
-            y = self._filter(index, first, Z[: K + 1], y)
-            node = Z[:K, 0, :d].copy()
+        for first, Z in self._signals(index):
+            K, node = len(Z) - 1, Z[:-1, 0, :d].copy()
             for j in np.flatnonzero((count > first) & (count <= first + K)):
                 ends[j] = Z[count[j] - first, j, : self.filtered]
             for j in np.flatnonzero(count < first + K):
@@ -174,6 +198,34 @@ class Convolution:
             gram += rows.T @ rows
             cross += node.T @ Z[:K].reshape(K, -1)
         return gram, self._of_nodes(cross.reshape(d, n, -1)), self._of_ends(ends)
+
+    def _moments(self, index: np.ndarray, weight: Array, last: Array) -> tuple[Array, Array]:
+        """Of a portion, by the signals (nv, signals) and by the powers for each (n, nv, d)."""
+        layout, d, nv = self.sweep.layout, len(self.powers.M), weight.shape[1]
+        count, start = layout.count[index], layout.start[index]
+        total, own = np.zeros((nv, self.count)), np.zeros((len(index), nv, d))
+        for first, Z in self._signals(index):
+            K, left = len(Z) - 1, count - first
+            at = np.arange(K)[:, None]
+            V = np.zeros((K + 1, len(index), nv))
+            V[:-1] = weight[start + np.minimum(first + at, count - 1)] * (at < left)[:, :, None]
+            ending = np.flatnonzero((left > 0) & (left <= K))
+            V[left[ending], ending, : last.shape[1]] += last[index[ending]]
+            Z[-1, :, self.filtered :] = 0.0
+            total += V.reshape(-1, nv).T @ Z.reshape(-1, self.count)
+            own += V.transpose(1, 2, 0) @ Z[:, 0, :d]
+        return total, own
+
+    def _signals(self, index: np.ndarray) -> Iterator[tuple[int, Array]]:
+        """First sample and signals (K + 1, n, signals) of intervals, K samples and the next."""
+        count, d = self.sweep.layout.count[index], len(self.powers.M)
+        y: Array = np.zeros((len(index), self.filtered // d, d))
+        y[:, 0] = self.powers.start
+        Z = np.empty((min(STEPS, int(count[0])) + 1, len(index), self.count))
+        for first in range(0, int(count[0]), STEPS):
+            K = min(STEPS, int(count[0]) - first)
+            y = self._filter(index, first, Z[: K + 1], y)
+            yield first, Z[: K + 1]
 
     def _filter(self, index: np.ndarray, first: int, Z: Array, y: Array) -> Array:
         """Write the signals of K samples and of the next into Z (K + 1, n, signals)."""

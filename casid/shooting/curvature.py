@@ -22,6 +22,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.assembly import groups
+from casid.shooting.convolution import convolved
 from casid.shooting.intervals import Layout
 from casid.shooting.sensitivity import Sweep, counts
 
@@ -49,7 +50,9 @@ def curvature(sweep: Sweep, mu: Array) -> Curvature:
     rho = weighed(sweep)
     back: Back = lambda at, p: sweep.steps.back(layout.step[at], p)  # noqa: E731
     weight, last, after, _ = costates(layout, rho @ m.C, mu[layout.node], back)
-    total, at_nodes = _moments(sweep, np.hstack([weight, rho]), last)
+    shared, weights = convolved(sweep), np.hstack([weight, rho])
+    found = _moments(sweep, weights, last) if shared is None else shared.moments(weights, last)
+    total, at_nodes = found
     by_lam = np.concatenate([m.A_lam, m.C_lam])
     Hll = np.einsum("vms,vma->sa", total, by_lam) + _delayed(sweep, after, rho)
     Hln, gn = np.empty((len(last), e.nf, e.nx)), np.empty((e.ny, len(last), e.nx))

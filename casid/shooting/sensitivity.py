@@ -67,7 +67,9 @@ class Batch:
 class Sums:
     """Gauss-Newton blocks; intervals (J) in chronological order, columns as in `Batch`."""
 
-    records: Array  # (records, nc, nc) sums over each record, the nodes' rows and columns not valid
+    # (records, nc, nc) sums over each record, the nodes' rows and columns not valid; but for the
+    # biases' those of all records may stand in the first
+    records: Array
     nodes: Array  # (J, nx, nc) the rows of every interval's node
     ends: Array  # (J, nx)
     slopes: Array  # (J, nx, nf + nx + ny)

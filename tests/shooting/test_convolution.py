@@ -11,6 +11,7 @@ from truths.closed_roll import TRUTH, flown, with_holes
 from casid.free import free_parameters
 from casid.shooting import convolution
 from casid.shooting.convolution import Convolution, Powers, summed
+from casid.shooting.curvature import _moments
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator, Point, gathered, whiteners
 from casid.shooting.unknowns import GainUnknowns
@@ -43,10 +44,15 @@ def check_same(found, expected, nf, nx, record, tolerance=1e-12):
     own = np.r_[0:nf, nf + nx : expected.records.shape[1]]
     total = expected.records[:, own][:, :, own]
     size = np.sqrt(np.einsum("rii->ri", total))
-    unit = size[:, :, None] * size[:, None]
+    unit, mine = size[:, :, None] * size[:, None], found.records[:, own][:, :, own]
+    bias = slice(nf, len(own) - 1)  # the others' rows are taken of all records together
     np.testing.assert_allclose(
-        found.records[:, own][:, :, own] / unit, total / unit, atol=tolerance
+        mine[:, bias] / unit[:, bias], total[:, bias] / unit[:, bias], atol=tolerance
     )
+    np.testing.assert_allclose(mine.transpose(0, 2, 1), mine, atol=0, rtol=1e-9)
+    unit = np.sqrt(np.einsum("rii->i", total))
+    unit = unit[:, None] * unit
+    np.testing.assert_allclose(mine.sum(axis=0) / unit, total.sum(axis=0) / unit, atol=tolerance)
     node = np.sqrt(np.einsum("jii->ji", expected.nodes[:, :, nf : nf + nx]))
     width = np.concatenate([size[record][:, :nf], node, size[record][:, nf:]], axis=1)
     unit = node[:, :, None] * width[:, None]
@@ -71,6 +77,22 @@ def test_blocks_are_those_of_the_sensitivities(hold, delay, growing, monkeypatch
     assert len(set(sweep.layout.count)) > 1
     record = sweep.layout.record[np.argsort(sweep.layout.node)]
     check_same(shared(sweep), gathered(sweep), sweep.e.nf, sweep.e.nx, record)
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_moments_are_those_of_the_sensitivities(hold, monkeypatch):
+    monkeypatch.setattr(convolution, "STEPS", 37)
+    monkeypatch.setattr(convolution, "BYTES", 1e5)
+    records = [replace(flown(seed=k).between(0, 5.3 + k), hold=hold) for k in (1, 2)]
+    sweep, rng = swept(replace(TRUTH, tau=0.025), records, 1.7, R), np.random.default_rng(3)
+    weight = rng.standard_normal((sum(record.N for record in records), 6))
+    last = rng.standard_normal((len(sweep.layout.count), 3))
+    signals = Convolution(sweep, Powers.of(sweep.matrices.A, sweep.steps.uniform()[0]))
+    for mine, expected in zip(
+        signals.moments(weight, last), _moments(sweep, weight, last), strict=True
+    ):
+        size = np.abs(expected).max(axis=0)
+        np.testing.assert_allclose(mine / size, expected / size, atol=1e-11)
 
 
 def test_powers_of_a_matrix_lie_in_the_space():
