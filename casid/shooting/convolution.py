@@ -112,6 +112,7 @@ class Convolution:
         self._direct = np.flatnonzero(sweep.drive.any(axis=(0, 2)))
         self._W = sweep.W[0]
         d, nx, nf, ny = len(powers.M), e.nx, e.nf, e.ny
+        self._drive = drive[:, self._live].transpose(1, 0, 2).reshape(-1, nf)  # (live nx, nf)
         moved = np.tensordot(powers.M, drive[:, self._live], axes=1)  # (d, nx, live, nf)
         self._states = moved.transpose(2, 0, 1, 3).reshape(-1, nx, nf)
         self._ahead = powers.ahead(AT_ONCE)
@@ -255,9 +256,18 @@ class Convolution:
         """Rows (n, nx, nc) of the nodes from Σ h zᵀ (d, n, signals)."""
         e, (d, n, signals) = self.sweep.e, cross.shape
         of_node = self._out[:, :d, e.nf : e.nf + e.nx]
-        through = np.einsum("cix,is->cxs", of_node, cross.reshape(d, -1), optimize=True)
-        rows = np.matmul(through.reshape(e.ny, e.nx * n, signals), self._out).sum(axis=0)
-        return np.asarray(rows.reshape(e.nx, n, -1).transpose(1, 0, 2))
+        plain = np.r_[:d, self.filtered : signals]
+        through = np.einsum(
+            "cix,is->cxs", of_node, cross[:, :, plain].reshape(d, -1), optimize=True
+        )
+        rows = np.matmul(through.reshape(e.ny, e.nx * n, -1), self._out[:, plain]).sum(axis=0)
+        rows = rows.reshape(e.nx, n, -1).transpose(1, 0, 2).copy()
+        # What parameters drive is felt as what nodes are: W C M_i, for each of the signals' i.
+        felt = np.einsum("cix,cjz->ijxz", of_node, of_node).reshape(d * d, -1)
+        driven = cross[:, :, d : self.filtered].reshape(d, n, -1, d).transpose(1, 2, 0, 3)
+        driven = (driven.reshape(-1, d * d) @ felt).reshape(n, -1, e.nx, e.nx).swapaxes(1, 2)
+        rows[:, :, : e.nf] += driven.reshape(n, e.nx, -1) @ self._drive
+        return rows
 
     def _of_ends(self, ends: Array) -> Array:
         """Derivatives (n, nx, nf + nx + ny) of the end states from the signals there."""

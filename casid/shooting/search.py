@@ -240,7 +240,7 @@ class Search:
         jumps = not np.isnan(held(programme, programme.unpack(x).lam)[1]).all()
         if jumps or programme.evaluator.filtering:
             return False
-        guess = predicted(programme, x, PREDICTIONS - 1, replace(self.options, progress=None))
+        guess = predicted(programme, x, 1, replace(self.options, progress=None))
         if guess is None:
             return False
         (lower, upper), _ = programme.limits()

@@ -123,7 +123,6 @@ def test_a_stretch_that_is_passed_over_has_nothing_better(monkeypatch):
             truth = structure(tau=1.0 * H)
             output_error(truth, flights(structure, hold, 1.0, seed), bounds=BOUNDS)
     passed, more = (np.array(each) for each in zip(*ends, strict=True))
-    assert passed.sum() > 2
-    assert more[passed].min() > -1e-4  # nothing better, and found: no end without success
-    assert np.isfinite(more[passed]).all()
+    assert (passed & np.isfinite(more)).sum() > 2  # infinite where the solve has no success
+    assert more[passed].min() > 0.0
     assert len(ends) > passed.sum()
