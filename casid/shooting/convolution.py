@@ -267,7 +267,7 @@ class Convolution:
         driven = cross[:, :, d : self.filtered].reshape(d, n, -1, d).transpose(1, 2, 0, 3)
         driven = (driven.reshape(-1, d * d) @ felt).reshape(n, -1, e.nx, e.nx).swapaxes(1, 2)
         rows[:, :, : e.nf] += driven.reshape(n, e.nx, -1) @ self._drive
-        return rows
+        return np.asarray(rows)
 
     def _of_ends(self, ends: Array) -> Array:
         """Derivatives (n, nx, nf + nx + ny) of the end states from the signals there."""
