@@ -110,4 +110,6 @@ def _shown(value: object) -> str:
         return f"{len(value)} values, {value[0]:g} to {value[-1]:g}"
     if isinstance(value, np.ndarray):
         return np.array2string(value, precision=4, threshold=1000, separator=", ")
+    if isinstance(value, Mapping) and not any(isinstance(x, Mapping) for x in value.values()):
+        value = tuple(f"{name}: {x}" for name, x in value.items())
     return ", ".join(map(str, value)) if isinstance(value, tuple | list) else str(value)

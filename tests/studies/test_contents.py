@@ -6,7 +6,7 @@ import pytest
 from truths.roll_study import write_study
 
 from casid import read_study, run_study
-from casid.studies.contents import _units
+from casid.studies.contents import _settings, _units
 
 
 @pytest.mark.slow
@@ -37,3 +37,12 @@ def test_a_structure_s_own_units_count_and_those_stated_of_columns_more():
     assert (found["V"], found["alpha"], found["power"]) == ("m/s", "rad", "m/s")
     assert found["p"] == "rad/s"
     assert "valve" not in found
+
+
+def test_settings_name_every_table_and_what_differs_from_the_usual(tmp_path):
+    table = '[sufficiency]\n\n[qualification.tolerances]\np = "2 deg/s"\nphi = "1 deg"\n\n[match]'
+    said = _settings(read_study(write_study(tmp_path, ("[match]", table))))
+    assert said["sufficiency"] == "as usual"
+    assert said["qualification.tolerances"] == "p: 2 deg/s, phi: 1 deg"
+    assert "qualification.source" not in said
+    assert not any(value in {"", "[]"} for value in said.values())
