@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from casid.frequency.responses import merge_responses, read_frequency_csv
+from casid import FrequencyResponse
+from casid.frequency.responses import merge_responses, read_frequency_csv, side_by_side
 
 OMEGA = np.array([0.5, 1.0, 2.0])
 G = np.array([1 - 1j, -0.5j, -0.2 + 0.1j])
@@ -86,3 +87,22 @@ def test_bad_files_are_refused(tmp_path):
     good = read_frequency_csv(path, pairs={("p", "lat"): ("a", "b")})
     with pytest.raises(ValueError, match="one grid"):
         merge_responses([good, good.between(0.4, 1.1)])
+
+
+def measured(output, omega, leak):
+    """A response of one output to one stick."""
+    shape = (len(omega), 1, 1)
+    names = {"inputs": ("lat",), "outputs": (output,), "input_std": [1.0], "output_std": [1.0]}
+    quality = {"coherence": 0.9, "random_error": 0.03, "leakage": leak}
+    parts = {name: np.full(shape, value) for name, value in quality.items()}
+    return FrequencyResponse(omega=omega, G=np.full(shape, 1 + 2j), **parts, **names)
+
+
+def test_responses_of_other_frequencies_stand_side_by_side_with_all_their_errors():
+    first, second = measured("p", OMEGA, 0.04), measured("r", OMEGA[1:] + 0.5, 0.0)
+    found = side_by_side([first, second])
+    np.testing.assert_array_equal(found.omega, [0.5, 1.0, 1.5, 2.0, 2.5])
+    np.testing.assert_allclose(found.error[[0, 1, 3], 0, 0], 0.05)  # noise and leakage
+    np.testing.assert_allclose(found.error[[2, 4], 1, 0], 0.03)
+    assert np.isnan(found.G[[2, 4], 0, 0]).all()
+    assert np.isnan(found.G[[0, 1, 3], 1, 0]).all()
