@@ -232,12 +232,8 @@ class Loop:
 class Crowd:
     """Loops of models of which only shares of limits are asked, on one grid, in single precision.
 
-    Parameters
-    ----------
-    loops : iterable of Loop
-        Taken one by one, because each knows far more than is kept of it.
-    limits : (n,) array
-        Of sticks, rates, outputs and states; only signals with a finite one, C of them, are kept.
+    They are taken one by one, because each knows far more than is kept of it: of sticks, rates,
+    outputs and states only the C signals with a finite limit.
     """
 
     def __init__(self, loops: Iterable[Loop], limits: Array) -> None:

@@ -27,16 +27,9 @@ OPTIONS = SolverOptions(tolerance=1e-4, max_iterations=60)
 
 
 def least_peak(task: Task, waves: Sequence[Array], phases: Array) -> Array:
-    """Phases (n,) of the least peak found, no larger than at those given.
+    """Phases (n,), axis by axis, of the least peak found, no larger than at those given.
 
-    Parameters
-    ----------
-    task : Task
-        Whose limits count.
-    waves : sequence of (N, 2 n_j) array
-        Cosines, then sines, of each axis, as large as they are to be.
-    phases : (n,) array
-        Axis by axis.
+    ``waves`` (N, 2 n_j) are cosines, then sines, of each axis, as large as they are to be.
     """
     cut = np.cumsum([wave.shape[1] // 2 for wave in waves])[:-1]
 

@@ -131,18 +131,10 @@ class DesignSettings:
 @storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Alternative:
-    """One way to use the flight time, as large as the limits let it be.
+    """One way to use the flight time, as large as the limits let it be."""
 
-    Parameters
-    ----------
-    name : str
-        "3-2-1-1", "sweeps", "multisine", "steps".
-    std_errors : (nf,) array
-        Predicted.
-    """
-
-    name: str
-    std_errors: Array
+    name: str  # "3-2-1-1", "sweeps", "multisine", "steps"
+    std_errors: Array  # (nf,) predicted
 
     def __post_init__(self) -> None:
         seal(self)

@@ -30,21 +30,11 @@ FLOOR = 1e-6  # standard deviation of a residual is at least this share of the c
 @storable
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NoiseSpectrum:
-    """Power of the residuals of manoeuvres of a kind, of sampled white noise its variance.
-
-    Parameters
-    ----------
-    records : tuple of str
-        Their names.
-    omega : (K,) array
-        Frequencies [rad/s].
-    power : (K, ny) array
-        Squared units of the outputs; NaN of one that was not measured.
-    """
+    """Power of the residuals of manoeuvres of a kind, of sampled white noise its variance."""
 
     records: tuple[str, ...]
-    omega: Array
-    power: Array
+    omega: Array  # (K,) [rad/s]
+    power: Array  # (K, ny) squared units of the outputs; NaN of one that was not measured
 
     def __post_init__(self) -> None:
         seal(self)

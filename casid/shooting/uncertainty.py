@@ -56,17 +56,9 @@ def eliminate(
     information an optimal estimator of λ alone has. Works for unstable dynamics, since no
     sensitivity is carried over a whole record.
 
-    Parameters
-    ----------
-    H : (nf, nf) array
-    H_nuisance : (nn, nn) sparse
-    H_cross : (nn, nf) array
-    G, G_cross : (m, nn) sparse, (m, nf) array
-
-    Returns
-    -------
-    (nf, nf), (nn + m, nf) array
-        The information; the derivatives by λ of ν and of the constraints' multipliers.
+    Of H (nf, nf), H_nuisance (nn, nn), H_cross (nn, nf), G (m, nn), G_cross (m, nf): the
+    information (nf, nf), and the derivatives (nn + m, nf) by λ of ν and of the constraints'
+    multipliers.
     """
     many = np.diff(H_nuisance.indptr) > MANY
     if many.any():
@@ -113,17 +105,10 @@ def _in_two_steps(
 def bound(F: Array, ties: Array, alone: Array | None = None) -> Array:
     """Cramér-Rao bound of the covariance, (nf, nf), on the tangent space of the ties.
 
-    Parameters
-    ----------
-    F : (nf, nf) array
-        Fisher information.
-    ties : (m, nf) array
-        Gradients of equality constraints that hold between the parameters.
-    alone : (nf,) array
-        Information of every parameter were all else known. What little of it is left in F after
-        initial states and biases took their share may be rounding.
-
-    Directions without information have infinite variance: the rows of the parameters in them are
+    ``ties`` (m, nf) are gradients of equality constraints that hold between the parameters,
+    ``alone`` (nf,) the information of every parameter were all else known: what little of it is
+    left in F (nf, nf) after initial states and biases took their share may be rounding. Directions
+    without information have infinite variance: the rows of the parameters in them are
     infinite on the diagonal and NaN elsewhere.
     """
     _, _, directions, lost = _directions(F, ties, alone)
@@ -220,15 +205,10 @@ def coloured_covariance(
     depend on the slopes; then K is in every direction the larger of that and of the blocks'. Of
     fewer samples than blocks take a correlation is chance as much, and K not below white noise's.
 
-    Parameters
-    ----------
-    covariance : (nf, nf) array
-        Cramér-Rao bound for white residuals.
-    residuals : sequence of (N, ny) array
-        Whitened residuals of every record, 0 where missing.
-    slopes : callable
-        Their total derivatives by λ, in the same order: iterables of (n, ny, nf) arrays, one a
-        record, piece after piece, so that memory does not grow with the records.
+    ``covariance`` (nf, nf) is the Cramér-Rao bound for white residuals, ``residuals`` (N, ny) those
+    of every record, whitened, 0 where missing. ``slopes`` returns their total derivatives by λ, in
+    the same order: iterables of (n, ny, nf) arrays, one a record, piece after piece, so that memory
+    does not grow with the records.
     """
     C = residual_covariance(residuals)
     values, vectors = np.linalg.eigh(covariance)

@@ -43,23 +43,11 @@ def support(a: float, k: int) -> float:
 def project_blocks(
     t: Array, v: Array, a: float, n: int, hold: Hold = "foh", size: int = 4096
 ) -> Iterator[tuple[int, Array]]:
-    """Projections on the first n functions, from the end of the record backwards.
+    """Projections on the first n functions of pole ``a`` [rad/s], from the record's end backwards.
 
-    Parameters
-    ----------
-    t, v : (N,), (N, nv) array
-        Instants [s], any spacing, and the signal; it is zero after its last sample.
-    a, n : float, int
-        Laguerre pole [rad/s] and number of functions.
-    hold : {"foh", "zoh"}
-        What the signal does between samples.
-    size : int
-        Samples of a block.
-
-    Yields
-    ------
-    (start, block)
-        Element [i, k] of a block is z_k(t_{start + i}) of every channel, paper (4).
+    The signal v (N, nv) at instants t (N,) [s] of any spacing is zero after its last sample. Yields
+    start and block, of ``size`` samples: its element [i, k] is z_k(t_{start + i}) of every channel,
+    paper (4).
     """
     A_L, b = laguerre(a, n)
     steps, which = step_groups(t)
@@ -100,12 +88,8 @@ def from_laguerre(system: StateSpace, K_o: Array, a: float) -> tuple[StateSpace,
     """Continuous model and gain of a transformed one (A_o, B_o, C_o, D_o), K_o: paper (6) inverted.
 
     The printed K_o has its factors in an order that cannot be multiplied; here
-    K_o = √(2a) (Â - aI)⁻¹ K̂ (I - Ĉ(Â - aI)⁻¹ K̂)⁻¹.
-
-    Raises
-    ------
-    ValueError
-        A transformed pole at 1, which would be a continuous pole at infinity.
+    K_o = √(2a) (Â - aI)⁻¹ K̂ (I - Ĉ(Â - aI)⁻¹ K̂)⁻¹. ValueError: a transformed pole at 1, which
+    would be a continuous pole at infinity.
     """
     A_o, B_o, C_o, D_o = system.A, system.B, system.C, system.D
     eye, root = np.eye(len(A_o)), np.sqrt(2 * a)
