@@ -107,6 +107,7 @@ def design_inputs(
         flown["multisine"] = _multisine(problem, task)
     chosen = min(list(flown)[2:], key=lambda name: task.value(flown[name]))
     made = _predicted(problem, task, flown, chosen)
+    _check_told(problem, made)
     blind = [f"{name}: no effect on the linearisation at the trim" for name in unfelt]
     count = (1 + JUDGES) * settings.draws if drawn else 0
     return replace(
@@ -254,6 +255,19 @@ def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen
     )  # fmt: skip
     judged = identifiability(model, made.record(), fixed=problem.settings.fixed or (), spread=0.0)
     return replace(made, blind=tuple(str(judged).splitlines()[1:]))
+
+
+def _check_told(problem: Problem, made: Design) -> None:
+    """Refuse limits within which no parameter that counts is told to within its typical size."""
+    free = problem.frees[0]
+    share = (made.std_errors / free.scale[free.index])[problem.rows]
+    if share.min() > 1:
+        held = max(made.used_at_worst, key=lambda name: made.used_at_worst[name])
+        raise ValueError(
+            f"the limits leave nothing: within that of {held!r} the best told parameter, "
+            f"{free.names[problem.rows[share.argmin()]]}, has a standard error of "
+            f"{share.min():.2g} times its size: widen it, or fly longer"
+        )
 
 
 def _named(model: Model, shares: Array) -> dict[str, float]:

@@ -127,8 +127,9 @@ def noise_of(model: Model, fit: AnyFit | None, noise: Mapping[str, float] | None
         colour = [a / b for a, b in pairs if np.isfinite(a) and np.isfinite(b) and b > 0]
         return np.asarray(np.diag(np.diag(fit.R)) * float(np.median(colour or [1.0])) ** 2)
     for name in model.outputs:
-        if not noise.get(name, 0.0) > 0:
-            raise ValueError(f"noise: output {name!r} has none; give its standard deviation, > 0")
+        if not 0 < noise.get(name, 0.0) < np.inf:
+            told = f"has {noise[name]:g}" if name in noise else "has none"
+            raise ValueError(f"noise: output {name!r} {told}; give its standard deviation, > 0")
     return np.diag([noise[name] ** 2 for name in model.outputs])
 
 

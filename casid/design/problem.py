@@ -197,7 +197,7 @@ def _band(model: Model, duration: float, dt: float) -> tuple[float, float]:
 
 def _arrays(model: Model, limits: Limits) -> Array:
     """Limits of sticks, rates, outputs, states in their order; infinite where there is none."""
-    sides = (*model.outputs, *model.states)
+    sides = tuple(dict.fromkeys((*model.outputs, *model.states)))
     named = ((limits.sticks, model.inputs), (limits.rates, model.inputs))
     for group, known in (*named, (limits.responses, sides)):
         if unknown := [name for name in group if name not in known]:

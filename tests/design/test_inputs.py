@@ -27,10 +27,10 @@ NOISE = dict.fromkeys(MODEL.outputs, 0.01)
 QUICK = {"dt": 0.05, "iterations": 20, "rest": 1.0, "draws": 4}
 
 
-def designed(limits=None, duration=10.0, **options):
+def designed(limits=None, duration=10.0, noise=NOISE, **options):
     limits = limits or Limits(sticks={STICK: 0.1})
     settings = DesignSettings(**{**QUICK, **options})
-    return design_inputs(MODEL, limits, duration, noise=NOISE, settings=settings)
+    return design_inputs(MODEL, limits, duration, noise=noise, settings=settings)
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +114,11 @@ def test_parameters_that_matter_are_told_better_than_when_all_count():
         ({"spread": -0.2}, "spread = -0.2: expected"),
         ({"matter": ("Xx",)}, "matter names 'Xx'"),
         ({"limits": Limits(sticks={"nose": 0.1})}, "limits name 'nose'"),
+        ({"noise": NOISE | {"q": np.inf}}, "output 'q' has inf; give"),
+        (
+            {"limits": Limits(sticks={STICK: 0.1}, responses={"q": 1e-9})},
+            "limits leave nothing: within that of 'q' .* times its size: widen it",
+        ),
     ],
 )
 def test_what_cannot_be_flown_is_refused_with_a_remedy(change, words):
