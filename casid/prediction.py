@@ -17,9 +17,10 @@ that is estimated on the past before it and nothing else (`casid.filtering`).
 
 Of a flight in closed loop more is known: a controller answers disturbances, therefore outputs stay
 where they use to be, however fast the aircraft alone would leave. Among the disturbances that the
-filter allows for, those are likely ahead with which the inputs ahead end there: as in the stable
-inversion of unstable systems (S. Devasia, D. Chen, B. Paden, "Nonlinear inversion-based output
-tracking", IEEE Transactions on Automatic Control 41, 1996), inputs tell growing modes backward.
+filter allows for, those are likely ahead with which the inputs ahead end there, at the outputs'
+means over the record within their covariance: as in the stable inversion of unstable systems (S.
+Devasia, D. Chen, B. Paden, "Nonlinear inversion-based output tracking", IEEE Transactions on
+Automatic Control 41, 1996), inputs tell growing modes backward.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -161,21 +162,23 @@ class Follower:
         return np.array(found)
 
     def _bounded(self, path: Array, begin: int, known: filtering.Start) -> Array:
-        """States of a piece, given that outputs at its end are their means within deviations."""
+        """States of a piece, given that outputs at its end are their means within covariances."""
         # A smoother's, to which the means are a last measurement.
         end, level = begin + len(path) - 1, known.likeliest[0]
-        seen = np.isfinite(self.y).any(axis=0)
-        C, unit = self.C[end][seen], np.diff(self.t) / np.median(np.diff(self.t))
+        seen = np.isfinite(self.y)
+        some, count = seen.any(axis=0), seen.sum(axis=0)
+        C, unit = self.C[end][some], np.diff(self.t) / np.median(np.diff(self.t))
+        mean = np.nanmean(self.y[:, some], axis=0)
+        apart = np.where(seen[:, some], self.y[:, some] - mean, 0.0) / np.sqrt(count[some])
         maps = [self.steps.maps[self.steps.which[k]] for k in range(begin, end)]
         P, felt = [known.P[level]], [C.T]  # covariances; at the end, of a state at each sample
         for k, A in enumerate(maps, begin):
             P.append(A @ P[-1] @ A.T + unit[k] * known.Q[level])
         for A in reversed(maps):
             felt.append(A.T @ felt[-1])
-        S = C @ P[-1] @ C.T + np.diag(self.scale[seen] ** 2)
-        away = self.outputs(path, begin)[-1] + known.bias
-        pull = np.linalg.solve(S, away[seen] - np.nanmean(self.y[:, seen], axis=0))
-        return np.asarray(path - np.array(P) @ np.array(felt[::-1]) @ pull)
+        S = C @ P[-1] @ C.T + apart.T @ apart + np.diag(known.r[some])
+        away = (self.outputs(path, begin)[-1] + known.bias)[some] - mean
+        return np.asarray(path - np.array(P) @ np.array(felt[::-1]) @ np.linalg.solve(S, away))
 
     def known(self, starts: Sequence[int]) -> Iterator[filtering.Start]:
         """What the record up to each of these samples tells."""

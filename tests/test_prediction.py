@@ -109,7 +109,7 @@ def regulated(seed, n=1500):
     return system, Record(DT * np.arange(n), u, y, ("u",), ("a", "b"), f"{seed}", hold="zoh")
 
 
-def smoothed(system, record, known, start, end, scale):
+def smoothed(system, record, known, start, end):
     """States ahead by least squares over the state at the start and all disturbances ahead."""
     steps = system.steps(record.t, record.u, record.hold)
     (Ad,), level, count = steps.maps, known.likeliest[0], end - start
@@ -125,8 +125,9 @@ def smoothed(system, record, known, start, end, scale):
     prior = scipy.linalg.block_diag(
         np.linalg.inv(root), np.diag(np.tile(np.diag(Q) ** -0.5, count))
     )
-    last = make[-1] / scale[:, None]
-    wanted = (record.y.mean(axis=0) - path[-1] - known.bias) / scale
+    spread = np.linalg.inv(np.linalg.cholesky(np.cov(record.y.T, bias=True) + np.diag(known.r)))
+    last = spread @ make[-1]
+    wanted = spread @ (record.y.mean(axis=0) - path[-1] - known.bias)
     found = np.linalg.lstsq(np.vstack([prior, last]), np.append(np.zeros(len(prior)), wanted))[0]
     return np.array(path) + make @ found
 
@@ -139,7 +140,7 @@ def test_in_closed_loop_states_ahead_are_those_of_least_squares_over_disturbance
     follower = Follower(system, record, scale)
     ends = (*far.starts[1:], record.N - 1)
     for start, end, known in zip(far.starts, ends, follower.known(far.starts), strict=True):
-        wanted = smoothed(system, record, known, start, end, scale)[1:]
+        wanted = smoothed(system, record, known, start, end)[1:]
         np.testing.assert_allclose(found[start + 1 : end + 1], wanted, rtol=1e-5, atol=1e-7)
 
 
