@@ -355,3 +355,11 @@ def test_a_flight_given_twice_is_told_whatever_its_name():
         stretches([replace(one, name="one"), replace(one, name="two")])
     other = replace(one, y=one.y + 1e-9, name="two")
     assert len(stretches([one, other])) == 2
+
+
+def test_a_headline_says_how_long_and_how_often():
+    y = np.zeros((101, 1))
+    y[:5] = np.nan
+    record = Record(0.05 * np.arange(101), np.zeros((101, 1)), y, ("lat",), ("p",), "one")
+    said = "'one', 5 s, 101 samples at 20 Hz, inputs lat, outputs p, 5 % of the outputs missing"
+    assert record.headline() == said

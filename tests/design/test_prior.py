@@ -6,7 +6,7 @@ import scipy.stats
 from truths.swing import Swing
 
 from casid import Trim
-from casid.design.prior import known_before, nearest_trim, possible
+from casid.design.prior import known_before, nearest_trim, noise_of, possible
 from casid.free import free_parameters
 from models.short_period import ShortPeriod
 
@@ -86,3 +86,14 @@ def test_distances_from_a_balance_are_shares_of_values_above_one():
     away = np.linalg.norm((line.T - given) / np.maximum(given, 1.0), axis=1)
     # each step is the shortest to where the slope has the balance: off in second order
     assert found["theta"] == pytest.approx(theta[np.argmin(away)], abs=0.003)
+
+
+def test_noise_is_stated_of_every_output_and_more_than_none():
+    model, noise = ShortPeriod(), dict(zip(ShortPeriod.outputs, (0.1, 0.2, 0.3), strict=False))
+    np.testing.assert_allclose(
+        noise_of(model, None, noise), np.diag([noise[name] ** 2 for name in model.outputs])
+    )
+    name = model.outputs[-1]
+    for wrong in (noise | {name: 0.0}, noise | {name: np.nan}, {model.outputs[0]: 0.1}):
+        with pytest.raises(ValueError, match=f"output '{name}' has none"):
+            noise_of(model, None, wrong)

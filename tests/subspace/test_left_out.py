@@ -9,7 +9,7 @@ import scipy
 
 from casid import Record, pbsid
 from casid.subspace.fourier import Spectrum
-from casid.subspace.left_out import _gains, _regressed
+from casid.subspace.left_out import Jackknife, _gains, _regressed
 from casid.subspace.modal import Modal
 
 DT = 0.04
@@ -134,3 +134,16 @@ def test_the_error_of_a_gain_is_its_scatter_between_bands_of_three_tenths_of_a_n
     # ten bands of one power, so that one left out moves the mean by a ninth of its distance
     np.testing.assert_allclose(gain.error, spread * np.sqrt(10) / 9, rtol=0.04, atol=0.006)
     np.testing.assert_allclose(gain.gain, -1, atol=0.02)
+
+
+@pytest.mark.parametrize(("channel", "rival"), [("lat", 2), ("ped", 3), ("p", 2)])
+def test_the_rival_moves_the_same_input_on_its_own_and_not_by_feedback(channel, rival):
+    names = ("lat", "ped"), ("p",)
+    # a record judged, one in which feedback moves everything, one on each stick
+    sizes = np.array([[1.0, 0.1], [1.0, 1.0], [0.9, 0.05], [0.05, 0.9]])
+    signs = np.array([[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
+    records = [Record(np.arange(4.0), size * signs, np.zeros((4, 1)), *names) for size in sizes]
+    none = SimpleNamespace(
+        campaign=SimpleNamespace(records=records), rest=lambda *_: [], _settled=lambda _: None
+    )
+    assert Jackknife.rival(none, 0, channel) == rival

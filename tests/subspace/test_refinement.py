@@ -140,6 +140,26 @@ def test_refinement_lowers_the_likelihood_of_no_start_and_masks_the_direct_term(
     assert after <= truth + 1e-3  # the maximum is at least as likely as the truth
 
 
+def test_the_correction_of_the_criterion_is_akaikes_and_more_terms_than_data_are_worth_nothing():
+    flown = campaign(records=2, duration=12.0)
+    su, sy = standard_deviations(flown)
+    data = [spectra([record], su, sy, 8.0) for record in flown]
+    plant = unstable_plant()
+    N = 2 * sum(each.Y.size for lines in data for each in lines)
+    least = plant.nx * (len(su) + len(sy) + sum(map(len, data)))
+
+    def criterion(k):
+        return information_criteria(plant, data, su, sy, k - least).mean()
+
+    def correction(k):
+        return 2 * k / (N - k - 1)
+
+    for k in (least + 3, N - 2):
+        rise = correction(k) - correction(least)
+        assert criterion(k) - criterion(least) == pytest.approx(rise, rel=1e-9)
+    assert criterion(N - 1) == criterion(N) == np.inf
+
+
 def test_standard_deviations_of_a_response_are_those_of_its_logarithm():
     # G = c b/(jω - λ): d log G = dλ/(jω - λ) + db/b + dc/c, and dλ alone moves the phase.
     omega, (lam, b, c), errors = np.array([0.3, 2.0, 9.0]), (-2.0, 3.0, 1.5), (0.1, 0.2, 0.3)
