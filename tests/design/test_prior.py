@@ -1,12 +1,14 @@
 """What is known before a flight, and what is drawn from it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.stats
 from truths.swing import Swing
 
 from casid import Trim
-from casid.design.prior import known_before, nearest_trim, noise_of, possible
+from casid.design.prior import inside, known_before, nearest_trim, noise_of, possible
 from casid.free import free_parameters
 from models.short_period import ShortPeriod
 
@@ -97,3 +99,14 @@ def test_noise_is_stated_of_every_output_and_more_than_none():
     for wrong in (noise | {name: 0.0}, noise | {name: np.nan}, {model.outputs[0]: 0.1}):
         with pytest.raises(ValueError, match=f"output '{name}' has none"):
             noise_of(model, None, wrong)
+
+
+def test_the_value_furthest_outside_its_bounds_is_named():
+    assert inside(FREE) is FREE
+    scale = FREE.scale[FREE.index]
+    for k, other in ((1, 0), (0, 1)):
+        upper = FREE.upper.copy()
+        upper[FREE.index[k]] = FREE.guess[k] - 0.2 * scale[k]
+        upper[FREE.index[other]] = FREE.guess[other] - 0.1 * scale[other]
+        with pytest.raises(ValueError, match=f"^{FREE.names[k]} = .* is outside its bounds"):
+            inside(replace(FREE, upper=upper))
