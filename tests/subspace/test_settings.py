@@ -7,9 +7,17 @@ from truths.uh60 import EXAMPLE, INPUTS, NOISE, OUTPUTS, sweeps
 
 from casid import Record, StateSpace, pbsid, read_csv, select_order
 from casid.records import standard_deviations
+from casid.subspace.campaign import Campaign
 from casid.subspace.columns import gather, output_bandwidth
 from casid.subspace.laguerre import support
-from casid.subspace.settings import COST, PASTS, PATIENCE, held_out_suffices, usable_poles
+from casid.subspace.settings import (
+    COST,
+    PASTS,
+    PATIENCE,
+    _transforms,
+    held_out_suffices,
+    usable_poles,
+)
 
 GRID = {"orders": [3, 4, 5, 6, 7], "poles": [6.0, 8.0], "pasts": [8, 10]}
 
@@ -45,6 +53,14 @@ def median_error(system):
     G = unstable_plant().response(OMEGA)
     size = np.linalg.norm(G, axis=(1, 2))
     return np.median(np.linalg.norm(system.response(OMEGA) - G, axis=(1, 2)) / size)
+
+
+def test_every_record_is_transformed_alone_and_up_to_twice_the_fastest_pole():
+    flown = [campaign(records=1, duration=T)[0] for T in (12.0, 18.0, 24.0)]
+    for record, lines in zip(flown, _transforms(Campaign.of(flown, True), [4.0, 6.0]), strict=True):
+        (own,) = lines
+        every = 2 * np.pi / record.duration
+        np.testing.assert_allclose(own.omega, every * np.arange(1, int(12.0 / every) + 1))
 
 
 def test_choice_is_deterministic(flights, selection):
