@@ -36,3 +36,16 @@ def test_the_structures_own_constraint_has_its_share_when_a_bound_frees_it():
     assert set(low.shares) == {"a", "sum"}
     assert sum(low.shares.values()) == pytest.approx(increase, rel=1e-6)
     assert 0.1 < low.shares["sum"] / increase < 0.9
+
+
+def test_a_fixed_value_has_the_price_of_its_tie_and_no_error():
+    known = OutputError(R=NOISE**2 * np.eye(1))
+    here = Execution(executor=Inline())
+    cases = {"free": {}, "held": {"a": 0.8}}
+    found = compare_bounds(Mixture(), [record()], cases=cases, estimator=known, execution=here)
+    row = {each.name: each for each in found.cases[1].parameters}["a"]
+    assert (row.value, row.lower, row.upper) == (0.8, 0.8, 0.8)
+    assert row.active is True
+    assert np.isnan(row.std_error)
+    costs = [cost(((1.0, 0.0, 0.0), 0.8 + step)) for step in (-1e-3, 1e-3)]
+    assert row.multiplier == pytest.approx((costs[1] - costs[0]) / 2e-3, rel=1e-5)

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from truths.systems import campaign, innovation_record, relative_error, unstable_plant
 
+from casid import DataWarning
+from casid.subspace import refining
 from casid.subspace.campaign import Campaign, Windows
-from casid.subspace.refining import refine_projected, refine_sampled
+from casid.subspace.refining import Estimate, refine_projected, refine_sampled
 
 
 @pytest.mark.parametrize("how", ["unrefined", "linear", "prediction", "simulation"])
@@ -57,3 +59,39 @@ def test_projections_move_only_if_asked_and_then_to_the_truth():
         for each in (found, moved)
     )
     np.testing.assert_allclose(after, before, rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("share", "size", "distance", "ratio", "chosen"),
+    [
+        (0.02, 1.0, 9.0, 1.0, "transforms"),  # little is fed back
+        (0.04, 0.9, 0.39, 1.0, "transforms"),  # which does not matter
+        (0.04, 0.9, 0.41, 0.86, "prediction errors"),  # or does
+        (0.04, 0.9, 0.41, 0.84, "transforms, with a remark"),  # of errors too small to be true
+        (0.04, 1.1, 0.39, 0.84, "prediction errors"),  # certain: √0.04 of 1.1 is more than a fifth
+    ],
+)
+def test_noise_fed_back_is_answered_by_prediction_errors(
+    share, size, distance, ratio, chosen, monkeypatch
+):
+    flown = Campaign.of(campaign(records=1, duration=12.0), True)
+    plant, K = unstable_plant(), np.zeros((5, 3))
+    for name, answer in (
+        ("fed_back", (share, size)), ("refine_held", (plant, K + 1, None)), ("riccati_gain", K + 2),
+        ("_apart", (distance, ratio)),
+    ):  # fmt: skip
+        monkeypatch.setattr(refining, name, lambda *_, answer=answer: answer)
+    found = Estimate(plant, K)
+    if chosen.endswith("remark"):
+        told = (
+            f"prediction errors, which are not, are {distance} stated errors away, but state too "
+            "small errors themselves of records as short as these; longer records tell more;"
+        )
+        with pytest.warns(DataWarning, match=told):
+            other = refining._without_feedback(found, flown, 6.0, np.eye(3))
+        assert other.system is plant
+        assert told in other.remark
+    else:
+        other = refining._without_feedback(found, flown, 6.0, np.eye(3))
+        assert other.remark == ""
+    np.testing.assert_array_equal(other.K, K + 2 * (chosen == "prediction errors"))
