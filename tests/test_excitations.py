@@ -7,7 +7,7 @@ import pytest
 from truths import uh60
 
 from benchmarks.excitation import DT, RATIOS, flown, share
-from casid import Record, excitation, pbsid
+from casid import Excitation, Record, excitation, pbsid
 from casid.commands.inspection import inspect_records
 from casid.excitations import autoregression, autoregressions, products, runs, shares
 from casid.values import decode, encode
@@ -145,6 +145,18 @@ def test_bands_are_told_from_edge_to_edge():
     omega = np.geomspace(1, 10, 11)
     assert runs(omega, omega > 5) == [(pytest.approx(10**0.7), pytest.approx(10))]
     assert runs(omega, np.arange(11) == 3) == []
+
+
+def test_inputs_are_to_move_together_where_one_of_them_has_its_power():
+    K, within = 6, np.array([[0, 1, 1, 0, 0, 0], [0, 0, 1, 1, 0, 0]], dtype=bool).T
+    ones = np.ones(2)
+    found = Excitation(
+        inputs=("lat", "ped"), outputs=("p", "r"), omega=np.arange(1.0, K + 1),
+        lower=np.ones((K, 2)), upper=np.ones((K, 2)), joint=np.array([0, 0, 0, 1, 0, 0.0]),
+        answer=ones, coherence=ones, within=within, lags=4,
+    )  # fmt: skip
+    (said,) = found.doubts()
+    assert "at 2-3 rad/s fewer things move lat, ped from outside than there are inputs" in said
 
 
 def test_a_certificate_can_be_stored():
