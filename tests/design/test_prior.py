@@ -97,7 +97,7 @@ def test_noise_is_stated_of_every_output_and_more_than_none():
     )
     name = model.outputs[-1]
     for wrong in (noise | {name: 0.0}, noise | {name: np.nan}, {model.outputs[0]: 0.1}):
-        with pytest.raises(ValueError, match=f"output '{name}' has none"):
+        with pytest.raises(ValueError, match=f"output '{name}' has (none|0|nan); give its"):
             noise_of(model, None, wrong)
 
 
