@@ -12,7 +12,7 @@ seconds are processor time. A number behind `free`, `limited`, `equal`, `narrow`
 seed of the square wave that the optimisation starts from, 0 without.
 
 `limited` has the usual margin, for 20 %, `narrow` one for 10 %; `equal` is `limited` as long as the
-four 3-2-1-1 together and with the criterion that weighs the largest error (MV), of which the
+four 3-2-1-1 together and with the criterion that weighs the largest errors (MV), of which the
 optimisation has twice the iterations. A `wrong prior` has every derivative wrong by 30 %, up or
 down at random; the design is judged by the truth. `margin` is
 designed for the same priors with a margin for these 30 %, `ensemble` for four models besides,

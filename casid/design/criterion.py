@@ -3,10 +3,10 @@
 V = S⁻¹ (F⁻¹)_PP S⁻¹ is the covariance of the parameters P that matter over the standard errors S of
 a reference. The criterion is ½ ln Φ_p, Φ_p = (tr Vᵖ / n)^(1/p) (J. Kiefer, Annals of Statistics 2,
 1974): p → 0 is the determinant (D), p = 1 the trace (A), p → ∞ the largest eigenvalue (E, here by
-p = 8, whose slope is smooth). What E makes small is the error of a combination of parameters; MV,
-the minimax variance, is the largest of those of the parameters themselves: the same mean, p = 4, of
-the diagonal of V. It is the logarithm of a typical ratio of standard errors, so halving all of them
-lowers it by ln 2, whatever p is.
+p = 8, whose slope is smooth). What E makes small is the error of a combination of parameters; MV
+weighs the largest of the parameters' own: the same mean, p = 2, of the diagonal of V (a larger p,
+up to minimax variance, costs the others more than the largest gains). All are the logarithm of a
+typical ratio of standard errors, so halving all of them lowers it by ln 2, whatever p is.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ import scipy
 from casid.arrays import Array
 
 Criterion = Literal["A", "D", "E", "MV"]
-POWER = {"D": 0, "A": 1, "MV": 4, "E": 8}
+POWER = {"D": 0, "A": 1, "MV": 2, "E": 8}
 LONGEST = 12.0  # logarithm of the longest time that is looked at, in times of one flight
 LOST = 1e4  # times the error of a parameter alone beyond which it is not told apart from others
 NOTHING = 1e-9  # effect of a parameter over the largest, each moved by its scale, that is rounding

@@ -71,7 +71,7 @@ class DesignSettings:
     criterion : {"A", "D", "E", "MV"}
         What is to be small of the standard errors over those of a single 3-2-1-1 an axis: the mean
         square, the geometric mean (of the determinant), the largest of any combination of
-        parameters, the largest of a parameter.
+        parameters, the mean fourth power, which weighs the largest.
     matter : tuple of str
         Parameters that count, in what is told of the design, too; all free ones unless given.
     fixed : tuple of str or None
