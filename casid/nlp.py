@@ -60,7 +60,10 @@ class SolverOptions:
     tolerance : float
         Relative optimality tolerance.
     max_iterations, max_seconds : int, float
-        Limit per solve, and wall-clock limit per solve [s].
+        Limits of each solve, its iterations and its time by the wall clock [s]. A fit makes several
+        (a round for every R or spectrum, delays across samples, shorter intervals, other starts)
+        and may take a multiple of both; ``Fit.iterations`` are those of the solves that led to its
+        end.
     progress : callable
         Called with a `Progress` after every iteration; it does not travel to other processes.
     ipopt : mapping

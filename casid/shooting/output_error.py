@@ -37,7 +37,7 @@ from casid.shooting.knowledge import with_knowledge
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
 from casid.shooting.nonlinear import MOST, Integration
-from casid.shooting.precision import OutputErrorNotes, Precision, precision
+from casid.shooting.precision import OutputErrorNotes, Precision, precision, run_away
 from casid.shooting.search import ROUGH, Outcome, Search
 from casid.shooting.transformed_fit import estimate
 from casid.shooting.unknowns import NoiseUnknowns
@@ -331,7 +331,8 @@ def _verdict(outcome: Outcome, found: Precision) -> tuple[bool, str]:
         )
     lost = len(found.undetermined)
     if lost and (outcome.solution.success or lost < outcome.programme.evaluator.nf):
-        reasons.append(uncertainty.singular(found.undetermined))
+        away = run_away(outcome.programme, outcome.solution.x)
+        reasons.append(away or uncertainty.singular(found.undetermined))
     return not reasons, "; ".join(reasons) or outcome.solution.status
 
 

@@ -14,7 +14,10 @@ from casid.shooting import uncertainty
 from casid.shooting.nonlinear import Integration
 from casid.shooting.programme import Programme
 from casid.shooting.spectrum import NoiseSpectrum
+from casid.shooting.starting import channel_size
 from casid.values import seal, storable
+
+AWAY = 100.0  # times an output's size: no bias of an instrument
 
 
 @storable
@@ -123,6 +126,22 @@ def precision(programme: Programme, x: Array) -> Precision:
         insensitivity=insensitivity,
         collinear=uncertainty.collinearities(F, ties, names, alone),
         undetermined=lost,
+    )
+
+
+def run_away(programme: Programme, x: Array) -> str:
+    """What is said of biases that have left what was measured, at scaled variables x; or nothing.
+
+    A mode at no speed with an endless initial state is a ramp, and its offset a bias: where that is
+    likeliest of records that drift there is no end, and nothing that leads there is determined.
+    """
+    size = np.abs(programme.unpack(x).bias).max(axis=0)
+    away = size > AWAY * channel_size(programme.evaluator)
+    names = ", ".join(np.array(programme.free.model.outputs)[away])
+    return names and (
+        f"initial states and the biases of {names} run away together, beyond {AWAY:.0f} times what "
+        "was measured: a mode at nearly no speed makes a ramp of how the records drift. Leave "
+        "those biases out (biases=), or say how records begin (initial=)"
     )
 
 

@@ -1,4 +1,4 @@
-"""Output error over the parameters alone: biases and initial states follow them.
+"""Output and filter error over the parameters alone: biases and initial states follow them.
 
 What records hardly tell of an initial state and a bias (the offset of a slow mode is nearly a bias)
 is multiplied by parameters in the model, so that steps in all variables at once are cut to nothing.
@@ -102,7 +102,7 @@ def completed(
 
 
 class Reduced:
-    """Damped steps of λ in one programme, a filter's left out."""
+    """Damped steps of λ, a filter's unknowns among them, in one programme."""
 
     def __init__(self, programme: Programme, options: SolverOptions, stage: str) -> None:
         self.programme, self.options, self.stage = programme, options, stage
@@ -156,11 +156,12 @@ class Reduced:
             place = trial if trial is not None and trial.cost < place.cost else place
         return None
 
-    @staticmethod
-    def _why(late: bool, damping: float) -> str:
+    def _why(self, late: bool, damping: float) -> str:
         """Why steps ended without success."""
         if damping > MOST:
             return "no step lowers the cost, though one should; start nearer"
+        if not late and self.options.max_iterations == LATER:
+            return f"no end within {LATER} steps of the parameters alone; start nearer"
         what = ("time", "max_seconds") if late else ("iteration", "max_iterations")
         return f"{what[0]} limit reached; raise {what[1]} or start nearer"
 

@@ -30,7 +30,7 @@ LOG = logging.getLogger("casid")
 ROUNDS = 12  # of solves
 PREDICTIONS = 3  # of the solution beside another: which bounds hold is settled then
 ROUGH = 1e-4  # tolerance of the first, whose R is that of the start
-EARLIER = 40  # of IPOPT's iterations, before the parameters alone go on
+EARLIER = 40  # of IPOPT's iterations at most, before the parameters alone go on
 SOON = 8  # likewise where it starts with a prediction: it needs more only on a kink
 MOVES = 50  # of delays across whole samples, at most; each makes the records likelier
 GAIN = 1e-4  # of log-likelihood, that makes another stretch better
@@ -283,13 +283,10 @@ class Search:
         newton = Newton(programme, close=close)
         warm = None if warm is None else newton.extended(warm)
         start, stage = programme.pack(point), f"output error, round {number}"
-        alone = not programme.evaluator.filtering
         limit = min(SOON if close else EARLIER, options.max_iterations)
         first = replace(options, max_iterations=limit)
-        problem = newton.problem(start)
-        solution = solve(problem, first if alone else options, stage=stage, warm=warm)
-        solution = newton.stripped(solution)
-        if not alone or (solution.success and options.tolerance >= ROUGH):
+        solution = newton.stripped(solve(newton.problem(start), first, stage=stage, warm=warm))
+        if solution.success and options.tolerance >= ROUGH:
             return solution
         lam = programme.unpack(solution.x).lam
         if close and not solution.success and any(neighbours(programme, lam, solved=False)):

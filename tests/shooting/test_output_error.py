@@ -8,6 +8,8 @@ from casid import SolverOptions
 from casid.errors import ConvergenceError
 from casid.shooting.output_error import output_error
 
+SIGMA = {"ay": 0.05, "p": 0.005, "phi": 0.005}
+
 
 def test_unstable_plant_in_closed_loop_is_recovered_from_30_percent_off_delay_included():
     assert TRUTH.system().poles()[0].real > 0.05
@@ -20,8 +22,7 @@ def test_unstable_plant_in_closed_loop_is_recovered_from_30_percent_off_delay_in
 
 @pytest.mark.parametrize("interval", [0.3, 2.0, 100.0])
 def test_the_interval_does_not_move_the_estimate(interval):
-    sigma = {"ay": 0.05, "p": 0.005, "phi": 0.005}
-    records = [flown(seed=1).with_noise(sigma, np.random.default_rng(4))]
+    records = [flown(seed=1).with_noise(SIGMA, np.random.default_rng(4))]
     reference = output_error(TRUTH, records)
     fit = output_error(TRUTH, records, interval=interval)
     # Same optimum, solver tolerance 1e-8 relative to a curvature of order one.
@@ -40,6 +41,14 @@ def test_noise_covariance_and_parameters_come_out_within_their_scatter():
     assert np.max(np.abs(z)) < 4
     # 1800 samples: a standard deviation scatters by 1/√(2·1800) = 1.7 %.
     np.testing.assert_allclose(np.sqrt(np.diag(fit.R)), sigma, rtol=4 * 0.017)
+
+
+def test_limits_of_iterations_are_those_of_each_solve():
+    told, limit = [], 7
+    solver = SolverOptions(max_iterations=limit, progress=told.append)
+    record = flown(seed=1).with_noise(SIGMA, np.random.default_rng(4))
+    fit = output_error(off(), [record], solver=solver)
+    assert max(each.iteration for each in told) <= limit < fit.iterations
 
 
 def test_an_iteration_limit_is_an_error_that_carries_the_best_fit():

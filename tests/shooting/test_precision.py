@@ -18,7 +18,7 @@ from casid import ConvergenceError, Scalar, parameter
 from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.output_error import output_error
-from casid.shooting.precision import precision
+from casid.shooting.precision import precision, run_away
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
 
@@ -115,6 +115,17 @@ def test_constant_forces_beside_output_biases_are_not_determined_and_no_success(
         assert best[row.name].std_error == pytest.approx(row.std_error, rel=1e-3)
     known = output_error(Loaded(), records, biases=False)
     assert np.isfinite([row.std_error for row in known.parameters]).all()
+
+
+def test_biases_that_run_away_with_initial_states_are_named():
+    free = free_parameters(TRUTH)
+    evaluator = Evaluator(free, lay_out([noisy(1), noisy(2)], 2.0))
+    programme, point = starting_programme(evaluator, free, "diagonal", True)
+    assert run_away(programme, programme.pack(point)) == ""
+    size = np.sqrt(np.mean(np.concatenate([noisy(1).y, noisy(2).y]) ** 2, axis=0))
+    for times, told in ((99.0, False), (101.0, True)):
+        away = replace(point, bias=np.array([[0.0, 0.0, 0.0], [0.0, -times * size[1], 0.0]]))
+        assert ("biases of p run away" in run_away(programme, programme.pack(away))) == told
 
 
 def test_information_is_that_of_least_squares_with_all_else_projected_out():

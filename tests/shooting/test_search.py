@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from truths.closed_roll import NOISE, TRUTH, T, flown, noisy, off, with_response
 
+from benchmarks.turbulence import cases, fly
 from casid import SolverOptions
 from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
 from casid.shooting.output_error import OutputError, output_error
+from casid.shooting.reduced import STATED
 from casid.shooting.search import Search
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
@@ -82,3 +84,13 @@ def test_an_outcome_without_success_costs_everything():
     outcome = Search(free, SolverOptions(max_iterations=2)).run(programme, point, "diagonal")
     assert not outcome.settled
     assert outcome.cost == np.inf
+
+
+def test_a_filter_that_stops_early_goes_on_over_the_parameters_alone(monkeypatch):
+    case = cases()["2 states, 2 outputs"]
+    record = fly(case, np.random.default_rng(8), "gusts").between(0.0, 12.0)
+    whole = output_error(case.start(case.truth), record, process_noise=True)
+    monkeypatch.setattr("casid.shooting.search.EARLIER", 3)
+    stopped = output_error(case.start(case.truth), record, process_noise=True)
+    assert stopped.success
+    assert stopped.cost == pytest.approx(whole.cost, abs=2 * STATED)
