@@ -180,8 +180,11 @@ class Reduced:
         return None
 
     def _gauss(self, x: Array) -> _Model | None:
-        """Gauss-Newton's model of the cost."""
-        upper = self.programme.hessian_matrix(x)
+        """Gauss-Newton's model of the cost; None where a filter's covariance is none."""
+        try:
+            upper = self.programme.hessian_matrix(x)
+        except np.linalg.LinAlgError:  # far out, by a step too long
+            return None
         return self._model(x, upper + scipy.sparse.triu(upper, 1).T)
 
     def _model(self, x: Array, hessian: scipy.sparse.sparray) -> _Model | None:

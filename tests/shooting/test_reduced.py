@@ -119,3 +119,13 @@ def test_an_end_about_which_nothing_can_be_told_is_none(monkeypatch):
     assert not found.success
     assert "do not determine Yv, Lv" in found.status
     np.testing.assert_array_equal(found.x, end.x)  # the best there is
+
+
+def test_steps_do_not_begin_where_a_covariance_is_none(monkeypatch):
+    programme, x = begun(OFF, [noisy(seed=3)])
+
+    def overflown(_):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+
+    monkeypatch.setattr(programme, "hessian_matrix", overflown)
+    assert Reduced(programme, OPTIONS, "").run(x) is None
