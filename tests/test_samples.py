@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid.samples import at_instants, resampled, runs, usual_interval
+from casid.samples import _begun, at_instants, off_rest, resampled, resting, runs, usual_interval
 
 T = 0.02 * np.arange(500)
 
@@ -49,3 +49,24 @@ def test_the_usual_interval_is_the_median_unless_sampling_is_irregular():
 def test_runs_are_told_at_both_ends_and_of_one_sample():
     assert runs(np.array([1, 0, 1, 1, 0, 0, 1], dtype=bool)).tolist() == [[0, 1], [2, 4], [6, 7]]
     assert runs(np.zeros(3, dtype=bool)).shape == runs(np.zeros(0, dtype=bool)).shape == (0, 2)
+
+
+def test_noisy_inputs_leave_their_rest_each_by_itself():
+    u = 0.01 * np.random.default_rng(0).standard_normal((300, 2))
+    u[90:, 0] += 1.0
+    u[60:150, 1] += 2.0
+    away = off_rest(u)
+    np.testing.assert_array_equal(away[:, 0], np.arange(300) >= 90)
+    np.testing.assert_array_equal(away[:, 1], (np.arange(300) >= 60) & (np.arange(300) < 150))
+    assert resting(u) == 60
+    assert resting(u[:, :1]) == 90
+    assert resting(u[:50]) == 50
+
+
+@pytest.mark.parametrize(("first", "begun"), [(80, 200), (105, 105)])
+def test_a_channel_that_wanders_all_along_begins_where_it_is_found_away(first, begun):
+    x = np.tile([1.0, -1.0], 150)
+    x[first:] = 6.0
+    x[120:] = 20.0
+    x[200:] = 500.0
+    assert _begun(x, 200) == begun

@@ -130,3 +130,9 @@ def test_late_output_needs_a_delay_and_a_name():
         type("Wrong", (SixDof,), {"late_outputs": ("psi",)})
     with pytest.raises(ModelError, match="no delay above 0"):
         type("Wrong", (SixDof,), {"late_outputs": ("phi",)})().matrices()
+
+
+def test_every_output_may_be_late():
+    late = type("Late", (SixDof,), {"late_outputs": SixDof.outputs})
+    assert late.states[: len(SixDof.states)] == SixDof.states
+    assert len(late.states) > len(SixDof.states)

@@ -6,7 +6,7 @@ from truths.systems import campaign
 
 from casid import Record
 from casid.records import standard_deviations
-from casid.subspace.columns import excited_band, feedthrough_mask, gather
+from casid.subspace.columns import check_independent, excited_band, feedthrough_mask, gather
 
 
 def test_stack_of_blocks_is_the_stack_of_all_columns(monkeypatch):
@@ -26,6 +26,18 @@ def test_band_spans_what_every_input_excites():
     low, high = excited_band([Record(t, np.column_stack([fast, slow]), y, ("f", "s"), ("y",))])
     assert low == pytest.approx(4 * np.pi / t[-1])
     assert 2.0 <= high < 3.0
+
+
+@pytest.mark.parametrize("kind", ["input", "output"])
+def test_a_channel_that_is_the_sum_of_two_others_is_named_with_them(kind):
+    rng, t = np.random.default_rng(0), 0.1 * np.arange(60)
+    sound, x = rng.standard_normal((60, 3)), rng.standard_normal((60, 3))
+    x[:, 2] = x[:, 0] - 2 * x[:, 1]
+    both = (x, sound) if kind == "input" else (sound, x)
+    check_independent([Record(t, sound, sound, tuple("abc"), tuple("xyz"))])
+    names = "a and b and c" if kind == "input" else "x and y and z"
+    with pytest.raises(ValueError, match=f"{kind}s {names} depend on one another"):
+        check_independent([Record(t, *both, tuple("abc"), tuple("xyz"))])
 
 
 def test_mask_is_built_from_every_accepted_form():
