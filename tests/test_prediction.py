@@ -155,3 +155,13 @@ def test_inputs_of_a_controller_tell_of_disturbances_ahead():
     assert (alone.fit["truth"] < -100).all()
     assert "inputs ahead that keep outputs bounded" in told.predicted
     assert "bounded" not in alone.predicted
+
+
+def test_a_prediction_of_a_stable_model_starts_from_its_own_state():
+    x0 = np.array([0.7, -0.4])
+    y = STABLE.simulate(T, steps(), x0) + np.array([0.2, -0.1])
+    record = Record(T, steps(), y, ("u",), ("a", "b"))
+    found = predict(STABLE, record, np.ones(2), outlook([STABLE], record, None))
+    np.testing.assert_allclose(found.x0, x0, atol=1e-9)
+    np.testing.assert_allclose(found.b, [0.2, -0.1], atol=1e-9)
+    np.testing.assert_allclose(found.y, y, atol=1e-9)

@@ -32,6 +32,13 @@ def test_one_combination_has_the_ratio_of_its_variances(fit):
             assert w == pytest.approx((row @ V @ row) / (row @ P @ row), rel=1e-9)
 
 
+def test_units_of_combinations_do_not_matter(fit):
+    A = np.array([[1.0, -2.0, 0.0], [0.0, 1.0, 3.0]])
+    small = weights(fit, A * [[1.0], [1e-9]])
+    np.testing.assert_allclose(np.sort(small), np.sort(weights(fit, A)), rtol=1e-6)
+    assert len(small) == 2
+
+
 def test_the_likelihood_ratio_is_distributed_as_the_weights_say(fit):
     # Estimates drawn with the true covariance; the ratio is the quadratic form of the information.
     A = np.array([[1.0, -2.0, 0.0], [0.0, 1.0, 3.0]])

@@ -6,6 +6,7 @@ import scipy.optimize
 import scipy.signal
 from truths.systems import DT, LAG, TWO, white
 
+from casid import Record
 from casid.frequency.spectra import (
     Conditioned,
     _weights_of_windows,
@@ -94,3 +95,15 @@ def test_a_window_counts_by_what_is_left_of_its_worst_output():
     weights = _weights_of_windows(lost, 0.1, np.array([1.0, 12.0, 20.0]), 4.0)
     np.testing.assert_allclose(weights[0], [0.9, 0.9, 0.0])  # 0.4 s missing: up to 2π/0.4 rad/s
     np.testing.assert_allclose(weights[1:], 1.0)
+
+
+def test_the_power_kept_is_that_of_the_windows_without_losses():
+    t, omega = 0.05 * np.arange(4000), np.array([2.0])
+    u = np.sin(2.0 * t)[:, None]
+    whole = Record(t, u, u, ("u",), ("y",))
+    lost = np.zeros((4000, 1), dtype=bool)
+    lost[2000:2400] = True  # 20 s, several periods
+    found, every = (record_spectra([whole], omega, 20.0, [x]) for x in (lost, lost & False))
+    assert every.kept == 1.0
+    assert 0.4 < found.kept < 0.9
+    assert found.kept == pytest.approx(found.count / every.count, rel=0.01)  # all have one power

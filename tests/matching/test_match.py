@@ -56,6 +56,15 @@ def test_quadratic_optimum_is_that_of_brute_force():
     np.testing.assert_allclose(fit.model.vector(), where, atol=2e-3)
 
 
+def test_relative_errors_are_matched_where_they_are_asked_for():
+    omega = np.geomspace(0.1, 10.0, 40)
+    size = np.abs(SECOND.response(omega)[:, 0, 0])
+    best, where = brute_force(omega, lambda e: ((e / size) ** 2).mean(axis=2))
+    fit = match(Lag(), black_box(SECOND), norm="quadratic", omega=omega, weight="relative")
+    assert fit.cost == pytest.approx(best, rel=1e-6)
+    np.testing.assert_allclose(fit.model.vector(), where, atol=2e-3)
+
+
 def test_prior_values_draw_a_match_as_errors_of_a_hundredth_do():
     omega, prior, std = np.geomspace(0.1, 10.0, 40), 1.2, 0.03
     G = SECOND.response(omega)[:, 0, 0]

@@ -1,9 +1,11 @@
 """Expressions of nonlinear structures."""
 
 import casadi as ca
+import numpy as np
 import pytest
+from truths.swing import Swing
 
-from casid.nonlinear.expressions import Channels, operations
+from casid.nonlinear.expressions import Channels, balances, linearised, operations
 
 
 def test_channels_are_read_by_name_and_a_misspelt_one_is_told():
@@ -24,3 +26,17 @@ def test_channels_are_read_by_name_and_a_misspelt_one_is_told():
 )
 def test_operations_that_jump_or_bend_are_named(function, names):
     assert operations(function(ca.SX.sym("x"))) == sorted(names)
+
+
+def test_rates_and_slopes_at_a_point_are_those_by_hand():
+    model, theta, lon = Swing(Mq=-0.5, M=4.0, Mlon=5.0), 0.5, 0.3
+    rates = balances(model, [0.2, theta], [lon])
+    by_hand = -0.1 - 4 * np.sin(theta) + 5 * np.cos(theta) * lon
+    np.testing.assert_allclose(ca.DM(rates).full().ravel(), [by_hand, 0.2], rtol=1e-14)
+    A, B, C, D = linearised(model, [0.2, theta], [lon])
+    assert [float(ca.DM(x)) for row in A for x in row] == pytest.approx(
+        [-0.5, -4 * np.cos(theta) - 5 * np.sin(theta) * lon, 1.0, 0.0]
+    )
+    assert [float(ca.DM(x)) for row in B for x in row] == pytest.approx([5 * np.cos(theta), 0.0])
+    np.testing.assert_array_equal([[float(ca.DM(x)) for x in row] for row in C], np.eye(2))
+    assert D == [[0], [0]]  # nothing acts there, whatever the point

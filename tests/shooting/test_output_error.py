@@ -1,12 +1,15 @@
 """Output error against simulated truth, closed forms and an independent estimator."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from truths.closed_roll import TRUTH, flown, off, relative_error
+from truths.closed_roll import TRUTH, campaign, flown, off, relative_error
 
 from casid import SolverOptions
 from casid.errors import ConvergenceError
-from casid.shooting.output_error import output_error
+from casid.free import free_parameters
+from casid.shooting.output_error import output_error, select_records
 
 SIGMA = {"ay": 0.05, "p": 0.005, "phi": 0.005}
 
@@ -56,3 +59,14 @@ def test_an_iteration_limit_is_an_error_that_carries_the_best_fit():
         output_error(off(), [flown(seed=1)], solver=SolverOptions(max_iterations=2))
     assert not caught.value.best.success
     assert np.isfinite(caught.value.best.model.vector()).all()
+
+
+def test_a_record_has_measurements_for_its_own_state_and_biases():
+    free, short = free_parameters(TRUTH), campaign(1)[0].take(slice(0, 2))
+    own = len(TRUTH.states)
+    needs = {True: own + len(TRUTH.outputs), False: own}
+    for biases, needed in needs.items():
+        y = np.full((2, 3), np.nan)
+        y.flat[: needed - 1] = 0.0
+        with pytest.raises(ValueError, match=f"has .* biases alone need {needed}: leave it out"):
+            select_records(free, replace(short, y=y), biases)

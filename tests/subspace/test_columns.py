@@ -6,7 +6,15 @@ from truths.systems import campaign
 
 from casid import Record
 from casid.records import standard_deviations
-from casid.subspace.columns import check_independent, excited_band, feedthrough_mask, gather
+from casid.subspace.columns import (
+    _ends_of_power,
+    check_independent,
+    completed,
+    excited_band,
+    feedthrough_mask,
+    gather,
+    pieces_of,
+)
 
 
 def test_stack_of_blocks_is_the_stack_of_all_columns(monkeypatch):
@@ -26,6 +34,25 @@ def test_band_spans_what_every_input_excites():
     low, high = excited_band([Record(t, np.column_stack([fast, slow]), y, ("f", "s"), ("y",))])
     assert low == pytest.approx(4 * np.pi / t[-1])
     assert 2.0 <= high < 3.0
+
+
+def test_power_ends_where_the_faster_of_two_sines_is_needed():
+    t = np.arange(0, 100, 0.05)
+    x = np.sqrt(0.8) * np.sin(2.0 * t) + np.sqrt(0.2) * np.sin(7.0 * t)
+    y = np.where(np.arange(len(t)) % 2, np.nan, x)  # measured at every other instant
+    flown = [Record(t, x[:, None], y[:, None], ("u",), ("y",), name) for name in "ab"]
+    for letter in "uy":
+        for part, end in ((0.7, 2.0), (0.9, 7.0)):
+            assert _ends_of_power(flown, letter, part) == [pytest.approx(end, rel=0.03)]
+
+
+def test_pieces_lie_between_long_gaps():
+    t, y = 0.1 * np.arange(100), np.zeros((100, 1))
+    y[30:60] = np.nan
+    y[80] = np.nan
+    record = Record(t, np.zeros((100, 1)), y, ("u",), ("y",))
+    spans = [(p.t[0], p.t[-1], n) for p, n in pieces_of(record, completed(record), 2.0)]
+    np.testing.assert_allclose(spans, [(0.0, 2.9, 0), (6.0, 9.9, 1)])
 
 
 @pytest.mark.parametrize("kind", ["input", "output"])

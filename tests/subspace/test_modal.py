@@ -1,7 +1,7 @@
 import numpy as np
 from truths.systems import unstable_plant
 
-from casid.subspace.modal import from_modal, mixed, mixing, schur, to_modal
+from casid.subspace.modal import Modal, descend, from_modal, mixed, mixing, moved, schur, to_modal
 
 OMEGA = np.geomspace(0.5, 6.0, 12)
 
@@ -27,3 +27,29 @@ def test_transients_of_different_size_are_eliminated_alike():
     left = J[:, 3:] - J[:, :3] @ np.linalg.lstsq(J[:, :3], J[:, 3:])[0]
     found = schur((J * scale).T @ (J * scale), 3)
     np.testing.assert_allclose(found, left.T @ left, rtol=1e-8, atol=1e-8)
+
+
+def test_a_descent_finds_the_system_whose_response_is_given():
+    truth = Modal(*(np.array(x) for x in ([-0.5 + 2j], [[1.0 + 0.5j]], [[0.7 - 0.2j]], [[0.3]])))
+    start = Modal(*(np.array(x) for x in ([-0.7 + 1.8j], [[0.8 + 0.3j]], [[0.9 + 0j]], [[0.1]])))
+    free, s = np.array([[0, 0]]), 1j * np.geomspace(0.2, 8.0, 40)
+
+    def response(modal):
+        b, c, lam = modal.B[0, 0], modal.C[0, 0], modal.lam[0]
+        G = c * b / (s - lam) + np.conj(c * b) / (s - np.conj(lam)) + modal.D[0, 0]
+        return np.concatenate([G.real, G.imag])
+
+    def residuals(modal):
+        return response(modal) - response(truth)
+
+    def normal(modal):
+        steps = 1e-6 * np.eye(7)
+        J = [residuals(moved(modal, h, free)) - residuals(moved(modal, -h, free)) for h in steps]
+        J = np.array(J) / 2e-6
+        return J @ J.T, -J @ residuals(modal)
+
+    found = descend(
+        start, cost=lambda m: float(np.sum(residuals(m) ** 2)), normal=normal, tidy=lambda m: m,
+        free=free, steps=50, settled=1e-6,
+    )  # fmt: skip
+    np.testing.assert_allclose(response(found), response(truth), atol=1e-6)
