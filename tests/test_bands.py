@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from scipy.optimize import brentq
 from truths.closed_roll import Roll as ClosedRoll
 from truths.closed_roll import noisy
@@ -23,7 +24,7 @@ from casid import (
     response_band,
     sample_models,
 )
-from casid.bands import spread
+from casid.bands import ResponseBand, spread
 
 OMEGA = np.geomspace(0.5, 10.0, 12)
 
@@ -148,3 +149,20 @@ def test_what_makes_no_sense_is_refused():
     bare = match(type(fit.model)(), fit.model.system())
     with pytest.raises(ValueError, match="no covariance: take that of output_error"):
         mode_bands(replace(bare, covariance=None))
+
+
+def test_what_is_missed_widens_a_band_evenly_and_never_below_zero():
+    one = np.ones((2, 1, 1))
+    G, level = np.array([3 + 4j, 2j])[:, None, None], 0.95
+    plain = ResponseBand(
+        omega=np.array([1.0, 2.0]), G=G, magnitude_std=0.1 * one, phase_std=0.1 * one, level=level,
+        inputs=("u",), outputs=("y",),
+    )  # fmt: skip
+    z = scipy.stats.norm.ppf(0.975)
+    sizes = np.abs(G) * np.exp(np.array([-0.1 * z, 0.1 * z]))[:, None, None, None]
+    np.testing.assert_allclose(plain.magnitude(), sizes)
+    missed = np.array([0.2, 2.0])[:, None, None]  # of both parts together: half its power of each
+    low, high = replace(plain, missed=missed).magnitude()
+    half = z * np.sqrt(0.1**2 + missed**2 / 2)
+    np.testing.assert_allclose(high, np.abs(G) * (1 + half))
+    np.testing.assert_allclose(low, np.abs(G) * np.maximum(1 - half, 0))

@@ -2,12 +2,14 @@
 
 import json
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, NoSideslip, campaign, off
 
 from casid import FrequencyResponse, distances, match, pbsid
+from casid.distances import _with_errors
 from casid.values import decode, encode
 
 BAND = (1.05, 8.4)
@@ -91,3 +93,9 @@ def test_rows_are_pairs_by_octaves_and_survive_being_stored():
 def test_senseless_bands_and_levels_are_refused(given, word):
     with pytest.raises(ValueError, match=word):
         distances(TRUTH, box(1), **given)
+
+
+def test_a_mode_of_a_black_box_without_errors_has_none():
+    mode = _with_errors(-0.3 + 2j, SimpleNamespace(uncertainty=None))
+    assert mode.pole == -0.3 + 2j
+    assert np.isnan([mode.real_std, mode.imag_std]).all()

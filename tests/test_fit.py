@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -192,6 +193,14 @@ def test_the_table_tells_bounds_fixed_parameters_and_the_guess():
     assert (b.std_error, b.fixed) == (0.2, False)
     assert (c.value, c.fixed, c.active, c.std_error) == (0.25, True, False, 0.0)
     assert all(np.isnan(row.insensitivity) for row in (a, b, c))
+
+
+def test_a_headline_says_how_many_parameters_are_on_their_bounds():
+    rows, some = table(), {"model": Lag(), "method": "hand", "cost": 1.25, "free_names": ("a", "b")}
+    said = Fit.headline(SimpleNamespace(parameters=rows, success=True, status="", **some))
+    assert said == "Lag by hand: solved, cost 1.25, 2 free parameters, 1 on their bounds"
+    said = Fit.headline(SimpleNamespace(parameters=rows[1:], success=False, status="why", **some))
+    assert said == "Lag by hand: NOT SOLVED (why), cost 1.25, 2 free parameters"
 
 
 def test_without_a_noise_model_standard_errors_are_nan():
