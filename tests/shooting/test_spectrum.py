@@ -1,6 +1,9 @@
 """Spectra of residuals."""
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 from truths.closed_roll import (
     NOISE,
     TRUTH,
@@ -10,7 +13,7 @@ from truths.closed_roll import (
 from casid import (
     output_error,
 )
-from casid.shooting.spectrum import smoothed
+from casid.shooting.spectrum import reach, smoothed
 
 CLEAN = campaign()
 
@@ -30,3 +33,13 @@ def test_smoothing_keeps_a_flat_spectrum_and_widens_where_lines_are_few():
     power = np.where(omega > 100, 8.0, 2.0)
     found = smoothed(omega, power, freedom, np.array([1.0, 60.0, 150.0]))
     np.testing.assert_allclose(found, [1.0, 1.0, 4.0])
+
+
+@pytest.mark.parametrize(
+    ("share", "from_there"), [(0.05, 9.0), (0.3, 4.0), (0.6, 3.0), (2.0, 1.0), (9.0, 1.0)]
+)
+def test_the_reach_is_where_the_lines_above_hold_a_share(share, from_there):
+    omegas, taken = ([1.0, 4.0], [3.0, 9.0]), ([[1.0, 0.5], [0.2, 0.1]], [[0.25, 0.0], [0.1, 0.0]])
+    lines = [SimpleNamespace(omega=np.array(omega)) for omega in omegas]
+    # from above: 0.1 at 9, 0.3 at 4, 0.25 at 3, 1.5 at 1 rad/s
+    assert reach(lines, [np.array(h) for h in taken], share) == from_there
