@@ -9,7 +9,15 @@ from truths import uh60
 from truths.systems import LAG, TWO, white
 
 from casid import Record, StateSpace, frequency_response
-from casid.frequency.local import WIDE, Lines, _at_all, _lines_at, local_response
+from casid.frequency.local import (
+    EDGES,
+    WIDE,
+    Lines,
+    _at_all,
+    _half_width,
+    _lines_at,
+    local_response,
+)
 
 LIGHT = StateSpace([[0, 1], [-4, -0.4]], [[0], [4]], [[1, 0]], [[0]], None, ("u",), ("y",))
 
@@ -55,6 +63,24 @@ def test_the_random_error_is_the_scatter_over_realisations_at_a_resonance_too():
     # Complex errors of 60 runs, three outputs, two inputs: known to 1/√720; the fit is nonlinear.
     power = np.mean(np.abs(scores) ** 2, axis=(0, 2, 3)) / 2
     np.testing.assert_allclose(power, 1.0, atol=0.2)
+
+
+@pytest.mark.parametrize("nu", [1, 3])
+@pytest.mark.parametrize("spacings", [(0.1,), (0.1, 0.3), (0.2, 0.21, 0.22, 0.23)])
+def test_a_band_is_as_wide_as_it_takes_beside_the_transients_of_all_records(nu, spacings):
+    lines, centre = [], 12.0
+    for every in spacings:
+        omega = every * np.arange(1, int(60 / every))
+        lines.append(Lines(omega, np.ones((len(omega), nu)), np.ones((len(omega), 1))))
+
+    def equations(half):
+        inside = [(np.abs(each.omega - centre) <= half * (1 + 1e-9)).sum() for each in lines]
+        return sum(max(n - EDGES, 0) for n in inside)
+
+    narrow = dataclasses.replace(WIDE, share=1e-3, lines=0.1)
+    half, wanted = _half_width(lines, centre, narrow), narrow.equations * nu
+    assert half < centre
+    assert equations(half / 1.1) < wanted <= equations(half)
 
 
 def test_a_held_input_is_the_steps_that_it_is():

@@ -1,5 +1,7 @@
 """Records cut into intervals."""
 
+from dataclasses import replace
+
 import numpy as np
 from truths.closed_roll import flown, with_holes
 
@@ -17,3 +19,13 @@ def test_intervals_cover_every_sample_once():
     assert np.bincount(layout.record).tolist() == [round(r.duration / 0.7) for r in records]
     assert layout.last.sum() == len(records)
     assert layout.observations == sum(int(np.isfinite(r.y).sum()) for r in records)
+
+
+def test_patterns_are_the_distinct_ones_the_complete_one_first():
+    record = flown(seed=1).take(slice(0, 40))
+    y = record.y.copy()
+    y[:10, 0], y[5:15, 1], y[20, :] = np.nan, np.nan, np.nan
+    layout = lay_out([replace(record, y=y)], 10.0)
+    assert layout.patterns[0].all()
+    np.testing.assert_array_equal(layout.patterns[layout.pattern], np.isfinite(y))
+    assert len(layout.patterns) == len({tuple(row) for row in np.isfinite(y)})

@@ -6,7 +6,12 @@ from truths.systems import STABILISING, closed_loop_record, stepped_input, unsta
 from casid import Record, StateSpace, pbsid
 from casid.records import standard_deviations
 from casid.subspace.columns import gather
-from casid.subspace.feedback import direct_term_is_ambiguous, fed_back_noise, prediction_errors
+from casid.subspace.feedback import (
+    direct_term_is_ambiguous,
+    fed_back,
+    fed_back_noise,
+    prediction_errors,
+)
 
 
 def sampled_loop(D, gain, delay, N=2000, noise=1.0):
@@ -138,3 +143,13 @@ def test_a_noisy_loop_with_slow_feedback_raises_no_warning():
     plant = unstable_plant()
     records = [closed_loop_record(plant, rng, noise=0.1, gain=STABILISING) for _ in range(2)]
     pbsid(records, order=5, past=10, pole=6.0, feedthrough=["z"], refine=False)
+
+
+def test_feedback_is_looked_for_from_two_samples_a_coefficient_on():
+    rng, none = np.random.default_rng(2), np.zeros((4, 1))
+    system = StateSpace([[0.0]], [[0.0]], none, none, 2.0, ("u",), tuple("abcd"))
+    for N in (34, 26):  # with two lags of four outputs 28 rows, or 20, of eight columns
+        u, y = rng.standard_normal((N, 1)), rng.standard_normal((N, 4))
+        record = Record(2.0 * np.arange(N), u, y, ("u",), tuple("abcd"), hold="zoh")
+        _, size = fed_back(system, np.zeros((1, 4)), [record], np.ones(1), np.ones(4))
+        assert 0.6 < size < 1.2  # white errors, less what five inputs explain of them
