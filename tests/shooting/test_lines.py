@@ -33,3 +33,13 @@ def test_records_alike_in_length_and_sampling_are_of_one_kind():
     kinds = [each.kind for each in transformed(records)]
     assert kinds[1] == kinds[2]
     assert len(set(kinds)) == 3
+
+
+def test_a_channel_that_lost_much_is_refused_and_one_that_a_record_lacks_is_not():
+    t, y = 0.1 * np.arange(100), np.random.default_rng(0).standard_normal((100, 2))
+    y[:, 1] = np.nan
+    lacking = Record(t, np.zeros((100, 1)), y, ("u",), ("p", "r"), "one")
+    assert not transformed([lacking])[0].Y[:, 1].any()
+    y[::10, 1] = 0.0
+    with pytest.raises(ValueError, match="'one': 90% of the samples of 'r' are missing"):
+        transformed([replace(lacking, y=y)])
