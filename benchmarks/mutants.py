@@ -48,15 +48,20 @@ LIMIT = 60.0  # of processor time for tests to pass as the program is; a mutant 
 SURVIVED = {0: "survived", 4: "survived", 5: "no tests"}  # pytest's exit codes that notice nothing
 PAGE = """# Do the tests notice?
 
-A fixed sample of {count} of {total} changes to the numerical packages, drawn by
-[mutmut](https://mutmut.readthedocs.io): an operator, a number, a condition or an argument at a
-time. Each such program has to pass the quick tests of its module's own file, then 20 seconds of
-those of its folder that reach the change. What starts another program, such as the
-command line's tests, is not among them. Functions with a decorator, messages of errors and what
-only logs are left out. Changes that no test can tell from the original stand with the reason in
-`benchmarks/mutants.toml` and are not counted. A program that takes three minutes counts as killed.
-The sample is the first by a hash of the names, whatever else changes. Made by `make mutants` on
-{day}.
+On {day} the tests noticed {share} of a fixed sample of {count} of the {total} changes that
+[mutmut](https://mutmut.readthedocs.io) makes to the numerical packages: an operator, a number, a
+condition or an argument at a time. Functions with a decorator, messages of errors and what only
+logs are left out.
+
+Each such program has to pass the quick tests of its module's own file, then, for {seconds:.0f}
+seconds, those of its folder that reach the change. What starts another program, such as the command
+line's tests, is not among them, and a test that fails without the change, too, does not count. A
+program that takes {limit:.0f} seconds counts as noticed. Changes that no test can tell from the
+original stand with the reason in `benchmarks/mutants.toml`; they are no part of the share.
+
+The sample are the first by a hash of the seed `{seed}` and their names, whatever else changes: a
+smaller one is the beginning of a larger one. `make mutants` draws it and writes this page; it may
+be stopped and goes on where it was.
 
 | package | mutants | killed | survived | equivalent | share killed |
 |---|---|---|---|---|---|
@@ -178,7 +183,7 @@ def trial(task):
         if code in SURVIVED or sound(failed or tests):
             break
         print(f"{failed or tests}: not passed as the program is, and left out", flush=True)
-        useless += [f"--deselect={test}" for test in failed]
+        useless += [f"--deselect={test.partition('[')[0]}" for test in failed]
         code, tests = 0, tests if failed else []
     return name, code, tests_of(name, step)
 
@@ -301,7 +306,10 @@ def main():
     rows = table(codes, alive, equivalent)
     print(rows)
     if not wanted.packages:
-        page = PAGE.format(count=len(codes), total=len(names), rows=rows, day=date.today())
+        share = rows.rpartition("|")[0].rpartition("|")[2].strip()
+        said = {"count": len(codes), "total": len(names), "share": share, "seed": SEED}
+        limits = {"seconds": SECONDS, "limit": 3 * LIMIT}
+        page = PAGE.format(rows=rows, day=date.today(), **said, **limits)
         (ROOT / "docs" / "mutants.md").write_text(page, encoding="utf-8")
 
 
