@@ -56,3 +56,17 @@ def test_gradient_and_jacobian_agree_with_central_differences(filtering, kind, h
     np.testing.assert_allclose(
         programme.constraint_matrix(x) @ v, difference, rtol=1e-6, atol=1e-7 * scale
     )
+
+
+def test_limits_are_bounds_in_units_of_the_variables_and_sides_of_constraints():
+    records = [flown(seed=1).between(0, 3)]
+    free = free_parameters(Tied(), fixed=("Lped",), bounds={"Lp": (-3.0, -1.0)})
+    evaluator = Evaluator(free, lay_out(records, 1.0))
+    programme, _ = starting_programme(evaluator, free, np.diag([0.1, 0.01, 0.01]), True)
+    (low, high), sides = programme.limits()
+    unit = programme.scales.lam
+    np.testing.assert_allclose(low * unit, free.lower[free.index])
+    np.testing.assert_allclose(high * unit, free.upper[free.index])
+    k = free.names.index("Lp")
+    assert (low[k] * unit[k], high[k] * unit[k]) == pytest.approx((-3.0, -1.0))
+    np.testing.assert_array_equal(sides, [[0.0, 0.0], [0.0, 9.0]])
