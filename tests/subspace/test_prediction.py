@@ -9,6 +9,7 @@ from casid.records import standard_deviations
 from casid.subspace.modal import Modal, moved
 from casid.subspace.prediction import (
     SampledUncertainty,
+    _levelled,
     normal_equations,
     prediction_errors,
     refine_samples,
@@ -43,6 +44,21 @@ def test_normal_equations_are_the_gradient_of_the_squared_errors():
         step[p] = 1e-5
         slope = (cost(moved(modal, step, free)) - cost(moved(modal, -step, free))) / 2e-5
         assert slope == pytest.approx(-2 * downhill[p], rel=1e-4, abs=1e-4 * np.abs(downhill).max())
+
+
+def test_levelled_errors_are_of_one_size_and_their_weights_of_one_in_the_mean():
+    system, K, record, _ = innovation_record()
+    rough = np.where(np.arange(record.N) < 300, 0.1, 1.0)[:, None]
+    y = record.y + 10 * rough * np.random.default_rng(0).standard_normal(record.y.shape)
+    su, sy = standard_deviations([record])
+    data, modal = stretches([replace(record, y=y)], su, sy, 5), predictor(system, K, su, sy)
+    (level,) = _levelled(modal, data, np.eye(2))
+    assert np.mean(np.log(level.weight)) == pytest.approx(0.0, abs=1e-12)
+    before, after = (prediction_errors(modal, each, np.eye(2))[0] for each in (data, [level]))
+    calm, loud = slice(0, 120), slice(450, 600)  # levels are local to three times 50 samples
+    sizes = np.array([[np.std(e[part]) for part in (calm, loud)] for e in (before, after)])
+    assert sizes[0, 1] > 5 * sizes[0, 0]
+    np.testing.assert_allclose(sizes[1, 1], sizes[1, 0], rtol=0.15)
 
 
 def test_missing_samples_split_a_record():

@@ -44,12 +44,15 @@ def test_each_criterion_is_least_for_its_own_estimate(how):
 def test_projections_move_only_if_asked_and_then_to_the_truth():
     flights = campaign(noise=0.02)
     made = Campaign.of(flights, ["z"])
-    found = made.subspace(5, Windows(10, 10, 6.0, 0.0))
+    windows = Windows(10, 10, 6.0, 0.0)
+    found = made.subspace(5, windows)
     still = refine_projected(made, found, 6.0, move=False)
     assert still.system is found.system
     assert still.uncertainty is None
-    moved = refine_projected(made, found, 6.0, move=True)
+    moved = refine_projected(made, found, 6.0, move=True, windows=windows)
     assert moved.uncertainty is not None
+    assert moved.missed is None  # two states more explain nothing
+    assert not len(moved.doubtful)  # the plant is unstable
     assert (moved.explained > 0.9).all()
     truth = unstable_plant()
     assert relative_error(moved.system, truth) < relative_error(found.system, truth)
