@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from truths.closed_roll import TRUTH, flown, jittered, with_holes, with_response
 
 from casid.free import free_parameters
+from casid.shooting.innovation import starting_noises
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator, Point, Sweep, whiteners
 from casid.shooting.unknowns import GainUnknowns
@@ -70,3 +72,13 @@ def test_gram_matrices_are_those_of_differences_of_the_residuals(gain):
         expected = J.T @ J
         size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
         np.testing.assert_allclose(batch.gram[k] / size, expected / size, atol=1e-7)
+
+
+def test_a_held_gain_does_over_a_step_what_a_kalman_filter_does_at_its_end():
+    records, free = [flown(seed=1).between(0, 3)], free_parameters(TRUTH)
+    evaluator = Evaluator(free, lay_out(records, 3.0), starting_noises(TRUTH, records, "diagonal"))
+    lam = np.concatenate([free.guess, evaluator.more.start])
+    K, A, h = evaluator.held_gain(lam), TRUTH.system().A, records[0].dt
+    gains = evaluator.gains(lam)
+    moved = scipy.integrate.quad_vec(lambda s: scipy.linalg.expm(A * s) @ K, 0, h)[0]
+    np.testing.assert_allclose(moved, gains.K[gains.which[-1]], rtol=1e-9, atol=1e-12)

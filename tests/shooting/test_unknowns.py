@@ -7,7 +7,7 @@ import pytest
 from truths.closed_roll import TRUTH
 
 from casid.free import free_parameters
-from casid.shooting.unknowns import FilterFunction, GainUnknowns
+from casid.shooting.unknowns import FilterFunction, GainUnknowns, NoiseUnknowns
 
 GAIN = np.arange(9.0).reshape(3, 3) / 10
 
@@ -39,3 +39,21 @@ def test_slopes_are_those_of_the_models_own_matrices(gain_free):
                 getattr(found, f"{m}_lam")[..., a] - slope, 0, atol=1e-8, err_msg=f"{m} by {name}"
             )
     assert all(np.isfinite(getattr(found, each.name)).all() for each in fields(found))
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_a_covariance_is_that_of_its_factors_and_its_slopes_those_of_differences(full):
+    r0, least = np.array([4.0, 1.0, 0.25]), np.array([0.1, 0.2, 0.3])
+    noises = NoiseUnknowns(q0=np.array([1.0, 2.0]), r0=r0, least=least, given=None, full=full,
+                           start=np.zeros(8 if full else 5))  # fmt: skip
+    nx, nr, nt = noises.count
+    assert (nx, nr, nt) == (2, 3, 3 * full)
+    eta = np.random.default_rng(0).uniform(0.1, 0.6, nx + nr + nt)
+    R, slope = noises.covariance(eta)
+    T = np.eye(3)
+    if full:
+        T[1, 0], T[2, 0], T[2, 1] = eta[5:] * [0.5, 0.25, 0.5]  # units of the outputs
+    np.testing.assert_allclose(R, T @ np.diag(least + r0 * (np.exp(eta[2:5]) - 1)) @ T.T)
+    for k, step in enumerate(1e-6 * np.eye(len(eta))):
+        numeric = (noises.covariance(eta + step)[0] - noises.covariance(eta - step)[0]) / 2e-6
+        np.testing.assert_allclose(slope[..., k], numeric, atol=1e-8)
