@@ -5,13 +5,17 @@ state is x - B1 u, and every direct term is free. Where a controller feeds noise
 inputs, a black box of projections is refined in this way.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.linear import StateSpace, foh_step, from_zoh
 from casid.record import Hold
 from casid.subspace.campaign import Campaign
 from casid.subspace.prediction import SampledUncertainty, refine_samples
+
+LINES = 60  # frequencies at which two responses are compared
 
 
 def discretised(system: StateSpace, h: float, hold: Hold) -> StateSpace:
@@ -36,7 +40,7 @@ def refine_held(
 ) -> tuple[StateSpace, Array, SampledUncertainty]:
     """`refine_samples` for a continuous model of inputs that are held between the samples.
 
-    What is left of a masked direct term in continuous time is dropped. ``K`` comes back as the
+    What is left of a masked direct term in continuous time goes into B. ``K`` comes back as the
     discrete gain by the step's input integral, approximately the continuous one. ValueError:
     records of unequal sampling, or a refined pole without a continuous equivalent.
     """
@@ -52,9 +56,34 @@ def refine_held(
     )
     refined = undiscretised(found, hold)
     _, I0, I1 = _held(refined.A, h, hold)
-    D = np.where(mask, refined.D, 0.0)
-    refined = StateSpace(refined.A, refined.B, refined.C, D, None, system.inputs, system.outputs)
+    longest = max(record.t[-1] - record.t[0] for record in records)
+    omega = np.geomspace(2 * np.pi / longest, np.pi / h, LINES)
+    refined = _without_direct(refined, mask, uncertainty, omega)
     return refined, np.linalg.solve(I0 + I1, gain), uncertainty
+
+
+def _without_direct(
+    system: StateSpace, mask: BoolArray, uncertainty: SampledUncertainty, omega: Array
+) -> StateSpace:
+    """The model of the same A and C nearest in stated errors that has direct terms at ``mask``."""
+    if not system.D[~mask].any():
+        return system
+    G = system.response(omega)
+    errors = np.abs(G) * np.linalg.norm(uncertainty.response_factor(omega), axis=-1)
+    weight = 1 / np.maximum(errors, 1e-12 * np.abs(G).max())
+    seen = system.C @ np.linalg.inv(1j * omega[:, None, None] * np.eye(system.nx) - system.A)
+    B, D = system.B.copy(), np.where(mask, system.D, 0.0)
+    for i, free in enumerate(mask.T):
+        direct = np.broadcast_to(np.eye(system.ny)[:, free], (len(omega), system.ny, free.sum()))
+        w = weight[:, :, i, None]
+        rows = (w * np.concatenate([seen, direct], axis=2)).reshape(-1, system.nx + free.sum())
+        left = (w[:, :, 0] * np.where(free, 0.0, system.D[:, i])).ravel()
+        change = np.linalg.lstsq(
+            np.vstack([rows.real, rows.imag]), np.concatenate([left, 0 * left]), rcond=1e-10
+        )[0]
+        B[:, i] += change[: system.nx]
+        D[free, i] += change[system.nx :]
+    return replace(system, B=B, D=D)
 
 
 def _held(A: Array, h: float, hold: Hold) -> tuple[Array, Array, Array]:
