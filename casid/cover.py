@@ -7,7 +7,8 @@ W(s) of given order with abs(W(jω)) >= σ_max(Δ(jω)) for every model of an en
 
 (K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, chapter 9). abs(W)² = P(ω²)/Q(ω²): for
 a ratio γ, P and Q with m² Q <= P <= γ² m² Q over the grid is a linear programme in their
-coefficients, so the least γ is found by bisection; the roots in the left half-plane are W.
+coefficients, so the least γ is found by bisection; the roots in the left half-plane are W. Where
+P or Q falls below zero between the points that keep it above, its least values join them.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,6 +31,8 @@ GRID = 400  # points of the certificate in a decade
 POINTS = 100  # of the linear programme
 EVERYWHERE = 150  # points from zero to infinity where P and Q must stay above zero
 CLEAR = 1e-5  # how far, relative to their size
+ROUNDS = 12  # of points added to those
+AXIS = 1e-8  # damping ratio below which a response at a pole is nothing but rounding
 TIGHT = 3e-3  # relative width of the last interval of γ
 LIGHT = 0.02  # damping ratio below which the grid may step over a resonance
 HIGH = 1.05  # how far below the highest a peak may be that is looked at more closely
@@ -37,6 +40,9 @@ RANK = 1e-12  # of the largest singular value: G_0 lacks rank below
 SHARE = 0.1  # of a direction without effect: an input that is named
 BETWEEN = 4e-6  # by how much W is lifted for what a still denser grid finds
 LIFT = 1.01  # how far W may be lifted for what lies between the points of the fit
+STEP = 0.05  # of the error's logarithm from point to point, above which one is put between
+NOTHING = 1e-300  # an error below is none
+HALVINGS = 30  # of an interval at most
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -102,7 +108,8 @@ def cover(
     band : (float, float)
         Frequencies [rad/s] to cover.
     order : int
-        States of W, 1 to 10; fewer where more make it no tighter.
+        States of W, 1 to 10; fewer where more make it no tighter, or where poles or zeros would lie
+        too close to the imaginary axis to be told from it.
     kind : {"additive", "multiplicative"}
         Additive, or multiplicative at the output: for that G_0 needs as many outputs as inputs at
         least.
@@ -114,8 +121,9 @@ def cover(
     ValueError
         No model, discrete ones, other channels; numbers of unstable poles that differ (robust
         stability cannot be concluded from a weight then); fewer outputs than inputs of a
-        multiplicative one, or a nominal model that lacks column rank in the band; an order or a
-        band out of range; sizes that are not positive.
+        multiplicative one, or a nominal model that lacks column rank in the band; poles on the
+        imaginary axis in the band, where the error is infinite; an order or a band out of range;
+        sizes that are not positive.
     """
     low, high = band
     if not 0 < low < high < np.inf:
@@ -125,12 +133,14 @@ def cover(
     if kind not in get_args(Kind):
         raise ValueError(f"kind={kind!r}: expected one of {', '.join(get_args(Kind))}")
     systems = [state_space(each) for each in (nominal, *models)]
-    _check(systems, kind)
+    _check(systems, kind, band)
     points = max(GRID, int(GRID * np.log10(high / low)))
     poles = np.concatenate([each.poles() for each in systems])
     omega = np.union1d(np.geomspace(low, high, points), _resonances(poles, low, high))
     errors = partial(_largest, systems, kind, scale=scale)
     error = errors(omega)
+    if error.max() < NOTHING:
+        raise ValueError("all models equal the nominal one: there is no error to cover")
     weight = _tightest(omega, error, errors, order)
     ratio = np.abs(weight.response(omega)[:, 0, 0]) / error
     return Cover(
@@ -144,7 +154,7 @@ def cover(
     )
 
 
-def _check(systems: Sequence[StateSpace], kind: Kind) -> None:
+def _check(systems: Sequence[StateSpace], kind: Kind, band: tuple[float, float]) -> None:
     """Refuse what no weight can cover."""
     first, *others = systems
     if not others:
@@ -156,6 +166,14 @@ def _check(systems: Sequence[StateSpace], kind: Kind) -> None:
             raise ValueError(f"{name} is discrete; convert it first (BlackBox.continuous)")
         if (system.inputs, system.outputs) != (first.inputs, first.outputs):
             raise ValueError(f"{name} has other inputs or outputs than the nominal one")
+        poles = system.poles()
+        bare = np.abs(poles.imag[np.abs(poles.real) <= AXIS * np.abs(poles)])
+        if (at := bare[(bare >= band[0]) & (bare <= band[1])]).size:
+            raise ValueError(
+                f"{name} has poles on the imaginary axis at {at[0]:.4g} rad/s, in the band of "
+                f"{band[0]:g} to {band[1]:g} rad/s: its response is infinite there and no weight "
+                "covers it; take a band without them, or a model that has damping"
+            )
         if _unstable(system) != unstable:
             raise ValueError(
                 f"{name} has {_unstable(system)} unstable poles, the nominal one {unstable}: a "
@@ -197,9 +215,7 @@ def _largest(
         delta = left[:, None] * system.response(omega) * right - G0
         delta = delta if inverse is None else delta @ inverse
         largest = np.maximum(largest, np.linalg.norm(delta, ord=2, axis=(1, 2)))
-    if len(omega) and not largest.any():
-        raise ValueError("all models equal the nominal one: there is no error to cover")
-    floor = 1e-6 * largest.max(initial=1e-300)  # a weight has no exact zero
+    floor = 1e-6 * largest.max(initial=NOTHING)  # a weight has no exact zero
     return np.asarray(np.maximum(largest, floor))
 
 
@@ -233,11 +249,33 @@ def _fitted(omega: Array, error: Array, order: int) -> tuple[Chebyshev, Chebyshe
 
 
 def _between(x: Array, m2: Array, gamma2: float, order: int) -> tuple[Chebyshev, Chebyshev] | None:
-    """P and Q of degree ``order`` with m² Q <= P <= γ² m² Q, if there are any."""
+    """P and Q of degree ``order`` with m² Q <= P <= γ² m² Q, both above zero from -1 to 1."""
+    points = np.cos(np.linspace(0, np.pi, EVERYWHERE))
+    for _ in range(ROUNDS):
+        if (found := _programme(x, m2, gamma2, order, points)) is None:
+            return None
+        P, Q = found
+        added = np.concatenate([_dips(P, 0.5 * CLEAR * m2.min()), _dips(Q, 0.5 * CLEAR)])
+        if not added.size:
+            return found
+        points = np.concatenate([points, added])
+    return None
+
+
+def _dips(of_x: Chebyshev, floor: float) -> Array:
+    """Where from -1 to 1 a polynomial has extremes below a floor."""
+    extremes = np.clip(of_x.deriv().roots().real, -1.0, 1.0)
+    return np.asarray(extremes[of_x(extremes) < floor])
+
+
+def _programme(
+    x: Array, m2: Array, gamma2: float, order: int, points: Array
+) -> tuple[Chebyshev, Chebyshev] | None:
+    """P and Q with m² Q <= P <= γ² m² Q, if there are any, both above zero at the points."""
     # Of all that will do those furthest above zero on the whole axis, 0 to infinity: roots on it
     # would be poles or zeros on the imaginary axis. The unknowns are P, Q and that distance.
     T = np.polynomial.chebyshev.chebvander(x, order) / m2[:, None]
-    E = np.polynomial.chebyshev.chebvander(np.cos(np.linspace(0, np.pi, EVERYWHERE)), order)
+    E = np.polynomial.chebyshev.chebvander(points, order)
     none, one = np.zeros((len(x), 1)), np.ones((len(E), 1))
     Q = T * m2[:, None]
     rows = np.block(
@@ -273,29 +311,58 @@ def _resonances(roots: ComplexArray, low: float, high: float) -> Array:
 def _tightest(
     omega: Array, error: Array, errors: Callable[[Array], Array], order: int
 ) -> StateSpace:
-    """W of up to so many states that covers the errors on the grid and at its own resonances.
+    """W of up to so many states that covers the errors on a denser grid and at its own resonances.
 
     A high order may set a notch between the points of its fit, which lifts all of it: a lower one
-    is tried then.
+    is tried then, and where rounding takes a pole or zero out of the left half-plane; a constant
+    always does.
     """
     none = np.zeros(0, dtype=complex)
     best, least = _system(none, none), np.inf
-    for states in range(order, 0, -1):
+    dense, m = _resolved(omega, error, errors)
+    for states in range(order, -1, -1):
         P, Q, center = _fitted(omega, error, states)
-        zeros, poles = _stable_roots(P, center), _stable_roots(Q, center)
-        W = _system(zeros, poles)
+        degree = max(P.degree(), Q.degree())
+        W = _system(*(_stable_roots(each, center, degree) for each in (P, Q)))
+        roots = np.concatenate([W.poles(), np.linalg.eigvals(W.A - W.B @ W.C / W.D)])
+        if not (roots.real < -AXIS * np.abs(roots)).all():
+            continue
         size = np.abs(W.response(omega)[:, 0, 0])
-        own = _resonances(np.concatenate([zeros, poles]), omega[0], omega[-1])
-        own = np.concatenate([own, _peaks(omega, error / size)])
-        between = errors(own) / np.abs(W.response(own)[:, 0, 0])
-        gain, needed = float(np.max(error / size)), float(between.max(initial=0.0))
-        gain, lift = max(gain, needed) * (1 + BETWEEN), max(1.0, needed / gain)
+        fitted, needed = float(np.max(error / size)), _least_gain(W, roots, dense, m, errors)
+        gain = max(fitted, needed) * (1 + BETWEEN)
         excess = float(np.mean(np.log(gain * size / error)))
         if excess < least:
             best, least = replace(W, C=gain * W.C, D=gain * W.D), excess
-        if lift <= LIFT:
+        if needed <= LIFT * fitted:
             break
     return best
+
+
+def _resolved(omega: Array, error: Array, errors: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """A grid with points between wherever the error leaps, and the errors: resonances whole."""
+    for _ in range(HALVINGS):
+        leaps = np.flatnonzero(np.abs(np.diff(np.log(error))) > STEP)
+        leaps = leaps[omega[leaps + 1] > omega[leaps] * (1 + AXIS)]
+        if not leaps.size:
+            break
+        between = 0.5 * (omega[leaps] + omega[leaps + 1])
+        omega = np.insert(omega, leaps + 1, between)
+        error = np.insert(error, leaps + 1, errors(between))
+    return omega, error
+
+
+def _least_gain(
+    W: StateSpace, roots: ComplexArray, omega: Array, error: Array, errors: Callable[[Array], Array]
+) -> float:
+    """Largest error/abs(W) on a grid, at the roots of W, and between the points by closer looks."""
+    ratio = error / np.abs(W.response(omega)[:, 0, 0])
+    at = np.concatenate([_resonances(roots, omega[0], omega[-1]), _peaks(omega, ratio)])
+    for _ in range(2):
+        own = errors(at) / np.abs(W.response(at)[:, 0, 0])
+        omega, first = np.unique(np.concatenate([omega, at]), return_index=True)
+        ratio = np.concatenate([ratio, own])[first]
+        at = _peaks(omega, ratio)
+    return float(ratio.max())
 
 
 def _peaks(omega: Array, ratio: Array) -> Array:
@@ -314,9 +381,9 @@ def _system(zeros: ComplexArray, poles: ComplexArray) -> StateSpace:
     return StateSpace(A, B, C, D, None, ("w",), ("z",))
 
 
-def _stable_roots(of_x: Chebyshev, center: float) -> ComplexArray:
+def _stable_roots(of_x: Chebyshev, center: float, degree: int) -> ComplexArray:
     """Roots s in the left half-plane of a polynomial of x, s² = -ω² = -c (1 + x)/(1 - x)."""
     x = of_x.trim(1e-12 * np.abs(of_x.coef).max()).roots().astype(complex)
     roots = -np.sqrt(-center * (1 + x) / (1 - x))
     # A degree that is missing in x is a factor ω² + c.
-    return np.concatenate([roots, np.full(of_x.degree() - len(x), -np.sqrt(center))])
+    return np.concatenate([roots, np.full(degree - len(x), -np.sqrt(center))])

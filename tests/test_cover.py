@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+import scipy
 
 from casid import StateSpace, cover
 from casid.cover import _peaks, _resonances
@@ -59,6 +60,60 @@ def test_no_weight_of_two_hundred_is_violated():
     found = np.array([violated(rng, kind) for _ in range(100) for kind in kinds])
     assert found[:, 0].min() > 1 - 1e-4
     assert found[:, 1].mean() < 1.5
+
+
+def phugoids(damping, seed):
+    """A lightly damped mode beside a fast one, and relatives whose frequency and damping vary."""
+    rng = np.random.default_rng(seed)
+
+    def plane(frequency, damping, stiffness):
+        slow = [[0, 1], [-(frequency**2), -2 * damping * frequency]]
+        fast = [[0, 1], [-9 * stiffness, -3 * stiffness]]
+        B = [[0], [0.1], [0], [9 * stiffness]]
+        return StateSpace(scipy.linalg.block_diag(slow, fast), B, [[0, 1, 0, 1]], [[0]])
+
+    drawn = rng.standard_normal((3, 10))
+    drawn = 1 + np.array([[0.03], [0.3], [0.1]]) * np.clip(drawn, -2, 2)
+    return plane(0.45, damping, 1), [plane(0.45 * a, damping * b, c) for a, b, c in drawn.T]
+
+
+@pytest.mark.parametrize(
+    ("damping", "order"), [(0.04, 4), (0.04, 5), (0.04, 6), (0.02, 4), (0.005, 3), (0.005, 6)]
+)
+def test_a_weight_of_light_damping_is_stable_of_minimum_phase_and_covers(damping, order):
+    nominal, models = phugoids(damping, seed=order)
+    W = cover(nominal, models, band=(0.3, 12.0), order=order).weight
+    # Roots by python-control; errors beside every root and resonance by their definition.
+    plain = control.ss(W.A, W.B, W.C, W.D)
+    roots = np.concatenate([plain.poles(), plain.zeros()])
+    assert roots.real.max() < 0
+    every = np.concatenate([roots, *(model.poles() for model in (nominal, *models))])
+    every = every[every.imag > 0]
+    beside = every.imag[:, None] + np.abs(every.real)[:, None] * np.linspace(-3, 3, 61)
+    omega = np.concatenate([np.geomspace(0.3, 12.0, 3000), beside.ravel()])
+    omega = np.sort(omega[(omega > 0.3) & (omega < 12.0)])
+    apart = np.max([np.abs(of(m, omega) - of(nominal, omega)) for m in models], axis=0)
+    assert (np.abs(of(W, omega)) / apart).min() > 1 - 1e-6
+
+
+def of(system, omega):
+    """The response of one channel by its definition."""
+    A = 1j * omega[:, None, None] * np.eye(system.nx) - system.A
+    return (system.C @ np.linalg.solve(A, system.B + 0j * A[:, :, :1]) + system.D)[:, 0, 0]
+
+
+def test_poles_on_the_axis_in_the_band_are_refused_and_integrators_below_it_covered():
+    def mode(damping, gain=1.0):
+        return StateSpace([[0, 1], [-9, -6 * damping]], [[0], [gain]], [[1, 0]], [[0]])
+
+    for nominal, model, name in ((mode(0), mode(0.1), "nominal"), (mode(0.1), mode(0), "model 1")):
+        with pytest.raises(ValueError, match=f"{name}.* imaginary axis at 3 rad/s, in the band"):
+            cover(nominal, [model], band=(0.3, 12.0))
+    # Of double integrators the difference is 0.2/s², a lag of order two at best.
+    double = [StateSpace([[0, 1], [0, 0]], [[0], [gain]], [[1, 0]], [[0]]) for gain in (1.0, 1.2)]
+    found = cover(double[0], double[1:], band=(0.3, 12.0), order=2)
+    np.testing.assert_allclose(found.error, 0.2 / found.omega**2, rtol=1e-9)
+    assert 1 <= found.margin <= found.excess < 1.3
 
 
 def test_a_lag_that_varies_in_gain_is_covered_by_itself():
