@@ -283,9 +283,10 @@ def table(codes, alive, equivalent):
     lines = []
     for place in sorted(rows, key=lambda each: (each == "all", each)):
         found = rows[place]
-        share = 100 * found["killed"] / max(found["killed"] + found["survived"], 1)
+        told = found["killed"] + found["survived"]
+        share = f"{100 * found['killed'] / told:.0f} %" if told else "–"
         counts = found.total(), found["killed"], found["survived"], found["equivalent"]
-        lines.append("| " + " | ".join(map(str, (place, *counts, f"{share:.0f} %"))) + " |")
+        lines.append("| " + " | ".join(map(str, (place, *counts, share))) + " |")
     return "\n".join(lines)
 
 
