@@ -69,6 +69,7 @@ DAMAGE = {
     "band =": lambda box: box.update(band=None),
     r"band = \(10": lambda box: box["band"]["tuple"].reverse(),
     "explained": lambda box: box.update(explained=-1),
+    "explained of": lambda box: box.update(explained={"array": [0.9], "kind": "f", "shape": [1]}),
     "output_std = ": lambda box: box["output_std"]["array"].__setitem__(0, -1.0),
     "shape": lambda box: box["output_std"].update(array=[1.0]),
     r"expected \[.*\]": lambda box: box["K"].update(array=0.0),
