@@ -2,7 +2,7 @@
 # make paper   the paper's comparison on two helicopters, and the chosen last step; in out/paper
 # make test    the quick tests, a few minutes
 # make slow    the slow tests, an hour and more
-# make mutants how many of 400 broken programs the tests notice (an hour and more; may be stopped)
+# make mutants how many of 400 broken programs the tests notice (hours; may be stopped)
 # make docs    the documentation, site/index.html
 # make figures the figures and notebooks of the documentation again
 # make lint    formatting, rules, types and import layers
