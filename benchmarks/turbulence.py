@@ -5,7 +5,9 @@ noisy instruments; white noise drives the states, sampled exactly by Van Loan's 
 bound is that of a Kalman filter written here, differentiated by differences, initial states,
 biases and all variances unknown too.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.turbulence [N] [--case NAME]    N runs each (30)
+    OMP_NUM_THREADS=1 python -m benchmarks.turbulence [N] [--case NAME] [--first SEED]
+
+N runs each (30), their seeds from the first (0) on.
 """
 
 import argparse
@@ -208,12 +210,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("runs", nargs="?", type=int, default=30)
     parser.add_argument("--case", default="")
+    parser.add_argument("--first", type=int, default=0)
     chosen, rows = parser.parse_args(), []
     for name, case in cases().items():
         if chosen.case not in name:
             continue
         found = []
-        for seed in range(chosen.runs):
+        for seed in range(chosen.first, chosen.first + chosen.runs):
             found.append(run(case, seed))
             print(name, seed, found[-1][2].iterations, found[-1][2].success,
                   f"{found[-1][2].seconds:.1f}", file=sys.stderr, flush=True)  # fmt: skip
