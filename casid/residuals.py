@@ -11,7 +11,7 @@ import scipy
 
 from casid.arrays import Array
 from casid.display import Shown, listed
-from casid.records import Records, stretches
+from casid.records import Records, same_channels, stretches
 from casid.threads import one_thread
 from casid.validation import BAND, AnyModel, validate
 
@@ -90,6 +90,7 @@ def residuals(model: AnyModel, records: Records, *, lags: int = LAGS) -> Residua
         `validate` raises.
     """
     records = stretches(records)
+    same_channels(records)
     first = records[0]
     for record in records:
         if not record.equidistant or abs(record.dt - first.dt) > 1e-3 * first.dt:

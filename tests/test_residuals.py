@@ -70,3 +70,9 @@ def test_records_of_two_rates_and_too_many_lags_are_refused():
         residuals(ROLL, [record, record.decimate(2)])
     with pytest.raises(ValueError, match="lags=60: expected 1 to 49"):
         residuals(ROLL, record, lags=60)
+
+
+def test_no_records_are_refused():
+    lag = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    with pytest.raises(ValueError, match="no records given"):
+        residuals(lag, [])

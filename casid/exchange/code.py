@@ -25,6 +25,11 @@ from casid.record import Hold
 
 MOST = 10_000  # samples of a delay
 SLOWEST = 3600.0  # s between samples
+KEYWORDS = (
+    "auto break case char const continue default do double else enum extern float for goto if "
+    "inline int long register restrict return short signed sizeof static struct switch typedef "
+    "union unsigned void volatile while"
+)
 
 
 def write_c(
@@ -67,9 +72,7 @@ def write_c(
         A discrete model, an interval that is not positive, a name that C does not take; a delay of
         more than 10,000 samples, all of which the memory would hold.
     """
-    path = Path(path)
-    if path.suffix != ".c" or not path.stem.isidentifier():
-        raise ValueError(f"{path}: expected a name that C takes, such as model.c")
+    path = _taken(path, ".c")
     if not 0 < dt <= SLOWEST:
         raise ValueError(f"dt={dt}: expected a positive interval [s], {SLOWEST:g} at most")
     if steps is not None and steps < 1:
@@ -128,9 +131,7 @@ def write_fmu(
         A discrete model, delays without ``pade``, a name that C does not take; a binary without
         FMPy (``pip install 'casid[fmu]'``: it has the interface's headers) or without a C compiler.
     """
-    path = Path(path)
-    if path.suffix != ".fmu" or not path.stem.isidentifier():
-        raise ValueError(f"{path}: expected a name that C takes, such as model.fmu")
+    path = _taken(path, ".fmu")
     dae = _dae(path.stem, equations_of(system, pade))
     headers = _headers() if binary else ""
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
@@ -138,10 +139,25 @@ def write_fmu(
         _define_units(Path(next(name for name in files if name.endswith("modelDescription.xml"))))
         _answer_without_indicators(Path(f"{path.stem}_wrap.c"))
         if binary:
-            files = dae.compile_fmu(files, {"include_dirs": [headers]})
+            try:
+                files = dae.compile_fmu(files, {"include_dirs": [headers]})
+            except RuntimeError as error:  # of a name such as exp, which only the compiler knows
+                raise ValueError(
+                    f"{path}: does not compile; expected a name that C takes and has no function "
+                    "of, such as model.fmu, or a compiler that works"
+                ) from error
         packed = Path(dae.pack_fmu(files, {"path": path.name})).read_bytes()
     with replacing(path) as temporary:
         temporary.write_bytes(packed)
+
+
+def _taken(path: str | Path, suffix: str) -> Path:
+    """A path whose stem may name functions in C; ValueError if not."""
+    path = Path(path)
+    valid = ca.Function.check_name(path.stem) and path.stem not in KEYWORDS.split()
+    if path.suffix != suffix or not valid:
+        raise ValueError(f"{path}: expected a name that C takes, such as model{suffix}")
+    return path
 
 
 def _steps(system: StateSpace, dt: float, hold: Hold) -> tuple[ca.Function, ca.Function]:
@@ -192,7 +208,8 @@ def _comment(
     name, dt, hold, kind = how
 
     def named(names: tuple[str, ...]) -> str:
-        return ", ".join(f"{name} [{units.get(name, '-')}]" for name in names)
+        told = ", ".join(f"{name} [{units.get(name, '-')}]" for name in names)
+        return told.replace("*/", "* /")  # which would end the comment
 
     return (
         f"/* Samples every {dt!r} s, inputs held as {hold}; delays of the inputs [s]: "

@@ -148,10 +148,18 @@ def write_table(path: str | Path, table: Mapping[str, Array], *, version: MatVer
 
 
 def in_si(table: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, Array]:
-    """Columns in SI units; ``units`` names those that are not yet."""
+    """Columns in SI units; ``units`` names those that are not yet.
+
+    A name that ends with the unit that no longer holds, ``time_ms`` or ``p [deg/s]``, loses it.
+    """
     if lacking := [name for name in units if name not in table]:
         raise ValueError(f"there is no column {lacking[0]!r}; there are {', '.join(table)}")
-    return {name: x * factor_of(name, units.get(name, "1")) for name, x in table.items()}
+    found = {}
+    for name, x in table.items():
+        unit = units.get(name, "1")
+        plain = name.removesuffix(f"_{unit}").removesuffix(f"[{unit}]").rstrip() or name
+        found[plain if name in units and plain not in table else name] = x * factor_of(name, unit)
+    return found
 
 
 def frequency_table(response: FrequencyResponse) -> dict[str, Array]:

@@ -1,11 +1,14 @@
 """The equations of a model as text: a function file of MATLAB, or a Python module."""
 
+import keyword
 from pathlib import Path
 
 import casadi as ca
 
 from casid.exchange.equations import Equations
 from casid.files import write_text
+
+KEYWORDS = "case catch end function otherwise parfor persistent spmd switch"  # of MATLAB alone
 
 BINARY = {
     ca.OP_ADD: "{} + {}",
@@ -96,7 +99,8 @@ def write_equations(path: str | Path, found: Equations, *, title: str = "") -> N
         Another suffix, a name that neither takes, an operation that has no form there.
     """
     path = Path(path)
-    if path.suffix not in (".m", ".py") or not path.stem.isidentifier():
+    named = path.stem.isidentifier() and path.stem not in (*keyword.kwlist, *KEYWORDS.split())
+    if path.suffix not in (".m", ".py") or not named:
         raise ValueError(f"{path}: expected a name such as model.m or model.py")
     said = "".join(each for each in title if each.isprintable() and each not in "\\\"'")
     told = {"about": said or f"Equations of {path.stem}.", "nx": len(found.x0)}

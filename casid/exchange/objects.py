@@ -44,13 +44,24 @@ def to_control(system: StateSpace | NonlinearModel, *, pade: int | None = None) 
 
 
 def from_control(system: Any, *, delay: Sequence[float] = ()) -> StateSpace:  # noqa: ANN401
-    """A `StateSpace` from a `control.StateSpace`; ``delay`` [s] is that of each input.
+    """A `StateSpace` from a system of python-control; ``delay`` [s] is that of each input.
 
     Raises
     ------
     ValueError
         A discrete model whose interval python-control does not know (``dt=True``).
+    TypeError
+        Neither a state space nor a transfer function.
     """
+    import control  # noqa: PLC0415 - slow to import, and only wanted here
+
+    if isinstance(system, control.TransferFunction):
+        system = control.ss(system)
+    if not isinstance(system, control.StateSpace):
+        raise TypeError(
+            f"{type(system).__name__} is no state space or transfer function of python-control; "
+            "control.linearize makes one of a nonlinear system"
+        )
     if system.dt is True:
         raise ValueError("the system is discrete without a sampling interval; set its dt [s]")
     names = (system.input_labels, system.output_labels, system.state_labels)

@@ -1,6 +1,7 @@
 """A fitted model as a Python file that simulates it and needs nothing but NumPy."""
 
 import inspect
+import keyword
 import pprint
 from importlib.metadata import version
 from pathlib import Path
@@ -36,7 +37,8 @@ def write_module(path: str | Path, system: StateSpace, *, title: str = "") -> No
         A discrete model, or a file that would not be a Python module.
     """
     path = Path(path)
-    if path.suffix != ".py" or not path.stem.isidentifier():
+    named = path.stem.isidentifier() and not keyword.iskeyword(path.stem)
+    if path.suffix != ".py" or not named:
         raise ValueError(f"{path}: expected a name that Python imports, such as model.py")
     write_text(path, module_text(system, title or f"Simulation of {path.stem}."))
 

@@ -123,6 +123,17 @@ def test_the_comment_says_what_to_call(tmp_path):
         text = (tmp_path / f"roll.{end}").read_text("utf-8")
         assert "u: a [-], b [-]" in text
         assert "Samples every 0.04 s, inputs held as foh" in text
+    write_c(tmp_path / "odd.c", StateSpace([[-1]], [[1]], [[1]], [[0]], inputs=("a*/b",)), dt=DT)
+    comment, _ = (tmp_path / "odd.c").read_text("utf-8").split("*/", 1)
+    assert "SI units and radians" in comment
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_a_name_that_does_not_compile_is_told(tmp_path):
+    pytest.importorskip("fmpy")
+    with pytest.raises(ValueError, match=r"exp\.fmu: does not compile; expected a name"):
+        write_fmu(tmp_path / "exp.fmu", unstable_plant())
 
 
 def test_what_c_cannot_be_is_refused(tmp_path):
@@ -130,6 +141,9 @@ def test_what_c_cannot_be_is_refused(tmp_path):
     discrete = StateSpace(plant.A, plant.B, plant.C, plant.D, 0.1)
     with pytest.raises(ValueError, match="a name that C takes"):
         write_c(tmp_path / "my model.c", plant, dt=DT)
+    for name in ("double", "jac", "a__b"):
+        with pytest.raises(ValueError, match=r"a name that C takes, such as model\.fmu"):
+            write_fmu(tmp_path / f"{name}.fmu", plant, binary=False)
     with pytest.raises(ValueError, match="expected a positive interval"):
         write_c(tmp_path / "model.c", plant, dt=0.0)
     with pytest.raises(ValueError, match="convert it to continuous time"):

@@ -87,6 +87,10 @@ def test_a_name_that_would_rule_the_terminal_is_refused(suffix, tmp_path):
 def test_units_are_converted_by_name():
     table = in_si({"t": np.zeros(2), "p": np.array([0.0, 180.0])}, {"p": "deg/s"})
     np.testing.assert_allclose(table["p"], [0, np.pi])
+    told = {name: np.ones(1) for name in ("time_ms", "q [deg/s]", "r_deg/s", "r", "w_1")}
+    changed = in_si(told, {"time_ms": "ms", "q [deg/s]": "deg/s", "r_deg/s": "deg/s"})
+    assert list(changed) == ["time", "q", "r_deg/s", "r", "w_1"]
+    assert changed["time"] == 1e-3
     with pytest.raises(ValueError, match="no column 'q'"):
         in_si(table, {"q": "deg/s"})
     with pytest.raises(ValueError, match="unknown unit"):

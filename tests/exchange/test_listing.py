@@ -45,7 +45,7 @@ def test_text_computes_what_the_structure_does(tmp_path, model):
 
 
 def test_a_name_that_no_language_takes_is_refused(tmp_path):
-    for name in ("model.txt", "my model.m"):
+    for name in ("model.txt", "my model.m", "for.m", "end.m", "class.py"):
         with pytest.raises(ValueError, match=r"such as model\.m"):
             write_equations(tmp_path / name, equations_of(AIRCRAFT, 1))
 

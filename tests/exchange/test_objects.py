@@ -58,6 +58,13 @@ def test_a_transfer_function_of_control_becomes_a_system():
     np.testing.assert_allclose(lag.response(OMEGA)[:, 0, 0], expected, rtol=1e-12)
 
 
+def test_what_is_no_system_of_control_is_converted_or_refused():
+    lag = from_control(control.tf([2.0], [0.5, 1.0]))
+    np.testing.assert_allclose(lag.response(OMEGA)[:, 0, 0], 2 / (1 + 0.5j * OMEGA), rtol=1e-12)
+    with pytest.raises(TypeError, match="FrequencyResponseData is no state space"):
+        from_control(control.frd([1.0], [1.0]))
+
+
 def test_delays_are_never_dropped_in_silence(system):
     with pytest.raises(ValueError, match=r"delays \(ped 0.1 s\).*pade=3"):
         to_control(replace(system, delay=[0.0, 0.1]))

@@ -69,8 +69,9 @@ def test_the_exponential_of_the_module_is_that_of_scipy(system, tmp_path):
 
 
 def test_a_module_must_be_importable_and_continuous(system, tmp_path):
-    with pytest.raises(ValueError, match="name that Python imports"):
-        write_module(tmp_path / "my-model.py", system)
+    for name in ("my-model.py", "class.py"):
+        with pytest.raises(ValueError, match="name that Python imports"):
+            write_module(tmp_path / name, system)
     with pytest.raises(ValueError, match=r"discrete with an interval of 0\.02 s"):
         write_module(tmp_path / "model.py", replace(system, dt=0.02))
     assert list(tmp_path.iterdir()) == []
