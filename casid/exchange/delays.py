@@ -11,7 +11,8 @@ from casid.linear import StateSpace
 def without_delay(system: StateSpace, pade: int | None = None) -> StateSpace:
     """The same system with its delays turned into states.
 
-    A discrete model holds past inputs as states, which is exact. A continuous one gets a Padé
+    A discrete model holds past inputs as states, which is exact; from states of zero inputs were
+    zero before, whereas `StateSpace.simulate` holds their first value. A continuous one gets a Padé
     approximation for each delayed input: all-pass, the phase right up to about ``pade``/delay
     rad/s.
 
