@@ -71,10 +71,12 @@ def check_pair(name: str, pair: Any) -> None:  # noqa: ANN401 - whatever the use
     """Refuse what are no two bounds in order."""
     try:
         lower, upper = map(float, pair)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError):
+        lower, upper = np.nan, np.nan
+    if np.isnan([lower, upper]).any():
         raise ModelError(
             f"{name}: bounds are {pair!r}, expected two numbers (lower, upper); -inf or inf is none"
-        ) from error
+        )
     check_order(name, lower, upper)
 
 

@@ -18,6 +18,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 import scipy
 
@@ -25,7 +26,7 @@ from casid.arrays import Array
 from casid.bounds.relations import Relation, parse_relation
 from casid.checks import check_known
 from casid.declaration import check_pair
-from casid.errors import ModelError
+from casid.errors import ModelError, warn
 from casid.fit import AnyFit
 from casid.free import free_parameters
 from casid.matching.delays import delay_parameters
@@ -42,6 +43,7 @@ AROUND = re.compile(
 RELATIONS = "constraints"  # the key of a case's relations
 ALL = "*"  # the key of all parameters
 STIFF = 1e4  # weight of relations against distance
+DEPENDENT = 1e-9  # length of what is left of a unit row that follows from others
 SINGULAR = 1e12  # condition of a covariance that cannot be inverted
 WIDTH = 1e-9  # of a tie, for a solver that wants an interior
 
@@ -57,12 +59,13 @@ class Case:
     def within(self, other: "Case") -> bool:
         """Whether all this case allows is allowed by the other, as far as their wording shows."""
         for name in self.bounds:
-            (low, high), (lower, upper) = self._range(name), other.bounds[name]
+            (low, high), (lower, upper) = self.range(name), other.bounds[name]
             if not lower <= low <= high <= upper:
                 return False
         return all(self._implies(relation) for relation in other.relations)
 
-    def _range(self, name: str) -> tuple[float, float]:
+    def range(self, name: str) -> tuple[float, float]:
+        """What a parameter may be: its bounds, or its fixed value twice."""
         values = [r.lower for r in self.relations if r.names == (name,)]
         return (values[0], values[0]) if values else self.bounds[name]
 
@@ -95,7 +98,9 @@ def read_cases(
         for name, i in zip(free.names, free.index, strict=True)
     }
     delays = {free.names[i] for i in delay_parameters(free)[0]}
-    return tuple(_Writer(model, name, limits, delays).read(spec) for name, spec in specs.items())
+    return tuple(
+        _Writer(free.model, name, limits, delays).read(spec) for name, spec in specs.items()
+    )
 
 
 class _Writer:
@@ -117,7 +122,23 @@ class _Writer:
                 self._one(parameter, content)
             for text in texts:
                 self._relation(text)
+            check_independent(self.relations)
+            self._hold_what_does_nothing()
         return Case(self.name, self.bounds, tuple(self.relations))
+
+    def _hold_what_does_nothing(self) -> None:
+        """Hold parameters that the fixed values leave without effect: nothing else would."""
+        held = {r.names[0]: r.lower for r in self.relations if len(r.names) == 1}
+        free = {*self.bounds} - {name for relation in self.relations for name in relation.names}
+        idle = without_effect(self.model, held, {*self.bounds}, free) if held else []
+        for name in idle:
+            value = float(np.clip(getattr(self.model, name), *self.bounds[name]))
+            self._narrow(name, value, value)
+        if idle:
+            warn(
+                f"case {self.name!r}: with the values it fixes {', '.join(idle)} has no effect and "
+                "the records do not determine it: held at its guess, without a standard error"
+            )
 
     def _parts(self, spec: CaseSpec) -> tuple[dict[str, Any], list[str]]:
         if isinstance(spec, str):
@@ -144,9 +165,14 @@ class _Writer:
 
     def _one(self, parameter: str, content: Any) -> None:  # noqa: ANN401 - what a user wrote
         guess = float(getattr(self.model, parameter))
-        if isinstance(content, bool) or not isinstance(content, str | int | float | list | tuple):
+        number = isinstance(content, int | float)
+        if (
+            isinstance(content, bool)
+            or not (number or isinstance(content, str | list | tuple))
+            or (number and not abs(content) < np.inf)
+        ):
             raise ModelError(f"{parameter} = {content!r} is not understood; {HELP}")
-        if isinstance(content, int | float):
+        if number:
             self._relation(f"{parameter} = {float(content)!r}")
         elif not isinstance(content, str):
             self._replace(parameter, content)
@@ -178,19 +204,18 @@ class _Writer:
         self._narrow(parameter, *map(float, pair))
 
     def _tighten(self, parameter: str, low: float, high: float) -> None:
-        lower, upper = self.bounds[parameter]
+        lower, upper = Case(self.name, self.bounds, tuple(self.relations)).range(parameter)
         if not max(low, lower) <= min(high, upper):
-            raise ModelError(
-                f"{parameter} in [{low:g}, {high:g}] contradicts its bounds [{lower:g}, {upper:g}]"
-            )
+            said = f"= {low:g}" if low == high else f"in [{low:g}, {high:g}]"
+            known = f"value {lower:g}" if lower == upper else f"bounds [{lower:g}, {upper:g}]"
+            raise ModelError(f"{parameter} {said} contradicts its {known}")
         self._narrow(parameter, max(low, lower), min(high, upper))
 
     def _narrow(self, parameter: str, low: float, high: float) -> None:
         """Set bounds; equal ones are a fixed value, which has a price."""
         if low == high:
-            self.relations.append(
-                Relation(f"{parameter} = {low:g}", (parameter,), (1.0,), low, low)
-            )
+            fixed = Relation(f"{parameter} = {low:g}", (parameter,), (1.0,), low, low)
+            self.relations += [] if fixed in self.relations else [fixed]
         else:
             self.bounds[parameter] = (low, high)
 
@@ -211,6 +236,40 @@ HELP = (
     'expected a number, "fixed", "free", [lower, upper], "< 0", "±20 %", "-3 ± 0.5" or '
     '"= 0.05 Llat"'
 )
+
+
+def check_independent(relations: Sequence[Relation]) -> None:
+    """Refuse a tie that others imply, whose price would be arbitrary, or contradict."""
+    ties = [relation for relation in relations if relation.tie]
+    names = tuple(dict.fromkeys(name for tie in ties for name in tie.names))
+    rows = np.array([tie.row(names) for tie in ties]).reshape(len(ties), len(names))
+    sizes = np.linalg.norm(rows, axis=1)
+    rows, values = rows / sizes[:, None], np.array([tie.lower for tie in ties]) / sizes
+    for k in range(1, len(ties)):
+        by = np.linalg.lstsq(rows[:k].T, rows[k], rcond=None)[0]
+        if np.linalg.norm(rows[k] - by @ rows[:k]) <= DEPENDENT:
+            others = ", ".join(repr(ties[i].text) for i in np.flatnonzero(np.abs(by) > DEPENDENT))
+            size = max(1.0, np.abs(values[: k + 1]).max())
+            agree = abs(values[k] - by @ values[:k]) <= DEPENDENT * size
+            what = "follows from" if agree else "contradicts"
+            raise ModelError(f"{ties[k].text!r} {what} {others}; leave one of them out")
+
+
+def without_effect(
+    model: Model, held: Mapping[str, float], moving: Collection[str], among: Collection[str]
+) -> list[str]:
+    """Which among the moving parameters change nothing in the structure, some held at values."""
+    names = model.parameter_names()
+    lam, guess = ca.SX.sym("lam", len(names)), model.vector()
+    at = [
+        lam[i] if name in moving and name not in held else ca.SX(held.get(name, guess[i]))
+        for i, name in enumerate(names)
+    ]
+    A, B, C, D, tau, c = map(ca.sparsify, model.matrices()(ca.vertcat(*at)))
+    heard = [j for j in range(tau.shape[0]) if B[:, j].nnz() or D[:, j].nnz()]
+    said = ca.vertcat(*(ca.vec(each) for each in (A, B, C, D, tau[heard], c)))
+    matters = ca.which_depends(said, lam, 1, False)
+    return [name for name, some in zip(names, matters, strict=True) if name in among and not some]
 
 
 def _number(text: str) -> float:

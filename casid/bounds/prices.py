@@ -149,7 +149,7 @@ def _parameters(fit: AnyFit, case: Case) -> tuple[ParameterEstimate, ...]:
     rows = {row.name: row for row in fit.parameters}
     for name, tie in ties.items():
         fixed: Any = dict.fromkeys(("value", "lower", "upper"), tie.lower)
-        fixed |= {"multiplier": tie.multiplier, "std_error": np.nan}
+        fixed |= {"multiplier": tie.multiplier} | dict.fromkeys(("std_error", "cramer_rao"), np.nan)
         rows[name] = replace(rows[name], active=True, **fixed)
     return tuple(rows.values())
 

@@ -2,8 +2,8 @@
 
 A relation is two or three sums joined by ``=``, ``<=`` or ``>=`` (``<`` and ``>`` mean the same as
 ``<=`` and ``>=``: a set of values an optimiser can use contains its border). A sum has numbers,
-names, ``+ - * /`` and parentheses; ``0.05 Llat`` is a product. Nothing else is understood, and
-nothing is evaluated as Python.
+names, ``+ - * /`` and parentheses; a number before a name or a parenthesis multiplies it,
+``0.05 Llat``. Nothing else is understood, and nothing is evaluated as Python.
 """
 
 import ast
@@ -18,9 +18,10 @@ import numpy as np
 from casid.errors import ModelError
 
 TOKEN = re.compile(
-    r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_]\w*|<=|>=|==|[-+*/()=<>]|(?P<other>\S)"
+    r"(?P<code>0[xXoObB_]\w*)|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[^\W\d]\w*|<=|>=|==|[-+*/()=<>]|(?P<other>\S)"
 )
 SPELT = str.maketrans({"−": "-", "·": "*", "×": "*", "≤": "<", "≥": ">"})
+LARGEST = 1e100  # number; beyond it products overflow
 MARKS = {ast.Eq: "=", ast.Lt: "<", ast.LtE: "<", ast.Gt: ">", ast.GtE: ">"}
 
 
@@ -74,7 +75,10 @@ def _read(text: str) -> Relation:
         low, middle, high = sides
         if {*low, *high} - {""}:
             raise ModelError("expected numbers on the outer sides of low <= sum <= high")
-        return _relation(text, middle, low.get("", 0.0), high.get("", 0.0))
+        lowest, highest = low.get("", 0.0), high.get("", 0.0)
+        if lowest > highest:
+            raise ModelError(f"nothing is above {lowest:g} and below {highest:g}")
+        return _relation(text, middle, lowest, highest)
     difference = _added(sides[0], sides[1], -1.0)
     return _relation(text, difference, 0.0 if marks[0] == "=" else -np.inf, 0.0)
 
@@ -82,11 +86,13 @@ def _read(text: str) -> Relation:
 def _tree(text: str) -> ast.expr:
     """The syntax of a text in Python's terms, ``*`` written where a product has none."""
     tokens = list(TOKEN.finditer(text.translate(SPELT)))
-    if wrong := [token["other"] for token in tokens if token["other"]]:
+    if wrong := [token[0] for token in tokens if token["code"] or token["other"]]:
         raise ModelError(f"{wrong[0]!r} is not understood")
     spelt = ["==" if token[0] == "=" else token[0] for token in tokens]
     words = spelt[:1]
     for before, token in pairwise(spelt):
+        if before[-1] not in "+-*/(<>=" and (token[0].isdigit() or token[0] == "."):
+            raise ModelError(f"{token} stands right behind {before}: an operator is missing")
         ends, begins = before == ")" or before[-1] not in "(+-*/<>=", token[0] not in ")+-*/<>="
         words += ["*", token] if ends and begins else [token]
     try:
@@ -100,7 +106,9 @@ def _tree(text: str) -> ast.expr:
 def _affine(node: ast.expr) -> dict[str, float]:
     """Coefficients by parameter of what a part of a relation is, its constant by ""."""
     match node:
-        case ast.Constant(value=int() | float() as number):
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+            if not abs(number) < LARGEST:
+                raise ModelError("a number is too large")
             return {"": float(number)}
         case ast.Name(id=name):
             return {name: 1.0}

@@ -59,7 +59,8 @@ def _whitener(fit: AnyFit, A: Array) -> tuple[Array, Array]:
     if not (np.isfinite(P).all() and np.isfinite(V).all()):
         return nothing
     sizes = np.linalg.norm(A * np.sqrt(np.diag(P)), axis=1)
-    alone = np.linalg.norm(A * [fit[name].insensitivity for name in fit.free_names], axis=1)
+    least = [fit[name].insensitivity for name in fit.free_names]  # infinite of one without effect
+    alone = np.linalg.norm(np.multiply(A, least, out=np.zeros(A.shape), where=A != 0), axis=1)
     # A parameter on its bound has the variance of a rounding: as nothing beside that with all
     # others known, which is the least one that moves can have but for ties.
     unit = 1 / np.where(sizes > SMALLEST * np.nan_to_num(alone), sizes, np.inf)

@@ -21,6 +21,7 @@ RIDGE = 1e-16  # on nuisance blocks, relative; an unobservable nuisance must not
 SAME = 1e-14  # the same where that is lost in rounding
 MANY = 500  # neighbours of a nuisance variable (the bias of a long record) that would fill factors
 SINGULAR = 1e-11  # eigenvalue of the information scaled to unit diagonal that counts as zero
+NOTHING = 1e-24  # of the largest information of a parameter, in units of their sizes: none
 GONE = 1e-10  # share of a parameter's information that is rounding if no more is left
 CONDITION = 30.0  # condition index above which parameters are collinear (Belsley 1991)
 SHARE = 0.5  # of a parameter's variance, for it to be named
@@ -184,8 +185,11 @@ def _directions(
     diagonal = np.diag(F)
     alone = np.maximum(diagonal, diagonal if alone is None else alone)
     left = np.where(diagonal > GONE * alone, diagonal, alone)
-    unit = 1 / np.sqrt(np.where(left > 0, left, 1.0))
-    Z = scipy.linalg.null_space(ties * unit) if len(ties) else np.eye(len(F))
+    some = left > NOTHING * left.max()
+    F, unit = F * np.outer(some, some), 1 / np.sqrt(np.where(some, left, 1.0))
+    rows = ties * unit  # of one length: how many hold is told by comparison
+    rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
+    Z = scipy.linalg.null_space(rows) if len(ties) else np.eye(len(F))
     values, vectors = np.linalg.eigh(Z.T @ (F * np.outer(unit, unit)) @ Z)
     directions = Z @ vectors
     rounding = np.maximum(directions.T**2 @ (alone * unit**2), 1.0)

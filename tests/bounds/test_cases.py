@@ -68,12 +68,42 @@ def test_relations_stand_beside_bounds_or_alone():
         ({"a": "> 10"}, "contradicts"), ({"a": [1, 0]}, "lower bound 1.0 > upper bound 0.0"),
         ({"a": [1]}, "expected"), ({"a": True}, "not understood"), (["a = a"], "no parameter"),
         ({"d": "±20 %"}, "guess of zero"), ([3], "no relation"),
+        ({"a": np.nan}, "a = nan is not understood"), ({"a": [0, np.nan]}, "expected two numbers"),
+        ({"a": -3.5, "constraints": ["a < -5"]}, "contradicts its value -3.5"),
+        (["a = -3", "a = -4"], "a = -4 contradicts its value -3"),
+        (["a = 2 b", "b = 0.5 a"], "'b = 0.5 a' follows from 'a = 2 b'"),
+        (["a = 2 b", "d = 1", "b = 0.5 a - 1"], "'b = 0.5 a - 1' contradicts 'a = 2 b'; leave"),
+        ({"a": 2, "b": 1, "constraints": ["a = 2 b"]}, "follows from 'a = 2', 'b = 1'"),
     ],
 )  # fmt: skip
 def test_what_is_no_case_is_refused_by_name(spec, why):
     with pytest.raises(ModelError, match=why) as error:
         case(spec, Mixture(d=0.0))
     assert "'case'" in str(error.value)
+
+
+def test_a_value_fixed_twice_is_one_tie():
+    assert len(case({"a": 2, "constraints": ["a = 2", "a < 3", "a = 2 b"]}).relations) == 2
+
+
+@pytest.mark.parametrize(
+    ("spec", "fixed", "held"),
+    [
+        ({"Llat": 0.0}, (), ("Llat", "tau")), ({"Llat": 0.0}, ("tau",), ("Llat",)),
+        ({"Llat": 0.0, "tau": 0.2}, (), ("Llat", "tau")), ({"Llat": 1.0}, (), ("Llat",)),
+        ({"Lv": 0.0, "Yv": 0.0}, (), ("Lv", "Yv")),
+    ],
+)  # fmt: skip
+@pytest.mark.filterwarnings("ignore:case 'case'")
+def test_what_fixed_values_leave_without_effect_is_held(spec, fixed, held):
+    found = case(spec, HoverRoll(Llat=1.0, tau=0.1), fixed=fixed)
+    assert [relation.names for relation in found.relations] == [(name,) for name in held]
+
+
+def test_what_is_held_for_want_of_an_effect_is_said():
+    with pytest.warns(UserWarning, match=r"'case'.* tau has no effect and the records do not det"):
+        (*_, tie) = case({"Llat": 0.0, "tau": [0.15, 0.3]}, HoverRoll(tau=0.1)).relations
+    assert (tie.lower, tie.upper) == (0.15, 0.15)  # the guess, within its bounds
 
 
 def test_a_parameter_fixed_everywhere_is_in_no_case():

@@ -7,7 +7,18 @@ import pytest
 from truths.mixture import NOISE, Inline, Mixture, least_squares, record
 from truths.structures import black_box
 
-from casid import Execution, Match, OutputError, StateSpace, compare_bounds
+from casid import (
+    Execution,
+    Match,
+    Model,
+    OutputError,
+    Record,
+    Rows,
+    Scalar,
+    StateSpace,
+    compare_bounds,
+    parameter,
+)
 from casid.bounds.robust import weights
 
 OMEGA = np.geomspace(0.2, 8.0, 25)
@@ -162,6 +173,50 @@ def test_aicc_counts_what_is_free(flown):
         k = w.sum() + nuisance
         expected = 2 * flown[name].cost + 2 * k * n / (n - k - 1)
         assert flown[name].aicc == pytest.approx(expected, rel=1e-12)
+
+
+class TwoSticks(Model):
+    """p' = Lp p + Llat lat(t - tau) + Lped ped."""
+
+    states, inputs, outputs = ("p",), ("lat", "ped"), ("p",)
+
+    Lp: Scalar = parameter(default=-3.0, lower=-25.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=1.0, lower=0.0, upper=60.0, unit="rad/s^2")
+    Lped: Scalar = parameter(default=5.0, lower=0.0, upper=60.0, unit="rad/s^2")
+    tau: Scalar = parameter(default=0.08, lower=0.0, upper=0.25, unit="s")
+
+    def A(self) -> Rows:
+        return [[self.Lp]]
+
+    def B(self) -> Rows:
+        return [[self.Llat, self.Lped]]
+
+    def delays(self):
+        return {"lat": self.tau}
+
+
+def test_a_delay_of_nothing_is_held_and_spoils_no_other_error():
+    rng = np.random.default_rng(4)
+    t = np.arange(0, 10, 0.05)
+    u = np.repeat(rng.choice([-1.0, 1.0], (10, 2)), 20, axis=0)
+    y = TwoSticks().system().simulate(t, u) + NOISE * rng.standard_normal((len(t), 1))
+    gone = {"tau = 0.06": 0.06, "tau = 0.2": 0.2}
+    cases = {name: {"Llat": 0.0, "tau": value} for name, value in gone.items()}
+    with pytest.warns(UserWarning, match="case 'clean': .* tau has no effect"):
+        found = compare_bounds(
+            TwoSticks(), Record(t, u, y, ("lat", "ped"), ("p",)), execution=HERE,
+            cases={"free": {}, "clean": {"Llat": 0.0}} | cases, estimator=OutputError(),
+        )  # fmt: skip
+    clean = found["clean"]
+    assert {row.name for row in clean.parameters if np.isnan(row.std_error)} == {"Llat", "tau"}
+    for name in cases:
+        assert found[name].aicc == pytest.approx(clean.aicc, abs=1e-3)
+        for field in ("value", "std_error", "cramer_rao"):
+            here, there = (
+                [getattr(row, field) for row in case.parameters if row.name in ("Lp", "Lped")]
+                for case in (clean, found[name])
+            )
+            np.testing.assert_allclose(here, there, rtol=1e-4)
 
 
 def test_eigenvalues_and_unseen_records_are_told(flown):

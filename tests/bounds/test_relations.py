@@ -21,6 +21,8 @@ from casid.bounds.relations import parse_relation
         ("Lp = Lp - Mq + 1", ("Mq",), (1.0,), 1.0, 1.0),
         ("2(Lp - 3 Mq)/4 = 1e-1", ("Lp", "Mq"), (0.5, -1.5), 0.1, 0.1),
         ("Mq > -Lp", ("Mq", "Lp"), (1.0, 1.0), 0.0, np.inf),
+        ("0.05Llat = Nlat", ("Llat", "Nlat"), (0.05, -1.0), 0.0, 0.0),
+        ("τ < 2 β", ("τ", "β"), (1.0, -2.0), -np.inf, 0.0),
     ],
 )
 def test_a_relation_is_read_as_mathematics_writes_it(text, names, coefficients, lower, upper):
@@ -55,6 +57,14 @@ def test_a_relation_holds_where_its_text_does(a, b, c, x, y):
         ("Lp < Mq > 3", "expected one of"),
         ("Lp <= Mq <= Nr", "numbers on the outer sides"),
         ("Lp = __import__('os')", "not understood"),
+        ("Llat < 1 000", "000 stands right behind 1"),
+        ("Lp = 1.2.3", ".3 stands right behind 1.2"),
+        ("Lp = 1e3.5", ".5 stands right behind 1e3"),
+        ("Lp 2 < 3", "2 stands right behind Lp"),
+        ("Lp < 0x1F", "'0x1F' is not understood"),
+        ("Lp = True", "'True' is out of place"),
+        ("Lp = 1e400 Nr", "too large"),
+        ("0 < Lp + Nr < -5", "nothing is above 0 and below -5"),
     ],
 )
 def test_what_is_no_linear_relation_is_refused_with_the_reason(text, why):

@@ -109,6 +109,20 @@ def test_what_the_data_do_not_show_is_named_and_has_no_bound():
     assert {name for c in found for name in c.names} == {"b", "c", "d"}
 
 
+@pytest.mark.parametrize("little", [0.0, 1e-90, 1e-40])
+def test_what_has_no_effect_spoils_no_other_error(little):
+    F = np.array([[4.0, 1.0, 1e-16, 2e-16], [1.0, 9.0, -1e-16, 1e-16]])
+    F = np.vstack([F, [1e-16, -1e-16, 2.0, 0.0], [2e-16, 1e-16, 0.0, little]])
+    ties = np.eye(4)[[2, 3]]
+    wanted = np.linalg.inv(F[:2, :2])
+    tied, told = bound(F, ties), bound(F, ties[:1])  # the last one held, and not
+    for found in (tied, told):
+        assert found[:2, :2] == pytest.approx(wanted, rel=1e-12)
+        assert found[2, 2] == 0
+    assert tied[3, 3] == 0
+    assert np.isinf(told[3, 3])
+
+
 def test_near_collinear_parameters_are_named_with_their_condition_index():
     J = RNG.standard_normal((500, 3))
     J[:, 2] = J[:, 0] + 0.01 * J[:, 2]
