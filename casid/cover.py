@@ -322,7 +322,7 @@ def _tightest(
     dense, m = _resolved(omega, error, errors)
     for states in range(order, -1, -1):
         P, Q, center = _fitted(omega, error, states)
-        degree = max(P.degree(), Q.degree())
+        degree = max(P.degree(), Q.degree(), 1)  # of a constant one that cancels
         W = _system(*(_stable_roots(each, center, degree) for each in (P, Q)))
         roots = np.concatenate([W.poles(), np.linalg.eigvals(W.A - W.B @ W.C / W.D)])
         if not (roots.real < -AXIS * np.abs(roots)).all():
