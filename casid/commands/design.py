@@ -10,14 +10,13 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from casid.checks import hint
 from casid.commands.columns import pairs
 from casid.commands.study import OUTPUT, STUDY, VERBOSE
 from casid.commands.terminal import caution, exits, logged, new_table
 from casid.design.injection import check_axes, check_channels, remove_own
 from casid.design.inputs import design_inputs
 from casid.design.plan import Design, DesignSettings, Limits
-from casid.design.prior import nearest_trim
+from casid.design.prior import check_trim, nearest_trim
 from casid.errors import ModelError, warn
 from casid.files import write_text
 from casid.fit import AnyFit, Fit
@@ -118,7 +117,7 @@ def design(
         made = design_inputs(
             model, limits, what.design.duration if duration is None else duration, noise=noise,
             feedback=_feedback(what, asked["feedback"]), trim=trim,
-            settings=_settings(what, asked, dt, _held(what, model)),
+            settings=_settings(what, asked, model, dt),
         )  # fmt: skip
         _say(console, made)
         folder = what.output / "design"
@@ -137,19 +136,17 @@ def design(
 
 
 def _settings(
-    study: Study, asked: Mapping[str, Any], dt: float, fixed: tuple[str, ...]
+    study: Study, asked: Mapping[str, Any], model: AnyFit | Model, dt: float
 ) -> DesignSettings:
-    """The study's, but for what was asked for."""
+    """The study's, but for what was asked for; what neither says is as in its identification."""
+    own = study.design.held(study.fixed, study.bounds)
+    if study.design.settings.fixed is None and isinstance(model, Fit):
+        held = [*study.fixed, *(row.name for row in model.parameters if row.fixed)]
+        own = replace(own, fixed=tuple(dict.fromkeys(held)))
     said = {name: asked[name] for name in ("matter", "method") if asked[name]}
     if asked["spread"] is not None:
         said["spread"] = asked["spread"]
-    return replace(study.design.settings, fixed=fixed, bounds=study.bounds, dt=dt, **said)
-
-
-def _held(study: Study, model: AnyFit | Model) -> tuple[str, ...]:
-    """What the study holds fixed, and what its fit did."""
-    rows = model.parameters if isinstance(model, Fit) else ()
-    return tuple(dict.fromkeys([*study.fixed, *(row.name for row in rows if row.fixed)]))
+    return replace(own, dt=dt if own.dt is None else own.dt, **said)
 
 
 def _feedback(study: Study, asked: Mapping[str, float]) -> dict[str, dict[str, float]]:
@@ -157,6 +154,11 @@ def _feedback(study: Study, asked: Mapping[str, float]) -> dict[str, dict[str, f
     found = {stick: dict(gains) for stick, gains in study.design.feedback.items()}
     for name, gain in asked.items():
         stick, _, channel = name.partition(":")
+        if not channel:
+            raise ValueError(
+                f"--feedback {name}={gain:g} names no output: expected INPUT:OUTPUT=GAIN, such as "
+                f"{stick}:{study.model.outputs[0]}={gain:g}"
+            )
         found.setdefault(stick, {})[channel] = gain
     return found
 
@@ -202,15 +204,9 @@ def _condition(
     model: Model, records: list[Record], asked: Mapping[str, float]
 ) -> tuple[Trim | None, list[Record]]:
     """Where a nonlinear structure is to be flown, and its records from there, about their trims."""
+    check_trim(model, asked)
     if not isinstance(model, NonlinearModel):
-        if asked:
-            raise ValueError(
-                f"{type(model).__name__} is linear, about its own trim: leave trim out"
-            )
         return None, records
-    if unknown := [name for name in asked if name not in (*model.states, *model.inputs)]:
-        meant = hint(unknown[0], (*model.states, *model.inputs))
-        raise ValueError(f"trim names {unknown[0]!r}, which is no state or input; {meant}")
     fast = any(name in SPEEDS for name in model.states)
     places = conditions(model, records) if fast else [(condition(model, records[0]), records)]
     speeds = [place.speed for place, _ in places]

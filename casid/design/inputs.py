@@ -13,7 +13,7 @@ from casid.design.multisine import best_powers, schroeder, shared_out, unit_info
 from casid.design.optimise import Task, improved
 from casid.design.phases import least_peak
 from casid.design.plan import Alternative, Design, DesignSettings, Limits
-from casid.design.prior import as_fitted, check_balance, linear_at, without_effect
+from casid.design.prior import as_fitted, check_balance, inside, linear_at, without_effect
 from casid.design.problem import JUDGES, Problem, free_of, problem_of
 from casid.design.shapes import Steps, Waves
 from casid.evaluation import MatrixFunction
@@ -132,7 +132,7 @@ def _believed(
     try:
         if trim is None:
             check_balance(other, trim)
-        return free_of(linear_at(other, trim), settings)
+        return inside(free_of(linear_at(other, trim), settings))
     except ValueError as error:
         raise ValueError(f"{place}: {error}") from error
 
@@ -204,7 +204,7 @@ def _multisine(problem: Problem, task: Task) -> Array:
     at = MatrixFunction(free)(free.guess)
     K = gains(problem.feedback, free.model.inputs, free.model.outputs)
     budget = task.sticks**2 / 2
-    count = problem.duration / settings.dt
+    count = problem.duration / settings.interval
     units = count * unit_information(at, K, problem.R, omega, axis)
     p = best_powers(task.goals[0], units, axis, budget)[0]
     order, size = np.argsort(axis, kind="stable"), np.sqrt(2 * p)
@@ -223,7 +223,7 @@ def _multisine(problem: Problem, task: Task) -> Array:
 
 def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen: str) -> Design:
     """Standard errors of all alternatives at the records' own sampling, and the value."""
-    fine = problem.task(problem.settings.dt)
+    fine = problem.task(problem.settings.interval)
     t, coarse, exact = _instants(fine), _instants(rough), {}
     for name, each in flown.items():
         r = rough.within(each)

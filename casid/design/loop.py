@@ -26,6 +26,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array, ComplexArray
+from casid.checks import check_known
 from casid.evaluation import Matrices, MatrixFunction
 from casid.free import Free
 from casid.intersample import integral_slopes
@@ -285,8 +286,7 @@ def gains(feedback: Feedback, inputs: tuple[str, ...], outputs: tuple[str, ...])
     for stick, gains in feedback.items():
         for output, gain in gains.items():
             for name, known in ((stick, inputs), (output, outputs)):
-                if name not in known:
-                    raise ValueError(f"feedback names {name!r}; there are {', '.join(known)}")
+                check_known("feedback names", [name], known)
             if not np.isfinite(gain):
                 raise ValueError(f"feedback: the gain of {stick!r} by {output!r} is {gain}")
             K[inputs.index(stick), outputs.index(output)] = gain

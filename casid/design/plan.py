@@ -16,7 +16,26 @@ from casid.tabulation import csv_text, markdown_table
 from casid.values import seal, storable
 
 Method = Literal["best", "steps", "multisine"]
+DT = 0.02  # [s]
+MOST_DRAWS = 1000  # each is a model with its responses in memory
 CLOSE = 0.9  # correlation from which two parameters are named together
+
+
+def check_deviations(*groups: Mapping[str, float]) -> None:
+    """Refuse limits that leave nothing to fly: ValueError."""
+    for name, value in (pair for group in groups for pair in group.items()):
+        if not value > 0:
+            raise ValueError(
+                f"the limit of {name!r} is {value}, which leaves nothing to fly; expected "
+                "a deviation from trim above 0"
+            )
+
+
+def check_times(**times: float | None) -> None:
+    """Refuse what is no length of time: ValueError by its name."""
+    for name, value in times.items():
+        if value is not None and not 0 < value < np.inf:
+            raise ValueError(f"{name} = {value:g} s: expected a time above 0")
 
 
 @storable
@@ -40,13 +59,7 @@ class Limits:
     responses: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for group in (self.sticks, self.rates, self.responses):
-            for name, value in group.items():
-                if not value > 0:
-                    raise ValueError(
-                        f"the limit of {name!r} is {value}, which leaves nothing to fly; expected "
-                        "a deviation from trim above 0"
-                    )
+        check_deviations(self.sticks, self.rates, self.responses)
         if unbounded := [name for name, value in self.sticks.items() if not value < np.inf]:
             raise ValueError(
                 f"the limit of stick {unbounded[0]!r} is infinite; expected the deviation from "
@@ -78,8 +91,8 @@ class DesignSettings:
         Parameters that are known; those that a fit held fixed unless given.
     bounds : mapping
         Of parameters, as in `Estimator.fit`; a fit's own and the structure's unless given.
-    dt : float
-        Sampling interval of the records to come [s], to which the noise refers.
+    dt : float or None
+        Sampling interval of the records to come [s], to which the noise refers; 0.02 unless given.
     band : (float, float) or None
         Of multisines and sweeps [rad/s]; from two periods in the duration to three times the
         fastest mode unless given.
@@ -106,7 +119,7 @@ class DesignSettings:
     matter: tuple[str, ...] = ()
     fixed: tuple[str, ...] | None = None
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    dt: float = 0.02
+    dt: float | None = None
     band: tuple[float, float] | None = None
     step: float | None = None
     unit: float | None = None
@@ -120,12 +133,18 @@ class DesignSettings:
         for name in ("rest", "iterations", "spread", "draws"):
             if (value := getattr(self, name)) is not None and not 0 <= value < np.inf:
                 raise ValueError(f"{name} = {value:g}: expected a finite number, 0 or more")
-        if self.unit is not None and not 0 < self.unit < np.inf:
-            raise ValueError(f"unit = {self.unit:g} s: expected a time above 0")
+        if self.draws > MOST_DRAWS:
+            raise ValueError(f"draws = {self.draws}: expected {MOST_DRAWS} at most")
+        check_times(dt=self.dt, step=self.step, unit=self.unit)
         if self.band is not None and not 0 < self.band[0] < self.band[1]:
             raise ValueError(
                 f"band = {self.band}: expected (lowest, highest), 0 < lowest < highest"
             )
+
+    @property
+    def interval(self) -> float:
+        """Between samples [s]: ``dt``, or what is usual."""
+        return DT if self.dt is None else self.dt
 
 
 @storable

@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array
+from casid.checks import check_known
 from casid.design.criterion import covariance
 from casid.design.plan import DesignSettings
 from casid.evaluation import MatrixFunction
@@ -50,6 +51,13 @@ def check_balance(model: Model, trim: Trim | Mapping[str, float] | None) -> None
             f"d/dt {state} = {rate:.3g}: say where it is flown, "
             "trim=find_trim(model, {...}, unknown=(...))"
         )
+
+
+def check_trim(model: Model, names: Collection[str]) -> None:
+    """Refuse values of a flight condition that a structure does not have: ValueError."""
+    if names and not isinstance(model, NonlinearModel):
+        raise ValueError(f"{type(model).__name__} is linear, about its own trim: leave trim out")
+    check_known("trim: no state or input is called", names, (*model.states, *model.inputs))
 
 
 def nearest_trim(model: NonlinearModel, trim: Trim, held: Collection[str] = ()) -> Trim:

@@ -1,16 +1,17 @@
 """What a design is made for: all that was asked, checked, in arrays."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from casid.arrays import Array
+from casid.checks import check_known
 from casid.design.criterion import Goal, told
 from casid.design.loop import Crowd, Feedback, Loop, UnheldError
 from casid.design.optimise import Task
-from casid.design.plan import DesignSettings, Limits
+from casid.design.plan import DesignSettings, Limits, check_times
 from casid.design.prior import FITTED, GUESSED, inside, known_before, noise_of, possible
 from casid.design.signals import longest_unit
 from casid.display import counted
@@ -50,7 +51,7 @@ class Problem:
         """What counts on a grid of interval h [s]."""
         N = round(self.duration / h) + 1
         # Noise refers to dt: of fewer samples each counts for more.
-        R = self.R * self.settings.dt / h
+        R = self.R * self.settings.interval / h
         loops = tuple(Loop(free, self.feedback, R, h=h, N=N) for free in self.frees)
         scale = self.frees[0].scale[self.frees[0].index]
         return Task(loops=loops, goals=self.goals([scale] * len(loops)), limits=self.limits)
@@ -93,7 +94,7 @@ class Problem:
 
     def coarse(self) -> float:
         """Interval on which inputs are optimised [s], of which the card is a whole number."""
-        dt, duration = self.settings.dt, self.duration
+        dt, duration = self.settings.interval, self.duration
         h = max(dt, min(duration / COARSE, 2 * np.pi / self.band[1] / FINEST))
         length = dt * round(duration / dt)
         return float(length / round(length / h))
@@ -113,8 +114,10 @@ class Problem:
 
 
 def free_of(model: Model, settings: DesignSettings) -> Free:
-    """The free parameters of a design; refused if one is outside its bounds."""
-    return inside(free_parameters(model, settings.fixed or (), settings.bounds))
+    """The free parameters of a design; refused if one that matters is not among them."""
+    free = free_parameters(model, settings.fixed or (), settings.bounds)
+    check_known("matter: no free parameter is called", settings.matter, free.names)
+    return free
 
 
 def problem_of(
@@ -128,16 +131,14 @@ def problem_of(
     """What is asked of a linear structure, of which a fit may be known; ValueError by name."""
     _check_times(duration, limits, settings)
     _check_unit(duration, len(structure.inputs), settings)
-    free = free_of(structure, settings)
-    if unknown := [name for name in settings.matter if name not in free.names]:
-        raise ValueError(f"matter names {unknown[0]!r}, which is not free: {', '.join(free.names)}")
-    band = settings.band or _band(structure, duration, settings.dt)
-    if band[1] > (nyquist := np.pi / settings.dt):
+    free = inside(free_of(structure, settings))
+    band = settings.band or _band(structure, duration, settings.interval)
+    if band[1] > (nyquist := np.pi / settings.interval):
         raise ValueError(
             f"the band ends at {band[1]:g} rad/s, above the Nyquist frequency {nyquist:.4g} rad/s "
-            f"of samples {settings.dt:g} s apart: lower it, or sample faster (dt)"
+            f"of samples {settings.interval:g} s apart: lower it, or sample faster (dt)"
         )
-    if duration - settings.rest < (least := FEWEST * settings.dt * len(structure.inputs)):
+    if duration - settings.rest < (least := FEWEST * settings.interval * len(structure.inputs)):
         raise ValueError(
             f"{duration:g} s less {settings.rest:g} s of rest are too short for "
             f"{counted(len(structure.inputs), 'input')}: fly longer, "
@@ -156,17 +157,14 @@ def _check_times(duration: float, limits: Limits, settings: DesignSettings) -> N
 
     A manoeuvre has room for two changes of each stick from end to end at least.
     """
-    for name, value in (("duration", duration), ("dt", settings.dt)):
-        if not 0 < value < np.inf:
-            raise ValueError(f"{name} = {value:g} s: expected a time above 0")
-    if duration / settings.dt > MOST:
+    check_times(duration=duration)
+    if (count := duration / (dt := settings.interval)) > MOST:
         raise ValueError(
-            f"{duration:g} s have {duration / settings.dt:.3g} samples {settings.dt:g} s apart, "
-            f"more than the {MOST} that a design is made of: design "
-            f"{MOST * settings.dt:.4g} s at most and fly that again"
+            f"{duration:g} s have {count:.3g} samples {dt:g} s apart, more than the {MOST} that a "
+            f"design is made of: design {MOST * dt:.4g} s at most and fly that again"
         )
     room = (duration - settings.rest) / 2
-    if settings.step is not None and room > 0 and not 0 < settings.step <= room:
+    if settings.step is not None and settings.step > room > 0:
         raise ValueError(f"step = {settings.step:g} s: expected a time above 0, below {room:.3g} s")
     for name, rate in limits.rates.items():
         if (rise := 2 * limits.sticks[name] / rate) > room > 0:
@@ -195,13 +193,16 @@ def _band(model: Model, duration: float, dt: float) -> tuple[float, float]:
     return low, min(max(3 * fastest, 8 * low), np.pi / dt / 2)
 
 
+def check_limited(model: Model, inputs: Iterable[str], responses: Iterable[str]) -> None:
+    """Refuse limits of what a structure does not have: ValueError."""
+    check_known("limits name", inputs, model.inputs)
+    check_known("limits name", responses, dict.fromkeys((*model.outputs, *model.states)))
+
+
 def _arrays(model: Model, limits: Limits) -> Array:
     """Limits of sticks, rates, outputs, states in their order; infinite where there is none."""
-    sides = tuple(dict.fromkeys((*model.outputs, *model.states)))
+    check_limited(model, (*limits.sticks, *limits.rates), limits.responses)
     named = ((limits.sticks, model.inputs), (limits.rates, model.inputs))
-    for group, known in (*named, (limits.responses, sides)):
-        if unknown := [name for name in group if name not in known]:
-            raise ValueError(f"limits name {unknown[0]!r}; there are {', '.join(known)}")
     if missing := [name for name in model.inputs if name not in limits.sticks]:
         raise ValueError(f"limits.sticks has no {missing[0]!r}: every input needs its limit")
     hidden = tuple(name if name not in model.outputs else "" for name in model.states)

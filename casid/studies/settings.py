@@ -53,7 +53,9 @@ def _kinds(kind: Any) -> set[Any]:  # noqa: ANN401 - any annotation
 
 
 def _frozen(value: Any) -> Any:  # noqa: ANN401
-    """Lists as tuples; a table of numbers as an array."""
+    """Lists as tuples, in tables too; a list of rows of numbers as an array."""
+    if isinstance(value, dict):
+        return {key: _frozen(each) for key, each in value.items()}
     if not isinstance(value, list):
         return value
     rows = [row for row in value if isinstance(row, list)]

@@ -14,7 +14,10 @@ import numpy as np
 from casid.checks import checked_fields
 from casid.consistency.flights import Repeats, repeats
 from casid.consistency.plausibility import check_plausible
-from casid.design.plan import DesignSettings
+from casid.design.loop import gains
+from casid.design.plan import DesignSettings, check_deviations, check_times
+from casid.design.prior import check_trim
+from casid.design.problem import check_limited, free_of
 from casid.errors import warn
 from casid.exchange.formats import read_record
 from casid.files import Column, read_csv
@@ -92,8 +95,8 @@ class NextFlight:
         Of a nonlinear structure, total values at which it is to be flown; the rest is what the
         records had before an input moved, moved to the nearest balance.
     settings : DesignSettings
-        How inputs are designed, ``[design.settings]``; ``fixed``, ``bounds`` and ``dt`` are the
-        study's.
+        How inputs are designed, ``[design.settings]``; what it does not say of ``fixed``,
+        ``bounds`` and ``dt`` is as in the study.
     """
 
     duration: float = 60.0
@@ -103,6 +106,27 @@ class NextFlight:
     feedback: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     trim: Mapping[str, float] = field(default_factory=dict)
     settings: DesignSettings = field(default_factory=DesignSettings)
+
+    def __post_init__(self) -> None:
+        check_times(duration=self.duration)
+        check_deviations(self.sticks, self.rates, self.responses)
+
+    def held(
+        self, fixed: tuple[str, ...], bounds: Mapping[str, tuple[float, float]]
+    ) -> DesignSettings:
+        """The settings, with what a study holds fixed and in bounds where they say nothing."""
+        own = self.settings
+        return replace(
+            own, fixed=fixed if own.fixed is None else own.fixed, bounds={**bounds, **own.bounds}
+        )
+
+    def check(self, study: "Study") -> None:
+        """Refuse names that the structure of a study does not have."""
+        model = study.model
+        check_limited(model, (*self.sticks, *self.rates), self.responses)
+        gains(self.feedback, model.inputs, model.outputs)
+        check_trim(model, self.trim)
+        free_of(model, self.held(study.fixed, study.bounds))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

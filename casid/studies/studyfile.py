@@ -87,6 +87,8 @@ def read_study(
     )
     with placed(f"{path}:"):  # before any record is read, what the stages would refuse
         check_task(study.task(flown))
+    with placed(f"{path}: [design]"):
+        study.design.check(study)
     return study
 
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 
 import click.testing
 import numpy as np
@@ -57,6 +58,53 @@ def test_a_key_that_nobody_reads_is_refused_when_the_study_is_read(tmp_path):
         read_study(study)
 
 
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ("duration = inf", "duration = inf s: expected a time above 0"),
+        ("sticks = { lta = 0.1 }", "limits name 'lta'; did you mean 'lat'?"),
+        ("responses = { lat = 0.1 }", "limits name 'lat'"),
+        ("responses = { p = 0.0 }", "the limit of 'p' is 0.0"),
+        ("feedback = { lat = { q = 0.1 } }", "feedback names 'q'"),
+        ("trim = { v = 20.0 }", "Roll is linear, about its own trim: leave trim out"),
+        ('settings.fixed = ["NOPE"]', "'NOPE'"),
+        ("settings.bounds = { NOPE = [0.0, 1.0] }", "'NOPE'"),
+        ('settings.matter = ["Lpp"]', "no free parameter is called 'Lpp'; did you mean 'Lp'?"),
+        ("settings.dt = -1.0", "dt = -1 s: expected a time above 0"),
+        ("settings.step = 0.0", "step = 0 s: expected a time above 0"),
+        ("settings.draws = 1000000", "draws = 1000000: expected 1000 at most"),
+    ],
+)
+def test_a_design_that_cannot_be_is_refused_when_the_study_is_read(tmp_path, said, words):
+    study = write_study(tmp_path)
+    study.write_text(f"{study.read_text()}\n[design]\n{said}\n")
+    with pytest.raises(ValueError, match=rf"\[design\].*{re.escape(words)}"):
+        read_study(study)
+
+
+def test_what_the_settings_hold_bound_and_sample_comes_before_what_the_study_does(
+    tmp_path, monkeypatch
+):
+    made = []
+    monkeypatch.setattr(
+        "casid.commands.design.design_inputs", lambda *_, settings, **__: made.append(settings)
+    )
+    own = "[model]\nfixed = ['Yv']\nbounds = { Lp = [-5, -1], Lv = [-1, 0] }\n"
+    study = write_study(tmp_path, ("[model]\n", own))
+    plain = study.read_text()
+    run(study, "-o", tmp_path / "out")
+    said = 'fixed = ["Lv"]\nbounds = { Lp = [-2.9, -1.0] }\ndt = 0.1\n'
+    study.write_text(f"{plain}\n[design.settings]\n{said}")
+    run(study, "-o", tmp_path / "out")
+    as_study, as_said = made
+    assert as_study.fixed == ("Yv",)
+    assert as_study.bounds == {"Lp": (-5.0, -1.0), "Lv": (-1.0, 0.0)}
+    assert as_study.dt == pytest.approx(0.04)  # that of the records
+    assert as_said.fixed == ("Lv",)
+    assert as_said.bounds == {"Lp": (-2.9, -1.0), "Lv": (-1.0, 0.0)}
+    assert as_said.dt == 0.1
+
+
 def test_a_study_without_a_fit_is_designed_from_its_guess(tmp_path):
     study = write_study(tmp_path)
     study.write_text(study.read_text() + TABLE.replace("sticks", "# sticks"))
@@ -105,6 +153,9 @@ def test_a_fit_of_the_structure_as_it_was_is_to_be_made_again(tmp_path):
         (["--stick", "lat=0"], "leaves nothing to fly"),
         (["--response", "q=1"], "limits name 'q'"),
         (["--feedback", "lat:q=1"], "feedback names 'q'"),
+        (["--feedback", "lat=0.1"], "expected INPUT:OUTPUT=GAIN, such as lat:p=0.1"),
+        (["--stick", "lta=0.1"], "did you mean 'lat'?"),
+        (["--matter", "Lpp"], "did you mean 'Lp'?"),
         (["--feedback", "lat:p=-50"], "the loop is unstable with this feedback"),
         (["--feedback", "lat:p=nan"], "the gain of 'lat' by 'p' is nan"),
         (["--stick", "lat=inf"], "limit of stick 'lat' is infinite"),
@@ -200,7 +251,7 @@ def test_a_nonlinear_structure_is_designed_for_where_its_records_were_flown(tmp_
     elsewhere = run(study := tmp_path / "study.toml", "--trim", "theta=0.2")
     assert elsewhere.exit_code == 0, elsewhere.output
     refused = run(study, "--trim", "alpha=0.2")
-    told = "trim names 'alpha', which is no state or input; known are q, theta, m"
+    told = "trim: no state or input is called 'alpha'; known are q, theta, m"
     assert told in " ".join(refused.stderr.split())
 
 
