@@ -1,5 +1,6 @@
 """Names of the channels a rotorcraft usually has, and units of measurement."""
 
+import difflib
 from collections.abc import Mapping
 
 CONTROLS = ("col", "lat", "lon", "ped")
@@ -30,7 +31,11 @@ SI = {unit: factor for row in MEASURES.values() for unit, factor in row.items()}
 def factor_of(channel: str, unit: str) -> float:
     """What one of a channel's unit is in SI; ValueError for an unknown unit."""
     if unit not in SI:
-        raise ValueError(f"channel {channel!r}: unknown unit {unit!r}; known are {', '.join(SI)}")
+        near = difflib.get_close_matches(unit.lower(), SI, n=1)
+        meant = f"did you mean {near[0]!r}? K" if near else "k"
+        raise ValueError(
+            f"channel {channel!r}: unknown unit {unit!r}; {meant}nown are {', '.join(SI)}"
+        )
     return SI["pwm" if channel in CONTROLS and unit in PULSES else unit]
 
 

@@ -105,7 +105,9 @@ def check_known(
 def hint(name: str, known: Iterable[str]) -> str:
     """What was meant by a name that is not known, or all names that are."""
     known = tuple(known)
+    small = {each.lower(): each for each in known}
     near = difflib.get_close_matches(name, known, n=1)
+    near = near or [small[x] for x in difflib.get_close_matches(name.lower(), small, n=1)]
     others = f"known are {', '.join(known)}" if known else "there are none"
     return f"did you mean {near[0]!r}? {others[0].upper()}{others[1:]}" if near else others
 

@@ -205,6 +205,17 @@ class Distances(Shown):
         return markdown_table(heading, rows)
 
 
+def check_asked(band: tuple[float, float] | None, level: float) -> None:
+    """Refuse a band or a chance of error that makes no sense: ValueError."""
+    if band is not None and not 0 < band[0] < band[1] < np.inf:
+        raise ValueError(
+            f"band=({band[0]:g}, {band[1]:g}) rad/s: expected 0 < lowest < highest, frequencies "
+            "above 0 rad/s"
+        )
+    if not 0 < level < 1:
+        raise ValueError(f"level={level:g}: expected a chance between 0 and 1, such as 0.01")
+
+
 @one_thread
 def distances(
     fit: AnyFit | Model,
@@ -238,11 +249,8 @@ def distances(
         A black box without uncertainty or without a channel of the structure, a band or a level
         that makes no sense.
     """
-    low, high = black_box.band if band is None else band
-    if not low > 0:
-        raise ValueError(f"band={low:g}, {high:g} rad/s: expected frequencies above 0 rad/s")
-    if not 0 < level < 1:
-        raise ValueError(f"level={level:g}: expected a chance between 0 and 1, such as 0.01")
+    low, high = band = black_box.band if band is None else band
+    check_asked(band, level)
     free = movable(fit)
     octaves = max(1, round(float(np.log2(high / low))))
     target = BoxResponse.of(black_box, free.model, np.geomspace(low, high, octaves * OCTAVE + 1))

@@ -17,6 +17,7 @@ from casid.arrays import Array
 
 LOG = logging.getLogger("casid")
 
+COARSEST = 0.1  # tolerance: beyond it nothing is solved
 SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 STATUS = {  # IPOPT's word, what it means and what to do
     "Solve_Succeeded": "solved",
@@ -77,10 +78,12 @@ class SolverOptions:
     ipopt: Mapping[str, float | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, least in (("tolerance", 1e-15), ("max_iterations", 1), ("max_seconds", 0)):
+        for name, least in (("tolerance", 1e-15), ("max_iterations", 1), ("max_seconds", 1e-9)):
             value = getattr(self, name)
             if not least <= value < np.inf:
                 raise ValueError(f"{name} = {value}, expected at least {least:g}, and finite")
+        if self.tolerance > COARSEST:
+            raise ValueError(f"tolerance = {self.tolerance}, expected at most {COARSEST:g}")
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"progress": None}

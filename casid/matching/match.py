@@ -23,7 +23,7 @@ from casid.matching.comparison import Comparison
 from casid.matching.conditions import fit_at_conditions
 from casid.matching.reach import reachable, stated_errors
 from casid.matching.search import Found, Search
-from casid.matching.targets import REACHABLE, SIZE, Target, Weight, compare
+from casid.matching.targets import REACHABLE, SIZE, Target, Weight, check_weight_name, compare
 from casid.model import Bounds, M, Model, Priors
 from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim
@@ -76,6 +76,13 @@ class Match:
     priors: Priors | None = None
     solver: SolverOptions = SolverOptions()
 
+    def __post_init__(self) -> None:
+        if self.norm not in NORMS:
+            raise ValueError(f"norm={self.norm!r}: expected one of {', '.join(map(repr, NORMS))}")
+        if self.shift is not None and not 0 <= self.shift < np.inf:
+            raise ValueError(f"shift={self.shift} 1/s: expected a finite number, 0 or more")
+        check_weight_name(self.weight)
+
     @one_thread
     def fit(
         self,
@@ -87,8 +94,6 @@ class Match:
         near: AnyFit | None = None,  # noqa: ARG002 - its model is the start already
     ) -> Fit[M, MatchNotes]:
         """The parameters with which a structure comes nearest to targets; see `match`."""
-        if self.norm not in NORMS:
-            raise ValueError(f"norm={self.norm!r}: expected one of {', '.join(map(repr, NORMS))}")
         if isinstance(data, Mapping):
             return fit_at_conditions(self, model, data, fixed, bounds)
         begin = time.perf_counter()

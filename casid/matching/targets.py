@@ -186,16 +186,19 @@ def in_channels(model: Model, outputs: Sequence[str], inputs: Sequence[str], val
     return cast("T", found)
 
 
+def check_weight_name(weight: object) -> None:
+    """Refuse a text that names no weights: ValueError."""
+    if isinstance(weight, str) and weight not in NAMED:
+        raise ValueError(f'weight={weight!r}: expected "reachable", "relative", "size" or an array')
+
+
 def _weighted(
     source: Source, weight: Weight, factor: float, input_scale: Array, output_scale: Array
 ) -> Source:
     """The source with scaling and the caller's weight on top of mask and coherence."""
     W = factor * source.W * input_scale
     if isinstance(weight, str) and weight != SIZE:
-        if weight not in NAMED:
-            raise ValueError(
-                f'weight={weight!r}: expected "reachable", "relative", "size" or an array'
-            )
+        check_weight_name(weight)
         W = W / row_sizes(source, input_scale)[:, :, None]
     else:
         W = W / output_scale[:, None]

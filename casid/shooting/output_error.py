@@ -161,6 +161,7 @@ class OutputError:
         """What is free of a model; ValueError, ModelError for settings that do not go with it."""
         free = free_parameters(model, fixed, bounds, self.priors)
         _check_nonlinear(model, self.process_noise, self.steps, self.responses)
+        checked_covariance(self.R, len(model.outputs))
         if self.domain != "time":
             self._checked_for_lines(model)
         elif self.interval is not None and not 0 < self.interval < np.inf:

@@ -10,11 +10,18 @@ from casid.excitations import Excitation
 from casid.report.content import Caution, Content, Section, section
 from casid.report.tables import shares
 from casid.stages.stage import Stage, Task
+from casid.subspace.columns import feedthrough_mask
 from casid.subspace.pbsid import BlackBox, Pbsid
+from casid.tables import placed
 
 
 def _run(settings: Pbsid, task: Task) -> BlackBox:
     return settings.fit(task.records)
+
+
+def _check(settings: Pbsid, task: Task) -> None:
+    with placed("[pbsid]"):
+        feedthrough_mask(settings.feedthrough, task.model.inputs, task.model.outputs)
 
 
 def _show(found: BlackBox, content: Content) -> Iterable[Section]:  # noqa: ARG001
@@ -48,5 +55,6 @@ BLACK_BOX = Stage(
     role=("identification",),
     ahead=True,
     label="black box",
+    check=_check,
     show=_show,
 )

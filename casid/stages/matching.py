@@ -44,6 +44,7 @@ class Matching(Match):
     targets: tuple[Literal["black box", "frequency response"], ...] = ("black box",)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if "black box" not in self.targets or not set(self.targets) <= set(SOURCES):
             known = " and perhaps ".join(map(repr, SOURCES))
             raise ValueError(f"targets = {list(self.targets)}, expected {known}")

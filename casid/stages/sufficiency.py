@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from casid.display import listed
-from casid.distances import Distances, distances
+from casid.distances import Distances, check_asked, distances
 from casid.nonlinear.model import NonlinearModel
 from casid.report.content import Caution, Content, Section, section
 from casid.stages.stage import LeftOutError, Stage, Task
@@ -27,6 +27,9 @@ class Sufficiency:
 
     band: tuple[float, float] | None = None
     level: float = 0.01
+
+    def __post_init__(self) -> None:
+        check_asked(self.band, self.level)
 
 
 def _run(settings: Sufficiency, task: Task) -> Distances:

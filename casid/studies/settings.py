@@ -1,6 +1,6 @@
 """Settings from the tables of a study: each table becomes a frozen value, by its fields' types."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import fields, is_dataclass, replace
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -76,7 +76,7 @@ def _grid(table: Table, key: str, value: Any) -> Array:  # noqa: ANN401
         if not 2 <= points <= MOST_POINTS:
             raise ValueError(f"{table.place} points = {points}, expected 2, at most {MOST_POINTS}")
         return np.geomspace(low, high, points)
-    numeric = isinstance(value, Sequence) and all(isinstance(x, int | float) for x in value)
+    numeric = isinstance(value, list) and all(isinstance(x, int | float) for x in value)
     grid = np.asarray(value if numeric else [], dtype=float)
     if not len(grid) or not ((grid > 0) & np.isfinite(grid)).all():
         raise ValueError(

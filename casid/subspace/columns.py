@@ -47,10 +47,14 @@ def feedthrough_mask(
     shape = (len(outputs), len(inputs))
     if isinstance(feedthrough, bool):
         return np.full(shape, feedthrough)
-    if isinstance(feedthrough, np.ndarray):
-        if feedthrough.shape != shape:
-            raise ValueError(f"feedthrough has shape {feedthrough.shape}, expected {shape}")
-        return feedthrough.astype(bool)
+    if isinstance(feedthrough, np.ndarray) or not all(isinstance(x, str) for x in feedthrough):
+        mask = np.asarray(feedthrough)
+        if mask.shape != shape:
+            raise ValueError(
+                f"feedthrough has shape {mask.shape}, expected {shape}, a row for each of "
+                f"{', '.join(outputs)}, or their names"
+            )
+        return mask.astype(bool)
     check_known("feedthrough names no output", feedthrough, outputs)
     return np.array([[name in feedthrough] * len(inputs) for name in outputs])
 

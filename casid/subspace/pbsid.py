@@ -100,6 +100,9 @@ class Pbsid:
             raise ValueError(f'transform={self.transform!r}, expected "laguerre" or "none"')
         if self.refine not in (True, False):
             raise ValueError(f"refine={self.refine!r}, expected True or False")
+        for name, least in (("order", 1), ("past", 2), ("future", 1), ("regularisation", 0)):
+            if (value := getattr(self, name)) is not None and not least <= value < np.inf:
+                raise ValueError(f"{name} = {value}, expected at least {least}, and finite")
         if self.pole is None:
             return
         if not (np.isfinite(self.pole) and self.pole > 0):
@@ -233,11 +236,6 @@ class Pbsid:
     def _windows(self, settings: choice.Candidate, ny: int) -> Windows:
         """The windows asked for, checked."""
         order, past, future = settings.order, settings.past, self.future or settings.past
-        if order < 1 or past < 2 or future < 1:
-            raise ValueError(
-                f"order={order}, past={past}, future={future}: "
-                "expected order >= 1, past >= 2, future >= 1"
-            )
         if order > min(past, future) * ny:
             raise ValueError(
                 f"order {order} needs past and future of at least {-(-order // ny)} with {ny} "

@@ -136,6 +136,10 @@ CONVERT_MISTAKES = {
     "an unknown suffix": (("3211.csv", "a.xls"), ("'.xls'", ".parquet")),
     "a unit of no column": (("3211.csv", "a.csv", "--unit", "psi=deg"), ("no column 'psi'",)),
     "an unknown unit": (("3211.csv", "a.csv", "--unit", "lat=furlong"), ("furlong", "deg/s")),
+    "a unit written wrongly": (
+        ("3211.csv", "a.csv", "--unit", "p=degs"),
+        ("did you mean 'deg/s'",),
+    ),
     "C without end": (("fit.json", "m.c", *ROLL, "--dt", "inf"), ("3600 at most",)),
     "C at no rate": (("fit.json", "m.c", *ROLL, "--dt", "1e300"), ("3600 at most",)),
     "a folder that is not there": (("3211.csv", "new/a.csv"), ("no folder new", "make it")),

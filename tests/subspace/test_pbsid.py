@@ -124,9 +124,9 @@ def test_random_sampling_instants_need_no_resampling():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"order": 0, "past": 8, "pole": 6.0}, "expected order >= 1"),
+        ({"order": 0, "past": 8, "pole": 6.0}, "order = 0, expected at least 1"),
         ({"order": 40, "past": 8, "pole": 6.0}, "order 40 needs past and future of at least 14"),
-        ({"order": 5, "transform": "none", "past": 1}, "past >= 2"),
+        ({"order": 5, "transform": "none", "past": 1}, "past = 1, expected at least 2"),
         ({"order": 5, "pole": 6.0, "transform": "none"}, "pole=6 belongs to Laguerre functions"),
         ({"order": 5, "refine": "linear"}, "refine = 'linear', expected True or False"),
         ({"order": 5, "pole": -1.0}, "expected a Laguerre pole > 0"),

@@ -294,7 +294,72 @@ bad(
 bad("an order that is true", study("order = 3", "order = true"), "order = True", "a whole number")
 bad("an order in words", study("order = 3", 'order = "three"'), "order = 'three'", "a whole number")
 bad("a negative pole", study("pole = 4.0", "pole = -4.0"), "pole", "> 0 rad/s")
-bad("a window of nothing", study("past = 6", "past = 0"), "past", "1")
+bad("a window of nothing", study("past = 6", "past = 0"), "past = 0", "at least 2")
+bad("a window below nothing", study("past = 6", "past = -1"), "past = -1", "at least 2")
+bad(
+    "infinite regularisation",
+    within("pbsid", "regularisation = inf"),
+    "regularisation = inf",
+    "and finite",
+)
+bad(
+    "a mask of another shape",
+    study("feedthrough = false", "feedthrough = [1.0]"),
+    "feedthrough has shape (1,), expected (2, 1)",
+    "p, phi",
+)
+bad(
+    "a mask that is one truth",
+    study("feedthrough = false", "feedthrough = [true]"),
+    "feedthrough has shape (1,)",
+    "their names",
+)
+bad(
+    "feedthrough of no output",
+    study("feedthrough = false", 'feedthrough = ["P"]'),
+    "'P'",
+    "did you mean 'p'",
+)
+bad(
+    "a chance below zero",
+    study("[match]\n", "[sufficiency]\nlevel = -1.0\n[match]\n"),
+    "[sufficiency]: level=-1",
+    "such as 0.01",
+)
+bad(
+    "a chance of one and a half",
+    study("[match]\n", "[sufficiency]\nlevel = 1.5\n[match]\n"),
+    "[sufficiency]",
+    "level=1.5: expected a chance",
+)
+bad(
+    "a band backwards",
+    study("[match]\n", "[sufficiency]\nband = [5.0, 1.0]\n[match]\n"),
+    "band=(5, 1) rad/s",
+    "lowest < highest",
+)
+bad("an unknown weight", within("match", 'weight = "x"'), "weight='x'", "reachable")
+bad("a shift to the left", within("match", "shift = -3.0"), "shift=-3", "0 or more")
+bad("an infinite shift", within("match", "shift = inf"), "shift=inf", "finite")
+bad(
+    "frequencies in no words",
+    study("{ from = 0.5, to = 5, points = 20 }", '""'),
+    "omega = ''",
+    "frequencies > 0",
+)
+bad(
+    "a covariance that is none",
+    study("[match]\n", "[output_error]\nR = [[1.0, 2.0], [3.0, 4.0]]\n[match]\n"),
+    "[output_error]",
+    "covariance",
+)
+bad(
+    "a tolerance above all",
+    within("match.solver", "tolerance = 1.5"),
+    "tolerance = 1.5",
+    "at most 0.1",
+)
+bad("no seconds", within("match.solver", "max_seconds = 0"), "max_seconds = 0", "at least 1e-09")
 bad("a grid backwards", study("from = 0.5, to = 5", "from = 5, to = 0.5"), "omega", "from < to")
 bad("frequencies below zero", study("{ from = 0.5, to = 5, points = 20 }", "[-1.0, 2.0]"), "omega",
     "frequencies > 0")  # fmt: skip
