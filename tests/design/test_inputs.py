@@ -112,7 +112,7 @@ def test_parameters_that_matter_are_told_better_than_when_all_count():
         ({"draws": -1}, "draws = -1: expected"),
         ({"iterations": -3}, "iterations = -3: expected"),
         ({"spread": -0.2}, "spread = -0.2: expected"),
-        ({"matter": ("Xx",)}, "matter names 'Xx'"),
+        ({"matter": ("Xx",)}, "matter: no free parameter is called 'Xx'"),
         ({"limits": Limits(sticks={"nose": 0.1})}, "limits name 'nose'"),
         ({"noise": NOISE | {"q": np.inf}}, "output 'q' has inf; give"),
         (

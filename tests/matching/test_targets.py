@@ -250,7 +250,7 @@ def test_fixed_parameters_are_no_variables():
         ({"source_weight": (1.0, 2.0)}, "expected 1 positive numbers, one a target"),
         ({"omega": np.array([0.0, 1.0])}, "above 0 rad/s"),
         ({"omega": np.ones((2, 2))}, "in one dimension"),
-        ({"shift": -0.1}, "take it >= 0"),
+        ({"shift": -0.1}, "expected a finite number, 0 or more"),
     ],
 )
 def test_wrong_weights_and_grids_are_explained(given, message):
