@@ -102,6 +102,17 @@ def check_known(
             raise error(f"{said} {name!r}; {hint(name, known)}")
 
 
+def check_asked(band: tuple[float, float] | None, level: float) -> None:
+    """Refuse a band or a chance of error that makes no sense: ValueError."""
+    if band is not None and not 0 < band[0] < band[1] < np.inf:
+        raise ValueError(
+            f"band=({band[0]:g}, {band[1]:g}) rad/s: expected 0 < lowest < highest, frequencies "
+            "above 0 rad/s"
+        )
+    if not 0 < level < 1:
+        raise ValueError(f"level={level:g}: expected a chance between 0 and 1, such as 0.01")
+
+
 def hint(name: str, known: Iterable[str]) -> str:
     """What was meant by a name that is not known, or all names that are."""
     known = tuple(known)

@@ -20,6 +20,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array, BoolArray, ComplexArray
+from casid.checks import check_asked
 from casid.display import Shown
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse, holding
@@ -203,17 +204,6 @@ class Distances(Shown):
             for row in self.faults
         ]
         return markdown_table(heading, rows)
-
-
-def check_asked(band: tuple[float, float] | None, level: float) -> None:
-    """Refuse a band or a chance of error that makes no sense: ValueError."""
-    if band is not None and not 0 < band[0] < band[1] < np.inf:
-        raise ValueError(
-            f"band=({band[0]:g}, {band[1]:g}) rad/s: expected 0 < lowest < highest, frequencies "
-            "above 0 rad/s"
-        )
-    if not 0 < level < 1:
-        raise ValueError(f"level={level:g}: expected a chance between 0 and 1, such as 0.01")
 
 
 @one_thread

@@ -16,7 +16,6 @@ from casid.tabulation import csv_text, markdown_table
 from casid.values import seal, storable
 
 Method = Literal["best", "steps", "multisine"]
-DT = 0.02  # [s]
 MOST_DRAWS = 1000  # each is a model with its responses in memory
 CLOSE = 0.9  # correlation from which two parameters are named together
 
@@ -144,7 +143,7 @@ class DesignSettings:
     @property
     def interval(self) -> float:
         """Between samples [s]: ``dt``, or what is usual."""
-        return DT if self.dt is None else self.dt
+        return 0.02 if self.dt is None else self.dt
 
 
 @storable

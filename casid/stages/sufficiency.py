@@ -4,8 +4,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from casid.checks import check_asked
 from casid.display import listed
-from casid.distances import Distances, check_asked, distances
+from casid.distances import Distances, distances
 from casid.nonlinear.model import NonlinearModel
 from casid.report.content import Caution, Content, Section, section
 from casid.stages.stage import LeftOutError, Stage, Task
