@@ -1,14 +1,16 @@
 """Several manoeuvres: their stretches without gaps, channels they share, sizes of these."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import TypeAlias, TypeVar
 
 import numpy as np
 import scipy
 
 from casid.arrays import Array
+from casid.display import listed
 from casid.errors import warn
 from casid.record import FEWEST, Record
+from casid.samples import jumps
 from casid.values import digest
 
 ATTITUDES = {"p": "phi", "q": "theta"}  # what every rate turns
@@ -53,6 +55,36 @@ def stretches(records: Records) -> tuple[Record, ...]:
                 "to read_csv or read_mat are converted"
             )
     return pieces
+
+
+def steps_told(records: Records, inputs: Collection[str]) -> list[str]:
+    """A sentence on those ``inputs`` that move in steps and are read as straight lines, if any do.
+
+    An input does if it has two jumps or more in some record that mostly go back and forth; those of
+    a slower source's repeated samples, or of counts, go on and on.
+    """
+    found = [
+        (name, record.dt)
+        for record in several(records)
+        for name in record.inputs
+        if name in inputs and record.hold == "foh" and _steps(record.channel(name))
+    ]
+    if not found:
+        return []
+    names = list(dict.fromkeys(name for name, _ in found))
+    half = f"half a sample, {500 * max(dt for _, dt in found):.3g} ms, too long"
+    return [
+        f"{listed(names)} move{'s' * (len(names) == 1)} in steps, read as straight lines between "
+        "samples (hold foh): if a computer or a simulation held every value until the next, delays "
+        f'come out up to {half}; read them with hold = "zoh" (read_csv, [channels] of a study). '
+        "A jump within one sample does not tell which is right; the costs of both fits may"
+    ]
+
+
+def _steps(x: Array) -> bool:
+    """Whether a channel (N,) moves in steps of its own."""
+    found = jumps(x)
+    return len(found) > 1 and bool(found[1:] @ found[:-1] < 0)
 
 
 def _unlike(record: Record, rate: str, angle: str) -> float | None:

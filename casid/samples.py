@@ -23,6 +23,8 @@ MAD = 1.482602218505602  # standard deviation of a normal distribution over its 
 USUAL = 0.95  # share of sampling intervals that are not longer than the usual one
 SLOWER = 1.5  # intervals that are longer by this factor need a filter first
 CLOSE = 0.05  # of the median interval: a curve through two samples so close swings far beyond both
+ABRUPT = 10.0  # times the moves before and after it: a move that is a jump
+STEPS = 0.9  # of an input's moves, squared, that are jumps: it moves in steps
 PASS = 0.8  # of the new Nyquist frequency: what is above it is taken out before sampling slower
 
 
@@ -78,6 +80,14 @@ def _begun(x: Array, found: int) -> int:
             break
         n = begun
     return n
+
+
+def jumps(x: Array) -> Array:
+    """Jumps (n,) within one sample of a channel (N,) that moves in steps; none if it does not."""
+    moves = np.abs(np.diff(x))
+    beside = np.maximum(np.append(0.0, moves[:-1]), np.append(moves[1:], 0.0))
+    found: Array = np.diff(x)[moves > ABRUPT * beside]
+    return found if found @ found > STEPS * (moves @ moves) else found[:0]
 
 
 def usual_interval(t: Array) -> float:

@@ -16,7 +16,7 @@ from casid import (
     pbsid,
     validate,
 )
-from casid.records import same_channels, standard_deviations, stretches
+from casid.records import same_channels, standard_deviations, steps_told, stretches
 
 
 def test_records_of_one_campaign_share_their_channels():
@@ -118,3 +118,28 @@ def test_degrees_per_second_beside_radians_are_suspected():
     random = turning(rate=degree)
     stretches(random.with_noise({"p": 300.0}, np.random.default_rng(1)))  # nothing alike
     stretches(random.take(np.arange(1001) < 300))  # too short to tell
+
+
+def stick(x, **more):
+    """A record of a stick (N,) alone."""
+    return Record(0.02 * np.arange(len(x)), x[:, None], x[:, None], ("lat",), ("p",), **more)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_inputs_that_jump_within_a_sample_are_told_and_others_not(seed):
+    rng = np.random.default_rng([18, seed])
+    levels = np.repeat(rng.choice([-0.1, 0.0, 0.1], 40), rng.integers(10, 60, 40))
+    fed = 0.02 * np.sin(0.05 * np.arange(len(levels)) + seed)  # back, by a controller
+    smooth = np.convolve(np.repeat(rng.standard_normal(40), 30), np.hanning(25), mode="same")
+    starts = np.cumsum(rng.integers(10, 60, 40)) + rng.uniform(0.2, 0.8, 40)
+    corners = np.stack([starts, starts + rng.uniform(1.0, 3.0, 40)], axis=1).ravel()
+    edged = np.interp(np.arange(2400), corners, np.repeat(rng.standard_normal(41), 2)[1:-1])
+    for steps in (levels, levels + fed, levels + 1e-3 * rng.standard_normal(len(levels))):
+        (said,) = steps_told(stick(steps), ["lat"])
+        assert said.startswith("lat moves in steps, read as straight lines")
+        assert "half a sample, 10 ms" in said
+    slow = np.repeat(smooth[::8], 8)  # samples of a slower source, repeated
+    for x in (smooth, edged, slow, np.round(smooth), rng.standard_normal(1000), 0 * smooth):
+        assert not steps_told(stick(x), ["lat"])
+    assert not steps_told(stick(levels, hold="zoh"), ["lat"])
+    assert not steps_told(stick(levels), [])

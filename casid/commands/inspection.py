@@ -17,7 +17,7 @@ from casid.excitations import Excitation, certified
 from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
 from casid.record import REST, Record
-from casid.records import Records, same_channels, several
+from casid.records import Records, same_channels, several, steps_told
 from casid.repetition import least_step, repeated, source_interval
 from casid.report.tables import Cells, cells
 from casid.samples import runs
@@ -153,6 +153,7 @@ def inspect_records(
         found = identifiability(model, records, fixed=fixed, bounds=bounds)
     advice = unit_advice(records, time, stated)
     advice += [said for each in facts for said in _record_advice(each, inputs)]
+    advice += steps_told(records, inputs)
     advice += _excitation_advice(facts, inputs) + _correlation_advice(correlation, inputs)
     advice += list(kinematics.remarks)
     outside = certified(records)

@@ -19,6 +19,7 @@ from casid.exchange.formats import read_record
 from casid.fit import AnyFit, Fit
 from casid.interrupts import check_interrupt
 from casid.nlp import Progress
+from casid.records import steps_told
 from casid.report.content import Timing
 from casid.report.words import brief, prior
 from casid.stages.listing import STAGES, in_tables, in_words
@@ -278,6 +279,7 @@ def _describe(console: Console, study: Study) -> None:
             numbers = (str(record.N), f"{record.duration:g}", f"{record.dt:g}")
             table.add_row(Text(record.name), role, *numbers)
     console.print(table)
-    for said in again.told():
+    flown = flights.get("refinement", flights["identification"])
+    for said in (*again.told(), *steps_told(flown, study.model.delays())):
         caution(console, said)
     console.print("Mend the records first." if again.told() else "The study is in order.")

@@ -10,7 +10,7 @@ from casid.arrays import Array, BoolArray
 from casid.display import counted
 from casid.logs.conventions import Source
 from casid.record import FEWEST, MOST, Hold, Record
-from casid.samples import Between, at_instants
+from casid.samples import Between, at_instants, jumps
 from casid.studies.preparation import with_inputs
 
 FASTEST = 0.01  # s, the shortest interval that is chosen
@@ -19,7 +19,6 @@ ROUGHLY = 0.01  # of an interval: intervals nearer to each other are the same
 APART = 1.0  # s without the inputs that end a record
 LATE = 0.5  # s, the largest delay looked for
 LONGEST = 60.0  # s of a log that are compared for delays
-ALONE = 0.8  # of an input's changes that stand between repeated values: it moves by steps
 COHERENT = 0.8  # correlation above which two topics hold the same
 
 
@@ -41,12 +40,8 @@ def usual_dt(inputs: Mapping[str, Source], outputs: Mapping[str, Source]) -> flo
 
 
 def in_steps(source: Source) -> bool:
-    """Whether an input's samples are those of a value that is held: it rests between changes."""
-    known = source.values[np.isfinite(source.values)]
-    changed = np.diff(known) != 0
-    alone = ~(changed[:-2] | changed[2:])
-    moves = changed[1:-1]
-    return bool(moves.any() and alone[moves].mean() >= ALONE)
+    """Whether an input's samples are those of a value that is held."""
+    return bool(len(jumps(source.values[np.isfinite(source.values)])))
 
 
 def hold_of(inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float) -> Hold:
