@@ -340,12 +340,15 @@ def plot_poles(ax: Axes, systems: Mapping[str, StateSpace]) -> Axes:
 def plot_autocorrelation(ax: Axes, residual: Array, dt: float, *, name: str, lags: int) -> Axes:
     """Draw a residual's autocorrelation over lag [s] with the 99 % band of a white sequence."""
     e = residual[np.isfinite(residual)]
-    e = e - e.mean()
+    e = e - e.sum() / max(len(e), 1)
     power = max(float(e @ e), 1e-300)
-    values = [float(e[lag:] @ e[: len(e) - lag]) / power for lag in range(lags + 1)]
+    values = np.full(lags + 1, np.nan)  # of lags that what is known does not reach
+    for lag in range(min(lags + 1, len(e))):
+        values[lag] = e[lag:] @ e[: len(e) - lag] / power
     ax.plot(dt * np.arange(lags + 1), values, label=name, **style(name))
-    band = 2.576 / np.sqrt(len(e))
-    ax.axhspan(-band, band, color="#777777", alpha=0.12, linewidth=0)
+    if len(e):
+        band = 2.576 / np.sqrt(len(e))
+        ax.axhspan(-band, band, color="#777777", alpha=0.12, linewidth=0)
     ax.set(ylim=(-1.05, 1.05), ylabel="autocorrelation [-]")
     return ax
 

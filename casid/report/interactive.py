@@ -110,7 +110,8 @@ def _line(line: Line2D, color: str) -> dict[str, Any]:
 
 
 def _band(ax: Axes, collection: PolyCollection) -> Trace:
-    corners = np.vstack([*(path.vertices for path in collection.get_paths())])
+    parts = (path.vertices for path in collection.get_paths())
+    corners = np.vstack([np.zeros((0, 2)), *parts])  # none around what nobody measured
     return {
         "type": "scatter",
         "x": _packed(corners[:, 0], ax.xaxis),
@@ -131,7 +132,7 @@ def _bars(ax: Axes, container: BarContainer) -> Trace:
     return {
         "type": "bar",
         "x": [float(bar.get_x()) for bar in bars],
-        "y": [float(bar.get_height()) for bar in bars],
+        "y": [h if np.isfinite(h := float(bar.get_height())) else None for bar in bars],
         "width": [float(bar.get_width()) for bar in bars],
         "offset": 0,
         "name": _label(container),

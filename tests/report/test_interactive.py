@@ -1,6 +1,7 @@
 """Interactive plots show what the pictures show."""
 
 import json
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -8,10 +9,8 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from truths.pages import draw
 
-from casid.report import (
-    BLACK_BOX,
-    OUTPUT_ERROR,
-)
+from casid import Record, StateSpace, qualify, validate
+from casid.report import BLACK_BOX, OUTPUT_ERROR, drawings
 from casid.report.interactive import STEPS, interactive
 
 
@@ -26,6 +25,27 @@ def test_the_interactive_plot_has_the_curves_of_the_picture(content):
     shown = [trace["name"] for trace in plot["data"] if trace["showlegend"]]
     assert len(shown) == len(set(shown))
     assert {BLACK_BOX, OUTPUT_ERROR} <= set(shown)
+
+
+def test_an_output_that_was_never_measured_is_drawn_without_curves():
+    t = 0.02 * np.arange(300)
+    u = np.sin(t)[:, None]
+    model = StateSpace([[-2.0]], [[4.0]], [[1.0]] * 2, [[0.0]] * 2, None, ("lat",), ("p", "phi"))
+    y = model.simulate(t, u) + 0.01 * np.random.default_rng(1).standard_normal((300, 2))
+    y[:, 0], y[20:, 1] = np.nan, np.nan  # the other has fewer samples than lags
+    seen = validate({OUTPUT_ERROR: model}, Record(t, u, y, ("lat",), ("p", "phi"), "part"))
+    drawn = chain(
+        drawings.draw_histories(seen, {}),
+        drawings.draw_rms(seen),
+        drawings.draw_whiteness(seen, OUTPUT_ERROR),
+        drawings.draw_qualification(qualify(seen), {}),
+    )
+    _, rms, whiteness, bands = (json.loads(interactive(each.figure)) for each in drawn)
+    assert rms["data"][0]["y"] == [None, 1.0]
+    nothing, short = (numbers(each["y"]) for each in whiteness["data"])
+    assert np.isnan(nothing).all()
+    assert np.isfinite(short).tolist() == [*[True] * 20, *[False] * 81]
+    assert next(len(each["y"]["turns"]) for each in bands["data"] if "fill" in each) == 0
 
 
 def numbers(packed):
