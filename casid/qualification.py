@@ -7,13 +7,14 @@ change from the first sample so far.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.channels import MEASURES, UNITS, factor_of
+from casid.checks import check_known
 from casid.display import Shown, listed
 from casid.validation import Validation
 
@@ -54,9 +55,11 @@ class Qualification(Shown):
     tolerances : tuple of Tolerance
         One an output.
     largest : (records, outputs) array
-        Largest error over half the band's width; up to 1 passes; NaN where nothing was measured.
+        Largest error over half the band's width; up to 1 passes; infinite where the model runs out
+        of all numbers; NaN where nothing is judged: never measured while the model says something,
+        or no output of the model.
     outside : (records, outputs) array
-        Share of the samples outside the band.
+        Share of the samples judged that are outside the band.
     width : tuple of (N, outputs) array
         Half the width of the bands in each record, SI units.
     validation : Validation
@@ -86,14 +89,20 @@ class Qualification(Shown):
         return tuple(name for name in self.validation.outputs if name not in self.outputs)
 
     def headline(self) -> str:
-        """Passed and failed."""
-        judged = np.isfinite(self.largest)
-        failed = [
-            f"{self.outputs[j]} of {self.records[i]} ({self.largest[i, j]:.2g})"
-            for i, j in zip(*np.nonzero(judged & ~self.passed), strict=True)
-        ]
-        told = f"; failed: {listed(tuple(failed))}" if failed else ""
+        """Passed, failed, and what could not be judged."""
+        judged, told = ~np.isnan(self.largest), ""
+        if failed := self.named(judged & ~self.passed, " ({:.2g})"):
+            told += f"; failed: {listed(failed)}"
+        if none := self.named(~judged):
+            told += f"; not judged: {listed(none)}"
         return f"{self.model}: {int(self.passed.sum())} of {int(judged.sum())} passed{told}"
+
+    def named(self, those: BoolArray, figure: str = "") -> tuple[str, ...]:
+        """Outputs of records, (records, outputs), in words, with their largest errors if asked."""
+        return tuple(
+            f"{self.outputs[j]} of {self.records[i]}{figure.format(self.largest[i, j])}"
+            for i, j in zip(*np.nonzero(those), strict=True)
+        )
 
 
 def qualify(
@@ -109,16 +118,18 @@ def qualify(
         Its name; the last unless given.
     tolerances : mapping
         Output and band: ``"10 % or 2 deg/s"``, ``"1.5 deg"``; those of the module unless given.
-        Outputs without one are not judged.
+        Outputs without one are not judged, nor are samples before the first prediction.
 
     Raises
     ------
     ValueError
-        An unknown model; a tolerance that is not understood; no output with a tolerance.
+        An unknown model; a tolerance that is not understood, or of an output that there is not; no
+        output with a tolerance.
     """
     model = model or validation.models[-1]
     if model not in validation.models:
         raise ValueError(f"no model {model!r}; the validation has {', '.join(validation.models)}")
+    check_tolerances(tolerances, validation.outputs)
     outputs = tuple(name for name in validation.outputs if name in tolerances)
     if not outputs:
         raise ValueError(
@@ -128,12 +139,14 @@ def qualify(
     bands = tuple(read_tolerance(name, tolerances[name]) for name in outputs)
     columns = [validation.outputs.index(name) for name in outputs]
     widths, largest, outside = [], [], []
-    for record, y in zip(validation.measured, validation.simulated[model], strict=True):
+    known = np.array([name in validation.known[model] for name in outputs])
+    records = zip(validation.measured, validation.simulated[model], validation.begins, strict=True)
+    for record, y, begin in records:
         measured = record.y[:, columns]
         width = np.column_stack(
             [_width(x, band) for x, band in zip(measured.T, bands, strict=True)]
         )
-        there = np.isfinite(measured)
+        there = np.isfinite(measured) & known & (np.arange(record.N) >= begin)[:, None]
         over = np.abs(y[:, columns] - measured) / width
         over[there & ~np.isfinite(over)] = np.inf  # of a model that has left every band
         empty = ~there.any(axis=0)
@@ -151,6 +164,12 @@ def qualify(
         validation=validation,
         source=SOURCE if tolerances == TOLERANCES else "a table of the user",
     )
+
+
+def check_tolerances(names: Iterable[str], outputs: Iterable[str]) -> None:
+    """Refuse tolerances of outputs that there are not; the usual table may have more than are."""
+    names = [name for name in names if name not in TOLERANCES]
+    check_known("tolerance of unknown output", names, outputs)
 
 
 def read_tolerance(output: str, text: str) -> Tolerance:

@@ -53,8 +53,8 @@ class Validation(Shown):
         are deviations, see `datum`: beside an airspeed of 30 m/s every error would look small.
     whiteness : mapping to (records, ny) array
         Share of the residual's autocorrelations at lags of 1 to 40 samples inside the 99 % band of
-        a white sequence: about 0.99 when white, near 0 when the model has missed dynamics. Missing
-        samples are passed over.
+        a white sequence: about 0.99 when white, near 0 when the model has missed dynamics; says
+        nothing of predictions, see ``horizon``. Missing samples are passed over.
     measured : tuple of Record
         The records.
     simulated : mapping to tuple of (N, ny) array
@@ -65,7 +65,12 @@ class Validation(Shown):
         Estimated constant of each output, the mean over all predictions.
     horizon : tuple of float
         How far ahead models were predicted in each record [s], each time from a state estimated on
-        the past alone; infinite where they were simulated over all of it.
+        the past alone, whose error colours all of the piece; infinite where they were simulated
+        over all of it.
+    begins : tuple of int
+        Sample of each record at which predictions begin; 0 where it was simulated.
+    known : mapping to tuple of str
+        Outputs that each model has.
     growth : mapping to float
         Rate [1/s] of each model's fastest growing mode; 0 of a stable one.
     closed_loop : bool
@@ -89,6 +94,8 @@ class Validation(Shown):
     initial_states: Mapping[str, tuple[Array, ...]]
     biases: Mapping[str, Array]
     horizon: tuple[float, ...]
+    begins: tuple[int, ...]
+    known: Mapping[str, tuple[str, ...]]
     growth: Mapping[str, float]
     closed_loop: bool = False
 
@@ -189,6 +196,8 @@ def validate(
         initial_states={name: tuple(p.x0 for p in ps) for name, ps in predictions.items()},
         biases={name: np.array([p.b for p in ps]) for name, ps in predictions.items()},
         horizon=tuple(each.horizon for each in far),
+        begins=tuple(each.starts[0] + 1 if each.starts else 0 for each in far),
+        known={name: system.outputs for name, system in systems.items()},
         growth={name: growth_rate(system) for name, system in systems.items()},
         closed_loop=closed_loop,
     )

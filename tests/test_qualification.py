@@ -6,20 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from casid import Record, StateSpace, qualify, validate
+from casid import Record, StateSpace, qualify, summary, validate
 from casid.qualification import SOURCE, TOLERANCES, read_tolerance
 
 DEG = np.pi / 180
 T = 0.02 * np.arange(500)
 
 
-def flown(gain=1.0, y=None):
+def flown(gain=1.0, y=None, horizon=None):
     """Roll rate after a step of the stick, and what a model of another gain makes of it."""
     u = np.where(T > 2, 0.1, 0.0)[:, None]
     truth = StateSpace([[-2.0]], [[4.0]], [[1.0]], [[0.0]], None, ("lat",), ("p",))
     model = StateSpace([[-2.0]], [[4.0 * gain]], [[1.0]], [[0.0]], None, ("lat",), ("p",))
     record = Record(T, u, truth.simulate(T, u) if y is None else y, ("lat",), ("p",), "step")
-    return validate({"m": model}, record)
+    return validate({"m": model}, record, horizon=horizon)
 
 
 def test_the_band_is_the_larger_of_share_and_number():
@@ -55,6 +55,46 @@ def test_a_model_that_grows_beyond_all_numbers_fails():
     found = qualify(seen)
     assert not found.passed.any()
     assert found.outside[0, 0] == pytest.approx(200 / 500)
+    assert found.headline() == "m: 0 of 1 passed; failed: p of step (inf)"
+
+
+def test_samples_before_the_first_prediction_do_not_count():
+    # Predictions of 0.5 s begin behind three times as much past, 75 samples of 0.02 s.
+    seen = flown(gain=2.5, horizon=0.5)
+    assert (seen.begins, np.isnan(seen.simulated["m"][0][:76]).all()) == ((76,), True)
+    found = qualify(seen, tolerances={"p": "2 deg/s"})
+    error = np.abs(seen.simulated["m"][0] - seen.measured[0].y)[76:, 0]
+    assert found.largest[0, 0] == pytest.approx(error.max() / (2 * DEG))
+    assert found.outside[0, 0] == pytest.approx(np.mean(error > 2 * DEG))
+    assert qualify(flown(horizon=0.5)).headline() == "m: 1 of 1 passed"
+    seen.simulated["m"][0][200:] = np.inf  # what runs away once predictions have begun does count
+    assert qualify(seen).headline() == "m: 0 of 1 passed; failed: p of step (inf)"
+    seen.simulated["m"][0][:] = np.nan
+    assert qualify(seen).outside[0, 0] == 1.0
+
+
+def test_an_output_that_the_model_lacks_or_that_nobody_measured_is_not_judged():
+    u, ones = np.ones((500, 1)), np.ones((500, 1))
+    lacks = StateSpace([[-2.0]], [[4.0]], [[1.0]], [[0.0]], None, ("lat",), ("p",))
+    records = [
+        Record(T, u, np.hstack([ones, y]), ("lat",), ("p", "phi"), name)
+        for name, y in (("whole", ones), ("part", np.nan * ones))
+    ]
+    has = StateSpace([[-2.0]], [[4.0]], [[1.0]] * 2, [[0.0]] * 2, None, ("lat",), ("p", "phi"))
+    seen = validate({"lacks": lacks, "has": has}, records)
+    told = "lacks: 2 of 2 passed; not judged: phi of whole, phi of part"
+    assert qualify(seen, "lacks").headline() == told
+    found = qualify(seen, "has")
+    assert found.headline() == "has: 3 of 3 passed; not judged: phi of part"
+    assert summary(found).splitlines()[-1].endswith("| not judged |")
+    nothing = qualify(seen, "lacks", {"phi": "3 deg"}).headline()
+    assert nothing == "lacks: 0 of 0 passed; not judged: phi of whole, phi of part"
+
+
+def test_a_tolerance_of_an_output_that_there_is_not_is_refused():
+    with pytest.raises(ValueError, match=r"'pp'; did you mean 'p'\?"):
+        qualify(flown(), tolerances={"p": "2 deg/s", "pp": "2 deg/s"})
+    assert qualify(flown(), tolerances={**TOLERANCES, "p": "2 deg/s"}).outputs == ("p",)
 
 
 def test_outputs_without_a_tolerance_are_named():

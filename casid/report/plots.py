@@ -253,7 +253,7 @@ def _(value: Qualification, ax: Any) -> Any:  # noqa: ANN401
     axes = new_axes(ax, len(value.records), 1, height=1.6)
     for each, record, row in zip(axes, value.records, value.largest, strict=True):
         colours = ["#0072B2" if x <= 1 else "#D55E00" for x in row]
-        each.bar(value.outputs, row, color=colours)
+        each.bar(value.outputs, np.where(np.isinf(row), 10.0, row), color=colours)  # or anything
         each.axhline(1.0, color="#000000", linestyle="--", linewidth=1)
         each.set_title(f"{record}: largest error over half the band", loc="left")
     return as_given(ax, axes)

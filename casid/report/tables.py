@@ -204,10 +204,15 @@ def _(value: ResponseBand) -> Cells:
 @cells.register
 def _(value: Qualification) -> Cells:
     rows = [
-        [record, *(f"{'pass' if x <= 1 else 'FAIL'} {x:.2g}" for x in value.largest[k])]
-        for k, record in enumerate(value.records)
+        [record, *(_judged(x) for x in value.largest[k])] for k, record in enumerate(value.records)
     ]
     return ("error / half the band", *value.outputs), rows
+
+
+def _judged(largest: float) -> str:
+    if np.isnan(largest):
+        return "not judged"
+    return f"{'pass' if largest <= 1 else 'FAIL'} {largest:.2g}"
 
 
 @cells.register

@@ -4,8 +4,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+import numpy as np
+
 from casid import report
-from casid.qualification import TOLERANCES, Qualification, qualify, read_tolerance
+from casid.qualification import TOLERANCES, Qualification, check_tolerances, qualify, read_tolerance
 from casid.report.content import Caution, Content, Section, delivered, section
 from casid.stages.stage import Stage, Task
 
@@ -36,14 +38,15 @@ def _run(settings: Bands, task: Task) -> Qualification:
     return replace(found, source=settings.source) if settings.source else found
 
 
+def _check(settings: Bands, task: Task) -> None:
+    check_tolerances(settings.tolerances, type(task.model).outputs)
+
+
 def _show(found: Qualification, content: Content) -> Iterable[Section]:
-    failed = [
-        f"{found.outputs[j]} of {record}"
-        for i, record in enumerate(found.records)
-        for j in range(len(found.outputs))
-        if found.largest[i, j] > 1
-    ]
+    failed, none = found.named(found.largest > 1), found.named(np.isnan(found.largest))
     said = [Caution(f"Out of the tolerance band: {', '.join(failed)}.", 15)] if failed else []
+    if none:
+        said.append(Caution(f"Not judged by the tolerance bands: {', '.join(none)}.", 15))
     draw = partial(report.drawings.draw_qualification, found, content.units)
     yield section("qualification", "Qualification", 75, found, draw=draw, cautions=tuple(said))
 
@@ -57,5 +60,6 @@ QUALIFICATION = Stage(
     needs=("validation", "output_error"),
     optional=True,
     kept=False,
+    check=_check,
     show=_show,
 )

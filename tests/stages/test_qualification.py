@@ -23,6 +23,12 @@ def test_a_study_judges_its_model_in_the_bands(tmp_path):
     assert any("tolerance band: phi of" in caution for caution in outcome.cautions)
 
 
+def test_a_tolerance_of_no_output_is_refused_before_anything_runs(tmp_path):
+    wrong = TABLE.replace("phi =", "phii =")
+    with pytest.raises(ValueError, match=r"unknown output 'phii'; did you mean 'phi'\?"):
+        read_study(write_study(tmp_path, ("[match]", wrong)))
+
+
 def test_a_tolerance_that_is_not_understood_is_refused_with_its_place(tmp_path):
     wrong = TABLE.replace("0.001 deg", "small")
     with pytest.raises(ValueError, match=r"\[qualification\].*'small'.*expected"):
