@@ -43,7 +43,7 @@ def test_the_structure_can_be_matched_to_the_measured_response_as_well(tmp_path)
 def test_targets_are_checked_before_any_record_is_read(tmp_path):
     for targets, told in (
         ("['frequency response']", "expected 'black box' and perhaps 'frequency response'"),
-        ("['black box', 'sweeps']", "expected 'black box' and perhaps"),
+        ("['black box', 'sweeps']", 'expected several "black box" or "frequency response"'),
         ("['black box', 'frequency response']", r"write \[records.frequency\]"),
     ):
         asked = write_study(tmp_path, ("[match]", f"[match]\ntargets = {targets}"))
