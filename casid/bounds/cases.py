@@ -31,6 +31,7 @@ from casid.fit import AnyFit
 from casid.free import free_parameters
 from casid.matching.delays import delay_parameters
 from casid.model import Bounds, Constraint, Model
+from casid.nonlinear.model import NonlinearModel
 from casid.shooting.precision import OutputErrorNotes
 from casid.tables import placed
 
@@ -130,7 +131,9 @@ class _Writer:
         """Hold parameters that the fixed values leave without effect: nothing else would."""
         held = {r.names[0]: r.lower for r in self.relations if len(r.names) == 1}
         free = {*self.bounds} - {name for relation in self.relations for name in relation.names}
-        idle = without_effect(self.model, held, {*self.bounds}, free) if held else []
+        if not held or isinstance(self.model, NonlinearModel):  # which one flight condition misses
+            return
+        idle = without_effect(self.model, held, {*self.bounds}, free)
         for name in idle:
             value = float(np.clip(getattr(self.model, name), *self.bounds[name]))
             self._narrow(name, value, value)

@@ -266,7 +266,12 @@ bad("infinite noise", study("p = 0.002", "p = inf"), "std of p", "0 or more")
 bad("noise that is no number", study("p = 0.002", "p = nan"), "std of p", "0 or more")
 bad("bounds the wrong way round", within("model.bounds", "Lp = [0, -9]"), "Lp", "swap")
 bad("huge bounds", within("model.bounds", "Lp = [-1e300, 1e300]"), "Lp", "narrow it")
-bad("bounds that are no numbers", within("model.bounds", "Lp = [nan, 0.0]"), "Lp", "correct them")
+bad(
+    "bounds that are no numbers",
+    within("model.bounds", "Lp = [nan, 0.0]"),
+    "Lp",
+    "expected two numbers",
+)
 bad("one bound", within("model.bounds", "Lp = [0]"), "Lp = [0]", "expected [lower, upper]")
 bad(
     "bounds of no parameter",
