@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FormatStrFormatter
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 
 from casid.channels import UNITS
 from casid.design.plan import Design
@@ -38,8 +38,9 @@ def plot_errors(ax: Axes, design: Design) -> Axes:
         marker = "-" if k == 0 else "o"
         ax.plot(place, each.std_errors / usual, marker, color=COLOURS[k], label=each.name)
     ax.set_yscale("log")
-    for part in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
-        part(FormatStrFormatter("%.3g"))
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.yaxis.set_major_formatter(FormatStrFormatter("%.3g"))
     ax.set_ylabel("standard error over that of 3-2-1-1")
     ax.set_xticks(place, design.names, rotation=90)
     many = len(design.alternatives)
