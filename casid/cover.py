@@ -41,7 +41,9 @@ SHARE = 0.1  # of a direction without effect: an input that is named
 BETWEEN = 4e-6  # by how much W is lifted for what a still denser grid finds
 LIFT = 1.01  # how far W may be lifted for what lies between the points of the fit
 STEP = 0.05  # of the error's logarithm from point to point, above which one is put between
-NOTHING = 1e-300  # an error below is none
+NOTHING = 1e-300  # the least error: a logarithm is taken
+ROUNDING = 1e-12  # of a response: an error below is none
+DENSEST = 100_000  # points of a grid at most, where the error is all rounding
 HALVINGS = 30  # of an interval at most
 
 
@@ -139,7 +141,7 @@ def cover(
     omega = np.union1d(np.geomspace(low, high, points), _resonances(poles, low, high))
     errors = partial(_largest, systems, kind, scale=scale)
     error = errors(omega)
-    if error.max() < NOTHING:
+    if (error <= _largest([systems[0]] * 2, kind, omega, scale)).all():
         raise ValueError("all models equal the nominal one: there is no error to cover")
     weight = _tightest(omega, error, errors, order)
     ratio = np.abs(weight.response(omega)[:, 0, 0]) / error
@@ -215,8 +217,10 @@ def _largest(
         delta = left[:, None] * system.response(omega) * right - G0
         delta = delta if inverse is None else delta @ inverse
         largest = np.maximum(largest, np.linalg.norm(delta, ord=2, axis=(1, 2)))
+    size = np.linalg.norm(G0, ord=2, axis=(1, 2))
+    size = size if inverse is None else size * np.linalg.norm(inverse, ord=2, axis=(1, 2))
     floor = 1e-6 * largest.max(initial=NOTHING)  # a weight has no exact zero
-    return np.asarray(np.maximum(largest, floor))
+    return np.asarray(np.fmax.reduce([largest, np.full(len(omega), floor), ROUNDING * size]))
 
 
 def _inverse(G0: ComplexArray, omega: Array, inputs: Sequence[str]) -> ComplexArray:
@@ -343,7 +347,7 @@ def _resolved(omega: Array, error: Array, errors: Callable[[Array], Array]) -> t
     for _ in range(HALVINGS):
         leaps = np.flatnonzero(np.abs(np.diff(np.log(error))) > STEP)
         leaps = leaps[omega[leaps + 1] > omega[leaps] * (1 + AXIS)]
-        if not leaps.size:
+        if not leaps.size or len(omega) > DENSEST:
             break
         between = 0.5 * (omega[leaps] + omega[leaps + 1])
         omega = np.insert(omega, leaps + 1, between)

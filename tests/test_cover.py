@@ -138,6 +138,7 @@ def test_what_no_weight_can_cover_is_refused():
         ({"models": [growing]}, "model 1 has 1 unstable poles, the nominal one 0"),
         ({"models": []}, "no models given to cover"),
         ({"models": [stable]}, "all models equal the nominal one"),
+        ({"models": [StateSpace([[-1.0]], [[0.3, 0.3]], [[1 / 0.3]], np.zeros((1, 2)))]}, "equal"),
         ({"models": [stable], "kind": "multiplicative"}, "as many outputs as inputs"),
         ({"models": [stable], "kind": "input"}, 'expected "additive" or "multiplicative"'),
         ({"models": [stable], "scale": ([1.0, 0.0], [1.0])}, "finite sizes above 0"),

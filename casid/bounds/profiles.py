@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array
-from casid.bounds.cases import CaseSpec
+from casid.bounds.cases import Case, CaseSpec
 from casid.bounds.robust import weights
 from casid.bounds.trials import Data, Fits
 from casid.display import Shown, counted
@@ -157,7 +157,7 @@ def profile_parameters(
         names=names,
         points=points,
         cost=np.array([np.nan if fit is None else fit.cost for fit in fits]),
-        slope=np.array([_slopes(fit, len(names)) for fit in fits]),
+        slope=np.array([_slopes(*each, names) for each in zip(fits, held, strict=True)]),
         reasons=tuple(each.reason for each in found),
         fit=whole.result,
         level=level,
@@ -191,11 +191,13 @@ def _label(names: Sequence[str], point: Array) -> str:
     return ", ".join(f"{name} = {x!r}" for name, x in zip(names, point.tolist(), strict=True))
 
 
-def _slopes(fit: AnyFit | None, count: int) -> Array:
-    """Prices of the ties that hold the point: the last relations of its case."""
+def _slopes(fit: AnyFit | None, case: Case, names: Sequence[str]) -> Array:
+    """Prices of the ties that hold the point; its case may hold what they leave without effect."""
     if fit is None:
-        return np.full(count, np.nan)
-    return np.array([row.multiplier for row in fit.constraints[-count:]])
+        return np.full(len(names), np.nan)
+    rows = zip(case.relations, fit.constraints[-len(case.relations) :], strict=True)
+    prices = {relation.names: row.multiplier for relation, row in rows}
+    return np.array([prices[name,] for name in names])
 
 
 def _interval(many: Fits, free: AnyFit, name: str, quantile: float) -> tuple[float, float]:
@@ -223,7 +225,7 @@ def _end(many: Fits, free: AnyFit, name: str, goal: float) -> float:
             far, x = x, (near + x) / 2
             continue
         z = side * float(np.sqrt(max(2 * (done.result.cost - free.cost), 0.0)))
-        step = z * (goal - z) / float(_slopes(done.result, 1)[0])
+        step = z * (goal - z) / float(_slopes(done.result, case, [name])[0])
         if abs(goal - z) <= SETTLED * abs(goal) or (x == limit and abs(z) < abs(goal)):
             return x if x == limit else x + step
         near, far = (x, far) if abs(z) < abs(goal) else (near, x)

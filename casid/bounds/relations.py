@@ -54,9 +54,10 @@ def parse_relation(text: str) -> Relation:
     """Read one relation; ModelError says where it is not a linear one between parameters."""
     try:
         return _read(text.strip())
-    except ModelError as error:
+    except (ModelError, RecursionError, MemoryError) as error:
+        why = error if isinstance(error, ModelError) else "it is too long"
         raise ModelError(
-            f"relation {text!r}: {error}; write linear relations such as "
+            f"relation {text!r}: {why}; write linear relations such as "
             '"Nlat = 0.05 Llat", "Lp <= 2 Mq - 0.1" or "-5 <= Lp + Mq <= -1"'
         ) from error
 
@@ -97,7 +98,7 @@ def _tree(text: str) -> ast.expr:
         words += ["*", token] if ends and begins else [token]
     try:
         return ast.parse(" ".join(words), mode="eval").body
-    except (SyntaxError, RecursionError, MemoryError) as error:
+    except SyntaxError as error:
         closed = spelt.count("(") == spelt.count(")")
         why = "something is missing or out of place" if closed else "a parenthesis is not closed"
         raise ModelError(why) from error

@@ -154,11 +154,12 @@ def in_si(table: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, Arr
     """
     if lacking := [name for name in units if name not in table]:
         raise ValueError(f"there is no column {lacking[0]!r}; there are {', '.join(table)}")
-    found = {}
+    found = dict[str, Array]()
     for name, x in table.items():
         unit = units.get(name, "1")
         plain = name.removesuffix(f"_{unit}").removesuffix(f"[{unit}]").rstrip() or name
-        found[plain if name in units and plain not in table else name] = x * factor_of(name, unit)
+        new = plain if name in units and plain not in {*table, *found} else name
+        found[new] = x * factor_of(plain, unit)  # pulses are a control's, lat_us is one
     return found
 
 

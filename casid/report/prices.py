@@ -1,6 +1,7 @@
 """The figures of what bounds and ties cost: comparisons, profiles."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import scipy
@@ -78,21 +79,27 @@ def plot_profile(ax: Axes, profile: Profile) -> Axes:
     if len(at) == 1:
         order = np.argsort(points[:, 0])
         x, y, known = points[order, 0], rise[there][order], slope[order, 0]
-        fine = np.linspace(x[0], x[-1], POINTS)
         ax.plot(x, y, "o", color="#0072B2", label="profile")
-        ax.plot(fine, scipy.interpolate.CubicHermiteSpline(x, y, known)(fine), color="#0072B2")
+        if len(x) > 1:
+            fine = np.linspace(x[0], x[-1], POINTS)
+            ax.plot(fine, scipy.interpolate.CubicHermiteSpline(x, y, known)(fine), color="#0072B2")
         parabola = profile.parabola - profile.fit.cost
         ax.plot(profile.points[:, 0], parabola, "x", color="#777777", label="Cramér-Rao")
         ax.axvline(at[0].value, color="#000000", linewidth=0.8)
         ax.set(xlabel=labels[0], ylabel="rise of the cost [-]")
     else:
-        drawn = ax.contour(*_surface(points, rise[there], slope), colors="#0072B2")
-        ax.clabel(drawn, fontsize=7)
+        if np.linalg.matrix_rank(points - points[:1]) == 2:  # no surface is over a line
+            drawn = ax.contour(*_surface(points, rise[there], slope), colors="#0072B2")
+            ax.clabel(drawn, fontsize=7)
         ax.plot(*points.T, ".", color="#777777", label="profile")
         ax.plot(*([row.value] for row in at), "+", color="#000000", label="estimate")
-        ax.axhspan(*profile.intervals[at[1].name], color="#0072B2", alpha=0.08, linewidth=0)
         ax.set(xlabel=labels[0], ylabel=labels[1], title="rise of the cost [-]")
-    ax.axvspan(*profile.intervals[at[0].name], color="#0072B2", alpha=0.08, linewidth=0)
+    sides: Any = (ax.axvspan, ax.get_xlim()), (ax.axhspan, ax.get_ylim())
+    for row, (span, edges) in zip(at, sides, strict=False):
+        interval = np.array(profile.intervals[row.name])
+        if not np.isnan(interval).any():  # to the edge where it has no end
+            ends = np.where(np.isinf(interval), edges, interval)
+            span(*ends, color="#0072B2", alpha=0.08, linewidth=0)
     ax.legend()
     return ax
 

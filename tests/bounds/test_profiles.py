@@ -84,6 +84,28 @@ def test_a_grid_over_two_parameters_gives_the_interval_of_each():
         np.testing.assert_allclose(found.intervals[name], expected, rtol=1e-3)
 
 
+class Direct(Mixture):
+    """Known lags with unknown gains; the direct term is a share d of the fast one's."""
+
+    def B(self):
+        return [[self.a], [self.b]]
+
+    def C(self):
+        return [[1, 1]]
+
+    def D(self):
+        return [[self.a * self.d]]
+
+
+def test_a_value_that_leaves_another_parameter_without_effect_has_its_own_slope():
+    X, y = least_squares()
+    with pytest.warns(UserWarning, match="d has no effect"):
+        found = profile_parameters(Direct(), [record()], values={"a": [0.0]}, **KNOWN)
+    others = X[:, [1, 3, 4, 5]]  # the slow lag, initial states, the bias
+    left = y - others @ np.linalg.lstsq(others, y)[0]
+    assert found.slope[0] == pytest.approx(-(X[:, 0] + Direct().d * X[:, 2]) @ left, rel=1e-5)
+
+
 def test_an_interval_ends_on_a_bound_that_comes_first():
     free, covariance, _, _ = solved()
     sigma = np.sqrt(covariance[0, 0])

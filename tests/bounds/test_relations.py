@@ -65,6 +65,7 @@ def test_a_relation_holds_where_its_text_does(a, b, c, x, y):
         ("Lp = True", "'True' is out of place"),
         ("Lp = 1e400 Nr", "too large"),
         ("0 < Lp + Nr < -5", "nothing is above 0 and below -5"),
+        (f"{' + '.join(['Lp'] * 1100)} = 0", "it is too long"),
     ],
 )
 def test_what_is_no_linear_relation_is_refused_with_the_reason(text, why):

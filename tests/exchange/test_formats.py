@@ -91,6 +91,10 @@ def test_units_are_converted_by_name():
     changed = in_si(told, {"time_ms": "ms", "q [deg/s]": "deg/s", "r_deg/s": "deg/s"})
     assert list(changed) == ["time", "q", "r_deg/s", "r", "w_1"]
     assert changed["time"] == 1e-3
+    pulses = {"lat_us": np.array([1500.0]), "p_deg/s": np.ones(1), "p [deg/s]": np.ones(1)}
+    changed = in_si(pulses, {"lat_us": "us", "p_deg/s": "deg/s", "p [deg/s]": "deg/s"})
+    assert changed["lat"] == in_si({"lat": np.array([1500.0])}, {"lat": "us"})["lat"] == 1.5
+    assert len(changed) == 3
     with pytest.raises(ValueError, match="no column 'q'"):
         in_si(table, {"q": "deg/s"})
     with pytest.raises(ValueError, match="unknown unit"):

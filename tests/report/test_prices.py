@@ -5,11 +5,9 @@ import pytest
 from matplotlib.figure import Figure
 from truths.mixture import Mixture, record
 
-from casid import (
-    compare_bounds,
-)
+from casid import Profile, compare_bounds
 from casid.report import plot_bounds
-from casid.report.prices import MARKS, _surface
+from casid.report.prices import MARKS, _surface, plot_profile
 
 
 @pytest.fixture(scope="module")
@@ -48,3 +46,18 @@ def test_the_surface_over_two_parameters_is_right_between_its_points():
     slope = np.column_stack([4 * a - 3e3 * b, -3e3 * a + 1e7 * b])
     x, y, z = _surface(points.T, cost(a, b), slope)
     np.testing.assert_allclose(z, cost(x, y), atol=1e-6 * np.ptp(cost(a, b)))
+
+
+@pytest.mark.parametrize("points", [[[1.0]], [[0.9, 0.5]], [[0.9, 0.5], [0.9, 0.6], [0.9, 0.8]]])
+def test_a_profile_of_few_points_is_drawn_without_a_curve(compared, points):
+    points = np.array(points)
+    names, fit, cost = tuple("ab")[: points.shape[1]], compared.cases[0].fit, np.ones(len(points))
+    spans = {"a": (0.4, np.inf), "b": (np.nan, np.nan)}
+    found = Profile(
+        names=names, points=points, cost=cost, slope=np.ones(points.shape), reasons=(), fit=fit,
+        level=0.95, parabola=cost, intervals=spans, standard=spans, cramer_rao=spans,
+    )  # fmt: skip
+    figure = Figure()
+    drawn = next(line for line in plot_profile(figure.subplots(), found).lines)
+    assert len(drawn.get_xdata()) == len(points)
+    figure.canvas.draw()
