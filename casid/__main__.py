@@ -25,7 +25,7 @@ def main() -> None:
     except BaseException:
         if not interrupt.asked:
             raise
-    end_interrupted()
+    end_interrupted(next(iter(sys.argv[1:]), None))
 
 
 if __name__ == "__main__":

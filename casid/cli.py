@@ -47,7 +47,7 @@ class Commands(click.Group):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            end_interrupted()
+            end_interrupted(ctx.invoked_subcommand)
 
 
 @click.group(

@@ -6,7 +6,7 @@ from types import FrameType
 from typing import NoReturn
 
 INTERRUPTED = 130  # exit code, as of a shell
-SAID = "Interrupted; what had ended is kept, the same command goes on."
+KEEPING = ("identify", "bounds")  # commands that keep what had ended, and go on from there
 
 
 class Interrupt:
@@ -28,9 +28,10 @@ def check_interrupt() -> None:
         raise KeyboardInterrupt
 
 
-def end_interrupted() -> NoReturn:
+def end_interrupted(command: str | None) -> NoReturn:
     """End the process, once and with one line; in somebody else's, SIGINT stays as it is."""
     if isinstance(signal.getsignal(signal.SIGINT), Interrupt):
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    print(SAID, file=sys.stderr)  # noqa: T201 - rich may not be there yet
+    kept = "; what had ended is kept, the same command goes on" * (command in KEEPING)
+    print(f"Interrupted{kept}.", file=sys.stderr)  # noqa: T201 - rich may not be there yet
     sys.exit(INTERRUPTED)

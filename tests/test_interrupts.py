@@ -90,3 +90,15 @@ def test_a_run_that_is_terminated_ends_alike_and_leaves_no_lock(moment, tmp_path
     assert {path.stem for path in tmp_path.glob("out/stages/*.json")} == BEFORE[moment]
     with claimed(tmp_path / "out"):
         pass
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", ["SIGINT", "SIGTERM"])
+def test_a_command_that_keeps_nothing_does_not_say_that_it_goes_on(sent, tmp_path):
+    study = write_study(tmp_path)
+    moment, program = "casid.design.optimise.Task:slope:20", PROGRAM.replace("SIGINT", sent)
+    command = [sys.executable, "-c", program, moment, "design", str(study), "--duration", "12"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 130, done.stderr
+    assert done.stderr.splitlines()[-1] == "Interrupted."
+    assert not (tmp_path / "out/design").exists()
