@@ -27,7 +27,10 @@ bound of the certificate of excitation.
 `--nonlinear` has a nonlinear structure as truth, `RigidBody` with the same derivatives, flies
 3-2-1-1 and design in it and identifies both. `--monte-carlo RUNS` flies a design for the
 lateral-directional structure with feedback RUNS times with new noise and compares the scatter of
-output error with the standard errors that were predicted; likewise with `SixDof`.
+output error with the standard errors that were predicted; `--monte-carlo RUNS six` does so with
+`SixDof`. In both the feedback hears the noise, too; of the share from outside the certificate's
+lower bound is held against the one that is known, by a flight of the same design without noise.
+`--seed` is that of the design's start and of the noise.
 """
 
 import argparse
@@ -37,6 +40,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import interp1d
+from scipy.signal import welch
 from tables import against, cell, table
 
 from casid import DesignSettings, Limits, Record, design_inputs, output_error, read_csv
@@ -201,6 +206,23 @@ def share_from_outside(record):
     return float(share.lower[share.within].min())
 
 
+def heard(made, feedback, seed):
+    """A design less what its feedback makes of noise, (N, nu), and that noise (N, ny)."""
+    std = [NOISE[name] for name in made.outputs]
+    noise = std * np.random.default_rng(seed).standard_normal(made.y.shape)
+    return made.r - noise @ gains(feedback, made.inputs, made.outputs).T, noise
+
+
+def shares_told(noisy, quiet):
+    """Least share from outside: by the certificate, and as the flight without noise knows it."""
+    share = excitation(noisy)
+    omega, outside = welch(quiet.u, 2 * np.pi / DT, nperseg=256, axis=0)
+    back = welch(noisy.u - quiet.u, 2 * np.pi / DT, nperseg=256, axis=0)[1]
+    known = interp1d(omega, outside / (outside + back), axis=0)(share.omega)
+    least = [float(each[share.within].min()) for each in (share.lower, known)]
+    return f"least share from outside {against(least[0], 0.5, above=True)}, known {least[1]:.3f}"
+
+
 def linear(model, made):
     """What the true linear model makes of a design without feedback."""
     return replace(made.record(), y=model.system().simulate(made.t, made.u))
@@ -234,7 +256,7 @@ def rigid(t, r, inputs, model, feedback):
     return Record(DT * np.arange(len(u)), u, y, inputs, model.outputs)
 
 
-def nonlinear():
+def nonlinear(seed):
     """A nonlinear structure flown in its loop and identified, against its four 3-2-1-1."""
     linear = truth()
     model = RigidBody(**{each.name: getattr(linear, each.name) for each in fields(linear)})
@@ -249,62 +271,62 @@ def nonlinear():
     made = design_inputs(
         model, limits({**sticks, **tops}, rates(four), True), LENGTH, noise=NOISE,
         feedback=FEEDBACK,
-        settings=DesignSettings(method="steps", dt=DT, fixed=held, iterations=80, draws=12),
+        settings=DesignSettings(method="steps", dt=DT, fixed=held, seed=seed),
     )  # fmt: skip
-    alone = [rigid(made.t, made.r, made.inputs, model, FEEDBACK)]
-    fits = []
-    for number, records in enumerate((four, alone)):
-        rng = np.random.default_rng([11, number])
-        noisy = [record.with_noise(NOISE, rng) for record in records]
-        fits.append(output_error(model, noisy, R=R, fixed=held, interval=2.0))
+    quiet = rigid(made.t, made.r, made.inputs, model, FEEDBACK)
+    r, noise = heard(made, FEEDBACK, [11, seed])
+    alone = [rigid(made.t, r, made.inputs, model, FEEDBACK)]
+    rng = np.random.default_rng([12, seed])
+    noisy = [[record.with_noise(NOISE, rng) for record in four],
+             [replace(alone[0], y=alone[0].y + noise)]]  # fmt: skip
+    fits = [output_error(model, each, R=R, fixed=held, interval=2.0) for each in noisy]
     errors = [np.array([fit[name].cramer_rao for name in made.names]) for fit in fits]
     ratio = errors[1] / errors[0]
     true = np.array([getattr(model, name) for name in made.names])
     value = np.array([[fit[name].value for name in made.names] for fit in fits])
     off = np.sqrt(np.mean(((value - true) / errors) ** 2, axis=1))
-    peak = max(float((np.abs(alone[0].y - y0).max(axis=0) / list(tops.values())).max()), 0.0)
+    peak = float((np.abs(alone[0].y - y0).max(axis=0) / list(tops.values())).max())
     stick = float((np.abs(alone[0].u).max(axis=0) / list(sticks.values())).max())
     print(
         f"RigidBody, {len(ratio)} parameters, identified: standard errors over those of four "
         f"3-2-1-1 {against(np.exp(np.log(ratio).mean()), 0.4)}, worst {against(ratio.max(), 0.6)}; "
         f"responses {against(peak, TIMES)}, sticks {stick:.3g}; predicted over identified "
         f"{np.exp(np.log(made.std_errors / errors[1]).mean()):.3g}; estimates off the truth by "
-        f"{off[0]:.3g} and {off[1]:.3g} standard errors (rms)"
+        f"{off[0]:.3g} and {off[1]:.3g} standard errors (rms); {shares_told(noisy[1][0], quiet)}"
     )
 
 
-def monte_carlo(runs):
-    """Scatter over predicted standard errors of designs in a loop, one line a structure."""
-    lateral, tops = LateralDirectional(U0=41.13), peaks(flown("3211_{}_open"))
-    small = Limits(sticks=dict.fromkeys(lateral.inputs, 0.05), responses={"phi": 0.3})
-    loop = {"lat": {"p": 0.05, "phi": 0.1}}
-    print(scatter(lateral, small, 20.0, loop, runs))
-    allowed = limits(tops, rates(flown("3211_{}_open")), True)
-    print(scatter(truth(), allowed, LENGTH, FEEDBACK, runs))
-
-
-def scatter(model, allowed, length, feedback, runs):
-    """What output error makes of a design that is flown ``runs`` times with new noise."""
+def monte_carlo(runs, six, seed):
+    """Scatter over predicted standard errors of a design that is flown with new noise each time."""
+    tops = peaks(flown("3211_{}_open"))
+    model = truth() if six else LateralDirectional(U0=41.13)
+    feedback = FEEDBACK if six else {"lat": {"p": 0.05, "phi": 0.1}}
+    allowed = Limits(sticks=dict.fromkeys(model.inputs, 0.05), responses={"phi": 0.3})
+    if six:
+        allowed = limits(tops, rates(flown("3211_{}_open")), True)
     noise = {name: NOISE[name] for name in model.outputs}
+    covariances = np.diag([std**2 for std in noise.values()])
     made = design_inputs(
-        model, allowed, length, noise=noise, feedback=feedback,
-        settings=DesignSettings(method="steps", dt=DT, iterations=60, draws=8),
+        model, allowed, LENGTH if six else 20.0, noise=noise, feedback=feedback,
+        settings=DesignSettings(method="steps", dt=DT, seed=seed),
     )  # fmt: skip
-    covariances = np.diag([noise[name] ** 2 for name in model.outputs])
-    record, found = linear(model, made), []
-    for seed in range(runs):
-        noisy = record.with_noise(noise, np.random.default_rng([7, seed]))
+    loop = Loop(free_parameters(model), feedback, covariances, h=DT, N=len(made.t))
+    found, true = [], [getattr(model, name) for name in made.names]
+    for run in range(runs):
+        r, e = heard(made, feedback, [7, seed, run])
+        quiet = replace(made.record(), u=loop.fly(r).u)
+        noisy = replace(quiet, y=model.system().simulate(made.t, quiet.u) + e)
         fit = output_error(model, noisy, R=covariances, interval=2.0)
         found.append([fit[name].value for name in made.names])
-    true = [getattr(model, name) for name in made.names]
     ratio = np.std(found, axis=0, ddof=1) / made.std_errors
-    size = float(np.sqrt(np.mean(ratio**2)))
+    size, k = float(np.sqrt(np.mean(ratio**2))), int(np.argmax(np.abs(np.log(ratio))))
     off = float(np.sqrt(np.mean((np.mean(found, axis=0) - true) ** 2 / made.std_errors**2)))
-    return (
+    print(
         f"{type(model).__name__}, {len(ratio)} parameters, {runs} runs: scatter over prediction "
-        f"{size:.3f} (rms), away from 1 by {against(abs(size - 1), 0.15)}; mean off the truth by "
-        f"{off:.2f} predicted errors, {runs**-0.5:.2f} expected; least share from outside "
-        f"{against(share_from_outside(record), 0.5, above=True)}"
+        f"{size:.3f} (rms), away from 1 by {against(abs(size - 1), 0.15)}; furthest {ratio[k]:.3f} "
+        f"of {made.names[k]}, a standard error of each {(2 * runs - 2) ** -0.5:.3f}; mean off the "
+        f"truth by {off:.2f} predicted errors, {runs**-0.5:.2f} expected; "
+        f"{shares_told(noisy, made.record())}"
     )
 
 
@@ -315,29 +337,21 @@ def wanted(case, done):
     return round(done.get("flown", {"mean": 0.4})["mean"] / SHRUNK, 3), np.inf
 
 
-def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("cases", nargs="*", default=CASES)
-    parser.add_argument("--kept", type=Path, default=Path("out/design.jsonl"))
-    parser.add_argument("--nonlinear", action="store_true")
-    parser.add_argument("--monte-carlo", type=int, default=0, metavar="RUNS")
-    options = parser.parse_args()
-    if options.monte_carlo or options.nonlinear:
-        nonlinear() if options.nonlinear else monte_carlo(options.monte_carlo)
-        return
-    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
+def judge(cases, kept):
+    """Run the cases that FILE does not have yet; one table of all."""
+    lines = kept.read_text().splitlines() if kept.exists() else []
     done = {row["case"]: row for row in map(json.loads, lines)}
-    for case in options.cases:
+    for case in cases:
         if case not in done:
             done[case] = run(case)
-            options.kept.parent.mkdir(parents=True, exist_ok=True)
-            with options.kept.open("a") as file:
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            with kept.open("a") as file:
                 file.write(json.dumps(done[case]) + "\n")
     header = ["case", "flown [s]", "geometric mean", "worst", "of",
               "sticks over those of 3-2-1-1", "their rates", "responses",
               "least share from outside", "seconds"]  # fmt: skip
     rows = []
-    for case in options.cases:
+    for case in cases:
         row = done[case]
         two = zip([row["mean"], row["worst"]], wanted(case, done), strict=True)
         peak = (
@@ -352,6 +366,22 @@ def main():
         print(
             f"of 40 aircraft 30 % away {told[0]} keep the limits, the worst reaches {told[1]:.3g}"
         )
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("cases", nargs="*", default=CASES)
+    parser.add_argument("--kept", type=Path, default=Path("out/design.jsonl"))
+    parser.add_argument("--nonlinear", action="store_true")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--monte-carlo", type=int, default=0, metavar="RUNS")
+    options = parser.parse_args()
+    if options.nonlinear:
+        nonlinear(options.seed)
+    elif options.monte_carlo:
+        monte_carlo(options.monte_carlo, options.cases == ["six"], options.seed)
+    else:
+        judge(options.cases, options.kept)
 
 
 if __name__ == "__main__":

@@ -268,7 +268,7 @@ def _say(console: Console, made: Design) -> None:
 
 def _page(made: Design) -> str:
     close = [f"- {a} and {b}: {c:+.2f}" for a, b, c in made.correlated()]
-    blind = ["## Not told apart", "\n".join(f"- {line}" for line in made.blind)]
+    blind = ["## Not told apart by this flight", "\n".join(f"- {line}" for line in made.blind)]
     overlap = [made.overlap] if len(made.inputs) > 1 else []
     parts = [
         f"# {made.headline()}", "## What could be flown", made.comparison(),

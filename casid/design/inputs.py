@@ -16,6 +16,7 @@ from casid.design.plan import Alternative, Design, DesignSettings, Limits
 from casid.design.prior import as_fitted, check_balance, inside, linear_at, without_effect
 from casid.design.problem import JUDGES, Problem, free_of, problem_of
 from casid.design.shapes import Steps, Waves
+from casid.display import listed
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit, Fit
 from casid.free import Free, free_parameters
@@ -254,7 +255,12 @@ def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen
         matter=problem.settings.matter,
     )  # fmt: skip
     judged = identifiability(model, made.record(), fixed=problem.settings.fixed or (), spread=0.0)
-    return replace(made, blind=tuple(str(judged).splitlines()[1:]))
+    told = {name for name, size in zip(made.names, known, strict=True) if np.isfinite(size)}
+    rest = [each for each in judged.confounded if told.isdisjoint(each) or {*made.untold} & {*each}]
+    before = [each for each in judged.confounded if each not in rest]
+    lines = str(replace(judged, confounded=tuple(rest))).splitlines()[1:]
+    lines += [f"told apart by what is known before only: {listed(group)}" for group in before]
+    return replace(made, blind=tuple(lines))
 
 
 def _check_told(problem: Problem, made: Design) -> None:

@@ -11,6 +11,7 @@ from casid import (
     Limits,
     Model,
     NonlinearModel,
+    Record,
     Trim,
     design_inputs,
     output_error,
@@ -322,6 +323,18 @@ def test_what_no_input_tells_apart_is_left_out_of_what_a_design_buys_and_named()
     assert made.std_errors[2] == pytest.approx(apart.std_errors[1], rel=0.05)
     with pytest.raises(ValueError, match=r"tells 'Lp' alone, of Lp, more only comb.*: fix one"):
         rolled(matter=("Lp",))
+
+
+def test_what_only_an_earlier_flight_tells_apart_is_not_to_be_fixed():
+    t = 0.05 * np.arange(120)
+    u = 0.1 * np.sign(np.sin(3 * t))[:, None]
+    record = Record(t, u, Twins().system().simulate(t, u), ("lat",), ("p",))
+    noisy = record.with_noise({"p": 0.01}, np.random.default_rng(0))
+    one = output_error(Twins(), noisy, fixed=("more",))
+    quick = DesignSettings(**QUICK, method="steps", fixed=())
+    made = design_inputs(one, Limits(sticks={"lat": 0.1}), 10.0, settings=quick)
+    assert made.untold == ()
+    assert made.blind == ("told apart by what is known before only: Lp, more",)
 
 
 def test_values_outside_their_bounds_are_refused_or_given_wider_ones():
