@@ -256,10 +256,11 @@ def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen
     )  # fmt: skip
     judged = identifiability(model, made.record(), fixed=problem.settings.fixed or (), spread=0.0)
     told = {name for name, size in zip(made.names, known, strict=True) if np.isfinite(size)}
-    rest = [each for each in judged.confounded if told.isdisjoint(each) or {*made.untold} & {*each}]
-    before = [each for each in judged.confounded if each not in rest]
-    lines = str(replace(judged, confounded=tuple(rest))).splitlines()[1:]
-    lines += [f"told apart by what is known before only: {listed(group)}" for group in before]
+    groups = judged.confounded
+    lost = [each for each in groups if told.isdisjoint(each) or {*made.untold} & {*each}]
+    lines = str(replace(judged, confounded=tuple(lost))).splitlines()[1:]
+    earlier = [listed(each) for each in groups if each not in lost]
+    lines += [f"told apart by what is known before only: {names}" for names in earlier]
     return replace(made, blind=tuple(lines))
 
 
