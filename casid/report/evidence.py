@@ -33,13 +33,12 @@ REMEDIES = {  # by whether the structure is enough
 
 def noise_levels(records: Sequence[Record]) -> Array:
     """Standard deviation (ny,) of what changes too fast for an aircraft, the median of records."""
-    levels = np.full((len(records), records[0].ny), np.nan)
-    for k, record in enumerate(records):
-        for i in range(record.ny):
-            known = record.y[np.isfinite(record.y[:, i]), i]
-            if len(known) > 8:
-                levels[k, i] = noise(known)
-    return np.asarray(np.nanmedian(levels, axis=0)) if len(records) > 1 else levels[0]
+    found = []
+    for columns in zip(*(record.y.T for record in records), strict=True):
+        known = [y[np.isfinite(y)] for y in columns]
+        levels = [noise(y) for y in known if len(y) > 8]
+        found.append(np.median(levels) if levels else np.nan)
+    return np.array(found)
 
 
 def disagreement(validation: Validation, content: Content) -> Iterator[Caution]:
@@ -52,7 +51,7 @@ def disagreement(validation: Validation, content: Content) -> Iterator[Caution]:
     said = []
     for name, own, other, floor in zip(validation.outputs, *sizes, level, strict=True):
         least = np.fmax(other, floor)  # nobody need predict noise
-        if own > WORSE * least:
+        if own > WORSE * least and not np.isnan(other):
             said.append(
                 (own / least, f"{name} {own / least:.1f} times ({own:.2g} for {other:.2g})")
             )
@@ -88,7 +87,9 @@ def strangers(validation: Validation, content: Content) -> Iterator[Caution]:
 
 def _pooled(rms: Array) -> Array:
     """Of all records together, (ny,)."""
-    return np.asarray(np.sqrt(np.nanmean(rms**2, axis=0)))
+    known = ~np.isnan(rms)
+    count = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+    return np.asarray(np.sqrt((np.where(known, rms, 0.0) ** 2).sum(axis=0) / count))
 
 
 def differences(content: Content) -> Iterator[Caution]:

@@ -57,10 +57,12 @@ class Verdict:
 
     @property
     def caution(self) -> str:
-        """What to say of a poor one."""
+        """What to say of a poor one, or one that is not judged."""
+        output = f"Output {self.output} of the validation records"
+        if not np.isfinite(self.theil):
+            return f"{output} is not judged: there is nothing to compare, or nothing but zeros."
         told = ", but its error is that of the noise: it hardly moves." if self.noisy else "."
-        poorly = f"is predicted poorly (Theil's coefficient {self.theil:.2f})"
-        return f"Output {self.output} of the validation records {poorly}{told}"
+        return f"{output} is predicted poorly (Theil's coefficient {self.theil:.2f}){told}"
 
 
 def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
@@ -77,7 +79,8 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
     for i, output in enumerate(validation.outputs):
         rms, fit, theil = measures(validation.measured, validation.simulated[name], i)
         least, _, black_box = measures(validation.measured, validation.simulated[other], i)
-        floor = np.fmax(least, noise[i])  # nobody need predict noise
+        # Nobody need predict noise; what the black box lacks it does not predict better.
+        floor = np.nan if np.isnan(least) else np.fmax(least, noise[i])
         verdict = Verdict(
             output=output,
             unit=content.units.get(output, ""),

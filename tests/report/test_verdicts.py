@@ -9,7 +9,7 @@ from truths.pages import cautions, changed
 from casid.report import (
     OUTPUT_ERROR,
 )
-from casid.report.content import CHOSEN
+from casid.report.content import BLACK_BOX, CHOSEN
 from casid.report.evidence import noise_levels
 from casid.report.verdicts import verdicts, word
 from casid.stages.judgement import VALIDATION
@@ -117,3 +117,37 @@ def test_verdicts_are_of_the_step_that_was_chosen(content):
     assert chosen.delivered == CHOSEN
     (page,) = [each for each in VALIDATION.show(judged, chosen) if each.name == "answer"]
     assert page.values["model"] == CHOSEN
+
+
+def _without(validation, output, model=None):
+    """The validation as it were had nobody measured an output, or a model lacked it."""
+    i, told = validation.outputs.index(output), {}
+    lost = [model] if model else validation.models
+    for kind in ("rms", "fit", "theil", "normalised", "whiteness"):
+        each = {name: values.copy() for name, values in getattr(validation, kind).items()}
+        for name in lost:
+            each[name][:, i] = np.nan
+        told[kind] = each
+    if model:
+        ys = [np.where(np.arange(y.shape[1]) == i, np.nan, y) for y in validation.simulated[model]]
+        return dataclasses.replace(
+            validation, simulated={**validation.simulated, model: tuple(ys)}, **told
+        )
+    unseen = [r.mask(np.arange(r.ny)[None] == np.full((r.N, 1), i)) for r in validation.measured]
+    return dataclasses.replace(validation, measured=tuple(unseen), **told)
+
+
+@pytest.mark.slow
+def test_what_nobody_measured_or_the_black_box_lacks_is_no_fault_of_the_model(content):
+    validation = content.results["validation"]
+    unseen = changed(content, validation=_without(validation, "phi"))
+    assert any("Output phi of the validation records is not judged" in x for x in cautions(unseen))
+    quiet = dataclasses.replace(validation, rms={
+        name: values * (1 + 99 * (name == OUTPUT_ERROR)) for name, values in validation.rms.items()
+    }, simulated={name: tuple(100 * y for y in ys) for name, ys in validation.simulated.items()})  # fmt: skip
+    lacking = _without(quiet, "p", BLACK_BOX)
+    found = {v.output: v for v in verdicts(lacking, content)}
+    assert not found["p"].structural
+    told = " ".join(cautions(changed(content, validation=lacking)))
+    assert "predicts the validation records better, phi" in told
+    assert "nan" not in told
