@@ -6,13 +6,14 @@ the whole samples on both sides all is analytic. So an estimate near one, or any
 jumps, is compared with the best on the other side.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.free import Free
+from casid.record import Record
 from casid.shooting.programme import Programme
 
 NEAR = 0.1  # of a sampling interval: a kink that noise may have held an estimate on
@@ -90,25 +91,36 @@ def _within(
 
 
 def _delays(programme: Programme, lam: Array) -> Iterator[Delay]:
-    """The delays in which the likelihood breaks."""
+    """The delays in which the likelihood breaks at free values (nf,)."""
     m = programme.evaluator.matrices(lam)
-    for a in range(len(programme.free.index)):
-        heard = np.flatnonzero(m.tau_lam[:, a])
-        if not len(heard) or np.count_nonzero(m.tau_lam[heard]) > len(heard):
-            continue
-        steps, jump = _broken(programme, heard, m.D, m.D_lam)
-        if steps:
-            yield Delay(a, heard, m.tau[heard[0]], m.tau_lam[heard[0], a], steps, jump)
-
-
-def _broken(
-    programme: Programme, heard: np.ndarray, D: Array, D_lam: Array
-) -> tuple[list[float], bool]:
-    """Sampling intervals whose multiples break the likelihood in τ, and whether it jumps."""
-    direct = bool(D[:, heard].any() or D_lam[:, heard].any())
     records = [r for r in programme.evaluator.layout.records if r.equidistant]
-    steps = {float(f"{r.dt:.9g}") for r in records if direct or r.hold == "zoh"}  # no roundings
-    return sorted(steps), direct and any(r.hold == "zoh" for r in records)
+    direct = np.logical_or(m.D.any(axis=0), m.D_lam.any(axis=(0, 2)))
+    return breaking(records, m.tau, m.tau_lam.T, np.asarray(direct))
+
+
+def breaking(
+    records: Iterable[Record], tau: Array, slopes: Array, direct: BoolArray
+) -> Iterator[Delay]:
+    """Of the delays (nu,), by their derivatives (nf, nu), those in which the likelihood breaks.
+
+    It does at whole samples of inputs held in steps, and of those that outputs feel directly.
+    """
+    for a, slope in enumerate(slopes):
+        heard = np.flatnonzero(slope)
+        if not len(heard) or np.count_nonzero(slopes[:, heard]) > len(heard):
+            continue
+        felt = bool(direct[heard].any())
+        kinked = [record for record in records if felt or record.hold == "zoh"]
+        steps = sorted({float(f"{record.dt:.9g}") for record in kinked})  # not each rounding of one
+        jump = felt and any(record.hold == "zoh" for record in kinked)
+        if steps:
+            yield Delay(a, heard, tau[heard[0]], slope[heard[0]], steps, jump)
+
+
+def own_prices(prices: Array, bounded: Free, free: Free) -> Array:
+    """Multipliers (nf,) of bounds; the ends of a stretch, which are no own bounds, have none."""
+    same = (bounded.lower == free.lower)[free.index], (bounded.upper == free.upper)[free.index]
+    return np.asarray(prices * np.where(prices < 0, *same))
 
 
 def _stretches(delay: Delay, solved: bool) -> Iterator[tuple[float, float]]:

@@ -14,7 +14,7 @@ from casid.fit import AnyFit
 from casid.free import Free
 from casid.nlp import Solution, SolverOptions, solve
 from casid.shooting import frequency
-from casid.shooting.delays import held, neighbours
+from casid.shooting.delays import held, neighbours, own_prices
 from casid.shooting.integration import factor_wanted, integration
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.nearby import predicted
@@ -255,14 +255,8 @@ class Search:
 
     def _released(self, outcome: Outcome) -> Outcome:
         """The outcome under its own bounds; the ends of a stretch have no price."""
-        index, bounded = self.free.index, outcome.programme.free
-        prices = outcome.solution.multipliers_x.copy()
-        lower, upper = (
-            getattr(bounded, side)[index] == getattr(self.free, side)[index]
-            for side in ("lower", "upper")
-        )
-        own = prices[: len(index)]
-        own *= np.where(own < 0, lower, upper)
+        prices, nf = outcome.solution.multipliers_x.copy(), len(self.free.index)
+        prices[:nf] = own_prices(prices[:nf], outcome.programme.free, self.free)
         solution = replace(outcome.solution, multipliers_x=prices)
         return replace(
             outcome, programme=outcome.programme.variant(free=self.free), solution=solution

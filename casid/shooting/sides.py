@@ -14,7 +14,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.free import Free
 from casid.nlp import SolverOptions
-from casid.shooting.delays import Delay, stretch
+from casid.shooting.delays import Delay, breaking, own_prices, stretch
 from casid.shooting.frequency import ROUGH, SpectralOutcome, SpectralProgramme, search
 from casid.shooting.lines import Lines
 from casid.shooting.spectral import SpectralResiduals
@@ -143,17 +143,8 @@ def _edges(delay: Delay, value: float, low: float, high: float) -> Array:
 def _delays(free: Free, lines: list[Lines], lam: Array) -> Iterator[Delay]:
     """Delays with kinks at free values (nf,)."""
     m = SpectralResiduals(free, lines).matrices(lam)
-    D, slopes = m.blocks[3], m.slopes[:, m.nx :, m.nx :]
-    for a, slope in enumerate(m.dtau):
-        heard = np.flatnonzero(slope)
-        if not len(heard) or np.count_nonzero(m.dtau[:, heard]) > len(heard):
-            continue
-        direct = bool(D[:, heard].any() or slopes[:, :, heard].any())
-        kinked = [each.record for each in lines if direct or each.record.hold == "zoh"]
-        steps = sorted({float(f"{record.dt:.9g}") for record in kinked})  # not each rounding of one
-        jump = direct and any(record.hold == "zoh" for record in kinked)
-        if steps:
-            yield Delay(a, heard, m.tau[heard[0]], slope[heard[0]], steps, jump)
+    direct = np.logical_or(m.blocks[3].any(axis=0), m.slopes[:, m.nx :, m.nx :].any(axis=(0, 1)))
+    return breaking([each.record for each in lines], m.tau, m.dtau, np.asarray(direct))
 
 
 def _between(free: Free, lines: list[Lines], lam: Array) -> Free:
@@ -208,10 +199,7 @@ def _within(free: Free, a: int, ends: Array, jump: bool) -> Iterator[Free]:
 def _released(end: SpectralOutcome, free: Free) -> SpectralOutcome:
     """The outcome under its own bounds; the ends of a side have no price."""
     last, solution = end.programme, end.solution
-    side = last.residuals.free
-    same = (side.lower == free.lower)[free.index], (side.upper == free.upper)[free.index]
-    prices = solution.multipliers_x
-    prices = prices * np.where(prices < 0, same[0], same[1])
+    prices = own_prices(solution.multipliers_x, last.residuals.free, free)
     residuals = SpectralResiduals(free, last.residuals.lines)
     programme = SpectralProgramme(residuals, last.spectra, last.scales)
     return replace(end, programme=programme, solution=replace(solution, multipliers_x=prices))

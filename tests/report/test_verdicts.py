@@ -142,9 +142,9 @@ def test_what_nobody_measured_or_the_black_box_lacks_is_no_fault_of_the_model(co
     validation = content.results["validation"]
     unseen = changed(content, validation=_without(validation, "phi"))
     assert any("Output phi of the validation records is not judged" in x for x in cautions(unseen))
-    quiet = dataclasses.replace(validation, rms={
-        name: values * (1 + 99 * (name == OUTPUT_ERROR)) for name, values in validation.rms.items()
-    }, simulated={name: tuple(100 * y for y in ys) for name, ys in validation.simulated.items()})  # fmt: skip
+    rms = {**validation.rms, OUTPUT_ERROR: 100 * validation.rms[OUTPUT_ERROR]}
+    poor = {name: tuple(100 * y for y in ys) for name, ys in validation.simulated.items()}
+    quiet = dataclasses.replace(validation, rms=rms, simulated=poor)
     lacking = _without(quiet, "p", BLACK_BOX)
     found = {v.output: v for v in verdicts(lacking, content)}
     assert not found["p"].structural
