@@ -1,12 +1,17 @@
 """Settings shared by all tests."""
 
 import os
+import shutil
 import sys
+from pathlib import Path
 
 import pytest
 import scipy.linalg  # noqa: F401 - loads the libraries that are limited
 from hypothesis import HealthCheck, settings
 from threadpoolctl import threadpool_limits
+from truths.roll_study import write_study
+
+from casid import read_study, run_study
 
 collect_ignore = ["atheris_readers.py"]  # a script for a tool that only a campaign needs
 
@@ -17,6 +22,30 @@ settings.register_profile("fixed", max_examples=25, derandomize=True, **patient)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "dev"))
 
 threadpool_limits(1)  # for what tests compute themselves; casid sets its own
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory):
+    """The small study as it was run, once for all tests; to be read, or spoilt as `copy`."""
+    return run_study(read_study(write_study(tmp_path_factory.mktemp("finished"))))
+
+
+@pytest.fixture
+def copy(finished, tmp_path):
+    """A folder with the small study and its results, which `write_study` may change."""
+    return Path(shutil.copytree(finished.report.parents[1], tmp_path / "study"))
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Reports stay empty: nothing is drawn that a test does not look at."""
+
+    def write(_content, _sections, folder):
+        page = folder / "report.html"
+        page.touch()
+        return page
+
+    monkeypatch.setattr("casid.report.write_report", write)
 
 
 @pytest.fixture(autouse=True)

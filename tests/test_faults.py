@@ -76,20 +76,6 @@ def start(program, study, command="identify", **environment):
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def identified(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("faults")
-    study = write_study(folder)
-    assert identify(study).exit_code == 0
-    return folder
-
-
-@pytest.fixture
-def copy(identified, tmp_path):
-    """A study with all its results, to be spoilt."""
-    return Path(shutil.copytree(identified, tmp_path / "study"))
-
-
 def check_whole(folder):
     """Every file of results is whole; returns their names."""
     found = [path for path in (folder / "out").rglob("*")
@@ -232,8 +218,8 @@ def unprivileged():
 
 
 @pytest.mark.parametrize("which", ["the folder of results", "the folder around it"])
-def test_a_read_only_folder_is_named_with_the_remedy(which, identified):
-    assert identified.exists()  # libraries are read while root may read them
+def test_a_read_only_folder_is_named_with_the_remedy(which, finished):
+    assert finished.report.exists()  # libraries are read while root may read them
     with tempfile.TemporaryDirectory() as name:  # pytest's own is closed to others
         folder = Path(name)
         study = write_study(folder)
@@ -270,9 +256,9 @@ def test_a_file_in_a_read_only_folder_is_named_as_the_user_did():
 
 
 @pytest.mark.slow
-def test_results_that_became_read_only_stay_and_are_named(identified):
+def test_results_that_became_read_only_stay_and_are_named(copy):
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(shutil.copytree(identified, Path(name) / "study"))
+        folder = Path(shutil.copytree(copy, Path(name) / "study"))
         for path in (folder, folder.parent):
             path.chmod(0o755)
         (folder / "out/.lock").chmod(0o666)
@@ -397,9 +383,9 @@ def rewind(folder, stage):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", SOLVES)
-def test_when_ipopt_fails_the_chain_says_so_and_offers_its_best_iterate(stage, copy, monkeypatch):
+def test_when_ipopt_fails_the_chain_says_so_and_offers_its_best_iterate(stage, copy, request):
     before = rewind(copy, stage)
-    with monkeypatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
         failing(patch, SOLVES[stage])
         result = identify(copy / "study.toml")
     said = " ".join(result.stderr.split())
@@ -417,7 +403,7 @@ def test_when_ipopt_fails_the_chain_says_so_and_offers_its_best_iterate(stage, c
     page = (copy / "out/report.html").read_text(encoding="utf-8")
     assert (copy / "out/fit.json").exists() == (stage == "derivid")
     assert ("The frequency-domain fit is missing" in page) == (stage == "derivid")
-    monkeypatch.setattr("casid.report.write_report", lambda *_: copy / "out" / "report.html")
+    request.getfixturevalue("undrawn")
     again = identify(copy / "study.toml")
     assert again.exit_code == 0
     assert again.output.count("kept") == len(before)

@@ -60,36 +60,38 @@ BEFORE = {  # what is kept by then
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("moment", BEFORE)
-def test_an_interruption_at_any_moment_is_one_line_and_keeps_what_had_ended(moment, tmp_path):
-    study = write_study(tmp_path)
-    command = [sys.executable, "-c", PROGRAM, moment, "identify", str(study)]
+def interrupted(program, moment, folder):
+    """Stages kept by a run that a signal ended, with the times they were written, and its words."""
+    command = [sys.executable, "-c", program, moment, "identify", str(folder / "study.toml")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 130, done.stderr
-    lines = [
-        line for line in done.stderr.splitlines() if "do not agree with kinematics" not in line
-    ]
-    assert lines == ["Interrupted; what had ended is kept, the same command goes on."]
+    assert done.returncode == 130, (moment, done.stderr)
     assert "Traceback" not in done.stdout
-    assert {path.stem for path in tmp_path.glob("out/stages/*.json")} == BEFORE[moment]
-    assert not list(tmp_path.glob("out/**/*.partial"))
+    assert not list(folder.glob("out/**/*.partial"))
+    kept = {path.stem: path.stat().st_mtime_ns for path in folder.glob("out/stages/*.json")}
+    assert set(kept) == BEFORE[moment], moment
+    return kept, done.stderr.splitlines()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "moment", ["casid.nlp._Watcher:eval:60", "matplotlib.backends.backend_svg"]
-)
-def test_a_run_that_is_terminated_ends_alike_and_leaves_no_lock(moment, tmp_path):
-    study = write_study(tmp_path)
-    program = PROGRAM.replace("SIGINT", "SIGTERM")
-    command = [sys.executable, "-c", program, moment, "identify", str(study)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 130, done.stderr
-    assert "Interrupted; what had ended is kept" in done.stderr.splitlines()[-1]
-    assert {path.stem for path in tmp_path.glob("out/stages/*.json")} == BEFORE[moment]
-    with claimed(tmp_path / "out"):
-        pass
+def test_an_interruption_at_any_moment_is_one_line_and_the_same_command_goes_on(tmp_path):
+    write_study(tmp_path)
+    before = {}
+    for moment in BEFORE:
+        kept, said = interrupted(PROGRAM, moment, tmp_path)
+        lines = [line for line in said if "do not agree with kinematics" not in line]
+        assert lines == ["Interrupted; what had ended is kept, the same command goes on."], moment
+        assert before.items() <= kept.items(), moment
+        before = kept
+
+
+@pytest.mark.slow
+def test_a_run_that_is_terminated_ends_alike_and_leaves_no_lock(tmp_path):
+    write_study(tmp_path)
+    for moment in ("casid.nlp._Watcher:eval:60", "matplotlib.backends.backend_svg"):
+        _, said = interrupted(PROGRAM.replace("SIGINT", "SIGTERM"), moment, tmp_path)
+        assert "Interrupted; what had ended is kept" in said[-1]
+        with claimed(tmp_path / "out"):
+            pass
 
 
 @pytest.mark.slow

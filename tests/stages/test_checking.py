@@ -63,9 +63,8 @@ def test_a_measured_state_stands_beside_the_models(tmp_path):
 
 
 @pytest.mark.slow
-def test_without_check_channels_nothing_is_shown_of_states(tmp_path):
-    outcome = run_study(read_study(write_study(tmp_path, SWEEPS, LINES)))
-    assert not {"states", "checked"} & set(outcome.identification.results)
+def test_without_check_channels_nothing_is_shown_of_states(finished):
+    assert not {"states", "checked"} & set(finished.identification.results)
 
 
 class Blind(Swing):

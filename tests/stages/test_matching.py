@@ -7,12 +7,11 @@ from casid import read_study, run_study
 
 
 @pytest.mark.slow
-def test_the_page_shows_the_figure_and_the_worst_pair(tmp_path):
-    run_study(read_study(write_study(tmp_path)))
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+def test_the_page_shows_the_figure_and_the_worst_pair(finished):
+    page = finished.report.read_text(encoding="utf-8")
     assert "Singular values of the weighted error over the band" in page
     assert "Worst pair there" in page
-    assert (tmp_path / "out" / "figures" / "match_error.svg").exists()
+    assert finished.report.with_name("figures").joinpath("match_error.svg").exists()
 
 
 @pytest.mark.slow

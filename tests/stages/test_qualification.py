@@ -9,8 +9,8 @@ TABLE = '[qualification.tolerances]\np = "10 % or 3 deg/s"\nphi = "0.001 deg"\n\
 
 
 @pytest.mark.slow
-def test_a_study_judges_its_model_in_the_bands(tmp_path):
-    outcome = run_study(read_study(write_study(tmp_path, ("[match]", TABLE))))
+def test_a_study_judges_its_model_in_the_bands(copy):
+    outcome = run_study(read_study(write_study(copy, ("[match]", TABLE))))
     found = outcome.identification.results["qualification"]
     assert found.outputs == ("p", "phi")
     assert found.passed[:, 0].all()
@@ -18,7 +18,7 @@ def test_a_study_judges_its_model_in_the_bands(tmp_path):
     assert "Sign-off" in page
     assert "± 10 % or 3 deg/s" in page
     outcome.report.with_name("written.json").unlink()
-    again = run_study(read_study(tmp_path / "study.toml")).report.read_text("utf-8")
+    again = run_study(read_study(copy / "study.toml")).report.read_text("utf-8")
     assert again == page  # from what was kept, bit for bit
     assert any("tolerance band: phi of" in caution for caution in outcome.cautions)
 

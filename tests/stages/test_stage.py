@@ -71,15 +71,15 @@ def study(folder, *lines):
 
 
 @pytest.mark.slow
-def test_a_stage_of_an_outsider_runs_is_kept_is_resumed_and_is_shown(tmp_path):
+def test_a_stage_of_an_outsider_runs_is_kept_is_resumed_and_is_shown(copy):
     RUNS.clear()
-    first = run_study(study(tmp_path, "[toy]", "power = 3", 'channels = ["p", "phi"]'))
+    first = run_study(study(copy, "[toy]", "power = 3", 'channels = ["p", "phi"]'))
     found = first.identification.results["toy"]
     assert [settings.power for settings in RUNS] == [3.0]
-    records = read_records(study(tmp_path))["identification"]
+    records = read_records(study(copy))["identification"]
     p = np.concatenate([record.channel("p") for record in records])
     assert found.values["p"] == pytest.approx(np.mean(np.abs(p) ** 3), rel=1e-12)
-    assert (tmp_path / "out" / "stages" / "toy.json").exists()
+    assert (copy / "out" / "stages" / "toy.json").exists()
     page = first.report.read_text(encoding="utf-8")
     body = re.search(r'<section id="toy">(.*?)</section>', page, flags=re.DOTALL)[1]
     assert "Moments of the records" in body
@@ -89,16 +89,16 @@ def test_a_stage_of_an_outsider_runs_is_kept_is_resumed_and_is_shown(tmp_path):
     assert page.index("Toys only.") < page.index('<section id="parameters">')
     assert "toy.power" in page  # among the settings
 
-    again = run_study(study(tmp_path, "[toy]", "power = 3", 'channels = ["p", "phi"]'))
+    again = run_study(study(copy, "[toy]", "power = 3", 'channels = ["p", "phi"]'))
     assert len(RUNS) == 1
     assert "toy" in [timing.stage for timing in again.timings if timing.kept]
     assert again.identification.results["toy"] == found
-    changed = run_study(study(tmp_path, "[toy]", "power = 4"))
+    changed = run_study(study(copy, "[toy]", "power = 4"))
     assert len(RUNS) == 2
     kept = [timing.stage for timing in changed.timings if timing.kept]
     assert kept == ["pbsid", "quadratic", "hinf", "output_error"]
 
-    without = run_study(study(tmp_path))
+    without = run_study(study(copy))
     assert "toy" not in without.identification.results
     assert '<section id="toy">' not in without.report.read_text(encoding="utf-8")
 

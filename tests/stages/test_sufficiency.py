@@ -40,9 +40,9 @@ def test_a_black_box_without_errors_is_no_measure():
 
 
 @pytest.mark.slow
-def test_a_study_of_the_true_structure_raises_no_alarm(tmp_path):
+def test_a_study_of_the_true_structure_raises_no_alarm(copy):
     text = "[sufficiency]\nband = [0.6, 6.0]\n\n[match]"
-    outcome = run_study(read_study(write_study(tmp_path, ("[match]", text))))
+    outcome = run_study(read_study(write_study(copy, ("[match]", text))))
     distances = outcome.identification.results["sufficiency"]
     assert distances.enough
     assert distances.bands[0][0] == pytest.approx(0.6)

@@ -12,7 +12,6 @@ import pytest
 from truths.roll_study import write_study
 
 from casid import ConvergenceError, DataWarning, read_study, run_study
-from casid.shooting.output_error import OutputError
 from casid.stages.black_box import Pbsid
 from casid.stages.stage import Stage, run_stages
 from casid.studies.keeping import Keeper, Watch
@@ -23,31 +22,15 @@ def _kept(outcome):
 
 
 @pytest.mark.slow
-def test_a_changed_option_computes_its_stage_and_those_after_it_again(tmp_path):
-    run_study(read_study(write_study(tmp_path)))
-    changed = run_study(read_study(write_study(tmp_path, ("points = 20", "points = 21"))))
+@pytest.mark.usefixtures("undrawn")
+def test_a_changed_option_computes_its_stage_and_those_after_it_again(copy):
+    changed = run_study(read_study(write_study(copy, ("points = 20", "points = 21"))))
     assert _kept(changed) == ["pbsid"]
     (changed.report.parent / "written.json").unlink()
-    again = run_study(read_study(write_study(tmp_path, ("points = 20", "points = 21"))))
+    again = run_study(read_study(write_study(copy, ("points = 20", "points = 21"))))
     assert _kept(again) == ["pbsid", "quadratic", "hinf", "output_error"]
-    fresh = run_study(read_study(write_study(tmp_path)), fresh=True)
+    fresh = run_study(read_study(write_study(copy)), fresh=True)
     assert _kept(fresh) == []
-
-
-@pytest.mark.slow
-def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
-    study = read_study(write_study(tmp_path))
-
-    def interrupted(*_, **__):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(OutputError, "fit", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            run_study(study)
-    assert not (study.output / "fit.json").exists()
-    assert _kept(run_study(study)) == ["pbsid", "quadratic", "hinf"]
-    assert (study.output / "fit.json").exists()
 
 
 @pytest.mark.slow
@@ -66,6 +49,7 @@ def test_what_a_stage_warns_of_is_in_the_report_of_a_later_run_too(tmp_path, mon
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_changed_module_that_the_model_imports_computes_again(tmp_path, monkeypatch):
     study = write_study(tmp_path)
     model = (tmp_path / "roll.py").read_text(encoding="utf-8")
@@ -85,6 +69,7 @@ def test_a_changed_module_that_the_model_imports_computes_again(tmp_path, monkey
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_changed_data_file_that_the_model_reads_computes_again(tmp_path):
     study = write_study(tmp_path)
     model = (tmp_path / "roll.py").read_text(encoding="utf-8")

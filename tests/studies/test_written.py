@@ -5,7 +5,6 @@ import sys
 from dataclasses import replace
 
 import pytest
-from truths.roll_study import write_study
 
 from casid import read_study, run_study
 from casid.values import digest
@@ -21,23 +20,21 @@ def _state(folder):
 
 
 @pytest.mark.slow
-def test_nothing_changed_nothing_written_and_the_same_said(tmp_path):
-    study = read_study(write_study(tmp_path))
-    first = run_study(study)
-    before = _state(study.output)
-    again = run_study(read_study(tmp_path / "study.toml"))
-    assert not _kept(first)
+def test_nothing_changed_nothing_written_and_the_same_said(finished):
+    before = _state(finished.report.parent)
+    again = run_study(read_study(finished.report.parents[1] / "study.toml"))
+    assert not _kept(finished)
     assert _kept(again)
-    assert _state(study.output) == before
+    assert _state(finished.report.parent) == before
     for said in ("verdicts", "cautions", "headlines", "report"):
-        assert getattr(again, said) == getattr(first, said)
-    assert digest(again.identification.results) == digest(first.identification.results)
-    assert again.validation.records == first.validation.records
+        assert getattr(again, said) == getattr(finished, said)
+    assert digest(again.identification.results) == digest(finished.identification.results)
+    assert again.validation.records == finished.validation.records
 
 
 @pytest.mark.slow
-def test_whatever_changes_or_is_lost_is_made_again(tmp_path):
-    path = write_study(tmp_path)
+def test_whatever_changes_or_is_lost_is_made_again(copy, request):
+    path = copy / "study.toml"
     study = read_study(path)
     page = run_study(study).report.read_bytes()
     figure = min((study.output / "figures").iterdir())
@@ -51,6 +48,7 @@ def test_whatever_changes_or_is_lost_is_made_again(tmp_path):
         assert not _kept(outcome)
         assert outcome.report.read_bytes() == page
         assert figure.exists()
+    request.getfixturevalue("undrawn")
     record = next(iter(study.roles["validation"].files))
     record.write_text(record.read_text("utf-8") + "\n", encoding="utf-8")
     assert not _kept(run_study(read_study(path)))
@@ -59,9 +57,8 @@ def test_whatever_changes_or_is_lost_is_made_again(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_study_that_is_done_imports_nothing_that_draws(tmp_path):
-    path = write_study(tmp_path)
-    run_study(read_study(path))
+def test_a_study_that_is_done_imports_nothing_that_draws(finished):
+    path = finished.report.parents[1] / "study.toml"
     told = "import sys; from casid import read_study, run_study\n"
     told += f"run_study(read_study({str(path)!r}))\n"
     told += "print([name for name in ('matplotlib', 'scipy.optimize') if name in sys.modules])"
@@ -70,15 +67,15 @@ def test_a_study_that_is_done_imports_nothing_that_draws(tmp_path):
 
 
 @pytest.mark.slow
-def test_figures_of_an_earlier_state_go_and_files_of_others_stay(tmp_path):
-    path = write_study(tmp_path)
+def test_figures_of_an_earlier_state_go_and_files_of_others_stay(copy):
+    path = copy / "study.toml"
     study = read_study(path)
     figures = study.output / "figures"
     run_study(replace(study, png=True))
     (figures / "own.png").write_bytes(b"notes")
     earlier = {file.name for file in figures.iterdir()}
     assert "rms.png" in earlier
-    (tmp_path / "random.csv").rename(tmp_path / "later.csv")
+    (copy / "random.csv").rename(copy / "later.csv")
     path.write_text(path.read_text("utf-8").replace("random.csv", "later.csv"), encoding="utf-8")
     for title in ("One", "Two"):  # what others put there is theirs in the second run too
         run_study(replace(read_study(path), title=title))
