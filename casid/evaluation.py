@@ -125,7 +125,8 @@ class MatrixFunction:
         total = ca.dot(weights[0], ca.vec(N.T)) + ca.dot(weights[1], tau)
         self._bent = ca.Function("bent", [lam, *weights], [ca.densify(ca.hessian(total, lam)[0])])
         place, parameter = J.sparsity().get_triplet()
-        self._place, self._parameter = np.array(place, dtype=int), np.array(parameter, dtype=int)
+        order = np.arange(len(entries)), (np.array(parameter, dtype=int), np.array(place, dtype=int))
+        self._order = scipy.sparse.csr_array(order, shape=(len(free.index), N.numel()))
         self.nx, self.nu, self.ny, self.nf = A.shape[0], B.shape[1], C.shape[0], len(free.index)
         self._last: tuple[bytes, Matrices] | None = None
 
@@ -142,7 +143,8 @@ class MatrixFunction:
 
     def _at(self, values: Array) -> Matrices:
         N, entries, tau, c, dtau, dc = (part.full() for part in self._function(values))
-        sparse = (entries.ravel(), (self._parameter, self._place))
-        dN = scipy.sparse.csr_array(sparse, shape=(self.nf, N.size))
+        order = self._order  # of the entries
+        sparse = (entries.ravel()[order.data], order.indices, order.indptr)
+        dN = scipy.sparse.csr_array(sparse, shape=order.shape)
         tau, c = tau.ravel(), c.ravel()
         return Matrices(N=N, tau=tau, c=c, dN=dN, dtau=dtau.T, dc=dc.T, nx=self.nx)

@@ -61,6 +61,8 @@ class Free:
 
         Behind them the residuals of other evidence, in standard deviations too.
         """
+        if not self.priors and self.evidence is None:
+            return np.zeros(0), np.zeros((0, len(self.index)))
         rows = np.array([self.names.index(name) for name in self.priors], dtype=int)
         mean, std = np.array(list(self.priors.values())).reshape(-1, 2).T
         off, pull = (values[rows] - mean) / std, np.eye(len(self.index))[rows] / std[:, None]

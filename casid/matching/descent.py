@@ -101,10 +101,10 @@ class Condensed:
     def residual(self, x: Array) -> tuple[Array, float]:
         """Residuals, whose sum of squares is the cost, and the rightmost pole's real part."""
         at = self.matrices(x * self.scale)
-        more = self._violation(at), self._beyond(at), self._surprise(x)
-        abscissa = float(np.linalg.eigvals(at.blocks[0]).real.max())
+        poles = np.linalg.eigvals(at.blocks[0]).real
         errors = self._errors(at.response(self.comparison.s))
-        return np.concatenate([errors, *(part for part, _ in more)]), abscissa
+        more = self._violation(at)[0], self._right(poles), self._surprise(x)[0]
+        return np.concatenate([errors, *more]), float(poles.max())
 
     def jacobian(self, x: Array) -> tuple[Array, Array]:
         """Residuals (n,) and their derivatives (nf, n)."""
@@ -144,18 +144,25 @@ class Condensed:
 
     def _beyond(self, at: Matrices) -> tuple[Array, Array]:
         """Penalised distance of poles right of the line (nx,), and its derivative (nf, nx)."""
-        nx, line = at.nx, self.comparison.line
-        if not self.guarded or line is None:
-            return np.zeros(0), np.zeros((len(self.scale), 0))
+        nx = at.nx
         poles, right = np.linalg.eig(at.N[:nx, :nx])
+        off = self._right(poles.real)
+        if not len(off):
+            return off, np.zeros((len(self.scale), 0))
         left = np.linalg.inv(right)
-        off = poles.real - line + GUARD * self._rate
         # d pole = (left row) dA (right column)
         outer = np.zeros((*at.N.shape, nx), dtype=complex)
         outer[:nx, :nx] = np.einsum("ir,ci->rci", left, right)
         slope = np.asarray(at.dN @ outer.reshape(-1, nx)).real
-        factor = self.penalty / self._rate
-        return factor * np.maximum(off, 0.0), np.where(off > 0, factor * slope, 0.0)
+        return off, np.where(off > 0, self.penalty / self._rate * slope, 0.0)
+
+    def _right(self, poles: Array) -> Array:
+        """Penalised distances right of the line of poles' real parts, (nx,); none unguarded."""
+        line = self.comparison.line
+        if not self.guarded or line is None:
+            return np.zeros(0)
+        off = poles - line + GUARD * self._rate
+        return np.asarray(self.penalty / self._rate * np.maximum(off, 0.0))
 
 
 def descend(problem: Condensed, values: Array, *, steps: int, tolerance: float) -> Descent:
@@ -176,6 +183,8 @@ def descend(problem: Condensed, values: Array, *, steps: int, tolerance: float) 
         before = here
         while damping < DAMPING[2]:
             trial = problem.clip(x + _step(problem, x, normal, gradient, damping))
+            if np.array_equal(trial, x):
+                break  # nor does a shorter step move anything
             there = _try(problem, trial)
             if there.cost < here.cost and there.abscissa < max(line, here.abscissa):
                 x, here = trial, there
