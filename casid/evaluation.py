@@ -124,8 +124,8 @@ class MatrixFunction:
         weights = ca.SX.sym("by_N", N.numel()), ca.SX.sym("by_tau", tau.numel())
         total = ca.dot(weights[0], ca.vec(N.T)) + ca.dot(weights[1], tau)
         self._bent = ca.Function("bent", [lam, *weights], [ca.densify(ca.hessian(total, lam)[0])])
-        place, parameter = J.sparsity().get_triplet()
-        order = np.arange(len(entries)), (np.array(parameter, dtype=int), np.array(place, dtype=int))
+        place, parameter = np.array(J.sparsity().get_triplet(), dtype=int)
+        order = np.arange(len(entries)), (parameter, place)
         self._order = scipy.sparse.csr_array(order, shape=(len(free.index), N.numel()))
         self.nx, self.nu, self.ny, self.nf = A.shape[0], B.shape[1], C.shape[0], len(free.index)
         self._last: tuple[bytes, Matrices] | None = None

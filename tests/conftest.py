@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import sys
 from pathlib import Path
 
@@ -21,6 +22,7 @@ settings.register_profile("ci", max_examples=200, derandomize=True, **patient)
 settings.register_profile("fixed", max_examples=25, derandomize=True, **patient)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "dev"))
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background ignore it
 threadpool_limits(1)  # for what tests compute themselves; casid sets its own
 
 
