@@ -109,15 +109,15 @@ def design(
         structure = model.model if isinstance(model, Fit) else model
         trim, flown = _condition(structure, _flown(what), {**what.design.trim, **asked["trim"]})
         limits, dt = _limits(what, flown, asked)
+        settings = _settings(what, asked, model, dt)
         if channels := asked["ardupilot"]:
-            check_channels(what.model.inputs, channels, dt)
+            check_channels(what.model.inputs, channels, settings.interval)
         if asked["px4"]:
             check_axes(what.model.inputs, asked["px4"])
         noise = None if isinstance(model, Fit) else _noise(what)
         made = design_inputs(
             model, limits, what.design.duration if duration is None else duration, noise=noise,
-            feedback=_feedback(what, asked["feedback"]), trim=trim,
-            settings=_settings(what, asked, model, dt),
+            feedback=_feedback(what, asked["feedback"]), trim=trim, settings=settings,
         )  # fmt: skip
         _say(console, made)
         folder = what.output / "design"

@@ -96,7 +96,10 @@ def test_what_the_settings_hold_bound_and_sample_comes_before_what_the_study_doe
     said = 'fixed = ["Lv"]\nbounds = { Lp = [-2.9, -1.0] }\ndt = 0.1\n'
     study.write_text(f"{plain}\n[design.settings]\n{said}")
     run(study, "-o", tmp_path / "out")
-    as_study, as_said = made
+    study.write_text(f"{plain}\n[design.settings]\ndt = 0.0335\n")
+    result = run(study, "-o", tmp_path / "out", "--ardupilot", "lat=1:500")
+    assert "33.5 ms apart" in " ".join(result.stderr.split())
+    as_study, as_said = made  # none of what no autopilot flies
     assert as_study.fixed == ("Yv",)
     assert as_study.bounds == {"Lp": (-5.0, -1.0), "Lv": (-1.0, 0.0)}
     assert as_study.dt == pytest.approx(0.04)  # that of the records
