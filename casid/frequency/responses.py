@@ -93,7 +93,8 @@ def merge_responses(
     """The pairs of several responses on the same frequencies, in one.
 
     A pair measured in two of them is taken from the first; multiple coherence and condition number
-    are no longer known.
+    are no longer known, errors after different inputs count as independent, and a frequency that
+    one of them flags is flagged.
 
     Raises
     ------
@@ -121,27 +122,36 @@ def side_by_side(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     shape = (len(omega), len(outputs), len(inputs))
     G = np.full(shape, np.nan, dtype=complex)
     coherence, error, leaks = (np.full(shape, np.nan) for _ in range(3))
-    sizes: tuple[dict[str, float], dict[str, float]] = ({}, {})
+    width, sizes = np.zeros(shape), (dict[str, float](), dict[str, float]())
+    flags: dict[str, set[int]] = {}
+    alike = np.tile(np.eye(len(outputs), dtype=complex), (len(omega), 1, 1))
     for one in reversed(responses):
         sizes[0].update(zip(one.inputs, one.input_std, strict=True))
         sizes[1].update(zip(one.outputs, one.output_std, strict=True))
         rows = np.array([outputs.index(name) for name in one.outputs])
         columns = np.array([inputs.index(name) for name in one.inputs])
-        place = np.ix_(np.searchsorted(omega, one.omega), rows, columns)
-        there = np.isfinite(one.G)
-        parts = (one.G, one.coherence, one.random_error, one.leakage)
-        for whole, part in zip((G, coherence, error, leaks), parts, strict=True):
+        at = np.searchsorted(omega, one.omega)
+        place, there = np.ix_(at, rows, columns), np.isfinite(one.G)
+        parts = (one.G, one.coherence, one.random_error, one.leakage, one.resolution)
+        for whole, part in zip((G, coherence, error, leaks, width), parts, strict=True):
             whole[place] = np.where(there, part, whole[place])
+        for reason, doubted in one.flags.items():
+            flags.setdefault(reason, set()).update(at[list(doubted)].tolist())
+        if len(rows) == len(outputs):  # else blocks of several may be no correlation together
+            alike[np.ix_(at, rows, rows)] = one.output_correlation
     return FrequencyResponse(
         omega=omega,
         G=G,
         coherence=coherence,
         random_error=error,
         leakage=leaks,
+        resolution=width,
+        output_correlation=alike,
         inputs=inputs,
         outputs=outputs,
         input_std=_sizes(inputs, sizes[0]),
         output_std=_sizes(outputs, sizes[1]),
+        flags={reason: tuple(sorted(doubted)) for reason, doubted in flags.items()},
         records=tuple(dict.fromkeys(name for one in responses for name in one.records)),
     )
 

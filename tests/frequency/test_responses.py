@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from casid import FrequencyResponse
+from casid.frequency.covariance import whitener
 from casid.frequency.responses import merge_responses, read_frequency_csv, side_by_side
 
 OMEGA = np.array([0.5, 1.0, 2.0])
@@ -66,6 +67,30 @@ def test_pairs_from_several_files_are_put_together(tmp_path):
     np.testing.assert_array_equal(both.input_std, [1.0, 0.5])
     again = merge_responses([parts[0], both])
     np.testing.assert_array_equal(again.G, both.G)
+
+
+def test_responses_put_together_are_as_uncertain_as_they_were():
+    rng = np.random.default_rng(4)
+    omega, shape = np.geomspace(1, 8, 12), (12, 2, 1)
+    size = rng.uniform(0.1, 0.3, shape)
+    parts = [
+        FrequencyResponse(
+            omega=omega, G=rng.standard_normal(shape) + 1j, coherence=np.ones(shape),
+            random_error=size, inputs=(name,), outputs=("p", "r"), input_std=np.ones(1),
+            output_std=np.ones(2), resolution=np.full(shape, 0.6), flags={"leaks": (3,)},
+            output_correlation=np.tile([[1, 0.7j], [-0.7j, 1]], (12, 1, 1)),
+        )
+        for name in ("lat", "ped")
+    ]  # fmt: skip
+    both = merge_responses(parts)
+    gains = rng.standard_normal((12, 2, 2, 3)) + 0j
+    told = whitener(both, np.ones((2, 2), bool)).spread(gains)
+    each = [
+        whitener(part, np.ones((2, 1), bool)).spread(gains[:, :, [k]])
+        for k, part in enumerate(parts)
+    ]
+    np.testing.assert_allclose(told, sum(each), rtol=1e-10)  # of independent flights
+    assert both.flags == {"leaks": (3,)}
 
 
 def test_bad_files_are_refused(tmp_path):
