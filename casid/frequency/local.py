@@ -12,8 +12,8 @@ record and output, A of degree two for all of them, since all share the poles. T
 before the record and goes on after it, leakage: it is estimated, not tapered away. B(0) is the
 response. Output by output the residuals V have one variance there; it makes the random error.
 
-Departure: what models of finite width miss (bias) is estimated too, from the differences to
-narrower ones and to those of a degree more, and stated beside the random error.
+Departure: what models of finite width miss (bias) is estimated too, from the differences to those
+of a degree more, and stated beside the random error.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
-from casid.frequency.leakage import FEW, over_three
+from casid.frequency.leakage import over_three
 from casid.frequency.spectra import correlation
 from casid.record import Record
 from casid.samples import runs
@@ -37,25 +37,12 @@ POLES = 2  # of the denominator
 ROUNDS = 8  # Gauss-Newton steps of the denominator
 CERTAIN = 25.0  # twice the gain in log-likelihood that makes a pair of poles more than noise
 NEAREST = 0.05  # abs(A), one at the centre, may fall to within a model
+SHARE = 0.3  # half width, of the frequency
+SPACINGS, EQUATIONS = 5.0, 9.0  # half width in distances of lines, equations per input: at least
+QUADRATIC, CUBIC = 3, 4  # powers of x in numerators of pairs
 SURE = 2.0  # of the noise of a difference that is no bias
 LENGTH = 0.25  # of the most power near a frequency: records of less do not widen models for it
-MISSED = 4  # power of a half width with which bias grows: 3 without poles, 5 with them
-ALIKE = 0.9  # ratio of half widths, at most, whose models differ enough to show a bias
 KERNEL = 0.33  # correlation of two local estimates, as a spectral window's width over a half width
-
-
-@dataclass(frozen=True)
-class Extent:
-    """Width and degree of local models."""
-
-    share: float  # half width, of the frequency
-    lines: float  # half width, at least
-    equations: float  # at least, per input
-    powers: int  # of x in numerators of pairs
-
-
-WIDE, NARROW = Extent(0.3, 5.0, 9.0, 3), Extent(0.2, 4.0, 7.0, 3)
-CUBIC = Extent(0.3, 5.0, 9.0, 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,20 +76,13 @@ def local_response(records: Sequence[Record], omega: Array) -> LocalResponse | N
     lines = _lines_at(records, omega)
     if not all(lines):
         return None
-    G, error, half, outputs, inputs = _at_all(lines, omega, WIDE)
-    narrow, coarse, less, *_ = _at_all(lines, omega, NARROW)
-    cubic, fine, *_ = _at_all(lines, omega, CUBIC)
-    # A narrower model misses less, but not nothing: the difference is a share of the bias.
-    share = 1 - np.minimum(less / half, ALIKE) ** MISSED
-    squared = _beyond_noise(G, error, narrow, coarse) / share[:, None, None] ** 2
-    squared += _beyond_noise(G, error, cubic, fine)
-    # Records of few periods resolve no mode there, of which all pairs have the same.
-    few = omega < FEW * np.array([_spacing(*each) for each in zip(lines, omega, strict=True)])
-    common = np.median(squared, axis=(1, 2), keepdims=True)
-    squared = np.where(few[:, None, None], np.maximum(squared, common), squared)
+    G, error, half, outputs, inputs = _at_all(lines, omega, QUADRATIC)
+    squared = _beyond_noise(G, error, *_at_all(lines, omega, CUBIC)[:2])
     # An input is smooth between its samples, or straight: sinc²(ωh/2) lies between the two.
     between = omega**2 * max((r.dt**2 for r in records if r.hold != "zoh"), default=0.0) / 12
-    bias = np.sqrt(np.maximum(squared, 0.0) + between[:, None, None] ** 2)
+    squared = np.maximum(squared, 0.0)
+    # As a share of response and difference together: a logarithm's error has limits.
+    bias = np.sqrt(squared / (1 + squared) + between[:, None, None] ** 2)
     width = np.broadcast_to(KERNEL * half[:, None, None], G.shape)
     return LocalResponse(G, error, np.where(np.isfinite(G), bias, np.nan), width, outputs, inputs)
 
@@ -160,7 +140,7 @@ def _lines(record: Record) -> Lines:
 
 
 def _at_all(
-    lines: Sequence[Sequence[Lines]], omega: Array, extent: Extent
+    lines: Sequence[Sequence[Lines]], omega: Array, powers: int
 ) -> tuple[ComplexArray, Array, Array, ComplexArray, ComplexArray]:
     """Responses, random errors, half widths and correlations of outputs and inputs."""
     K, nu, ny = len(omega), *(len(each.T) for each in (lines[0][0].U, lines[0][0].Y))
@@ -168,8 +148,8 @@ def _at_all(
     half, outputs = np.zeros(K), np.tile(np.eye(ny, dtype=complex), (K, 1, 1))
     inputs = np.tile(np.eye(nu, dtype=complex), (K, 1, 1))
     for k, (near, centre) in enumerate(zip(lines, omega, strict=True)):
-        half[k] = _half_width(near, centre, extent)
-        model = _Model.of(near, centre, half[k], extent.powers)
+        half[k] = _half_width(near, centre)
+        model = _Model.of(near, centre, half[k], powers)
         found = model.solved() if model is not None else None
         if model is None or found is None:
             continue
@@ -194,10 +174,10 @@ def _spacing(lines: Sequence[Lines], centre: float) -> float:
     return max(float(apart[each >= LENGTH * each.max()].min()) for each in energy)
 
 
-def _half_width(lines: Sequence[Lines], centre: float, extent: Extent) -> float:
+def _half_width(lines: Sequence[Lines], centre: float) -> float:
     """The least half width [rad/s] that leaves equations enough for the numerators."""
-    wanted = extent.equations * lines[0].U.shape[1]
-    half = max(extent.share * centre, extent.lines * _spacing(lines, centre))
+    wanted = EQUATIONS * lines[0].U.shape[1]
+    half = max(SHARE * centre, SPACINGS * _spacing(lines, centre))
     while True:
         counts = np.array([_near(each, centre, half).sum() for each in lines])
         if np.maximum(counts - EDGES, 0).sum() >= wanted or half > lines[0].omega[-1]:

@@ -11,7 +11,8 @@ from truths.systems import LAG, TWO, white
 from casid import Record, StateSpace, frequency_response
 from casid.frequency.local import (
     EDGES,
-    WIDE,
+    EQUATIONS,
+    QUADRATIC,
     Lines,
     _at_all,
     _half_width,
@@ -49,7 +50,7 @@ def rational(rng, noise=0.0, records=3, nu=2, ny=3):
 def test_a_rational_response_is_recovered_beside_the_transients_of_every_record():
     lines, response = rational(np.random.default_rng(0))
     omega = np.array([0.2, 1.0, 2.0, 2.2, 5.0])
-    G, error, *_ = _at_all([lines] * len(omega), omega, WIDE)
+    G, error, *_ = _at_all([lines] * len(omega), omega, QUADRATIC)
     np.testing.assert_allclose(G, response(omega), atol=1e-6)
     assert error.max() < 1e-6
 
@@ -58,7 +59,7 @@ def test_the_random_error_is_the_scatter_over_realisations_at_a_resonance_too():
     omega, scores = np.array([0.4, 2.0, 5.0]), []
     for seed in range(40):
         lines, response = rational(np.random.default_rng(seed), noise=0.1)
-        G, error, *_ = _at_all([lines] * len(omega), omega, WIDE)
+        G, error, *_ = _at_all([lines] * len(omega), omega, QUADRATIC)
         scores.append((G - response(omega)) / np.abs(G) / error)
     # Complex errors of 60 runs, three outputs, two inputs: known to 1/√720; the fit is nonlinear.
     power = np.mean(np.abs(scores) ** 2, axis=(0, 2, 3)) / 2
@@ -67,7 +68,9 @@ def test_the_random_error_is_the_scatter_over_realisations_at_a_resonance_too():
 
 @pytest.mark.parametrize("nu", [1, 3])
 @pytest.mark.parametrize("spacings", [(0.1,), (0.1, 0.3), (0.2, 0.21, 0.22, 0.23)])
-def test_a_band_is_as_wide_as_it_takes_beside_the_transients_of_all_records(nu, spacings):
+def test_a_band_is_as_wide_as_it_takes_beside_the_transients_of_all_records(
+    nu, spacings, monkeypatch
+):
     lines, centre = [], 12.0
     for every in spacings:
         omega = every * np.arange(1, int(60 / every))
@@ -77,8 +80,9 @@ def test_a_band_is_as_wide_as_it_takes_beside_the_transients_of_all_records(nu, 
         inside = [(np.abs(each.omega - centre) <= half * (1 + 1e-9)).sum() for each in lines]
         return sum(max(n - EDGES, 0) for n in inside)
 
-    narrow = dataclasses.replace(WIDE, share=1e-3, lines=0.1)
-    half, wanted = _half_width(lines, centre, narrow), narrow.equations * nu
+    for name, small in (("SHARE", 1e-3), ("SPACINGS", 0.1)):
+        monkeypatch.setattr(f"casid.frequency.local.{name}", small)
+    half, wanted = _half_width(lines, centre), EQUATIONS * nu
     assert half < centre
     assert equations(half / 1.1) < wanted <= equations(half)
 
@@ -105,7 +109,7 @@ def test_errors_of_outputs_and_inputs_correlate_as_noise_and_inputs_do():
         V = rng.standard_normal((len(each.omega), 2)) @ along.T
         U = each.U @ along.T
         mixed.append(Lines(each.omega, U, 0.1 * (V + 1j * rng.standard_normal(V.shape) @ along.T)))
-    *_, outputs, inputs = _at_all([mixed], np.array([4.0]), WIDE)
+    *_, outputs, inputs = _at_all([mixed], np.array([4.0]), QUADRATIC)
     assert outputs[0, 0, 1].real == pytest.approx(0.8, abs=0.15)
     assert inputs[0, 0, 1].real == pytest.approx(-0.8, abs=0.15)  # of the inverse
 
