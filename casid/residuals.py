@@ -25,7 +25,7 @@ class Residuals(Shown):
     Parameters
     ----------
     outputs, inputs : tuple of str
-        Channels.
+        Channels; of the outputs those that the model has and the records measured.
     lag : (2 L + 1,) array
         Lags [s], in step with the samples; a positive one: the input came before.
     auto : (2 L + 1, ny) array
@@ -101,25 +101,27 @@ def residuals(model: AnyModel, records: Records, *, lags: int = LAGS) -> Residua
         if not 1 <= lags < record.N // 2:
             raise ValueError(f"lags={lags}: expected 1 to {record.N // 2 - 1} of {record.name!r}")
     found = validate({"model": model}, records)
-    pairs = [(r, r.y - y) for r, y in zip(records, found.simulated["model"], strict=True)]
-    left = [_centred(e) for _, e in pairs]
+    errors = [r.y - y for r, y in zip(records, found.simulated["model"], strict=True)]
+    seen = np.flatnonzero(np.isfinite(np.vstack(errors)).any(axis=0))
+    errors = [e[:, seen] for e in errors]
+    left = [_centred(e) for e in errors]
     moved = [_centred(record.u) for record in records]
     power = _root(left), _root(moved)
-    auto = np.stack([_pooled(left, left, i, i, lags) for i in range(first.ny)], axis=-1)
+    auto = np.stack([_pooled(left, left, i, i, lags) for i in range(len(seen))], axis=-1)
     auto = auto / np.maximum(power[0] ** 2, 1e-300)
     cross = np.array(
-        [[_pooled(left, moved, i, j, lags) for j in range(first.nu)] for i in range(first.ny)]
+        [[_pooled(left, moved, i, j, lags) for j in range(first.nu)] for i in range(len(seen))]
     ).transpose(2, 0, 1) / np.maximum(np.outer(*power), 1e-300)
     N = sum(record.N for record in records)
     return Residuals(
-        outputs=first.outputs,
+        outputs=tuple(first.outputs[i] for i in seen),
         inputs=first.inputs,
         lag=first.dt * np.arange(-lags, lags + 1),
         auto=auto,
         cross=cross,
         auto_band=BAND / float(np.sqrt(N)),
         cross_band=BAND * np.sqrt(np.array(list(_spread(left, moved, power))) / N),
-        rms=np.sqrt(np.nanmean(np.vstack([e for _, e in pairs]) ** 2, axis=0)),
+        rms=np.sqrt(np.nanmean(np.vstack(errors) ** 2, axis=0)),
         records=tuple(record.name for record in records),
     )
 

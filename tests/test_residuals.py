@@ -64,6 +64,16 @@ def test_missing_samples_are_passed_over():
     np.testing.assert_allclose(holed.auto, whole.auto, atol=0.1)
 
 
+def test_outputs_that_the_model_lacks_or_nobody_measured_are_not_judged():
+    record = flown(np.random.default_rng(5))
+    y = np.hstack([record.y, np.cumsum(record.y, axis=0), np.full((N, 1), np.nan)])
+    more = Record(record.t, record.u, y, record.inputs, ("p", "phi", "r"), "more")
+    found, plain = residuals(ROLL, more), residuals(ROLL, record)
+    assert found.outputs == ("p",)
+    np.testing.assert_allclose(found.auto, plain.auto, atol=1e-9)
+    np.testing.assert_allclose(found.inside(), plain.inside())
+
+
 def test_records_of_two_rates_and_too_many_lags_are_refused():
     record = flown(np.random.default_rng(4), n=100)
     with pytest.raises(ValueError, match="resample all records alike"):
