@@ -101,7 +101,8 @@ class Validation(Shown):
 
     def headline(self) -> str:
         """Models, records, mean fit over outputs and records."""
-        fits = (f"{name} {np.nanmean(self.fit[name]):.3g} %" for name in self.models)
+        known = {name: self.fit[name][~np.isnan(self.fit[name])] for name in self.models}
+        fits = (f"{n} {x.mean():.3g} %" if len(x) else f"{n} none" for n, x in known.items())
         return (
             f"records {listed(self.records)}, outputs {listed(self.outputs, 10)}; mean fit: "
             + ", ".join(fits)

@@ -246,3 +246,11 @@ def test_whiteness_needs_four_samples_that_differ():
     assert _whiteness(np.array([1.0, -1.0, 1.0, -1.0]), np.zeros(4)) == 1  # 0.75 < 2.58/2
     assert np.isnan(_whiteness(np.array([1.0, -1.0, 1.0]), np.zeros(3)))
     assert np.isnan(_whiteness(np.ones(50), np.zeros(50)))
+
+
+def test_a_record_at_rest_judges_no_fit():
+    lag = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], None, ("u",), ("y",))
+    still = Record(
+        np.arange(50) * 0.1, np.zeros((50, 1)), np.zeros((50, 1)), ("u",), ("y",), "rest"
+    )
+    assert "mean fit: lag none" in validate({"lag": lag}, still).headline()
