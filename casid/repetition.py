@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from casid.arrays import Array, BoolArray
 from casid.record import Record
@@ -12,6 +13,7 @@ SHARE = 0.02  # of the samples while a channel moves, from which on it counts as
 LONGER = 3.0  # times the usual run of equal samples: rest; or times what chance makes
 SHORT = 5  # samples of such a run that are no rest in any case
 ROUNDING = 1e-12  # of the largest value: a smaller step is none
+IDLE, AROUND = 0.1, 7  # of the usual step: neighbouring runs that all differ by less are rest
 FINE = 0.2  # small steps over usual ones; above, a channel is counted in coarse steps
 
 
@@ -19,7 +21,8 @@ def repeated(record: Record) -> BoolArray:
     """Samples that repeat the one before in a channel held between those of a slower source.
 
     Equal samples are no repetition where a channel rests (in runs three times as long as its usual
-    one, and longer than five samples), nor of one that is counted in steps, as a converter does.
+    one, and longer than five samples, or where all that moves around is a last digit), nor of one
+    that is counted in steps, as a converter does.
     Below 2 % of the samples while a channel moves, they are taken for chance.
 
     Returns
@@ -76,7 +79,9 @@ def _repeated(x: Array) -> BoolArray:
         return none
     starts = np.concatenate([[0], np.flatnonzero(steps) + 1])
     lengths = np.diff(np.concatenate([starts, [len(at)]]))
-    flying = lengths <= max(SHORT, LONGER * np.median(lengths))
+    ends = np.abs(np.append(steps[starts[1:] - 1], 0.0))
+    lively = scipy.ndimage.maximum_filter1d(ends, AROUND) > IDLE * np.median(moves)
+    flying = lively & (lengths <= max(SHORT, LONGER * np.median(lengths)))
     equal = np.concatenate([[False], steps == 0]) & np.repeat(flying, lengths)
     by_chance = np.sum(moves < 1.5 * moves.min()) / 2  # of counts: as often as half of single ones
     if equal.sum() < max(SHARE * lengths[flying].sum(), LONGER * by_chance):

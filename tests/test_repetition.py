@@ -46,6 +46,14 @@ def test_rest_steps_and_chance_are_no_repetition():
         assert not repeated(record(x, x)).any()
 
 
+def test_the_last_digit_of_a_channel_at_rest_is_no_slower_source():
+    trim = np.cumsum(np.arange(len(T)) % 5 > 2) * 1e-4  # drifts by a digit two samples of five
+    quiet = np.where(T < 5, trim, trim[500] + WAVE - WAVE[500])
+    assert not repeated(record(quiet, WAVE)).any()
+    slower = np.where(T < 5, trim, held(quiet, 2))
+    np.testing.assert_array_equal(repeated(record(slower, WAVE))[510:, 0], np.arange(510, 2000) % 2)
+
+
 def test_roundings_are_no_steps():
     digits = np.round(WAVE - WAVE.mean(), 1)  # of a file, where chance repeats some
     again = np.flatnonzero(np.diff(digits) == 0)[3]
