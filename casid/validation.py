@@ -110,7 +110,7 @@ class Validation(Shown):
 
     @property
     def predicted(self) -> str:
-        """How far ahead, from what, and why, if there were predictions; "" if all was simulated."""
+        """How far ahead, from what, why and how poorly; "" if all was simulated."""
         far = sorted({each for each in self.horizon if np.isfinite(each)})
         if not far:
             return ""
@@ -120,8 +120,18 @@ class Validation(Shown):
         bounded = ", and from inputs ahead that keep outputs bounded" if self.closed_loop else ""
         return (
             f"Predicted up to {reach} s ahead, each time from a state estimated on the past alone"
-            f"{bounded}, not simulated over the whole record{why}."
+            f"{bounded}, not simulated over the whole record{why}.{self._adrift()}"
         )
+
+    def _adrift(self) -> str:
+        """Outputs that a growing model predicts worse than their means do, with the remedy."""
+        fits = [self.fit[name] for name, rate in self.growth.items() if rate]
+        if self.closed_loop or not fits:
+            return ""
+        poor = np.any(np.vstack(fits) < 0, axis=0)
+        names = [name for name, each in zip(self.outputs, poor, strict=True) if each]
+        why = "such growth is not there, or a controller answers it, which closed_loop=True allows for"
+        return f" Worse than by their means are predicted {listed(names)}: {why}." * bool(names)
 
 
 @one_thread

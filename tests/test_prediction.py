@@ -155,6 +155,8 @@ def test_inputs_of_a_controller_tell_of_disturbances_ahead():
     assert (alone.fit["truth"] < -100).all()
     assert "inputs ahead that keep outputs bounded" in told.predicted
     assert "bounded" not in alone.predicted
+    assert "Worse than by their means are predicted a, b" in alone.predicted
+    assert "Worse than" not in told.predicted
 
 
 def test_a_prediction_of_a_stable_model_starts_from_its_own_state():
