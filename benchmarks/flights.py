@@ -205,9 +205,7 @@ def compared(name, estimate, seeds, truth):
             row.append([error(found, truth, whole), size(found), covered(found, truth)])
     mean = {how: np.mean(row, axis=0) for how, row in rows.items()}
     base, floor, _ = mean[None]
-    print(
-        f"\n{name}: {100 * base:.2f} % from the whole records, stated or at least {100 * floor:.2f} %"
-    )
+    print(f"\n{name}: {100 * base:.2f} % from the whole records, floor {100 * floor:.2f} %")
     lines = [
         [told(how), against(mean[how][0] / base, limit), mean[how][1] / floor, mean[how][2]]
         for how, limit in SPOILED.items()
