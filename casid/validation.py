@@ -130,9 +130,7 @@ class Validation(Shown):
             return ""
         poor = np.any(np.vstack(fits) < 0, axis=0)
         names = [name for name, each in zip(self.outputs, poor, strict=True) if each]
-        why = (
-            "such growth is not there, or a controller answers it: closed_loop=True allows for it"
-        )
+        why = "such growth is not there, or a controller answers it: closed_loop=True allows for it"
         return f" Worse than by their means are predicted {listed(names)}: {why}." * bool(names)
 
 

@@ -155,7 +155,7 @@ def collinearities(
     direction with no information at all.
     """
     _, values, directions, lost = _directions(F, ties, alone)
-    floor = np.where(lost, SINGULAR * values.max() * 1e-3, values)
+    floor = np.where(lost, SINGULAR * values.max(initial=0.0) * 1e-3, values)
     parts = directions**2 / floor
     shares = parts / np.maximum(parts.sum(axis=1, keepdims=True), 1e-300)
     found = []
@@ -306,7 +306,7 @@ def _double_sum(C: Array, s: Array) -> Array:
 
 def _flat(s: Array) -> Array:
     """(N, ny, k) as (N ny, k): one product of matrices instead of N small ones."""
-    return s.reshape(-1, s.shape[2])
+    return s.reshape(len(s) * s.shape[1], s.shape[2])
 
 
 def residual_covariance(residuals: Sequence[Array]) -> Array:

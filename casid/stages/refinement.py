@@ -1,13 +1,15 @@
 """The stage that refines the match on records, by output error."""
 
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from casid.declaration import check_priors
+from casid.errors import ConvergenceError, warn
 from casid.fit import AnyFit, Fit
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
+from casid.records import steps_told
 from casid.report.answer import doubted, not_believed
 from casid.report.content import CHOSEN, Content, Section, enough, section
 from casid.report.content import OUTPUT_ERROR as LABEL
@@ -18,6 +20,8 @@ from casid.shooting.output_error import OutputError
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.stage import Stage, Task
 from casid.tables import placed
+
+CLEARLY = 10.0  # of the logarithm of a likelihood: other inputs between samples explain records
 
 
 def _records(settings: OutputError, task: Task) -> tuple[Record, ...]:  # noqa: ARG001
@@ -32,7 +36,30 @@ def _check(settings: OutputError, task: Task) -> None:
 
 def _run(settings: OutputError, task: Task) -> Fit[Any, OutputErrorNotes]:
     matched = task.results.get("hinf")
-    return settings.fit(matched.model if matched else task.model, task.records, **task.held)
+    found = settings.fit(matched.model if matched else task.model, task.records, **task.held)
+    for said in steps_told(task.records, task.model.delays()):
+        warn(f"{said}{_read_as_steps(settings, found, task.records)}")
+    return found
+
+
+def _read_as_steps(
+    settings: OutputError, fit: Fit[Any, OutputErrorNotes], records: Iterable[Record]
+) -> str:
+    """Whether inputs held between the samples explain records better, delays alone refitted."""
+    model, late = fit.model, {}
+    for name in fit.free_names:
+        if replace(model, **{name: fit[name].value + 1.0}).delays() != model.delays():
+            late[name] = fit[name].value - max(record.dt for record in records) / 2
+    start, steps = replace(model, **late), [replace(record, hold="zoh") for record in records]
+    rest = [name for name in model.parameter_names() if name not in late]
+    try:
+        other = settings.fit(start, steps, fixed=rest, near=fit) if late else fit
+    except (ValueError, ConvergenceError):  # nothing is told where it fails
+        return ""
+    better = fit.cost - other.cost
+    if better > CLEARLY:
+        return f"; here the records are e^{better:.0f} times as likely with steps: read them so"
+    return "; here the records are not clearly more likely with steps" * bool(late)
 
 
 def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Section]:

@@ -32,6 +32,16 @@ class Twin(Roll):
         return [[self.Ylat, 0], [self.Llat + self.Lextra, self.Lped], [0, 0]]
 
 
+def test_a_fit_may_end_with_its_only_free_parameter_on_a_bound():
+    lowest, others = {"tau": (0.09, 0.2)}, set(TRUTH.parameter_names()) - {"tau"}  # of 0.075 s
+    fit = output_error(TRUTH, [noisy()], fixed=others, bounds=lowest)
+    assert fit.success
+    assert fit["tau"].value == pytest.approx(0.09)
+    assert fit["tau"].active
+    assert np.isnan(fit["tau"].std_error)
+    assert fit.notes.collinear == ()
+
+
 @pytest.mark.parametrize("domain", ["time", "frequency"])
 def test_parameters_that_show_only_together_are_named(domain):
     with pytest.raises(ConvergenceError, match="do not determine Llat, Lextra") as caught:

@@ -3,10 +3,11 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
-from truths.closed_roll import TRUTH, noisy, off
+from truths.closed_roll import NOISE, TRUTH, T, noisy, off
 
-from casid import OutputError, output_error
+from casid import DataWarning, OutputError, Record, output_error
 from casid.report import OUTPUT_ERROR as LABEL
 from casid.report.content import CHOSEN
 from casid.stages.refinement import OUTPUT_ERROR
@@ -29,6 +30,23 @@ def test_it_goes_on_from_the_match_on_its_own_records_or_those_of_identification
     roles = {"identification": (1,), "refinement": (2,)}
     assert records_of(OUTPUT_ERROR, roles) == (2,)
     assert records_of(OUTPUT_ERROR, {"identification": (1,)}) == (1,)
+
+
+@pytest.mark.parametrize(
+    ("held", "said"),
+    [("zoh", r"e\^\d\d times as likely with steps: read them so$"),
+     ("foh", "may; here the records are not clearly more likely with steps$")],
+)  # fmt: skip
+def test_it_tells_of_inputs_in_steps_which_reading_explains_records_better(held, said):
+    rng = np.random.default_rng(11)
+    u = np.repeat(rng.choice([-0.3, 0.0, 0.3], (20, 2)), 30, axis=0)
+    y = TRUTH.system().simulate(T, u, hold=held)
+    record = Record(T, u, y, TRUTH.inputs, TRUTH.outputs, "steps").with_noise(NOISE, rng)
+    task = Task(model=TRUTH, records=(record,))
+    with pytest.warns(DataWarning, match=said) as told:
+        found = OUTPUT_ERROR.run(OutputError(), task)
+    assert found.success
+    assert sum("lat moves in steps" in str(each.message) for each in told) == 1
 
 
 def test_its_section_counts_what_was_free_and_warns_of_bounds():
