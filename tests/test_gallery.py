@@ -20,6 +20,7 @@ from models.hybrid_flap_lag import HybridFlapLag
 from models.lateral_directional import LateralDirectional
 from models.longitudinal import Longitudinal
 from models.longitudinal_aero import LongitudinalAero
+from models.minimum_complexity import MinimumComplexity
 from models.multirotor import Multirotor
 from models.rigid_body import RigidBody
 from models.scheduled_hybrid import ScheduledHybrid
@@ -137,6 +138,37 @@ def test_more_thrust_goes_where_the_disk_is_tilted_and_turns_the_body_by_the_hub
     Lb1c, Mb1s = model.Lb1c * 0.1, model.Mb1s * 0.2
     assert tilted[3] - Lb1c == pytest.approx((35.0 - 1.5 * thrust) * 0.2)
     assert tilted[4] - Mb1s == pytest.approx((9.0 - 0.5 * thrust) * 0.1)
+
+
+def test_a_rotor_by_its_components_has_the_damping_of_glauerts_inflow():
+    # High-speed momentum theory, vi V = disk T: dT/dw = lift / (1 + lift disk / V), whatever else.
+    V, model = 45.0, replace(MinimumComplexity(), shaft=0.0, Muw=0.0)
+    level = {"u": V, "w": 0.0, "vi": model.g * model.disk / V, "b1c": 0.0, "theta": 0.0}
+    A = model.at(level).system().A
+    w, vi = model.states.index("w"), model.states.index("vi")
+    settled = A[w, w] - A[w, vi] * A[vi, w] / A[vi, vi]
+    expected = -model.lift / (1 + model.lift * model.disk / V)
+    # (vi / V)^2 = 0.002 is what high-speed theory leaves out.
+    assert settled == pytest.approx(expected, rel=0.01)
+
+
+def test_a_rotor_by_its_components_tilts_by_its_cyclic_pitch_and_pays_for_climbing():
+    still = dict.fromkeys(("coupling", "back", "back_thrust", "Lixz", "Nixz"), 0.0)
+    model = replace(MinimumComplexity(), **still)
+    names = (*model.states, *model.inputs)
+
+    def f(**values):
+        point = np.array([(dict(model.reference()) | values).get(name, 0.0) for name in names])
+        found = model.equations()(point[:11], point[11:], model.vector())[0].full().ravel()
+        return dict(zip(model.states, found, strict=True))
+
+    lat, lon = model.lat_0 + model.lat_gain * 0.6, model.lon_0 + model.lon_gain * 0.7
+    tilted = f(lat=0.6, lon=0.7, b1s=lat, b1c=-lon)
+    assert tilted["b1s"] == pytest.approx(0.0, abs=1e-12)
+    assert tilted["b1c"] == pytest.approx(0.0, abs=1e-12)
+    assert f(lat=0.7, lon=0.7, b1s=lat, b1c=-lon)["b1s"] > 0.1
+    climbing = f(theta=0.1, w=0.0)["r"] - f(theta=0.0, w=0.0)["r"]
+    assert climbing == pytest.approx(model.Npower * model.g * 31.0 * np.sin(0.1))
 
 
 def test_the_fixed_wing_by_coefficients_has_the_textbooks_modes():
@@ -287,7 +319,7 @@ def test_a_hybrid_model_with_a_fast_rotor_is_the_quasi_steady_one(structure):
     assert np.abs(G - G_rigid).max(axis=0)[size > 0].max() < 0.03 * size.max()
 
 
-@pytest.mark.parametrize("structure", [*GALLERY, ScheduledHybrid], ids=named)
+@pytest.mark.parametrize("structure", [*GALLERY, ScheduledHybrid, MinimumComplexity], ids=named)
 def test_every_parameter_has_a_unit_bounds_and_room_to_move(structure):
     for name, info in structure.infos().items():
         assert np.isfinite([info.lower, info.upper]).all(), name

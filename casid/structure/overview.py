@@ -17,6 +17,8 @@ from casid.record import Record
 from casid.records import Records, several
 from casid.structure.identifiability import Identifiability, identifiability
 
+WIDEST = 48  # characters of a formula in a printed matrix
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Overview:
@@ -48,7 +50,8 @@ class Overview:
                 [f"{value:.4g}" if text != "." else "." for value, text in zip(*pair, strict=True)]
                 for pair in zip(getattr(system, letter), self.entries[letter], strict=True)
             ]
-            for title, cells in (("", self.entries[letter]), (" at the guess", numbers)):
+            formulas = [[t if len(t) <= WIDEST else "..." for t in r] for r in self.entries[letter]]
+            for title, cells in (("", formulas), (" at the guess", numbers)):
                 parts.append(_grid(f"{letter}{title}", rows[letter], columns[letter], cells))
         parts += [self._parameters(), self._modes()]
         if self.constraints:

@@ -7,6 +7,7 @@ import numpy as np
 
 from casid import Constraint, Model, Rows, Scalar, parameter
 from casid.structure.overview import describe, excitation
+from models.minimum_complexity import MinimumComplexity
 from models.short_period import ShortPeriod
 from models.six_dof import SixDof
 
@@ -41,6 +42,15 @@ def test_entries_are_formulas_of_names_and_trim_and_structural_zeros():
     assert found.entries["B"] == [["b+3"], ["."], ["."]]
     assert found.entries["C"] == [["1", ".", "."]]
     np.testing.assert_array_equal(found.system.A[0], [-2, 0, 1.5])
+
+
+def test_a_matrix_shows_numbers_only_where_formulas_are_long():
+    text = str(describe(MinimumComplexity()))
+    matrix = text.split("\nA\n")[1].split("\n\n", maxsplit=1)[0]
+    assert "..." in matrix
+    assert "-9.79439" in matrix
+    assert max(map(len, matrix.splitlines())) < 12 * 50
+    assert "..." not in text.split("A at the guess\n")[1].split("\n\n", maxsplit=1)[0]
 
 
 def test_text_holds_parameters_delays_constraints_and_identifiability():

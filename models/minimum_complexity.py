@@ -1,0 +1,168 @@
+"""A helicopter by its components: one structure for all speeds above transition, no schedules.
+
+Main rotor thrust by blade elements in a dynamic uniform inflow, tip-path-plane flapping, tail rotor
+in its settled inflow, flat-plate fuselage in the wake, tailplane, fin that may stall, torque by
+power: the minimum-complexity model of R. K. Heffley, M. A. Mnich (NASA CR-177476), lumped so that
+each parameter is felt. Speed enters by itself: there are no trim curves, trims are answers.
+
+What identifies it: records in total values of all four controls from two or more speeds, their
+trims in them, with ax ay az p q r phi theta u, sharp enough for the rotor (20 Hz or more).
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+
+from casid import NonlinearModel, Scalar, parameter
+
+
+class MinimumComplexity(NonlinearModel):
+    """Rotor, tail rotor, fuselage and tails of a helicopter; see the module.
+
+    Forces are per mass; L, M, N per own inertia, coupled by Lixz, Nixz. Pitch of blades is in
+    rad at three quarters of the radius.
+    """
+
+    states = ("u", "v", "w", "p", "q", "r", "phi", "theta", "b1c", "b1s", "vi")
+    inputs = ("col", "lat", "lon", "ped")
+    outputs = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "u")
+
+    # Thrust by the flow through the disk, and inflow by thrust (disk: m / (2 rho pi R^2)).
+    lift: Scalar = parameter(default=1.0, lower=0.2, upper=3.0, unit="1/s")
+    col_0: Scalar = parameter(default=0.0, lower=-0.3, upper=0.3, unit="rad")
+    col_gain: Scalar = parameter(default=0.3, lower=0.1, upper=0.6, unit="rad")
+    disk: Scalar = parameter(default=10.0, lower=3.0, upper=40.0, unit="m")
+    inflow: Scalar = parameter(default=0.4, lower=0.05, upper=2.0, unit="1/m")
+    shaft: Scalar = parameter(default=0.1, lower=-0.2, upper=0.3, unit="rad")
+    # Flapping: own rate, cross rate, coupling, cyclic, flapback by speed.
+    flap: Scalar = parameter(default=15.0, lower=2.0, upper=40.0, unit="1/s")
+    cross: Scalar = parameter(default=7.0, lower=-20.0, upper=20.0, unit="1/s")
+    lat_0: Scalar = parameter(default=-0.15, lower=-0.6, upper=0.6, unit="rad")
+    lat_gain: Scalar = parameter(default=0.3, lower=-0.8, upper=0.8, unit="rad")
+    lon_0: Scalar = parameter(default=-0.2, lower=-0.6, upper=0.6, unit="rad")
+    lon_gain: Scalar = parameter(default=0.4, lower=-0.8, upper=0.8, unit="rad")
+    coupling: Scalar = parameter(default=0.1, lower=-1.0, upper=1.0, unit="-")
+    back: Scalar = parameter(default=0.003, lower=0.0, upper=0.02, unit="rad s/m")
+    back_thrust: Scalar = parameter(default=0.003, lower=0.0, upper=0.02, unit="rad s/m")
+    side: Scalar = parameter(default=0.7, lower=0.0, upper=2.0, unit="-")
+    # Moments of the hub by tilt and thrust, torque by power.
+    Lb1s: Scalar = parameter(default=20.0, lower=0.0, upper=200.0, unit="1/s^2")
+    Lhub: Scalar = parameter(default=2.0, lower=0.0, upper=10.0, unit="1/m")
+    Lb1c: Scalar = parameter(default=10.0, lower=-50.0, upper=50.0, unit="1/s^2")
+    Mb1c: Scalar = parameter(default=4.0, lower=0.0, upper=200.0, unit="1/s^2")
+    Mhub: Scalar = parameter(default=0.4, lower=0.0, upper=5.0, unit="1/m")
+    Mb1s: Scalar = parameter(default=3.0, lower=-50.0, upper=50.0, unit="1/s^2")
+    Mthrust: Scalar = parameter(default=-0.04, lower=-1.0, upper=1.0, unit="1/m")
+    Npower: Scalar = parameter(default=0.007, lower=0.0, upper=0.1, unit="s/m^2")
+    Nprofile: Scalar = parameter(default=0.3, lower=0.0, upper=2.0, unit="1/s^2")
+    Lixz: Scalar = parameter(default=0.4, lower=-0.8, upper=0.8, unit="-")
+    Nixz: Scalar = parameter(default=0.1, lower=-0.8, upper=0.8, unit="-")
+    # Tail rotor: thrust by its flow, its arms.
+    tail_lift: Scalar = parameter(default=0.04, lower=0.005, upper=0.5, unit="1/s")
+    tail_flow: Scalar = parameter(default=15.0, lower=2.0, upper=60.0, unit="m/s")
+    ped_0: Scalar = parameter(default=-0.1, lower=-0.8, upper=0.8, unit="rad")
+    ped_gain: Scalar = parameter(default=0.5, lower=-1.5, upper=1.5, unit="rad")
+    Ltail: Scalar = parameter(default=1.0, lower=-5.0, upper=5.0, unit="1/m")
+    Ntail: Scalar = parameter(default=2.0, lower=0.0, upper=10.0, unit="1/m")
+    # Fuselage, tailplane, fin.
+    Xuu: Scalar = parameter(default=-0.0002, lower=-0.01, upper=0.0, unit="1/m")
+    Mwake: Scalar = parameter(default=0.002, lower=-0.02, upper=0.02, unit="1/m^2")
+    Muw: Scalar = parameter(default=-0.001, lower=-0.02, upper=0.0, unit="1/m^2")
+    Yfin: Scalar = parameter(default=-0.001, lower=-0.02, upper=0.0, unit="1/m")
+    fin_0: Scalar = parameter(default=-0.05, lower=-0.5, upper=0.5, unit="rad")
+    fin_stalled: Scalar = parameter(default=0.5, lower=0.0, upper=1.0, unit="-")
+    Lfin: Scalar = parameter(default=1.0, lower=-5.0, upper=5.0, unit="1/m")
+    Nfin: Scalar = parameter(default=2.0, lower=0.0, upper=10.0, unit="1/m")
+
+    g: float = 9.80665
+    tip: float = 220.0  # m/s, of the blades
+    tail_tip: float = 205.0  # m/s
+    twist: float = -0.1  # rad, root to tip
+    tail_twist: float = -0.1  # rad
+    tail: float = 6.0  # m, arms behind and above the centre of gravity
+    tail_up: float = 0.9  # m
+    plane: float = 5.0  # m
+    fin: float = 6.3  # m
+    stall: float = 0.3  # rad, of the fin
+    stall_width: float = 0.03  # rad, over which its slope changes
+    trim: tuple[float, ...] = (31.0, 0.05, 0.32, 0.37, 0.65, 0.43)  # u, theta, sticks
+
+    def reference(self) -> dict[str, Any]:
+        names = ("u", "theta", *self.inputs)
+        u, theta = self.trim[:2]
+        known = {"w": u * theta, "vi": self.g * self.disk / u, "b1c": 0.04}
+        return known | dict(zip(names, self.trim, strict=True))
+
+    def rotor(self, x: Any, u: Any) -> tuple[Any, Any, Any]:  # noqa: ANN401
+        """Thrust per mass, flow down through the disk by motion alone, square of the speed."""
+        squared, pitch = x.u**2 + x.v**2, self.col_0 + self.col_gain * u.col
+        through = x.w + (x.b1c - self.shaft) * x.u - x.b1s * x.v
+        blade = through + 2 / 3 * self.tip * pitch
+        blade += squared / self.tip * (pitch - self.twist / 4)
+        return self.lift * (blade - x.vi), through, squared
+
+    def tail_rotor(self, x: Any, u: Any) -> tuple[Any, Any]:  # noqa: ANN401
+        """Thrust to the right per mass, and its inflow, settled."""
+        squared, pitch = x.u**2 + (x.w + x.q * self.tail) ** 2, self.ped_0 + self.ped_gain * u.ped
+        through = -(x.v - x.r * self.tail + x.p * self.tail_up)
+        blade = through + 2 / 3 * self.tail_tip * pitch
+        blade += squared / self.tail_tip * (pitch - self.tail_twist / 4)
+        inflow = self.tail_flow * blade / (ca.sqrt(squared) + self.tail_flow)
+        for _ in range(2):  # of the implicit formula
+            speed = ca.sqrt(squared + (through - inflow) ** 2)
+            inflow = self.tail_flow * blade / (speed + self.tail_flow)
+        return self.tail_lift * (blade - inflow), inflow
+
+    def aerodynamics(self, x: Any, u: Any) -> list[Any]:  # noqa: ANN401
+        """Specific forces and angular accelerations."""
+        (T, through, squared), (side, wash) = self.rotor(x, u), self.tail_rotor(x, u)
+        lat, lon = self.cyclic(u)
+        wake = ca.sqrt((x.w - x.vi) ** 2 + 0.25)  # |w - vi|, smooth
+        plane = x.w + x.q * self.plane
+        slip = (x.v + wash - x.r * self.fin) / x.u
+        beyond = (slip**2 / self.stall - self.stall) / (2 * self.stall_width)
+        stalled = (1 + ca.tanh(beyond)) / 2
+        lift = (1 - stalled) * (slip + self.fin_0) + stalled * self.fin_stalled * slip
+        fin = self.Yfin * x.u**2 * lift
+        X = -T * (x.b1c - self.shaft) + self.Xuu * x.u**2
+        Y = T * x.b1s + side + fin
+        Z = -T
+        L = (self.Lb1s + self.Lhub * T) * x.b1s + self.Lb1c * (x.b1c + lon)
+        L += self.Ltail * side + self.Lfin * fin
+        M = (self.Mb1c + self.Mhub * T) * x.b1c + self.Mb1s * (lat - x.b1s) + self.Mthrust * T
+        M += self.Mwake * x.u * wake + self.Muw * x.u * plane
+        climb = self.g * (
+            x.u * ca.sin(x.theta) - ca.cos(x.theta) * (x.v * ca.sin(x.phi) + x.w * ca.cos(x.phi))
+        )
+        N = self.Npower * (T * (x.vi - through) + climb - self.Xuu * x.u**3)
+        N += self.Nprofile * (1 + 3 * squared / self.tip**2)
+        N -= self.Ntail * side + self.Nfin * fin
+        return [X, Y, Z, L + self.Lixz * N, M, N + self.Nixz * L]
+
+    def cyclic(self, u: Any) -> tuple[Any, Any]:  # noqa: ANN401
+        """Cyclic pitch."""
+        return self.lat_0 + self.lat_gain * u.lat, self.lon_0 + self.lon_gain * u.lon
+
+    def derivatives(self, x: Any, u: Any) -> Sequence[Scalar]:  # noqa: ANN401
+        (X, Y, Z, *moments), tth = self.aerodynamics(x, u), ca.tan(x.theta)
+        sphi, cphi, sth, cth = ca.sin(x.phi), ca.cos(x.phi), ca.sin(x.theta), ca.cos(x.theta)
+        (T, through, squared), (lat, lon) = self.rotor(x, u), self.cyclic(u)
+        back = self.back + self.back_thrust * (T / self.g - 1)
+        a = x.b1s - lat + self.coupling * x.b1c + self.side * back * x.v
+        b = x.b1c + lon - self.coupling * x.b1s - back * x.u
+        speed = ca.sqrt(squared + (through - x.vi) ** 2)
+        return [
+            X - x.q * x.w + x.r * x.v - self.g * sth,
+            Y - x.r * x.u + x.p * x.w + self.g * cth * sphi,
+            Z - x.p * x.v + x.q * x.u + self.g * cth * cphi,
+            *moments,
+            x.p + (x.q * sphi + x.r * cphi) * tth,
+            x.q * cphi - x.r * sphi,
+            -self.flap * b - self.cross * a - x.q,
+            -self.flap * a + self.cross * b - x.p,
+            self.inflow * (self.disk * T - x.vi * speed),
+        ]
+
+    def measurements(self, x: Any, u: Any) -> Sequence[Scalar]:  # noqa: ANN401
+        return [*self.aerodynamics(x, u)[:3], x.p, x.q, x.r, x.phi, x.theta, x.u]
