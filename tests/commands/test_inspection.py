@@ -144,9 +144,9 @@ def test_a_model_is_judged_by_what_was_flown():
 
 
 @pytest.mark.slow
-def test_a_million_samples_take_seconds():
-    found = inspect_records([swept(n=1_000_000)])
-    assert found.records[0].samples == 1_000_000
+def test_a_hundred_thousand_samples_need_no_matrix_of_their_squares():
+    found = inspect_records([swept(n=100_000)])
+    assert found.records[0].samples == 100_000
 
 
 def test_noise_of_a_measured_input_is_told():

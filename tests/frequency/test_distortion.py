@@ -37,9 +37,11 @@ def flown(seed, damping, sizes=(0.03, 0.03, 0.06, 0.06), noise=0.003):
     return [swept(rng, size, damping, noise) for size in sizes]
 
 
-@pytest.mark.slow
-def test_noise_raises_no_alarm_in_twenty_campaigns():
-    found = [distortion(flown([seed, 40], 0.0, (0.03, 0.06)), omega=OMEGA) for seed in range(20)]
+@pytest.mark.parametrize(
+    "runs", [pytest.param(8, marks=pytest.mark.slow), pytest.param(20, marks=pytest.mark.campaign)]
+)
+def test_noise_raises_no_alarm(runs):
+    found = [distortion(flown([seed, 40], 0.0, (0.03, 0.06)), omega=OMEGA) for seed in range(runs)]
     assert not any(each.nonlinear for each in found)
     assert "no more than noise" in found[0].sentence()
     # Of a unit error; neighbours' errors are modelled as alike, which they are to a tenth or so.
