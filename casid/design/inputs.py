@@ -108,7 +108,6 @@ def design_inputs(
         flown["multisine"] = _multisine(problem, task)
     chosen = min(list(flown)[2:], key=lambda name: task.value(flown[name]))
     made = _predicted(problem, task, flown, chosen)
-    _check_told(problem, made)
     blind = [f"{name}: no effect on the linearisation at the trim" for name in unfelt]
     count = (1 + JUDGES) * settings.draws if drawn else 0
     return replace(
@@ -230,12 +229,12 @@ def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen
         r = rough.within(each)
         r = np.stack([np.interp(t, coarse, column) for column in r.T], axis=1)
         exact[name] = r / max(1.0, float(fine.peaks(r).max()))
-    spread = {name: covariance(fine.information(r)[0] + problem.known) for name, r in exact.items()}
+    alone = {name: fine.information(r)[0] for name, r in exact.items()}
+    spread = {name: covariance(F + problem.known) for name, F in alone.items()}
     r = exact[chosen]
-    usual = fine.information(exact["3-2-1-1"])[0]
     rest = problem.settings.rest
     errors = np.sqrt(np.diag(spread[chosen]))
-    longer = as_long(usual, problem.known, errors, problem.rows)
+    longer = as_long(alone["3-2-1-1"], problem.known, errors, problem.rows)
     seen = fine.loops[0].fly(r)
     model = problem.frees[0].model
     share = fine.peaks(r)
@@ -254,6 +253,7 @@ def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen
         untold=tuple(np.array(problem.frees[0].names)[~problem.told].tolist()),
         matter=problem.settings.matter,
     )  # fmt: skip
+    _check_told(problem, alone[chosen], made.used_at_worst)
     judged = identifiability(model, made.record(), fixed=problem.settings.fixed or (), spread=0.0)
     told = {name for name, size in zip(made.names, known, strict=True) if np.isfinite(size)}
     groups = judged.confounded
@@ -264,12 +264,15 @@ def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen
     return replace(made, blind=tuple(lines))
 
 
-def _check_told(problem: Problem, made: Design) -> None:
-    """Refuse limits within which no parameter that counts is told to within its typical size."""
+def _check_told(problem: Problem, F: Array, used: Mapping[str, float]) -> None:
+    """Refuse limits within which a flight alone, of information F, tells nothing that counts.
+
+    That is no parameter to within its typical size, though more may be known before.
+    """
     free = problem.frees[0]
-    share = (made.std_errors / free.scale[free.index])[problem.rows]
+    share = (np.sqrt(np.diag(covariance(F))) / free.scale[free.index])[problem.rows]
     if share.min() > 1:
-        held = max(made.used_at_worst, key=lambda name: made.used_at_worst[name])
+        held = max(used, key=lambda name: used[name])
         raise ValueError(
             f"the limits leave nothing: within that of {held!r} the best told parameter, "
             f"{free.names[problem.rows[share.argmin()]]}, has a standard error of "

@@ -335,6 +335,9 @@ def test_what_only_an_earlier_flight_tells_apart_is_not_to_be_fixed():
     made = design_inputs(one, Limits(sticks={"lat": 0.1}), 10.0, settings=quick)
     assert made.untold == ()
     assert made.blind == ("told apart by what is known before only: Lp, more",)
+    least = Limits(sticks={"lat": 1e-9})
+    with pytest.raises(ValueError, match="limits leave nothing: within that of 'lat'"):
+        design_inputs(one, least, 10.0, settings=quick)  # whatever is known before
 
 
 def test_values_outside_their_bounds_are_refused_or_given_wider_ones():
