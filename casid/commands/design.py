@@ -188,7 +188,7 @@ def _kept(study: Study) -> Any:  # noqa: ANN401 - a fit, or a model without one
         raise ModelError(f"{error}; if it has changed, run casid identify again") from error
     kept = kept_fit(study)
     if kept is None:
-        warn(f"{path} is of earlier records or settings; run casid identify to design with theirs")
+        warn(f"{path} is of earlier records, settings or casid; run casid identify to renew it")
     elif digest(kept) != digest(found):
         raise ValueError(f"{path} is not the fit that was kept in stages; run casid identify")
     return found

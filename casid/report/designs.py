@@ -19,8 +19,9 @@ def plot_card(axes: Sequence[Axes], design: Design) -> None:
     for j, each in enumerate(axes[: len(design.inputs)]):
         if not np.allclose(design.r[:, j], design.u[:, j]):  # feedback adds to what is designed
             label = "card, before feedback"
-            each.plot(design.t, design.r[:, j], color=GREY, linestyle=":", label=label)
-            each.legend(loc="upper right", fontsize="xx-small")
+            line = each.plot(design.t, design.r[:, j], color=GREY, linestyle=":", label=label)
+            over = axes[0].legend(handles=line, loc="lower right", fontsize="x-small")
+            over.set_bbox_to_anchor((1.0, 1.0))
     names, flown = (*design.inputs, *design.outputs), np.hstack([design.u, design.y])
     for each, name, signal in zip(axes, names, flown.T, strict=True):
         figures.plot_input(each, design.t, signal, channel=name, units=UNITS)

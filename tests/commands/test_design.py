@@ -275,7 +275,7 @@ def test_a_linear_structure_has_its_own_trim(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("always:.*earlier records or settings")
+@pytest.mark.filterwarnings("always:.*earlier records, settings or casid")
 def test_a_fit_of_earlier_records_is_told_and_one_that_was_changed_refused(tmp_path):
     study = write_study(tmp_path)
     run_study(read_study(study))
@@ -297,4 +297,4 @@ def test_a_fit_of_earlier_records_is_told_and_one_that_was_changed_refused(tmp_p
     record.write_text("\n".join(map(",".join, rows)) + "\n")
     stale = run(study)
     assert stale.exit_code == 0, stale.output
-    assert "is of earlier records or settings; run casid identify" in stale.stderr
+    assert "is of earlier records, settings or casid; run casid identify" in stale.stderr
