@@ -87,9 +87,8 @@ def strangers(validation: Validation, content: Content) -> Iterator[Caution]:
 
 def _pooled(rms: Array) -> Array:
     """Of all records together, (ny,)."""
-    known = ~np.isnan(rms)
-    count = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
-    return np.asarray(np.sqrt((np.where(known, rms, 0.0) ** 2).sum(axis=0) / count))
+    known = np.ma.masked_array(rms**2, np.isnan(rms))
+    return np.asarray(np.sqrt(known.mean(axis=0).filled(np.nan)))
 
 
 def differences(content: Content) -> Iterator[Caution]:

@@ -37,7 +37,7 @@ from casid.shooting.knowledge import with_knowledge
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
 from casid.shooting.nonlinear import MOST, Integration
-from casid.shooting.precision import OutputErrorNotes, Precision, precision, run_away
+from casid.shooting.precision import OutputErrorNotes, Precision, precision, run_away, verdict
 from casid.shooting.search import ROUGH, Outcome, Search
 from casid.shooting.transformed_fit import estimate
 from casid.shooting.unknowns import NoiseUnknowns
@@ -320,12 +320,7 @@ def checked_covariance(R: Array | CovarianceKind | None, ny: int) -> Array | Cov
 def _verdict(outcome: Outcome, found: Precision) -> tuple[bool, str]:
     """Whether this is a solution, and in words."""
     reasons = []
-    if not outcome.solution.success:
-        reasons.append(outcome.solution.status)
-    elif not outcome.settled:
-        reasons.append(f"R has not settled after {outcome.rounds} rounds; give R")
-    exact = _exact_outputs(outcome)
-    if exact:
+    if exact := _exact_outputs(outcome):
         reasons.append(
             f"the likelihood degenerates: {', '.join(exact)} can be predicted exactly, as without "
             "measurement noise; use output error, or give R"
@@ -334,7 +329,8 @@ def _verdict(outcome: Outcome, found: Precision) -> tuple[bool, str]:
     if lost and (outcome.solution.success or lost < outcome.programme.evaluator.nf):
         away = run_away(outcome.programme, outcome.solution.x)
         reasons.append(away or uncertainty.singular(found.undetermined))
-    return not reasons, "; ".join(reasons) or outcome.solution.status
+    unsettled = f"R has not settled after {outcome.rounds} rounds; give R"
+    return verdict(outcome.solution, outcome.settled, unsettled, reasons)
 
 
 def _exact_outputs(outcome: Outcome) -> list[str]:

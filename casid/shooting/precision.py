@@ -1,7 +1,7 @@
 """What an output-error solution says about its own precision."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +10,7 @@ import scipy.linalg
 
 from casid.arrays import Array
 from casid.fit import ACTIVE, holding
+from casid.nlp import Solution
 from casid.shooting import uncertainty
 from casid.shooting.nonlinear import Integration
 from casid.shooting.programme import Programme
@@ -127,6 +128,15 @@ def precision(programme: Programme, x: Array) -> Precision:
         collinear=uncertainty.collinearities(F, ties, names, alone),
         undetermined=lost,
     )
+
+
+def verdict(
+    solution: Solution, settled: bool, unsettled: str, more: Sequence[str]
+) -> tuple[bool, str]:
+    """Whether this is a solution, and in words; ``more`` speaks against it."""
+    reasons = [unsettled] * (not settled) if solution.success else [solution.status]
+    reasons += more
+    return not reasons, "; ".join(reasons) or solution.status
 
 
 def run_away(programme: Programme, x: Array) -> str:

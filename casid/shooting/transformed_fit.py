@@ -26,7 +26,7 @@ from casid.record import Record
 from casid.shooting import uncertainty
 from casid.shooting.frequency import SpectralOutcome, SpectralProgramme, State, white
 from casid.shooting.lines import Lines, transformed
-from casid.shooting.precision import OutputErrorNotes, Precision
+from casid.shooting.precision import OutputErrorNotes, Precision, verdict
 from casid.shooting.sides import searched
 from casid.shooting.spectrum import (
     NoiseSpectrum,
@@ -87,7 +87,9 @@ def _fit(
     found = _precision(programme, solution.x, lam, estimated=estimated)
     std, white_std = (np.sqrt(np.diag(part)) for part in (found.covariance, found.cramer_rao))
     parameters = parameter_table(free, lam, multipliers, std, found.insensitivity, white_std)
-    success, status = _verdict(outcome, found.undetermined)
+    unsettled = f"the noise spectra have not settled after {outcome.rounds} rounds; give R"
+    more = [uncertainty.singular(lost)] if (lost := found.undetermined) else []
+    success, status = verdict(solution, outcome.settled, unsettled, more)
     R = _variances(programme, solution.x)
     begun = [predict(model.system(), each.record, np.sqrt(R), Outlook(np.inf)) for each in lines]
     nuisances = len(lines) * (len(model.states) + len(model.outputs))
@@ -101,18 +103,6 @@ def _fit(
         initial_states=np.array([each.x0 for each in begun]),
         biases=np.array([each.b for each in begun]),
     )  # fmt: skip
-
-
-def _verdict(outcome: SpectralOutcome, lost: tuple[str, ...]) -> tuple[bool, str]:
-    """Whether this is a solution, and in words."""
-    reasons = []
-    if not outcome.solution.success:
-        reasons.append(outcome.solution.status)
-    elif not outcome.settled:
-        reasons.append(f"the noise spectra have not settled after {outcome.rounds} rounds; give R")
-    if lost:
-        reasons.append(uncertainty.singular(lost))
-    return not reasons, "; ".join(reasons) or outcome.solution.status
 
 
 def _variances(programme: SpectralProgramme, x: Array) -> Array:

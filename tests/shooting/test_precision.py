@@ -16,9 +16,10 @@ from truths.closed_roll import (
 
 from casid import ConvergenceError, Scalar, parameter
 from casid.free import free_parameters
+from casid.nlp import Solution
 from casid.shooting.intervals import lay_out
 from casid.shooting.output_error import output_error
-from casid.shooting.precision import precision, run_away
+from casid.shooting.precision import precision, run_away, verdict
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
 
@@ -174,3 +175,21 @@ def test_errors_allow_for_what_the_fit_took_from_the_residuals():
     # Where the residuals gave R it is n/(n - p) too small; a given one is right.
     np.testing.assert_allclose(free.covariance / known.covariance, n / (n - p), rtol=1e-5)
     np.testing.assert_allclose(free.notes.cramer_rao, known.notes.cramer_rao, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("success", "settled", "more", "said"),
+    [
+        (True, True, [], "solved"),
+        (True, False, ["tie a"], "give R; tie a"),
+        (False, False, ["tie a"], "limit; tie a"),
+        (False, True, [], "limit"),
+    ],
+)
+def test_a_solution_is_one_if_it_has_settled_and_nothing_speaks_against_it(
+    success, settled, more, said
+):
+    none = np.zeros(0)
+    status = "solved" if success else "limit"
+    found = Solution(none, 0.0, none, none, none, success, status, 1, 0.0)
+    assert verdict(found, settled, "give R", more) == (said == "solved", said)
