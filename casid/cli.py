@@ -1,5 +1,6 @@
 """The command line: what commands there are; each is imported when it is asked for."""
 
+import gc
 from collections.abc import Mapping
 from importlib import import_module
 from importlib.metadata import version
@@ -35,6 +36,7 @@ class Commands(click.Group):
             return None
         module, _, name = COMMANDS[cmd_name][0].partition(":")
         command: click.Command = getattr(import_module(f"casid.commands.{module}"), name)
+        gc.freeze()  # what is imported stays, and need not be looked through for garbage
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
@@ -48,6 +50,8 @@ class Commands(click.Group):
             return super().invoke(ctx)
         except KeyboardInterrupt:
             end_interrupted(ctx.invoked_subcommand)
+        finally:
+            gc.freeze()  # nor need what is left when the process ends
 
 
 @click.group(

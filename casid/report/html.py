@@ -127,6 +127,8 @@ def _uncollected() -> Iterator[None]:
     try:
         yield
     finally:
+        gc.freeze()
+        gc.unfreeze()  # as old as can be now: what is young is looked through soon
         if before:
             gc.enable()
 

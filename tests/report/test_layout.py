@@ -22,6 +22,23 @@ def test_axes_share_one_scale_whose_ticks_are_drawn_at_the_bottom_only():
     np.testing.assert_allclose(heights[0], 2 * heights[1])
 
 
+def test_axes_that_make_ticks_late_look_like_others():
+    drawn = []
+    for light in (True, False):
+        with rc_context(LOOK):
+            figure = Figure(figsize=(5, 4))
+            ax = stacked(figure, [1.0])[0, 0] if light else figure.subplots()
+            ax.plot([0.0, 4.0], [0.0, 1.0])
+            ax.grid(visible=False, axis="x")
+            ax.tick_params(axis="x", labelsize=5.0)
+            canvas = FigureCanvasAgg(figure)
+            canvas.draw()
+            drawn.append(np.asarray(canvas.buffer_rgba()))
+    other = np.any(drawn[0] != drawn[1], axis=2)  # the first line's end, which is not cut off
+    assert np.flatnonzero(other.any(axis=0)).size <= 1
+    assert other.sum() < 10
+
+
 def test_a_line_of_the_grid_stands_above_every_tick():
     with rc_context(LOOK):
         figure = Figure(figsize=(5, 4))
