@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from casid.arrays import Array, ComplexArray
 from casid.free import Free
@@ -28,7 +29,8 @@ class Matrices:
     N: Array  # (nx + ny, nx + nu): [A B; C D]
     tau: Array  # (nu,) delays [s]
     c: Array  # (nc,) values of the constraints
-    dN: scipy.sparse.csr_array  # noqa: N815 - the derivative of N
+    dN_used: scipy.sparse.csr_array  # noqa: N815 - the derivative of the entries of N that move
+    used: NDArray[np.intp]  # where these are in N
     dtau: Array  # (nf, nu)
     dc: Array  # (nf, nc)
     nx: int
@@ -42,7 +44,9 @@ class Matrices:
     @cached_property
     def slopes(self) -> Array:
         """Derivative of N as a dense array, (nf, nx + ny, nx + nu)."""
-        return np.asarray(self.dN.toarray().reshape(-1, *self.N.shape))
+        found = np.zeros((self.dN_used.shape[0], self.N.size))
+        found[:, self.used] = self.dN_used.toarray()
+        return found.reshape(-1, *self.N.shape)
 
     def state_response(self, s: ComplexArray) -> ComplexArray:
         """The states' responses (s I − A)⁻¹ B e^(−sτ), (K, nx, nu); raises as `response`."""
@@ -58,10 +62,10 @@ class Matrices:
     def response_slopes(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """G (K, ny, nu) and its derivatives (nf, K, ny, nu) at points s; raises as `response`."""
         left, right, _, G = self._factors(s)
-        used, row, column = self._used
+        row, column = self._places
         rows, columns = left.transpose(2, 0, 1).copy(), right.transpose(1, 0, 2).copy()
         terms = rows[row][..., None] * columns[column][:, :, None, :]
-        flat = np.asarray(self.dN[:, used] @ terms.reshape(len(used), G.size))
+        flat = np.asarray(self.dN_used @ terms.reshape(len(row), G.size))
         slope = flat.reshape(-1, *G.shape)
         late = np.flatnonzero(self.dtau.any(axis=1))
         slope[late] -= self.dtau[late, None, None, :] * (s[:, None, None] * G)
@@ -74,7 +78,7 @@ class Matrices:
         their own curvature adds, `MatrixFunction.curvature` has.
         """
         left, right, R, G = self._factors(s)
-        used, row, column = self._used
+        row, column = self._places
         U = left.transpose(0, 2, 1) @ P.conj()
         T = U @ right.transpose(0, 2, 1)
         K, nx = len(s), self.nx
@@ -86,17 +90,16 @@ class Matrices:
         late = -s[:, None, None]
         by_delay = np.einsum("keb,keb->eb", U[:, row], late * right[:, column]).real
         products = P.conj() * G
-        dN = self.dN[:, used]
+        dN = self.dN_used
         half = dN @ (dN @ entries.T).T + (dN @ by_delay) @ self.dtau.T
         bend = (late**2 * products).sum(axis=(0, 1)).real
         H = half + half.T + (self.dtau * bend) @ self.dtau.T
         return T.sum(axis=0).real, (late * products).sum(axis=(0, 1)).real, H
 
     @property
-    def _used(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Entries of N that depend on a parameter: places, rows, columns."""
-        used = np.unique(self.dN.indices)
-        return used, *np.divmod(used, self.N.shape[1])
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of the entries of N that depend on a parameter."""
+        return np.divmod(self.used, self.N.shape[1])
 
     def _factors(self, s: ComplexArray) -> tuple[ComplexArray, ...]:
         """[C (sI − A)⁻¹  I], [(sI − A)⁻¹ B; I] e^(−sτ), (sI − A)⁻¹ and G at points s."""
@@ -125,8 +128,9 @@ class MatrixFunction:
         total = ca.dot(weights[0], ca.vec(N.T)) + ca.dot(weights[1], tau)
         self._bent = ca.Function("bent", [lam, *weights], [ca.densify(ca.hessian(total, lam)[0])])
         place, parameter = np.array(J.sparsity().get_triplet(), dtype=int)
-        order = np.arange(len(entries)), (parameter, place)
-        self._order = scipy.sparse.csr_array(order, shape=(len(free.index), N.numel()))
+        self._used, column = np.unique(place, return_inverse=True)
+        order = np.arange(len(entries)), (parameter, column)
+        self._order = scipy.sparse.csr_array(order, shape=(len(free.index), len(self._used)))
         self.nx, self.nu, self.ny, self.nf = A.shape[0], B.shape[1], C.shape[0], len(free.index)
         self._last: tuple[bytes, Matrices] | None = None
 
@@ -147,4 +151,6 @@ class MatrixFunction:
         sparse = (entries.ravel()[order.data], order.indices, order.indptr)
         dN = scipy.sparse.csr_array(sparse, shape=order.shape)
         tau, c = tau.ravel(), c.ravel()
-        return Matrices(N=N, tau=tau, c=c, dN=dN, dtau=dtau.T, dc=dc.T, nx=self.nx)
+        return Matrices(
+            N=N, tau=tau, c=c, dN_used=dN, used=self._used, dtau=dtau.T, dc=dc.T, nx=self.nx
+        )

@@ -112,7 +112,9 @@ class Condensed:
         G, dG = at.response_slopes(self.comparison.s)
         parts = [(self._errors(G), self._slopes(G, dG)), self._violation(at), self._beyond(at)]
         values, slopes = zip(*parts, self._surprise(x), strict=True)
-        return np.concatenate(values), np.concatenate(slopes, axis=1) * self.scale[:, None]
+        J = np.concatenate(slopes, axis=1)
+        J *= self.scale[:, None]
+        return np.concatenate(values), J
 
     def _errors(self, G: ComplexArray) -> Array:
         """Residuals of a response, (2 K ny nu,)."""
@@ -153,7 +155,7 @@ class Condensed:
         # d pole = (left row) dA (right column)
         outer = np.zeros((*at.N.shape, nx), dtype=complex)
         outer[:nx, :nx] = np.einsum("ir,ci->rci", left, right)
-        slope = np.asarray(at.dN @ outer.reshape(-1, nx)).real
+        slope = np.asarray(at.dN_used @ outer.reshape(-1, nx)[at.used]).real
         return off, np.where(off > 0, self.penalty / self._rate * slope, 0.0)
 
     def _right(self, poles: Array) -> Array:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Tick, XAxis, YAxis
+from matplotlib.axis import XAxis, YAxis
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
@@ -26,15 +26,8 @@ LEFT, RIGHT, TOP, BOTTOM, GAP = 0.66, 0.1, 0.42, 0.42, 0.1  # inches around and 
 class _Late:
     """Of an axis: no ticks until they are drawn, which in a stack most never are."""
 
-    @cached_property
-    def majorTicks(self) -> list[Tick]:
-        """As matplotlib calls them."""
-        return []
-
-    @cached_property
-    def minorTicks(self) -> list[Tick]:
-        """As matplotlib calls them."""
-        return []
+    majorTicks: Any = cached_property(lambda _: [])
+    minorTicks: Any = cached_property(lambda _: [])
 
 
 class _LateX(_Late, XAxis):
