@@ -128,8 +128,8 @@ class MatrixFunction:
         total = ca.dot(weights[0], ca.vec(N.T)) + ca.dot(weights[1], tau)
         self._bent = ca.Function("bent", [lam, *weights], [ca.densify(ca.hessian(total, lam)[0])])
         place, parameter = np.array(J.sparsity().get_triplet(), dtype=int)
-        self._used, column = np.unique(place, return_inverse=True)
-        order = np.arange(len(entries)), (parameter, column)
+        self._used, entry = np.unique(place, return_inverse=True)
+        order = np.arange(len(entries)), (parameter, entry)
         self._order = scipy.sparse.csr_array(order, shape=(len(free.index), len(self._used)))
         self.nx, self.nu, self.ny, self.nf = A.shape[0], B.shape[1], C.shape[0], len(free.index)
         self._last: tuple[bytes, Matrices] | None = None

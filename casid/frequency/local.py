@@ -19,11 +19,10 @@ of a degree more, and stated beside the random error.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
+from scipy.linalg.lapack import ztrtri
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
@@ -198,7 +197,7 @@ class _Model:
     x: Array  # (m,) distance from the frequency, in half widths
     U: ComplexArray  # (m, nu)
     Y: ComplexArray  # (m, ny)
-    records: tuple[slice, ...]  # lines of each
+    own: BoolArray  # (m, records) whose line each is
     powers: int  # of x in numerators of pairs
     freedom: float  # of the residuals of one output
 
@@ -209,14 +208,30 @@ class _Model:
         used = [(each, at) for each, at in near if at.sum() > EDGES]
         if not used:
             return None
-        ends = np.cumsum([0, *(at.sum() for _, at in used)])
         U = np.vstack([each.U[at] for each, at in used])
         Y = np.vstack([each.Y[at] for each, at in used])
         unknown = powers * U.shape[1] + EDGES * len(used) + POLES / Y.shape[1]
         freedom = len(U) - unknown
         x = np.concatenate([(each.omega[at] - centre) / half for each, at in used])
-        slices = tuple(slice(a, b) for a, b in pairwise(ends))
-        return cls(x, U, Y, slices, powers, freedom) if freedom > 1 else None
+        own = np.repeat(np.eye(len(used), dtype=bool), [at.sum() for _, at in used], axis=0)
+        return cls(x, U, Y, own, powers, freedom) if freedom > 1 else None
+
+    @cached_property
+    def along(self) -> Array:
+        """Powers of x of the denominator, one aside, (m, POLES)."""
+        return np.vander(self.x, POLES + 1, increasing=True)[:, 1:]
+
+    @cached_property
+    def edges(self) -> Array:
+        """Those of each record's transient, (m, records EDGES)."""
+        powers = np.vander(self.x, EDGES, increasing=True)
+        return np.asarray(powers[:, None] * self.own[:, :, None]).reshape(len(self.x), -1)
+
+    @cached_property
+    def pairs(self) -> ComplexArray:
+        """Those of each input's numerators, times the input, (m, powers nu)."""
+        powers = np.vander(self.x, self.powers, increasing=True)
+        return np.asarray(powers[:, :, None] * self.U[:, None, :]).reshape(len(self.x), -1)
 
     def solved(self) -> tuple[ComplexArray, Array, ComplexArray, ComplexArray] | None:
         """Response (ny, nu), its variance, covariance of residuals, inverse of the inputs' power.
@@ -245,7 +260,7 @@ class _Fit:
     model: _Model
     a: ComplexArray  # (POLES,)
     A: ComplexArray  # (m,) values of the denominator
-    edges: tuple[ComplexArray, ...]  # orthonormal bases (m_r, EDGES) of transients
+    edges: ComplexArray  # (m, EDGES records) orthonormal basis of transients
     Q: ComplexArray  # (m, powers nu) orthonormal basis of the inputs, transients removed
     inverse: ComplexArray  # (powers nu, powers nu) of the triangular factor
     theta: ComplexArray  # (powers nu, ny) numerators
@@ -253,20 +268,18 @@ class _Fit:
 
     @classmethod
     def of(cls, model: _Model, a: ComplexArray) -> "_Fit | None":
-        A = 1 + _powers(model.x) @ a
+        A = 1 + model.along @ a
         if np.abs(A).min() < NEAREST:
             return None
-        bases = np.vander(model.x, model.powers, increasing=True) / A[:, None]
-        edges = tuple(np.linalg.qr(bases[rows, :EDGES])[0] for rows in model.records)
-        pairs = (bases[:, :, None] * model.U[:, None, :]).reshape(len(A), -1)
-        K, Y = _without(model, edges, pairs), _without(model, edges, model.Y)
+        edges = np.linalg.qr(model.edges / A[:, None])[0]
+        K, Y = _without(edges, model.pairs / A[:, None]), _without(edges, model.Y)
         size = np.linalg.norm(K, axis=0)
         if not size.all():
             return None
         Q, R = np.linalg.qr(K / size)
         if np.abs(np.diag(R)).min() < 1e-9:
             return None
-        inverse = scipy.linalg.solve_triangular(R, np.eye(len(R))) / size[:, None]
+        inverse = ztrtri(R)[0] / size[:, None]
         inner = Q.conj().T @ Y
         return cls(model, a, A, edges, Q, inverse, inverse @ inner, Y - Q @ inner)
 
@@ -286,8 +299,8 @@ class _Fit:
     def slopes(self) -> tuple[ComplexArray, ComplexArray]:
         """Of fitted outputs along a, (m, ny, POLES): that which transients leave, and inputs."""
         Y = self.model.Y - self.E
-        along = -Y[:, :, None] * (_powers(self.model.x) / self.A[:, None])[:, None, :]
-        J = _without(self.model, self.edges, along.reshape(len(along), -1))
+        along = -Y[:, :, None] * (self.model.along / self.A[:, None])[:, None, :]
+        J = _without(self.edges, along.reshape(len(along), -1))
         return J, J - self.Q @ (self.Q.conj().T @ J)
 
     def step(self) -> "_Fit | None":
@@ -326,14 +339,6 @@ class _Fit:
         return np.asarray(spread.real)
 
 
-def _powers(x: Array) -> Array:
-    """Powers of x of the denominator, one aside, (m, POLES)."""
-    return np.vander(x, POLES + 1, increasing=True)[:, 1:]
-
-
-def _without(model: _Model, edges: Sequence[ComplexArray], M: ComplexArray) -> ComplexArray:
+def _without(edges: ComplexArray, M: ComplexArray) -> ComplexArray:
     """Columns (m, c) without the part that transients explain, record by record."""
-    left = np.array(M, dtype=complex)
-    for rows, basis in zip(model.records, edges, strict=True):
-        left[rows] -= basis @ (basis.conj().T @ left[rows])
-    return left
+    return M - edges @ (edges.conj().T @ M)

@@ -45,7 +45,8 @@ def residual_slopes(G: ComplexArray, dG: ComplexArray, data: ComplexArray, weigh
     """Derivatives of `residuals` from those of the model, ``dG`` (nf, ...); (nf, 2, ...)."""
     used, root = weight > 0, np.sqrt(weight)
     floor = TINY * np.abs(np.where(used, data, 1)) ** 2
-    e = dG * (np.where(used, np.conj(G) / (np.abs(G) ** 2 + floor), 0) * root)
+    e = dG * np.where(used, np.conj(G) / (np.abs(G) ** 2 + floor), 0)
+    e *= root
     found = np.empty((len(e), 2, *G.shape))
     np.multiply(e.real, DB, out=found[:, 0])
     np.multiply(e.imag, TURN, out=found[:, 1])

@@ -26,8 +26,8 @@ LEFT, RIGHT, TOP, BOTTOM, GAP = 0.66, 0.1, 0.42, 0.42, 0.1  # inches around and 
 class _Late:
     """Of an axis: no ticks until they are drawn, which in a stack most never are."""
 
-    majorTicks: Any = cached_property(lambda _: [])
-    minorTicks: Any = cached_property(lambda _: [])
+    majorTicks: Any = cached_property(lambda _: [])  # noqa: N815 - as matplotlib has it
+    minorTicks: Any = cached_property(lambda _: [])  # noqa: N815
 
 
 class _LateX(_Late, XAxis):
