@@ -189,7 +189,9 @@ def test_errors_allow_for_what_the_fit_took_from_the_residuals():
 def test_a_solution_is_one_if_it_has_settled_and_nothing_speaks_against_it(
     success, settled, more, said
 ):
-    none = np.zeros(0)
-    status = "solved" if success else "limit"
-    found = Solution(none, 0.0, none, none, none, success, status, 1, 0.0)
+    none, status = np.zeros(0), "solved" if success else "limit"
+    found = Solution(
+        x=none, f=0.0, g=none, multipliers_x=none, multipliers_g=none, success=success,
+        status=status, iterations=1, seconds=0.0,
+    )  # fmt: skip
     assert verdict(found, settled, "give R", more) == (said == "solved", said)
