@@ -65,13 +65,15 @@ def _rows(
     n, nv = len(F), nu + ny
     free = np.argwhere(feedthrough)
     states = np.hstack([np.eye(n), np.zeros((n, n * nv))])  # by x(0), and by every column of (G, K)
+    row = np.arange(n)
+    own = n + n * np.arange(nv)[:, None] + row  # each state by its entries in the columns
     for start in range(0, len(stretch.y), BLOCK):
         v, y = stretch.v[start : start + BLOCK], stretch.y[start : start + BLOCK]
         seen = np.empty((len(y), ny, n * (1 + nv)))
         for k, now in enumerate(v):
             seen[k] = C @ states
             states = F @ states
-            states[:, n:] += np.kron(now, np.eye(n))
+            states[row, own] += now[:, None]
         direct = np.zeros((len(y), ny, len(free)))
         direct[:, free[:, 0], np.arange(len(free))] = v[:, free[:, 1]]
         constant = np.broadcast_to(np.eye(ny), (len(y), ny, ny))
