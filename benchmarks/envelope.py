@@ -221,9 +221,9 @@ def unseen(flights: Flights, near: Any, alone: dict[str, Any], fits: dict[str, A
     rows = []
     for name in UNSEEN:
         for speed in SPEEDS:
-            trim, six = Trim(values=flights.trims[speed]), {"SixDof": near[speed]}
+            six = {"SixDof": near[speed]}
             models = {"own": alone[speed].model} | {case: fits[case].model for case in (BASE, OUT)}
-            linear = {each: model.at(trim) for each, model in models.items()}
+            linear = {each: linear_at(flights, model, speed) for each, model in models.items()}
             e = simulated(flights, six | linear, speed, name)
             ahead = predicted(flights, six | models, speed, name)
             found = [ratio(errors[a], errors[b]) for errors in (e, ahead) for a, b in pairs]
@@ -250,7 +250,13 @@ def changes(flights: Flights, near: dict[str, Any], fits: dict[str, Any]) -> Any
     return ("record", *head, f"unseen / SixDof at 60 kn, {ahead} of filtered ones"), rows
 
 
-def pieces(model: Flown, record: Record) -> Any:
+def linear_at(flights: Flights, model: Any, speed: str) -> Any:
+    """A nonlinear model linearised at the measured trim, what was not measured in balance."""
+    trim = flights.trims[speed]
+    return model.at(Trim(values=trim | balanced(model, trim)))
+
+
+def pieces(model: Any, record: Record) -> Any:
     """RMS (8,) of simulations of some seconds, each from the recorded state, flapping settled."""
     errors = []
     for begin in np.arange(record.t[0], record.t[-1] - AHEAD, AHEAD):
@@ -261,15 +267,23 @@ def pieces(model: Flown, record: Record) -> Any:
     return np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
 
 
-def settled(model: Flown, record: Record) -> dict[str, float]:
+def settled(model: Any, record: Record) -> dict[str, float]:
     """The first state of a record, those that are not recorded in balance with the others."""
     first = {name: float(values[0]) for name, values in record.totals().items()}
-    x = np.array([first.get(name, 0.0) for name in model.states])
-    u = [first[name] for name in model.inputs]
-    rest = [i for i, name in enumerate(model.states) if name not in first]
-    moves = np.vstack([x, x + np.eye(len(x))[rest]])
-    f = np.array([model.equations()(each, u, model.vector())[0].full().ravel() for each in moves])
-    x[rest] -= np.linalg.solve((f[1:] - f[0])[:, rest].T, f[0, rest])  # linear in them
+    return balanced(model, first)
+
+
+def balanced(model: Any, known: dict[str, float]) -> dict[str, float]:
+    """States of a flight condition, those that are not known in balance with the others."""
+    typical = zip(model.states, model.operating_point()[0], strict=True)
+    x = np.array([known.get(name, value) for name, value in typical])
+    u = [known[name] for name in model.inputs]
+    rest = [i for i, name in enumerate(model.states) if name not in known]
+    equations, lam = model.equations(), model.vector()
+    for _ in range(8):
+        moves = np.vstack([x, x + 1e-4 * np.eye(len(x))[rest]])
+        f = np.array([equations(each, u, lam)[0].full().ravel() for each in moves])
+        x[rest] -= 1e-4 * np.linalg.solve((f[1:] - f[0])[:, rest].T, f[0, rest])
     return dict(zip(model.states, x, strict=True))
 
 

@@ -1,0 +1,146 @@
+"""One model of a helicopter by its components over 40 to 80 kn, against a fit at each speed.
+
+Records, noise, measures as in `benchmarks.envelope`; `MinimumComplexity` started from its defaults,
+which its trims move to where they are in balance.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.components DATA [--kept FOLDER] [--seed N]
+
+A fit in FOLDER is not made again.
+"""
+
+import argparse
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from benchmarks.envelope import (
+    BASE,
+    CASES,
+    ESTIMATOR,
+    OUT,
+    SEEN,
+    SPEEDS,
+    Flights,
+    balanced,
+    changes,
+    kept,
+    local,
+    unseen,
+)  # fmt: skip
+from benchmarks.tables import table
+from benchmarks.uh60 import STEPS
+from casid import Record
+from casid.bounds.trials import aicc
+from models.minimum_complexity import MinimumComplexity
+
+# Known of any aircraft: rotors' tip speeds, twist, arms [m/s, rad, m].
+KNOWN = {
+    "tip": 221.0, "tail_tip": 206.0, "twist": -0.105, "tail_twist": -0.137,
+    "tail": 6.56, "tail_up": 0.8, "plane": 5.0, "fin": 6.28,
+}  # fmt: skip
+INITIAL = {"v": (0.0, 0.1), "w": (1.4, 0.15)}  # m/s: level flight
+# What records of one speed do not tell apart from the rest; the fit to three speeds does.
+UNTOLD = (
+    "lon_0", "Lhub", "Mhub", "Mthrust", "Nprofile", "Xuu", "tail_flow", "fin_0", "fin_stalled",
+)  # fmt: skip
+COMPONENTS = replace(ESTIMATOR, interval=1.0, initial=INITIAL)
+
+
+def start(flights: Flights, speeds: Sequence[str]) -> MinimumComplexity:
+    """The parameters nearest to the defaults with which the measured trims are balanced."""
+    trims = [flights.trims[speed] for speed in speeds]
+    middle = flights.trims[speeds[len(speeds) // 2]]
+    trim = tuple(middle[name] for name in ("u", "theta", *MinimumComplexity.inputs))
+    guess = MinimumComplexity(**KNOWN, trim=trim)
+    low, high = np.array([(i.lower, i.upper) for i in guess.infos().values()]).T
+    scale = np.maximum(0.2 * np.abs(guess.vector()), 1e-3 * (high - low))
+
+    def moved(z: Any) -> MinimumComplexity:
+        return guess.with_vector(np.clip(guess.vector() + scale * z, low, high))
+
+    def residuals(z: Any) -> Any:
+        return np.concatenate([z, *(100 * unbalanced(moved(z), each) for each in trims)])
+
+    return moved(least_squares(residuals, np.zeros(len(scale))).x)
+
+
+def unbalanced(model: MinimumComplexity, trim: dict[str, float]) -> Any:
+    """Accelerations (6,) at a measured trim, its rotor settled."""
+    x = balanced(model, trim)
+    inputs = [trim[name] for name in model.inputs]
+    f = model.equations()(list(x.values()), inputs, model.vector())[0]
+    return f.full().ravel()[:6]
+
+
+def fitted(flights: Flights, path: Path, speeds: Sequence[str], more: Sequence[str]) -> Any:
+    """The structure fitted to the 3-2-1-1 of some speeds and to more at 60 kn."""
+    records = steps(flights, speeds) + [flights.noisy("060kt", name) for name in more]
+    return kept(path, MinimumComplexity, lambda: COMPONENTS.fit(start(flights, speeds), records))
+
+
+def own(flights: Flights, path: Path, speed: str, one: Any) -> Any:
+    """The structure fitted to the 3-2-1-1 of one speed, from the fit to three."""
+    records = steps(flights, [speed])
+    return kept(path, MinimumComplexity, lambda: COMPONENTS.fit(one.model, records, fixed=UNTOLD))
+
+
+def steps(flights: Flights, speeds: Sequence[str]) -> list[Record]:
+    """The noisy 3-2-1-1 of some speeds."""
+    return [flights.noisy(speed, name) for speed in speeds for name in STEPS]
+
+
+def left_out(fit: Any, trim: dict[str, float]) -> Any:
+    """How far a trim that no record was flown at is out of balance, over its standard errors."""
+    free = [fit.model.parameter_names().index(name) for name in fit.free_names]
+    lam, f = fit.model.vector(), unbalanced(fit.model, trim)
+    step = 1e-3 * np.sqrt(np.diag(fit.covariance))
+    moves = np.eye(len(lam))[free] * step[:, None]
+    by = [(unbalanced(fit.model.with_vector(lam + each), trim) - f) for each in moves]
+    J = np.array(by).T / step
+    sigma = np.sqrt(np.diag(J @ fit.covariance @ J.T))
+    rows = [
+        (f"d{name}/dt", value, one, value / one)
+        for name, value, one in zip("uvwpqr", f, sigma, strict=True)
+    ]
+    return ("at the trim of 60 kn, left out", "out of balance", "its standard error", "ratio"), rows
+
+
+def worth(flights: Flights, one: Any, alone: dict[str, Any]) -> Any:
+    """Parameters and AICc of one model and of three."""
+    total = sum(aicc(fit, steps(flights, [speed])) for speed, fit in alone.items())
+    count = sum(len(fit.free_names) for fit in alone.values())
+    whole = aicc(one, steps(flights, SPEEDS))
+    rows = [("one model", len(one.free_names), f"{whole:.0f}")]
+    return ("", "parameters", "AICc"), [*rows, ("three own fits", count, f"{total:.0f}")]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--kept", type=Path, default=Path("out/components"))
+    parser.add_argument("--seed", type=int, default=109)
+    chosen = parser.parse_args()
+    chosen.kept.mkdir(parents=True, exist_ok=True)
+    flights, folder = Flights(chosen.data, chosen.seed), chosen.kept
+    warnings.simplefilter("ignore")  # of speeds beyond the records
+    near = {speed: local(flights, folder, speed) for speed in SPEEDS}
+    fits = {
+        case: fitted(flights, folder / f"{case}.json", CASES[case][0], CASES[case][2])
+        for case in (BASE, OUT, SEEN)
+    }
+    alone = {
+        speed: own(flights, folder / f"own {speed}.json", speed, fits[BASE]) for speed in SPEEDS
+    }
+    print(f"\n{table(*worth(flights, fits[BASE], alone))}", flush=True)
+    print(f"\n{table(*left_out(fits[OUT], flights.trims['060kt']))}", flush=True)
+    print(f"\n{table(*unseen(flights, near, alone, fits))}", flush=True)
+    print(f"\n{table(*changes(flights, near, fits))}")
+
+
+if __name__ == "__main__":
+    main()
