@@ -8,7 +8,8 @@ outputs' noise v: |bias| <= |Φ_vu|/Φ_u at every frequency, and by Schwarz
 the share of the input that is noise fed back times the noise-to-signal ratio of the output. The
 share follows from the one-step prediction errors e of a model with a stable predictor; so does the
 ratio where v is white. Where it is not, as in turbulence, v is many times e at low frequency, and
-the share alone says whether there may be a bias (`casid.subspace.refining`).
+the share alone says whether there may be a bias (`casid.subspace.refining`), where it is more than
+chance makes of short records of slow inputs.
 """
 
 from collections.abc import Sequence
@@ -25,6 +26,7 @@ from casid.subspace.predictor import Stack, triangular
 MEMORY = 0.5  # s: how long after an error its way through the controller is looked for
 LAGS = 25  # at most
 ENOUGH = 20_000  # samples looked at, shared by the records
+RARE = 0.05  # how often chance makes a share as large as is told beside it
 LEVEL = 1e-3  # of the tests for feedback and for a direct term
 
 
@@ -32,14 +34,14 @@ def fed_back_noise(
     system: StateSpace, K: Array, records: Sequence[Record], su: Array, sy: Array
 ) -> float:
     """Bound on the relative bias that white noise fed back by a controller gives the response."""
-    share, size = fed_back(system, K, records, su, sy)
+    share, size, _ = fed_back(system, K, records, su, sy)
     return float(np.sqrt(share)) * size
 
 
 def fed_back(
     system: StateSpace, K: Array, records: Sequence[Record], su: Array, sy: Array
-) -> tuple[float, float]:
-    """Share of an input's power that prediction errors make, and the size of these."""
+) -> tuple[float, float, float]:
+    """Share of an input's power that prediction errors make, size of these, share by chance."""
     # The largest over inputs, for the average output; 0 where no feedback shows. A - KC is stable,
     # no sample is missing.
     lags = min(LAGS, max(int(MEMORY / max(record.dt for record in records)), 2))
@@ -56,17 +58,32 @@ def fed_back(
         rows.append(past.reshape(len(past), -1))
         targets.append(u[-len(past) :])
     if not rows:
-        return 0.0, 0.0
+        return 0.0, 0.0, 1.0
     X, U = np.vstack(rows), np.vstack(targets)
     if len(X) <= 2 * X.shape[1]:
-        return 0.0, 0.0
+        return 0.0, 0.0, 1.0
     X = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
     # The share of U that X explains is compared with some per cent: products are precise enough.
     inner, outer = X.T @ X + 1e-10 * np.eye(X.shape[1]), X.T @ U
     explained = np.sum(outer * scipy.linalg.solve(inner, outer, assume_a="pos"), axis=0)
     left = (np.sum(U**2, axis=0) - explained) / (len(X) - X.shape[1])
     fed = np.max(1 - left / np.mean(U**2, axis=0))
-    return max(float(fed), 0.0), float(np.mean(np.std(np.vstack(errors), axis=0)))
+    size = float(np.mean(np.std(np.vstack(errors), axis=0)))
+    return max(float(fed), 0.0), size, _by_chance(targets, lags, len(sy)) * X.shape[1] / len(X)
+
+
+def _by_chance(inputs: Sequence[Array], lags: int, ny: int) -> float:
+    """Share that errors of ``ny`` outputs seldom make of inputs they have no part in.
+
+    In that which as many regressors without use make in the mean. An input that moves slowly is the
+    same at all lags of white errors, whose squared correlations with it come in few independent
+    terms: those of χ² of Welch and Satterthwaite's number (Biometrics Bulletin 2, 1946).
+    """
+    products = [sum(np.sum(u[i:] * u[: len(u) - i], axis=0) for u in inputs) for i in range(lags)]
+    alike = np.array(products) / np.maximum(products[0], 1e-300)
+    squares = lags + 2 * np.sum(np.arange(lags - 1, 0, -1)[:, None] * alike[1:] ** 2, axis=0)
+    terms = ny * lags**2 / np.max(squares)
+    return float(scipy.special.chdtri(terms, RARE / inputs[0].shape[1]) / terms - 1)
 
 
 def _without_model_error(e: Array, u: Array, lags: int, *, now: bool) -> Array:

@@ -127,9 +127,10 @@ def _without_feedback(found: Estimate, pieces: Campaign, pole: float, R: Array) 
     where some is fed back, how far they are from it in stated errors is the test (J. Hausman,
     Econometrica 46, 1978). They state too small errors of short records, which disqualifies them.
     """
-    share, size = fed_back(found.system, found.K, pieces.records, pieces.su, pieces.sy)
+    share, size, chance = fed_back(found.system, found.K, pieces.records, pieces.su, pieces.sy)
     much = np.sqrt(share) * size > FED_BACK
-    if not much and (share <= SHARE or found.missed):  # what is missed is in prediction errors, too
+    little = share <= max(SHARE, chance)
+    if not much and (little or found.missed):  # what is missed is in prediction errors, too
         return found
     try:
         held, gain, sampled = refine_held(found.system, found.K, pieces)

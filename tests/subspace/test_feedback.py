@@ -78,6 +78,25 @@ def test_noise_fed_back_is_seen_in_a_fast_loop_and_not_in_an_open_one():
     assert fed_back_noise(stable, K, [record], *standard_deviations([record])) < 0.15
 
 
+@pytest.mark.parametrize("hold", [1, 50])
+def test_a_share_that_chance_makes_is_told_beside_it(hold):
+    # Fifty flights of 12 s, four outputs of white noise alone, inputs that jump at every sample or
+    # once a second: one in twenty shows more, of slow inputs fewer, as errors are free of them.
+    t, none, more = 0.02 * np.arange(600), np.zeros((4, 1)), []
+    system = StateSpace([[-1.0]], [[0.0]], none, none, inputs=("lat",), outputs=tuple("abcd"))
+    for seed in range(50):
+        rng = np.random.default_rng([5, seed])
+        u = np.repeat(rng.choice([-1.0, 1.0], 600 // hold), hold)[:, None]
+        y = rng.standard_normal((600, 4))
+        fed = u - np.vstack([np.zeros((5, 1)), y[:-5, :1]])
+        flown = (Record(t, x, y, ("lat",), tuple("abcd")) for x in (u, fed))
+        found = [fed_back(system, none.T, [each], np.ones(1), np.ones(4)) for each in flown]
+        more.append([share > chance for share, _, chance in found])
+    by_chance, real = np.mean(more, axis=0)
+    assert by_chance <= 0.14  # three deviations of the binomial distribution above 5 %
+    assert real > 0.9  # half of the input
+
+
 def test_default_has_no_bias_where_the_projection_alone_is_biased_and_says_so():
     omega = np.geomspace(0.3, 8.0, 25)
     found = {True: [], False: []}
@@ -151,5 +170,5 @@ def test_feedback_is_looked_for_from_two_samples_a_coefficient_on():
     for N in (34, 26):  # with two lags of four outputs 28 rows, or 20, of eight columns
         u, y = rng.standard_normal((N, 1)), rng.standard_normal((N, 4))
         record = Record(2.0 * np.arange(N), u, y, ("u",), tuple("abcd"), hold="zoh")
-        _, size = fed_back(system, np.zeros((1, 4)), [record], np.ones(1), np.ones(4))
+        _, size, _ = fed_back(system, np.zeros((1, 4)), [record], np.ones(1), np.ones(4))
         assert 0.6 < size < 1.2  # white errors, less what five inputs explain of them

@@ -65,23 +65,24 @@ def test_projections_move_only_if_asked_and_then_to_the_truth():
 
 
 @pytest.mark.parametrize(
-    ("share", "size", "distance", "ratio", "chosen"),
+    ("share", "size", "chance", "distance", "ratio", "chosen"),
     [
-        (0.02, 1.0, 9.0, 1.0, "transforms"),  # little is fed back
-        (0.04, 0.9, 0.39, 1.0, "transforms"),  # which does not matter
-        (0.04, 0.9, 0.41, 0.86, "prediction errors"),  # or does
-        (0.04, 0.9, 0.41, 0.84, "transforms, with a remark"),  # of errors too small to be true
-        (0.04, 1.1, 0.39, 0.84, "prediction errors"),  # certain: √0.04 of 1.1 is more than a fifth
+        (0.02, 1.0, 0.01, 9.0, 1.0, "transforms"),  # little is fed back
+        (0.04, 0.9, 0.05, 9.0, 1.0, "transforms"),  # or no more than chance makes
+        (0.04, 0.9, 0.01, 0.39, 1.0, "transforms"),  # which does not matter
+        (0.04, 0.9, 0.01, 0.41, 0.86, "prediction errors"),  # or does
+        (0.04, 0.9, 0.01, 0.41, 0.84, "transforms, with a remark"),  # errors too small to be true
+        (0.04, 1.1, 0.01, 0.39, 0.84, "prediction errors"),  # √0.04 of 1.1 is more than a fifth
     ],
 )
 def test_noise_fed_back_is_answered_by_prediction_errors(
-    share, size, distance, ratio, chosen, monkeypatch
+    share, size, chance, distance, ratio, chosen, monkeypatch
 ):
     flown = Campaign.of(campaign(records=1, duration=12.0), True)
     plant, K = unstable_plant(), np.zeros((5, 3))
     for name, answer in (
-        ("fed_back", (share, size)), ("refine_held", (plant, K + 1, None)), ("riccati_gain", K + 2),
-        ("_apart", (distance, ratio)),
+        ("fed_back", (share, size, chance)), ("refine_held", (plant, K + 1, None)),
+        ("riccati_gain", K + 2), ("_apart", (distance, ratio)),
     ):  # fmt: skip
         monkeypatch.setattr(refining, name, lambda *_, answer=answer: answer)
     found = Estimate(plant, K)
