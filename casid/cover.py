@@ -5,10 +5,9 @@ W(s) of given order with abs(W(jω)) >= σ_max(Δ(jω)) for every model of an en
     additive:                        Δ = G - G_0
     multiplicative at the output:    Δ = (G - G_0) G_0⁺,    G = (I + Δ) G_0
 
-(K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, chapter 9). abs(W)² = P(ω²)/Q(ω²): for
-a ratio γ, P and Q with m² Q <= P <= γ² m² Q over the grid is a linear programme in their
-coefficients, so the least γ is found by bisection; the roots in the left half-plane are W. Where
-P or Q falls below zero between the points that keep it above, its least values join them.
+(K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, chapter 9). W is the tightest in the
+mean of its order: a peak of hardly any damping costs it what the peak is wide, where the least of
+the largest ratio to the error would let the peak lift all of W.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,29 +16,24 @@ from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
-import scipy
-from numpy.polynomial import Chebyshev
 
 from casid.arrays import Array, ComplexArray
 from casid.display import Shown, counted
 from casid.linear import StateSpace
+from casid.magnitudes import TIGHT, mean, realisation, roots, with_more
 from casid.threads import one_thread
 from casid.validation import AnyModel, state_space
 
 Kind = Literal["additive", "multiplicative"]
 GRID = 400  # points of the certificate in a decade
-POINTS = 100  # of the linear programme
-EVERYWHERE = 150  # points from zero to infinity where P and Q must stay above zero
-CLEAR = 1e-5  # how far, relative to their size
-ROUNDS = 12  # of points added to those
+MOST = 10  # states
+WORTH = 2e-3  # of the mean's logarithm, that two states more must save
 AXIS = 1e-8  # damping ratio below which a response at a pole is nothing but rounding
-TIGHT = 3e-3  # relative width of the last interval of γ
 LIGHT = 0.02  # damping ratio below which the grid may step over a resonance
 HIGH = 1.05  # how far below the highest a peak may be that is looked at more closely
 RANK = 1e-12  # of the largest singular value: G_0 lacks rank below
 SHARE = 0.1  # of a direction without effect: an input that is named
 BETWEEN = 4e-6  # by how much W is lifted for what a still denser grid finds
-LIFT = 1.01  # how far W may be lifted for what lies between the points of the fit
 STEP = 0.05  # of the error's logarithm from point to point, above which one is put between
 NOTHING = 1e-300  # the least error: a logarithm is taken
 ROUNDING = 1e-12  # of a response: an error below is none
@@ -62,7 +56,10 @@ class Cover(Shown):
     error : (K,) array
         Largest σ_max(Δ) of all models.
     excess : float
-        Geometric mean of abs(W)/error over the grid, in log ω; 1 is as tight as can be.
+        Geometric mean of abs(W)/error over log ω; 1 is as tight as can be.
+    enough : int or None
+        States with which ``excess`` is at most 1.5, if need be more than were asked for, two at a
+        time; None where 10 are too few.
     margin : float
         Least of abs(W)/error over the grid; at least 1.
     models : int
@@ -74,15 +71,18 @@ class Cover(Shown):
     omega: Array
     error: Array
     excess: float
+    enough: int | None
     margin: float
     models: int
 
     def headline(self) -> str:
-        """Order, kind, how tight."""
+        """Order, kind, how tight; what would be, if it is not."""
+        most = f"an order of {self.enough}" if self.enough else f"no order up to {MOST}"
         return (
             f"{self.kind}, order {self.weight.nx}, {self.models} models, {self.omega[0]:.3g} to "
             f"{self.omega[-1]:.3g} rad/s, {self.excess:.3g} times the error in the mean, "
             f"{self.margin:.4g} times at least"
+            + (f"; {most} makes that at most {TIGHT:g}" if self.excess > TIGHT else "")
         )
 
 
@@ -110,8 +110,7 @@ def cover(
     band : (float, float)
         Frequencies [rad/s] to cover.
     order : int
-        States of W, 1 to 10; fewer where more make it no tighter, or where poles or zeros would lie
-        too close to the imaginary axis to be told from it.
+        States of W, 1 to 10; fewer where more make it no tighter.
     kind : {"additive", "multiplicative"}
         Additive, or multiplicative at the output: for that G_0 needs as many outputs as inputs at
         least.
@@ -130,8 +129,8 @@ def cover(
     low, high = band
     if not 0 < low < high < np.inf:
         raise ValueError(f"band={band}: expected two increasing finite frequencies above 0 rad/s")
-    if not 1 <= order <= 10:
-        raise ValueError(f"order={order}: expected 1 to 10")
+    if not 1 <= order <= MOST:
+        raise ValueError(f"order={order}: expected 1 to {MOST}")
     if kind not in get_args(Kind):
         raise ValueError(f"kind={kind!r}: expected one of {', '.join(get_args(Kind))}")
     systems = [state_space(each) for each in (nominal, *models)]
@@ -143,7 +142,7 @@ def cover(
     error = errors(omega)
     if (error <= _largest([systems[0]] * 2, kind, omega, scale)).all():
         raise ValueError("all models equal the nominal one: there is no error to cover")
-    weight = _tightest(omega, error, errors, order)
+    weight, enough = _tightest(omega, error, errors, order)
     ratio = np.abs(weight.response(omega)[:, 0, 0]) / error
     return Cover(
         weight=weight,
@@ -151,7 +150,8 @@ def cover(
         omega=omega,
         error=error,
         models=len(models),
-        excess=float(np.exp(np.mean(np.log(ratio)))),
+        excess=float(np.exp(mean(np.log(omega), np.log(ratio)))),
+        enough=enough,
         margin=float(ratio.min()),
     )
 
@@ -237,74 +237,6 @@ def _inverse(G0: ComplexArray, omega: Array, inputs: Sequence[str]) -> ComplexAr
     return np.asarray(((U / sizes[:, None]) @ V).conj().swapaxes(1, 2))
 
 
-def _fitted(omega: Array, error: Array, order: int) -> tuple[Chebyshev, Chebyshev, float]:
-    """P, Q as polynomials of x = (ω² - c)/(ω² + c), and c, with the least γ."""
-    center, size = float(omega[0] * omega[-1]), float(np.exp(np.mean(np.log(error))))
-    some = np.linspace(0, len(omega) - 1, POINTS).astype(int)
-    x = ((omega**2 - center) / (omega**2 + center))[some]
-    m2 = (error[some] / size) ** 2
-    low, high = 0.0, float(np.log(m2.max() / m2.min())) + 0.1
-    best = Chebyshev([m2.max()]), Chebyshev([1.0])  # a constant, if nothing is better
-    while high - low > TIGHT:
-        middle = 0.5 * (low + high)
-        found = _between(x, m2, np.exp(middle), order)
-        low, high, best = (low, middle, found) if found is not None else (middle, high, best)
-    return size**2 * best[0], best[1], center
-
-
-def _between(x: Array, m2: Array, gamma2: float, order: int) -> tuple[Chebyshev, Chebyshev] | None:
-    """P and Q of degree ``order`` with m² Q <= P <= γ² m² Q, both above zero from -1 to 1."""
-    points = np.cos(np.linspace(0, np.pi, EVERYWHERE))
-    for _ in range(ROUNDS):
-        if (found := _programme(x, m2, gamma2, order, points)) is None:
-            return None
-        P, Q = found
-        added = np.concatenate([_dips(P, 0.5 * CLEAR * m2.min()), _dips(Q, 0.5 * CLEAR)])
-        if not added.size:
-            return found
-        points = np.concatenate([points, added])
-    return None
-
-
-def _dips(of_x: Chebyshev, floor: float) -> Array:
-    """Where from -1 to 1 a polynomial has extremes below a floor."""
-    extremes = np.clip(of_x.deriv().roots().real, -1.0, 1.0)
-    return np.asarray(extremes[of_x(extremes) < floor])
-
-
-def _programme(
-    x: Array, m2: Array, gamma2: float, order: int, points: Array
-) -> tuple[Chebyshev, Chebyshev] | None:
-    """P and Q with m² Q <= P <= γ² m² Q, if there are any, both above zero at the points."""
-    # Of all that will do those furthest above zero on the whole axis, 0 to infinity: roots on it
-    # would be poles or zeros on the imaginary axis. The unknowns are P, Q and that distance.
-    T = np.polynomial.chebyshev.chebvander(x, order) / m2[:, None]
-    E = np.polynomial.chebyshev.chebvander(points, order)
-    none, one = np.zeros((len(x), 1)), np.ones((len(E), 1))
-    Q = T * m2[:, None]
-    rows = np.block(
-        [
-            [-T, Q, none],
-            [T / gamma2, -Q, none],
-            [np.zeros_like(E), -E, one],
-            [-E / m2.min(), np.zeros_like(E), one],
-        ]
-    )
-    n = 2 * order + 3
-    answer = scipy.optimize.linprog(
-        -np.eye(n)[-1],
-        A_ub=rows,
-        b_ub=np.zeros(len(rows)),
-        A_eq=np.eye(n)[order + 1 : order + 2],
-        b_eq=[1.0],
-        bounds=(None, None),
-        method="highs",
-    )
-    if answer.x is None or answer.status != 0 or answer.x[-1] < CLEAR:
-        return None
-    return Chebyshev(answer.x[: order + 1]), Chebyshev(answer.x[order + 1 : -1])
-
-
 def _resonances(roots: ComplexArray, low: float, high: float) -> Array:
     """Frequencies within a band at and beside lightly damped roots."""
     light = roots[(roots.imag > 0) & (np.abs(roots.real) < LIGHT * roots.imag)]
@@ -314,32 +246,27 @@ def _resonances(roots: ComplexArray, low: float, high: float) -> Array:
 
 def _tightest(
     omega: Array, error: Array, errors: Callable[[Array], Array], order: int
-) -> StateSpace:
-    """W of up to so many states that covers the errors on a denser grid and at its own resonances.
+) -> tuple[StateSpace, int | None]:
+    """W of up to so many states that covers the errors, and the states with which it is tight.
 
-    A high order may set a notch between the points of its fit, which lifts all of it: a lower one
-    is tried then, and where rounding takes a pole or zero out of the left half-plane; a constant
-    always does.
+    Two states more begin where fewer ended: no order does worse than a lower one.
     """
-    none = np.zeros(0, dtype=complex)
-    best, least = _system(none, none), np.inf
     dense, m = _resolved(omega, error, errors)
-    for states in range(order, -1, -1):
-        P, Q, center = _fitted(omega, error, states)
-        degree = max(P.degree(), Q.degree(), 1)  # of a constant one that cancels
-        W = _system(*(_stable_roots(each, center, degree) for each in (P, Q)))
-        roots = np.concatenate([W.poles(), np.linalg.eigvals(W.A - W.B @ W.C / W.D)])
-        if not (roots.real < -AXIS * np.abs(roots)).all():
-            continue
-        size = np.abs(W.response(omega)[:, 0, 0])
-        fitted, needed = float(np.max(error / size)), _least_gain(W, roots, dense, m, errors)
-        gain = max(fitted, needed) * (1 + BETWEEN)
-        excess = float(np.mean(np.log(gain * size / error)))
-        if excess < least:
+    x, y = np.log(dense), 2 * np.log(m)
+    v, least, enough = np.array([y.max()]), np.inf, None
+    best = realisation(v)
+    for states in range(order % 2, MOST + 1, 2):
+        v = with_more(v, x, y, states, tries=3 if states <= order else 1)
+        W = realisation(v)
+        gain = _least_gain(W, roots(v), dense, m, errors) * (1 + BETWEEN)
+        excess = mean(x, np.log(gain * np.abs(W.response(dense)[:, 0, 0]) / m))
+        if states <= order and excess < least - WORTH:
             best, least = replace(W, C=gain * W.C, D=gain * W.D), excess
-        if needed <= LIFT * fitted:
+        if excess <= np.log(TIGHT):
+            enough = enough or states
+        if least < WORTH or (states >= order and enough is not None):
             break
-    return best
+    return best, enough
 
 
 def _resolved(omega: Array, error: Array, errors: Callable[[Array], Array]) -> tuple[Array, Array]:
@@ -378,16 +305,3 @@ def _peaks(omega: Array, ratio: Array) -> Array:
     return np.asarray(
         (omega[at - 1, None] + (omega[at + 1] - omega[at - 1])[:, None] * share).ravel()
     )
-
-
-def _system(zeros: ComplexArray, poles: ComplexArray) -> StateSpace:
-    A, B, C, D = (part.real for part in scipy.signal.zpk2ss(zeros, poles, 1.0))
-    return StateSpace(A, B, C, D, None, ("w",), ("z",))
-
-
-def _stable_roots(of_x: Chebyshev, center: float, degree: int) -> ComplexArray:
-    """Roots s in the left half-plane of a polynomial of x, s² = -ω² = -c (1 + x)/(1 - x)."""
-    x = of_x.trim(1e-12 * np.abs(of_x.coef).max()).roots().astype(complex)
-    roots = -np.sqrt(-center * (1 + x) / (1 - x))
-    # A degree that is missing in x is a factor ω² + c.
-    return np.concatenate([roots, np.full(degree - len(x), -np.sqrt(center))])

@@ -66,6 +66,8 @@ class Qualification(Shown):
         Measured and simulated time histories.
     source : str
         Where the tolerances come from.
+    idle : tuple of str
+        Outputs with a tolerance in a table of the user that there are not.
     """
 
     model: str
@@ -77,6 +79,7 @@ class Qualification(Shown):
     width: tuple[Array, ...]
     validation: Validation
     source: str
+    idle: tuple[str, ...] = ()
 
     @property
     def passed(self) -> BoolArray:
@@ -95,6 +98,8 @@ class Qualification(Shown):
             told += f"; failed: {listed(failed)}"
         if none := self.named(~judged):
             told += f"; not judged: {listed(none)}"
+        if self.idle:
+            told += f"; no such output: {listed(self.idle)}"
         return f"{self.model}: {int(self.passed.sum())} of {int(judged.sum())} passed{told}"
 
     def named(self, those: BoolArray, figure: str = "") -> tuple[str, ...]:
@@ -138,7 +143,7 @@ def qualify(
         )
     bands = tuple(read_tolerance(name, tolerances[name]) for name in outputs)
     columns = [validation.outputs.index(name) for name in outputs]
-    widths, largest, outside = [], [], []
+    widths, largest, outside, usual = [], [], [], tolerances == TOLERANCES
     known = np.array([name in validation.known[model] for name in outputs])
     records = zip(validation.measured, validation.simulated[model], validation.begins, strict=True)
     for record, y, begin in records:
@@ -162,7 +167,8 @@ def qualify(
         outside=np.array(outside),
         width=tuple(widths),
         validation=validation,
-        source=SOURCE if tolerances == TOLERANCES else "a table of the user",
+        source=SOURCE if usual else "a table of the user",
+        idle=() if usual else tuple(each for each in tolerances if each not in outputs),
     )
 
 

@@ -94,7 +94,10 @@ def test_an_output_that_the_model_lacks_or_that_nobody_measured_is_not_judged():
 def test_a_tolerance_of_an_output_that_there_is_not_is_refused():
     with pytest.raises(ValueError, match=r"'pp'; did you mean 'p'\?"):
         qualify(flown(), tolerances={"p": "2 deg/s", "pp": "2 deg/s"})
-    assert qualify(flown(), tolerances={**TOLERANCES, "p": "2 deg/s"}).outputs == ("p",)
+    edited = qualify(flown(), tolerances={"p": "2 deg/s", "theta": "2 deg"})
+    assert (edited.outputs, edited.idle) == (("p",), ("theta",))
+    assert "no such output: theta" in repr(edited)
+    assert qualify(flown()).idle == ()
 
 
 def test_outputs_without_a_tolerance_are_named():

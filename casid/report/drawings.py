@@ -248,8 +248,10 @@ def _rms(validation: Validation) -> Figure:
 
 
 def draw_whiteness(validation: Validation, model: str) -> Iterator[Drawing]:
-    """Autocorrelations of the residuals of black box and delivered model."""
+    """Autocorrelations of the residuals of black box and delivered model, where simulated."""
     for k, record in enumerate(validation.measured):
+        if np.isfinite(validation.horizon[k]):
+            continue
         yield Drawing(
             name=f"whiteness_{_file(record.name)}",
             caption=f"Autocorrelation of the residuals, record {record.name}; grey: the band that "

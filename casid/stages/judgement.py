@@ -1,5 +1,6 @@
 """The stage that judges all models on unseen records."""
 
+import math
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -103,6 +104,7 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
     }
     found_modes = {name: modes(fit.model.system()) for name, fit in content.fits.items()}
     values = {"modes": found_modes, "bands": bands, "at": at}
+    values["simulated"] = [k for k, far in enumerate(found.horizon) if math.isinf(far)]
     drawings = report.drawings
     histories = partial(drawings.draw_histories, found, content.units)
     for name, title, place, draw in (

@@ -44,6 +44,10 @@ def test_a_prediction_is_called_one_in_table_figure_and_box(pole):
     assert ("s ahead, not simulated" in history.caption) == predicted
     (bars,) = sections["rms"].draw()
     assert bars.caption.startswith(f"RMS {'prediction' if predicted else 'simulation'} error")
+    white = body(sections["whiteness"], content)
+    assert ("leave no white residuals" in white) == predicted
+    assert ("Share within the band" in white) != predicted
+    assert len(list(sections["whiteness"].draw())) == (0 if predicted else 1)
 
 
 @pytest.mark.parametrize("horizon", [-1.0, 0.0, np.nan])
