@@ -82,7 +82,7 @@ def phugoids(damping, seed):
     [
         (0.04, 6),
         *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.04, 5), (0.02, 4))),
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.005, 6), (1e-5, 2))),
+        *(pytest.param(*each, marks=pytest.mark.campaign) for each in ((0.005, 6), (1e-5, 2))),
     ],
 )
 def test_a_weight_of_light_damping_is_stable_of_minimum_phase_and_covers(damping, order):
