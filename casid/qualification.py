@@ -16,7 +16,7 @@ from casid.arrays import Array, BoolArray
 from casid.channels import MEASURES, UNITS, factor_of
 from casid.checks import check_known
 from casid.display import Shown, listed
-from casid.validation import Validation
+from casid.validation import Validation, due
 
 SOURCE = "14 CFR Part 60, Appendix C, Table C2A, entries 2.b.3 and 2.c.1"
 TOLERANCES: Mapping[str, str] = {
@@ -144,14 +144,14 @@ def qualify(
     bands = tuple(read_tolerance(name, tolerances[name]) for name in outputs)
     columns = [validation.outputs.index(name) for name in outputs]
     widths, largest, outside, usual = [], [], [], tolerances == TOLERANCES
-    known = np.array([name in validation.known[model] for name in outputs])
-    records = zip(validation.measured, validation.simulated[model], validation.begins, strict=True)
-    for record, y, begin in records:
+    judged = due(validation.measured, validation.begins, validation.known[model])
+    records = zip(validation.measured, validation.simulated[model], judged, strict=True)
+    for record, y, asked in records:
         measured = record.y[:, columns]
         width = np.column_stack(
             [_width(x, band) for x, band in zip(measured.T, bands, strict=True)]
         )
-        there = np.isfinite(measured) & known & (np.arange(record.N) >= begin)[:, None]
+        there = asked[:, columns]
         over = np.abs(y[:, columns] - measured) / width
         over[there & ~np.isfinite(over)] = np.inf  # of a model that has left every band
         empty = ~there.any(axis=0)

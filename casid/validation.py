@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.display import Shown, counted, listed
 from casid.fit import AnyFit, Fit
 from casid.linear import StateSpace
@@ -43,7 +43,9 @@ class Validation(Shown):
     models, records, outputs, inputs : tuple of str
         Names; of the channels, those of the records.
     rms : mapping to (records, ny) array
-        Root mean square of the residual, in the unit of the output.
+        Root mean square of the residual, in the unit of the output; infinite of a model that runs
+        out of all numbers where it should predict, whose fit is -inf, Theil's coefficient 1 and
+        whiteness 0.
     normalised : mapping to (records, ny) array
         The same divided by the largest among the models: the worst has 1.
     fit : mapping to (records, ny) array
@@ -182,33 +184,40 @@ def validate(
         _check(name, system, records)
         _check_lengths(name, system, records)
     looks = [outlook(list(systems.values()), record, horizon) for record in records]
-    far = [replace(each, closed_loop=closed_loop) for each in looks]
+    far = [replace(look, closed_loop=closed_loop) for look in looks]
     predictions = {
         name: [_predicted(name, model, *each, scale) for each in zip(records, far, strict=True)]
         for name, model in models.items()
     }
     _tell_beyond(models, predictions)
     simulated = {name: tuple(p.y for p in ps) for name, ps in predictions.items()}
-    rms = {name: _each(rms_error, records, ys) for name, ys in simulated.items()}
-    worst = np.fmax.reduce([np.zeros((len(records), len(outputs))), *rms.values()])
-    worst[worst == 0] = 1.0
+    begins = tuple(look.starts[0] + 1 if look.starts else 0 for look in far)
+    known = {name: system.outputs for name, system in systems.items()}
+
+    def each(measure: Callable[[Array, Array], float]) -> dict[str, Array]:
+        return {
+            name: _each(measure, records, ys, due(records, begins, known[name]))
+            for name, ys in simulated.items()
+        }
+
+    rms = each(rms_error)
     return Validation(
         models=tuple(models),
         records=tuple(record.name for record in records),
         inputs=inputs,
         outputs=outputs,
         rms=rms,
-        normalised={name: values / worst for name, values in rms.items()},
-        fit={name: _each(fit_percent, records, ys) for name, ys in simulated.items()},
-        theil={name: _theils(records, ys) for name, ys in simulated.items()},
-        whiteness={name: _each(_whiteness, records, ys) for name, ys in simulated.items()},
+        normalised=_normalised(rms),
+        fit=each(fit_percent),
+        theil=each(theil_coefficient),
+        whiteness=each(_whiteness),
         measured=records,
         simulated=simulated,
         initial_states={name: tuple(p.x0 for p in ps) for name, ps in predictions.items()},
         biases={name: np.array([p.b for p in ps]) for name, ps in predictions.items()},
-        horizon=tuple(each.horizon for each in far),
-        begins=tuple(each.starts[0] + 1 if each.starts else 0 for each in far),
-        known={name: system.outputs for name, system in systems.items()},
+        horizon=tuple(look.horizon for look in far),
+        begins=begins,
+        known=known,
         growth={name: growth_rate(system) for name, system in systems.items()},
         closed_loop=closed_loop,
     )
@@ -251,9 +260,10 @@ def _predicted(
 ) -> Prediction:
     structure = model.model if isinstance(model, Fit) else model
     try:
-        if isinstance(structure, NonlinearModel):
-            return predict_nonlinear(structure, record, scale, far)
-        return predict(state_space(model), record, scale, far)
+        with np.errstate(over="ignore", invalid="ignore"):  # the measures tell of what runs away
+            if isinstance(structure, NonlinearModel):
+                return predict_nonlinear(structure, record, scale, far)
+            return predict(state_space(model), record, scale, far)
     except ValueError as error:
         raise ValueError(f"model {name!r}, record {record.name!r}: {error}") from error
 
@@ -279,17 +289,42 @@ def state_space(model: AnyModel) -> StateSpace:
     return model.system() if isinstance(model, Model) else model.system
 
 
+def due(
+    records: Sequence[Record], begins: Sequence[int], known: Sequence[str]
+) -> tuple[BoolArray, ...]:
+    """Samples of each record on which a model is judged, (N, ny): measured, of outputs it has.
+
+    ``begins`` are the samples at which predictions begin. A model that has no number at one of
+    these has not predicted it.
+    """
+    has = np.array([name in known for name in records[0].outputs])
+    return tuple(
+        np.isfinite(record.y) & has & (np.arange(record.N) >= begin)[:, None]
+        for record, begin in zip(records, begins, strict=True)
+    )
+
+
 def _each(
-    measure: Callable[[Array, Array], float], records: Sequence[Record], simulated: Sequence[Array]
+    measure: Callable[[Array, Array], float],
+    records: Sequence[Record],
+    simulated: Sequence[Array],
+    asked: Sequence[BoolArray],
 ) -> Array:
-    """A measure of every record and output, (records, ny); missing samples left out."""
+    """A measure of every record's and output's deviations where asked for, (records, ny)."""
     table = np.full((len(records), records[0].ny), np.nan)
-    for i, (record, y_model) in enumerate(zip(records, simulated, strict=True)):
-        for j in range(record.ny):
-            there = ~np.isnan(record.y[:, j]) & ~np.isnan(y_model[:, j])
-            if there.any():
-                table[i, j] = measure(record.y[there, j], y_model[there, j])
+    for i, (record, y_model, there) in enumerate(zip(records, simulated, asked, strict=True)):
+        y, found = record.y - datum(record), y_model - datum(record)
+        for j in np.flatnonzero(there.any(axis=0)):
+            table[i, j] = measure(y[there[:, j], j], found[there[:, j], j])
     return table
+
+
+def _normalised(rms: Mapping[str, Array]) -> dict[str, Array]:
+    """RMS errors divided by the largest among the models; beside an infinite one others are 0."""
+    worst = np.fmax.reduce(list(rms.values()))
+    worst[worst == 0] = 1.0
+    with np.errstate(invalid="ignore"):
+        return {name: np.where(np.isinf(x), 1.0, x / worst) for name, x in rms.items()}
 
 
 def datum(record: Record) -> Array:
@@ -300,46 +335,52 @@ def datum(record: Record) -> Array:
     return np.where([name in record.trim for name in record.outputs], 0.0, mean)
 
 
-def _theils(records: Sequence[Record], simulated: Sequence[Array]) -> Array:
-    """Theil's coefficient of every record's deviations and output, (records, ny)."""
-    measured = [replace(record, y=record.y - datum(record)) for record in records]
-    found = [y - datum(record) for record, y in zip(records, simulated, strict=True)]
-    return _each(theil_coefficient, measured, found)
-
-
-def measures(
-    measured: Sequence[Record], simulated: Sequence[Array], i: int
-) -> tuple[float, float, float]:
+def measures(validation: Validation, model: str, i: int) -> tuple[float, float, float]:
     """RMS error, fit and Theil's coefficient of one output's deviations, all records together."""
-    both = list(zip(measured, simulated, strict=True))
-    y = np.concatenate([(record.y - datum(record))[:, i] for record, _ in both])
-    y_model = np.concatenate([(found - datum(record))[:, i] for record, found in both])
-    there = np.isfinite(y) & np.isfinite(y_model)
-    if not there.any():
+    measured, found = validation.measured, validation.simulated[model]
+    asked = due(measured, validation.begins, validation.known[model])
+    both = list(zip(measured, found, asked, strict=True))
+    y = np.concatenate([(record.y - datum(record))[there[:, i], i] for record, _, there in both])
+    y_model = np.concatenate(
+        [(each - datum(record))[there[:, i], i] for record, each, there in both]
+    )
+    if not len(y):
         return np.nan, np.nan, np.nan
-    y, y_model = y[there], y_model[there]
     return rms_error(y, y_model), fit_percent(y, y_model), theil_coefficient(y, y_model)
+
+
+def _size(values: Array) -> float:
+    """Root of the mean square; infinite where a value is no number, or too large to be squared."""
+    with np.errstate(over="ignore"):
+        size = float(np.sqrt(np.mean(values**2)))
+    return size if np.isfinite(size) else np.inf
 
 
 def rms_error(y: Array, y_model: Array) -> float:
     """Root of the mean squared error."""
-    return float(np.sqrt(np.mean((y - y_model) ** 2)))
+    return _size(y - y_model)
 
 
 def fit_percent(y: Array, y_model: Array) -> float:
     """100 (1 - ‖y - ŷ‖/‖y - mean y‖); NaN for an output that does not move."""
-    spread = float(np.linalg.norm(y - y.mean()))
-    return 100 * (1 - float(np.linalg.norm(y - y_model)) / spread) if spread > 0 else np.nan
+    error, spread = rms_error(y, y_model), _size(y - y.mean())
+    if np.isinf(error):
+        return -np.inf
+    return 100 * (1 - error / spread) if spread > 0 else np.nan
 
 
 def theil_coefficient(y: Array, y_model: Array) -> float:
     """RMS error over the sum of both RMS values; NaN for an output that is zero."""
-    size = float(np.sqrt(np.mean(y**2)) + np.sqrt(np.mean(y_model**2)))
-    return rms_error(y, y_model) / size if size > 0 else np.nan
+    error, size = rms_error(y, y_model), _size(y) + _size(y_model)
+    if np.isinf(error):
+        return 1.0
+    return error / size if size > 0 else np.nan
 
 
 def _whiteness(y: Array, y_model: Array) -> float:
     e = y - y_model
+    if np.isinf(_size(e)):
+        return 0.0
     e = e - e.mean()
     N, power = len(e), float(e @ e)
     lags = min(LAGS, N // 4)

@@ -11,7 +11,15 @@ from casid import BlackBox, Fit, Model, Record, Rows, Scalar, StateSpace, parame
 from casid.fit import parameter_table
 from casid.free import free_parameters
 from casid.linear import foh_step
-from casid.validation import Validation, _whiteness, measures, validate
+from casid.validation import (
+    Validation,
+    _whiteness,
+    fit_percent,
+    measures,
+    rms_error,
+    theil_coefficient,
+    validate,
+)
 
 DT = 0.02
 T = DT * np.arange(600)
@@ -115,9 +123,11 @@ def test_total_values_of_several_records_are_measured_as_deviations_from_their_m
         y - 1.1 * record.y.mean(axis=0) + level
         for y, record, level in zip(apart, (slow, fast), (30.0, 50.0), strict=True)
     ]
+    whole = validate({"m": TRUTH}, [slow, replace(fast, y=2 * fast.y)])
     for i in range(2):
         y = np.concatenate([record.y[:, i] - record.y[:, i].mean() for record in (slow, fast)])
-        _, fit, theil = measures(totals, moved, i)
+        seen = replace(whole, measured=tuple(totals), simulated={"m": tuple(moved)})
+        _, fit, theil = measures(seen, "m", i)
         assert fit == pytest.approx(90.0)
         assert theil == pytest.approx(np.std(0.1 * y) / (np.std(y) + np.std(1.1 * y)))
 
@@ -205,6 +215,38 @@ def test_an_output_the_model_lacks_is_nan():
     assert np.isfinite(result.rms["part"][0, 1])
     assert np.isnan(result.simulated["part"][0][:, 0]).all()
     assert result.normalised["all"][0, 0] == 1.0
+
+
+def test_a_model_that_runs_out_of_numbers_is_never_better_for_it():
+    # e^{400·1} over a horizon of 1 s is finite, its square is not; e^{400·3} is not either. Of 2000
+    # not even the filter's covariances are.
+    record = replace(flown(t=DT * np.arange(1000), noise=0.02), trim={"p": 0.0})
+    y = record.y.copy()
+    y[600:620, 0] = np.nan
+    record = replace(record, y=y)
+    for rate, horizon in ((400.0, 1.0), (400.0, 3.0), (2000.0, 1.0)):
+        bad = StateSpace([[rate]], [[4.0]], [[1.0]], [[0.0]], None, ("lat",), ("p",))
+        result = validate({"truth": TRUTH, "bad": bad}, record, horizon=horizon)
+        begin, found = result.begins[0], result.simulated["truth"][0][:, 0]
+        there = (np.arange(record.N) >= begin) & ~np.isnan(y[:, 0])
+        square = np.mean((y[there, 0] - found[there]) ** 2)
+        assert result.rms["truth"][0, 0] == pytest.approx(np.sqrt(square))
+        assert measures(result, "truth", 0)[0] == pytest.approx(np.sqrt(square))
+        expected = {"rms": np.inf, "fit": -np.inf, "theil": 1, "normalised": 1, "whiteness": 0}
+        for measure, value in expected.items():
+            assert only(result, measure, "bad")[0] == value
+            assert np.isnan(only(result, measure, "bad")[1])  # an output that it lacks
+        assert measures(result, "bad", 0) == (np.inf, -np.inf, 1.0)
+        assert np.isnan(measures(result, "bad", 1)).all()
+        assert only(result, "normalised", "truth")[0] == 0
+        assert "bad -inf %" in result.headline()
+
+
+@pytest.mark.parametrize("lost", [np.nan, np.inf, 1e200])
+def test_one_number_lost_after_the_first_prediction_is_an_infinite_error(lost):
+    y, s = np.array([1.0, -1.0, 2.0, 0.0, -2.0, 1.0]), np.array([1.0, -1.0, 2.0, lost, -2.0, 1.0])
+    assert (rms_error(y, s), fit_percent(y, s), theil_coefficient(y, s)) == (np.inf, -np.inf, 1.0)
+    assert _whiteness(y, s) == 0
 
 
 def test_an_unobservable_mode_does_no_harm():

@@ -271,6 +271,8 @@ def _whiteness(validation: Validation, model: str, k: int) -> Figure:
     for i, (ax, output) in enumerate(zip(axes.flat, record.outputs, strict=False)):
         for name in names:
             residual = record.y[:, i] - validation.simulated[name][k][:, i]
+            if np.isinf(validation.rms[name][k, i]):  # what is left before a model runs away
+                residual = np.full(record.N, np.nan)
             lags = min(LAGS, record.N // 2)
             figures.plot_autocorrelation(ax, residual, record.dt, name=name, lags=lags)
         ax.set_title(output, loc="left", fontweight="bold", pad=3)

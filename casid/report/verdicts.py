@@ -15,6 +15,7 @@ from casid.validation import Validation, measures
 # or 0.3 speaks for a good model. Below 0.1 residuals are a tenth of what is simulated.
 GOOD, FAIR = 0.1, 0.3
 NOISY = 1.2  # RMS error over standard deviation of the noise
+RUNS_AWAY = "the model runs out of all numbers"
 NAMED = 12  # names in a warning before it says how many more
 
 
@@ -51,6 +52,8 @@ class Verdict:
     @property
     def reason(self) -> str:
         """Why it is not better, in a few words."""
+        if np.isinf(self.rms):
+            return RUNS_AWAY
         if self.noisy:
             return "hardly more than its noise"
         return f"the black box is {self.advantage:.1f} times better" * self.structural
@@ -62,6 +65,7 @@ class Verdict:
         if not np.isfinite(self.theil):
             return f"{output} is not judged: there is nothing to compare, or nothing but zeros."
         told = ", but its error is that of the noise: it hardly moves." if self.noisy else "."
+        told = f": {RUNS_AWAY}." if np.isinf(self.rms) else told
         return f"{output} is predicted poorly (Theil's coefficient {self.theil:.2f}){told}"
 
 
@@ -77,8 +81,8 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
     other = BLACK_BOX if BLACK_BOX in validation.models else name
     found = []
     for i, output in enumerate(validation.outputs):
-        rms, fit, theil = measures(validation.measured, validation.simulated[name], i)
-        least, _, black_box = measures(validation.measured, validation.simulated[other], i)
+        rms, fit, theil = measures(validation, name, i)
+        least, _, black_box = measures(validation, other, i)
         # Nobody need predict noise; what the black box lacks it does not predict better.
         floor = np.nan if np.isnan(least) else np.fmax(least, noise[i])
         verdict = Verdict(
@@ -91,7 +95,7 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
             residual=residual.get(output, np.nan),
             records=tuple(validation.theil[name][:, i].tolist()),
             black_box=black_box,
-            advantage=float(rms / floor) if floor > 0 else 1.0,
+            advantage=float(rms / floor) if 0 < floor < np.inf else 1.0,
         )
         found.append(verdict)
     return tuple(found)

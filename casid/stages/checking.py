@@ -82,12 +82,15 @@ def _compared(settings: object, task: Task) -> MeasuredStates:  # noqa: ARG001 -
         for name, fit in fits.items()
     }
     shown = replace(
-        found, models=tuple(fits), outputs=states, measured=tuple(flights), simulated=simulated
+        found,
+        models=tuple(fits),
+        outputs=states,
+        measured=tuple(flights),
+        simulated=simulated,
+        known=dict.fromkeys(fits, states),
     )
     table = {
-        (state, name): measures(flights, ys, i)
-        for i, state in enumerate(states)
-        for name, ys in simulated.items()
+        (state, name): measures(shown, name, i) for i, state in enumerate(states) for name in fits
     }
     return MeasuredStates(states=states, shown=shown, table=table)
 
@@ -101,7 +104,7 @@ def _simulated(fit: Fit[Any, Any], record: Record, flight: Record, far: Outlook)
     else:
         y = _linear_states(state_space(fit), record, flight, scale, far)
     apart = flight.y - y
-    bias = [np.nanmean(e) if np.isfinite(e).any() else 0.0 for e in apart.T]
+    bias = [e[np.isfinite(e)].mean() if np.isfinite(e).any() else 0.0 for e in apart.T]
     return np.asarray(y + bias)
 
 

@@ -1,6 +1,7 @@
 """Interactive plots show what the pictures show."""
 
 import json
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -46,6 +47,22 @@ def test_an_output_that_was_never_measured_is_drawn_without_curves():
     assert np.isnan(nothing).all()
     assert np.isfinite(short).tolist() == [*[True] * 20, *[False] * 81]
     assert next(len(each["y"]["turns"]) for each in bands["data"] if "fill" in each) == 0
+
+
+def test_a_model_that_runs_out_of_numbers_is_drawn_and_handed_on_as_json():
+    t = 0.02 * np.arange(1000)
+    model = StateSpace([[2000.0]], [[4.0]], [[1.0]], [[0.0]], None, ("lat",), ("p",))
+    y = 0.1 * np.random.default_rng(1).standard_normal((1000, 1))
+    seen = validate({OUTPUT_ERROR: model}, Record(t, y, y, ("lat",), ("p",), "lost"), horizon=1.0)
+    drawn = chain(
+        drawings.draw_histories(seen, {}),
+        drawings.draw_rms(seen),
+        drawings.draw_whiteness(replace(seen, horizon=(np.inf,)), OUTPUT_ERROR),
+        drawings.draw_qualification(qualify(seen), {}),
+    )
+    _, rms, whiteness, _ = (json.loads(interactive(each.figure)) for each in drawn)
+    assert rms["data"][0]["y"] == [1.0]
+    assert np.isnan(numbers(whiteness["data"][0]["y"])).all()
 
 
 def numbers(packed):

@@ -11,7 +11,7 @@ from casid.report import (
 )
 from casid.report.content import BLACK_BOX, CHOSEN
 from casid.report.evidence import noise_levels
-from casid.report.verdicts import verdicts, word
+from casid.report.verdicts import Verdict, verdicts, word
 from casid.stages.judgement import VALIDATION
 
 
@@ -20,6 +20,14 @@ from casid.stages.judgement import VALIDATION
 )
 def test_verdicts_follow_theils_coefficient(theil, said):
     assert word(theil) == said
+
+
+def test_a_model_that_runs_out_of_numbers_is_poor_and_no_worse_black_box_excuses_it():
+    figures = {"rms": np.inf, "fit": -np.inf, "theil": 1.0, "noise": 0.1, "residual": 0.1}
+    lost = Verdict(output="p", unit="rad/s", records=(1.0,), advantage=np.inf, **figures)
+    assert (lost.word, lost.structural, lost.noisy) == ("poor", True, False)
+    assert lost.reason == "the model runs out of all numbers"
+    assert lost.caution.endswith(f"poorly (Theil's coefficient 1.00): {lost.reason}.")
 
 
 @pytest.mark.slow
