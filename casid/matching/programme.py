@@ -38,7 +38,9 @@ TIE = 1e-3  # weight of the mean square error beside the largest squared one
 
 # A quadratic programme starts next to its solution, which its barrier must not blur.
 CLOSE: dict[str, float | str] = {"mu_init": 1e-7, "bound_push": 1e-8, "bound_frac": 1e-8}
-CLOSE |= {"tol": 1e-11, "acceptable_tol": 1e-8, "acceptable_iter": 3}
+CLOSE |= {"tol": 1e-11, "acceptable_tol": 1e-6, "acceptable_iter": 3}
+# Along a valley of solutions the barrier moves it for ever; there a cost that stays is the end.
+CLOSE |= {"acceptable_compl_inf_tol": 1e-10, "acceptable_obj_change_tol": 1e-12}
 FAR: dict[str, float | str] = {"mu_init": 1e-2, "bound_mult_init_method": "mu-based"}
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from truths import uh60
-from truths.structures import ACTUATOR, SECOND, TRUTH, HoverRoll, Lag, black_box
+from truths.structures import ACTUATOR, SECOND, TRUTH, HoverRoll, Lag, Product, black_box
 
-from casid import ConvergenceError, match, pbsid, read_csv
+from casid import ConvergenceError, StateSpace, match, pbsid, read_csv
 from casid.matching import search
 from casid.matching.initial import Start
 from models.hybrid_flap import HybridFlap
@@ -29,6 +29,19 @@ def test_a_gap_that_stays_is_told(monkeypatch):
         match(HoverRoll(), black_box(ACTUATOR), norm="hinf", omega=few)
     certificate = caught.value.best.certificate
     assert certificate.upper_bound > 1.01 * certificate.grid_norm
+
+
+@pytest.mark.parametrize("corner", [15.0, 29.0])
+def test_a_valley_of_models_as_good_is_an_answer(corner):
+    lagged = StateSpace(
+        A=[[-4.0, 1.0], [0.0, -corner]], B=[[0.0], [12 * corner]], C=[[1.0, 0.0]], D=[[0.0]],
+        states=("p", "servo"), inputs=("lat",), outputs=("p",),
+    )  # fmt: skip
+    fit = match(Product(), black_box(lagged), norm="quadratic")
+    alone = match(Product(k=1.0), black_box(lagged), norm="quadratic", fixed={"k"})
+    assert fit.cost == pytest.approx(alone.cost, rel=1e-7)
+    assert fit.model.k * fit.model.m == pytest.approx(alone.model.m, rel=1e-4)
+    assert fit.iterations < 200
 
 
 POOR = np.array([15.0, -20.0])

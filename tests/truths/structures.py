@@ -48,6 +48,21 @@ class HoverRoll(Model):
         return {"lat": self.tau}
 
 
+class Product(Model):
+    """Two parameters that show as their product alone; with both signs wrong, a worse minimum."""
+
+    states, inputs, outputs = ("p",), ("lat",), ("p",)
+    Lp: Scalar = parameter(default=-2.0, lower=-20.0, upper=0.0, unit="1/s")
+    k: Scalar = parameter(default=-2.0, lower=-20.0, upper=20.0, unit="-")
+    m: Scalar = parameter(default=2.0, lower=-60.0, upper=60.0, unit="-")
+
+    def A(self) -> Rows:
+        return [[self.Lp]]
+
+    def B(self) -> Rows:
+        return [[self.k * self.m]]
+
+
 class LateRoll(Model):
     """p' = Lp p + Llat lat(t - tau)."""
 
