@@ -170,6 +170,11 @@ def test_an_output_is_judged_by_all_others_as_a_general_gaussian_is():
     np.testing.assert_allclose(
         std.ravel()[known][inner], 1 / np.sqrt(np.diag(inverse))[inner], rtol=1e-3
     )
+    # In other units of the outputs it is the same.
+    large = Autoregression(model.A, model.B, model.c, 1e12 * model.R)
+    far = _apart(large, u, 1e6 * _smoothed(model, u, np.where(lost, 0.0, y), lost), lost)
+    np.testing.assert_allclose(far[0][~lost], 1e6 * off[~lost], rtol=1e-8)
+    np.testing.assert_allclose(far[1], 1e6 * std, rtol=1e-8)
 
 
 @pytest.mark.parametrize("size", [20, 200, 1e5])

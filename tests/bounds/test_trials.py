@@ -9,7 +9,7 @@ from truths.mixture import NOISE as SIGMA
 from truths.mixture import Mixture, record
 
 from casid import ConvergenceError, Execution, OutputError, SolverOptions
-from casid.bounds.trials import Fits, aicc, in_words
+from casid.bounds.trials import Fits, aicc, in_words, work
 
 NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}
 
@@ -70,6 +70,16 @@ def test_aicc_counts_a_parameter_by_the_variance_its_estimate_has():
     unit = np.linalg.cholesky(fit.notes.cramer_rao)
     wide = replace(fit, covariance=unit @ np.diag([4.0, 1.0, 9.0]) @ unit.T)
     assert aicc(wide, [r]) == pytest.approx(expected(fit, 14 + 2 + 1 + 1, r.N), rel=1e-9)
+
+
+def test_a_case_with_a_tie_is_told_with_the_users_class_and_in_its_units():
+    many = Fits(Mixture(), [record()], OutputError(), (), None, Execution())
+    job = many.job(*many.cases({"tied": ["40 a + 40 b <= 20"]}))
+    fit = work(job.payload, None)
+    assert type(fit.model) is Mixture
+    (row,) = fit.constraints
+    assert fit.model.a + fit.model.b == pytest.approx(0.5, abs=1e-6)
+    assert (row.value, row.upper) == pytest.approx((20.0, 20.0), abs=1e-4)
 
 
 def test_names_of_estimators_are_words():

@@ -35,6 +35,17 @@ def test_the_coarse_grid_ends_with_the_card(dt, duration):
     assert rough.h >= dt - 1e-12
 
 
+def test_models_drawn_are_off_by_the_spread_that_was_asked():
+    poles = []
+    for spread in (0.001, 0.002):
+        loops = list(problem(spread=spread, draws=10)._held(10, 0, 0.1))
+        poles.append([loop.growth for loop in loops])
+    off = np.array(poles) - MODEL.system().poles().real.max()
+    assert off.shape == (2, 10)
+    assert (np.abs(off[0]) > 0).any()
+    np.testing.assert_allclose(off[1], 2 * off[0], rtol=0.02, atol=1e-5)
+
+
 def test_parameters_of_which_only_combinations_are_told_are_found():
     made = problem()
     n = len(made.frees[0].index)

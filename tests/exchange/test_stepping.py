@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from truths.climbing import AIRCRAFT, DT, X0, N, by_casid, commands
 
+from casid import StateSpace
+from casid.exchange.code import _steps
 from casid.exchange.stepping import steps_of, usual_steps
 
 
@@ -20,6 +22,13 @@ def test_steps_are_those_of_output_error(hold, tau):
         y[k] = found.full().ravel()
     known = by_casid(model, u, hold, 2)
     np.testing.assert_allclose(y, known, atol=1e-11 * np.abs(known).max())
+
+
+def test_arguments_and_results_are_called_as_those_of_a_linear_model():
+    lag = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    for own, linear in zip(steps_of(AIRCRAFT, DT, "foh", 1), _steps(lag, DT, "foh"), strict=True):
+        assert own.name_in() == linear.name_in()
+        assert own.name_out() == linear.name_out()
 
 
 def test_usual_steps_follow_the_fastest_mode():

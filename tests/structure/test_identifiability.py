@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 from truths.systems import known_black_box
 
-from casid import FrequencyResponse, Model, ModelError, Record, Rows, Scalar, parameter
+from casid import (
+    FrequencyResponse,
+    Model,
+    ModelError,
+    NonlinearModel,
+    Record,
+    Rows,
+    Scalar,
+    parameter,
+)
 from casid.structure.identifiability import identifiability
 from models.short_period import ShortPeriod
 from models.six_dof import SixDof
@@ -107,6 +116,26 @@ def test_information_of_a_record_is_that_of_its_sensitivities():
     J -= nuisance @ np.linalg.lstsq(nuisance, J)[0]
     # Neither transform knows what lies between samples or beyond the end: a few per cent.
     np.testing.assert_allclose(found.information, J.T @ J, rtol=0.05)
+
+
+class NonlinearLag(NonlinearModel):
+    """The same lag about a trim that the record's bias hides."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a: Scalar = parameter(default=1.5, lower=0.1, upper=5.0, unit="1/s")
+    c: Scalar = parameter(default=2.0, lower=-5.0, upper=5.0, unit="-")
+
+    def derivatives(self, x, u):
+        return [-self.a * x.x + self.c * u.u]
+
+
+def test_a_nonlinear_structure_that_is_linear_has_the_information_of_that():
+    # Not more: initial states and biases are unknown in both.
+    record = flown(Lag(a=1.5, b=1.0, c=2.0))
+    linear = identifiability(Lag(a=1.5, b=1.0, c=2.0), record, fixed=("b", "d"), spread=0.0)
+    found = identifiability(NonlinearLag(), record, spread=0.0)
+    assert found.names == linear.names
+    np.testing.assert_allclose(found.information, linear.information, rtol=0.05)
 
 
 def test_a_constant_input_tells_nothing_apart():
