@@ -8,7 +8,6 @@ from .bands import (
     handling_band as handling_band,
     mode_bands as mode_bands,
     response_band as response_band,
-    sample_models as sample_models,
 )
 from .baseline.accuracy import DerividNotes as DerividNotes
 from .baseline.derivid import Derivid as Derivid, derivid as derivid
@@ -127,6 +126,7 @@ from .qualification import (
     Qualification as Qualification,
     qualify as qualify,
 )
+from .propagation import sample_models as sample_models
 from .record import Record as Record
 from .repetition import repeated as repeated, without_repeats as without_repeats
 from .report.plots import compare as compare

@@ -4,11 +4,14 @@ First order: the covariance J C Jᵀ of a function of the parameters, J its deri
 differences of a thousandth of each standard error, C the covariance that `Fit.std_error` is read
 from. It holds the noise and the colour of the residuals; what the structure lacks is added where a
 `StructureError` says how much that is.
+
+Two poles that may be a pair or both real have no derivatives where they meet: theirs come from
+models drawn from C.
 """
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,18 +20,17 @@ import scipy
 from casid.arrays import Array, ComplexArray
 from casid.baseline.handling import HandlingQualities, handling_qualities
 from casid.display import Shown, counted
-from casid.eigenmodes import Mode, modes
+from casid.eigenmodes import Mode, deviations, figures, may_meet, modes
 from casid.embedding import StructureError
-from casid.errors import warn
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
-from casid.model import M, Model
-from casid.nonlinear.model import NonlinearModel
-from casid.nonlinear.trims import warn_unbalanced
+from casid.model import Model
+from casid.propagation import drawn_models, first_order, known_errors, spread
 from casid.threads import one_thread
 
-STEP = 1e-3  # of a standard error
 DRAWS = 100  # of what a structure misses
+NEAR = 6.0  # standard errors that two poles are apart, below which they may meet or part in truth
+SAMPLES = 1000  # of poles that may: a standard deviation is known to 2 %
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -101,9 +103,11 @@ class ModeBand(Shown):
     mode : Mode
         Pole, name, frequency, damping.
     real_std, imag_std : float
-        Of the pole [1/s].
+        Of the pole [1/s]; ``imag_std`` above 0 of a real pole: in truth it may be one of a pair.
     frequency_std, damping_std : float
         Of its modulus [rad/s] and damping ratio.
+
+    Of poles that may be a pair or both real they are root mean squares of deviations.
     """
 
     mode: Mode
@@ -115,7 +119,7 @@ class ModeBand(Shown):
     def headline(self) -> str:
         """Name and pole with its standard deviations."""
         pole = self.mode.pole
-        turn = f", ±({pole.imag:.3g} ± {self.imag_std:.2g})j" if pole.imag else ""
+        turn = f", ±({pole.imag:.3g} ± {self.imag_std:.2g})j" if pole.imag or self.imag_std else ""
         return f"{self.mode.name}: pole {pole.real:.3g} ± {self.real_std:.2g}{turn} 1/s (1σ)"
 
 
@@ -211,20 +215,25 @@ def mode_bands(fit: AnyFit, *, error: StructureError | None = None) -> tuple[Mod
     """
     found = modes(fit.model.system())
     poles = np.array([mode.pole for mode in found])
+    names, C = known_errors(fit, error)
 
     def of(model: Model) -> Array:
         moved = np.linalg.eigvals(model.system().A)
         near = np.abs(poles[:, None] - moved)
         near += np.where((poles.imag > 0)[:, None] & (moved.imag < 0), np.inf, 0.0)
         pole = moved[scipy.optimize.linear_sum_assignment(np.minimum(near, 1e300))[1]]
-        size = np.maximum(np.abs(pole), 1e-300)
-        return np.array([pole.real, pole.imag, size, -pole.real / size])
+        return np.vstack([*figures(pole), np.subtract.outer(pole.real, pole.real)])
 
-    rows = spread(fit, of, error).T.tolist()
-    names = ("real_std", "imag_std", "frequency_std", "damping_std")
+    std = first_order(fit, of, names, C)
+    if (near := may_meet(poles, std[1], std[4:], NEAR)).any():
+        drawn = drawn_models(fit, names, C, SAMPLES, 0)
+        off = deviations([model.system().A for model in drawn], poles)
+        # Real ones of which no draw made a pair only pass each other.
+        std[:4] = np.where(near & (off[1] > 0), off, std[:4])
+    stated = ("real_std", "imag_std", "frequency_std", "damping_std")
     return tuple(
-        ModeBand(mode=mode, **dict(zip(names, row, strict=True)))
-        for mode, row in zip(found, rows, strict=True)
+        ModeBand(mode=mode, **dict(zip(stated, row, strict=True)))
+        for mode, row in zip(found, std[:4].T.tolist(), strict=True)
     )
 
 
@@ -285,66 +294,6 @@ def handling_band(
     return HandlingBand(**read_off, **errors)
 
 
-def sample_models(fit: "AnyFit", count: int, *, seed: int = 0) -> tuple[Model, ...]:
-    """Models drawn from the normal distribution of a fit's errors, each within its bounds.
-
-    Those of a nonlinear structure's fit are nonlinear: what takes linear ones, as `cover` does,
-    sees each at its reference condition unless given ``model.at(trim)`` of each.
-
-    Parameters
-    ----------
-    fit : Fit
-        With a covariance.
-    count : int
-        How many, at least 1.
-    seed : int
-        Of the draws.
-
-    Raises
-    ------
-    ValueError
-        A fit without covariance, a count below 1.
-    """
-    if count < 1:
-        raise ValueError(f"count={count}: expected at least one model")
-    names, C = _covariance(fit)
-    rng = np.random.default_rng(seed)
-    rows = [fit[name] for name in names]
-    center = np.array([row.value for row in rows])
-    low, high = ([getattr(row, side) for row in rows] for side in ("lower", "upper"))
-    drawn = rng.multivariate_normal(center, C, size=count, method="eigh")
-    return tuple(_with(fit.model, names, each) for each in np.clip(drawn, low, high))
-
-
-def spread(
-    fit: AnyFit, function: Callable[[Model], Array], error: StructureError | None = None
-) -> Array:
-    """Standard deviation of each entry of a function of the model, to first order.
-
-    The covariance of the parameters that ``error`` has is added. ValueError: a fit without one.
-    """
-    names, C = _covariance(fit)
-    if isinstance(fit.model, NonlinearModel):
-        warn_unbalanced(fit.model, "these are bands of its linearisation there")
-    if error is not None:
-        held = np.array([fit[name].active for name in names], dtype=bool)
-        C = C + np.where(held[:, None] | held, 0.0, error.covariance)
-    center = np.array([fit[name].value for name in names])
-    slopes = []
-    for k, std in enumerate(np.sqrt(np.diag(C))):
-        row, ends = fit[names[k]], np.array([center, center])
-        ends[:, k] += STEP * std * np.array([-1.0, 1.0])
-        ends[:, k] = np.clip(ends[:, k], row.lower, row.upper)
-        width = float(np.ptp(ends[:, k]))
-        if width == 0:  # known exactly, or held
-            slopes.append(np.zeros_like(function(fit.model)))
-            continue
-        below, above = (function(_with(fit.model, names, each)) for each in ends)
-        slopes.append((above - below) / width)
-    J = np.stack(slopes, axis=-1)
-    return np.asarray(np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", J, C, J), 0.0)))
-
-
 def _drawn(read: Callable[[ComplexArray], Array], G: ComplexArray, errors: ComplexArray) -> Array:
     """What is read of a response with each of its errors, where anything is."""
     found = []
@@ -357,31 +306,6 @@ def _drawn(read: Callable[[ComplexArray], Array], G: ComplexArray, errors: Compl
             "nor phase delay is known; try a richer structure"
         )
     return np.array(found)
-
-
-def _covariance(fit: AnyFit) -> tuple[tuple[str, ...], Array]:
-    """Free parameters and their covariance; those on a bound do not move.
-
-    A `DataWarning` names those that have none because nothing determines them.
-    """
-    if fit.covariance is None:
-        raise ValueError(
-            f"a fit by {fit.method} has no covariance: take that of output_error or derivid"
-        )
-    held = np.array([fit[name].active for name in fit.free_names], dtype=bool)
-    unknown = ~np.isfinite(np.diag(fit.covariance)) & ~held
-    if unknown.any():
-        warn(
-            f"the data do not determine {', '.join(np.array(fit.free_names)[unknown])}, which "
-            "count as known here: what depends on them lacks their part of its error; fix some"
-        )
-    C = np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
-    C[held], C[:, held] = 0.0, 0.0
-    return fit.free_names, C
-
-
-def _with(model: M, names: tuple[str, ...], values: Array) -> M:
-    return replace(model, **dict(zip(names, values.tolist(), strict=True)))
 
 
 def _exact(model: Model, omega: Array, G: ComplexArray) -> FrequencyResponse:

@@ -9,8 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
-from casid.arrays import Array, ComplexArray
+from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 
 OSCILLATES = 1e-6  # imaginary part, relative to the modulus, that counts as an oscillation
@@ -79,6 +80,43 @@ def modes(system: StateSpace) -> tuple[Mode, ...]:
     kept.sort(key=lambda k: abs(poles[k]))
     columns = [dict(zip(system.states, shares[:, k].tolist(), strict=True)) for k in kept]
     return _once([_mode(complex(poles[k]), c, system) for k, c in zip(kept, columns, strict=True)])
+
+
+def figures(pole: ComplexArray) -> Array:
+    """Real and imaginary part, modulus and damping ratio of poles (n,), (4, n)."""
+    size = np.maximum(np.abs(pole), 1e-300)
+    return np.array([pole.real, pole.imag, size, -pole.real / size])
+
+
+def may_meet(poles: ComplexArray, imag_std: Array, gap_std: Array, near: float) -> BoolArray:
+    """Which modes' poles (n,) may be real for a pair, or a pair for two real ones.
+
+    Closer to each other than ``near`` standard errors: of imaginary parts (n,), and of the gaps
+    between real parts (n, n).
+    """
+    real = np.abs(poles.imag) <= OSCILLATES * np.abs(poles)
+    gap = np.abs(np.subtract.outer(poles.real, poles.real))
+    pairs = (gap < near * gap_std) & real & real[:, None]
+    return np.asarray(np.where(real, pairs.any(axis=0), poles.imag < near * imag_std))
+
+
+def deviations(matrices: Sequence[Array], poles: ComplexArray) -> Array:
+    """Root mean squares of what poles of matrices A are off those (n,) of modes, (4, n).
+
+    In `figures`. A pair counts both members, where these have become real too.
+    """
+    paired = np.flatnonzero(poles.imag > OSCILLATES * np.abs(poles))
+    every = np.concatenate([poles, poles[paired].conj()])
+    square, center = [], figures(poles.real + 1j * np.abs(poles.imag))
+    center = np.hstack([center, center[:, paired]])
+    for A in matrices:
+        moved = np.linalg.eigvals(A)
+        apart = np.abs(every[:, None] - moved) ** 2  # by squares real ones keep their order
+        moved = moved[scipy.optimize.linear_sum_assignment(apart)[1]]
+        square.append((figures(moved.real + 1j * np.abs(moved.imag)) - center) ** 2)
+    mean = np.mean(square, axis=0)
+    mean[:, paired] = (mean[:, paired] + mean[:, len(poles) :]) / 2
+    return np.asarray(np.sqrt(mean[:, : len(poles)]))
 
 
 def _mode(pole: complex, shares: Mapping[str, float], system: StateSpace) -> Mode:

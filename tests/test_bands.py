@@ -12,6 +12,7 @@ from truths.shown import values
 
 from casid import (
     DataWarning,
+    Fit,
     Model,
     Record,
     Rows,
@@ -24,7 +25,9 @@ from casid import (
     response_band,
     sample_models,
 )
-from casid.bands import ResponseBand, spread
+from casid.bands import ResponseBand
+from casid.fit import parameter_table
+from casid.free import free_parameters
 
 OMEGA = np.geomspace(0.5, 10.0, 12)
 
@@ -54,6 +57,71 @@ def test_the_band_of_a_real_pole_is_the_error_of_its_parameter():
     assert only.mode.pole == pytest.approx(fit["Lp"].value)
     assert only.real_std == pytest.approx(fit["Lp"].std_error, rel=1e-6)
     assert (only.imag_std, only.damping_std) == (0, 0)
+
+
+class Spring(Model):
+    """Bank angle from the stick, with a stiffness: poles of s² - Lp s - Lphi."""
+
+    states, inputs, outputs = ("p", "phi"), ("lat",), ("phi",)
+
+    Lp: Scalar = parameter(default=-2.0, lower=-20.0, upper=0.0, unit="1/s")
+    Lphi: Scalar = parameter(default=-1.0, lower=-20.0, upper=0.0, unit="1/s^2")
+
+    def A(self) -> Rows:
+        return [[self.Lp, self.Lphi], [1, 0]]
+
+    def B(self) -> Rows:
+        return [[4.0], [0]]
+
+
+def fitted(model, C, other="Lphi"):
+    """A fit of a structure's own values with a given covariance of all of its parameters."""
+    free = free_parameters(model)
+    table = parameter_table(free, model.vector(), np.zeros(len(C)))
+    return Fit(
+        model=model, parameters=table, cost=0.0, status="solved", success=True, iterations=1,
+        seconds=0.0, method="test", notes=None, covariance=np.array(C),
+        free_names=("Lp", other),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("Lphi", [-0.9999, -0.98, -1.03])
+def test_poles_that_may_be_a_pair_or_both_real_have_the_scatter_of_their_own_roots(Lphi):
+    C = np.array([[0.03, 0.01], [0.01, 0.02]])
+    found = mode_bands(fitted(Spring(Lphi=Lphi), C))
+    # By the quadratic formula; of roots that are real while the estimate is a pair both count.
+    Lp, stiff = np.random.default_rng(8).multivariate_normal([-2.0, Lphi], C, 100_000).T
+    turn = np.sqrt((Lp / 2) ** 2 + stiff + 0j)
+    roots = np.sort_complex(np.array([Lp / 2 - turn, Lp / 2 + turn]).T).T
+    for band in found:
+        own = roots if band.mode.pole.imag else roots[int(band.mode.pole.real > -1)][None]
+        imag, size = np.abs(own.imag), np.abs(own)
+        off = (own.real - band.mode.pole.real, imag - band.mode.pole.imag)
+        off += (size - band.mode.frequency, -own.real / size - band.mode.damping)
+        by_hand = [np.sqrt(np.mean(each**2)) for each in off]
+        stated = band.real_std, band.imag_std, band.frequency_std, band.damping_std
+        np.testing.assert_allclose(stated, by_hand, rtol=0.08)  # of 1000 draws, 3 deviations
+        assert f"± {band.imag_std:.2g})j" in band.headline()
+
+
+def test_real_poles_that_only_pass_each_other_are_as_known_as_their_parameters():
+    class Two(Model):
+        states, inputs, outputs = ("p", "r"), ("lat",), ("p", "r")
+
+        Lp: Scalar = parameter(default=-2.0, lower=-20.0, upper=0.0, unit="1/s")
+        Nr: Scalar = parameter(default=-2.05, lower=-20.0, upper=0.0, unit="1/s")
+
+        def A(self) -> Rows:
+            return [[self.Lp, 0], [0, self.Nr]]
+
+        def B(self) -> Rows:
+            return [[4.0], [1.0]]
+
+    found = mode_bands(fitted(Two(), np.diag([0.01, 0.01]), "Nr"))
+    assert [each.imag_std for each in found] == [0, 0]
+    np.testing.assert_allclose([each.real_std for each in found], 0.1, rtol=1e-6)
+    apart = mode_bands(fitted(Two(Nr=-4.0), np.diag([0.01, 0.04]), "Nr"))
+    np.testing.assert_allclose([each.real_std for each in apart], [0.1, 0.2], rtol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -116,14 +184,6 @@ def test_the_bandwidth_s_error_is_that_of_its_equation():
     assert "lies beyond the grid: no phase delay" in short.headline()
     with pytest.raises(ValueError, match='"loop": expected "attitude" or "rate"'):
         handling_band(fit, ("phi", "lat"), OMEGA, kind="loop")
-
-
-def test_what_a_bound_holds_does_not_move():
-    fit = output_error(ClosedRoll(), noisy(seed=5), bounds={"Lp": (-1.8, 0.0)})
-    assert fit["Lp"].active
-    assert spread(fit, lambda model: np.array(float(model.Lp))) == 0
-    drawn = [float(model.Lp) for model in sample_models(fit, 5)]
-    np.testing.assert_allclose(drawn, fit["Lp"].value, atol=1e-6)  # rounding of a square root
 
 
 def test_a_parameter_that_nothing_determines_is_told_where_its_error_is_missing():
