@@ -218,7 +218,7 @@ def mode_bands(fit: AnyFit, *, error: StructureError | None = None) -> tuple[Mod
     names, C = known_errors(fit, error)
 
     def of(model: Model) -> Array:
-        moved = np.linalg.eigvals(model.system().A)
+        moved = np.linalg.eigvals(model.system().A).astype(complex)
         near = np.abs(poles[:, None] - moved)
         near += np.where((poles.imag > 0)[:, None] & (moved.imag < 0), np.inf, 0.0)
         pole = moved[scipy.optimize.linear_sum_assignment(np.minimum(near, 1e300))[1]]

@@ -114,6 +114,37 @@ def test_a_weight_too_low_of_order_says_how_large_it_is_and_which_would_do():
     assert "makes" not in repr(enough)
 
 
+@pytest.mark.slow
+def test_modes_that_no_order_follows_are_told_and_the_excess_is_that_of_a_dense_grid():
+    rng = np.random.default_rng(4711)
+
+    def three(w, damping, gain):
+        A = scipy.linalg.block_diag(
+            *([[0, 1], [-a * a, -2 * d * a]] for a, d in zip(w, damping, strict=True))
+        )
+        return StateSpace(A, np.kron(gain * w**2, [0, 1])[:, None], [[1, 0] * 3], [[0]])
+
+    for _ in range(2):  # the second draw: 2.1 at order 10
+        w, gain = np.sort(rng.uniform(0.6, 10, 3)), rng.uniform(0.5, 2, 3)
+        nominal, models = three(w, [0.003] * 3, gain), []
+        for _ in range(4):
+            a, b, c = rng.standard_normal((3, 3))
+            damping = 0.003 * (1 + 0.3 * np.clip(b, -2, 2))
+            models.append(three(w * (1 + 0.03 * a), damping, gain * (1 + 0.1 * c)))
+    found = cover(nominal, models, band=(0.3, 20.0), order=4)
+    assert found.enough is None
+    assert "no order up to 10 makes that at most 1.5" in found.headline()
+    roots = np.concatenate([each.poles() for each in (nominal, found.weight, *models)])
+    beside = np.abs(roots.real)[:, None] * np.sinh(np.linspace(-8, 8, 2001))
+    omega = np.concatenate([np.geomspace(0.3, 20, 30001), (roots.imag[:, None] + beside).ravel()])
+    omega = np.unique(omega[(omega >= 0.3) & (omega <= 20)])
+    apart = np.max([np.abs(of(m, omega) - of(nominal, omega)) for m in models], axis=0)
+    ratio = np.log(np.abs(of(found.weight, omega)) / apart)
+    mean = np.trapezoid(ratio, np.log(omega)) / np.log(20 / 0.3)
+    assert ratio.min() > -1e-6
+    assert found.excess == pytest.approx(np.exp(mean), rel=5e-3)  # 400 points a decade
+
+
 def of(system, omega):
     """The response of one channel by its definition."""
     A = 1j * omega[:, None, None] * np.eye(system.nx) - system.A
