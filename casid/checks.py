@@ -116,11 +116,18 @@ def check_asked(band: tuple[float, float] | None, level: float) -> None:
 def hint(name: str, known: Iterable[str]) -> str:
     """What was meant by a name that is not known, or all names that are."""
     known = tuple(known)
+    meant = nearest(name, known)
+    others = f"known are {', '.join(known)}" if known else "there are none"
+    return f"did you mean {meant!r}? {others[0].upper()}{others[1:]}" if meant else others
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The one of the known names that is most alike, whatever the case; "" if none is."""
+    known = tuple(known)
     small = {each.lower(): each for each in known}
     near = difflib.get_close_matches(name, known, n=1)
     near = near or [small[x] for x in difflib.get_close_matches(name.lower(), small, n=1)]
-    others = f"known are {', '.join(known)}" if known else "there are none"
-    return f"did you mean {near[0]!r}? {others[0].upper()}{others[1:]}" if near else others
+    return near[0] if near else ""
 
 
 def optional(module: str, what: str, *, extra: str = "tables") -> Any:  # noqa: ANN401 - a module
@@ -172,7 +179,14 @@ def _remedy(name: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> st
             return f"; write [{_short(value)}]"
         if kind is Mapping and fits(value, inner[1]):
             return '; give it a name: {"name": ...}'
-    return ""
+    return _spelling(value, members)
+
+
+def _spelling(value: Any, members: tuple[Any, ...]) -> str:  # noqa: ANN401
+    """Which of the words that are expected was meant, if one is alike."""
+    known = [word for each in members if get_origin(each) is Literal for word in get_args(each)]
+    meant = nearest(value, map(str, known)) if isinstance(value, str) else ""
+    return f"; did you mean {meant!r}?" * bool(meant)
 
 
 def fits(value: Any, hint: Any) -> bool:  # noqa: ANN401 - anything a user may hand over

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from casid.arrays import Array, BoolArray
 from casid.channels import MEASURES, UNITS, factor_of
@@ -28,6 +29,7 @@ TOLERANCES: Mapping[str, str] = {
     "psi": "10 % or 2 deg",
     "az": "0.1 g",
 }
+EVEN = 0.5  # chance of a true model to pass, below which the noise is named
 NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
 FORM = re.compile(rf"(?:{NUMBER}\s*%)?(?:\s*or\s*)?(?:{NUMBER}\s*(\S+))?")
 
@@ -66,6 +68,9 @@ class Qualification(Shown):
         Measured and simulated time histories.
     source : str
         Where the tolerances come from.
+    chance : (records, outputs) array
+        Of a true model, whose error is the noise, to pass; NaN where the noise is not known, or
+        nothing is judged.
     idle : tuple of str
         Outputs with a tolerance in a table of the user that there are not.
     """
@@ -79,6 +84,7 @@ class Qualification(Shown):
     width: tuple[Array, ...]
     validation: Validation
     source: str
+    chance: Array
     idle: tuple[str, ...] = ()
 
     @property
@@ -96,6 +102,8 @@ class Qualification(Shown):
         judged, told = ~np.isnan(self.largest), ""
         if failed := self.named(judged & ~self.passed, " ({:.2g})"):
             told += f"; failed: {listed(failed)}"
+        if noisy := self.named(self.chance < EVEN):
+            told += f"; noise alone may leave the band: {listed(noisy)}"
         if none := self.named(~judged):
             told += f"; not judged: {listed(none)}"
         if self.idle:
@@ -111,7 +119,10 @@ class Qualification(Shown):
 
 
 def qualify(
-    validation: Validation, model: str = "", tolerances: Mapping[str, str] = TOLERANCES
+    validation: Validation,
+    model: str = "",
+    tolerances: Mapping[str, str] = TOLERANCES,
+    noise: Mapping[str, float] | None = None,
 ) -> Qualification:
     """Judge one model of a validation by tolerance bands.
 
@@ -124,6 +135,8 @@ def qualify(
     tolerances : mapping
         Output and band: ``"10 % or 2 deg/s"``, ``"1.5 deg"``; those of the module unless given.
         Outputs without one are not judged, nor are samples before the first prediction.
+    noise : mapping
+        Standard deviation of the noise of outputs, white, where it is known; SI units.
 
     Raises
     ------
@@ -143,7 +156,8 @@ def qualify(
         )
     bands = tuple(read_tolerance(name, tolerances[name]) for name in outputs)
     columns = [validation.outputs.index(name) for name in outputs]
-    widths, largest, outside, usual = [], [], [], tolerances == TOLERANCES
+    widths, largest, outside, chance, usual = [], [], [], [], tolerances == TOLERANCES
+    level = np.array([(noise or {}).get(name, np.nan) for name in outputs])
     judged = due(validation.measured, validation.begins, validation.known[model])
     records = zip(validation.measured, validation.simulated[model], judged, strict=True)
     for record, y, asked in records:
@@ -157,6 +171,8 @@ def qualify(
         empty = ~there.any(axis=0)
         largest.append(np.where(empty, np.nan, np.where(there, over, -1.0).max(axis=0)))
         outside.append((there & (over > 1.0)).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
+        stays = np.log(_within(width / np.maximum(level, 1e-300)))
+        chance.append(np.where(empty, np.nan, np.exp(np.sum(stays, axis=0, where=there))))
         widths.append(width)
     return Qualification(
         model=model,
@@ -165,6 +181,7 @@ def qualify(
         tolerances=bands,
         largest=np.array(largest),
         outside=np.array(outside),
+        chance=np.array(chance),
         width=tuple(widths),
         validation=validation,
         source=SOURCE if usual else "a table of the user",
@@ -199,6 +216,11 @@ def read_tolerance(output: str, text: str) -> Tolerance:
         )
     share = float(found[1]) / 100 if found[1] else 0.0
     return Tolerance(output=output, share=share, least=least, text=text)
+
+
+def _within(deviations: Array) -> Array:
+    """Chance that normal noise stays within so many of its standard deviations."""
+    return np.asarray(np.maximum(scipy.special.erf(deviations / np.sqrt(2)), 1e-300))
 
 
 def _width(measured: Array, band: Tolerance) -> Array:

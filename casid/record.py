@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from casid import samples
 from casid.arrays import Array, BoolArray
-from casid.checks import checked_methods
+from casid.checks import checked_methods, nearest
 from casid.display import Shown, listed
 from casid.errors import warn
 
@@ -390,5 +390,9 @@ class Record(Shown):
 
 def _position(name: str, names: tuple[str, ...], kind: str, record: str) -> int:
     if name not in names:
-        raise ValueError(f"record {record!r} has no {kind} {name!r}; it has {', '.join(names)}")
+        meant = nearest(name, names)
+        raise ValueError(
+            f"record {record!r} has no {kind} {name!r}; it has {', '.join(names)}"
+            + f"; did you mean {meant!r}?" * bool(meant)
+        )
     return names.index(name)

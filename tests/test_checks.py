@@ -155,3 +155,8 @@ def test_a_hint_names_the_nearest_and_then_all():
     assert hint("ordre", ["order", "past"]) == "did you mean 'order'? Known are order, past"
     assert hint("zzz", ["order", "past"]) == "known are order, past"
     assert hint("order", []) == "there are none"
+
+
+def test_a_misspelt_word_is_told_the_one_that_was_meant():
+    with pytest.raises(ValueError, match=r"method = 'multisin', .*; did you mean 'multisine'\?"):
+        casid.DesignSettings(method="multisin")

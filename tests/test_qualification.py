@@ -43,6 +43,20 @@ def test_a_model_passes_until_its_error_leaves_the_band():
     assert "0 of 1 passed; failed: p of step" in repr(wrong)
 
 
+def test_a_band_that_noise_alone_may_leave_is_named():
+    rng, noise, seen = np.random.default_rng(5), 0.3 * DEG, flown()
+    # By counting: how often noise of that size stays in the band over all of the record.
+    for band, told in (("0.9 deg/s", True), ("1.5 deg/s", False)):
+        half = qualify(seen, tolerances={"p": band}).width[0][:, 0]
+        passed = np.mean(
+            [(np.abs(noise * rng.standard_normal(500)) <= half).all() for _ in range(2000)]
+        )
+        found = qualify(seen, tolerances={"p": band}, noise={"p": noise})
+        assert found.chance[0, 0] == pytest.approx(passed, abs=0.04)  # 4 deviations of 2000
+        assert ("noise alone may leave the band: p of step" in found.headline()) is told
+    assert np.isnan(qualify(seen).chance).all()
+
+
 def test_what_was_not_measured_neither_passes_nor_fails():
     y = flown().measured[0].y.copy()
     y[50:90] = np.nan

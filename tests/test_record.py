@@ -74,6 +74,8 @@ def test_channels_are_found_and_chosen_by_name():
     for wrong in (lambda: roll.channel("q"), lambda: roll.select(outputs=("q",))):
         with pytest.raises(ValueError, match=r"record 'roll' has no .* 'q'; it has p, r, phi"):
             wrong()
+    with pytest.raises(ValueError, match=r"has no input 'pedd'; .* did you mean 'ped'\?"):
+        roll.select(inputs=("pedd",))
     with pytest.raises(ValueError, match="has no input 'p'; it has lat, ped"):
         roll.select(inputs=("p",))
 

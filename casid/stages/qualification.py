@@ -7,8 +7,16 @@ from functools import partial
 import numpy as np
 
 from casid import report
-from casid.qualification import TOLERANCES, Qualification, check_tolerances, qualify, read_tolerance
+from casid.qualification import (
+    EVEN,
+    TOLERANCES,
+    Qualification,
+    check_tolerances,
+    qualify,
+    read_tolerance,
+)
 from casid.report.content import Caution, Content, Section, delivered, section
+from casid.report.evidence import noise_levels
 from casid.stages.stage import Stage, Task
 
 
@@ -34,8 +42,22 @@ class Bands:
 
 def _run(settings: Bands, task: Task) -> Qualification:
     judged = task.results["validation"]
-    found = qualify(judged, delivered(judged.models), settings.tolerances or TOLERANCES)
+    usual = settings.tolerances or TOLERANCES
+    found = qualify(judged, delivered(judged.models), usual, _noise(task))
     return replace(found, source=settings.source) if settings.source else found
+
+
+def _noise(task: Task) -> dict[str, float]:
+    """Standard deviations of the outputs' noise, no more than the fit left of its own records."""
+    judged, fit = task.results["validation"], task.results["output_error"]
+    fast = dict(zip(judged.outputs, noise_levels(judged.measured).tolist(), strict=True))
+    left = np.full(len(fast), np.nan) if fit.R is None else np.sqrt(np.diag(fit.R))
+    outputs = type(fit.model).outputs
+    return {
+        name: float(min(fast[name], each))
+        for name, each in zip(outputs, left, strict=False)
+        if np.isfinite(each) and np.isfinite(fast.get(name, np.nan))
+    }
 
 
 def _check(settings: Bands, task: Task) -> None:
@@ -45,6 +67,8 @@ def _check(settings: Bands, task: Task) -> None:
 def _show(found: Qualification, content: Content) -> Iterable[Section]:
     failed, none = found.named(found.largest > 1), found.named(np.isnan(found.largest))
     said = [Caution(f"Out of the tolerance band: {', '.join(failed)}.", 15)] if failed else []
+    if noisy := found.named(found.chance < EVEN):
+        said.append(Caution(f"Noise alone may leave the tolerance band: {', '.join(noisy)}.", 16))
     if none:
         said.append(Caution(f"Not judged by the tolerance bands: {', '.join(none)}.", 15))
     draw = partial(report.drawings.draw_qualification, found, content.units)
