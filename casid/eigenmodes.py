@@ -160,7 +160,8 @@ def _name(oscillates: bool, shares: Mapping[str, float]) -> tuple[str, float]:
     if long > lat:
         slow, fast = part("u", "theta"), part("w", "q")
         if oscillates:
-            return ("phugoid", slow) if slow > fast else ("short period", fast)
+            # Of q and theta alone each has half of it: without a speed there is no phugoid.
+            return ("phugoid", slow) if "u" in shares and slow > fast else ("short period", fast)
         heave, pitch = part("w"), part("q", "theta")
         return ("heave subsidence", heave) if heave > pitch else ("pitch subsidence", pitch)
     if oscillates:

@@ -100,7 +100,7 @@ class Qualification(Shown):
     def headline(self) -> str:
         """Passed, failed, and what could not be judged."""
         judged, told = ~np.isnan(self.largest), ""
-        if failed := self.named(judged & ~self.passed, " ({:.2g})"):
+        if failed := self.named(judged & ~self.passed, " ({:.3g})"):
             told += f"; failed: {listed(failed)}"
         if noisy := self.named(self.chance < EVEN):
             told += f"; noise alone may leave the band: {listed(noisy)}"

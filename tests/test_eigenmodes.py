@@ -50,6 +50,12 @@ def test_numbers_of_a_mode_are_those_of_its_pole():
     assert mode.name == "-"  # states x1, x2 say nothing of flight
 
 
+@pytest.mark.parametrize("Mq", np.linspace(-1.3, -1.1, 7).tolist())
+def test_without_a_speed_no_mode_is_a_phugoid(Mq):
+    (mode,) = modes(free_system(np.array([[Mq, -4.0], [1.0, 0.0]]), ("q", "theta")))
+    assert mode.name == "short period"
+
+
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 def test_names_of_modes_do_not_depend_on_units(scale):
     T = np.diag([1, 1, scale, scale, 1, scale, scale, scale])

@@ -65,7 +65,7 @@ def band_norm(
         examined += len(centre)
         lower = max(float(part[:, 0].max()) for part in values)
         goal = max(lower * (1 + tolerance), negligible)
-        open_ = (bound > goal) & (half > 1e-12 * edges[-1])
+        open_ = ~(bound <= goal) & (half > 1e-12 * edges[-1])  # what is not known stays open
         closed = max(closed, float(bound[~open_].max(initial=0.0)))
         left, right = (
             np.concatenate([left[open_], centre[open_]]),
@@ -110,12 +110,18 @@ def _interval_bound(
     a = W0 * e
     a[1:] += slope * e[:-1]
     h = half[:, None, None]
-    rest = (W0 + h * abs(slope)) * (tail + box_tail)
+    rest = _times(W0 + h * abs(slope), tail + box_tail)
     rest += h ** (TERMS + 1) * abs(slope) * size[-1]
     ends = np.maximum(_norm(a[0] + h * a[1]), _norm(a[0] - h * a[1]))
     higher = sum(half**k * _norm(a[k]) for k in range(2, TERMS + 1))
     bound = ends + higher + np.linalg.norm(rest, axis=(1, 2))
     return bound, np.linalg.svd(a[0], compute_uv=False)
+
+
+def _times(size: Array, bound: Array) -> Array:
+    """Products of sizes and bounds; what is zero stays so though its bound be infinite."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(size == 0, 0.0, size * bound))
 
 
 def _norm(M: ComplexArray) -> Array:
@@ -131,7 +137,7 @@ def _series(system: StateSpace, s: ComplexArray, h: Array) -> tuple[ComplexArray
     A, B, C = _balanced(system)
     n, nx = len(s), system.nx
     g = np.zeros((TERMS + 1, n, system.ny, system.nu), dtype=complex)
-    rest = np.zeros((n, system.ny, system.nu))
+    rest: Array = np.zeros((n, system.ny, system.nu))
     g[0] += system.D
     if nx:
         R = np.linalg.inv(s[:, None, None] * np.eye(nx) - A)
@@ -146,7 +152,7 @@ def _series(system: StateSpace, s: ComplexArray, h: Array) -> tuple[ComplexArray
         rows, columns = np.linalg.norm(C @ R, axis=2), np.linalg.norm(X, axis=1)
         with np.errstate(divide="ignore"):
             geometric = np.where(ratio < 1, h ** (TERMS + 1) * rho / (1 - ratio), np.inf)
-        rest = rows[:, :, None] * columns[:, None, :] * geometric[:, None, None]
+        rest = _times(rows[:, :, None] * columns[:, None, :], geometric[:, None, None])
     return _delayed(g, rest, system.delay, s, h)
 
 

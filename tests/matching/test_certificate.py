@@ -1,3 +1,5 @@
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -75,6 +77,26 @@ def test_a_resonance_between_the_points_is_found():
     added = peaks(band, 0.5 * band.lower, 0.01)
     assert len(added) == 1
     assert added[0] == pytest.approx(3.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("weight", [None, np.array([[1.0, 0.0], [1.0, 1.0]])])
+def test_a_bound_holds_where_outputs_or_pairs_feel_no_state(weight):
+    # r follows the second input at once, and the peak at 3 rad/s lies between two points.
+    names = {"inputs": ("a", "b"), "outputs": ("p", "r")}
+    A, B, C = [[0.0, 1.0], [-9.0, -0.06]], [[0.0, 0.0], [1.0, 2.0]], [[9.0, 0.0], [0.0, 0.0]]
+    box = StateSpace(A, B, C, np.diag([0.0, 1.0]), **names)
+    model = StateSpace(A, np.zeros((2, 2)), C, np.diag([0.0, 0.5]), **names)
+    comparison = compare(
+        Channels(model), [black_box(box)], weight=weight, omega=np.arange(0.25, 9.5, 0.5), shift=0.0
+    )
+    source = comparison.sources[0]
+    dense = source.at(np.linspace(2.5, 3.5, 4001))
+    found = np.linalg.norm(dense.error(model), 2, axis=(1, 2)).max()
+    assert found > 5 * np.linalg.norm(source.error(model), 2, axis=(1, 2)).max()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        band = band_norm(model, source)
+    assert found <= band.upper <= 1.01 * found
 
 
 def test_an_exact_match_has_no_gap_to_close():
