@@ -10,8 +10,10 @@ A fit in FOLDER is not made again.
 
 import argparse
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +50,11 @@ INITIAL = {"v": (0.0, 0.1), "w": (1.4, 0.15)}  # m/s: level flight
 UNTOLD = (
     "lon_0", "Lhub", "Mhub", "Mthrust", "Nprofile", "Xuu", "tail_flow", "fin_0", "fin_stalled",
 )  # fmt: skip
+WIDTHS = 0.03, 0.015, 0.005  # rad, over which the fin stalls
 COMPONENTS = replace(ESTIMATOR, interval=1.0, initial=INITIAL)
+AXES = ("u", "v", "w", "p", "q", "r")
+# Free constants in every record: no trim is known.
+UNBOUND = replace(COMPONENTS, biases=("ax", "ay", "az"), state_biases=AXES)
 
 
 def start(flights: Flights, speeds: Sequence[str]) -> MinimumComplexity:
@@ -78,9 +84,18 @@ def unbalanced(model: MinimumComplexity, trim: dict[str, float]) -> Any:
 
 
 def fitted(flights: Flights, path: Path, speeds: Sequence[str], more: Sequence[str]) -> Any:
-    """The structure fitted to the 3-2-1-1 of some speeds and to more at 60 kn."""
+    """The structure fitted to the 3-2-1-1 of some speeds and to more at 60 kn.
+
+    A fin that stalls sharply has more local minima: one that does so gently is fitted first.
+    """
     records = steps(flights, speeds) + [flights.noisy("060kt", name) for name in more]
-    return kept(path, MinimumComplexity, lambda: COMPONENTS.fit(start(flights, speeds), records))
+    guess = start(flights, speeds)
+    for width in WIDTHS:
+        guess = replace(guess, stall_width=width)
+        make = partial(COMPONENTS.fit, guess, records)
+        fit = kept(path.with_stem(f"{path.stem}, {1e3 * width:g} mrad"), MinimumComplexity, make)
+        guess = fit.model
+    return fit
 
 
 def own(flights: Flights, path: Path, speed: str, one: Any) -> Any:
@@ -94,20 +109,41 @@ def steps(flights: Flights, speeds: Sequence[str]) -> list[Record]:
     return [flights.noisy(speed, name) for speed in speeds for name in STEPS]
 
 
-def left_out(fit: Any, trim: dict[str, float]) -> Any:
-    """How far a trim that no record was flown at is out of balance, over its standard errors."""
+def with_errors(fit: Any, function: Callable[[Any], Any]) -> Any:
+    """Values of a function of a model at a fit, their standard errors, and the ratios."""
     free = [fit.model.parameter_names().index(name) for name in fit.free_names]
-    lam, f = fit.model.vector(), unbalanced(fit.model, trim)
+    lam, f = fit.model.vector(), function(fit.model)
     step = 1e-3 * np.sqrt(np.diag(fit.covariance))
     moves = np.eye(len(lam))[free] * step[:, None]
-    by = [(unbalanced(fit.model.with_vector(lam + each), trim) - f) for each in moves]
+    by = [(function(fit.model.with_vector(lam + each)) - f) for each in moves]
     J = np.array(by).T / step
     sigma = np.sqrt(np.diag(J @ fit.covariance @ J.T))
-    rows = [
-        (f"d{name}/dt", value, one, value / one)
-        for name, value, one in zip("uvwpqr", f, sigma, strict=True)
-    ]
+    return zip(f, sigma, f / sigma, strict=True)
+
+
+def left_out(fit: Any, trim: dict[str, float]) -> Any:
+    """How far a trim that no record was flown at is out of balance, over its standard errors."""
+    found = with_errors(fit, lambda model: unbalanced(model, trim))
+    rows = [(f"d{name}/dt", *each) for name, each in zip(AXES, found, strict=True)]
     return ("at the trim of 60 kn, left out", "out of balance", "its standard error", "ratio"), rows
+
+
+def along(flights: Flights, fit: Any) -> Any:
+    """What speed derivatives have beyond the trim curves, from a fit that no trim has bound."""
+    rows = []
+    for slow, fast in pairwise(SPEEDS):
+        one, other = flights.trims[slow], flights.trims[fast]
+        by_speed = unbalanced(fit.model, one | {"u": other["u"]}) - unbalanced(fit.model, one)
+        found = with_errors(fit, partial(change, one=one, other=other))
+        for name, speed, each in zip(AXES, by_speed, found, strict=True):
+            rows.append((f"d{name}/dt, {slow} to {fast}", speed, *each))
+    head = ("change by speed alone", "with the rest of the trims", "its standard error", "ratio")
+    return ("trims not known", *head), rows
+
+
+def change(model: MinimumComplexity, one: dict[str, float], other: dict[str, float]) -> Any:
+    """Accelerations (6,) from one trim to another."""
+    return unbalanced(model, other) - unbalanced(model, one)
 
 
 def worth(flights: Flights, one: Any, alone: dict[str, Any]) -> Any:
@@ -136,7 +172,10 @@ def main() -> None:
     alone = {
         speed: own(flights, folder / f"own {speed}.json", speed, fits[BASE]) for speed in SPEEDS
     }
+    make = partial(UNBOUND.fit, fits[BASE].model, steps(flights, SPEEDS))
+    unbound = kept(folder / "trims not known.json", MinimumComplexity, make)
     print(f"\n{table(*worth(flights, fits[BASE], alone))}", flush=True)
+    print(f"\n{table(*along(flights, unbound))}", flush=True)
     print(f"\n{table(*left_out(fits[OUT], flights.trims['060kt']))}", flush=True)
     print(f"\n{table(*unseen(flights, near, alone, fits))}", flush=True)
     print(f"\n{table(*changes(flights, near, fits))}")

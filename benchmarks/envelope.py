@@ -202,32 +202,25 @@ def ratio(one: Any, other: Any) -> float:
     return float(np.exp(np.mean(np.log(np.asarray(one) / other))))
 
 
-def simulated(flights: Flights, models: dict[str, Any], speed: str, name: str) -> dict[str, Any]:
-    """RMS (8,) of the outputs by each model over a whole record."""
-    rms = validate(models, flights.deviations(speed, name), horizon=np.inf).rms
-    return {each: values[0] for each, values in rms.items()}
-
-
-def predicted(flights: Flights, models: dict[str, Any], speed: str, name: str) -> dict[str, Any]:
-    """RMS (8,) of the outputs by each model some seconds ahead, from a past that shows u, too."""
+def errors(
+    flights: Flights, models: dict[str, Any], speed: str, name: str, horizon: float = AHEAD
+) -> dict[str, Any]:
+    """RMS (8,) of the outputs by each model over a record that shows u, too."""
     record = flights.deviations(speed, name, outputs=(*OUTPUTS, "u"))
-    rms = validate(models, record, horizon=AHEAD).rms
+    rms = validate(models, record, horizon=horizon).rms
     return {each: values[0, : len(OUTPUTS)] for each, values in rms.items()}
 
 
 def unseen(flights: Flights, near: Any, alone: dict[str, Any], fits: dict[str, Any]) -> Any:
-    """Errors linearised at the measured trim and, 3 s ahead, as they are."""
+    """Errors of simulations and 3 s ahead, in total values."""
     pairs = [(one, other) for other in ("SixDof", "own") for one in (BASE, OUT)]
     rows = []
     for name in UNSEEN:
         for speed in SPEEDS:
-            six = {"SixDof": near[speed]}
-            models = {"own": alone[speed].model} | {case: fits[case].model for case in (BASE, OUT)}
-            linear = {each: linear_at(flights, model, speed) for each, model in models.items()}
-            e = simulated(flights, six | linear, speed, name)
-            ahead = predicted(flights, six | models, speed, name)
-            found = [ratio(errors[a], errors[b]) for errors in (e, ahead) for a, b in pairs]
-            rows.append((name, speed, *found))
+            models = {"SixDof": near[speed], "own": alone[speed].model}
+            models |= {case: fits[case].model for case in (BASE, OUT)}
+            both = [errors(flights, models, speed, name, far) for far in (np.inf, AHEAD)]
+            rows.append((name, speed, *(ratio(rms[a], rms[b]) for rms in both for a, b in pairs)))
     head = [f"{a} / {b}" for a, b in pairs]
     return ("record", "speed", *head, *(f"{each}, {AHEAD:.0f} s ahead" for each in head)), rows
 
@@ -239,7 +232,7 @@ def changes(flights: Flights, near: dict[str, Any], fits: dict[str, Any]) -> Any
         record = flights.read("060kt", name, (*OUTPUTS, "u", "v", "w"))
         piece = {case: pieces(fits[case].model, record) for case in (BASE, SEEN)}
         models = {"SixDof": near["060kt"]} | {case: fits[case].model for case in (BASE, SEEN)}
-        e = predicted(flights, models, "060kt", name)
+        e = errors(flights, models, "060kt", name)
         found = ratio(piece[BASE], piece[SEEN]), ratio(e[BASE], e[SEEN])
         rows.append((name, *found, ratio(e[BASE], e["SixDof"])))
     ahead = f"{AHEAD:.0f} s ahead"
@@ -248,12 +241,6 @@ def changes(flights: Flights, near: dict[str, Any], fits: dict[str, Any]) -> Any
         f"unseen / seen, {ahead} of filtered ones",
     )
     return ("record", *head, f"unseen / SixDof at 60 kn, {ahead} of filtered ones"), rows
-
-
-def linear_at(flights: Flights, model: Any, speed: str) -> Any:
-    """A nonlinear model linearised at the measured trim, what was not measured in balance."""
-    trim = flights.trims[speed]
-    return model.at(Trim(values=trim | balanced(model, trim)))
 
 
 def pieces(model: Any, record: Record) -> Any:

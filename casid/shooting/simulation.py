@@ -13,7 +13,7 @@ from casid.linear import Steps
 from casid.nonlinear.coverage import reached, warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.trims import warn_unbalanced
-from casid.prediction import Follower, Outlook, Prediction
+from casid.prediction import PER_UNKNOWN, Follower, Outlook, Prediction
 from casid.record import Record
 from casid.records import standard_deviations
 from casid.shooting.intervals import lay_out
@@ -200,24 +200,49 @@ class _ExtendedFilter(Follower):
 def _answer(
     model: NonlinearModel, record: Record, weight: Array
 ) -> tuple[tuple[Array, Array], Array, Array]:
-    """State at the first sample and biases that fit best, outputs (N, ny), states (N, nx) then."""
-    evaluator = NonlinearEvaluator(_all_free(model), lay_out([record], 1e9))
-    nf, nx, ny = evaluator.nf, evaluator.nx, evaluator.ny
+    """State at the first sample and biases that fit best, outputs (N, ny), states (N, nx) then.
+
+    Those of the record's beginning come first: from farther off, what grows leads astray.
+    """
+    nx, ny, N = len(model.states), len(model.outputs), record.N
+    z, cost = None, np.inf
+    for count in (N // 16, N // 4, N):
+        if count >= PER_UNKNOWN * (nx + ny) or count == N:
+            evaluator = NonlinearEvaluator(
+                _all_free(model), lay_out([record.take(slice(count))], 1e9)
+            )
+            z = np.concatenate([evaluator.resting()[0], np.zeros(ny)]) if z is None else z
+            z, cost = _best_start(evaluator, model.vector(), z, weight)
+    if z is None or not np.isfinite(cost):
+        raise ValueError(AWAY)
+    motion = evaluator.simulate(_start(model.vector(), z, nx))
+    u = np.concatenate([part.value for part in evaluator.held(evaluator.matrices(model.vector()))])
+    outputs = evaluator.flow.output(motion.states, u, model.vector()) + z[nx:]
+    return (z[:nx], z[nx:]), outputs, motion.states
+
+
+def _start(lam: Array, z: Array, nx: int) -> Point:
+    """Parameters with the state and the biases in z (nx + ny,)."""
+    return Point(lam=lam, bias=z[None, nx:], nodes=z[None, :nx])
+
+
+def _best_start(
+    evaluator: NonlinearEvaluator, lam: Array, z: Array, weight: Array
+) -> tuple[Array, float]:
+    """State and biases of least squares, by Gauss-Newton from z, and the sum of squares."""
+    nf, nx = evaluator.nf, evaluator.nx
     W = np.tile(np.diag(weight), (len(evaluator.layout.patterns), 1, 1))
     W *= evaluator.layout.patterns[:, None, :]
 
-    def at(z: Array) -> Point:
-        return Point(lam=model.vector(), bias=z[None, nx:], nodes=z[None, :nx])
-
     def cost(z: Array) -> float:
         with np.errstate(over="ignore", invalid="ignore"):
-            total = float(np.sum((evaluator.simulate(at(z)).residuals * weight) ** 2))
+            residuals = evaluator.simulate(_start(lam, z, nx)).residuals
+            total = float(np.sum((residuals * weight) ** 2))
         return total if np.isfinite(total) else np.inf
 
-    z = np.concatenate([evaluator.resting()[0], np.zeros(ny)])
     now = cost(z)
     for _ in range(ROUNDS):
-        gram = _gram(evaluator, at(z), W)[nf:, nf:]
+        gram = _gram(evaluator, _start(lam, z, nx), W)[nf:, nf:]
         unit = 1 / np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))
         H = gram[:-1, :-1] * np.outer(unit, unit)
         step = -unit * np.linalg.lstsq(H, unit * gram[:-1, -1], rcond=WEAK)[0]
@@ -230,12 +255,7 @@ def _answer(
         z, gained, now = z + share * step, now - new, new
         if gained <= STILL * now:
             break
-    if not np.isfinite(now):
-        raise ValueError(AWAY)
-    motion = evaluator.simulate(at(z))
-    u = np.concatenate([part.value for part in evaluator.held(evaluator.matrices(model.vector()))])
-    outputs = evaluator.flow.output(motion.states, u, model.vector()) + z[nx:]
-    return (z[:nx], z[nx:]), outputs, motion.states
+    return z, now
 
 
 def _gram(evaluator: NonlinearEvaluator, point: Point, W: Array) -> Array:

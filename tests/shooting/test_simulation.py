@@ -1,12 +1,13 @@
 """Nonlinear structures simulated and predicted."""
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from truths.swing import TRUTH, SmallSwing, WrittenOut, integrated, steps, swung
+from truths.swing import TRUTH, SmallSwing, Swing, WrittenOut, integrated, steps, swung
 
 from casid import (
     ModelError,
@@ -46,6 +47,24 @@ def test_validation_takes_a_nonlinear_structure_as_such():
     # Outputs are weighted by their spread over all records, which loses that between the means.
     shifted = validate({"true": TRUTH}, [record.detrend("mean") for record in records])
     np.testing.assert_allclose(shifted.rms["true"], found.rms["true"], rtol=1e-4)
+
+
+class Blind(Swing):
+    """A pendulum whose angle nothing measures."""
+
+    outputs = ("q",)
+    units = MappingProxyType({"q": "rad/s"})
+
+
+def test_a_long_swing_from_an_unknown_angle_is_followed():
+    # From rest no step that all 20 s ask for leads to the start; the first second's does.
+    model, t = Blind(Mq=-0.03, M=6.0, Mlon=8.0, tau=0.0), np.arange(0.0, 20.0, 0.05)
+    u = 0.15 * np.sin(1.3 * t)[:, None]
+    q = integrated(model, t, u, "foh", [0.3, 2.0])[:, :1]
+    record = Record(t, u, q, ("lon",), ("q",)).with_noise({"q": 0.02}, np.random.default_rng(1))
+    found = validate({"true": model}, record, horizon=np.inf)
+    assert found.rms["true"] == pytest.approx(0.02, rel=0.15)
+    np.testing.assert_allclose(found.initial_states["true"][0], [0.3, 2.0], atol=0.01)
 
 
 @pytest.mark.parametrize("horizon", [np.inf, 1.0])
