@@ -6,7 +6,8 @@
 
 and the second derivative of the first term [C (sI − A)⁻¹  I] dN [(sI − A)⁻¹ 0; 0 0] dN [...] twice.
 
-The one place where estimators turn a structure's expressions into numbers.
+The one place where estimators turn a structure's expressions into numbers. Parts that nothing
+couples, as flight conditions side by side, are evaluated one by one.
 """
 
 from dataclasses import dataclass
@@ -23,6 +24,30 @@ from casid.free import Free
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Part:
+    """Channels that nothing couples to the others', by their positions."""
+
+    states: NDArray[np.intp]
+    inputs: NDArray[np.intp]
+    outputs: NDArray[np.intp]
+    order: scipy.sparse.csr_array  # of the derivatives of the part's own entries
+    used: NDArray[np.intp]  # where these are in its own N
+
+    @property
+    def block(self) -> tuple[NDArray[np.intp], ...]:
+        """Where its response is in the whole."""
+        return np.ix_(self.outputs, self.inputs)
+
+    def rows(self, nx: int) -> NDArray[np.intp]:
+        """Its rows of N."""
+        return np.concatenate([self.states, nx + self.outputs])
+
+    def columns(self, nx: int) -> NDArray[np.intp]:
+        """Its columns of N."""
+        return np.concatenate([self.states, nx + self.inputs])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Matrices:
     """Matrices, delays and constraints of a structure at some λ, and their derivatives."""
 
@@ -34,6 +59,7 @@ class Matrices:
     dtau: Array  # (nf, nu)
     dc: Array  # (nf, nc)
     nx: int
+    parts: "tuple[tuple[Part, Matrices], ...]" = ()  # if there are several
 
     @property
     def blocks(self) -> tuple[Array, Array, Array, Array]:
@@ -57,16 +83,36 @@ class Matrices:
     def response(self, s: ComplexArray) -> ComplexArray:
         """G (K, ny, nu) at points s (K,) of the complex plane; LinAlgError for a pole on one."""
         _, _, C, D = self.blocks
+        if self.parts:
+            G = np.zeros((len(s), *D.shape), dtype=complex)
+            for part, own in self.parts:
+                G[:, *part.block] = own.response(s)
+            return G
         return np.asarray(C @ self.state_response(s) + D * np.exp(-s[:, None, None] * self.tau))
 
-    def response_slopes(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """G (K, ny, nu) and its derivatives (nf, K, ny, nu) at points s; raises as `response`."""
+    def response_slopes(
+        self, s: ComplexArray, seen: NDArray[np.bool_] | None = None
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """G (K, ny, nu) and its derivatives (nf, K, ny, nu) at points s; raises as `response`.
+
+        What is not ``seen`` (K, ny, nu) may be left zero.
+        """
+        if self.parts:
+            shape = len(s), *self.blocks[3].shape
+            G, slope = (np.zeros((*more, *shape), complex) for more in ((), (len(self.dc),)))
+            for part, own in self.parts:
+                k = np.arange(len(s))
+                if seen is not None:
+                    k = k[seen[:, *part.block].any(axis=(1, 2))]
+                place = np.ix_(k, part.outputs, part.inputs)
+                G[place], slope[:, *place] = own.response_slopes(s[k])
+            return G, slope
         left, right, _, G = self._factors(s)
         row, column = self._places
         rows, columns = left.transpose(2, 0, 1).copy(), right.transpose(1, 0, 2).copy()
         terms = rows[row][..., None] * columns[column][:, :, None, :]
         flat = np.asarray(self.dN_used @ terms.reshape(len(row), G.size))
-        slope = flat.reshape(-1, *G.shape)
+        slope = flat.reshape(len(flat), *G.shape)
         late = np.flatnonzero(self.dtau.any(axis=1))
         slope[late] -= self.dtau[late, None, None, :] * (s[:, None, None] * G)
         return G, slope
@@ -77,6 +123,16 @@ class Matrices:
         P is (K, ny, nu). Second derivatives (nf, nf) are those with N and τ linear in λ; what
         their own curvature adds, `MatrixFunction.curvature` has.
         """
+        if self.parts:
+            by_N, by_tau = np.zeros(self.N.shape), np.zeros(len(self.tau))
+            H = np.zeros((len(self.dc), len(self.dc)))
+            for part, own in self.parts:
+                place = np.ix_(part.rows(self.nx), part.columns(self.nx))
+                by_N[place], by_tau[part.inputs], more = own.response_curvature(
+                    s, P[:, *part.block]
+                )
+                H += more
+            return by_N, by_tau, H
         left, right, R, G = self._factors(s)
         row, column = self._places
         U = left.transpose(0, 2, 1) @ P.conj()
@@ -118,7 +174,8 @@ class MatrixFunction:
     def __init__(self, free: Free) -> None:
         lam = ca.SX.sym("lam", len(free.index))
         A, B, C, D, tau, c = free.model.matrices()(free.full(lam))
-        N = ca.densify(ca.blockcat([[A, B], [C, D]]))
+        sparse = ca.blockcat([[A, B], [C, D]])
+        N = ca.densify(sparse)
         J = ca.jacobian(ca.vec(N.T), lam)
         entries: list[Any] = J.nonzeros()
         dense = [ca.densify(part) for part in (tau, c, ca.jacobian(tau, lam), ca.jacobian(c, lam))]
@@ -132,6 +189,7 @@ class MatrixFunction:
         order = np.arange(len(entries)), (parameter, entry)
         self._order = scipy.sparse.csr_array(order, shape=(len(free.index), len(self._used)))
         self.nx, self.nu, self.ny, self.nf = A.shape[0], B.shape[1], C.shape[0], len(free.index)
+        self._parts = self._split(np.array(sparse.sparsity().get_triplet(), dtype=int))
         self._last: tuple[bytes, Matrices] | None = None
 
     def __call__(self, values: Array) -> Matrices:
@@ -147,10 +205,50 @@ class MatrixFunction:
 
     def _at(self, values: Array) -> Matrices:
         N, entries, tau, c, dtau, dc = (part.full() for part in self._function(values))
-        order = self._order  # of the entries
-        sparse = (entries.ravel()[order.data], order.indices, order.indptr)
-        dN = scipy.sparse.csr_array(sparse, shape=order.shape)
-        tau, c = tau.ravel(), c.ravel()
+        entries, tau, c, dtau, dc = entries.ravel(), tau.ravel(), c.ravel(), dtau.T, dc.T
+        parts = tuple(
+            (part, Matrices(
+                N=N[np.ix_(part.rows(self.nx), part.columns(self.nx))], tau=tau[part.inputs], c=c,
+                dN_used=_ordered(part.order, entries), used=part.used,
+                dtau=dtau[:, part.inputs], dc=dc, nx=len(part.states),
+            ))
+            for part in self._parts
+        )  # fmt: skip
+        dN = _ordered(self._order, entries)
         return Matrices(
-            N=N, tau=tau, c=c, dN_used=dN, used=self._used, dtau=dtau.T, dc=dc.T, nx=self.nx
+            N=N, tau=tau, c=c, dN_used=dN, used=self._used, dtau=dtau, dc=dc, nx=self.nx,
+            parts=parts,
+        )  # fmt: skip
+
+    def _split(self, coupled: NDArray[np.intp]) -> list[Part]:
+        """Parts, by the rows and columns (2, n) of N that couple; none if there is only one."""
+        nx, nu = self.nx, self.nu
+        row, column = coupled
+        graph = scipy.sparse.csr_array(
+            (np.ones(len(row)), (np.where(row < nx, row, row + nu), column)),
+            (nx + nu + self.ny,) * 2,  # states, inputs, outputs
         )
+        count, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+        own = [
+            [np.flatnonzero(x == k) for x in np.split(label, [nx, nx + nu])] for k in range(count)
+        ]
+        own = [each for each in own if len(each[1]) and len(each[2])]
+        if len(own) < 2 or not all(len(states) for states, _, _ in own):
+            return []
+        return [self._part(*each) for each in own]
+
+    def _part(
+        self, states: NDArray[np.intp], inputs: NDArray[np.intp], outputs: NDArray[np.intp]
+    ) -> Part:
+        """A part of N."""
+        rows, columns = (np.concatenate([states, self.nx + each]) for each in (outputs, inputs))
+        places = (rows[:, None] * (self.nx + self.nu) + columns).ravel()  # in the whole
+        used = np.flatnonzero(np.isin(places, self._used))
+        order = self._order[:, np.searchsorted(self._used, places[used])]
+        return Part(states=states, inputs=inputs, outputs=outputs, order=order, used=used)
+
+
+def _ordered(order: scipy.sparse.csr_array, entries: Array) -> scipy.sparse.csr_array:
+    """Entries where their numbers stand."""
+    sparse = (entries[order.data], order.indices, order.indptr)
+    return scipy.sparse.csr_array(sparse, shape=order.shape)

@@ -1,9 +1,12 @@
 """Matrices, responses and their derivatives against another route to the same numbers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from truths.swing import Swing
 
-from casid import Constraint, Model, Rows, Scalar, parameter
+from casid import Constraint, Model, Rows, Scalar, Trim, parameter
 from casid.evaluation import MatrixFunction
 from casid.free import free_parameters
 
@@ -96,3 +99,36 @@ def test_curvature_of_the_response_is_that_of_differences():
 def test_pole_on_a_point_is_an_error():
     with pytest.raises(np.linalg.LinAlgError):
         MatrixFunction(FREE)(np.array([0.0, 3.0, 0.1])).response(np.zeros(1, dtype=complex))
+
+
+@pytest.fixture(name="apart")
+def three_conditions():
+    """Three pendulums side by side, one of them with a delayed stick, and points to weigh."""
+    conditions = [Trim(name=f"{x}", values={"theta": x, "lon": 0.2}) for x in (0.0, 0.5, 1.1)]
+    free = free_parameters(Swing(tau=0.1).at(*conditions), fixed={"M"})
+    at, rng = MatrixFunction(free)(free.guess), np.random.default_rng(3)
+    assert [len(part.states) for part, _ in at.parts] == [2, 2, 2]
+    return at, replace(at, parts=()), rng.standard_normal((3, *at.blocks[3].shape)) * (1 + 2j)
+
+
+def test_parts_that_nothing_couples_are_the_whole(apart):
+    at, whole, P = apart
+    np.testing.assert_allclose(at.response(S), whole.response(S), atol=1e-12)
+    for ours, theirs in (
+        (at.response_slopes(S), whole.response_slopes(S)),
+        (at.response_curvature(S, P), whole.response_curvature(S, P)),
+    ):
+        for one, other in zip(ours, theirs, strict=True):
+            inside = np.where(at.N != 0, 1, 0) if one.shape == at.N.shape else 1
+            np.testing.assert_allclose(one * inside, other * inside, atol=1e-11)
+            assert np.abs(other).max() > 0.1
+
+
+def test_what_is_not_seen_is_not_evaluated(apart):
+    at, whole, _ = apart
+    seen = np.zeros((3, *at.blocks[3].shape), dtype=bool)
+    seen[0, 0, 0] = seen[2, 4:, 2] = True
+    for ours, theirs in zip(at.response_slopes(S, seen), whole.response_slopes(S), strict=True):
+        np.testing.assert_allclose(ours[..., seen], theirs[..., seen], atol=1e-12)
+        assert not ours[..., 1, :, :].any()
+        assert not ours[..., 2, :4, :].any()

@@ -109,26 +109,33 @@ class Condensed:
     def jacobian(self, x: Array) -> tuple[Array, Array]:
         """Residuals (n,) and their derivatives (nf, n)."""
         at = self.matrices(x * self.scale)
-        G, dG = at.response_slopes(self.comparison.s)
+        G, dG = at.response_slopes(self.comparison.s, self.comparison.W > 0)
         parts = [(self._errors(G), self._slopes(G, dG)), self._violation(at), self._beyond(at)]
         values, slopes = zip(*parts, self._surprise(x), strict=True)
         J = np.concatenate(slopes, axis=1)
         J *= self.scale[:, None]
         return np.concatenate(values), J
 
+    @cached_property
+    def _weighed(self) -> slice | np.ndarray:
+        """Which entries of all responses have a weight."""
+        seen = self.comparison.W.ravel() > 0
+        return slice(None) if seen.all() else np.flatnonzero(seen)
+
     def _errors(self, G: ComplexArray) -> Array:
-        """Residuals of a response, (2 K ny nu,)."""
+        """Residuals of a response, (n,); of entries that weigh, or of all decibels."""
         c = self.comparison
         if self.norm == "decibel":
             return residuals(G, c.G, c.decibel_weight).ravel()
-        return _real((c.W / np.sqrt(len(c.s)) * (G - c.G)).ravel())
+        return _real(((c.W / np.sqrt(len(c.s)) * (G - c.G)).ravel())[self._weighed])
 
     def _slopes(self, G: ComplexArray, dG: ComplexArray) -> Array:
-        """Derivatives of `_errors` from those of the response, (nf, 2 K ny nu)."""
+        """Derivatives of `_errors` from those of the response, (nf, n)."""
         c = self.comparison
         if self.norm == "decibel":
             return residual_slopes(G, dG, c.G, c.decibel_weight).reshape(len(dG), -1)
-        return _real((c.W / np.sqrt(len(c.s)) * dG).reshape(len(dG), -1))
+        weight = (c.W / np.sqrt(len(c.s))).ravel()[self._weighed]
+        return _real(weight * dG.reshape(len(dG), -1)[:, self._weighed])
 
     def _violation(self, at: Matrices) -> tuple[Array, Array]:
         """Penalised violation of constraints and delays (m,), and its derivative (nf, m)."""

@@ -1,12 +1,13 @@
 """Constraints of a match beside the responses: the structure's own, its delays', its poles'.
 
 A(λ) − σ I is Hurwitz exactly when F P + P Fᵀ = −I, P = M Mᵀ with M lower triangular, has a
-solution; the entries of M are variables then.
+solution; the entries of M are variables then. States that nothing couples to the others have an
+equation and an M of their own.
 """
 
 import casadi as ca
 import numpy as np
-import scipy.linalg
+import scipy
 
 from casid.arrays import Array
 from casid.evaluation import Matrices
@@ -25,7 +26,7 @@ class Side:
     """
 
     def __init__(self, free: Free, comparison: Comparison, at: Matrices | None) -> None:
-        nf, nx = len(free.index), len(free.model.states)
+        nf = len(free.index)
         lam = ca.SX.sym("lam", nf)
         A, *_, tau, c = free.model.matrices()(free.full(lam * free.scale[free.index]))
         composed = delay_parameters(free)[1]
@@ -35,12 +36,19 @@ class Side:
         none: Array = np.zeros(0)
         self.start = none, none, none
         if at is not None:
-            m = ca.SX.sym("m", nx * (nx + 1) // 2)
             size, rate = _state_sizes(at, comparison), _rate(comparison)
             scaled = ca.diag(ca.DM(1 / size)) @ A @ ca.diag(ca.DM(size))
-            parts.append(_lyapunov((scaled - comparison.shift * ca.SX.eye(nx)) / rate, m))
-            limits += [(0.0, 0.0)] * parts[-1].numel()
-            self.start = _factor(at.blocks[0] * size / size[:, None], comparison.shift, rate)
+            number = at.blocks[0] * size / size[:, None]
+            line = max(comparison.shift, np.linalg.eigvals(number).real.max() + 0.1 * rate)
+            starts = []
+            for own in _coupled(A):
+                F = (scaled[own, own] - comparison.shift * ca.SX.eye(len(own))) / rate
+                M = ca.SX.sym("m", len(own) * (len(own) + 1) // 2)
+                m, more = ca.vertcat(m, M), _lyapunov(F, M)
+                parts.append(more)
+                limits += [(0.0, 0.0)] * more.numel()
+                starts.append(_factor((number[np.ix_(own, own)] - line * np.eye(len(own))) / rate))
+            self.start = tuple(np.concatenate(each) for each in zip(*starts, strict=True))
         w, g = ca.vertcat(lam, m), ca.vertcat(*parts)
         mu = ca.SX.sym("mu", g.numel())
         H = ca.hessian(ca.dot(mu, g), w)[0]
@@ -89,12 +97,17 @@ def _lyapunov(F: ca.SX, m: ca.SX) -> ca.SX:
     return ca.vertcat(*[residual[i, j] for i in range(nx) for j in range(i + 1)])
 
 
-def _factor(A: Array, shift: float, rate: float) -> tuple[Array, Array, Array]:
+def _coupled(A: ca.SX) -> list[list[int]]:
+    """States by groups that couple with each other."""
+    row, column = A.sparsity().get_triplet()
+    graph = scipy.sparse.csr_array((np.ones(len(row)), (row, column)), A.shape)
+    count, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    return [np.flatnonzero(label == k).tolist() for k in range(count)]
+
+
+def _factor(F: Array) -> tuple[Array, Array, Array]:
     """Start, lower and upper bounds of the entries of M, column by column."""
-    nx = len(A)
-    rightmost = np.linalg.eigvals(A).real.max()
-    line = max(shift, rightmost + 0.1 * rate)
-    F = (A - line * np.eye(nx)) / rate
+    nx = len(F)
     M = np.linalg.cholesky(scipy.linalg.solve_continuous_lyapunov(F, -np.eye(nx)))
     column, row = np.triu_indices(nx)
     lower = np.where(row == column, 0.0, -LIMIT)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from truths.structures import TRUTH, HoverRoll
+from truths.swing import Swing
 
-from casid import Constraint, Scalar, parameter
+from casid import Constraint, Scalar, Trim, parameter
 from casid.evaluation import MatrixFunction
 from casid.free import free_parameters
 from casid.matching.side import Side
@@ -44,3 +45,15 @@ def test_the_lyapunov_equation_holds_at_the_start_exactly_left_of_the_line(shift
     )
     np.testing.assert_allclose(residual, 0.0, atol=1e-9)
     assert side.count == 6
+
+
+def test_conditions_that_nothing_couples_have_lyapunov_equations_of_their_own():
+    conditions = [Trim(name=f"{x}", values={"theta": x}) for x in (0.0, 0.5, 1.1)]
+    model = Swing(M=6.0, tau=0.1).at(*conditions)
+    free = free_parameters(model)
+    at = MatrixFunction(free)(free.guess)
+    side = Side(free, compare(model, [model.system()]), at)
+    residual = side.values(np.concatenate([free.guess / free.scale[free.index], side.start[0]]))
+    assert len(side.start[0]) == 3 * 3  # of 6 * 7 / 2
+    assert side.count == 3 * 3
+    np.testing.assert_allclose(residual, 0.0, atol=1e-9)
