@@ -33,10 +33,9 @@ class Part:
     order: scipy.sparse.csr_array  # of the derivatives of the part's own entries
     used: NDArray[np.intp]  # where these are in its own N
 
-    @property
-    def block(self) -> tuple[NDArray[np.intp], ...]:
-        """Where its response is in the whole."""
-        return np.ix_(self.outputs, self.inputs)
+    def place(self, points: NDArray[np.intp]) -> tuple[NDArray[np.intp], ...]:
+        """Where its response at some points is in the whole, (K, ny, nu)."""
+        return np.ix_(points, self.outputs, self.inputs)
 
     def rows(self, nx: int) -> NDArray[np.intp]:
         """Its rows of N."""
@@ -86,7 +85,7 @@ class Matrices:
         if self.parts:
             G = np.zeros((len(s), *D.shape), dtype=complex)
             for part, own in self.parts:
-                G[:, *part.block] = own.response(s)
+                G[part.place(np.arange(len(s)))] = own.response(s)
             return G
         return np.asarray(C @ self.state_response(s) + D * np.exp(-s[:, None, None] * self.tau))
 
@@ -103,9 +102,10 @@ class Matrices:
             for part, own in self.parts:
                 k = np.arange(len(s))
                 if seen is not None:
-                    k = k[seen[:, *part.block].any(axis=(1, 2))]
-                place = np.ix_(k, part.outputs, part.inputs)
-                G[place], slope[:, *place] = own.response_slopes(s[k])
+                    k = k[seen[part.place(k)].any(axis=(1, 2))]
+                G[part.place(k)], own_slope = own.response_slopes(s[k])
+                for whole, each in zip(slope, own_slope, strict=True):
+                    whole[part.place(k)] = each
             return G, slope
         left, right, _, G = self._factors(s)
         row, column = self._places
@@ -129,7 +129,7 @@ class Matrices:
             for part, own in self.parts:
                 place = np.ix_(part.rows(self.nx), part.columns(self.nx))
                 by_N[place], by_tau[part.inputs], more = own.response_curvature(
-                    s, P[:, *part.block]
+                    s, P[part.place(np.arange(len(s)))]
                 )
                 H += more
             return by_N, by_tau, H

@@ -48,7 +48,8 @@ class Side:
                 parts.append(more)
                 limits += [(0.0, 0.0)] * more.numel()
                 starts.append(_factor((number[np.ix_(own, own)] - line * np.eye(len(own))) / rate))
-            self.start = tuple(np.concatenate(each) for each in zip(*starts, strict=True))
+            start, lower, upper = (np.concatenate(each) for each in zip(*starts, strict=True))
+            self.start = start, lower, upper
         w, g = ca.vertcat(lam, m), ca.vertcat(*parts)
         mu = ca.SX.sym("mu", g.numel())
         H = ca.hessian(ca.dot(mu, g), w)[0]

@@ -205,16 +205,15 @@ def _answer(
     Those of the record's beginning come first: from farther off, what grows leads astray.
     """
     nx, ny, N = len(model.states), len(model.outputs), record.N
-    z, cost = None, np.inf
-    for count in (N // 16, N // 4, N):
-        if count >= PER_UNKNOWN * (nx + ny) or count == N:
-            evaluator = NonlinearEvaluator(
-                _all_free(model), lay_out([record.take(slice(count))], 1e9)
-            )
-            z = np.concatenate([evaluator.resting()[0], np.zeros(ny)]) if z is None else z
-            z, cost = _best_start(evaluator, model.vector(), z, weight)
-    if z is None or not np.isfinite(cost):
+    counts = [n for n in (N // 16, N // 4) if n >= PER_UNKNOWN * (nx + ny)]
+    parts = [lay_out([record.take(slice(n))], 1e9) for n in (*counts, N)]
+    evaluators = [NonlinearEvaluator(_all_free(model), part) for part in parts]
+    z, cost = np.concatenate([evaluators[0].resting()[0], np.zeros(ny)]), np.inf
+    for evaluator in evaluators:
+        z, cost = _best_start(evaluator, model.vector(), z, weight)
+    if not np.isfinite(cost):
         raise ValueError(AWAY)
+    evaluator = evaluators[-1]
     motion = evaluator.simulate(_start(model.vector(), z, nx))
     u = np.concatenate([part.value for part in evaluator.held(evaluator.matrices(model.vector()))])
     outputs = evaluator.flow.output(motion.states, u, model.vector()) + z[nx:]
