@@ -192,7 +192,7 @@ def main() -> None:
     }
     print(f"\n{table(*worth(flights, fits[BASE], alone))}", flush=True)
     print(f"\n{table(*left_out(fits[OUT], flights.trims['060kt']))}", flush=True)
-    print(f"\n{table(*unseen(flights, near, alone, fits))}", flush=True)
+    print(f"\n{table(*unseen(flights, near, alone, fits, linear=False))}", flush=True)
     print(f"\n{table(*changes(flights, near, fits))}", flush=True)
     free = kept(folder / "no trim known.json", Untrimmed, lambda: untrimmed(flights, fits[BASE]))
     print(f"\n{table(*along(flights, free))}")

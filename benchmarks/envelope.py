@@ -26,6 +26,7 @@ from benchmarks.uh60 import INPUTS, NOISE, OUTPUTS, STEPS
 from casid import (
     ConvergenceError,
     Fit,
+    NonlinearModel,
     OutputError,
     Record,
     Scalar,
@@ -205,22 +206,31 @@ def ratio(one: Any, other: Any) -> float:
 def errors(
     flights: Flights, models: dict[str, Any], speed: str, name: str, horizon: float = AHEAD
 ) -> dict[str, Any]:
-    """RMS (8,) of the outputs by each model over a record that shows u, too."""
-    record = flights.deviations(speed, name, outputs=(*OUTPUTS, "u"))
-    rms = validate(models, record, horizon=horizon).rms
+    """RMS (8,) of the outputs by each model over a record; nonlinear ones see u, too."""
+    nonlinear = any(isinstance(model, NonlinearModel) for model in models.values())
+    shown = (*OUTPUTS, "u") if nonlinear else OUTPUTS
+    rms = validate(models, flights.deviations(speed, name, outputs=shown), horizon=horizon).rms
     return {each: values[0, : len(OUTPUTS)] for each, values in rms.items()}
 
 
-def unseen(flights: Flights, near: Any, alone: dict[str, Any], fits: dict[str, Any]) -> Any:
-    """Errors of simulations and 3 s ahead, in total values."""
+def unseen(
+    flights: Flights, near: Any, alone: Any, fits: dict[str, Any], *, linear: bool = True
+) -> Any:
+    """Errors of simulations, linearised at the measured trim perhaps, and as they are 3 s ahead."""
     pairs = [(one, other) for other in ("SixDof", "own") for one in (BASE, OUT)]
     rows = []
     for name in UNSEEN:
         for speed in SPEEDS:
-            models = {"SixDof": near[speed], "own": alone[speed].model}
-            models |= {case: fits[case].model for case in (BASE, OUT)}
-            both = [errors(flights, models, speed, name, far) for far in (np.inf, AHEAD)]
-            rows.append((name, speed, *(ratio(rms[a], rms[b]) for rms in both for a, b in pairs)))
+            six = {"SixDof": near[speed].model}
+            models = {"own": alone[speed].model} | {case: fits[case].model for case in (BASE, OUT)}
+            whole = models
+            if linear:
+                whole = {each: linear_at(flights, model, speed) for each, model in models.items()}
+            e = errors(flights, six | whole, speed, name, np.inf)
+            ahead = errors(flights, six | models, speed, name)
+            rows.append(
+                (name, speed, *(ratio(rms[a], rms[b]) for rms in (e, ahead) for a, b in pairs))
+            )
     head = [f"{a} / {b}" for a, b in pairs]
     return ("record", "speed", *head, *(f"{each}, {AHEAD:.0f} s ahead" for each in head)), rows
 
@@ -241,6 +251,12 @@ def changes(flights: Flights, near: dict[str, Any], fits: dict[str, Any]) -> Any
         f"unseen / seen, {ahead} of filtered ones",
     )
     return ("record", *head, f"unseen / SixDof at 60 kn, {ahead} of filtered ones"), rows
+
+
+def linear_at(flights: Flights, model: Any, speed: str) -> Any:
+    """A nonlinear model linearised at the measured trim, what was not measured in balance."""
+    trim = flights.trims[speed]
+    return model.at(Trim(values=trim | balanced(model, trim)))
 
 
 def pieces(model: Any, record: Record) -> Any:
