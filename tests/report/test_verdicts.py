@@ -74,6 +74,7 @@ def test_a_verdict_is_of_all_unseen_records_together(content):
         validation,
         records=validation.records * 2,
         measured=validation.measured * 2,
+        begins=validation.begins * 2,
         simulated={name: ys * 2 for name, ys in validation.simulated.items()},
         theil={name: np.vstack([values, values]) for name, values in validation.theil.items()},
     )
@@ -115,6 +116,7 @@ def test_verdicts_are_of_the_step_that_was_chosen(content):
         validation,
         models=(*validation.models, CHOSEN),
         simulated=also(validation.simulated, worse),
+        known=also(validation.known, validation.outputs),
         rms=also(validation.rms, validation.rms[OUTPUT_ERROR]),
         theil=also(validation.theil, 2 * validation.theil[OUTPUT_ERROR]),
     )
@@ -138,9 +140,9 @@ def _without(validation, output, model=None):
         told[kind] = each
     if model:
         ys = [np.where(np.arange(y.shape[1]) == i, np.nan, y) for y in validation.simulated[model]]
-        return dataclasses.replace(
-            validation, simulated={**validation.simulated, model: tuple(ys)}, **told
-        )
+        told["simulated"] = {**validation.simulated, model: tuple(ys)}
+        has = tuple(name for name in validation.known[model] if name != output)
+        return dataclasses.replace(validation, known={**validation.known, model: has}, **told)
     unseen = [r.mask(np.arange(r.ny)[None] == np.full((r.N, 1), i)) for r in validation.measured]
     return dataclasses.replace(validation, measured=tuple(unseen), **told)
 
