@@ -11,7 +11,7 @@ Stat. Soc. B 39 (1977) 44-47); the criterion before the refinement says what is 
 orders are tried until some in a row are no better.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -23,8 +23,9 @@ from casid.arrays import Array
 from casid.linear import StateSpace
 from casid.record import Record
 from casid.records import Records
+from casid.samples import usual_interval
 from casid.subspace.campaign import Campaign, Windows
-from casid.subspace.columns import Feedthrough, output_bandwidth
+from casid.subspace.columns import LONG_GAP, Feedthrough, output_bandwidth
 from casid.subspace.fourier import Spectrum
 from casid.subspace.laguerre import support
 from casid.subspace.refinement import information_criteria, refined_system, residual_powers
@@ -240,8 +241,8 @@ class _HeldOut:
 
     def __call__(self, grid: Grid) -> list[Candidate]:
         """One Candidate per combination that can be identified."""
-        n = len(self.data)
-        folds = [range(i, n, FOLDS) for i in range(min(FOLDS, n))]
+        known = [i for i, own in enumerate(self.data) if own]
+        folds = [known[i::FOLDS] for i in range(min(FOLDS, len(known)))]
         found = []
         for windows, order in product(grid.windows(self.campaign.records), grid.orders):
             models = [_model(self.campaign, order, windows, fold) for fold in folds]
@@ -250,19 +251,19 @@ class _HeldOut:
                 for model, fold in zip(models, folds, strict=True)
                 if model is not None
             ]
-            if len(values) == len(folds):
+            if folds and len(values) == len(folds):
                 found.append(Candidate.of(order, windows).scored(values))
         return found
 
 
 def _akaike_search(campaign: Campaign, grid: Grid) -> list[Candidate]:
     """Candidates by the corrected Akaike criterion of refined models, `STARTS` an order."""
-    data = _transforms(campaign, grid.poles)
+    data = [own for own in _transforms(campaign, grid.poles) if own]
     direct = int(campaign.mask.sum())
     judge = partial(information_criteria, data=data, su=campaign.su, sy=campaign.sy, direct=direct)
     windows = grid.windows(campaign.records)
     tried = []
-    for order in grid.orders:
+    for order in grid.orders if data else ():
         starts = [(w, _model(campaign, order, w)) for w in windows]
         found = [(w, model) for w, model in starts if model is not None]
         for w, start in sorted(found, key=lambda pair: judge(pair[1]).mean())[:STARTS]:
@@ -355,20 +356,31 @@ def _default_orders(ny: int, possible: int) -> list[int]:
     return list(range(1, highest + 1)) if highest <= 8 else list(range(4, highest + 1, 2))
 
 
+def _own_instants(records: Sequence[Record]) -> Iterator[Array]:
+    """Instants at which an output was measured, of all outputs that were."""
+    for record in records:
+        for measured in np.isfinite(record.y).T:
+            if measured.sum() > 1:
+                yield record.t[measured]
+
+
 def usable_poles(records: Sequence[Record]) -> list[float]:
     """Laguerre poles [rad/s] worth trying: somewhat faster than the outputs move.
 
-    Their kernels cost at most a quarter of the longest record, and their band is sampled, else
-    records are too short for how slowly they are sampled: ValueError.
+    Their kernels cost at most a quarter of the longest record, and their band is sampled, in which
+    no output's own samples are gaps, else records are too short for how slowly they are sampled:
+    ValueError.
     """
     longest = max(record.duration for record in records)
     slowest = support(1.0, min(PASTS)) / (COST * longest)
     fastest = 0.5 * np.pi / max(record.dt for record in records)
+    rarest = max((usual_interval(t) for t in _own_instants(records)), default=0.0)
+    fastest = min(fastest, LONG_GAP / max(rarest, 1e-300))
     if slowest > fastest:
         raise ValueError(
-            f"records of {longest:.3g} s sampled every {records[0].dt:.3g} s suit no Laguerre "
-            "pole: kernels short enough are not sampled; give longer records or faster sampling, "
-            "or name the pole, past and order"
+            f"records of {longest:.3g} s sampled every {max(rarest, records[0].dt):.3g} s suit no "
+            "Laguerre pole: kernels short enough are not sampled; give longer records or faster "
+            "sampling, or name the pole, past and order"
         )
     low, high = np.clip(np.array(SPAN) * output_bandwidth(records), slowest, fastest)
     ratio = SPAN[1] / SPAN[0]

@@ -55,6 +55,28 @@ def median_error(system):
     return np.median(np.linalg.norm(system.response(OMEGA) - G, axis=(1, 2)) / size)
 
 
+def test_an_output_of_few_samples_beside_a_noisy_one_is_not_all_gaps():
+    # Noise moves p up to its Nyquist frequency; bank comes every fourth sample, in the last record
+    # almost never.
+    rng, plant = np.random.default_rng(5), StateSpace(
+        [[-4.0, 0.0], [1.0, 0.0]], [[1.5], [0.0]], np.eye(2), np.zeros((2, 1)), None,
+        ("lat",), ("p", "phi"),
+    )  # fmt: skip
+    flown = []
+    for sparse in (4, 4, 4, 40):
+        t = np.arange(0.0, 16.0, 0.02)
+        u = 0.1 * np.sign(np.sin(0.5 * t * (1 + 0.1 * t)))[:, None]
+        y = plant.simulate(t, u) + 0.01 * rng.standard_normal((len(t), 2))
+        y[np.arange(len(t)) % sparse > 0, 1] = np.nan
+        flown.append(Record(t, u, y, plant.inputs, plant.outputs))
+    G = plant.response(np.geomspace(0.8, 6.0, 10))
+    for records in (flown[:3], flown[:1]):  # held out, or by the Akaike criterion
+        found = pbsid(records).system.response(np.geomspace(0.8, 6.0, 10))
+        assert np.median(np.abs(found / G - 1)) < 0.05
+    assert max(usable_poles(flown[:3])) < np.pi / 0.08
+    assert select_order(flown, poles=[10.0]).criterion == "held-out records"
+
+
 def test_every_record_is_transformed_alone_and_up_to_twice_the_fastest_pole():
     flown = [campaign(records=1, duration=T)[0] for T in (12.0, 18.0, 24.0)]
     for record, lines in zip(flown, _transforms(Campaign.of(flown, True), [4.0, 6.0]), strict=True):
