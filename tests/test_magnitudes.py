@@ -22,6 +22,7 @@ def test_a_realisation_has_the_zeros_and_poles_of_its_numbers(odd):
     known = 2 * (s**2 / 4 + 0.4 * s + 1) / (s**2 / 49 + 0.06 / 7 * s + 1)
     known = known * (s / 3 + 1) / (s / 0.5 + 1) if odd else known
     omega = np.exp(X)
+    assert (W.inputs, W.outputs) == (("w",), ("z",))
     np.testing.assert_allclose(W.response(omega)[:, 0, 0], known(1j * omega), rtol=1e-9)
     complex_ones = np.concatenate([known.zeros(), known.poles()])
     complex_ones = complex_ones[complex_ones.imag > 0]

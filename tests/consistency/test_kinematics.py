@@ -205,6 +205,17 @@ def test_a_mistake_in_signs_or_units_is_named(mistake, noisy):
     assert any(said.startswith(begin[:-1]) and word in said for said in remarks), remarks
 
 
+def test_an_equation_that_lacks_a_channel_says_less():
+    # The yaw rate turns bank too, by tan(theta) of it: some per cent.
+    error = {"p": (0.08, 0.0, 0.0)}
+    told, untold = (
+        kinematic_check([flight(k, error, NOISE, outputs) for k in range(2)]).remarks
+        for outputs in (ATTITUDES, ("p", "phi"))
+    )
+    assert [said[:7] for said in told] == ["p is 1."]
+    assert untold == ()
+
+
 def test_a_velocity_upside_down_follows_from_nothing():
     check = kinematic_check([times(flight(0, None, NOISE), "w", -1.0)])
     assert any(said.startswith("w does not follow") for said in check.remarks)

@@ -6,7 +6,7 @@ import numpy as np
 from truths.closed_roll import TRUTH, flown, jittered, with_holes
 
 from casid.free import free_parameters
-from casid.shooting.curvature import curvature
+from casid.shooting.curvature import costates, curvature
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator, Point, Sweep, whiteners
 
@@ -52,6 +52,26 @@ def test_gradients_are_differences_of_half_the_sum_of_squares():
             expected = slope(name, step) / step[at]
             # Quadratic in biases and nodes: rounding of costs of 1e5 over the step.
             np.testing.assert_allclose(gradient[:, *at], expected, rtol=1e-5, atol=1e-2)
+
+
+def test_costates_run_back_through_every_interval():
+    evaluator, _, mu = parts()
+    layout, rng = evaluator.layout, np.random.default_rng(1)
+    jumps, M = rng.standard_normal((len(layout.y), 3)), 0.5 * rng.standard_normal((3, 3))
+    half = layout.classes[layout.step] / 2
+    weight, later, earlier = (np.zeros_like(jumps) for _ in range(3))
+    for start, count, end in zip(layout.start, layout.count, mu, strict=True):
+        p = end
+        for k in range(start + count - 1, start - 1, -1):
+            later[k], earlier[k] = p, M @ p
+            weight[k] += half[k] * earlier[k]
+            p = earlier[k] + jumps[k]
+            if k > start:
+                weight[k] += half[k - 1] * p
+    found = costates(layout, jumps, mu, lambda _, p: p @ M.T)
+    last = layout.start + layout.count - 1
+    for one, known in zip(found, (weight, half[last, None] * mu, later, earlier), strict=True):
+        np.testing.assert_allclose(one, known, rtol=1e-12)
 
 
 def test_curvature_is_what_gauss_newton_lacks_of_second_differences():

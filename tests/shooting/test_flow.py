@@ -2,8 +2,11 @@
 
 import casadi as ca
 import numpy as np
+from scipy.integrate import solve_ivp
+from truths.motor import TRUTH
 
-from casid.shooting.flow import POINTS, Mapped, Slopes
+from casid.free import free_parameters
+from casid.shooting.flow import POINTS, Flow, Mapped, Slopes
 
 
 def test_points_are_evaluated_as_one_by_one_however_many():
@@ -29,3 +32,21 @@ def test_slopes_are_the_textbooks():
     slopes.lam.add(dense, by_lam)
     np.testing.assert_allclose(dense[:, 0, :2], np.transpose([np.sin(a), zero]))
     np.testing.assert_allclose(dense[:, 1, :2], np.transpose([zero, a * b]))
+
+
+def test_steps_are_those_of_the_equations():
+    # Of order four: a quarter of the step, 1/4⁵ of the error.
+    flow, lam = Flow(free_parameters(TRUTH)), np.array([TRUTH.Zw, TRUTH.Z, TRUTH.lag])
+
+    def rates(t, x):
+        return [TRUTH.Zw * x[0] + TRUTH.Z * (x[1] ** 2 - 1), (1 + 9 * t - x[1]) / TRUTH.lag]
+
+    errors = []
+    for h in (0.008, 0.002):
+        stages = 1 + 9 * h * np.array([[0.0, 0.5, 1.0]])
+        found = flow.step(np.array([[0.3, 0.9]]), stages, np.array([h]), lam)[0]
+        true = solve_ivp(rates, (0, h), [0.3, 0.9], rtol=1e-12, atol=1e-13).y[:, -1]
+        errors.append(np.abs(found - true))
+    np.testing.assert_array_less(errors[1], errors[0] / 600)
+    y = flow.output(np.array([[0.3, 0.9]]), np.ones((1, 1)), lam)
+    np.testing.assert_array_equal(y, [[0.3]])

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from truths.closed_roll import flown, with_holes
 
+from casid import Record
 from casid.shooting.intervals import lay_out
 
 
@@ -19,6 +20,12 @@ def test_intervals_cover_every_sample_once():
     assert np.bincount(layout.record).tolist() == [round(r.duration / 0.7) for r in records]
     assert layout.last.sum() == len(records)
     assert layout.observations == sum(int(np.isfinite(r.y).sum()) for r in records)
+
+
+def test_steps_are_the_distances_of_samples():
+    t = np.array([0.0, 0.1, 0.2, 0.4, 0.5, 0.9])
+    layout = lay_out([Record(t, t[:, None], t[:, None], ("u",), ("y",))], 10.0)
+    np.testing.assert_allclose(layout.classes[layout.step], [0.1, 0.1, 0.2, 0.1, 0.4, 0.4])
 
 
 def test_patterns_are_the_distinct_ones_the_complete_one_first():

@@ -17,6 +17,10 @@ from casid import (
     output_error,
     parameter,
 )
+from casid.free import free_parameters
+from casid.shooting.knowledge import Knowledge
+from casid.shooting.likelihood import Noise
+from casid.shooting.sensitivity import Point
 
 FLOWN = (0.02, -0.05)  # constants in p' of the two records
 SIGMA = 0.003
@@ -59,6 +63,30 @@ def test_constants_of_states_are_found_in_every_record():
     assert fit.initial_states.shape == (2, 2)
     assert type(fit.model) is Roll
     np.testing.assert_array_less(np.abs(fit.biases), 2e-4)
+
+
+def test_what_is_added_is_gradient_and_hessian_of_the_cost():
+    free = free_parameters(Roll(), (), None, {"Lp": (-2.0, 0.5)})
+    free = replace(free, initial={"phi": (0.1, 0.2)}, unbiased=("p", "phi"))
+    noise = Noise(np.ones((1, 2), dtype=bool), np.array([9]), np.array([0.003, 0.007]))
+    knowledge = Knowledge(free, noise, np.array([0, 0, 1]))
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal(2 + 2 * 2 + 3 * 2)  # parameters, biases and nodes
+
+    def cost(x):
+        return knowledge.cost(Point(x[:2], x[2:6].reshape(2, 2), x[6:].reshape(3, 2)))
+
+    records, nodes = np.zeros((2, 6, 7)), np.zeros((3, 2, 5))
+    point = Point(x[:2], x[2:6].reshape(2, 2), x[6:].reshape(3, 2))
+    knowledge.add(records, nodes, point)
+    own = [records[0, :2, -1], *records[:, 4:, -1], *nodes[:, :, -1]]
+    curved = [np.diag(records[0])[:2], *(np.diag(r)[4:] for r in records),
+              *(np.diag(each[:, 2:]) for each in nodes)]  # fmt: skip
+    for i, h in enumerate(1e-3 * np.eye(len(x))):
+        up, down = cost(x + h), cost(x - h)
+        assert np.concatenate(own)[i] == pytest.approx((up - down) / 2e-3, rel=1e-6, abs=1e-6)
+        bend = (up - 2 * cost(x) + down) / 1e-6
+        assert np.concatenate(curved)[i] == pytest.approx(bend, rel=1e-3, abs=1e-3)
 
 
 def test_outputs_named_alone_have_biases():

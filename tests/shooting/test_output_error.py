@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, campaign, flown, off, relative_error
+from truths.swing import Swing, swung
 
 from casid import SolverOptions
 from casid.errors import ConvergenceError
@@ -70,3 +71,9 @@ def test_a_record_has_measurements_for_its_own_state_and_biases():
         y.flat[: needed - 1] = 0.0
         with pytest.raises(ValueError, match=f"has .* biases alone need {needed}: leave it out"):
             select_records(free, replace(short, y=y), biases)
+
+
+def test_a_fit_says_what_shorter_steps_of_integration_would_change():
+    told = output_error(Swing(), swung(4, dt=0.1)).notes.integration
+    assert told.shift <= 1e-4
+    assert output_error(TRUTH, flown().between(0.0, 6.0)).notes.integration is None

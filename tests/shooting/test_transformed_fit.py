@@ -87,6 +87,9 @@ def test_a_fit_is_written_and_read(tmp_path):
     fit.save(tmp_path / "fit.json")
     again = Fit.load(tmp_path / "fit.json", model=Roll)
     np.testing.assert_array_equal(again.notes.spectra[0].power, fit.notes.spectra[0].power)
+    np.testing.assert_array_equal(again.covariance, fit.covariance)
+    std = [again[name].std_error for name in again.free_names]
+    np.testing.assert_allclose(np.sqrt(np.diag(again.covariance)), std)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from truths.closed_roll import TRUTH, Roll, noisy
 
 from casid import SolverOptions, output_error
 from casid.free import free_parameters
-from casid.shooting.ways import Ways, choose_interval
+from casid.shooting.ways import GAIN, Ways, choose_interval
 
 
 def ways(model=TRUTH, **more):
@@ -49,3 +49,16 @@ def test_the_way_taken_does_not_matter():
     one, other = (output_error(TRUTH, noisy(seed=3), interval=length) for length in (0.7, 3.0))
     apart = (one.model.vector() - other.model.vector()) / [row.std_error for row in one.parameters]
     assert np.abs(apart).max() < 1e-3
+
+
+def test_a_fit_nearby_is_where_it_begins():
+    near = output_error(TRUTH, noisy(seed=3), R="full")
+    far, warm = ways(Roll(Lp=-6.0)).output_error(), ways().output_error(near)
+    assert warm.cost == pytest.approx(far.cost, rel=1e-9)
+    assert warm.iterations < far.iterations / 2
+
+
+def test_a_filter_is_no_less_likely_than_the_output_error_it_begins_with():
+    plain, filtered = ways(R="diagonal").output_error(), ways(R="diagonal").filtered(True)
+    assert filtered.solution.success
+    assert filtered.cost < plain.cost + GAIN
