@@ -216,6 +216,13 @@ def test_guidelines_mark_what_they_are_missed_by():
 # ---- bounds, ties, choices ---------------------------------------------------------------------
 
 
+def test_a_pair_is_marked_that_fits_badly():
+    good = derivid(Roll(), response(TRUTH), starts=2)
+    assert [row.misses for row in good.notes.pairs] == [(), ()]
+    bad = derivid(Roll(Lp=-9.0), response(TRUTH), starts=2, fixed={"Lp"}, bounds={"Llat": (0, 4)})
+    assert {row.misses for row in bad.notes.pairs if row.J > 100} == {("J",)}
+
+
 def test_a_delay_stays_at_zero_where_the_data_want_a_lead():
     lead = Roll(Yv=-0.2, Lv=-0.08, Lp=-2.5, Llat=11.0, tau=0.0)
     frf = response(lead)

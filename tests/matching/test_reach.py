@@ -101,9 +101,10 @@ def test_a_few_biased_points_do_not_rule_a_joint_match():
     assert error["reachable"] < 0.4 * error["relative"]
 
 
-def test_weights_prepared_for_many_fits_are_those_of_one():
+@pytest.mark.parametrize("priors", [None, {"Lp": (-0.5, 1e-3)}])
+def test_weights_prepared_for_many_fits_are_those_of_one(priors):
     targets = [measured(TRUTH.system(), G=1.2 * TRUTH.system().response(OMEGA))]
-    matching = Match(norm="quadratic", omega=OMEGA[::-1])
+    matching = Match(norm="quadratic", omega=OMEGA[::-1], priors=priors)
     ready = matching.prepared(HoverRoll(), targets)
     own, shared = (each.fit(HoverRoll(), targets) for each in (matching, ready))
     assert shared.cost == pytest.approx(own.cost, rel=1e-6)
