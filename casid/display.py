@@ -80,3 +80,10 @@ def listed(names: Sequence[str], most: int = 6) -> str:
     """Names in a line, the first ``most`` and how many more."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
+
+
+def in_minutes(seconds: float) -> str:
+    """A length of time in words."""
+    if seconds < 100:
+        return f"{seconds:.2g} s"
+    return f"{seconds / 60:{'.2g' if seconds < 600 else '.0f'}} minutes"

@@ -124,7 +124,7 @@ def design(
         for script in SCRIPTS:  # of a former card
             remove_own(folder / script)
         write_text(folder / "card.csv", made.to_csv())
-        write_text(folder / "design.md", _page(made))
+        write_text(folder / "design.md", _page(made, settings))
         for name, errors in (("design", False), ("errors", True)):
             figure = np.ravel(made.plot(errors=errors))[0].figure
             figure.savefig(folder / f"{name}.png", dpi=DPI, bbox_inches="tight")
@@ -247,18 +247,16 @@ def _reached(records: Sequence[Record], names: Sequence[str]) -> dict[str, float
 def _say(console: Console, made: Design) -> None:
     """What is compared, what is weak and what becomes of it."""
     console.print(Text(made.headline()))
-    rows = list(made.ratios())
     table = new_table("Standard errors over those of 3-2-1-1", "input", "mean", "worst", "of")
-    for name, mean, worst, parameter in rows:
+    for name, mean, worst, parameter in made.ratios():
         table.add_row(name, f"{mean:.3f}", f"{worst:.3f}", Text(parameter))
     console.print(table)
     table = new_table("Weakest parameters", "parameter", "value", "before", "3-2-1-1", "this")
-    first, last = made.alternatives[0].std_errors, made.std_errors
-    weak = np.where(np.isfinite(made.before), made.before, first)
+    weak = np.where(np.isfinite(made.before), made.before, made.alternatives[0].std_errors)
     weak = weak / np.maximum(np.abs(made.values), 1e-9)
+    rows = made.rows(digits=2)
     for k in np.argsort(-weak)[:SHOWN]:
-        errors = (f"{column[k]:.2g}" for column in (made.before, first, last))
-        table.add_row(made.names[k], f"{made.values[k]:.4g}", *errors)
+        table.add_row(made.names[k], f"{made.values[k]:.4g}", *rows[k][2:])
     console.print(table)
     if beside := made.on_the_card():
         console.print(Text(beside))
@@ -266,12 +264,17 @@ def _say(console: Console, made: Design) -> None:
         caution(console, line)
 
 
-def _page(made: Design) -> str:
+def _page(made: Design, settings: DesignSettings) -> str:
     close = [f"- {a} and {b}: {c:+.2f}" for a, b, c in made.correlated()]
     blind = ["## Not told apart by this flight", "\n".join(f"- {line}" for line in made.blind)]
+    chosen = (
+        f"Of steps and multisine, {made.kind} was chosen by the criterion {settings.criterion} "
+        "over errors of one 3-2-1-1 an axis; the ratios of this table may say otherwise."
+    )
     overlap = [made.overlap] if len(made.inputs) > 1 else []
     parts = [
         f"# {made.headline()}", "## What could be flown", made.comparison(),
+        *([chosen] if settings.method == "best" else []),
         *(f"Largest correlation between two sticks of the card: {x:.2g}." for x in overlap),
         "## Standard errors", made.to_markdown(), "## Share of each limit", made.shares(),
         "## Correlated errors", "\n".join(close) or "None above 0.9.",

@@ -44,7 +44,8 @@ def design_inputs(
     """Inputs that tell the parameters of a structure apart best, within limits.
 
     A nonlinear structure is designed for by its linearisation at a trim; everything is in
-    deviations from there.
+    deviations from there. Margins cover other values of the parameters, not what is not linear:
+    fly the card in a nonlinear simulation before the flight, and lower a limit that it exceeds.
 
     Parameters
     ----------

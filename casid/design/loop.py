@@ -63,6 +63,7 @@ class Loop:
     def __init__(self, free: Free, feedback: Feedback, R: Array, *, h: float, N: int) -> None:
         at = MatrixFunction(free)(free.guess)
         self.inputs, self.outputs = free.model.inputs, free.model.outputs
+        self._states = free.model.states
         self.nx, self.nu, self.ny, self.nf = at.nx, at.dtau.shape[1], len(R), len(free.index)
         self.h, self.N = h, N
         self.growth = float(np.linalg.eigvals(at.blocks[0]).real.max())
@@ -136,19 +137,21 @@ class Loop:
         return (1.0 - f) * this + f * last, (this - last) / self.h
 
     def _check_stable(self, u: Array, K: Array) -> None:
-        growth, span = self.growth, self.h * self.N
-        if growth * span > GROWTH:
-            raise UnheldError(
-                f"an unstable mode of the aircraft grows with {growth:.3g} 1/s, by a factor of "
-                f"e^{growth * span:.0f} over {span:.4g} s: design manoeuvres of "
-                f"{GROWTH / growth:.2g} s at most"
-            )
+        growth, span = self.growth, self.h * (self.N - 1)
+        longest = np.floor(10 * GROWTH / max(growth, 1e-9)) / 10  # not rounded up: told to be flown
         if not K.any() and growth * span > ALONE:
+            felt = next((name for name in self.outputs if name in self._states), self.outputs[0])
+            shorter = f", and fly {longest:g} s at most" if growth * span > GROWTH else ""
             raise UnheldError(
                 f"the aircraft is unstable ({growth:.3g} 1/s) and nothing holds it over "
                 f"{span:.4g} s, in which it grows by more than e^{ALONE:g}: give the feedback that "
-                "is flown, "
-                'feedback={"lat": {"p": 0.1, "phi": 0.3}}'
+                f"is flown, such as feedback={{{self.inputs[0]!r}: {{{felt!r}: 0.1}}}}{shorter}"
+            )
+        if growth * span > GROWTH:
+            raise UnheldError(
+                f"an unstable mode of the aircraft grows with {growth:.3g} 1/s, by a factor of "
+                f"e^{growth * span:.0f} over {span:.4g} s: design manoeuvres of {longest:g} s at "
+                "most"
             )
         last = 4 * self.N // 5
         if K.any() and not np.abs(u[last:]).max() <= GROWN * np.abs(u[:last]).max() < np.inf:

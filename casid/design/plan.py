@@ -10,7 +10,7 @@ from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.design.criterion import KEPT, Criterion
 from casid.design.injection import ardupilot_script, px4_script
-from casid.display import Shown, listed
+from casid.display import Shown, in_minutes, listed
 from casid.record import Record
 from casid.tabulation import csv_text, markdown_table
 from casid.values import seal, storable
@@ -41,7 +41,7 @@ def check_times(**times: float | None) -> None:
 @checked_fields
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What the next flight may not exceed, as deviations from trim, SI.
+    """What the next flight may not exceed, as deviations from trim, SI; kept in linear models.
 
     Parameters
     ----------
@@ -275,9 +275,8 @@ class Design(Shown):
     def correlated(self, least: float = CLOSE) -> tuple[tuple[str, str, float], ...]:
         """Pairs of parameters whose errors are correlated by ``least`` or more, closest first."""
         C = self.correlations
-        found = [(self.names[i], self.names[j], float(C[i, j])) for i, j in np.argwhere(
-            np.triu(np.abs(C) >= least, 1)
-        )]  # fmt: skip
+        pairs = np.argwhere(np.triu(np.abs(C) >= least, 1))
+        found = [(self.names[i], self.names[j], float(C[i, j])) for i, j in pairs]
         return tuple(sorted(found, key=lambda row: -abs(row[2])))
 
     def record(self) -> Record:
@@ -309,12 +308,18 @@ class Design(Shown):
         rows = [[name, f"{mean:.3f}", f"{most:.3f}", of] for name, mean, most, of in self.ratios()]
         return markdown_table(("input", "geometric mean", "worst", "of"), rows)
 
-    def to_markdown(self) -> str:
-        """One row a parameter: its value, standard error before, after 3-2-1-1, after this."""
+    def rows(self, digits: int = 3) -> list[list[str]]:
+        """Of each parameter: name, value, standard error before, after 3-2-1-1, after this."""
         columns = (self.values, self.before, self.alternatives[0].std_errors, self.std_errors)
-        rows = [[name, *(f"{c[k]:.3g}" for c in columns)] for k, name in enumerate(self.names)]
+        rows = [[n, *(f"{c[k]:.{digits}g}" for c in columns)] for k, n in enumerate(self.names)]
+        for row in rows:
+            row[3:] = ["not told"] * 2 if row[0] in self.untold else row[3:]
+        return rows
+
+    def to_markdown(self) -> str:
+        """One row a parameter, as `rows` gives them."""
         heading = ("parameter", "value", "std. error before", "with 3-2-1-1", "with this")
-        return markdown_table(heading, rows)
+        return markdown_table(heading, self.rows())
 
     def shares(self) -> str:
         """Share of each limit that is used, if the model is right and at worst, in Markdown."""
@@ -391,10 +396,3 @@ class Design(Shown):
 
     def _columns(self) -> dict[str, Array]:
         return dict(zip(self.inputs, self.r.T, strict=True))
-
-
-def in_minutes(seconds: float) -> str:
-    """A time of flight in words."""
-    if seconds < 100:
-        return f"{seconds:.2g} s"
-    return f"{seconds / 60:{'.2g' if seconds < 600 else '.0f'}} minutes"

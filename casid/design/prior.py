@@ -11,6 +11,7 @@ from casid.arrays import Array
 from casid.checks import check_known
 from casid.design.criterion import covariance
 from casid.design.plan import DesignSettings
+from casid.errors import warn
 from casid.evaluation import MatrixFunction
 from casid.fit import ACTIVE, AnyFit
 from casid.free import Free
@@ -23,6 +24,7 @@ from casid.nonlinear.trims import OUT_OF_BALANCE, imbalance
 # covariance (derivatives of `SixDof` fitted to the AH-1S are off its linearisation by some 20 %).
 GUESSED = FITTED = 0.2
 NEWTON = 50  # steps to a balance
+NOISELESS = 1e-6  # errors over parameters' sizes that no measured record states
 
 
 def linear_at(model: Model, trim: Trim | Mapping[str, float] | None) -> Model:
@@ -142,7 +144,7 @@ def noise_of(model: Model, fit: AnyFit | None, noise: Mapping[str, float] | None
 
 
 def known_before(free: Free, fit: AnyFit | None) -> Array:
-    """Information (nf, nf) from before."""
+    """Information (nf, nf) from before; a fit without noise is told, and tells nothing."""
     F = np.zeros((len(free.index), len(free.index)))
     if fit is None or fit.covariance is None:
         return F
@@ -151,6 +153,14 @@ def known_before(free: Free, fit: AnyFit | None) -> Array:
     C = fit.covariance[np.ix_(theirs, theirs)]
     good = np.isfinite(np.diag(C)) & (np.diag(C) > 0)
     rows = np.array(mine)[good]
+    shares = np.sqrt(np.diag(C)[good]) / free.scale[free.index][rows]
+    if good.any() and (usual := float(np.median(shares))) < NOISELESS:
+        warn(
+            f"the fit states errors of {usual:.1g} of its parameters' sizes, as of records without "
+            "noise: they do not count as known before; its residuals are no flight's noise either, "
+            "so give that, or fit records with noise"
+        )
+        return F
     F[np.ix_(rows, rows)] = covariance(C[np.ix_(good, good)])
     return F
 

@@ -8,6 +8,7 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 
 from casid.channels import UNITS
 from casid.design.plan import Design
+from casid.display import listed
 from casid.report import figures
 from casid.report.prices import COLOURS
 
@@ -33,17 +34,20 @@ def plot_card(axes: Sequence[Axes], design: Design) -> None:
 
 
 def plot_errors(ax: Axes, design: Design) -> Axes:
-    """Predicted standard errors over those of the 3-2-1-1, parameter by parameter."""
-    usual, place = design.alternatives[0].std_errors, np.arange(len(design.names))
+    """Predicted standard errors over those of the 3-2-1-1, of each parameter that is told."""
+    told = [k for k, name in enumerate(design.names) if name not in design.untold]
+    usual, place = design.alternatives[0].std_errors[told], np.arange(len(told))
     for k, each in enumerate(design.alternatives):
         marker = "-" if k == 0 else "o"
-        ax.plot(place, each.std_errors / usual, marker, color=COLOURS[k], label=each.name)
+        ax.plot(place, each.std_errors[told] / usual, marker, color=COLOURS[k], label=each.name)
     ax.set_yscale("log")
     ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
     ax.yaxis.set_minor_locator(NullLocator())
     ax.yaxis.set_major_formatter(FormatStrFormatter("%.3g"))
     ax.set_ylabel("standard error over that of 3-2-1-1")
-    ax.set_xticks(place, design.names, rotation=90)
+    ax.set_xticks(place, [design.names[k] for k in told], rotation=90)
+    if design.untold:
+        ax.set_xlabel(f"without {listed(design.untold)}, which no input tells apart")
     many = len(design.alternatives)
     ax.legend(fontsize="x-small", ncols=many, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     return ax

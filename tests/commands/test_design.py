@@ -120,7 +120,14 @@ def test_a_study_without_a_fit_is_designed_from_its_guess(tmp_path):
     assert 0.03 < largest <= 0.05 + 1e-9  # the 3-2-1-1 of the study has 5 %
     for picture in ("design.png", "errors.png"):
         assert (tmp_path / "out/design" / picture).stat().st_size > 10_000
-    assert "## Standard errors" in (tmp_path / "out/design/design.md").read_text()
+    page = (tmp_path / "out/design/design.md").read_text()
+    assert "## Standard errors" in page
+    assert "was chosen by" not in page  # nothing was asked for but steps
+    study.write_text(study.read_text().replace('method = "steps"', 'criterion = "MV"'))
+    assert run(study, "-o", tmp_path / "out", "--duration", "8").exit_code == 0
+    page = (tmp_path / "out/design/design.md").read_text()
+    kind = page.split(maxsplit=2)[1]
+    assert f"\n\nOf steps and multisine, {kind} was chosen by the criterion MV over" in page
 
 
 def test_without_a_fit_the_study_has_to_say_the_noise_in_its_own_words(tmp_path):

@@ -119,8 +119,11 @@ def test_sticks_that_were_flown_have_the_response_of_the_loop_that_flew_them():
 
 
 def test_unstable_aircraft_need_their_feedback_and_short_manoeuvres():
-    with pytest.raises(ValueError, match="nothing holds it"):
+    example = r"such as feedback=\{'lat': \{'p': 0.1\}\}"
+    with pytest.raises(ValueError, match=rf"nothing holds it over 5.95 s, .* {example}$"):
         loop_of(Roll(Lp=1.0))
+    with pytest.raises(ValueError, match=rf"nothing holds it .* {example}, and fly 3.7 s at most$"):
+        loop_of(Roll(Lp=4.0))  # 3.75 s, which would be too long rounded up
     with pytest.raises(ValueError, match=r"manoeuvres of 3 s at most"):
         loop_of(Roll(Lp=5.0), {"lat": {"p": 1.0}})
     with pytest.raises(ValueError, match="sign of its control derivative"):

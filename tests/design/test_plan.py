@@ -93,6 +93,8 @@ def test_what_is_not_told_is_left_out_and_what_no_3211_tells_is_said(design):
     assert "0.25 times those of 3-2-1-1 (geometric mean), 0.25 at worst (Llat)" in some.headline()
     assert "for what no time of 3-2-1-1 tells; without Lp, which no input tells" in some.headline()
     assert "| steps | 0.250 | 0.250 | Llat |" in some.comparison()
+    assert "| Lp | -2 | inf | not told | not told |" in some.to_markdown()
+    assert "not told" not in design.to_markdown()
 
 
 def test_it_is_kept_and_read_back(design):

@@ -1,13 +1,14 @@
 """What is known before a flight, and what is drawn from it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy.stats
 from truths.swing import Swing
 
-from casid import Trim
+from casid import DataWarning, Trim
 from casid.design.prior import inside, known_before, nearest_trim, noise_of, possible
 from casid.free import free_parameters
 from models.short_period import ShortPeriod
@@ -58,6 +59,17 @@ def test_an_error_beyond_a_parameters_own_size_counts_as_that():
     drawn = values(possible(FREE, known, 0.0, 400, 0))[:, 0]
     size = max(abs(FREE.guess[0]), FREE.scale[FREE.index][0])
     assert np.abs(drawn - FREE.guess[0]).max() < 5 * size
+
+
+def test_a_fit_without_noise_is_told():
+    n = len(FREE.index)
+    known = SimpleNamespace(
+        free_names=FREE.names, covariance=np.diag((1e-3 * FREE.scale[FREE.index]) ** 2)
+    )
+    np.testing.assert_allclose(np.diag(known_before(FREE, known)), 1 / np.diag(known.covariance))
+    known.covariance = known.covariance * 1e-26
+    with pytest.warns(DataWarning, match=r"errors of 1e-16 of its .* do not count as known"):
+        np.testing.assert_array_equal(known_before(FREE, known), np.zeros((n, n)))
 
 
 def test_draws_keep_the_bounds():

@@ -1,5 +1,7 @@
 """Figures of a design: limits where they are, errors over those of the 3-2-1-1."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -51,6 +53,14 @@ def test_errors_are_relative_to_those_of_the_usual_input():
     drawn = {line.get_label(): line.get_ydata().tolist() for line in ax.lines}
     assert drawn["3-2-1-1"] == [1.0, 1.0]
     assert drawn["multi-step"] == pytest.approx([0.5, 0.25])
+    assert not ax.get_xlabel()
+
+
+def test_what_no_input_tells_apart_is_left_out_of_the_picture_by_name():
+    ax = plot_errors(Figure().subplots(), replace(design(), untold=("Lp",)))
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["Llat"]
+    assert [line.get_ydata().tolist() for line in ax.lines] == [[1.0], [pytest.approx(0.25)]]
+    assert ax.get_xlabel() == "without Lp, which no input tells apart"
 
 
 def test_a_designs_table_has_all_three_errors():
