@@ -64,7 +64,7 @@ class Derivid:
         ``{parameter: (value, standard deviation)}``: half the squared distance from each, in
         standard deviations, adds to J, whose Hessian is the information.
     solver : SolverOptions
-        Limits and tolerance of every solve.
+        Limits of every solve; programmes this small are solved to 1e-11 whatever the tolerance.
     """
 
     pairs: Pairs | None = None

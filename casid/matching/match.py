@@ -64,7 +64,8 @@ class Match:
         ``{parameter: (value, standard deviation)}``: being one deviation off weighs as an error of
         1 % of the response does in the mean square.
     solver : SolverOptions
-        Limits and tolerance of every solve.
+        Limits of every solve. The tolerance is that of the H-infinity programme; quadratic ones,
+        which are small, are solved to 1e-11.
     """
 
     norm: str = "hinf"
