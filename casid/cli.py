@@ -30,10 +30,11 @@ class Commands(click.Group):
         """Names in alphabetical order."""
         return sorted(COMMANDS)
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import a command."""
         if cmd_name not in COMMANDS:
             return None
+        ctx.invoked_subcommand = cmd_name  # an interruption of the import is one of the command
         module, _, name = COMMANDS[cmd_name][0].partition(":")
         command: click.Command = getattr(import_module(f"casid.commands.{module}"), name)
         gc.freeze()  # what is imported stays, and need not be looked through for garbage

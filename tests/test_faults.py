@@ -132,6 +132,7 @@ def test_a_killed_study_loses_nothing_and_goes_on(copy):
     )
     assert identify(copy / "study.toml").exit_code == 0
     assert results(copy) == expected
+    assert identify(copy / "study.toml", "--fresh").exit_code == 0  # the next run that writes
     assert not list((copy / "out").rglob(".*.partial"))
 
 
