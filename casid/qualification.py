@@ -142,12 +142,14 @@ def qualify(
     ------
     ValueError
         An unknown model; a tolerance that is not understood, or of an output that there is not; no
-        output with a tolerance.
+        output with a tolerance; noise of an unknown output.
     """
     model = model or validation.models[-1]
     if model not in validation.models:
         raise ValueError(f"no model {model!r}; the validation has {', '.join(validation.models)}")
     check_tolerances(tolerances, validation.outputs)
+    noise = noise or {}
+    check_known("noise of unknown output", noise, validation.outputs)
     outputs = tuple(name for name in validation.outputs if name in tolerances)
     if not outputs:
         raise ValueError(
@@ -157,7 +159,7 @@ def qualify(
     bands = tuple(read_tolerance(name, tolerances[name]) for name in outputs)
     columns = [validation.outputs.index(name) for name in outputs]
     widths, largest, outside, chance, usual = [], [], [], [], tolerances == TOLERANCES
-    level = np.array([(noise or {}).get(name, np.nan) for name in outputs])
+    level = np.array([noise.get(name, np.nan) for name in outputs])
     judged = due(validation.measured, validation.begins, validation.known[model])
     records = zip(validation.measured, validation.simulated[model], judged, strict=True)
     for record, y, asked in records:

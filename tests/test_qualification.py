@@ -55,6 +55,8 @@ def test_a_band_that_noise_alone_may_leave_is_named():
         assert found.chance[0, 0] == pytest.approx(passed, abs=0.04)  # 4 deviations of 2000
         assert ("noise alone may leave the band: p of step" in found.headline()) is told
     assert np.isnan(qualify(seen).chance).all()
+    with pytest.raises(ValueError, match="noise of unknown output 'P'"):
+        qualify(seen, noise={"P": 0.1})
 
 
 def test_what_was_not_measured_neither_passes_nor_fails():

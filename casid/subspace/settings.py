@@ -11,7 +11,7 @@ Stat. Soc. B 39 (1977) 44-47); the criterion before the refinement says what is 
 orders are tried until some in a row are no better.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -356,31 +356,33 @@ def _default_orders(ny: int, possible: int) -> list[int]:
     return list(range(1, highest + 1)) if highest <= 8 else list(range(4, highest + 1, 2))
 
 
-def _own_instants(records: Sequence[Record]) -> Iterator[Array]:
-    """Instants at which an output was measured, of all outputs that were."""
-    for record in records:
-        for measured in np.isfinite(record.y).T:
-            if measured.sum() > 1:
-                yield record.t[measured]
+def _rarest(records: Sequence[Record]) -> float:
+    """Interval [s] of the output that is measured most rarely where it is measured most often."""
+    rates = []
+    for i in range(len(records[0].outputs)):
+        own = [record.t[np.isfinite(record.y[:, i])] for record in records]
+        rates.append(min((usual_interval(t) for t in own if len(t) > 1), default=0.0))
+    return max(rates)
 
 
 def usable_poles(records: Sequence[Record]) -> list[float]:
     """Laguerre poles [rad/s] worth trying: somewhat faster than the outputs move.
 
-    Their kernels cost at most a quarter of the longest record, and their band is sampled, in which
-    no output's own samples are gaps, else records are too short for how slowly they are sampled:
-    ValueError.
+    Their kernels cost at most a quarter of the longest record, and their band is sampled, else
+    records are too short for how slowly they are sampled: ValueError. Where that leaves any, the
+    samples of an output at a lower rate are no gaps to them.
     """
     longest = max(record.duration for record in records)
     slowest = support(1.0, min(PASTS)) / (COST * longest)
     fastest = 0.5 * np.pi / max(record.dt for record in records)
-    rarest = max((usual_interval(t) for t in _own_instants(records)), default=0.0)
-    fastest = min(fastest, LONG_GAP / max(rarest, 1e-300))
+    whole = LONG_GAP / max(_rarest(records), 1e-300)
+    if slowest <= whole < fastest:
+        fastest = whole
     if slowest > fastest:
         raise ValueError(
-            f"records of {longest:.3g} s sampled every {max(rarest, records[0].dt):.3g} s suit no "
-            "Laguerre pole: kernels short enough are not sampled; give longer records or faster "
-            "sampling, or name the pole, past and order"
+            f"records of {longest:.3g} s sampled every {records[0].dt:.3g} s suit no Laguerre "
+            "pole: kernels short enough are not sampled; give longer records or faster sampling, "
+            "or name the pole, past and order"
         )
     low, high = np.clip(np.array(SPAN) * output_bandwidth(records), slowest, fastest)
     ratio = SPAN[1] / SPAN[0]

@@ -75,6 +75,10 @@ def test_an_output_of_few_samples_beside_a_noisy_one_is_not_all_gaps():
         assert np.median(np.abs(found / G - 1)) < 0.05
     assert max(usable_poles(flown[:3])) < np.pi / 0.08
     assert select_order(flown, poles=[10.0]).criterion == "held-out records"
+    y = flown[3].y.copy()
+    y[np.flatnonzero(np.isfinite(y[:, 1]))[1:-1], 1] = np.nan
+    lost = replace(flown[3], y=y)  # measured twice there, it limits no other record
+    assert max(usable_poles([*flown[:3], lost])) >= 10.0
 
 
 def test_every_record_is_transformed_alone_and_up_to_twice_the_fastest_pole():
