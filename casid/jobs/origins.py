@@ -9,6 +9,7 @@ import sysconfig
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from importlib.metadata import version
+from importlib.util import resolve_name
 from pathlib import Path
 from typing import Any
 
@@ -44,14 +45,16 @@ def structure_files(path: str | Path) -> dict[Path, bytes]:
     """Content of a model file and of all modules of the user's that it imports, however deep."""
     # Modules of Python's own library, of installed packages and of casid do not count.
     seen: dict[Path, bytes] = {}
-    waiting = [Path(path).resolve()]
+    waiting = [(Path(path).resolve(), "")]
     while waiting:
-        file = waiting.pop()
+        file, package = waiting.pop()
         if file not in seen:
             seen[file] = file.read_bytes()
             others = _libraries()  # not the user's
             waiting += [
-                each for each in imported_files(file) if not any(map(each.is_relative_to, others))
+                (each, parent)
+                for each, parent in imported_files(file, package)
+                if not any(map(each.is_relative_to, others))
             ]
     return seen
 
@@ -71,8 +74,11 @@ def equations_digest(model: Model) -> str:
     return digest(built)
 
 
-def imported_files(file: Path) -> Iterator[Path]:
-    """Files of the modules that the import statements of a file name, wherever they stand."""
+def imported_files(file: Path, package: str = "") -> Iterator[tuple[Path, str]]:
+    """Files that the import statements of a module name, wherever they stand, and their packages.
+
+    ``package`` is the module's own, from which relative imports count.
+    """
     try:
         tree = ast.parse(file.read_bytes())
     except (SyntaxError, ValueError):  # it is no Python: there is nothing to follow
@@ -81,14 +87,18 @@ def imported_files(file: Path) -> Iterator[Path]:
         names: list[str] = []
         if isinstance(node, ast.Import):
             names = [each.name for each in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names = [node.module, *(f"{node.module}.{each.name}" for each in node.names)]
+        elif isinstance(node, ast.ImportFrom):
+            try:
+                name = resolve_name("." * node.level + (node.module or ""), package)
+            except ImportError:  # outside of any package: Python refuses that line, too
+                continue
+            names = [name, *(f"{name}.{each.name}" for each in node.names)]
         for name in names:
             yield from _files_of(name)
 
 
-def _files_of(name: str) -> Iterator[Path]:
-    """Source file of a module, those of its packages before it."""
+def _files_of(name: str) -> Iterator[tuple[Path, str]]:
+    """Source file of a module and its package, those of the packages around it before."""
     parts = name.split(".")
     for count in range(1, len(parts) + 1):
         whole = ".".join(parts[:count])
@@ -97,9 +107,10 @@ def _files_of(name: str) -> Iterator[Path]:
             spec = known or importlib.util.find_spec(whole)
         except (ImportError, AttributeError, ValueError):  # no package, or half a module
             return
-        if spec is None or not spec.origin or not spec.origin.endswith(".py"):
+        if spec is None:
             return
-        yield Path(spec.origin).resolve()
+        if spec.origin and spec.origin.endswith(".py"):  # a folder without __init__.py has no file
+            yield Path(spec.origin).resolve(), spec.parent or ""
 
 
 @lru_cache(maxsize=1)

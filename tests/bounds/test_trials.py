@@ -10,6 +10,7 @@ from truths.mixture import Mixture, record
 
 from casid import ConvergenceError, Execution, OutputError, SolverOptions
 from casid.bounds.trials import Fits, aicc, in_words, work
+from casid.jobs.transport import refer
 
 NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}
 
@@ -87,7 +88,7 @@ def test_names_of_estimators_are_words():
     assert in_words("Match") == "match"
 
 
-def test_a_trial_of_other_data_options_or_code_has_another_key():
+def test_a_trial_of_other_data_options_or_code_has_another_key(monkeypatch):
     def key(data=(0,), model=None, **settings):
         model = model or Mixture()
         records = [record(s) for s in data]
@@ -95,5 +96,11 @@ def test_a_trial_of_other_data_options_or_code_has_another_key():
         return many.job(*many.cases({"free": {}})).key
 
     keys = [key(), key((1,)), key(model=Mixture(a=0.7)), key(interval=1.0), key(R=np.eye(1))]
-    assert len(set(keys)) == len(keys)
     assert key() == keys[0]
+    others = {"source_digest": lambda: "", "equations_digest": lambda _: "",
+              "refer": lambda cls: replace(refer(cls), digest="")}  # fmt: skip
+    for name, other in others.items():
+        with monkeypatch.context() as patch:
+            patch.setattr(f"casid.bounds.trials.{name}", other)
+            keys.append(key())
+    assert len(set(keys)) == len(keys)

@@ -36,19 +36,25 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "formulas.py").write_text("import deeper\n", encoding="utf-8")
     (tmp_path / "deeper.py").write_text("g = 9.81\n", encoding="utf-8")
     (tmp_path / "parts").mkdir()
-    (tmp_path / "parts/__init__.py").write_text("", encoding="utf-8")
+    (tmp_path / "parts/__init__.py").write_text("from . import limits\n", encoding="utf-8")
+    (tmp_path / "parts/limits.py").write_text("from .far.away import k\n", encoding="utf-8")
+    (tmp_path / "parts/far").mkdir()  # a folder without __init__.py is a package, too
+    (tmp_path / "parts/far/away.py").write_text("from ..near import k\n", encoding="utf-8")
+    (tmp_path / "parts/near.py").write_text("k = 2.0\n", encoding="utf-8")
     (tmp_path / "parts/damping.py").write_text("Lp = -3.0\n", encoding="utf-8")
     (tmp_path / "stranger.py").write_text("", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     importlib.invalidate_caches()
     yield tmp_path
-    for name in ("formulas", "deeper", "parts", "parts.damping"):
-        sys.modules.pop(name, None)
+    for name in [n for n in sys.modules if n.split(".")[0] in {"formulas", "deeper", "parts"}]:
+        del sys.modules[name]
 
 
 @pytest.mark.parametrize(
-    "file", ["roll.py", "formulas.py", "deeper.py", "parts/__init__.py", "parts/damping.py"]
-)
+    "file",
+    ["roll.py", "formulas.py", "deeper.py", "parts/__init__.py", "parts/damping.py",
+     "parts/limits.py", "parts/far/away.py", "parts/near.py"],
+)  # fmt: skip
 def test_whatever_of_the_users_a_model_imports_changes_its_digest(file, folder):
     before = structure_digest(folder / "roll.py")
     assert structure_digest(folder / "roll.py") == before
@@ -61,7 +67,7 @@ def test_what_a_model_does_not_import_and_libraries_do_not_count(folder):
     before = structure_digest(folder / "roll.py")
     (folder / "stranger.py").write_text("x = 1\n", encoding="utf-8")
     assert structure_digest(folder / "roll.py") == before
-    used = {path.name for path in imported_files(folder / "roll.py")}
+    used = {path.name for path, _ in imported_files(folder / "roll.py")}
     assert {"math.py", "formulas.py", "damping.py"} & used == {"formulas.py", "damping.py"}
 
 

@@ -158,6 +158,17 @@ def test_what_ran_ahead_is_told_in_its_turn(tmp_path, monkeypatch, caplog, kept,
         assert caplog.messages == ["first", "second", "first"]
 
 
+@pytest.mark.parametrize("part", ["source_digest", "structure_digest", "equations_digest"])
+def test_a_result_rests_on_code_libraries_model_file_and_equations(
+    tmp_path, monkeypatch, caplog, part
+):
+    caplog.set_level(logging.INFO, logger="casid")
+    for digest in ("one", "one", "another", "another", "one"):
+        monkeypatch.setattr(f"casid.studies.keeping.{part}", lambda *_, now=digest: now)
+        _run(tmp_path, Stage(name="first", does="", run=_first, structured=True))
+    assert caplog.messages == ["first"] * 3
+
+
 def test_what_fails_ahead_fails_in_its_turn_without_a_word_before(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr("casid.studies.keeping.cores", lambda: 2)
     first = Stage(name="first", does="", run=_first)
