@@ -1,7 +1,8 @@
 """Names of the channels a rotorcraft usually has, and units of measurement."""
 
-import difflib
 from collections.abc import Mapping
+
+from casid.checks import check_known
 
 CONTROLS = ("col", "lat", "lon", "ped")
 RATES, FORCES = ("p", "q", "r"), ("ax", "ay", "az")
@@ -30,12 +31,7 @@ SI = {unit: factor for row in MEASURES.values() for unit, factor in row.items()}
 
 def factor_of(channel: str, unit: str) -> float:
     """What one of a channel's unit is in SI; ValueError for an unknown unit."""
-    if unit not in SI:
-        near = difflib.get_close_matches(unit.lower(), SI, n=1)
-        meant = f"did you mean {near[0]!r}? K" if near else "k"
-        raise ValueError(
-            f"channel {channel!r}: unknown unit {unit!r}; {meant}nown are {', '.join(SI)}"
-        )
+    check_known(f"channel {channel!r}: unknown unit", [unit], SI)
     return SI["pwm" if channel in CONTROLS and unit in PULSES else unit]
 
 

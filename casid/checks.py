@@ -130,6 +130,12 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return near[0] if near else ""
 
 
+def spelling(name: str, known: Iterable[str]) -> str:
+    """The end of a message that asks for the nearest of the known names; "" if none is near."""
+    meant = nearest(name, known)
+    return f"; did you mean {meant!r}?" * bool(meant)
+
+
 def optional(module: str, what: str, *, extra: str = "tables") -> Any:  # noqa: ANN401 - a module
     """Import a package that casid does not depend on; ValueError where it is not installed."""
     try:
@@ -185,8 +191,7 @@ def _remedy(name: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> st
 def _spelling(value: Any, members: tuple[Any, ...]) -> str:  # noqa: ANN401
     """Which of the words that are expected was meant, if one is alike."""
     known = [word for each in members if get_origin(each) is Literal for word in get_args(each)]
-    meant = nearest(value, map(str, known)) if isinstance(value, str) else ""
-    return f"; did you mean {meant!r}?" * bool(meant)
+    return spelling(value, map(str, known)) if isinstance(value, str) else ""
 
 
 def fits(value: Any, hint: Any) -> bool:  # noqa: ANN401 - anything a user may hand over

@@ -1,6 +1,5 @@
 """What can be wrong with a model file, told with the name of the culprit."""
 
-import difflib
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
@@ -8,6 +7,7 @@ import casadi as ca
 import numpy as np
 
 from casid import limits
+from casid.checks import spelling
 from casid.errors import ModelError, warn
 from casid.limits import OutOfTimeError, time_limit
 
@@ -142,8 +142,7 @@ def written(symbolic: Any, method: str, convert: Callable[[Any], Any], *argument
         raise ModelError(f"{where}: {error}") from error
     except AttributeError as error:
         known = [*type(symbolic).__dataclass_fields__, *dir(type(symbolic))]
-        near = difflib.get_close_matches(str(error.name), known, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = spelling(str(error.name), known)
         raise ModelError(
             f"{where} uses {error.name!r}, which {type(symbolic).__name__} does not declare{hint}"
             if error.obj is symbolic

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from casid import samples
 from casid.arrays import Array, BoolArray
-from casid.checks import checked_methods, nearest
+from casid.checks import checked_methods, spelling
 from casid.display import Shown, listed
 from casid.errors import warn
 
@@ -390,9 +390,8 @@ class Record(Shown):
 
 def _position(name: str, names: tuple[str, ...], kind: str, record: str) -> int:
     if name not in names:
-        meant = nearest(name, names)
         raise ValueError(
             f"record {record!r} has no {kind} {name!r}; it has {', '.join(names)}"
-            + f"; did you mean {meant!r}?" * bool(meant)
+            f"{spelling(name, names)}"
         )
     return names.index(name)

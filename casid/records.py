@@ -10,7 +10,7 @@ from casid.arrays import Array
 from casid.display import listed
 from casid.errors import warn
 from casid.record import FEWEST, Record
-from casid.samples import jumps
+from casid.samples import jumps, known_mean
 from casid.values import digest
 
 ATTITUDES = {"p": "phi", "q": "theta"}  # what every rate turns
@@ -174,9 +174,6 @@ def standard_deviations(records: Sequence[Record]) -> tuple[Array, Array]:
 
 
 def _spread(values: Array) -> Array:
-    known = np.where(np.isnan(values), 0.0, values)
-    count = np.maximum((~np.isnan(values)).sum(axis=0), 1)
-    mean = known.sum(axis=0) / count
-    centred = np.where(np.isnan(values), 0.0, values - mean)
-    spread = np.sqrt((centred**2).sum(axis=0) / count)
+    mean = known_mean(values)
+    spread = np.sqrt(known_mean((values - mean) ** 2))
     return np.where(spread > 1e-12 * np.abs(mean), spread, 1.0)

@@ -12,6 +12,7 @@ import scipy
 from casid.arrays import Array
 from casid.display import Shown, listed
 from casid.records import Records, same_channels, stretches
+from casid.samples import known_mean
 from casid.threads import one_thread
 from casid.validation import BAND, AnyModel, validate
 
@@ -128,9 +129,7 @@ def residuals(model: AnyModel, records: Records, *, lags: int = LAGS) -> Residua
 
 def _centred(x: Array) -> Array:
     """Without the mean; missing samples 0, which adds nothing to a correlation."""
-    there = np.isfinite(x)
-    mean = np.where(there, x, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
-    return np.where(there, x - mean, 0.0)
+    return np.where(np.isfinite(x), x - known_mean(x), 0.0)
 
 
 def _root(records: list[Array]) -> Array:

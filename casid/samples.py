@@ -34,6 +34,11 @@ def runs(marks: BoolArray) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(padded)).reshape(-1, 2)
 
 
+def known_mean(x: Array) -> Array:
+    """Mean of every column (N, n) over the samples that are there, (n,); 0 where there is none."""
+    return np.asarray(np.ma.masked_invalid(x).mean(axis=0).filled(0.0))
+
+
 def noise(x: Array) -> Array:
     """Standard deviation of white noise on every smooth column (N, n), by third differences."""
     if len(x) < FEWEST:

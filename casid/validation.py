@@ -24,6 +24,7 @@ from casid.nonlinear.model import NonlinearModel
 from casid.prediction import PER_UNKNOWN, Outlook, Prediction, growth_rate, outlook, predict
 from casid.record import Record
 from casid.records import Records, same_channels, standard_deviations, stretches
+from casid.samples import known_mean
 from casid.shooting.simulation import predict_nonlinear
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread
@@ -329,10 +330,7 @@ def _normalised(rms: Mapping[str, Array]) -> dict[str, Array]:
 
 def datum(record: Record) -> Array:
     """What deviations of each output count from, (ny,): its mean, or zero once its trim is out."""
-    known = np.isfinite(record.y)
-    count = np.maximum(known.sum(axis=0), 1)
-    mean = np.where(known, record.y, 0.0).sum(axis=0) / count
-    return np.where([name in record.trim for name in record.outputs], 0.0, mean)
+    return np.where([name in record.trim for name in record.outputs], 0.0, known_mean(record.y))
 
 
 def measures(validation: Validation, model: str, i: int) -> tuple[float, float, float]:
@@ -378,13 +376,18 @@ def theil_coefficient(y: Array, y_model: Array) -> float:
 
 
 def _whiteness(y: Array, y_model: Array) -> float:
+    """Share of a residual's autocorrelations inside the band; NaN of one that rests."""
     e = y - y_model
     if np.isinf(_size(e)):
         return 0.0
-    e = e - e.mean()
-    N, power = len(e), float(e @ e)
-    lags = min(LAGS, N // 4)
-    if lags < 1 or power <= 0:
+    lags = min(LAGS, len(e) // 4)
+    if lags < 1 or np.ptp(e) == 0:
         return np.nan
-    correlation = np.array([e[lag:] @ e[:-lag] for lag in range(1, lags + 1)]) / power
-    return float(np.mean(np.abs(correlation) <= BAND / np.sqrt(N)))
+    return float(np.mean(np.abs(autocorrelation(e, lags)[1:]) <= BAND / np.sqrt(len(e))))
+
+
+def autocorrelation(x: Array, lags: int) -> Array:
+    """Of samples (N,), mean removed, at lags of 0 to ``lags`` samples, (lags + 1,); 1 at 0."""
+    x = x - x.mean()
+    products = np.array([float(x[lag:] @ x[: len(x) - lag]) for lag in range(lags + 1)])
+    return np.asarray(products / max(products[0], 1e-300))

@@ -36,6 +36,7 @@ from casid.matching.programme import Optimum
 from casid.model import Bounds, M, Priors
 from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim
+from casid.records import several
 from casid.threads import one_thread
 
 
@@ -177,17 +178,15 @@ def derivid(
 
 def _one_response(data: FrequencyResponse | Sequence[FrequencyResponse]) -> FrequencyResponse:
     """The one response of the data; ValueError for several, or something else."""
-    several = list(data) if isinstance(data, Sequence) else [data]
-    if len(several) != 1:
-        raise ValueError(
-            f"derivid fits one frequency response, not {len(several)}; merge them first"
-        )
-    if not isinstance(several[0], FrequencyResponse):
+    given = several(data)
+    if len(given) != 1:
+        raise ValueError(f"derivid fits one frequency response, not {len(given)}; merge them first")
+    if not isinstance(given[0], FrequencyResponse):
         raise ValueError(  # noqa: TRY004 - every bad argument is a ValueError here
-            f"the target is a {type(several[0]).__name__}: derivid fits a measured "
+            f"the target is a {type(given[0]).__name__}: derivid fits a measured "
             "FrequencyResponse; a black box is what `match` takes"
         )
-    return several[0]
+    return given[0]
 
 
 def _result(

@@ -23,6 +23,7 @@ from casid.fit import AnyFit, Fit
 from casid.jobs.campaigns import Execution, Job
 from casid.model import Bounds, Model
 from casid.record import Record
+from casid.records import several
 from casid.shooting.output_error import OutputError
 from casid.tabulation import csv_text, markdown_table
 from casid.validation import Validation, validate
@@ -162,8 +163,7 @@ def compare_bounds(
     done = fits.run(jobs)
     good = {case.name: done[case.name].result for case in read if not done[case.name].reason}
     freest, judged = jobs[0].name, None
-    unseen = [validation] if isinstance(validation, Record) else validation
-    if unseen and good:
+    if good and (unseen := several(validation)):
         judged = validate(good, unseen)
     base = next(case for case in read if case.name == freest), good.get(freest)
     results = tuple(price_case(case, done[case.name], base, fits.data, judged) for case in read)

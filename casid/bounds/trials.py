@@ -21,6 +21,7 @@ from casid.jobs.transport import Reference, can_travel, refer, refuse_while_load
 from casid.matching.targets import Target
 from casid.model import Bounds, Model
 from casid.record import Record
+from casid.records import several
 from casid.shooting.precision import OutputErrorNotes
 from casid.values import decode, digest, encode
 
@@ -78,7 +79,7 @@ class Fits:
                 'Match(norm="hinf") or OutputError()'
             )
         self.model, self.fixed, self.bounds = model, tuple(fixed), bounds
-        self.data = tuple(data) if isinstance(data, Sequence) else (data,)
+        self.data = several(data)
         prepare = getattr(estimator, "prepared", None)
         shared = (
             prepare(model, self.data, fixed=self.fixed, bounds=bounds) if prepare else estimator

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from casid.record import Record
+from casid.samples import known_mean
 
 GRAIN = 1e-4  # of a channel's standard deviation: measurements nearer than that are the same
 SHARED = 0.5  # of a record's different samples: more of them in another make it the same flight
@@ -82,9 +83,7 @@ def _fingerprints(records: Sequence[Record], *, centred: bool = False) -> list[s
         names = (*record.inputs, *record.outputs)
         offset = np.array([record.trim.get(name, 0.0) for name in names])
         table = np.column_stack([record.u, record.y])
-        known = np.isfinite(table)
-        mean = np.where(known, table, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        tables.append(table - mean if centred else table + offset)
+        tables.append(table - known_mean(table) if centred else table + offset)
     scale: dict[int, np.ndarray] = {}
     for width in {table.shape[1] for table in tables}:
         size = np.nanstd(np.vstack([each for each in tables if each.shape[1] == width]), axis=0)

@@ -21,7 +21,7 @@ from casid.linear import StateSpace
 from casid.report.content import BASELINE, BLACK_BOX, CHOSEN, MATCH, OUTPUT_ERROR
 from casid.samples import SLOWER, at_instants, usual_interval
 from casid.subspace.pbsid import BlackBox
-from casid.validation import Validation
+from casid.validation import BAND, Validation, autocorrelation
 
 MEASURED = "measured"
 
@@ -340,15 +340,13 @@ def plot_poles(ax: Axes, systems: Mapping[str, StateSpace]) -> Axes:
 def plot_autocorrelation(ax: Axes, residual: Array, dt: float, *, name: str, lags: int) -> Axes:
     """Draw a residual's autocorrelation over lag [s] with the 99 % band of a white sequence."""
     e = residual[np.isfinite(residual)]
-    e = e - e.sum() / max(len(e), 1)
-    power = max(float(e @ e), 1e-300)
     values = np.full(lags + 1, np.nan)  # of lags that what is known does not reach
-    for lag in range(min(lags + 1, len(e))):
-        values[lag] = e[lag:] @ e[: len(e) - lag] / power
-    ax.plot(dt * np.arange(lags + 1), values, label=name, **style(name))
     if len(e):
-        band = 2.576 / np.sqrt(len(e))
+        reach = min(lags, len(e) - 1)
+        values[: reach + 1] = autocorrelation(e, reach)
+        band = BAND / np.sqrt(len(e))
         ax.axhspan(-band, band, color="#777777", alpha=0.12, linewidth=0)
+    ax.plot(dt * np.arange(lags + 1), values, label=name, **style(name))
     ax.set(ylim=(-1.05, 1.05), ylabel="autocorrelation [-]")
     return ax
 
