@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-import scipy
 
 from casid.arrays import Array
 from casid.channels import factor_of
 from casid.errors import warn
 from casid.folder import replacing
-from casid.hdf import is_hdf, read_hdf
-from casid.limits import JSON_BYTES, TABLE_BYTES, check_file, check_size
-from casid.matfile import numeric_variables
+from casid.limits import JSON_BYTES, TABLE_BYTES, check_file
+from casid.matlab import read_variables
 from casid.record import FEWEST, Hold, Record
 from casid.samples import known_inputs
 
@@ -200,27 +198,6 @@ def _complete(
     left = f"; {len(t) - known.sum()} samples without inputs are left out" * bool(~known.all())
     warn(f"record {record!r}: inputs lack samples ({shares}), read by their hold, {hold}{left}")
     return t[known], u[known], y[known]
-
-
-def read_variables(path: str | Path) -> dict[str, Any]:
-    """Variables of a MATLAB file by name (7.3 needs h5py); ValueError if damaged or too large."""
-    path = Path(path)
-    check_file(path, TABLE_BYTES, "a MATLAB file")
-    if is_hdf(path):
-        return read_hdf(path)
-    try:
-        sizes = [8.0 * np.prod(shape, dtype=float) for _, shape, _ in scipy.io.whosmat(str(path))]
-        check_size(path, sum(sizes), TABLE_BYTES, "a MATLAB file")
-        if scipy.io.matlab.matfile_version(str(path))[0] == 0:  # version 4
-            return dict(scipy.io.loadmat(str(path), appendmat=False))
-        held = numeric_variables(path)
-        wanted = [name for name, numeric in held.items() if numeric]
-        read = scipy.io.loadmat(str(path), appendmat=False, variable_names=wanted)
-        return {name: read.get(name, np.array(None)) for name in held}
-    except Exception as error:  # damaged bytes raise anything in SciPy
-        raise ValueError(
-            f"{path}: cannot read it as a MATLAB file ({error}); save it again, as version 7"
-        ) from error
 
 
 def write_csv(path: str | Path, record: Record) -> None:

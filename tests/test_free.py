@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 import pytest
-from truths.structures import Roll
+from truths.structures import HoverRoll, Roll
 
 from casid import Constraint, Model, ModelError, Rows, Scalar, parameter
-from casid.free import free_parameters
+from casid.free import delay_parameters, free_parameters
 
 
 def test_fixed_parameters_are_numbers_and_free_ones_variables():
@@ -120,3 +120,19 @@ def test_a_model_without_parameters_is_told():
 def test_a_class_in_place_of_a_model_is_told():
     with pytest.raises(ModelError, match=r"Roll is a class, expected a model: call it, Roll\(\)"):
         free_parameters(Roll)
+
+
+class TwoParts(HoverRoll):
+    """A delay of two parameters."""
+
+    rotor: Scalar = parameter(default=0.03, lower=0.0, upper=0.3, unit="s")
+
+    def delays(self):
+        return {"lat": self.tau + 2 * self.rotor}
+
+
+def test_bare_and_composed_delays_are_told_apart():
+    assert delay_parameters(free_parameters(HoverRoll())) == ([4], [])
+    assert delay_parameters(free_parameters(HoverRoll(), fixed={"Lv"})) == ([3], [])
+    assert delay_parameters(free_parameters(TwoParts())) == ([], [0])
+    assert delay_parameters(free_parameters(HoverRoll(), fixed={"tau"})) == ([], [])

@@ -28,8 +28,7 @@ from casid.checks import check_known
 from casid.declaration import check_pair
 from casid.errors import ModelError, warn
 from casid.fit import AnyFit
-from casid.free import free_parameters
-from casid.matching.delays import delay_parameters
+from casid.free import delay_parameters, free_parameters
 from casid.model import Bounds, Constraint, Model
 from casid.nonlinear.model import NonlinearModel
 from casid.shooting.precision import OutputErrorNotes

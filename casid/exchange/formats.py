@@ -17,8 +17,8 @@ from casid.exchange.objects import from_dataframe, to_dataframe
 from casid.fit import AnyFit
 from casid.folder import replacing
 from casid.frequency.response import FrequencyResponse
-from casid.hdf import write_hdf
 from casid.limits import TABLE_BYTES, check_file, check_size
+from casid.matlab import read_variables, write_hdf
 from casid.record import Hold, Record
 
 MatVersion: TypeAlias = Literal["5", "7.3"]  # of MATLAB files
@@ -264,7 +264,7 @@ def _numbers(column: Any, path: Path, name: str) -> Array:  # noqa: ANN401
 
 def _vectors(path: Path) -> dict[str, Array]:
     found = {}
-    for name, value in files.read_variables(path).items():
+    for name, value in read_variables(path).items():
         array = np.asarray(value)
         if array.dtype.kind in "fiub" and array.ndim <= 2 and max(array.shape, default=0) > 1:
             if array.size == max(array.shape):

@@ -1,13 +1,14 @@
-"""Where logs keep the channels of an aircraft: PX4's topics, ArduPilot's messages, plain names."""
+"""Where logs keep channels of an aircraft, by PX4, ArduPilot or plain name, and in which units."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from casid.arrays import Array
-from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.logs.topics import Log, Topic
+from casid.channels import ATTITUDES, FORCES, MEASURES, RATES, UNITS, VELOCITIES, factor_of
+from casid.logs.topics import SI_OF, SPELT, Log, Topic
 
 LARGEST = 1e6  # in SI, or whatever an input is in: no channel of an aircraft reaches it
 MEASURED = 0.5  # of a column's samples, without which it is none
@@ -194,3 +195,39 @@ def into_body(speeds: Sequence[Array], angles: Sequence[Array]) -> list[Array]:
         right * np.cos(phi) + below * np.sin(phi),
         below * np.cos(phi) - right * np.sin(phi),
     ]
+
+
+def with_units(sources: Mapping[str, Source], stated: Mapping[str, str]) -> dict[str, Source]:
+    """Sources by channel, those of which the user states the unit read by that."""
+    found = dict(sources)
+    for name in stated.keys() & sources.keys():
+        source = sources[name]
+        unit = SPELT.get(stated[name], stated[name])
+        factor = factor_of(name, unit) / SI_OF.get(source.unit or "", 1.0)
+        found[name] = replace(source, values=factor * source.values, unit=unit)
+    return found
+
+
+def check_units(path: Path, sources: Mapping[str, Source]) -> list[str]:
+    """What is taken where no known unit is stated, a sentence each.
+
+    ValueError: an output in a unit that is none of its quantity's, wrong by any factor.
+    """
+    said = []
+    for name, source in sources.items():
+        if source.unit is None:
+            continue
+        if name not in OUTPUTS:
+            if source.unit == "":
+                said.append(f"unit of {name} not stated: taken as it is")
+            elif source.unit not in SI_OF:
+                said.append(f"unit of {name}, {source.unit!r}, is not known: taken as it is")
+        elif source.unit == "":
+            said.append(f"unit of {name} not stated: taken as {UNITS[name]}")
+        elif SPELT.get(source.unit, source.unit) not in (known := MEASURES[UNITS[name]]):
+            raise ValueError(
+                f"{path}: column {source.place}, of {name}, is in {source.unit!r}, which is none "
+                f"of {', '.join(known)}; state what it is: --unit {name}=UNIT "
+                f"(units={{{name!r}: ...}}), or convert the column"
+            )
+    return said

@@ -13,11 +13,18 @@ from casid.excitations import certified
 from casid.files import write_csv, write_text
 from casid.logs.assembly import Lateness, assemble, delays, hold_told, usual_dt
 from casid.logs.axes import axes_structure
-from casid.logs.conventions import ACTUATORS, Source, derived, find_channels, others
+from casid.logs.conventions import (
+    ACTUATORS,
+    Source,
+    check_units,
+    derived,
+    find_channels,
+    others,
+    with_units,
+)
 from casid.logs.reading import read_log
 from casid.logs.stretches import SHORTEST, Stretch, find_stretches, make_stretch
 from casid.logs.topics import Log
-from casid.logs.units import check_units, with_units
 from casid.model import Model
 from casid.record import REST, Record
 from casid.structure.modelfile import load_model, locate_model

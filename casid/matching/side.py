@@ -11,9 +11,8 @@ import scipy
 
 from casid.arrays import Array
 from casid.evaluation import Matrices
-from casid.free import Free
+from casid.free import Free, delay_parameters
 from casid.matching.comparison import Comparison
-from casid.matching.delays import delay_parameters
 
 LIMIT = 1e2  # largest entry of the Lyapunov factor: how near to the line a pole may come
 

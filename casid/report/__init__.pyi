@@ -28,5 +28,7 @@ from .figures import (
 )
 from .html import write_report as write_report
 from .prices import plot_bounds as plot_bounds
-from .readings import plot_handling_qualities as plot_handling_qualities
-from .selection import plot_order_selection as plot_order_selection
+from .readings import (
+    plot_handling_qualities as plot_handling_qualities,
+    plot_order_selection as plot_order_selection,
+)

@@ -1,17 +1,21 @@
-"""Figures of what is read off responses: handling qualities, low-order systems, distances."""
+"""Figures of single results: handling qualities, low-order systems, distances, a chosen order."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from casid.baseline.handling import HandlingQualities
 from casid.baseline.loes import TransferFunction
 from casid.distances import Distances
 from casid.report.content import BASELINE
 from casid.report.figures import MEASURED, decibel, frequency_axis, phase, phase_axis, style
+from casid.subspace.settings import OrderSelection
 
 MARK: dict[str, Any] = {"color": "#D55E00", "linewidth": 0.9}
+MARKERS = "osD^vP*X"
 
 
 def plot_handling_qualities(
@@ -101,3 +105,29 @@ def plot_distances(ax: Axes, found: Distances) -> Axes:
     ax.set(xlabel="band [rad/s]", title="distance of the structure to the black box")
     ax.grid(visible=False)
     return ax
+
+
+def plot_order_selection(axes: Sequence[Axes], selection: OrderSelection) -> Sequence[Axes]:
+    """Draw the candidates' scores against the order, and singular values, on two axes."""
+    # A line a pole, or refinement of samples, through the best candidate of every order, its
+    # standard error as a bar; the choice is ringed. The order chosen divides the singular values.
+    scores, values = axes
+    chosen = selection.chosen
+    kinds = dict.fromkeys(c.label for c in sorted(selection.candidates, key=lambda c: c.pole))
+    for marker, label in zip(MARKERS, kinds, strict=False):
+        own = [c for c in selection.candidates if c.label == label]
+        of_order = [[c for c in own if c.order == n] for n in sorted({c.order for c in own})]
+        found = [min(each, key=lambda c: c.score) for each in of_order]
+        at, score, error = zip(*((c.order, c.score, c.error) for c in found), strict=True)
+        look: dict[str, Any] = {"markersize": 4, "linewidth": 1, "elinewidth": 0.6}
+        scores.errorbar(at, score, error, label=label, marker=marker, **look)
+    scores.plot(chosen.order, chosen.score, "o", markersize=13, fillstyle="none", color="#000000")
+    scores.set(xlabel="order [-]", ylabel=f"{selection.criterion} [-]")
+    scores.legend(fontsize="small")
+    shown = np.asarray(selection.singular_values)[: 3 * chosen.order]
+    values.semilogy(np.arange(1, len(shown) + 1), shown, "o", markersize=3.5, color="#0072B2")
+    values.axvline(chosen.order + 0.5, color="#777777", linestyle=":", linewidth=1)
+    values.set(xlabel="index [-]", ylabel="singular value [-]")
+    for ax in axes:
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    return axes

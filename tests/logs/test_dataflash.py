@@ -4,9 +4,8 @@ from pymavlink import DFReader
 from truths.logs import FORMAT, dataflash, dataflash_text, flight
 
 from casid import read_log
-from casid.logs.conventions import find_channels
+from casid.logs.conventions import check_units, find_channels, with_units
 from casid.logs.dataflash import read_dataflash, read_text
-from casid.logs.units import check_units, with_units
 
 
 def topics(data):

@@ -6,13 +6,31 @@ import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, campaign, off
 
-from casid import ConvergenceError, OutputError, Pbsid, SpectralAnalysis
+from casid import (
+    ConvergenceError,
+    Match,
+    OutputError,
+    Pbsid,
+    SpectralAnalysis,
+    frequency_response,
+    output_error,
+)
 from casid.bounds.manoeuvres import StructureComparison
-from casid.stages.choice import CHOICE, CHOSEN, Choosing, StepChoice, chosen, groups, last_steps
+from casid.stages.choice import (
+    CHOICE,
+    CHOSEN,
+    Choosing,
+    LastStep,
+    StepChoice,
+    chosen,
+    groups,
+    last_steps,
+)
 from casid.stages.stage import Task
 from casid.values import decode, encode
 
 RECORDS = tuple(campaign(1, 4))
+OMEGA = np.geomspace(2.5, 9.0, 8)
 SHORT = tuple(each.decimate(2) for each in RECORDS[:3])
 OWN = {
     "output_error": OutputError(interval=2.0),
@@ -84,6 +102,30 @@ def test_it_is_estimated_chosen_and_kept():
     assert CHOSEN.run(None, replace(work, results={"choice": found})) is found.fit
     (shown,) = CHOICE.show(found, None)
     assert found.chosen in shown.lead
+
+
+def test_a_step_takes_its_own_manoeuvres_as_time_histories():
+    names = ("record 0", "record 2")
+    found = LastStep(estimator=OutputError(), histories=names, decimate=2).fit(TRUTH, RECORDS)
+    direct = output_error(TRUTH, [RECORDS[0].decimate(2), RECORDS[2].decimate(2)])
+    assert found.model == direct.model
+
+
+def test_the_others_enter_as_a_response():
+    step = LastStep(
+        estimator=OutputError(), histories=("record 0",), responses=SpectralAnalysis(omega=OMEGA)
+    )
+    measured = frequency_response(RECORDS[1:], omega=OMEGA)
+    direct = output_error(TRUTH, RECORDS[:1], responses=measured)
+    assert step.fit(TRUTH, RECORDS).model == direct.model
+    alone = step.fit(TRUTH, RECORDS[:1])  # nothing is left for a response
+    assert alone.model == output_error(TRUTH, RECORDS[:1]).model
+
+
+def test_a_match_is_to_a_black_box_of_what_is_there():
+    step = LastStep(estimator=Match(norm="quadratic"), black_box=Pbsid(order=3, past=20, future=10))
+    found = step.fit(TRUTH, RECORDS[:2])
+    assert found["Lp"].value == pytest.approx(TRUTH.Lp, rel=0.2)
 
 
 class _Fit:

@@ -4,12 +4,25 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from truths.swing import Swing
 
 from casid import Constraint, Model, Rows, Scalar, parameter
-from casid.structure.overview import describe, excitation
+from casid.structure.overview import describe, equations_text, excitation
 from models.minimum_complexity import MinimumComplexity
 from models.short_period import ShortPeriod
 from models.six_dof import SixDof
+
+EQUATIONS = """\
+equations, total values
+  dq/dt = (((Mq*q)-(M*sin(theta)))+((Mlon*cos(theta))*lon))
+  dtheta/dt = q
+  q measured = q
+  theta measured = theta
+
+reference condition, where the linearisation below holds
+  q = 0 rad/s, d/dt 0
+  theta = 0 rad, d/dt 0
+  lon = 0"""
 
 
 class Tied(Model):
@@ -95,3 +108,15 @@ def test_the_excitation_is_a_3_2_1_1_of_seven_units():
     np.testing.assert_allclose(values, [-0.05, 0, 0.05])
     # 3 + 1 units up, 2 + 1 down, each of 0.7 s at 50 Hz; edges fall between samples.
     np.testing.assert_allclose(counts[[2, 0]], [140, 105], atol=2)
+
+
+def test_equations_are_told_with_the_names_of_the_file():
+    assert equations_text(Swing()) == EQUATIONS
+
+
+def test_check_tells_equations_and_linearisation():
+    text = str(describe(Swing()))
+    assert EQUATIONS in text
+    assert "A at the guess" in text
+    told = "one 3-2-1-1 a control, of the linearisation at the reference condition alone"
+    assert f"identifiability from {told}\n  rank 4 of 4" in text

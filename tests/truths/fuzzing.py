@@ -17,8 +17,8 @@ from casid.cli import main
 from casid.exchange.formats import read_table
 from casid.files import read_json
 from casid.fit import Fit
-from casid.hdf import write_hdf
 from casid.jobs.store import Store
+from casid.matlab import write_hdf
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
