@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid import samples
+from casid import vector_autoregression
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
 from casid.channels import RATES
@@ -30,12 +30,10 @@ from casid.display import Shown
 from casid.errors import DataWarning
 from casid.record import Record
 from casid.records import Records, same_channels, stretches
+from casid.samples import runs
 from casid.values import storable
+from casid.vector_autoregression import VectorAutoregression
 
-LAGS = 0.6  # time [s] that the autoregression reaches back at most
-MOST = 60  # lags
-TRIED = 1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1  # shares of that, tried by Akaike's criterion
-ROWS = 4.0  # samples for every coefficient of an equation, at least
 POINTS = 60  # frequencies
 EDGES = 0.05, 0.95  # of an input's power between which it is judged
 LITTLE = 0.3  # share from outside below which a band is doubted
@@ -124,7 +122,7 @@ class Excitation(Shown):
         return tuple(each for each in said if each)
 
     def _alone(self, i: int, name: str) -> str:
-        bands = runs(self.omega, self.within[:, i] & (self.lower[:, i] < LITTLE))
+        bands = wide_bands(self.omega, self.within[:, i] & (self.lower[:, i] < LITTLE))
         if not bands:
             return ""
         inside = self.within[:, i] & (self.lower[:, i] < LITTLE)
@@ -139,7 +137,7 @@ class Excitation(Shown):
         )
 
     def _together(self) -> str:
-        bands = runs(self.omega, self.within.any(axis=1) & (self.joint < JOINTLY))
+        bands = wide_bands(self.omega, self.within.any(axis=1) & (self.joint < JOINTLY))
         if not bands:
             return ""
         named = " and ".join(f"{a:.2g}-{b:.2g}" for a, b in bands)
@@ -167,9 +165,9 @@ class Excitation(Shown):
         )
 
 
-def runs(omega: Array, where: BoolArray) -> list[tuple[float, float]]:
-    """Stretches of neighbouring frequencies, from and to, as wide as is told."""
-    spans = [(float(omega[a]), float(omega[b - 1])) for a, b in samples.runs(where)]
+def wide_bands(omega: Array, where: BoolArray) -> list[tuple[float, float]]:
+    """Bands [rad/s] of neighbouring frequencies, from and to, that are wide enough to be told."""
+    spans = [(float(omega[a]), float(omega[b - 1])) for a, b in runs(where)]
     return [(a, b) for a, b in spans if b >= WIDE * a]
 
 
@@ -204,12 +202,12 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
         longest = max(part.duration for part in parts)
         omega = np.geomspace(min(4 * np.pi / longest, 0.2 / dt), 0.8 * np.pi / dt, POINTS)
     omega = np.asarray(omega, dtype=float)
-    found = autoregressions([z / size for z in columns], dt)
-    lower, upper, joint, answers = shares(found, len(outputs), omega * dt)
+    found = vector_autoregression.of_flights([z / size for z in columns], dt)
+    lower, upper, joint, answers = outside_shares(found, len(outputs), omega * dt)
     floor = max(np.linalg.eigvalsh(each.S[: len(outputs), : len(outputs)])[0] for each in found)
     return Excitation(
         inputs=inputs, outputs=outputs, omega=omega, lower=lower, upper=np.maximum(lower, upper),
-        joint=joint, answer=answers[0], coherence=answers[1], within=powerful(parts, omega),
+        joint=joint, answer=answers[0], coherence=answers[1], within=occupied_band(parts, omega),
         lags=max(len(each.A) for each in found),
         unanswered=tuple(span for part in parts for span in unanswered(part)),
         singular=bool(floor < SINGULAR),
@@ -261,7 +259,7 @@ def unanswered(record: Record) -> list[tuple[str, float, float]]:
     return found
 
 
-def powerful(records: Sequence[Record], omega: Array) -> BoolArray:
+def occupied_band(records: Sequence[Record], omega: Array) -> BoolArray:
     """Frequencies between which most of each input's power lies, (K, nu)."""
     grid = np.linspace(0, np.pi / records[0].dt, 2048)[1:]
     power = np.zeros((len(grid), records[0].nu))
@@ -277,83 +275,11 @@ def powerful(records: Sequence[Record], omega: Array) -> BoolArray:
     return np.column_stack(found)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Loop:
-    """An autoregression of one flight, or of several that agree in it."""
-
-    A: Array  # (p, n, n) coefficients
-    S: Array  # (n, n) covariance of the innovations
-    rows: int  # samples it comes from
-    criterion: float  # Akaike's
-
-
-def autoregressions(columns: Sequence[Array], dt: float) -> list[Loop]:
-    """The autoregression of all records' columns (N, n), or one of each if these differ."""
-    whole = autoregression(columns, dt)
-    least = max(1, round(TRIED[-1] * longest_lag(dt)))
-    enough = all(len(z) - longest_lag(dt) >= ROWS * z.shape[1] * least for z in columns)
-    if len(columns) == 1 or not enough:
-        return [whole]
-    single = [autoregression([z], dt) for z in columns]
-    return single if sum(each.criterion for each in single) < whole.criterion else [whole]
-
-
-def longest_lag(dt: float) -> int:
-    """Most lags that are tried."""
-    return max(2, min(MOST, round(LAGS / dt)))
-
-
-def autoregression(columns: Sequence[Array], dt: float) -> Loop:
-    """One autoregression of several records' columns (N, n)."""
-    n, longest = columns[0].shape[1], longest_lag(dt)
-    rows = sum(max(len(z) - longest, 0) for z in columns)
-    lags = sorted({max(1, round(share * longest)) for share in TRIED})
-    lags = [p for p in lags if rows >= ROWS * n * p]
-    if not lags:
-        raise ValueError(
-            f"{rows} samples are too few to tell feedback from excitation of {n} channels; "
-            "give longer records, or fewer channels"
-        )
-    G = np.sum([products(z, longest) for z in columns if len(z) > longest], axis=0)
-    tried = [_of_lags(G, rows, n, p) for p in lags]
-    return min(tried, key=lambda each: each.criterion)
-
-
-def _of_lags(G: Array, rows: int, n: int, p: int) -> Loop:
-    """The autoregression of p lags from the `products` G of n channels."""
-    past = slice(n, n * (p + 1))
-    inner = G[past, past] + 1e-10 * rows * np.eye(n * p)
-    coefficients = np.linalg.solve(inner, G[past, :n])
-    S = (G[:n, :n] - coefficients.T @ G[past, :n]) / rows
-    S = (S + S.T) / 2 + 1e-12 * np.eye(n)
-    return Loop(
-        A=coefficients.T.reshape(n, p, n).swapaxes(0, 1),
-        S=S * rows / (rows - n * p),
-        rows=rows,
-        criterion=rows * np.linalg.slogdet(S)[1] + 2 * n * n * p + n * (n + 1),
-    )
-
-
-def products(z: Array, p: int) -> Array:
-    """Σ over k of all products of z(k), z(k-1) ... z(k-p), (n (p + 1), n (p + 1))."""
-    # Every block is its upper left neighbour and two products at the ends: no matrix of all lags.
-    N, n = z.shape
-    G = np.zeros((p + 1, p + 1, n, n))
-    for j in range(p + 1):
-        G[0, j] = z[p:].T @ z[p - j : N - j]
-        G[j, 0] = G[0, j].T
-    for i in range(p):
-        into = z[p - 1 - i, :, None] * z[p - 1 :: -1][:p, None, :]
-        out = z[N - 1 - i, :, None] * z[N - 1 : N - 1 - p : -1][:, None, :]
-        G[i + 1, 1:] = G[i, :p] + into - out
-    return np.asarray(G.transpose(0, 2, 1, 3).reshape(n * (p + 1), n * (p + 1)))
-
-
-def shares(
-    loops: Sequence[Loop], ny: int, phase: Array
+def outside_shares(
+    models: Sequence[VectorAutoregression], ny: int, phase: Array
 ) -> tuple[Array, Array, Array, tuple[Array, Array]]:
     """Lower, upper and joint share of the inputs from outside, and what follows them."""
-    spectra = [_spectra(each, ny, phase) for each in loops]
+    spectra = [_spectra(each, ny, phase) for each in models]
     late, early, whole = (sum(parts) for parts in zip(*spectra, strict=True))
     power = np.einsum("kii->ki", whole).real
     own, at_most = (np.einsum("kii->ki", each).real / power for each in (late, early))
@@ -365,23 +291,23 @@ def shares(
     joint = np.maximum(np.linalg.eigvalsh(part)[:, 0], 0.0)
     weight = power[:, :ny] * np.gradient(phase)[:, None]
     answer = np.sum(own[:, :ny] * weight, axis=0) / np.sum(weight, axis=0)
-    return own[:, ny:], at_most[:, ny:], joint, (answer, followed(whole, ny, phase))
+    return own[:, ny:], at_most[:, ny:], joint, (answer, coherent_share(whole, ny, phase))
 
 
-def _spectra(loop: Loop, ny: int, phase: Array) -> tuple[Array, Array, Array]:
+def _spectra(model: VectorAutoregression, ny: int, phase: Array) -> tuple[Array, Array, Array]:
     """Spectra (K, n, n) that the inputs' innovations make, last and first in a sample, and all."""
-    p, n = loop.A.shape[:2]
+    p, n = model.A.shape[:2]
     other = [*range(ny, n), *range(ny)]
-    last, first = np.linalg.cholesky(loop.S), np.zeros((n, n))
-    first[np.ix_(other, range(n))] = np.linalg.cholesky(loop.S[np.ix_(other, other)])
+    last, first = np.linalg.cholesky(model.S), np.zeros((n, n))
+    first[np.ix_(other, range(n))] = np.linalg.cholesky(model.S[np.ix_(other, other)])
     lags = np.exp(-1j * np.outer(phase, np.arange(1, p + 1)))
-    H = np.linalg.inv(np.eye(n) - np.tensordot(lags, loop.A, axes=1))
+    H = np.linalg.inv(np.eye(n) - np.tensordot(lags, model.A, axes=1))
     factors = (H @ last[:, ny:], H @ first[:, : n - ny], H @ last)
-    late, early, whole = (loop.rows * F @ F.conj().swapaxes(1, 2) for F in factors)
+    late, early, whole = (model.rows * F @ F.conj().swapaxes(1, 2) for F in factors)
     return late, early, whole
 
 
-def followed(whole: Array, ny: int, phase: Array) -> Array:
+def coherent_share(whole: Array, ny: int, phase: Array) -> Array:
     """Share of each output's power that is coherent with the inputs, from spectra (K, n, n)."""
     power = np.einsum("kii->ki", whole).real
     size = np.sqrt(np.where(power > 0, power, 1.0))[:, ny:]

@@ -26,7 +26,7 @@ from casid import (
     sample_models,
 )
 from casid.bands import ResponseBand
-from casid.fit import parameter_table
+from casid.estimates import parameter_table
 from casid.free import free_parameters
 
 OMEGA = np.geomspace(0.5, 10.0, 12)

@@ -9,8 +9,9 @@ from truths import uh60
 from benchmarks.excitation import DT, RATIOS, flown, share
 from casid import Excitation, Record, excitation, pbsid
 from casid.commands.inspection import inspect_records
-from casid.excitations import autoregression, autoregressions, products, runs, shares
+from casid.excitations import outside_shares, wide_bands
 from casid.values import decode, encode
+from casid.vector_autoregression import of_flights, of_records
 
 
 @pytest.mark.slow
@@ -124,12 +125,6 @@ def test_a_record_too_short_or_at_rest_is_refused_and_never_stops_a_black_box():
         excitation(still)
 
 
-def test_products_of_lags_are_those_of_the_matrix_of_all_lags():
-    z = np.random.default_rng(4).standard_normal((40, 3))
-    columns = np.hstack([z[4 - k : 40 - k] for k in range(5)])
-    np.testing.assert_allclose(products(z, 4), columns.T @ columns, rtol=1e-12, atol=1e-12)
-
-
 def test_lost_samples_uneven_intervals_and_slower_records_are_taken():
     record = flown(1, 1.0)
     clean = excitation(record)
@@ -143,8 +138,8 @@ def test_lost_samples_uneven_intervals_and_slower_records_are_taken():
 
 def test_bands_are_told_from_edge_to_edge():
     omega = np.geomspace(1, 10, 11)
-    assert runs(omega, omega > 5) == [(pytest.approx(10**0.7), pytest.approx(10))]
-    assert runs(omega, np.arange(11) == 3) == []
+    assert wide_bands(omega, omega > 5) == [(pytest.approx(10**0.7), pytest.approx(10))]
+    assert wide_bands(omega, np.arange(11) == 3) == []
 
 
 def test_inputs_are_to_move_together_where_one_of_them_has_its_power():
@@ -200,15 +195,15 @@ def test_flights_under_other_feedback_are_judged_one_by_one():
     np.testing.assert_allclose(found.lower[inside, 0], truth, atol=0.1)
     assert "Of input u only" in found.doubts()[0]
     columns = [np.hstack([each.y, each.u]) for each in flights]
-    pooled = shares([autoregression(columns, DT)], 1, found.omega * DT)[0][inside, 0]
+    pooled = outside_shares([of_records(columns, DT)], 1, found.omega * DT)[0][inside, 0]
     assert np.median(pooled - truth) > 0.3  # what tells the flights apart, taken for excitation
 
 
 def test_flights_that_agree_share_one_autoregression():
     flights = [looped(1.0, 0.5, seed) for seed in range(3)]
     columns = [np.hstack([each.y, each.u]) for each in flights]
-    assert len(autoregressions(columns, DT)) == 1
+    assert len(of_flights(columns, DT)) == 1
     other = looped(1.0, 5.0, 3)  # the same feedback, more from outside
-    assert len(autoregressions([*columns, np.hstack([other.y, other.u])], DT)) == 4
+    assert len(of_flights([*columns, np.hstack([other.y, other.u])], DT)) == 4
     short = [z[:60] for z in columns]
-    assert len(autoregressions([columns[0], *short], DT)) == 1
+    assert len(of_flights([columns[0], *short], DT)) == 1

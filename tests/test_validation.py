@@ -8,7 +8,7 @@ import scipy.signal
 import scipy.stats
 
 from casid import BlackBox, Fit, Model, Record, Rows, Scalar, StateSpace, parameter
-from casid.fit import parameter_table
+from casid.estimates import parameter_table
 from casid.free import free_parameters
 from casid.linear import foh_step
 from casid.validation import (

@@ -17,15 +17,8 @@ from casid.baseline.search import Minima, descents, pair_costs, solve
 from casid.checks import checked_fields
 from casid.declaration import check_priors
 from casid.errors import ConvergenceError, warn
-from casid.fit import (
-    AnyFit,
-    Fit,
-    constraint_table,
-    held_directions,
-    holding,
-    on_bounds,
-    parameter_table,
-)
+from casid.estimates import constraint_table, held_directions, holding, on_bounds, parameter_table
+from casid.fit import AnyFit, Fit
 from casid.free import free_parameters
 from casid.frequency.covariance import whitener
 from casid.frequency.response import FrequencyResponse

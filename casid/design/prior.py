@@ -12,8 +12,9 @@ from casid.checks import check_known
 from casid.design.criterion import covariance
 from casid.design.plan import DesignSettings
 from casid.errors import warn
+from casid.estimates import ACTIVE
 from casid.evaluation import MatrixFunction
-from casid.fit import ACTIVE, AnyFit
+from casid.fit import AnyFit
 from casid.free import Free
 from casid.model import Model
 from casid.nonlinear.conditions import Trim, check_named

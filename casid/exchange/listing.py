@@ -26,6 +26,8 @@ BINARY = {
     ca.OP_COPYSIGN: "abs({}) * (1 - 2 * ({} < 0))",
     ca.OP_ATAN2: "atan2({}, {})",
     ca.OP_HYPOT: "hypot({}, {})",
+    ca.OP_POW: "{} {power} {}",
+    ca.OP_CONSTPOW: "{} {power} {}",
     ca.OP_IF_ELSE_ZERO: "{} * {}",  # of a condition, 0 or 1
 }
 UNARY = {
@@ -44,7 +46,6 @@ UNARY = {
         *("sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf", "expm1", "log1p"),
     )
 }
-POWERS = (ca.OP_POW, ca.OP_CONSTPOW)
 
 MATLAB = """function [dx, y] = {name}(x, u)
 %{upper} {about}
@@ -137,10 +138,8 @@ def _lines(function: ca.Function, *, power: str, first: int) -> list[str]:
             text = f"{'xu'[which]}{left}{entry + first}{right}"
         elif op == ca.OP_CONST:
             text = repr(float(function.instruction_constant(k)))
-        elif op in POWERS:
-            text = f"{of[0]} {power} {of[1]}"
         elif op in UNARY or op in BINARY:
-            text = (UNARY | BINARY)[op].format(*of)
+            text = (UNARY | BINARY)[op].format(*of, power=power)
         else:
             name = next(n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == op)
             raise ValueError(

@@ -16,7 +16,8 @@ from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.declaration import check_priors
 from casid.errors import ConvergenceError
-from casid.fit import AnyFit, Fit, constraint_table, held_directions, parameter_table
+from casid.estimates import constraint_table, held_directions, parameter_table
+from casid.fit import AnyFit, Fit
 from casid.free import Free, free_parameters
 from casid.matching.appraisal import MatchNotes
 from casid.matching.comparison import Comparison

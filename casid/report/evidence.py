@@ -41,6 +41,12 @@ def noise_levels(records: Sequence[Record]) -> Array:
     return np.array(found)
 
 
+def residual_levels(fit: AnyFit) -> dict[str, float]:
+    """Standard deviation of what an estimation left of each output in its own records."""
+    left = () if fit.R is None else np.sqrt(np.diag(fit.R)).tolist()
+    return dict(zip(type(fit.model).outputs, left, strict=False))
+
+
 def disagreement(validation: Validation, content: Content) -> Iterator[Caution]:
     """Outputs that the records allow to predict much better than the delivered model does."""
     model = content.delivered
@@ -72,7 +78,7 @@ def strangers(validation: Validation, content: Content) -> Iterator[Caution]:
     rows = [row for row in fit.parameters if not row.fixed and row.cramer_rao > 0]
     if not rows or np.median([row.std_error / row.cramer_rao for row in rows]) > COLOURED:
         return
-    left = dict(zip(type(fit.model).outputs, np.sqrt(np.diag(fit.R)), strict=False))
+    left = residual_levels(fit)
     size = np.array([left.get(name, np.nan) for name in validation.outputs])
     least = np.fmin(validation.rms[model], validation.rms[BLACK_BOX]) / size
     for name, ratio in zip(validation.records, np.nanmedian(least, axis=1), strict=True):

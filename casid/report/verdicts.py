@@ -8,7 +8,7 @@ import numpy as np
 from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Caution, Content
-from casid.report.evidence import COLOURED, WORSE, noise_levels
+from casid.report.evidence import COLOURED, WORSE, noise_levels, residual_levels
 from casid.validation import Validation, measures
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
@@ -75,8 +75,7 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
     estimate = content.fits.get(name)
     if estimate is None:
         return ()
-    deviations = () if estimate.R is None else np.sqrt(np.diag(estimate.R)).tolist()
-    residual = dict(zip(type(estimate.model).outputs, deviations, strict=False))
+    residual = residual_levels(estimate)
     noise = noise_levels(validation.measured).tolist()
     other = BLACK_BOX if BLACK_BOX in validation.models else name
     found = []

@@ -21,7 +21,8 @@ from casid.checks import checked_fields
 from casid.declaration import check_priors
 from casid.display import counted
 from casid.errors import ConvergenceError
-from casid.fit import AnyFit, Fit, constraint_table, held_directions, on_bounds, parameter_table
+from casid.estimates import constraint_table, held_directions, on_bounds, parameter_table
+from casid.fit import AnyFit, Fit
 from casid.free import Free, free_parameters
 from casid.frequency.response import FrequencyResponse
 from casid.model import Bounds, M, Model, Priors

@@ -9,7 +9,7 @@ import scipy
 import scipy.linalg
 
 from casid.arrays import Array
-from casid.fit import ACTIVE, holding
+from casid.estimates import ACTIVE, holding
 from casid.nlp import Solution
 from casid.shooting import uncertainty
 from casid.shooting.nonlinear import Integration

@@ -8,16 +8,15 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ConvergenceError, warn
-from casid.fit import (
+from casid.estimates import (
     ACTIVE,
-    AnyFit,
-    Fit,
     constraint_table,
     held_directions,
     holding,
     on_bounds,
     parameter_table,
 )
+from casid.fit import AnyFit, Fit
 from casid.free import Free
 from casid.model import M
 from casid.nlp import SolverOptions

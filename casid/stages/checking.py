@@ -23,6 +23,7 @@ from casid.prediction import Outlook, outlook, predict
 from casid.record import Record
 from casid.records import standard_deviations
 from casid.report.content import Content, Section, section
+from casid.samples import known_mean
 from casid.shooting.simulation import predict_nonlinear
 from casid.stages.stage import LeftOutError, Stage, Task
 from casid.validation import Validation, measures, state_space
@@ -103,9 +104,7 @@ def _simulated(fit: Fit[Any, Any], record: Record, flight: Record, far: Outlook)
         y = predict_nonlinear(fit.model, record, scale, far).states[:, places]
     else:
         y = _linear_states(state_space(fit), record, flight, scale, far)
-    apart = flight.y - y
-    bias = [e[np.isfinite(e)].mean() if np.isfinite(e).any() else 0.0 for e in apart.T]
-    return np.asarray(y + bias)
+    return np.asarray(y + known_mean(flight.y - y))
 
 
 def _linear_states(

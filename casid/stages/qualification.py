@@ -16,7 +16,7 @@ from casid.qualification import (
     read_tolerance,
 )
 from casid.report.content import Caution, Content, Section, delivered, section
-from casid.report.evidence import noise_levels
+from casid.report.evidence import noise_levels, residual_levels
 from casid.stages.stage import Stage, Task
 
 
@@ -51,12 +51,10 @@ def _noise(task: Task) -> dict[str, float]:
     """Standard deviations of the outputs' noise, no more than the fit left of its own records."""
     judged, fit = task.results["validation"], task.results["output_error"]
     fast = dict(zip(judged.outputs, noise_levels(judged.measured).tolist(), strict=True))
-    left = np.full(len(fast), np.nan) if fit.R is None else np.sqrt(np.diag(fit.R))
-    outputs = type(fit.model).outputs
     return {
-        name: float(min(fast[name], each))
-        for name, each in zip(outputs, left, strict=False)
-        if np.isfinite(each) and np.isfinite(fast.get(name, np.nan))
+        name: min(fast[name], left)
+        for name, left in residual_levels(fit).items()
+        if np.isfinite([left, fast.get(name, np.nan)]).all()
     }
 
 

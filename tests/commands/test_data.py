@@ -14,8 +14,9 @@ from truths.roll_study import write_study
 
 from casid import FrequencyResponse, read_csv
 from casid.cli import main
+from casid.estimates import parameter_table
 from casid.exchange.formats import read_table
-from casid.fit import Fit, parameter_table
+from casid.fit import Fit
 from casid.free import free_parameters
 from casid.jobs.store import Done, Store
 from casid.structure.modelfile import load_model

@@ -11,6 +11,7 @@ from truths.roll_study import write_study
 from truths.systems import same
 
 from casid import FrequencyResponse, read_frequency_csv
+from casid.estimates import parameter_table
 from casid.exchange.formats import (
     frequency_table,
     in_si,
@@ -25,7 +26,7 @@ from casid.exchange.formats import (
     write_table,
 )
 from casid.files import read_mat
-from casid.fit import Fit, parameter_table
+from casid.fit import Fit
 from casid.free import free_parameters
 from casid.structure.modelfile import load_model
 from models.lateral_directional import LateralDirectional

@@ -1,0 +1,105 @@
+"""Tables of a fit: a row for every parameter and constraint, and what holds them."""
+
+from typing import Any
+
+import numpy as np
+
+from casid.arrays import Array, BoolArray
+from casid.fit import ConstraintEstimate, ParameterEstimate
+from casid.free import Free
+from casid.model import Model
+
+ACTIVE = 1e-6  # distance to a bound, relative to the parameter's scale, that counts as on it
+NEAR = 1e-4  # the same, if the bound has a price
+
+
+def on_bounds(free: Free, values: Array, multipliers: Array) -> Array:
+    """Free values (nf,) as an interior-point solver meant them: within bounds, on those that hold.
+
+    It stops short of a bound, the nearer the larger the bound's multiplier: a parameter nearer than
+    that in its own scale is on it. ``multipliers`` (nf,) are prices as in the parameter table.
+    """
+    lower, upper, scale = (each[free.index] for each in (free.lower, free.upper, free.scale))
+    values = np.clip(values, lower, upper)
+    for bound, price in ((lower, multipliers * scale), (upper, -multipliers * scale)):
+        gap = np.abs(values - bound) / scale
+        values = np.where((gap <= NEAR) & (gap < price), bound, values)
+    return np.asarray(values)
+
+
+def parameter_table(
+    free: Free,
+    values: Array,
+    multipliers: Array,
+    std_error: Array | None = None,
+    insensitivity: Array | None = None,
+    cramer_rao: Array | None = None,
+    guess: Model | None = None,
+) -> tuple[ParameterEstimate, ...]:
+    """Rows of the parameter table from free values, multipliers, errors: (nf,), in physical units.
+
+    What is missing is NaN; ``guess`` is what the estimator started from, the model of ``free``
+    unless given.
+    """
+    model, full = free.model, free.full(np.asarray(values, dtype=float))
+    moving = np.isin(np.arange(len(full)), free.index)
+    gap = np.minimum(full - free.lower, free.upper - full)
+    active = moving & (gap <= ACTIVE * free.scale)
+
+    def column(values: Array | None, fixed: float) -> Array:
+        """Of all parameters."""
+        every = np.full(len(full), fixed)
+        every[free.index] = np.nan if values is None else values
+        return every
+
+    columns = {
+        "value": full,
+        "guess": (guess or model).vector(),
+        "lower": free.lower,
+        "upper": free.upper,
+        "multiplier": np.where(active, column(multipliers, 0.0), 0.0),
+        "std_error": np.where(active, np.nan, column(std_error, 0.0)),
+        "insensitivity": column(insensitivity, np.nan),
+        "cramer_rao": np.where(active, np.nan, column(cramer_rao, np.nan)),
+    }
+    rows = []
+    for i, (name, info) in enumerate(model.infos().items()):
+        numbers: Any = {key: float(values[i]) for key, values in columns.items()}
+        prior, std = map(float, free.priors.get(name, (np.nan, np.nan)))
+        told: Any = {"name": name, "unit": info.unit, "prior": prior, "prior_std": std}
+        held: Any = {"active": bool(active[i]), "fixed": not moving[i]}
+        rows.append(ParameterEstimate(**told, **numbers, **held))
+    return tuple(rows)
+
+
+def constraint_table(model: Model, prices: Array) -> tuple[ConstraintEstimate, ...]:
+    """Rows of the constraints at the estimates; prices (m,): slopes of the cost by their values."""
+    rows = []
+    for item, price in zip(model.constraints(), prices, strict=True):
+        value, lower, upper = (float(each) for each in (item.value, item.lower, item.upper))
+        active = lower == upper or min(value - lower, upper - value) <= ACTIVE
+        told: Any = {"name": item.name, "value": value, "lower": lower, "upper": upper}
+        slope = float(price) if active else 0.0
+        rows.append(ConstraintEstimate(**told, active=active, multiplier=slope))
+    return tuple(rows)
+
+
+def holding(free: Free, values: Array, active: BoolArray) -> Array:
+    """Gradients by the free parameters of all that holds them at these values, (m, nf).
+
+    First the bounds of those ``active`` (nf,), then ties and inequalities with no room left.
+    """
+    bounds = np.eye(len(free.index))[active]
+    if not free.model.constraints():
+        return bounds
+    model = free.model.with_vector(free.full(values))
+    rows = constraint_table(model, np.zeros(len(model.constraints())))
+    held = np.array([row.active for row in rows])
+    return np.vstack([bounds, free.constraint_slopes(values)[held]])
+
+
+def held_directions(free: Free, values: Array, rows: tuple[ParameterEstimate, ...]) -> int:
+    """Number of directions in which active bounds and constraints hold the free values (nf,)."""
+    active = np.array([rows[i].active for i in free.index])
+    gradients = holding(free, values, active) * free.scale[free.index]
+    return int(np.linalg.matrix_rank(gradients)) if len(gradients) else 0
