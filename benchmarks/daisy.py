@@ -35,7 +35,7 @@ from scipy.signal import cont2discrete
 from tables import table
 
 from casid import Record, StateSpace, pbsid
-from casid.files import read_json, write_json
+from casid.textfile import read_json, write_json
 
 ORDERS = (*range(1, 11), *range(12, 21, 2))
 HORIZON = 20

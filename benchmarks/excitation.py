@@ -23,8 +23,8 @@ import numpy as np
 
 from benchmarks.aw109 import noisy_records
 from casid import DataWarning, Record, excitation, read_csv, read_mat, read_study
-from casid.files import read_json, write_json
 from casid.studies.study import read_records
+from casid.textfile import read_json, write_json
 
 ROOT = Path(__file__).resolve().parents[1]
 DT = 0.02

@@ -27,7 +27,7 @@ from uh60 import INPUTS, OUTPUTS, SWEEPS, with_noise
 from uh60 import STEPS as MULTISTEPS
 
 from casid import Record, pbsid, read_csv
-from casid.files import read_json, write_json
+from casid.textfile import read_json, write_json
 
 HELICOPTERS = {
     "UH-60": ("uh60_genhel_80kt", "uh60_genhel_080kt"),

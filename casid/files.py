@@ -1,7 +1,6 @@
-"""The only file access and the only unit conversion: CSV and MAT in, CSV and JSON out."""
+"""Records from CSV and MATLAB files, units converted, and as CSV."""
 
 import csv
-import json
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -14,11 +13,11 @@ import numpy as np
 from casid.arrays import Array
 from casid.channels import factor_of
 from casid.errors import warn
-from casid.folder import replacing
-from casid.limits import JSON_BYTES, TABLE_BYTES, check_file
+from casid.limits import TABLE_BYTES, check_file
 from casid.matlab import read_variables
 from casid.record import FEWEST, Hold, Record
 from casid.samples import known_inputs
+from casid.textfile import write_text
 
 SHOWN = 40  # names of columns that a message lists
 CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
@@ -207,50 +206,6 @@ def write_csv(path: str | Path, record: Record) -> None:
     rows = np.column_stack(list(table.values()))
     lines += [",".join(f"{value:.10g}" for value in row) for row in rows]
     write_text(path, "\n".join(lines) + "\n")
-
-
-def write_text(path: str | Path, text: str) -> None:
-    """Write a text file whole or not at all: a crash leaves the old file as it was."""
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="")
-
-
-def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
-    """Write JSON atomically; arrays become lists, NaN and infinities become null or strings."""
-    write_text(path, json.dumps(plain(content), indent=1, allow_nan=False) + "\n")
-
-
-def read_json(path: str | Path) -> dict[str, Any]:
-    """Read what `write_json` wrote, as plain lists and numbers."""
-    path = Path(path)
-    check_file(path, JSON_BYTES, "JSON")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: cannot read it as JSON ({error}); write it again") from error
-    if not isinstance(content, dict):
-        raise ValueError(f"{path}: expected a JSON object, found {type(content).__name__}")  # noqa: TRY004
-    return content
-
-
-def number(value: float | str | None) -> float:
-    """The float that `write_json` stored: null is NaN, "inf" and "-inf" are themselves."""
-    return np.nan if value is None else float(value)
-
-
-def plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any
-    """A value as `write_json` writes it and `read_json` returns it."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None if np.isnan(value) else str(value)
-    return value
 
 
 def _check_magnitude(record: str, channel: str, values: Array) -> None:

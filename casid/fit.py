@@ -11,8 +11,8 @@ from casid.arrays import Array
 from casid.checks import checked
 from casid.display import Shown
 from casid.errors import ModelError, warn
-from casid.files import number, read_json, write_json
 from casid.model import M, Model
+from casid.textfile import read_json, stored_number, write_json
 from casid.values import check_digest, decode, encode, seal, storable
 
 M_co = TypeVar("M_co", bound=Model, covariant=True)
@@ -247,11 +247,11 @@ def _first_version(content: Any, model: type[M], place: str | Path) -> Fit[M, An
     texts = {"name", "unit", "active", "fixed"}
 
     def row(values: Mapping[str, Any]) -> dict[str, Any]:
-        return {k: v if k in texts else number(v) for k, v in values.items()}
+        return {k: v if k in texts else stored_number(v) for k, v in values.items()}
 
     old["model"], old["notes"] = model(**stored["values"]), None
     old["parameters"] = tuple(
-        ParameterEstimate(cramer_rao=number(each["std_error"]), **row(each))
+        ParameterEstimate(cramer_rao=stored_number(each["std_error"]), **row(each))
         for each in old["parameters"]
     )
     old["constraints"] = tuple(ConstraintEstimate(**row(c)) for c in notes.get("constraints", ()))
@@ -262,7 +262,7 @@ def _first_version(content: Any, model: type[M], place: str | Path) -> Fit[M, An
     for name in ("covariance", "R", "initial_states", "biases"):
         if old[name] is not None:
             old[name] = np.array(old[name], dtype=float)
-    old |= {"cost": number(old["cost"]), "free_names": tuple(old["free_names"])}
+    old |= {"cost": stored_number(old["cost"]), "free_names": tuple(old["free_names"])}
     warn(
         f"{place} was saved by casid 0.1: its notes are left out, and its standard errors "
         "take residuals for white; estimate again to have both"

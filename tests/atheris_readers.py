@@ -16,6 +16,7 @@ from truths import fuzzing
 import casid.files
 import casid.limits
 import casid.matlab
+import casid.textfile
 
 CHECKS = {
     "csv": fuzzing.check_csv,
@@ -29,7 +30,12 @@ CHECKS = {
 def main():
     kind, options = sys.argv[1], sys.argv[2:]
     warnings.simplefilter("ignore")
-    for module in (casid.files, casid.matlab, casid.limits):  # all SciPy would take minutes
+    for module in (
+        casid.files,
+        casid.matlab,
+        casid.textfile,
+        casid.limits,
+    ):  # SciPy would take minutes
         for name, each in list(vars(module).items()):
             if isinstance(each, FunctionType) and each.__module__ == module.__name__:
                 setattr(module, name, atheris.instrument_func(each))

@@ -1,13 +1,10 @@
 """Files: units, missing cells, trim, and errors that name file and column."""
 
-import json
-
 import numpy as np
 import pytest
 import scipy.io
 
 from casid import DataWarning, Record, read_csv, read_mat, write_csv
-from casid.files import number, read_json, write_json, write_text
 
 CHANNELS = {"inputs": ["lat"], "outputs": ["p", "phi"]}
 
@@ -167,41 +164,6 @@ def test_a_mat_file_that_is_none_is_told(tmp_path):
         read_mat(csv(tmp_path, "t,lat\n0,1\n"), **CHANNELS)
     with pytest.raises(ValueError, match="cannot read it as a MATLAB file"):
         read_mat(tmp_path / "none.mat", **CHANNELS)
-
-
-def test_json_is_plain_and_keeps_nan_and_infinity(tmp_path):
-    file = tmp_path / "new" / "a.json"
-    content = {"a": np.eye(2), "b": (np.nan, np.inf, -np.inf), "c": np.float64(2), "d": {3: None}}
-    write_json(file, content)
-    read = read_json(file)
-    assert read["a"] == [[1, 0], [0, 1]]
-    assert read["d"] == {"3": None}
-    np.testing.assert_array_equal([number(v) for v in read["b"]], [np.nan, np.inf, -np.inf])
-    assert number(read["c"]) == 2.0
-    json.loads(file.read_text())  # no NaN literals, which are not JSON
-
-
-def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
-    file = tmp_path / "a.json"
-    write_text(file, "old")
-    with pytest.raises(TypeError):
-        write_json(file, {"a": object()})
-    with pytest.raises(UnicodeEncodeError):
-        write_text(file, "\ud800")
-    assert file.read_text() == "old"
-    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
-
-
-def test_json_that_is_none_is_told(tmp_path):
-    (tmp_path / "a.json").write_text("{")
-    (tmp_path / "b.json").write_text("[1]")
-    for name, message in (
-        ("a", "cannot read it as JSON"),
-        ("b", "expected a JSON object, found list"),
-        ("c", "cannot read it as JSON"),
-    ):
-        with pytest.raises(ValueError, match=f"{name}.json: {message}"):
-            read_json(tmp_path / f"{name}.json")
 
 
 def test_missing_samples_survive_a_round_trip(tmp_path):

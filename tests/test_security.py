@@ -56,7 +56,7 @@ def _is_os(owner):
 
 
 @pytest.mark.parametrize(
-    "value", ["casid.files:write_text", "write_text", "os:system", "Path", "Model"]
+    "value", ["casid.textfile:write_text", "write_text", "os:system", "Path", "Model"]
 )
 def test_a_stored_result_makes_nothing_but_results(value, tmp_path):
     target = tmp_path / "owned.txt"

@@ -18,7 +18,6 @@ from casid.bounds.trials import Data, Fits, in_words
 from casid.display import Shown
 from casid.errors import warn
 from casid.estimator import Estimator
-from casid.files import write_text
 from casid.fit import AnyFit, Fit
 from casid.jobs.campaigns import Execution, Job
 from casid.model import Bounds, Model
@@ -26,6 +25,7 @@ from casid.record import Record
 from casid.records import several
 from casid.shooting.output_error import OutputError
 from casid.tabulation import csv_text, markdown_table
+from casid.textfile import write_text
 from casid.validation import Validation, validate
 
 WORSE = 1e-6  # of the cost: a wider case that fits worse than this has found another minimum

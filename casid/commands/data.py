@@ -22,7 +22,6 @@ from casid.exchange.code import write_c, write_fmu
 from casid.exchange.equations import equations_of
 from casid.exchange.listing import write_equations
 from casid.exchange.standalone import write_module
-from casid.files import read_json
 from casid.fit import AnyFit, Fit, is_fit
 from casid.folder import check_target, spare
 from casid.frequency.response import FrequencyResponse
@@ -34,6 +33,7 @@ from casid.report.tables import cells
 from casid.structure.modelfile import load_model, locate_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
+from casid.textfile import read_json
 from casid.validation import validate
 
 

@@ -18,7 +18,6 @@ from casid.design.inputs import design_inputs
 from casid.design.plan import Design, DesignSettings, Limits
 from casid.design.prior import check_trim, nearest_trim
 from casid.errors import ModelError, warn
-from casid.files import write_text
 from casid.fit import AnyFit, Fit
 from casid.model import Model
 from casid.nonlinear.conditions import Trim
@@ -29,6 +28,7 @@ from casid.stages.conditions import condition, conditions
 from casid.studies.runner import kept_fit
 from casid.studies.study import Study, read_records
 from casid.studies.studyfile import read_study
+from casid.textfile import write_text
 from casid.values import digest
 
 SHOWN = 12  # parameters in the table

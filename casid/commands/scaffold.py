@@ -5,7 +5,7 @@ import keyword
 import sys
 from pathlib import Path
 
-from casid.files import write_text
+from casid.textfile import write_text
 
 TEMPLATE = Path(__file__).with_name("structure.py.txt")
 

@@ -17,11 +17,11 @@ from casid.checks import optional
 from casid.exchange.delays import check_continuous
 from casid.exchange.equations import Equations, equations_of
 from casid.exchange.stepping import steps_of, usual_steps
-from casid.files import write_text
 from casid.folder import replacing
 from casid.linear import StateSpace
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold
+from casid.textfile import write_text
 
 MOST = 10_000  # samples of a delay
 SLOWEST = 3600.0  # s between samples

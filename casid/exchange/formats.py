@@ -20,6 +20,7 @@ from casid.frequency.response import FrequencyResponse
 from casid.limits import TABLE_BYTES, check_file, check_size
 from casid.matlab import read_variables, write_hdf
 from casid.record import Hold, Record
+from casid.textfile import write_text
 
 MatVersion: TypeAlias = Literal["5", "7.3"]  # of MATLAB files
 TABLES = (".csv", ".mat", ".parquet")
@@ -144,7 +145,7 @@ def write_table(path: str | Path, table: Mapping[str, Array], *, version: MatVer
     else:
         rows = np.column_stack(list(table.values())).tolist()  # floats write themselves exactly
         lines = [",".join(table), *(",".join(map(repr, row)) for row in rows)]
-        files.write_text(path, "\n".join(lines) + "\n")
+        write_text(path, "\n".join(lines) + "\n")
 
 
 def in_si(table: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, Array]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import casadi as ca
 
 from casid.exchange.equations import Equations
-from casid.files import write_text
+from casid.textfile import write_text
 
 KEYWORDS = "case catch end function otherwise parfor persistent spmd switch"  # of MATLAB alone
 

@@ -10,8 +10,8 @@ from casid import intersample, linear
 from casid.arrays import Array
 from casid.channels import UNITS
 from casid.exchange.delays import check_continuous
-from casid.files import write_text
 from casid.linear import StateSpace
+from casid.textfile import write_text
 
 # What a continuous model's simulation is made of; the file holds the very text of it.
 PARTS = (linear.step_groups, *intersample.PARTS)

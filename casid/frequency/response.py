@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array, ComplexArray
 from casid.display import Shown, listed
-from casid.files import read_json, write_json
 from casid.records import several
+from casid.textfile import read_json, write_json
 from casid.values import DAMAGED, check_digest, decode, storable
 
 PAIRWISE = ("G", "coherence", "random_error", "leakage", "resolution")  # by pair

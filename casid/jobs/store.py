@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from casid.errors import warn
-from casid.files import read_json, write_text
+from casid.textfile import read_json, write_text
 from casid.values import DAMAGED, content_digest, decode, encode
 
 PLAIN = re.compile(r"[a-z0-9_]{1,40}")  # names that are file names on every system

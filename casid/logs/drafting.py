@@ -10,7 +10,7 @@ import numpy as np
 from casid.channels import RATES
 from casid.checks import checked
 from casid.excitations import certified
-from casid.files import write_csv, write_text
+from casid.files import write_csv
 from casid.logs.assembly import Lateness, assemble, delays, hold_told, usual_dt
 from casid.logs.axes import axes_structure
 from casid.logs.conventions import (
@@ -28,6 +28,7 @@ from casid.logs.topics import Log
 from casid.model import Model
 from casid.record import REST, Record
 from casid.structure.modelfile import load_model, locate_model
+from casid.textfile import write_text
 
 KEPT = 4  # of as many stretches one is kept for validation
 FIRST = 0.6  # of a single stretch that identifies

@@ -15,7 +15,6 @@ import jinja2
 from markupsafe import Markup
 from matplotlib import rc_context
 
-from casid.files import write_text
 from casid.jobs.beside import beside
 from casid.report import intervals
 from casid.report.answer import place
@@ -25,6 +24,7 @@ from casid.report.interactive import interactive
 from casid.report.look import LOOK
 from casid.report.verdicts import word
 from casid.report.words import costliest, number, percent, price, prior
+from casid.textfile import write_text
 
 PLOTLY = TEMPLATES / "plotly-basic.min.js.gz"  # plotly.js 4.1.1, MIT; see CONTRIBUTING
 UNUSED, TAG = re.compile(r'<g id="[^"]*">'), re.compile(r"<[^>]*>")

@@ -12,11 +12,11 @@ from casid import report
 from casid.bounds.cases import read_cases
 from casid.bounds.compare import BoundsComparison, compare_bounds
 from casid.estimator import Estimator
-from casid.files import write_text
 from casid.fit import AnyFit
 from casid.report.content import Content, Section, section
 from casid.stages.chain import CHAIN, Chain
 from casid.stages.stage import Stage, Task, lacking, records_of, runnable
+from casid.textfile import write_text
 
 WHOLE = "chain"
 

@@ -13,7 +13,6 @@ from casid.bounds.compare import BoundsComparison
 from casid.chain import Identification
 from casid.consistency.flights import Repeats
 from casid.errors import ConvergenceError, DataWarning, warn
-from casid.files import write_text
 from casid.fit import AnyFit, ParameterEstimate
 from casid.folder import claimed
 from casid.record import Record
@@ -35,6 +34,7 @@ from casid.studies.written import (
     read_written,
 )
 from casid.tabulation import csv_text
+from casid.textfile import write_text
 from casid.threads import one_thread
 from casid.validation import Validation
 

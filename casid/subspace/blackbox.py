@@ -9,7 +9,6 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.checks import check_fields
 from casid.display import Shown, counted
 from casid.excitations import Excitation
-from casid.files import read_json, write_json
 from casid.linear import StateSpace, from_zoh
 from casid.record import Hold
 from casid.subspace.columns import Segment
@@ -18,6 +17,7 @@ from casid.subspace.prediction import SampledUncertainty
 from casid.subspace.refinement import ResponseUncertainty
 from casid.subspace.settings import OrderSelection
 from casid.subspace.trust import Missed, data_doubts, growth_doubts, order_doubts
+from casid.textfile import read_json, write_json
 from casid.values import DAMAGED, decode, encode, storable
 
 

@@ -8,8 +8,8 @@ from truths.roll_study import Truth, write_study
 
 from casid import FrequencyResponse, OutputError, read_records, read_study, run_study
 from casid.exchange.formats import write_frequency
-from casid.files import write_json
 from casid.shooting.measured import MeasuredResponses
+from casid.textfile import write_json
 from casid.values import content_digest
 
 SPLIT = (

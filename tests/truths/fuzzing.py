@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from casid import Record, read_csv, read_frequency_csv, read_mat, write_csv, write_parquet
 from casid.cli import main
 from casid.exchange.formats import read_table
-from casid.files import read_json
 from casid.fit import Fit
 from casid.jobs.store import Store
 from casid.matlab import write_hdf
 from casid.structure.modelfile import load_model
 from casid.studies.study import read_records
 from casid.studies.studyfile import read_study
+from casid.textfile import read_json
 from casid.values import content_digest
 from truths.roll_study import MODEL, STUDY, write_study
 
@@ -98,7 +98,7 @@ def damaged(draw, kind):
 leaves = st.one_of(
     st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8),
     st.sampled_from(["inf", "-inf", "nan", "casid", "BlackBox", "StateSpace", "os:system", "array",
-                     "casid.files:write_text", "value", "tuple", "mapping", "float"]),
+                     "casid.textfile:write_text", "value", "tuple", "mapping", "float"]),
 )  # fmt: skip
 trees = st.recursive(
     leaves,
