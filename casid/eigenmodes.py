@@ -109,10 +109,9 @@ def deviations(matrices: Sequence[Array], poles: ComplexArray) -> Array:
     every = np.concatenate([poles, poles[paired].conj()])
     square, center = [], figures(poles.real + 1j * np.abs(poles.imag))
     center = np.hstack([center, center[:, paired]])
-    for A in matrices:
-        moved = np.linalg.eigvals(A)
-        apart = np.abs(every[:, None] - moved) ** 2  # by squares real ones keep their order
-        moved = moved[scipy.optimize.linear_sum_assignment(apart)[1]]
+    for drawn in np.linalg.eigvals(np.array(matrices)):
+        apart = np.abs(every[:, None] - drawn) ** 2  # by squares real ones keep their order
+        moved = drawn[scipy.optimize.linear_sum_assignment(apart)[1]]
         square.append((figures(moved.real + 1j * np.abs(moved.imag)) - center) ** 2)
     mean = np.mean(square, axis=0)
     mean[:, paired] = (mean[:, paired] + mean[:, len(poles) :]) / 2

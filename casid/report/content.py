@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from casid.bands import ModeBand, mode_bands
 from casid.channels import UNITS
 from casid.consistency.flights import Repeats
 from casid.fit import AnyFit, Fit
@@ -158,6 +159,12 @@ class Content:
     def fits(self) -> dict[str, AnyFit]:
         """Structured models by the names the figures use."""
         return {name: each for name, each in self.models.items() if isinstance(each, Fit)}
+
+    @cached_property
+    def bands(self) -> dict[str, tuple[ModeBand, ...]]:
+        """Modes with standard deviations of the fits that have a covariance."""
+        fits = self.fits.items()
+        return {name: mode_bands(fit) for name, fit in fits if fit.covariance is not None}
 
     @property
     def delivered(self) -> str:

@@ -6,7 +6,6 @@ from itertools import combinations
 import numpy as np
 
 from casid.arrays import Array
-from casid.bands import mode_bands
 from casid.baseline.accuracy import DerividNotes
 from casid.consistency.measured import noise
 from casid.display import listed
@@ -153,7 +152,9 @@ def few(fit: AnyFit, content: Content) -> Iterator[Caution]:
             "state and biases of every record); fly more.",
             14,
         )
-    if vague := [f"{mode.name} ({mode.words}{error})" for mode, error in _vague(fit, files)]:
+    if vague := [
+        f"{mode.name} ({mode.words}{error})" for mode, error in _vague(fit, content, files)
+    ]:
         longest, total = max(file.seconds for file in files), sum(file.seconds for file in files)
         yield Caution(
             f"Few data: records of {longest:.0f} s at most, {total:.0f} s together, leave slow "
@@ -162,13 +163,13 @@ def few(fit: AnyFit, content: Content) -> Iterator[Caution]:
         )
 
 
-def _vague(fit: AnyFit, files: Sequence[DataFile]) -> Iterator[tuple[Mode, str]]:
+def _vague(fit: AnyFit, content: Content, files: Sequence[DataFile]) -> Iterator[tuple[Mode, str]]:
     """Slow modes that the records leave open, with the error of the eigenvalue if it is known.
 
     Slow: a period, or the time constant of a real pole, is longer than any record.
     """
     longest = max(file.seconds for file in files)
-    bands = () if fit.covariance is None else mode_bands(fit)
+    bands = content.bands.get(content.delivered)
     for k, mode in enumerate(modes(fit.model.system())):
         scale = mode.period if np.isfinite(mode.period) else mode.time_constant
         if not longest < scale < np.inf:

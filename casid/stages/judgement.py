@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 from casid import report
-from casid.bands import mode_bands
 from casid.eigenmodes import modes
 from casid.fit import Fit
 from casid.nonlinear.conditions import Trim
@@ -97,13 +96,8 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
         at = f"the trim of record {found.records[0]}: {_values(trim)}"
         models = {name: _linear(each, trim) for name, each in content.models.items()}
         content = replace(content, models=models)
-    bands = {
-        name: dict(enumerate(mode_bands(fit)))
-        for name, fit in content.fits.items()
-        if fit.covariance is not None
-    }
     found_modes = {name: modes(fit.model.system()) for name, fit in content.fits.items()}
-    values = {"modes": found_modes, "bands": bands, "at": at}
+    values = {"modes": found_modes, "bands": content.bands, "at": at}
     values["simulated"] = [k for k, far in enumerate(found.horizon) if math.isinf(far)]
     drawings = report.drawings
     histories = partial(drawings.draw_histories, found, content.units)

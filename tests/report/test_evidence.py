@@ -19,6 +19,8 @@ from casid import (
     run_study,
     validate,
 )
+from casid.bands import mode_bands
+from casid.report.content import OUTPUT_ERROR
 from casid.report.evidence import few, noise_levels, strangers
 
 MEASURED = (
@@ -116,7 +118,9 @@ def test_a_mode_slower_than_the_records_is_named_unless_its_error_is_small(dampi
     covariance = None if error is None else np.array([[error**2]])
     row = SimpleNamespace(value=damping, lower=-np.inf, upper=np.inf, active=False)
     fit = Estimate(model=Damped(Lp=damping), free_names=("Lp",), covariance=covariance, row=row)
-    texts = [each.text for each in few(fit, SimpleNamespace(data=[flown, flown]))]
+    bands = {} if error is None else {OUTPUT_ERROR: mode_bands(fit)}
+    content = SimpleNamespace(data=[flown, flown], delivered=OUTPUT_ERROR, bands=bands)
+    texts = [each.text for each in few(fit, content)]
     assert len(texts) == said
     for text in texts:
         assert "records of 20 s at most, 40 s together" in text
