@@ -31,7 +31,7 @@ UNUSED, TAG = re.compile(r'<g id="[^"]*">'), re.compile(r"<[^>]*>")
 PATH = re.compile(r'(?<= d=")M[^"A-KN-Y]*(?=")')  # of straight lines only
 CODED = re.compile(r"[^\w !$'()*+,\-./:;<=>?@\[\]^{|}~]+", re.ASCII)  # in an address within quotes
 POINT = re.compile(r"([MLz])(?:\s+([^\sMLz]+)\s+([^\sMLz]+))?")
-LONG_DECIMALS = re.compile(r"(\d\d\.\d)\d+")  # a tenth of a point is enough for a picture
+LONG_DECIMALS = re.compile(r"(?<=\d\d\.\d)\d+")  # a tenth of a point is enough for a picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,12 +142,12 @@ def _picture(drawing: Drawing, folder: Path, *, png: bool) -> Picture:
 
 def packed(text: str) -> str:
     """A text compressed, in letters."""
-    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode("ascii")
+    return base64.b64encode(gzip.compress(text.encode(), 6, mtime=0)).decode("ascii")
 
 
 def address(svg: str) -> Markup:
     """A picture as the address of an image, for an attribute in double quotes."""
-    text = LONG_DECIMALS.sub(r"\1", " ".join(svg.split()))
+    text = LONG_DECIMALS.sub("", " ".join(svg.split()))
     text = UNUSED.sub("<g>", text).replace("; stroke-linecap: square", "")
     text = PATH.sub(lambda path: relative(path[0]), text)
     # What is in single quotes need not be escaped.
@@ -162,11 +162,17 @@ def relative(path: str) -> str:
         if letter != "z":
             there = round(10 * float(x)), round(10 * float(y))
             step = there if letter == "M" else (there[0] - at[0], there[1] - at[1])
-            one, two = (f"{n / 10:g}".replace("0.", "." if abs(n) < 10 else "0.") for n in step)
             # What follows a move without a letter is a line to it.
-            said += (" " if letter == before == "L" else letter.replace("L", "l")) + f"{one} {two}"
+            said += " " if letter == before == "L" else letter.replace("L", "l")
+            said += f"{_tenths(step[0])} {_tenths(step[1])}"
             at = there
         else:
             said += letter
         before = letter
     return said.replace(" -", "-")
+
+
+@cache
+def _tenths(n: int) -> str:
+    """A number of tenths as a decimal, in few letters."""
+    return f"{n / 10:g}".replace("0.", "." if abs(n) < 10 else "0.")
