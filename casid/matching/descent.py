@@ -153,11 +153,11 @@ class Condensed:
 
     def _beyond(self, at: Matrices) -> tuple[Array, Array]:
         """Penalised distance of poles right of the line (nx,), and its derivative (nf, nx)."""
+        if not self.guarded:
+            return np.zeros(0), np.zeros((len(self.scale), 0))
         nx = at.nx
         poles, right = np.linalg.eig(at.N[:nx, :nx])
         off = self._right(poles.real)
-        if not len(off):
-            return off, np.zeros((len(self.scale), 0))
         left = np.linalg.inv(right)
         # d pole = (left row) dA (right column)
         outer = np.zeros((*at.N.shape, nx), dtype=complex)
