@@ -19,6 +19,7 @@ import scipy
 
 from casid.arrays import Array, ComplexArray
 from casid.baseline.handling import HandlingQualities, handling_qualities
+from casid.checks import check_level
 from casid.display import Shown, counted
 from casid.eigenmodes import Mode, deviations, figures, may_meet, modes
 from casid.embedding import StructureError
@@ -179,8 +180,7 @@ def response_band(
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     if not len(omega) or not (omega > 0).all():
         raise ValueError("omega: expected frequencies above 0 rad/s")
-    if not 0 < level < 1:
-        raise ValueError(f"level={level}: expected a share between 0 and 1, such as 0.95")
+    check_level(level, "share")
     center = fit.model.system().response(omega)
 
     def of(model: Model) -> Array:

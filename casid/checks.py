@@ -109,8 +109,13 @@ def check_asked(band: tuple[float, float] | None, level: float) -> None:
             f"band=({band[0]:g}, {band[1]:g}) rad/s: expected 0 < lowest < highest, frequencies "
             "above 0 rad/s"
         )
+    check_level(level, "chance", 0.01)
+
+
+def check_level(level: float, what: str, usual: float = 0.95) -> None:
+    """Refuse a level that is no share between 0 and 1: ValueError."""
     if not 0 < level < 1:
-        raise ValueError(f"level={level:g}: expected a chance between 0 and 1, such as 0.01")
+        raise ValueError(f"level={level:g}: expected a {what} between 0 and 1, such as {usual:g}")
 
 
 def hint(name: str, known: Iterable[str]) -> str:

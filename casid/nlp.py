@@ -169,26 +169,20 @@ def solve(
     stats = solver.stats()
     word = "Maximum_WallTime_Exceeded" if watcher.late else stats["return_status"]
     meaning = STATUS.get(word, str(word))
+    x, cost, iterations = found["x"].full().ravel(), float(found["f"]), int(stats["iter_count"])
     seconds = time.perf_counter() - start
-    x, g = found["x"].full().ravel(), found["g"].full().ravel()
-    LOG.info(
-        "%s: %s, %d iterations, cost %.6g, %.2f s",
-        stage,
-        meaning,
-        stats["iter_count"],
-        float(found["f"]),
-        seconds,
-    )
-    finite = bool(np.isfinite(x).all() and np.isfinite(float(found["f"])))
+    told = stage, meaning, iterations, cost, seconds
+    LOG.info("%s: %s, %d iterations, cost %.6g, %.2f s", *told)
+    finite = bool(np.isfinite(x).all() and np.isfinite(cost))
     return Solution(
         x=x,
-        f=float(found["f"]),
-        g=g,
+        f=cost,
+        g=found["g"].full().ravel(),
         multipliers_x=found["lam_x"].full().ravel(),
         multipliers_g=found["lam_g"].full().ravel(),
         success=word in SOLVED and finite,
         status=meaning if finite else STATUS["Invalid_Number_Detected"],
-        iterations=int(stats["iter_count"]),
+        iterations=iterations,
         seconds=seconds,
     )
 

@@ -79,7 +79,12 @@ def growth_rate(system: StateSpace) -> float:
     return max(0.0, float(np.log(np.abs(poles).max(initial=1.0)) / system.dt))
 
 
-def outlook(systems: Sequence[StateSpace], record: Record, horizon: float | None) -> Outlook:
+def outlook(
+    systems: Sequence[StateSpace],
+    record: Record,
+    horizon: float | None,
+    closed_loop: bool = False,
+) -> Outlook:
     """How far all of these models are predicted in a record.
 
     They are simulated if none grows too much over it, unless a horizon [s] is given. One horizon
@@ -91,7 +96,7 @@ def outlook(systems: Sequence[StateSpace], record: Record, horizon: float | None
     if horizon is None:
         horizon = min(AHEAD * length, FOLDS / min(fast)) if fast else np.inf
     if np.isinf(horizon):
-        return Outlook(np.inf)
+        return Outlook(np.inf, closed_loop=closed_loop)
     unknowns = max(each.nx for each in systems) + record.ny
     past = max(round(PAST * horizon / pace), int(PER_UNKNOWN * unknowns))
     ahead = int(horizon / pace + 1e-9)
@@ -101,7 +106,7 @@ def outlook(systems: Sequence[StateSpace], record: Record, horizon: float | None
             f"record {record.name!r} of {length:g} s is too short to predict {horizon:g} s ahead "
             f"from {past * pace:g} s of past; give another horizon"
         )
-    return Outlook(horizon, starts, past)
+    return Outlook(horizon, starts, past, closed_loop)
 
 
 def predict(system: StateSpace, record: Record, scale: Array, far: Outlook) -> Prediction:

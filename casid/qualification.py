@@ -7,7 +7,7 @@ change from the first sample so far.
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -148,8 +148,7 @@ def qualify(
     if model not in validation.models:
         raise ValueError(f"no model {model!r}; the validation has {', '.join(validation.models)}")
     check_tolerances(tolerances, validation.outputs)
-    noise = noise or {}
-    check_known("noise of unknown output", noise, validation.outputs)
+    check_known("noise of unknown output", noise or {}, validation.outputs)
     outputs = tuple(name for name in validation.outputs if name in tolerances)
     if not outputs:
         raise ValueError(
@@ -158,24 +157,14 @@ def qualify(
         )
     bands = tuple(read_tolerance(name, tolerances[name]) for name in outputs)
     columns = [validation.outputs.index(name) for name in outputs]
-    widths, largest, outside, chance, usual = [], [], [], [], tolerances == TOLERANCES
-    level = np.array([noise.get(name, np.nan) for name in outputs])
-    judged = due(validation.measured, validation.begins, validation.known[model])
-    records = zip(validation.measured, validation.simulated[model], judged, strict=True)
-    for record, y, asked in records:
-        measured = record.y[:, columns]
-        width = np.column_stack(
-            [_width(x, band) for x, band in zip(measured.T, bands, strict=True)]
-        )
-        there = asked[:, columns]
-        over = np.abs(y[:, columns] - measured) / width
-        over[there & ~np.isfinite(over)] = np.inf  # of a model that has left every band
-        empty = ~there.any(axis=0)
-        largest.append(np.where(empty, np.nan, np.where(there, over, -1.0).max(axis=0)))
-        outside.append((there & (over > 1.0)).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
-        stays = np.log(_within(width / np.maximum(level, 1e-300)))
-        chance.append(np.where(empty, np.nan, np.exp(np.sum(stays, axis=0, where=there))))
-        widths.append(width)
+    level = np.array([(noise or {}).get(name, np.nan) for name in outputs])
+    measured, usual = validation.measured, tolerances == TOLERANCES
+    asked = due(measured, validation.begins, validation.known[model])
+    records = zip(measured, validation.simulated[model], asked, strict=True)
+    judged = [
+        _judged(r.y[:, columns], y[:, columns], a[:, columns], bands, level) for r, y, a in records
+    ]
+    widths, largest, outside, chance = zip(*judged, strict=True)
     return Qualification(
         model=model,
         records=validation.records,
@@ -184,7 +173,7 @@ def qualify(
         largest=np.array(largest),
         outside=np.array(outside),
         chance=np.array(chance),
-        width=tuple(widths),
+        width=widths,
         validation=validation,
         source=SOURCE if usual else "a table of the user",
         idle=() if usual else tuple(each for each in tolerances if each not in outputs),
@@ -218,6 +207,22 @@ def read_tolerance(output: str, text: str) -> Tolerance:
         )
     share = float(found[1]) / 100 if found[1] else 0.0
     return Tolerance(output=output, share=share, least=least, text=text)
+
+
+def _judged(
+    measured: Array, y: Array, there: BoolArray, bands: Sequence[Tolerance], level: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Of one record's outputs: half widths (N, n), then largest, outside and chance, (n,)."""
+    pairs = zip(measured.T, bands, strict=True)
+    width = np.column_stack([_width(x, band) for x, band in pairs])
+    over = np.abs(y - measured) / width
+    over[there & ~np.isfinite(over)] = np.inf  # of a model that has left every band
+    empty = ~there.any(axis=0)
+    largest = np.where(empty, np.nan, np.where(there, over, -1.0).max(axis=0))
+    outside = (there & (over > 1.0)).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
+    stays = np.log(_within(width / np.maximum(level, 1e-300)))
+    chance = np.where(empty, np.nan, np.exp(np.sum(stays, axis=0, where=there)))
+    return width, largest, outside, chance
 
 
 def _within(deviations: Array) -> Array:

@@ -10,7 +10,8 @@ such, in total values.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -179,13 +180,9 @@ def validate(
         raise ValueError('no models given; expected {"name": model, ...}')
     records = stretches(records)
     inputs, outputs = same_channels(records)
-    scale = standard_deviations(records)[1]
-    systems = {name: state_space(model) for name, model in models.items()}
-    for name, system in systems.items():
-        _check(name, system, records)
-        _check_lengths(name, system, records)
-    looks = [outlook(list(systems.values()), record, horizon) for record in records]
-    far = [replace(look, closed_loop=closed_loop) for look in looks]
+    scale, systems = standard_deviations(records)[1], _systems(models, records)
+    every = list(systems.values())
+    far = [outlook(every, record, horizon, closed_loop) for record in records]
     predictions = {
         name: [_predicted(name, model, *each, scale) for each in zip(records, far, strict=True)]
         for name, model in models.items()
@@ -194,24 +191,13 @@ def validate(
     simulated = {name: tuple(p.y for p in ps) for name, ps in predictions.items()}
     begins = tuple(look.starts[0] + 1 if look.starts else 0 for look in far)
     known = {name: system.outputs for name, system in systems.items()}
-
-    def each(measure: Callable[[Array, Array], float]) -> dict[str, Array]:
-        return {
-            name: _each(measure, records, ys, due(records, begins, known[name]))
-            for name, ys in simulated.items()
-        }
-
-    rms = each(rms_error)
+    asked = {name: due(records, begins, own) for name, own in known.items()}
     return Validation(
+        **_measured(records, simulated, asked),
         models=tuple(models),
         records=tuple(record.name for record in records),
         inputs=inputs,
         outputs=outputs,
-        rms=rms,
-        normalised=_normalised(rms),
-        fit=each(fit_percent),
-        theil=each(theil_coefficient),
-        whiteness=each(_whiteness),
         measured=records,
         simulated=simulated,
         initial_states={name: tuple(p.x0 for p in ps) for name, ps in predictions.items()},
@@ -222,6 +208,14 @@ def validate(
         growth={name: growth_rate(system) for name, system in systems.items()},
         closed_loop=closed_loop,
     )
+
+
+def _systems(models: Mapping[str, AnyModel], records: Sequence[Record]) -> dict[str, StateSpace]:
+    """The linear systems behind the models; ValueError for one that the records do not suit."""
+    systems = {name: state_space(model) for name, model in models.items()}
+    for name, system in systems.items():
+        _check(name, system, records)
+    return systems
 
 
 def _check(name: str, system: StateSpace, records: Sequence[Record]) -> None:
@@ -240,11 +234,7 @@ def _check(name: str, system: StateSpace, records: Sequence[Record]) -> None:
             f"model {name!r} has outputs {', '.join(system.outputs)}, record {record.name!r} has "
             f"{', '.join(record.outputs)}: none in common"
         )
-
-
-def _check_lengths(name: str, system: StateSpace, records: Sequence[Record]) -> None:
-    """Refuse records whose initial state and biases would follow whatever was measured."""
-    for record in records:
+    for record in records:  # initial state and biases would follow whatever was measured
         shared = [i for i, output in enumerate(record.outputs) if output in system.outputs]
         measured = int(np.sum(np.isfinite(record.y[:, shared])))
         unknowns = system.nx + len(shared)
@@ -318,6 +308,20 @@ def _each(
         for j in np.flatnonzero(there.any(axis=0)):
             table[i, j] = measure(y[there[:, j], j], found[there[:, j], j])
     return table
+
+
+def _measured(
+    records: Sequence[Record],
+    simulated: Mapping[str, Sequence[Array]],
+    asked: Mapping[str, Sequence[BoolArray]],
+) -> dict[str, Any]:
+    """All measures by their names in `Validation`, each by model."""
+    measures = {"rms": rms_error, "fit": fit_percent, "theil": theil_coefficient}
+    found = {
+        what: {name: _each(measure, records, ys, asked[name]) for name, ys in simulated.items()}
+        for what, measure in (measures | {"whiteness": _whiteness}).items()
+    }
+    return found | {"normalised": _normalised(found["rms"])}
 
 
 def _normalised(rms: Mapping[str, Array]) -> dict[str, Array]:

@@ -135,7 +135,7 @@ def smoothed(system, record, known, start, end):
 def test_in_closed_loop_states_ahead_are_those_of_least_squares_over_disturbances_ahead():
     system, record = regulated(1)
     scale = record.y.std(axis=0)
-    far = replace(outlook([system], record, 1.0), closed_loop=True)
+    far = outlook([system], record, 1.0, closed_loop=True)
     found = predict(system, record, scale, far).states
     follower = Follower(system, record, scale)
     ends = (*far.starts[1:], record.N - 1)

@@ -168,20 +168,10 @@ def compare_structures(
     fits: list[AnyFit | None] = []
     reasons: dict[str, str] = {}
     for k, (name, model) in enumerate(candidates.items()):
-        many = Fits(model, flown, ways[name], fixed, bounds, execution)
-        (case,) = many.cases({name: {}})
-        every = many.run([many.job(case, name=f"{name}, all")])[f"{name}, all"]
+        done = _estimated(Fits(model, flown, ways[name], fixed, bounds, execution), name, parts)
+        every, *without = done.values()
         fits.append(every.result)
-        if every.reason:
-            reasons[f"{name}, all"] = every.reason
-            continue
-        jobs = [
-            many.job(case, every.result, draw=Without(part), name=f"{name}, without {left_out}")
-            for part in parts
-            for left_out in [", ".join(str(i + 1) for i in part)]
-        ]
-        done = many.run(jobs)
-        for part, each in zip(parts, done.values(), strict=True):
+        for part, each in zip(parts, without, strict=False):  # none if the one of all failed
             for i in part:
                 errors[k, i], noise[k, i] = _error(each, flown[i], outputs)
         reasons |= {job: each.reason for job, each in done.items() if each.reason}
@@ -196,6 +186,20 @@ def compare_structures(
         fits=tuple(fits),
         reasons=reasons,
     )
+
+
+def _estimated(many: Fits, name: str, parts: Sequence[tuple[int, ...]]) -> dict[str, Done]:
+    """A candidate's fit to all manoeuvres and, unless that failed, those without each group."""
+    (case,) = many.cases({name: {}})
+    whole = f"{name}, all"
+    done = many.run([many.job(case, name=whole)])
+    if done[whole].reason:
+        return done
+    start, jobs = done[whole].result, []
+    for part in parts:
+        left_out = ", ".join(str(i + 1) for i in part)
+        jobs.append(many.job(case, start, draw=Without(part), name=f"{name}, without {left_out}"))
+    return done | many.run(jobs)
 
 
 def _parts(

@@ -14,9 +14,10 @@ import numpy as np
 import scipy
 
 from casid.arrays import Array
-from casid.bounds.cases import Case, CaseSpec
+from casid.bounds.cases import Case
 from casid.bounds.robust import weights
 from casid.bounds.trials import Data, Fits
+from casid.checks import check_level
 from casid.display import Shown, counted
 from casid.errors import ConvergenceError, ModelError
 from casid.estimator import Estimator
@@ -136,21 +137,19 @@ def profile_parameters(
         A level outside 0 to 1;
         no value, an unknown parameter, a value outside its bounds; the fit with nothing held fails.
     """
-    if not 0 < level < 1:
-        raise ValueError(f"level={level}: expected a confidence between 0 and 1")
+    check_level(level, "confidence")
     names, points = _combined(values)
-    specs: dict[str, CaseSpec] = {FREE: {}}
-    for point in points:
-        specs[_label(names, point)] = dict(zip(names, map(float, point), strict=True))
+    labels = [_label(names, point) for point in points]
+    at = [dict(zip(names, point, strict=True)) for point in points.tolist()]
     many = Fits(model, data, estimator, fixed, bounds, execution)
-    free, *held = many.cases(specs)
+    free, *held = many.cases({FREE: {}} | dict(zip(labels, at, strict=True)))
     first = many.job(free, start)
     guess = start.model if isinstance(start, Fit) else start
     done = many.run([first, *(many.job(case, guess, after=[first]) for case in held)])
     whole = done.pop(FREE)
     if whole.reason:
         raise ConvergenceError(f"profile_parameters: nothing held: {whole.reason}", whole.result)
-    found = [done[_label(names, point)] for point in points]
+    found = [done[label] for label in labels]
     fits: list[AnyFit | None] = [None if each.reason else each.result for each in found]
     quantile = float(np.sqrt(scipy.special.chdtri(1, 1 - level)))
     return Profile(

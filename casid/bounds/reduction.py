@@ -151,9 +151,8 @@ def reduce_structure(
     ModelError, ConvergenceError
         An unknown parameter, an estimator without standard errors; no fit of the whole structure.
     """
-    replay = rule.replay
-    named, said = (*rule.protect, *(replay or {})), f"{type(model).__name__} has no parameter"
-    check_known(said, named, model.parameter_names(), ModelError)
+    replay, said = rule.replay, f"{type(model).__name__} has no parameter"
+    check_known(said, (*rule.protect, *(replay or {})), model.parameter_names(), ModelError)
     many = Fits(model, data, estimator, fixed, bounds, execution)
 
     def fits(holds: Sequence[Mapping[str, float]], near: Model | AnyFit | None) -> list[Done]:
@@ -161,24 +160,21 @@ def reduce_structure(
         jobs = [many.job(case, near) for case in many.cases(specs)]
         return list(many.run(jobs).values())
 
-    (whole,) = fits([{}], start)
-    full = _whole(whole)
+    full = _whole(*fits([{}], start))
     criterion = rule.criterion or ("cost" if full.R is None else "aicc")
     limit = full.cost + rule.rise * abs(full.cost)
     fit, held, passed, steps = full, dict[str, float](), set(rule.protect), list[Step]()
     while rows := _worst(fit, {*held, *passed}, replay, rule.candidates):
-        values = [_value(row, replay) for row in rows]
-        tried = fits([held | {r.name: v} for r, v in zip(rows, values, strict=True)], fit)
-        done, row, value = min(
-            zip(tried, rows, values, strict=True),
+        trials = [held | {row.name: _value(row, replay)} for row in rows]
+        done, row, trial = min(
+            zip(fits(trials, fit), rows, trials, strict=True),
             key=lambda each: np.inf if each[0].reason else float(each[0].result.cost),
         )
-        better = replay is not None or _stands(criterion, done.result, fit, limit, many.data)
-        told = row.name, value, figures(fit, row)
-        step = _step(*told, done, many.data, accepted=not done.reason and better)
-        steps.append(step)
-        if step.accepted:
-            fit, held = done.result, held | {row.name: value}
+        stands = replay is not None or _stands(criterion, done.result, fit, limit, many.data)
+        accepted = stands and not done.reason
+        steps.append(_step(fit, row, trial[row.name], done, many.data, accepted=accepted))
+        if accepted:
+            fit, held = done.result, trial
         elif done.reason:
             passed.add(row.name)
         else:
@@ -244,19 +240,20 @@ def _stands(
 
 
 def _step(
-    name: str,
+    before: AnyFit,
+    row: ParameterEstimate,
     value: float,
-    before: tuple[float, float],
     done: Done,
     data: Sequence[Any],
     *,
     accepted: bool,
 ) -> Step:
+    insensitivity, cramer_rao = figures(before, row)
     return Step(
-        parameter=name,
+        parameter=row.name,
         value=value,
-        insensitivity=before[0],
-        cramer_rao=before[1],
+        insensitivity=insensitivity,
+        cramer_rao=cramer_rao,
         cost=np.nan if done.reason else done.result.cost,
         aicc=np.nan if done.reason else aicc(done.result, data),
         accepted=accepted,

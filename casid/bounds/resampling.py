@@ -1,6 +1,6 @@
 """The same fit many times: with other noise, with the residuals shuffled."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -217,18 +217,10 @@ def bootstrap(
             f"block={block}: expected {most:.3g} s at most, a third of the longest record; of "
             "longer blocks there are too few to draw from"
         )
-    known = fit.method in {"output error", METHOD}
-    if not known or fit.initial_states is None or fit.biases is None:
-        raise ValueError(f"bootstrap needs an output-error fit; this is one by {fit.method}")
-    if len(fit.biases) != len(flown):
-        raise ValueError(
-            f"the fit is one of {counted(len(fit.biases), 'record')}; bootstrap was given "
-            f"{len(flown)}"
-        )
     model, nonlinear = fit.model, isinstance(fit.model, NonlinearModel)
     simulated = [
-        _simulated(model, record, x0, bias)
-        for record, x0, bias in zip(flown, fit.initial_states, fit.biases, strict=True)
+        _simulated(model, record, *known)
+        for record, known in zip(flown, _begins(fit, len(flown)), strict=True)
     ]
     residuals = tuple(
         (record.total() if nonlinear else record).select(model.inputs, model.outputs).y - clean.y
@@ -238,6 +230,18 @@ def bootstrap(
     _check_residuals(fit, residuals, known=known)
     draws: list[Draw] = [BlockDraw(residuals, block, (seed, run)) for run in range(runs)]
     return _ensemble(Fits(model, simulated, estimator, fixed, bounds, execution), draws, fit)
+
+
+def _begins(fit: AnyFit, records: int) -> Iterator[tuple[Array, Array]]:
+    """Initial state and biases of each record; ValueError unless the fit is one of so many."""
+    known = fit.method in {"output error", METHOD}
+    if not known or fit.initial_states is None or fit.biases is None:
+        raise ValueError(f"bootstrap needs an output-error fit; this is one by {fit.method}")
+    if len(fit.biases) != records:
+        raise ValueError(
+            f"the fit is one of {counted(len(fit.biases), 'record')}; bootstrap was given {records}"
+        )
+    return zip(fit.initial_states, fit.biases, strict=True)
 
 
 def _check_runs(runs: int, estimator: Estimator) -> None:

@@ -199,6 +199,13 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
     turned = _turned(flights, names)
     if turned or not equations:
         return KinematicCheck(channels=(), residuals={}, notes=tuple(notes), further=turned)
+    return _reconstructed(flights, names, equations, notes)
+
+
+def _reconstructed(
+    flights: Sequence[Flight], names: set[str], equations: Sequence[str], notes: Sequence[str]
+) -> KinematicCheck:
+    """What instruments the equations of these channels ask for, judged."""
     solution = reconstruct_level([flight.only(names) for flight in flights], equations)
     spread = {
         name: float(np.sqrt(np.mean([np.var(flight.values[name]) for flight in flights])))
@@ -206,7 +213,7 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
     }
     rough = {name for name in equations if not WHOLE[name] <= names or _level(flights, names)}
     checks = tuple(_judged(solution, name, spread[name], rough) for name in solution.channels)
-    notes += [
+    untold = [
         f"the records do not tell about {each.channel}: it moves too little, or too alike others"
         for each in checks
         if not each.determined
@@ -218,7 +225,7 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
     return KinematicCheck(
         channels=checks,
         residuals=left,
-        notes=tuple(notes),
+        notes=(*notes, *untold),
         further=(
             *_against_gravity(flights, names),
             *_unexplained(solution, spread),

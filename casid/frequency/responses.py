@@ -63,11 +63,7 @@ def read_frequency_csv(
     G = np.full(shape, np.nan, dtype=complex)
     coherence, error = np.full(shape, np.nan), np.full(shape, np.nan)
     for (output, name), columns in pairs.items():
-        if not 2 <= len(columns) <= 4:
-            raise ValueError(
-                f"pair ({output!r}, {name!r}) names {len(columns)} columns, expected two of "
-                f"{form!r}, then coherence and random error where there are such"
-            )
+        _check_columns((output, name), columns, form)
         at = (slice(None), outputs.index(output), inputs.index(name))
         values = [table[column] for column in columns]
         G[at] = _complex(values[0], values[1], form)
@@ -85,6 +81,15 @@ def read_frequency_csv(
         output_std=_sizes(outputs, output_std),
         records=(Path(path).stem,),
     )
+
+
+def _check_columns(pair: Pair, columns: Sequence[str], form: Form) -> None:
+    """Refuse a pair of fewer columns than two, or more than four."""
+    if not 2 <= len(columns) <= 4:
+        raise ValueError(
+            f"pair {pair} names {len(columns)} columns, expected two of {form!r}, then coherence "
+            "and random error where there are such"
+        )
 
 
 def merge_responses(

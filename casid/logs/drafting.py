@@ -1,7 +1,7 @@
 """A study drafted from a log: records of its lively stretches, a structure to start from."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -145,30 +145,12 @@ def import_log(
             f"{study} is there already and is left as it is; name another folder (--output), or "
             "replace it (--fresh)"
         )
-    inputs, outputs = find_channels(log, columns)
-    structure = None if model is None else load_model(model)
-    if structure is not None:
-        inputs = {name: inputs[name] for name in structure.inputs if name in inputs}
-    _check_found(log, inputs, outputs, structure)
-    stated = dict(units or {})
-    if strange := stated.keys() - inputs.keys() - outputs.keys():
-        raise ValueError(
-            f"{log.path}: a unit is stated of {min(strange)}, which is no channel of it"
-        )
-    inputs, outputs = with_units(inputs, stated), with_units(outputs, stated)
+    inputs, outputs = _channels(log, columns, dict(units or {}), model)
     assumed = check_units(log.path, {**inputs, **outputs})
     dt = dt or usual_dt(inputs, outputs)
     assumed += hold_told(inputs, outputs, dt)
     records = assemble(inputs, outputs, dt, log.path.stem.replace(" ", "_"))
-    found = find_stretches(records)
-    if len(found) < 2:
-        found = _divided([each.record for each in found] or records)
-    if not found:
-        longest = max((record.duration for record in records), default=0.0)
-        raise ValueError(
-            f"{log.path}: inputs ({', '.join(inputs)}) and outputs were logged together for "
-            f"{longest:.3g} s at most, {SHORTEST:g} s are wanted"
-        )
+    found = _stretches(log, records, inputs)
     late = delays([(taken, others(log, name, taken)) for name, taken in outputs.items()])
     _write(study, log, found, model, assumed)
     return Draft(
@@ -182,6 +164,36 @@ def import_log(
         doubts=_doubts(log, [each.record for each in found]),
         study=study,
     )
+
+
+def _channels(
+    log: Log, columns: Mapping[str, str] | None, stated: Mapping[str, str], model: str | None
+) -> tuple[dict[str, Source], dict[str, Source]]:
+    """Inputs and outputs of a structure, or of any, in the units stated."""
+    inputs, outputs = find_channels(log, columns)
+    structure = None if model is None else load_model(model)
+    if structure is not None:
+        inputs = {name: inputs[name] for name in structure.inputs if name in inputs}
+    _check_found(log, inputs, outputs, structure)
+    if strange := stated.keys() - inputs.keys() - outputs.keys():
+        raise ValueError(
+            f"{log.path}: a unit is stated of {min(strange)}, which is no channel of it"
+        )
+    return with_units(inputs, stated), with_units(outputs, stated)
+
+
+def _stretches(log: Log, records: Sequence[Record], inputs: Collection[str]) -> list[Stretch]:
+    """Two stretches or more; ValueError where inputs and outputs are too short together."""
+    found = find_stretches(records)
+    if len(found) < 2:
+        found = _divided([each.record for each in found] or records)
+    if not found:
+        longest = max((record.duration for record in records), default=0.0)
+        raise ValueError(
+            f"{log.path}: inputs ({', '.join(inputs)}) and outputs were logged together for "
+            f"{longest:.3g} s at most, {SHORTEST:g} s are wanted"
+        )
+    return found
 
 
 def _check_found(

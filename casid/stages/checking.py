@@ -75,7 +75,7 @@ def _compared(settings: object, task: Task) -> MeasuredStates:  # noqa: ARG001 -
     systems = [state_space(each) for each in task.models.values()]
     pairs = list(zip(found.measured, flights, strict=True))
     far = [
-        replace(outlook(systems, pair[0], horizon), closed_loop=found.closed_loop)
+        outlook(systems, pair[0], horizon, found.closed_loop)
         for pair, horizon in zip(pairs, found.horizon, strict=True)
     ]
     simulated = {

@@ -60,12 +60,13 @@ def _table(file: Path, model: Model) -> FrequencyResponse:
     return read_frequency_csv(file, pairs=pairs)
 
 
-def check_flights(
-    table: Table, names: Sequence[str], files: Mapping[Role, Sequence[Path]], choice: bool
-) -> None:
-    """Refuse a measured response without records of its own."""
+def response_names(
+    table: Table, files: Mapping[Role, Sequence[Path]], choice: bool
+) -> tuple[str, ...]:
+    """The key ``responses``; ValueError for a measured response without records of its own."""
+    names = table.names("responses")
     if MEASURED not in names:
-        return
+        return names
     if not files.get(MEASURED):
         raise ValueError(
             f'{table.place} responses: "{MEASURED}" needs records: write [records.{MEASURED}]'
@@ -84,6 +85,7 @@ def check_flights(
             f'{table.place} responses = "{MEASURED}" does not go with [choice], whose candidate '
             '"joint" is just that; leave one of them out'
         )
+    return names
 
 
 def with_measured(task: Task, names: Sequence[str]) -> Task:

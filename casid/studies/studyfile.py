@@ -23,7 +23,7 @@ from casid.stages.refinement import OUTPUT_ERROR
 from casid.stages.stage import ROLES, Role, Stage, check_task, fitting
 from casid.structure.modelfile import load_model, locate_model
 from casid.studies.preparation import read_cutting, read_mending, read_second, read_trim
-from casid.studies.responses import check_flights, read_responses
+from casid.studies.responses import read_responses, response_names
 from casid.studies.settings import read_settings
 from casid.studies.study import Channels, NextFlight, Noise, RecordSet, Study
 from casid.tables import Table, placed, read_toml
@@ -62,12 +62,9 @@ def read_study(
     channels = _channels(top.table("channels"), type(model))
     noise = _noise(top.table("noise"), channels) if "noise" in top.content else None
     roles = _roles(top.table("records", needed=True), path.parent)
-    _check_noise(roles, noise, path)
-    _check_trims(roles, type(model), path)
-    refining = top.table("output_error")
-    responses = refining.names("responses")
+    _check_roles(roles, noise, type(model), path)
     flown = {role: each.files for role, each in roles.items()}
-    check_flights(refining, responses, flown, choice="choice" in top.content)
+    responses = response_names(top.table("output_error"), flown, choice="choice" in top.content)
     study = Study(
         path=path,
         title=heading.take("title", str, path.stem),
@@ -237,14 +234,13 @@ def _noise(table: Table, channels: Channels) -> Noise:
     return Noise(seed=seed, std=std)
 
 
-def _check_noise(roles: Mapping[Role, RecordSet], noise: Noise | None, path: Path) -> None:
+def _check_roles(
+    roles: Mapping[Role, RecordSet], noise: Noise | None, structure: type[Model], path: Path
+) -> None:
+    """Refuse noise that nothing says, trims of what the structure lacks, or that are no numbers."""
     noisy = [role for role, each in roles.items() if each.noise]
     if noisy and noise is None:
         raise ValueError(f"{path}: role {noisy[0]!r} wants noise, but there is no table [noise]")
-
-
-def _check_trims(roles: Mapping[Role, RecordSet], structure: type[Model], path: Path) -> None:
-    """Refuse trims of what the structure does not have, or that are no numbers."""
     known = (*structure.states, *structure.inputs, *structure.outputs)
     for role, each in roles.items():
         for name, value in (pair for trim in each.trim.values() for pair in trim.items()):
