@@ -1,6 +1,6 @@
 """The AH-1S of JSBSim at 80 kn and 2000 ft, flown from Python (`pip install jsbsim`, LGPL).
 
-    PYTHONPATH=. python benchmarks/ah1s.py
+    python -m benchmarks.ah1s
 
 The wheel contains the aircraft, offered under the GPL or CC-BY-NC-SA. It is flown as for the
 records of `examples/ah1s`: rotor at constant speed, no shaping of sticks, no limiter of the yaw
@@ -14,8 +14,8 @@ from tempfile import TemporaryDirectory
 
 import jsbsim
 import numpy as np
-from design import FEEDBACK
 
+from benchmarks.design import FEEDBACK
 from casid import Record, read_csv
 from casid.design.loop import gains
 

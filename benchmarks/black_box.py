@@ -1,6 +1,6 @@
 """Accuracy of the black box on the UH-60, settings chosen from data, against three references.
 
-    python benchmarks/black_box.py [--seeds 1 2 3] [--json FILE]
+    python -m benchmarks.black_box [--seeds 1 2 3] [--json FILE]
 
 Error figures as `uh60.errors`, in %, mean over the noise seeds.
 """
@@ -11,8 +11,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from tables import against, table
-from uh60 import (
+
+from benchmarks.tables import against, table
+from benchmarks.uh60 import (
     OMEGA,
     ORACLE_DELAY,
     STEPS,
@@ -23,7 +24,6 @@ from uh60 import (
     nonlinear_records,
     oracle,
 )
-
 from casid import pbsid
 
 TARGETS = {  # % median, % on axis

@@ -1,6 +1,6 @@
 """Accuracy of the black box on the AH-1S of JSBSim, settings chosen from data.
 
-    PYTHONPATH=. python benchmarks/black_box_ah1s.py
+    python -m benchmarks.black_box_ah1s
 
 The campaigns of `examples/paper.py`: four 3-2-1-1 and four sweeps with light feedback, with noise.
 References: the conditioned responses of the noise-free sweeps at 40 frequencies in 0.5-12 rad/s,
@@ -11,8 +11,8 @@ quasi-steady eight-state model. e and on-axis error as in `uh60.py`.
 import time
 
 import numpy as np
-from tables import table
 
+from benchmarks.tables import table
 from casid import frequency_response, pbsid
 from casid.records import standard_deviations
 from examples.paper import ANGLES, RATES, ah1s, quasi_steady, read

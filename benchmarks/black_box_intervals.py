@@ -1,6 +1,6 @@
 """Do the 95 % intervals of a black box hold the truth, under feedback and with short records?
 
-    OMP_NUM_THREADS=1 python benchmarks/black_box_intervals.py [--runs 40] [--first 0] [--only NAME]
+    OMP_NUM_THREADS=1 python -m benchmarks.black_box_intervals [--runs 40] [--first 0] [--only NAME]
 
 The unstable loops of `closed_loop.py`, two records each, white noise of a tenth on every output fed
 back with it; and a damped pair under twelve lines, one record, as without feedback. Of magnitudes
@@ -15,10 +15,10 @@ import argparse
 import warnings
 
 import numpy as np
-from closed_loop import multi, record, single
-from tables import table
-from uh60 import STEPS, linear_records, oracle
 
+from benchmarks.closed_loop import multi, record, single
+from benchmarks.tables import table
+from benchmarks.uh60 import STEPS, linear_records, oracle
 from casid import DataWarning, Record, StateSpace, pbsid
 from casid.linear import foh_step
 

@@ -5,7 +5,7 @@ The cases are the structure's own bounds and eleven bands about the linearised d
 and those of its output error alone. The cold case is the first of them alone, from the structure's
 own guess. Both are timed whole: processes started, data sent, tables made.
 
-    python benchmarks/bounds.py
+    python -m benchmarks.bounds
 """
 
 import os

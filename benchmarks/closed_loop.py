@@ -1,6 +1,6 @@
 """Bias and standard deviation of the black box under feedback, over noise levels and gains.
 
-    python benchmarks/closed_loop.py [--seeds 20]
+    python -m benchmarks.closed_loop [--seeds 20]
 
 Two records of 40 s at 50 Hz, inputs held between samples, of an unstable plant under sampled output
 feedback with a lag; white noise on every output, fed back with it. "single": two states, a pole at
@@ -16,8 +16,8 @@ import warnings
 from functools import partial
 
 import numpy as np
-from tables import table
 
+from benchmarks.tables import table
 from casid import DataWarning, Record, StateSpace, pbsid
 from casid.linear import foh_step
 from casid.subspace.prediction import SampledUncertainty

@@ -1,6 +1,6 @@
 """Real flights of a quadrotor: the example's structure against other programs' black boxes.
 
-    PYTHONPATH=. python benchmarks/crazyflie.py [--method N4SID ...] [--order 2 ...]
+    python -m benchmarks.crazyflie [--method N4SID ...] [--order 2 ...]
 
 All see the same five flights at 50 Hz (the others as one record, means removed, channels scaled)
 and are simulated and predicted over the same two that none has seen, by `validate`, as if inputs

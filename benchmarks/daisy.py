@@ -1,6 +1,6 @@
 """Four measured systems of the DaISy database: simulation of the last third, against other tools.
 
-    python benchmarks/daisy.py [FOLDER] [--only NAME ...] [--peers METHOD ...] [--log FILE]
+    python -m benchmarks.daisy [FOLDER] [--only NAME ...] [--peers METHOD ...] [--log FILE]
 
 FOLDER (or CASID_DAISY) holds CD_player_arm.dat, robot_arm.dat, flutter.dat and steamgen.dat. The
 data are free for research, not to be redistributed: B. De Moor, P. De Gersem, B. De Schutter,
@@ -29,11 +29,11 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import peers
 from rich.progress import track
 from scipy.signal import cont2discrete
-from tables import table
 
+from benchmarks import peers
+from benchmarks.tables import table
 from casid import Record, StateSpace, pbsid
 from casid.textfile import read_json, write_json
 

@@ -1,6 +1,6 @@
 """What designed inputs are worth on the AH-1S: standard errors over those of four 3-2-1-1.
 
-    PYTHONPATH=. python benchmarks/design.py [CASE ...] [--kept FILE]
+    python -m benchmarks.design [CASE ...] [--kept FILE]
 
 Six degrees of freedom, 64 parameters, at the quasi-steady linearisation. Compared with are the
 sticks of the four 3-2-1-1 without feedback that come with the example, 20 s each, each record with
@@ -41,8 +41,8 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import interp1d
 from scipy.signal import welch
-from tables import against, cell, table
 
+from benchmarks.tables import against, cell, table
 from casid import DesignSettings, Limits, Record, design_inputs, output_error, read_csv
 from casid.design.criterion import covariance
 from casid.design.loop import Loop, gains

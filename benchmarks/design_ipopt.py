@@ -1,6 +1,6 @@
 """Switching times by IPOPT against L-BFGS, which `design_inputs` has: what it gains and costs.
 
-    PYTHONPATH=. python benchmarks/design_ipopt.py
+    python -m benchmarks.design_ipopt
 
 Steps of 6 s for the short-period structure, seven parameters, one stick, limits of stick, rate and
 both outputs. The programme has levels and switching times as variables, the derivatives of outputs
@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-from tables import table
 
+from benchmarks.tables import table
 from casid import DesignSettings, Limits
 from casid.design.optimise import improved
 from casid.design.problem import problem_of

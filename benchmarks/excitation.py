@@ -5,7 +5,7 @@
 Simulated loops of one and four axes at 20 ratios of outside excitation to noise, against the closed
 form; helicopters flown by test inputs and quadrotors flown by their controllers (the examples);
 with FOLDER (or CASID_FLIGHTS), which holds `flights/bench/sess006.csv`, `trex550/` and
-`aw109_heligym/`, an autopilot shaken by hand in every cut of 8 s, a flight that is bad for
+`aw109_heligym/`, an autopilot shaken by hand in cuts of 8 to 26 s, a flight that is bad for
 identification, and a third helicopter. The first two are of github.com/dronefreak/
 system-identification-helicopter (MIT).
 
@@ -29,7 +29,7 @@ from casid.textfile import read_json, write_json
 ROOT = Path(__file__).resolve().parents[1]
 DT = 0.02
 RATIOS = np.geomspace(0.02, 50, 20)  # power of outside excitation over that of the noise
-CUT, EVERY = 8.0, 1.0  # s
+CUTS, EVERY = (8.0, 11.0, 15.0, 20.0, 26.0), 1.0  # s
 BANDS = {"1 Hz": (0.8, 1.2), "2-8 Hz": (2.0, 8.0)}
 
 
@@ -89,10 +89,10 @@ def judged(records):
 
 
 def bench(path):
-    """Every cut of 8 s of the autopilot that was shaken: how many are doubted."""
+    """Every cut of 8 s and more of the autopilot that was shaken: how many are doubted."""
     record = read_csv(path, inputs=("roll", "pitch", "yaw"), outputs=("p", "q", "r"))
-    starts = np.arange(record.t[0], record.t[-1] - CUT, EVERY)
-    cuts = [excitation(record.cut(a, a + CUT)).doubts() for a in starts]
+    spans = [(a, a + cut) for cut in CUTS for a in np.arange(*record.t[[0, -1]] - [0, cut], EVERY)]
+    cuts = [excitation(record.cut(*span)).doubts() for span in spans]
     return {
         "cuts": len(cuts),
         "doubted": sum(map(bool, cuts)),

@@ -9,7 +9,7 @@
 3. `derivid` with 64 parameters from 20 starts, beside `scipy.optimize.least_squares` on the same
    residuals and Jacobian from the same kind of starts.
 
-Run: python benchmarks/frequency.py
+Run: python -m benchmarks.frequency
 """
 
 import json
@@ -20,7 +20,8 @@ from dataclasses import replace
 import numpy as np
 import scipy.optimize
 import scipy.signal
-from uh60 import (
+
+from benchmarks.uh60 import (
     OMEGA,
     ORACLE,
     ORACLE_DELAY,
@@ -31,7 +32,6 @@ from uh60 import (
     nonlinear_records,
     oracle,
 )
-
 from casid import DataWarning, derivid, frequency_response
 from casid.baseline.pairs import select
 from casid.evaluation import MatrixFunction

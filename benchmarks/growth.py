@@ -1,6 +1,6 @@
 """Which growing modes a black box finds that are not there, and whether it doubts them itself.
 
-    python benchmarks/growth.py FOLDER [--seeds 1 2 3] [--only NAME ...] [--log FILE]
+    python -m benchmarks.growth FOLDER [--seeds 1 2 3] [--only NAME ...] [--log FILE]
 
 FOLDER holds the simulated helicopters `uh60_genhel_80kt`, `ah1s_jsbsim_80kt`, `aw109_heligym` with
 their linear models in `models`, and the flights of NanoBench's Crazyflie in `flights/crazyflie`.
@@ -22,10 +22,10 @@ from pathlib import Path
 
 import numpy as np
 import scipy.signal
-from tables import table
-from uh60 import INPUTS, OUTPUTS, SWEEPS, with_noise
-from uh60 import STEPS as MULTISTEPS
 
+from benchmarks.tables import table
+from benchmarks.uh60 import INPUTS, OUTPUTS, SWEEPS, with_noise
+from benchmarks.uh60 import STEPS as MULTISTEPS
 from casid import Record, pbsid, read_csv
 from casid.textfile import read_json, write_json
 

@@ -1,6 +1,6 @@
 """A four-state system in open and closed loop, from samples: accuracy and time against other tools.
 
-    python benchmarks/lti_four.py
+    python -m benchmarks.lti_four
 
 Fit, 100 (1 - ‖y - ŷ‖/‖y - mean‖) %, of a simulation of noise-free validation data, mean over both
 outputs and the three seeds of each kind; for the three records of `batch`, output by output. Order,
@@ -13,9 +13,9 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from peers import identify
-from tables import against, table
 
+from benchmarks.peers import identify
+from benchmarks.tables import against, table
 from casid import DataWarning, Record, pbsid
 
 DATA = Path(__file__).resolve().parent / "data" / "lti_four.npz"

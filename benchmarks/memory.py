@@ -1,6 +1,6 @@
 """Time and memory of the black box against the number of samples.
 
-    python benchmarks/memory.py
+    python -m benchmarks.memory
 
 First all eight UH-60 records with past = future = 12 (order 18, pole 8 rad/s), with and without the
 refinement. Then one record of 12 channels (4 inputs, 8 outputs) at 50 Hz, 10⁴, 10⁵ and 10⁶ samples,
@@ -14,9 +14,9 @@ import sys
 import time
 
 import numpy as np
-from tables import against, table
-from uh60 import INPUTS, ORACLE_DELAY, OUTPUTS, STEPS, SWEEPS, nonlinear_records, oracle
 
+from benchmarks.tables import against, table
+from benchmarks.uh60 import INPUTS, ORACLE_DELAY, OUTPUTS, STEPS, SWEEPS, nonlinear_records, oracle
 from casid import Record, pbsid
 from casid.linear import foh_step
 
@@ -75,7 +75,7 @@ def main():
     for refined in ("unrefined", "refined"):
         last = np.nan
         for N in SAMPLES:
-            command = [sys.executable, __file__, str(N), refined]
+            command = [sys.executable, "-m", "benchmarks.memory", str(N), refined]
             answer = subprocess.run(command, check=True, capture_output=True, text=True).stdout
             seconds, more, peak = map(float, answer.split())
             rows.append([refined, f"{N:.0e}", seconds, f"{seconds / last:.1f}" if last > 0 else "-",

@@ -11,7 +11,7 @@ output error ends from other starts.
 
 "+" after a structure's name means with the derivatives that its file leaves out.
 
-Run: PYTHONPATH=. python benchmarks/structures.py
+Run: python -m benchmarks.structures
 """
 
 from dataclasses import dataclass
