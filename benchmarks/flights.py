@@ -33,7 +33,9 @@ from benchmarks.uh60 import (
     SWEEPS,
     best_linear_approximation,
     errors,
+    linear_records,
     nonlinear_records,
+    oracle,
 )
 from casid import frequency_response, outliers, output_error, pbsid
 from casid.records import standard_deviations
@@ -195,18 +197,18 @@ def bound(seeds, truth):
     print("\n" + table(["records", heading], lines), flush=True)
 
 
-def compared(name, estimate, seeds, truth):
+def compared(name, estimate, seeds, truth, flown=nonlinear_records):
     """Errors of a response or a black box, of all that is done to records."""
     rows = {how: [] for how in (None, *SPOILED)}
     for seed in seeds:
-        whole = nonlinear_records(SWEEPS + STEPS, seed)
+        whole = flown(SWEEPS + STEPS, seed)
         for how, row in rows.items():
             found = estimate(done(how, whole, seed))
             row.append([error(found, truth, whole), size(found), covered(found, truth)])
     mean = {how: np.mean(row, axis=0) for how, row in rows.items()}
-    base, floor, _ = mean[None]
+    base, floor, held = mean[None]
     print(f"\n{name}: {100 * base:.2f} % from the whole records, floor {100 * floor:.2f} %")
-    lines = [
+    lines = [["Nothing", "1", 1.0, held]] + [
         [told(how), against(mean[how][0] / base, limit), mean[how][1] / floor, mean[how][2]]
         for how, limit in SPOILED.items()
     ]
@@ -271,6 +273,9 @@ def main():
         for name, estimate in ESTIMATORS.items():
             if which in (name, "all"):
                 compared(name, estimate, seeds, truth)
+        if which in ("response", "all"):
+            linear = oracle().response(OMEGA)
+            compared("response of the 32-state model", response, seeds, linear, linear_records)
         if which in ("black-box", "all"):
             bound(seeds, truth)
         if which in ("output-error", "all"):
