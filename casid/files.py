@@ -49,10 +49,10 @@ def read_csv(
     path : path
         Comma-separated values; an empty cell or ``nan`` is a missing sample.
     inputs, outputs : sequence of str, or mapping
-        The columns to take, in that order; others are left unread. A logger that is to be joined
-        with another may have no inputs. A mapping gives a channel
-        another name than its column, ``{"lat": "LAT_STICK"}``, or makes it a sum of columns, each
-        times its factor, ``{"roll": {"m1": -0.5, "m2": 0.5}}``.
+        The columns to take, in that order; others are left unread. A logger to be joined with
+        another may have no inputs. A mapping gives a channel another name than its column,
+        ``{"lat": "LAT_STICK"}``, or makes it a sum of columns, each times its factor,
+        ``{"roll": {"m1": -0.5, "m2": 0.5}}``.
     time : str or float
         The column of instants, or the sampling interval [s] where there is none.
     units : mapping
@@ -84,6 +84,8 @@ def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, Array]:
     """Named columns of a table of numbers with a header, CSV; ValueError for anything else."""
     columns = csv_columns(path := Path(path))
     values = _csv_values(path, columns, [_find(name, columns, path) for name in names])
+    if not len(values):
+        raise ValueError(f"{path}: no samples below the header; record it again")
     return dict(zip(names, values.T, strict=True))
 
 
@@ -251,36 +253,33 @@ def check_names(path: Path, names: Iterable[str]) -> None:
 
 
 def _csv_values(path: Path, columns: list[str], positions: list[int]) -> Array:
+    line = 0
+
+    def rows(file: Iterable[str]) -> Iterator[str]:  # each of as many cells as the header
+        nonlocal line
+        for line, text in enumerate(file, 1):
+            if line > 1 and text.strip():
+                if (cells := text.count(",") + 1) != len(columns):
+                    raise ValueError(f"{cells} cells, the header has {len(columns)}")
+                yield text
+
     def read(converter: Any) -> Array:  # noqa: ANN401 - NumPy's own type
         with warnings.catch_warnings(), path.open(encoding="utf-8-sig") as file:
             warnings.simplefilter("ignore", UserWarning)  # an empty table is refused below
-            rows = _whole_rows(file, len(columns))
-            return np.loadtxt(
-                rows, delimiter=",", usecols=positions, ndmin=2, comments=None, converters=converter
-            )
+            layout: Any = {"delimiter": ",", "usecols": positions, "ndmin": 2, "comments": None}
+            return np.loadtxt(rows(file), converters=converter, **layout)
 
     try:
         try:
-            values = read(None)
+            return read(None)
         except ValueError:  # slower, but knows empty cells
-            values = read(lambda cell: float(cell) if cell.strip() else np.nan)
+            return read(lambda cell: float(cell) if cell.strip() else np.nan)
     except (ValueError, IndexError, OverflowError) as error:
         raise ValueError(
-            f"{path}: not a table of numbers: {error}; leave the cell of a missing sample empty"
+            f"{path}: not a table of numbers: line {line}: {str(error).partition(' at row')[0]}; "
+            "write numbers with a decimal point below one line of names, and leave the cell of a "
+            "missing sample empty"
         ) from error
-    if not len(values):
-        names = ", ".join(columns[k] for k in positions)
-        raise ValueError(f"{path}: no samples below the header of {names}; record it again")
-    return values
-
-
-def _whole_rows(file: Iterable[str], n: int) -> Iterator[str]:
-    """Lines below the header, each of as many cells as it; numbers hold no commas."""
-    for number_, line in enumerate(file, 1):
-        if number_ > 1 and line.strip():
-            if (cells := line.count(",") + 1) != n:
-                raise ValueError(f"line {number_} has {cells} cells, the header has {n}")
-            yield line
 
 
 def _find(name: str, columns: list[str], path: Path) -> int:
@@ -298,7 +297,8 @@ def _find(name: str, columns: list[str], path: Path) -> int:
 def header_hint(columns: list[str]) -> str:
     """What is wrong with a header line and how to mend it; empty if nothing is."""
     if len(columns) == 1 and (other := [mark for mark in ";\t|" if mark in columns[0]]):
-        return f". Its cells are separated by {other[0]!r}; separate them by commas"
+        marked = f". Its cells are separated by {other[0]!r}"
+        return f"{marked}; separate them by commas, and write decimals with a point"
     if all(_is_number(column) for column in columns):
         return ". It begins with numbers; write the channel names in its first line"
     return ""

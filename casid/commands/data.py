@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from casid.channels import CONTROLS, UNITS
+from casid.checks import check_known
 from casid.commands.columns import COLUMN, TIME, UNIT
 from casid.commands.inspection import Inspection, RecordFacts, inspect_records, unit_advice
 from casid.commands.scaffold import new_model
@@ -202,7 +203,9 @@ def _records(
 ) -> list[Record]:
     inputs, outputs = channels
     taken = {column: name for name, column in renamed.items()}
-    columns = [taken.get(name, name) for name in formats.read_table(sources[0]) if name != time]
+    found = formats.read_table(sources[0])
+    check_known(f"{sources[0]}: no column", taken, found)
+    columns = [taken.get(name, name) for name in found if name != time]
     if not inputs:
         known = CONTROLS if model is None else model.inputs
         inputs = tuple(name for name in known if name in columns or model is not None)

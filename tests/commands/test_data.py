@@ -266,6 +266,9 @@ def test_columns_units_and_time_of_a_log_are_told_to_inspect_and_check(tmp_path)
     assert found.exit_code == 0
     assert "deg/s" not in found.output
     assert casid("inspect", "log.csv", "--column", "p").exit_code == 2
+    unknown = casid("inspect", "log.csv", *told, "--column", "q=PITCH_RATE")
+    assert unknown.exit_code == 2
+    assert "log.csv: no column 'PITCH_RATE'" in unknown.output
 
 
 def test_a_nonlinear_fit_becomes_what_other_tools_run(tmp_path, monkeypatch):
