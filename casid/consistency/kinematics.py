@@ -188,7 +188,7 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
     flights = [signals(piece, trim or {}) for piece in pieces]
     names = set.intersection(*(set(flight.values) for flight in flights)) if flights else set()
     notes = _marked(pieces, marks)
-    if _perturbed(flights, names):
+    if _about_zero(flights, "az", 1e-2 * GRAVITY):
         names -= {*VELOCITIES, *FORCES}
         notes.append(
             "az has no gravity in it, so the records are perturbations: velocities are not "
@@ -211,7 +211,8 @@ def _reconstructed(
         name: float(np.sqrt(np.mean([np.var(flight.values[name]) for flight in flights])))
         for name in (*solution.channels, *equations)
     }
-    rough = {name for name in equations if not WHOLE[name] <= names or _level(flights, names)}
+    level = _about_zero(flights, "theta", LEVEL)
+    rough = {name for name in equations if level or not WHOLE[name] <= names}
     checks = tuple(_judged(solution, name, spread[name], rough) for name in solution.channels)
     untold = [
         f"the records do not tell about {each.channel}: it moves too little, or too alike others"
@@ -268,19 +269,11 @@ def _unchecked(names: set[str], pieces: Sequence[Record]) -> list[str]:
     return notes
 
 
-def _perturbed(flights: Sequence[Flight], names: set[str]) -> bool:
-    if "az" not in names:
-        return False
-    typical = np.median(np.concatenate([flight.values["az"] for flight in flights]))
-    return bool(abs(typical) < 1e-2 * GRAVITY)
-
-
-def _level(flights: Sequence[Flight], names: set[str]) -> bool:
-    """Whether pitch attitude is about zero: then it may be that trim was removed before."""
-    if "theta" not in names:
-        return False
-    typical = np.median(np.concatenate([each.values["theta"] for each in flights]))
-    return bool(abs(typical) < LEVEL)
+def _about_zero(flights: Sequence[Flight], name: str, size: float) -> bool:
+    """Whether a channel of all flights is about zero: its trim may have been removed before."""
+    seen = [flight.values[name] for flight in flights if name in flight.values]
+    whole = bool(seen) and len(seen) == len(flights)
+    return whole and bool(abs(np.median(np.concatenate(seen))) < size)
 
 
 def _turned(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:
