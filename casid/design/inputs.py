@@ -8,6 +8,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.design import signals
 from casid.design.criterion import as_long, covariance
+from casid.design.flight import Flight
 from casid.design.loop import Feedback, gains
 from casid.design.multisine import best_powers, schroeder, shared_out, unit_information
 from casid.design.optimise import Task, improved
@@ -22,6 +23,7 @@ from casid.fit import AnyFit, Fit
 from casid.free import Free, free_parameters
 from casid.model import Model
 from casid.nonlinear.conditions import Trim
+from casid.nonlinear.model import NonlinearModel
 from casid.structure.identifiability import identifiability
 from casid.threads import one_thread
 
@@ -44,8 +46,8 @@ def design_inputs(
     """Inputs that tell the parameters of a structure apart best, within limits.
 
     A nonlinear structure is designed for by its linearisation at a trim; everything is in
-    deviations from there. Margins cover other values of the parameters, not what is not linear:
-    fly the card in a nonlinear simulation before the flight, and lower a limit that it exceeds.
+    deviations from there. What is designed is then flown in the nonlinear structure itself, in its
+    loop, and made smaller until limits hold there, too; not where the trim has unknowns.
 
     Parameters
     ----------
@@ -108,7 +110,7 @@ def design_inputs(
     if settings.method != "steps":
         flown["multisine"] = _multisine(problem, task)
     chosen = min(list(flown)[2:], key=lambda name: task.value(flown[name]))
-    made = _predicted(problem, task, flown, chosen)
+    made = _predicted(problem, task, _flight(structure, trim, problem), flown, chosen)
     blind = [f"{name}: no effect on the linearisation at the trim" for name in unfelt]
     count = (1 + JUDGES) * settings.draws if drawn else 0
     return replace(
@@ -222,14 +224,27 @@ def _multisine(problem: Problem, task: Task) -> Array:
     return improved(task, shapes, settings.iterations)
 
 
-def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen: str) -> Design:
+def _flight(
+    structure: Model, trim: Trim | Mapping[str, float] | None, problem: Problem
+) -> Flight | None:
+    """A nonlinear structure in its loop, at the records' own sampling."""
+    if not isinstance(structure, NonlinearModel) or (isinstance(trim, Trim) and trim.unknown):
+        return None
+    task = problem.task(problem.settings.interval)
+    return Flight(structure, trim, problem.frees[0], problem.feedback, task)
+
+
+def _predicted(
+    problem: Problem, rough: Task, flight: Flight | None, flown: Mapping[str, Array], chosen: str
+) -> Design:
     """Standard errors of all alternatives at the records' own sampling, and the value."""
     fine = problem.task(problem.settings.interval)
     t, coarse, exact = _instants(fine), _instants(rough), {}
     for name, each in flown.items():
         r = rough.within(each)
         r = np.stack([np.interp(t, coarse, column) for column in r.T], axis=1)
-        exact[name] = r / max(1.0, float(fine.peaks(r).max()))
+        r = r / max(1.0, float(fine.peaks(r).max()))
+        exact[name] = flight.within(r) if flight else r
     alone = {name: fine.information(r)[0] for name, r in exact.items()}
     spread = {name: covariance(F + problem.known) for name, F in alone.items()}
     r = exact[chosen]
@@ -239,6 +254,8 @@ def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen
     seen = fine.loops[0].fly(r)
     model = problem.frees[0].model
     share = fine.peaks(r)
+    if flight:
+        share = np.maximum(share, flight.shares(r))
     at_most = np.maximum(share, rough.peaks(np.stack([np.interp(coarse, t, x) for x in r.T], 1)))
     before = np.diag(problem.known)
     known = np.where(before > 0, np.sqrt(np.diag(covariance(problem.known))), np.inf)
@@ -247,7 +264,8 @@ def _predicted(problem: Problem, rough: Task, flown: Mapping[str, Array], chosen
         names=problem.frees[0].names, values=problem.frees[0].guess, covariance=spread[chosen],
         before=known,
         alternatives=tuple(
-            Alternative(name=name, std_errors=np.sqrt(np.diag(C))) for name, C in spread.items()
+            Alternative(name=name, r=exact[name], std_errors=np.sqrt(np.diag(C)))
+            for name, C in spread.items()
         ),
         used=_named(model, share), used_at_worst=_named(model, at_most),
         instead=rest + longer * (problem.duration - rest),

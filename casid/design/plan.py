@@ -152,6 +152,7 @@ class Alternative:
     """One way to use the flight time, as large as the limits let it be."""
 
     name: str  # "3-2-1-1", "sweeps", "multisine", "steps"
+    r: Array  # (N, nu) designed deviations of the sticks
     std_errors: Array  # (nf,) predicted
 
     def __post_init__(self) -> None:

@@ -31,7 +31,7 @@ NOISELESS = 1e-6  # errors over parameters' sizes that no measured record states
 def linear_at(model: Model, trim: Trim | Mapping[str, float] | None) -> Model:
     """The structure itself, or a nonlinear one's linearisation at the trim or its reference."""
     if isinstance(model, NonlinearModel):
-        return model.at(_condition(model, trim))
+        return model.at(condition(model, trim))
     if trim is not None:
         raise ValueError(f"{type(model).__name__} is linear, about its own trim: leave trim out")
     return model
@@ -42,7 +42,7 @@ def check_balance(model: Model, trim: Trim | Mapping[str, float] | None) -> None
 
     A trim with unknowns is not looked at: its own constraints balance it.
     """
-    if not isinstance(model, NonlinearModel) or (own := _condition(model, trim)).unknown:
+    if not isinstance(model, NonlinearModel) or (own := condition(model, trim)).unknown:
         return
     values = [own.values[name] for name in (*model.states, *model.inputs)]
     x, u = np.split(np.array(values), [len(model.states)])
@@ -69,7 +69,7 @@ def nearest_trim(model: NonlinearModel, trim: Trim, held: Collection[str] = ()) 
     States and inputs that are ``held`` stay; what has no balance nearby is returned as near as it
     gets, for `check_balance` to refuse.
     """
-    names, values = (*model.states, *model.inputs), _condition(model, trim).values
+    names, values = (*model.states, *model.inputs), condition(model, trim).values
     at = np.array([values[name] for name in names])
     z, nx = ca.SX.sym("z", len(names)), len(model.states)
     f = model.equations()(z[:nx], z[nx:], model.vector())[0]
@@ -84,7 +84,7 @@ def nearest_trim(model: NonlinearModel, trim: Trim, held: Collection[str] = ()) 
     return replace(trim, values=dict(zip(names, at.tolist(), strict=True)))
 
 
-def _condition(model: NonlinearModel, trim: Trim | Mapping[str, float] | None) -> Trim:
+def condition(model: NonlinearModel, trim: Trim | Mapping[str, float] | None) -> Trim:
     """The trim with a value of every state and input; the reference's where it names none."""
     x, u = model.operating_point()
     usual = dict(zip((*model.states, *model.inputs), (*x, *u), strict=True))

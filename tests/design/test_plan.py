@@ -13,17 +13,18 @@ from casid.values import decode, encode
 @pytest.fixture
 def design():
     t = 0.1 * np.arange(30)
+    wave = np.sin(t)[:, None]
     errors = np.array([0.5, 0.1])
     C = np.outer(errors, errors) * [[1.0, 0.95], [0.95, 1.0]]
     return Design(
-        kind="steps", inputs=("lat",), outputs=("p",), t=t, r=np.sin(t)[:, None],
-        u=np.sin(t)[:, None], y=np.cos(t)[:, None], names=("Lp", "Llat"), covariance=C,
+        kind="steps", inputs=("lat",), outputs=("p",), t=t, r=wave, u=wave,
+        y=np.cos(t)[:, None], names=("Lp", "Llat"), covariance=C,
         values=np.array([-2.0, 9.0]), before=np.array([np.inf, 0.2]),
         used={"lat": 0.8}, used_at_worst={"lat": 1.0},
         instead=1260.0,
         alternatives=(
-            Alternative(name="3-2-1-1", std_errors=np.array([1.0, 0.4])),
-            Alternative(name="steps", std_errors=errors),
+            Alternative(name="3-2-1-1", r=wave / 2, std_errors=np.array([1.0, 0.4])),
+            Alternative(name="steps", r=wave, std_errors=errors),
         ),
     )  # fmt: skip
 
@@ -52,9 +53,10 @@ def test_without_feedback_it_does_not_speak_of_any(design):
 
 def test_what_is_no_better_than_the_3211_is_not_recommended(design):
     errors = design.alternatives[0].std_errors
+    steps = Alternative(name="steps", r=design.r, std_errors=errors)
     same = replace(
         design, covariance=np.diag(errors**2), instead=2.9,
-        alternatives=(design.alternatives[0], Alternative(name="steps", std_errors=errors)),
+        alternatives=(design.alternatives[0], steps),
     )  # fmt: skip
     assert "; no better than the 3-2-1-1: fly that, or give more" in same.headline()
     assert "of flight" not in same.headline()

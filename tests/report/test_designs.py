@@ -29,8 +29,8 @@ def design(feedback=0.0):
         covariance=np.diag(own**2),
         before=np.full(2, np.inf),
         alternatives=(
-            Alternative(name="3-2-1-1", std_errors=usual),
-            Alternative(name="multi-step", std_errors=own),
+            Alternative(name="3-2-1-1", r=WAVE, std_errors=usual),
+            Alternative(name="multi-step", r=WAVE, std_errors=own),
         ),
         used={"lat": 0.5},
         used_at_worst={"lat": 0.6},

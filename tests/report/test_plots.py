@@ -116,7 +116,9 @@ def test_a_design_draws_its_errors_over_those_of_the_first_alternative():
         kind="steps", inputs=("lat",), outputs=("p",), t=t, r=t[:, None], u=t[:, None],
         y=t[:, None], names=("Lp", "Llat"), values=errors, covariance=np.eye(2), before=errors,
         used={}, used_at_worst={},
-        alternatives=tuple(Alternative(name=n, std_errors=e) for n, e in ways.items()),
+        alternatives=tuple(
+            Alternative(name=n, r=t[:, None], std_errors=e) for n, e in ways.items()
+        ),
     )  # fmt: skip
     ax = design.plot(errors=True)
     drawn = {line.get_label(): line.get_ydata().tolist() for line in ax.lines}
