@@ -22,7 +22,7 @@ from casid.model import Model
 FEWEST = 50  # samples a stick
 MOST = 100_000  # samples of a manoeuvre
 JUDGES = 2  # models that judge limits for each that leads the optimisation
-COARSE = 800  # samples on which inputs are optimised
+COARSE = 1600  # samples on which inputs are optimised: with fewer, edges tell less of delays
 FINEST = 6.0  # samples of them in a period of the band's upper edge, at least
 
 
