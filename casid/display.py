@@ -84,6 +84,6 @@ def listed(names: Sequence[str], most: int = 6) -> str:
 
 def in_minutes(seconds: float) -> str:
     """A length of time in words."""
-    if seconds < 100:
+    if seconds < 99.5:  # of which two digits are whole seconds
         return f"{seconds:.2g} s"
     return f"{seconds / 60:{'.2g' if seconds < 600 else '.0f'}} minutes"

@@ -19,6 +19,7 @@ from casid.design.plan import Design, DesignSettings, Limits
 from casid.design.prior import check_trim, nearest_trim
 from casid.errors import ModelError, warn
 from casid.fit import AnyFit, Fit
+from casid.free import free_parameters
 from casid.model import Model
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.coverage import SPEEDS
@@ -119,7 +120,7 @@ def design(
             model, limits, what.design.duration if duration is None else duration, noise=noise,
             feedback=_feedback(what, asked["feedback"]), trim=trim, settings=settings,
         )  # fmt: skip
-        _say(console, made)
+        _say(console, made, structure)
         folder = what.output / "design"
         for script in SCRIPTS:  # of a former card
             remove_own(folder / script)
@@ -244,8 +245,12 @@ def _reached(records: Sequence[Record], names: Sequence[str]) -> dict[str, float
     return {n: max(float(np.nanmax(np.abs(r.channel(n)))) for r in records) for n in names}
 
 
-def _say(console: Console, made: Design) -> None:
-    """What is compared, what is weak and what becomes of it."""
+def _say(console: Console, made: Design, structure: Model) -> None:
+    """What is compared, what is weak and what becomes of it.
+
+    Weak is what has a large error beside its value, or its typical size where that is zero. What no
+    input tells is named behind, and in no order.
+    """
     console.print(Text(made.headline()))
     table = new_table("Standard errors over those of 3-2-1-1", "input", "mean", "worst", "of")
     for name, mean, worst, parameter in made.ratios():
@@ -253,9 +258,11 @@ def _say(console: Console, made: Design) -> None:
     console.print(table)
     table = new_table("Weakest parameters", "parameter", "value", "before", "3-2-1-1", "this")
     weak = np.where(np.isfinite(made.before), made.before, made.alternatives[0].std_errors)
-    weak = weak / np.maximum(np.abs(made.values), 1e-9)
+    typical = dict(zip(structure.parameter_names(), free_parameters(structure).scale, strict=True))
+    usual = np.array([typical[name] for name in made.names])
+    weak = weak / np.where(made.values == 0.0, usual, np.abs(made.values))
     rows = made.rows(digits=2)
-    for k in np.argsort(-weak)[:SHOWN]:
+    for k in [k for k in np.argsort(-weak) if made.names[k] not in made.untold][:SHOWN]:
         table.add_row(made.names[k], f"{made.values[k]:.4g}", *rows[k][2:])
     console.print(table)
     if beside := made.on_the_card():

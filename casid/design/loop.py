@@ -35,6 +35,7 @@ Feedback = Mapping[str, Mapping[str, float]]  # {"lat": {"p": 0.15}}: u_lat = r_
 
 GROWTH = 15.0  # e-folds of an unstable mode over a manoeuvre beyond which numbers lose their sense
 ALONE = 2.0  # e-folds that are left to an unstable mode that no feedback holds
+FAINT = 1e-9  # what an output that is no rate, angle or other state counts for as an example
 GROWN = 3.0  # how much larger the end of an impulse response may be than all before
 
 
@@ -63,10 +64,15 @@ class Loop:
     def __init__(self, free: Free, feedback: Feedback, R: Array, *, h: float, N: int) -> None:
         at = MatrixFunction(free)(free.guess)
         self.inputs, self.outputs = free.model.inputs, free.model.outputs
-        self._states = free.model.states
         self.nx, self.nu, self.ny, self.nf = at.nx, at.dtau.shape[1], len(R), len(free.index)
         self.h, self.N = h, N
-        self.growth = float(np.linalg.eigvals(at.blocks[0]).real.max())
+        poles, modes = np.linalg.eig(at.blocks[0])
+        k = int(np.argmax(poles.real))
+        self.growth = float(poles[k].real)
+        # What a gain of stick j by output i takes from it: Re c_i v wᴴ b_j, of first order.
+        C, B = at.blocks[2], at.blocks[1]
+        self._held = np.outer(C @ modes[:, k], np.linalg.pinv(modes)[k] @ B).real
+        self._held[[name not in free.model.states for name in self.outputs]] *= FAINT
         self._whiten = np.linalg.inv(np.linalg.cholesky(R))
         whole, self._part = np.divmod(at.tau / h, 1.0)
         self._lag = whole.astype(int)
@@ -140,12 +146,14 @@ class Loop:
         growth, span = self.growth, self.h * (self.N - 1)
         longest = np.floor(10 * GROWTH / max(growth, 1e-9)) / 10  # not rounded up: told to be flown
         if not K.any() and growth * span > ALONE:
-            felt = next((name for name in self.outputs if name in self._states), self.outputs[0])
+            i, j = np.unravel_index(int(np.argmax(np.abs(self._held))), self._held.shape)
+            gain = float(np.copysign(0.1, self._held[i, j]))
             shorter = f", and fly {longest:g} s at most" if growth * span > GROWTH else ""
             raise UnheldError(
                 f"the aircraft is unstable ({growth:.3g} 1/s) and nothing holds it over "
                 f"{span:.4g} s, in which it grows by more than e^{ALONE:g}: give the feedback that "
-                f"is flown, such as feedback={{{self.inputs[0]!r}: {{{felt!r}: 0.1}}}}{shorter}"
+                f"is flown, such as feedback={{{self.inputs[j]!r}: {{{self.outputs[i]!r}: "
+                f"{gain}}}}}{shorter}"
             )
         if growth * span > GROWTH:
             raise UnheldError(

@@ -130,6 +130,21 @@ def test_a_study_without_a_fit_is_designed_from_its_guess(tmp_path):
     assert f"\n\nOf steps and multisine, {kind} was chosen by the criterion MV over" in page
 
 
+def test_the_weakest_parameters_are_those_that_a_flight_can_tell(tmp_path):
+    study = write_study(tmp_path)
+    study.write_text(study.read_text() + TABLE)
+    model = tmp_path / "roll.py"
+    twin = '    more: Scalar = parameter(default=0.0, lower=-1.0, upper=1.0, unit="1/s")\n'
+    text = model.read_text().replace("    g: float", f"{twin}    g: float")
+    model.write_text(text.replace("self.Lp, 0]", "self.Lp + self.more, 0]"))
+    result = run(study, "-o", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    said, table = result.output.split("Weakest parameters")
+    assert "without Lp, more, which no input tells apart" in " ".join(said.split())
+    names = re.findall(r"(Yv|Lv|Lp|Llat|more)\s+-?[0-9]", table)
+    assert sorted(names) == ["Llat", "Lv", "Yv"]  # neither of the two that are one
+
+
 def test_without_a_fit_the_study_has_to_say_the_noise_in_its_own_words(tmp_path):
     study = write_study(tmp_path)
     text = study.read_text().replace("noise = true\n", "")

@@ -132,6 +132,26 @@ def test_unstable_aircraft_need_their_feedback_and_short_manoeuvres():
         loop_of(Roll(), {"lat": {"q": 0.1}})
 
 
+def test_an_unstable_aircraft_is_told_the_gain_that_damps_its_mode():
+    class Both(Model):
+        states, inputs, outputs = ("p", "q"), ("lat", "lon"), ("p", "aq", "q")
+        Mq: float = parameter(default=1.0, unit="1/s")
+
+        def A(self):
+            return [[-1.0, 0], [0, self.Mq]]
+
+        def B(self):
+            return [[3.0, 0], [0.1, -2.0]]
+
+        def C(self):
+            return [[1, 0], [0, 9.0], [0, 1]]
+
+    free = free_parameters(Both())
+    with pytest.raises(ValueError, match=r"such as feedback=\{'lon': \{'q': -0\.1\}\}$"):
+        Loop(free, {}, np.eye(3), h=0.05, N=120)
+    assert Loop(free, {"lon": {"q": -1.0}}, np.eye(3), h=0.05, N=120).N == 120
+
+
 def crowd_of_two():
     """Loops, limits of (lat, its rate, p, phi, ap, and both states), and the crowd."""
     held = {"lat": {"p": 0.4, "phi": 0.3}}
