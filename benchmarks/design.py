@@ -93,11 +93,11 @@ def flown(kind):
     return [read_csv(file, detrend="first", **channels).decimate(2) for file in files]
 
 
-def errors_of(model, records):
-    """Standard errors that the sticks of records buy together."""
+def errors_of(model, records, feedback=None):
+    """Standard errors that the sticks of records, flown in that loop, buy together."""
     F = 0.0
     for record in records:
-        loop = Loop(free_parameters(model), {}, R, h=record.dt, N=record.N)
+        loop = Loop(free_parameters(model), feedback or {}, R, h=record.dt, N=record.N)
         J = loop.sensitivities(loop.held(record.u))
         F = F + J.T @ J
     return np.sqrt(np.diag(covariance(F)))
