@@ -35,6 +35,7 @@ SHARE = 0.03  # of an input, made by prediction errors, above which a bias is lo
 POINTS = 12  # frequencies of the band at which two estimates are compared
 APART = 0.4  # stated errors between them: intervals off by as much still hold 93 %
 CREDIBLE = 0.85  # of the stated errors of transforms: those of prediction errors are not less
+ROUNDING = 1e-8  # relative errors of a response that are of arithmetic, whatever is stated
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +135,8 @@ def _without_feedback(found: Estimate, pieces: Campaign, pole: float, R: Array) 
         return found
     try:
         held, gain, sampled = refine_held(found.system, found.K, pieces)
-        causal = Estimate(held, riccati_gain(held.A, held.C, gain, R), sampled)
+        gain = riccati_gain(held.A, held.C, gain, R)
+        causal = Estimate(held, gain, sampled, missed=found.missed)
     except ValueError as error:
         remedy = f"prediction errors would tell and remove that, but: {error}"
         return replace(found, remark=_warn_fed_back(remedy))
@@ -157,7 +159,7 @@ def _apart(found: Estimate, other: Estimate, omega: Array) -> tuple[float, float
     G = found.system.response(omega)
     off = (other.system.response(omega) - G) / G
     own, its = (
-        np.array([np.linalg.norm(part, axis=-1) for part in (F.real, F.imag)])
+        np.hypot([np.linalg.norm(part, axis=-1) for part in (F.real, F.imag)], ROUNDING)
         for F in (s.response_factor(omega) for s in (found.uncertainty, other.uncertainty))
     )
     distance = np.array([off.real, off.imag]) / own

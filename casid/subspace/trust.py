@@ -163,8 +163,8 @@ def order_doubts(missed: Missed | None, order: int) -> tuple[str, ...]:
     return (
         f"Order {order} is too low: what this black box leaves of {missed.output} near "
         f"{missed.omega:.2g} rad/s still depends on the inputs, order {missed.order} leaves "
-        f"{missed.ratio:.2g} times less. The stated response_std does not hold there; call pbsid "
-        f"with order={missed.order} or more.",
+        f"{missed.ratio:.2g} times less. The stated response_std does not hold there, and no "
+        f"structure is judged by it; call pbsid with order={missed.order} or more.",
     )
 
 

@@ -170,6 +170,13 @@ def test_an_order_too_low_for_a_mode_is_doubted_where_the_mode_is(seed):
     assert pbsid(rotor_flight(seed), order=3, **settings).doubts() == ()
 
 
+def test_an_order_too_low_is_doubted_of_prediction_errors_too():
+    # What two states cannot follow looks like much noise fed back, which hands over to them.
+    low = pbsid(campaign(noise=0.02), order=2, past=10, pole=6.0, feedthrough=["z"])
+    assert low.refinement == "prediction"
+    assert any("Order 2 is too low" in each for each in low.doubts())
+
+
 def test_a_sound_unstable_campaign_raises_no_doubt():
     box = pbsid(campaign(noise=0.02), order=5, past=10, pole=6.0, feedthrough=["z"])
     assert box.system.poles().real.max() > 0
