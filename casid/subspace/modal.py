@@ -242,6 +242,6 @@ def descend(
                 modal, value, damping = trial, trial_value, max(damping / 5, 1e-9)
                 break
             damping *= 10
-        if before - value < settled * before:
+        if before - value <= settled * before:  # both are zero where nothing is left
             break
     return modal
