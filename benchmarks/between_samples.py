@@ -3,10 +3,13 @@
 Flights are integrated on a grid of a twentieth of a sample, by no code of casid: seven parameters,
 sticks with edges of one sample. Whole delays are held: the likelihood has a kink or a jump there.
 
-    python -m benchmarks.between_samples [N]        every hold, direct term and delay, N runs (100)
-    python -m benchmarks.between_samples bo105 [N]  64 parameters, 2.25 samples late, N runs (40)
+    python -m benchmarks.between_samples [N] [CASE]  every hold, direct term and delay, N runs (100)
+    python -m benchmarks.between_samples bo105 [N]   64 parameters, 2.25 samples late, N runs (40)
+
+CASE, as "zoh yes 2.25", has the words of a row's first columns; "0-100" for N are certain runs.
 """
 
+import itertools
 import sys
 from dataclasses import replace
 
@@ -95,16 +98,15 @@ def campaign_run(hold, direct, delay, run):
     return errors, [row.cramer_rao for row in rows], [row.std_error for row in rows]
 
 
-def print_campaigns(runs):
-    """A row for every hold, direct term and delay."""
+def print_campaigns(runs, words=()):
+    """A row for every hold, direct term and delay of these words."""
     rows = []
-    for hold in ("foh", "zoh"):
-        for direct in (True, False):
-            for delay in DELAYS:
-                found = [campaign_run(hold, direct, delay, run) for run in range(runs)]
-                case = (hold, "yes" if direct else "no", f"{delay:g}")
-                rows.append((*case, *figures(*np.moveaxis(found, 1, 0))))
-                print(*map(cell, rows[-1]), file=sys.stderr, flush=True)
+    for hold, direct, delay in itertools.product(("foh", "zoh"), (True, False), DELAYS):
+        case = (hold, "yes" if direct else "no", f"{delay:g}")
+        if set(words) <= set(case):
+            found = [campaign_run(hold, direct, delay, run) for run in runs]
+            rows.append((*case, *figures(*np.moveaxis(found, 1, 0))))
+            print(*map(cell, rows[-1]), file=sys.stderr, flush=True)
     print(table(("between samples", "direct term", "delay, samples", *FIGURES), rows))
 
 
@@ -179,7 +181,8 @@ def main():
         found = late_estimates(int(chosen[1]) if chosen[1:] else 40)
         print(table(("runs", *FIGURES), [(f"{found.shape[1]}", *figures(*found))]))
     else:
-        print_campaigns(int(chosen[0]) if chosen else 100)
+        first, _, last = (chosen or ["100"])[0].rpartition("-")
+        print_campaigns(range(int(first or 0), int(last)), chosen[1:])
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ class DelayedInput(NamedTuple):
 
     value: Array  # (N, nu) at every sample
     slope: Array  # (N, nu) after it until the next break
+    instant: float  # [s]: rests that differ by less are equal
     channel: np.ndarray  # (n,) input of every break
     step: np.ndarray  # (n,) number of the sample before it
     rest: Array  # (n,) time from the break to the next sample [s]
@@ -54,16 +55,17 @@ def delayed_input(
     jumps = np.diff(rate if hold == "foh" else level, axis=0)
     value, slope, none = np.empty_like(u), np.empty_like(u), np.zeros(0)
     breaks = [(none.astype(int), none.astype(int), none, none)]
-    early = t + ROUNDING * np.diff(t).min()
+    instant = float(ROUNDING * np.diff(t).min())
     for j, late in enumerate(tau if within is None else within):
-        piece = np.searchsorted(t + late, early, side="right")
+        piece = np.searchsorted(t + late, t + instant, side="right")
         slope[:, j] = rate[piece, j]
         value[:, j] = level[piece, j] + slope[:, j] * (t - tau[j] - start[piece])
         knot = np.arange(piece[0], piece[-1])
         step = np.searchsorted(piece, knot, side="right") - 1
         rest = t[step + 1] - t[knot] - tau[j]
         breaks.append((np.full(len(knot), j), step, rest, jumps[knot, j]))
-    return DelayedInput(value, slope, *(np.concatenate(part) for part in zip(*breaks, strict=True)))
+    parts = (np.concatenate(part) for part in zip(*breaks, strict=True))
+    return DelayedInput(value, slope, instant, *parts)
 
 
 def integrals(A: Array, times: Array) -> Array:
@@ -101,7 +103,7 @@ def integral_slopes(A: Array, times: Array, A_lam: Array) -> Array:
 
 def break_forcing(held: DelayedInput, A: Array, B: Array, order: int) -> Array:
     """What the breaks of delayed inputs add to the states (N - 1, nx) over each step."""
-    rest, place = distinct(held.rest)
+    rest, place = distinct(held.rest, held.instant)
     forcing = np.zeros((len(held.value) - 1, len(A)))
     for k in range(0, len(rest), 1000):  # bounds the memory
         near = np.flatnonzero((place >= k) & (place < k + 1000))
@@ -111,9 +113,8 @@ def break_forcing(held: DelayedInput, A: Array, B: Array, order: int) -> Array:
     return forcing
 
 
-def distinct(times: Array) -> tuple[Array, np.ndarray]:
-    """Different times among those given, but for rounding, and which of them each is."""
-    unit = ROUNDING * np.abs(times).max(initial=1e-300)
+def distinct(times: Array, unit: float) -> tuple[Array, np.ndarray]:
+    """Different times among those given, but for roundings by a unit, and which each is."""
     if not len(times) or np.ptp(times) <= unit:
         return times[:1] * 0 + times.sum() / max(len(times), 1), np.zeros(len(times), dtype=int)
     _, first, place = np.unique(np.round(times / unit), return_index=True, return_inverse=True)

@@ -91,7 +91,7 @@ def test_the_derivative_by_a_delay_is_exact_up_to_whole_samples(hold):
 
 
 def test_times_that_differ_by_rounding_are_one():
-    times, place = distinct(np.array([0.02, 0.02 + 1e-15, 0.5, 0.02 - 1e-15]))
+    times, place = distinct(np.array([0.02, 0.02 + 1e-15, 0.5, 0.02 - 1e-15]), 1e-12)
     np.testing.assert_allclose(times, [0.02, 0.5])
     np.testing.assert_array_equal(place, [0, 0, 1, 0])
-    assert all(len(part) == 0 for part in distinct(np.zeros(0)))
+    assert all(len(part) == 0 for part in distinct(np.zeros(0), 1e-12))

@@ -47,7 +47,8 @@ def lay_out(records: Sequence[Record], interval: float) -> Layout:
     order = np.argsort(-table[:, 2], kind="stable")
     y = np.concatenate([record.y for record in records])
     patterns, pattern = _patterns(np.isfinite(y))
-    classes, step = distinct(np.concatenate([_steps(record) for record in records]))
+    steps = np.concatenate([_steps(record) for record in records])
+    classes, step = distinct(steps, ROUNDING * steps.max())
     table = table[order]
     return Layout(
         records=tuple(records), y=np.where(np.isfinite(y), y, 0.0), pattern=pattern,

@@ -51,7 +51,7 @@ def collect_breaks(held: Sequence[DelayedInput], holds: Sequence[Hold], A: Array
     for record, hold in zip(held, holds, strict=True):
         for j in np.unique(record.channel):
             mine = np.flatnonzero((record.channel == j) & (record.jump != 0))
-            rest, place = distinct(record.rest[mine])
+            rest, place = distinct(record.rest[mine], record.instant)
             for members in octaves(rest):
                 nodes, weights = interpolation(rest[members], A)
                 keys = [(int(j), ORDER[hold], float(np.round(r, 14))) for r in nodes]

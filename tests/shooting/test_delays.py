@@ -88,6 +88,21 @@ def test_within_a_stretch_the_estimator_is_analytic_in_the_delay():
     assert second_difference(evaluator) > 5.0
 
 
+@pytest.mark.parametrize("short", [0.1, 1e-5, 1e-9, 0.0])
+def test_what_is_known_of_a_delay_stays_as_it_nears_the_end_of_its_stretch(short):
+    # There the rests of all steps are as short as the roundings of their instants.
+    model = replace(TRUTH, tau=(4 - short) * 0.02)
+    record = replace(flown(model), hold="zoh")
+    free, R = free_parameters(model), np.diag(SIGMA**2)
+    evaluator = Evaluator(free, lay_out([record], 2.0)).within(0.02 * np.array([3.5, np.nan]))
+    programme, point = starting_programme(evaluator, free, R, True)
+    step = 1e-7 * np.eye(len(point.lam))[-1]
+    ends = [evaluator.simulate(replace(point, lam=point.lam + d)).residuals for d in (-step, step)]
+    slope = (ends[1] - ends[0]) / 2e-7
+    found = programme.blocks(programme.pack(point)).Hll[-1, -1] / programme.scales.lam[-1] ** 2
+    assert found == pytest.approx(np.sum(slope**2 / np.diag(R)), rel=1e-5)
+
+
 @pytest.mark.parametrize(
     ("steps", "start"),
     [((0.02,), 0.11), pytest.param((0.02, 0.04), 0.11, marks=pytest.mark.slow)],
