@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks import peers
 from casid import StateSpace, output_error, read_study, validate
-from casid.prediction import outlook
+from casid.prediction import prediction_plan
 from casid.studies.study import read_records
 from casid.validation import fit_percent
 
@@ -47,10 +47,10 @@ def foreign(records, methods, orders):
     }  # fmt: skip
 
 
-def ahead(record, state, outlook):
+def ahead(record, state, plan):
     """Pieces of a record predicted from each start by ``state(start, end)`` (n, outputs)."""
     y = np.full((record.N, len(OUTPUTS)), np.nan)
-    starts = outlook.starts
+    starts = plan.starts
     for start, end in zip(starts, (*starts[1:], record.N - 1), strict=True):
         y[start + 1 : end + 1] = state(start, end)
     measured = record.y[:, [record.outputs.index(name) for name in OUTPUTS]]
@@ -58,7 +58,7 @@ def ahead(record, state, outlook):
     return [fit_percent(a, b) for a, b in zip(measured[there].T, y[there].T, strict=True)]
 
 
-def by_gain(system, K, record, outlook):
+def by_gain(system, K, record, plan):
     """Predictions from the states that a model's own gain gives."""
     u = record.u[:, [record.inputs.index(name) for name in system.inputs]]
     y = record.y[:, [record.outputs.index(name) for name in system.outputs]]
@@ -73,13 +73,16 @@ def by_gain(system, K, record, outlook):
             found.append(system.A @ found[-1] + system.B @ u[k])
         return np.array(found) @ system.C[rows].T
 
-    return ahead(record, predicted, outlook)
+    return ahead(record, predicted, plan)
 
 
 def baselines(own, gains, records, horizon):
     """Fits [%] of the others by their own gains, and of the last sample held."""
     columns = [records[0].outputs.index(name) for name in OUTPUTS]
-    looks = [outlook([system for system, _ in gains.values()] + [own], r, horizon) for r in records]
+    looks = [
+        prediction_plan([system for system, _ in gains.values()] + [own], r, horizon)
+        for r in records
+    ]
     rows = {
         f"{name}, its own gain": [by_gain(*each, r, o) for r, o in zip(records, looks, strict=True)]
         for name, each in gains.items()

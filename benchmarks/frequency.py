@@ -36,7 +36,7 @@ from casid import DataWarning, derivid, frequency_response
 from casid.baseline.pairs import select
 from casid.evaluation import MatrixFunction
 from casid.free import free_parameters
-from casid.matching.mismatch import DB, DEG, PHASE, residuals
+from casid.matching.mismatch import DB, DEG, PHASE, weighted_errors
 from models.six_dof import SixDof
 
 
@@ -121,7 +121,7 @@ def fits(starts=20):
 
     def r(x):
         G = matrices(x * scale).response(target.s)
-        return residuals(np.where(np.abs(G) > 0, G, 1e-9), target.G, weight)[:, used].ravel()
+        return weighted_errors(np.where(np.abs(G) > 0, G, 1e-9), target.G, weight)[:, used].ravel()
 
     def jacobian(x):
         G, slope = matrices(x * scale).response_slopes(target.s)

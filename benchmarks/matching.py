@@ -21,7 +21,7 @@ from casid.matching.comparison import Comparison
 from casid.matching.descent import Condensed, descend
 from casid.matching.initial import starts
 from casid.matching.programme import Programme
-from casid.matching.targets import compare
+from casid.matching.targets import comparison_of
 from models.six_dof import SixDof
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
@@ -67,7 +67,7 @@ def compare_starts(count: int) -> None:
             seconds = time.process_time() - begin
             grid = fit.notes.sources[0].grid
             free = free_parameters(fit.model, (), bounds)
-            comparison = compare(model, [box], omega=grid)
+            comparison = comparison_of(model, [box], omega=grid)
             costs = [random_start(free, comparison, norm, seed) for seed in range(count)]
             best = min(*costs, fit.cost)
             near = sum(cost <= 1.01 * best for cost in costs)
@@ -166,7 +166,7 @@ def measure_speed() -> None:
 def compare_ways(model: Model, box: BlackBox) -> None:
     """The programme, and the descent that starts a match, from one guess."""
     free = free_parameters(model)
-    comparison = compare(model, [box], omega=np.geomspace(*box.band, 40))
+    comparison = comparison_of(model, [box], omega=np.geomspace(*box.band, 40))
     rows = []
     begin = time.process_time()
     found = Programme(free, comparison, "quadratic", free.guess).solve(LIMITS, "programme")

@@ -40,7 +40,7 @@ from casid import (
     read_csv,
     validate,
 )
-from casid.matching.mismatch import pair_weights, residuals
+from casid.matching.mismatch import pair_weights, weighted_errors
 from models.hybrid_flap import HybridFlap
 from models.hybrid_flap_lag import HybridFlapLag
 from models.six_dof import SixDof
@@ -130,7 +130,7 @@ def cost(system, G, coherence):
     """J of every pair (8, 4) where coherence is 0.6 or more at five points; else NaN."""
     used = coherence >= 0.6
     used &= used.sum(axis=0) >= 5
-    error = residuals(system.response(OMEGA), G, pair_weights(coherence, used))
+    error = weighted_errors(system.response(OMEGA), G, pair_weights(coherence, used))
     return np.where(used.any(axis=0), np.sum(error**2, axis=(0, 1)), np.nan)
 
 

@@ -119,7 +119,7 @@ def stack(grids: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, n
     return np.concatenate([r for r, _ in grids]), np.concatenate([c for _, c in grids])
 
 
-def groups(number: np.ndarray, kinds: int) -> Iterator[tuple[int, Any]]:
+def by_number(number: np.ndarray, kinds: int) -> Iterator[tuple[int, Any]]:
     """Each number that occurs, with where it does."""
     if kinds == 1 or (number == number[0]).all():
         yield int(number[0]), slice(None)

@@ -232,7 +232,7 @@ def _regular(record: Record) -> tuple[Record, NDArray[np.intp]]:
 
 
 def _judged(whole: Record, lost: BoolArray) -> tuple[Array, Array, int]:
-    """How far outputs are off what all others make of them and may be, (N, ny), and the lags."""
+    """Smoothing residuals, limits that make an outlier of a sample, (N, ny), and the lags p."""
     model = autoregression(whole, whole.y, lost)
     p = len(model.A)
     off, std = _apart(model, whole.u, whole.y, lost)
@@ -256,7 +256,7 @@ def _behind(whole: Record, lost: BoolArray, p: int) -> Array:
 
 
 def _apart(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> tuple[Array, Array]:
-    """How far each output is off what all others make of it, and the deviation of that, (N, ny).
+    """Smoothing residual of each sample, given all others, and its standard deviation, (N, ny).
 
     With Q the inverse of the outputs' covariance, these are (Q (y − mean))_k/Q_kk and 1/√Q_kk, lost
     ones eliminated from Q.
@@ -287,7 +287,7 @@ def _apart(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> tuple[
 
 
 def _smoothed(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> Array:
-    """The outputs with the lost ones such that the weighed innovations are smallest."""
+    """Outputs (N, ny), lost ones estimated by least squares of the whitened innovations."""
     p, ny = len(model.A), y.shape[1]
     W = np.linalg.inv(np.linalg.cholesky(model.R))  # whitens
     e = model.innovations(u, y) @ W.T

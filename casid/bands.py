@@ -21,7 +21,7 @@ from casid.arrays import Array, ComplexArray
 from casid.baseline.handling import HandlingQualities, handling_qualities
 from casid.checks import check_level
 from casid.display import Shown, counted
-from casid.eigenmodes import Mode, deviations, figures, may_meet, modes
+from casid.eigenmodes import Mode, deviations, may_meet, modes, pole_figures
 from casid.embedding import StructureError
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
@@ -222,7 +222,7 @@ def mode_bands(fit: AnyFit, *, error: StructureError | None = None) -> tuple[Mod
         near = np.abs(poles[:, None] - moved)
         near += np.where((poles.imag > 0)[:, None] & (moved.imag < 0), np.inf, 0.0)
         pole = moved[scipy.optimize.linear_sum_assignment(np.minimum(near, 1e300))[1]]
-        return np.vstack([*figures(pole), np.subtract.outer(pole.real, pole.real)])
+        return np.vstack([*pole_figures(pole), np.subtract.outer(pole.real, pole.real)])
 
     std = first_order(fit, of, names, C)
     if (near := may_meet(poles, std[1], std[4:], NEAR)).any():

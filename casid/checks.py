@@ -121,12 +121,12 @@ def check_level(level: float, what: str, usual: float = 0.95) -> None:
 def hint(name: str, known: Iterable[str]) -> str:
     """What was meant by a name that is not known, or all names that are."""
     known = tuple(known)
-    meant = nearest(name, known)
+    meant = nearest_name(name, known)
     others = f"known are {', '.join(known)}" if known else "there are none"
     return f"did you mean {meant!r}? {others[0].upper()}{others[1:]}" if meant else others
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def nearest_name(name: str, known: Iterable[str]) -> str:
     """The one of the known names that is most alike, whatever the case; "" if none is."""
     known = tuple(known)
     small = {each.lower(): each for each in known}
@@ -137,7 +137,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 def spelling(name: str, known: Iterable[str]) -> str:
     """The end of a message that asks for the nearest of the known names; "" if none is near."""
-    meant = nearest(name, known)
+    meant = nearest_name(name, known)
     return f"; did you mean {meant!r}?" * bool(meant)
 
 

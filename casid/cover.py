@@ -20,11 +20,11 @@ import numpy as np
 from casid.arrays import Array, ComplexArray
 from casid.display import Shown, counted
 from casid.linear import StateSpace
-from casid.magnitudes import TIGHT, mean, realisation, roots, with_more
+from casid.magnitudes import TIGHT, mean, realisation, roots, with_two_states_more
 from casid.threads import one_thread
 from casid.validation import AnyModel, state_space
 
-Kind = Literal["additive", "multiplicative"]
+ErrorKind = Literal["additive", "multiplicative"]
 GRID = 400  # points of the certificate in a decade
 MOST = 10  # states
 WORTH = 2e-3  # of the mean's logarithm, that two states more must save
@@ -67,7 +67,7 @@ class Cover(Shown):
     """
 
     weight: StateSpace
-    kind: Kind
+    kind: ErrorKind
     omega: Array
     error: Array
     excess: float
@@ -93,7 +93,7 @@ def cover(
     *,
     band: tuple[float, float],
     order: int = 4,
-    kind: Kind = "additive",
+    kind: ErrorKind = "additive",
     scale: tuple[Sequence[float], Sequence[float]] | None = None,
 ) -> Cover:
     """Find a stable weight of given order that covers the differences of models to a nominal one.
@@ -131,8 +131,8 @@ def cover(
         raise ValueError(f"band={band}: expected two increasing finite frequencies above 0 rad/s")
     if not 1 <= order <= MOST:
         raise ValueError(f"order={order}: expected 1 to {MOST}")
-    if kind not in get_args(Kind):
-        raise ValueError(f"kind={kind!r}: expected one of {', '.join(get_args(Kind))}")
+    if kind not in get_args(ErrorKind):
+        raise ValueError(f"kind={kind!r}: expected one of {', '.join(get_args(ErrorKind))}")
     systems = [state_space(each) for each in (nominal, *models)]
     _check(systems, kind, band)
     points = max(GRID, int(GRID * np.log10(high / low)))
@@ -156,7 +156,7 @@ def cover(
     )
 
 
-def _check(systems: Sequence[StateSpace], kind: Kind, band: tuple[float, float]) -> None:
+def _check(systems: Sequence[StateSpace], kind: ErrorKind, band: tuple[float, float]) -> None:
     """Refuse what no weight can cover."""
     first, *others = systems
     if not others:
@@ -194,7 +194,7 @@ def _unstable(system: StateSpace) -> int:
 
 def _largest(
     systems: Sequence[StateSpace],
-    kind: Kind,
+    kind: ErrorKind,
     omega: Array,
     scale: tuple[Sequence[float], Sequence[float]] | None,
 ) -> Array:
@@ -256,7 +256,7 @@ def _tightest(
     v, least, enough = np.array([y.max()]), np.inf, None
     best = realisation(v)
     for states in range(order % 2, MOST + 1, 2):
-        v = with_more(v, x, y, states, tries=3 if states <= order else 1)
+        v = with_two_states_more(v, x, y, states, tries=3 if states <= order else 1)
         W = realisation(v)
         gain = _least_gain(W, roots(v), dense, m, errors) * (1 + BETWEEN)
         excess = mean(x, np.log(gain * np.abs(W.response(dense)[:, 0, 0]) / m))

@@ -23,7 +23,7 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.checks import check_asked
 from casid.display import Shown
 from casid.fit import AnyFit
-from casid.frequency.response import FrequencyResponse, holding
+from casid.frequency.response import FrequencyResponse, response_of_pair
 from casid.model import Model
 from casid.nearest import BoxResponse, Nearest, movable, nearest
 from casid.records import several
@@ -314,7 +314,7 @@ def _measured(
     known = [each for each in responses if pair[0] in each.outputs and pair[1] in each.inputs]
     if not known:
         return {}
-    data = holding(known, pair)
+    data = response_of_pair(known, pair)
     i, j = data.index(*pair)
     usable = np.isfinite(data.G[:, i, j]) & (data.coherence[:, i, j] >= COHERENT)
     usable &= _inside(data.omega, edges)

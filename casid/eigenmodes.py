@@ -82,7 +82,7 @@ def modes(system: StateSpace) -> tuple[Mode, ...]:
     return _once([_mode(complex(poles[k]), c, system) for k, c in zip(kept, columns, strict=True)])
 
 
-def figures(pole: ComplexArray) -> Array:
+def pole_figures(pole: ComplexArray) -> Array:
     """Real and imaginary part, modulus and damping ratio of poles (n,), (4, n)."""
     size = np.maximum(np.abs(pole), 1e-300)
     return np.array([pole.real, pole.imag, size, -pole.real / size])
@@ -103,16 +103,16 @@ def may_meet(poles: ComplexArray, imag_std: Array, gap_std: Array, near: float) 
 def deviations(matrices: Sequence[Array], poles: ComplexArray) -> Array:
     """Root mean squares of what poles of matrices A are off those (n,) of modes, (4, n).
 
-    In `figures`. A pair counts both members, where these have become real too.
+    In `pole_figures`. A pair counts both members, where these have become real too.
     """
     paired = np.flatnonzero(poles.imag > OSCILLATES * np.abs(poles))
     every = np.concatenate([poles, poles[paired].conj()])
-    square, center = [], figures(poles.real + 1j * np.abs(poles.imag))
+    square, center = [], pole_figures(poles.real + 1j * np.abs(poles.imag))
     center = np.hstack([center, center[:, paired]])
     for drawn in np.linalg.eigvals(np.array(matrices)):
         apart = np.abs(every[:, None] - drawn) ** 2  # by squares real ones keep their order
         moved = drawn[scipy.optimize.linear_sum_assignment(apart)[1]]
-        square.append((figures(moved.real + 1j * np.abs(moved.imag)) - center) ** 2)
+        square.append((pole_figures(moved.real + 1j * np.abs(moved.imag)) - center) ** 2)
     mean = np.mean(square, axis=0)
     mean[:, paired] = (mean[:, paired] + mean[:, len(poles) :]) / 2
     return np.asarray(np.sqrt(mean[:, : len(poles)]))

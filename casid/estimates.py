@@ -47,7 +47,7 @@ def parameter_table(
     active = moving & (gap <= ACTIVE * free.scale)
 
     def column(values: Array | None, fixed: float) -> Array:
-        """Of all parameters."""
+        """Free values (nf,) among those of all parameters (n,); NaN if None."""
         every = np.full(len(full), fixed)
         every[free.index] = np.nan if values is None else values
         return every

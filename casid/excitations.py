@@ -214,7 +214,7 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
     )  # fmt: skip
 
 
-def certified(records: Records) -> Excitation | None:
+def excitation_if_any(records: Records) -> Excitation | None:
     """The excitation of records, None where they are too short or nothing moves."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataWarning)  # of gaps, which others tell
@@ -308,7 +308,7 @@ def _spectra(model: VectorAutoregression, ny: int, phase: Array) -> tuple[Array,
 
 
 def coherent_share(whole: Array, ny: int, phase: Array) -> Array:
-    """Share of each output's power that is coherent with the inputs, from spectra (K, n, n)."""
+    """Multiple coherence of each output with the inputs, weighed by power over the band, (ny,)."""
     power = np.einsum("kii->ki", whole).real
     size = np.sqrt(np.where(power > 0, power, 1.0))[:, ny:]
     across = whole[:, :ny, ny:] / size[:, None, :]

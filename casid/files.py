@@ -242,11 +242,11 @@ def csv_columns(path: Path) -> list[str]:
         raise ValueError(f"{path}: the file is empty; expected a header line with channel names")
     if "\0" in "".join(columns):
         raise ValueError(f"{path}: it is no text; save it as comma-separated text in UTF-8")
-    check_names(path, columns)
+    check_printable(path, columns)
     return columns
 
 
-def check_names(path: Path, names: Iterable[str]) -> None:
+def check_printable(path: Path, names: Iterable[str]) -> None:
     """Refuse names that would do something to a terminal; a tab is a matter of separators."""
     if wrong := [name for name in names if CONTROL.search(name)]:
         raise ValueError(f"{path}: the column's name {wrong[0]!r} does not print; rename it")

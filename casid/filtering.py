@@ -28,8 +28,8 @@ SETTLED = 1e-10  # change of a covariance, relative, after which gains are kept
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
-    """What is known at one sample; the first axis (levels) is that of the filters."""
+class FilterState:
+    """Filtered states at one sample; the first axis (levels) is that of the filters."""
 
     X: Array  # (levels, nx, 1 + nx + ny) states there: what inputs and outputs make, and by z
     P: Array  # (levels, nx, nx) covariances of these states, z known
@@ -50,7 +50,7 @@ class Start:
         best = int(np.argmin(self.sizes + self.moments[:, 0, 0] + np.sum(g * z, axis=1)))
         return best, np.r_[1.0, z[best]]
 
-    def known_by(self, later: "Start") -> Array:
+    def known_by(self, later: "FilterState") -> Array:
         """State (nx,), z and the level being those of a later sample."""
         best, z = later.likeliest
         return np.asarray(self.X[best] @ z)
@@ -82,9 +82,9 @@ def noises(steps: Steps, C: Array, y: Array, scale: Array) -> tuple[Array, Array
     return np.divide(1.0, most, out=np.zeros_like(most), where=most > 0), r
 
 
-def starts(
+def filter_states(
     steps: Steps, C: Array, y: Array, t: Array, scale: Array, at: Collection[int]
-) -> Iterator[Start]:
+) -> Iterator[FilterState]:
     """What is known at each of the samples, in order, from the outputs (N, ny) up to it.
 
     NaN is missing; C is (ny, nx) or (N, ny, nx). What comes after a sample is read when the next
@@ -99,7 +99,7 @@ def starts(
     moments, sizes = np.zeros((len(LEVELS), *2 * [1 + nx + ny])), np.zeros(len(LEVELS))
     for k in range(max(at) + 1):
         seen = np.isfinite(y[k])
-        K, W, size = bank.look(C[k], seen)
+        K, W, size = bank.update(C[k], seen)
         E = -C[k] @ X
         E[:, :, 0] += np.where(seen, y[k] - steps.direct[k], 0.0)
         E[:, :, 1 + nx :] -= np.eye(ny)
@@ -108,12 +108,12 @@ def starts(
         moments = moments + white.transpose(0, 2, 1) @ white
         sizes = sizes + size
         if k in at:
-            yield Start(X, bank.P, bank.Q, r, moments, sizes)
+            yield FilterState(X, bank.P, bank.Q, r, moments, sizes)
         if k < len(unit):
             A = steps.maps[steps.which[k]]
             X = A @ X
             X[:, :, 0] += steps.forcing[k]
-            bank.move(A, float(unit[k]), int(steps.which[k]))
+            bank.propagate(A, float(unit[k]), int(steps.which[k]))
 
 
 class _Bank:
@@ -126,8 +126,8 @@ class _Bank:
         self._seen: BoolArray = np.zeros(0, bool)
         self._step, self._same = -1, False
 
-    def look(self, C: Array, seen: BoolArray) -> tuple[Array, Array, Array]:
-        """Gains (b, nx, ny), whiteners (b, ny, ny) and log det S (b,); 0 where nothing is seen."""
+    def update(self, C: Array, seen: BoolArray) -> tuple[Array, Array, Array]:
+        """Gains (b, nx, ny), whiteners (b, ny, ny), log det S (b,) of a measurement update."""
         if not (self._same and self._kept is not None and np.array_equal(seen, self._seen)):
             C, r = C * seen[:, None], np.where(seen, self.r, 1.0)
             S = C @ self._P @ C.T + np.diag(r)
@@ -140,8 +140,8 @@ class _Bank:
             self._seen, self._same = seen, False
         return self._kept
 
-    def move(self, A: Array, unit: float, step: int) -> None:
-        """On by a step of its class, ``unit`` times the usual one."""
+    def propagate(self, A: Array, unit: float, step: int) -> None:
+        """Time update over a step of its class, ``unit`` times as long as the usual one."""
         if self._same and step == self._step:
             return
         P = A @ self.P @ A.T + unit * self.Q

@@ -56,7 +56,7 @@ class Free:
         low, high, near = self.lower[self.index], self.upper[self.index], self.scale[self.index]
         return bool(((low - 1e-7 * near <= values) & (values <= high + 1e-7 * near)).all())
 
-    def surprise(self, values: Array) -> tuple[Array, Array]:
+    def prior_residuals(self, values: Array) -> tuple[Array, Array]:
         """(λ − λ₀)/σ of all priors at free values (nf,), and the derivatives (priors, nf).
 
         Behind them the residuals of other evidence, in standard deviations too.
@@ -71,9 +71,9 @@ class Free:
         more, slopes = self.evidence.residuals(values)
         return np.concatenate([off, more]), np.vstack([pull, slopes])
 
-    def scatter_of_surprise(self, values: Array) -> Array:
-        """Covariance (nf, nf) of the gradient of ½ Σ of the squares of `surprise`."""
-        pull = replace(self, evidence=None).surprise(values)[1]
+    def prior_scatter(self, values: Array) -> Array:
+        """Covariance (nf, nf) of the gradient of ½ Σ of the squares of `prior_residuals`."""
+        pull = replace(self, evidence=None).prior_residuals(values)[1]
         own = pull.T @ pull
         return own if self.evidence is None else own + self.evidence.scatter(values)
 

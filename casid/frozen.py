@@ -18,7 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
 from casid.record import Record
-from casid.repetition import counted
+from casid.repetition import quantised
 from casid.samples import runs
 
 SHORT, LONGER = 10, 4.0  # samples of a run that is looked at, and times the usual one
@@ -131,7 +131,7 @@ def _resting(x: Array) -> BoolArray:
     """Samples (N,) that repeat the one before for much longer than is usual, inside the range."""
     marks = np.zeros(len(x), dtype=bool)
     at = np.flatnonzero(np.isfinite(x))
-    if len(at) < SHORT or counted(x[at]):
+    if len(at) < SHORT or quantised(x[at]):
         return marks
     starts = np.concatenate([[0], np.flatnonzero(np.diff(x[at])) + 1, [len(at)]])
     lengths = np.diff(starts)

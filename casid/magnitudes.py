@@ -33,7 +33,7 @@ def mean(x: Array, values: Array) -> float:
     return float(np.trapezoid(values, x) / (x[-1] - x[0]))
 
 
-def with_more(v: Array, x: Array, y: Array, states: int, tries: int = 3) -> Array:
+def with_two_states_more(v: Array, x: Array, y: Array, states: int, tries: int = 3) -> Array:
     """Numbers of a weight of so many states, tight in the mean, given one of two states fewer."""
     if states == 0:
         return v
@@ -106,13 +106,13 @@ def _fitted(v: Array, x: Array, y: Array) -> tuple[Array, float]:
 
 
 def _tops(values: Array) -> NDArray[np.intp]:
-    """Where values have local maxima."""
+    """Positions of local maxima inside values (K,), plateaus included."""
     inner = values[1:-1]
     return 1 + np.flatnonzero((inner >= values[:-2]) & (inner >= values[2:]))
 
 
 def _limits(n: int, x: Array, y: Array) -> tuple[Array, Array]:
-    """Of gain, frequencies and damping ratios."""
+    """Lower and upper bounds (n,) of a weight's numbers: gain, frequencies, damping ratios."""
     lower, upper, first = np.full(n, x[0] - BEYOND), np.full(n, x[-1] + BEYOND), _first(n)
     lower[0], upper[0] = -np.inf, np.inf
     # The logarithm of a peak falls by at most 1/ζ: none is narrower than the narrowest of y.

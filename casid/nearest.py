@@ -73,19 +73,19 @@ class BoxResponse:
 
 
 def nearness(omega: Array) -> Array:
-    """Gaussian (K, K) of how far frequencies' logarithms are apart."""
+    """Gaussian kernel (K, K) of the distance of frequencies in nepers, of width `REACH`."""
     L = np.log(omega)
     return np.asarray(np.exp(-0.5 * ((L[:, None] - L) / REACH) ** 2))
 
 
 def kernel(omega: Array) -> Array:
-    """Weights (K, K) of a mean over neighbours."""
+    """Gaussian smoothing over frequency as a matrix (K, K) whose rows add up to one."""
     near = nearness(omega)
     return np.asarray(near / near.sum(axis=1, keepdims=True))
 
 
 def movable(fit: AnyFit | Model) -> Free:
-    """What may move of a structure: of a fit what it left free, between its bounds."""
+    """Free parameters of a structure, or of a fit those it estimated, within their bounds."""
     if isinstance(fit, Model):
         return free_parameters(fit)
     fixed = [row.name for row in fit.parameters if row.fixed]
@@ -138,7 +138,7 @@ def _settled(free: Free, target: BoxResponse, lam: Array, W: Array) -> Array:
 
 
 def _left(F: ComplexArray, J: ComplexArray, W: Array) -> ComplexArray:
-    """(I - J K) F: what parameters cannot take up of errors F, under weights W."""
+    """(I - J K) F: errors F (K, ny, nu, rank) less their projection on the slopes J."""
     rank = F.shape[-1]
     columns = _real((W * J).reshape(len(J), -1)).T
     size = np.linalg.norm(columns, axis=0)

@@ -43,8 +43,8 @@ PER_UNKNOWN = 3.0  # measurements on that past at least
 
 
 @dataclass(frozen=True)
-class Outlook:
-    """How far models are predicted in one record."""
+class PredictionPlan:
+    """Horizon of the predictions of one record, and the samples at which they begin."""
 
     horizon: float  # [s], infinite for a simulation over all of it
     starts: tuple[int, ...] = ()  # samples at which predictions begin
@@ -79,12 +79,12 @@ def growth_rate(system: StateSpace) -> float:
     return max(0.0, float(np.log(np.abs(poles).max(initial=1.0)) / system.dt))
 
 
-def outlook(
+def prediction_plan(
     systems: Sequence[StateSpace],
     record: Record,
     horizon: float | None,
     closed_loop: bool = False,
-) -> Outlook:
+) -> PredictionPlan:
     """How far all of these models are predicted in a record.
 
     They are simulated if none grows too much over it, unless a horizon [s] is given. One horizon
@@ -96,7 +96,7 @@ def outlook(
     if horizon is None:
         horizon = min(AHEAD * length, FOLDS / min(fast)) if fast else np.inf
     if np.isinf(horizon):
-        return Outlook(np.inf, closed_loop=closed_loop)
+        return PredictionPlan(np.inf, closed_loop=closed_loop)
     unknowns = max(each.nx for each in systems) + record.ny
     past = max(round(PAST * horizon / pace), int(PER_UNKNOWN * unknowns))
     ahead = int(horizon / pace + 1e-9)
@@ -106,12 +106,12 @@ def outlook(
             f"record {record.name!r} of {length:g} s is too short to predict {horizon:g} s ahead "
             f"from {past * pace:g} s of past; give another horizon"
         )
-    return Outlook(horizon, starts, past, closed_loop)
+    return PredictionPlan(horizon, starts, past, closed_loop)
 
 
-def predict(system: StateSpace, record: Record, scale: Array, far: Outlook) -> Prediction:
+def predict(system: StateSpace, record: Record, scale: Array, far: PredictionPlan) -> Prediction:
     """Outputs of a model over a record; ``scale`` (ny,) weighs them, the intervals must agree."""
-    follower = Follower(system, record, scale)
+    follower = RecordPredictor(system, record, scale)
     if np.isinf(far.horizon):
         states, bias = follower.estimate()
         y = follower.outputs(states, 0) + bias
@@ -121,7 +121,7 @@ def predict(system: StateSpace, record: Record, scale: Array, far: Outlook) -> P
     return found.placed(np.array(follower.shared), record.ny)
 
 
-class Follower:
+class RecordPredictor:
     """Estimates and continues the state of one model, linear unless derived, along one record."""
 
     origin: Array  # (nx,) state that the filters count from
@@ -138,7 +138,7 @@ class Follower:
         self.origin = np.zeros(system.nx)
         self.t, self.y, self.scale = record.t, record.y[:, self.shared], scale[self.shared]
 
-    def pieces(self, far: Outlook) -> Prediction:
+    def pieces(self, far: PredictionPlan) -> Prediction:
         """Predictions from each start to the next, each from what is known there."""
         starts = far.starts
         N, ny, nx = self.C.shape
@@ -166,7 +166,7 @@ class Follower:
             found.append(self.steps.maps[self.steps.which[k]] @ found[-1] + self.steps.forcing[k])
         return np.array(found)
 
-    def _bounded(self, path: Array, begin: int, known: filtering.Start) -> Array:
+    def _bounded(self, path: Array, begin: int, known: filtering.FilterState) -> Array:
         """States of a piece, given that outputs at its end are their means within covariances."""
         # A smoother's, to which the means are a last measurement.
         end, level = begin + len(path) - 1, known.likeliest[0]
@@ -185,9 +185,9 @@ class Follower:
         away = (self.outputs(path, begin)[-1] + known.bias)[some] - mean
         return np.asarray(path - np.array(P) @ np.array(felt[::-1]) @ np.linalg.solve(S, away))
 
-    def known(self, starts: Sequence[int]) -> Iterator[filtering.Start]:
-        """What the record up to each of these samples tells."""
-        return filtering.starts(self.steps, self.C, self.y, self.t, self.scale, starts)
+    def known(self, starts: Sequence[int]) -> Iterator[filtering.FilterState]:
+        """Filtered states at each of these samples, from the record up to it."""
+        return filtering.filter_states(self.steps, self.C, self.y, self.t, self.scale, starts)
 
     def estimate(self) -> tuple[Array, Array]:
         """States (N, nx) and biases that suit all measurements best."""

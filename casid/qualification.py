@@ -17,7 +17,7 @@ from casid.arrays import Array, BoolArray
 from casid.channels import MEASURES, UNITS, factor_of
 from casid.checks import check_known
 from casid.display import Shown, listed
-from casid.validation import Validation, due
+from casid.validation import Validation, judged_samples
 
 SOURCE = "14 CFR Part 60, Appendix C, Table C2A, entries 2.b.3 and 2.c.1"
 TOLERANCES: Mapping[str, str] = {
@@ -159,7 +159,7 @@ def qualify(
     columns = [validation.outputs.index(name) for name in outputs]
     level = np.array([(noise or {}).get(name, np.nan) for name in outputs])
     measured, usual = validation.measured, tolerances == TOLERANCES
-    asked = due(measured, validation.begins, validation.known[model])
+    asked = judged_samples(measured, validation.begins, validation.known[model])
     records = zip(measured, validation.simulated[model], asked, strict=True)
     judged = [
         _judged(r.y[:, columns], y[:, columns], a[:, columns], bands, level) for r, y, a in records

@@ -55,7 +55,7 @@ def without_repeats(record: Record) -> Record:
     return masked.take(known)
 
 
-def counted(x: Array) -> bool:
+def quantised(x: Array) -> bool:
     """Whether a channel (N,) is counted in coarse steps, or never moves."""
     moves = np.abs(np.diff(x))
     moves = moves[moves > 0]
@@ -66,7 +66,7 @@ def least_step(x: Array) -> float:
     """Step that a channel (N,) is counted in, lost samples left out; 0 if it is not."""
     seen = x[np.isfinite(x)]
     moves = np.abs(np.diff(seen))
-    return float(np.quantile(moves[moves > 0], 0.05)) if counted(seen) and moves.any() else 0.0
+    return float(np.quantile(moves[moves > 0], 0.05)) if quantised(seen) and moves.any() else 0.0
 
 
 def _repeated(x: Array) -> BoolArray:
@@ -75,7 +75,7 @@ def _repeated(x: Array) -> BoolArray:
     steps = np.diff(x[at])
     steps[np.abs(steps) <= ROUNDING * np.abs(x[at]).max(initial=0.0)] = 0.0
     moves = np.abs(steps[steps != 0])
-    if counted(x[at]):
+    if quantised(x[at]):
         return none
     starts = np.concatenate([[0], np.flatnonzero(steps) + 1])
     lengths = np.diff(np.concatenate([starts, [len(at)]]))

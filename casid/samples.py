@@ -39,6 +39,13 @@ def known_mean(x: Array) -> Array:
     return np.asarray(np.ma.masked_invalid(x).mean(axis=0).filled(0.0))
 
 
+def autocorrelation(x: Array, lags: int) -> Array:
+    """Of samples (N,), mean removed, at lags of 0 to ``lags`` samples, (lags + 1,); 1 at 0."""
+    x = x - x.mean()
+    products = np.array([float(x[lag:] @ x[: len(x) - lag]) for lag in range(lags + 1)])
+    return np.asarray(products / max(products[0], 1e-300))
+
+
 def noise(x: Array) -> Array:
     """Standard deviation of white noise on every smooth column (N, n), by third differences."""
     if len(x) < FEWEST:

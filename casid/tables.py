@@ -67,7 +67,7 @@ class Table:
 
 @contextmanager
 def placed(place: str) -> Iterator[None]:
-    """What is refused within is told with its place."""
+    """Put the place before the message of a ValueError or ModelError that is raised within."""
     try:
         yield
     except ModelError as error:

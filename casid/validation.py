@@ -20,12 +20,19 @@ from casid.display import Shown, counted, listed
 from casid.fit import AnyFit, Fit
 from casid.linear import StateSpace
 from casid.model import Model
-from casid.nonlinear.coverage import joined, warn_beyond
+from casid.nonlinear.coverage import joined_spans, warn_beyond
 from casid.nonlinear.model import NonlinearModel
-from casid.prediction import PER_UNKNOWN, Outlook, Prediction, growth_rate, outlook, predict
+from casid.prediction import (
+    PER_UNKNOWN,
+    Prediction,
+    PredictionPlan,
+    growth_rate,
+    predict,
+    prediction_plan,
+)
 from casid.record import Record
 from casid.records import Records, same_channels, standard_deviations, stretches
-from casid.samples import known_mean
+from casid.samples import autocorrelation, known_mean
 from casid.shooting.simulation import predict_nonlinear
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread
@@ -182,7 +189,7 @@ def validate(
     inputs, outputs = same_channels(records)
     scale, systems = standard_deviations(records)[1], _systems(models, records)
     every = list(systems.values())
-    far = [outlook(every, record, horizon, closed_loop) for record in records]
+    far = [prediction_plan(every, record, horizon, closed_loop) for record in records]
     predictions = {
         name: [_predicted(name, model, *each, scale) for each in zip(records, far, strict=True)]
         for name, model in models.items()
@@ -191,7 +198,7 @@ def validate(
     simulated = {name: tuple(p.y for p in ps) for name, ps in predictions.items()}
     begins = tuple(look.starts[0] + 1 if look.starts else 0 for look in far)
     known = {name: system.outputs for name, system in systems.items()}
-    asked = {name: due(records, begins, own) for name, own in known.items()}
+    asked = {name: judged_samples(records, begins, own) for name, own in known.items()}
     return Validation(
         **_measured(records, simulated, asked),
         models=tuple(models),
@@ -247,7 +254,7 @@ def _check(name: str, system: StateSpace, records: Sequence[Record]) -> None:
 
 
 def _predicted(
-    name: str, model: AnyModel, record: Record, far: Outlook, scale: Array
+    name: str, model: AnyModel, record: Record, far: PredictionPlan, scale: Array
 ) -> Prediction:
     structure = model.model if isinstance(model, Fit) else model
     try:
@@ -267,7 +274,7 @@ def _tell_beyond(
         structure = model.model if isinstance(model, Fit) else model
         if isinstance(structure, NonlinearModel):
             flown = getattr(model.notes, "covered", None) if isinstance(model, Fit) else None
-            visited = joined([each.reached for each in predictions[name]])
+            visited = joined_spans([each.reached for each in predictions[name]])
             warn_beyond(structure, f"validation of {name!r}", visited, flown)
 
 
@@ -280,7 +287,7 @@ def state_space(model: AnyModel) -> StateSpace:
     return model.system() if isinstance(model, Model) else model.system
 
 
-def due(
+def judged_samples(
     records: Sequence[Record], begins: Sequence[int], known: Sequence[str]
 ) -> tuple[BoolArray, ...]:
     """Samples of each record on which a model is judged, (N, ny): measured, of outputs it has.
@@ -340,7 +347,7 @@ def datum(record: Record) -> Array:
 def measures(validation: Validation, model: str, i: int) -> tuple[float, float, float]:
     """RMS error, fit and Theil's coefficient of one output's deviations, all records together."""
     measured, found = validation.measured, validation.simulated[model]
-    asked = due(measured, validation.begins, validation.known[model])
+    asked = judged_samples(measured, validation.begins, validation.known[model])
     both = list(zip(measured, found, asked, strict=True))
     y = np.concatenate([(record.y - datum(record))[there[:, i], i] for record, _, there in both])
     y_model = np.concatenate(
@@ -388,10 +395,3 @@ def _whiteness(y: Array, y_model: Array) -> float:
     if lags < 1 or np.ptp(e) == 0:
         return np.nan
     return float(np.mean(np.abs(autocorrelation(e, lags)[1:]) <= BAND / np.sqrt(len(e))))
-
-
-def autocorrelation(x: Array, lags: int) -> Array:
-    """Of samples (N,), mean removed, at lags of 0 to ``lags`` samples, (lags + 1,); 1 at 0."""
-    x = x - x.mean()
-    products = np.array([float(x[lag:] @ x[: len(x) - lag]) for lag in range(lags + 1)])
-    return np.asarray(products / max(products[0], 1e-300))

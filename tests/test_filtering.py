@@ -50,7 +50,7 @@ def test_a_state_is_that_of_least_squares_over_all_disturbances(even, monkeypatc
     q, r = filtering.noises(steps, SYSTEM.C, y, np.ones(2))
     at = (20, 45, N - 1)
     for last, found in zip(
-        at, filtering.starts(steps, SYSTEM.C, y, t, np.ones(2), at), strict=True
+        at, filtering.filter_states(steps, SYSTEM.C, y, t, np.ones(2), at), strict=True
     ):
         x, bias = least_squares(steps, y, t, 3.0 * q, r, last)
         np.testing.assert_allclose(found.x, x, rtol=1e-6, atol=1e-8)
@@ -63,7 +63,7 @@ def test_a_filter_that_has_settled_goes_on_where_the_sampling_changes(monkeypatc
     t = DT * np.append(np.arange(later), later + 3 * np.arange(n - later))
     steps, y = SYSTEM.steps(t, rng.standard_normal((n, 1)), "zoh"), rng.standard_normal((n, 2))
     q, r = filtering.noises(steps, SYSTEM.C, y, np.ones(2))
-    (found,) = filtering.starts(steps, SYSTEM.C, y, t, np.ones(2), (n - 1,))
+    (found,) = filtering.filter_states(steps, SYSTEM.C, y, t, np.ones(2), (n - 1,))
     x, bias = least_squares(steps, y, t, 1e4 * q, r, n - 1)
     np.testing.assert_allclose(found.x, x, rtol=1e-6, atol=1e-8)
     np.testing.assert_allclose(found.bias, bias, rtol=1e-6, atol=1e-8)
@@ -74,7 +74,7 @@ def test_a_state_knows_nothing_of_what_comes_later():
     later = y.copy()
     later[31:] = 100.0
     one, other = (
-        next(iter(filtering.starts(steps, SYSTEM.C, each, t, np.ones(2), (30,))))
+        next(iter(filtering.filter_states(steps, SYSTEM.C, each, t, np.ones(2), (30,))))
         for each in (y, later)
     )
     np.testing.assert_array_equal(one.x, other.x)

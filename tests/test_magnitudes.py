@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from casid.magnitudes import mean, realisation, roots, with_more
+from casid.magnitudes import mean, realisation, roots, with_two_states_more
 
 X = np.linspace(np.log(0.1), np.log(30.0), 800)
 
@@ -36,7 +36,7 @@ def test_the_magnitude_of_a_system_is_covered_by_that_system(odd):
     y = 2 * np.log(np.abs(realisation(numbers(odd)).response(np.exp(X))[:, 0, 0]))
     v = np.array([y.max()])
     for states in (1, 3) if odd else (0, 2):
-        v = with_more(v, X, y, states)
+        v = with_two_states_more(v, X, y, states)
     over = np.log(np.abs(realisation(v).response(np.exp(X))[:, 0, 0])) - 0.5 * y
     assert over.min() > -1e-9
     assert mean(X, over) < 0.005
@@ -50,7 +50,7 @@ def test_a_narrow_peak_costs_what_it_is_wide():
     y = np.logaddexp(0.0, -np.log(tops.min(axis=1)))
     v = np.array([y.max()])
     for states in (0, 2, 4, 6):
-        v = with_more(v, x, y, states)
+        v = with_two_states_more(v, x, y, states)
     W = realisation(v)
     assert omega[0] > 0
     assert W.poles().real.max() < 0

@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 from casid import Record, StateSpace, validate
-from casid.prediction import AHEAD, FOLDS, Follower, growth_rate, outlook, predict
+from casid.prediction import AHEAD, FOLDS, RecordPredictor, growth_rate, predict, prediction_plan
 
 DT = 0.02
 T = DT * np.arange(1500)
@@ -135,9 +135,9 @@ def smoothed(system, record, known, start, end):
 def test_in_closed_loop_states_ahead_are_those_of_least_squares_over_disturbances_ahead():
     system, record = regulated(1)
     scale = record.y.std(axis=0)
-    far = outlook([system], record, 1.0, closed_loop=True)
+    far = prediction_plan([system], record, 1.0, closed_loop=True)
     found = predict(system, record, scale, far).states
-    follower = Follower(system, record, scale)
+    follower = RecordPredictor(system, record, scale)
     ends = (*far.starts[1:], record.N - 1)
     for start, end, known in zip(far.starts, ends, follower.known(far.starts), strict=True):
         wanted = smoothed(system, record, known, start, end)[1:]
@@ -163,7 +163,7 @@ def test_a_prediction_of_a_stable_model_starts_from_its_own_state():
     x0 = np.array([0.7, -0.4])
     y = STABLE.simulate(T, steps(), x0) + np.array([0.2, -0.1])
     record = Record(T, steps(), y, ("u",), ("a", "b"))
-    found = predict(STABLE, record, np.ones(2), outlook([STABLE], record, None))
+    found = predict(STABLE, record, np.ones(2), prediction_plan([STABLE], record, None))
     np.testing.assert_allclose(found.x0, x0, atol=1e-9)
     np.testing.assert_allclose(found.b, [0.2, -0.1], atol=1e-9)
     np.testing.assert_allclose(found.y, y, atol=1e-9)

@@ -224,7 +224,7 @@ def _residual_slopes(problem: Condensed, x: Array) -> Array:
     c, weight = problem.comparison, problem.comparison.decibel_weight
     G, slope = problem.matrices(x).response_slopes(c.s)
     rows = residual_slopes(G, slope, c.G, weight)[:, :, weight > 0]
-    known = c.price_of_surprise("decibel") * problem.free.surprise(x)[1]
+    known = c.prior_weight("decibel") * problem.free.prior_residuals(x)[1]
     return np.vstack([rows.reshape(len(rows), -1).T, known])
 
 
@@ -257,7 +257,7 @@ def _scatter(
         return None
     white = whitener(replace(frf, flags={}), there)
     total = white.spread(np.where(there[..., None], own[place], 0.0))
-    priors = gain[:, 2 * n :] * c.price_of_surprise("decibel")
+    priors = gain[:, 2 * n :] * c.prior_weight("decibel")
     return np.where(np.isfinite(bound), total + priors @ priors.T, bound)
 
 

@@ -27,7 +27,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.display import Shown
-from casid.frequency.response import FrequencyResponse, holding
+from casid.frequency.response import FrequencyResponse, response_of_pair
 
 Kind = Literal["attitude", "rate", "loop"]
 
@@ -122,7 +122,7 @@ def handling_qualities(
         raise ValueError(
             f'kind={kind!r}, sign={sign}: expected "attitude", "rate" or "loop", and 1 or -1'
         )
-    frf = holding(target, pair)
+    frf = response_of_pair(target, pair)
     i, j = frf.index(*pair)
     G, gamma = frf.G[:, i, j], frf.coherence[:, i, j]
     known = np.isfinite(G) & (np.abs(G) > 0)

@@ -17,8 +17,8 @@ import scipy
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.display import Shown
 from casid.errors import ConvergenceError
-from casid.frequency.response import FrequencyResponse, holding
-from casid.matching.mismatch import DB, DEG, TURN, log_ratio, pair_weights, residuals
+from casid.frequency.response import FrequencyResponse, response_of_pair
+from casid.matching.mismatch import DB, DEG, TURN, log_ratio, pair_weights, weighted_errors
 from casid.records import several
 
 # Delays to start from, in periods of the fastest point.
@@ -130,7 +130,7 @@ def transfer_function(
         )
     nz, np_ = map(int, degrees)
     output, name = _pair(target, pair)
-    frf = holding(target, (output, name))
+    frf = response_of_pair(target, (output, name))
     frf = frf if band is None else frf.between(*band)
     i, j = frf.index(output, name)
     G, gamma = frf.G[:, i, j], frf.coherence[:, i, j]
@@ -142,7 +142,7 @@ def transfer_function(
             f"too few for the {unknowns} unknowns of order {order}; lower the order or the "
             "threshold, or improve the measurement"
         )
-    problem = _Problem(frf.omega[used], G[used], gamma[used], (nz, np_), delay)
+    problem = _TransferFunctionFit(frf.omega[used], G[used], gamma[used], (nz, np_), delay)
     x = problem.solve()
     numerator, denominator, tau = problem.unpack(x)
     found = problem.response(x)
@@ -167,7 +167,7 @@ def _pair(
     return pairs[0]
 
 
-class _Problem:
+class _TransferFunctionFit:
     """J as a least-squares problem in numerator, denominator and delay, s in units of ω₀."""
 
     def __init__(
@@ -200,7 +200,7 @@ class _Problem:
         return np.asarray(self.size * top / bottom * late)
 
     def residual(self, x: Array) -> Array:
-        return residuals(self.response(x), self.G, self.weight).ravel()
+        return weighted_errors(self.response(x), self.G, self.weight).ravel()
 
     def jacobian(self, x: Array) -> Array:
         """Of the residuals: d ln G is that of numerator, denominator and delay in turn."""

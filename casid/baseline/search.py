@@ -15,8 +15,8 @@ import numpy as np
 from casid.arrays import Array
 from casid.baseline.accuracy import StartCost
 from casid.matching.descent import Condensed, descend
-from casid.matching.initial import Start, least_squares
-from casid.matching.mismatch import residuals
+from casid.matching.initial import StartingPoint, least_squares
+from casid.matching.mismatch import weighted_errors
 from casid.matching.programme import Optimum, Programme
 from casid.nlp import SolverOptions
 
@@ -73,7 +73,7 @@ def solve(problem: Condensed, found: Minima, options: SolverOptions) -> Optimum:
     """The programme from the best minimum; from the next as good if that fails, and so on."""
     best: Optimum | None = None
     iterations = 0
-    minima = [Start(name=row.start, values=values, cost=row.J) for row, values in found]
+    minima = [StartingPoint(name=row.start, values=values, cost=row.J) for row, values in found]
     minima.sort(key=lambda start: start.cost)
     limit = minima[0].cost + AGREES * (1 + minima[0].cost)  # a worse minimum is no answer
     for start in [minima[0], *(each for each in minima[1:] if each.cost <= limit)][:TRIES]:
@@ -91,7 +91,7 @@ def solve(problem: Condensed, found: Minima, options: SolverOptions) -> Optimum:
 def pair_costs(problem: Condensed, values: Array) -> Array:
     """J of every pair at free values, (ny, nu)."""
     c = problem.comparison
-    r = residuals(problem.matrices(values).response(c.s), c.G, c.decibel_weight)
+    r = weighted_errors(problem.matrices(values).response(c.s), c.G, c.decibel_weight)
     return np.asarray(np.sum(r**2, axis=(0, 1)))
 
 
@@ -100,7 +100,7 @@ def _checked(problem: Condensed, found: Optimum) -> Optimum:
     c = problem.comparison
     with np.errstate(over="ignore", invalid="ignore"):
         cost = float(pair_costs(problem, found.values).sum())
-        cost += float(np.sum(problem.free.surprise(found.values)[0] ** 2) / 2)
+        cost += float(np.sum(problem.free.prior_residuals(found.values)[0] ** 2) / 2)
     silent = (c.W > 0) & (problem.matrices(found.values).response(c.s) == 0)
     status = found.status
     if silent.any():

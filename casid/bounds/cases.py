@@ -306,7 +306,7 @@ def constrained(model: Model, case: Case) -> tuple[Model, Array]:
     return derived(**_values(model)), sizes
 
 
-def plain(model: Model, cls: type[Model]) -> Model:
+def as_user_class(model: Model, cls: type[Model]) -> Model:
     """The model as an instance of the user's own class."""
     return cls(**_values(model))
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from casid.bounds.cases import Case, CaseSpec
 from casid.bounds.prices import CaseResult, price_case
-from casid.bounds.trials import Data, Fits, in_words
+from casid.bounds.trials import Data, Fits, spelt_out
 from casid.display import Shown
 from casid.errors import warn
 from casid.estimator import Estimator
@@ -171,7 +171,7 @@ def compare_bounds(
     return BoundsComparison(
         cases=results,
         freest=freest,
-        estimator=in_words(type(estimator).__name__),
+        estimator=spelt_out(type(estimator).__name__),
         structure=type(model).__name__,
         validation=judged,
     )

@@ -26,7 +26,7 @@ CRITERIA = ("aicc", "cost")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
+class ReductionStep:
     """One parameter held, and the fit of the rest.
 
     ``insensitivity`` and ``cramer_rao`` are its figures before, in % of its value; ``value`` is
@@ -59,7 +59,7 @@ class Reduction:
 
     full: AnyFit
     fit: AnyFit
-    steps: tuple[Step, ...]
+    steps: tuple[ReductionStep, ...]
     criterion: str
 
     @property
@@ -69,17 +69,17 @@ class Reduction:
 
     def to_csv(self) -> str:
         """One row a step."""
-        columns = tuple(each.name for each in fields(Step))
+        columns = tuple(each.name for each in fields(ReductionStep))
         return csv_text(columns, [[getattr(step, c) for c in columns] for step in self.steps])
 
     def to_markdown(self) -> str:
         """One row a step."""
         rows = []
         for step in self.steps:
-            figures = [f"{step.insensitivity:.3g}", f"{step.cramer_rao:.3g}"]
+            percent = [f"{step.insensitivity:.3g}", f"{step.cramer_rao:.3g}"]
             costs = [f"{step.cost:.8g}", f"{step.aicc:.8g}"]
             verdict = "yes" if step.accepted else step.reason or "no"
-            rows.append([step.parameter, f"{step.value:.4g}", *figures, *costs, verdict])
+            rows.append([step.parameter, f"{step.value:.4g}", *percent, *costs, verdict])
         heading = ("held", "at", "insensitivity [%]", "Cramér-Rao [%]", "cost", "AICc", "accepted")
         return markdown_table(heading, rows)
 
@@ -163,7 +163,7 @@ def reduce_structure(
     full = _whole(*fits([{}], start))
     criterion = rule.criterion or ("cost" if full.R is None else "aicc")
     limit = full.cost + rule.rise * abs(full.cost)
-    fit, held, passed, steps = full, dict[str, float](), set(rule.protect), list[Step]()
+    fit, held, passed, steps = full, dict[str, float](), set(rule.protect), list[ReductionStep]()
     while rows := _worst(fit, {*held, *passed}, replay, rule.candidates):
         trials = [held | {row.name: _value(row, replay)} for row in rows]
         done, row, trial = min(
@@ -182,7 +182,7 @@ def reduce_structure(
     return Reduction(full=full, fit=fit, steps=tuple(steps), criterion=criterion)
 
 
-def figures(fit: AnyFit, row: ParameterEstimate) -> tuple[float, float]:
+def accuracy_figures(fit: AnyFit, row: ParameterEstimate) -> tuple[float, float]:
     """Insensitivity and Cramér-Rao figure of a parameter, % of its value.
 
     The guidelines are T&R's, for √(H⁻¹) of a cost in decibels and degrees.
@@ -217,7 +217,7 @@ def _worst(
         row.name: worst
         for row in fit.parameters
         if not (row.fixed or row.active or row.name in out)
-        and (worst := float(np.nanmax(np.array(figures(fit, row)) / guide))) > 1
+        and (worst := float(np.nanmax(np.array(accuracy_figures(fit, row)) / guide))) > 1
     }
     return [fit[name] for name in sorted(poor, key=lambda name: -poor[name])[:count]]
 
@@ -247,9 +247,9 @@ def _step(
     data: Sequence[Any],
     *,
     accepted: bool,
-) -> Step:
-    insensitivity, cramer_rao = figures(before, row)
-    return Step(
+) -> ReductionStep:
+    insensitivity, cramer_rao = accuracy_figures(before, row)
+    return ReductionStep(
         parameter=row.name,
         value=value,
         insensitivity=insensitivity,

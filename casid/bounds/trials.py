@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from casid.arrays import Array
-from casid.bounds.cases import Case, CaseSpec, constrained, feasible, plain, read_cases
+from casid.bounds.cases import Case, CaseSpec, as_user_class, constrained, feasible, read_cases
 from casid.bounds.robust import weights
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
@@ -157,10 +157,10 @@ def _own(fit: AnyFit, cls: type[Model], sizes: Array) -> AnyFit:
     for row, size in zip(fit.constraints[own:], sizes.tolist(), strict=True):
         scaled = {name: getattr(row, name) * size for name in ("value", "lower", "upper")}
         constraints.append(replace(row, **scaled, multiplier=row.multiplier / size))
-    return replace(fit, model=plain(fit.model, cls), constraints=tuple(constraints))
+    return replace(fit, model=as_user_class(fit.model, cls), constraints=tuple(constraints))
 
 
-def in_words(name: str) -> str:
+def spelt_out(name: str) -> str:
     """``OutputError`` as "output error"."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
 

@@ -25,7 +25,7 @@ from casid.nonlinear.conditions import Trim
 from casid.nonlinear.coverage import SPEEDS
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.stages.conditions import condition, conditions
+from casid.stages.conditions import flight_condition, flight_conditions
 from casid.studies.runner import kept_fit
 from casid.studies.study import Study, read_records
 from casid.studies.studyfile import read_study
@@ -209,7 +209,11 @@ def _condition(
     if not isinstance(model, NonlinearModel):
         return None, records
     fast = any(name in SPEEDS for name in model.states)
-    places = conditions(model, records) if fast else [(condition(model, records[0]), records)]
+    places = (
+        flight_conditions(model, records)
+        if fast
+        else [(flight_condition(model, records[0]), records)]
+    )
     speeds = [place.speed for place, _ in places]
     wanted = [value for name, value in asked.items() if name in SPEEDS]
     if len(places) > 1 and not wanted:

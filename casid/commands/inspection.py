@@ -10,10 +10,10 @@ from casid.arrays import Array, BoolArray
 from casid.autoregression import outliers
 from casid.channels import UNITS
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
-from casid.consistency.measured import noise
+from casid.consistency.measured import white_noise
 from casid.consistency.plausibility import unit_doubts
 from casid.display import Shown, counted, listed
-from casid.excitations import Excitation, certified
+from casid.excitations import Excitation, excitation_if_any
 from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
 from casid.record import REST, Record
@@ -156,7 +156,7 @@ def inspect_records(
     advice += steps_told(records, inputs)
     advice += _excitation_advice(facts, inputs) + _correlation_advice(correlation, inputs)
     advice += list(kinematics.remarks)
-    outside = certified(records)
+    outside = excitation_if_any(records)
     advice += [] if outside is None else outside.doubts()
     if model is not None and found is not None:
         advice += _model_advice(type(model).__name__, found)
@@ -237,7 +237,7 @@ def _missing(known: BoolArray) -> float:
 def _noise(values: Array) -> float:
     """Deviation of white noise; none on what rests or moves evenly for most of the time."""
     steps = np.abs(np.diff(values, 3))
-    return noise(values) if np.median(steps) > 1e-9 * np.ptp(values) else 0.0
+    return white_noise(values) if np.median(steps) > 1e-9 * np.ptp(values) else 0.0
 
 
 def _clipped(values: Array, *, stick: bool) -> int:

@@ -22,11 +22,11 @@ from casid.nlp import Progress
 from casid.records import steps_told
 from casid.report.content import Timing
 from casid.report.words import brief, prior
-from casid.stages.listing import STAGES, in_tables, in_words
+from casid.stages.listing import STAGES, stages_in_words, tables_of_stages
 from casid.structure.modelfile import load_model
 from casid.structure.overview import describe
 from casid.studies.keeping import Watch
-from casid.studies.runner import Outcome, run_study
+from casid.studies.runner import StudyOutcome, run_study
 from casid.studies.study import Study, read_flights
 from casid.studies.studyfile import read_study
 
@@ -46,9 +46,9 @@ VERBOSE = click.option("--verbose", "-v", is_flag=True, help="Say what each stag
 
 IDENTIFY = f"""Identify the structure a study names and write its report.
 
-Stages: {in_words(STAGES)}, report. Each result is kept when its stage ends: an interrupted study
-goes on where it stopped, and a stage is computed again only if something it depends on has changed.
-Their settings stand in the tables {in_tables(STAGES)} of the study.
+Stages: {stages_in_words(STAGES)}, report. Each result is kept when its stage ends: an interrupted
+study goes on where it stopped, and a stage is computed again only if something it depends on has
+changed. Their settings stand in the tables {tables_of_stages(STAGES)} of the study.
 
 \b
 The output folder then holds
@@ -80,7 +80,7 @@ def identify(
     if parameters:
         chosen = any(timing.stage == "chosen" for timing in outcome.timings)
         delivered = Fit.load(asked.output / "fit.json", model=type(asked.model))
-        console.print(parameter_table(delivered, of="the chosen step, " * chosen))
+        console.print(printed_parameters(delivered, of="the chosen step, " * chosen))
     _judge(console, outcome)
     _say_where(console, outcome)
 
@@ -210,7 +210,7 @@ def _line(stage: str, iterations: int | None, cost: float | None, seconds: float
     return f"{stage:<{WIDE}}{steps:>11}{value:>14}{seconds:>10.2f}"
 
 
-def _judge(console: Console, outcome: Outcome) -> None:
+def _judge(console: Console, outcome: StudyOutcome) -> None:
     """Print what the report begins with: structure, verdict per output, what to be careful of."""
     for said, good in outcome.headlines.items():
         console.print(Text(said, style={True: "green", False: "yellow", None: ""}[good]))
@@ -229,12 +229,12 @@ def _judge(console: Console, outcome: Outcome) -> None:
         caution(console, brief(said))
 
 
-def _say_where(console: Console, outcome: Outcome) -> None:
+def _say_where(console: Console, outcome: StudyOutcome) -> None:
     path = str(outcome.report.resolve())
     console.print(Text("Report: ").append(path, style="bold"), soft_wrap=True)
 
 
-def parameter_table(fit: AnyFit, of: str = "") -> Table:
+def printed_parameters(fit: AnyFit, of: str = "") -> Table:
     """Parameters of a fit for the terminal; * marks those on a bound."""
     headings = ("name", "value", "std. error", "Cramér-Rao", "lower", "upper", "unit")
     table = new_table(f"Parameters after {of}{fit.method}", *headings)

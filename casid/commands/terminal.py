@@ -88,7 +88,7 @@ def logged(console: Console, verbose: bool) -> Iterator[None]:
     handler: logging.Handler = logging.NullHandler()
     level = logger.level
     if verbose:
-        handler = _Lines(lambda line: console.print(Text(f"  {line}", style="dim")))
+        handler = _LineHandler(lambda line: console.print(Text(f"  {line}", style="dim")))
         logger.setLevel(logging.INFO)
     logger.addHandler(handler)
     try:
@@ -98,7 +98,7 @@ def logged(console: Console, verbose: bool) -> Iterator[None]:
         logger.setLevel(level)
 
 
-class _Lines(logging.Handler):
+class _LineHandler(logging.Handler):
     def __init__(self, write: Callable[[str], Any]) -> None:
         super().__init__()
         self._write = write

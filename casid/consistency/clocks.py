@@ -44,7 +44,7 @@ def _fewer(
     return found if len(found) < len(sensors) else ()
 
 
-def told(moves: Mapping[str, float]) -> str:
+def moves_told(moves: Mapping[str, float]) -> str:
     """What is moved by how much, and what that does to delays."""
     if not moves:
         return "none"

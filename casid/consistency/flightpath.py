@@ -28,7 +28,7 @@ from scipy.linalg.lapack import dtbtrs
 
 from casid.arrays import Array
 from casid.channels import FORCES, RATES, VELOCITIES
-from casid.consistency.measured import Flight, noise
+from casid.consistency.measured import Flight, white_noise
 from casid.consistency.pretended import Corrected, Normal
 
 GRAVITY = 9.80665  # m/s^2
@@ -253,7 +253,7 @@ class _Reconstruction:
         return found
 
     def pretended(self, x: Array, plain: Normal) -> Normal:
-        """What the channels' noise adds to the normal equations: found by adding it again."""
+        """The noise's part of the normal equations, found by adding as much noise again."""
         found = plain * -1.0
         for other in self._noisier:
             noisy = other.normal(other.whitened(other.blocks(x)), len(x))
@@ -286,7 +286,9 @@ class _Reconstruction:
                 for name, left in zip(names, _innovations(K, alike), strict=True):
                     sizes[name][k] += left @ left
         for each in self.equations:
-            seen = float(np.mean([noise(rows[0]) ** 2 for name, rows in blocks if name == each]))
+            seen = float(
+                np.mean([white_noise(rows[0]) ** 2 for name, rows in blocks if name == each])
+            )
             ratio = float(self._walk(each, scaling) / max(seen, 1e-300))
             self.gains[each] = max(float(GAINS[int(np.argmin(sizes[each]))]), _steady_gain(ratio))
 
@@ -304,7 +306,9 @@ class _Reconstruction:
     @cached_property
     def _levels(self) -> list[dict[str, float]]:
         """Noise of each rate and force in each flight."""
-        return [{name: noise(each.own(name)) for name in self.channels} for each in self.flights]
+        return [
+            {name: white_noise(each.own(name)) for name in self.channels} for each in self.flights
+        ]
 
     def scores(self, parts: Sequence[Block], n: int) -> Array:
         """Sums of slope times innovation over stretches that count as independent."""

@@ -17,8 +17,8 @@ from casid.consistency.flightpath import GRAVITY, Instruments, reconstruct_level
 from casid.consistency.measured import (
     Flight,
     looked_at,
-    noise,
     signals,
+    white_noise,
 )
 from casid.display import Shown, counted, listed
 from casid.record import REST, Record
@@ -351,7 +351,7 @@ def _unexplained(solution: Instruments, spread: Mapping[str, float]) -> tuple[st
     """Remarks on attitudes and velocities that no scale, bias and skew brings into line."""
     said = []
     for each, left in solution.left.items():
-        white = float(np.mean([noise(e) ** 2 for e in left]))
+        white = float(np.mean([white_noise(e) ** 2 for e in left]))
         moves = max(spread[each] ** 2 - white, 1e-300)
         rest = float(np.mean(np.concatenate(left) ** 2)) - white
         if rest > max(MUCH**2 * moves, 4 * white):

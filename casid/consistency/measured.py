@@ -49,7 +49,7 @@ class Flight:
         found: dict[str, Array] = {}
         for name, x in self.values.items():
             own = self.own(name)
-            drawn = noise(own) * rng.standard_normal(len(own))
+            drawn = white_noise(own) * rng.standard_normal(len(own))
             at = self.rows[name] if name in self.rows else np.arange(len(x))
             found[name] = np.asarray(np.interp(np.arange(len(x)), at, drawn))
         return found
@@ -111,7 +111,7 @@ def _velocities(values: Mapping[str, Array]) -> dict[str, Array]:
     return {"u": along * np.cos(alpha), "v": V * np.sin(beta), "w": along * np.sin(alpha)}
 
 
-def noise(x: Array) -> float:
+def white_noise(x: Array) -> float:
     """Standard deviation of white noise on a smooth signal, from its third differences."""
     # Differences beyond six robust deviations are those of outliers, and left out.
     size = np.abs(np.diff(x, 3))

@@ -1,4 +1,4 @@
-"""Least squares on noisy regressors: what their noise pretends to know is taken out again.
+"""Least squares with errors in variables: the noise's part of the normal equations is subtracted.
 
 Noise of a rate stands in the slopes as well as in the residuals. It counts as movement, so that
 standard errors come out too small, and pulls gains towards zero. Both are quadratic in the noise,

@@ -121,7 +121,7 @@ def read_table(path: str | Path) -> dict[str, Array]:
         table = {str(name): _numbers(frame[name], path, str(name)) for name in frame.columns}
     else:
         table = _vectors(path)
-    files.check_names(path, table)
+    files.check_printable(path, table)
     return table
 
 

@@ -225,7 +225,7 @@ class _Estimate:
         lengths: Sequence[float],
         omega: Array,
     ) -> "_Estimate":
-        """What averaged spectra say."""
+        """The estimate from averaged spectra: response, errors and their correlations."""
         W = window_weights(np.array([part.random_error for part in parts]), usable)
         return cls(
             G=merged.response,

@@ -148,7 +148,7 @@ def _at_all(
     inputs = np.tile(np.eye(nu, dtype=complex), (K, 1, 1))
     for k, (near, centre) in enumerate(zip(lines, omega, strict=True)):
         half[k] = _half_width(near, centre)
-        model = _Model.of(near, centre, half[k], powers)
+        model = _LocalModel.of(near, centre, half[k], powers)
         found = model.solved() if model is not None else None
         if model is None or found is None:
             continue
@@ -191,7 +191,7 @@ def _near(lines: Lines, centre: float, half: float) -> BoolArray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Model:
+class _LocalModel:
     """The equations A Y = B U + I + A V about one frequency."""
 
     x: Array  # (m,) distance from the frequency, in half widths
@@ -202,7 +202,9 @@ class _Model:
     freedom: float  # of the residuals of one output
 
     @classmethod
-    def of(cls, lines: Sequence[Lines], centre: float, half: float, powers: int) -> "_Model | None":
+    def of(
+        cls, lines: Sequence[Lines], centre: float, half: float, powers: int
+    ) -> "_LocalModel | None":
         """The lines of all records that have more than their own transient takes."""
         near = [(each, _near(each, centre, half)) for each in lines]
         used = [(each, at) for each, at in near if at.sum() > EDGES]
@@ -239,7 +241,7 @@ class _Model:
         Gauss-Newton steps of the denominator, common to all outputs, each weighed by its residuals;
         numerators are linear and follow (variable projection). None: inputs are not separable.
         """
-        first = _Fit.of(self, np.zeros(POLES, complex))
+        first = _LocalFit.of(self, np.zeros(POLES, complex))
         if first is None:
             return None
         fit = first
@@ -254,10 +256,10 @@ class _Model:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class _LocalFit:
     """Numerators that are best with one denominator."""
 
-    model: _Model
+    model: _LocalModel
     a: ComplexArray  # (POLES,)
     A: ComplexArray  # (m,) values of the denominator
     edges: ComplexArray  # (m, EDGES records) orthonormal basis of transients
@@ -267,7 +269,7 @@ class _Fit:
     E: ComplexArray  # (m, ny) residuals
 
     @classmethod
-    def of(cls, model: _Model, a: ComplexArray) -> "_Fit | None":
+    def of(cls, model: _LocalModel, a: ComplexArray) -> "_LocalFit | None":
         A = 1 + model.along @ a
         if np.abs(A).min() < NEAREST:
             return None
@@ -303,13 +305,13 @@ class _Fit:
         J = _without(self.edges, along.reshape(len(along), -1))
         return J, J - self.Q @ (self.Q.conj().T @ J)
 
-    def step(self) -> "_Fit | None":
+    def step(self) -> "_LocalFit | None":
         """A better denominator; None where there is none, or hardly."""
         weight = 1 / np.sqrt(self.variance)
         J = (self.slopes()[1].reshape(*self.E.shape, POLES) * weight[:, None]).reshape(-1, POLES)
         step = np.linalg.lstsq(J, (self.E * weight).ravel(), rcond=1e-9)[0]
         for share in (1.0, 0.5, 0.25, 0.125):
-            other = _Fit.of(self.model, self.a + share * step)
+            other = _LocalFit.of(self.model, self.a + share * step)
             if other is not None:
                 gain = self.cost - other.cost
                 if gain > 0:

@@ -218,7 +218,7 @@ class FrequencyResponse(Shown):
         return control.FrequencyResponseData(np.moveaxis(self.G, 0, 2), self.omega, **names)
 
 
-def holding(
+def response_of_pair(
     target: FrequencyResponse | Sequence[FrequencyResponse], pair: tuple[str, str]
 ) -> FrequencyResponse:
     """The first of several responses in which a pair was measured; else the first of all."""

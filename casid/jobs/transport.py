@@ -142,7 +142,7 @@ def _code_digest(cls: type[Model]) -> str:
 
 
 def _says(function: FunctionType, seen: set[int]) -> tuple[str, ...]:
-    """What a function does, and what it takes from around it."""
+    """Bytecode and constants of a function, of those it calls, and values it reads around it."""
     if id(function) in seen:
         return ()
     seen.add(id(function))

@@ -9,13 +9,13 @@ import numpy as np
 
 from casid.channels import RATES
 from casid.checks import checked
-from casid.excitations import certified
+from casid.excitations import excitation_if_any
 from casid.files import write_csv
 from casid.logs.assembly import Lateness, assemble, delays, hold_told, usual_dt
 from casid.logs.axes import axes_structure
 from casid.logs.conventions import (
     ACTUATORS,
-    Source,
+    ChannelSource,
     check_units,
     derived,
     find_channels,
@@ -89,8 +89,8 @@ class Draft:
     """
 
     log: Log
-    inputs: Mapping[str, Source]
-    outputs: Mapping[str, Source]
+    inputs: Mapping[str, ChannelSource]
+    outputs: Mapping[str, ChannelSource]
     records: tuple[Record, ...]
     stretches: tuple[Stretch, ...]
     delays: tuple[Lateness, ...]
@@ -168,7 +168,7 @@ def import_log(
 
 def _channels(
     log: Log, columns: Mapping[str, str] | None, stated: Mapping[str, str], model: str | None
-) -> tuple[dict[str, Source], dict[str, Source]]:
+) -> tuple[dict[str, ChannelSource], dict[str, ChannelSource]]:
     """Inputs and outputs of a structure, or of any, in the units stated."""
     inputs, outputs = find_channels(log, columns)
     structure = None if model is None else load_model(model)
@@ -198,8 +198,8 @@ def _stretches(log: Log, records: Sequence[Record], inputs: Collection[str]) -> 
 
 def _check_found(
     log: Log,
-    inputs: Mapping[str, Source],
-    outputs: Mapping[str, Source],
+    inputs: Mapping[str, ChannelSource],
+    outputs: Mapping[str, ChannelSource],
     structure: type[Model] | None,
 ) -> None:
     """Refuse a log that lacks what the structure, or any, needs."""
@@ -224,7 +224,7 @@ def _doubts(log: Log, flown: Sequence[Record]) -> tuple[str, ...]:
         if name in log.topics
         and not any(np.nanstd(x) > 0 for x in log.topics[name].columns.values())
     ]
-    found = certified(flown)
+    found = excitation_if_any(flown)
     return (*still, *(found.doubts() if found is not None else ()))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray
 from casid.channels import RATES
-from casid.excitations import Excitation, certified
+from casid.excitations import Excitation, excitation_if_any
 from casid.record import Record
 from casid.samples import runs
 
@@ -64,7 +64,9 @@ def find_stretches(records: Sequence[Record]) -> list[Stretch]:
 def make_stretch(record: Record, name: str) -> Stretch:
     """A stretch of a cut that is there already."""
     moved = np.asarray(record.u.std(axis=0))
-    return Stretch(record=replace(record, name=name), moved=moved, excitation=certified(record))
+    return Stretch(
+        record=replace(record, name=name), moved=moved, excitation=excitation_if_any(record)
+    )
 
 
 def _bends(record: Record, kind: Literal["u", "y"]) -> Array:

@@ -108,7 +108,7 @@ class Comparison:
         """Weighted error of a model at all points, (K, ny, nu)."""
         return np.concatenate([source.error(system) for source in self.sources])
 
-    def price_of_surprise(self, norm: str) -> float:
+    def prior_weight(self, norm: str) -> float:
         """Square root of what a parameter one standard deviation off its prior value costs."""
         # J in decibels and degrees counts as a negative log-likelihood, as its Hessian does (T&R,
         # chapter 12); the other norms know no noise: an error of a share of the response counts.

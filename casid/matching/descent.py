@@ -17,7 +17,7 @@ from casid.errors import ModelError
 from casid.evaluation import Matrices, MatrixFunction
 from casid.free import Free
 from casid.matching.comparison import Comparison
-from casid.matching.mismatch import residual_slopes, residuals
+from casid.matching.mismatch import residual_slopes, weighted_errors
 
 GUARD = 0.02  # distance from the line, in units of the band's middle, that guarded poles keep
 PENALTY = 3.0  # of a violated constraint of the structure, in units of the response's size
@@ -103,7 +103,7 @@ class Condensed:
         at = self.matrices(x * self.scale)
         poles = np.linalg.eigvals(at.blocks[0]).real
         errors = self._errors(at.response(self.comparison.s))
-        more = self._violation(at)[0], self._right(poles), self._surprise(x)[0]
+        more = self._violation(at)[0], self._right(poles), self._prior_residuals(x)[0]
         return np.concatenate([errors, *more]), float(poles.max())
 
     def jacobian(self, x: Array) -> tuple[Array, Array]:
@@ -111,7 +111,7 @@ class Condensed:
         at = self.matrices(x * self.scale)
         G, dG = at.response_slopes(self.comparison.s, self.comparison.W > 0)
         parts = [(self._errors(G), self._slopes(G, dG)), self._violation(at), self._beyond(at)]
-        values, slopes = zip(*parts, self._surprise(x), strict=True)
+        values, slopes = zip(*parts, self._prior_residuals(x), strict=True)
         J = np.concatenate(slopes, axis=1)
         J *= self.scale[:, None]
         return np.concatenate(values), J
@@ -126,7 +126,7 @@ class Condensed:
         """Residuals of a response, (n,); of entries that weigh, or of all decibels."""
         c = self.comparison
         if self.norm == "decibel":
-            return residuals(G, c.G, c.decibel_weight).ravel()
+            return weighted_errors(G, c.G, c.decibel_weight).ravel()
         return _real(((c.W / np.sqrt(len(c.s)) * (G - c.G)).ravel())[self._weighed])
 
     def _slopes(self, G: ComplexArray, dG: ComplexArray) -> Array:
@@ -145,10 +145,10 @@ class Condensed:
         off = c - np.clip(c, *self._held)
         return off * factor, dc * np.where(off != 0, factor, 0.0)
 
-    def _surprise(self, x: Array) -> tuple[Array, Array]:
+    def _prior_residuals(self, x: Array) -> tuple[Array, Array]:
         """Distances from prior values (n,), and their derivatives (nf, n)."""
-        price = self.comparison.price_of_surprise(self.norm)
-        off, slopes = self.free.surprise(x * self.scale)
+        price = self.comparison.prior_weight(self.norm)
+        off, slopes = self.free.prior_residuals(x * self.scale)
         return price * off, price * slopes.T
 
     def _beyond(self, at: Matrices) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ def numbers(M: ComplexArray) -> Array:
     return np.concatenate([diagonal.real, below.real, below.imag], axis=-1)
 
 
-def weights(mu: Array) -> ComplexArray:
+def hermitian_weights(mu: Array) -> ComplexArray:
     """Hermitian Y (..., r, r) with Σ mu ∘ numbers(M) = Σ conj(Y) ∘ M for all Hermitian M."""
     r = round(np.sqrt(mu.shape[-1]))
     i, j = np.tril_indices(r, -1)

@@ -37,7 +37,7 @@ GOOD = 0.3  # error of a fit, relative to the response, that calls for another s
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Start:
+class StartingPoint:
     """Where a programme may start: its name, free parameters (nf,) and their cost."""
 
     name: str
@@ -45,7 +45,7 @@ class Start:
     cost: float
 
 
-def starts(problem: Condensed, *, large: bool) -> tuple[Start, ...]:
+def starts(problem: Condensed, *, large: bool) -> tuple[StartingPoint, ...]:
     """Starting points of the quadratic programme, the best first; of a large one as few as do."""
     comparison = problem.comparison
     good = GOOD**2 * np.linalg.norm(comparison.W * comparison.G) ** 2 / len(comparison.s)
@@ -56,25 +56,25 @@ def starts(problem: Condensed, *, large: bool) -> tuple[Start, ...]:
             found.append(_continued(problem, "least squares", values))
     if comparison.line is not None:
         found.append(_descended(problem, "guess as it is", problem.free.guess))
-    return distinct(found)
+    return distinct_minima(found)
 
 
-def distinct(found: Sequence[Start]) -> tuple[Start, ...]:
+def distinct_minima(found: Sequence[StartingPoint]) -> tuple[StartingPoint, ...]:
     """Starts by increasing cost, the first of those that are one minimum, as their costs tell."""
-    kept: list[Start] = []
+    kept: list[StartingPoint] = []
     for start in sorted(found, key=lambda start: start.cost):
         if not any(np.isclose(start.cost, other.cost, rtol=SAME) for other in kept):
             kept.append(start)
     return tuple(kept)
 
 
-def _descended(problem: Condensed, name: str, values: Array) -> Start:
+def _descended(problem: Condensed, name: str, values: Array) -> StartingPoint:
     """Descend from where one is."""
     last = descend(problem, values, steps=100, tolerance=1e-6)
-    return Start(name=name, values=last.values, cost=last.cost)
+    return StartingPoint(name=name, values=last.values, cost=last.cost)
 
 
-def _continued(problem: Condensed, name: str, values: Array) -> Start:
+def _continued(problem: Condensed, name: str, values: Array) -> StartingPoint:
     """Descend on lines that move left to the line of comparison, and on that."""
     comparison = problem.comparison
     if comparison.line is not None:
@@ -99,13 +99,13 @@ def _lines(comparison: Comparison, abscissa: float) -> Array:
 def least_squares(problem: Condensed) -> Array | None:
     """Free parameters (nf,) from alternating least squares; None when its numbers give none."""
     try:
-        values = _Equations(problem).solve()
+        values = _StructureEquations(problem).solve()
     except np.linalg.LinAlgError:
         return None
     return values if np.isfinite(values).all() else None
 
 
-class _Equations:
+class _StructureEquations:
     """The structure's equations at all points, linear in the states and nearly so in λ."""
 
     def __init__(self, problem: Condensed) -> None:

@@ -23,8 +23,8 @@ from casid.matching.appraisal import MatchNotes
 from casid.matching.comparison import Comparison
 from casid.matching.conditions import fit_at_conditions
 from casid.matching.reach import reachable, stated_errors
-from casid.matching.search import Found, Search
-from casid.matching.targets import REACHABLE, SIZE, Target, Weight, check_weight_name, compare
+from casid.matching.search import MatchResult, MatchSearch
+from casid.matching.targets import REACHABLE, SIZE, Target, Weight, check_weight_name, comparison_of
 from casid.model import Bounds, M, Model, Priors
 from casid.nlp import SolverOptions
 from casid.nonlinear.conditions import Trim
@@ -135,7 +135,7 @@ class Match:
 
     def _compare(self, model: Model, targets: Sequence[Target]) -> Comparison:
         """The targets in the model's channels; weights by reach begin as relative ones."""
-        return compare(
+        return comparison_of(
             model,
             targets,
             omega=self.omega,
@@ -144,10 +144,10 @@ class Match:
             source_weight=self.source_weight,
         )
 
-    def _search(self, free: Free, targets: Sequence[Target]) -> Search:
+    def _search(self, free: Free, targets: Sequence[Target]) -> MatchSearch:
         """The solves, with the weights wanted."""
         comparison = self._compare(free.model, targets)
-        search = Search(free, comparison, stable=self.stable_shift, options=self.solver)
+        search = MatchSearch(free, comparison, stable=self.stable_shift, options=self.solver)
         reach = isinstance(self.weight, str) and self.weight == REACHABLE
         return _reweighted(search, targets) if reach else search
 
@@ -199,14 +199,14 @@ def match(
     return matching.fit(model, target, fixed=fixed, bounds=bounds)
 
 
-def _reweighted(search: Search, targets: Sequence[Target]) -> Search:
+def _reweighted(search: MatchSearch, targets: Sequence[Target]) -> MatchSearch:
     """The solves with weights by what the quadratic fit reaches, from there."""
     first, model = search.quadratic()[0].values, search.free.model
     sources = search.comparison.sources
     stated = [stated_errors(model, *pair) for pair in zip(targets, sources, strict=True)]
     comparison = reachable(search.comparison, search.system(first), stated)
     free = replace(search.free, model=model.with_vector(search.free.full(first)))
-    again = Search(free, comparison, stable=search.stable, options=search.options)
+    again = MatchSearch(free, comparison, stable=search.stable, options=search.options)
     again.iterations = search.iterations
     return again
 
@@ -219,7 +219,7 @@ def _named(weight: Weight | Sequence[Weight]) -> str:
 
 
 def _result(
-    search: Search, found: Found, settings: Match, guess: M, took: float
+    search: MatchSearch, found: MatchResult, settings: Match, guess: M, took: float
 ) -> Fit[M, MatchNotes]:
     """The result, its certificate and its tables."""
     free, values = search.free, found.values

@@ -33,7 +33,7 @@ def log_ratio(G: ComplexArray, measured: ComplexArray) -> ComplexArray:
     return np.asarray(np.log(np.abs(z) ** 2 + TINY) / 2 + 1j * np.angle(z))
 
 
-def residuals(G: ComplexArray, measured: ComplexArray, weight: Array) -> Array:
+def weighted_errors(G: ComplexArray, measured: ComplexArray, weight: Array) -> Array:
     """Weighted gain and phase errors whose squares add up to J, (2, ...)."""
     # The weights W_γ 20/n_ω may be zero.
     used, root = weight > 0, np.sqrt(weight)
@@ -42,7 +42,7 @@ def residuals(G: ComplexArray, measured: ComplexArray, weight: Array) -> Array:
 
 
 def residual_slopes(G: ComplexArray, dG: ComplexArray, data: ComplexArray, weight: Array) -> Array:
-    """Derivatives of `residuals` from those of the model, ``dG`` (nf, ...); (nf, 2, ...)."""
+    """Derivatives of `weighted_errors` from those of the model, ``dG`` (nf, ...); (nf, 2, ...)."""
     used, root = weight > 0, np.sqrt(weight)
     floor = TINY * np.abs(np.where(used, data, 1)) ** 2
     e = dG * np.where(used, np.conj(G) / (np.abs(G) ** 2 + floor), 0)

@@ -29,7 +29,7 @@ from casid.free import Free
 from casid.matching import epigraph
 from casid.matching.comparison import Comparison
 from casid.matching.costs import Decibels, MeanSquare
-from casid.matching.side import Side
+from casid.matching.side import SideConstraints
 from casid.nlp import Problem, SolverOptions, solve
 
 START = 1.05  # t at the start, in units of the largest squared error there
@@ -103,8 +103,8 @@ class Programme:
             self.cost_of = MeanSquare(comparison, self.unit, share)
         self.wide = ny < nu
         self.r = min(ny, nu) if norm == "hinf" else 0
-        self.side = Side(free, comparison, at if stable else None)
-        self.price = comparison.price_of_surprise(norm) / self.unit
+        self.side = SideConstraints(free, comparison, at if stable else None)
+        self.price = comparison.prior_weight(norm) / self.unit
         nf = len(values)
         self.first = nf + (norm == "hinf")
         self.factors = self.first + K * self.r**2
@@ -156,14 +156,14 @@ class Programme:
 
     def cost(self, x: Array) -> float:
         """Mean square, or t and a share of it; and of distances from prior values."""
-        off = self.price * self.free.surprise(x[: len(self.scale)] * self.scale)[0]
+        off = self.price * self.free.prior_residuals(x[: len(self.scale)] * self.scale)[0]
         top = float(x[len(self.scale)]) if self.r else 0.0
         return top + self.cost_of.value(self._point(x).E) + float(off @ off)
 
     def gradient(self, x: Array) -> Array:
         """Its gradient."""
         point, dE = self._at(x)
-        off, pull = self.free.surprise(point.lam)
+        off, pull = self.free.prior_residuals(point.lam)
         slope = np.zeros(len(x))
         slope[len(self.scale) : self.first] = 1.0
         slope[: len(self.scale)] = _gram(dE, self.cost_of.pull(point.E)[None])[:, 0]
@@ -204,13 +204,13 @@ class Programme:
         parts = []
         if self.r:
             local = mu[: self.points.size].reshape(self.points.shape)
-            Y = epigraph.weights(local)
+            Y = epigraph.hermitian_weights(local)
             pull += 2 * self._tall(self._tall(point.E) @ Y)
             curved += 2 * self._tall(self._tall(dE) @ Y)
             twice = 2 * np.tensordot(local, epigraph.squares(self.r), axes=1)
             v, w = self._bent
             parts.append(twice[:, v, w].ravel())
-        off = self.free.surprise(point.lam)[1] * self.price * s
+        off = self.free.prior_residuals(point.lam)[1] * self.price * s
         H = 2 * f * off.T @ off + _gram(dE, curved)
         at = self.matrices(point.lam)
         by_N, by_tau, bend = at.response_curvature(

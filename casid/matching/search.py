@@ -28,7 +28,7 @@ WORSE = 1e-4  # relative increase of a cost that is none
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Found:
+class MatchResult:
     """Where a programme ended: values (nf,), prices of bounds and constraints, how it got there."""
 
     values: Array
@@ -41,7 +41,7 @@ class Found:
     appraisal: Appraisal
 
 
-class Search:
+class MatchSearch:
     """The solves of one match; counts their iterations. Poles stay left of the line if stable."""
 
     def __init__(
@@ -53,11 +53,11 @@ class Search:
         K, ny, nu = comparison.G.shape
         self.large = 2 * K * nu * (ny + len(free.model.states)) > LARGE
 
-    def quadratic(self) -> list[Found]:
+    def quadratic(self) -> list[MatchResult]:
         """Quadratic fits from all starts, best first; of a large one the first that converges."""
         check_effects(Condensed.of(self.free, self.comparison))
         problem = Condensed.of(self.free, self.comparison, guarded=self.stable)
-        found: list[Found] = []
+        found: list[MatchResult] = []
         for start in starts(problem, large=self.large):
             found.append(self._solve("quadratic", start.name, start.values, self.comparison))
             if self.large and found[-1].success and found[-1].cost <= start.cost * (1 + WORSE):
@@ -68,9 +68,9 @@ class Search:
             found.append(given)
         return sorted(found, key=_rank)
 
-    def hinf(self, fits: Sequence[Found]) -> Found:
+    def hinf(self, fits: Sequence[MatchResult]) -> MatchResult:
         """The H-infinity fit from quadratic ones, certified over the band."""
-        found: list[Found] = []
+        found: list[MatchResult] = []
         for k, fit in enumerate(fits):
             if not any(np.isclose(fit.cost, other.cost, rtol=1e-6) for other in fits[:k]):
                 found.append(self._from(fit))
@@ -89,11 +89,11 @@ class Search:
             return False
         return not self._unstable(self.free.guess) and not violated(self.free, self.free.guess)
 
-    def _from(self, fit: Found) -> Found:
+    def _from(self, fit: MatchResult) -> MatchResult:
         """The H-infinity fit from another, its highest peaks on the grid."""
         return self._improve(fit, fit.appraisal.with_peaks(HIGH * fit.appraisal.upper))
 
-    def _certify(self, found: Found) -> Found:
+    def _certify(self, found: MatchResult) -> MatchResult:
         """Add the peaks between the points and solve again until the bound is near the grid."""
         for _ in range(ROUNDS):
             if not found.success or self._close(found):
@@ -106,12 +106,12 @@ class Search:
         status = f"the bound over the band stays {gap} above the grid; pass a finer omega"
         return replace(found, success=False, status=status)
 
-    def _close(self, found: Found) -> bool:
+    def _close(self, found: MatchResult) -> bool:
         """Whether the bound over the band is near the value on the grid."""
         appraisal = found.appraisal
         return appraisal.upper <= max(appraisal.grid_norm * (1 + GAP), self.negligible)
 
-    def _improve(self, found: Found, comparison: Comparison) -> Found:
+    def _improve(self, found: MatchResult, comparison: Comparison) -> MatchResult:
         """The H-infinity fit on a grid; an error that is rounding cannot be improved."""
         system = self.system(found.values)
         if comparison.norm(system) > self.negligible:
@@ -121,7 +121,7 @@ class Search:
         cost = appraisal.grid_norm
         return replace(found, cost=cost, appraisal=appraisal, multipliers=none, prices=prices)
 
-    def _solve(self, norm: str, start: str, values: Array, comparison: Comparison) -> Found:
+    def _solve(self, norm: str, start: str, values: Array, comparison: Comparison) -> MatchResult:
         """One programme; once more with the stability constraint if its solution needs it."""
         optimum = self._programme(norm, values, comparison, stable=False)
         if self._unstable(optimum.values) or (optimum.held and not optimum.success):
@@ -139,7 +139,7 @@ class Search:
         if norm == "hinf":  # the programme minimises t, the cost is √t
             cost = appraisal.grid_norm
             unit = 1 / (2 * max(cost, self.negligible, 1e-300))
-        return Found(
+        return MatchResult(
             values=optimum.values,
             multipliers=optimum.multipliers * unit,
             prices=optimum.prices * unit,
@@ -174,6 +174,6 @@ class Search:
         return bool(self.system(values).poles().real.max() > self._line)
 
 
-def _rank(found: Found) -> tuple[bool, float]:
+def _rank(found: MatchResult) -> tuple[bool, float]:
     """Order of results: solutions first, by increasing cost."""
     return not found.success, found.cost

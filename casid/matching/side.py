@@ -17,7 +17,7 @@ from casid.matching.comparison import Comparison
 LIMIT = 1e2  # largest entry of the Lyapunov factor: how near to the line a pole may come
 
 
-class Side:
+class SideConstraints:
     """Constraints on w = (λ over its scale, entries of M) and their dense derivatives.
 
     The structure's own come first, then delays composed of several parameters, which must not be

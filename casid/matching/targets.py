@@ -49,7 +49,7 @@ class _Known:
         return self.system.outputs
 
 
-def compare(
+def comparison_of(
     model: Model,
     targets: Sequence[Target],
     *,

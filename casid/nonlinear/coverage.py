@@ -34,7 +34,7 @@ def reached(model: Nonlinear, x: Array, u: Array) -> dict[str, tuple[float, floa
     return {n: (float(row.min()), float(row.max())) for n, row in seen.items() if len(row)}
 
 
-def joined(spans: Sequence[Spans]) -> dict[str, tuple[float, float]]:
+def joined_spans(spans: Sequence[Spans]) -> dict[str, tuple[float, float]]:
     """The least span of each variable that holds all of its."""
     every = {
         name: [each[name] for each in spans if name in each] for span in spans for name in span
@@ -51,7 +51,7 @@ def leaves(span: tuple[float, float], covered: tuple[float, float]) -> bool:
 
 def warn_beyond(model: Nonlinear, told: str, visited: Spans, flown: Spans | None = None) -> None:
     """Warn, once, of variables beyond the tables and what a fit's records covered (``flown``)."""
-    covered, own = joined([tabulated(model), flown or {}]), flown or {}
+    covered, own = joined_spans([tabulated(model), flown or {}]), flown or {}
     said = []
     for name, (low, high) in visited.items():
         first, last = covered.get(name, (-np.inf, np.inf))

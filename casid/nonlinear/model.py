@@ -17,7 +17,7 @@ from casid.arrays import Array
 from casid.errors import ModelError
 from casid.model import Model, Rows, constants
 from casid.nonlinear.conditions import Trim, check_named, linearisation
-from casid.nonlinear.coverage import joined, reached, warn_beyond
+from casid.nonlinear.coverage import joined_spans, reached, warn_beyond
 from casid.nonlinear.expressions import JUMPS, evaluated, linearised, operations, reference_point
 from casid.sensors import Scalar
 
@@ -112,7 +112,7 @@ class NonlinearModel(Model, base=True):
                 said = ", ".join(f"{name} = {value:.4g}" for name, value in each.values.items())
                 _check_finite(self, self.equations(), *self._placed(each), f"at {said}")
         known = [self.reached_at(each) for each in given if not each.unknown]
-        warn_beyond(self, "linearised at a condition", joined(known))
+        warn_beyond(self, "linearised at a condition", joined_spans(known))
         return linear
 
     def reached_at(self, condition: Trim) -> dict[str, tuple[float, float]]:

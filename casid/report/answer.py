@@ -6,7 +6,7 @@ from itertools import combinations
 from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Content
-from casid.report.evidence import apart
+from casid.report.evidence import significant_differences
 from casid.report.verdicts import GOOD, Verdict
 from casid.validation import Validation
 
@@ -15,7 +15,7 @@ NAMED = 6  # parameters named of a kind
 SHARE = 0.5  # Theil's coefficient at the right end of the picture
 
 
-def place(theil: float) -> float:
+def theil_place(theil: float) -> float:
     """Where a Theil coefficient stands in the picture, in percent of its width."""
     return 100 * min(theil / SHARE, 1.0)
 
@@ -32,7 +32,9 @@ FAULTS = {
 }
 
 
-def told(judged: Sequence[Verdict], validation: Validation, *, enough: bool | None = None) -> str:
+def predictions_told(
+    judged: Sequence[Verdict], validation: Validation, *, enough: bool | None = None
+) -> str:
     """Whether the model predicts unseen records, where it does not, and why.
 
     ``enough`` says whether the structure is known to be enough.
@@ -62,7 +64,7 @@ def told(judged: Sequence[Verdict], validation: Validation, *, enough: bool | No
 def doubted(content: Content, fit: AnyFit) -> Mapping[str, tuple[str, ...]]:
     """Why not to believe a parameter's value, by its name: all reasons, keys of ``WORDS``."""
     pairs = combinations(content.fits.values(), 2)
-    differing = {name for one, other in pairs for name in apart(one, other)}
+    differing = {name for one, other in pairs for name in significant_differences(one, other)}
     reasons = {}
     for row in fit.parameters:
         unsure = not row.fixed and row.std_error > abs(row.value)

@@ -79,7 +79,7 @@ def draw_responses(content: Content) -> Iterator[Drawing]:
     omega = np.geomspace(*band(content), POINTS)
     for shown, channels in ((every, structure.outputs), (inner, hidden)):
         curves = {name: (system, system.response(omega)) for name, system in shown.items()}
-        for outputs in figures.groups(channels):
+        for outputs in figures.output_groups(channels):
             for inputs in figures.input_pairs(structure.inputs):
                 yield _response(outputs, inputs, partial(_responses, content, curves, omega))
 

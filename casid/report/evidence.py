@@ -7,7 +7,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.baseline.accuracy import DerividNotes
-from casid.consistency.measured import noise
+from casid.consistency.measured import white_noise
 from casid.display import listed
 from casid.eigenmodes import Mode, modes
 from casid.fit import AnyFit
@@ -35,7 +35,7 @@ def noise_levels(records: Sequence[Record]) -> Array:
     found = []
     for columns in zip(*(record.y.T for record in records), strict=True):
         known = [y[np.isfinite(y)] for y in columns]
-        levels = [noise(y) for y in known if len(y) > 8]
+        levels = [white_noise(y) for y in known if len(y) > 8]
         found.append(np.median(levels) if levels else np.nan)
     return np.array(found)
 
@@ -69,7 +69,7 @@ def disagreement(validation: Validation, content: Content) -> Iterator[Caution]:
         )
 
 
-def strangers(validation: Validation, content: Content) -> Iterator[Caution]:
+def unexplained_records(validation: Validation, content: Content) -> Iterator[Caution]:
     """Validation records that neither model explains, though one left white noise in its own."""
     fit, model = content.fits.get(content.delivered), content.delivered
     if fit is None or fit.R is None or not {BLACK_BOX, model} <= set(validation.models):
@@ -91,7 +91,7 @@ def strangers(validation: Validation, content: Content) -> Iterator[Caution]:
 
 
 def _pooled(rms: Array) -> Array:
-    """Of all records together, (ny,)."""
+    """RMS errors (ny,) of all records together, from those (records, ny) of each; NaN left out."""
     known = np.ma.masked_array(rms**2, np.isnan(rms))
     return np.asarray(np.sqrt(known.mean(axis=0).filled(np.nan)))
 
@@ -99,7 +99,7 @@ def _pooled(rms: Array) -> Array:
 def differences(content: Content) -> Iterator[Caution]:
     """Parameters on which two fits differ by more than their errors allow."""
     for (one, first), (other, second) in combinations(content.fits.items(), 2):
-        if found := apart(first, second):
+        if found := significant_differences(first, second):
             worst = sorted(found, key=found.__getitem__, reverse=True)
             opposite = sum(first[name].value * second[name].value < 0 for name in found)
             common = sum(not row.fixed for row in first.parameters)
@@ -112,7 +112,7 @@ def differences(content: Content) -> Iterator[Caution]:
             )
 
 
-def apart(one: AnyFit, other: AnyFit) -> dict[str, float]:
+def significant_differences(one: AnyFit, other: AnyFit) -> dict[str, float]:
     """Parameters on which two fits differ by more than their errors allow: standard errors."""
     found = {}
     for row in one.parameters:
@@ -137,7 +137,7 @@ def misfit(fit: AnyFit) -> Iterator[Caution]:
         )
 
 
-def few(fit: AnyFit, content: Content) -> Iterator[Caution]:
+def few_data(fit: AnyFit, content: Content) -> Iterator[Caution]:
     """Too few measurements for the unknowns, or records too short to settle slow modes."""
     roles = {file.role for file in content.data}
     role = "refinement" if "refinement" in roles else "identification"

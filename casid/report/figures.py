@@ -19,9 +19,9 @@ from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
 from casid.report.content import BASELINE, BLACK_BOX, CHOSEN, MATCH, OUTPUT_ERROR
-from casid.samples import SLOWER, at_instants, usual_interval
+from casid.samples import SLOWER, at_instants, autocorrelation, usual_interval
 from casid.subspace.pbsid import BlackBox
-from casid.validation import BAND, Validation, autocorrelation
+from casid.validation import BAND, Validation
 
 MEASURED = "measured"
 
@@ -226,14 +226,16 @@ def plot_history(
     units : mapping
         Unit by channel; those of the usual names unless given.
     """
-    ax.plot(t, joined(t, measured), label=MEASURED, **(style(MEASURED) | {"linewidth": 1.6}))
+    ax.plot(
+        t, joined_samples(t, measured), label=MEASURED, **(style(MEASURED) | {"linewidth": 1.6})
+    )
     for name, y in simulated.items():
         ax.plot(t, y, label=name, **(style(name, simulated) | {"linewidth": 1.1}))
     ax.set_ylabel(axis_label(channel, units))
     return ax
 
 
-def joined(t: Array, x: Array) -> Array:
+def joined_samples(t: Array, x: Array) -> Array:
     """A channel (N,) with straight lines between its own samples where those are rarer than t."""
     own = t[np.isfinite(x)]
     if len(own) < 4 or usual_interval(own) < SLOWER * usual_interval(t):
@@ -245,7 +247,7 @@ def plot_input(
     ax: Axes, t: Array, u: Array, *, channel: str, units: Mapping[str, str] = UNITS
 ) -> Axes:
     """Draw one input over time."""
-    ax.plot(t, joined(t, u), **style(MEASURED))
+    ax.plot(t, joined_samples(t, u), **style(MEASURED))
     ax.set_ylabel(axis_label(channel, units))
     return ax
 
@@ -351,7 +353,7 @@ def plot_autocorrelation(ax: Axes, residual: Array, dt: float, *, name: str, lag
     return ax
 
 
-def groups(outputs: Sequence[str], size: int = 3) -> list[tuple[str, ...]]:
+def output_groups(outputs: Sequence[str], size: int = 3) -> list[tuple[str, ...]]:
     """Outputs in the groups a figure shows: accelerations, attitudes, rates, speeds, the rest."""
     known = (("ax", "ay", "az"), ("phi", "theta", "psi"), ("p", "q", "r"), ("u", "v", "w"))
     found = [tuple(name for name in group if name in outputs) for group in known]

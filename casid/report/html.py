@@ -17,7 +17,7 @@ from matplotlib import rc_context
 
 from casid.jobs.beside import beside
 from casid.report import intervals
-from casid.report.answer import place
+from casid.report.answer import theil_place
 from casid.report.content import TEMPLATES, Content, Drawing, Section, cautions, leads
 from casid.report.drawings import save
 from casid.report.interactive import interactive
@@ -91,8 +91,8 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"number": number, "percent": percent, "price": price, "prior": prior}
-    environment.filters |= {"word": word, "place": place, "bar": intervals.bar}
-    environment.filters |= {"sigmas": intervals.place, "costliest": costliest}
+    environment.filters |= {"word": word, "place": theil_place, "bar": intervals.bar}
+    environment.filters |= {"sigmas": intervals.sigma_place, "costliest": costliest}
     return environment
 
 

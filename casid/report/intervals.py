@@ -27,7 +27,7 @@ class Bar:
     text: str  # the same for a reader who does not see it
 
 
-def place(z: float) -> float:
+def sigma_place(z: float) -> float:
     """Where so many standard errors from the estimate are, in percent of the chart's width."""
     z = float(np.clip(z, -REACH, REACH))
     return float(50 + 50 * np.arcsinh(z / LINEAR) / np.arcsinh(REACH / LINEAR))
@@ -43,12 +43,13 @@ def bar(row: ParameterEstimate, others: Mapping[str, AnyFit]) -> Bar | None:
 
     found = {name: fit[row.name].value for name, fit in others.items()}
     marks = tuple(
-        (name, shape, place(away(value)))
+        (name, shape, sigma_place(away(value)))
         for (name, value), shape in zip(found.items(), SHAPES, strict=False)
     )
     edges = {"lower bound": row.lower, "upper bound": row.upper, "zero": 0.0} | found
     told = [f"{name} at {number(away(value), 2)}σ" for name, value in edges.items()]
+    edge = {name: sigma_place(away(value)) for name, value in list(edges.items())[:3]}
     return Bar(
-        low=place(-1.96), high=place(1.96), lower=place(away(row.lower)),
-        upper=place(away(row.upper)), zero=place(away(0.0)), marks=marks, text=", ".join(told),
+        low=sigma_place(-1.96), high=sigma_place(1.96), lower=edge["lower bound"],
+        upper=edge["upper bound"], zero=edge["zero"], marks=marks, text=", ".join(told),
     )  # fmt: skip

@@ -115,7 +115,7 @@ def unsolved(fit: AnyFit) -> Iterator[Caution]:
         yield Caution(f"{fit.method}: {fit.status}", 0)
 
 
-def on_bounds(fit: AnyFit) -> Iterator[Caution]:
+def held_by_bounds(fit: AnyFit) -> Iterator[Caution]:
     """Parameters that their bounds hold."""
     if active := [row.name for row in fit.parameters if row.active]:
         count = counted(len(active), "parameter lies", "parameters lie")

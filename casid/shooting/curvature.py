@@ -21,7 +21,7 @@ from typing import TypeAlias
 import numpy as np
 
 from casid.arrays import Array
-from casid.assembly import groups
+from casid.assembly import by_number
 from casid.shooting.convolution import convolved
 from casid.shooting.intervals import Layout
 from casid.shooting.sensitivity import Sweep, counts
@@ -71,7 +71,7 @@ def weighed(sweep: Sweep) -> Array:
     """R⁻¹ r of all samples, (N, ny); zero where an output is missing."""
     r = sweep.motion.residuals
     rho = np.empty_like(r)
-    for p, mine in groups(sweep.layout.pattern, len(sweep.W)):
+    for p, mine in by_number(sweep.layout.pattern, len(sweep.W)):
         rho[mine] = r[mine] @ (sweep.W[p].T @ sweep.W[p])
     return rho
 

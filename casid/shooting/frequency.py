@@ -77,7 +77,7 @@ class SpectralProgramme:
             found = self.residuals(lam, self.weights)
         except np.linalg.LinAlgError:
             return None
-        off, pull = self.residuals.free.surprise(lam)
+        off, pull = self.residuals.free.prior_residuals(lam)
         F, g = (np.sum([getattr(each, part) for each in found], axis=0) for part in ("F", "g"))
         cost = sum(each.cost for each in found) + float(off @ off) / 2
         return State(found, cost, F + pull.T @ pull, g + pull.T @ off)

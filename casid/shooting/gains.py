@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
-from casid.assembly import groups
+from casid.assembly import by_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Gains:
     def force(self, at: np.ndarray, r: Array) -> Array:
         """What innovations (n, ny) add to the derivatives of the states, (nx, n, nf)."""
         out = np.empty((self.K.shape[1], len(at), self.K_lam.shape[3]))
-        for g, mine in groups(self.which[at], len(self.K)):
+        for g, mine in by_number(self.which[at], len(self.K)):
             out[:, mine] = r[mine] @ self.K_lam[g]
         return out
 

@@ -41,7 +41,7 @@ class Knowledge:
 
     def cost(self, point: Point) -> float:
         """The terms at a point."""
-        off, _ = self._free.surprise(point.lam[: len(self._free.index)])
+        off, _ = self._free.prior_residuals(point.lam[: len(self._free.index)])
         away = point.nodes[self._firsts] - self._mean
         total = off @ off + np.sum(self._weight * away**2) + np.sum(self._bias * point.bias**2)
         return float(total) / 2
@@ -49,7 +49,7 @@ class Knowledge:
     def add(self, records: Array, nodes: Array, point: Point) -> None:
         """Add Hessian and gradient to `casid.shooting.sensitivity.Sums`' records and nodes."""
         n, nx, ny = len(self._free.index), len(self._mean), len(self._bias)
-        off, pull = self._free.surprise(point.lam[:n])
+        off, pull = self._free.prior_residuals(point.lam[:n])
         state = np.arange(nx)
         bias = len(point.lam) + nx + np.arange(ny)
         records[0, :n, :n] += pull.T @ pull

@@ -236,7 +236,7 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array, 
     )
     n = len(programme.free.index)
     unit, known = s.lam[:n], covariance[:, :n]
-    surprise = programme.free.scatter_of_surprise(programme.unpack(x).lam[:n])
+    surprise = programme.free.prior_scatter(programme.unpack(x).lam[:n])
     larger = programme.understatement(held)
     total = larger * data + known @ (surprise * np.outer(unit, unit)) @ known.T
     if sweep.gains is None:

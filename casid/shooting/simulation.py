@@ -13,7 +13,7 @@ from casid.linear import Steps
 from casid.nonlinear.coverage import reached, warn_beyond
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.trims import warn_unbalanced
-from casid.prediction import PER_UNKNOWN, Follower, Outlook, Prediction
+from casid.prediction import PER_UNKNOWN, Prediction, PredictionPlan, RecordPredictor
 from casid.record import Record
 from casid.records import standard_deviations
 from casid.shooting.intervals import lay_out
@@ -101,7 +101,7 @@ def fitting_start(model: NonlinearModel, record: Record) -> dict[str, float]:
 
 
 def predict_nonlinear(
-    model: NonlinearModel, record: Record, scale: Array, far: Outlook
+    model: NonlinearModel, record: Record, scale: Array, far: PredictionPlan
 ) -> Prediction:
     """Outputs of a nonlinear structure over a record, as `casid.prediction.predict` has a linear's.
 
@@ -125,7 +125,7 @@ def predict_nonlinear(
     return replace(found, y=found.y - trim, reached=reached(model, found.states, whole.u))
 
 
-class _ExtendedFilter(Follower):
+class _ExtendedFilter(RecordPredictor):
     """What a record's past tells of a nonlinear structure's states: `casid.filtering`, extended.
 
     The filters are of deviations from one state. Steps and outputs are linearised about what is
@@ -147,7 +147,7 @@ class _ExtendedFilter(Follower):
         self.steps = Steps(tuple(self._A), np.arange(N - 1), np.zeros((N, nx)), np.zeros((N, ny)))
         self._linearise(np.arange(N), np.tile(self.origin, (N, 1)))
 
-    def known(self, starts: Sequence[int]) -> Iterator[filtering.Start]:
+    def known(self, starts: Sequence[int]) -> Iterator[filtering.FilterState]:
         """What is known at each start; asked for the next, it forgets linearisations ahead."""
         past, rest = range(starts[0] + 1), range(starts[0], starts[-1] + 1)
         for _ in range(PASSES):

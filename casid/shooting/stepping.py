@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from casid.arrays import Array
-from casid.assembly import groups
+from casid.assembly import by_number
 from casid.intersample import ORDER, DelayedInput, distinct, integral_slopes
 from casid.record import Hold
 from casid.shooting.gains import Gains
@@ -190,7 +190,7 @@ class Steps:
 
     def _parts(self, step: np.ndarray) -> Iterator[tuple["_Group", Any, np.ndarray]]:
         """Groups of steps that occur, the rows of theirs, and the class of each row."""
-        for g, mine in groups(self._group_of[step], len(self._groups)):
+        for g, mine in by_number(self._group_of[step], len(self._groups)):
             yield self._groups[g], mine, step[mine]
 
 

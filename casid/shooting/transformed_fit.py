@@ -20,7 +20,7 @@ from casid.fit import AnyFit, Fit
 from casid.free import Free
 from casid.model import M
 from casid.nlp import SolverOptions
-from casid.prediction import Outlook, predict
+from casid.prediction import PredictionPlan, predict
 from casid.record import Record
 from casid.shooting import uncertainty
 from casid.shooting.frequency import SpectralOutcome, SpectralProgramme, State, white
@@ -90,7 +90,9 @@ def _fit(
     more = [uncertainty.singular(lost)] if (lost := found.undetermined) else []
     success, status = verdict(solution, outcome.settled, unsettled, more)
     R = _variances(programme, solution.x)
-    begun = [predict(model.system(), each.record, np.sqrt(R), Outlook(np.inf)) for each in lines]
+    begun = [
+        predict(model.system(), each.record, np.sqrt(R), PredictionPlan(np.inf)) for each in lines
+    ]
     nuisances = len(lines) * (len(model.states) + len(model.outputs))
     notes = found.notes(outcome.rounds, 0, nuisances, None)
     return Fit(
@@ -128,7 +130,7 @@ def _precision(programme: SpectralProgramme, x: Array, lam: Array, *, estimated:
     gap = np.minimum(lam - free.lower[free.index], free.upper[free.index] - lam)
     ties = holding(free, lam, gap <= ACTIVE * span) * span
     unit = np.outer(span, span)
-    pull = free.surprise(lam)[1]
+    pull = free.prior_residuals(lam)[1]
     alone = (sum(each.alone for each in state.residuals) + np.sum(pull**2, axis=0)) * span**2
     F = state.F * unit
     scaled = uncertainty.bound(F, ties, alone)
@@ -162,7 +164,7 @@ def _allowing(
         return found
     lines = programme.residuals.lines
     middle = scatter_of_lines(lines, state.residuals, programme.powers, state.F)
-    middle += programme.residuals.free.scatter_of_surprise(lam)
+    middle += programme.residuals.free.prior_scatter(lam)
     smooth = np.where(told, np.diag(found.covariance), 1.0)
     more = np.where(told, np.maximum(np.diag(known @ middle @ known) / smooth, 1.0), 1.0)
     freedom = np.where(told, degrees(lines, state.residuals, known), np.inf)
@@ -187,4 +189,4 @@ def _scatter(programme: SpectralProgramme, state: State, lam: Array) -> Array:
         left = each.rows.reshape(-1, len(total))
         right = (S @ each.rows).reshape(-1, len(total))
         total += left.real.T @ right.real + left.imag.T @ right.imag
-    return (total + total.T) / 2 + programme.residuals.free.scatter_of_surprise(lam)
+    return (total + total.T) / 2 + programme.residuals.free.prior_scatter(lam)

@@ -19,7 +19,7 @@ from casid.frequency.estimation import SpectralAnalysis
 from casid.frequency.response import FrequencyResponse
 from casid.linear import StateSpace
 from casid.nonlinear.model import NonlinearModel
-from casid.prediction import Outlook, outlook, predict
+from casid.prediction import PredictionPlan, predict, prediction_plan
 from casid.record import Record
 from casid.records import standard_deviations
 from casid.report.content import Content, Section, section
@@ -75,7 +75,7 @@ def _compared(settings: object, task: Task) -> MeasuredStates:  # noqa: ARG001 -
     systems = [state_space(each) for each in task.models.values()]
     pairs = list(zip(found.measured, flights, strict=True))
     far = [
-        outlook(systems, pair[0], horizon, found.closed_loop)
+        prediction_plan(systems, pair[0], horizon, found.closed_loop)
         for pair, horizon in zip(pairs, found.horizon, strict=True)
     ]
     simulated = {
@@ -96,7 +96,7 @@ def _compared(settings: object, task: Task) -> MeasuredStates:  # noqa: ARG001 -
     return MeasuredStates(states=states, shown=shown, table=table)
 
 
-def _simulated(fit: Fit[Any, Any], record: Record, flight: Record, far: Outlook) -> Array:
+def _simulated(fit: Fit[Any, Any], record: Record, flight: Record, far: PredictionPlan) -> Array:
     """States (N, n) as the validation had them, constant biases against the measured removed."""
     scale = standard_deviations([record])[1]
     if isinstance(fit.model, NonlinearModel):
@@ -108,7 +108,7 @@ def _simulated(fit: Fit[Any, Any], record: Record, flight: Record, far: Outlook)
 
 
 def _linear_states(
-    system: StateSpace, record: Record, flight: Record, scale: Array, far: Outlook
+    system: StateSpace, record: Record, flight: Record, scale: Array, far: PredictionPlan
 ) -> Array:
     """States (N, n) of a linear model, as outputs that nothing measures beside its own."""
     extra = report.drawings.with_states(system, flight.outputs)

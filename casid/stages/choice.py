@@ -29,8 +29,8 @@ from casid.values import seal, storable
 TIE = 1.0  # standard errors by which a candidate exceeds another's errors, or is its equal
 MOST = 4  # groups of manoeuvres: each is one fit more of every candidate
 
-Candidate = Literal["joint", "frequency", "time", "short", "quadratic"]
-WORDS: Mapping[Candidate, str] = {
+StepName = Literal["joint", "frequency", "time", "short", "quadratic"]
+WORDS: Mapping[StepName, str] = {
     "joint": "joint: short manoeuvres in time, the others as responses",
     "frequency": "output error in the frequency domain, all manoeuvres",
     "time": "output error in the time domain, all manoeuvres",
@@ -88,7 +88,7 @@ class Choosing:
         What is tried.
     """
 
-    candidates: tuple[Candidate, ...] = tuple(WORDS)
+    candidates: tuple[StepName, ...] = tuple(WORDS)
 
     def __post_init__(self) -> None:
         if not self.candidates or not set(self.candidates) <= set(WORDS):

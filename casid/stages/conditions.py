@@ -49,7 +49,7 @@ class OverSpeed:
         return [(state.strip(), channel.strip()) for state, channel in parts]
 
 
-def condition(model: NonlinearModel, record: Record) -> Trim:
+def flight_condition(model: NonlinearModel, record: Record) -> Trim:
     """Where a record was flown: its trim, what it measures before an input moves."""
     known = record.total().detrend("first").trim
     own = {name: known[name] for name in (*model.states, *model.inputs) if name in known}
@@ -57,14 +57,14 @@ def condition(model: NonlinearModel, record: Record) -> Trim:
     return Trim(name=f"{speed:.4g} m/s", values=own, speed=speed)
 
 
-def conditions(
+def flight_conditions(
     model: NonlinearModel, records: Sequence[Record]
 ) -> list[tuple[Trim, tuple[Record, ...]]]:
     """Flight conditions by speed, each with its records; their trims are means.
 
     ModelError: a record without a speed.
     """
-    flown = [(condition(model, record), record) for record in records]
+    flown = [(flight_condition(model, record), record) for record in records]
     for trim, record in flown:
         if not np.isfinite(trim.speed):
             raise ModelError(
@@ -124,7 +124,7 @@ def _check(settings: OverSpeed, task: Task) -> None:
 
 def _run(settings: OverSpeed, task: Task) -> Envelope:
     fit, names = task.results["output_error"], task.model.parameter_names()
-    found, local = conditions(fit.model, task.records), {}
+    found, local = flight_conditions(fit.model, task.records), {}
     held = [n for n in names if any(fnmatchcase(n, pattern) for pattern in settings.held)]
     if held:
         estimator = task.settings.get(OUTPUT_ERROR.table, OUTPUT_ERROR.settings)

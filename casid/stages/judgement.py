@@ -11,11 +11,11 @@ from casid.eigenmodes import modes
 from casid.fit import Fit
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
-from casid.report.answer import ranked, told
+from casid.report.answer import predictions_told, ranked
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR, Caution, Content, Section, enough, section
-from casid.report.evidence import differences, disagreement, strangers
+from casid.report.evidence import differences, disagreement, unexplained_records
 from casid.report.verdicts import verdicts
-from casid.stages.conditions import condition
+from casid.stages.conditions import flight_condition
 from casid.stages.stage import Stage, Task
 from casid.validation import AnyModel, Validation, validate
 
@@ -53,7 +53,11 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
     judged = verdicts(found, content)
     poor = [each for each in judged if each.word in ("poor", "not judged")]
     said = [Caution(each, 3) for each in content.repeats.told()]
-    said += [*strangers(found, content), *disagreement(found, content), *differences(content)]
+    said += [
+        *unexplained_records(found, content),
+        *disagreement(found, content),
+        *differences(content),
+    ]
     said += [Caution(each.caution, 20 if each.noisy else 7) for each in poor]
     if found.predicted:
         said.append(Caution(f"Validation records: {found.predicted}", 21))
@@ -68,7 +72,7 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
             0,
             found,
             values=seen,
-            answer=told(judged, found, enough=enough(content.results)),
+            answer=predictions_told(judged, found, enough=enough(content.results)),
         )
     more: Any = {"values": {"verdicts": judged} | named, "lead": lead, "cautions": tuple(said)}
     yield section("verdicts", "Verdicts", 5, found, **more)
@@ -92,7 +96,7 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
     """
     at = ""
     if isinstance(content.model, NonlinearModel):
-        trim = condition(content.model, found.measured[0])
+        trim = flight_condition(content.model, found.measured[0])
         at = f"the trim of record {found.records[0]}: {_values(trim)}"
         models = {name: _linear(each, trim) for name, each in content.models.items()}
         content = replace(content, models=models)

@@ -38,11 +38,11 @@ def sections(stages: Iterable[Stage], results: Mapping[str, Any], page: Content)
     return [each for stage in found for each in stage.show(results[stage.name], page)]
 
 
-def in_words(stages: Iterable[Stage]) -> str:
+def stages_in_words(stages: Iterable[Stage]) -> str:
     """What the stages of an identification do, one after the other, for a reader."""
     return ", ".join(stage.does for stage in stages if not stage.command)
 
 
-def in_tables(stages: Iterable[Stage]) -> str:
+def tables_of_stages(stages: Iterable[Stage]) -> str:
     """Tables of a study that hold the stages' settings, for a reader."""
     return ", ".join(dict.fromkeys(f"[{stage.table}]" for stage in stages if stage.table))

@@ -13,9 +13,9 @@ from casid.records import steps_told
 from casid.report.answer import doubted, not_believed
 from casid.report.content import CHOSEN, Content, Section, enough, section
 from casid.report.content import OUTPUT_ERROR as LABEL
-from casid.report.evidence import few
+from casid.report.evidence import few_data
 from casid.report.intervals import SHAPES, TICKS
-from casid.report.verdicts import on_bounds, uncertain, unsolved
+from casid.report.verdicts import held_by_bounds, uncertain, unsolved
 from casid.shooting.output_error import OutputError
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.stage import Stage, Task
@@ -85,7 +85,7 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
             "and match are of one flight condition and were left out."
         )
     doubts = uncertain(last, lacking=enough(content.results) is False)
-    said = (*unsolved(last), *on_bounds(last), *few(last, content), *doubts)
+    said = (*unsolved(last), *held_by_bounds(last), *few_data(last, content), *doubts)
     more: Any = {"answer": not_believed(content, last), "lead": lead, "cautions": said}
     yield section("parameters", "Parameters", 10, last, values=values, **more)
 

@@ -156,7 +156,7 @@ def watched(settings: Any, progress: Callable[[Progress], None]) -> Any:  # noqa
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Found:
+class StageResults:
     """What stages found by name, and why optional ones did not."""
 
     results: Mapping[str, Any]
@@ -170,7 +170,7 @@ def run_stages(
     keep: Keep = compute,
     known: Mapping[str, Any] | None = None,
     begin: Callable[[Stage, Any, Task], None] | None = None,
-) -> Found:
+) -> StageResults:
     """Run the stages of a task in turn, each behind those it takes from, through ``keep``.
 
     A stage whose table is missing in the settings has its own defaults, or is left out if optional;
@@ -194,7 +194,7 @@ def run_stages(
                 failures[stage.name] = error
         if stage.label and stage.name in results:
             models[stage.label] = results[stage.name]
-    return Found(results=results, models=models, failures=failures)
+    return StageResults(results=results, models=models, failures=failures)
 
 
 def _doubts(results: Mapping[str, Any]) -> str:
@@ -218,7 +218,7 @@ def _begin_ready(
 def _given(stage: Stage, task: Task) -> tuple[Any, Task] | None:
     """Settings and task of a stage that runs; None of another."""
     own = records_of(stage, task.roles)
-    if not runs(stage, task.settings, task.results, own):
+    if not will_run(stage, task.settings, task.results, own):
         return None
     return task.settings.get(stage.table, stage.settings), replace(task, records=own)
 
@@ -236,7 +236,7 @@ def records_of(stage: Stage, roles: Mapping[Role, Sequence[Record]]) -> tuple[Re
     return next((tuple(roles[role]) for role in stage.role if roles.get(role)), ())
 
 
-def runs(
+def will_run(
     stage: Stage, tables: Collection[str], before: Collection[str], own: Sequence[Record]
 ) -> bool:
     """Whether a stage is wanted, and has all it needs of the stages before it and of records."""
@@ -248,7 +248,7 @@ def runnable(task: Task) -> list[str]:
     """Names of the stages that will run."""
     before: list[str] = []
     for stage in task.stages:
-        if runs(stage, task.settings, before, records_of(stage, task.roles)):
+        if will_run(stage, task.settings, before, records_of(stage, task.roles)):
             before.append(stage.name)
     return before
 

@@ -103,7 +103,7 @@ def describe(
     # Identifiability is judged for the records, one 3-2-1-1 a control unless given.
     free = free_parameters(model, fixed, bounds)
     system = free.model.system()
-    flown = excitation(system) if records is None else several(records)
+    flown = one_3211_each(system) if records is None else several(records)
     told = "one 3-2-1-1 a control" if records is None else ", ".join(r.name for r in flown)
     judged = free.model
     if records is None and isinstance(judged, NonlinearModel):
@@ -150,8 +150,8 @@ def equations_text(model: NonlinearModel) -> str:
     return "\n".join(lines)
 
 
-def excitation(system: StateSpace, unit: float = 0.7, dt: float = 0.02) -> list[Record]:
-    """One 3-2-1-1 a control of 5 % of its travel, 16 s, and the model's response to it."""
+def one_3211_each(system: StateSpace, unit: float = 0.7, dt: float = 0.02) -> list[Record]:
+    """3-2-1-1 on each control, of 5 % of its travel, 16 s, and the model's response to it."""
     # The response is the one that stays bounded, over and over again, less its mean: how large it
     # is must not depend on how fast a guess diverges.
     t = dt * np.arange(round(16 / dt))

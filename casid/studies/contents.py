@@ -13,7 +13,7 @@ from casid.channels import units_of
 from casid.consistency.flights import Repeats
 from casid.record import Record
 from casid.report.content import Content, DataFile, Timing
-from casid.stages.stage import Found, Role
+from casid.stages.stage import Role, StageResults
 from casid.studies.study import Study
 from casid.studies.written import versions
 
@@ -22,7 +22,7 @@ def content(
     study: Study,
     records: Mapping[Role, Sequence[Record]],
     again: Repeats,
-    found: Found,
+    found: StageResults,
     timings: Sequence[Timing],
     warnings: Sequence[str],
 ) -> Content:

@@ -10,7 +10,7 @@ import numpy as np
 
 from casid.autoregression import outliers
 from casid.checks import hint
-from casid.consistency.clocks import aligned, told
+from casid.consistency.clocks import aligned, moves_told
 from casid.consistency.kinematics import kinematic_check
 from casid.errors import warn
 from casid.record import Record
@@ -23,7 +23,7 @@ KINEMATICS: Literal["kinematics"] = "kinematics"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Second:
+class SecondLogger:
     """A second logger of the same flights: its file beside each record's, channels and clock."""
 
     file: str  # "{name}_nav.csv" or "../nav/{name}.csv", from the folder of the record's own
@@ -42,7 +42,7 @@ class Second:
 
 @dataclass(frozen=True, kw_only=True)
 class Mending:
-    """What is done to all records as they are read."""
+    """Preprocessing of all records as they are read: shifts, outliers and repeats masked."""
 
     shift: Mapping[str, float] | Literal["kinematics"] = field(default_factory=dict)
     mask: bool = False  # outliers count as missing
@@ -77,7 +77,7 @@ class Mending:
         by = self.shift
         if isinstance(by, str):
             by, why = _skews(tuple(done.values()), second, theta0)
-            said = "; ".join((told(by), *why))
+            said = "; ".join((moves_told(by), *why))
             warn(f"kinematics moves channels in time, as the study asks for: {said}")
         lags = by
         return {key: record.shift(lags) if lags else record for key, record in done.items()}
@@ -162,7 +162,7 @@ def read_mending(table: Table) -> Mending:
     return Mending(shift=table.numbers("shift"), **marked)
 
 
-def read_second(table: Table, known: tuple[str, ...]) -> Second | None:
+def read_second(table: Table, known: tuple[str, ...]) -> SecondLogger | None:
     """The table [channels.join], if it is there."""
     if not table.content:
         return None
@@ -178,7 +178,9 @@ def read_second(table: Table, known: tuple[str, ...]) -> Second | None:
     if not channels:
         raise ValueError(f"{table.place} channels are missing: name those of the second file")
     clock = float(table.take("clock", (int, float), 0.0))
-    return Second(file=file, channels=channels, time=table.take("time", str, "t"), clock=clock)
+    return SecondLogger(
+        file=file, channels=channels, time=table.take("time", str, "t"), clock=clock
+    )
 
 
 def read_cutting(table: Table, decimate: int) -> Cutting:

@@ -19,7 +19,7 @@ from casid.record import Record
 from casid.report.content import Content, Section, Timing, cautions, contradicted, enough
 from casid.report.verdicts import Verdict, verdicts
 from casid.stages.listing import sections
-from casid.stages.stage import Found, Role, run_stages
+from casid.stages.stage import Role, StageResults, run_stages
 from casid.studies.contents import content
 from casid.studies.keeping import Holding, Keeper, Watch
 from casid.studies.responses import with_measured
@@ -42,7 +42,7 @@ TOLD = ("verdicts", "cautions", "headlines", "seen")  # of what was written, as 
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Outcome:
+class StudyOutcome:
     """What a study found, what to think of it, and where it lies.
 
     Parameters
@@ -92,7 +92,7 @@ class Outcome:
 @one_thread
 def run_study(
     study: Study, *, fresh: bool = False, command: str = "", watch: Watch | None = None
-) -> Outcome:
+) -> StudyOutcome:
     """Run all stages of a study and write its report.
 
     Parameters
@@ -139,7 +139,7 @@ def run_study(
         return outcome
 
 
-def _as_written(study: Study, watch: Watch) -> Outcome | None:
+def _as_written(study: Study, watch: Watch) -> StudyOutcome | None:
     """What an earlier run found and wrote, if all of it still holds: nothing is read but files."""
     started = time.perf_counter()
     written = read_written(study)
@@ -153,7 +153,7 @@ def _as_written(study: Study, watch: Watch) -> Outcome | None:
         watch.end(timing)
     told: Any = {key: getattr(written, key) for key in TOLD}
     report = study.output / "report.html"
-    return Outcome(timings=tuple(clock), report=report, found=partial(_again, study), **told)
+    return StudyOutcome(timings=tuple(clock), report=report, found=partial(_again, study), **told)
 
 
 def _again(study: Study) -> Mapping[str, Any]:
@@ -183,7 +183,7 @@ def _stages(
     records: Mapping[Role, Sequence[Record]],
     flights: Mapping[Role, Sequence[Record]],
     keeper: Keeper,
-) -> Found:
+) -> StageResults:
     task = with_measured(study.task(records, flights), study.responses)
     with keeper.processes:
         return run_stages(task, keep=keeper, begin=keeper.begin)
@@ -204,7 +204,7 @@ def _read(study: Study) -> tuple[tuple[Mapping[Role, Sequence[Record]], Repeats]
 
 def _run(
     study: Study, flights: Mapping[Role, Sequence[Record]], again: Repeats, keeper: Keeper
-) -> Outcome:
+) -> StudyOutcome:
     records = without_checks(study, flights)
     try:
         found = _stages(study, records, flights, keeper)
@@ -231,7 +231,7 @@ def _run(
             f"{failure}\nThe report is written without it: {report}", failure.best
         ) from failure
     judged = found.results.get("validation")
-    return Outcome(
+    return StudyOutcome(
         timings=tuple(keeper.clock),
         report=report,
         verdicts=() if judged is None else verdicts(judged, shown),

@@ -27,7 +27,7 @@ from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold, Record
 from casid.stages.stage import ROLES, Role, Stage, Task
-from casid.studies.preparation import Cutting, Mending, Second, with_inputs
+from casid.studies.preparation import Cutting, Mending, SecondLogger, with_inputs
 from casid.subspace.pbsid import Pbsid
 from casid.tables import placed
 
@@ -49,7 +49,7 @@ class RecordSet:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Channels:
+class ChannelSettings:
     """Columns of the files, their units, and what the inputs do between samples."""
 
     inputs: tuple[str, ...]
@@ -61,7 +61,7 @@ class Channels:
     dt: float | None = None
     hold: Hold = "foh"
     mending: Mending = Mending()
-    second: Second | None = None
+    second: SecondLogger | None = None
 
     @property
     def measured(self) -> tuple[str, ...]:
@@ -70,7 +70,7 @@ class Channels:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noise:
+class AddedNoise:
     """Measurement noise that a study adds to simulated records: standard deviations, SI."""
 
     seed: int
@@ -80,7 +80,7 @@ class Noise:
 @checked_fields
 @dataclass(frozen=True, kw_only=True)
 class NextFlight:
-    """What a study's table ``[design]`` asks for.
+    """Settings of the next flight, from a study's table ``[design]``.
 
     Parameters
     ----------
@@ -140,9 +140,9 @@ class Study:
     model_file: Path
     fixed: tuple[str, ...]
     bounds: Mapping[str, tuple[float, float]]
-    channels: Channels
+    channels: ChannelSettings
     roles: Mapping[Role, RecordSet]  # the records' files
-    noise: Noise | None  # what is added to the records
+    noise: AddedNoise | None  # what is added to the records
     stages: tuple[Stage, ...]
     settings: Mapping[str, Any]  # by table, of stages that have one
     design: NextFlight = field(default_factory=NextFlight)
@@ -250,7 +250,7 @@ def _read(study: Study, file: Path) -> Record:
 
 
 def _read_channels(
-    channels: Channels,
+    channels: ChannelSettings,
     file: Path,
     inputs: tuple[str, ...],
     outputs: tuple[str, ...],

@@ -25,7 +25,7 @@ from casid.structure.modelfile import load_model, locate_model
 from casid.studies.preparation import read_cutting, read_mending, read_second, read_trim
 from casid.studies.responses import read_responses, response_names
 from casid.studies.settings import read_settings
-from casid.studies.study import Channels, NextFlight, Noise, RecordSet, Study
+from casid.studies.study import AddedNoise, ChannelSettings, NextFlight, RecordSet, Study
 from casid.tables import Table, placed, read_toml
 
 REQUIRED: tuple[Role, ...] = ("identification", "validation")
@@ -123,7 +123,7 @@ def _model(
     return model, locate_model(reference, folder)[0], fixed, bounds
 
 
-def _channels(table: Table, structure: type[Model]) -> Channels:
+def _channels(table: Table, structure: type[Model]) -> ChannelSettings:
     own = ("inputs", "outputs", "check", "time", "units", "columns", "dt", "hold")
     table.only((*own, "shift", "outliers", "repeats", "join"))
     inputs = table.names("inputs", structure.inputs)
@@ -146,7 +146,7 @@ def _channels(table: Table, structure: type[Model]) -> Channels:
     hold = table.take("hold", str, "foh")
     if hold not in get_args(Hold):
         raise ValueError(f'{table.place} hold = {hold!r}, expected "foh" or "zoh"')
-    return Channels(
+    return ChannelSettings(
         inputs=inputs,
         outputs=outputs,
         check=check,
@@ -219,7 +219,7 @@ def _role(table: Table, folder: Path) -> RecordSet:
     return RecordSet(files=tuple(files), detrend=detrend, trim=trim, noise=noise, cutting=cutting)
 
 
-def _noise(table: Table, channels: Channels) -> Noise:
+def _noise(table: Table, channels: ChannelSettings) -> AddedNoise:
     table.only(("seed", "std"))
     seed = table.take("seed", int)
     if seed is None or seed < 0:
@@ -231,11 +231,11 @@ def _noise(table: Table, channels: Channels) -> Noise:
             f"{table.place} std of {wrong[0]} is {std[wrong[0]]:g}, expected a finite number, "
             "0 or more"
         )
-    return Noise(seed=seed, std=std)
+    return AddedNoise(seed=seed, std=std)
 
 
 def _check_roles(
-    roles: Mapping[Role, RecordSet], noise: Noise | None, structure: type[Model], path: Path
+    roles: Mapping[Role, RecordSet], noise: AddedNoise | None, structure: type[Model], path: Path
 ) -> None:
     """Refuse noise that nothing says, trims of what the structure lacks, or that are no numbers."""
     noisy = [role for role, each in roles.items() if each.noise]

@@ -16,7 +16,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.checks import checked_fields
 from casid.errors import warn
-from casid.excitations import certified
+from casid.excitations import excitation_if_any
 from casid.frozen import frozen
 from casid.linear import StateSpace
 from casid.record import Record
@@ -272,7 +272,7 @@ class Pbsid:
             uncertainty=estimate.uncertainty, selection=selection, explained=estimate.explained,
             doubtful=estimate.doubtful, missed=estimate.missed,
             refinement="prediction" if causal else settings.refinement,
-            hold=campaign.records[0].hold, excitation=certified(campaign.records),
+            hold=campaign.records[0].hold, excitation=excitation_if_any(campaign.records),
             remarks=tuple(remarks),
         )  # fmt: skip
 

@@ -21,7 +21,7 @@ from casid import (
     parameter,
     response_band,
 )
-from casid.matching.mismatch import pair_weights, residuals
+from casid.matching.mismatch import pair_weights, weighted_errors
 from casid.values import encode
 
 OMEGA = np.geomspace(0.3, 12.0, 20)
@@ -121,7 +121,7 @@ def test_the_fit_minimises_the_cost():
 
     def J(values):
         G = Roll().with_vector(values).system().response(OMEGA)
-        return np.sum(residuals(G, frf.G, weight) ** 2)
+        return np.sum(weighted_errors(G, frf.G, weight) ** 2)
 
     best = fit.model.vector()
     assert J(best) == pytest.approx(fit.cost, rel=1e-9)
@@ -145,7 +145,7 @@ def test_cramer_rao_and_insensitivity_come_from_the_hessian_of_the_cost():
 
     def J(x):
         G = Roll().with_vector(x).system().response(OMEGA)
-        return np.sum(residuals(G, frf.G, weight) ** 2)
+        return np.sum(weighted_errors(G, frf.G, weight) ** 2)
 
     h = 1e-4 * np.abs(values)
     H = np.empty((5, 5))

@@ -6,7 +6,7 @@ from truths.structures import TRUTH, HoverRoll
 
 from casid import FrequencyResponse
 from casid.baseline.pairs import select, thin
-from casid.matching.mismatch import residuals
+from casid.matching.mismatch import weighted_errors
 
 OMEGA = np.geomspace(0.3, 12.0, 20)
 
@@ -26,7 +26,7 @@ def test_the_cost_of_the_comparison_is_j():
     W = (1.58 * (1 - np.exp(-0.7))) ** 2
     np.testing.assert_allclose(comparison.decibel_weight, W, rtol=1e-12)
     off = frf.G * 10 ** (0.5 / 20)
-    J = np.sum(residuals(off, comparison.G, comparison.decibel_weight) ** 2)
+    J = np.sum(weighted_errors(off, comparison.G, comparison.decibel_weight) ** 2)
     assert pytest.approx(2 * 20 * W * 0.25) == J  # two pairs, half a decibel
 
 

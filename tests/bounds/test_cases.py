@@ -8,7 +8,7 @@ from truths.mixture import Mixture, least_squares, record
 from truths.structures import HoverRoll
 
 from casid import ModelError, output_error
-from casid.bounds.cases import constrained, feasible, plain, read_cases
+from casid.bounds.cases import as_user_class, constrained, feasible, read_cases
 
 
 def case(spec, model=None, **more):
@@ -156,5 +156,5 @@ def test_a_model_within_a_case_keeps_its_class_and_relations_their_size():
     (constraint,) = inside.constraints()
     assert constraint.value == pytest.approx(0.0)
     assert 1e5 < sizes[0] < 1e8
-    assert type(plain(inside, Mixture)) is Mixture
+    assert type(as_user_class(inside, Mixture)) is Mixture
     assert constrained(Mixture(), case({}))[0] == Mixture()

@@ -21,7 +21,7 @@ from casid import (
     output_error,
     reduce_structure,
 )
-from casid.bounds.reduction import figures
+from casid.bounds.reduction import accuracy_figures
 
 IDLE = Mixture(a=1.0, b=0.6, d=0.0)  # the truth has no direct term
 DATA = [record(3, IDLE)]
@@ -47,8 +47,8 @@ def test_a_parameter_the_data_do_not_need_is_dropped_and_no_other():
 def test_figures_are_per_cent_of_a_value_and_without_end_where_that_is_zero(value):
     fit = output_error(Mixture(), DATA)
     row = replace(fit["d"], value=value, std_error=0.2, cramer_rao=0.1, insensitivity=0.3)
-    assert figures(fit, row) == pytest.approx((30 / abs(value), 40 / abs(value)))
-    assert figures(fit, replace(row, value=0.0)) == (np.inf, np.inf)
+    assert accuracy_figures(fit, row) == pytest.approx((30 / abs(value), 40 / abs(value)))
+    assert accuracy_figures(fit, replace(row, value=0.0)) == (np.inf, np.inf)
 
 
 def test_a_step_that_costs_too_much_is_rejected_and_told():

@@ -9,7 +9,7 @@ from truths.mixture import NOISE as SIGMA
 from truths.mixture import Mixture, record
 
 from casid import ConvergenceError, Execution, OutputError, SolverOptions
-from casid.bounds.trials import Fits, aicc, in_words, work
+from casid.bounds.trials import Fits, aicc, spelt_out, work
 from casid.jobs.transport import refer
 
 NOISE = {"ay": 0.05, "p": 0.005, "phi": 0.005}
@@ -84,8 +84,8 @@ def test_a_case_with_a_tie_is_told_with_the_users_class_and_in_its_units():
 
 
 def test_names_of_estimators_are_words():
-    assert in_words("OutputError") == "output error"
-    assert in_words("Match") == "match"
+    assert spelt_out("OutputError") == "output error"
+    assert spelt_out("Match") == "match"
 
 
 def test_a_trial_of_other_data_options_or_code_has_another_key(monkeypatch):

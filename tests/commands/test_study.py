@@ -10,7 +10,7 @@ from truths.roll_study import write_study
 from casid import Fit, write_csv
 from casid.cli import main
 from casid.structure.modelfile import load_model
-from casid.structure.overview import excitation
+from casid.structure.overview import one_3211_each
 from models.short_period import ShortPeriod
 
 
@@ -26,7 +26,7 @@ def test_check_prints_the_structure_of_a_model_file():
 
 
 def test_check_judges_a_flight(tmp_path):
-    (record,) = excitation(ShortPeriod().system())
+    (record,) = one_3211_each(ShortPeriod().system())
     write_csv(tmp_path / "flight.csv", record)
     result = run("models/short_period.py:ShortPeriod", "--record", tmp_path / "flight.csv")
     assert result.exit_code == 0

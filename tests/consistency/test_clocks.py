@@ -5,7 +5,7 @@ import pytest
 from truths.flights import FORCES, NOISE, RATES, flight
 
 from casid import Record
-from casid.consistency.clocks import _fewer, aligned, told
+from casid.consistency.clocks import _fewer, aligned, moves_told
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 
 OUTPUTS = (*RATES, *FORCES, "phi", "theta")
@@ -22,8 +22,8 @@ def test_the_fewer_move_and_stay_in_the_order_of_the_record(check):
     assert list(moves) == ["phi", "theta"]
     np.testing.assert_allclose(list(moves.values()), -0.1, atol=0.005)
     assert why == "p, q, r, ax, ay, az are alike and stay with the inputs"
-    assert told(moves).startswith("phi -")
-    assert "inputs stay" in told(moves)
+    assert moves_told(moves).startswith("phi -")
+    assert "inputs stay" in moves_told(moves)
 
 
 def test_rates_move_where_they_are_no_more_than_what_they_are_held_against(check):
@@ -44,7 +44,7 @@ def test_the_logger_without_inputs_moves_as_a_whole(check):
 def test_records_in_line_stay_as_they_are():
     fine = kinematic_check(flight(1, None, NOISE, OUTPUTS))
     moves, why = aligned(fine, OUTPUTS, (), ["lat"])
-    assert (moves, why, told(moves)) == ({}, (), "none")
+    assert (moves, why, moves_told(moves)) == ({}, (), "none")
 
 
 def test_pitch_attitude_that_was_not_recorded_is_told_or_widens_the_errors():

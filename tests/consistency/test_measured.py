@@ -6,7 +6,7 @@ from truths.flights import NOISE, RATES, flight
 
 from casid import Record
 from casid.consistency.kinematics import kinematic_check
-from casid.consistency.measured import Flight, looked_at, noise, signals
+from casid.consistency.measured import Flight, looked_at, signals, white_noise
 
 
 def test_noise_is_the_standard_deviation_of_what_is_not_smooth():
@@ -15,7 +15,7 @@ def test_noise_is_the_standard_deviation_of_what_is_not_smooth():
     # Third differences of white noise have the variance 1 + 9 + 9 + 1 = 20; 200 000 correlated
     # squares give the standard deviation to 0.3 %, and the sine is 1e-5 of it.
     x = np.sin(t) + 0.1 * rng.standard_normal(len(t))
-    assert noise(x) == pytest.approx(0.1, rel=0.01)
+    assert white_noise(x) == pytest.approx(0.1, rel=0.01)
 
 
 def test_headings_pass_north_without_a_jump():
@@ -37,9 +37,9 @@ def test_noise_is_not_that_of_a_few_outliers():
     rng = np.random.default_rng(0)
     x = np.sin(0.02 * np.arange(5000)) + 0.01 * rng.standard_normal(5000)
     x[rng.integers(0, 5000, 5)] += 0.5
-    assert noise(x) == pytest.approx(0.01, rel=0.05)
+    assert white_noise(x) == pytest.approx(0.01, rel=0.05)
     repeated = np.repeat(rng.standard_normal(500), 10)  # most differences are zero
-    assert noise(repeated) > 0.1
+    assert white_noise(repeated) > 0.1
 
 
 def test_total_values_come_back_and_speed_becomes_velocities():

@@ -7,7 +7,7 @@ from truths.structures import SECOND, TRUTH, HoverRoll, Lag
 from casid import Constraint, Rows, Scalar, StateSpace, parameter
 from casid.free import free_parameters
 from casid.matching.appraisal import appraise, doubts, response_size, violated
-from casid.matching.targets import compare
+from casid.matching.targets import comparison_of
 
 
 class Unbounded(Lag):
@@ -25,7 +25,9 @@ class Unbounded(Lag):
 def doubt(values, *, target=SECOND, stable=True):
     free = free_parameters(Unbounded())
     values = np.array(values)
-    appraisal = appraise(Unbounded().with_vector(values).system(), compare(Unbounded(), [target]))
+    appraisal = appraise(
+        Unbounded().with_vector(values).system(), comparison_of(Unbounded(), [target])
+    )
     return doubts(free, values, free.guess, appraisal, stable=stable)
 
 
@@ -65,7 +67,7 @@ def test_ties_hold_to_rounding():
 
 
 def test_the_peak_is_where_a_dense_grid_has_it():
-    comparison = compare(HoverRoll(), [TRUTH.system()], weight=np.array([[1.0], [0.1]]))
+    comparison = comparison_of(HoverRoll(), [TRUTH.system()], weight=np.array([[1.0], [0.1]]))
     appraisal = appraise(HoverRoll(Lp=-2.0, Llat=8.0).system(), comparison)
     dense = np.geomspace(*comparison.band, 20_001)
     source = comparison.sources[0].at(dense)
@@ -83,6 +85,6 @@ def test_the_peak_is_where_a_dense_grid_has_it():
 
 
 def test_the_size_of_the_response_is_its_largest_singular_value():
-    comparison = compare(Lag(), [SECOND], shift=0.0)
+    comparison = comparison_of(Lag(), [SECOND], shift=0.0)
     gain = np.abs(comparison.W * SECOND.response(comparison.s.imag)).max()
     assert response_size(comparison) == pytest.approx(gain, rel=1e-12)

@@ -8,7 +8,7 @@ from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import StateSpace
 from casid.matching.certificate import TERMS, _series, band_norm, peaks
-from casid.matching.targets import compare
+from casid.matching.targets import comparison_of
 
 
 def random_system(rng, nx, ny, nu, delay):
@@ -35,7 +35,7 @@ def test_bounds_enclose_a_dense_search(seed, nx, ny, nu, relative):
     rng = np.random.default_rng(seed)
     system = random_system(rng, nx, ny, nu, delay=1.0)
     box = random_system(rng, nx + 1, ny, nu, delay=0.0)
-    comparison = compare(
+    comparison = comparison_of(
         Channels(system), [black_box(box)], weight="relative" if relative else None,
         omega=np.geomspace(0.1, 10.0, 7),
     )  # fmt: skip
@@ -70,7 +70,7 @@ def test_a_resonance_between_the_points_is_found():
     # Damping ratio 1e-4: a peak of width 1e-3 rad/s between points 0.5 rad/s apart.
     box = StateSpace([[0.0, 1.0], [-9.0, -6e-4]], [[0.0], [1.0]], [[9.0, 0.0]], [[0.0]],
                      inputs=("u",), outputs=("x",))  # fmt: skip
-    comparison = compare(Lag(), [black_box(box)], omega=np.arange(0.25, 9.5, 0.5), shift=0.0)
+    comparison = comparison_of(Lag(), [black_box(box)], omega=np.arange(0.25, 9.5, 0.5), shift=0.0)
     band = band_norm(Lag(a=1.0, k=0.0).system(), comparison.sources[0])
     assert band.lower == pytest.approx(1 / (2 * 1e-4), rel=1e-3)
     assert band.peak_omega == pytest.approx(3.0, abs=1e-3)
@@ -86,7 +86,7 @@ def test_a_bound_holds_where_outputs_or_pairs_feel_no_state(weight):
     A, B, C = [[0.0, 1.0], [-9.0, -0.06]], [[0.0, 0.0], [1.0, 2.0]], [[9.0, 0.0], [0.0, 0.0]]
     box = StateSpace(A, B, C, np.diag([0.0, 1.0]), **names)
     model = StateSpace(A, np.zeros((2, 2)), C, np.diag([0.0, 0.5]), **names)
-    comparison = compare(
+    comparison = comparison_of(
         Channels(model), [black_box(box)], weight=weight, omega=np.arange(0.25, 9.5, 0.5), shift=0.0
     )
     source = comparison.sources[0]
@@ -100,13 +100,13 @@ def test_a_bound_holds_where_outputs_or_pairs_feel_no_state(weight):
 
 
 def test_an_exact_match_has_no_gap_to_close():
-    comparison = compare(HoverRoll(), [black_box(TRUTH.system())])
+    comparison = comparison_of(HoverRoll(), [black_box(TRUTH.system())])
     band = band_norm(TRUTH.system(), comparison.sources[0], negligible=1e-6)
     assert band.upper < 1e-6
     assert len(band.omega) < 2000
 
 
 def test_measured_points_are_their_own_band():
-    comparison = compare(Lag(), [black_box(SECOND)], omega=np.array([1.0]))
+    comparison = comparison_of(Lag(), [black_box(SECOND)], omega=np.array([1.0]))
     band = band_norm(Lag().system(), comparison.sources[0])
     assert band.lower == band.upper

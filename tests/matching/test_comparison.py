@@ -5,13 +5,13 @@ import pytest
 from truths.structures import SECOND, TRUTH, HoverRoll, Lag
 
 from casid.matching.comparison import Source
-from casid.matching.targets import compare
+from casid.matching.targets import comparison_of
 
 
 def test_weights_are_linear_between_their_frequencies():
     omega = np.array([1.0, 2.0, 4.0])
     weight = np.array([1.0, 3.0, 2.0])[:, None, None]
-    source = compare(Lag(), [SECOND], omega=omega, weight=weight).sources[0]
+    source = comparison_of(Lag(), [SECOND], omega=omega, weight=weight).sources[0]
     at = source.weight_at(np.array([0.5, 1.0, 1.5, 3.0, 4.0, 9.0]))[:, 0, 0]
     unit = source.W[0, 0, 0]
     np.testing.assert_allclose(at / unit, [1.0, 1.0, 2.0, 2.5, 2.0, 2.0], rtol=1e-12)
@@ -21,7 +21,7 @@ def test_weights_are_linear_between_their_frequencies():
 
 
 def test_a_single_frequency_has_one_weight():
-    source = compare(Lag(), [SECOND], omega=np.array([2.0])).sources[0]
+    source = comparison_of(Lag(), [SECOND], omega=np.array([2.0])).sources[0]
     np.testing.assert_array_equal(source.weight_at(np.array([1.0, 5.0])), source.W[[0, 0]])
 
 
@@ -32,7 +32,7 @@ def test_measured_points_have_no_other_grid():
 
 
 def test_another_line_keeps_grid_and_weights():
-    comparison = compare(HoverRoll(), [TRUTH.system()], weight=np.array([[2.0], [1.0]]))
+    comparison = comparison_of(HoverRoll(), [TRUTH.system()], weight=np.array([[2.0], [1.0]]))
     moved = comparison.shifted(1.5)
     np.testing.assert_array_equal(moved.W, comparison.W)
     np.testing.assert_allclose(moved.s, 1.5 + 1j * comparison.s.imag)
@@ -40,7 +40,7 @@ def test_another_line_keeps_grid_and_weights():
 
 
 def test_the_norm_is_the_largest_singular_value_of_the_weighted_error():
-    comparison = compare(HoverRoll(), [TRUTH.system()])
+    comparison = comparison_of(HoverRoll(), [TRUTH.system()])
     model = HoverRoll().system()
     each = [
         np.linalg.svd(W * (model.response(s.imag, s.real)[0] - G), compute_uv=False)[0]

@@ -5,20 +5,20 @@ import pytest
 from truths.structures import TRUTH, HoverRoll
 
 from casid.matching.costs import Decibels, MeanSquare
-from casid.matching.mismatch import residuals
-from casid.matching.targets import compare
+from casid.matching.mismatch import weighted_errors
+from casid.matching.targets import comparison_of
 
 MODEL = HoverRoll(Yv=-0.3, Lv=-0.2, Lp=-2.0, Llat=9.0, tau=0.03)
 MASK = np.ones((40, 2, 1))
 MASK[:9, 1] = 0.0  # no roll angle at low frequency
-COMPARISON = compare(MODEL, [TRUTH.system()], weight=MASK)
+COMPARISON = comparison_of(MODEL, [TRUTH.system()], weight=MASK)
 G = MODEL.system().response(COMPARISON.s.imag, COMPARISON.shift)
 COSTS = {"mean square": MeanSquare(COMPARISON, 0.5, 0.3), "decibels": Decibels(COMPARISON, 0.5)}
 
 
 def test_values_are_those_sums():
     square = 0.3 * np.linalg.norm(COMPARISON.error(MODEL.system())) ** 2 / len(COMPARISON.s)
-    decibels = np.sum(residuals(G, COMPARISON.G, COMPARISON.decibel_weight) ** 2)
+    decibels = np.sum(weighted_errors(G, COMPARISON.G, COMPARISON.decibel_weight) ** 2)
     for name, sum_ in {"mean square": square, "decibels": decibels}.items():
         cost = COSTS[name]
         assert cost.value(cost.errors(G)) == pytest.approx(sum_ / 0.25, rel=1e-12)

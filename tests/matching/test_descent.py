@@ -11,7 +11,7 @@ from casid import Constraint, ModelError, Rows, Scalar, parameter
 from casid.free import free_parameters
 from casid.matching.descent import Condensed, _step, check_effects, descend
 from casid.matching.mismatch import DB, DEG, PHASE
-from casid.matching.targets import compare
+from casid.matching.targets import comparison_of
 
 
 class Held(HoverRoll):
@@ -29,7 +29,7 @@ class Held(HoverRoll):
 
 def condensed(model=None, target=TRUTH, **changes):
     model = Held() if model is None else model
-    comparison = compare(model, [target.system()])
+    comparison = comparison_of(model, [target.system()])
     return replace(Condensed.of(free_parameters(model), comparison), **changes)
 
 
@@ -73,7 +73,7 @@ def test_decibel_residuals_are_weighted_nepers_and_radians():
 def test_no_step_leads_upwards_and_bounds_are_kept():
     model = Lag(a=15.0, k=-3.0)
     problem = Condensed.of(
-        free_parameters(model, bounds={"a": (1.5, 20.0)}), compare(model, [SECOND])
+        free_parameters(model, bounds={"a": (1.5, 20.0)}), comparison_of(model, [SECOND])
     )
     costs = [descend(problem, model.vector(), steps=n, tolerance=0.0).cost for n in range(12)]
     assert (np.diff(costs) <= 0).all()
@@ -90,7 +90,7 @@ def test_a_parameter_without_effect_is_named():
         def A(self) -> Rows:
             return [[-self.a]]
 
-    problem = Condensed.of(free_parameters(Idle()), compare(Idle(), [SECOND]))
+    problem = Condensed.of(free_parameters(Idle()), comparison_of(Idle(), [SECOND]))
     with pytest.raises(ModelError, match="nothing has no effect on any weighted response"):
         check_effects(problem)
 

@@ -16,7 +16,7 @@ def hermitian(r, count=5):
 @pytest.mark.parametrize("r", [1, 2, 4])
 def test_weights_make_the_inner_product(r):
     M, mu = hermitian(r), RNG.standard_normal((5, r * r))
-    Y = epigraph.weights(mu)
+    Y = epigraph.hermitian_weights(mu)
     np.testing.assert_array_equal(Y, Y.conj().transpose(0, 2, 1))
     inner = np.sum(Y.conj() * M, axis=(1, 2))
     np.testing.assert_allclose(inner, np.sum(mu * epigraph.numbers(M), axis=1), atol=1e-12)

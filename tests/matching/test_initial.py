@@ -6,8 +6,8 @@ from truths.structures import TRUTH
 from casid import Model, parameter
 from casid.free import free_parameters
 from casid.matching.descent import Condensed
-from casid.matching.initial import Start, distinct, least_squares, starts
-from casid.matching.targets import compare
+from casid.matching.initial import StartingPoint, distinct_minima, least_squares, starts
+from casid.matching.targets import comparison_of
 
 
 def test_least_squares_gives_the_truth_where_states_and_delay_are_known():
@@ -29,20 +29,22 @@ def test_least_squares_gives_the_truth_where_states_and_delay_are_known():
 
     truth = Seen(Yv=-0.2, Lv=-0.08, Lp=-2.5, Llat=11.0)
     free = free_parameters(Seen())
-    comparison = compare(Seen(), [truth.system()], omega=np.geomspace(0.3, 12.0, 20))
+    comparison = comparison_of(Seen(), [truth.system()], omega=np.geomspace(0.3, 12.0, 20))
     values = least_squares(Condensed.of(free, comparison))
     np.testing.assert_allclose(values, truth.vector(), rtol=1e-6)
 
 
 def test_one_minimum_found_twice_counts_once():
     costs = {"a": 2.0, "b": 1.0, "c": 1.0 + 1e-6, "d": 1.01}
-    found = [Start(name=name, values=np.zeros(1), cost=cost) for name, cost in costs.items()]
-    assert [start.name for start in distinct(found)] == ["b", "d", "a"]
+    found = [
+        StartingPoint(name=name, values=np.zeros(1), cost=cost) for name, cost in costs.items()
+    ]
+    assert [start.name for start in distinct_minima(found)] == ["b", "d", "a"]
 
 
 def test_the_guess_is_among_the_starts_as_it_is():
     # The truth is unstable right of the imaginary axis; from it no way can lead down.
-    problem = Condensed.of(free_parameters(TRUTH), compare(TRUTH, [TRUTH.system()]))
+    problem = Condensed.of(free_parameters(TRUTH), comparison_of(TRUTH, [TRUTH.system()]))
     best = starts(problem, large=False)[0]
     np.testing.assert_allclose(best.values, TRUTH.vector(), rtol=1e-6)
     assert best.cost < 1e-12

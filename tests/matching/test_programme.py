@@ -9,9 +9,9 @@ from truths.structures import SECOND, TRUTH, YAW, HoverRoll, Lag, TwoByTwo
 
 from casid import Model, Rows, Scalar, SolverOptions, parameter
 from casid.free import free_parameters
-from casid.matching.mismatch import residuals
+from casid.matching.mismatch import weighted_errors
 from casid.matching.programme import START, TIE, Programme
-from casid.matching.targets import compare
+from casid.matching.targets import comparison_of
 
 
 class Wide(Model):
@@ -36,7 +36,7 @@ class Wide(Model):
 
 
 MODEL = HoverRoll(Yv=-0.3, Lv=-0.2, Lp=-2.0, Llat=9.0, tau=0.03)
-COMPARISON = compare(MODEL, [TRUTH.system()], weight=np.array([[1.0], [0.5]]))
+COMPARISON = comparison_of(MODEL, [TRUTH.system()], weight=np.array([[1.0], [0.5]]))
 ERROR = COMPARISON.error(MODEL.system())
 
 
@@ -44,7 +44,7 @@ def test_programmes_start_feasible_with_the_cost_of_their_start():
     mean = np.linalg.norm(ERROR) ** 2 / len(ERROR)
     largest = np.linalg.norm(ERROR, 2, axis=(1, 2)).max() ** 2
     model = MODEL.system().response(COMPARISON.s.imag, COMPARISON.shift)
-    decibels = np.sum(residuals(model, COMPARISON.G, COMPARISON.decibel_weight) ** 2)
+    decibels = np.sum(weighted_errors(model, COMPARISON.G, COMPARISON.decibel_weight) ** 2)
     expected = {"quadratic": mean, "hinf": START * largest + TIE * mean, "decibel": decibels}
     free = free_parameters(MODEL)
     for norm, cost in expected.items():
@@ -62,8 +62,9 @@ def central(function, x):
     return np.array([(function(x + h) - function(x - h)) / 2e-6 for h in steps]).T
 
 
-CASES = {"tall": (MODEL, COMPARISON), "square": (TwoByTwo(), compare(TwoByTwo(), [YAW.system()])),
-         "wide": (Wide(), compare(Wide(), [Wide(a=1.3).system()]))}  # fmt: skip
+CASES = {"tall": (MODEL, COMPARISON), "square": (TwoByTwo(),
+                                                comparison_of(TwoByTwo(), [YAW.system()])),
+         "wide": (Wide(), comparison_of(Wide(), [Wide(a=1.3).system()]))}  # fmt: skip
 
 
 @pytest.mark.parametrize("norm", ["quadratic", "hinf", "decibel"])
@@ -105,14 +106,14 @@ def test_trial_points_with_poles_right_of_the_line_have_no_value():
 @pytest.mark.parametrize("norm", ["quadratic", "hinf", "decibel"])
 def test_every_norm_has_its_minimum_at_the_truth(norm):
     free = free_parameters(MODEL)
-    comparison = compare(MODEL, [TRUTH.system()])
+    comparison = comparison_of(MODEL, [TRUTH.system()])
     found = Programme(free, comparison, norm, free.guess).solve(SolverOptions(), "truth")
     assert found.success
     np.testing.assert_allclose(found.values, TRUTH.vector(), rtol=1e-3 if norm == "hinf" else 1e-6)
 
 
 def test_multipliers_are_derivatives_of_the_cost_by_the_bound():
-    comparison = compare(Lag(), [SECOND], omega=np.geomspace(0.1, 10.0, 30))
+    comparison = comparison_of(Lag(), [SECOND], omega=np.geomspace(0.1, 10.0, 30))
 
     def optimum(norm, upper):
         free = free_parameters(Lag(), bounds={"a": (0.1, upper)})

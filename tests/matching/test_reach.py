@@ -8,7 +8,7 @@ from truths.structures import SECOND, TRUTH, HoverRoll, Lag, black_box
 
 from casid import FrequencyResponse, Match, match
 from casid.matching.reach import reachable, stated_errors
-from casid.matching.targets import compare
+from casid.matching.targets import comparison_of
 
 OMEGA = np.geomspace(0.3, 6.0, 12)
 
@@ -26,7 +26,7 @@ def test_pairs_are_divided_by_their_smoothed_misfit():
     target = measured(SECOND)
     model = Lag(a=1.0, k=0.5).system()
     comparison = reachable(
-        compare(Lag(), [target], weight="reachable"), model, [np.zeros((12, 1, 1))]
+        comparison_of(Lag(), [target], weight="reachable"), model, [np.zeros((12, 1, 1))]
     )
     misfit = np.abs(model.response(OMEGA) - target.G)[:, 0, 0]
     coherence = 1.58 * (1 - np.exp(-1.0))
@@ -41,7 +41,7 @@ def test_a_misfit_is_at_least_the_stated_error_and_a_share_of_the_response():
     exact = Lag(a=1.0, k=0.5)
     plain, vague = measured(exact.system()), measured(exact.system(), error=0.2)
     for target, share in ((plain, 0.05), (vague, 0.2 * np.sqrt(2))):
-        comparison = compare(Lag(), [target], weight="reachable")
+        comparison = comparison_of(Lag(), [target], weight="reachable")
         stated = [stated_errors(Lag(), target, comparison.sources[0])]
         W = reachable(comparison, exact.system(), stated).W
         size = share * np.abs(target.G) / (1.58 * (1 - np.exp(-1.0)))
@@ -50,7 +50,7 @@ def test_a_misfit_is_at_least_the_stated_error_and_a_share_of_the_response():
 
 def test_systems_and_plain_black_boxes_state_no_error():
     for target in (TRUTH.system(), black_box(TRUTH.system())):
-        source = compare(HoverRoll(), [target]).sources[0]
+        source = comparison_of(HoverRoll(), [target]).sources[0]
         assert not stated_errors(HoverRoll(), target, source).any()
 
 

@@ -9,7 +9,7 @@ from truths.structures import ACTUATOR, SECOND, TRUTH, HoverRoll, Lag, Product, 
 
 from casid import ConvergenceError, StateSpace, match, pbsid, read_csv
 from casid.matching import search
-from casid.matching.initial import Start
+from casid.matching.initial import StartingPoint
 from models.hybrid_flap import HybridFlap
 
 
@@ -50,7 +50,7 @@ POOR = np.array([15.0, -20.0])
 @pytest.mark.parametrize("norm", ["quadratic", "hinf"])
 def test_a_match_never_ends_worse_than_its_guess(monkeypatch, norm):
     good = match(Lag(), black_box(SECOND), norm=norm)
-    solve = search.Search._solve
+    solve = search.MatchSearch._solve
 
     def stuck(self, norm, start, values, comparison):
         """A solver that gets nowhere from the misleading start."""
@@ -60,10 +60,10 @@ def test_a_match_never_ends_worse_than_its_guess(monkeypatch, norm):
         bad = search.appraise(self.system(POOR), comparison)
         return replace(found, values=POOR, cost=1e3, appraisal=bad)
 
-    misled = Start(name="misled", values=POOR, cost=1e3)
+    misled = StartingPoint(name="misled", values=POOR, cost=1e3)
     monkeypatch.setattr(search, "starts", lambda *_, **__: (misled,))
-    monkeypatch.setattr(search.Search, "_solve", stuck)
-    monkeypatch.setattr(search.Search, "_certify", lambda _, found: found)
+    monkeypatch.setattr(search.MatchSearch, "_solve", stuck)
+    monkeypatch.setattr(search.MatchSearch, "_certify", lambda _, found: found)
     again = match(good.model, black_box(SECOND), norm=norm)
     assert again.cost <= good.cost * (1 + 1e-6)
     assert again.notes.start == "guess"

@@ -8,8 +8,8 @@ from truths.swing import Swing
 from casid import Constraint, Scalar, Trim, parameter
 from casid.evaluation import MatrixFunction
 from casid.free import free_parameters
-from casid.matching.side import Side
-from casid.matching.targets import compare
+from casid.matching.side import SideConstraints
+from casid.matching.targets import comparison_of
 
 
 class Composed(HoverRoll):
@@ -27,7 +27,7 @@ class Composed(HoverRoll):
 def test_constraints_and_composed_delays_have_their_limits():
     model = Composed(Lp=-2.0, Yv=-0.3, tau=0.02)
     free = free_parameters(model)
-    side = Side(free, compare(model, [TRUTH.system()]), None)
+    side = SideConstraints(free, comparison_of(model, [TRUTH.system()]), None)
     values = side.values(free.guess / free.scale[free.index])
     np.testing.assert_allclose(values, [0.6, 0.08], rtol=1e-12)
     np.testing.assert_array_equal(side.limits, [[0.1, 0.0], [9.0, np.inf]])
@@ -36,9 +36,9 @@ def test_constraints_and_composed_delays_have_their_limits():
 @pytest.mark.parametrize("shift", [0.5, 2.0])
 def test_the_lyapunov_equation_holds_at_the_start_exactly_left_of_the_line(shift):
     free = free_parameters(TRUTH)
-    comparison = compare(TRUTH, [TRUTH.system()], shift=shift)
+    comparison = comparison_of(TRUTH, [TRUTH.system()], shift=shift)
     at = MatrixFunction(free)(free.guess)
-    side = Side(free, comparison, at)
+    side = SideConstraints(free, comparison, at)
     residual = side.values(np.concatenate([free.guess / free.scale[free.index], side.start[0]]))
     assert (
         np.linalg.eigvals(at.blocks[0]).real.max() < shift - 0.1 * np.prod(comparison.band) ** 0.5
@@ -52,7 +52,7 @@ def test_conditions_that_nothing_couples_have_lyapunov_equations_of_their_own():
     model = Swing(M=6.0, tau=0.1).at(*conditions)
     free = free_parameters(model)
     at = MatrixFunction(free)(free.guess)
-    side = Side(free, compare(model, [model.system()]), at)
+    side = SideConstraints(free, comparison_of(model, [model.system()]), at)
     residual = side.values(np.concatenate([free.guess / free.scale[free.index], side.start[0]]))
     assert len(side.start[0]) == 3 * 3  # of 6 * 7 / 2
     assert side.count == 3 * 3

@@ -17,7 +17,7 @@ from casid import (
 )
 from casid.free import free_parameters
 from casid.matching.programme import Programme
-from casid.matching.targets import compare
+from casid.matching.targets import comparison_of
 
 OMEGA = np.geomspace(0.1, 10.0, 40)
 
@@ -50,7 +50,7 @@ def corrupted():
 
 def test_default_scaling_is_that_of_the_standard_deviations():
     std = {"input_std": np.array([2.0, 0.5]), "output_std": np.array([0.1, 4.0])}
-    comparison = compare(TwoByTwo(), [black_box(YAW.system(), **std)], omega=OMEGA)
+    comparison = comparison_of(TwoByTwo(), [black_box(YAW.system(), **std)], omega=OMEGA)
     error = TwoByTwo().system().response(OMEGA) - YAW.system().response(OMEGA)
     scaled = np.diag(1 / std["output_std"]) @ error @ np.diag(std["input_std"])
     np.testing.assert_allclose(comparison.error(TwoByTwo().system()), scaled, rtol=1e-12)
@@ -58,7 +58,7 @@ def test_default_scaling_is_that_of_the_standard_deviations():
 
 def test_relative_error_divides_each_output_by_its_own_response():
     std = {"input_std": np.array([2.0, 0.5]), "output_std": np.array([0.1, 4.0])}
-    comparison = compare(
+    comparison = comparison_of(
         TwoByTwo(), [black_box(YAW.system(), **std)], omega=OMEGA, weight="relative"
     )
     G = YAW.system().response(OMEGA)
@@ -88,7 +88,7 @@ def test_weights_follow_their_frequencies_in_any_order():
     box, model = black_box(corrupted()), TwoByTwo().system()
     weight = np.geomspace(1.0, 1e-3, 40)[:, None, None]
     sorted_, mixed = (
-        compare(TwoByTwo(), [box], omega=OMEGA[order], weight=weight[order]).error(model)
+        comparison_of(TwoByTwo(), [box], omega=OMEGA[order], weight=weight[order]).error(model)
         for order in (np.arange(40), np.random.default_rng(1).permutation(40))
     )
     np.testing.assert_array_equal(mixed, sorted_)
@@ -161,7 +161,7 @@ def test_measured_points_alone_recover_an_unstable_structure():
 
 def test_black_box_is_shifted_and_measured_points_are_not():
     targets = [black_box(TRUTH.system()), measured(TRUTH.system())]
-    comparison = compare(HoverRoll(), targets, shift=0.3)
+    comparison = comparison_of(HoverRoll(), targets, shift=0.3)
     assert (comparison.sources[0].s.real == 0.3).all()
     assert (comparison.sources[1].s.real == 0.0).all()
     fit = match(HoverRoll(), targets, norm="hinf")
@@ -228,7 +228,7 @@ def test_constraint_that_bounds_contradict_is_named():
 
 
 def test_fixed_parameters_are_no_variables():
-    comparison = compare(TwoByTwo(), [black_box(YAW.system())])
+    comparison = comparison_of(TwoByTwo(), [black_box(YAW.system())])
     sizes = []
     for fixed in ((), ("Lr", "Np", "tau_ped")):
         free = free_parameters(TwoByTwo(), fixed)

@@ -17,7 +17,7 @@ from casid import (
     spline,
     validate,
 )
-from casid.nonlinear.coverage import joined, leaves, reached, tabulated
+from casid.nonlinear.coverage import joined_spans, leaves, reached, tabulated
 
 
 class Pushed(NonlinearModel):
@@ -72,7 +72,7 @@ def test_an_airspeed_without_tables_is_known_but_not_limited():
 
 
 def test_spans_are_joined():
-    assert joined([{"u": (1.0, 2.0)}, {}, {"u": (0.0, 1.5), "V": (3.0, 4.0)}]) == {
+    assert joined_spans([{"u": (1.0, 2.0)}, {}, {"u": (0.0, 1.5), "V": (3.0, 4.0)}]) == {
         "u": (0.0, 2.0), "V": (3.0, 4.0)
     }  # fmt: skip
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from truths.pages import changed
 
-from casid.report.answer import doubted, not_believed, place, ranked, told
+from casid.report.answer import doubted, not_believed, predictions_told, ranked, theil_place
 from casid.report.evidence import differences
 from casid.report.verdicts import Verdict
 
@@ -28,24 +28,24 @@ def test_the_worst_output_stands_first_and_what_is_not_judged_last():
 
 def test_it_says_where_the_model_is_not_good_and_that_the_structure_is_why():
     judged = [verdict("p", 0.05), verdict("r", 0.4, 3.0), verdict("q", 0.2)]
-    said = told(judged, SIMULATED, enough=False)
+    said = predictions_told(judged, SIMULATED, enough=False)
     assert "good on 1, fair on 1, poor on 1" in said
     assert "worst on r 0.40, q 0.20" in said
     assert "structure is at fault: the black box of the same records predicts r 3.0 times" in said
-    assert "The estimate is at fault" in told(judged, SIMULATED, enough=True)
-    assert "Structure or estimate is at fault" in told(judged, SIMULATED)
+    assert "The estimate is at fault" in predictions_told(judged, SIMULATED, enough=True)
+    assert "Structure or estimate is at fault" in predictions_told(judged, SIMULATED)
 
 
 def test_a_black_box_that_does_no_better_does_not_blame_the_structure():
-    said = told([verdict("r", 0.4, 1.5)], SIMULATED)
+    said = predictions_told([verdict("r", 0.4, 1.5)], SIMULATED)
     assert "structure" not in said
     assert "not twice as good on any" in said
-    assert "black box" not in told([verdict("r", 0.4)], ALONE)
-    assert told([], SIMULATED) == ""
+    assert "black box" not in predictions_told([verdict("r", 0.4)], ALONE)
+    assert predictions_told([], SIMULATED) == ""
 
 
 def test_a_good_model_has_no_worst_output():
-    assert told([verdict("p", 0.05)], SIMULATED).endswith("the model is good on 1.")
+    assert predictions_told([verdict("p", 0.05)], SIMULATED).endswith("the model is good on 1.")
 
 
 def test_an_error_of_the_noise_is_called_so_and_no_other_reason_given():
@@ -54,7 +54,7 @@ def test_an_error_of_the_noise_is_called_so_and_no_other_reason_given():
 
 
 def test_the_picture_ends_at_one_half():
-    assert (place(0.0), place(0.25), place(2.0)) == (0.0, 50.0, 100.0)
+    assert (theil_place(0.0), theil_place(0.25), theil_place(2.0)) == (0.0, 50.0, 100.0)
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from casid import (
 )
 from casid.bands import mode_bands
 from casid.report.content import OUTPUT_ERROR
-from casid.report.evidence import few, noise_levels, strangers
+from casid.report.evidence import few_data, noise_levels, unexplained_records
 
 MEASURED = (
     ("[records.validation]", "[records.frequency]\nfiles = ['sweep.csv']\nnoise = true\n\n"
@@ -121,7 +121,7 @@ def test_a_mode_slower_than_the_records_is_named_unless_its_error_is_small(dampi
     fit = Estimate(model=Damped(Lp=damping), free_names=("Lp",), covariance=covariance, row=row)
     bands = {} if error is None else {OUTPUT_ERROR: mode_bands(fit)}
     content = SimpleNamespace(data=[flown, flown], delivered=OUTPUT_ERROR, bands=bands)
-    texts = [each.text for each in few(fit, content)]
+    texts = [each.text for each in few_data(fit, content)]
     assert len(texts) == said
     for text in texts:
         assert "records of 20 s at most, 40 s together" in text
@@ -156,7 +156,7 @@ def judged(late):
     models = {"black box": fit.model.system(), "output error": fit}
     found = validate(models, records[1:])
     content = SimpleNamespace(fits={"output error": fit}, delivered="output error")
-    return [each.text for each in strangers(found, content)]
+    return [each.text for each in unexplained_records(found, content)]
 
 
 def test_a_validation_record_that_no_model_explains_is_told():

@@ -22,7 +22,7 @@ from casid.report import (
     plot_phase,
     plot_rms,
 )
-from casid.report.figures import STYLES, decibel, groups, input_pairs, phase, style
+from casid.report.figures import STYLES, decibel, input_pairs, output_groups, phase, style
 from casid.report.prices import COLOURS
 
 MODELS = (BLACK_BOX, MATCH, OUTPUT_ERROR, BASELINE)
@@ -85,7 +85,12 @@ def test_styles_differ_in_dash_and_not_in_colour_alone():
 
 def test_outputs_and_inputs_are_laid_out_as_in_the_paper():
     outputs = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "beta")
-    assert groups(outputs) == [("ax", "ay", "az"), ("phi", "theta"), ("p", "q", "r"), ("beta",)]
+    assert output_groups(outputs) == [
+        ("ax", "ay", "az"),
+        ("phi", "theta"),
+        ("p", "q", "r"),
+        ("beta",),
+    ]
     assert input_pairs(("col", "lat", "lon", "ped")) == [("col", "lat"), ("ped", "lon")]
     assert input_pairs(("elevator", "aileron", "rudder")) == [("elevator", "aileron"), ("rudder",)]
 

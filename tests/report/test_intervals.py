@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from casid.fit import ParameterEstimate
-from casid.report.intervals import bar, place
+from casid.report.intervals import bar, sigma_place
 
 ROW = ParameterEstimate(
     name="Lp", unit="1/s", guess=0.0, value=-2.0, std_error=0.5, cramer_rao=0.4, insensitivity=0.1,
@@ -23,16 +23,16 @@ def other(value):
 
 
 def test_the_chart_is_symmetric_and_ends_at_a_hundred_standard_errors():
-    assert place(0.0) == pytest.approx(50.0)
-    assert place(3.0) + place(-3.0) == pytest.approx(100.0)
-    assert place(1e6) == place(100.0) == pytest.approx(100.0)
+    assert sigma_place(0.0) == pytest.approx(50.0)
+    assert sigma_place(3.0) + sigma_place(-3.0) == pytest.approx(100.0)
+    assert sigma_place(1e6) == sigma_place(100.0) == pytest.approx(100.0)
 
 
 def test_bounds_zero_and_other_estimates_stand_in_standard_errors_of_the_value():
     found = bar(ROW, {"match": other(-1.0)})
-    assert found.lower == pytest.approx(place(-4.0))
-    assert found.upper == found.zero == pytest.approx(place(4.0))
-    assert found.marks == (("match", "◇", pytest.approx(place(2.0))),)
+    assert found.lower == pytest.approx(sigma_place(-4.0))
+    assert found.upper == found.zero == pytest.approx(sigma_place(4.0))
+    assert found.marks == (("match", "◇", pytest.approx(sigma_place(2.0))),)
     assert "match at 2σ" in found.text
 
 

@@ -19,7 +19,7 @@ from casid import (
     simulate,
     validate,
 )
-from casid.prediction import outlook
+from casid.prediction import prediction_plan
 from casid.shooting.simulation import _ExtendedFilter, fitting_start, predict_nonlinear
 
 
@@ -80,7 +80,7 @@ def test_a_linear_structure_written_as_a_nonlinear_one_is_judged_alike(horizon):
 
 def test_only_the_past_tells_the_state_that_a_prediction_begins_with():
     record = swung(6)
-    far, scale = outlook([TRUTH.system()], record, 1.0), np.ones(2)
+    far, scale = prediction_plan([TRUTH.system()], record, 1.0), np.ones(2)
     last = record.t > record.t[far.starts[-1]]
     spoilt = replace(record, y=record.y + 0.5 * last[:, None])
     first, other = (predict_nonlinear(TRUTH, each, scale, far).y for each in (record, spoilt))
@@ -146,7 +146,7 @@ def least_squares(record, last, q, r):
 
 def test_predictions_of_a_disturbed_flight_err_less_than_a_fit_without_disturbances():
     record = disturbed_swing(31, duration=12.0)
-    far = outlook([TRUTH.system()], record, 1.0)
+    far = prediction_plan([TRUTH.system()], record, 1.0)
     found = predict_nonlinear(TRUTH, record, record.y.std(axis=0), far)
     ours = np.sqrt(np.nanmean((found.y - record.y) ** 2, axis=0))
     theirs = np.sqrt(np.mean(list(without_disturbances(record, far)), axis=0))
@@ -182,7 +182,7 @@ def test_where_the_equations_have_no_value_the_last_linearisation_stays():
     noise = 0.001 * np.random.default_rng(1).standard_normal(y.shape)
     noise[130] = -3.0  # at no start: starts are every 20 samples from 60 on
     record = Record(t, empty.u, y + noise, ("pump",), ("level",))
-    far = outlook([Tank().system()], record, 1.0)
+    far = prediction_plan([Tank().system()], record, 1.0)
     assert 130 not in far.starts
     found = predict_nonlinear(Tank(), record, np.ones(1), far)
     assert np.isfinite(found.y[61:]).all()

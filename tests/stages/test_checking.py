@@ -8,7 +8,7 @@ from truths.roll_study import Truth, write_study
 from truths.swing import Swing
 
 from casid import Record, read_records, read_study, run_study, simulate
-from casid.prediction import Outlook
+from casid.prediction import PredictionPlan
 from casid.stages.checking import _simulated
 from casid.studies.study import read_flights
 
@@ -74,7 +74,9 @@ class Blind(Swing):
 
 
 @pytest.mark.parametrize(
-    "far", [Outlook(np.inf), Outlook(1.0, (20, 40, 60, 80), 20)], ids=["simulated", "predicted"]
+    "far",
+    [PredictionPlan(np.inf), PredictionPlan(1.0, (20, 40, 60, 80), 20)],
+    ids=["simulated", "predicted"],
 )
 def test_states_of_a_nonlinear_structure_are_those_it_moved_through(far):
     t, start = 0.05 * np.arange(100), {"q": 0.2, "theta": 0.9}

@@ -17,7 +17,7 @@ from casid import (
     write_csv,
 )
 from casid.bands import mode_bands
-from casid.stages.conditions import OverSpeed, condition, conditions
+from casid.stages.conditions import OverSpeed, flight_condition, flight_conditions
 from casid.stages.judgement import _linear
 from casid.stages.listing import STAGES
 from casid.stages.stage import fitting
@@ -111,14 +111,14 @@ def still(name, u, trim):
 
 def test_a_condition_is_what_was_subtracted_told_and_measured():
     record = still("a", 21.0, {"w": 1.5}).detrend("mean")
-    trim = condition(Cruise(), record)
+    trim = flight_condition(Cruise(), record)
     assert trim.values == pytest.approx({"u": 21.0, "w": 1.5, "push": 2.0})
     assert trim.speed == pytest.approx(21.0)
 
 
 def test_records_of_like_speeds_share_a_condition():
     named = (("a", 41.0, {"w": 3.0}), ("b", 20.0, {}), ("c", 39.5, {"w": 1.0}))
-    slow, fast = conditions(Cruise(), [still(*each) for each in named])
+    slow, fast = flight_conditions(Cruise(), [still(*each) for each in named])
     assert [r.name for r in slow[1]] == ["b"]
     assert [r.name for r in fast[1]] == ["c", "a"]
     assert fast[0].values == pytest.approx({"u": 40.25, "w": 2.0, "push": 2.0})
@@ -127,7 +127,7 @@ def test_records_of_like_speeds_share_a_condition():
 def test_a_record_without_a_speed_is_named():
     blind = still("blind", 20.0, {}).rename({"u": "x"})
     with pytest.raises(ModelError, match="'blind' has no airspeed, u or V"):
-        conditions(Cruise(), [blind])
+        flight_conditions(Cruise(), [blind])
 
 
 def test_linear_stages_are_left_to_linear_structures_unless_asked_for():
@@ -180,7 +180,7 @@ def test_a_study_of_two_speeds_runs_from_records_to_the_figure(study):
     assert "were left out" in page
     assert page.count("linearised at the trim of record unseen: u 30") == 2
     fitted = results["output_error"]
-    at = _linear(fitted, condition(fitted.model, read_records(told)["identification"][-1]))
+    at = _linear(fitted, flight_condition(fitted.model, read_records(told)["identification"][-1]))
     slope = (truth[-1, 0] - truth[0, 0]) / (found.speed[-1] - found.speed[0])
     assert at.model.system().poles().real.min() == pytest.approx(-1.5 + 10 * slope, abs=0.1)
     assert max(each.real_std for each in mode_bands(at)) > 0

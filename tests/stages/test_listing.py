@@ -1,7 +1,7 @@
 """The list of stages."""
 
 from casid.report import Section
-from casid.stages.listing import STAGES, in_tables, in_words, sections
+from casid.stages.listing import STAGES, sections, stages_in_words, tables_of_stages
 from casid.stages.stage import Stage
 
 
@@ -14,9 +14,9 @@ def test_names_and_tables_of_stages_are_their_own():
 
 
 def test_readers_are_told_every_stage_of_an_identification_and_every_table_once():
-    said = in_words(STAGES).split(", ")
+    said = stages_in_words(STAGES).split(", ")
     assert said == [stage.does for stage in STAGES if stage.command == ""]
-    tables = in_tables(STAGES).split(", ")
+    tables = tables_of_stages(STAGES).split(", ")
     assert len(tables) == len(set(tables))
     assert set(tables) == {f"[{stage.table}]" for stage in STAGES if stage.table}
 

@@ -7,7 +7,7 @@ import numpy as np
 from truths.swing import Swing
 
 from casid import Constraint, Model, Rows, Scalar, parameter
-from casid.structure.overview import describe, equations_text, excitation
+from casid.structure.overview import describe, equations_text, one_3211_each
 from models.minimum_complexity import MinimumComplexity
 from models.short_period import ShortPeriod
 from models.six_dof import SixDof
@@ -103,7 +103,7 @@ def test_a_guess_that_diverges_within_a_sample_hides_no_parameter():
 
 
 def test_the_excitation_is_a_3_2_1_1_of_seven_units():
-    (record,) = excitation(ShortPeriod().system())
+    (record,) = one_3211_each(ShortPeriod().system())
     values, counts = np.unique(record.u, return_counts=True)
     np.testing.assert_allclose(values, [-0.05, 0, 0.05])
     # 3 + 1 units up, 2 + 1 down, each of 0.7 s at 50 Hz; edges fall between samples.
