@@ -26,7 +26,7 @@ CRITERIA = ("aicc", "cost")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReductionStep:
+class Step:
     """One parameter held, and the fit of the rest.
 
     ``insensitivity`` and ``cramer_rao`` are its figures before, in % of its value; ``value`` is
@@ -59,7 +59,7 @@ class Reduction:
 
     full: AnyFit
     fit: AnyFit
-    steps: tuple[ReductionStep, ...]
+    steps: tuple[Step, ...]
     criterion: str
 
     @property
@@ -69,7 +69,7 @@ class Reduction:
 
     def to_csv(self) -> str:
         """One row a step."""
-        columns = tuple(each.name for each in fields(ReductionStep))
+        columns = tuple(each.name for each in fields(Step))
         return csv_text(columns, [[getattr(step, c) for c in columns] for step in self.steps])
 
     def to_markdown(self) -> str:
@@ -163,7 +163,7 @@ def reduce_structure(
     full = _whole(*fits([{}], start))
     criterion = rule.criterion or ("cost" if full.R is None else "aicc")
     limit = full.cost + rule.rise * abs(full.cost)
-    fit, held, passed, steps = full, dict[str, float](), set(rule.protect), list[ReductionStep]()
+    fit, held, passed, steps = full, dict[str, float](), set(rule.protect), list[Step]()
     while rows := _worst(fit, {*held, *passed}, replay, rule.candidates):
         trials = [held | {row.name: _value(row, replay)} for row in rows]
         done, row, trial = min(
@@ -247,9 +247,9 @@ def _step(
     data: Sequence[Any],
     *,
     accepted: bool,
-) -> ReductionStep:
+) -> Step:
     insensitivity, cramer_rao = accuracy_figures(before, row)
-    return ReductionStep(
+    return Step(
         parameter=row.name,
         value=value,
         insensitivity=insensitivity,

@@ -8,7 +8,7 @@ import scipy
 
 from casid.arrays import Array, BoolArray
 from casid.display import counted
-from casid.logs.conventions import ChannelSource
+from casid.logs.conventions import Source
 from casid.record import FEWEST, MOST, Hold, Record
 from casid.samples import Between, at_instants, jumps
 from casid.studies.preparation import with_inputs
@@ -32,21 +32,19 @@ class Lateness:
     correlation: float
 
 
-def usual_dt(inputs: Mapping[str, ChannelSource], outputs: Mapping[str, ChannelSource]) -> float:
+def usual_dt(inputs: Mapping[str, Source], outputs: Mapping[str, Source]) -> float:
     """The interval [s] that inputs and rates allow, rounded; never less than 10 ms."""
     wanted = [*inputs.values(), *(outputs[name] for name in ("p", "q", "r") if name in outputs)]
     slowest = max(source.topic.interval for source in wanted)
     return max(FASTEST, float(f"{slowest:.2g}"))
 
 
-def in_steps(source: ChannelSource) -> bool:
+def in_steps(source: Source) -> bool:
     """Whether an input's samples are those of a value that is held."""
     return bool(len(jumps(source.values[np.isfinite(source.values)])))
 
 
-def hold_of(
-    inputs: Mapping[str, ChannelSource], outputs: Mapping[str, ChannelSource], dt: float
-) -> Hold:
+def hold_of(inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float) -> Hold:
     """What the inputs of records every ``dt`` [s] do between samples.
 
     They are held where all move by steps and every one keeps its own samples; a filter for slower
@@ -58,9 +56,7 @@ def hold_of(
     return "zoh" if kept and all(map(in_steps, inputs.values())) else "foh"
 
 
-def hold_told(
-    inputs: Mapping[str, ChannelSource], outputs: Mapping[str, ChannelSource], dt: float
-) -> list[str]:
+def hold_told(inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float) -> list[str]:
     """What is taken of every input between its samples, and what that changes, a sentence each."""
     held = hold_of(inputs, outputs, dt) == "zoh"
     said = []
@@ -78,7 +74,7 @@ def hold_told(
 
 
 def assemble(
-    inputs: Mapping[str, ChannelSource], outputs: Mapping[str, ChannelSource], dt: float, name: str
+    inputs: Mapping[str, Source], outputs: Mapping[str, Source], dt: float, name: str
 ) -> list[Record]:
     """Records of a log's channels every ``dt`` [s], one a stretch in which inputs were logged.
 
@@ -103,8 +99,8 @@ def assemble(
 
 
 def _records(
-    inputs: Mapping[str, ChannelSource],
-    outputs: Mapping[str, ChannelSource],
+    inputs: Mapping[str, Source],
+    outputs: Mapping[str, Source],
     span: tuple[float, float],
     dt: float,
     name: str,
@@ -137,7 +133,7 @@ def _records(
     return [part for part in parts if np.isfinite(part.y).any()]
 
 
-def _between(source: ChannelSource, t: Array, dt: float) -> BoolArray:
+def _between(source: Source, t: Array, dt: float) -> BoolArray:
     """Instants of the record that are none of a slower channel's, (N,)."""
     topic = source.topic
     if topic.interval < SLOWER * dt:
@@ -149,7 +145,7 @@ def _between(source: ChannelSource, t: Array, dt: float) -> BoolArray:
     return empty
 
 
-def lateness(taken: ChannelSource, other: ChannelSource) -> Lateness | None:
+def lateness(taken: Source, other: Source) -> Lateness | None:
     """How late one column is after another that holds the same; None if they are not alike."""
     step = min(taken.topic.interval, other.topic.interval, 0.01)
     start = max(taken.topic.t[0], other.topic.t[0])
@@ -177,7 +173,7 @@ def _steady(x: Array) -> Array:
     return np.nan_to_num(x - np.nanmean(x)) if np.isfinite(x).any() else np.zeros(len(x))
 
 
-def delays(log_columns: Sequence[tuple[ChannelSource, Sequence[ChannelSource]]]) -> list[Lateness]:
+def delays(log_columns: Sequence[tuple[Source, Sequence[Source]]]) -> list[Lateness]:
     """Delays between topics that hold the same quantity."""
     found = (lateness(taken, other) for taken, rest in log_columns for other in rest)
     return [each for each in found if each is not None]

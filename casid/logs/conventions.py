@@ -74,7 +74,7 @@ NED = (  # velocities north, east, down, and the attitude that goes with them
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ChannelSource:
+class Source:
     """Where a channel comes from, and its values in SI, NaN where no instrument measures them.
 
     ``unit`` is what the log, or the user, states of the column; None where its format fixes it.
@@ -88,7 +88,7 @@ class ChannelSource:
 
 def find_channels(
     log: Log, asked: Mapping[str, str] | None = None
-) -> tuple[dict[str, ChannelSource], dict[str, ChannelSource]]:
+) -> tuple[dict[str, Source], dict[str, Source]]:
     """Inputs and outputs by name of a log with `derived` topics.
 
     ``asked`` are columns for channels, ``{"lat": "RCOU.C1"}``, a sign before one that runs the
@@ -118,13 +118,13 @@ def find_channels(
     return inputs, outputs
 
 
-def others(log: Log, name: str, taken: ChannelSource) -> list[ChannelSource]:
+def others(log: Log, name: str, taken: Source) -> list[Source]:
     """Columns of other topics that hold the same output."""
     found = (_source(log, place) for place in OUTPUTS[name])
     return [each for each in found if each is not None and each.topic is not taken.topic]
 
 
-def _moves(source: ChannelSource) -> bool:
+def _moves(source: Source) -> bool:
     known = source.values[np.isfinite(source.values)]
     return bool(len(known) and np.ptp(known) > 0)
 
@@ -139,7 +139,7 @@ def _plain(log: Log, name: str) -> list[str]:
     ]
 
 
-def _source(log: Log, place: str) -> ChannelSource | None:
+def _source(log: Log, place: str) -> Source | None:
     found = log.find(place.removeprefix("-"))
     if found is None or len(found[0].t) < 4:
         return None
@@ -147,7 +147,7 @@ def _source(log: Log, place: str) -> ChannelSource | None:
     if np.isfinite(values).mean() < MEASURED:
         return None
     unit = topic.units.get(place.removeprefix("-").removeprefix(f"{topic.name}."))
-    return ChannelSource(
+    return Source(
         place=place, topic=topic, values=-values if place[0] == "-" else values, unit=unit
     )
 
@@ -197,9 +197,7 @@ def into_body(speeds: Sequence[Array], angles: Sequence[Array]) -> list[Array]:
     ]
 
 
-def with_units(
-    sources: Mapping[str, ChannelSource], stated: Mapping[str, str]
-) -> dict[str, ChannelSource]:
+def with_units(sources: Mapping[str, Source], stated: Mapping[str, str]) -> dict[str, Source]:
     """Sources by channel, those of which the user states the unit read by that."""
     found = dict(sources)
     for name in stated.keys() & sources.keys():
@@ -210,7 +208,7 @@ def with_units(
     return found
 
 
-def check_units(path: Path, sources: Mapping[str, ChannelSource]) -> list[str]:
+def check_units(path: Path, sources: Mapping[str, Source]) -> list[str]:
     """What is taken where no known unit is stated, a sentence each.
 
     ValueError: an output in a unit that is none of its quantity's, wrong by any factor.

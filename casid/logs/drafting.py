@@ -15,7 +15,7 @@ from casid.logs.assembly import Lateness, assemble, delays, hold_told, usual_dt
 from casid.logs.axes import axes_structure
 from casid.logs.conventions import (
     ACTUATORS,
-    ChannelSource,
+    Source,
     check_units,
     derived,
     find_channels,
@@ -89,8 +89,8 @@ class Draft:
     """
 
     log: Log
-    inputs: Mapping[str, ChannelSource]
-    outputs: Mapping[str, ChannelSource]
+    inputs: Mapping[str, Source]
+    outputs: Mapping[str, Source]
     records: tuple[Record, ...]
     stretches: tuple[Stretch, ...]
     delays: tuple[Lateness, ...]
@@ -168,7 +168,7 @@ def import_log(
 
 def _channels(
     log: Log, columns: Mapping[str, str] | None, stated: Mapping[str, str], model: str | None
-) -> tuple[dict[str, ChannelSource], dict[str, ChannelSource]]:
+) -> tuple[dict[str, Source], dict[str, Source]]:
     """Inputs and outputs of a structure, or of any, in the units stated."""
     inputs, outputs = find_channels(log, columns)
     structure = None if model is None else load_model(model)
@@ -198,8 +198,8 @@ def _stretches(log: Log, records: Sequence[Record], inputs: Collection[str]) -> 
 
 def _check_found(
     log: Log,
-    inputs: Mapping[str, ChannelSource],
-    outputs: Mapping[str, ChannelSource],
+    inputs: Mapping[str, Source],
+    outputs: Mapping[str, Source],
     structure: type[Model] | None,
 ) -> None:
     """Refuse a log that lacks what the structure, or any, needs."""

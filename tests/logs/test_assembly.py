@@ -6,7 +6,7 @@ from truths.logs import LATE, RATES, STICKS, flight, ulog
 
 from casid import StateSpace, read_log
 from casid.logs.assembly import assemble, hold_of, hold_told, in_steps, lateness, usual_dt
-from casid.logs.conventions import ChannelSource, derived, find_channels, others
+from casid.logs.conventions import Source, derived, find_channels, others
 from casid.logs.topics import Topic
 
 
@@ -19,7 +19,7 @@ def channels(tmp_path, **options):
 
 def source(t, x, name="T", age=0.0):
     topic = Topic(name=name, t=t, columns={"x": x}, age=age)
-    return ChannelSource(place=f"{name}.x", topic=topic, values=x)
+    return Source(place=f"{name}.x", topic=topic, values=x)
 
 
 def test_a_record_holds_the_flight_on_one_clock(tmp_path):

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from casid.logs.conventions import (
     BODY,
-    ChannelSource,
+    Source,
     check_units,
     derived,
     find_channels,
@@ -86,7 +86,7 @@ PATH = Path("flight.tdms")
 
 def source(unit, values=(1.0, 2.0)):
     topic = Topic(name="flight", t=np.array([0.0, 0.1]), columns={})
-    return ChannelSource(place="flight.p", topic=topic, values=np.array(values), unit=unit)
+    return Source(place="flight.p", topic=topic, values=np.array(values), unit=unit)
 
 
 def test_what_the_user_states_is_taken_for_what_the_log_says():
