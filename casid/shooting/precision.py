@@ -228,11 +228,14 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array, 
     if programme.biases:
         bias = follow[: first - nf].reshape(-1, ny, nf) * s.bias[:, None]
         move[:, nf + nx :] = bias[programme.record]
-    white = np.einsum("nab,nb->na", sweep.W[sweep.kind], sweep.motion.residuals)
+    white = np.empty_like(sweep.motion.residuals)
+    for kind, W in enumerate(sweep.W):
+        mine = sweep.kind == kind
+        white[mine] = sweep.motion.residuals[mine] @ W.T
     edges = np.cumsum([0, *(record.N for record in layout.records)])
     residuals = [white[a:b] for a, b in itertools.pairwise(edges)]
     data = uncertainty.coloured_covariance(
-        covariance, residuals, lambda: sweep.influence(move[layout.node])
+        covariance, residuals, lambda root: sweep.influence(move[layout.node] @ root)
     )
     n = len(programme.free.index)
     unit, known = s.lam[:n], covariance[:, :n]

@@ -264,9 +264,9 @@ class Sweep:
             yield np.arange(first, min(first + size, len(self.layout.count)))
 
     def influence(self, follow: Array) -> Iterator[Iterator[Array]]:
-        """Total derivative by λ of every record's whitened residuals, (N, ny, nf) in pieces of N.
+        """Derivatives of every record's whitened residuals in k directions, (N, ny, k) in pieces.
 
-        ``follow`` (J, nf + nx + ny, nf) says how λ, node and biases of each of the layout's
+        ``follow`` (J, nf + nx + ny, k) says how λ, node and biases of each of the layout's
         intervals move.
         """
         return (self._totals(record, follow) for record in range(len(self.layout.records)))
@@ -309,14 +309,14 @@ class Sweep:
         start, count = self.layout.start, self.layout.count
         mine = np.flatnonzero(self.layout.record == record)
         mine = mine[np.argsort(start[mine])]
-        rows = PIECE_BYTES / (8 * self.e.ny * follow.shape[2])
+        rows = PIECE_BYTES / (8 * self.e.ny * self.e.nf)
         size = max(1, int(rows / count[mine].max()))
         for k in range(0, len(mine), size):
             index = np.sort(mine[k : k + size])  # rows of the layout: the longest first
             yield self._total(index, follow[index])
 
     def _total(self, index: np.ndarray, moves: Array) -> Array:
-        """Total derivatives (n, ny, nf) of the whitened residuals of adjacent intervals."""
+        """Derivatives (n, ny, k) of the whitened residuals of adjacent intervals."""
         start, count = self.layout.start[index], self.layout.count[index]
         place = start - start.min()
         slope = np.empty((int(count.sum()), self.e.ny, moves.shape[2]))

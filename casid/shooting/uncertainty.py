@@ -199,7 +199,7 @@ def _directions(
 def coloured_covariance(
     covariance: Array,
     residuals: Sequence[Array],
-    slopes: Callable[[], Iterable[Iterable[Array]]],
+    slopes: Callable[[Array], Iterable[Iterable[Array]]],
 ) -> Array:
     """Covariance of the estimates under the correlation the residuals really have.
 
@@ -210,19 +210,19 @@ def coloured_covariance(
     fewer samples than blocks take a correlation is chance as much, and K not below white noise's.
 
     ``covariance`` (nf, nf) is the Cramér-Rao bound for white residuals, ``residuals`` (N, ny) those
-    of every record, whitened, 0 where missing. ``slopes`` returns their total derivatives by λ, in
-    the same order: iterables of (n, ny, nf) arrays, one a record, piece after piece, so that memory
-    does not grow with the records.
+    of every record, whitened, 0 where missing. ``slopes`` returns their total derivatives by λ
+    times an (nf, k) array, in the same order: iterables of (n, ny, k) arrays, one a record, piece
+    after piece, so that memory does not grow with the records.
     """
     C = residual_covariance(residuals)
     values, vectors = np.linalg.eigh(covariance)
     known = values > GONE * values.max(initial=0.0)
     root = vectors[:, known] * np.sqrt(values[known])  # P = root rootᵀ
-    K = process_scores(root, C, slopes())
-    blocks, samples = max(BLOCKS * root.shape[1], FEWEST), sum(len(r) for r in residuals)
+    K = process_scores(root.shape[1], C, slopes(root))
+    blocks, samples = max(BLOCKS * len(K), FEWEST), sum(len(r) for r in residuals)
     length = samples // (PARTS * blocks)
     if len(C) > 1 and PARTS * length >= len(C):
-        K = _larger(K, block_scores(root, residuals, slopes(), length))
+        K = _larger(K, block_scores(len(K), residuals, slopes(root), length))
     elif length == 0:
         K = _larger(K, np.eye(len(K)))
     return np.asarray(root @ K @ root.T)
@@ -238,16 +238,15 @@ def _larger(A: Array, B: Array) -> Array:
 
 
 def block_scores(
-    root: Array, residuals: Sequence[Array], slopes: Iterable[Iterable[Array]], length: int
+    k: int, residuals: Sequence[Array], slopes: Iterable[Iterable[Array]], length: int
 ) -> Array:
-    """Σ g̃ g̃ᵀ of the scores g = Σ sᵀ r̃ of overlapping blocks, (k, k) in units of ``root`` (nf, k).
+    """Σ g̃ g̃ᵀ of the scores g = Σ sᵀ r̃ of overlapping blocks, (k, k), for slopes (n, ny, k).
 
     Every score is that of the residuals its block would have were it not fitted itself, to first
     order g̃ = (I - H)⁻¹ g with H its share of the information: the jackknife's (R. M. Bell, D. F.
     McCaffrey, Survey Methodology 28(2), 2002). Blocks have four parts of ``length`` samples and
     begin with every part (H. R. Künsch, Ann. Statist. 17(3), 1989).
     """
-    k = root.shape[1]
     K = np.zeros((k, k))
     for r, pieces in zip(residuals, slopes, strict=True):
         count, first = -(-len(r) // length), 0
@@ -256,7 +255,7 @@ def block_scores(
             part = np.arange(first, first + len(piece)) // length
             for b in range(part[0], part[-1] + 1):
                 own = np.flatnonzero(part == b)
-                s = _flat(piece[own]) @ root
+                s = _flat(piece[own])
                 g[b] += s.T @ r[first + own].ravel()
                 H[b] += s.T @ s
             first += len(piece)
@@ -268,16 +267,16 @@ def block_scores(
     return K
 
 
-def process_scores(root: Array, C: Array, slopes: Iterable[Iterable[Array]]) -> Array:
-    """Σ_i Σ_j s_iᵀ C(j - i) s_j, (k, k) in units of ``root`` (nf, k), C(m) = mean r̃_i r̃_{i+m}ᵀ.
+def process_scores(k: int, C: Array, slopes: Iterable[Iterable[Array]]) -> Array:
+    """Σ_i Σ_j s_iᵀ C(j - i) s_j, (k, k), for slopes s (n, ny, k) and C(m) = mean r̃_i r̃_{i+m}ᵀ.
 
     C (lags + 1, ny, ny) as `residual_covariance`; the sum is taken over the spectrum.
     """
-    K, lags = np.zeros((root.shape[1], root.shape[1])), len(C) - 1
+    K, lags = np.zeros((k, k)), len(C) - 1
     for pieces in slopes:
-        past = np.zeros((0, C.shape[1], root.shape[1]))
+        past: Array = np.zeros((0, C.shape[1], k))
         for piece in pieces:
-            s = np.concatenate([past, (_flat(piece) @ root).reshape(*piece.shape[:2], -1)])
+            s = np.concatenate([past, piece]) if len(past) else piece
             K += _double_sum(C, s) - _double_sum(C, past)
             past = s[max(len(s) - lags, 0) :]
     values, vectors = np.linalg.eigh(K + K.T)

@@ -161,8 +161,8 @@ def test_scores_of_a_process_are_the_double_sum():
                 middle += s[i].T @ (C[j - i] if j >= i else C[i - j].T) @ s[j]
     expected = root.T @ middle @ root
     for pieces in (1, 3, 8):  # the last: shorter than the longest lag
-        parts = [np.array_split(s, pieces) for s in slopes]
-        found = process_scores(root, C, parts)
+        parts = [np.array_split(s @ root, pieces) for s in slopes]
+        found = process_scores(2, C, parts)
         np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
@@ -185,8 +185,8 @@ def test_scores_of_blocks_are_what_leaving_them_out_does_to_least_squares():
     root = np.linalg.cholesky(np.linalg.inv(np.einsum("nai,naj->ij", flat, flat)))
     residuals = [b - a @ whole for a, b in zip(X, y, strict=True)]
     for pieces in (1, 4):
-        parts = [np.array_split(x, pieces) for x in X]
-        found = root @ block_scores(root, residuals, parts, length) @ root.T
+        parts = [np.array_split(x @ root, pieces) for x in X]
+        found = root @ block_scores(3, residuals, parts, length) @ root.T
         np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
@@ -202,8 +202,8 @@ def test_intervals_cover_where_residuals_grow_with_what_excites_them():
         r = (y - X @ (P @ X.T @ y)) / (sigma := np.std(y))
         S = (X / sigma)[:, None]
         P = P * sigma**2
-        V = coloured_covariance(P, [r[:, None]], lambda S=S: [[S]])
-        by_process = P @ process_scores(np.eye(2), residual_covariance([r[:, None]]), [[S]]) @ P
+        V = coloured_covariance(P, [r[:, None]], lambda root, S=S: [[S @ root]])
+        by_process = P @ process_scores(2, residual_covariance([r[:, None]]), [[S]]) @ P
         error = (P @ X.T @ y)[0] / sigma**2
         hits.append([abs(error) < 2.10 * np.sqrt(v[0, 0]) for v in (by_process, V)])
     before, now = np.mean(hits, axis=0)
@@ -230,7 +230,9 @@ def test_white_residuals_need_no_correction():
     n, nf = 20000, 2
     s = RNG.standard_normal((n, 1, nf))
     covariance = np.linalg.inv(np.einsum("nai,naj->ij", s, s))
-    found = coloured_covariance(covariance, [RNG.standard_normal((n, 1))], lambda: [[s]])
+    found = coloured_covariance(
+        covariance, [RNG.standard_normal((n, 1))], lambda root: [[s @ root]]
+    )
     # The variance of 20000 residuals scatters by 1 %.
     np.testing.assert_allclose(np.diag(found), np.diag(covariance), rtol=0.04)
 
@@ -240,8 +242,8 @@ def test_few_residuals_that_alternate_by_chance_do_not_make_errors_smaller():
     s, r = rng.standard_normal((40, 1, 2)), np.tile([[1.0], [-1.0]], (20, 1))
     s += 2.0  # slow, so that an alternating noise would average out
     covariance = np.linalg.inv(np.einsum("nai,naj->ij", s, s))
-    found = coloured_covariance(covariance, [r], lambda: [[s]])
+    found = coloured_covariance(covariance, [r], lambda root: [[s @ root]])
     assert np.linalg.eigvalsh(found - covariance).min() > -1e-9 * covariance.max()
     C = residual_covariance([r])
     root = np.linalg.cholesky(covariance)
-    assert np.linalg.eigvalsh(process_scores(root, C, [[s]])).min() < 0.5  # what it would be
+    assert np.linalg.eigvalsh(process_scores(2, C, [[s @ root]])).min() < 0.5  # what it would be
