@@ -294,7 +294,7 @@ def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
         at, length = max(facts.gaps, key=lambda gap: gap[1])
         said.append(
             f"{facts.name}: {counted(len(facts.gaps), 'gap')} in time, the longest of "
-            f"{length:.3g} s at {at:.4g} s; split the record at long ones (Record.between)"
+            f"{length:.3g} s at {at:.4g} s; split the record at long ones (Record.cut)"
         )
     if facts.quiet < REST:
         said.append(

@@ -70,7 +70,7 @@ def equidistant(record: Record, highest: float) -> Record:
         raise ValueError(
             f"record {record.name!r} has a gap of {gap:g} s at t = {at:g} s (median interval "
             f"{record.dt:g} s), too long to interpolate up to {highest:g} rad/s; split the record "
-            "there with between()"
+            "there with cut()"
         )
     t = record.t[0] + record.dt * np.arange(int(record.duration / record.dt + 1e-6) + 1)
     if record.hold == "zoh":

@@ -47,7 +47,7 @@ def fed_back(
     lags = min(LAGS, max(int(MEMORY / max(record.dt for record in records)), 2))
     rows, targets, errors = [], [], []
     most = ENOUGH // len(records) + 1
-    for record in (r if most >= r.N else r.between(r.t[0], r.t[most]) for r in records):
+    for record in (r if most >= r.N else r.cut(r.t[0], r.t[most]) for r in records):
         if 6 * lags * (len(su) + 1) >= record.N:
             continue
         u = (record.u - record.u.mean(axis=0)) / su
