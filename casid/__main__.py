@@ -14,6 +14,7 @@ def main() -> None:
             stream.reconfigure(errors="replace")  # of a console that knows no ± or σ
     interrupt = Interrupt()
     signal.signal(signal.SIGINT, interrupt)
+    sys.unraisablehook = interrupt.unraisable
     signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
     try:
         from casid.cli import main as command  # noqa: PLC0415 - takes a second

@@ -2,6 +2,7 @@
 
 import signal
 import sys
+from collections import namedtuple
 from types import FrameType
 from typing import NoReturn
 
@@ -20,6 +21,12 @@ class Interrupt:
         self.asked = True
         raise KeyboardInterrupt
 
+    @staticmethod
+    def unraisable(lost: "sys.UnraisableHookArgs") -> None:
+        """Say nothing of a call where Python cannot raise, as after a fork: it is remembered."""
+        if not isinstance(lost.exc_value, KeyboardInterrupt):
+            sys.__unraisablehook__(lost)
+
 
 def check_interrupt() -> None:
     """Raise the KeyboardInterrupt that somebody has swallowed."""
@@ -33,5 +40,8 @@ def end_interrupted(command: str | None) -> NoReturn:
     if isinstance(signal.getsignal(signal.SIGINT), Interrupt):
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     kept = "; what had ended is kept, the same command goes on" * (command in KEEPING)
+    # An interruption of code that Python made of text, such as a data class's, lets `python -m` end
+    # by the signal whatever its exit code, unless other such code has ended well since.
+    namedtuple("Text", ())
     print(f"Interrupted{kept}.", file=sys.stderr)  # noqa: T201 - rich may not be there yet
     sys.exit(INTERRUPTED)

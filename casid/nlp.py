@@ -1,11 +1,12 @@
 """Solve a nonlinear programme with IPOPT; the only call of ``casadi.nlpsol``."""
 
+import io
 import logging
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, redirect_stderr
 from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any
@@ -210,7 +211,7 @@ def _interruptible() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread() or not callable(before):
         yield
         return
-    interrupted = False
+    interrupted, unheard = False, ExitStack()
 
     def note(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
@@ -218,11 +219,13 @@ def _interruptible() -> Iterator[None]:
             before(number, frame)
         except KeyboardInterrupt:
             interrupted = True
+            unheard.enter_context(redirect_stderr(io.StringIO()))  # CasADi's warning of it
             raise
 
     signal.signal(signal.SIGINT, note)
     try:
-        yield
+        with unheard:
+            yield
     except Exception:
         if not interrupted:
             raise

@@ -1,7 +1,10 @@
 """Ctrl-C at any moment: exit code 130, one line, and all that had ended is kept."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
+from textwrap import dedent
 
 import pytest
 from truths.roll_study import write_study
@@ -104,3 +107,28 @@ def test_a_command_that_keeps_nothing_does_not_say_that_it_goes_on(sent, tmp_pat
     assert done.returncode == 130, done.stderr
     assert done.stderr.splitlines()[-1] == "Interrupted."
     assert not (tmp_path / "out/design").exists()
+
+
+STRIKE = "import os, signal; os.kill(os.getpid(), signal.SIGINT); [0 for _ in iter(int, 1)]"
+PLACES = {
+    "code made of text": "lambda: exec(STRIKE)",
+    "end of an object": "type('Mortal', (), {'__del__': lambda _: exec(STRIKE)})",
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_an_interruption_where_python_loses_it_ends_alike(place, tmp_path):
+    program = f"""
+    from casid import __main__, cli, interrupts
+
+    STRIKE = {STRIKE!r}
+    cli.main = lambda **_: [({PLACES[place]})(), interrupts.check_interrupt()]
+    __main__.main()
+    """
+    (tmp_path / "struck.py").write_text(dedent(program), encoding="utf-8")
+    places = {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(__file__).parents[1])])}
+    command = [sys.executable, "-m", "struck"]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=120, check=False, env=os.environ | places
+    )
+    assert (done.returncode, done.stderr) == (130, "Interrupted.\n")
