@@ -16,7 +16,7 @@ from casid.tabulation import csv_text, markdown_table
 from casid.values import seal, storable
 
 Method = Literal["best", "steps", "multisine"]
-MOST_DRAWS = 1000  # each is a model with its responses in memory
+HIGHEST = {"draws": 1000, "spread": 1.0}  # draws are models with their responses in memory
 CLOSE = 0.9  # correlation from which two parameters are named together
 
 
@@ -107,7 +107,7 @@ class DesignSettings:
     seed : int
         Of the sequence that it starts from.
     spread : float or None
-        Relative error of the prior that limits are to be kept with; 0.2 unless given.
+        Relative error of the prior that limits are to be kept with, 1 at most; 0.2 unless given.
     draws : int
         Models drawn from the prior that the optimisation keeps within limits; twice as many, which
         it does not see, judge it.
@@ -130,10 +130,10 @@ class DesignSettings:
 
     def __post_init__(self) -> None:
         for name in ("rest", "iterations", "spread", "draws"):
-            if (value := getattr(self, name)) is not None and not 0 <= value < np.inf:
-                raise ValueError(f"{name} = {value:g}: expected a finite number, 0 or more")
-        if self.draws > MOST_DRAWS:
-            raise ValueError(f"draws = {self.draws}: expected {MOST_DRAWS} at most")
+            value, most = getattr(self, name), HIGHEST.get(name, np.inf)
+            if value is not None and not (0 <= value <= most and value < np.inf):
+                end = f", {most:g} at most" * (most < np.inf)
+                raise ValueError(f"{name} = {value:.7g}: expected a finite number, 0 or more{end}")
         check_times(dt=self.dt, step=self.step, unit=self.unit)
         if self.band is not None and not 0 < self.band[0] < self.band[1]:
             raise ValueError(

@@ -137,6 +137,7 @@ def noise_of(model: Model, fit: AnyFit | None, noise: Mapping[str, float] | None
         pairs = [(row.std_error, row.cramer_rao) for row in fit.parameters]
         colour = [a / b for a, b in pairs if np.isfinite(a) and np.isfinite(b) and b > 0]
         return np.asarray(np.diag(np.diag(fit.R)) * float(np.median(colour or [1.0])) ** 2)
+    check_known("noise names", noise, model.outputs)
     for name in model.outputs:
         if not 0 < noise.get(name, 0.0) < np.inf:
             told = f"has {noise[name]:g}" if name in noise else "has none"

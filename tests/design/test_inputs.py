@@ -112,9 +112,11 @@ def test_parameters_that_matter_are_told_better_than_when_all_count():
         ({"rest": -1.0}, "rest = -1: expected"),
         ({"draws": -1}, "draws = -1: expected"),
         ({"iterations": -3}, "iterations = -3: expected"),
-        ({"spread": -0.2}, "spread = -0.2: expected"),
+        ({"spread": 20.0}, "spread = 20: expected a finite number, 0 or more, 1 at most"),
+        ({"draws": 2000}, "draws = 2000: .*, 1000 at most"),
         ({"matter": ("Xx",)}, "matter: no free parameter is called 'Xx'"),
         ({"limits": Limits(sticks={"nose": 0.1})}, "limits name 'nose'"),
+        ({"noise": NOISE | {"Q": 0.1}}, "noise names 'Q'; did you mean 'q'"),
         ({"noise": NOISE | {"q": np.inf}}, "output 'q' has inf; give"),
         (
             {"limits": Limits(sticks={STICK: 0.1}, responses={"q": 1e-9})},
