@@ -1,6 +1,6 @@
 """Designs for aircraft other than the AH-1S, with right and wrong priors, flown nonlinearly.
 
-    PYTHONPATH=. python benchmarks/design_aircraft.py [bo105 uh60] [--priors 0 1 2 3 4]
+    python -m benchmarks.design_aircraft [bo105 uh60] [--priors 0 1 2 3 4]
 
 Truths are `RigidBody` with the derivatives of the Bo105 of `bo105.py`, and with those of the UH-60
 of `uh60.py` once all faster states have settled, each in a loop of its own. Four 3-2-1-1, one a
@@ -19,12 +19,11 @@ import json
 import time
 from dataclasses import dataclass, fields, replace
 
-import bo105
 import numpy as np
-import uh60
-from design import DT, NOISE, TIMES, errors_of, limits, moved, peaks, rates, rigid
-from tables import against, cell, table
 
+from benchmarks import bo105, uh60
+from benchmarks.design import DT, NOISE, TIMES, errors_of, limits, moved, peaks, rates, rigid
+from benchmarks.tables import against, cell, table
 from casid import DesignSettings, design_inputs
 from models.rigid_body import RigidBody
 from models.six_dof import SixDof
