@@ -121,7 +121,7 @@ class Validation(Shown):
 
     @property
     def predicted(self) -> str:
-        """How far ahead, from what, why and how poorly; "" if all was simulated."""
+        """How poorly, how far ahead, from what and why; "" if all was simulated."""
         far = sorted({each for each in self.horizon if np.isfinite(each)})
         if not far:
             return ""
@@ -130,11 +130,12 @@ class Validation(Shown):
         why = f": unstable models grow ({', '.join(growing)})" if growing else ""
         bounded = ", and from inputs ahead that keep outputs bounded" if self.closed_loop else ""
         return (
-            f"Predicted up to {reach} s ahead, each time from a state estimated on the past alone"
-            f"{bounded}, not simulated over the whole record{why}.{self._adrift()}"
+            f"{self.adrift}Predicted up to {reach} s ahead, each time from a state estimated on the "
+            f"past alone{bounded}, not simulated over the whole record{why}."
         )
 
-    def _adrift(self) -> str:
+    @property
+    def adrift(self) -> str:
         """Outputs that a growing model predicts worse than their means do, with the remedy."""
         fits = [self.fit[name] for name, rate in self.growth.items() if rate]
         if self.closed_loop or not fits:
@@ -142,7 +143,7 @@ class Validation(Shown):
         poor = np.any(np.vstack(fits) < 0, axis=0)
         names = [name for name, each in zip(self.outputs, poor, strict=True) if each]
         why = "such growth is not there, or a controller answers it: closed_loop=True allows for it"
-        return f" Worse than by their means are predicted {listed(names)}: {why}." * bool(names)
+        return f"Worse than by their means are predicted {listed(names)}: {why}. " * bool(names)
 
 
 @one_thread

@@ -117,7 +117,10 @@ def cautions(content: "Content", sections: Iterable[Section]) -> tuple[str, ...]
     """What makes the result less certain than it looks, what matters most first."""
     said = [caution for section in sections for caution in section.cautions]
     said += [Caution(text) for text in content.warnings]
-    return tuple(dict.fromkeys(each.text for each in sorted(said, key=lambda each: each.rank)))
+    told: dict[str, str] = {}  # a stage may both warn and say so in its section, as a sentence
+    for each in sorted(said, key=lambda each: each.rank):
+        told.setdefault(each.text.removesuffix(".").casefold(), each.text)
+    return tuple(told.values())
 
 
 def contradicted(sections: Iterable[Section]) -> bool:
