@@ -16,11 +16,12 @@ state. It is judged by predictions instead: of pieces as long as a stated horizo
 that is estimated on the past before it and nothing else (`casid.filtering`).
 
 Of a flight in closed loop more is known: a controller answers disturbances, therefore outputs stay
-where they use to be, however fast the aircraft alone would leave. Among the disturbances that the
-filter allows for, those are likely ahead with which the inputs ahead end there, at the outputs'
-means over the record within their covariance: as in the stable inversion of unstable systems (S.
-Devasia, D. Chen, B. Paden, "Nonlinear inversion-based output tracking", IEEE Transactions on
-Automatic Control 41, 1996), inputs tell growing modes backward.
+where they use to be, however fast the aircraft alone would leave, and move as they use to. Among
+the disturbances that the filter allows for, those are likely ahead with which the inputs ahead keep
+outputs about their means, within their covariances over all lags in the rest of the record: as in
+the stable inversion of unstable systems (S. Devasia, D. Chen, B. Paden, "Nonlinear inversion-based
+output tracking", IEEE Transactions on Automatic Control 41, 1996), inputs tell growing modes
+backward.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,9 +29,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 
 from casid import filtering
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.linear import StateSpace, Steps
 from casid.record import Record
 
@@ -40,6 +42,7 @@ AHEAD = 0.1  # of a record: the horizon of predictions at most
 FOLDS = 3.0  # e-folds that the least unstable model grows over the horizon at most
 PAST = 3.0  # horizons before the first prediction
 PER_UNKNOWN = 3.0  # measurements on that past at least
+INSTANTS = 10  # of a piece at which outputs are expected where a controller keeps them
 
 
 @dataclass(frozen=True)
@@ -167,23 +170,43 @@ class RecordPredictor:
         return np.array(found)
 
     def _bounded(self, path: Array, begin: int, known: filtering.FilterState) -> Array:
-        """States of a piece, given that outputs at its end are their means within covariances."""
-        # A smoother's, to which the means are a last measurement.
-        end, level = begin + len(path) - 1, known.likeliest[0]
-        seen = np.isfinite(self.y)
-        some, count = seen.any(axis=0), seen.sum(axis=0)
-        C, unit = self.C[end][some], np.diff(self.t) / np.median(np.diff(self.t))
-        mean = np.nanmean(self.y[:, some], axis=0)
-        apart = np.where(seen[:, some], self.y[:, some] - mean, 0.0) / np.sqrt(count[some])
-        maps = [self.steps.maps[self.steps.which[k]] for k in range(begin, end)]
-        P, felt = [known.P[level]], [C.T]  # covariances; at the end, of a state at each sample
+        """States of a piece, outputs at instants of it being about their means as elsewhere."""
+        # A smoother's, to which these are measurements with errors correlated in time.
+        (n, nx), level = path.shape, known.likeliest[0]
+        at = np.unique(np.linspace(0, n - 1, INSTANTS + 1).round().astype(int)[1:])
+        some, mean, usual = self._usual(begin, n, at)
+        C, unit = self.C[begin + at][:, some], np.diff(self.t) / np.median(np.diff(self.t))
+        maps = [self.steps.maps[self.steps.which[k]] for k in range(begin, begin + n - 1)]
+        P = [known.P[level]]
         for k, A in enumerate(maps, begin):
             P.append(A @ P[-1] @ A.T + unit[k] * known.Q[level])
-        for A in reversed(maps):
-            felt.append(A.T @ felt[-1])
-        S = C @ P[-1] @ C.T + apart.T @ apart + np.diag(known.r[some])
-        away = (self.outputs(path, begin)[-1] + known.bias)[some] - mean
-        return np.asarray(path - np.array(P) @ np.array(felt[::-1]) @ np.linalg.solve(S, away))
+        W = np.zeros((len(at), n, nx, C.shape[1]))  # covariances of states with these outputs
+        for row, j, Cj in zip(W, at, C, strict=True):
+            felt = Cj.T
+            row[j] = P[j] @ felt
+            for k in range(j - 1, -1, -1):
+                felt = maps[k].T @ felt
+                row[k] = P[k] @ felt
+            for k in range(j, n - 1):
+                row[k + 1] = maps[k] @ row[k]
+        S = np.einsum("ioy,jiyp->iojp", C, W[:, at]).reshape(usual.shape) + usual
+        S += np.diag(np.tile(known.r[some], len(at)))
+        away = (self.outputs(path, begin)[at] + known.bias)[:, some] - mean
+        gain = np.linalg.solve(S, away.ravel()).reshape(away.shape)
+        return np.asarray(path - np.einsum("jkyp,jp->ky", W, gain))
+
+    def _usual(self, begin: int, n: int, at: NDArray[np.intp]) -> tuple[BoolArray, Array, Array]:
+        """Outputs seen, their means and covariances at instants of a piece, from all else."""
+        seen = np.isfinite(self.y)
+        seen[begin + 1 : begin + n] = False
+        some: BoolArray = np.asarray(seen.any(axis=0))
+        count = np.maximum(seen.sum(axis=0), 1)
+        mean = np.where(seen, self.y, 0.0).sum(axis=0) / count
+        apart = (np.where(seen, self.y - mean, 0.0) / np.sqrt(count))[:, some]
+        steps = np.unique(np.abs(at[:, None] - at)).tolist()
+        lags = {lag: apart[lag:].T @ apart[: len(apart) - lag] for lag in steps}
+        usual = [[lags[i - j] if i >= j else lags[j - i].T for j in at] for i in at]
+        return some, mean[some], np.block(usual)
 
     def known(self, starts: Sequence[int]) -> Iterator[filtering.FilterState]:
         """Filtered states at each of these samples, from the record up to it."""

@@ -169,10 +169,10 @@ def validate(
         over it; else all models are predicted, a tenth of the record ahead or as long as the least
         unstable of those that grow takes for three e-folds.
     closed_loop : bool
-        The records were flown by a controller, which kept outputs within what they do there: the
-        end of each prediction is expected at the outputs' means in the record, within their
-        covariance, so that inputs ahead tell of disturbances ahead. Without, an unstable model
-        makes of these whatever grows, true or not. With it growing modes that are not there are
+        The records were flown by a controller, which kept outputs within what they do there: ahead
+        they are expected at their means, within their covariances over all lags in the rest of the
+        record, so that inputs ahead tell of disturbances ahead. Without, an unstable model makes
+        of these whatever grows, true or not. With it growing modes that are not there are
         largely excused: judge modes without.
 
     Raises

@@ -7,7 +7,15 @@ import pytest
 import scipy
 
 from casid import Record, StateSpace, validate
-from casid.prediction import AHEAD, FOLDS, RecordPredictor, growth_rate, predict, prediction_plan
+from casid.prediction import (
+    AHEAD,
+    FOLDS,
+    INSTANTS,
+    RecordPredictor,
+    growth_rate,
+    predict,
+    prediction_plan,
+)
 
 DT = 0.02
 T = DT * np.arange(1500)
@@ -125,9 +133,24 @@ def smoothed(system, record, known, start, end):
     prior = scipy.linalg.block_diag(
         np.linalg.inv(root), np.diag(np.tile(np.diag(Q) ** -0.5, count))
     )
-    spread = np.linalg.inv(np.linalg.cholesky(np.cov(record.y.T, bias=True) + np.diag(known.r)))
-    last = spread @ make[-1]
-    wanted = spread @ (record.y.mean(axis=0) - path[-1] - known.bias)
+    at = np.unique(np.linspace(0, count, INSTANTS + 1).round().astype(int)[1:])
+    elsewhere = np.r_[: start + 1, end + 1 : record.N]
+    mean, apart = record.y[elsewhere].mean(axis=0), np.zeros_like(record.y)
+    apart[elsewhere] = (record.y[elsewhere] - mean) / np.sqrt(len(elsewhere))
+    usual = np.block(
+        [
+            [
+                apart[max(i - j, 0) : record.N + min(i - j, 0)].T
+                @ apart[max(j - i, 0) : record.N + min(j - i, 0)]
+                for j in at
+            ]
+            for i in at
+        ]
+    )
+    noise = np.diag(np.tile(known.r, len(at)))
+    spread = np.linalg.inv(np.linalg.cholesky(usual + noise))
+    last = spread @ make[at].reshape(2 * len(at), -1)
+    wanted = spread @ (mean - np.array(path)[at] - known.bias).ravel()
     found = np.linalg.lstsq(np.vstack([prior, last]), np.append(np.zeros(len(prior)), wanted))[0]
     return np.array(path) + make @ found
 
@@ -157,6 +180,16 @@ def test_inputs_of_a_controller_tell_of_disturbances_ahead():
     assert "bounded" not in alone.predicted
     assert "Worse than by their means are predicted a, b" in alone.predicted
     assert "Worse than" not in told.predicted
+
+
+def test_expecting_outputs_where_a_controller_keeps_them_excuses_no_wrong_input():
+    system, record = regulated(3)
+    models = {"truth": system} | {
+        f"{gain:g}": replace(system, B=gain * system.B) for gain in (-1.0, 0.3, 3.0)
+    }
+    found = validate(models, [record], horizon=2.0, closed_loop=True).fit
+    for name in list(models)[1:]:
+        assert (found["truth"] > found[name] + 5).all(), (name, found)
 
 
 def test_a_prediction_of_a_stable_model_starts_from_its_own_state():
