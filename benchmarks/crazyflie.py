@@ -6,8 +6,8 @@ All see the same five flights at 50 Hz (the others as one record, means removed,
 and are simulated and predicted over the same two that none has seen, by `validate`, as if inputs
 ahead were prescribed and as answers of a controller that keeps outputs bounded (`closed_loop`);
 predictions of the others also from the state of their own gains. Persistence is the last sample
-held. Simulated whole, the structure is also given its inputs at the 100 Hz of the logs, as a
-continuous one may be, and compared at the same instants.
+held. The structure is also given its inputs at the 100 Hz of the logs, as a continuous one may be,
+and compared at the same instants.
 """
 
 import argparse
@@ -106,11 +106,10 @@ def table(own, gains, flights, horizon):
         rows |= {name + said: found.fit[name][:, columns] for name in models}
     if np.isfinite(horizon):
         rows |= baselines(own, gains, records, horizon)
-    else:
-        odd = np.arange(max(each.N for each in flights)) % 2 == 1
-        fine = [replace(r, y=np.where(odd[: r.N, None], np.nan, r.y)) for r in flights]
-        found = validate({"Multirotor": own}, fine, horizon=horizon)
-        rows["Multirotor, inputs at 100 Hz"] = found.fit["Multirotor"][:, columns]
+    odd = np.arange(max(each.N for each in flights)) % 2 == 1
+    fine = [replace(r, y=np.where(odd[: r.N, None], np.nan, r.y)) for r in flights]
+    found = validate({"Multirotor": own}, fine, horizon=horizon, closed_loop=closed_loop)
+    rows[f"Multirotor{said}, inputs at 100 Hz"] = found.fit["Multirotor"][:, columns]
     print(f"\npredicted {horizon:g} s ahead" if np.isfinite(horizon) else "\nsimulated whole")
     print("|  |" + "".join(f" {each.name}: {', '.join(OUTPUTS)} |" for each in records))
     others = [row for name, row in rows.items() if name.startswith(METHODS)]

@@ -8,7 +8,7 @@ from truths.structures import SECOND, Lag, black_box
 
 from casid import match
 from casid.report import Caution, Content, Section
-from casid.report.content import TEMPLATES, leads, section
+from casid.report.content import TEMPLATES, cautions, leads, section
 
 
 def test_structured_models_are_told_from_the_others():
@@ -39,3 +39,12 @@ def test_praise_is_told_only_where_no_caution_contradicts_it():
     for rank in (3, 5, 7):
         worse = Section(name="c", cautions=(Caution("Model and data disagree.", rank),))
         assert leads([praised, plain, worse]) == ("It was made.",)
+
+
+def test_a_caution_that_is_warned_of_and_shown_is_told_once():
+    page = Content(
+        title="", model=Lag(), results={}, models={}, model_file=Path("lag.py"), model_digest="",
+        warnings=("it may be biased", "look at bounds"),
+    )  # fmt: skip
+    shown = Section(name="c", cautions=(Caution("It may be biased.", 30),))
+    assert cautions(page, [shown]) == ("It may be biased.", "look at bounds")

@@ -36,6 +36,11 @@ def test_a_prediction_is_called_one_in_table_figure_and_box(pole):
     told = f"Predicted up to {found.horizon[0]:.3g} s ahead"
     cautions = " ".join(each.text for each in sections["verdicts"].cautions)
     assert (told in cautions) == predicted
+    remedy = (
+        "Validation records: Worse than by their means are predicted p: such growth is not there"
+    )
+    ranked = sorted(sections["verdicts"].cautions, key=lambda each: each.rank)
+    assert [each.text.startswith(remedy) for each in ranked[:1]] == [True] * predicted
     table = body(sections["verdicts"], content)
     assert (told in table) == predicted
     assert ("initial state and constant biases fitted" in table) != predicted
