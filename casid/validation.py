@@ -130,8 +130,8 @@ class Validation(Shown):
         why = f": unstable models grow ({', '.join(growing)})" if growing else ""
         bounded = ", and from inputs ahead that keep outputs bounded" if self.closed_loop else ""
         return (
-            f"{self.adrift}Predicted up to {reach} s ahead, each time from a state estimated on the "
-            f"past alone{bounded}, not simulated over the whole record{why}."
+            f"{self.adrift}Predicted up to {reach} s ahead, each time from a state estimated on "
+            f"the past alone{bounded}, not simulated over the whole record{why}."
         )
 
     @property
