@@ -8,7 +8,7 @@ from truths.closed_roll import TRUTH, campaign, off
 
 from casid import pbsid
 from casid.free import free_parameters
-from casid.nearest import BoxResponse, gain, nearest
+from casid.nearest import BoxResponse, gain, kernel, nearest
 
 OMEGA = np.geomspace(0.7, 8.0, 20)
 
@@ -62,3 +62,10 @@ def test_the_gain_is_that_of_weighted_least_squares():
     rows = [np.concatenate([x.real.ravel(), x.imag.ravel()]) for x in (*(W * J), W * e)]
     expected = np.linalg.lstsq(np.array(rows[:-1]).T, rows[-1], rcond=None)[0]
     np.testing.assert_allclose(np.sum(gain(J, W).conj() * e, axis=(1, 2, 3)).real, expected)
+
+
+def test_smoothing_over_frequency_leaves_a_constant_as_it_is():
+    omega = np.concatenate(
+        [np.geomspace(0.5, 1.0, 3), np.geomspace(2.0, 9.0, 20)]
+    )  # at the ends, too
+    np.testing.assert_allclose(kernel(omega) @ np.ones(23), 1.0, rtol=1e-12)

@@ -9,6 +9,7 @@ from truths.systems import DT, LAG, TWO, white
 from casid import Record
 from casid.frequency.spectra import (
     Conditioned,
+    _blend,
     _weights_of_windows,
     composite,
     condition,
@@ -107,3 +108,17 @@ def test_the_power_kept_is_that_of_the_windows_without_losses():
     assert every.kept == 1.0
     assert 0.4 < found.kept < 0.9
     assert found.kept == pytest.approx(found.count / every.count, rel=0.01)  # all have one power
+
+
+def test_correlations_of_windows_are_blended_where_known_and_none_elsewhere():
+    # Two lengths of two outputs at three frequencies: both used; one lost; neither used.
+    one, other = (
+        np.tile(np.array([[1.0, r], [r, 1.0]], dtype=complex), (3, 1, 1)) for r in (0.2, 0.6)
+    )
+    other[1] = np.nan
+    W = np.zeros((2, 3, 2, 1))
+    W[:, :2] = np.array([0.25, 0.75])[:, None, None, None]
+    found = _blend(W, [one, other])
+    np.testing.assert_allclose(found[0], [[1.0, 0.5], [0.5, 1.0]], rtol=1e-12)
+    np.testing.assert_array_equal(found[1:], np.tile(np.eye(2), (2, 1, 1)))
+    assert _blend(W, [one, None]) is None
