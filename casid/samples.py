@@ -148,7 +148,8 @@ def resampled(t: Array, columns: Sequence[tuple[Array, Between]], dt: float) -> 
     own = float(np.median(np.diff(t)))
     if dt < SLOWER * own:
         return grid, plain
-    even = t[0] + own * np.arange(int((t[-1] - t[0]) / own + 1e-6) + 1)
+    # As far as the grid goes, though that may be a part of an interval beyond the last sample.
+    even = t[0] + own * np.arange(int(np.ceil((grid[-1] - t[0]) / own - 1e-6)) + 1)
     fast = np.array([at_instants(t, x, even, how) for x, how in columns])
     for x in fast:
         if (known := ~np.isnan(x)).any():

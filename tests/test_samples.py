@@ -40,6 +40,18 @@ def test_slower_sampling_keeps_what_it_can_hold_and_folds_nothing_back():
     assert np.abs(y[inside, 1]).max() < 0.01
 
 
+@pytest.mark.parametrize("N", range(401, 406))
+@pytest.mark.parametrize("jitter", [1e-6, 2e-4])
+def test_stamps_that_jitter_cost_slower_sampling_no_instant(N, jitter):
+    rng = np.random.default_rng(N)
+    t = 0.005 * np.arange(N) + jitter * rng.uniform(-1, 1, N)
+    grid, y = resampled(t, [(np.sin(5 * t), "foh"), (np.sin(5 * t), "smooth")], 0.01)
+    assert t[-1] - grid[-1] < 0.01 + 1e-6
+    assert np.isfinite(y).all()
+    for column in y.T:
+        np.testing.assert_allclose(column[20:-20], np.sin(5 * grid[20:-20]), atol=2e-3)
+
+
 def test_the_usual_interval_is_the_median_unless_sampling_is_irregular():
     assert usual_interval(np.delete(T, [50, 51, 52])) == pytest.approx(0.02)
     t = np.cumsum(np.where(np.arange(100) % 5, 0.01, 0.03))
