@@ -108,6 +108,23 @@ class Excitation(Shown):
                 said.append(f"{name} {middle:.0%} ({share[k]:.0%} at {self.omega[k]:.2g} rad/s)")
         return "from outside come of " + ", ".join(said)
 
+    def ends(self) -> dict[str, float]:
+        """Frequency [rad/s] above which an input holds little but what is fed back, by its name.
+
+        Left out are inputs that come from outside up to the highest frequencies, inputs of which
+        little does in all of their band (`doubts`), and all where nothing tells feedback from
+        excitation.
+        """
+        found: dict[str, float] = {}
+        for name, share, inside in zip(self.inputs, self.lower.T, self.within.T, strict=True):
+            if self.singular or not inside.any():
+                continue
+            first, last = self.omega[inside][[0, -1]]
+            above = [a for a, b in wide_bands(self.omega, share < LITTLE) if b >= last]
+            if above and above[0] > first:
+                found[name] = above[0]
+        return found
+
     def doubts(self) -> tuple[str, ...]:
         """Why a model from these inputs may be one of the controller; empty where it is not."""
         said = [

@@ -5,7 +5,7 @@ its programs FRESPID, MISOSA and COMPOSITE do is one function here, `frequency_r
 spectra themselves are computed in `casid.frequency.spectra`, which also lists the departures.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeAlias
@@ -35,6 +35,7 @@ from casid.records import Records, same_channels, standard_deviations, still, st
 from casid.threads import one_thread
 
 KEPT = 0.5  # share of an input's power in the windows without long losses
+FED_BACK = "{!r} is fed back, hardly moved from outside: it is the controller's inverse there"
 HANN = 3.84  # rad: standard deviation of a Hann window's spectral window, times its length
 
 Method: TypeAlias = Literal["local", "windows"]
@@ -57,7 +58,8 @@ class SpectralAnalysis:
     ----------
     omega : (K,) array
         Frequencies [rad/s], increasing, in any spacing. Unless given, 40 from two periods in the
-        longest window to the highest that the records excite.
+        longest window to the highest that the records excite from outside. Where all that moves an
+        input is noise that a controller feeds back, the response is NaN, unless by a ``reference``.
     windows : sequence of float
         Window lengths [s]. Unless given, five between 20 periods of the highest frequency and
         min(half the longest record, a fifth of all records together), T&R section 10.3.
@@ -85,7 +87,9 @@ class SpectralAnalysis:
         flown = stretches(records)
         inputs, outputs = self._channels(flown)
         plain = [record.select(inputs, outputs) for record in flown]
-        grid = sampling.default_grid(plain) if self.omega is None else self.omega
+        # References that noise does not drive tell inputs from what is fed back at any frequency.
+        ends = {} if self.reference else sampling.excited_ends(plain)
+        grid = sampling.default_grid(plain, ends) if self.omega is None else self.omega
         omega = sampling.checked_grid(grid, plain)
         even = [sampling.equidistant(record, omega[-1]) for record in flown]
         records = [record.select(inputs, outputs) for record in even]
@@ -96,7 +100,9 @@ class SpectralAnalysis:
             raise ValueError(f"no input moves in any record ({', '.join(inputs)}): nothing excites")
         moving = self._moving(even, [inputs[i] for i in active], outputs)
         lengths, parts, counted = _parts(moving, omega, lengths, self)
-        usable = _usable(omega, lengths, parts) & counted
+        fed_back = {name: omega > end * (1 + 1e-9) for name, end in ends.items()}
+        excited = ~np.logical_or.reduce([*fed_back.values(), np.zeros(len(omega), dtype=bool)])
+        usable = _usable(omega, lengths, parts) & counted & excited
         merged = composite(parts, usable)
         number = merged.condition if self.conditioned else np.ones(len(omega))
         su, sy = standard_deviations(records)
@@ -113,7 +119,9 @@ class SpectralAnalysis:
             **_correlations(estimate, active, len(inputs)),
             inputs=inputs, outputs=outputs, input_std=su, output_std=sy,
             multiple_coherence=multiple, condition=merged.condition,
-            windows=tuple(lengths), flags=_flags(omega, lengths[-1], usable, counted, number),
+            windows=tuple(lengths),
+            flags=_flags(omega, lengths[-1], usable | ~excited, counted, number)
+            | _listed({FED_BACK.format(name): at for name, at in fed_back.items()}),
             records=tuple(record.name for record in records),
             fingerprints=tuple(fingerprint(record) for record in plain),
         )  # fmt: skip
@@ -337,6 +345,11 @@ def _flags(
         f"{together} {MEANINGLESS:g}, nothing separates them": unread & ~apart,
         f"{together} {SUSPECT:g}": some & (number > SUSPECT),
     }
+    return _listed(why)
+
+
+def _listed(why: Mapping[str, BoolArray]) -> dict[str, tuple[int, ...]]:
+    """Positions where each reason holds, of those that hold somewhere."""
     return {word: tuple(int(k) for k in np.flatnonzero(at)) for word, at in why.items() if at.any()}
 
 

@@ -1,6 +1,6 @@
 """Records, grid and window lengths made fit for spectra, or refused."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,19 +8,51 @@ import scipy
 
 from casid.arrays import Array, BoolArray
 from casid.errors import warn
+from casid.excitations import excitation_if_any
 from casid.record import Record
-from casid.subspace.columns import excited_band
+from casid.subspace.columns import excited_band, spectrum
 
 GRID = 40  # frequencies unless given
 BELOW_NYQUIST = 0.9  # where they end at the latest
+BAND = 1.1  # ratio of frequencies over which an input's power is averaged
+BELOW, BEYOND = 50, 3  # such bands on either side of the end that is looked for
+CLEAR = 3.0  # times the power of what is fed back: two thirds come from outside
 FEW_PERIODS = 2.0  # periods a window must hold to be trusted, T&R (7.41)
 
 
-def default_grid(records: Sequence[Record]) -> Array:
-    """Frequencies [rad/s] from two periods of the longest window to what the inputs excite."""
+def excited_ends(records: Sequence[Record]) -> dict[str, float]:
+    """Frequency [rad/s] above which an input is little but fed back noise, by its name.
+
+    Noise that a controller feeds back looks like excitation and is coherent with the outputs: a
+    response found from it is the controller's inverse (`casid.excitations`). Few lags smear the
+    end of a sweep: it is where the input's own spectrum comes down to what is fed back above. An
+    input whose spectrum does not come down is left out.
+    """
+    found = excitation_if_any(records)
+    ends = {} if found is None else found.ends()
+    clear = {name: _last_clear(records, name, end) for name, end in ends.items()}
+    return {name: end for name, end in clear.items() if end > 0}
+
+
+def _last_clear(records: Sequence[Record], name: str, end: float) -> float:
+    """Frequency [rad/s] up to which an input's power is well above that beyond ``end``, or zero."""
+    edges = end * BAND ** np.arange(-BELOW, BEYOND + 1.0)
+    lines = [spectrum(record.t, record.channel(name)) for record in records]
+    omega, energy = (np.concatenate(each) for each in zip(*lines, strict=True))
+    power = np.histogram(omega, edges, weights=energy)[0] / np.diff(edges)
+    clear = np.flatnonzero(power[:BELOW] > CLEAR * power[BELOW:].mean())
+    return float(edges[clear[-1]]) if len(clear) else 0.0
+
+
+def default_grid(records: Sequence[Record], ends: Mapping[str, float]) -> Array:
+    """Frequencies [rad/s] from two periods of the longest window to what the inputs excite.
+
+    ``ends`` as of `excited_ends`.
+    """
     durations = [record.duration for record in records]
     low = FEW_PERIODS * 2 * np.pi / min(max(durations) / 2, sum(durations) / 5)
-    high = min(excited_band(records)[1], BELOW_NYQUIST * np.pi / max(r.dt for r in records))
+    nyquist = np.pi / max(record.dt for record in records)
+    high = min(excited_band(records)[1], BELOW_NYQUIST * nyquist, *ends.values())
     return np.geomspace(low, max(high, 2 * low), GRID)
 
 

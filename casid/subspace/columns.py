@@ -67,7 +67,7 @@ def excited_band(records: Sequence[Record]) -> tuple[float, float]:
     highs = []
     for j in range(records[0].nu):
         best = max(records, key=lambda record: float(np.std(record.u[:, j])))
-        omega, power = _spectrum(best.t, best.u[:, j])
+        omega, power = spectrum(best.t, best.u[:, j])
         above = omega[power > 1e-4 * power.max()]
         highs.append(float(above.max()) if len(above) else low)
     return float(low), float(max(min(highs), 2 * low))
@@ -90,7 +90,7 @@ def _ends_of_power(records: Sequence[Record], letter: str, part: float) -> list[
     ends = []
     for column in zip(*(getattr(record, letter).T for record in records), strict=True):
         pairs = [(r.t, v, np.isfinite(v)) for r, v in zip(records, column, strict=True)]
-        both = [_spectrum(t[seen], v[seen]) for t, v, seen in pairs if seen.sum() > 2]
+        both = [spectrum(t[seen], v[seen]) for t, v, seen in pairs if seen.sum() > 2]
         if both:
             omega, energy = (np.concatenate(each) for each in zip(*both, strict=True))
             ascending = np.argsort(omega, kind="stable")
@@ -99,7 +99,7 @@ def _ends_of_power(records: Sequence[Record], letter: str, part: float) -> list[
     return ends
 
 
-def _spectrum(t: Array, v: Array) -> tuple[Array, Array]:
+def spectrum(t: Array, v: Array) -> tuple[Array, Array]:
     """Frequencies above zero and the energy of a windowed signal at each; any sampling."""
     even = np.linspace(t[0], t[-1], len(t))
     v = np.interp(even, t, v)

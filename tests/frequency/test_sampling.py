@@ -10,7 +10,7 @@ from truths import uh60
 from truths.systems import DT, LAG, white
 
 from casid import DataWarning, Record, frequency_response
-from casid.frequency.sampling import _near, default_windows, equidistant
+from casid.frequency.sampling import _near, default_windows, equidistant, excited_ends
 
 
 def test_window_lengths_follow_the_rules():
@@ -132,3 +132,59 @@ def test_samples_near_any_missing_one_are_marked_by_brute_force():
     np.testing.assert_array_equal(_near(t, missing, 0.2), apart < 0.2)
     first = _near(np.array([0.0, 0.1, 5.0]), np.array([0.05, 9.0]), 0.2)
     np.testing.assert_array_equal(first, [True, True, False])
+
+
+def stabilised(low, high, noise, gain=3.0, dt=0.02):
+    """A sweep on an unstable pole 0.5 behind a lag, held by sampled feedback of noisy outputs."""
+    command = sweep(low, high, 80.0).u[:, 0]
+    A, B, _ = scipy.signal.cont2discrete(
+        (
+            np.array([[0.5, 1.0], [0.0, -4.0]]),
+            np.array([[0.0], [4.0]]),
+            np.eye(2),
+            np.zeros((2, 1)),
+        ),
+        dt,
+    )[:3]
+    v = noise * np.random.default_rng(5).standard_normal(len(command))
+    x, u, y = np.zeros(2), np.zeros(len(command)), np.zeros(len(command))
+    for k in range(len(command)):
+        y[k] = x[0] + v[k]
+        u[k] = command[k] - gain * y[k]
+        x = A @ x + B[:, 0] * u[k]
+    t = dt * np.arange(len(command))
+    return Record(t, u[:, None], y[:, None], ("lat",), ("p",), "flight", hold="zoh")
+
+
+def test_the_grid_ends_where_noise_that_is_fed_back_begins():
+    found = frequency_response(stabilised(0.3, 10.0, noise=0.02))
+    s = 1j * found.omega
+    error = np.abs(found.G[:, 0, 0] * (s - 0.5) * (s + 4) / 4 - 1) / found.error[:, 0, 0]
+    assert 6.0 < found.omega[-1] < 10.0
+    assert not found.flags
+    assert np.median(error) < 1.5
+    assert error.max() < 5
+
+
+def test_points_where_noise_is_fed_back_cannot_be_had():
+    omega = np.geomspace(1.0, 80.0, 20)
+    with pytest.warns(DataWarning, match=r"rad/s: 'lat' is fed back.*inverse there; they are NaN"):
+        found = frequency_response(stabilised(0.3, 10.0, noise=0.02), omega=omega)
+    ((reason, at),) = found.flags.items()
+    lost = np.flatnonzero(~np.isfinite(found.G[:, 0, 0]))
+    assert "'lat' is fed back" in reason
+    assert at == tuple(lost)
+    assert 6.0 < omega[lost[0]] < 12.0
+    assert lost[-1] == len(omega) - 1
+
+
+def test_without_noise_or_feedback_no_input_ends():
+    rng = np.random.default_rng(6)
+    free = sweep(0.3, 10.0, 80.0)
+    noisy = replace(free, y=free.y + 0.02 * rng.standard_normal(free.y.shape))
+    u = rng.standard_normal((4000, 1))  # a direct term looks like feedback, at all frequencies
+    direct = Record(
+        DT * np.arange(4000), u, u + 0.01 * rng.standard_normal(u.shape), ("lat",), ("ay",)
+    )
+    for record in (stabilised(0.3, 10.0, noise=0.0), noisy, direct):
+        assert excited_ends([record]) == {}
