@@ -39,16 +39,28 @@ class FilterState:
     sizes: Array  # (levels,) sums of log det S
 
     @cached_property
-    def likeliest(self) -> tuple[int, Array]:
-        """The level with the largest likelihood, and 1 beside what it knows of z."""
-        H, g = self.moments[:, 1:, 1:], self.moments[:, 1:, 0]
+    def _covariances(self) -> Array:
+        """Of z (levels, *2 * [nx + ny]); directions of which nothing is told have none."""
+        H = self.moments[:, 1:, 1:]
         unit = np.sqrt(np.diagonal(H, axis1=1, axis2=2))
         unit = np.where(unit == 0, 1.0, unit)
-        scaled = H / (unit[:, :, None] * unit[:, None])
-        inverse = np.linalg.pinv(scaled, rcond=RANK, hermitian=True)
-        z = -(inverse @ (g / unit)[:, :, None])[:, :, 0] / unit
+        both = unit[:, :, None] * unit[:, None]
+        return np.asarray(np.linalg.pinv(H / both, rcond=RANK, hermitian=True) / both)
+
+    @cached_property
+    def likeliest(self) -> tuple[int, Array]:
+        """The level with the largest likelihood, and 1 beside what it knows of z."""
+        g = self.moments[:, 1:, 0]
+        z = -(self._covariances @ g[:, :, None])[:, :, 0]
         best = int(np.argmin(self.sizes + self.moments[:, 0, 0] + np.sum(g * z, axis=1)))
         return best, np.r_[1.0, z[best]]
+
+    @property
+    def unsettled(self) -> Array:
+        """Covariance of state and biases, *2 * [nx + ny], that comes of z, by noise alone."""
+        by_z = np.eye(self.X.shape[2] - 1)  # the first level has next to no disturbances
+        by_z[: self.X.shape[1]] = self.X[0, :, 1:]
+        return np.asarray(by_z @ self._covariances[0] @ by_z.T)
 
     def known_by(self, later: "FilterState") -> Array:
         """State (nx,), z and the level being those of a later sample."""

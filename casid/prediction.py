@@ -13,7 +13,10 @@ and a fast growing part that runs backward from its value at the end.
 
 A model that grows by more than a few e-folds over a record cannot be simulated from its first
 state. It is judged by predictions instead: of pieces as long as a stated horizon, each from a state
-that is estimated on the past before it and nothing else (`casid.filtering`).
+that is estimated on the past before it and nothing else (`casid.filtering`). They begin after three
+horizons; where most of what an output does lies before that, as soon as initial state and biases
+can be told so well that their errors add less to the first piece than the noise that hides them: so
+a manoeuvre flown early in a short record is predicted, and not the quiet flight after it alone.
 
 Of a flight in closed loop more is known: a controller answers disturbances, therefore outputs stay
 where they use to be, however fast the aircraft alone would leave, and move as they use to. Among
@@ -35,14 +38,16 @@ from casid import filtering
 from casid.arrays import Array, BoolArray
 from casid.linear import StateSpace, Steps
 from casid.record import Record
+from casid.records import standard_deviations
+from casid.samples import known_mean
 
 RANK = 1e-10  # singular values below this share of the largest are directions without effect
 GROWTH = 10.0  # e-folds over a record that a simulation from its first state may grow
 AHEAD = 0.1  # of a record: the horizon of predictions at most
 FOLDS = 3.0  # e-folds that the least unstable model grows over the horizon at most
-PAST = 3.0  # horizons before the first prediction
-PER_UNKNOWN = 3.0  # measurements on that past at least
-INSTANTS = 10  # of a piece at which outputs are expected where a controller keeps them
+PAST = 3.0  # horizons before the first prediction at most
+PER_UNKNOWN = 3.0  # measurements before it at least
+INSTANTS = 10  # of a piece: where a controller keeps outputs, and apart what may begin earlier
 
 
 @dataclass(frozen=True)
@@ -101,15 +106,38 @@ def prediction_plan(
     if np.isinf(horizon):
         return PredictionPlan(np.inf, closed_loop=closed_loop)
     unknowns = max(each.nx for each in systems) + record.ny
-    past = max(round(PAST * horizon / pace), int(PER_UNKNOWN * unknowns))
+    most = max(round(PAST * horizon / pace), int(PER_UNKNOWN * unknowns))
     ahead = int(horizon / pace + 1e-9)
-    starts = tuple(range(past, record.N - 1, max(ahead, 1)))
-    if ahead < 1 or not starts:
+    if ahead < 1 or most >= record.N - 1:
         raise ValueError(
             f"record {record.name!r} of {length:g} s is too short to predict {horizon:g} s ahead "
-            f"from {past * pace:g} s of past; give another horizon"
+            f"from {most * pace:g} s of past; give another horizon"
         )
+    least, last = int(PER_UNKNOWN * unknowns), min(most, record.N - 1 - ahead)
+    early = range(least, last, max(ahead // INSTANTS, 1))
+    past = most
+    if np.greater(*movement(record, past + 1)).any():
+        past = max(_settled(system, record, early, ahead, most) for system in systems)
+    # The pieces that come later begin where they do after the longest past.
+    starts = (past, *range(past + 1 + (most - past - 1) % ahead, record.N - 1, ahead))
     return PredictionPlan(horizon, starts, past, closed_loop)
+
+
+def movement(record: Record, begin: int) -> tuple[Array, Array]:
+    """Squared deviations of each output, (ny,), added up before a sample, and from it on."""
+    before, after = (part - known_mean(part) for part in (record.y[:begin], record.y[begin:]))
+    return np.nansum(before**2, axis=0), np.nansum(after**2, axis=0)
+
+
+def _settled(system: StateSpace, record: Record, early: range, ahead: int, most: int) -> int:
+    """The first of some samples, or the last, at which a model's state is told by the past."""
+    try:
+        follower = RecordPredictor(system, record, standard_deviations([record])[1])
+    except ValueError as error:
+        raise ValueError(f"record {record.name!r}: {error}") from error
+    with np.errstate(over="ignore", invalid="ignore"):  # what runs away tells nothing
+        told = zip(early, follower.known(early) if early else (), strict=True)
+        return next((k for k, known in told if follower.is_told(known, k, ahead)), most)
 
 
 def predict(system: StateSpace, record: Record, scale: Array, far: PredictionPlan) -> Prediction:
@@ -168,6 +196,17 @@ class RecordPredictor:
         for k in range(begin, end):
             found.append(self.steps.maps[self.steps.which[k]] @ found[-1] + self.steps.forcing[k])
         return np.array(found)
+
+    def is_told(self, known: filtering.FilterState, begin: int, ahead: int) -> bool:
+        """Whether what noise hides of the record's beginning adds less to a piece than noise."""
+        # Whatever is measured, so that no model puts off the manoeuvre that it does not explain.
+        (ny, nx), added, P = self.C.shape[1:], 0.0, known.unsettled
+        M = np.eye(nx)
+        for k in range(begin, begin + ahead):
+            M = self.steps.maps[self.steps.which[k]] @ M
+            felt = np.hstack([self.C[k + 1] @ M, np.eye(ny)])
+            added = added + np.einsum("ij,jk,ik->i", felt, P, felt)
+        return bool((added <= ahead * known.r).all())
 
     def _bounded(self, path: Array, begin: int, known: filtering.FilterState) -> Array:
         """States of a piece, outputs at instants of it being about their means as elsewhere."""

@@ -173,6 +173,11 @@ def standard_deviations(records: Sequence[Record]) -> tuple[Array, Array]:
     return _spread(u), _spread(y)
 
 
+def datum(record: Record) -> Array:
+    """What deviations of each output count from, (ny,): its mean, or zero once its trim is out."""
+    return np.where([name in record.trim for name in record.outputs], 0.0, known_mean(record.y))
+
+
 def _spread(values: Array) -> Array:
     mean = known_mean(values)
     spread = np.sqrt(known_mean((values - mean) ** 2))

@@ -39,6 +39,13 @@ def known_mean(x: Array) -> Array:
     return np.asarray(np.ma.masked_invalid(x).mean(axis=0).filled(0.0))
 
 
+def root_mean_square(values: Array) -> float:
+    """Root of the mean square; infinite where a value is no number, or too large to be squared."""
+    with np.errstate(over="ignore"):
+        size = float(np.sqrt(np.mean(values**2)))
+    return size if np.isfinite(size) else np.inf
+
+
 def autocorrelation(x: Array, lags: int) -> Array:
     """Of samples (N,), mean removed, at lags of 0 to ``lags`` samples, (lags + 1,); 1 at 0."""
     x = x - x.mean()

@@ -27,12 +27,13 @@ from casid.prediction import (
     Prediction,
     PredictionPlan,
     growth_rate,
+    movement,
     predict,
     prediction_plan,
 )
 from casid.record import Record
-from casid.records import Records, same_channels, standard_deviations, stretches
-from casid.samples import autocorrelation, known_mean
+from casid.records import Records, datum, same_channels, standard_deviations, stretches
+from casid.samples import autocorrelation, root_mean_square
 from casid.shooting.simulation import predict_nonlinear
 from casid.subspace.pbsid import BlackBox
 from casid.threads import one_thread
@@ -79,7 +80,8 @@ class Validation(Shown):
         the past alone, whose error colours all of the piece; infinite where they were simulated
         over all of it.
     begins : tuple of int
-        Sample of each record at which predictions begin; 0 where it was simulated.
+        Sample of each record at which predictions begin, 0 where it was simulated. An output that
+        moves more before is `missed`: NaN for fit and Theil's coefficient.
     known : mapping to tuple of str
         Outputs that each model has.
     growth : mapping to float
@@ -87,8 +89,7 @@ class Validation(Shown):
     closed_loop : bool
         Whether inputs ahead were taken for answers that keep outputs bounded.
 
-    A model that lacks an output of the records has NaN there, and so have all models before the
-    first prediction.
+    A model that lacks an output has NaN there, and so have all models before the first prediction.
     """
 
     models: tuple[str, ...]
@@ -114,10 +115,8 @@ class Validation(Shown):
         """Models, records, mean fit over outputs and records."""
         known = {name: self.fit[name][~np.isnan(self.fit[name])] for name in self.models}
         fits = (f"{n} {x.mean():.3g} %" if len(x) else f"{n} none" for n, x in known.items())
-        return (
-            f"records {listed(self.records)}, outputs {listed(self.outputs, 10)}; mean fit: "
-            + ", ".join(fits)
-        )
+        told = f"records {listed(self.records)}, outputs {listed(self.outputs, 10)}; mean fit: "
+        return told + ", ".join(fits)
 
     @property
     def predicted(self) -> str:
@@ -131,8 +130,18 @@ class Validation(Shown):
         bounded = ", and from inputs ahead that keep outputs bounded" if self.closed_loop else ""
         return (
             f"{self.adrift}Predicted up to {reach} s ahead, each time from a state estimated on "
-            f"the past alone{bounded}, not simulated over the whole record{why}."
+            f"the past alone{bounded}, not simulated over the whole record{why}.{self.missed}"
         )
+
+    @property
+    def missed(self) -> str:
+        """Outputs that move more before the first prediction than after it, as a sentence."""
+        named = [
+            f"{record.outputs[i]} of {record.name}"
+            for record, begin in zip(self.measured, self.begins, strict=True)
+            for i in np.flatnonzero(np.greater(*movement(record, begin)))
+        ]
+        return f" Not judged, moved before the first prediction: {listed(named)}." * bool(named)
 
     @property
     def adrift(self) -> str:
@@ -166,7 +175,7 @@ def validate(
     horizon : float
         Predict so far ahead [s], each time from a state estimated on the past; infinite, simulate
         in any case. Unless given, a record is simulated if no model grows by more than ten e-folds
-        over it; else all models are predicted, a tenth of the record ahead or as long as the least
+        over it; else all are predicted, a tenth of the record ahead or as long as the least
         unstable of those that grow takes for three e-folds.
     closed_loop : bool
         The records were flown by a controller, which kept outputs within what they do there: ahead
@@ -188,7 +197,10 @@ def validate(
         raise ValueError('no models given; expected {"name": model, ...}')
     records = stretches(records)
     inputs, outputs = same_channels(records)
-    scale, systems = standard_deviations(records)[1], _systems(models, records)
+    scale = standard_deviations(records)[1]
+    systems = {name: state_space(model) for name, model in models.items()}
+    for name, system in systems.items():
+        _check(name, system, records)
     every = list(systems.values())
     far = [prediction_plan(every, record, horizon, closed_loop) for record in records]
     predictions = {
@@ -201,7 +213,7 @@ def validate(
     known = {name: system.outputs for name, system in systems.items()}
     asked = {name: judged_samples(records, begins, own) for name, own in known.items()}
     return Validation(
-        **_measured(records, simulated, asked),
+        **_measured(records, begins, simulated, asked),
         models=tuple(models),
         records=tuple(record.name for record in records),
         inputs=inputs,
@@ -216,14 +228,6 @@ def validate(
         growth={name: growth_rate(system) for name, system in systems.items()},
         closed_loop=closed_loop,
     )
-
-
-def _systems(models: Mapping[str, AnyModel], records: Sequence[Record]) -> dict[str, StateSpace]:
-    """The linear systems behind the models; ValueError for one that the records do not suit."""
-    systems = {name: state_space(model) for name, model in models.items()}
-    for name, system in systems.items():
-        _check(name, system, records)
-    return systems
 
 
 def _check(name: str, system: StateSpace, records: Sequence[Record]) -> None:
@@ -320,15 +324,20 @@ def _each(
 
 def _measured(
     records: Sequence[Record],
+    begins: Sequence[int],
     simulated: Mapping[str, Sequence[Array]],
     asked: Mapping[str, Sequence[BoolArray]],
 ) -> dict[str, Any]:
     """All measures by their names in `Validation`, each by model."""
-    measures = {"rms": rms_error, "fit": fit_percent, "theil": theil_coefficient}
+    relative = {"fit": fit_percent, "theil": theil_coefficient}
     found = {
         what: {name: _each(measure, records, ys, asked[name]) for name, ys in simulated.items()}
-        for what, measure in (measures | {"whiteness": _whiteness}).items()
+        for what, measure in ({"rms": rms_error, "whiteness": _whiteness} | relative).items()
     }
+    lost = np.array([np.greater(*each) for each in map(movement, records, begins)])
+    for name, rms in found["rms"].items():  # relative to what they miss, these would say nothing
+        for what in relative:
+            found[what][name][lost & np.isfinite(rms)] = np.nan
     return found | {"normalised": _normalised(found["rms"])}
 
 
@@ -340,40 +349,32 @@ def _normalised(rms: Mapping[str, Array]) -> dict[str, Array]:
         return {name: np.where(np.isinf(x), 1.0, x / worst) for name, x in rms.items()}
 
 
-def datum(record: Record) -> Array:
-    """What deviations of each output count from, (ny,): its mean, or zero once its trim is out."""
-    return np.where([name in record.trim for name in record.outputs], 0.0, known_mean(record.y))
-
-
 def measures(validation: Validation, model: str, i: int) -> tuple[float, float, float]:
     """RMS error, fit and Theil's coefficient of one output's deviations, all records together."""
-    measured, found = validation.measured, validation.simulated[model]
-    asked = judged_samples(measured, validation.begins, validation.known[model])
-    both = list(zip(measured, found, asked, strict=True))
-    y = np.concatenate([(record.y - datum(record))[there[:, i], i] for record, _, there in both])
-    y_model = np.concatenate(
-        [(each - datum(record))[there[:, i], i] for record, each, there in both]
-    )
+    measured, begins = validation.measured, validation.begins
+    asked = judged_samples(measured, begins, validation.known[model])
+    both = [
+        (record.y - datum(record), found - datum(record), there[:, i])
+        for record, found, there in zip(measured, validation.simulated[model], asked, strict=True)
+    ]
+    y, y_model = (np.concatenate([one[k][one[2], i] for one in both]) for k in (0, 1))
     if not len(y):
         return np.nan, np.nan, np.nan
-    return rms_error(y, y_model), fit_percent(y, y_model), theil_coefficient(y, y_model)
-
-
-def _size(values: Array) -> float:
-    """Root of the mean square; infinite where a value is no number, or too large to be squared."""
-    with np.errstate(over="ignore"):
-        size = float(np.sqrt(np.mean(values**2)))
-    return size if np.isfinite(size) else np.inf
+    rms = rms_error(y, y_model)
+    before, after = np.sum(list(map(movement, measured, begins)), axis=0)[:, i]
+    if np.isfinite(rms) and before > after:
+        return rms, np.nan, np.nan
+    return rms, fit_percent(y, y_model), theil_coefficient(y, y_model)
 
 
 def rms_error(y: Array, y_model: Array) -> float:
     """Root of the mean squared error."""
-    return _size(y - y_model)
+    return root_mean_square(y - y_model)
 
 
 def fit_percent(y: Array, y_model: Array) -> float:
     """100 (1 - ‖y - ŷ‖/‖y - mean y‖); NaN for an output that does not move."""
-    error, spread = rms_error(y, y_model), _size(y - y.mean())
+    error, spread = rms_error(y, y_model), root_mean_square(y - y.mean())
     if np.isinf(error):
         return -np.inf
     return 100 * (1 - error / spread) if spread > 0 else np.nan
@@ -381,7 +382,7 @@ def fit_percent(y: Array, y_model: Array) -> float:
 
 def theil_coefficient(y: Array, y_model: Array) -> float:
     """RMS error over the sum of both RMS values; NaN for an output that is zero."""
-    error, size = rms_error(y, y_model), _size(y) + _size(y_model)
+    error, size = rms_error(y, y_model), root_mean_square(y) + root_mean_square(y_model)
     if np.isinf(error):
         return 1.0
     return error / size if size > 0 else np.nan
@@ -389,9 +390,9 @@ def theil_coefficient(y: Array, y_model: Array) -> float:
 
 def _whiteness(y: Array, y_model: Array) -> float:
     """Share of a residual's autocorrelations inside the band; NaN of one that rests."""
-    e = y - y_model
-    if np.isinf(_size(e)):
+    if np.isinf(rms_error(y, y_model)):
         return 0.0
+    e = y - y_model
     lags = min(LAGS, len(e) // 4)
     if lags < 1 or np.ptp(e) == 0:
         return np.nan

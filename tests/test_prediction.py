@@ -16,6 +16,7 @@ from casid.prediction import (
     predict,
     prediction_plan,
 )
+from casid.validation import measures
 
 DT = 0.02
 T = DT * np.arange(1500)
@@ -115,6 +116,56 @@ def regulated(seed, n=1500):
         u[k] = -2.0 * y[k, 0] - 0.6 * y[k, 1]
         x = Ad @ x + Bd * u[k] + (0.0, 0.15) * rng.standard_normal(2)
     return system, Record(DT * np.arange(n), u, y, ("u",), ("a", "b"), f"{seed}", hold="zoh")
+
+
+def doublet(system, begin, n=600):
+    """An unstable aircraft in calm air after its pilot's doublet, controlled by noisy outputs."""
+    rng, t = np.random.default_rng(11), DT * np.arange(n)
+    steps = system.steps(np.array([0.0, DT]), np.ones((2, 1)), "zoh")
+    Ad, Bd = steps.maps[0], steps.forcing[0]
+    pilot = 0.1 * (((t > begin) & (t <= begin + 1)) - 1.0 * ((t > begin + 1) & (t <= begin + 2)))
+    x, u, y = np.zeros(2), np.zeros((n, 1)), np.zeros((n, 2))
+    for k in range(n):
+        y[k] = x + (0.003, 0.004) * rng.standard_normal(2)
+        u[k] = pilot[k] - 1.2 * y[k, 0] - 0.5 * y[k, 1]
+        x = Ad @ x + Bd * u[k]
+    return Record(t, u, y + np.array([0.05, -0.02]), ("u",), ("a", "b"), "doublet", hold="zoh")
+
+
+UPRIGHT = StateSpace([[0.0, 1.0], [1.6, -1.0]], [[0.0], [5.0]], np.eye(2), np.zeros((2, 1)),
+                     inputs=("u",), outputs=("a", "b"))  # fmt: skip
+
+
+@pytest.mark.parametrize("closed_loop", [False, True])
+@pytest.mark.parametrize("begin", [1.3, 8.0])
+def test_a_doublet_flown_early_in_a_short_record_is_judged(begin, closed_loop):
+    models = {"truth": UPRIGHT, "weak": replace(UPRIGHT, B=0.5 * UPRIGHT.B)}
+    result = validate(models, doublet(UPRIGHT, begin), closed_loop=closed_loop)
+    (horizon,), (first,) = result.horizon, result.begins
+    assert horizon == pytest.approx(AHEAD * 11.98)
+    assert (first * DT < begin + 0.1) if begin < 3 * horizon else (first * DT > 3 * horizon)
+    assert (result.theil["truth"] < 0.12).all()
+    assert (result.theil["weak"] > 2 * result.theil["truth"]).all()
+    # Noise of 0.003 and 0.004: the state at the first start errs by less.
+    assert (result.rms["truth"] < 1.2 * np.array([0.003, 0.004])).all()
+    assert result.missed == ""
+
+
+def test_an_output_that_moved_before_the_first_prediction_has_no_verdict():
+    result = validate({"truth": UPRIGHT}, doublet(UPRIGHT, -1.7))
+    assert np.isfinite(result.rms["truth"]).all()
+    assert np.isnan([result.theil["truth"], result.fit["truth"]])[:, 0].tolist() == 2 * [
+        [False, True]
+    ]
+    assert np.isnan(measures(result, "truth", 1)).tolist() == [False, True, True]
+    assert np.isfinite(measures(result, "truth", 0)).all()
+    assert result.predicted.endswith("before the first prediction: b of doublet.")
+
+
+def test_a_record_that_moves_all_along_is_predicted_after_three_horizons():
+    record = flown()
+    far = prediction_plan([with_spurious(1.0)], record, 0.5)
+    assert far.starts == tuple(range(75, record.N - 1, 25))
 
 
 def smoothed(system, record, known, start, end):

@@ -63,8 +63,13 @@ class Verdict:
         """What to say of a poor one, or one that is not judged."""
         output = f"Output {self.output} of the validation records"
         if not np.isfinite(self.theil):
-            return f"{output} is not judged: there is nothing to compare, or nothing but zeros."
-        told = ", but its error is that of the noise: it hardly moves." if self.noisy else "."
+            none = "there is nothing to compare, nothing but zeros, or most before the predictions"
+            return f"{output} is not judged: {none}."
+        told = (
+            ", but its error is that of the noise: it hardly moves where it is judged."
+            if self.noisy
+            else "."
+        )
         told = f": {RUNS_AWAY}." if np.isinf(self.rms) else told
         return f"{output} is predicted poorly (Theil's coefficient {self.theil:.2f}){told}"
 

@@ -99,7 +99,10 @@ def test_an_error_of_the_size_of_the_noise_is_not_held_against_the_model(content
         dataclasses.replace(v, noise=v.rms / size) for v, size in zip(found, [1, 1.5], strict=True)
     ]
     assert [v.noisy for v in loud] == [True, False]
-    assert [v.caution.endswith("it hardly moves.") for v in loud] == [True, False]
+    assert [v.caution.endswith("it hardly moves where it is judged.") for v in loud] == [
+        True,
+        False,
+    ]
     unknown = verdicts(validation, changed(content, output_error=dataclasses.replace(fit, R=None)))
     assert np.isnan([v.residual for v in unknown]).all()
 
