@@ -46,12 +46,7 @@ from .cover import Cover as Cover, cover as cover
 from .design.inputs import design_inputs as design_inputs
 from .design.plan import Design as Design, DesignSettings as DesignSettings, Limits as Limits
 from .display import ProgressLine as ProgressLine
-from .distances import (
-    Distance as Distance,
-    Distances as Distances,
-    MissingMode as MissingMode,
-    distances as distances,
-)
+from .distances import Distance as Distance, Distances as Distances, distances as distances
 from .eigenmodes import Mode as Mode, modes as modes
 from .embedding import StructureError as StructureError, structure_error as structure_error
 from .envelope import Envelope as Envelope, envelope as envelope
@@ -110,6 +105,7 @@ from .logs.reading import read_log as read_log
 from .logs.topics import Log as Log, Topic as Topic
 from .matching.appraisal import MatchNotes as MatchNotes
 from .matching.match import Match as Match, match as match
+from .missing_modes import MissingMode as MissingMode
 from .model import (
     Constraint as Constraint,
     Model as Model,

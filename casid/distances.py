@@ -10,25 +10,28 @@ J the slopes of the response, W the weights: that both come from the same record
 Of a band the distance is d = (Σ |E|² / Σ E|E|²)^½; ν d² is taken for χ² of ν = (tr V)²/tr V²
 degrees of freedom, V the covariance of E in it (F. E. Satterthwaite, Biometrics 2 (1946), 110), and
 the level, divided by the number of pairs and bands (Bonferroni), holds for all of them together.
+
+Where an input mostly comes back from the outputs a black box is rather the controller's inverse
+than the aircraft: no distance after that input is evidence, nor counts for the level.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import scipy
 
-from casid.arrays import Array, BoolArray, ComplexArray
+from casid.arrays import Array, BoolArray
 from casid.checks import check_asked
 from casid.display import Shown
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse, response_of_pair
+from casid.missing_modes import Lacking, MissingMode
 from casid.model import Model
 from casid.nearest import BoxResponse, Nearest, movable, nearest
 from casid.records import several
 from casid.subspace.blackbox import BlackBox
-from casid.subspace.refinement import ResponseUncertainty
 from casid.tabulation import markdown_table
 from casid.threads import one_thread
 from casid.values import storable
@@ -36,42 +39,6 @@ from casid.values import storable
 OCTAVE = 8  # frequencies
 COHERENT = 0.6  # least coherence of a measured point, T&R section 7.5
 CELLS = 1.5  # spectral lines 2π/T that one independent value of a windowed response takes
-NEAR = 0.3  # of its modulus: how far from a black box's mode the structure's may be
-KNOWN = 0.5  # of its modulus: what the errors of a mode that is named may be
-MAKES = 0.5  # of what is missed in a band: what a mode that is missing makes there at least
-
-
-@storable
-@dataclass(frozen=True, kw_only=True)
-class MissingMode:
-    """A mode of the black box that no mode of the structure is near.
-
-    Parameters
-    ----------
-    real, imag : float
-        Of its pole [1/s], imag >= 0.
-    real_std, imag_std : float
-        Standard deviations of these [1/s]; NaN if not known.
-    """
-
-    real: float
-    imag: float
-    real_std: float
-    imag_std: float
-
-    @property
-    def pole(self) -> complex:
-        """The pole [1/s]."""
-        return complex(self.real, self.imag)
-
-    def __str__(self) -> str:
-        """The mode with its errors, in words."""
-        real = f"{self.real:.2g}{_error(self.real_std)}"
-        told = " (1σ)" if np.isfinite(self.real_std) else ""
-        if not self.imag:
-            return f"a mode at {real}{told}".replace("-", "−")
-        imag = f"{self.imag:.2g}{_error(self.imag_std)}"
-        return f"a pair at {real} and ±{imag} j{told}".replace("-", "−")
 
 
 @storable
@@ -93,6 +60,8 @@ class Distance:
         What the structure misses, relative to the response of the output to all inputs.
     missing : MissingMode or None
         The mode of the black box that makes most of what is missed, if the structure has none near.
+    fed_back : bool
+        Whether the input comes back from the outputs in most of the band: no evidence.
     """
 
     output: str
@@ -104,6 +73,7 @@ class Distance:
     measured_level: float = np.nan
     share: float = 0.0
     missing: MissingMode | None = None
+    fed_back: bool = False
 
     @property
     def far(self) -> bool:
@@ -118,7 +88,13 @@ class Distance:
     @property
     def fault(self) -> bool:
         """Whether it is the structure that is at fault."""
-        return self.far and not self.doubted
+        return self.far and not self.doubted and not self.fed_back
+
+    @property
+    def cell(self) -> str:
+        """The structure's distance in a table: ! where at fault, in brackets where no evidence."""
+        told = f"{self.structure:.2g}σ{'!' * self.fault}"
+        return f"({told})" if self.fed_back else told
 
     def told(self) -> str:
         """What is missed, in words."""
@@ -152,7 +128,8 @@ class Distances(Shown):
         """The verdict."""
         faults = self.faults
         if not faults:
-            return f"{self.structure} misses nothing that the records show"
+            left = f"; left out, as outputs feed it back: {self.left_out}" if self.left_out else ""
+            return f"{self.structure} misses nothing that the records show{left}"
         return (
             f"{self.structure} misses something in {len(faults)} of {len(self.rows)} bands of "
             f"pairs; {faults[0].told()}"
@@ -168,6 +145,16 @@ class Distances(Shown):
         """Where the structure is at fault; first what is missed most clearly and most of."""
         found = (row for row in self.rows if row.fault)
         return tuple(sorted(found, key=lambda row: -row.structure * row.share))
+
+    @property
+    def left_out(self) -> str:
+        """Inputs and bands that are no evidence, in words; nothing where all is."""
+        said = []
+        for name in dict.fromkeys(row.input for row in self.rows if row.fed_back):
+            edges = [row.band for row in self.rows if row.fed_back and row.input == name]
+            low, high = min(edges)[0], max(edges)[1]
+            said.append(f"{name} at {low:.2g}-{high:.2g} rad/s")
+        return ", ".join(said)
 
     @property
     def bands(self) -> tuple[tuple[float, float], ...]:
@@ -245,11 +232,15 @@ def distances(
     octaves = max(1, round(float(np.log2(high / low))))
     target = BoxResponse.of(black_box, free.model, np.geomspace(low, high, octaves * OCTAVE + 1))
     found = nearest(free, target)
-    chance = level / (octaves * target.G[0].size)
-    lacking = _Lacking.of(black_box, found.model, target)
+    bands = list(pairwise(np.geomspace(low, high, octaves + 1).tolist()))
+    fed_back = [
+        target.fed_back[_inside(target.omega, edges)].mean(axis=0) > 1 / 2 for edges in bands
+    ]
+    chance = level / max(int(np.sum(~np.array(fed_back))) * len(free.model.outputs), 1)
+    lacking = Lacking.of(black_box, found.model, target)
     measured = several(responses) if responses else ()
     rows = []
-    for edges in pairwise(np.geomspace(low, high, octaves + 1).tolist()):
+    for edges, doubted in zip(bands, fed_back, strict=True):
         k = _inside(target.omega, edges)
         for i, output in enumerate(free.model.outputs):
             size = max(float(np.linalg.norm(target.G[k, i])), 1e-300)
@@ -261,6 +252,7 @@ def distances(
                     band=edges,
                     share=missed / size,
                     missing=lacking.of_pair(edges, at, missed),
+                    fed_back=bool(doubted[j]),
                     **_score(found, target, at, chance),
                     **_measured(measured, black_box, (output, channel), edges, chance),
                 )
@@ -329,70 +321,3 @@ def _measured(
     freedom = 2 * float(np.clip(cells, 1, len(omega)))
     far = float(np.linalg.norm(G - own)) / max(float(np.linalg.norm(errors)), 1e-300)
     return {"measured": far, "measured_level": _limit(freedom, chance)}
-
-
-@dataclass(frozen=True, eq=False)
-class _Lacking:
-    """Modes of a black box that no mode of a structure is near, and what they make of responses."""
-
-    modes: tuple[MissingMode, ...]
-    parts: ComplexArray  # (modes, K, ny, nu) of the scaled response
-
-    @classmethod
-    def of(cls, box: BlackBox, model: Model, target: BoxResponse) -> "_Lacking":
-        """Those that are known at all."""
-        system = box.system if box.system.dt is None else box.continuous().system
-        rows = [system.outputs.index(name) for name in model.outputs]
-        columns = [system.inputs.index(name) for name in model.inputs]
-        poles, right = np.linalg.eig(system.A)
-        C, B = system.C[rows] @ right, np.linalg.solve(right, system.B[:, columns].astype(complex))
-        poles, C, B = (part[..., poles.imag >= 0] for part in (poles, C, B.T))
-        found, parts = [], []
-        for k in _unmatched(poles, model.system().poles()):
-            mode = _with_errors(complex(poles[k]), box)
-            error = float(np.nan_to_num(np.hypot(mode.real_std, mode.imag_std)))
-            doubtful = np.isclose(mode.pole, box.doubtful).any()
-            if error < KNOWN * abs(mode.pole) and not doubtful:
-                residue = target.scale * np.outer(C[:, k], B[:, k])
-                s = 1j * target.omega[:, None, None]
-                part = residue / (s - mode.pole)
-                if mode.pole.imag:
-                    part = part + residue.conj() / (s - mode.pole.conjugate())
-                found.append(mode)
-                parts.append(part)
-        shape = (0, *target.G.shape)
-        return cls(tuple(found), np.array(parts) if parts else np.zeros(shape, dtype=complex))
-
-    def of_pair(
-        self, band: tuple[float, float], at: tuple[BoolArray, int, int], missed: float
-    ) -> MissingMode | None:
-        """The one near a band that makes most of a pair's response, if it can be what is missed."""
-        near = [band[0] / 2 <= abs(mode.pole) <= 2 * band[1] for mode in self.modes]
-        size = np.where(near, np.linalg.norm(self.parts[(slice(None), *at)], axis=1), 0.0)
-        if not size.max(initial=0.0) > MAKES * missed:
-            return None
-        return self.modes[int(np.argmax(size))]
-
-
-def _unmatched(poles: ComplexArray, others: ComplexArray) -> Iterator[int]:
-    """Which poles (Im >= 0) have none of the others near, each of these near one only."""
-    others = others[others.imag >= 0]
-    apart = np.minimum(np.abs(poles[:, None] - others) / np.abs(poles)[:, None], 1.0)
-    mine, theirs = scipy.optimize.linear_sum_assignment(apart)
-    near = {int(a) for a, b in zip(mine, theirs, strict=True) if apart[a, b] <= NEAR}
-    return (k for k in range(len(poles)) if k not in near)
-
-
-def _with_errors(pole: complex, box: BlackBox) -> MissingMode:
-    """A pole of a black box with the errors of its parts."""
-    real_std = imag_std = np.nan
-    if isinstance(box.uncertainty, ResponseUncertainty):
-        poles, real, imag = box.uncertainty.pole_std()
-        k = int(np.argmin(np.abs(poles - pole)))
-        real_std, imag_std = float(real[k]), float(imag[k])
-    return MissingMode(real=pole.real, imag=pole.imag, real_std=real_std, imag_std=imag_std)
-
-
-def _error(std: float) -> str:
-    """An error in words; nothing if it is not known."""
-    return f" ± {std:.1g}" if np.isfinite(std) else ""

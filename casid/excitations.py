@@ -138,6 +138,18 @@ class Excitation(Shown):
         said += [*alone, "" if any(alone) else self._together(), self._answer()]
         return tuple(each for each in said if each)
 
+    def fed_back(self, inputs: Sequence[str], omega: Array) -> BoolArray:
+        """Where so little of an input that is doubted comes from outside, (K, nu), at omega (K,).
+
+        A response after that input says nothing of the aircraft there.
+        """
+        found = np.zeros((len(omega), len(inputs)), dtype=bool)
+        for i, name in enumerate(self.inputs):
+            if name in inputs and not self.singular and self._alone(i, name):
+                share = np.interp(omega, self.omega, self.lower[:, i])
+                found[:, inputs.index(name)] = share < LITTLE
+        return found
+
     def _alone(self, i: int, name: str) -> str:
         bands = wide_bands(self.omega, self.within[:, i] & (self.lower[:, i] < LITTLE))
         if not bands:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casid.arrays import Array, ComplexArray
+from casid.arrays import Array, BoolArray, ComplexArray
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
 from casid.free import Free, free_parameters
@@ -26,6 +26,7 @@ REACH = 0.35  # nepers of frequency over which misfits are alike: those of next 
 ROUNDS = 2  # of weights by what is left
 STEPS = 100  # of the descent a round
 SETTLED = 1e-7  # relative decrease of the cost that ends a round
+UNTOLD = 1e-3  # weight of what the black box may have of the controller, over that of the rest
 HELD = 1e-9  # of the width between bounds
 
 
@@ -38,6 +39,7 @@ class BoxResponse:
     F: ComplexArray  # (K, ny, nu, rank): its errors are F z, z standard normal numbers
     allowed: Array  # (K, ny, nu): deviation that is no fault of a structure, as a black box has it
     scale: Array  # (ny, nu): G over the response in physical units
+    fed_back: BoolArray  # (K, nu): where it may be the controller's inverse, see `Excitation`
 
     @classmethod
     def of(cls, black_box: BlackBox, model: Model, omega: Array) -> "BoxResponse":
@@ -60,7 +62,10 @@ class BoxResponse:
         F = np.nan_to_num(black_box.response_factor(omega)[:, rows][:, :, columns]) * G[..., None]
         row = np.sum(np.abs(G) ** 2, axis=2, keepdims=True)
         allowed = np.sqrt((ALLOWED * np.abs(G)) ** 2 + OF_ROW**2 * row)
-        return cls(omega=omega, G=G, F=F, allowed=allowed, scale=sizes)
+        excitation, fed_back = black_box.excitation, np.zeros(G[:, 0].shape, dtype=bool)
+        if excitation is not None:
+            fed_back = excitation.fed_back(model.inputs, omega)
+        return cls(omega=omega, G=G, F=F, allowed=allowed, scale=sizes, fed_back=fed_back)
 
     @property
     def variance(self) -> Array:
@@ -110,10 +115,11 @@ def nearest(free: Free, target: BoxResponse) -> Nearest:
     """The structure's parameters that make its response most like the black box's."""
     matrices, s = MatrixFunction(free), 1j * target.omega
     low, high = free.lower[free.index], free.upper[free.index]
+    counted = np.where(target.fed_back, UNTOLD, 1.0)[:, None]
 
     def weights(lam: Array, error: Array) -> Array:
         E = target.scale * matrices(lam).response(s) - target.G
-        return np.asarray(1 / np.sqrt(error + target.smoothed(E)))
+        return np.asarray(counted / np.sqrt(error + target.smoothed(E)))
 
     W = weights(free.guess, (ROUGH * np.abs(target.G)) ** 2 + target.allowed**2)
     lam = _settled(free, target, free.guess, W)

@@ -1,15 +1,14 @@
 """Distances in units of errors: silent on the truth, by name on what a structure lacks."""
 
 import json
+from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, NoSideslip, campaign, off
 
-from casid import FrequencyResponse, distances, match, pbsid
-from casid.distances import _with_errors
+from casid import Excitation, FrequencyResponse, distances, match, pbsid
 from casid.values import decode, encode
 
 BAND = (1.05, 8.4)
@@ -87,15 +86,49 @@ def test_rows_are_pairs_by_octaves_and_survive_being_stored():
     assert found._repr_html_().count("σ!") == len(found.faults)
 
 
+def fed_back(box, low):
+    """The black box had pedals come back from the outputs above a frequency."""
+    omega, inputs = np.geomspace(0.1, 100.0, 60), box.system.inputs
+    ones = np.ones((len(omega), len(inputs)))
+    lower = np.where((omega > low)[:, None] & (np.array(inputs) == "ped"), 0.1, 0.9)
+    excitation = Excitation(
+        inputs=inputs, outputs=box.system.outputs, omega=omega, lower=lower, upper=lower,
+        joint=ones[:, 0], answer=np.ones(3), coherence=np.ones(3), within=ones > 0, lags=4,
+    )  # fmt: skip
+    return replace(box, excitation=excitation)
+
+
+def test_what_comes_back_from_the_outputs_is_no_evidence_against_a_structure():
+    # Pedals whose response is three times the aircraft's, as a controller's inverse may be.
+    gain = np.array([1.0, 3.0])  # of lat, ped
+    system = replace(box(1).system, B=box(1).system.B * gain, D=box(1).system.D * gain)
+    wrong = replace(fed_back(box(1), 0.0), system=system)
+    fit = match(off(), box(1), fixed={"Lped"}, norm="quadratic", omega=np.geomspace(*BAND, 20))
+    blamed = distances(fit, replace(wrong, excitation=None), band=BAND)
+    assert {row.input for row in blamed.faults} >= {"ped"}
+    found = distances(fit, wrong, band=BAND)
+    assert found.enough
+    assert {row.input for row in found.rows if row.far} == {"ped"}
+    assert all(row.fed_back == (row.input == "ped") for row in found.rows)
+    assert found.left_out == "ped at 1.1-8.4 rad/s"
+    assert "left out, as outputs feed it back: ped" in found.headline()
+    # Half as many pairs and bands are tried, each at twice the chance.
+    levels = [each.rows[0].structure_level for each in (found, distances(fit, box(1), band=BAND))]
+    assert levels[0] < levels[1]
+    # What is missed after the other input stands.
+    lacking = distances(NoSideslip(), fed_back(box(1), 0.0), band=BAND)
+    assert {row.input for row in lacking.faults} == {"lat"}
+
+
+def test_only_bands_that_are_fed_back_for_the_most_part_are_left_out():
+    found = distances(off(), fed_back(box(1), 4.2), band=BAND)
+    low = [row.fed_back for row in found.by_pair()["p", "ped"]]
+    assert low == [False, False, True]
+
+
 @pytest.mark.parametrize(
     ("given", "word"), [({"band": (0.0, 2.0)}, "above 0"), ({"level": 1.0}, "chance")]
 )
 def test_senseless_bands_and_levels_are_refused(given, word):
     with pytest.raises(ValueError, match=word):
         distances(TRUTH, box(1), **given)
-
-
-def test_a_mode_of_a_black_box_without_errors_has_none():
-    mode = _with_errors(-0.3 + 2j, SimpleNamespace(uncertainty=None))
-    assert mode.pole == -0.3 + 2j
-    assert np.isnan([mode.real_std, mode.imag_std]).all()

@@ -19,7 +19,10 @@ def response(model, seed=0):
     G = model.system().response(OMEGA)
     F = 0.01 * np.abs(G[..., None]) * (rng.standard_normal((*G.shape, 5)) + 0j)
     size = np.where(np.abs(G) > 0, 0.01 * np.abs(G), 1e-6)
-    return BoxResponse(omega=OMEGA, G=G, F=F, allowed=size, scale=np.ones(G.shape[1:]))
+    return BoxResponse(
+        omega=OMEGA, G=G, F=F, allowed=size, scale=np.ones(G.shape[1:]),
+        fed_back=np.zeros(G[:, 0].shape, dtype=bool),
+    )  # fmt: skip
 
 
 def test_a_response_of_the_structure_leads_to_its_parameters():

@@ -6,7 +6,7 @@ from itertools import combinations
 from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Content
-from casid.report.evidence import significant_differences
+from casid.report.evidence import WORSE, significant_differences
 from casid.report.verdicts import GOOD, Verdict
 from casid.validation import Validation
 
@@ -52,12 +52,14 @@ def predictions_told(
     if worst := [v for v in ranked(judged) if v.theil > GOOD][:WORST]:
         named = ", ".join(f"{v.output} {v.theil:.2f}" for v in worst)
         said.append(f"It does worst on {named} (Theil's coefficient).")
-    if lacking := {v.output: v.advantage for v in judged if v.structural}:
-        order = sorted(lacking, key=lacking.__getitem__, reverse=True)
-        times = listed([f"{name} {lacking[name]:.1f} times" for name in order], NAMED)
+    if lacking := [v for v in judged if v.structural]:
+        order = sorted(lacking, key=lambda v: -v.advantage)
+        times = listed([f"{v.output} {v.times}" for v in order], NAMED)
         said.append(f"{FAULTS[enough]}the black box of the same records predicts {times} better.")
     elif worst and BLACK_BOX in validation.models:
-        said.append("The black box of the same records is not twice as good on any.")
+        known = [v.output for v in judged if v.advantage > WORSE]
+        but = f" but {listed(known, NAMED)}, whose controller it knows" if known else ""
+        said.append(f"The black box of the same records is not twice as good on any{but}.")
     return " ".join(said)
 
 

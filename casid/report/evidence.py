@@ -52,14 +52,12 @@ def disagreement(validation: Validation, content: Content) -> Iterator[Caution]:
     if not {BLACK_BOX, model} <= set(validation.models):
         return
     sizes = [_pooled(validation.rms[name]) for name in (model, BLACK_BOX)]
-    level = noise_levels(validation.measured)
-    said = []
+    level, back, said = noise_levels(validation.measured), fed_back(content), []
     for name, own, other, floor in zip(validation.outputs, *sizes, level, strict=True):
         least = np.fmax(other, floor)  # nobody need predict noise
-        if own > WORSE * least and not np.isnan(other):
-            said.append(
-                (own / least, f"{name} {own / least:.1f} times ({own:.2g} for {other:.2g})")
-            )
+        if own > WORSE * least and not np.isnan(other) and name not in back:
+            limit = f"{least:.2g}" + ", its noise" * bool(floor > other)
+            said.append((own / least, f"{name} {own / least:.1f} times ({own:.2g} for {limit})"))
     if said:
         yield Caution(
             "Model and data disagree: the black box predicts the validation records better, "
@@ -67,6 +65,12 @@ def disagreement(validation: Validation, content: Content) -> Iterator[Caution]:
             + REMEDIES[enough(content.results)],
             5,
         )
+
+
+def fed_back(content: Content) -> tuple[str, ...]:
+    """Outputs that the black box predicts as the controller's inverse, as they move its inputs."""
+    box = content.results.get("pbsid")
+    return () if box is None else tuple(box.fed_back())
 
 
 def unexplained_records(validation: Validation, content: Content) -> Iterator[Caution]:

@@ -91,7 +91,10 @@ def plot_transfer_function(
 
 
 def plot_distances(ax: Axes, found: Distances) -> Axes:
-    """Draw in a grid of pairs and bands how many errors a structure misses; ! where at fault."""
+    """Draw in a grid of pairs and bands how many errors a structure misses.
+
+    Marked by ! where it is at fault, in brackets where that is no evidence.
+    """
     rows = found.by_pair()
     size = np.array([[each.structure for each in row] for row in rows.values()])
     ax.imshow(np.log10(np.maximum(size, 1.0)), cmap="Greys", vmin=0.0, vmax=2.5, aspect="auto")
@@ -99,7 +102,7 @@ def plot_distances(ax: Axes, found: Distances) -> Axes:
         for x, each in enumerate(row):
             look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7}
             ink = "#ffffff" if each.structure > 20 else "#000000"
-            ax.text(x, y, f"{each.structure:.2g}σ{'!' * each.fault}", color=ink, **look)
+            ax.text(x, y, each.cell, color=ink, **look)
     ax.set_yticks(range(len(rows)), [" / ".join(pair) for pair in rows])
     ax.set_xticks(range(len(found.bands)), [f"{a:.2g}-{b:.2g}" for a, b in found.bands])
     ax.set(xlabel="band [rad/s]", title="distance of the structure to the black box")

@@ -100,10 +100,7 @@ def _(value: Record) -> Cells:
 @cells.register
 def _(value: Distances) -> Cells:
     bands = [f"{low:.2g}-{high:.2g} rad/s" for low, high in value.bands]
-    rows = [
-        [*pair, *(f"{row.structure:.2g}σ{'!' * row.fault}" for row in found)]
-        for pair, found in value.by_pair().items()
-    ]
+    rows = [[*pair, *(row.cell for row in found)] for pair, found in value.by_pair().items()]
     return ("output", "input", *bands), rows
 
 

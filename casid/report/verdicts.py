@@ -8,7 +8,7 @@ import numpy as np
 from casid.display import counted, listed
 from casid.fit import AnyFit
 from casid.report.content import BLACK_BOX, Caution, Content
-from casid.report.evidence import COLOURED, WORSE, noise_levels, residual_levels
+from casid.report.evidence import COLOURED, WORSE, fed_back, noise_levels, residual_levels
 from casid.validation import Validation, measures
 
 # R. Jategaonkar, Flight Vehicle System Identification, section 11: Theil's coefficient up to 0.25
@@ -33,6 +33,7 @@ class Verdict:
     records: tuple[float, ...]  # Theil's coefficient of each
     black_box: float = np.nan  # Theil's coefficient of the black box
     advantage: float = 1.0  # RMS error over that of the black box, or the noise if that is more
+    fed_back: bool = False  # whether the black box predicts it as the controller's inverse
 
     @property
     def word(self) -> str:
@@ -47,7 +48,15 @@ class Verdict:
     @property
     def structural(self) -> bool:
         """Whether the records allow to predict it much better than the structure does."""
-        return self.advantage > WORSE
+        return self.advantage > WORSE and not self.fed_back
+
+    @property
+    def times(self) -> str:
+        """The advantage in words."""
+        least = self.rms / self.advantage
+        return f"{self.advantage:.1f} times" + " (down to its noise)" * bool(
+            np.isclose(least, self.noise)
+        )
 
     @property
     def reason(self) -> str:
@@ -56,7 +65,9 @@ class Verdict:
             return RUNS_AWAY
         if self.noisy:
             return "hardly more than its noise"
-        return f"the black box is {self.advantage:.1f} times better" * self.structural
+        if self.fed_back and self.advantage > WORSE:
+            return "the black box knows the controller"
+        return f"the black box is {self.times} better" * self.structural
 
     @property
     def caution(self) -> str:
@@ -81,7 +92,7 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
     if estimate is None:
         return ()
     residual = residual_levels(estimate)
-    noise = noise_levels(validation.measured).tolist()
+    noise, back = noise_levels(validation.measured).tolist(), fed_back(content)
     other = BLACK_BOX if BLACK_BOX in validation.models else name
     found = []
     for i, output in enumerate(validation.outputs):
@@ -100,6 +111,7 @@ def verdicts(validation: Validation, content: Content) -> tuple[Verdict, ...]:
             records=tuple(validation.theil[name][:, i].tolist()),
             black_box=black_box,
             advantage=float(rms / floor) if 0 < floor < np.inf else 1.0,
+            fed_back=output in back,
         )
         found.append(verdict)
     return tuple(found)

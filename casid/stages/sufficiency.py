@@ -54,8 +54,18 @@ def _show(found: Distances, content: Content) -> Iterable[Section]:  # noqa: ARG
         more = f"; something of {listed(outputs[1:], NAMED)} too" if outputs[1:] else ""
         said = [Caution(f"The structure is not enough: {found.faults[0].told()}{more}.", 1)]
         answer = f"It is farther from the black box than errors explain: {found.sentences()[0]}."
+    if found.left_out:
+        far = dict.fromkeys(row.output for row in found.rows if row.far and row.fed_back)
+        lead += f" Left out is what outputs feed back: {found.left_out}."
+        if far:
+            told = (
+                f"Of {listed(list(far), NAMED)} the black box is no measure of the structure where "
+                f"outputs feed an input back, {found.left_out}: it is rather the inverse of the "
+                "controller there."
+            )
+            said.append(Caution(told, 4))
     title = "Is the structure enough?"
-    whole: Any = {"lead": lead, "answer": answer, "cautions": tuple(said)}
+    whole: Any = {"lead": lead.strip(), "answer": answer, "cautions": tuple(said)}
     whole["praise"] = found.enough
     yield section("sufficiency", title, 3, found, **whole)
 

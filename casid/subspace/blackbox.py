@@ -20,6 +20,8 @@ from casid.subspace.trust import Missed, data_doubts, growth_doubts, order_doubt
 from casid.textfile import read_json, write_json
 from casid.values import DAMAGED, decode, encode, storable
 
+GRID = 100  # frequencies
+
 
 @storable
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -148,6 +150,20 @@ class BlackBox(Shown):
         if self.explained is None:
             return doubts
         return (*data_doubts(self.explained, self.system.outputs), *doubts)
+
+    def fed_back(self) -> tuple[str, ...]:
+        """Outputs that inputs make most of which outputs feed back: see `Excitation.fed_back`.
+
+        That such a black box, rather the controller's inverse, predicts them is no merit.
+        """
+        if self.excitation is None:
+            return ()
+        low, high = self.band
+        omega = np.geomspace(max(low, high / GRID), high, GRID)
+        power = np.abs(self.system.response(omega) * self.input_std) ** 2  # (K, ny, nu)
+        back = power * self.excitation.fed_back(self.system.inputs, omega)[:, None]
+        mostly = back.sum(axis=(0, 2)) > power.sum(axis=(0, 2)) / 2
+        return tuple(np.array(self.system.outputs)[mostly].tolist())
 
     def response_std(self, omega: Array) -> tuple[Array, Array]:
         """Relative standard deviation of abs(G) and standard deviation of its phase [rad].

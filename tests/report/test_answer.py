@@ -44,6 +44,21 @@ def test_a_black_box_that_does_no_better_does_not_blame_the_structure():
     assert predictions_told([], SIMULATED) == ""
 
 
+def test_a_black_box_that_knows_the_controller_does_not_blame_the_structure():
+    judged = [dataclasses.replace(verdict("r", 0.7, 3.0), fed_back=True), verdict("q", 0.2)]
+    said = predictions_told(judged, SIMULATED, enough=False)
+    assert "at fault" not in said
+    assert said.endswith("is not twice as good on any but r, whose controller it knows.")
+    assert judged[0].reason == "the black box knows the controller"
+
+
+def test_an_advantage_that_ends_at_the_noise_says_so():
+    # An RMS error of 0.3 is three times the noise of 0.1, whatever the black box leaves below.
+    at_noise = verdict("r", 0.4, 3.0, rms=0.3)
+    assert at_noise.reason == "the black box is 3.0 times (down to its noise) better"
+    assert verdict("r", 0.4, 3.0).reason == "the black box is 3.0 times better"
+
+
 def test_a_good_model_has_no_worst_output():
     assert predictions_told([verdict("p", 0.05)], SIMULATED).endswith("the model is good on 1.")
 

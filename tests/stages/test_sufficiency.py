@@ -1,5 +1,6 @@
 """The stage that asks whether the structure is enough."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import pytest
@@ -31,6 +32,17 @@ def test_a_structure_that_is_not_enough_is_the_first_caution():
     assert one.cautions[0].text.endswith("20% of its response.")
     (silent,) = SUFFICIENCY.show(found(("p", 1.0)), None)
     assert silent.cautions == ()
+
+
+def test_an_input_that_is_fed_back_is_told_of_instead_of_the_structure():
+    back = found(("r", 98.0), ("q", 1.0))
+    rows = tuple(dataclasses.replace(row, fed_back=True) for row in back.rows)
+    (shown,) = SUFFICIENCY.show(dataclasses.replace(back, rows=rows), None)
+    (caution,) = shown.cautions
+    assert caution.text.startswith("Of r the black box is no measure of the structure")
+    assert "feed an input back, lat at 1-2 rad/s" in caution.text
+    assert shown.lead.endswith("Left out is what outputs feed back: lat at 1-2 rad/s.")
+    assert [row.cell for row in (*rows, *back.rows)] == ["(98σ)", "(1σ)", "98σ!", "1σ"]
 
 
 def test_a_black_box_without_errors_is_no_measure():
