@@ -46,13 +46,17 @@ def _send(other: Connection, end: Connection, work: Callable[[], Any]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever began this ends it
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     other.close()
-    threading.Thread(target=_end_alike, daemon=True).start()
+    end_alike()
     with end, suppress(Exception):
         end.send(work())
 
 
-def _end_alike() -> None:
-    """Terminate this process when the one that began it is gone, however that ended."""
+def end_alike() -> None:
+    """Let this process terminate when the one that began it is gone, however that ended."""
+    threading.Thread(target=_terminate_alike, daemon=True).start()
+
+
+def _terminate_alike() -> None:
     began = multiprocessing.parent_process()
     if began is not None:
         wait([began.sentinel])

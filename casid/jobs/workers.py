@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any
 
+from casid.jobs.beside import end_alike
 from casid.threads import cores
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -60,7 +61,8 @@ class OwnProcesses(Workers):
 
     def _new(self) -> Pool:
         """All processes at once: those without a job yet load casid while the first is done."""
-        pool = Pool(self._count, mp_context=multiprocessing.get_context("spawn"))
+        context = multiprocessing.get_context("spawn")
+        pool = Pool(self._count, mp_context=context, initializer=end_alike)
         with _surroundings():
             for _ in range(self._count):
                 pool.submit(cores)

@@ -96,6 +96,24 @@ def test_an_interrupt_ends_all_processes_with_one_traceback_and_keeps_what_is_fi
     assert not left(process.pid)
 
 
+@pytest.mark.slow
+def test_no_process_outlives_a_study_that_was_killed(tmp_path):
+    text = INTERRUPTED.format(root=str(TESTS.parent), tests=str(TESTS), folder=str(tmp_path))
+    command = [sys.executable, "-c", text]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True)
+    patience = time.monotonic() + 100
+    while not list(tmp_path.glob("*.json")) and time.monotonic() < patience:
+        time.sleep(0.02)
+    process.kill()
+    try:
+        process.communicate(timeout=60)  # ends when no process of the study can write any more
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        raise
+    assert process.returncode == -signal.SIGKILL
+    assert len(list(tmp_path.glob("*.json"))) < 60
+
+
 class Interrupted(Inline):
     """A process of the user's executor takes the interrupt."""
 
