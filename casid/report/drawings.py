@@ -24,7 +24,7 @@ from casid.report import figures
 from casid.report.content import BLACK_BOX, Content, Drawing
 from casid.report.layout import legend_above, place_axes, stacked
 from casid.report.look import LOOK, WIDTH
-from casid.report.prices import plot_bounds
+from casid.report.prices import bounds_height, plot_bounds
 from casid.subspace.pbsid import BlackBox
 from casid.validation import Validation, state_space
 
@@ -354,10 +354,9 @@ def draw_bounds(comparison: BoundsComparison) -> Iterator[Drawing]:
 
 
 def _bounds(comparison: BoundsComparison) -> Figure:
-    rows = min(ROWS, len(comparison.ranked()))
-    figure = Figure(figsize=(WIDTH, 1.0 + 0.42 * rows))
-    figure.subplots_adjust(left=0.16, right=0.9, top=1 - 0.4 / (1 + 0.42 * rows), bottom=0.06)
-    plot_bounds(figure.subplots(), comparison, rows=rows)
+    size = WIDTH, bounds_height(comparison, ROWS)
+    figure = Figure(figsize=size, layout="constrained")
+    plot_bounds(figure.subplots(), comparison, rows=ROWS)
     return figure
 
 

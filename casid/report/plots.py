@@ -34,7 +34,13 @@ from casid.report import figures
 from casid.report.content import BLACK_BOX, OUTPUT_ERROR
 from casid.report.designs import plot_card, plot_errors
 from casid.report.envelopes import plot_derivatives, plot_loci
-from casid.report.prices import CONFIDENCE, plot_bounds, plot_parameters, plot_profile
+from casid.report.prices import (
+    CONFIDENCE,
+    bounds_height,
+    plot_bounds,
+    plot_parameters,
+    plot_profile,
+)
 from casid.report.readings import (
     plot_distances,
     plot_handling_qualities,
@@ -182,7 +188,7 @@ def _(value: Validation, ax: Any) -> Any:  # noqa: ANN401
 
 @_draw.register
 def _(value: BoundsComparison, ax: Any, rows: int = 16) -> Any:  # noqa: ANN401
-    axes = new_axes(ax, 1, 1, height=1.0 + 0.42 * min(rows, len(value.ranked())))
+    axes = new_axes(ax, 1, 1, height=bounds_height(value, rows))
     plot_bounds(axes[0], value, rows=rows)
     return as_given(ax, axes)
 

@@ -13,11 +13,14 @@ from casid.arrays import Array
 from casid.bounds.compare import BoundsComparison
 from casid.bounds.profiles import Profile
 from casid.fit import ParameterEstimate
+from casid.report.layout import BESIDE, WIDE
+from casid.report.look import LOOK, WIDTH
 
 COLOURS = ("#000000", "#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#6B3D00")
 MARKS = ("o", "s", "D", "^", "v", "P", "X", "*")
 CONFIDENCE = 1.96  # standard deviations of a 95 % interval
 POINTS = 100  # of a curve between the points of a profile, and each way of its surface
+LINE = 0.17  # inches of a line of a legend
 REACH = 1.6  # of the largest value of a row: how far its axis goes
 
 
@@ -51,8 +54,25 @@ def plot_bounds(ax: Axes, comparison: BoundsComparison, *, rows: int = 16) -> Ax
         colour, mark = _look(k)
         ax.plot([], [], mark, color=colour, markersize=4, label=case.name)
     _decorate(ax, labels, sizes, "largest value", "largest value")
-    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
+    look: dict[str, Any] = {"bbox_to_anchor": (0.5, 1.0), "borderaxespad": 0.2, "frameon": False}
+    ax.legend(loc="lower center", ncols=_columns(comparison), **look)
     return ax
+
+
+def bounds_height(comparison: BoundsComparison, rows: int) -> float:
+    """Inches that `plot_bounds` takes for all of its rows, those of its legend above them."""
+    cases = sum(not case.reason for case in comparison.cases)
+    drawn = min(rows, len(comparison.ranked())) * float(np.clip(0.05 * cases, 0.42, 0.6))
+    return 0.8 + drawn + LINE * -(-cases // _columns(comparison))
+
+
+def _columns(comparison: BoundsComparison) -> int:
+    """How many names of cases stand beside each other in a legend as wide as a page, four at most.
+
+    Wider than that a name stands alone.
+    """
+    longest = max(len(case.name) for case in comparison.cases)
+    return max(1, min(4, int(72 * WIDTH / LOOK["font.size"] / (WIDE * longest + BESIDE))))
 
 
 def plot_parameters(ax: Axes, rows: Sequence[ParameterEstimate]) -> Axes:
@@ -115,8 +135,9 @@ def _surface(points: Array, rise: Array, slope: Array) -> tuple[Array, Array, Ar
 
 
 def _look(case: int) -> tuple[str, str]:
-    """Colour and mark of a case; it is told without colour too."""
-    return COLOURS[case % len(COLOURS)], MARKS[case % len(MARKS)]
+    """Colour and mark of a case: the first eight are told without colour, too, 64 by both."""
+    turn, colour = divmod(case, len(COLOURS))
+    return COLOURS[colour], MARKS[(colour + turn) % len(MARKS)]
 
 
 def _draw_one(

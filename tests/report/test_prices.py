@@ -1,12 +1,17 @@
 """The figure of what bounds cost."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 from truths.mixture import Mixture, record
 
 from casid import Profile, compare_bounds
 from casid.report import plot_bounds
+from casid.report.drawings import draw_bounds
+from casid.report.look import LOOK
 from casid.report.prices import MARKS, _surface, plot_profile
 
 
@@ -35,6 +40,20 @@ def test_a_held_value_is_filled_and_has_no_interval(compared):
     filled = [line for line in marks if line.get_markerfacecolor() != "white"]
     assert [line.get_marker() for line in marks] == ["o", "s", "D"] * 3  # told without colour
     assert len(filled) == 1
+
+
+@pytest.mark.parametrize("name", ["case {}", "damping of roll above {} and all others free"])
+def test_many_cases_are_told_apart_in_a_legend_within_the_picture(compared, name):
+    cases = [replace(compared.cases[0], name=name.format(k)) for k in range(32)]
+    with rc_context(LOOK):
+        figure = next(draw_bounds(replace(compared, cases=tuple(cases)))).figure
+        figure.draw_without_rendering()
+    legend = figure.axes[0].get_legend()
+    assert len({(line.get_color(), line.get_marker()) for line in legend.legend_handles}) == 32
+    assert len(legend.texts) == 32
+    edges, page = legend.get_window_extent(), figure.bbox
+    assert page.x0 <= edges.x0 < edges.x1 <= page.x1
+    assert figure.axes[0].bbox.y1 <= edges.y0 < edges.y1 <= page.y1
 
 
 def test_the_surface_over_two_parameters_is_right_between_its_points():
