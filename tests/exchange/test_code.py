@@ -179,10 +179,35 @@ def test_an_fmu_runs_in_another_program(tmp_path):
     y = states @ np.hstack([plain.C, plain.D]).T
     for i, name in enumerate(names[1]):
         np.testing.assert_allclose(found[name], y[:, i], atol=1e-8 * np.abs(y).max())
-    euler = fmpy.simulate_fmu(  # asks for event indicators, of which there are none
-        str(tmp_path / "plant.fmu"), stop_time=0.1, step_size=0.01, solver="Euler"
-    )
-    assert euler["time"][-1] == pytest.approx(0.1)
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_inputs_that_change_reach_an_fmu_in_small_steps_of_euler_only(tmp_path):
+    fmpy = pytest.importorskip("fmpy")
+    roll = StateSpace(
+        [[-2.0, 0.0], [1.0, 0.0]], [[10.0], [0.0]], np.eye(2), np.zeros((2, 1)),
+        inputs=("lat",), outputs=("p", "phi"), states=("p", "phi"),
+    )  # fmt: skip
+    write_fmu(tmp_path / "roll.fmu", roll)
+    t = 0.02 * np.arange(1001)
+    pulses = 0.1 * ((t > 1) & (t < 1.5)) - 0.1 * ((t >= 1.5) & (t < 2))
+    u = pulses + 0.05 * np.sin(6 * t) * (t > 4)
+    inputs = np.rec.fromarrays([t, u], names="time,lat")
+    y = roll.simulate(t, u[:, None])
+
+    def error(h, **ways):  # of the largest output; Euler also asks for event indicators: none
+        found = fmpy.simulate_fmu(
+            str(tmp_path / "roll.fmu"), stop_time=20.0, input=inputs, output_interval=h,
+            output=["p", "phi"], **ways,
+        )  # fmt: skip
+        there = [np.interp(t, found["time"], found[name]) for name in roll.outputs]
+        return np.max(np.abs(np.transpose(there) - y).max(axis=0) / np.abs(y).max(axis=0))
+
+    half, whole = (error(h, solver="Euler", step_size=h) for h in (0.0005, 0.001))
+    assert half < 0.002  # h |λ| + h max|u'| / max|u|, some 1e-3: of first order
+    assert whole / half == pytest.approx(2, rel=0.1)
+    assert error(0.0005) > 0.5
 
 
 def test_an_fmu_of_source_holds_names_and_units(tmp_path):
