@@ -142,8 +142,7 @@ class Content:
     model: Model  # at its guess
     results: Mapping[str, Any]  # what each stage found, by its name
     models: Mapping[str, AnyModel]  # those that simulate, by figures' name
-    model_file: Path
-    model_digest: str  # SHA-256 of that file
+    model_files: Mapping[str, str]  # the structure's and those it imports, with their SHA-256
     data: tuple[DataFile, ...] = ()  # every record used
     settings: Mapping[str, str] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)

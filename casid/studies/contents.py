@@ -4,13 +4,13 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from hashlib import sha256
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from casid.channels import units_of
 from casid.consistency.flights import Repeats
+from casid.jobs.origins import equations_digest, structure_files
 from casid.record import Record
 from casid.report.content import Content, DataFile, Timing
 from casid.stages.stage import Role, StageResults
@@ -32,8 +32,10 @@ def content(
         model=study.model,
         results=found.results,
         models=found.models,
-        model_file=Path(os.path.relpath(study.model_file, study.path.parent)),
-        model_digest=sha256(study.model_file.read_bytes()).hexdigest(),
+        model_files={
+            os.path.relpath(file, study.path.parent.resolve()): sha256(held).hexdigest()
+            for file, held in structure_files(study.model_file).items()
+        },
         data=_data(study, records),
         settings=_settings(study),
         versions=versions(),
@@ -73,6 +75,7 @@ def _settings(study: Study) -> dict[str, str]:
     if study.channels.units:
         said["channels.units"] = ", ".join(f"{k} {u}" for k, u in study.channels.units.items())
     said |= {"channels.check": ", ".join(study.channels.check)} if study.channels.check else {}
+    said["equations"] = f"as the structure builds them, SHA-256 {equations_digest(study.model)}"
     said["channels.hold"] = study.channels.hold
     said |= study.channels.mending.told()
     if study.channels.second is not None:

@@ -1,7 +1,5 @@
 """What a report is made of."""
 
-from pathlib import Path
-
 import jinja2
 import pytest
 from truths.structures import SECOND, Lag, black_box
@@ -16,7 +14,7 @@ def test_structured_models_are_told_from_the_others():
     fit = match(Lag(), box)
     page = Content(
         title="", model=Lag(), results={}, models={"black box": box, "match": fit},
-        model_file=Path("lag.py"), model_digest="",
+        model_files={},
     )  # fmt: skip
     assert page.fits == {"match": fit}
     assert page.structure is Lag
@@ -43,7 +41,7 @@ def test_praise_is_told_only_where_no_caution_contradicts_it():
 
 def test_a_caution_that_is_warned_of_and_shown_is_told_once():
     page = Content(
-        title="", model=Lag(), results={}, models={}, model_file=Path("lag.py"), model_digest="",
+        title="", model=Lag(), results={}, models={}, model_files={},
         warnings=("it may be biased", "look at bounds"),
     )  # fmt: skip
     shown = Section(name="c", cautions=(Caution("It may be biased.", 30),))

@@ -1,7 +1,5 @@
 """What the stage of validation shows."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from truths.roll_study import Truth
@@ -21,8 +19,7 @@ def shown(pole):
     y = np.sin(T + 0.3)[:, None]
     found = validate({"roll": system}, [Record(T, U, y, ("lat",), ("p",), "turn")])
     content = Content(
-        title="", model=Truth(), results={}, models={"roll": system}, model_file=Path("x"),
-        model_digest="",
+        title="", model=Truth(), results={}, models={"roll": system}, model_files={},
     )  # fmt: skip
     sections = {each.name: each for each in VALIDATION.show(found, content)}
     return found, content, sections

@@ -1,12 +1,15 @@
 """What a study hands to its report."""
 
+from hashlib import sha256
 from types import SimpleNamespace
 
 import pytest
 from truths.roll_study import write_study
 
 from casid import read_study, run_study
-from casid.studies.contents import _settings, _units
+from casid.consistency.flights import Repeats
+from casid.stages.stage import StageResults
+from casid.studies.contents import _settings, _units, content
 
 
 @pytest.mark.slow
@@ -37,6 +40,33 @@ def test_a_structure_s_own_units_count_and_those_stated_of_columns_more():
     assert (found["V"], found["alpha"], found["power"]) == ("m/s", "rad", "m/s")
     assert found["p"] == "rad/s"
     assert "valve" not in found
+
+
+def test_the_page_has_digests_of_all_that_a_structure_imports_and_reads(tmp_path, monkeypatch):
+    path = write_study(tmp_path)
+    model = (tmp_path / "roll.py").read_text(encoding="utf-8").replace("self.g]", "gravity()]")
+    (tmp_path / "roll.py").write_text(f"from forces import gravity\n{model}", encoding="utf-8")
+    (tmp_path / "forces.py").write_text(
+        "from pathlib import Path\n"
+        "def gravity(): return float(Path(__file__).with_name('g.txt').read_text())\n",
+        encoding="utf-8",
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def told(number):
+        (tmp_path / "g.txt").write_text(number, encoding="utf-8")
+        nothing = StageResults(results={}, models={}, failures={})
+        found = content(read_study(path), {}, Repeats(), nothing, (), ())
+        return found.model_files, found.settings["equations"]
+
+    files, equations = told("9.80665")
+    assert files == {
+        name: sha256((tmp_path / name).read_bytes()).hexdigest()
+        for name in ("roll.py", "forces.py")
+    }
+    assert told("9.80665") == (files, equations)
+    assert told("9.81")[0] == files
+    assert told("9.81")[1] != equations
 
 
 def test_settings_name_every_table_and_what_differs_from_the_usual(tmp_path):
