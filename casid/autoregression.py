@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from casid.arrays import Array, BoolArray
 from casid.record import Record
 from casid.repetition import least_step
-from casid.samples import MAD, at_instants
+from casid.samples import MAD, at_instants, runs
 
 REACH = 0.25  # time [s] that the lags reach back, within these limits
 LAGS = (2, 10)
@@ -259,13 +259,15 @@ def _apart(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> tuple[
     """Smoothing residual of each sample, given all others, and its standard deviation, (N, ny).
 
     With Q the inverse of the outputs' covariance, these are (Q (y − mean))_k/Q_kk and 1/√Q_kk, lost
-    ones eliminated from Q.
+    ones eliminated from Q. Innovations across a gap are left out of both, see `_across`.
     """
     p, N, ny = len(model.A), *y.shape
     W = np.linalg.inv(np.linalg.cholesky(model.R))  # whitens
     S = np.array([W, *(-W @ A for A in model.A)])  # slopes of the innovation i samples later
     none = np.zeros((p, ny))
     e = np.vstack([none, model.innovations(u, y) @ W.T, none])
+    across = _across(lost, p)
+    e[across] = 0.0
     slope = sum((e[i : i + N] @ S[i] for i in range(p + 1)), np.zeros((N, ny)))
     span = min(N, SPAN * p)  # Q is a band matrix, of which parts are enough
     each = np.hstack([*S[::-1]])  # of one sample's innovations by the outputs up to it
@@ -273,10 +275,15 @@ def _apart(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> tuple[
     for n in range(0, (span - p) * ny, ny):
         Q[n : n + len(each.T), n : n + len(each.T)] += each.T @ each
     Q += 1e-9 * np.diag(np.tile(np.diag(W.T @ W), span))
+    whole = Q
     sharp = np.zeros((N, ny))
     for k in range(0, N, max(span - 4 * p, 1)):
         first = min(max(k - 2 * p, 0), N - span)
         end = min(k + max(span - 4 * p, 1), N)
+        inside = across[(across >= first + p) & (across < first + span)]
+        Q = whole.copy() if len(inside) else whole
+        for n in (inside - p - first) * ny:
+            Q[n : n + len(each.T), n : n + len(each.T)] -= each.T @ each
         own = np.arange((k - first) * ny, (end - first) * ny)
         gone = np.flatnonzero(lost[first : first + span])
         between = Q[np.ix_(gone, own)]
@@ -284,6 +291,16 @@ def _apart(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> tuple[
         sharp[k:end] = (np.diag(Q)[own] - drop).reshape(-1, ny)
     sharp = np.maximum(sharp, 1e-9 * np.diag(W.T @ W))
     return slope / sharp, 1 / np.sqrt(sharp)
+
+
+def _across(lost: BoolArray, p: int) -> NDArray[np.intp]:
+    """Samples whose innovations reach into a long gap: all outputs lost for over `LAGS[1]` samples.
+
+    What inputs did there is not known, and `_regular` makes it shorter than it was: nothing after
+    it follows from before.
+    """
+    gaps = [(a, b) for a, b in runs(np.asarray(lost.all(axis=1))) if b - a > LAGS[1]]
+    return np.concatenate([[], *(np.arange(a, min(b + p, len(lost))) for a, b in gaps)]).astype(int)
 
 
 def _smoothed(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> Array:

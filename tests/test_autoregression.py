@@ -143,6 +143,20 @@ def test_samples_lost_at_random_make_no_outliers_and_hide_none(name, spoil):
         assert {(int(k), int(i)) for k, i in np.argwhere(outliers(record))} == there
 
 
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_the_edges_of_a_gap_in_which_inputs_moved_are_no_outliers(seed):
+    rng = np.random.default_rng(seed)
+    t = 0.02 * np.arange(1500)
+    record = closed_roll.flown(t=t, seed=seed).with_noise(NOISE, rng)
+    record = record.take((np.abs(t - 8.0) > 0.5) & (np.abs(t - 19.0) > 0.8))
+    assert not outliers(record).any()
+    y = record.y.copy()
+    wrong = [(200, 1), (700, 0), (record.N - 40, 2)]
+    for row, i in wrong:
+        y[row, i] += 40 * NOISE[record.outputs[i]]
+    assert list(zip(*np.nonzero(outliers(replace(record, y=y))), strict=True)) == sorted(wrong)
+
+
 def test_an_output_is_judged_by_all_others_as_a_general_gaussian_is():
     _, _, record, _ = innovation_record(N=300)
     y = record.y[:60] - record.y[:60].mean(axis=0)
