@@ -44,7 +44,8 @@ from .consistency.kinematics import (
 )
 from .cover import Cover as Cover, cover as cover
 from .design.inputs import design_inputs as design_inputs
-from .design.plan import Design as Design, DesignSettings as DesignSettings, Limits as Limits
+from .design.asked import DesignSettings as DesignSettings, Limits as Limits
+from .design.plan import Design as Design
 from .display import ProgressLine as ProgressLine
 from .distances import Distance as Distance, Distances as Distances, distances as distances
 from .eigenmodes import Mode as Mode, modes as modes

@@ -13,9 +13,10 @@ from rich.text import Text
 from casid.commands.columns import pairs
 from casid.commands.study import OUTPUT, STUDY, VERBOSE
 from casid.commands.terminal import caution, exits, logged, new_table
+from casid.design.asked import DesignSettings, Limits
 from casid.design.injection import check_axes, check_channels, remove_own
 from casid.design.inputs import design_inputs
-from casid.design.plan import Design, DesignSettings, Limits
+from casid.design.plan import Design
 from casid.design.prior import check_trim, nearest_trim
 from casid.errors import ModelError, warn
 from casid.fit import AnyFit, Fit
@@ -67,16 +68,18 @@ def _given(
 @_given("--trim", "Total value of a state or input to fly a nonlinear structure at.")
 @click.option("--matter", multiple=True, metavar="NAME", help="Parameter that counts; else all.")
 @click.option("--method", help="best, steps or multisine.")
-@click.option("--spread", type=float, help="Share by which values may be wrong; 0.2 unless given.")
+@click.option(
+    "--spread", type=float, help="Share by which values may be wrong, lognormal; 0.2 unless given."
+)
 @_given(
     "--ardupilot",
-    "RC channel of an input, µs a unit of it: lat=1:500.",
+    "RC channel of an input, µs a unit of the card (SI: fractions, rad): lat=1:500.",
     "NAME=CHANNEL:US",
     _of_channel,
 )
 @_given(
     "--px4",
-    "Axis of MANUAL_CONTROL, its units a unit of it: lat=y:1000.",
+    "Axis of MANUAL_CONTROL, its units a unit of the card (SI: fractions, rad): lat=y:1000.",
     "NAME=AXIS:UNITS",
     _scaled,
 )
@@ -271,7 +274,7 @@ def _say(console: Console, made: Design, structure: Model) -> None:
     console.print(table)
     if beside := made.on_the_card():
         console.print(Text(beside))
-    for line in made.blind:
+    for line in (*made.exceeded(), *made.blind):
         caution(console, line)
 
 

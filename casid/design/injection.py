@@ -15,6 +15,7 @@ PYTHON = Template(Path(__file__).with_name("px4.py.txt").read_text(encoding="utf
 ZERO = 2048  # of three hexadecimal digits
 END_PWM = 500  # µs from a stick's middle to its end
 END_UNITS = {"x": 1000, "y": 1000, "z": 500, "r": 1000}  # as much in units; z is from 0 to 1000
+PERIOD = 0.02  # s between messages of a joystick
 COARSE = 5  # whole µs or units below which rounding, half of one, is said: a tenth of the largest
 OWN = "Written by casid"  # in every script
 RC = 16  # channels that ArduPilot has
@@ -26,8 +27,8 @@ def check_channels(
     """Refuse RC channels, scales and sampling intervals [s] that ArduPilot cannot fly."""
     _check_names(inputs, channels)
     for name, (number, scale) in channels.items():
-        if not 1 <= number <= RC:
-            raise ValueError(f"{name!r} on RC channel {number}; expected one from 1 to {RC}")
+        if number not in range(1, RC + 1):
+            raise ValueError(f"{name!r} on RC channel {number}; expected one of 1, 2, … {RC}")
         _check_scale(name, scale, "500 µs")
     _step(dt)
 
@@ -49,7 +50,7 @@ def ardupilot_script(
     title: str,
     card: str,
 ) -> str:
-    """Lua script that adds r (N,) of each input to its RC channel, in µs a unit of the input.
+    """Lua script that adds r (N,) of each input to its RC channel, in µs a unit of the card.
 
     The text of the card is named by its digest.
     """
@@ -57,7 +58,7 @@ def ardupilot_script(
     check_channels(r, channels, dt)
     rows, furthest = [], []
     for name, (number, scale) in channels.items():
-        _check_reach(name, scale * r[name], END_PWM, "µs", f"RC channel {number}")
+        _check_reach(name, r[name], scale, END_PWM, "µs", f"RC channel {number}")
         moved = np.rint(np.asarray(r[name]) * scale).astype(int)
         rows.append("".join(f"{value + ZERO:03x}" for value in moved))
         furthest.append(f"{{{moved.min()}, {moved.max()}}}")
@@ -70,18 +71,31 @@ def ardupilot_script(
 
 
 def px4_script(
-    r: Mapping[str, Array], axes: Mapping[str, tuple[str, float]], title: str, card: str
+    t: Array,
+    r: Mapping[str, Array],
+    axes: Mapping[str, tuple[str, float]],
+    title: str,
+    card: str,
 ) -> str:
     """Python program that sends a card as joystick: an axis of MANUAL_CONTROL for each input.
 
-    It takes the card of this text only.
+    It takes the card of this text only, and is warned of one with samples that it would skip.
     """
     check_axes(r, axes)
+    if (dt := float(np.median(np.diff(t)))) < PERIOD - 1e-6:
+        warn(
+            f"the card's samples are {1000 * dt:.3g} ms apart, a joystick sends every "
+            f"{1000 * PERIOD:g} ms and skips those between: design with dt = {PERIOD:g} s or more"
+        )
     for name, (axis, scale) in axes.items():
-        _check_reach(name, scale * r[name], END_UNITS[axis], "units", f"axis {axis}")
+        _check_reach(name, r[name], scale, END_UNITS[axis], "units", f"axis {axis}")
     taken = {axis: (name, float(scale)) for name, (axis, scale) in axes.items()}
     return PYTHON.substitute(
-        title=title, own=OWN, digest=digest(card), axes=repr(taken).replace("'", '"')
+        title=title,
+        own=OWN,
+        digest=digest(card),
+        period=f"{PERIOD:g}",
+        axes=repr(taken).replace("'", '"'),
     )
 
 
@@ -96,19 +110,23 @@ def remove_own(script: Path) -> None:
         script.unlink()
 
 
-def _check_reach(name: str, moved: Array, end: int, unit: str, place: str) -> None:
+def _check_reach(name: str, r: Array, scale: float, end: int, unit: str, place: str) -> None:
     """Refuse deviations (N,) that no stick can have, warn of those that rounding eats."""
-    most = float(np.abs(moved).max())
+    most = float(np.abs(scale * r).max())
+    card = (
+        f"{unit} a unit of the card (SI, from {r.min():.3g} to {r.max():.3g}; not the unit of a "
+        f"log in percent or degrees), {end} for fractions from -1 to 1"
+    )
     if most > end + 0.5:
         raise ValueError(
             f"{name!r} on {place} moves by {most:.0f} {unit}, a stick by {end} at most: lower its "
-            f"scale, which is in {unit} a unit of the input, {end} for an input of -1 to 1"
+            f"scale, which is in {card}"
         )
     if most < COARSE:
         warn(
             f"{name!r} on {place} moves by {most:.2g} {unit} at most, which are whole numbers: "
-            f"raise its scale, which is in {unit} a unit of the input, if the card is to be flown "
-            "as it was designed"
+            f"if its scale is wrong, raise it, which is in {card}; if it is right, widen the limit "
+            "of the stick"
         )
 
 

@@ -7,13 +7,15 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.design import signals
+from casid.design.asked import DesignSettings, Limits
 from casid.design.criterion import as_long, covariance
 from casid.design.flight import Flight
+from casid.design.heard import deviations, peak
 from casid.design.loop import Feedback, gains
 from casid.design.multisine import best_powers, schroeder, shared_out, unit_information
 from casid.design.optimise import Task, improved
 from casid.design.phases import least_peak
-from casid.design.plan import Alternative, Design, DesignSettings, Limits
+from casid.design.plan import Alternative, Design
 from casid.design.prior import as_fitted, check_balance, inside, linear_at, without_effect
 from casid.design.problem import JUDGES, Problem, free_of, problem_of
 from casid.design.shapes import Steps, Waves
@@ -247,16 +249,15 @@ def _predicted(
         exact[name] = flight.within(r) if flight else r
     alone = {name: fine.information(r)[0] for name, r in exact.items()}
     spread = {name: covariance(F + problem.known) for name, F in alone.items()}
-    r = exact[chosen]
-    rest = problem.settings.rest
+    r, rest = exact[chosen], problem.settings.rest
     errors = np.sqrt(np.diag(spread[chosen]))
     longer = as_long(alone["3-2-1-1"], problem.known, errors, problem.rows)
-    seen = fine.loops[0].fly(r)
-    model = problem.frees[0].model
+    seen, model = fine.loops[0].fly(r), problem.frees[0].model
     share = fine.peaks(r)
     if flight:
         share = np.maximum(share, flight.shares(r))
     at_most = np.maximum(share, rough.peaks(np.stack([np.interp(coarse, t, x) for x in r.T], 1)))
+    noise = _with_noise(problem, fine, flight.fly(r) if flight else seen.signals)
     before = np.diag(problem.known)
     known = np.where(before > 0, np.sqrt(np.diag(covariance(problem.known))), np.inf)
     made = Design(
@@ -268,6 +269,7 @@ def _predicted(
             for name, C in spread.items()
         ),
         used=_named(model, share), used_at_worst=_named(model, at_most),
+        used_by_noise=_named(model, noise[0]), used_with_noise=_named(model, noise[1]),
         instead=rest + longer * (problem.duration - rest),
         untold=tuple(np.array(problem.frees[0].names)[~problem.told].tolist()),
         matter=problem.settings.matter,
@@ -281,6 +283,19 @@ def _predicted(
     earlier = [listed(each) for each in groups if each not in lost]
     lines += [f"told apart by what is known before only: {names}" for names in earlier]
     return replace(made, blind=tuple(lines))
+
+
+def _with_noise(problem: Problem, task: Task, signals: Array) -> Array:
+    """Peaks of sticks and rates over their limits (2, n): of noise that is heard, and with it.
+
+    With it is after the card, whose signals (N, nu + ny + nx) are; nothing where none is heard.
+    """
+    found, loop, model = np.zeros((2, len(task.limits))), task.loops[0], problem.frees[0].model
+    K, shares = gains(problem.feedback, model.inputs, model.outputs), task.shares(signals)
+    for k, sigma in enumerate(deviations(loop, K, problem.noise) / task.limits[: 2 * loop.nu]):
+        if sigma > 0.0:
+            found[:, k] = peak(0.0 * shares[:, k], sigma), peak(shares[:, k], sigma)
+    return found
 
 
 def _check_told(problem: Problem, F: Array, used: Mapping[str, float]) -> None:

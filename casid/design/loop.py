@@ -165,8 +165,9 @@ class Loop:
         if K.any() and not np.abs(u[last:]).max() <= GROWN * np.abs(u[:last]).max() < np.inf:
             raise UnheldError(
                 "the loop is unstable with this feedback: u = r - K y, so a gain that damps has "
-                "the sign of its control derivative; check signs, units (rad, rad/s) and the "
-                "model, which without a fit is the guess"
+                "the sign of its control derivative; check signs, units (rad, rad/s), the model, "
+                "which without a fit is the guess, and dt: feedback acts once a sample, here every "
+                f"{self.h:.3g} s"
             )
 
     @cached_property

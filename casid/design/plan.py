@@ -1,149 +1,19 @@
-"""Inputs to fly next: what `design_inputs` is asked and what it answers."""
+"""Inputs to fly next: what `design_inputs` answers."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
 from casid.arrays import Array
-from casid.checks import checked_fields
-from casid.design.criterion import KEPT, Criterion
+from casid.design.criterion import KEPT
 from casid.design.injection import ardupilot_script, px4_script
 from casid.display import Shown, in_minutes, listed
 from casid.record import Record
 from casid.tabulation import csv_text, markdown_table
 from casid.values import seal, storable
 
-Method = Literal["best", "steps", "multisine"]
-HIGHEST = {"draws": 1000, "spread": 1.0}  # draws are models with their responses in memory
 CLOSE = 0.9  # correlation from which two parameters are named together
-
-
-def check_deviations(*groups: Mapping[str, float]) -> None:
-    """Refuse limits that leave nothing to fly: ValueError."""
-    for name, value in (pair for group in groups for pair in group.items()):
-        if not value > 0:
-            raise ValueError(
-                f"the limit of {name!r} is {value}, which leaves nothing to fly; expected "
-                "a deviation from trim above 0"
-            )
-
-
-def check_times(**times: float | None) -> None:
-    """Refuse what is no length of time: ValueError by its name."""
-    for name, value in times.items():
-        if value is not None and not 0 < value < np.inf:
-            raise ValueError(f"{name} = {value:g} s: expected a time above 0")
-
-
-@storable
-@checked_fields
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """What the next flight may not exceed, as deviations from trim, SI; kept in linear models.
-
-    Parameters
-    ----------
-    sticks : mapping
-        Of every input of the model; one that is not named is refused.
-    rates : mapping
-        Of inputs, per second.
-    responses : mapping
-        Of outputs and of states, as an airspeed that is not measured.
-    """
-
-    sticks: Mapping[str, float]
-    rates: Mapping[str, float] = field(default_factory=dict)
-    responses: Mapping[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        check_deviations(self.sticks, self.rates, self.responses)
-        if unbounded := [name for name, value in self.sticks.items() if not value < np.inf]:
-            raise ValueError(
-                f"the limit of stick {unbounded[0]!r} is infinite; expected the deviation from "
-                "trim that may be flown"
-            )
-        if not self.sticks:
-            raise ValueError("no stick may move: limits need sticks={name: deviation}")
-        if lone := [name for name in self.rates if name not in self.sticks]:
-            raise ValueError(f"the rate of {lone[0]!r} has a limit, its deviation has none")
-
-
-@checked_fields
-@dataclass(frozen=True, kw_only=True)
-class DesignSettings:
-    """How inputs are designed.
-
-    Parameters
-    ----------
-    method : {"best", "steps", "multisine"}
-        What is optimised: multi-step sequences on all axes at once, orthogonal multisines, or both,
-        of which the better is taken.
-    criterion : {"A", "D", "E", "MV"}
-        What is to be small of the standard errors over those of a single 3-2-1-1 an axis: the mean
-        square, the geometric mean (of the determinant), the largest of any combination of
-        parameters, the mean fourth power, which weighs the largest.
-    matter : tuple of str
-        Parameters that count, in what is told of the design, too; all free ones unless given.
-    fixed : tuple of str or None
-        Parameters that are known; those that a fit held fixed unless given.
-    bounds : mapping
-        Of parameters, as in `Estimator.fit`; a fit's own and the structure's unless given.
-    dt : float or None
-        Sampling interval of the records to come [s], to which the noise refers; 0.02 unless given.
-    band : (float, float) or None
-        Of multisines and sweeps [rad/s]; from two periods in the duration to three times the
-        fastest mode unless given.
-    step : float or None
-        Time between the changes of a multi-step sequence, on average [s]. A quarter period of the
-        band's upper edge unless given.
-    unit : float or None
-        Of the 3-2-1-1 to compare with [s]; of several the best unless given.
-    rest : float
-        Of trim before anything moves [s].
-    iterations : int
-        Of the optimisation.
-    seed : int
-        Of the sequence that it starts from.
-    spread : float or None
-        Relative error of the prior that limits are to be kept with, 1 at most; 0.2 unless given.
-    draws : int
-        Models drawn from the prior that the optimisation keeps within limits; twice as many, which
-        it does not see, judge it.
-    """
-
-    method: Method = "best"
-    criterion: Criterion = "A"
-    matter: tuple[str, ...] = ()
-    fixed: tuple[str, ...] | None = None
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    dt: float | None = None
-    band: tuple[float, float] | None = None
-    step: float | None = None
-    unit: float | None = None
-    rest: float = 2.0
-    iterations: int = 150
-    seed: int = 0
-    spread: float | None = None
-    draws: int = 48
-
-    def __post_init__(self) -> None:
-        for name in ("rest", "iterations", "spread", "draws"):
-            value, most = getattr(self, name), HIGHEST.get(name, np.inf)
-            if value is not None and not (0 <= value <= most and value < np.inf):
-                end = f", {most:g} at most" * (most < np.inf)
-                raise ValueError(f"{name} = {value:.7g}: expected a finite number, 0 or more{end}")
-        check_times(dt=self.dt, step=self.step, unit=self.unit)
-        if self.band is not None and not 0 < self.band[0] < self.band[1]:
-            raise ValueError(
-                f"band = {self.band}: expected (lowest, highest), 0 < lowest < highest"
-            )
-
-    @property
-    def interval(self) -> float:
-        """Between samples [s]: ``dt``, or what is usual."""
-        return 0.02 if self.dt is None else self.dt
 
 
 @storable
@@ -185,7 +55,12 @@ class Design(Shown):
         many as there is time for.
     used, used_at_worst : mapping
         Share of each limit that is used, by ``"lat"``, ``"lat rate"``, ``"phi"``: if the model is
-        right, and by those of an ensemble or drawn from the prior, and held, that use most of it.
+        right, and by those of an ensemble or drawn from the prior, and held, that use most of it;
+        without noise.
+    used_by_noise, used_with_noise : mapping
+        Share of the limits of sticks and their rates that nine in ten flights stay below if the
+        model is right: of what feedback makes of the noise alone, and of that and the card
+        together. Empty if feedback hears no noise.
     instead : float
         Time [s] of 3-2-1-1, one after the other, after which standard errors would be as small in
         the geometric mean; infinite if never.
@@ -193,7 +68,7 @@ class Design(Shown):
         Models drawn from the prior, and those of them that the feedback does not hold, or that need
         one where none was given: they keep no limits.
     spread : float
-        Standard deviation, relative, by which their values are scattered.
+        Standard deviation of the logarithms of their values.
     untold : tuple of str
         Parameters that no input tells, or only together with others. Nothing of what is compared
         counts them.
@@ -217,6 +92,8 @@ class Design(Shown):
     alternatives: tuple[Alternative, ...]
     used: Mapping[str, float]
     used_at_worst: Mapping[str, float]
+    used_by_noise: Mapping[str, float] = field(default_factory=dict)
+    used_with_noise: Mapping[str, float] = field(default_factory=dict)
     instead: float = np.nan
     plausible: int = 0
     unheld: int = 0
@@ -323,37 +200,75 @@ class Design(Shown):
         return markdown_table(heading, self.rows())
 
     def shares(self) -> str:
-        """Share of each limit that is used, if the model is right and at worst, in Markdown."""
+        """Share of each limit that is used, if the model is right and at worst, in Markdown.
+
+        Where feedback hears noise, also of noise alone and with it, if the model is right.
+        """
+        columns = {"used": self.used, "at worst": self.used_at_worst}
+        if self.used_by_noise:
+            columns |= {"noise alone": self.used_by_noise, "with noise": self.used_with_noise}
         rows = [
-            [name, f"{100 * self.used[name]:.0f} %", f"{100 * share:.0f} %"]
-            for name, share in self.used_at_worst.items()
+            [name, *(f"{100 * c[name]:.0f} %" if name in c else "" for c in columns.values())]
+            for name in self.used_at_worst
         ]
-        table = markdown_table(("limit", "used", "at worst"), rows)
-        told = (table, self.margin(), self.on_the_card(), self.warning())
+        table = markdown_table(("limit", *columns), rows)
+        told = (table, self.margin(), self.noise(), self.on_the_card(), self.warning())
         return "\n\n".join(filter(None, told))
+
+    def noise(self) -> str:
+        """What noise that feedback hears does to sticks; nothing if it hears none."""
+        if not self.used_by_noise:
+            return ""
+        said = (
+            "Used and at worst are without noise. What the feedback makes of the noise that it "
+            "hears, white from sample to sample, moves sticks beside the card: nine in ten flights "
+            "stay below the last two columns, if the model is right."
+        )
+        return " ".join((said, *self.exceeded()))
+
+    def exceeded(self) -> tuple[str, ...]:
+        """Limits that noise takes sticks beyond, alone or with the card, and what to do."""
+        over = {name: share for name, share in self.used_with_noise.items() if share > 1.0}
+        alone = [name for name in over if self.used_by_noise[name] > 1.0]
+        lines = []
+        for names, remedy in (
+            (alone, "No card keeps that: filter what the feedback hears"),
+            ([n for n in over if n not in alone], "Filter what it hears, fly a smaller card"),
+        ):
+            told = [f"{n} {over[n]:.0%} (alone {self.used_by_noise[n]:.0%})" for n in names]
+            if told:
+                lines.append(
+                    "The noise that the feedback hears takes sticks beyond their limits; of these "
+                    f"nine in ten flights stay below: {listed(told)}. {remedy}, or take the limit "
+                    "for that of the card alone."
+                )
+        return tuple(lines)
 
     def margin(self) -> str:
         """Which aircraft limits are kept with; nothing if no other than the model was asked."""
         if not self.plausible:
             return ""
         beside = " beside the errors of the fit" if np.isfinite(self.before).any() else ""
+        kept_so = "Without noise limits are kept" if self.used_by_noise else "Limits are kept"
         held = ""
         if self.unheld:
             kept = KEPT * (1 - self.unheld / self.plausible)
             held = f" and that are held, {kept:.0%} of all with such values"
         return (
-            f"Limits are kept with nine in ten aircraft whose values are scattered by "
+            f"{kept_so} with nine in ten aircraft whose values are scattered, lognormally, by "
             f"{self.spread:.0%}{beside} about those believed{held}. One that is further off may "
             "exceed them: if you know yours less well, say so (spread, or an ensemble)."
         )
 
     def on_the_card(self) -> str:
         """How far the card itself goes, if feedback moves the sticks beside it; else nothing."""
-        if np.allclose(self.r, self.u):
-            return ""
-        most = zip(self.inputs, np.abs(self.r).max(axis=0), np.abs(self.u).max(axis=0), strict=True)
-        told = [f"{name} {card:.3g} instead of {stick:.3g}" for name, card, stick in most]
-        return (
+        peaks = ([f"{most:.3g}" for most in np.abs(x).max(axis=0)] for x in (self.r, self.u))
+        told = [
+            f"{name} {card} instead of {stick}"
+            for name, card, stick in zip(self.inputs, *peaks, strict=True)
+            if card != stick
+        ]
+        return bool(told) * (
             "Limits are those of the sticks with feedback; the card, which feedback adds to, "
             f"deviates from trim by {listed(told)} at most."
         )
@@ -369,13 +284,13 @@ class Design(Shown):
         Parameters
         ----------
         channels : mapping
-            RC channel of each input and µs a unit of the input, ``{"lat": (1, 500.0)}``.
+            RC channel of each input and µs a unit of the card, ``{"lat": (1, 500.0)}``.
 
         Raises
         ------
         ValueError
-            Inputs without a channel, samples that are no whole milliseconds apart, scales that move
-            a stick beyond its end, 500 µs.
+            Inputs without a channel, channels that there are not, samples that are no whole
+            milliseconds apart, scales that move a stick beyond its end, 500 µs.
         """
         return ardupilot_script(self.t, self._columns(), channels, self.headline(), self.to_csv())
 
@@ -385,7 +300,7 @@ class Design(Shown):
         Parameters
         ----------
         axes : mapping
-            Axis x, y, z or r of each input and its units a unit of the input,
+            Axis x, y, z or r of each input and its units a unit of the card,
             ``{"lat": ("y", 1000.0)}``.
 
         Raises
@@ -393,7 +308,7 @@ class Design(Shown):
         ValueError
             Inputs without an axis, other axes, scales that move a stick beyond its end, 1000.
         """
-        return px4_script(self._columns(), axes, self.headline(), self.to_csv())
+        return px4_script(self.t, self._columns(), axes, self.headline(), self.to_csv())
 
     def _columns(self) -> dict[str, Array]:
         return dict(zip(self.inputs, self.r.T, strict=True))

@@ -9,8 +9,8 @@ import scipy
 
 from casid.arrays import Array
 from casid.checks import check_known
+from casid.design.asked import DesignSettings
 from casid.design.criterion import covariance
-from casid.design.plan import DesignSettings
 from casid.errors import warn
 from casid.estimates import ACTIVE
 from casid.evaluation import MatrixFunction
@@ -128,21 +128,27 @@ def without_effect(free: Free) -> tuple[str, ...]:
 
 
 def noise_of(model: Model, fit: AnyFit | None, noise: Mapping[str, float] | None) -> Array:
-    """R (ny, ny) a sample, as large as it takes to predict errors that residuals justify."""
+    """R (ny, ny) a sample: what is given, else that of a fit's residuals."""
     if noise is None:
         if fit is None or fit.R is None:
             raise ValueError(
                 "nothing says how noisy the outputs are: give noise={output: standard deviation}"
             )
-        pairs = [(row.std_error, row.cramer_rao) for row in fit.parameters]
-        colour = [a / b for a, b in pairs if np.isfinite(a) and np.isfinite(b) and b > 0]
-        return np.asarray(np.diag(np.diag(fit.R)) * float(np.median(colour or [1.0])) ** 2)
+        return np.diag(np.diag(fit.R))
     check_known("noise names", noise, model.outputs)
     for name in model.outputs:
         if not 0 < noise.get(name, 0.0) < np.inf:
             told = f"has {noise[name]:g}" if name in noise else "has none"
             raise ValueError(f"noise: output {name!r} {told}; give its standard deviation, > 0")
     return np.diag([noise[name] ** 2 for name in model.outputs])
+
+
+def colour_of(fit: AnyFit | None, noise: Mapping[str, float] | None) -> float:
+    """How much larger errors are than residuals would make them if these were white."""
+    rows = fit.parameters if fit and noise is None else ()
+    pairs = [(row.std_error, row.cramer_rao) for row in rows]
+    ratios = [a / b for a, b in pairs if np.isfinite(a) and np.isfinite(b) and b > 0]
+    return float(np.median(ratios or [1.0]))
 
 
 def known_before(free: Free, fit: AnyFit | None) -> Array:
@@ -170,9 +176,10 @@ def known_before(free: Free, fit: AnyFit | None) -> Array:
 def possible(free: Free, known: Array, spread: float, count: int, seed: int) -> list[Free]:
     """The structure at ``count`` other values, drawn from what is known before.
 
-    λ = λ₀ exp(s ξ) + η, with s the relative spread, ξ normal, the models together a Latin hypercube
-    (M. D. McKay and others, Technometrics 21, 1979), and η of the covariance of what is known, of
-    which a standard deviation counts up to the parameter's own size. λ is kept within its bounds.
+    λ = λ₀ exp(s ξ) + η, with s the relative spread, ξ normal, so that values are
+    lognormal and keep their signs, the models together a Latin hypercube (M. D. McKay and others,
+    Technometrics 21, 1979), and η of the covariance of what is known, of which a standard deviation
+    counts up to the parameter's own size. λ is kept within its bounds.
     """
     rng = np.random.default_rng(seed)
     n, rows = len(free.index), np.flatnonzero(np.diag(known) > 0)

@@ -7,14 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
+from casid.channels import CONTROLS
 from casid.checks import check_known
+from casid.design.asked import DesignSettings, Limits, check_times
 from casid.design.criterion import Goal, told
 from casid.design.loop import Crowd, Feedback, Loop, UnheldError
 from casid.design.optimise import Task
-from casid.design.plan import DesignSettings, Limits, check_times
-from casid.design.prior import FITTED, GUESSED, inside, known_before, noise_of, possible
+from casid.design.prior import (
+    FITTED,
+    GUESSED,
+    colour_of,
+    inside,
+    known_before,
+    noise_of,
+    possible,
+)
 from casid.design.signals import longest_unit
 from casid.display import counted
+from casid.errors import warn
 from casid.fit import AnyFit
 from casid.free import Free, free_parameters
 from casid.model import Model
@@ -23,6 +33,8 @@ FEWEST = 50  # samples a stick
 MOST = 100_000  # samples of a manoeuvre
 JUDGES = 2  # models that judge limits for each that leads the optimisation
 COARSE = 1600  # samples on which inputs are optimised: with fewer, edges tell less of delays
+TRAVEL = 1.0  # that a stick deviates by at most, as a fraction
+TILTS, STEEPEST = ("phi", "theta"), 1.5  # rad; a heading may turn by more
 FINEST = 6.0  # samples of them in a period of the band's upper edge, at least
 
 
@@ -31,7 +43,8 @@ class Problem:
     """All that was asked, as `problem_of` has checked it."""
 
     frees: tuple[Free, ...]
-    R: Array
+    R: Array  # of a sample, as large as it takes to predict errors that residuals justify
+    noise: Array  # of a sample, as it is heard
     known: Array
     limits: Array
     spread: float
@@ -142,11 +155,14 @@ def problem_of(
         raise ValueError(
             f"{duration:g} s less {settings.rest:g} s of rest are too short for "
             f"{counted(len(structure.inputs), 'input')}: fly longer, "
-            f"{settings.rest + least:.3g} s at least"
+            f"{settings.rest + least:.3g} s at least, or sample faster: a design has {FEWEST} "
+            f"samples an input at least, here dt = {settings.interval:g} s"
         )
+    heard = noise_of(structure, fit, noise)
     return Problem(
-        frees=(free,), R=noise_of(structure, fit, noise), known=known_before(free, fit),
-        limits=_arrays(structure, limits), feedback={}, duration=duration, band=band,
+        frees=(free,), R=heard * colour_of(fit, noise) ** 2, noise=heard,
+        known=known_before(free, fit), limits=_arrays(structure, limits), feedback={},
+        duration=duration, band=band,
         spread=settings.spread if settings.spread is not None else (FITTED if fit else GUESSED),
         settings=settings, told=np.full(len(free.index), True),
     )  # fmt: skip
@@ -199,9 +215,24 @@ def check_limited(model: Model, inputs: Iterable[str], responses: Iterable[str])
     check_known("limits name", responses, dict.fromkeys((*model.outputs, *model.states)))
 
 
+def _ask_units(limits: Limits) -> None:
+    """Warn of limits that no stick in fractions of its travel and no angle in rad would have."""
+    asked = (
+        (limits.sticks, CONTROLS, TRAVEL, "fractions of full travel", "percent"),
+        (limits.responses, TILTS, STEEPEST, "rad", "degrees"),
+    )
+    for group, names, most, unit, meant in asked:
+        for name in (name for name in names if most < group.get(name, 0.0) < np.inf):
+            warn(
+                f"the limit of {name!r} is {group[name]:g}, in {unit}: is it meant in {meant}? "
+                "Limits are in SI"
+            )
+
+
 def _arrays(model: Model, limits: Limits) -> Array:
     """Limits of sticks, rates, outputs, states in their order; infinite where there is none."""
     check_limited(model, (*limits.sticks, *limits.rates), limits.responses)
+    _ask_units(limits)
     named = ((limits.sticks, model.inputs), (limits.rates, model.inputs))
     if missing := [name for name in model.inputs if name not in limits.sticks]:
         raise ValueError(f"limits.sticks has no {missing[0]!r}: every input needs its limit")

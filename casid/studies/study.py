@@ -14,8 +14,8 @@ import numpy as np
 from casid.checks import checked_fields
 from casid.consistency.flights import Repeats, repeats
 from casid.consistency.plausibility import check_plausible
+from casid.design.asked import DesignSettings, check_deviations, check_times
 from casid.design.loop import gains
-from casid.design.plan import DesignSettings, check_deviations, check_times
 from casid.design.prior import check_trim
 from casid.design.problem import check_limited, free_of
 from casid.errors import warn

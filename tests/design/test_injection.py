@@ -98,8 +98,8 @@ def test_a_card_that_no_rc_channel_can_follow_from_trim_is_not_begun(autopilot, 
 class Link:
     """What the script for PX4 uses of a link: its clock, messages and heartbeats."""
 
-    def __init__(self, changes_at=np.inf):
-        self.others = 0
+    def __init__(self, changes_at=np.inf, interrupted_at=np.inf):
+        self.others, self.texts, self.interrupted_at = 0, [], interrupted_at
         self.now, self.sent, self.changes_at, self.mav = 0.0, [], changes_at, self
 
     def manual_control_send(self, target, *sticks):
@@ -120,6 +120,9 @@ class Link:
 
     def wait(self, seconds):
         self.now += seconds
+        if self.now > self.interrupted_at:
+            self.interrupted_at = np.inf
+            raise KeyboardInterrupt
 
 
 @pytest.fixture
@@ -129,14 +132,16 @@ def program(monkeypatch):
     sys.modules["pymavlink"].mavutil = None
     names = {"__name__": "inject"}
     axes = {"lat": ("y", 1000), "ped": ("r", 1800.0)}
-    exec(compile(px4_script(R, axes, "steps", CARD), "i", "exec"), names)
+    exec(compile(px4_script(T, R, axes, "steps", CARD), "i", "exec"), names)
     return SimpleNamespace(**names)
 
 
 def fly(program, link, **trim):
     card = {"t": T.tolist()} | {name: r.tolist() for name, r in R.items()}
     centre = {"x": 20.0, "y": 0.0, "z": 430.0, "r": 100.0} | trim
-    return program.fly(link, card, centre, clock=lambda: link.now, wait=link.wait)
+    return program.fly(
+        link, card, centre, clock=lambda: link.now, wait=link.wait, say=link.texts.append
+    )
 
 
 def test_px4_gets_the_card_as_a_joystick_within_its_range(program):
@@ -146,7 +151,20 @@ def test_px4_gets_the_card_as_a_joystick_within_its_range(program):
     assert (0.06, 20, 100, 430, 100, 0) in link.sent
     assert (0.14, 20, -200, 430, 1000, 0) in link.sent
     assert link.sent[-1][1:] == (20, 0, 430, 100, 0)
-    assert link.now < T[-1] + 0.05
+    assert link.now == pytest.approx(T[-1] + program.AFTER, abs=0.05)  # trim, for who takes over
+    assert np.diff([now for now, *_ in link.sent]).max() < 0.1  # never long enough to be lost
+    assert link.texts == [
+        "flown",
+        "the sticks stay in trim for 10 s, then nothing is sent: take over",
+    ]
+
+
+def test_ctrl_c_leaves_the_sticks_in_trim_until_somebody_takes_over(program):
+    link = Link(changes_at=5.0, interrupted_at=0.07)
+    assert not fly(program, link)
+    assert link.texts[0] == "broken off"
+    assert link.sent[-1][1:] == (20, 0, 430, 100, 0)
+    assert 4.9 < link.now < 5.1  # silent as soon as the mode changes
 
 
 @pytest.mark.parametrize(
@@ -165,10 +183,10 @@ def test_a_card_that_the_sticks_cannot_follow_from_trim_is_not_begun(program, tr
 
 
 def test_axis_z_has_half_the_units_of_the_others():
-    px4_script(R, {"lat": ("y", 1000.0), "ped": ("z", 1000.0)}, "", CARD)  # by 500
-    px4_script(R, {"lat": ("y", 1000.0), "ped": ("x", 2000.0)}, "", CARD)  # by 1000
+    px4_script(T, R, {"lat": ("y", 1000.0), "ped": ("z", 1000.0)}, "", CARD)  # by 500
+    px4_script(T, R, {"lat": ("y", 1000.0), "ped": ("x", 2000.0)}, "", CARD)  # by 1000
     with pytest.raises(ValueError, match=r"'ped' on axis z moves by 501 units, .* 500 at most"):
-        px4_script(R, {"lat": ("y", 1000.0), "ped": ("z", 1002.0)}, "", CARD)
+        px4_script(T, R, {"lat": ("y", 1000.0), "ped": ("z", 1002.0)}, "", CARD)
 
 
 def test_a_change_of_mode_breaks_the_card_off(program):
@@ -207,12 +225,14 @@ def test_only_scripts_of_casid_are_removed(tmp_path):
     "make",
     [
         lambda: ardupilot_script(T, R, {"lat": (1, 20.0), "ped": (2, 500.0)}, "", CARD),
-        lambda: px4_script(R, {"lat": ("y", 20.0), "ped": ("r", 1000.0)}, "", CARD),
+        lambda: px4_script(T, R, {"lat": ("y", 20.0), "ped": ("r", 1000.0)}, "", CARD),
     ],
     ids=["ardupilot", "px4"],
 )
 def test_a_card_that_rounding_eats_is_said(make):
-    with pytest.warns(DataWarning, match=r"'lat' on .* moves by 4 .* raise its scale"):
+    with pytest.warns(
+        DataWarning, match=r"'lat' on .* moves by 4 .* raise it, .*\(SI, from -0.2 to 0.1; not"
+    ):
         make()
 
 
@@ -225,7 +245,10 @@ def test_a_card_that_rounding_eats_is_said(make):
             "by 10000 µs",
         ),
         (lambda: ardupilot_script(T, R, {"lat": (1, 99), "ped": (2, 1002)}, "", CARD), "by 501 µs"),
-        (lambda: px4_script(R, {"lat": ("x", 99), "ped": ("r", 2002)}, "", CARD), "by 1001 units"),
+        (
+            lambda: px4_script(T, R, {"lat": ("x", 99), "ped": ("r", 2002)}, "", CARD),
+            "by 1001 units",
+        ),
         (
             lambda: ardupilot_script(T, R, {"lat": (1, 5.0), "ped": (1, 5.0)}, "", CARD),
             "channel 1 is",
@@ -233,6 +256,10 @@ def test_a_card_that_rounding_eats_is_said(make):
         (
             lambda: ardupilot_script(T, R, {"lat": (17, 5.0), "ped": (1, 5.0)}, "", CARD),
             "channel 17; ",
+        ),
+        (
+            lambda: ardupilot_script(T, R, {"lat": (1.5, 5.0), "ped": (1, 5.0)}, "", CARD),
+            "channel 1.5; ",
         ),
         (
             lambda: ardupilot_script(T, R, {"lat": (1, np.nan), "ped": (2, 5.0)}, "", CARD),
@@ -243,11 +270,11 @@ def test_a_card_that_rounding_eats_is_said(make):
             "13.3333 ms",
         ),
         (
-            lambda: px4_script(R, {"lat": ("x", 0.0), "ped": ("r", 1.0)}, "", CARD),
+            lambda: px4_script(T, R, {"lat": ("x", 0.0), "ped": ("r", 1.0)}, "", CARD),
             "of 'lat' is 0.0",
         ),
         (
-            lambda: px4_script(R, {"lat": ("q", 1.0), "ped": ("r", 1.0)}, "", CARD),
+            lambda: px4_script(T, R, {"lat": ("q", 1.0), "ped": ("r", 1.0)}, "", CARD),
             "'lat' on axis 'q'",
         ),
     ],
@@ -262,3 +289,8 @@ def test_a_card_of_broken_milliseconds_is_refused():
     for dt in (0.0202, 0.001):
         with pytest.raises(ValueError, match="whole milliseconds"):
             ardupilot_script(T / 0.04 * dt, R, channels, "", CARD)
+
+
+def test_a_card_with_closer_samples_than_a_joystick_sends_is_said():
+    with pytest.warns(DataWarning, match=r"10 ms apart, a joystick sends every 20 ms and skips"):
+        px4_script(T / 4, R, {"lat": ("y", 1000.0), "ped": ("r", 1000.0)}, "", CARD)

@@ -207,6 +207,7 @@ def test_a_flight_of_a_design_in_its_loop_holds_the_aircraft_not_the_controller(
     flown = made.record().with_noise(NOISE, np.random.default_rng(2))
     share = excitation(flown)
     assert share.lower[share.within].min() > 0.5
+    assert 0.0 < made.used_by_noise[STICK] < made.used_with_noise[STICK]
 
 
 def test_noise_has_to_be_said():

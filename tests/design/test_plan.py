@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from casid import Design, Limits
+from casid import Design
 from casid.design.plan import Alternative
 from casid.values import decode, encode
 
@@ -75,19 +75,42 @@ def test_what_matters_is_what_is_compared(design):
 def test_it_says_which_aircraft_its_limits_are_kept_with(design):
     assert "nine in ten" not in design.shares()  # no other was drawn
     guess = replace(design, plausible=48, spread=0.2, before=np.full(2, np.inf))
-    assert "aircraft whose values are scattered by 20% about those believed." in guess.shares()
+    assert (
+        "aircraft whose values are scattered, lognormally, by 20% about those believed."
+        in guess.shares()
+    )
     assert "say so (spread, or an ensemble)" in guess.shares()
     assert "held" not in guess.shares()
     some = replace(guess, unheld=16)  # 0.9 of two thirds
     assert "about those believed and that are held, 60% of all with such values." in some.shares()
     fitted = replace(design, plausible=48, spread=0.2)
-    assert "scattered by 20% beside the errors of the fit about those" in fitted.shares()
+    assert (
+        "scattered, lognormally, by 20% beside the errors of the fit about those" in fitted.shares()
+    )
 
 
 def test_it_says_how_far_a_card_goes_that_feedback_adds_to(design):
     assert "card" not in design.shares()
     held = replace(design, r=2.0 * design.u)
     assert "lat 2 instead of 1 at most" in held.shares()
+    assert "instead" not in replace(design, r=1.0001 * design.u).shares()  # the same three digits
+
+
+def test_it_says_what_noise_that_is_heard_takes_beyond_limits(design):
+    assert (design.noise(), design.exceeded()) == ("", ())
+    heard = replace(
+        design, plausible=48, used={"lat": 0.8, "lat rate": 0.7}, used_by_noise={"lat rate": 0.4},
+        used_at_worst={"lat": 1.0, "lat rate": 0.9}, used_with_noise={"lat rate": 0.95},
+    )  # fmt: skip
+    assert "| lat rate | 70 % | 90 % | 40 % | 95 % |" in heard.shares()
+    assert "| lat | 80 % | 100 % |  |  |" in heard.shares()
+    assert "Without noise limits are kept with nine in ten aircraft" in heard.shares()
+    assert heard.exceeded() == ()
+    together = replace(heard, used_with_noise={"lat rate": 1.3})
+    assert "lat rate 130% (alone 40%). Filter what it hears, fly a" in together.shares()
+    alone = replace(together, used_by_noise={"lat rate": 1.1}).exceeded()
+    assert "lat rate 130% (alone 110%). No card keeps that: filter" in alone[0]
+    assert len(alone) == 1
 
 
 def test_what_is_not_told_is_left_out_and_what_no_3211_tells_is_said(design):
@@ -110,14 +133,3 @@ def test_the_card_is_the_sequence(design):
     assert lines[0] == "t,lat"
     assert len(lines) == 31
     assert design.record().N == 30
-
-
-def test_limits_that_leave_nothing_are_refused():
-    with pytest.raises(ValueError, match="limit of stick 'lat' is infinite"):
-        Limits(sticks={"lat": np.inf})
-    with pytest.raises(ValueError, match="leaves nothing to fly"):
-        Limits(sticks={"lat": 0.0})
-    with pytest.raises(ValueError, match="no stick may move"):
-        Limits(sticks={})
-    with pytest.raises(ValueError, match="rate of 'ped'"):
-        Limits(sticks={"lat": 0.1}, rates={"ped": 1.0})

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from casid import DesignSettings, Limits
-from casid.design.problem import problem_of
+from casid.design.problem import _ask_units, problem_of
+from casid.errors import DataWarning
 from models.short_period import ShortPeriod
 
 MODEL = ShortPeriod()
@@ -54,3 +55,20 @@ def test_parameters_of_which_only_combinations_are_told_are_found():
     assert made.tellable(F).tolist() == [False, False] + [True] * (n - 2)
     with pytest.raises(ValueError, match="no input tells"):
         made.tellable(np.ones((n, n)))
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        (Limits(sticks={"lat": 10.0}), "'lat' is 10, in fractions of full travel: .* in percent?"),
+        (Limits(sticks={"lat": 0.1}, responses={"phi": 30.0}), "'phi' is 30, in rad: .* degrees?"),
+    ],
+)
+def test_limits_that_look_like_percent_or_degrees_are_asked_about(limits, words):
+    with pytest.warns(DataWarning, match=words):
+        _ask_units(limits)
+
+
+def test_a_manoeuvre_too_short_for_its_samples_names_their_interval():
+    with pytest.raises(ValueError, match=r"or sample faster: .* here dt = 0.5 s"):
+        problem(dt=0.5, band=(0.1, 1.0))
