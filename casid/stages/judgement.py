@@ -61,7 +61,8 @@ def _show(found: Validation, content: Content) -> Iterable[Section]:
     said += [Caution(each.caution, 20 if each.noisy else 7) for each in poor]
     if found.predicted:
         # Where growth that a controller answers makes outputs poor, nothing else explains them.
-        said.append(Caution(f"Validation records: {found.predicted}", 6 if found.adrift else 21))
+        leads = found.adrift and any(not each.noisy for each in poor)
+        said.append(Caution(f"Validation records: {found.predicted}", 6 if leads else 21))
     lead = _lead(found.records, content.repeats.seen)
     named = {"model": NAMES.get(content.delivered, content.delivered)}
     if judged:
