@@ -228,7 +228,8 @@ class Design(Shown):
 
     def exceeded(self) -> tuple[str, ...]:
         """Limits that noise takes sticks beyond, alone or with the card, and what to do."""
-        over = {name: share for name, share in self.used_with_noise.items() if share > 1.0}
+        shares = self.used_with_noise.items()  # to the percent, as they are told
+        over = {name: share for name, share in shares if round(share, 2) > 1.0}
         alone = [name for name in over if self.used_by_noise[name] > 1.0]
         lines = []
         for names, remedy in (
