@@ -30,6 +30,7 @@ ROUNDS = 2  # of fitting and filling
 PASSES = 8  # at most, in which outliers are looked for
 FEWEST = 50  # samples of a channel in which outliers are looked for
 PULSE = 0.2  # of an input's range
+GAP = 10  # samples in a row that are lost, of all outputs: nothing after follows from before
 SPAN = 9  # times the lags: samples whose covariance is looked at together
 FAR = 6.0  # deviations of a normal distribution that make an outlier
 GROSS = 10.0  # of one that no fit may see, as it would follow what all channels do at once
@@ -232,12 +233,24 @@ def _regular(record: Record) -> tuple[Record, NDArray[np.intp]]:
 
 
 def _judged(whole: Record, lost: BoolArray) -> tuple[Array, Array, int]:
-    """Smoothing residuals, limits that make an outlier of a sample, (N, ny), and the lags p."""
+    """Smoothing residuals, limits that make an outlier of a sample, (N, ny), and the lags p.
+
+    Nothing after a gap follows from before it: what is between gaps is judged by itself, its first
+    p samples, which have nothing before them, back in time. Between gaps of up to p samples there
+    is no saying.
+    """
     model = autoregression(whole, whole.y, lost)
     p = len(model.A)
-    off, std = _apart(model, whole.u, whole.y, lost)
-    off[:p], std[:p] = _behind(whole, lost, p)
-    seen = np.where(lost, np.nan, 1.0)
+    back = replace(whole, u=whole.u[::-1], y=whole.y[::-1])
+    behind = autoregression(back, back.y, lost[::-1])
+    off, std = np.zeros(lost.shape), np.full(lost.shape, np.inf)
+    for a, b in runs(~_gap(lost)):
+        if b - a > p:
+            part, first = np.arange(a, b), np.arange(a, min(b, a + SPAN * p))[::-1]
+            off[part], std[part] = _apart(model, whole, lost, part)
+            early = np.array(_apart(behind, whole, lost, first))[:, -p:]
+            off[first[-p:]], std[first[-p:]] = early
+    seen = np.where(lost | np.isinf(std), np.nan, 1.0)
     std = std * np.maximum(MAD * np.nanmedian(seen * np.abs(off) / std, axis=0), 1.0)
     e = np.abs(model.innovations(whole.u, whole.y))
     # What is counted in steps is off by up to half of one.
@@ -247,27 +260,21 @@ def _judged(whole: Record, lost: BoolArray) -> tuple[Array, Array, int]:
     return off, np.maximum(limit, SLIGHT * np.std(whole.y, axis=0)), p
 
 
-def _behind(whole: Record, lost: BoolArray, p: int) -> Array:
-    """`_apart` of the first p samples, which have nothing before them, back in time (2, p, ny)."""
-    back, gone = replace(whole, u=whole.u[::-1], y=whole.y[::-1]), lost[::-1]
-    model, last = autoregression(back, back.y, gone), slice(-min(whole.N, SPAN * p), None)
-    y = _smoothed(model, back.u[last], back.y[last], gone[last])
-    return np.array(_apart(model, back.u[last], y, gone[last]))[:, -p:][:, ::-1]
-
-
-def _apart(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> tuple[Array, Array]:
+def _apart(
+    model: Autoregression, whole: Record, lost: BoolArray, rows: NDArray[np.intp]
+) -> tuple[Array, Array]:
     """Smoothing residual of each sample, given all others, and its standard deviation, (N, ny).
 
-    With Q the inverse of the outputs' covariance, these are (Q (y − mean))_k/Q_kk and 1/√Q_kk, lost
-    ones eliminated from Q. Innovations across a gap are left out of both, see `_across`.
+    Of successive ``rows`` (N,) of a record, forward or back in time. With Q the inverse of the
+    outputs' covariance, these are (Q (y − mean))_k/Q_kk and 1/√Q_kk, lost ones eliminated from Q.
     """
+    u, lost = whole.u[rows], lost[rows]
+    y = _smoothed(model, u, whole.y[rows], lost)
     p, N, ny = len(model.A), *y.shape
-    W = np.linalg.inv(np.linalg.cholesky(model.R))  # whitens
+    W, size = _whitening(model)
     S = np.array([W, *(-W @ A for A in model.A)])  # slopes of the innovation i samples later
     none = np.zeros((p, ny))
     e = np.vstack([none, model.innovations(u, y) @ W.T, none])
-    across = _across(lost, p)
-    e[across] = 0.0
     slope = sum((e[i : i + N] @ S[i] for i in range(p + 1)), np.zeros((N, ny)))
     span = min(N, SPAN * p)  # Q is a band matrix, of which parts are enough
     each = np.hstack([*S[::-1]])  # of one sample's innovations by the outputs up to it
@@ -275,38 +282,41 @@ def _apart(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> tuple[
     for n in range(0, (span - p) * ny, ny):
         Q[n : n + len(each.T), n : n + len(each.T)] += each.T @ each
     Q += 1e-9 * np.diag(np.tile(np.diag(W.T @ W), span))
-    whole = Q
     sharp = np.zeros((N, ny))
     for k in range(0, N, max(span - 4 * p, 1)):
         first = min(max(k - 2 * p, 0), N - span)
         end = min(k + max(span - 4 * p, 1), N)
-        inside = across[(across >= first + p) & (across < first + span)]
-        Q = whole.copy() if len(inside) else whole
-        for n in (inside - p - first) * ny:
-            Q[n : n + len(each.T), n : n + len(each.T)] -= each.T @ each
         own = np.arange((k - first) * ny, (end - first) * ny)
         gone = np.flatnonzero(lost[first : first + span])
         between = Q[np.ix_(gone, own)]
         drop = np.sum(between * np.linalg.solve(Q[np.ix_(gone, gone)], between), axis=0)
         sharp[k:end] = (np.diag(Q)[own] - drop).reshape(-1, ny)
     sharp = np.maximum(sharp, 1e-9 * np.diag(W.T @ W))
-    return slope / sharp, 1 / np.sqrt(sharp)
+    return slope / sharp, 1 / (size * np.sqrt(sharp))
 
 
-def _across(lost: BoolArray, p: int) -> NDArray[np.intp]:
-    """Samples whose innovations reach into a long gap: all outputs lost for over `LAGS[1]` samples.
+def _whitening(model: Autoregression) -> tuple[Array, float]:
+    """What whitens innovations but for a size: squares of it all may be too large."""
+    W = np.linalg.inv(np.linalg.cholesky(model.R))
+    size = float(np.abs(W).max())
+    return W / size, size
 
-    What inputs did there is not known, and `_regular` makes it shorter than it was: nothing after
-    it follows from before.
+
+def _gap(lost: BoolArray) -> BoolArray:
+    """Rows of gaps (N,): all outputs lost for over `GAP` samples.
+
+    What inputs did there is not known, and `_regular` makes a long one shorter than it was.
     """
-    gaps = [(a, b) for a, b in runs(np.asarray(lost.all(axis=1))) if b - a > LAGS[1]]
-    return np.concatenate([[], *(np.arange(a, min(b + p, len(lost))) for a, b in gaps)]).astype(int)
+    gap = np.zeros(len(lost), dtype=bool)
+    for a, b in runs(np.asarray(lost.all(axis=1))):
+        gap[a:b] = b - a > GAP
+    return gap
 
 
 def _smoothed(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> Array:
     """Outputs (N, ny), lost ones estimated by least squares of the whitened innovations."""
     p, ny = len(model.A), y.shape[1]
-    W = np.linalg.inv(np.linalg.cholesky(model.R))  # whitens
+    W, _ = _whitening(model)
     e = model.innovations(u, y) @ W.T
     at, of = np.nonzero(lost)
     rows, columns, values = [], [], []
@@ -320,7 +330,7 @@ def _smoothed(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> Arr
     shape = (e.size, len(at))
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     J = scipy.sparse.csc_matrix(entries, shape=shape)
-    normal = J.T @ J + 1e-12 * scipy.sparse.eye(len(at))
+    normal = J.T @ J + 1e-12 * scipy.sparse.diags(np.diag(W.T @ W)[of])
     with warnings.catch_warnings():  # what a singular system gives is not taken
         warnings.simplefilter("ignore", scipy.sparse.linalg.MatrixRankWarning)
         step = scipy.sparse.linalg.spsolve(normal.tocsc(), J.T @ e.ravel())

@@ -68,7 +68,7 @@ class Excitation(Shown):
         hardly move at all count as fed back.
     answer, coherence : (ny,) array
         Share of each output's power that the outside part of the inputs makes, and that goes with
-        the inputs wherever they come from.
+        the inputs wherever they come from, beyond what goes with as many inputs by chance.
     within : (K, nu) bool array
         Frequencies between which 90 % of an input's power lies.
     lags : int
@@ -134,20 +134,23 @@ class Excitation(Shown):
         ]
         if self.singular:
             return tuple(said)
-        alone = [self._alone(i, name) for i, name in enumerate(self.inputs)]
-        said += [*alone, "" if any(alone) else self._together(), self._answer()]
+        alone = {i: self._alone(i, name) for i, name in enumerate(self.inputs)}
+        doubted = [i for i, each in alone.items() if each]
+        said += [*alone.values(), self._together(doubted), self._answer()]
         return tuple(each for each in said if each)
 
     def fed_back(self, inputs: Sequence[str], omega: Array) -> BoolArray:
         """Where so little of an input that is doubted comes from outside, (K, nu), at omega (K,).
 
-        A response after that input says nothing of the aircraft there.
+        A response after that input says nothing of the aircraft there. Neither does it where
+        inputs are hardly moved apart from outside: a test on one axis moves what feedback holds on
+        another, and what tells the two apart is the noise that is fed back.
         """
         found = np.zeros((len(omega), len(inputs)), dtype=bool)
         for i, name in enumerate(self.inputs):
             if name in inputs and not self.singular and self._alone(i, name):
-                share = np.interp(omega, self.omega, self.lower[:, i])
-                found[:, inputs.index(name)] = share < LITTLE
+                little = (self.lower[:, i] < LITTLE) | (self.joint < JOINTLY)
+                found[:, inputs.index(name)] = np.interp(omega, self.omega, little) > 1 / 2
         return found
 
     def _alone(self, i: int, name: str) -> str:
@@ -165,8 +168,10 @@ class Excitation(Shown):
             "band out."
         )
 
-    def _together(self) -> str:
-        bands = wide_bands(self.omega, self.within.any(axis=1) & (self.joint < JOINTLY))
+    def _together(self, doubted: Sequence[int]) -> str:
+        """Where that is not so of one of the inputs doubted by itself."""
+        alone = (self.lower[:, doubted] < LITTLE).any(axis=1)
+        bands = wide_bands(self.omega, self.within.any(axis=1) & (self.joint < JOINTLY) & ~alone)
         if not bands:
             return ""
         named = " and ".join(f"{a:.2g}-{b:.2g}" for a, b in bands)
@@ -233,10 +238,14 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
     omega = np.asarray(omega, dtype=float)
     found = vector_autoregression.of_flights([z / size for z in columns], dt)
     lower, upper, joint, answers = outside_shares(found, len(outputs), omega * dt)
+    # Spectra of p lags scatter as means of N/(2 p) periodograms, with which inputs agree by chance.
+    means = sum(each.rows / (2 * len(each.A)) for each in found)
+    coherence = 1 - (1 - answers[1]) * means / (means - len(inputs))
     floor = max(np.linalg.eigvalsh(each.S[: len(outputs), : len(outputs)])[0] for each in found)
     return Excitation(
         inputs=inputs, outputs=outputs, omega=omega, lower=lower, upper=np.maximum(lower, upper),
-        joint=joint, answer=answers[0], coherence=answers[1], within=occupied_band(parts, omega),
+        joint=joint, answer=answers[0], coherence=np.maximum(coherence, 0.0),
+        within=occupied_band(parts, omega),
         lags=max(len(each.A) for each in found),
         unanswered=tuple(span for part in parts for span in unanswered(part)),
         singular=bool(floor < SINGULAR),

@@ -190,7 +190,8 @@ class Record(Shown):
 
         Outputs follow a cubic spline, inputs what they do between samples (`hold`); what was lost
         stays lost. Where ``dt`` is longer than the interval by half or more, all channels pass a
-        symmetric filter first, so that nothing above the new Nyquist frequency is folded back.
+        symmetric filter first, so that nothing above the new Nyquist frequency is folded back; what
+        it gives is lost, too, where over a tenth of its weight is on lost samples.
         Across a gap in time nothing is interpolated: each of the `stretches` is resampled by itself
         and the gap stays one.
 

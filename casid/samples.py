@@ -25,6 +25,7 @@ SLOWER = 1.5  # intervals that are longer by this factor need a filter first
 CLOSE = 0.05  # of the median interval: a curve through two samples so close swings far beyond both
 ABRUPT = 10.0  # times the moves before and after it: a move that is a jump
 STEPS = 0.9  # of an input's moves, squared, that are jumps: it moves in steps
+MADE_UP = 0.1  # of a low-pass filter's weight on lost samples: what it gives is lost, too
 PASS = 0.8  # of the new Nyquist frequency: what is above it is taken out before sampling slower
 
 
@@ -150,30 +151,42 @@ def moved(t: Array, x: Array, instants: Array, between: Between) -> Array:
 def resampled(t: Array, columns: Sequence[tuple[Array, Between]], dt: float) -> tuple[Array, Array]:
     """Instants every ``dt`` [s] and the columns there, (M,) and (M, columns)."""
     # Where they are slower than the samples by half or more, all columns pass one filter first.
+    # NaN where more than `MADE_UP` of its weight falls on lost samples.
     grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + 1e-6) + 1)
     plain = np.array([at_instants(t, x, grid, how) for x, how in columns]).T
     own = float(np.median(np.diff(t)))
     if dt < SLOWER * own:
         return grid, plain
-    # As far as the grid goes, though that may be a part of an interval beyond the last sample.
-    even = t[0] + own * np.arange(int(np.ceil((grid[-1] - t[0]) / own - 1e-6)) + 1)
+    # From the first sample to the last, so that nothing is made up beyond.
+    even, own = np.linspace(t[0], t[-1], round((t[-1] - t[0]) / own) + 1, retstep=True)
     fast = np.array([at_instants(t, x, even, how) for x, how in columns])
-    for x in fast:
-        if (known := ~np.isnan(x)).any():
-            x[~known] = np.interp(even[~known], even[known], x[known])
-    slow = [at_instants(even, x, grid, "smooth") for x in smoothed(fast.T, dt / own).T]
-    return grid, np.where(np.isnan(plain), np.nan, np.array(slow).T)
+    unknown = np.isnan(fast)
+    for x, gone in zip(fast, unknown, strict=True):
+        if not gone.all():
+            x[gone] = np.interp(even[gone], even[~gone], x[~gone])
+    ratio = dt / own
+    slow = [at_instants(even, x, grid, "smooth") for x in smoothed(fast.T, ratio).T]
+    # What was put in for lost samples is no measurement, nor what is mostly made of it.
+    share = scipy.ndimage.convolve1d(unknown.astype(float), np.abs(taps(ratio)), mode="constant")
+    made = [np.interp(grid, even, each) > MADE_UP for each in share]
+    return grid, np.where(np.isnan(plain) | np.array(made).T, np.nan, np.array(slow).T)
+
+
+def taps(ratio: float) -> Array:
+    """Weights of the low-pass filter of `smoothed`, (taps,), their sum one."""
+    half = int(np.ceil(8 * ratio))
+    k = np.arange(-half, half + 1)
+    weights = np.sinc(PASS * k / ratio) * np.hanning(2 * half + 3)[1:-1]
+    return np.asarray(weights / weights.sum())
 
 
 def smoothed(x: Array, ratio: float) -> Array:
     """Equidistant columns without what an interval ``ratio`` times as long would fold back."""
     # A symmetric filter, so that nothing is late; alike for all channels, so that responses stay.
-    half = int(np.ceil(8 * ratio))
-    k = np.arange(-half, half + 1)
-    taps = np.sinc(PASS * k / ratio) * np.hanning(2 * half + 3)[1:-1]
+    weights = taps(ratio)
+    half = len(weights) // 2
     padded = np.pad(x, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
-    taps /= taps.sum()
-    return np.column_stack([np.convolve(column, taps, mode="valid") for column in padded.T])
+    return np.column_stack([np.convolve(column, weights, mode="valid") for column in padded.T])
 
 
 def check_samples(

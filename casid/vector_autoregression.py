@@ -1,4 +1,9 @@
-"""Vector autoregressions A(q) z = e of several channels, their order by Akaike's criterion."""
+"""Vector autoregressions A(q) z = e of several channels, their order by Akaike's criterion.
+
+It weighs errors one sample ahead, to which slow motion matters little: of four noisy loops it took
+three lags, and spectra at their low edge were off by a tenth. So a memory of 0.3 s is kept, or as
+much of it as samples allow for with little scatter.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,6 +16,7 @@ LAGS = 0.6  # time [s] that the autoregression reaches back at most
 MOST = 60  # lags
 TRIED = 1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1  # shares of that, tried by Akaike's criterion
 ROWS = 4.0  # samples for every coefficient of an equation, at least
+MEMORY, PLENTY = 0.5, 100.0  # share of the longest kept where there are so many samples for each
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,7 +57,8 @@ def of_records(columns: Sequence[Array], dt: float) -> VectorAutoregression:
             "give longer records, or fewer channels"
         )
     G = np.sum([lagged_products(z, longest) for z in columns if len(z) > longest], axis=0)
-    tried = [_of_lags(G, rows, n, p) for p in lags]
+    kept = max([p for p in lags if p <= min(MEMORY * longest, rows / (PLENTY * n))], default=0)
+    tried = [_of_lags(G, rows, n, p) for p in lags if p >= kept]
     return min(tried, key=lambda each: each.criterion)
 
 

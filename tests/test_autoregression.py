@@ -12,7 +12,6 @@ from casid import Record, read_csv
 from casid.autoregression import (
     Autoregression,
     _apart,
-    _smoothed,
     autoregression,
     filled,
     outliers,
@@ -157,6 +156,37 @@ def test_the_edges_of_a_gap_in_which_inputs_moved_are_no_outliers(seed):
     assert list(zip(*np.nonzero(outliers(replace(record, y=y))), strict=True)) == sorted(wrong)
 
 
+@pytest.mark.parametrize("seed", [21, 22, 23, 24])
+def test_outliers_right_after_a_gap_are_judged_by_what_follows(seed):
+    rng = np.random.default_rng(seed)
+    record = closed_roll.flown(t=0.02 * np.arange(1000), seed=seed).with_noise(NOISE, rng)
+    a = 300 + 20 * (seed - 21)
+    record = record.take((np.arange(1000) < a) | (np.arange(1000) >= a + 50))
+    for after in (-1, 0, 1, 5):
+        y = record.y.copy()
+        y[a + after, 1] += 40 * NOISE["p"]
+        assert np.argwhere(outliers(replace(record, y=y))).tolist() == [[a + after, 1]]
+
+
+@pytest.mark.parametrize("seed", [14, 15, 16])
+def test_a_gap_beside_an_output_that_feedback_tells_exactly_is_no_singular_matrix(seed):
+    # An axis that nobody flies: its input is its rate times a gain, whose innovations are none.
+    rng = np.random.default_rng(seed)
+    e = rng.standard_normal((300, 3)) * [0.01, 0.01, 0.005]
+    y, u, p, r, phi = np.zeros((300, 3)), np.zeros((300, 2)), 0.0, 0.0, 0.0
+    for k in range(300):
+        y[k] = e[k] + [p, r, phi]
+        lat, ped = 0.08 * (k // 30 % 2) - 0.15 * y[k, 0] - 0.5 * y[k, 2], -0.15 * y[k, 1]
+        u[k] = lat, ped
+        p, r, phi = (
+            0.92 * p + 0.6 * lat + 0.04 * ped, 0.98 * r - 0.002 * p + 0.24 * ped - 0.02 * lat,
+            phi + 0.02 * p,
+        )  # fmt: skip
+    t = 0.02 * np.arange(300)
+    record = Record(t, u, y, ("lat", "ped"), ("p", "r", "phi"), hold="zoh")
+    assert not outliers(record.take((t < 2.99) | (t > 3.99))).any()
+
+
 def test_an_output_is_judged_by_all_others_as_a_general_gaussian_is():
     _, _, record, _ = innovation_record(N=300)
     y = record.y[:60] - record.y[:60].mean(axis=0)
@@ -177,7 +207,8 @@ def test_an_output_is_judged_by_all_others_as_a_general_gaussian_is():
     P = (G.reshape(2 * N, -1) @ G.reshape(2 * N, -1).T).reshape(N, 2, N, 2)
     known = ~lost.ravel()
     inverse = np.linalg.inv(P.reshape(2 * N, 2 * N)[np.ix_(known, known)])
-    off, std = _apart(model, u, _smoothed(model, u, np.where(lost, 0.0, y), lost), lost)
+    whole = replace(record, t=record.t[:60], u=u, y=np.where(lost, 0.0, y))
+    off, std = _apart(model, whole, lost, np.arange(N))
     inner = np.arange(2 * N)[known] > 20  # the start is nearly, but not quite, unknown
     wanted = (inverse @ y.ravel()[known]) / np.diag(inverse)
     np.testing.assert_allclose(off.ravel()[known][inner], wanted[inner], rtol=1e-3, atol=1e-6)
@@ -186,7 +217,7 @@ def test_an_output_is_judged_by_all_others_as_a_general_gaussian_is():
     )
     # In other units of the outputs it is the same.
     large = Autoregression(model.A, model.B, model.c, 1e12 * model.R)
-    far = _apart(large, u, 1e6 * _smoothed(model, u, np.where(lost, 0.0, y), lost), lost)
+    far = _apart(large, replace(whole, y=1e6 * whole.y), lost, np.arange(N))
     np.testing.assert_allclose(far[0][~lost], 1e6 * off[~lost], rtol=1e-8)
     np.testing.assert_allclose(far[1], 1e6 * std, rtol=1e-8)
 

@@ -40,15 +40,29 @@ def test_slower_sampling_keeps_what_it_can_hold_and_folds_nothing_back():
     assert np.abs(y[inside, 1]).max() < 0.01
 
 
+@pytest.mark.parametrize("dt", [0.04, 0.05, 0.1])
+def test_slower_sampling_makes_nothing_up_beside_lost_samples(dt):
+    wave, lost = np.sin(5 * T), (T > 4.0) & (T < 5.0)
+    t, y = resampled(T, [(np.where(lost, np.nan, wave), "smooth")], dt)
+    there = ~np.isnan(y[:, 0])
+    assert not there[(t > 4.0) & (t < 5.0)].any()
+    assert there[(t < 4.0 - 2.1 * dt) | (t > 5.0 + 2.1 * dt)].all()
+    there &= (t > 1.0) & (t < 9.0)
+    # A tenth of the filter's weight, on a straight line that is a few per cent off nearby.
+    np.testing.assert_allclose(y[there, 0], np.sin(5 * t[there]), atol=0.01)
+
+
 @pytest.mark.parametrize("N", range(401, 406))
 @pytest.mark.parametrize("jitter", [1e-6, 2e-4])
 def test_stamps_that_jitter_cost_slower_sampling_no_instant(N, jitter):
     rng = np.random.default_rng(N)
     t = 0.005 * np.arange(N) + jitter * rng.uniform(-1, 1, N)
-    grid, y = resampled(t, [(np.sin(5 * t), "foh"), (np.sin(5 * t), "smooth")], 0.01)
+    wave = np.sin(5 * t)
+    grid, y = resampled(t, [(wave, "foh"), (wave, "smooth"), (t, "smooth")], 0.01)
     assert t[-1] - grid[-1] < 0.01 + 1e-6
     assert np.isfinite(y).all()
-    for column in y.T:
+    np.testing.assert_allclose(y[:, 2], grid, atol=1e-9)  # a line goes on to the last instant
+    for column in y[:, :2].T:
         np.testing.assert_allclose(column[20:-20], np.sin(5 * grid[20:-20]), atol=2e-3)
 
 

@@ -23,7 +23,16 @@ def aligned(
     if not fewer:
         return moves | others, (*why, *more)
     (lag,) = {*moves.values()}
-    return dict.fromkeys(fewer, -lag), (f"{', '.join(moves)} are alike and stay with the inputs",)
+    unseen = [name for name in fewer if name not in _against(check, moves)]
+    shared = f"{', '.join(unseen)}: taken to be of the same clock as the others that move"
+    stay = f"{', '.join(moves)} are taken to be of one clock, and stay with the inputs"
+    return dict.fromkeys(fewer, -lag), (*([shared] if unseen else []), stay)
+
+
+def _against(check: KinematicCheck, moves: Collection[str]) -> set[str]:
+    """Attitudes and velocities by which channels that move were seen to be late."""
+    seen = [each for each in check.channels if each.channel in check.shifts]
+    return {one for each in seen if each.channel in moves for one in each.against}
 
 
 def _fewer(
@@ -33,8 +42,7 @@ def _fewer(
     sensors = {*RATES, *FORCES} & {*first}
     if {*moves} != sensors or len({*moves.values()}) != 1:
         return ()
-    late = {each.channel: each.against for each in check.channels if each.channel in check.shifts}
-    against = {one for name in moves for one in late.get(name, ())}
+    against = _against(check, moves)
     if against <= {*second}:
         return tuple(second)
     if not against <= {*first}:

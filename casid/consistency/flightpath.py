@@ -7,7 +7,8 @@
 V. Klein, E. A. Morelli, Aircraft System Identification: Theory and Practice, chapter 10;
 R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 10. A rate or a specific
 force is taken as measured(t) = (1 + scale) true(t − skew) + bias, attitudes and velocities as right
-but for noise.
+but for noise. Scale and skew are one for all records. Biases are constant over a record and of its
+own: instruments drift from flight to flight, and trim is subtracted record by record.
 
 Departures. Both sides are integrated, with the measured attitudes and velocities in the products:
 the unknowns but for the skews then enter linearly, and no trajectory can diverge. Noise of the
@@ -24,23 +25,22 @@ from functools import cached_property
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtbtrs
 
 from casid.arrays import Array
 from casid.channels import FORCES, RATES, VELOCITIES
+from casid.consistency.innovations import innovations, steady_gain
 from casid.consistency.measured import Flight, white_noise
-from casid.consistency.pretended import Corrected, Normal
+from casid.consistency.pretended import Corrected, Eliminated, Normal
 
 GRAVITY = 9.80665  # m/s^2
 GAINS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 25)])
 ITERATIONS = 12
 CORRECTIONS, DRAWS = 5, 2  # last iterations, without what noise pretends, and its draws for it
 SETTLED = 1e-3  # of gains and skews [s]
-BAND = 4.0  # Hz: above that rates and forces are more noise and vibration than flight
 REGAIN = (2, 5, 8)  # iterations after which the filters' gains are fitted anew
 LATE = 0.5  # largest skew [s]
 BATCH = 1.0  # time [s] over which innovations may be correlated
-PRIOR = np.array([1.0, np.inf, 0.1])  # of gain, bias and skew, so that nothing is singular
+PRIOR = np.array([1.0, 0.1])  # of gain and skew, so that nothing is singular
 FAR_OFF = 10.0  # from the centre of gravity [m], a prior too
 TILT = 0.1  # rad: what an unknown pitch attitude may be
 ROUNDING = 1e-9  # of a channel's range: no record is more exact
@@ -89,8 +89,10 @@ class Instruments:
     """Instruments with which the flights obey kinematics."""
 
     channels: tuple[str, ...]  # rates and specific forces
-    unknowns: Array  # (channels, 3): gain 1/(1 + scale), bias after that gain, skew [s]
-    errors: Array  # (channels, 3) standard errors
+    unknowns: Array  # (channels, 2): gain 1/(1 + scale), skew [s]
+    errors: Array  # (channels, 2) standard errors
+    biases: Array  # (records, channels), after the gain
+    bias_errors: Array  # (records, channels)
     against: dict[str, tuple[str, ...]]  # the equations in which each channel stands
     left: dict[str, list[Array]]  # of each equation's attitude or velocity, one array a flight
     place: Array  # (3,) of the accelerometers, from where velocities are measured [m]
@@ -98,7 +100,7 @@ class Instruments:
 
 
 Terms = tuple[dict[str, Array], Array]  # factors of rates and forces, the rest
-Block = tuple[str, Array]  # equation; residual and slopes by its own unknowns (1 + own, N)
+Block = tuple[str, int, Array]  # equation, record; residual, slopes by own unknowns (1 + own, N)
 
 
 def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instruments:
@@ -109,37 +111,42 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
     """
     problem = _Reconstruction(flights, tuple(equations))
     n = len(problem.channels)
-    start = np.append(np.tile([1.0, 0.0, 0.0], n), np.zeros(3))
+    start = np.append(np.tile([1.0, 0.0], n), np.zeros(3))
     reach = np.append(np.tile(PRIOR, n), np.full(3, FAR_OFF))
-    prior = reach**-2.0
-    skews, settling = slice(2, 3 * n, 3), np.flatnonzero(np.arange(3 * n) % 3 != 1)  # no biases
-    x = start.copy()
+    prior, skews = reach**-2.0, slice(1, 2 * n, 2)
+    x, biases = start, np.zeros((problem.records, n))
     iteration = 0
     while True:
-        blocks = problem.blocks(x)
+        blocks = problem.blocks(x, biases)
         if iteration in REGAIN:
-            problem.fit_gains(blocks, x[: 3 * n : 3])
+            problem.fit_gains(blocks, x[: 2 * n : 2])
         if iteration <= REGAIN[-1]:
             problem.fit_sizes(blocks)
         parts = problem.whitened(blocks)
-        plain = problem.normal(parts, len(x))
-        pretended = problem.pretended(x, plain) if iteration >= ITERATIONS else plain * 0.0
+        plain, flown = problem.normal(parts)
+        pretended = problem.pretended(x, biases, plain) if iteration >= ITERATIONS else plain * 0.0
         corrected = Corrected(plain + Normal(np.diag(prior), prior * (start - x)), pretended)
         step = corrected.step()
-        settled = iteration > ITERATIONS and np.abs(step[settling]).max() < SETTLED
+        settled = iteration > ITERATIONS and np.abs(step[: 2 * n]).max() < SETTLED
         if settled or iteration == ITERATIONS + CORRECTIONS:
             break
-        step[skews] = np.clip(step[skews], -LATE / 4, LATE / 4)
-        x = x + step
-        x[skews] = np.clip(x[skews], -LATE, LATE)
+        step[skews] = np.clip(step[skews], -LATE / 4, LATE / 4).clip(
+            -LATE - x[skews], LATE - x[skews]
+        )
+        x, biases = x + step, biases + [one.step(step) for one in flown]
         iteration += 1
-    errors = np.sqrt(corrected.variances(problem.scores(parts, len(x)), reach) + step**2)
+    pairs = [(one, problem.scores(parts, k)) for k, one in enumerate(flown)]
+    scores = np.concatenate([one.scores(whole) for one, whole in pairs])
+    P = corrected.covariance(scores, reach) + np.diag(step**2)
+    errors = np.sqrt(np.diag(P))
     return Instruments(
         channels=problem.channels,
-        unknowns=x[:-3].reshape(n, 3),
-        errors=errors[:-3].reshape(n, 3),
+        unknowns=x[:-3].reshape(n, 2),
+        errors=errors[:-3].reshape(n, 2),
+        biases=biases,
+        bias_errors=np.sqrt([one.variances(whole, P) for one, whole in pairs]),
         against=problem.against(),
-        left={each: [rows[0] for name, rows in blocks if name == each] for each in equations},
+        left={one: [rows[0] for name, _, rows in blocks if name == one] for one in equations},
         place=x[-3:],
         place_errors=errors[-3:],
     )
@@ -154,7 +161,8 @@ def reconstruct_level(flights: Sequence[Flight], equations: Sequence[str]) -> In
         return solution
     other = reconstruct([replace(each, level={"theta": TILT}) for each in flights], equations)
     apart = np.hypot(solution.errors, other.unknowns - solution.unknowns)
-    return replace(solution, errors=apart)
+    biases_apart = np.hypot(solution.bias_errors, other.biases - solution.biases)
+    return replace(solution, errors=apart, bias_errors=biases_apart)
 
 
 class _Reconstruction:
@@ -166,6 +174,8 @@ class _Reconstruction:
         felt = {name for factors, _ in self.terms[0].values() for name in factors}
         known = felt & set(flights[0].values)
         self.channels = tuple(name for name in (*RATES, *FORCES) if name in known)
+        found, self.of = np.unique([flight.record for flight in flights], return_inverse=True)
+        self.records = len(found)
         self.splines = []  # cubic pieces of the channels between samples, (channels, 4, N - 1)
         for flight in flights:
             y = np.column_stack([flight.values[name] for name in self.channels])
@@ -187,15 +197,18 @@ class _Reconstruction:
         """Which unknowns stand in an equation."""
         factors, n = self.terms[0][equation][0], len(self.channels)
         own = [i for i, name in enumerate(self.channels) if name in factors]
-        found = [3 * i + k for i in own for k in range(3)]
+        found = [k for i in own for k in (2 * i, 2 * n + 3 + i, 2 * i + 1)]
         levered = equation in VELOCITIES and {*RATES} <= {*self.channels}
-        return np.array(found + levered * [3 * n, 3 * n + 1, 3 * n + 2])
+        return np.array(found + levered * [2 * n, 2 * n + 1, 2 * n + 2])
 
-    def blocks(self, x: Array) -> list[Block]:
+    def blocks(self, x: Array, biases: Array) -> list[Block]:
         """Residuals and slopes of each equation and flight at these unknowns."""
-        table, place = x[:-3].reshape(-1, 3), x[-3:]
+        shared, place = x[:-3].reshape(-1, 2), x[-3:]
         found = []
-        for flight, splines, terms in zip(self.flights, self.splines, self.terms, strict=True):
+        for flight, k, splines, terms in zip(
+            self.flights, self.of, self.splines, self.terms, strict=True
+        ):
+            table = np.insert(shared, 1, biases[k], axis=1)
             moved, true = {}, {}
             for name, pieces, (gain, bias, skew) in zip(self.channels, splines, table, strict=True):
                 m, rate = moved[name] = _read(pieces, skew, flight.dt)
@@ -211,7 +224,7 @@ class _Reconstruction:
                 F = F[:, flight.rows[each]] if each in flight.rows else F
                 F[0] = flight.own(each) - F[0]
                 F[0] -= F[0].mean()
-                found.append((each, F))
+                found.append((each, int(k), F))
         return found
 
     def _derivative(
@@ -230,33 +243,36 @@ class _Reconstruction:
     def whitened(self, blocks: Sequence[Block]) -> list[Block]:
         """Innovations up to `BAND` and slopes, in standard deviations of all of the innovations."""
         first, found = self.flights[0], []
-        for each, rows in blocks:
+        for each, k, rows in blocks:
             dt = first.dt * first.step(each)
-            found.append((each, _innovations(self.gains[each], rows, dt) / self.sizes[each]))
+            found.append((each, k, innovations(self.gains[each], rows, dt) / self.sizes[each]))
         return found
 
     def fit_sizes(self, blocks: Sequence[Block]) -> None:
         """Take the standard deviations of the innovations."""
         for each in self.equations:
-            mine = [_innovations(self.gains[each], r[:1])[0] for n, r in blocks if n == each]
+            mine = [innovations(self.gains[each], r[:1])[0] for n, _, r in blocks if n == each]
             floor = ROUNDING * max(np.ptp(flight.values[each]) for flight in self.flights)
             size = np.sqrt(np.mean(np.concatenate(mine) ** 2) + floor**2 + 1e-300)
             self.sizes[each] = float(size)
 
-    def normal(self, parts: Sequence[Block], n: int) -> Normal:
-        """Normal equations of all ``n`` unknowns, without a prior."""
-        found = Normal(np.zeros((n, n)), np.zeros(n))
-        for each, rows in parts:
+    def normal(self, parts: Sequence[Block]) -> tuple[Normal, list[Eliminated]]:
+        """Normal equations without a prior, of all records together and of each."""
+        biased = len(self.channels)
+        n = 3 * biased + 3
+        found = [Normal(np.zeros((n, n)), np.zeros(n)) for _ in range(self.records)]
+        for each, k, rows in parts:
             own, products = self.columns[each], rows @ rows.T
-            found.information[np.ix_(own, own)] += products[1:, 1:]
-            found.slope[own] += products[1:, 0]
-        return found
+            found[k].information[np.ix_(own, own)] += products[1:, 1:]
+            found[k].slope[own] += products[1:, 0]
+        flown = [Eliminated(whole, n - biased) for whole in found]
+        return sum((one.shared for one in flown[1:]), flown[0].shared), flown
 
-    def pretended(self, x: Array, plain: Normal) -> Normal:
+    def pretended(self, x: Array, biases: Array, plain: Normal) -> Normal:
         """The noise's part of the normal equations, found by adding as much noise again."""
         found = plain * -1.0
         for other in self._noisier:
-            noisy = other.normal(other.whitened(other.blocks(x)), len(x))
+            noisy, _ = other.normal(other.whitened(other.blocks(x, biases)))
             found += noisy * (1 / len(self._noisier))
         return found
 
@@ -279,18 +295,18 @@ class _Reconstruction:
         """Take the gains with the smallest innovations, no less than the rates' noise asks for."""
         # Without that floor a bias explains a random walk too well now and then: K = 0.
         sizes = {each: np.zeros(len(GAINS)) for each in self.equations}
-        for n in {rows.shape[1] for _, rows in blocks}:
-            names = [name for name, rows in blocks if rows.shape[1] == n]
-            alike = np.array([rows[0] for _, rows in blocks if rows.shape[1] == n])
+        for n in {rows.shape[1] for _, _, rows in blocks}:
+            names = [name for name, _, rows in blocks if rows.shape[1] == n]
+            alike = np.array([rows[0] for _, _, rows in blocks if rows.shape[1] == n])
             for k, K in enumerate(GAINS):
-                for name, left in zip(names, _innovations(K, alike), strict=True):
+                for name, left in zip(names, innovations(K, alike), strict=True):
                     sizes[name][k] += left @ left
         for each in self.equations:
             seen = float(
-                np.mean([white_noise(rows[0]) ** 2 for name, rows in blocks if name == each])
+                np.mean([white_noise(rows[0]) ** 2 for name, _, rows in blocks if name == each])
             )
             ratio = float(self._walk(each, scaling) / max(seen, 1e-300))
-            self.gains[each] = max(float(GAINS[int(np.argmin(sizes[each]))]), _steady_gain(ratio))
+            self.gains[each] = max(float(GAINS[int(np.argmin(sizes[each]))]), steady_gain(ratio))
 
     def _walk(self, equation: str, scaling: Array) -> float:
         """Variance that the noise of rates and forces adds from one sample to the next."""
@@ -310,13 +326,15 @@ class _Reconstruction:
             {name: white_noise(each.own(name)) for name in self.channels} for each in self.flights
         ]
 
-    def scores(self, parts: Sequence[Block], n: int) -> Array:
-        """Sums of slope times innovation over stretches that count as independent."""
+    def scores(self, parts: Sequence[Block], record: int) -> Array:
+        """Sums of slope times innovation over stretches of a record that count as independent."""
         first, found = self.flights[0], []
-        for each, rows in parts:
+        for each, k, rows in parts:
+            if k != record:
+                continue
             step = max(1, round(BATCH / (first.dt * first.step(each))))
             starts = np.arange(0, rows.shape[1], step)
-            found.append(np.zeros((len(starts), n)))
+            found.append(np.zeros((len(starts), 3 * len(self.channels) + 3)))
             sums = np.add.reduceat(rows[1:] * rows[0], starts, axis=1)
             found[-1][:, self.columns[each]] = sums.T
         return np.concatenate(found)
@@ -332,11 +350,6 @@ def _read(pieces: Array, skew: float, dt: float) -> tuple[Array, Array]:
     return ((a * s + b) * s + c) * s + d, (3 * a * s + 2 * b) * s + c
 
 
-def _steady_gain(ratio: float) -> float:
-    """Kalman's for a random walk seen in noise, ``ratio`` the variance of its steps to that."""
-    return float((np.sqrt(ratio**2 + 4 * ratio) - ratio) / 2)
-
-
 def _lever(moved: Mapping[str, tuple[Array, Array]]) -> Array | None:
     """L of a_s − a = L r, (3, N, 3), for r from the centre of gravity; None without all rates."""
     if not {*RATES} <= set(moved):
@@ -348,38 +361,3 @@ def _lever(moved: Mapping[str, tuple[Array, Array]]) -> Array | None:
         [p * r - dq, q * r + dp, -(p**2 + q**2)],
     ]
     return np.moveaxis(np.array(rows), 1, 2)
-
-
-def _innovations(gain: float, rows: Array, dt: float = 0.0) -> Array:
-    """What a filter of this gain leaves of residual and slopes (n, N), initial state projected out.
-
-    e[k] − e[k−1] + (1 − K) ε[k−1] is the error of predicting a sum of white noise (in the rates)
-    that is seen through white noise (in the attitude) one sample ahead. A sampling interval asks
-    for them up to `BAND`.
-    """
-    found, z = rows, np.ones(rows.shape[1])
-    b, a = np.array([[1.0, -1.0], [1.0, gain - 1.0]] if gain > 0 else [[1.0], [1.0]])
-    if 0 < dt < 0.4 / BAND:
-        b, a = map(np.convolve, (b, a), _low_pass(dt))
-    if len(a) > 1:
-        found, z = _filtered(b, a, rows), _filtered(b, a, z[None])[0]
-    return np.asarray(found - np.outer(found @ z / (z @ z), z))
-
-
-def _filtered(b: Array, a: Array, rows: Array) -> Array:
-    """Rows (n, N) through the filter b/a from rest, a[0] being 1."""
-    moving = b[0] * rows
-    for k in range(1, len(b)):
-        moving[:, k:] += b[k] * rows[:, :-k]
-    # The recursion is a banded triangular system: SciPy's filters would import most of it.
-    band = np.asfortranarray(np.tile(a[:, None], moving.shape[1]))
-    found = dtbtrs(band, moving.T, uplo="L", diag="U", overwrite_b=True)[0]
-    return np.asarray(found.T)
-
-
-def _low_pass(dt: float) -> tuple[Array, Array]:
-    """Butterworth's filter of second order that lets pass what is below `BAND`, b and a."""
-    w = np.tan(np.pi * BAND * dt)
-    whole = 1 + np.sqrt(2) * w + w**2
-    a = np.array([whole, 2 * (w**2 - 1), 1 - np.sqrt(2) * w + w**2])
-    return w**2 / whole * np.array([1.0, 2.0, 1.0]), a / whole

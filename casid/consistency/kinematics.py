@@ -10,28 +10,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casid.arrays import Array, BoolArray
+from casid.arrays import BoolArray
 from casid.autoregression import outliers
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.consistency.flightpath import GRAVITY, Instruments, reconstruct_level
-from casid.consistency.measured import (
-    Flight,
-    looked_at,
-    signals,
-    white_noise,
+from casid.consistency.flightpath import GRAVITY, LATE, Instruments, reconstruct_level
+from casid.consistency.further import (
+    ROUGH,
+    SIGNIFICANT,
+    against_gravity,
+    in_some,
+    misplaced,
+    mistake,
+    turned,
+    unexplained,
 )
+from casid.consistency.lags import clocks_apart
+from casid.consistency.measured import Flight, looked_at, signals
 from casid.display import Shown, counted, listed
-from casid.record import REST, Record
+from casid.record import Record
 from casid.records import Records, several
 
 KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
-SIGNIFICANT = 3.5  # standard errors, of the largest of some twenty
 SCALE, SKEW, BIAS = 0.02, 0.01, 0.1  # what matters: relative, s, of the channel's deviation
-ROUGH = 0.1  # the scale that matters where an equation lacks a channel
-AWAY, SEEN = 0.2, 0.5  # m: an accelerometer's place that matters, and its largest error
+SEEN = 0.5  # m: the largest error of an accelerometer's place
 LEVEL = 0.005  # rad
-ALIKE = 0.2  # how near a factor is to that of a mistake
-MUCH = 0.3  # share of an attitude's movement left unexplained that matters
 
 UNITS = dict.fromkeys(RATES, "rad/s") | dict.fromkeys(FORCES, "m/s^2")
 OWN = dict(zip((*RATES, *FORCES), (*ATTITUDES, *VELOCITIES), strict=True))
@@ -42,14 +44,6 @@ NEEDED = {  # channels without which an equation means nothing
     **{name: {*VELOCITIES, *FORCES, *RATES, "phi", "theta"} for name in VELOCITIES},
 }
 WHOLE = NEEDED | {"phi": {"phi", "theta", *RATES}, "theta": {"phi", "theta", "q", "r"}}
-FACTORS = {
-    "it has the opposite sign": -1.0,
-    "it seems to be in degrees, or its reference in radians though called degrees": 180 / np.pi,
-    "its reference seems to be in degrees": np.pi / 180,
-    "it seems to be in g": 1 / GRAVITY,
-    "it seems to be in feet": 1 / 0.3048,
-    "its reference seems to be in feet": 0.3048,
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,9 +57,12 @@ class ChannelCheck:
     against : tuple of str
         Attitudes or velocities it was compared with.
     scale, skew, bias : float
-        measured(t) = (1 + scale) true(t − skew [s]) + bias; NaN where the records do not tell.
+        measured(t) = (1 + scale) true(t − skew [s]) + bias, its mean over records; NaN where the
+        records do not tell.
     scale_error, skew_error, bias_error : float
         Their standard errors.
+    biases : tuple of (str, float, float)
+        Of each record: its name, the bias and its standard error.
     remarks : tuple of str
         What is wrong with it; empty if nothing is.
     """
@@ -79,6 +76,7 @@ class ChannelCheck:
     skew_error: float
     bias: float
     bias_error: float
+    biases: tuple[tuple[str, float, float], ...] = ()
     remarks: tuple[str, ...] = ()
 
     @property
@@ -172,6 +170,8 @@ class KinematicCheck(Shown):
 def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None) -> KinematicCheck:
     """Scale, bias and skew of rates and specific forces that make records consistent.
 
+    Scale and skew are one for all records, biases of each record's own.
+
     Parameters
     ----------
     records : Record or sequence of Record
@@ -182,10 +182,13 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
         Added to channels that were recorded as perturbations; ``theta0``, the pitch attitude [rad]
         where theta was not recorded.
     """
-    pieces = looked_at(several(records))
-    marks = [outliers(piece) for piece in pieces]
-    pieces = [piece.mask(where) for piece, where in zip(pieces, marks, strict=True)]
-    flights = [signals(piece, trim or {}) for piece in pieces]
+    flown = several(records)
+    stretches = looked_at(flown)
+    which, whole = [k for k, _ in stretches], [piece for _, piece in stretches]
+    marks = [outliers(piece) for piece in whole]
+    pieces = [piece.mask(where) for piece, where in zip(whole, marks, strict=True)]
+    flights = [signals(each, trim or {}, k) for k, each in zip(which, pieces, strict=True)]
+    labels = {k: flown[k].name for k in which}
     names = set.intersection(*(set(flight.values) for flight in flights)) if flights else set()
     notes = _marked(pieces, marks)
     if _about_zero(flights, "az", 1e-2 * GRAVITY):
@@ -196,14 +199,18 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
         )
     notes += _unchecked(names, pieces)
     equations = [name for name in (*ATTITUDES, *VELOCITIES) if NEEDED[name] <= names]
-    turned = _turned(flights, names)
-    if turned or not equations:
-        return KinematicCheck(channels=(), residuals={}, notes=tuple(notes), further=turned)
-    return _reconstructed(flights, names, equations, notes)
+    why = turned(flights, names) or (clocks_apart(flights, LATE) if equations else ())
+    if why or not equations:
+        return KinematicCheck(channels=(), residuals={}, notes=tuple(notes), further=why)
+    return _reconstructed(flights, names, equations, notes, labels)
 
 
 def _reconstructed(
-    flights: Sequence[Flight], names: set[str], equations: Sequence[str], notes: Sequence[str]
+    flights: Sequence[Flight],
+    names: set[str],
+    equations: Sequence[str],
+    notes: Sequence[str],
+    labels: Mapping[int, str],
 ) -> KinematicCheck:
     """What instruments the equations of these channels ask for, judged."""
     solution = reconstruct_level([flight.only(names) for flight in flights], equations)
@@ -213,7 +220,9 @@ def _reconstructed(
     }
     level = _about_zero(flights, "theta", LEVEL)
     rough = {name for name in equations if level or not WHOLE[name] <= names}
-    checks = tuple(_judged(solution, name, spread[name], rough) for name in solution.channels)
+    checks = tuple(
+        _judged(solution, n, spread[n], rough, labels.values()) for n in solution.channels
+    )
     untold = [
         f"the records do not tell about {each.channel}: it moves too little, or too alike others"
         for each in checks
@@ -228,9 +237,9 @@ def _reconstructed(
         residuals=left,
         notes=(*notes, *untold),
         further=(
-            *_against_gravity(flights, names),
-            *_unexplained(solution, spread),
-            *_misplaced(place, errors),
+            *against_gravity(flights, names),
+            *unexplained(solution, flights, labels),
+            *misplaced(place, errors),
         ),
         place=tuple(map(float, place)),
         place_error=tuple(map(float, errors)),
@@ -276,27 +285,20 @@ def _about_zero(flights: Sequence[Flight], name: str, size: float) -> bool:
     return whole and bool(abs(np.median(np.concatenate(seen))) < size)
 
 
-def _turned(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:
-    said = []
-    for name, limit in (("phi", np.pi), ("theta", np.pi / 2)):
-        if name not in names:
-            continue
-        largest = max(np.abs(flight.values[name]).max() for flight in flights)
-        if largest > limit:
-            said.append(f"{name} reaches {largest:.3g} rad: is it in degrees? Kinematics unchecked")
-    return tuple(said)
-
-
-def _judged(solution: Instruments, name: str, spread: float, rough: set[str]) -> ChannelCheck:
+def _judged(
+    solution: Instruments, name: str, spread: float, rough: set[str], labels: Collection[str]
+) -> ChannelCheck:
     i = solution.channels.index(name)
-    gain, bias, skew = map(float, solution.unknowns[i])
+    gain, skew = map(float, solution.unknowns[i])
     errors = [float(error) for error in solution.errors[i]]
     against = solution.against[name]
     if OWN[name] in against:  # it stands in others too, but this one says most
         against = (OWN[name],)
     known = 0 < errors[0] < KNOWN * abs(gain)
-    if not known:
-        gain, bias, skew, *errors = [np.nan] * 6
+    ended = known and abs(skew) >= LATE
+    if ended or not known:
+        gain, skew, *errors = [np.nan] * 4
+    own, off = solution.biases[:, i] / gain, solution.bias_errors[:, i] / abs(gain)
     check = ChannelCheck(
         channel=name,
         unit=UNITS[name],
@@ -304,11 +306,15 @@ def _judged(solution: Instruments, name: str, spread: float, rough: set[str]) ->
         scale=1 / gain - 1,
         scale_error=errors[0] / gain**2,
         skew=skew,
-        skew_error=errors[2],
-        bias=bias / gain,
-        bias_error=errors[1] / abs(gain),
+        skew_error=errors[1],
+        bias=float(own.mean()),
+        bias_error=float(np.hypot(np.sqrt(np.mean(off**2)), own.std() / np.sqrt(len(own)))),
+        biases=tuple(zip(labels, map(float, own), map(float, off), strict=True)),
     )
     tolerance = ROUGH if rough & set(against) else SCALE
+    if ended:
+        said = f"{name} is {LATE:g} s late or early against {against[0]}, where the search ended: "
+        return replace(check, remarks=(f"{said}look at the clocks of both",))
     return replace(check, remarks=_remarks(check, tolerance, spread) if known else ())
 
 
@@ -318,7 +324,7 @@ def _remarks(check: ChannelCheck, tolerance: float, spread: float) -> tuple[str,
     implied = f"{others} {'imply' if len(check.against) > 1 else 'implies'}"
     factor = 1 + check.scale
     if abs(check.scale) > max(tolerance, SIGNIFICANT * check.scale_error):
-        why = _mistake(factor) or "look at the scale factors of both"
+        why = mistake(factor) or "look at the scale factors of both"
         said.append(
             f"{check.channel} is {factor:.4g} ± {check.scale_error:.2g} times what {implied}: {why}"
         )
@@ -328,10 +334,14 @@ def _remarks(check: ChannelCheck, tolerance: float, spread: float) -> tuple[str,
             f"{check.channel} is {abs(check.skew):.3g} ± {check.skew_error:.1g} s {late} against "
             f"{others}: look at filters and the time stamps of both"
         )
-    if abs(check.bias) > max(BIAS * spread, SIGNIFICANT * check.bias_error):
+    least = BIAS * spread
+    biased = [each for each in check.biases if abs(each[1]) > max(least, SIGNIFICANT * each[2])]
+    if biased:
+        _, bias, error = max(biased, key=lambda each: abs(each[1]))
+        upto = "up to " if np.ptp([each[1] for each in check.biases]) > least else ""
         said.append(
-            f"{check.channel} has a bias of {check.bias:.3g} ± {check.bias_error:.1g} "
-            f"{check.unit} against {others}"
+            f"{check.channel} has a bias of {upto}{bias:.3g} ± {error:.1g} {check.unit} against "
+            f"{others}{in_some([name for name, *_ in biased], check.biases)}"
         )
     return tuple(said)
 
@@ -339,58 +349,3 @@ def _remarks(check: ChannelCheck, tolerance: float, spread: float) -> tuple[str,
 def _late(check: ChannelCheck) -> float:
     """The skew from which it matters and is no noise [s]."""
     return max(SKEW, SIGNIFICANT * check.skew_error)
-
-
-def _mistake(factor: float) -> str:
-    """The mistake that a factor betrays, if any."""
-    why = [why for why, known in FACTORS.items() if abs(factor / known - 1) < ALIKE]
-    return why[0] if why else ""
-
-
-def _unexplained(solution: Instruments, spread: Mapping[str, float]) -> tuple[str, ...]:
-    """Remarks on attitudes and velocities that no scale, bias and skew brings into line."""
-    said = []
-    for each, left in solution.left.items():
-        white = float(np.mean([white_noise(e) ** 2 for e in left]))
-        moves = max(spread[each] ** 2 - white, 1e-300)
-        rest = float(np.mean(np.concatenate(left) ** 2)) - white
-        if rest > max(MUCH**2 * moves, 4 * white):
-            said.append(
-                f"{each} does not follow from the other channels: {np.sqrt(rest / moves):.0%} of "
-                "its movement is left; look at the signs, units and axes of all"
-            )
-    return tuple(said)
-
-
-def _misplaced(place: Array, errors: Array) -> tuple[str, ...]:
-    """Remark on accelerometers that are not where velocities are measured."""
-    if not (np.abs(place) > np.maximum(AWAY, SIGNIFICANT * errors)).any():
-        return ()
-    axes = zip(place, errors, ("forward", "right", "down"), strict=True)
-    where = ", ".join(f"{r:.2f} ± {e:.1g} m {axis}" for r, e, axis in axes if np.isfinite(r))
-    return (
-        f"ax ay az read as accelerometers {where} of where velocities are measured: move them to "
-        "the centre of gravity, or give the structure their place",
-    )
-
-
-def _against_gravity(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:
-    """Remarks on a specific force that in trim is far from what gravity asks for."""
-    if not {*FORCES, "phi", "theta"} <= names or {*VELOCITIES} <= names:
-        return ()
-    said = []
-    # Without a quiet stretch the mean of all of it: what the aircraft was flown about.
-    ends = [each.quiet if each.quiet * each.dt >= REST else None for each in flights]
-    heads = [
-        [flight.values[name][:end].mean() for flight, end in zip(flights, ends, strict=True)]
-        for name in (*FORCES, "phi", "theta")
-    ]
-    f, (phi, theta) = np.median(heads[:3], axis=1), np.median(heads[3:], axis=1)
-    down = np.cos(theta) * np.array([0.0, np.sin(phi), np.cos(phi)])
-    wanted = GRAVITY * (np.array([np.sin(theta), 0.0, 0.0]) - down)
-    for name, found, due in zip(FORCES, f, wanted, strict=True):
-        if abs(found - due) <= ROUGH * GRAVITY:
-            continue
-        why = (_mistake(float(found / due)) if due else "") or "look at its sign, unit and bias"
-        said.append(f"{name} is {found:.3g} m/s^2 in trim, gravity makes it {due:.3g}: {why}")
-    return tuple(said)

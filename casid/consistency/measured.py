@@ -29,6 +29,7 @@ class Flight:
     values: dict[str, Array]
     rows: dict[str, NDArray[np.intp]] = field(default_factory=dict)  # own samples of slow channels
     level: dict[str, float] = field(default_factory=dict)  # attitudes that were not recorded
+    record: int = 0  # of which it is a stretch
 
     @property
     def t(self) -> Array:
@@ -59,15 +60,20 @@ class Flight:
         return replace(self, values={k: x for k, x in self.values.items() if k in names})
 
 
-def looked_at(records: Sequence[Record]) -> list[Record]:
-    """Stretches of records without long gaps, cut where there are more samples than are used."""
-    pieces = [each for record in records for each in record.stretches() if each.N >= SHORTEST]
-    share = min(1.0, MOST / max(sum(piece.N for piece in pieces), 1))
-    return [piece.take(slice(max(int(share * piece.N), SHORTEST))) for piece in pieces]
+def looked_at(records: Sequence[Record]) -> list[tuple[int, Record]]:
+    """Stretches without long gaps, and of which record each is; cut where there are too many."""
+    pieces = [
+        (k, each)
+        for k, record in enumerate(records)
+        for each in record.stretches()
+        if each.N >= SHORTEST
+    ]
+    share = min(1.0, MOST / max(sum(piece.N for _, piece in pieces), 1))
+    return [(k, piece.take(slice(max(int(share * piece.N), SHORTEST)))) for k, piece in pieces]
 
 
-def signals(record: Record, trim: Mapping[str, float]) -> Flight:
-    """Total values of a record's channels on equidistant instants, missing samples filled in."""
+def signals(record: Record, trim: Mapping[str, float], which: int = 0) -> Flight:
+    """Total values of a stretch of record ``which`` on equidistant instants, no sample missing."""
     quiet = record.quiet_samples()
     # A slow channel is judged at its own samples: what lies between them carries no noise.
     lost = np.isnan(record.y)
@@ -101,7 +107,7 @@ def signals(record: Record, trim: Mapping[str, float]) -> Flight:
         name: np.unique(np.round((t - record.t[0]) / record.dt)).astype(int).clip(0, record.N - 1)
         for name, t in taken.items()
     }
-    return Flight(record.dt, quiet, values, rows, level)
+    return Flight(record.dt, quiet, values, rows, level, which)
 
 
 def _velocities(values: Mapping[str, Array]) -> dict[str, Array]:

@@ -21,7 +21,7 @@ def test_the_fewer_move_and_stay_in_the_order_of_the_record(check):
     moves, (why,) = aligned(check, OUTPUTS, (), ["lat"])
     assert list(moves) == ["phi", "theta"]
     np.testing.assert_allclose(list(moves.values()), -0.1, atol=0.005)
-    assert why == "p, q, r, ax, ay, az are alike and stay with the inputs"
+    assert why == "p, q, r, ax, ay, az are taken to be of one clock, and stay with the inputs"
     assert moves_told(moves).startswith("phi -")
     assert "inputs stay" in moves_told(moves)
 
@@ -35,8 +35,9 @@ def test_rates_move_where_they_are_no_more_than_what_they_are_held_against(check
 
 def test_the_logger_without_inputs_moves_as_a_whole(check):
     first, second = ("p", "q"), ("phi", "theta", "psi")
-    moves, _ = aligned(check, first, second, ["lat"])
+    moves, why = aligned(check, first, second, ["lat"])
     assert list(moves) == list(second)
+    assert why[0] == "psi: taken to be of the same clock as the others that move"
     np.testing.assert_allclose(list(moves.values()), -0.1, atol=0.005)
     assert list(aligned(check, first, (*second, "lat"), ["lat"])[0]) == list(first)
 

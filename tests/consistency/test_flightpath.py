@@ -1,37 +1,21 @@
-"""Kinematics of rigid bodies and what filters them, against closed forms and rotation matrices."""
+"""Kinematics of rigid bodies, against closed forms and rotation matrices."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.linalg
 import scipy.optimize
-import scipy.signal
 from scipy.spatial.transform import Rotation
 from truths.flights import FORCES, RATES, STATES, truth
 
 from casid.consistency.flightpath import (
-    _filtered,
     _integral,
     _lever,
-    _low_pass,
-    _steady_gain,
     _terms,
     reconstruct,
     reconstruct_level,
 )
 from casid.consistency.measured import Flight
-
-
-def test_filters_are_those_of_a_signal_processing_library():
-    rows = np.random.default_rng(0).standard_normal((3, 200))
-    for dt in (0.01, 0.04):
-        b, a = _low_pass(dt)
-        np.testing.assert_allclose((b, a), scipy.signal.butter(2, 4.0, fs=1 / dt), atol=1e-14)
-        b, a = np.convolve(b, [1.0, -1.0]), np.convolve(a, [1.0, -0.9])
-        expected = scipy.signal.lfilter(b, a, rows)
-        np.testing.assert_allclose(_filtered(b, a, rows), expected, atol=1e-13)
-        np.testing.assert_allclose(_filtered(b, a, rows[:, :2]), expected[:, :2], atol=1e-13)
 
 
 def test_running_integrals_are_exact_for_straight_lines_and_of_fourth_order_inside():
@@ -83,11 +67,10 @@ def test_instruments_beside_the_centre_of_gravity_feel_the_turn():
     assert _lever({"p": moved["p"]}) is None
 
 
-@pytest.mark.parametrize("ratio", [1e-4, 0.3, 20.0])
-def test_the_least_gain_is_that_of_a_filter_of_a_random_walk(ratio):
-    one = np.ones((1, 1))
-    (P,) = scipy.linalg.solve_discrete_are(one, one, ratio * one, one).ravel()
-    assert _steady_gain(ratio) == pytest.approx(P / (P + 1), rel=1e-9)
+def of_record(found, record=0):
+    """Gain, bias and skew of each channel in a record, and their errors, (channels, 3) each."""
+    values = np.insert(found.unknowns, 1, found.biases[record], axis=1)
+    return values, np.insert(found.errors, 1, found.bias_errors[record], axis=1)
 
 
 def test_what_flights_do_not_tell_stays_where_it_was_expected():
@@ -95,7 +78,7 @@ def test_what_flights_do_not_tell_stays_where_it_was_expected():
     attitude = 1e-3 * np.random.default_rng(2).standard_normal(500)
     found = reconstruct([Flight(0.02, 0, {"p": np.zeros(500), "phi": attitude})], ["phi"])
     assert found.channels == ("p",)
-    (gain, bias, skew), errors = found.unknowns[0], found.errors[0]
+    ((gain, bias, skew),), (errors,) = of_record(found)
     assert (gain, skew) == pytest.approx((1.0, 0.0), abs=1e-6)
     assert (errors[0], errors[2]) == pytest.approx((1.0, 0.1), rel=1e-3)
     assert abs(bias) < 4 * errors[1] < 0.01
@@ -140,11 +123,25 @@ def test_a_rate_late_and_out_of_scale_is_found_as_by_nonlinear_least_squares():
     std = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)))[:3]
     inside = [(0.8, 0.04, 0.12), best.x[:3]]
     for each, limit in zip(inside, (4.0, 0.5), strict=True):
-        assert np.abs((found.unknowns[0] - each) / std).max() < limit
-    assert (found.errors[0] > 0.9 * std).all()
-    assert (found.errors[0] < 1.4 * std).all()
+        assert np.abs((of_record(found)[0] - each) / std).max() < limit
+    (errors,) = of_record(found)[1]
+    assert (errors > 0.9 * std).all()
+    assert (errors < 1.4 * std).all()
     assert found.against == {"p": ("phi",)}
     assert [len(e) for e in found.left["phi"]] == [900, 1500]
+    np.testing.assert_allclose([np.std(e) for e in found.left["phi"]], 0.01, rtol=0.1)
+
+
+def test_biases_are_of_records_and_one_in_all_stretches_of_each():
+    flights = rolls(np.random.default_rng(3), (900, 700, 1500), 0.01)
+    flights[2] = replace(flights[2], record=4)
+    flights[2].values["p"] -= 0.25
+    found = reconstruct(flights, ["phi"])
+    assert found.biases.shape == (2, 1)
+    for k, bias in enumerate((0.04, 0.8 * -0.2)):  # after the gain
+        values, errors = of_record(found, k)
+        assert np.abs((values - [0.8, bias, 0.12]) / errors).max() < 4
+    assert found.bias_errors.max() < 0.002
     np.testing.assert_allclose([np.std(e) for e in found.left["phi"]], 0.01, rtol=0.1)
 
 
@@ -170,10 +167,11 @@ def test_far_skews_scales_and_a_lever_are_found_together_and_hold_where_they_are
     assert found.channels == (*RATES, *FORCES)
     gain, skew = np.array([*GAINS.values()]), np.array([*LATER.values()])
     true = np.column_stack([gain, gain * [0.02, 0.02, 0.02, -0.1, -0.1, -0.1], skew])
-    assert np.abs((found.unknowns - true) / found.errors).max() < 4
+    values, errors = of_record(found)
+    assert np.abs((values - true) / errors).max() < 4
     assert np.abs((found.place - PLACE) / found.place_errors).max() < 4
     np.testing.assert_allclose(found.unknowns[:, 0], gain, rtol=3e-3)
-    np.testing.assert_allclose(found.unknowns[:, 2], skew, atol=3e-3)
+    np.testing.assert_allclose(found.unknowns[:, 1], skew, atol=3e-3)
     np.testing.assert_allclose(found.place, PLACE, atol=0.1)
 
 
@@ -183,7 +181,7 @@ def test_no_skew_leaves_the_span_that_is_looked_at(late):
     phi, theta, late_rate = waves(t, 0, -1), waves(t, 1, -1), waves(t, late)
     flight = Flight(0.02, 0, {"p": late_rate, "q": waves(t, 1 + late), "phi": phi, "theta": theta})
     found = reconstruct([flight], ["phi", "theta"])
-    np.testing.assert_allclose(found.unknowns[:, 2], np.sign(late) * 0.5, atol=1e-9)
+    np.testing.assert_allclose(found.unknowns[:, 1], np.sign(late) * 0.5, atol=1e-9)
 
 
 def tilted(rng, tilt, **known):
@@ -206,7 +204,9 @@ def test_where_pitch_attitude_is_not_known_errors_tell_of_it():
     np.testing.assert_array_equal(wide.unknowns, level.unknowns)
     expected = np.sqrt(level.errors**2 + (other.unknowns - level.unknowns) ** 2)
     np.testing.assert_allclose(wide.errors, expected, rtol=1e-12)
-    assert (wide.errors[0] > 3 * level.errors[0])[[0, 2]].all()
+    expected = np.sqrt(level.bias_errors**2 + (other.biases - level.biases) ** 2)
+    np.testing.assert_allclose(wide.bias_errors, expected, rtol=1e-12)
+    assert (wide.errors[0] > 3 * level.errors[0]).all()
 
 
 @pytest.mark.parametrize("known", [{"theta": 0.0}, {"theta": 0.1}, {"level": 0.05}], ids=str)

@@ -68,6 +68,45 @@ def test_each_error_is_put_into_words():
     assert not check.consistent
 
 
+@pytest.fixture(scope="module")
+def rolling():
+    """Two short flights, seen by rates and attitudes."""
+    return [flight(k, None, NOISE, ATTITUDES, f"{k}").take(slice(900)) for k in (0, 1)]
+
+
+def biased(records, biases):
+    """Records whose p has these biases."""
+    p = np.array(ATTITUDES) == "p"
+    return [replace(r, y=r.y + b * p) for r, b in zip(records, biases, strict=True)]
+
+
+def test_biases_of_each_record_are_named_and_are_neither_scale_nor_movement_left(rolling):
+    biases = (0.03, 0.0)
+    check = kinematic_check(biased(rolling, biases))
+    (said,) = check.remarks
+    assert re.fullmatch(r"p has a bias of up to 0\.0\d+ ± \S+ rad/s against phi in 0", said)
+    p = check.channels[0]
+    assert [name for name, _, _ in p.biases] == ["0", "1"]
+    for (_, found, error), true in zip(p.biases, biases, strict=True):
+        assert abs(found - true) < 4 * error < 0.005
+    assert p.bias_error > 0.01  # of the mean: records differ by more than noise
+
+
+@pytest.mark.parametrize(("spoilt", "where"), [((0,), " in 0:"), ((0, 1), ":")], ids=["one", "all"])
+@pytest.mark.parametrize("channel", ["p", "phi"])
+def test_a_sensor_frozen_in_one_record_or_dead_in_all_is_told(rolling, channel, spoilt, where):
+    dead = [times(r, channel, 0.0) if k in spoilt else r for k, r in enumerate(rolling)]
+    said = " ".join(kinematic_check(dead).remarks)
+    assert f"phi does not follow from the other channels{where}" in said
+    assert ("it hardly moves" in said) == (channel == "phi" and spoilt == (0, 1))
+    assert len(said) < 300
+
+
+def test_one_bias_of_all_records_is_named_once(rolling):
+    (said,) = kinematic_check(biased(rolling, (0.03, 0.03))).remarks
+    assert re.fullmatch(r"p has a bias of 0\.0\d+ ± \S+ rad/s against phi", said)
+
+
 LATE = dict.fromkeys((*RATES, *FORCES), (0.0, 0.0, 0.06))
 
 

@@ -60,7 +60,9 @@ def test_total_values_come_back_and_speed_becomes_velocities():
 
 def test_long_records_are_looked_at_in_part_and_short_pieces_not_at_all():
     record = flight(0)
-    assert [each.N for each in looked_at([record, record.take(slice(10))])] == [record.N]
+    assert [(k, each.N) for k, each in looked_at([record.take(slice(10)), record])] == [
+        (1, record.N)
+    ]
 
 
 def test_a_slow_channel_is_known_at_its_own_samples_and_noisy_there():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid.consistency.pretended import Corrected, Normal
+from casid.consistency.pretended import Corrected, Eliminated, Normal
 
 
 def line(seed, n=2000, noisy=0.5):
@@ -34,7 +34,7 @@ def test_the_corrected_slope_is_right_and_the_plain_one_a_fifth_too_small():
 def test_its_variance_covers_the_scatter():
     steps = np.array([line(seed)[0].step()[0] for seed in range(40)])
     corrected, scores = line(41)
-    (variance,) = corrected.variances(scores, np.ones(1))
+    ((variance,),) = corrected.covariance(scores, np.ones(1))
     assert np.mean(steps**2) < variance < 1.0
 
 
@@ -43,7 +43,7 @@ def test_of_what_is_mostly_noise_nothing_but_the_prior_is_known():
     pretended = Normal(np.diag([0.0, 90.0]), np.zeros(2))
     corrected = Corrected(seen, pretended)
     np.testing.assert_allclose(corrected.step(), [0.01, 0.01])
-    one, other = corrected.variances(np.zeros((10, 2)), np.array([1.0, 3.0]))
+    one, other = np.diag(corrected.covariance(np.zeros((10, 2)), np.array([1.0, 3.0])))
     assert one == pytest.approx(0.01)
     assert other == pytest.approx(9.01)
 
@@ -56,3 +56,23 @@ def test_steps_without_noise_are_those_of_the_sum_of_normal_equations():
     np.testing.assert_allclose(Corrected(seen, none).step(), expected, rtol=1e-9)
     close = Corrected(Normal(A, np.array([1.0, 0.0])), none).step()  # condition 66
     np.testing.assert_allclose(close, np.linalg.solve(A, [1.0, 0.0]), rtol=1e-9)
+
+
+def test_elimination_of_own_unknowns_changes_neither_steps_nor_errors():
+    rng = np.random.default_rng(5)
+    tables = rng.standard_normal((2, 40, 6))  # residual and slopes by five unknowns of two records
+    normal = [Normal(x[:, 1:].T @ x[:, 1:], x[:, 1:].T @ x[:, 0]) for x in tables]
+    parts = [Eliminated(each, 3) for each in normal]
+    total = parts[0].shared + parts[1].shared
+    step = np.linalg.solve(total.information, total.slope)
+    whole = np.zeros((80, 7))  # three of all, two of each
+    whole[:, :3] = tables[:, :, 1:4].reshape(80, 3)
+    whole[:40, 3:5], whole[40:, 5:] = tables[:, :, 4:]
+    expected = np.linalg.lstsq(whole, tables[:, :, 0].ravel())[0]
+    np.testing.assert_allclose([*step, *parts[0].step(step), *parts[1].step(step)], expected)
+    scores = np.vstack([p.scores(x[:, 1:] * x[:, :1]) for p, x in zip(parts, tables, strict=True)])
+    np.testing.assert_allclose(scores.sum(axis=0), total.slope)
+    P = np.linalg.inv(whole.T @ whole)
+    np.testing.assert_allclose(np.linalg.inv(total.information), P[:3, :3])
+    own = parts[0].variances(np.zeros((1, 5)), P[:3, :3])
+    np.testing.assert_allclose(own, np.diag(P)[3:5])

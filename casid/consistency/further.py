@@ -1,0 +1,120 @@
+"""Remarks on flights that belong to no single comparison, and the mistake a factor betrays."""
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.channels import FORCES, VELOCITIES
+from casid.consistency.flightpath import GRAVITY, Instruments
+from casid.consistency.measured import Flight, white_noise
+from casid.display import listed
+from casid.record import REST
+
+SIGNIFICANT = 3.5  # standard errors, of the largest of some twenty
+ROUGH = 0.1  # the scale that matters where an equation lacks a channel
+ALIKE = 0.2  # how near a factor is to that of a mistake
+MUCH = 0.3  # share of an attitude's movement left unexplained that matters
+LITTLE = 0.5  # of the movement of all records: what moves less is measured by that
+BEYOND = 10.0  # times its movement: a channel that rests
+AWAY = 0.2  # m: an accelerometer's place that matters
+
+FACTORS = {
+    "it has the opposite sign": -1.0,
+    "it seems to be in degrees, or its reference in radians though called degrees": 180 / np.pi,
+    "its reference seems to be in degrees": np.pi / 180,
+    "it seems to be in g": 1 / GRAVITY,
+    "it seems to be in feet": 1 / 0.3048,
+    "its reference seems to be in feet": 0.3048,
+}
+
+
+def turned(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:
+    """Remarks on attitudes that are no radians."""
+    said = []
+    for name, limit in (("phi", np.pi), ("theta", np.pi / 2)):
+        if name not in names:
+            continue
+        largest = max(np.abs(flight.values[name]).max() for flight in flights)
+        if largest > limit:
+            said.append(f"{name} reaches {largest:.3g} rad: is it in degrees? Kinematics unchecked")
+    return tuple(said)
+
+
+def mistake(factor: float) -> str:
+    """The mistake that a factor betrays, if any."""
+    why = [why for why, known in FACTORS.items() if abs(factor / known - 1) < ALIKE]
+    return why[0] if why else ""
+
+
+def unexplained(
+    solution: Instruments, flights: Sequence[Flight], labels: Mapping[int, str]
+) -> tuple[str, ...]:
+    """Remarks on attitudes and velocities that no scale, bias and skew brings into line.
+
+    Record by record (``labels`` by number): of many a sensor is frozen in one, which spoils the
+    scale in all. A record in which little moves is measured by half of what moves in the others.
+    """
+    said, of = [], np.array([flight.record for flight in flights])
+    for each, left in solution.left.items():
+        powers = np.array(
+            [
+                (white_noise(e) ** 2, np.mean(e**2), np.var(flight.values[each]))
+                for e, flight in zip(left, flights, strict=True)
+            ]
+        )
+        white, rest, moves = np.array([powers[of == k].mean(axis=0) for k in labels]).T
+        rest, moves = rest - white, np.maximum(moves - white, 1e-300)
+        moves = np.maximum(moves, LITTLE**2 * moves.mean())
+        lost = rest > np.maximum(MUCH**2 * moves, 4 * white)
+        if lost.any():
+            share = np.sqrt(rest.clip(0) / moves)
+            most = share.max()
+            much = f"{most:.0%} of its movement is left" if most < BEYOND else "it hardly moves"
+            names = [
+                name for name, one in zip(labels.values(), share, strict=True) if one > most / 2
+            ]
+            said.append(
+                f"{each} does not follow from the other channels{in_some(names, labels)}: {much}; "
+                "look at the signs, units and axes of all"
+            )
+    return tuple(said)
+
+
+def in_some(names: Sequence[str], records: Collection[object]) -> str:
+    """Which of the records, in words; empty if all."""
+    return f" in {listed(names)}" if len(names) < len(records) else ""
+
+
+def misplaced(place: Array, errors: Array) -> tuple[str, ...]:
+    """Remark on accelerometers that are not where velocities are measured."""
+    if not (np.abs(place) > np.maximum(AWAY, SIGNIFICANT * errors)).any():
+        return ()
+    axes = zip(place, errors, ("forward", "right", "down"), strict=True)
+    where = ", ".join(f"{r:.2f} ± {e:.1g} m {axis}" for r, e, axis in axes if np.isfinite(r))
+    return (
+        f"ax ay az read as accelerometers {where} of where velocities are measured: move them to "
+        "the centre of gravity, or give the structure their place",
+    )
+
+
+def against_gravity(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:
+    """Remarks on a specific force that in trim is far from what gravity asks for."""
+    if not {*FORCES, "phi", "theta"} <= names or {*VELOCITIES} <= names:
+        return ()
+    said = []
+    # Without a quiet stretch the mean of all of it: what the aircraft was flown about.
+    ends = [each.quiet if each.quiet * each.dt >= REST else None for each in flights]
+    heads = [
+        [flight.values[name][:end].mean() for flight, end in zip(flights, ends, strict=True)]
+        for name in (*FORCES, "phi", "theta")
+    ]
+    f, (phi, theta) = np.median(heads[:3], axis=1), np.median(heads[3:], axis=1)
+    down = np.cos(theta) * np.array([0.0, np.sin(phi), np.cos(phi)])
+    wanted = GRAVITY * (np.array([np.sin(theta), 0.0, 0.0]) - down)
+    for name, found, due in zip(FORCES, f, wanted, strict=True):
+        if abs(found - due) <= ROUGH * GRAVITY:
+            continue
+        why = (mistake(float(found / due)) if due else "") or "look at its sign, unit and bias"
+        said.append(f"{name} is {found:.3g} m/s^2 in trim, gravity makes it {due:.3g}: {why}")
+    return tuple(said)

@@ -1,0 +1,39 @@
+"""Remarks that belong to no single comparison."""
+
+import numpy as np
+import pytest
+
+from casid.consistency.further import against_gravity, misplaced, mistake, turned
+from casid.consistency.measured import Flight
+
+
+def still(**values):
+    return Flight(0.02, 100, {name: np.full(200, value) for name, value in values.items()})
+
+
+@pytest.mark.parametrize(
+    ("factor", "word"), [(-1.1, "sign"), (57.0, "degrees"), (0.1, " g"), (3.3, "feet"), (1.5, "")]
+)
+def test_a_factor_betrays_a_mistake(factor, word):
+    assert word in mistake(factor)
+    assert bool(mistake(factor)) == bool(word)
+
+
+def test_angles_beyond_a_turn_are_no_radians():
+    assert turned([still(phi=1.0, theta=-1.0)], {"phi", "theta"}) == ()
+    (said,) = turned([still(phi=0.1, theta=-2.0)], {"phi", "theta"})
+    assert said.startswith("theta reaches 2 rad")
+
+
+def test_accelerometers_are_misplaced_beyond_their_error():
+    assert misplaced(np.array([0.3, np.nan, 0.1]), np.array([0.2, np.nan, 0.01])) == ()
+    (said,) = misplaced(np.array([0.3, np.nan, 0.1]), np.array([0.02, np.nan, 0.01]))
+    assert "0.30 ± 0.02 m forward, 0.10 ± 0.01 m down of" in said
+
+
+def test_gravity_tells_a_specific_force_upside_down():
+    names = {"ax", "ay", "az", "phi", "theta"}
+    assert against_gravity([still(ax=0.0, ay=0.0, az=-9.8, phi=0.0, theta=0.0)], names) == ()
+    (said,) = against_gravity([still(ax=0.0, ay=0.0, az=9.8, phi=0.0, theta=0.0)], names)
+    assert said.startswith("az is 9.8 m/s^2 in trim")
+    assert said.endswith("opposite sign")

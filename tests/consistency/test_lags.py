@@ -1,0 +1,71 @@
+"""Clocks that differ by more than a skew, against signals moved by known times."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.flights import NOISE, RATES, flight
+
+from casid.consistency.kinematics import kinematic_check
+from casid.consistency.lags import clocks_apart, correlations, peak
+from casid.consistency.measured import Flight
+
+
+def test_correlations_are_those_of_a_loop_over_lags():
+    rng = np.random.default_rng(0)
+    x, y, most = *rng.standard_normal((2, 60)), 7
+    inner = y[most:-most]
+    expected = []
+    for lag in range(2 * most + 1):
+        part = x[lag : lag + len(inner)]
+        expected.append(part @ inner / np.linalg.norm(part) / np.linalg.norm(inner))
+    np.testing.assert_allclose(correlations(x, y, most), expected, atol=1e-12)
+
+
+def test_the_peak_of_a_parabola_is_its_own():
+    k = np.arange(9)
+    assert peak(3 - 0.2 * (k - 4.3) ** 2, 4) == pytest.approx(4.3)
+
+
+@pytest.mark.parametrize("clock", [0.65, -3.0])
+def test_loggers_started_apart_are_told_by_how_much_and_nothing_else_is(clock):
+    whole = flight(0, None, NOISE, (*RATES, "phi", "theta"))
+    angles = whole.select((), ("phi", "theta"))
+    remarks = kinematic_check(whole.select(outputs=RATES).join(angles, clock=clock)).remarks
+    assert [said.split()[0] for said in remarks] == ["phi", "theta"]
+    for said in remarks:
+        assert ("after" in said) == (clock > 0)
+        assert float(said.split("first, ")[1].split(" s")[0]) == pytest.approx(-clock, abs=0.02)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.4])
+def test_a_steady_oscillation_or_a_skew_within_reach_is_no_clock(late):
+    t = 0.02 * np.arange(2000)
+    swing = Flight(0.02, 0, {"p": np.cos(2 * t), "phi": 0.5 * np.sin(2 * (t - late))})
+    assert clocks_apart([swing], 0.5) == ()
+    noisy = flight(1, dict.fromkeys(RATES, (0.0, 0.0, -late)), NOISE)
+    assert not any("clocks of" in said for said in kinematic_check(noisy).remarks)
+
+
+def test_what_goes_the_other_way_is_no_clock():
+    t, rng = 0.02 * np.arange(2000), np.random.default_rng(4)
+    p = np.convolve(rng.standard_normal(2000), np.hanning(60), "same")
+    late = np.interp(t - 3.0, t, 0.02 * np.cumsum(p))
+    assert len(clocks_apart([Flight(0.02, 0, {"p": p, "phi": late})], 0.5)) == 1
+    assert clocks_apart([Flight(0.02, 0, {"p": p, "phi": -late})], 0.5) == ()
+
+
+def test_a_skew_at_the_end_of_the_search_is_called_that():
+    t = 0.02 * np.arange(2000)
+    rng = np.random.default_rng(2)
+    slow = np.sin(0.15 * t) + 0.4 * np.sin(0.06 * t)
+    rate = 0.15 * np.cos(0.15 * (t + 0.8)) + 0.024 * np.cos(0.06 * (t + 0.8))
+    y = np.column_stack([rate, slow]) + 1e-4 * rng.standard_normal((2000, 2))
+    record = replace(flight(0, outputs=("p", "phi")), y=y)
+    said = kinematic_check(record).remarks
+    assert any("where the search ended" in each or "set the clocks" in each for each in said)
+
+
+def test_records_without_channels_that_kinematics_ties_are_not_looked_at():
+    record = flight(0, outputs=("p", "phi")).rename({"p": "rpm", "phi": "torque"})
+    assert kinematic_check(record).consistent
