@@ -21,7 +21,8 @@ from casid.subspace import modal as modes
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.fourier import Spectrum, parts, spectrum, transformed
 from casid.subspace.left_out import Jackknife
-from casid.subspace.refinement import linearised, noise_weights, normal_equations
+from casid.subspace.likelihood import noise_weights
+from casid.subspace.slopes import linearised, normal_equations
 
 # What nonlinear aircraft show between manoeuvres: a fault is larger by `CLEAR` errors. A clock is
 # tried at several rates, of which the right one explains all, the coefficient being one.
@@ -202,12 +203,12 @@ def _by_score(
     return _clearest(seen, MISSING if missing else 1.0)
 
 
-def _seen(piece: _Piece, e: Array, J: Array, Q: Array, factor: Array) -> _Seen:
+def _seen(piece: _Piece, e: Array, S: Array, factor: Array) -> _Seen:
     """What tells the faults of a piece, from weighted residuals and slopes of `modes.tangents`."""
     # A fault of an output has rows X of that output only. What transients and other models explain
     # of it, Q g and J c, has all rows: of these the products over each band are enough.
-    ny, n = len(piece.sy), Q.shape[1]
-    each, S = e.reshape(ny, -1), np.hstack([Q, J])
+    each, n = e.reshape(len(piece.sy), -1), S.shape[1] - len(factor)
+    Q, ny = S[:, :n], len(each)
     real, imag = np.split(each, 2, axis=1)
     bands = np.floor(np.log(piece.lines.omega / piece.lines.omega[0]) / BAND)
     inside = np.tile(bands, 2 * ny) == np.unique(bands)[:, None]
@@ -226,7 +227,7 @@ def _seen(piece: _Piece, e: Array, J: Array, Q: Array, factor: Array) -> _Seen:
         faults += some
     known, size, score, whole = (np.concatenate(x, axis=-1) for x in zip(*columns, strict=True))
     showing = np.array([left.get(fault.channel, e @ e) for fault in faults])
-    return _Seen(faults, known, factor.T @ (J.T @ e), size, score, showing, whole)
+    return _Seen(faults, known, factor.T @ (S[:, n:].T @ e), size, score, showing, whole)
 
 
 def _clearest(seen: Sequence[_Seen], slack: float) -> Fault | None:

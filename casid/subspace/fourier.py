@@ -61,9 +61,9 @@ class Spectrum:
         E = np.exp(lam * self.h)
         weight = self.h * (phi[0] + phi[1] * z)
         slope = self.h**2 * (dphi[0] + dphi[1] * z)
-        r, transient = weight / (z - E), z / (z - E) * self.h
-        grow = self.h * E / (z - E)
-        return r, slope / (z - E) + r * grow, transient, transient * grow
+        rest = 1 / (z - E)
+        r, transient, grow = weight * rest, self.h * z * rest, self.h * E * rest
+        return r, slope * rest + r * grow, transient, transient * grow
 
 
 def spectra(records: Sequence[Record], su: Array, sy: Array, top: float) -> tuple[Spectrum, ...]:

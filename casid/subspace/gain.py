@@ -16,7 +16,8 @@ def carried_gain(system: StateSpace, K: Array, refined: StateSpace, R: Array) ->
     lam, V = np.linalg.eig(refined.A)
     modal_gain = np.linalg.solve(V_old, K.astype(complex))
     size_old = np.linalg.norm(system.C @ V_old, axis=0)
-    order = scipy.optimize.linear_sum_assignment(np.abs(lam[:, None] - lam_old[None]))[1]
+    # Of squares: sums of distances themselves tie for real modes, and rounding would decide.
+    order = scipy.optimize.linear_sum_assignment(np.abs(lam[:, None] - lam_old) ** 2)[1]
     turned = np.sum((system.C @ V_old[:, order]).conj() * (refined.C @ V), axis=0)
     scale = turned / np.abs(turned) * size_old[order] / np.linalg.norm(refined.C @ V, axis=0)
     carried = np.real(V @ (scale.conj()[:, None] * modal_gain[order]))

@@ -37,12 +37,13 @@ def undiscretised(system: StateSpace, hold: Hold) -> StateSpace:
 
 def refine_held(
     system: StateSpace, K: Array, pieces: Campaign
-) -> tuple[StateSpace, Array, SampledUncertainty]:
+) -> tuple[StateSpace, Array, SampledUncertainty, StateSpace]:
     """`refine_samples` for a continuous model of inputs that are held between the samples.
 
-    What is left of a masked direct term in continuous time goes into B. ``K`` comes back as the
-    discrete gain by the step's input integral, approximately the continuous one. ValueError:
-    records of unequal sampling, or a refined pole without a continuous equivalent.
+    What is left of a masked direct term in continuous time goes into B; the last model still has
+    it. ``K`` comes back as the discrete gain by the step's input integral, approximately the
+    continuous one. ValueError: records of unequal sampling, or a refined pole without a continuous
+    equivalent.
     """
     records, mask = pieces.records, pieces.mask
     h, hold = records[0].dt, records[0].hold
@@ -54,12 +55,12 @@ def refine_held(
     found, gain, uncertainty = refine_samples(
         start, (I0 + I1) @ K, records, pieces.su, pieces.sy, free
     )
-    refined = undiscretised(found, hold)
-    _, I0, I1 = _held(refined.A, h, hold)
+    direct = undiscretised(found, hold)
+    _, I0, I1 = _held(direct.A, h, hold)
     longest = max(record.t[-1] - record.t[0] for record in records)
     omega = np.geomspace(2 * np.pi / longest, np.pi / h, LINES)
-    refined = _without_direct(refined, mask, uncertainty, omega)
-    return refined, np.linalg.solve(I0 + I1, gain), uncertainty
+    refined = _without_direct(direct, mask, uncertainty, omega)
+    return refined, np.linalg.solve(I0 + I1, gain), uncertainty, direct
 
 
 def _without_direct(

@@ -16,12 +16,8 @@ from casid.linear import StateSpace
 from casid.subspace import modal as modes
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.fourier import Spectrum
-from casid.subspace.refinement import (
-    factors,
-    forced,
-    refined_system,
-    without_transients,
-)
+from casid.subspace.likelihood import factors, forced, without_transients
+from casid.subspace.refinement import refined_system
 from casid.subspace.weighing import smoothed
 
 UNEXPLAINED = 0.3  # of a channel's power in a record, above which that is left out
@@ -78,7 +74,7 @@ class Jackknife:
             except (ValueError, np.linalg.LinAlgError):
                 start = self.system
             try:
-                found = refined_system(start, self.rest(k), *scales, self.pole, rounds=1)
+                found = refined_system(start, self.rest(k), *scales, self.pole, rough=True)
                 self._models[k] = modes.to_modal(found, *scales)
             except (ValueError, np.linalg.LinAlgError):
                 self._models[k] = None
@@ -115,7 +111,7 @@ class Jackknife:
         if rough is None:
             return None
         start = modes.from_modal(rough, *scales[:2], self.system)
-        found = refined_system(start, self.rest(k), *scales, self.pole, rounds=1)
+        found = refined_system(start, self.rest(k), *scales, self.pole, rough=True)
         return modes.to_modal(found, *scales)
 
 
@@ -198,7 +194,7 @@ def _made(modal: modes.Modal, lines: Spectrum) -> ComplexArray:
 def _off_transients(modal: modes.Modal, lines: Spectrum, X: ComplexArray) -> ComplexArray:
     """Part of signals (K, n) that no transient of any initial state makes, each for itself."""
     f = factors(modal, lines)
-    shared = modes.pair(f.transient[:, :, None], f.transient_c[:, :, None], modal.real)
+    shared = modes.pair(f.transient, f.transient_c, modal.real)
     Q, both = np.linalg.qr(np.vstack([shared.real, shared.imag]))[0], np.vstack([X.real, X.imag])
     real, imag = np.split(both - Q @ (Q.T @ both), 2)
     return np.asarray(real + 1j * imag)

@@ -93,66 +93,76 @@ def from_modal(modal: Modal, su: Array, sy: Array, like: StateSpace) -> StateSpa
 
 
 def pair(phi: ComplexArray, conjugate: ComplexArray, real: BoolArray) -> ComplexArray:
-    """Real basis of a modal signal (K, nm, c): sums of all modes, then differences of pairs."""
-    first = (phi + conjugate).reshape(len(phi), -1)
-    second = (1j * (phi - conjugate))[:, ~real].reshape(len(phi), -1)
-    return np.hstack([first, second])
+    """Real basis (..., n) of modal signals (..., nm): sums of all modes, differences of pairs."""
+    return np.concatenate([phi + conjugate, 1j * (phi - conjugate)[..., ~real]], axis=-1)
 
 
-def mixed(piece: S, modal: Modal, o: int, columns: int) -> S:
-    """A modal quantity as output o sees it: Re c on its own basis, Im c across the pair."""
-    pairs = np.repeat(~modal.real, columns)
-    c = np.repeat(modal.C[o], columns)
-    first, second = piece[:, : len(c)], piece[:, len(c) :]
-    own = first * c.real
-    own[:, pairs] += second * c.imag[pairs]
-    return np.hstack([own, second * c.real[pairs] - first[:, pairs] * c.imag[pairs]])
+def mixing(c: ComplexArray, real: BoolArray) -> Array:
+    """Matrices (..., n, n) by which the real basis of modal signals becomes that of c times them.
 
-
-def mixing(modal: Modal) -> Array:
-    """Of every output the matrix by which `mixed` makes its columns of a quantity, (ny, n, n)."""
-    i, k = np.arange(len(modal.lam)), np.flatnonzero(~modal.real)
+    The numbers c (..., nm) are rows of C, say, and the result what each output sees of the modes.
+    """
+    # Re c on the basis itself, Im c across the two signals of a pair.
+    i, k = np.arange(len(real)), np.flatnonzero(~real)
     j = len(i) + np.arange(len(k))
-    M = np.zeros((len(modal.C), len(i) + len(k), len(i) + len(k)))
-    M[:, i, i], M[:, j, j] = modal.C.real, modal.C.real[:, k]
-    M[:, j, k], M[:, k, j] = modal.C.imag[:, k], -modal.C.imag[:, k]
+    M = np.zeros((*c.shape[:-1], len(i) + len(k), len(i) + len(k)))
+    M[..., i, i], M[..., j, j] = c.real, c.real[..., k]
+    M[..., j, k], M[..., k, j] = c.imag[..., k], -c.imag[..., k]
     return M
+
+
+def seen(basis: S, mix: Array, nu: int) -> S:
+    """What spans all derivatives (..., K, m), as the output sees it whose `mixing` is (..., n, n).
+
+    That is signals of the transient, of λ and of B, input by input, each n of which are mixed; then
+    those of C and D, which outputs see as they are.
+    """
+    n, (*stack, K, _) = mix.shape[-1], basis.shape
+    C = (2 + nu) * n  # where those of C begin
+    mixed = basis[..., :C].reshape(*stack, K * (2 + nu), n) @ mix
+    return np.concatenate([mixed.reshape(*stack, K, C), basis[..., C:]], axis=-1)
+
+
+def places(modal: Modal, o: int, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the signals that output o has `seen` are derivatives of it, and by what.
+
+    By the transient, which comes first, and by parameters: B mode by mode, C and D its own.
+    """
+    (ny, nu), n = modal.D.shape, modal.order
+    direct = np.flatnonzero(free[:, 0] == o)
+    B = np.arange(n * nu).reshape(n, nu).T.ravel()
+    D, C = (3 + nu) * n, (2 + nu) * n
+    which = [np.arange(D), D + free[direct, 1]]
+    where = [np.arange(2 * n), 2 * n + B, C + o * n + np.arange(n), C + ny * n + direct]
+    return np.concatenate(which), np.concatenate(where)
 
 
 def output_derivative(basis: S, modal: Modal, o: int, free: np.ndarray) -> tuple[S, np.ndarray]:
     """Derivatives of output o by the transient and the parameters it depends on, and which."""
-    ny, nu = modal.D.shape
-    n = modal.order
-    B, C = 2 * n, 2 * n + n * nu
-    direct = np.flatnonzero(free[:, 0] == o)
-    J = [
-        mixed(basis[:, :n], modal, o, 1),
-        mixed(basis[:, n:B], modal, o, 1),
-        mixed(basis[:, B:C], modal, o, nu),
-        basis[:, C : C + n],
-        basis[:, C + n + free[direct, 1]],
-    ]
-    where = [np.arange(C), C + o * n + np.arange(n), C + ny * n + direct]
-    return np.hstack(J), np.concatenate(where)
+    which, where = places(modal, o, free)
+    return seen(basis, mixing(modal.C[o], modal.real), modal.D.shape[1])[:, which], where
 
 
 def tangents(
     modal: Modal, E: ComplexArray, basis: ComplexArray, w: Array, free: np.ndarray
-) -> tuple[Array, Array, Array]:
-    """Weighted residuals (2 K ny,) of a spectrum, output by output, and their slopes (2 K ny, P).
+) -> tuple[Array, Array]:
+    """Weighted residuals (2 K ny,) of a spectrum, output by output, and what spans their slopes.
 
-    The transient is eliminated from both; the basis (2 K ny, n) of what it does comes last.
+    That is an orthonormal basis (2 K ny, n) of what the transient does, which is eliminated from
+    the residuals and from their slopes by the parameters, the other columns.
     """
     ny, nu = modal.D.shape
     n = modal.order
-    J = np.zeros((ny, 2 * len(w), 2 * n + n * nu + ny * n + len(free)))
+    J, real = np.zeros((ny, 2 * len(w), 2 * n + n * nu + ny * n + len(free))), stacked(basis)
     for o, rows in enumerate(J):
-        own, where = output_derivative(basis, modal, o, free)
-        rows[:, where] = stacked(own * w[:, o : o + 1])
+        own, where = output_derivative(real, modal, o, free)
+        rows[:, where] = own * np.tile(w[:, o], 2)[:, None]
     whole = J.reshape(-1, J.shape[2])
     Q = np.linalg.qr(whole[:, :n])[0]
-    e, slopes = stacked(E * w).T.ravel(), whole[:, n:]
-    return e - Q @ (Q.T @ e), slopes - Q @ (Q.T @ slopes), Q
+    whole[:, :n] = Q
+    whole[:, n:] -= Q @ (Q.T @ whole[:, n:])
+    e = stacked(E * w).T.ravel()
+    return e - Q @ (Q.T @ e), whole
 
 
 def gram(rows: Array | ComplexArray) -> Array:

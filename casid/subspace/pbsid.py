@@ -147,8 +147,11 @@ class Pbsid:
         while order is None and selection and estimate.missed and not len(estimate.doubtful):
             if estimate.missed.order > selection.chosen.order + RAISED:
                 break
-            settings = replace(settings, order=estimate.missed.order)
-            estimate = self._refined(campaign, settings)
+            raised = replace(settings, order=estimate.missed.order)
+            richer = self._refined(campaign, raised)
+            if type(richer.uncertainty) is not type(estimate.uncertainty):
+                break  # prediction errors, which it did not call for before: the doubt remains
+            settings, estimate = raised, richer
         _check_unstable(estimate.system, settings.pole)
         _check_used(campaign.segments(settings.past, settings.pole))
         if selection and settings != selection.chosen:

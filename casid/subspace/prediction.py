@@ -28,7 +28,8 @@ from casid.linear import StateSpace
 from casid.record import Record
 from casid.samples import runs
 from casid.subspace import modal as modes
-from casid.subspace.refinement import log_factor, response_derivative
+from casid.subspace.refinement import log_factor
+from casid.subspace.slopes import response_derivative
 from casid.values import storable
 
 ROUNDS = 3  # of estimating the innovations' covariance
@@ -179,8 +180,8 @@ def _filtered(lam: ComplexArray, w: Array | ComplexArray) -> ComplexArray:
 
 
 def _real(phi: ComplexArray, modal: modes.Modal) -> Array:
-    """Real basis of a modal signal (N, nm, c); see `casid.subspace.modal.pair`."""
-    conjugate = np.where(modal.real[:, None], 0.0, phi.conj())
+    """Real basis of modal signals (N, ..., nm); see `casid.subspace.modal.pair`."""
+    conjugate = np.where(modal.real, 0.0, phi.conj())
     return np.asarray(modes.pair(phi, conjugate, modal.real).real)
 
 
@@ -206,14 +207,14 @@ def _states(
     """States and their decay (N, nm) from the best initial state, and weighted errors (N, ny)."""
     decay = _decay(modal, len(stretch.v))
     forced = _filtered(modal.lam, stretch.v @ modal.B.T)
-    basis = _centred(_real(decay[:, :, None], modal), stretch.weight)
+    basis = _centred(_real(decay, modal), stretch.weight)
     twice = np.where(modal.real, 1.0, 2.0)
     y = (forced @ (modal.C * twice).T).real + stretch.v @ modal.D.T
     e = _centred(stretch.y - y, stretch.weight)
     n = basis.shape[1]
     G = basis.T @ np.hstack([basis, e])
     P = W.T @ W
-    T = np.array([modes.mixed(np.eye(n, dtype=complex), modal, o, 1).real for o in range(len(W))])
+    T = modes.mixing(modal.C, modal.real)
     left = np.einsum("op,oij,ik,pkl->jl", P, T, G[:, :n], T, optimize=True)
     right = np.einsum("op,oij,ip->j", P, T, G[:, n:], optimize=True)
     small = 1e-13 * np.trace(left) / n * np.eye(n)
@@ -265,8 +266,8 @@ def normal_equations(
     q = n * (3 + nv) + nv  # signals that derivatives are made of
     T = np.zeros((ny, q, n + size))
     for o in range(ny):
-        J, where = modes.output_derivative(np.eye(q, dtype=complex), modal, o, free)
-        T[o][:, where] = J.real
+        J, where = modes.output_derivative(np.eye(q), modal, o, free)
+        T[o][:, where] = J
     seen = np.einsum("io,oqp->iqp", W, T)  # whitened outputs' derivatives, in signals
 
     total = np.zeros((size + 1, size + 1))
@@ -277,10 +278,10 @@ def normal_equations(
         S = _centred(
             np.hstack(
                 [
-                    _real(decay[:, :, None], modal),
-                    _real(slope[:, :, None], modal),
-                    _real(channels, modal),
-                    _real(x[:, :, None], modal),
+                    _real(decay, modal),
+                    _real(slope, modal),
+                    _real(channels.swapaxes(1, 2), modal).reshape(len(x), -1),
+                    _real(x, modal),
                     stretch.v,
                 ]
             ),

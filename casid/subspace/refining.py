@@ -10,6 +10,13 @@ from casid.arrays import Array, ComplexArray
 from casid.errors import warn
 from casid.linear import StateSpace
 from casid.subspace.agreement import Fault, disagreement
+from casid.subspace.apart import (
+    POINTS,
+    errors_apart,
+    missed_direct,
+    missed_response,
+    stated_errors,
+)
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.feedback import fed_back, fed_back_noise
 from casid.subspace.fourier import Spectrum
@@ -32,10 +39,8 @@ from casid.subspace.trust import (
 
 FED_BACK = 0.2  # bound on the relative bias from white noise fed back, above which it is certain
 SHARE = 0.03  # of an input, made by prediction errors, above which a bias is looked for
-POINTS = 12  # frequencies of the band at which two estimates are compared
 APART = 0.4  # stated errors between them: intervals off by as much still hold 93 %
 CREDIBLE = 0.85  # of the stated errors of transforms: those of prediction errors are not less
-ROUNDING = 1e-8  # relative errors of a response that are of arithmetic, whatever is stated
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +108,9 @@ def refine_projected(
     missed = missed_dynamics(refined, richer, data, su, sy, band) if richer else None
     taken = Estimate(refined, K, uncertainty, missed=missed)  # inputs as they are
     moved = _without_feedback(taken, pieces, pole, R)
+    if moved is taken and richer and not missed:  # noise fed back would ask for states as well
+        missed = missed_response(refined, uncertainty, richer, data, su, sy, band)
+        moved = replace(taken, missed=missed)
     if moved.system is not refined:
         grows = growth(moved.system, data, su, sy, mask)
     refined = moved.system
@@ -127,6 +135,7 @@ def _without_feedback(found: Estimate, pieces: Campaign, pole: float, R: Array) 
     weighted output by output though little of it is fed back. Prediction errors have no such bias:
     where some is fed back, how far they are from it in stated errors is the test (J. Hausman,
     Econometrica 46, 1978). They state too small errors of short records, which disqualifies them.
+    So does a response that taking out masked direct terms has moved: that distance is no feedback.
     """
     share, size, chance = fed_back(found.system, found.K, pieces.records, pieces.su, pieces.sy)
     much = np.sqrt(share) * size > FED_BACK
@@ -134,16 +143,17 @@ def _without_feedback(found: Estimate, pieces: Campaign, pole: float, R: Array) 
     if not much and (little or found.missed):  # what is missed is in prediction errors, too
         return found
     try:
-        held, gain, sampled = refine_held(found.system, found.K, pieces)
+        held, gain, sampled, direct = refine_held(found.system, found.K, pieces)
         gain = riccati_gain(held.A, held.C, gain, R)
-        causal = Estimate(held, gain, sampled, missed=found.missed)
+        distorted = missed_direct(held, direct, sampled, pieces.band(pole))
+        causal = Estimate(held, gain, sampled, missed=found.missed or distorted)
     except ValueError as error:
         remedy = f"prediction errors would tell and remove that, but: {error}"
         return replace(found, remark=_warn_fed_back(remedy))
     distance, ratio = _apart(found, causal, np.geomspace(*pieces.band(pole), POINTS))
-    if much or (distance > APART and ratio > CREDIBLE):
+    if much or (distance > APART and ratio > CREDIBLE and not distorted):
         return causal
-    if distance <= APART:
+    if distance <= APART or ratio > CREDIBLE:  # or apart for want of its direct terms
         return found
     remedy = (
         f"prediction errors, which are not, are {distance:.2g} stated errors away, but state too "
@@ -156,13 +166,8 @@ def _apart(found: Estimate, other: Estimate, omega: Array) -> tuple[float, float
     """Distance of another estimate in stated errors, and its stated errors over these; rms."""
     if found.uncertainty is None or other.uncertainty is None:
         return 0.0, 1.0
-    G = found.system.response(omega)
-    off = (other.system.response(omega) - G) / G
-    own, its = (
-        np.hypot([np.linalg.norm(part, axis=-1) for part in (F.real, F.imag)], ROUNDING)
-        for F in (s.response_factor(omega) for s in (found.uncertainty, other.uncertainty))
-    )
-    distance = np.array([off.real, off.imag]) / own
+    own, its = (stated_errors(each, omega) for each in (found.uncertainty, other.uncertainty))
+    distance = errors_apart(found.system, other.system, found.uncertainty, omega)
     return float(np.sqrt(np.mean(distance**2))), float(np.sqrt(np.mean((its / own) ** 2)))
 
 
@@ -210,7 +215,7 @@ def _at_order(
     try:
         start = campaign.subspace(order, windows).system
         scales = campaign.su, campaign.sy, campaign.mask
-        return refined_system(start, data, *scales, windows.pole, rounds=1)
+        return refined_system(start, data, *scales, windows.pole, rough=True)
     except (ValueError, np.linalg.LinAlgError):
         return None
 

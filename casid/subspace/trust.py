@@ -10,7 +10,9 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 from casid.subspace import refinement
 from casid.subspace.fourier import Spectrum
+from casid.subspace.likelihood import noise_weights
 from casid.subspace.modal import covariance_factor, to_modal
+from casid.subspace.slopes import normal_equations
 from casid.values import storable
 
 CERTAIN = 2.8  # standard errors that a growth rate must be away from zero: 99.5 % of a normal one
@@ -79,8 +81,8 @@ def growth(
         none = np.zeros(0, dtype=bool)
         return Growth(modal.lam[grows], none, none, none, none)
     free = np.argwhere(feedthrough)
-    pairs = zip(data, refinement.noise_weights(modal, data), strict=True)
-    parts = [refinement.normal_equations(modal, [lines], [weight], free) for lines, weight in pairs]
+    pairs = zip(data, noise_weights(modal, data), strict=True)
+    parts = [normal_equations(modal, [lines], [weight], free) for lines, weight in pairs]
     whole = covariance_factor(np.sum([H for H, _ in parts], axis=0))
     factor, count = whole[: len(modal.lam)], len(parts)
     plain = np.linalg.norm(factor, axis=1) / np.sqrt(2)
@@ -116,12 +118,18 @@ def unsteady_growth(
 @storable
 @dataclass(frozen=True, kw_only=True)
 class Missed:
-    """Where a model of a higher order leaves clearly less: ``ratio`` of the residual powers."""
+    """Where an order is too low, and by what that shows.
+
+    A model of a higher order leaves clearly less, by the ``ratio`` of the residual powers, or its
+    response is far away beside what is stated, ``errors`` of that, rms over the band. Or, without a
+    ratio, that of the same order is, with the direct terms that were asked to be zero.
+    """
 
     output: str
     omega: float  # rad/s
-    ratio: float
+    ratio: float | None
     order: int  # the higher one
+    errors: float | None = None
 
 
 def missed_dynamics(
@@ -160,11 +168,19 @@ def order_doubts(missed: Missed | None, order: int) -> tuple[str, ...]:
     """Why the order is too low; empty where nothing says so."""
     if missed is None:
         return ()
+    if missed.ratio is None:
+        seen = f"with the direct terms that are zero here {missed.output} responds otherwise"
+        what = f"by {missed.errors:.2g} stated errors near {missed.omega:.2g} rad/s"
+    else:
+        seen = f"what this black box leaves of {missed.output} near {missed.omega:.2g} rad/s still"
+        what = f"depends on the inputs, order {missed.order} " + (
+            f"leaves {missed.ratio:.2g} times less"
+            if missed.errors is None
+            else f"responds {missed.errors:.2g} stated errors otherwise"
+        )
     return (
-        f"Order {order} is too low: what this black box leaves of {missed.output} near "
-        f"{missed.omega:.2g} rad/s still depends on the inputs, order {missed.order} leaves "
-        f"{missed.ratio:.2g} times less. The stated response_std does not hold there, and no "
-        f"structure is judged by it; call pbsid with order={missed.order} or more.",
+        f"Order {order} is too low: {seen} {what}. The stated response_std does not hold there, "
+        f"and no structure is judged by it; call pbsid with order={missed.order} or more.",
     )
 
 

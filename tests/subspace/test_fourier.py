@@ -1,10 +1,12 @@
+from math import factorial
+
 import numpy as np
 import pytest
 from truths.systems import campaign
 
 from casid import Record
 from casid.records import standard_deviations
-from casid.subspace.fourier import parts, spectra
+from casid.subspace.fourier import _hold_weights, parts, spectra
 
 
 def test_a_long_record_is_transformed_in_pieces_of_limited_size(monkeypatch):
@@ -47,3 +49,17 @@ def test_pieces_meet_at_one_sample_and_have_lengths_without_large_primes(samples
         assert 30**20 % (each.N - 1) == 0  # 2, 3 and 5 only
         assert each.N < 12_400
     assert len(pieces[-1].t) < 18_000
+
+
+@pytest.mark.parametrize("size", [1e-3, 0.0099, 0.0101, 0.5, 2.0])
+def test_weights_of_held_inputs_are_their_power_series(size):
+    # φ₁ = Σ xⁿ/(n+1)! of both samples, φ₂ = Σ xⁿ/(n+2)! of the later one. Below 0.01 four terms
+    # are kept, three of derivatives: what is left out is x⁴/120 and x³/30.
+    x, n = size * np.exp(1j * np.array([0.0, 1.0, 2.5, np.pi])), np.arange(40)
+    powers, slopes = x[:, None] ** n, n[1:] * x[:, None] ** (n[1:] - 1)
+    one, two = (np.array([1 / factorial(k + more) for k in n]) for more in (1, 2))
+    for hold, early, late in (("zoh", one, 0 * one), ("foh", one - two, two)):
+        values, derivatives = _hold_weights(x, hold)
+        np.testing.assert_allclose(values, [powers @ early, powers @ late], rtol=0, atol=1e-10)
+        exact = [slopes @ early[1:], slopes @ late[1:]]
+        np.testing.assert_allclose(derivatives, exact, rtol=0, atol=4e-8)

@@ -33,3 +33,16 @@ def test_a_gain_is_carried_into_other_coordinates_and_units_of_the_states():
     inverse = np.linalg.inv(T)
     other = StateSpace(inverse @ system.A @ T, inverse @ system.B, system.C @ T, system.D)
     np.testing.assert_allclose(carried_gain(system, K, other, R), inverse @ K, rtol=1e-5)
+
+
+def test_rounding_does_not_decide_which_of_two_real_modes_became_which():
+    # From -1.2 and -0.5 to -0.47 and -0.32, which are as far from these in either order.
+    rng, R = np.random.default_rng(5), np.eye(3)
+    C, K = rng.standard_normal((3, 2)), 0.1 * rng.standard_normal((2, 3))
+    B, D = np.ones((2, 1)), np.zeros((3, 1))
+    system, A = StateSpace(np.diag([-1.2, -0.5]), B, C, D), np.diag([-0.47, -0.32])
+    found = carried_gain(system, K, StateSpace(A, B, C, D), R)
+    for _ in range(8):
+        T = rng.standard_normal((2, 2))
+        other = StateSpace(np.linalg.solve(T, A @ T), B, C @ T, D)
+        np.testing.assert_allclose(T @ carried_gain(system, K, other, R), found, atol=1e-6)

@@ -1,7 +1,7 @@
 import numpy as np
 from truths.systems import unstable_plant
 
-from casid.subspace.modal import Modal, descend, from_modal, mixed, mixing, moved, schur, to_modal
+from casid.subspace.modal import Modal, descend, from_modal, mixing, moved, pair, schur, to_modal
 
 OMEGA = np.geomspace(0.5, 6.0, 12)
 
@@ -13,12 +13,14 @@ def test_modal_coordinates_are_the_same_system():
     np.testing.assert_allclose(back.response(OMEGA), plant.response(OMEGA), rtol=1e-10)
 
 
-def test_the_matrix_that_mixes_is_what_an_output_sees():
-    plant = unstable_plant()
+def test_what_an_output_sees_of_modes_is_their_signals_times_its_row_of_c():
+    plant, rng = unstable_plant(), np.random.default_rng(0)
     modal = to_modal(plant, np.ones(plant.nu), np.ones(plant.ny), np.ones(plant.D.shape, bool))
-    signals = np.random.default_rng(0).standard_normal((5, plant.nx))
-    for o, M in enumerate(mixing(modal)):
-        np.testing.assert_allclose(signals @ M, mixed(signals, modal, o, 1), rtol=1e-14)
+    phi, other = rng.standard_normal((2, 5, len(modal.lam), 2)) @ [1, 1j]
+    other[:, modal.real] = 0
+    for c, M in zip(modal.C, mixing(modal.C, modal.real), strict=True):
+        expected = pair(c * phi, c.conj() * other, modal.real)
+        np.testing.assert_allclose(pair(phi, other, modal.real) @ M, expected, atol=1e-14)
 
 
 def test_transients_of_different_size_are_eliminated_alike():

@@ -4,14 +4,14 @@ from truths.systems import campaign, innovation_record, unstable_plant
 
 from casid import Record, StateSpace, pbsid
 from casid.records import standard_deviations
-from casid.subspace import refinement
 from casid.subspace.fourier import spectra
-from casid.subspace.modal import Modal, mixed, moved, pair, to_modal
+from casid.subspace.likelihood import noise_weights, parts
+from casid.subspace.modal import Modal, to_modal
 from casid.subspace.refinement import (
     ResponseUncertainty,
     information_criteria,
     refine,
-    residual_powers,
+    refined_system,
 )
 
 OMEGA = np.geomspace(0.5, 6.0, 12)
@@ -74,55 +74,6 @@ def test_95_percent_intervals_cover_92_to_98_percent_of_the_truth(run):
     assert 0.92 <= share <= 0.98
 
 
-def test_residuals_of_the_truth_vanish_whatever_the_end_states():
-    plant, record = unstable_plant(), campaign()[0].between(3.0, 17.0)
-    su, sy = standard_deviations([record])
-    _, power = residual_powers(plant, spectra([record], su, sy, 12.0), su, sy)
-    assert power.max() < 1e-16  # rounding, where the outputs' powers are of order one
-
-
-def test_residuals_are_those_of_least_squares_over_all_lines():
-    plant, record = unstable_plant(), campaign(noise=0.05)[0].between(3.0, 17.0)
-    su, sy = standard_deviations([record])
-    data = spectra([record], su, sy, 12.0)
-    _, power = residual_powers(plant, data, su, sy)
-    modal = to_modal(plant, su, sy, np.ones(plant.D.shape, dtype=bool))
-    factors = refinement.factors(modal, data[0])
-    E = refinement.forced(modal, data[0], factors)
-    shared = pair(factors.transient[:, :, None], factors.transient_c[:, :, None], modal.real)
-    P = np.vstack([mixed(shared, modal, o, 1) for o in range(plant.ny)])
-    both = [np.concatenate([v.real, v.imag]) for v in (P, E.T.ravel())]
-    delta = np.linalg.lstsq(*both, rcond=None)[0]
-    left = (E.T.ravel() - P @ delta).reshape(E.T.shape).T
-    np.testing.assert_allclose(power, np.abs(left) ** 2, rtol=1e-8, atol=1e-12 * power.max())
-
-
-def test_normal_equations_are_those_of_the_profiled_cost():
-    # Gauss-Newton is exact where the start is the truth of noise-free data; elsewhere the gradient
-    # is that of the cost, the transients at their best.
-    records, plant = campaign(records=2), unstable_plant()
-    su, sy = standard_deviations(records)
-    data = spectra(records, su, sy, 12.0)
-    mask = plant.D != 0
-    free, rng = np.argwhere(mask), np.random.default_rng(1)
-    weights = [rng.uniform(0.5, 2.0, (len(s.omega), 3)) for s in data]
-    truth = to_modal(plant, su, sy, mask)
-
-    def cost(modal, step):
-        return sum(p.cost for p in refinement._parts(moved(modal, step, free), data, weights))
-
-    H, gradient = refinement.normal_equations(truth, data, weights, free)
-    for _ in range(3):
-        d = rng.standard_normal(len(H))
-        twice = (cost(truth, 1e-4 * d) + cost(truth, -1e-4 * d)) / 1e-8
-        assert d @ H @ d == pytest.approx(twice / 2, rel=1e-5)
-    off = moved(truth, 0.05 * rng.standard_normal(len(H)), free)
-    _, gradient = refinement.normal_equations(off, data, weights, free)
-    h = 1e-6 * np.eye(len(H))
-    expected = [(cost(off, -step) - cost(off, step)) / 4e-6 for step in h]
-    np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-6 * np.abs(gradient).max())
-
-
 def test_refinement_lowers_the_likelihood_of_no_start_and_masks_the_direct_term():
     records = campaign(noise=0.05)
     su, sy = standard_deviations(records)
@@ -138,6 +89,23 @@ def test_refinement_lowers_the_likelihood_of_no_start_and_masks_the_direct_term(
     )
     assert after < before
     assert after <= truth + 1e-3  # the maximum is at least as likely as the truth
+
+
+def test_a_rough_model_is_as_likely_as_a_settled_one_but_for_what_noise_makes_of_it(monkeypatch):
+    records, plant = campaign(noise=0.05), unstable_plant()
+    su, sy = standard_deviations(records)
+    lines, mask = spectra(records, su, sy, 12.0), plant.D != 0
+    start = StateSpace(1.1 * plant.A, plant.B, plant.C, plant.D)
+    weights = noise_weights(to_modal(start, su, sy, mask), lines)  # of the only round
+
+    def cost():
+        model = refined_system(start, lines, su, sy, mask, np.inf, rough=True)
+        return sum(part.cost for part in parts(to_modal(model, su, sy, mask), lines, weights))
+
+    rough = cost()
+    monkeypatch.setattr("casid.subspace.refinement.ROUGH", 0.0)
+    parameters = plant.nx * (len(su) + len(sy)) + mask.sum()
+    assert 0 < rough - cost() < parameters / 2
 
 
 def test_the_correction_of_the_criterion_is_akaikes_and_more_terms_than_data_are_worth_nothing():

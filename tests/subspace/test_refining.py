@@ -81,8 +81,8 @@ def test_noise_fed_back_is_answered_by_prediction_errors(
     flown = Campaign.of(campaign(records=1, duration=12.0), True)
     plant, K = unstable_plant(), np.zeros((5, 3))
     for name, answer in (
-        ("fed_back", (share, size, chance)), ("refine_held", (plant, K + 1, None)),
-        ("riccati_gain", K + 2), ("_apart", (distance, ratio)),
+        ("fed_back", (share, size, chance)), ("refine_held", (plant, K + 1, None, plant)),
+        ("riccati_gain", K + 2), ("missed_direct", None), ("_apart", (distance, ratio)),
     ):  # fmt: skip
         monkeypatch.setattr(refining, name, lambda *_, answer=answer: answer)
     found = Estimate(plant, K)

@@ -218,11 +218,11 @@ def test_the_unit_of_time_does_not_matter():
     assert other.order == one.order
     assert other.past == one.past
     assert other.pole == pytest.approx(10 * one.pole)
-    G = one.system.response(OMEGA)
-    # Prediction errors are searched to a thousandth of what they state of themselves, no further.
-    np.testing.assert_allclose(
-        other.system.response(10 * OMEGA), G, atol=1e-5 * np.linalg.norm(G[0])
-    )
+    # Prediction errors are searched until a step is a thousandth of what they state of themselves;
+    # what is left of the way is some of those.
+    off = np.log(other.system.response(10 * OMEGA) / one.system.response(OMEGA))
+    for part, std in zip((off.real, off.imag), one.response_std(OMEGA), strict=True):
+        assert np.max(np.abs(part) / std) < 0.05
 
 
 def test_grids_that_give_nothing_are_refused_with_what_was_tried():

@@ -58,8 +58,10 @@ def test_missing_samples_split_a_record_and_unstable_starts_are_moved_inside():
     gappy = Record(record.t, record.u, y, record.inputs, record.outputs, hold="zoh")
     su, sy = standard_deviations([gappy])
     truth = sampled_plant()
-    start = StateSpace(1.2 * truth.A, truth.B, truth.C, truth.D, 1.0)
+    names = ("stick",), ("rate", "angle")
+    start = StateSpace(1.2 * truth.A, truth.B, truth.C, truth.D, 1.0, *names)
     found = refine_simulation(start, [gappy], su, sy, np.zeros((2, 1), dtype=bool))
+    assert (found.inputs, found.outputs) == names
     # The noise is some hundredth of the outputs; 600 samples: about 0.1 %, ten times that allowed.
     np.testing.assert_allclose(found.response(OMEGA), truth.response(OMEGA), atol=0.05)
 

@@ -8,6 +8,7 @@ from truths.systems import campaign, closed_loop_record
 from truths.uh60 import sweeps
 
 from casid import DataWarning, Record, StateSpace, pbsid
+from casid.subspace.apart import errors_apart
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.refinement import refine
 from casid.subspace.refining import _unfound
@@ -44,9 +45,25 @@ def test_a_flight_that_does_not_support_a_model_is_said_to():
 
 
 def test_records_made_for_identification_are_not_doubted():
-    box = pbsid(sweeps(seed=1), order=14, past=8, pole=8.0, feedthrough=["ax", "ay", "az"])
+    settings = {"past": 8, "pole": 8.0, "feedthrough": ["ax", "ay", "az"]}
+    box = pbsid(sweeps(seed=1), order=16, **settings)
     assert box.doubts() == ()
     assert box.explained[:5].min() > 0.6  # attitudes hardly move above 5 rad/s
+    # With two states less r after col is farther from what these sweeps show without noise.
+    low, clean = (pbsid(sweeps(seed), order=n, **settings) for seed, n in ((1, 14), (None, 24)))
+    omega = np.geomspace(0.5, 12.0, 40)
+    far, near = (
+        np.median(errors_apart(each.system, clean.system, each.uncertainty, omega)[:, 5, 0])
+        for each in (low, box)
+    )
+    assert low.missed.output == "r"
+    assert far > 1.5 * near
+
+
+@pytest.mark.slow
+def test_what_direct_terms_were_to_prediction_errors_is_no_feedback():
+    settings = {"past": 8, "pole": 8.0, "feedthrough": ["ax", "ay", "az"]}
+    assert pbsid(sweeps(seed=3), order=16, **settings).doubts() == ()
 
 
 def test_noise_free_records_are_explained_fully():
@@ -168,6 +185,19 @@ def test_an_order_too_low_for_a_mode_is_doubted_where_the_mode_is(seed):
     assert low.missed.omega == pytest.approx(5.0, rel=0.1)
     assert any("Order 1 is too low" in each and "order=3 or more" in each for each in low.doubts())
     assert pbsid(rotor_flight(seed), order=3, **settings).doubts() == ()
+
+
+@pytest.mark.campaign
+def test_orders_that_are_true_are_doubted_as_seldom_as_the_level_says():
+    flights = {3: rotor_flight, 5: lambda seed: campaign(noise=0.02, seed=seed)}
+    settings = {3: {"pole": 8.0}, 5: {"pole": 6.0, "feedthrough": ["z"]}}
+    doubted = sum(
+        pbsid(fly(seed), order=n, past=10, **{"feedthrough": False} | settings[n]).missed
+        is not None
+        for n, fly in flights.items()
+        for seed in range(200)
+    )
+    assert doubted <= 9  # 4 expected of 400; more than 9 once in 120 times
 
 
 def test_an_order_too_low_is_doubted_of_prediction_errors_too():

@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+from truths.systems import stepped_input, unstable_plant
+
+from casid import Record, StateSpace, pbsid
+from casid.subspace.apart import errors_apart, missed_direct
+from casid.subspace.campaign import Campaign
+from casid.subspace.held import refine_held
+from casid.subspace.trust import order_doubts
+
+
+class Known:
+    """Independent errors of 3 % in gain and 0.02 rad in phase, of every pair."""
+
+    def response_factor(self, omega):
+        return np.tile([0.03, 0.02j], (len(omega), 3, 2, 1))
+
+
+def test_distances_are_in_stated_errors_of_gain_and_phase():
+    plant, omega = unstable_plant(), np.array([0.7, 3.0])
+    louder = StateSpace(plant.A, plant.B * np.exp(0.06), plant.C, plant.D * np.exp(0.06))
+    found = errors_apart(plant, louder, Known(), omega)
+    np.testing.assert_allclose(found, 2 / np.sqrt(2))  # two errors of the gain, none of the phase
+
+
+def late_flight(seed):
+    """An acceleration of two states 40 ms late in noise as large as itself, and their first."""
+    A, B, C = [[-1.0, -4.0], [1.0, 0.0]], [[1.0], [0.0]], [[1.0, 0.0], [-1.0, -4.0]]
+    plant, t = StateSpace(A, B, C, [[0.0], [1.0]]), 0.02 * np.arange(1500)
+    rng, records = np.random.default_rng(seed), []
+    for name in ("first", "second"):
+        u = np.repeat(rng.choice([-1.0, 1.0], size=61), 25)[:1502, None]
+        y = plant.simulate(t, u[:1500])
+        y += np.std(y, axis=0) * rng.standard_normal(y.shape)
+        records.append(Record(t, u[2:], y, ("u",), ("p", "a"), name))
+    return records
+
+
+@pytest.mark.parametrize("seed", [10, 12])
+def test_a_delay_that_an_order_cannot_follow_is_seen_through_strong_noise(seed):
+    # No window of frequencies shows a clear share of the noise less; the phase is many errors off.
+    settings = {"past": 10, "pole": 8.0, "feedthrough": ["a"]}
+    low = pbsid(late_flight(seed), order=2, **settings)
+    assert low.missed.errors > 5
+    assert low.missed.ratio < 1.7
+    assert any("stated errors otherwise" in each for each in low.doubts())
+    assert pbsid(late_flight(seed), order=4, **settings).doubts() == ()
+
+
+@pytest.mark.parametrize("seed", [20, 21])
+def test_direct_terms_that_stand_for_a_delay_say_that_the_order_is_too_low(seed):
+    # Rate and acceleration behind a servo, the input 40 ms late, which takes more than its state.
+    A, C = [[-1.0, -4.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, -20.0]], [[1.0, 0, 0], [-1.0, -4.0, 1.0]]
+    truth, t = StateSpace(A, [[0.0], [0.0], [20.0]], C, np.zeros((2, 1))), 0.02 * np.arange(1500)
+    rng = np.random.default_rng(seed)
+    u = stepped_input(1502, 1, rng)
+    y = truth.simulate(t, u[:1500])
+    y += 0.1 * np.std(y, axis=0) * rng.standard_normal(y.shape)
+
+    def missed(late):
+        record = Record(t, u[late : late + 1500], y, ("u",), ("p", "a"))
+        campaign = Campaign.of(record, feedthrough=False)
+        held, _, uncertainty, direct = refine_held(truth, np.full((3, 2), 0.1), campaign)
+        return missed_direct(held, direct, uncertainty, (0.5, 8.0))
+
+    assert missed(0) is None
+    found = missed(2)
+    assert found.errors > 5
+    assert found.ratio is None
+    (told,) = order_doubts(found, 3)
+    assert "with the direct terms that are zero here" in told
+    assert "order=5 or more" in told
