@@ -171,10 +171,12 @@ def compare_structures(
         done = _estimated(Fits(model, flown, ways[name], fixed, bounds, execution), name, parts)
         every, *without = done.values()
         fits.append(every.result)
+        told = {f"{name}, all": every.reason}
         for part, each in zip(parts, without, strict=False):  # none if the one of all failed
+            told[f"{name}, without {', '.join(flown[i].name for i in part)}"] = each.reason
             for i in part:
                 errors[k, i], noise[k, i] = _error(each, flown[i], outputs)
-        reasons |= {job: each.reason for job, each in done.items() if each.reason}
+        reasons |= {job: reason for job, reason in told.items() if reason}
     return StructureComparison(
         names=tuple(candidates),
         manoeuvres=tuple(flown[i].name for i in left),

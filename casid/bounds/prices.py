@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.arrays import Array, ComplexArray
 from casid.bounds.cases import Case
-from casid.bounds.robust import p_value, price_p_values, weights
+from casid.bounds.robust import price_p_values, ratio_p_value, weights
 from casid.bounds.trials import aicc
 from casid.fit import AnyFit, ConstraintEstimate, ParameterEstimate
 from casid.free import free_parameters
@@ -48,7 +48,8 @@ class CaseResult:
     statistic, freedom, p_value : float, int, float
         Likelihood ratio of the case within the freest: twice the increase, a sum of as many χ² of
         one degree of freedom as directions are held beside those of the freest case, each weighed
-        by what the estimates' variance is of that by the information (`casid.bounds.robust`). Of
+        by what the estimates' variance is of that by the information; of one direction that enough
+        records tell of, Student's t by how these scatter (`casid.bounds.robust`). Of
         inequalities this is the test on condition of which are active (P. C. Wollan, R. L. Dykstra,
         Conditional tests with an order restriction as a null hypothesis, Springer LNS 37, 1986).
     rms : float
@@ -109,7 +110,7 @@ def price_case(
     w, statistic = weights(free, A), max(2 * increase, 0.0)
     surprises = dict(zip(labels, price_p_values(free, A, prices).tolist(), strict=True))
     found = replace(found, statistic=statistic, freedom=len(w), price_p_values=surprises)
-    return replace(found, p_value=p_value(statistic, w))
+    return replace(found, p_value=ratio_p_value(free, A, statistic))
 
 
 def relative_rms(validation: Validation | None, name: str) -> float:

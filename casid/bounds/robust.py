@@ -4,6 +4,16 @@ Holding combinations A λ of the parameters raises a likelihood's cost by half o
 degree of freedom each, with w the eigenvalues of (A P Aᵀ)⁻¹ A V Aᵀ, P the inverse information and V
 the covariance that the estimates really have (J. T. Kent, Biometrika 69(1), 1982). They are 1 where
 residuals are white and the structure is true, n/(n - p) where R comes from those residuals.
+
+What a structure misses in one part of a manoeuvre it may make good in another, or miss alike in all
+of it: how estimates scatter from flight to flight, no part of a record tells. One combination a is
+therefore tested by the scores g_c of whole records c, where there are enough of them,
+
+    aᵀ V a = Σ_c (aᵀ T (I - H_c)^-½ Tᵀ g_c)²,    P = T Tᵀ,    H_c = Tᵀ F_c T,    Σ_c H_c = I,
+
+F_c the information of record c, and by Student's t of as many degrees of freedom as give that sum
+its variance where residuals are white (R. M. Bell, D. F. McCaffrey, Survey Methodology 28(2),
+2002; J. E. Pustejovsky, E. Tipton, J. Business & Economic Statistics 36(4), 2018).
 """
 
 import numpy as np
@@ -12,8 +22,11 @@ import scipy
 from casid.arrays import Array
 from casid.fit import AnyFit
 from casid.shooting.precision import OutputErrorNotes
+from casid.shooting.uncertainty import left_out
 
 SMALLEST = 1e-9  # variance of a direction that is held already, of the largest
+ROUNDING = 1e-12  # of the variances in units of standard errors
+ENOUGH = 2.0  # degrees of freedom: below, Student's t has no variance
 
 
 def weights(fit: AnyFit, A: Array) -> Array:
@@ -37,6 +50,16 @@ def p_value(statistic: float, w: Array) -> float:
     return float(scipy.special.chdtrc(w.sum() / scale, statistic / scale))
 
 
+def ratio_p_value(fit: AnyFit, A: Array, statistic: float) -> float:
+    """Probability of a likelihood ratio this large if the data did not mind that A λ is held."""
+    root, V = _whitener(fit, A)
+    if root.shape[1] == 1:
+        variance, freedom = _by_records(fit, A.T @ root[:, 0])
+        if freedom >= ENOUGH:
+            return 2 * float(scipy.special.stdtr(freedom, -np.sqrt(statistic / variance)))
+    return p_value(statistic, np.linalg.eigvalsh(root.T @ V @ root))
+
+
 def price_p_values(fit: AnyFit, A: Array, prices: Array) -> Array:
     """Probabilities (m,) of multipliers this far from 0 if the data did not mind what is held.
 
@@ -44,10 +67,31 @@ def price_p_values(fit: AnyFit, A: Array, prices: Array) -> Array:
     fit says nothing of them.
     """
     root, V = _whitener(fit, A)
+    if root.shape == (1, 1):  # its price is what the ratio falls by
+        return np.array([ratio_p_value(fit, A, float(prices[0] / root[0, 0]) ** 2)])
     inverse = root @ root.T  # of A P Aᵀ
     variance = np.diag(inverse @ V @ inverse)
     z = np.abs(prices) / np.sqrt(np.where(variance > 0, variance, np.nan))
     return np.asarray(2 * scipy.special.ndtr(-z))
+
+
+def _by_records(fit: AnyFit, a: Array) -> tuple[float, float]:
+    """aᵀ V a by whole records, and its degrees of freedom; 0 of no records."""
+    g, F = fit.notes.record_scores, fit.notes.record_information
+    if not len(g):
+        return 0.0, 0.0
+    size = np.sqrt(np.diag(fit.notes.cramer_rao))
+    unit = np.where(size > 0, size, 1.0)
+    values, axes = np.linalg.eigh(fit.notes.cramer_rao / np.outer(unit, unit))
+    known = values > ROUNDING * values.max()
+    T = unit[:, None] * axes[:, known] * np.sqrt(values[known])  # P = T Tᵀ
+    H = T.T @ F @ T
+    b = np.array([left_out(share, 0.5) @ T.T @ a for share in H])
+    told = np.einsum("cij,cj->ci", H, b)
+    # Σ (b_cᵀ Tᵀ g_c)² is a quadratic form of white residuals, this its matrix but for rotations.
+    form = np.diag(np.sum(b * told, axis=1)) - told @ told.T
+    freedom = np.trace(form) ** 2 / np.sum(form**2)
+    return float(np.sum(np.sum(b * (g @ T), axis=1) ** 2)), float(freedom)
 
 
 def _whitener(fit: AnyFit, A: Array) -> tuple[Array, Array]:

@@ -116,19 +116,23 @@ class _Recursion:
         P: Array = np.zeros_like(self._m.A)
         for _ in range(self._early):  # all channels, from no uncertainty
             before, P = P, self._advance(P, np.array([kinds[0, 0], 0]), rows)
-            if _alike(before, P):
+            if self._settled(before, P):
                 break
         early, settled, which = len(rows), False, np.empty(len(kinds), dtype=int)
         same = np.append(False, (kinds[1:] == kinds[:-1]).all(axis=1)).tolist()
         for k, kind in enumerate(kinds):
             if not (settled and same[k]):
                 before, P = P, self._advance(P, kind, rows)
-                settled = k % OFTEN == 0 and _alike(before, P)
+                settled = k % OFTEN == 0 and self._settled(before, P)
             which[k] = done + len(rows) - early - 1
         kind, P, K, S = (np.array(part) for part in zip(*rows, strict=True))
         tables = (K, S, self._patterns[kind[:, 1]], *self._slopes(kind, P, K, S))
         self._tables.append(tuple(table[early:] for table in tables))
         return which
+
+    def _settled(self, before: Array, after: Array) -> bool:
+        """Whether P stays as it is, and its derivatives: of P = 0, without noise, they need not."""
+        return _alike(before, after) and bool(after.any() or not len(self._moving))
 
     def _advance(self, P: Array, kind: np.ndarray, rows: list[tuple[Array, ...]]) -> Array:
         """P one step on; kind, P, K and S of the sample are added to the rows."""
@@ -224,7 +228,7 @@ def _times(M: Array, X: Array) -> Array:
 
 def _alike(before: Array, after: Array) -> bool:
     """Whether P (nx, nx), in its own scale, is the same but for rounding."""
-    unit = np.sqrt(np.diag(after))
+    unit = np.sqrt(np.maximum(np.diag(after), 0.0))  # rounding may leave < 0
     unit[unit == 0] = 1.0
     scaled = np.outer(unit, unit)
     return bool(np.abs((after - before) / scaled).max() <= SETTLED * np.abs(after / scaled).max())

@@ -100,10 +100,14 @@ def _wider(model: M, names: tuple[str, ...]) -> M:
     if not names:
         return model
     cls: Any = type(model)
-    if hasattr(cls, "derivatives"):
-        raise ModelError(
-            f"state_biases: write the constants of the nonlinear {cls.__name__} as parameters"
-        )
+    parts = (_nonlinear if hasattr(cls, "derivatives") else _linear)(cls, names)
+    parts |= {"constant_states": bias_states(names), "__annotations__": {}}
+    wider: Any = type(cls.__name__, (cls,), parts | {"__module__": cls.__module__})
+    return cast(M, wider(**_values(model)))
+
+
+def _linear(cls: Any, names: tuple[str, ...]) -> dict[str, Any]:  # noqa: ANN401
+    """What a linear structure with constants writes anew."""
     own = own_states(cls.states, cls.outputs)
     m = len(names)
     unit = [[float(state == name) for name in names] for state in own]
@@ -119,8 +123,25 @@ def _wider(model: M, names: tuple[str, ...]) -> M:
     def C(self: Model) -> Any:  # noqa: ANN401
         return [[*row, *[0.0] * (len(own) + m - len(row))] for row in cls.C(self)]
 
-    parts = {"A": A, "B": B, "C": C, "states": (*own, *bias_states(names))}
-    parts |= {"constant_states": bias_states(names), "__annotations__": {}}
-    names_of = [each.name for each in fields(cls)]
-    wider: Any = type(cls.__name__, (cls,), parts | {"__module__": cls.__module__})
-    return cast(M, wider(**{name: getattr(model, name) for name in names_of}))
+    return {"A": A, "B": B, "C": C, "states": (*own, *bias_states(names))}
+
+
+def _nonlinear(cls: Any, names: tuple[str, ...]) -> dict[str, Any]:  # noqa: ANN401
+    """What a nonlinear structure with constants writes anew; its own methods see its own states."""
+    added = dict(zip(names, bias_states(names), strict=True))
+
+    def derivatives(self: Model, x: Any, u: Any) -> Any:  # noqa: ANN401
+        f = zip(cls.states, cls(**_values(self)).derivatives(x, u), strict=True)
+        moved = [rate + getattr(x, added[name]) if name in added else rate for name, rate in f]
+        return [*moved, *[0.0] * len(names)]
+
+    def measurements(self: Model, x: Any, u: Any) -> Any:  # noqa: ANN401
+        return cls(**_values(self)).measurements(x, u)
+
+    states = (*cls.states, *added.values())
+    return {"derivatives": derivatives, "measurements": measurements, "states": states}
+
+
+def _values(model: Model) -> dict[str, Any]:
+    """Fields of a structure by name."""
+    return {each.name: getattr(model, each.name) for each in fields(cast(Any, model))}

@@ -54,6 +54,9 @@ class OutputErrorNotes:
     covered : mapping
         Of a nonlinear structure: the span of each variable its tables are over, and of airspeed,
         in the records.
+    record_scores, record_information : (records, nf) and (records, nf, nf) array
+        Of every record, all else following the parameters: the slope of its log-likelihood at the
+        estimate, which in all is zero, and its information. None of white residuals.
     """
 
     rounds: int
@@ -68,6 +71,8 @@ class OutputErrorNotes:
     process_noise: Array | None = None
     response_weights: tuple[Array, ...] = ()
     covered: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    record_scores: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    record_information: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
     def __post_init__(self) -> None:
         seal(self)
@@ -82,6 +87,9 @@ class Precision:
     insensitivity: Array  # (n,) 1/√F_ii, initial states and biases eliminated from F
     collinear: tuple[uncertainty.Collinearity, ...]  # hardly determined, the worst first
     undetermined: tuple[str, ...]  # parameters in directions without information
+    records: uncertainty.RecordScores = (
+        uncertainty.NO_SCORES
+    )  # of whole records, by the free parameters
 
     def notes(
         self, rounds: int, nodes: int, nuisances: int, K: Array | None, Q: Array | None = None
@@ -96,6 +104,8 @@ class Precision:
             collinear=self.collinear,
             K=K,
             process_noise=Q,
+            record_scores=self.records[0],
+            record_information=self.records[1],
         )
 
 
@@ -116,7 +126,8 @@ def precision(programme: Programme, x: Array) -> Precision:
     n = len(programme.free.index)
     known = uncertainty.determined(F, ties, alone)  # scores keep clear of what is confounded
     tied = int(ties[:, :n].any(axis=1).sum())
-    robust = np.where(np.isfinite(scaled), _coloured(programme, x, known, follow, tied), scaled)
+    coloured, records = _coloured(programme, x, known, follow, tied)
+    robust = np.where(np.isfinite(scaled), coloured, scaled)
     unit = np.outer(programme.scales.lam, programme.scales.lam)
     diagonal = np.diag(F)[:n]
     with np.errstate(divide="ignore"):
@@ -127,6 +138,7 @@ def precision(programme: Programme, x: Array) -> Precision:
         insensitivity=insensitivity,
         collinear=uncertainty.collinearities(F, ties, names, alone),
         undetermined=lost,
+        records=records,
     )
 
 
@@ -217,8 +229,13 @@ def quadratic_model(
     return uncertainty.eliminate(own, H[nf:, nf:], cross, tied, gaps)
 
 
-def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array, held: int) -> Array:
-    """What residuals correlated as they are make of a covariance (nf, nf), few data allowed for."""
+def _coloured(
+    programme: Programme, x: Array, covariance: Array, follow: Array, held: int
+) -> tuple[Array, uncertainty.RecordScores]:
+    """What residuals correlated as they are make of a covariance (nf, nf), few data allowed for.
+
+    And scores of whole records, if the scatter of estimates is in these alone.
+    """
     e, s, layout = programme.evaluator, programme.scales, programme.evaluator.layout
     sweep = programme.blocks(x).sweep
     nf, nx, ny, first = e.nf, e.nx, e.ny, programme.first_node
@@ -234,7 +251,7 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array, 
         white[mine] = sweep.motion.residuals[mine] @ W.T
     edges = np.cumsum([0, *(record.N for record in layout.records)])
     residuals = [white[a:b] for a, b in itertools.pairwise(edges)]
-    data = uncertainty.coloured_covariance(
+    data, (scores, shares) = uncertainty.coloured_covariance(
         covariance, residuals, lambda root: sweep.influence(move[layout.node] @ root)
     )
     n = len(programme.free.index)
@@ -242,8 +259,10 @@ def _coloured(programme: Programme, x: Array, covariance: Array, follow: Array, 
     surprise = programme.free.prior_scatter(programme.unpack(x).lam[:n])
     larger = programme.understatement(held)
     total = larger * data + known @ (surprise * np.outer(unit, unit)) @ known.T
-    if sweep.gains is None:
-        return np.asarray(total)
-    _, more = sweep.gains.through_covariance(sweep.motion.residuals)
-    more = larger * more * np.outer(s.lam, s.lam)
-    return np.asarray(total + covariance @ more @ covariance)
+    if sweep.gains is not None:
+        _, more = sweep.gains.through_covariance(sweep.motion.residuals)
+        more = larger * more * np.outer(s.lam, s.lam)
+        total = total + covariance @ more @ covariance
+    if nf > n or surprise.any() or not len(scores):
+        return np.asarray(total), uncertainty.NO_SCORES
+    return np.asarray(total), (scores / unit, shares / np.outer(unit, unit))

@@ -91,10 +91,12 @@ def _residual(
     Z[:, :nx] += begun @ d
     E -= (begun @ d) @ C.T
     J = np.empty((len(W), len(C), len(m.dtau)), dtype=complex)
+    flat, felt = J.reshape(len(J), -1), np.flatnonzero(direct_lam.any(axis=0))
     for at in (slice(k, k + PORTION) for k in range(0, len(W), PORTION)):
         J[at] = C @ R[at] @ _times(Z[at], drive_lam).reshape(-1, nx, J.shape[2])
-        J[at] += _times(Z[at], direct_lam).reshape(-1, *J.shape[1:])
-    return _eliminated(E * lines.seen, W, W * J, T @ root)
+        flat[at, felt] += _times(Z[at], direct_lam[:, felt])
+    J *= W
+    return _eliminated(E * lines.seen, W, J, T @ root)
 
 
 def _held(lines: Lines, m: Matrices) -> DelayedInput:
@@ -110,9 +112,8 @@ def _gram(left: ComplexArray, right: ComplexArray) -> Array:
     """Real part of the product of the first, conjugate transposed, with the second: (K, ny, n)."""
     total: Array = np.zeros((left.shape[-1], right.shape[-1]))
     for half in (np.real, np.imag):
-        a = np.ascontiguousarray(half(left)).reshape(-1, len(total))
-        same = a if right is left else np.ascontiguousarray(half(right))
-        total += a.T @ same.reshape(len(a), -1)
+        a, b = (np.ascontiguousarray(half(x)).reshape(-1, x.shape[-1]) for x in (left, right))
+        total += a.T @ b
     return total
 
 
@@ -128,8 +129,12 @@ def _transient(T: ComplexArray, E: ComplexArray) -> tuple[Array, Array]:
 
 def _eliminated(E: ComplexArray, W: Array, J: ComplexArray, T: ComplexArray) -> Residual:
     """Normal equations from weighed derivatives, those by the transient T orthonormal."""
-    n = J.shape[2]
-    G = _gram(*2 * (np.concatenate([J, T, W * E[:, :, None]], axis=2),))
+    n, parts = J.shape[2], (J, T, W * E[:, :, None])
+    rows = np.empty((2, *J.shape[:2], sum(part.shape[2] for part in parts)))
+    for half, of in zip(rows, (np.real, np.imag), strict=True):
+        np.concatenate([of(part) for part in parts], axis=2, out=half)
+    flat = rows.reshape(-1, rows.shape[-1])
+    G = flat.T @ flat
     follow = G[n:-1, :n]
     return Residual(
         E=E, J=J, T=T, follow=follow, cost=float(G[-1, -1]) / 2, F=G[:n, :n] - follow.T @ follow,

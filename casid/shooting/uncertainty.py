@@ -16,7 +16,9 @@ from casid.arrays import Array, BoolArray
 from casid.values import storable
 
 Sparse: TypeAlias = scipy.sparse.csc_array
+RecordScores: TypeAlias = tuple[Array, Array]  # (m, n) and (m, n, n): scores and information
 
+NO_SCORES: RecordScores = np.zeros((0, 0)), np.zeros((0, 0, 0))
 RIDGE = 1e-16  # on nuisance blocks, relative; an unobservable nuisance must not stop the rest
 SAME = 1e-14  # the same where that is lost in rounding
 MANY = 500  # neighbours of a nuisance variable (the bias of a long record) that would fill factors
@@ -200,7 +202,7 @@ def coloured_covariance(
     covariance: Array,
     residuals: Sequence[Array],
     slopes: Callable[[Array], Iterable[Iterable[Array]]],
-) -> Array:
+) -> tuple[Array, RecordScores]:
     """Covariance of the estimates under the correlation the residuals really have.
 
     P K P (Klein & Morelli, section 6.1.3; E. A. Morelli, V. Klein, J. Aircraft 34(2), 1997) with P
@@ -208,6 +210,9 @@ def coloured_covariance(
     residuals may be. Correlated in time, they mostly come of what the structure leaves out and
     depend on the slopes; then K is in every direction the larger of that and of the blocks'. Of
     fewer samples than blocks take a correlation is chance as much, and K not below white noise's.
+
+    With it come the scores of whole records, by which combinations are tested
+    (`casid.bounds.robust`); none of white residuals.
 
     ``covariance`` (nf, nf) is the Cramér-Rao bound for white residuals, ``residuals`` (N, ny) those
     of every record, whitened, 0 where missing. ``slopes`` returns their total derivatives by λ
@@ -220,12 +225,15 @@ def coloured_covariance(
     root = vectors[:, known] * np.sqrt(values[known])  # P = root rootᵀ
     K = process_scores(root.shape[1], C, slopes(root))
     blocks, samples = max(BLOCKS * len(K), FEWEST), sum(len(r) for r in residuals)
-    length = samples // (PARTS * blocks)
-    if len(C) > 1 and PARTS * length >= len(C):
-        K = _larger(K, block_scores(len(K), residuals, slopes(root), length))
+    length, records = samples // (PARTS * blocks), NO_SCORES
+    if len(C) > 1 and length > 0:
+        by_blocks, (g, H) = block_scores(len(K), residuals, slopes(root), length)
+        inverse = vectors[:, known] / np.sqrt(values[known])
+        records = g @ inverse.T, inverse @ H @ inverse.T
+        K = _larger(K, by_blocks) if PARTS * length >= len(C) else K
     elif length == 0:
         K = _larger(K, np.eye(len(K)))
-    return np.asarray(root @ K @ root.T)
+    return np.asarray(root @ K @ root.T), records
 
 
 def _larger(A: Array, B: Array) -> Array:
@@ -239,15 +247,16 @@ def _larger(A: Array, B: Array) -> Array:
 
 def block_scores(
     k: int, residuals: Sequence[Array], slopes: Iterable[Iterable[Array]], length: int
-) -> Array:
+) -> tuple[Array, RecordScores]:
     """Σ g̃ g̃ᵀ of the scores g = Σ sᵀ r̃ of overlapping blocks, (k, k), for slopes (n, ny, k).
 
     Every score is that of the residuals its block would have were it not fitted itself, to first
     order g̃ = (I - H)⁻¹ g with H its share of the information: the jackknife's (R. M. Bell, D. F.
     McCaffrey, Survey Methodology 28(2), 2002). Blocks have four parts of ``length`` samples and
-    begin with every part (H. R. Künsch, Ann. Statist. 17(3), 1989).
+    begin with every part (H. R. Künsch, Ann. Statist. 17(3), 1989). With them come g and H of
+    whole records.
     """
-    K = np.zeros((k, k))
+    K, records = np.zeros((k, k)), []
     for r, pieces in zip(residuals, slopes, strict=True):
         count, first = -(-len(r) // length), 0
         g, H = np.zeros((count, k)), np.zeros((count, k, k))
@@ -261,10 +270,17 @@ def block_scores(
             first += len(piece)
         for begin in range(1 - PARTS, count):
             block = slice(max(begin, 0), begin + PARTS)
-            shares, axes = np.linalg.eigh(H[block].sum(axis=0))
-            alone = axes @ ((axes.T @ g[block].sum(axis=0)) / np.maximum(1 - shares, LEFT))
+            alone = left_out(H[block].sum(axis=0), 1.0) @ g[block].sum(axis=0)
             K += np.outer(alone, alone) / PARTS
-    return K
+        records.append((g.sum(axis=0), H.sum(axis=0)))
+    scores, shares = zip(*records, strict=True)
+    return K, (np.array(scores), np.array(shares))
+
+
+def left_out(H: Array, power: float) -> Array:
+    """(I - H)^-power (k, k) of a share H of the information, which is I in all."""
+    shares, axes = np.linalg.eigh(H)
+    return np.asarray(axes / np.maximum(1 - shares, LEFT) ** power @ axes.T)
 
 
 def process_scores(k: int, C: Array, slopes: Iterable[Iterable[Array]]) -> Array:

@@ -21,8 +21,9 @@ from casid.shooting.intervals import lay_out
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.newton import MEET
 from casid.shooting.nonlinear import NonlinearEvaluator
+from casid.shooting.programme import Programme
 from casid.shooting.search import GAIN, Outcome, Search
-from casid.shooting.sensitivity import Evaluator
+from casid.shooting.sensitivity import Evaluator, Point
 from casid.shooting.starting import continued_programme, starting_programme
 from casid.shooting.unknowns import GainUnknowns, NoiseUnknowns
 from casid.subspace.pbsid import BlackBox
@@ -85,7 +86,10 @@ class Ways:
         return best if best.solution.success else min(ends, key=_merit)
 
     def _noise_ends(self, more: NoiseUnknowns, plain: Outcome) -> list[Outcome]:
-        """Ends of a Kalman filter from output error and, unless that is as good, the guess."""
+        """Ends of a Kalman filter from output error and, unless that is as good, the guess.
+
+        And output error as an end, if neither is as good.
+        """
         ends = []
         if plain.solution.success:
             R = plain.programme.values(plain.solution.x).R
@@ -93,7 +97,31 @@ class Ways:
         if not ends or not ends[0].cost <= plain.cost + GAIN:
             search = Search(self.free, self.options)
             ends.append(self._searched(search, self._evaluator(self._likely_noises(more))))
+        if plain.cost < min(end.cost for end in ends) - GAIN:
+            ends.append(self._still(more, plain))
         return ends
+
+    def _still(self, more: NoiseUnknowns, plain: Outcome) -> Outcome:
+        """Output error as the filter's end, if no process noise makes the records likelier.
+
+        Over a growing mode the least noise is felt, however small beside its unit: the likelihood
+        falls with its logarithm, and steps from any noise hardly come down to none.
+        """
+        more = more.calm(plain.programme.values(plain.solution.x).R)
+        end = self._continued(plain, replace(more.raised(0.0), q0=np.zeros_like(more.q0)))
+        noisy = end.programme.variant(evaluator=self._evaluator(more))
+        first = len(self.free.index)
+        slopes = noisy.gradient(end.solution.x)[first : first + len(more.q0)]
+        last = end.programme, end.solution.x
+        levels = [
+            self._level(
+                start, *continued_programme(self._evaluator(start), self.free, self.R, *last)
+            )
+            for start in map(more.raised, RISES)
+        ]
+        much = noisy.n * min(cost for cost, _ in levels) < end.cost - GAIN
+        likelier = much or (noisy.n * slopes < -GAIN).any()
+        return end.failed("some process noise makes the records likelier") if likelier else end
 
     def _gain_ends(self, more: GainUnknowns, plain: Outcome, known: bool) -> list[Outcome]:
         """Ends of a filter with a free gain, from one ``known`` or where a Kalman filter ends."""
@@ -140,14 +168,23 @@ class Ways:
                 programme, point = starting_programme(evaluator, self.free, self.R, self.biases)
             except ConvergenceError:
                 continue
-            values = programme.values(programme.pack(point))
-            gains = evaluator.gains(point.lam)
-            if gains is not None and np.isfinite(values.cost):
-                size = float(np.sum(gains.whitened(values.motion.residuals) ** 2)) / programme.n
-                factor = 1.0 if more.given is not None else size
-                cost = values.cost + (size / factor - size + np.log(factor)) / 2
-                found.append((cost, start.scaled(factor)))
+            found.append(self._level(start, programme, point))
         return min(found, key=lambda each: each[0])[1] if found else more.raised(RISES[0])
+
+    def _level(
+        self, start: NoiseUnknowns, programme: Programme, point: Point
+    ) -> tuple[float, NoiseUnknowns]:
+        """Cost per observation at noises to start from, all to the scale that suits them best."""
+        values, gains = (
+            programme.values(programme.pack(point)),
+            programme.evaluator.gains(point.lam),
+        )
+        if gains is None or not np.isfinite(values.cost):
+            return np.inf, start
+        size = float(np.sum(gains.whitened(values.motion.residuals) ** 2)) / programme.n
+        factor = 1.0 if start.given is not None else size
+        cost = values.cost + (size / factor - size + np.log(factor)) / 2
+        return float(cost), start.scaled(factor)
 
     def _searched(
         self, search: Search, evaluator: Evaluator, near: AnyFit | None = None

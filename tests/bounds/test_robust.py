@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg
+import scipy.signal
+import scipy.stats
 from truths.mixture import NOISE, Inline, Mixture, least_squares, record
 
 from casid import Execution, OutputError, compare_bounds, output_error
-from casid.bounds.robust import p_value, price_p_values, weights
+from casid.bounds.robust import p_value, price_p_values, ratio_p_value, weights
 from casid.fit import Fit
 
 KNOWN = OutputError(R=np.array([[NOISE**2]]))
@@ -91,3 +94,71 @@ def test_a_price_is_as_surprising_as_its_multiplier_is_many_sigmas():
         e = np.array([*row, 0, 0, 0], dtype=float)
         expected = p_value((e @ x - right) ** 2 / (e @ C @ e), np.ones(1))
         assert np.log(case.p_value) == pytest.approx(np.log(expected), rel=0.15)
+
+
+def by_records(fit, X, r, whose):
+    """The fit as if its scores were those of least squares: X (n, 3), residuals r of variance 1."""
+    parts = [(X[whose == c], r[whose == c]) for c in np.unique(whose)]
+    told = {
+        "cramer_rao": np.linalg.inv(X.T @ X),
+        "record_scores": np.array([x.T @ e for x, e in parts]),
+        "record_information": np.array([x.T @ x for x, _ in parts]),
+    }
+    return replace(fit, notes=replace(fit.notes, **told))
+
+
+def test_one_combination_is_tested_as_bell_and_mccaffrey_do(fit):
+    rng, whose, a = (
+        np.random.default_rng(6),
+        np.repeat(np.arange(5), 12),
+        np.array([1.0, -2.0, 0.5]),
+    )
+    X = rng.standard_normal((60, 3)) * [1.0, 1e-3, 1e3]
+    y = rng.standard_normal(60)
+    M = np.linalg.inv(X.T @ X)
+    hat = X @ M @ X.T
+    r = y - hat @ y
+    rows = []  # one a record: what its score adds to the estimate, by all residuals
+    for c in range(5):
+        own = whose == c
+        A = np.linalg.inv(scipy.linalg.sqrtm(np.eye(12) - hat[np.ix_(own, own)]).real)
+        rows.append(a @ M @ X[own].T @ A @ (np.eye(60) - hat)[own])
+    variance, form = np.sum((np.array(rows) @ y) ** 2), np.array(rows) @ np.transpose(rows)
+    freedom = np.trace(form) ** 2 / np.sum(form**2)
+    assert 2 < freedom < 4
+    found, gap = by_records(fit, X, r, whose), 0.7 * np.sqrt(a @ M @ a)
+    expected = 2 * scipy.stats.t.sf(gap / np.sqrt(variance), freedom)
+    p = ratio_p_value(found, a[None], gap**2 / (a @ M @ a))
+    assert p == pytest.approx(expected, rel=1e-9)
+    assert price_p_values(found, a[None], [gap / (a @ M @ a)]) == pytest.approx(expected, rel=1e-9)
+    # Two records tell too little: then, and of several combinations, the covariance is asked.
+    few = by_records(fit, X, r, whose % 2)
+    for each, held in (few, a[None]), (found, np.eye(3)[:2]):
+        assert ratio_p_value(each, held, 4.0) == p_value(4.0, weights(each, held))
+
+
+def test_records_that_differ_reject_what_holds_of_all_of_them_as_often_as_stated(fit):
+    rng, whose, rejected = np.random.default_rng(7), np.repeat(np.arange(5), 30), []
+    for _ in range(400):
+        X = rng.standard_normal((150, 3))
+        r = np.einsum("nk,nk->n", X, rng.standard_normal((5, 3))[whose]) + rng.standard_normal(150)
+        M = np.linalg.inv(X.T @ X)
+        gap = (M @ X.T @ r)[0]
+        held = by_records(fit, X, r - X @ (M @ X.T @ r), whose)
+        rejected.append(ratio_p_value(held, np.eye(3)[:1], gap**2 / M[0, 0]) < 0.05)
+    assert 0.02 < np.mean(rejected) < 0.085  # 400 draws scatter by 1.1 %
+
+
+def test_scores_of_records_are_nothing_together_and_their_information_is_all():
+    rng, flights = np.random.default_rng(8), [record(k) for k in range(4)]
+    slow = scipy.signal.lfilter(
+        [1.0], [1.0, -0.8], NOISE * rng.standard_normal((4, 400, 1)), axis=1
+    )
+    missed = [replace(r, y=r.y + e) for r, e in zip(flights, slow, strict=True)]
+    notes = output_error(Mixture(), missed).notes
+    size = np.sqrt(np.diag(notes.cramer_rao))
+    assert np.abs(notes.record_scores * size).max() > 1
+    np.testing.assert_allclose(notes.record_scores.sum(axis=0) * size, 0, atol=1e-3)
+    whole = notes.record_information.sum(axis=0) @ notes.cramer_rao
+    np.testing.assert_allclose(whole * size / size[:, None], np.eye(3), atol=1e-6)
+    assert not len(output_error(Mixture(), flights).notes.record_scores)  # white residuals

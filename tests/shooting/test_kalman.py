@@ -104,6 +104,42 @@ def test_in_still_air_the_filter_is_output_error():
         assert abs(one.value - other.value) < other.std_error
 
 
+def test_covariances_know_of_the_first_process_noise_there_is():
+    # P = 0 stays so without noise, but what the least of it makes goes on growing.
+    record = noisy(1).between(0, 3)
+    evaluator, lam = filtered([record])
+    lam[len(FREE.index) : len(FREE.index) + 3] = 0.0
+    there, step = evaluator.gains(lam, slopes=True), 1e-6
+    for i in range(len(FREE.index), len(FREE.index) + 3):
+        ahead = evaluator.gains(lam + step * np.eye(len(lam))[i])
+        by_difference = (ahead.S[ahead.which] - there.S[there.which]) / step
+        slope = there.S_lam[there.which, ..., i]
+        assert len({*slope[:, 1, 1]}) == record.N  # every sample has its own
+        np.testing.assert_allclose(slope, by_difference, atol=1e-3 * by_difference.max())
+
+
+@pytest.mark.slow
+def test_still_air_is_told_over_a_growing_mode():
+    case = cases()["2 states, 2 outputs"]
+    still = replace(case, density=np.full(2, 1e-30), N=400)
+    record = fly(still, np.random.default_rng(1), "still air")
+    plain = output_error(case.truth, record)
+    fit = output_error(case.truth, record, process_noise=True)
+    assert not fit.notes.process_noise.any()
+    assert fit.cost == pytest.approx(plain.cost, abs=1e-4)
+    np.testing.assert_allclose(fit.model.vector(), plain.model.vector(), rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_turbulence_that_steps_from_output_error_miss_is_not_taken_for_still_air():
+    # No first bit of process noise helps there, much of it does: by 136 of log-likelihood.
+    case = replace(cases()["2 states, 2 outputs"], N=120)
+    record = fly(case, np.random.default_rng([60, 6]), "short")
+    fit = output_error(case.start(case.truth), record, process_noise=True)
+    assert fit.notes.process_noise[0] > 0.03
+    assert fit.cost < output_error(case.start(case.truth), record).cost - 100
+
+
 @pytest.mark.slow
 def test_without_measurement_noise_the_likelihood_degenerates_and_the_best_is_told():
     records = [flown(seed=1).between(0, 6), flown(seed=2).between(0, 6)]

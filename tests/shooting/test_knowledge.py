@@ -9,6 +9,7 @@ from casid import (
     DataWarning,
     Model,
     ModelError,
+    NonlinearModel,
     OutputError,
     Record,
     Rows,
@@ -63,6 +64,30 @@ def test_constants_of_states_are_found_in_every_record():
     assert fit.initial_states.shape == (2, 2)
     assert type(fit.model) is Roll
     np.testing.assert_array_less(np.abs(fit.biases), 2e-4)
+
+
+class RollWritten(NonlinearModel):
+    """`Roll` as equations, and as a class that asks its own states."""
+
+    states, inputs, outputs = Roll.states, Roll.inputs, Roll.outputs
+
+    Lp: Scalar = parameter(default=-3.0, lower=-25.0, upper=0.0, unit="1/s")
+    Llat: Scalar = parameter(default=10.0, lower=0.0, upper=60.0, unit="rad/s^2")
+
+    def derivatives(self, x, u):
+        p, _ = (getattr(x, name) for name in self.states)
+        return [self.Lp * p + self.Llat * u.lat, p]
+
+
+def test_constants_of_a_nonlinear_structure_are_those_of_the_linear_one():
+    estimator = OutputError(state_biases=("p",), biases=False)
+    linear, fit = (estimator.fit(model, flown()) for model in (Roll(), RollWritten()))
+    assert type(fit.model) is RollWritten
+    assert fit.initial_states.shape == (2, 2)
+    np.testing.assert_allclose(fit.state_biases, linear.state_biases, atol=2e-6)
+    for name in ("Lp", "Llat"):
+        assert abs(fit[name].value - linear[name].value) < 0.01 * linear[name].std_error
+        assert fit[name].std_error == pytest.approx(linear[name].std_error, rel=1e-3)
 
 
 def test_what_is_added_is_gradient_and_hessian_of_the_cost():

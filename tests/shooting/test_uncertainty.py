@@ -186,7 +186,8 @@ def test_scores_of_blocks_are_what_leaving_them_out_does_to_least_squares():
     residuals = [b - a @ whole for a, b in zip(X, y, strict=True)]
     for pieces in (1, 4):
         parts = [np.array_split(x @ root, pieces) for x in X]
-        found = root @ block_scores(3, residuals, parts, length) @ root.T
+        K, _ = block_scores(3, residuals, parts, length)
+        found = root @ K @ root.T
         np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
@@ -202,7 +203,7 @@ def test_intervals_cover_where_residuals_grow_with_what_excites_them():
         r = (y - X @ (P @ X.T @ y)) / (sigma := np.std(y))
         S = (X / sigma)[:, None]
         P = P * sigma**2
-        V = coloured_covariance(P, [r[:, None]], lambda root, S=S: [[S @ root]])
+        V, _ = coloured_covariance(P, [r[:, None]], lambda root, S=S: [[S @ root]])
         by_process = P @ process_scores(2, residual_covariance([r[:, None]]), [[S]]) @ P
         error = (P @ X.T @ y)[0] / sigma**2
         hits.append([abs(error) < 2.10 * np.sqrt(v[0, 0]) for v in (by_process, V)])
@@ -230,7 +231,7 @@ def test_white_residuals_need_no_correction():
     n, nf = 20000, 2
     s = RNG.standard_normal((n, 1, nf))
     covariance = np.linalg.inv(np.einsum("nai,naj->ij", s, s))
-    found = coloured_covariance(
+    found, _ = coloured_covariance(
         covariance, [RNG.standard_normal((n, 1))], lambda root: [[s @ root]]
     )
     # The variance of 20000 residuals scatters by 1 %.
@@ -242,7 +243,7 @@ def test_few_residuals_that_alternate_by_chance_do_not_make_errors_smaller():
     s, r = rng.standard_normal((40, 1, 2)), np.tile([[1.0], [-1.0]], (20, 1))
     s += 2.0  # slow, so that an alternating noise would average out
     covariance = np.linalg.inv(np.einsum("nai,naj->ij", s, s))
-    found = coloured_covariance(covariance, [r], lambda root: [[s @ root]])
+    found, _ = coloured_covariance(covariance, [r], lambda root: [[s @ root]])
     assert np.linalg.eigvalsh(found - covariance).min() > -1e-9 * covariance.max()
     C = residual_covariance([r])
     root = np.linalg.cholesky(covariance)
