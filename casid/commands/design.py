@@ -17,11 +17,12 @@ from casid.design.asked import DesignSettings, Limits
 from casid.design.injection import check_axes, check_channels, remove_own
 from casid.design.inputs import design_inputs
 from casid.design.plan import Design
-from casid.design.prior import check_trim, nearest_trim
+from casid.design.prior import check_trim
 from casid.errors import ModelError, warn
 from casid.fit import AnyFit, Fit
 from casid.free import free_parameters
 from casid.model import Model
+from casid.nonlinear.balance import balanced
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.coverage import SPEEDS
 from casid.nonlinear.model import NonlinearModel
@@ -227,7 +228,8 @@ def _condition(
         )
     nearest = int(np.argmin(np.abs(np.array(speeds) - wanted[0]))) if wanted else 0
     place, flown = places[nearest]
-    trim = nearest_trim(model, replace(place, values={**place.values, **asked}), held=asked)
+    wished = replace(place, values={**place.values, **asked})
+    trim = balanced(model, wished, held={*SPEEDS, *asked}).trim
     return trim, [record.total().detrend("first") for record in flown]
 
 

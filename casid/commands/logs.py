@@ -11,6 +11,7 @@ from casid.arrays import Array, BoolArray
 from casid.channels import UNITS
 from casid.commands.columns import COLUMN, UNIT
 from casid.commands.terminal import caution, exits, new_table
+from casid.consistency.clocks import moves_told
 from casid.display import counted
 from casid.logs.drafting import Draft, import_log
 from casid.logs.reading import read_log
@@ -79,6 +80,22 @@ def _list(console: Console, log: Log, *, columns: bool) -> None:
         console.print(Text(f"! {note}", style="yellow"))
 
 
+def _show_clocks(console: Console, draft: Draft) -> None:
+    for assumed in draft.assumed:
+        caution(console, assumed)
+    for each in draft.delays:
+        if abs(each.seconds) >= SHOWN:
+            after = "after" if each.seconds > 0 else "before"
+            said = f"{1000 * abs(each.seconds):.1f} ms {after} {each.than}"
+            console.print(Text(f"{each.late} comes {said} (correlation {each.correlation:.2f})"))
+    if draft.moves:
+        caution(
+            console,
+            f"kinematics asks for {moves_told(draft.moves)}. What comes from outside is told of "
+            "channels so moved; the study offers it, commented out",
+        )
+
+
 def _show(console: Console, draft: Draft) -> None:
     table = new_table(
         "Channels", "channel", "", "column", "unit", "Hz", "sampled before its stamp [ms]"
@@ -90,13 +107,7 @@ def _show(console: Console, draft: Draft) -> None:
             unit = "not stated" if source.unit == "" else source.unit or UNITS.get(name, "")
             table.add_row(Text(name), kind, Text(source.place), Text(unit), rate, age)
     console.print(table, "")
-    for assumed in draft.assumed:
-        caution(console, assumed)
-    for each in draft.delays:
-        if abs(each.seconds) >= SHOWN:
-            after = "after" if each.seconds > 0 else "before"
-            said = f"{1000 * abs(each.seconds):.1f} ms {after} {each.than}"
-            console.print(Text(f"{each.late} comes {said} (correlation {each.correlation:.2f})"))
+    _show_clocks(console, draft)
     inputs = draft.stretches[0].record.inputs
     headings = ("from", "to [s]", *(f"{name} std" for name in inputs), "from outside")
     table = new_table("Stretches in which the inputs move", "record", *headings)

@@ -280,6 +280,7 @@ def _describe(console: Console, study: Study) -> None:
             table.add_row(Text(record.name), role, *numbers)
     console.print(table)
     flown = flights.get("refinement", flights["identification"])
-    for said in (*again.told(), *steps_told(flown, study.model.delays())):
+    steps = () if study.channels.hold else steps_told(flown, study.model.delays())
+    for said in (*again.told(), *steps):
         caution(console, said)
     console.print("Mend the records first." if again.told() else "The study is in order.")

@@ -3,7 +3,6 @@
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import scipy
 
@@ -24,7 +23,6 @@ from casid.nonlinear.trims import OUT_OF_BALANCE, imbalance
 # Relative errors of a guess and of a fit, beside its covariance: what its structure lacks is in no
 # covariance (derivatives of `SixDof` fitted to the AH-1S are off its linearisation by some 20 %).
 GUESSED = FITTED = 0.2
-NEWTON = 50  # steps to a balance
 NOISELESS = 1e-6  # errors over parameters' sizes that no measured record states
 
 
@@ -61,27 +59,6 @@ def check_trim(model: Model, names: Collection[str]) -> None:
     if names and not isinstance(model, NonlinearModel):
         raise ValueError(f"{type(model).__name__} is linear, about its own trim: leave trim out")
     check_known("trim: no state or input is called", names, (*model.states, *model.inputs))
-
-
-def nearest_trim(model: NonlinearModel, trim: Trim, held: Collection[str] = ()) -> Trim:
-    """The condition in balance that is nearest to a measured one, in shares of its values.
-
-    States and inputs that are ``held`` stay; what has no balance nearby is returned as near as it
-    gets, for `check_balance` to refuse.
-    """
-    names, values = (*model.states, *model.inputs), condition(model, trim).values
-    at = np.array([values[name] for name in names])
-    z, nx = ca.SX.sym("z", len(names)), len(model.states)
-    f = model.equations()(z[:nx], z[nx:], model.vector())[0]
-    both = ca.Function("balance", [z], [f, ca.jacobian(f, z)])
-    size = np.where(np.isin(names, tuple(held)), 0.0, np.maximum(np.abs(at), 1.0))
-    for _ in range(NEWTON):
-        rate, slope = (np.asarray(each.full()) for each in both(at))
-        move = size * np.ravel(np.linalg.pinv(slope * size) @ rate)
-        at = at - move
-        if np.abs(move).max() < 1e-12 * size.max(initial=1.0):
-            break
-    return replace(trim, values=dict(zip(names, at.tolist(), strict=True)))
 
 
 def condition(model: NonlinearModel, trim: Trim | Mapping[str, float] | None) -> Trim:

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from casid.arrays import Array, BoolArray
+from casid.consistency.lags import correlations, peak
 from casid.display import counted
 from casid.logs.conventions import Source
 from casid.record import FEWEST, MOST, Hold, Record
@@ -156,16 +156,13 @@ def lateness(taken: Source, other: Source) -> Lateness | None:
     if len(t) < 8 * lags:
         return None
     x, y = (_steady(np.interp(t, each.topic.t, each.values)) for each in (taken, other))
-    inner = y[lags:-lags]
-    size = np.sqrt(np.sum(inner**2) * np.convolve(x**2, np.ones(len(inner)), mode="valid"))
-    across = scipy.signal.correlate(x, inner, mode="valid") / np.maximum(size, 1e-300)
+    across = correlations(y, x, lags)
     k = int(np.argmax(across))
     if across[k] < COHERENT or not 0 < k < len(across) - 1:
         return None
-    a, b, c = across[k - 1 : k + 2]
-    peak = k + (a - c) / (2 * (a - 2 * b + c))
+    late = (peak(across, k) - lags) * step
     names = {"late": other.place, "than": taken.place}
-    return Lateness(**names, seconds=float((lags - peak) * step), correlation=float(b))
+    return Lateness(**names, seconds=late, correlation=float(across[k]))
 
 
 def _steady(x: Array) -> Array:

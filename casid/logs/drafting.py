@@ -1,14 +1,18 @@
 """A study drafted from a log: records of its lively stretches, a structure to start from."""
 
 import json
+import warnings
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from casid.channels import RATES
+from casid.channels import ATTITUDES, RATES
 from casid.checks import checked
+from casid.consistency.clocks import aligned
+from casid.consistency.kinematics import kinematic_check
+from casid.errors import DataWarning
 from casid.excitations import excitation_if_any
 from casid.files import write_csv
 from casid.logs.assembly import Lateness, assemble, delays, hold_told, usual_dt
@@ -46,8 +50,7 @@ file = {model}
 # Channels are in SI and radians; inputs as the log has them.
 {assumed}[channels]
 hold = {hold} # between samples inputs are steps ("zoh") or straight lines ("foh")
-# A skew between attitudes and rates that casid inspect finds is taken out by
-# shift = "kinematics"
+{skew}
 
 [pbsid]
 transform = "laguerre" # a black box in continuous time, as the structure is
@@ -79,6 +82,9 @@ class Draft:
         Candidates for identification.
     delays : tuple of Lateness
         Between topics that hold the same quantity.
+    moves : mapping of str to float
+        Shifts [s] that bring outputs into line with kinematics. Shares from outside are those of
+        records so moved; the records are as they were logged, and the study offers it.
     assumed : tuple of str
         What the log does not state and is taken for granted: units, and what inputs do between
         samples.
@@ -94,6 +100,7 @@ class Draft:
     records: tuple[Record, ...]
     stretches: tuple[Stretch, ...]
     delays: tuple[Lateness, ...]
+    moves: Mapping[str, float]
     assumed: tuple[str, ...]
     doubts: tuple[str, ...]
     study: Path
@@ -150,9 +157,10 @@ def import_log(
     dt = dt or usual_dt(inputs, outputs)
     assumed += hold_told(inputs, outputs, dt)
     records = assemble(inputs, outputs, dt, log.path.stem.replace(" ", "_"))
-    found = _stretches(log, records, inputs)
+    moves = _moves(records, outputs)
+    found = [_in_line(each, moves) for each in _stretches(log, records, inputs)]
     late = delays([(taken, others(log, name, taken)) for name, taken in outputs.items()])
-    _write(study, log, found, model, assumed)
+    _write(study, log, found, model, assumed, moves)
     return Draft(
         log=log,
         inputs=inputs,
@@ -160,8 +168,9 @@ def import_log(
         records=tuple(records),
         stretches=tuple(found),
         delays=tuple(late),
+        moves=moves,
         assumed=tuple(assumed),
-        doubts=_doubts(log, [each.record for each in found]),
+        doubts=_doubts(log, [each.record.shift(moves) for each in found]),
         study=study,
     )
 
@@ -194,6 +203,32 @@ def _stretches(log: Log, records: Sequence[Record], inputs: Collection[str]) -> 
             f"{longest:.3g} s at most, {SHORTEST:g} s are wanted"
         )
     return found
+
+
+def _moves(records: Sequence[Record], outputs: Mapping[str, Source]) -> dict[str, float]:
+    """Shifts [s] that bring outputs into line with kinematics; none where it tells nothing.
+
+    The topic of the attitudes counts as a second logger, unless it is that of the rates.
+    """
+    gyros, angles = (
+        next((id(outputs[name].topic) for name in names if name in outputs), 0)
+        for names in (RATES, ATTITUDES)
+    )
+    second = [name for name in outputs if gyros != angles == id(outputs[name].topic)]
+    first = [name for name in outputs if name not in second]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataWarning)  # of gaps, which others tell
+        try:
+            return aligned(kinematic_check(records), first, second, records[0].inputs)[0]
+        except (ValueError, IndexError):
+            return {}
+
+
+def _in_line(stretch: Stretch, moves: Mapping[str, float]) -> Stretch:
+    """The stretch with the excitation of its record so moved: late outputs look like feedback."""
+    if not moves:
+        return stretch
+    return replace(stretch, excitation=excitation_if_any(stretch.record.shift(moves)))
 
 
 def _check_found(
@@ -240,7 +275,12 @@ def _divided(records: Sequence[Record]) -> list[Stretch]:
 
 
 def _write(
-    study: Path, log: Log, found: Sequence[Stretch], model: str | None, assumed: Sequence[str]
+    study: Path,
+    log: Log,
+    found: Sequence[Stretch],
+    model: str | None,
+    assumed: Sequence[str],
+    moves: Mapping[str, float],
 ) -> None:
     """Write records, structure and study."""
     unseen = found[KEPT - 1 :: KEPT] or found[-1:]
@@ -255,7 +295,14 @@ def _write(
     files = [json.dumps([f"data/{each.name}.csv" for each in part]) for part in parts]
     quiet = [all(each.quiet_samples() > REST / each.dt for each in part) for part in parts]
     trim = "first" if quiet[0] else "mean"
+    kept = load_model(reference, study.parent).outputs
+    offered = {name: lag for name, lag in moves.items() if name in kept}
+    lags = ", ".join(f"{name} = {lag:+.4f}" for name, lag in offered.items())
+    asked = "# Kinematics asks for this; without the first # of the line it is done:"
     words = {
+        "skew": f"{asked}\n# shift = {{ {lags} }}"
+        if offered
+        else "# Kinematics finds no channel late.",
         "log": log.path.name,
         "kind": log.kind,
         "assumed": "".join(f"# {each}\n" for each in assumed),

@@ -36,12 +36,13 @@ def test_nothing_is_cut_where_the_output_is_no_terminal():
 
 
 def test_a_narrow_terminal_folds_what_does_not_fit():
-    shown = io.StringIO()
     table = new_table("title", "channel", "lowest [rad/s]", "highest")
     table.add_row("a_channel_of_a_long_name", "-0.00873612", "-1.2345e-123")
-    Console(file=shown, width=40).print(table)
-    assert "…" not in shown.getvalue()
-    assert all(len(line) <= 40 for line in shown.getvalue().splitlines())
+    for width in (40, 20):  # where names, then numbers do not fit
+        shown = io.StringIO()
+        Console(file=shown, width=width).print(table)
+        assert "…" not in shown.getvalue()
+        assert all(len(line) <= width for line in shown.getvalue().splitlines())
 
 
 @pytest.mark.parametrize(

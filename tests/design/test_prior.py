@@ -6,10 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import scipy.stats
-from truths.swing import Swing
 
-from casid import DataWarning, Trim
-from casid.design.prior import inside, known_before, nearest_trim, noise_of, possible
+from casid import DataWarning
+from casid.design.prior import inside, known_before, noise_of, possible
 from casid.free import free_parameters
 from models.short_period import ShortPeriod
 
@@ -76,30 +75,6 @@ def test_draws_keep_the_bounds():
     drawn = values(possible(FREE, NONE, 3.0, 50, 0))
     assert np.all(drawn >= FREE.lower[FREE.index])
     assert np.all(drawn <= FREE.upper[FREE.index])
-
-
-def test_the_nearest_balance_is_on_the_line_of_least_moves():
-    model = Swing(M=4.0, Mlon=5.0)
-    found = nearest_trim(model, Trim(values={"theta": 0.4, "lon": 0.3, "q": 0.02})).values
-    theta, lon = found["theta"], found["lon"]
-    assert found["q"] == pytest.approx(0.0, abs=1e-9)
-    assert 5.0 * np.cos(theta) * lon == pytest.approx(4.0 * np.sin(theta), abs=1e-9)
-    along = np.arctan(5.0 * 0.01 * np.arange(20, 50) / 4.0)  # balances at sticks of 0.2 to 0.49
-    distance = np.hypot(along - 0.4, 0.01 * np.arange(20, 50) - 0.3)
-    assert np.hypot(theta - 0.4, lon - 0.3) <= distance.min() + 1e-3
-    held = nearest_trim(model, Trim(values={"theta": 0.4, "lon": 0.3}), held=("theta",)).values
-    assert held["theta"] == 0.4
-    assert held["lon"] == pytest.approx(0.8 * np.tan(0.4))
-
-
-def test_distances_from_a_balance_are_shares_of_values_above_one():
-    model, given = Swing(M=4.0, Mlon=5.0), np.array([1.1, 2.0])
-    found = nearest_trim(model, Trim(values={"theta": given[0], "lon": given[1]})).values
-    theta = np.linspace(1.0, 1.4, 40_001)
-    line = np.array([theta, 0.8 * np.tan(theta)])  # the balances
-    away = np.linalg.norm((line.T - given) / np.maximum(given, 1.0), axis=1)
-    # each step is the shortest to where the slope has the balance: off in second order
-    assert found["theta"] == pytest.approx(theta[np.argmin(away)], abs=0.003)
 
 
 def test_noise_is_stated_of_every_output_and_more_than_none():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from truths.logs import DAMPING, DELAY, GAIN, WRITERS, ulog
 
-from casid import import_log, read_records, read_study, run_study
+from casid import import_log, kinematic_check, read_records, read_study, run_study
 from casid.logs import drafting
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -47,6 +47,24 @@ def test_what_is_shaken_on_a_bench_is_doubted_and_what_flies_is_not(tmp_path, dr
     assert "actuator_outputs never moves" in said
     assert "controller's inverse" in said
     assert [draft.doubts for draft in drafts.values()] == [()] * len(WRITERS)
+
+
+def test_attitudes_that_come_late_are_told_and_offered_and_change_no_share(tmp_path, drafts):
+    path, late = tmp_path / "late.ulg", 0.06
+    path.write_bytes(ulog(angles_late=late))
+    draft, sound = import_log(path, tmp_path / "late"), drafts["flight.ulg"]
+    assert sound.moves == {}
+    assert [*draft.moves] == ["phi", "theta", "psi"]  # the whole topic
+    np.testing.assert_allclose([*draft.moves.values()], -late, atol=0.01)
+    for found, whole in zip(draft.stretches, sound.stretches, strict=True):
+        np.testing.assert_allclose(found.excitation.lower, whole.excitation.lower, atol=0.1)
+    text = draft.study.read_text()
+    draft.study.write_text(text.replace("# shift = {", "shift = {"))
+    records = read_records(read_study(draft.study))["identification"]
+    assert kinematic_check(records).shifts == {}
+    draft.study.write_text(text)
+    raw = read_records(read_study(draft.study))["identification"]
+    assert {*kinematic_check(raw).shifts} == {"p", "q"}  # early, as much
 
 
 def test_one_stretch_is_divided_and_none_takes_the_longest_record(tmp_path, monkeypatch):

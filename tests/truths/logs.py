@@ -47,9 +47,10 @@ def flight(seconds=40.0, seed=0):
 # ---- ULog: header, formats, subscriptions, data ------------------------------------------------
 
 
-def ulog(seconds=40.0, *, begin=100.0, lose=None):
+def ulog(seconds=40.0, *, begin=100.0, lose=None, angles_late=0.0):
     """A PX4 log; rows of the sticks between ``lose`` = (from, to) [s] are missing."""
     t, x = flight(seconds)
+    x |= {name: np.interp(t - angles_late, t, x[name]) for name in ANGLES}
     micro = np.round((begin + t) * 1e6).astype(np.uint64)
     cos, sin = np.cos, np.sin
     half = {name: x[name] / 2 for name in ANGLES}
