@@ -2,11 +2,12 @@
 
 At each condition the structure is linearised; the covariance of an entry of A or B is J C Jᵀ, J its
 exact derivatives by the parameters, C the covariance that `Fit.std_error` is read from. That has
-no error of a parameter on its bound, nor has any entry that depends on one.
+no error of a parameter on its bound, nor has any entry that depends on one. States and inputs that
+a condition does not name balance the equations; errors take them as known, like those it names.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy
@@ -17,6 +18,7 @@ from casid.errors import ModelError, warn
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
 from casid.free import free_parameters
+from casid.nonlinear.balance import Balance, balanced, unbalanced
 from casid.nonlinear.conditions import Trim, linearisation
 from casid.nonlinear.coverage import MARGIN, leaves, tabulated
 from casid.nonlinear.model import NonlinearModel
@@ -44,6 +46,13 @@ class Envelope(Shown):
         the structure is extrapolated, and standard errors say nothing of that.
     local : Envelope or None
         The same of fits made at one condition each, to compare with.
+    balanced : tuple of str
+        States and inputs that the conditions do not name: found so that dx/dt = 0.
+    moved : mapping
+        By how much at most those that they name moved for it.
+    doubts : tuple of str
+        Conditions, of local fits too, that do not balance, do with what they name far away, or
+        leave some of it open.
     """
 
     speed: Array
@@ -53,6 +62,9 @@ class Envelope(Shown):
     poles: ComplexArray
     beyond: BoolArray
     local: "Envelope | None" = None
+    balanced: tuple[str, ...] = ()
+    moved: Mapping[str, float] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
 
     def headline(self) -> str:
         """Conditions and entries."""
@@ -78,7 +90,8 @@ def envelope(
     fit : Fit
         Of a `NonlinearModel`.
     trims : sequence of Trim
-        Where it is linearised; placed at their ``speed``, or at their value of "u" or "V".
+        Where it is linearised; placed at their ``speed``, or at their value of "u" or "V". States
+        and inputs that they do not name, or call unknown, are balanced from the reference on.
     entries : sequence of pairs
         State and what its derivative is taken by, state or input: ``("q", "w")`` for M_w.
     local : mapping of Trim to Fit
@@ -87,7 +100,8 @@ def envelope(
     Returns
     -------
     Envelope
-        A `DataWarning` names the conditions outside what the fit's records flew.
+        A `DataWarning` names the conditions outside what the fit's records flew, another those at
+        which what a trim does not name is not determined by balance.
 
     Raises
     ------
@@ -110,6 +124,8 @@ def envelope(
             f"the fit is of ({flown}); standard errors say nothing of that: stay inside, or fly "
             "there and fit again"
         )
+    if made.doubts:
+        warn(unbalanced(fit.model, made.doubts))
     return made
 
 
@@ -120,15 +136,25 @@ def _gathered(
 ) -> Envelope:
     """The envelope of fits, each at its condition."""
     along = sorted(fits, key=lambda each: _speed(each[0]))
+    speed = np.array([_speed(trim) for trim, _ in along])
+    rest = [
+        balanced(fit.model, trim) if isinstance(fit.model, NonlinearModel) else Balance(trim)
+        for trim, fit in along
+    ]
+    along = [(each.trim, fit) for each, (_, fit) in zip(rest, along, strict=True)]
     values, errors, poles = zip(*(_read(*each, entries) for each in along), strict=True)
+    moved = sorted((name, abs(move)) for each in rest for name, move in each.moved.items())
     return Envelope(
-        speed=np.array([_speed(trim) for trim, _ in along]),
+        speed=speed,
         names=tuple(f"{state}' by {channel}" for state, channel in entries),
         values=np.array(values),
         std_error=np.array(errors),
         poles=_followed(poles),
         beyond=np.array([_is_beyond(*each) for each in along]),
         local=local,
+        balanced=tuple(dict.fromkeys(name for each in rest for name in each.found)),
+        moved=dict(moved),
+        doubts=(*filter(None, (each.doubt for each in rest)), *(local.doubts if local else ())),
     )
 
 

@@ -1,9 +1,10 @@
 """A helicopter by its components: one structure for all speeds above transition, no schedules.
 
 Main rotor thrust by blade elements in a dynamic uniform inflow, tip-path-plane flapping, tail rotor
-in its settled inflow, flat-plate fuselage in the wake, tailplane, fin that may stall, torque by
-power: the minimum-complexity model of R. K. Heffley, M. A. Mnich (NASA CR-177476), lumped so that
-each parameter is felt. Speed enters by itself: there are no trim curves, trims are answers.
+in its settled inflow, flat-plate fuselage in the wake, tailplane that the wake may reach, fin that
+may stall, torque by power, Euler's equations: the minimum-complexity model of R. K. Heffley,
+M. A. Mnich (NASA CR-177476), lumped so that each parameter is felt. Geometry and ratios of inertia
+are known. Speed enters by itself: there are no trim curves, trims are answers.
 
 What identifies it: records in total values of all four controls from two or more speeds, their
 trims in them, with ax ay az p q r phi theta u, sharp enough for the rotor (20 Hz or more).
@@ -17,11 +18,16 @@ import casadi as ca
 from casid import NonlinearModel, Scalar, parameter
 
 
+def smooth_size(value: Any, width: float = 0.5) -> Any:  # noqa: ANN401
+    """|value|, rounded within its width."""
+    return ca.sqrt(value**2 + width**2)
+
+
 class MinimumComplexity(NonlinearModel):
     """Rotor, tail rotor, fuselage and tails of a helicopter; see the module.
 
-    Forces are per mass; L, M, N per own inertia, coupled by Lixz, Nixz. Pitch of blades is in
-    rad at three quarters of the radius.
+    Forces are per mass; L, M, N per own inertia, Lixz the product of inertia over Ix. Pitch of
+    blades is in rad at three quarters of the radius.
     """
 
     states = ("u", "v", "w", "p", "q", "r", "phi", "theta", "b1c", "b1s", "vi")
@@ -57,7 +63,6 @@ class MinimumComplexity(NonlinearModel):
     Npower: Scalar = parameter(default=0.007, lower=0.0, upper=0.1, unit="s/m^2")
     Nprofile: Scalar = parameter(default=0.3, lower=0.0, upper=2.0, unit="1/s^2")
     Lixz: Scalar = parameter(default=0.4, lower=-0.8, upper=0.8, unit="-")
-    Nixz: Scalar = parameter(default=0.1, lower=-0.8, upper=0.8, unit="-")
     # Tail rotor: thrust by its flow, its arms.
     tail_lift: Scalar = parameter(default=0.04, lower=0.005, upper=0.5, unit="1/s")
     tail_flow: Scalar = parameter(default=15.0, lower=2.0, upper=60.0, unit="m/s")
@@ -67,8 +72,10 @@ class MinimumComplexity(NonlinearModel):
     Ntail: Scalar = parameter(default=2.0, lower=0.0, upper=10.0, unit="1/m")
     # Fuselage, tailplane, fin.
     Xuu: Scalar = parameter(default=-0.0002, lower=-0.01, upper=0.0, unit="1/m")
+    Yvv: Scalar = parameter(default=-0.003, lower=-0.05, upper=0.0, unit="1/m")
     Mwake: Scalar = parameter(default=0.002, lower=-0.02, upper=0.02, unit="1/m^2")
     Muw: Scalar = parameter(default=-0.001, lower=-0.02, upper=0.0, unit="1/m^2")
+    plane_0: Scalar = parameter(default=0.0, lower=-0.3, upper=0.3, unit="rad")
     Yfin: Scalar = parameter(default=-0.001, lower=-0.02, upper=0.0, unit="1/m")
     fin_0: Scalar = parameter(default=-0.05, lower=-0.5, upper=0.5, unit="rad")
     fin_stalled: Scalar = parameter(default=0.5, lower=0.0, upper=1.0, unit="-")
@@ -84,6 +91,12 @@ class MinimumComplexity(NonlinearModel):
     tail_up: float = 0.9  # m
     plane: float = 5.0  # m
     fin: float = 6.3  # m
+    fuselage_down: float = 1.5  # m, below the hub
+    plane_down: float = 1.1  # m
+    radius: float = 5.5  # m
+    Iyx: float = 4.0  # Iy / Ix
+    Izx: float = 4.0  # Iz / Ix
+    gyration: float = 3.7  # m^2, Iy / m
     stall: float = 0.3  # rad, of the fin
     stall_width: float = 0.03  # rad, over which its slope changes
     trim: tuple[float, ...] = (31.0, 0.05, 0.32, 0.37, 0.65, 0.43)  # u, theta, sticks
@@ -114,38 +127,57 @@ class MinimumComplexity(NonlinearModel):
             inflow = self.tail_flow * blade / (speed + self.tail_flow)
         return self.tail_lift * (blade - inflow), inflow
 
+    def fin_force(self, x: Any, wash: Any) -> Any:  # noqa: ANN401
+        """To the right, per mass, with the tail rotor's wash."""
+        slip = (x.v + wash - x.r * self.fin) / x.u
+        stalled = (1 + ca.tanh((slip**2 / self.stall - self.stall) / (2 * self.stall_width))) / 2
+        flows, stalls = slip + self.fin_0, self.fin_stalled * slip * ca.sqrt(1 + slip**2)
+        return self.Yfin * x.u**2 * ((1 - stalled) * flows + stalled * stalls)
+
+    def pitching(self, x: Any) -> tuple[Any, Any]:  # noqa: ANN401
+        """Force down per mass and moment of fuselage and tailplane, both met by the wake."""
+        down = smooth_size(x.vi - x.w)
+        behind = x.u / down * self.plane_down - (self.plane - self.radius)
+        within = 1 - behind / self.radius
+        hit = within + smooth_size(within, 0.03)  # twice the share, 0 outside
+        flow = x.w + x.q * self.plane - hit * x.vi + self.plane_0 * x.u
+        body, plane = self.Mwake * x.u * down, self.Muw * x.u * flow
+        force = body / self.fuselage_down * down / x.u + plane / self.plane
+        return self.gyration * force, body + plane
+
     def aerodynamics(self, x: Any, u: Any) -> list[Any]:  # noqa: ANN401
         """Specific forces and angular accelerations."""
         (T, through, squared), (side, wash) = self.rotor(x, u), self.tail_rotor(x, u)
-        lat, lon = self.cyclic(u)
-        wake = ca.sqrt((x.w - x.vi) ** 2 + 0.25)  # |w - vi|, smooth
-        plane = x.w + x.q * self.plane
-        slip = (x.v + wash - x.r * self.fin) / x.u
-        beyond = (slip**2 / self.stall - self.stall) / (2 * self.stall_width)
-        stalled = (1 + ca.tanh(beyond)) / 2
-        lift = (1 - stalled) * (slip + self.fin_0) + stalled * self.fin_stalled * slip
-        fin = self.Yfin * x.u**2 * lift
+        (lat, lon), (heave, pitch) = self.cyclic(u), self.pitching(x)
+        fin = self.fin_force(x, wash)
         X = -T * (x.b1c - self.shaft) + self.Xuu * x.u**2
-        Y = T * x.b1s + side + fin
-        Z = -T
+        Y = T * x.b1s + side + fin + self.Yvv * x.v * smooth_size(x.v)
         L = (self.Lb1s + self.Lhub * T) * x.b1s + self.Lb1c * (x.b1c + lon)
         L += self.Ltail * side + self.Lfin * fin
         M = (self.Mb1c + self.Mhub * T) * x.b1c + self.Mb1s * (lat - x.b1s) + self.Mthrust * T
-        M += self.Mwake * x.u * wake + self.Muw * x.u * plane
         climb = self.g * (
             x.u * ca.sin(x.theta) - ca.cos(x.theta) * (x.v * ca.sin(x.phi) + x.w * ca.cos(x.phi))
         )
         N = self.Npower * (T * (x.vi - through) + climb - self.Xuu * x.u**3)
         N += self.Nprofile * (1 + 3 * squared / self.tip**2)
         N -= self.Ntail * side + self.Nfin * fin
-        return [X, Y, Z, L + self.Lixz * N, M, N + self.Nixz * L]
+        return [X, Y, heave - T, *self.turning(x, L, M + pitch, N)]
+
+    def turning(self, x: Any, L: Any, M: Any, N: Any) -> tuple[Any, Any, Any]:  # noqa: ANN401
+        """Angular accelerations by moments, each per own inertia: Euler's equations."""
+        Iyx, Izx, Ixz = self.Iyx, self.Izx, self.Lixz
+        L += (Iyx - Izx) * x.q * x.r + Ixz * x.p * x.q
+        M += ((Izx - 1) * x.p * x.r + Ixz * (x.r**2 - x.p**2)) / Iyx
+        N += ((1 - Iyx) * x.p * x.q - Ixz * x.q * x.r) / Izx
+        free = 1 - Ixz**2 / Izx
+        return (L + Ixz * N) / free, M, (N + Ixz / Izx * L) / free
 
     def cyclic(self, u: Any) -> tuple[Any, Any]:  # noqa: ANN401
         """Cyclic pitch."""
         return self.lat_0 + self.lat_gain * u.lat, self.lon_0 + self.lon_gain * u.lon
 
     def derivatives(self, x: Any, u: Any) -> Sequence[Scalar]:  # noqa: ANN401
-        (X, Y, Z, *moments), tth = self.aerodynamics(x, u), ca.tan(x.theta)
+        (X, Y, Z, *turns), tth = self.aerodynamics(x, u), ca.tan(x.theta)
         sphi, cphi, sth, cth = ca.sin(x.phi), ca.cos(x.phi), ca.sin(x.theta), ca.cos(x.theta)
         (T, through, squared), (lat, lon) = self.rotor(x, u), self.cyclic(u)
         back = self.back + self.back_thrust * (T / self.g - 1)
@@ -156,7 +188,7 @@ class MinimumComplexity(NonlinearModel):
             X - x.q * x.w + x.r * x.v - self.g * sth,
             Y - x.r * x.u + x.p * x.w + self.g * cth * sphi,
             Z - x.p * x.v + x.q * x.u + self.g * cth * cphi,
-            *moments,
+            *turns,
             x.p + (x.q * sphi + x.r * cphi) * tth,
             x.q * cphi - x.r * sphi,
             -self.flap * b - self.cross * a - x.q,

@@ -1,6 +1,7 @@
 """Entries, errors and poles over speed, against formulas of a structure small enough for them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
@@ -19,6 +20,8 @@ from casid import (
     parameter,
     simulate,
 )
+from casid.report.content import LEADING
+from casid.stages.conditions import _show
 
 mpl.use("Agg")
 
@@ -164,3 +167,48 @@ def test_a_linear_fit_has_no_envelope():
     record = flown(20.0).detrend({"u": 20.0, "q": 0.0, "lon": 0.0, "push": 0.0})
     with pytest.raises(ModelError, match="Local is linear"):
         envelope(output_error(Local(), record), at(20.0), PAIRS)
+
+
+class Sinking(NonlinearModel):
+    """w' = g - k u w - e w², of which the slope at balance is -sqrt((k u)² + 4 e g)."""
+
+    states, inputs, outputs = ("u", "w"), ("push",), ("u", "w")
+
+    k: Scalar = parameter(default=0.06, lower=0.0, upper=1.0, unit="1/m")
+    e: Scalar = parameter(default=0.2, lower=-1.0, upper=1.0, unit="1/m")
+
+    def derivatives(self, x, u):
+        return [u.push, 9.80665 - self.k * x.u * x.w - self.e * x.w**2]
+
+    def reference(self):
+        return {"u": 30.0, "w": 3.0}
+
+
+def sunk(e):
+    t = 0.1 * np.arange(50)
+    still = Record(t, 0 * t[:, None], np.zeros((50, 2)), ("push",), ("u", "w"), "sunk")
+    record = simulate(Sinking(), still, {"u": 30.0, "w": 3.0})
+    noisy = record.with_noise({"u": 0.01, "w": 0.01}, np.random.default_rng(0))
+    made = output_error(Sinking(), noisy, biases=False)
+    return replace(made, model=Sinking(e=e))
+
+
+def test_what_trims_do_not_name_is_balanced_at_each_speed():
+    trims = [Trim(values={"u": V, "push": 0.0}, speed=V) for V in (30.0, 29.9)]
+    found = envelope(sunk(0.2), trims, [("w", "w")])
+    slopes = -np.sqrt((0.06 * found.speed) ** 2 + 4 * 0.2 * 9.80665)
+    np.testing.assert_allclose(found.values[:, 0], slopes, rtol=1e-8)
+    assert found.balanced == ("w",)
+    assert found.doubts == ()
+
+
+def test_conditions_without_balance_are_told():
+    with pytest.warns(
+        DataWarning, match=r"Sinking is linearised .* 30 m/s .*d/dt w = 5\.76 instead"
+    ):
+        found = envelope(
+            sunk(-0.2), [Trim(values={"u": 30.0, "push": 0.0}, name="30 m/s")], [("w", "w")]
+        )
+    (caution,) = next(iter(_show(found, SimpleNamespace(model=Sinking())))).cautions
+    assert caution.rank <= LEADING
+    assert "at 30 m/s with w = 4.5: d/dt w" in caution.text

@@ -50,8 +50,12 @@ def leaves(span: tuple[float, float], covered: tuple[float, float]) -> bool:
 
 
 def warn_beyond(model: Nonlinear, told: str, visited: Spans, flown: Spans | None = None) -> None:
-    """Warn, once, of variables beyond the tables and what a fit's records covered (``flown``)."""
-    covered, own = joined_spans([tabulated(model), flown or {}]), flown or {}
+    """Warn, once, of variables beyond the tables and what a fit's records covered (``flown``).
+
+    Tables are data, and so are records; but of an airspeed only those of the fit tell parameters.
+    """
+    own = dict(flown or {})
+    covered = joined_spans([tabulated(model), own]) | {n: own[n] for n in SPEEDS if n in own}
     said = []
     for name, (low, high) in visited.items():
         first, last = covered.get(name, (-np.inf, np.inf))

@@ -128,6 +128,12 @@ def test_validation_beyond_the_records_of_a_fit_is_said_once(fit):
     )
 
 
+def test_an_airspeed_that_only_tables_cover_is_said():
+    fit = output_error(Pushed(), [flown(20.0, 0.8), flown(30.0, -0.2)], biases=False)
+    with pytest.warns(DataWarning, match=r"u runs from 37.* where the records of the fit cover"):
+        validate({"fit": fit}, flown(38.0, 0.1), horizon=np.inf)
+
+
 def test_records_widen_what_tables_cover():
     wide = (10.0, 30.0, 60.0)
     records = [flown(s, 1.0, Pushed(knots=wide), seed=s) for s in (38, 44)]

@@ -1,0 +1,142 @@
+"""Trims completed by the balance of the equations, against closed forms."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from truths.swing import Swing
+
+from casid import NonlinearModel, Scalar, Trim, parameter
+from casid.nonlinear.balance import Balance, balanced
+
+
+class Sinking(NonlinearModel):
+    """u' = thr - c u², w' = g - k u w - e w²: balance and its slope have closed forms."""
+
+    states, inputs, outputs = ("x", "u", "w"), ("thr",), ("u",)
+
+    k: Scalar = parameter(default=0.06, lower=0.0, upper=1.0, unit="1/m")
+    e: Scalar = parameter(default=0.2, lower=-1.0, upper=1.0, unit="1/m")
+    c: Scalar = parameter(default=0.002, lower=0.0, upper=1.0, unit="1/m")
+    g: float = 9.80665
+
+    def derivatives(self, x, u):
+        sink = self.g - self.k * x.u * x.w - self.e * x.w**2
+        return [x.u, u.thr - self.c * x.u**2, sink]
+
+    def reference(self):
+        return {"u": 30.0, "w": 3.0, "thr": 1.8}
+
+
+def level(V, c=0.002):
+    return Trim(name=f"{V:g} m/s", values={"u": V, "thr": c * V**2}, speed=V)
+
+
+@pytest.mark.parametrize("V", [15.0, 30.0, 45.0])
+def test_what_a_trim_does_not_name_is_balanced(V):
+    model = Sinking()
+    rest = balanced(model, level(V))
+    k, e, g = model.k, model.e, model.g
+    root = np.sqrt((k * V) ** 2 + 4 * e * g)
+    assert rest.doubt == ""
+    assert rest.found == {"w": pytest.approx((root - k * V) / (2 * e), rel=1e-8)}
+    assert rest.trim.values == level(V).values | rest.found  # x moves on, as a position does
+    assert np.linalg.eigvals(model.at(rest.trim).system().A).min() == pytest.approx(-root, rel=1e-8)
+
+
+def test_what_is_named_gives_way_by_what_balance_needs():
+    rest = balanced(Sinking(), Trim(values={"u": 30.0, "thr": 1.81}))
+    assert rest.doubt == ""
+    assert rest.moved == {"thr": pytest.approx(-0.01)}
+    w = (np.sqrt(1.8**2 + 4 * 0.2 * 9.80665) - 1.8) / 0.4
+    assert rest.found["w"] == pytest.approx(w)
+    far = balanced(Sinking(), Trim(values={"u": 30.0, "thr": 1.9}, name="cruise"))
+    assert far.doubt == f"at cruise with w = {w:.4g}: thr -0.1 from the 1.9 it names"
+
+
+class Shared(NonlinearModel):
+    """Two sticks and a velocity share a balance that the trim is not quite in."""
+
+    states, inputs, outputs = ("u", "v", "lag"), ("a", "b"), ("u",)
+
+    Yv: Scalar = parameter(default=-0.1, lower=-1.0, upper=0.0, unit="1/s")
+
+    def derivatives(self, x, u):
+        return [u.a - x.lag, u.a + 2 * u.b + self.Yv * x.v - 1.0, u.a - x.lag]
+
+
+def test_moves_are_least_with_velocities_by_the_airspeed():
+    given = {"u": 50.0, "v": 1.0, "a": 0.57, "b": 0.29}  # out of balance by 0.05
+    rest = balanced(Shared(), Trim(values=given))
+    slopes, size = np.array([-0.1, 1.0, 2.0]), np.array([50.0, 1.0, 1.0])
+    least = -0.05 * slopes * size**2 / np.sum((slopes * size) ** 2)
+    np.testing.assert_allclose([rest.moved[name] for name in ("v", "a", "b")], least, rtol=1e-6)
+    assert rest.found["lag"] == pytest.approx(given["a"] + least[1])
+    assert rest.doubt == ""
+
+
+def test_a_condition_in_balance_is_kept():
+    whole = balanced(Sinking(), level(20.0)).trim
+    assert balanced(Sinking(), whole) == Balance(whole)
+
+
+def test_the_nearest_balance_is_on_the_line_of_least_moves():
+    model = Swing(M=4.0, Mlon=5.0)
+    found = balanced(model, Trim(values={"theta": 0.4, "lon": 0.3, "q": 0.02})).trim.values
+    theta, lon = found["theta"], found["lon"]
+    assert found["q"] == pytest.approx(0.0, abs=1e-9)
+    assert 5.0 * np.cos(theta) * lon == pytest.approx(4.0 * np.sin(theta), abs=1e-9)
+    along = np.arctan(5.0 * 0.01 * np.arange(20, 50) / 4.0)  # balances at sticks of 0.2 to 0.49
+    distance = np.hypot(along - 0.4, 0.01 * np.arange(20, 50) - 0.3)
+    assert np.hypot(theta - 0.4, lon - 0.3) <= distance.min() + 1e-3
+    held = balanced(model, Trim(values={"theta": 0.4, "lon": 0.3}), held=("theta",)).trim.values
+    assert held["theta"] == 0.4
+    assert held["lon"] == pytest.approx(0.8 * np.tan(0.4))
+
+
+def test_distances_from_a_balance_are_shares_of_values_above_one():
+    model, given = Swing(M=4.0, Mlon=5.0), np.array([1.1, 2.0])
+    found = balanced(model, Trim(values={"theta": given[0], "lon": given[1]})).trim.values
+    theta = np.linspace(1.0, 1.4, 40_001)
+    line = np.array([theta, 0.8 * np.tan(theta)])  # the balances
+    away = np.linalg.norm((line.T - given) / np.maximum(given, 1.0), axis=1)
+    # each step is the shortest to where the slope has the balance: off in second order
+    assert found["theta"] == pytest.approx(theta[np.argmin(away)], abs=0.003)
+
+
+def test_unknowns_of_a_trim_start_at_its_values():
+    rest = balanced(Sinking(), Trim(values={"u": 30.0, "w": -15.0, "thr": 1.8}, unknown=("w",)))
+    root = np.sqrt(1.8**2 + 4 * 0.2 * 9.80665)
+    assert (rest.doubt, rest.trim.unknown) == ("", ())
+    assert rest.trim.values["w"] == pytest.approx((-root - 1.8) / 0.4, rel=1e-8)
+
+
+def test_no_balance_is_told_with_what_stays():
+    """g - k u w + |e| w² is least g - (k u)² / (4 |e|), above zero at 10 m/s."""
+    stays = 9.80665 - 0.6**2 / 0.8
+    rest = balanced(Sinking(e=-0.2), level(10.0))
+    assert rest.doubt == f"at 10 m/s with w = 1.5: d/dt w = {stays:.3g} instead of 0"
+
+
+def test_more_unknowns_than_equations_are_told():
+    doubt = balanced(Sinking(), Trim(values={}, name="cruise")).doubt
+    assert doubt.startswith("at cruise with u = ")
+    assert doubt.endswith("its equations determine 2 of these 3 only")
+
+
+class Rooted(NonlinearModel):
+    """w' = thr - sqrt(w), which the reference leaves undefined for a trim of no w."""
+
+    states, inputs, outputs = ("w", "u"), ("thr",), ("w",)
+
+    k: Scalar = parameter(default=1.0, lower=0.0, upper=2.0, unit="-")
+
+    def derivatives(self, x, u):
+        return [u.thr - self.k * ca.sqrt(x.w - x.u), -x.u]
+
+    def reference(self):
+        return {"w": 1.0}
+
+
+def test_equations_without_values_are_told():
+    rest = balanced(Rooted(), Trim(values={"u": 2.0}))
+    assert rest.doubt == "at a trim: dx/dt is not finite"
