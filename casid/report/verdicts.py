@@ -126,12 +126,6 @@ def word(theil: float) -> str:
     return "fair" if theil <= FAIR else "poor"
 
 
-def unsolved(fit: AnyFit) -> Iterator[Caution]:
-    """A fit that is no solution."""
-    if not fit.success:
-        yield Caution(f"{fit.method}: {fit.status}", 0)
-
-
 def held_by_bounds(fit: AnyFit) -> Iterator[Caution]:
     """Parameters that their bounds hold."""
     if active := [row.name for row in fit.parameters if row.active]:

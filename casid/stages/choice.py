@@ -66,7 +66,8 @@ class LastStep:
         """The estimate from these manoeuvres, or what is there of them."""
         records, held = several(data), cast("Any", {"fixed": fixed, "bounds": bounds})
         if isinstance(self.estimator, Match):
-            return self.estimator.fit(model, self.black_box.fit(records), **held)
+            box = self.black_box.fit(records)
+            return _within(self.estimator, *box.band).fit(model, box, **held)
         own = [each for each in records if self.histories is None or each.name in self.histories]
         others = [each for each in records if each not in own]
         estimator = self.estimator
@@ -76,6 +77,14 @@ class LastStep:
         return estimator.fit(
             model, [each.decimate(self.decimate) for each in own], **held, near=near
         )
+
+
+def _within(estimator: Match, low: float, high: float) -> Match:
+    """The match at those of its frequencies that a black box of fewer manoeuvres still knows."""
+    if estimator.omega is None or not isinstance(estimator.weight, str):
+        return estimator
+    omega = np.asarray(estimator.omega)
+    return replace(estimator, omega=omega[(low <= omega) & (omega <= high)])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

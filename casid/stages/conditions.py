@@ -11,12 +11,13 @@ import numpy as np
 from casid import report
 from casid.envelope import Envelope, envelope
 from casid.errors import ModelError
+from casid.nonlinear.balance import unbalanced
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.coverage import SPEEDS
 from casid.nonlinear.model import NonlinearModel
 from casid.nonlinear.tables import spline
 from casid.record import Record
-from casid.report.content import Content, Section, section
+from casid.report.content import Caution, Content, Section, section
 from casid.stages.refinement import OUTPUT_ERROR
 from casid.stages.stage import Stage, Task
 
@@ -133,11 +134,12 @@ def _run(settings: OverSpeed, task: Task) -> Envelope:
     return envelope(fit, _between([trim for trim, _ in found]), settings.pairs(), local=local)
 
 
-def _show(found: Envelope, content: Content) -> Iterable[Section]:  # noqa: ARG001
+def _show(found: Envelope, content: Content) -> Iterable[Section]:
     low, high = found.speed[0], found.speed[-1]
     lead = f"It is shown from {low:.3g} to {high:.3g} m/s, the speeds of its records."
     draw = partial(report.envelopes.draw_envelope, found)
-    yield section("envelope", "Over speed", 35, found, draw=draw, lead=lead)
+    said = (Caution(unbalanced(content.model, found.doubts), 6),) if found.doubts else ()
+    yield section("envelope", "Over speed", 35, found, draw=draw, lead=lead, cautions=said)
 
 
 CONDITIONS = Stage(

@@ -9,6 +9,7 @@ from typing import Any
 from casid import report
 from casid.eigenmodes import modes
 from casid.fit import Fit
+from casid.nonlinear.balance import balanced, unbalanced
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.model import NonlinearModel
 from casid.report.answer import predictions_told, ranked
@@ -96,13 +97,19 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
 
     Modes and responses of nonlinear structures are those at the trim of the first record.
     """
-    at = ""
-    if isinstance(content.model, NonlinearModel):
-        trim = flight_condition(content.model, found.measured[0])
-        at = f"the trim of record {found.records[0]}: {_values(trim)}"
+    at, doubt = "", ""
+    own = content.fits[content.delivered].model if content.delivered in content.fits else None
+    if isinstance(own := own or content.model, NonlinearModel):
+        trim = flight_condition(own, found.measured[0])
+        rest = balanced(own, trim)
+        at = f"the trim of record {found.records[0]}: {_values(rest.trim)}"
+        if rest.found:
+            at += f", {', '.join(rest.found)} so that the equations balance, dx/dt = 0"
+        doubt = rest.doubt
         models = {name: _linear(each, trim) for name, each in content.models.items()}
         content = replace(content, models=models)
     found_modes = {name: modes(fit.model.system()) for name, fit in content.fits.items()}
+    said = (Caution(f"Modes: {unbalanced(content.model, [doubt])}", 6),) if doubt else ()
     values = {"modes": found_modes, "bands": content.bands, "at": at}
     values["simulated"] = [k for k, far in enumerate(found.horizon) if math.isinf(far)]
     drawings = report.drawings
@@ -114,13 +121,14 @@ def _compared(found: Validation, content: Content) -> Iterable[Section]:
         ("rms", "RMS errors", 70, partial(drawings.draw_rms, found)),
         ("whiteness", "Residuals", 80, partial(drawings.draw_whiteness, found, content.delivered)),
     ):
-        yield section(name, title, place, found, values=values, draw=draw)
+        more: Any = {"cautions": said} if name == "modes" else {}
+        yield section(name, title, place, found, values=values, draw=draw, **more)
 
 
 def _linear(model: AnyModel, trim: Trim) -> AnyModel:
     """A fit of a nonlinear structure as one of its linearisation; what else there is, itself."""
     if isinstance(model, Fit) and isinstance(model.model, NonlinearModel):
-        return replace(model, model=model.model.at(trim))
+        return replace(model, model=model.model.at(balanced(model.model, trim).trim))
     return model
 
 

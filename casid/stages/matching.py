@@ -1,24 +1,22 @@
 """The stages that match the structure to the black box: quadratic norm, then H-infinity norm."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
 from casid import report
 from casid.declaration import check_priors
-from casid.fit import Certificate, Fit
+from casid.fit import Fit
 from casid.free import free_parameters
 from casid.matching.appraisal import MatchNotes
 from casid.matching.match import Match
 from casid.matching.targets import Target
-from casid.report.content import MATCH, Caution, Content, Section, section
-from casid.report.verdicts import unsolved
+from casid.report.content import MATCH, Content, Section, section
 from casid.report.words import number
 from casid.stages.stage import Stage, Task
 from casid.tables import placed
 
-GAP = 0.01  # of the certificate, relative
 SOURCES = {"black box": "pbsid", "frequency response": "frequency"}  # stages by name of target
 
 
@@ -80,23 +78,10 @@ def _show(found: Fit[Any, MatchNotes], content: Content) -> Iterable[Section]:  
     if certificate is not None:
         low, high = (number(edge, 3) for edge in certificate.band)
         band = f" between {low} and {high} rad/s"
-    said = (*unsolved(found), *_loose(certificate))
     draw = partial(report.drawings.draw_match_error, found)
     lead = f"The structure was matched to it in the H∞ norm{band}{MEANING[found.notes.weight]}."
     title = "Match and certificate"
-    yield section("certificate", title, 90, found, draw=draw, lead=lead, cautions=said)
-
-
-def _loose(certificate: Certificate | None) -> Iterator[Caution]:
-    """A certificate whose bound is far above the grid."""
-    if certificate is None:
-        return
-    grid, bound = certificate.grid_norm, certificate.upper_bound
-    if bound > (1 + GAP) * grid:
-        yield Caution(
-            f"The H∞ norm is known to {bound / grid - 1:.1%} only: {grid:.4g} on the grid, at most "
-            f"{bound:.4g} between."
-        )
+    yield section("certificate", title, 90, found, draw=draw, lead=lead)
 
 
 QUADRATIC = Stage(

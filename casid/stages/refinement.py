@@ -1,8 +1,10 @@
 """The stage that refines the match on records, by output error."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
 from typing import Any
+
+import numpy as np
 
 from casid.declaration import check_priors
 from casid.errors import ConvergenceError, warn
@@ -15,7 +17,7 @@ from casid.report.content import CHOSEN, Content, Section, enough, section
 from casid.report.content import OUTPUT_ERROR as LABEL
 from casid.report.evidence import few_data
 from casid.report.intervals import SHAPES, TICKS
-from casid.report.verdicts import held_by_bounds, uncertain, unsolved
+from casid.report.verdicts import held_by_bounds, uncertain
 from casid.shooting.output_error import OutputError
 from casid.shooting.precision import OutputErrorNotes
 from casid.stages.stage import Stage, Task
@@ -37,29 +39,47 @@ def _check(settings: OutputError, task: Task) -> None:
 def _run(settings: OutputError, task: Task) -> Fit[Any, OutputErrorNotes]:
     matched = task.results.get("hinf")
     found = settings.fit(matched.model if matched else task.model, task.records, **task.held)
-    for said in steps_told(task.records, task.model.delays()):
-        warn(f"{said}{_read_as_steps(settings, found, task.records)}")
+    if task.hold is None and any(record.hold == "foh" for record in task.records):
+        for said in _of_steps(task, _better_as_steps(settings, found, task.records)):
+            warn(said)
     return found
 
 
-def _read_as_steps(
-    settings: OutputError, fit: Fit[Any, OutputErrorNotes], records: Iterable[Record]
-) -> str:
-    """Whether inputs held between the samples explain records better, delays alone refitted."""
-    model, late = fit.model, {}
-    for name in fit.free_names:
-        if replace(model, **{name: fit[name].value + 1.0}).delays() != model.delays():
-            late[name] = fit[name].value - max(record.dt for record in records) / 2
-    start, steps = replace(model, **late), [replace(record, hold="zoh") for record in records]
-    rest = [name for name in model.parameter_names() if name not in late]
+def _of_steps(task: Task, better: float) -> list[str]:
+    """What to say of inputs that are read as straight lines because nothing else was stated."""
+    seen = steps_told(task.records, task.model.delays())
+    if better < CLEARLY:
+        return [f"{said}; here the records are not clearly more likely with steps" for said in seen]
+    half = 500 * max(record.dt for record in task.records)
+    return [
+        "inputs are read as straight lines between samples, as no hold was stated; the records are "
+        f"e^{better:.0f} times as likely with steps, held until the next sample, with delays up to "
+        f'{half:.3g} ms shorter: read them so, hold = "zoh" (read_csv, [channels] of a study), or '
+        'state "foh" if the actuators do move in lines'
+    ]
+
+
+def _better_as_steps(
+    settings: OutputError, fit: Fit[Any, OutputErrorNotes], records: Sequence[Record]
+) -> float:
+    """By how much the log-likelihood gains where inputs are held between samples, -inf if unknown.
+
+    Steps are half a sample later than lines, so much shorter are delays; the rest is as it was.
+    """
+    model, half = fit.model, max(record.dt for record in records) / 2
+    late = {
+        each.name: max(each.value - half, each.lower)
+        for each in (fit[name] for name in fit.free_names)
+        if replace(model, **{each.name: each.value + 1.0}).delays() != model.delays()
+    }
+    kept = [name for name in fit.free_names if name not in late][:1]  # one has to be free
+    held = [name for name in model.parameter_names() if name not in kept]
+    steps = [replace(record, hold="zoh") for record in records]
     try:
-        other = settings.fit(start, steps, fixed=rest, near=fit) if late else fit
+        other = settings.fit(replace(model, **late), steps, fixed=held, near=fit)
     except (ValueError, ConvergenceError):  # nothing is told where it fails
-        return ""
-    better = fit.cost - other.cost
-    if better > CLEARLY:
-        return f"; here the records are e^{better:.0f} times as likely with steps: read them so"
-    return "; here the records are not clearly more likely with steps" * bool(late)
+        return -np.inf
+    return fit.cost - other.cost
 
 
 def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Section]:
@@ -85,7 +105,7 @@ def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Secti
             "and match are of one flight condition and were left out."
         )
     doubts = uncertain(last, lacking=enough(content.results) is False)
-    said = (*unsolved(last), *held_by_bounds(last), *few_data(last, content), *doubts)
+    said = (*held_by_bounds(last), *few_data(last, content), *doubts)
     more: Any = {"answer": not_believed(content, last), "lead": lead, "cautions": said}
     yield section("parameters", "Parameters", 10, last, values=values, **more)
 

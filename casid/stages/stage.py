@@ -14,7 +14,7 @@ from casid.jobs.campaigns import Execution
 from casid.model import Bounds, Model
 from casid.nlp import Progress
 from casid.nonlinear.model import NonlinearModel
-from casid.record import Record
+from casid.record import Hold, Record
 from casid.report.content import Content, Section
 from casid.validation import AnyModel
 
@@ -38,6 +38,8 @@ class Task:
         What stages before this one found, by name, and those that simulate, by their stage's label.
     stages, settings
         All of the study's, for a stage that repeats others.
+    hold : str
+        What is stated of the inputs between samples, if anything is.
     execution : Execution
         Where a stage of many fits runs them, and in which folder.
     """
@@ -52,6 +54,7 @@ class Task:
     models: Mapping[str, AnyModel] = field(default_factory=dict)
     stages: Sequence["Stage"] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    hold: Hold | None = None
     execution: Execution = Execution()
 
     @property

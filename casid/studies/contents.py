@@ -76,7 +76,7 @@ def _settings(study: Study) -> dict[str, str]:
         said["channels.units"] = ", ".join(f"{k} {u}" for k, u in study.channels.units.items())
     said |= {"channels.check": ", ".join(study.channels.check)} if study.channels.check else {}
     said["equations"] = f"as the structure builds them, SHA-256 {equations_digest(study.model)}"
-    said["channels.hold"] = study.channels.hold
+    said["channels.hold"] = study.channels.hold or "foh, as nothing else is stated"
     said |= study.channels.mending.told()
     if study.channels.second is not None:
         said["channels.join"] = study.channels.second.told()

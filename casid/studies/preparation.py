@@ -14,7 +14,7 @@ from casid.consistency.clocks import aligned, moves_told
 from casid.consistency.kinematics import kinematic_check
 from casid.errors import warn
 from casid.record import Record
-from casid.repetition import without_repeats
+from casid.repetition import repeated, without_repeats
 from casid.samples import known_inputs
 from casid.tables import Table
 
@@ -34,6 +34,20 @@ class SecondLogger:
     def beside(self, file: Path) -> Path:
         """The file that belongs to a record's."""
         return file.parent / self.file.replace("{name}", file.stem)
+
+    def joined(self, first: Record, other: Record, *, fresh: bool) -> Record:
+        """The records of both loggers as one; repeated samples of this one are told or missing."""
+        # At the instants of the first they would be interpolated, and no repeats any more.
+        marks = repeated(other)
+        if fresh:
+            other = without_repeats(other)
+        elif marks.any():
+            names = np.array([*other.inputs, *other.outputs])[marks.any(axis=0)]
+            warn(
+                f"record {other.name!r} repeats samples of a slower source in {', '.join(names)}, "
+                'which the join takes for movement in steps: [channels] repeats = "mask"'
+            )
+        return first.join(other, clock=self.clock)
 
     def told(self) -> str:
         """What is joined."""

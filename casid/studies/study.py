@@ -59,7 +59,7 @@ class ChannelSettings:
     units: Mapping[str, str] = field(default_factory=dict)
     columns: Mapping[str, Column] = field(default_factory=dict)
     dt: float | None = None
-    hold: Hold = "foh"
+    hold: Hold | None = None  # as not stated: "foh"
     mending: Mending = Mending()
     second: SecondLogger | None = None
 
@@ -158,6 +158,7 @@ class Study:
     def task(self, roles: Mapping[Role, Any], checks: Mapping[Role, Any] | None = None) -> Task:
         """What the stages work on, with these records by role, and those with check channels."""
         held: Any = {"fixed": self.fixed, "bounds": self.bounds, "settings": self.settings}
+        held["hold"] = self.channels.hold
         kept = (checks or {}) if self.channels.check else {}
         return Task(model=self.model, roles=roles, checks=kept, stages=self.stages, **held)
 
@@ -220,7 +221,7 @@ def read_flights(study: Study) -> tuple[dict[Role, tuple[Record, ...]], Repeats]
         study.settings.get("pbsid", Pbsid()).check_lengths(done["identification"])
     for record in measured.values():
         for stretch in frozen(record):
-            warn(f"record {record.name!r}: {stretch.told()}")
+            warn(f"Record {record.name}: {stretch.told()}")
     flown = {role: [measured[file] for file in each.files] for role, each in study.roles.items()}
     return {role: done[role] for role in ROLES if role in done}, repeats(flown)
 
@@ -246,7 +247,7 @@ def _read(study: Study, file: Path) -> Record:
     first = _read_channels(channels, file, (), own, time)
     other = _read_channels(channels, second.beside(file), (), second.channels, second.time)
     first, other = (with_inputs(each, channels.inputs) for each in (first, other))
-    return first.join(other, clock=second.clock).select(*every)
+    return second.joined(first, other, fresh=channels.mending.fresh).select(*every)
 
 
 def _read_channels(
@@ -266,7 +267,7 @@ def _read_channels(
         outputs={name: channels.columns.get(name, name) for name in outputs},
         time=time,
         units={name: unit for name, unit in channels.units.items() if name not in elsewhere},
-        hold=channels.hold,
+        hold=channels.hold or "foh",
     )
 
 

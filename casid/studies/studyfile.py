@@ -143,8 +143,8 @@ def _channels(table: Table, structure: type[Model]) -> ChannelSettings:
         )
     units = table.table("units")
     columns = table.table("columns")
-    hold = table.take("hold", str, "foh")
-    if hold not in get_args(Hold):
+    hold = table.take("hold", str)
+    if hold not in (None, *get_args(Hold)):
         raise ValueError(f'{table.place} hold = {hold!r}, expected "foh" or "zoh"')
     return ChannelSettings(
         inputs=inputs,
@@ -154,7 +154,7 @@ def _channels(table: Table, structure: type[Model]) -> ChannelSettings:
         units={name: units.take(name, str) for name in units.content},
         columns={name: _column(columns, name) for name in columns.content},
         dt=table.take("dt", (int, float)),
-        hold=cast(Hold, hold),
+        hold=cast(Hold | None, hold),
         mending=read_mending(table),
         second=read_second(table.table("join"), (*inputs, *outputs, *check)),
     )

@@ -31,20 +31,18 @@ def test_a_model_that_runs_out_of_numbers_is_poor_and_no_worse_black_box_excuses
 
 
 @pytest.mark.slow
-def test_the_summary_warns_of_bounds_signs_and_wide_certificates(content):
+def test_the_summary_warns_of_bounds_and_signs(content):
     fit = content.results["output_error"]
     rows = [dataclasses.replace(row, std_error=1e3) for row in fit.parameters]
     rows[0] = dataclasses.replace(rows[0], active=True)
-    loose = dataclasses.replace(content.results["hinf"].certificate, grid_norm=1.0, upper_bound=1.5)
     worried = changed(
         dataclasses.replace(content, warnings=("a record was short",)),
-        output_error=dataclasses.replace(fit, parameters=tuple(rows), success=False),
-        hinf=dataclasses.replace(content.results["hinf"], certificate=loose),
+        output_error=dataclasses.replace(fit, parameters=tuple(rows)),
     )
     said = " ".join(cautions(worried))
     for words in (
         "1 parameter lies on a bound: Yv", "sign of 3 parameters is not determined",
-        "known to 50.0% only", "a record was short",
+        "a record was short",
     ):  # fmt: skip
         assert words in said
 

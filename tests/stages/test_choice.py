@@ -128,6 +128,17 @@ def test_a_match_is_to_a_black_box_of_what_is_there():
     assert found["Lp"].value == pytest.approx(TRUTH.Lp, rel=0.2)
 
 
+def test_a_match_leaves_frequencies_to_which_fewer_manoeuvres_do_not_reach():
+    settings = Pbsid(order=3, past=20, future=10)
+    low, high = settings.fit(RECORDS[:2]).band
+    inside = np.geomspace(low, high, 10)[1:-1]
+    wide, own = (
+        LastStep(estimator=Match(norm="quadratic", omega=omega), black_box=settings)
+        for omega in (np.array([low / 2, *inside, 2 * high]), inside)
+    )
+    assert wide.fit(TRUTH, RECORDS[:2]).model == own.fit(TRUTH, RECORDS[:2]).model
+
+
 class _Fit:
     def __init__(self, model):
         self.model = model

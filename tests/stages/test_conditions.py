@@ -28,7 +28,7 @@ from casid import NonlinearModel, Scalar, parameter
 
 
 class Faster(NonlinearModel):
-    """q' = (Mq + Mq_V (u - 30) / 10) q + v / 2 + Mlon lon; no output shows v itself."""
+    """q' = (Mq + Mq_V (u - 30) / 10) q + off / 2 + Mlon lon; no output shows v itself."""
 
     states, inputs, outputs = ("u", "v", "q"), ("lon", "push"), ("u", "q")
 
@@ -38,10 +38,11 @@ class Faster(NonlinearModel):
 
     def derivatives(self, x, u):
         damping = self.Mq + self.Mq_V * (x.u - 30.0) / 10.0
-        return [u.push, -x.v, damping * x.q + x.v / 2 + self.Mlon * u.lon]
+        off = x.v - (x.u / 20.0 - 0.5)
+        return [u.push, -off, damping * x.q + off / 2 + self.Mlon * u.lon]
 
     def reference(self):
-        return {"u": 30.0}
+        return {"u": 30.0, "v": 1.0}
 '''
 STUDY = """
 [model]

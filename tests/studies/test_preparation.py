@@ -1,5 +1,6 @@
 """What a study does to its records, against the same done by hand or undone beforehand."""
 
+import warnings
 from dataclasses import replace
 from shutil import copyfile
 
@@ -8,7 +9,7 @@ import pytest
 from truths.roll_study import write_study
 
 from casid import DataWarning, Record, read_csv, read_records, read_study, write_csv
-from casid.studies.preparation import with_inputs
+from casid.studies.preparation import SecondLogger, with_inputs
 
 PLACE = "[records.identification]\n"
 QUIET = ("noise = true", "noise = false")
@@ -153,3 +154,25 @@ def test_windows_longer_than_every_record_are_refused_when_records_are_read(tmp_
     (tmp_path / "study.toml").write_text(f"{head}[pbsid]\n{key}\n{rest}")
     with pytest.raises(ValueError, match=rf"\[pbsid\] {key.splitlines()[-1]} needs a window of"):
         read_records(read_study(tmp_path / "study.toml"))
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+def test_samples_that_a_second_logger_repeats_are_told_or_missing_before_they_are_interpolated(
+    fresh,
+):
+    t = 0.02 * np.arange(1000)
+    x = np.sin(t) + 0.4 * np.sin(3.1 * t)
+    first = Record(t, x[:, None], x[:, None], ["lat"], ["p"], "flight")
+    held = np.repeat(x[::5], 5)[:, None]
+    other = Record(t + 3.003, np.zeros((1000, 0)), held, [], ["phi"], "nav")
+    second = SecondLogger(file="{name}_nav.csv", channels=("phi",), clock=-3.0)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        joined = second.joined(first, other, fresh=fresh)
+    said = [str(each.message) for each in told]
+    assert ("repeats samples of a slower source in phi" in " ".join(said)) == (not fresh)
+    phi = joined.channel("phi")
+    known = np.isfinite(phi)
+    assert known.mean() > 0.9
+    error = np.abs(phi[known] - np.interp(joined.t[known] - 0.003, t, x))
+    assert (error.max() < 0.01) == fresh
