@@ -8,7 +8,6 @@ which its trims move to where they are in balance.
 A fit in FOLDER is not made again.
 """
 
-import argparse
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -28,6 +27,7 @@ from benchmarks.envelope import (
     SEEN,
     SPEEDS,
     Flights,
+    asked,
     balanced,
     changes,
     kept,
@@ -36,36 +36,25 @@ from benchmarks.envelope import (
 )  # fmt: skip
 from benchmarks.tables import table
 from benchmarks.uh60 import STEPS
-from casid import Record, Scalar
+from casid import Record
 from casid.bounds.trials import aicc
 from models.minimum_complexity import MinimumComplexity
 
-# Known of any aircraft: rotors' tip speeds, twist, arms [m/s, rad, m].
+# Known of any aircraft: rotors' tip speeds, twist, arms [m/s, rad, m], inertia.
 KNOWN = {
     "tip": 221.0, "tail_tip": 206.0, "twist": -0.105, "tail_twist": -0.137,
-    "tail": 6.56, "tail_up": 0.8, "plane": 5.0, "fin": 6.28,
+    "tail": 6.56, "tail_up": 0.8, "plane": 5.0, "fin": 6.28, "radius": 5.49,
+    "fuselage_down": 1.53, "plane_down": 1.12, "Iyx": 4.25, "Izx": 4.03, "gyration": 3.74,
 }  # fmt: skip
 INITIAL = {"v": (0.0, 0.1), "w": (1.4, 0.15)}  # m/s: level flight
 # What records of one speed do not tell apart from the rest; the fit to three speeds does.
 UNTOLD = (
     "lon_0", "Lhub", "Mhub", "Mthrust", "Nprofile", "Xuu", "tail_flow", "fin_0", "fin_stalled",
+    "plane_0",
 )  # fmt: skip
 WIDTHS = 0.03, 0.015, 0.005  # rad, over which the fin stalls
 COMPONENTS = replace(ESTIMATOR, interval=1.0, initial=INITIAL)
 AXES = ("u", "v", "w", "p", "q", "r")
-STILL = 1e-6  # 1/s, at which a constant moves: every state must have a rate
-
-
-class Untrimmed(MinimumComplexity):
-    """With a constant of every record in each equation of motion: no trim is known."""
-
-    states = (*MinimumComplexity.states, *(f"{name}_0" for name in AXES))
-
-    def derivatives(self, x: Any, u: Any) -> Sequence[Scalar]:
-        constants = [getattr(x, f"{name}_0") for name in AXES]
-        known, n = super().derivatives(x, u), len(AXES)
-        moved = [f + constant for f, constant in zip(known, constants, strict=False)]
-        return [*moved, *known[n:], *(-STILL * constant for constant in constants)]
 
 
 def start(flights: Flights, speeds: Sequence[str]) -> MinimumComplexity:
@@ -116,10 +105,12 @@ def own(flights: Flights, path: Path, speed: str, one: Any) -> Any:
 
 
 def untrimmed(flights: Flights, one: Any) -> Any:
-    """The structure fitted to three speeds with constants in every record."""
-    guess = Untrimmed(**KNOWN, trim=one.model.trim, stall_width=WIDTHS[-1])
-    estimator = replace(COMPONENTS, biases=("ax", "ay", "az"))
-    return estimator.fit(guess.with_vector(one.model.vector()), steps(flights, SPEEDS))
+    """The structure fitted to three speeds with a constant in each equation of motion of a record.
+
+    Then no trim binds it, nor anything tells a tilt of the shaft from one of the rotor.
+    """
+    estimator = replace(COMPONENTS, biases=("ax", "ay", "az"), state_biases=AXES)
+    return estimator.fit(one.model, steps(flights, SPEEDS), fixed=("shaft",))
 
 
 def steps(flights: Flights, speeds: Sequence[str]) -> list[Record]:
@@ -174,13 +165,7 @@ def worth(flights: Flights, one: Any, alone: dict[str, Any]) -> Any:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--kept", type=Path, default=Path("out/components"))
-    parser.add_argument("--seed", type=int, default=109)
-    chosen = parser.parse_args()
-    chosen.kept.mkdir(parents=True, exist_ok=True)
-    flights, folder = Flights(chosen.data, chosen.seed), chosen.kept
+    flights, folder = asked(__doc__, "out/components")
     warnings.simplefilter("ignore")  # of speeds beyond the records
     near = {speed: local(flights, folder, speed) for speed in SPEEDS}
     fits = {
@@ -194,7 +179,9 @@ def main() -> None:
     print(f"\n{table(*left_out(fits[OUT], flights.trims['060kt']))}", flush=True)
     print(f"\n{table(*unseen(flights, near, alone, fits, linear=False))}", flush=True)
     print(f"\n{table(*changes(flights, near, fits))}", flush=True)
-    free = kept(folder / "no trim known.json", Untrimmed, lambda: untrimmed(flights, fits[BASE]))
+    free = kept(
+        folder / "no trim known.json", MinimumComplexity, lambda: untrimmed(flights, fits[BASE])
+    )
     print(f"\n{table(*along(flights, free))}")
 
 

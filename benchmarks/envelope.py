@@ -338,16 +338,20 @@ def beyond(fits: dict[str, Any], trim: Trim) -> Any:
     return ("beyond the trim curves", f"{FREED}, %", *(f"{fit}, σ" for fit in fits)), rows
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def asked(doc: str, kept: str) -> tuple[Flights, Path]:
+    """Records and the folder of fits that a command line names."""
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
     parser.add_argument("data", type=Path)
-    parser.add_argument("--kept", type=Path, default=Path("out/envelope"))
+    parser.add_argument("--kept", type=Path, default=Path(kept))
     parser.add_argument("--seed", type=int, default=109)
     chosen = parser.parse_args()
     chosen.kept.mkdir(parents=True, exist_ok=True)
-    flights = Flights(chosen.data, chosen.seed)
+    return Flights(chosen.data, chosen.seed), chosen.kept
+
+
+def main() -> None:
+    flights, folder = asked(__doc__, "out/envelope")
     warnings.simplefilter("ignore")  # of speeds beyond the trims
-    folder = chosen.kept
     near = {speed: local(flights, folder, speed) for speed in SPEEDS}
     middle = own(flights, folder / "own 060kt.json", "060kt", near["060kt"].model)
     alone = {

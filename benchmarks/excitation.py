@@ -101,13 +101,22 @@ def bench(path):
 
 
 def trex(folder):
-    """The flight that vibrates."""
+    """The flight that vibrates, and how many of its stretches of 20 and 40 s are doubted."""
     inputs = {name: ("inr", k) for k, name in enumerate(("lat", "lon", "col", "ped"))}
     outputs = {
         name: ("outr", k) for name, k in {"p": 2, "q": 3, "phi": 4, "theta": 5, "r": 9}.items()
     }
     (path,) = sorted(Path(folder).glob("*.mat"))
-    return judged(read_mat(path, inputs=inputs, outputs=outputs, time=0.01, detrend="mean"))
+    record = read_mat(path, inputs=inputs, outputs=outputs, time=0.01, detrend="mean")
+    first, last = record.t[[0, -1]]
+    doubted = {
+        f"doubted of {len(starts)} cuts of {cut:g} s": sum(
+            bool(excitation(record.cut(a, a + cut)).doubts()) for a in starts
+        )
+        for cut, every in ((20.0, 7.5), (40.0, 7.5))
+        for starts in [np.arange(first, last - cut, every)]
+    }
+    return judged(record) | doubted
 
 
 def crazyflie(name):

@@ -42,7 +42,7 @@ from casid.records import standard_deviations
 from casid.subspace import modal as modes
 from casid.subspace.campaign import Campaign
 from casid.subspace.fourier import Spectrum
-from casid.subspace.refinement import normal_equations, response_derivative
+from casid.subspace.slopes import normal_equations, response_derivative
 from models.lateral_directional import LateralDirectional
 
 RATES = dict.fromkeys(("ax", "ay", "az"), 2) | dict.fromkeys(("phi", "theta"), 4)  # every n-th

@@ -56,13 +56,13 @@ def records(samples, each):
     return [record(each, k, f"flight {k}") for k in range(samples // each)]
 
 
+START = replace(STABLE, Lp=-2.5, Mq=-1.7, Llat=7.0)
+
 STAGES = {
     "inspect": lambda flights: inspect_records(flights, model=STABLE),
     "pbsid": lambda flights: pbsid(flights, order=12, pole=8.0, past=10, future=10),
     "frequency_response": lambda flights: frequency_response(flights, omega=OMEGA),
-    "output_error": lambda flights: output_error(
-        replace(STABLE, Lp=-2.5, Mq=-1.7, Llat=7.0), flights, interval=5.0
-    ),
+    "output_error": lambda flights: output_error(START, flights, interval=5.0),
 }
 
 

@@ -68,6 +68,10 @@ be stopped and goes on where it was.
 | package | mutants | killed | survived | equivalent | share killed |
 |---|---|---|---|---|---|
 {rows}
+
+## Survivors
+
+{survivors}
 """
 
 
@@ -292,6 +296,12 @@ def table(codes, alive, equivalent):
     return "\n".join(lines)
 
 
+def listing(alive):
+    """Names and changes of survivors, for the page."""
+    blocks = ("\n".join(["```diff", f"# {name}", *lines, "```"]) for name, lines in alive.items())
+    return "\n\n".join(blocks) or "None."
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=400)
@@ -313,6 +323,7 @@ def main():
     if not wanted.packages and wanted.seed == SEED:
         share = rows.rpartition("|")[0].rpartition("|")[2].strip()
         said = {"count": len(codes), "total": len(names), "share": share, "seed": SEED}
+        said["survivors"] = listing(alive)
         limits = {"seconds": SECONDS, "limit": 3 * LIMIT}
         page = PAGE.format(rows=rows, day=date.today(), **said, **limits)
         (ROOT / "docs" / "mutants.md").write_text(page, encoding="utf-8")

@@ -8,10 +8,11 @@ loop by a pilot who sees noisy instruments; the structure is quasi-steady. Every
 - a tie that holds for the best parameters, those of forty records: how often campaigns of four
   records reject it at 5 %, by the likelihood ratio as casid tests it and for white residuals.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.repeated [pairs] [campaigns] [seed]
+    OMP_NUM_THREADS=1 python -m benchmarks.repeated [pairs] [campaigns] [seed] [--lag 0.06]
+                                                    [--records 4]
 """
 
-import sys
+import argparse
 import warnings
 
 import numpy as np
@@ -22,7 +23,7 @@ from casid import Execution, Model, Record, Rows, Scalar, StateSpace, compare_bo
 from casid.linear import foh_step
 from casid.shooting.output_error import OutputError, output_error
 
-H, N, LAG = 0.02, 1000, 0.06  # s, samples, s
+H, N = 0.02, 1000  # s, samples
 SIGMA = np.array([0.05, 0.005, 0.005])  # m/s^2, rad/s, rad
 STEPS = [1, 1, 1, -1, -1, 1, -1]  # of a 3-2-1-1
 
@@ -61,11 +62,11 @@ class Roll(Model):
 GUESS, NAMES = Roll(), Roll.parameter_names()
 
 
-def plant() -> StateSpace:
+def plant(lag: float) -> StateSpace:
     """The truth: T da/dt = -a + Lp p + Llat lat, dp/dt = Lv v + a + Lped ped."""
     m = GUESS
-    A = [[m.Yv, 0, 9.81, 0], [m.Lv, 0, 0, 1], [0, 1, 0, 0], [0, m.Lp / LAG, 0, -1 / LAG]]
-    B = [[m.Ylat, 0], [0, m.Lped], [0, 0], [m.Llat / LAG, 0]]
+    A = [[m.Yv, 0, 9.81, 0], [m.Lv, 0, 0, 1], [0, 1, 0, 0], [0, m.Lp / lag, 0, -1 / lag]]
+    B = [[m.Ylat, 0], [0, m.Lped], [0, 0], [m.Llat / lag, 0]]
     C = [[m.Yv, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
     return StateSpace(A, B, C, [[m.Ylat, 0], [0, 0], [0, 0]], None, m.inputs, m.outputs)
 
@@ -81,9 +82,9 @@ def reference(rng: np.random.Generator) -> np.ndarray:
     return u
 
 
-def flight(seed: list[int]) -> Record:
+def flight(seed: list[int], lag: float) -> Record:
     """One record; the pilot's arm is a lag of 0.1 s, his corrections follow the instruments."""
-    rng, truth = np.random.default_rng(seed), plant()
+    rng, truth = np.random.default_rng(seed), plant(lag)
     wanted, noise = reference(rng), SIGMA * rng.standard_normal((N, 3))
     Ad, B0, B1 = foh_step(truth.A, truth.B, H)
     keep = np.exp(-H / 0.1)
@@ -97,14 +98,14 @@ def flight(seed: list[int]) -> Record:
     return Record(H * np.arange(N), u[:N], y, GUESS.inputs, GUESS.outputs, f"flight {seed}")
 
 
-def differences(pairs: int, seed: int) -> np.ndarray:
+def differences(pairs: int, seed: int, lag: float) -> np.ndarray:
     """Differences of single fits over their stated errors, (2, pairs, parameters).
 
     The first by ``std_error``, the second by the Cramér-Rao bound.
     """
     found = []
     for k in range(pairs):
-        fits = [output_error(GUESS, flight([seed, 1, 2 * k + i])) for i in (0, 1)]
+        fits = [output_error(GUESS, flight([seed, 1, 2 * k + i], lag)) for i in (0, 1)]
         gap = np.subtract(*(fit.model.vector() for fit in fits))
         errors = [
             [[getattr(row, kind) for row in fit.parameters] for fit in fits]
@@ -114,14 +115,14 @@ def differences(pairs: int, seed: int) -> np.ndarray:
     return np.moveaxis(found, 1, 0)
 
 
-def rejections(campaigns: int, seed: int, count: int = 4) -> np.ndarray:
+def rejections(campaigns: int, seed: int, lag: float, count: int) -> np.ndarray:
     """p of ties that hold for the best parameters, (campaigns, ties, 2): casid's and white's."""
-    best = output_error(GUESS, [flight([seed, 2, k]) for k in range(40)]).model
+    best = output_error(GUESS, [flight([seed, 2, k], lag) for k in range(40)]).model
     ties = [f"{a} = {getattr(best, a) / getattr(best, b)!r} {b}" for a, b in TIES]
     cases = {"free": {}} | {tie: [tie] for tie in ties}
     found = []
     for k in range(campaigns):
-        records = [flight([seed, 3, count * k + i]) for i in range(count)]
+        records = [flight([seed, 3, count * k + i], lag) for i in range(count)]
         compared = compare_bounds(best, records, cases=cases, estimator=OutputError(),
                                   execution=Execution(executor=None))  # fmt: skip
         judged = [compared[tie] for tie in ties]
@@ -132,20 +133,29 @@ def rejections(campaigns: int, seed: int, count: int = 4) -> np.ndarray:
 TIES = (("Llat", "Lp"), ("Lv", "Yv"), ("Lped", "Llat"))
 
 
-def main(pairs: int, campaigns: int, seed: int) -> None:
+def main() -> None:
     """Print both tables."""
-    z = np.sqrt(np.mean(differences(pairs, seed) ** 2, axis=1))
-    rows = [[name, *(f"{x:.2f}" for x in z[:, k])] for k, name in enumerate(NAMES)]
-    rows.append(["all", *(f"{x:.2f}" for x in np.sqrt(np.mean(z**2, axis=1)))])
-    print(table(["parameter", "over std_error", "over Cramér-Rao"], rows))
-    share = np.mean(rejections(campaigns, seed) < 0.05, axis=0)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    for name, default in (("pairs", 30), ("campaigns", 200), ("seed", 1)):
+        parser.add_argument(name, nargs="?", type=int, default=default)
+    parser.add_argument("--lag", type=float, default=0.06, help="of the flapping [s]")
+    parser.add_argument("--records", type=int, default=4, help="of a campaign")
+    asked = parser.parse_args()
+    if asked.pairs:
+        z = np.sqrt(np.mean(differences(asked.pairs, asked.seed, asked.lag) ** 2, axis=1))
+        rows = [[name, *(f"{x:.2f}" for x in z[:, k])] for k, name in enumerate(NAMES)]
+        rows.append(["all", *(f"{x:.2f}" for x in np.sqrt(np.mean(z**2, axis=1)))])
+        print(table(["parameter", "over std_error", "over Cramér-Rao"], rows))
+    found = rejections(asked.campaigns, asked.seed, asked.lag, asked.records)
+    share = np.mean(found < 0.05, axis=0)
     rows = [
         [f"{a} to {b}", *(f"{100 * x:.1f}" for x in s)]
         for (a, b), s in zip(TIES, share, strict=True)
     ]
+    rows.append(["all", *(f"{100 * x:.1f}" for x in share.mean(axis=0))])
     print(table(["tie", "rejected, %", "as if white, %"], rows))
 
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
-    main(*[int(x) for x in [*sys.argv[1:], *("30", "200", "1")[len(sys.argv) - 1 :]]])
+    main()

@@ -4,7 +4,7 @@ Specific forces measured 1.5 m ahead of the centre of gravity and 0.5 m above it
 UH-60 study and of 0.2 m/s in the velocities, output error from a start 20 % off. Bias is the mean
 error over the runs, in standard errors.
 
-Run: python -m benchmarks.sensors [runs]      (40 runs: two minutes)
+Run: python -m benchmarks.sensors [runs]      (40 runs: a quarter of a minute)
 """
 
 import sys
