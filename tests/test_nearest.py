@@ -8,7 +8,7 @@ from truths.closed_roll import TRUTH, campaign, off
 
 from casid import pbsid
 from casid.free import free_parameters
-from casid.nearest import BoxResponse, gain, kernel, nearest
+from casid.nearest import ALLOWED, OF_ROW, BoxResponse, gain, kernel, nearest
 
 OMEGA = np.geomspace(0.7, 8.0, 20)
 
@@ -50,8 +50,25 @@ def test_small_errors_leave_what_the_factor_says():
     assert np.linalg.norm(moved.E) < 0.999 * np.linalg.norm(at.F @ z)  # parameters took a part
 
 
-def test_a_channel_that_the_black_box_lacks_is_named():
-    box = pbsid(campaign(1, 2), order=3, pole=8.0, past=6, future=6, feedthrough=["ay"])
+@pytest.fixture(scope="module")
+def box():
+    return pbsid(campaign(1, 2), order=3, pole=8.0, past=6, future=6, feedthrough=["ay"])
+
+
+def test_what_is_no_fault_is_a_share_of_each_pair_and_of_what_its_output_does_at_that_frequency(
+    box,
+):
+    found = BoxResponse.of(box, TRUTH, OMEGA)
+    G = box.system.response(OMEGA)
+    for k, i in np.ndindex(len(OMEGA), len(TRUTH.outputs)):
+        row = [abs(G[k, i, j]) * box.input_std[j] / box.output_std[i] for j in range(box.system.nu)]
+        whole = np.linalg.norm(row)
+        expected = [np.hypot(ALLOWED * size, OF_ROW * whole) for size in row]
+        np.testing.assert_allclose(found.allowed[k, i], expected, rtol=1e-9)
+        np.testing.assert_allclose(np.abs(found.G[k, i]), row, rtol=1e-9)
+
+
+def test_a_channel_that_the_black_box_lacks_is_named(box):
     half = replace(box, system=replace(box.system, outputs=("ax", "p", "phi")))
     with pytest.raises(ValueError, match="output 'ay' is no output of the black box"):
         BoxResponse.of(half, TRUTH, OMEGA)

@@ -63,6 +63,8 @@ def test_a_linear_systems_equations_are_its_matrices(system):
     x, u = rng.standard_normal(plain.nx), rng.standard_normal(2)
     np.testing.assert_allclose(found.derivatives(0.0, x, u), plain.A @ x + plain.B @ u)
     np.testing.assert_allclose(found.measurements(0.0, x, u), plain.C @ x + plain.D @ u)
+    y = found.measurements(3.0, x, lambda t: t * u)
+    np.testing.assert_allclose(y, plain.C @ x + plain.D @ (3.0 * u))
     with pytest.raises(ValueError, match="discrete"):
         equations_of(replace(system, dt=0.1))
 

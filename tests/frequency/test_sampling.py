@@ -38,6 +38,24 @@ def test_jittered_sampling_is_interpolated():
     np.testing.assert_allclose(found[1].G, found[0].G, rtol=2e-3)
 
 
+def test_between_uneven_samples_channels_are_the_cubic_spline_through_them():
+    rng = np.random.default_rng(21)
+    t = DT * np.arange(60.0)
+    t[1:-1:5] += 0.2 * DT
+    y = rng.standard_normal((60, 2))
+    y[30, 1] = np.nan
+    u = rng.standard_normal((60, 1))
+    found = equidistant(Record(t, u, y, ("u",), ("y", "z")), 1.0)
+    np.testing.assert_allclose(found.t, DT * np.arange(60))
+    spline = scipy.interpolate.CubicSpline
+    np.testing.assert_allclose(found.u, spline(t, u)(found.t), atol=1e-12)
+    np.testing.assert_allclose(found.y[:, 0], spline(t, y[:, 0])(found.t), atol=1e-12)
+    known = np.arange(60) != 30  # where the other is unknown, so is what is within one interval
+    expected = spline(t[known], y[known, 1])(found.t)
+    expected[np.abs(found.t - t[30]) < found.dt] = np.nan
+    np.testing.assert_allclose(found.y[:, 1], expected, atol=1e-12)
+
+
 def test_an_interval_too_long_for_the_highest_frequency_is_refused_with_its_place():
     record = white(LAG, np.random.default_rng(16))
     broken = record.take(np.arange(record.N) != 2000)

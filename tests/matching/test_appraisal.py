@@ -6,7 +6,7 @@ from truths.structures import SECOND, TRUTH, HoverRoll, Lag
 
 from casid import Constraint, Rows, Scalar, StateSpace, parameter
 from casid.free import free_parameters
-from casid.matching.appraisal import appraise, doubts, response_size, violated
+from casid.matching.appraisal import _runaway, appraise, doubts, response_size, violated
 from casid.matching.targets import comparison_of
 
 
@@ -45,6 +45,21 @@ def test_a_sound_solution_raises_no_doubt():
 )
 def test_each_doubt_names_its_culprit(values, message):
     assert message in doubt(values)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "value", "away"),
+    [
+        ((-np.inf, 3e4), 2e4, False),
+        ((-np.inf, 3e4), -2e4, True),
+        ((-3e4, np.inf), 2e4, True),
+        ((-3e4, np.inf), -2e4, False),
+    ],
+)
+def test_a_parameter_runs_away_where_it_has_no_bound_on_that_side(bounds, value, away):
+    free = free_parameters(Unbounded(), bounds={"a": bounds})
+    said = _runaway(free, np.array([value, 1.0]), np.array([1.0, 1.0]))
+    assert (said or "").startswith(f"a = {value:.3g} runs away") == away
 
 
 def test_poles_right_of_the_line_are_no_doubt_where_they_may_be():

@@ -7,9 +7,11 @@ import pytest
 from truths import uh60
 from truths.structures import ACTUATOR, SECOND, TRUTH, HoverRoll, Lag, Product, black_box
 
-from casid import ConvergenceError, StateSpace, match, pbsid, read_csv
+from casid import ConvergenceError, SolverOptions, StateSpace, match, pbsid, read_csv
+from casid.free import free_parameters
 from casid.matching import search
 from casid.matching.initial import StartingPoint
+from casid.matching.targets import comparison_of
 from models.hybrid_flap import HybridFlap
 
 
@@ -90,6 +92,14 @@ def test_a_rotor_structure_matched_again_from_its_result_is_no_worse():
     guess = HybridFlap(U0=40.922, V0=2.811, W0=2.054, phi0=0.0213, theta0=0.0531)
     fit = match(guess, box, norm="quadratic")
     assert match(fit.model, box, norm="quadratic").cost <= fit.cost * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("stable", [True, False])
+def test_poles_count_as_unstable_right_of_the_line_where_they_are_to_stay_left(stable):
+    free, comparison = free_parameters(Lag()), comparison_of(Lag(), [SECOND], shift=0.5)
+    own = search.MatchSearch(free, comparison, stable=stable, options=SolverOptions())
+    # The pole is -a.
+    assert [own._unstable(np.array([a, 1.0])) for a in (-0.6, -0.4)] == [stable, False]
 
 
 def test_a_guess_right_of_the_line_does_not_count():
