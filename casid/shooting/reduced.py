@@ -165,8 +165,21 @@ class Reduced:
         what = ("time", "max_seconds") if late else ("iteration", "max_iterations")
         return f"{what[0]} limit reached; raise {what[1]} or start nearer"
 
+    def cost(self, x: Array, gain: float) -> float:
+        """Of all observations at the λ of x, biases and nodes following but for a last ``gain``.
+
+        Infinite where they are not found.
+        """
+        found = self._followed(x, gain)
+        return np.inf if found is None else self.programme.n * self.programme.values(found[0]).cost
+
     def _settled(self, x: Array) -> _Place | None:
         """λ with its most likely biases and nodes; None if they are not found."""
+        found = self._followed(x, SETTLED)
+        return None if found is None else self._curved(*found)
+
+    def _followed(self, x: Array, gain: float) -> tuple[Array, _Model] | None:
+        """Variables with biases and nodes that can gain so little, and the model of the cost."""
         programme = self.programme
         for _ in range(SETTLING):
             values = programme.values(x)
@@ -174,8 +187,8 @@ class Reduced:
             if model is None:
                 return None
             open_by = np.abs(values.g[: self.gaps]).max(initial=0.0)
-            if open_by < CLOSED and -model.form[-1, -1] / 2 < SETTLED:
-                return self._curved(x, programme.n * values.cost, model)
+            if open_by < CLOSED and -model.form[-1, -1] / 2 < gain:
+                return x, model
             x = self._moved(x, np.zeros(self._nf), model)
         return None
 
@@ -195,9 +208,10 @@ class Reduced:
             return None
         return _Model(form, follow) if np.isfinite(form).all() else None
 
-    def _curved(self, x: Array, cost: float, gauss: _Model) -> _Place:
+    def _curved(self, x: Array, gauss: _Model) -> _Place:
         """The place with second derivatives, and what it takes to make them convex."""
-        prices = np.zeros(len(self.programme.values(x).g))
+        values = self.programme.values(x)
+        cost, prices = self.programme.n * values.cost, np.zeros(len(values.g))
         prices[: self.gaps] = gauss.follow[len(gauss.follow) - self.gaps :, -1] / self.programme.n
         exact = self._model(x, self._newton.matrix(x, prices))
         if exact is None:

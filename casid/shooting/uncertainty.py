@@ -261,20 +261,25 @@ def block_scores(
         count, first = -(-len(r) // length), 0
         g, H = np.zeros((count, k)), np.zeros((count, k, k))
         for piece in pieces:
-            part = np.arange(first, first + len(piece)) // length
-            for b in range(part[0], part[-1] + 1):
-                own = np.flatnonzero(part == b)
-                s = _flat(piece[own])
-                g[b] += s.T @ r[first + own].ravel()
-                H[b] += s.T @ s
-            first += len(piece)
-        for begin in range(1 - PARTS, count):
-            block = slice(max(begin, 0), begin + PARTS)
-            alone = left_out(H[block].sum(axis=0), 1.0) @ g[block].sum(axis=0)
-            K += np.outer(alone, alone) / PARTS
+            edges = range(length - first % length, len(piece), length)
+            for s in np.split(piece, edges):
+                own, last = first // length, first + len(s)
+                g[own] += _flat(s).T @ r[first:last].ravel()
+                H[own] += _flat(s).T @ _flat(s)
+                first = last
+        blocks = [slice(max(begin, 0), begin + PARTS) for begin in range(1 - PARTS, count)]
+        alone = np.array([_left_out_score(H[b].sum(axis=0), g[b].sum(axis=0)) for b in blocks])
+        K += alone.T @ alone / PARTS
         records.append((g.sum(axis=0), H.sum(axis=0)))
     scores, shares = zip(*records, strict=True)
     return K, (np.array(scores), np.array(shares))
+
+
+def _left_out_score(H: Array, g: Array) -> Array:
+    """(I - H)^-1 g, as `left_out` has it; by far less work for a small block."""
+    if np.linalg.norm(H) > 1 - LEFT:  # no eigenvalue is larger than that
+        return left_out(H, 1.0) @ g
+    return np.linalg.solve(np.eye(len(H)) - H, g)
 
 
 def left_out(H: Array, power: float) -> Array:

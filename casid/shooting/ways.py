@@ -22,9 +22,14 @@ from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.newton import MEET
 from casid.shooting.nonlinear import NonlinearEvaluator
 from casid.shooting.programme import Programme
+from casid.shooting.reduced import Reduced
 from casid.shooting.search import GAIN, Outcome, Search
 from casid.shooting.sensitivity import Evaluator, Point
-from casid.shooting.starting import continued_programme, starting_programme
+from casid.shooting.starting import (
+    continued_programme,
+    neighbouring_programme,
+    starting_programme,
+)
 from casid.shooting.unknowns import GainUnknowns, NoiseUnknowns
 from casid.subspace.pbsid import BlackBox
 
@@ -64,6 +69,19 @@ class Ways:
                 return ends[-1]
             LOG.info("output error, intervals of %.3g s: %s", length, ends[-1].solution.status)
         return min(ends, key=_merit)
+
+    def cost_beside(self, near: AnyFit) -> float:
+        """Negative log-likelihood at a fit's λ where free, the model's where held.
+
+        Initial states, biases and R follow; infinite where they are not found.
+        """
+        evaluator = self._unfiltered(self.interval or LONGEST)
+        begun = neighbouring_programme(evaluator, self.free, self.R, self.biases, near)
+        if begun is None:
+            return np.inf
+        programme, point = begun
+        reduced = Reduced(programme, self.options, "output error, beside")
+        return reduced.cost(programme.pack(point), GAIN)
 
     def filtered(self, process_noise: ProcessNoise) -> Outcome:
         """Where a filter ends, from output error and, unless that is as good, the model given."""

@@ -9,6 +9,7 @@ import numpy as np
 from casid.declaration import check_priors
 from casid.errors import ConvergenceError, warn
 from casid.fit import AnyFit, Fit
+from casid.model import Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import steps_told
@@ -18,10 +19,12 @@ from casid.report.content import OUTPUT_ERROR as LABEL
 from casid.report.evidence import few_data
 from casid.report.intervals import SHAPES, TICKS
 from casid.report.verdicts import held_by_bounds, uncertain
-from casid.shooting.output_error import OutputError
+from casid.shooting.output_error import OutputError, checked_covariance, select_records
 from casid.shooting.precision import OutputErrorNotes
+from casid.shooting.ways import Ways
 from casid.stages.stage import Stage, Task
 from casid.tables import placed
+from casid.threads import one_thread
 
 CLEARLY = 10.0  # of the logarithm of a likelihood: other inputs between samples explain records
 
@@ -76,10 +79,30 @@ def _better_as_steps(
     held = [name for name in model.parameter_names() if name not in kept]
     steps = [replace(record, hold="zoh") for record in records]
     try:
-        other = settings.fit(replace(model, **late), steps, fixed=held, near=fit)
+        return fit.cost - _cost(settings, replace(model, **late), steps, held, fit)
     except (ValueError, ConvergenceError):  # nothing is told where it fails
         return -np.inf
-    return fit.cost - other.cost
+
+
+@one_thread
+def _cost(
+    settings: OutputError,
+    model: Model,
+    records: Sequence[Record],
+    held: Sequence[str],
+    near: Fit[Any, OutputErrorNotes],
+) -> float:
+    """Negative log-likelihood at a fit's parameters but for those ``held`` at the model's.
+
+    Only initial states, biases and R follow where they are all that may, without another fit.
+    """
+    if settings.domain != "time" or settings.process_noise is not False or settings.responses:
+        return settings.fit(model, records, fixed=held, near=near).cost
+    free, R = settings.free(model, held), checked_covariance(settings.R, len(model.outputs))
+    biases, integration = bool(settings.biases), near.notes.integration
+    chosen = select_records(free, records, biases)
+    steps = integration.steps if integration else settings.steps
+    return Ways(free, chosen, settings.solver, R, biases, near.interval, steps).cost_beside(near)
 
 
 def _show(found: Fit[Any, OutputErrorNotes], content: Content) -> Iterable[Section]:

@@ -62,3 +62,18 @@ def test_a_filter_is_no_less_likely_than_the_output_error_it_begins_with():
     plain, filtered = ways(R="diagonal").output_error(), ways(R="diagonal").filtered(True)
     assert filtered.solution.success
     assert filtered.cost < plain.cost + GAIN
+
+
+def test_the_likelihood_beside_a_fit_has_initial_states_biases_and_covariance_follow():
+    names = [name for name in TRUTH.parameter_names() if name != "Lp"]
+    fit = output_error(replace(TRUTH, Llat=9.0), noisy(seed=3), R="full", fixed=names)
+    free = free_parameters(fit.model, names)
+    poor = replace(fit, R=4 * fit.R, biases=0 * fit.biases)
+    assert replace(ways(), free=free).cost_beside(poor) == pytest.approx(fit.cost, abs=1e-3)
+    farther = free_parameters(replace(fit.model, Llat=9.5), names)  # nearer to the truth's 10
+    assert replace(ways(), free=farther).cost_beside(poor) < fit.cost - 10
+
+
+def test_the_likelihood_beside_a_fit_of_other_records_is_not_known():
+    fit = output_error(TRUTH, [noisy(seed=3), noisy(seed=4)])
+    assert ways().cost_beside(fit) == np.inf

@@ -13,7 +13,7 @@ from casid import DataWarning, OutputError, Record, output_error
 from casid.records import steps_told
 from casid.report import OUTPUT_ERROR as LABEL
 from casid.report.content import CHOSEN
-from casid.stages.refinement import OUTPUT_ERROR
+from casid.stages.refinement import OUTPUT_ERROR, _better_as_steps
 from casid.stages.stage import Task, records_of
 
 
@@ -74,6 +74,22 @@ def test_it_tells_of_inputs_that_a_computer_holds_while_it_feeds_noise_back():
     assert not steps_told(record, ["lat"])
     steps = output_error(model, [replace(record, hold="zoh")])["tau"]
     assert abs(steps.value - model.tau) < 3 * steps.std_error < dt / 4
+
+
+@pytest.mark.parametrize(
+    "settings", [OutputError(), OutputError(R=np.diag(list(NOISE.values())) ** 2),
+                 OutputError(domain="frequency")],
+)  # fmt: skip
+def test_how_much_likelier_steps_are_is_what_a_fit_of_initial_states_and_biases_finds(settings):
+    records = [noisy(1), noisy(2)]
+    fit = settings.fit(TRUTH, records)
+    late = replace(fit.model, tau=fit["tau"].value - T[1] / 2)
+    steps = [replace(record, hold="zoh") for record in records]
+    held = [name for name in fit.free_names if name != "Yv"]
+    there = settings.fit(late, steps, fixed=held, near=fit)  # one has to be free
+    slack = 3 * 3.84 / 2  # what one parameter more may gain by chance, thrice
+    assert fit.cost - there.cost - slack < _better_as_steps(settings, fit, records)
+    assert _better_as_steps(settings, fit, records) < fit.cost - there.cost + 1e-3
 
 
 def test_its_section_counts_what_was_free_and_warns_of_bounds():
