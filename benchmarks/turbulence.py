@@ -6,6 +6,7 @@ bound is that of a Kalman filter written here, differentiated by differences, in
 biases and all variances unknown too.
 
     OMP_NUM_THREADS=1 python -m benchmarks.turbulence [N] [--case NAME] [--first SEED]
+                                                      [--samples 1000]
 
 N runs each (30), their seeds from the first (0) on.
 """
@@ -211,11 +212,12 @@ def main() -> None:
     parser.add_argument("runs", nargs="?", type=int, default=30)
     parser.add_argument("--case", default="")
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--samples", type=int, default=1000, help="of a record")
     chosen, rows = parser.parse_args(), []
-    for name, case in cases().items():
+    for name, usual in cases().items():
         if chosen.case not in name:
             continue
-        found = []
+        case, found = replace(usual, N=chosen.samples), []
         for seed in range(chosen.first, chosen.first + chosen.runs):
             found.append(run(case, seed))
             print(name, seed, found[-1][2].iterations, found[-1][2].success,

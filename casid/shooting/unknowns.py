@@ -137,7 +137,7 @@ class NoiseUnknowns:
         nx = len(self.q0)
         slope = np.zeros((nx, len(eta)))
         slope[:, :nx] = np.diag(self.q0 * np.exp(eta[:nx]))
-        return self.q0 * np.expm1(eta[:nx]), slope
+        return self.q0 * np.expm1(np.maximum(eta[:nx], 0.0)), slope  # IPOPT goes beyond by 1e-8
 
     def covariance(self, eta: Array) -> tuple[Array, Array]:
         """R and its derivative (ny, ny, n) by all unknowns (n,)."""
@@ -150,7 +150,7 @@ class NoiseUnknowns:
         unit = np.sqrt(self.r0[i] / self.r0[j])
         if nt:
             T[i, j] = eta[nx + nr :] * unit
-        r = self.least + self.r0 * np.expm1(at)
+        r = self.least + self.r0 * np.expm1(np.maximum(at, 0.0))
         slope[..., nx : nx + nr] = np.einsum("ik,jk,k->ijk", T, T, self.r0 * np.exp(at))
         if nt:
             half = np.zeros((ny, ny, nt))

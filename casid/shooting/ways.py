@@ -4,7 +4,7 @@ Whatever way is taken, the best end of all is what is told.
 """
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,17 +104,24 @@ class Ways:
         return best if best.solution.success else min(ends, key=_merit)
 
     def _noise_ends(self, more: NoiseUnknowns, plain: Outcome) -> list[Outcome]:
-        """Ends of a Kalman filter from output error and, unless that is as good, the guess.
+        """Ends of a Kalman filter from output error, still and in turbulence, and from the guess.
 
-        And output error as an end, if neither is as good.
+        And output error as an end, if none is as good. Each start may lead into a hollow of its
+        own: one where turbulence is feedback, another where it drives another state.
         """
         ends = []
         if plain.solution.success:
-            R = plain.programme.values(plain.solution.x).R
-            ends.append(self._continued(plain, more.calm(R)))
-        if not ends or not ends[0].cost <= plain.cost + GAIN:
-            search = Search(self.free, self.options)
-            ends.append(self._searched(search, self._evaluator(self._likely_noises(more))))
+            calm = more.calm(plain.programme.values(plain.solution.x).R)
+            last = plain.programme, plain.solution.x
+            ends.append(self._continued(plain, calm))
+            rough = self._likeliest(
+                calm, lambda e: continued_programme(e, self.free, self.R, *last)
+            )
+            ends.append(self._continued(plain, rough))
+        begun = self._likeliest(
+            more, lambda e: starting_programme(e, self.free, self.R, self.biases)
+        )
+        ends.append(self._searched(Search(self.free, self.options), self._evaluator(begun)))
         if plain.cost < min(end.cost for end in ends) - GAIN:
             ends.append(self._still(more, plain))
         return ends
@@ -131,12 +138,7 @@ class Ways:
         first = len(self.free.index)
         slopes = noisy.gradient(end.solution.x)[first : first + len(more.q0)]
         last = end.programme, end.solution.x
-        levels = [
-            self._level(
-                start, *continued_programme(self._evaluator(start), self.free, self.R, *last)
-            )
-            for start in map(more.raised, RISES)
-        ]
+        levels = self._levels(more, lambda e: continued_programme(e, self.free, self.R, *last))
         much = noisy.n * min(cost for cost, _ in levels) < end.cost - GAIN
         likelier = much or (noisy.n * slopes < -GAIN).any()
         return end.failed("some process noise makes the records likelier") if likelier else end
@@ -176,18 +178,23 @@ class Ways:
         limit = min(PATIENCE, self.options.max_iterations)
         return replace(self.options, max_iterations=limit)
 
-    def _likely_noises(self, more: NoiseUnknowns) -> NoiseUnknowns:
-        """The likeliest of some levels of process noise, all noises to scale."""
-        found: list[tuple[float, NoiseUnknowns]] = []
-        for rise in RISES:
-            start = more.raised(rise)
-            evaluator = self._evaluator(start)
+    def _likeliest(
+        self, more: NoiseUnknowns, begun: Callable[[Evaluator], tuple[Programme, Point]]
+    ) -> NoiseUnknowns:
+        """The likeliest of some levels of process noise where a programme begins."""
+        return min(self._levels(more, begun), key=lambda each: each[0])[1]
+
+    def _levels(
+        self, more: NoiseUnknowns, begun: Callable[[Evaluator], tuple[Programme, Point]]
+    ) -> list[tuple[float, NoiseUnknowns]]:
+        """Costs per observation of levels of process noise, all noises to scale."""
+        found = []
+        for start in map(more.raised, RISES):
             try:
-                programme, point = starting_programme(evaluator, self.free, self.R, self.biases)
+                found.append(self._level(start, *begun(self._evaluator(start))))
             except ConvergenceError:
-                continue
-            found.append(self._level(start, programme, point))
-        return min(found, key=lambda each: each[0])[1] if found else more.raised(RISES[0])
+                found.append((np.inf, start))
+        return found
 
     def _level(
         self, start: NoiseUnknowns, programme: Programme, point: Point

@@ -141,6 +141,21 @@ def test_turbulence_that_steps_from_output_error_miss_is_not_taken_for_still_air
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 3])
+def test_turbulence_that_seems_to_drive_another_state_is_found_out(seed):
+    # From output error alone the search ends where noise drives the attitude, up to 70 of
+    # log-likelihood worse, with derivatives eight stated errors off.
+    case = replace(cases()["2 states, 2 outputs"], N=120)
+    record = fly(case, np.random.default_rng([seed, 77]), "short")
+    fit = output_error(case.start(case.truth), record, process_noise=True)
+    best = output_error(case.truth, record, process_noise=True)
+    assert fit.cost < best.cost + 1e-3
+    errors = np.array([row.std_error for row in fit.parameters])
+    assert (np.abs(fit.model.vector() - case.truth.vector()) < 3 * errors).all()
+    assert np.sqrt(fit.notes.process_noise[0]) == pytest.approx(0.3, rel=0.25)
+
+
+@pytest.mark.slow
 def test_without_measurement_noise_the_likelihood_degenerates_and_the_best_is_told():
     records = [flown(seed=1).between(0, 6), flown(seed=2).between(0, 6)]
     with pytest.raises(ConvergenceError, match="predicted exactly") as caught:
