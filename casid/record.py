@@ -34,7 +34,8 @@ class Record(Shown):
     u : (N, nu) array
         Inputs, finite.
     y : (N, ny) array
-        Outputs; NaN marks a missing sample.
+        Outputs; NaN marks a missing sample. Angles that jump by whole turns, as a heading does
+        beyond ±180 degrees, are made continuous, with a `DataWarning`.
     inputs, outputs : sequence of str
         Channel names, one a column.
     name : str
@@ -78,21 +79,8 @@ class Record(Shown):
         if self.hold not in get_args(Hold):
             raise ValueError(f'record {self.name!r}: hold={self.hold!r}, expected "foh" or "zoh"')
         samples.check_samples(self.name, self.t, self.u, self.y, (self.inputs, self.outputs))
-        if (close := samples.close_together(self.t)).any():
-            self._merge(close)
-
-    def _merge(self, close: BoolArray) -> None:
-        """Leave out rows that hardly follow the one before: a curve through both would swing."""
-        rows = np.flatnonzero(close)
-        named = ", ".join(map(str, rows[:5])) + " ..." * (len(rows) > 5)
-        warn(
-            f"record {self.name!r}: {len(rows)} of {self.N} samples follow the one before within "
-            f"{samples.CLOSE:.0%} of the usual interval of {self.dt:.3g} s and are left out (rows "
-            f"{named}, the first at {self.t[rows[0]]:.6g} s); look at the clocks of the log"
-        )
-        for attribute, values in zip(
-            "tuy", samples.merged(self.t, self.u, self.y, close), strict=True
-        ):
+        tidy = samples.tidied(self.name, self.t, self.u, self.y, self.outputs)
+        for attribute, values in zip("tuy", tidy, strict=True):
             values.setflags(write=False)
             object.__setattr__(self, attribute, values)
 

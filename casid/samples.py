@@ -8,6 +8,7 @@ import scipy
 from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray
+from casid.errors import warn
 
 Between = Literal["zoh", "foh", "smooth"]  # steps, straight lines, a cubic spline
 
@@ -26,6 +27,10 @@ CLOSE = 0.05  # of the median interval: a curve through two samples so close swi
 ABRUPT = 10.0  # times the moves before and after it: a move that is a jump
 STEPS = 0.9  # of an input's moves, squared, that are jumps: it moves in steps
 MADE_UP = 0.1  # of a low-pass filter's weight on lost samples: what it gives is lost, too
+TURNS = 2 * np.pi, 360.0  # whole turns of angles in radians and degrees
+WRAP = 0.8  # of a turn: a step that wrapping makes of the small one that it was
+SLOW, STEADY = 0.1, 3.0  # usual step of an angle, in turns; what it was, in usual steps
+SMALL = 0.005  # of a turn: a step that may have been, however steady the angle
 PASS = 0.8  # of the new Nyquist frequency: what is above it is taken out before sampling slower
 
 
@@ -108,6 +113,29 @@ def jumps(x: Array) -> Array:
     beside = np.maximum(np.append(0.0, moves[:-1]), np.append(moves[1:], 0.0))
     found: Array = np.diff(x)[moves > ABRUPT * beside]
     return found if found @ found > STEPS * (moves @ moves) else found[:0]
+
+
+def unwrapped(x: Array) -> Array | None:
+    """An angle (N,) whose jumps by whole turns are taken out; None if it has none.
+
+    One that is kept within a turn jumps from edge to edge where it moved a little: by whole turns,
+    in radians or degrees, but for steps as those around it.
+    """
+    there = np.flatnonzero(np.isfinite(x))
+    known = x[there]
+    if len(known) < 2 or np.ptp(known) < WRAP * min(TURNS):
+        return None
+    steps = np.abs(np.diff(known))
+    for turn in TURNS:
+        wrap = steps > WRAP * turn
+        if not wrap.any() or wrap.all() or np.ptp(known) > (1 + SMALL) * turn:
+            continue
+        usual, odd = steps[~wrap].mean(), np.median(np.abs(steps[wrap] - turn))
+        if usual < SLOW * turn and odd < STEADY * usual + SMALL * turn:
+            done = x.copy()
+            done[there] = np.unwrap(known, discont=WRAP * turn, period=turn)
+            return done
+    return None
 
 
 def usual_interval(t: Array) -> float:
@@ -224,6 +252,31 @@ def known_inputs(t: Array, u: Array, held: Sequence[Between]) -> tuple[Array, Bo
     ]
     u = np.column_stack(columns)
     return u, np.asarray(~np.isnan(u).any(axis=1))
+
+
+def tidied(
+    record: str, t: Array, u: Array, y: Array, outputs: Sequence[str]
+) -> tuple[Array, Array, Array]:
+    """Time, inputs and outputs without rows that hardly follow others, angles continuous; warns."""
+    if (close := close_together(t)).any():
+        rows = np.flatnonzero(close)  # a curve through both would swing
+        named = ", ".join(map(str, rows[:5])) + " ..." * (len(rows) > 5)
+        warn(
+            f"record {record!r}: {len(rows)} of {len(t)} samples follow the one before within "
+            f"{CLOSE:.0%} of the usual interval of {np.median(np.diff(t)):.3g} s and are left out "
+            f"(rows {named}, the first at {t[rows[0]]:.6g} s); look at the clocks of the log"
+        )
+        t, u, y = merged(t, u, y, close)
+    goes_on = {i: x for i in range(len(outputs)) if (x := unwrapped(y[:, i])) is not None}
+    if goes_on:
+        names = ", ".join(outputs[i] for i in goes_on)
+        warn(
+            f"record {record!r}: {names} jumps by whole turns where the angle goes on, and is made "
+            "continuous"
+        )
+        y = y.copy()
+        y[:, [*goes_on]] = np.column_stack([*goes_on.values()])
+    return t, u, y
 
 
 def close_together(t: Array) -> BoolArray:

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from casid.samples import _begun, at_instants, off_rest, resampled, resting, runs, usual_interval
+from casid.samples import (
+    _begun,
+    at_instants,
+    off_rest,
+    resampled,
+    resting,
+    runs,
+    unwrapped,
+    usual_interval,
+)
 
 T = 0.02 * np.arange(500)
 
@@ -96,3 +105,23 @@ def test_a_channel_that_wanders_all_along_begins_where_it_is_found_away(first, b
     x[120:] = 20.0
     x[200:] = 500.0
     assert _begun(x, 200) == begun
+
+
+@pytest.mark.parametrize("turn", [2 * np.pi, 360.0])
+def test_an_angle_kept_within_a_turn_goes_on_also_where_it_passes_the_edge_to_and_fro(turn):
+    rng = np.random.default_rng(0)
+    for true in (np.linspace(0.4, 2.7, 500), 0.5 + 0.02 * np.sin(T) + 0.002 * rng.normal(size=500)):
+        x = turn * np.where(rng.random(500) < 0.1, np.nan, true)
+        found = unwrapped((x + turn / 2) % turn - turn / 2)
+        off = (found - x)[np.isfinite(x)] / turn
+        np.testing.assert_allclose(off, np.round(off[0]), atol=1e-12)
+
+
+def test_noise_outliers_and_steps_are_no_angles():
+    rng = np.random.default_rng(1)
+    outlier = 0.05 * rng.standard_normal(500)
+    outlier[200] = 6.0
+    noise = rng.standard_normal(500)
+    steps = np.where(np.sin(T) > 0, 5.5, 0.0) + 0.01 * rng.standard_normal(500)
+    for x in (outlier, noise * 6.2 / np.ptp(noise), steps, np.sin(T), np.full(500, np.nan)):
+        assert unwrapped(x) is None

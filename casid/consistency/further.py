@@ -10,6 +10,7 @@ from casid.consistency.flightpath import GRAVITY, Instruments
 from casid.consistency.measured import Flight, white_noise
 from casid.display import listed
 from casid.record import REST
+from casid.samples import root_mean_square
 
 SIGNIFICANT = 3.5  # standard errors, of the largest of some twenty
 ROUGH = 0.1  # the scale that matters where an equation lacks a channel
@@ -17,6 +18,8 @@ ALIKE = 0.2  # how near a factor is to that of a mistake
 MUCH = 0.3  # share of an attitude's movement left unexplained that matters
 LITTLE = 0.5  # of the movement of all records: what moves less is measured by that
 BEYOND = 10.0  # times its movement: a channel that rests
+TWICE = 2.0  # times the roll rate: what a bank that turns with it may change by
+FASTEST = 10.0  # rad/s of a roll: larger ones are degrees
 AWAY = 0.2  # m: an accelerometer's place that matters
 
 FACTORS = {
@@ -36,9 +39,20 @@ def turned(flights: Sequence[Flight], names: set[str]) -> tuple[str, ...]:
         if name not in names:
             continue
         largest = max(np.abs(flight.values[name]).max() for flight in flights)
-        if largest > limit:
+        if largest > limit and not (name == "phi" and _rolls(flights)):
             said.append(f"{name} reaches {largest:.3g} rad: is it in degrees? Kinematics unchecked")
     return tuple(said)
+
+
+def _rolls(flights: Sequence[Flight]) -> bool:
+    """Whether banks beyond half a turn are those of a roll, which the roll rate has flown."""
+    if not all("p" in flight.values for flight in flights):
+        return False
+    p = np.concatenate([flight.values["p"] for flight in flights])
+    turns = np.concatenate([np.gradient(flight.values["phi"], flight.dt) for flight in flights])
+    flown, turned_by = root_mean_square(p), root_mean_square(turns)
+    alike = flown / TWICE < turned_by < TWICE * flown
+    return bool(alike and np.abs(p).max() < FASTEST)
 
 
 def mistake(factor: float) -> str:

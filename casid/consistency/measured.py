@@ -97,8 +97,6 @@ def signals(record: Record, trim: Mapping[str, float], which: int = 0) -> Flight
         values |= _velocities(values)
         slowest = min({*AIR} & {*taken}, key=lambda name: len(taken[name]), default="")
         taken |= dict.fromkeys(VELOCITIES, taken[slowest]) if slowest else {}
-    if "psi" in values:
-        values["psi"] = np.unwrap(values["psi"])
     level = {
         name: record.trim.get(f"{name}0", trim.get(f"{name}0", 0.0))
         for name in {"phi", "theta"} - {*values}

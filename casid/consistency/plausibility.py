@@ -11,7 +11,7 @@ from casid.records import still
 
 FEWEST = 16  # samples of a record
 SLOW = 1.0  # sampling interval [s] no manoeuvre of a rotorcraft is recorded with
-FULL_TURN = {"phi": np.pi, "theta": np.pi / 2, "psi": 2 * np.pi + 0.1}  # rad
+FULL_TURN = {"phi": np.pi, "theta": np.pi / 2, "psi": 6 * np.pi}  # rad: three turns
 TUMBLING = 6.0  # rad/s, a full turn a second
 PULSES = (700.0, 2300.0)  # µs, between which the pulses of a servo stay
 ROUNDING = 1e-9  # of a level, by which means of what stands still may differ

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from truths.flights import ERRORS, FORCES, NOISE, RATES, STATES, flight, scores, truth
 from truths.places import EXAMPLES
 from truths.roll_study import write_study
 
-from casid import read_csv
+from casid import DataWarning, outliers, read_csv
 from casid.consistency.kinematics import kinematic_check
 from casid.exchange.formats import read_table, write_table
 from casid.record import Record
@@ -66,6 +67,38 @@ def test_each_error_is_put_into_words():
     assert "times what phi implies" in scale
     assert "s late against phi" in skew
     assert not check.consistent
+
+
+def euler(rates, attitudes, h):
+    """Attitudes (N, 3) that rates(t) fly, by Runge and Kutta of SciPy."""
+
+    def moves(t, x):
+        (p, q, r), (phi, theta, _) = rates(t), x
+        turn = (q * np.sin(phi) + r * np.cos(phi)) / np.cos(theta)
+        return [p + np.sin(theta) * turn, q * np.cos(phi) - r * np.sin(phi), turn]
+
+    t = h * np.arange(1500)
+    found = scipy.integrate.solve_ivp(moves, (0, t[-1]), attitudes, t_eval=t, rtol=1e-9, atol=1e-9)
+    return t, found.y.T
+
+
+@pytest.mark.parametrize("what", ["turn north", "rolls"])
+def test_angles_that_are_kept_within_a_turn_follow_like_others(what):
+    def rates(t):
+        wave = 0.1 * np.sin(2 * t)
+        return (2.0 * (what == "rolls") + wave, 0.1 * np.sin(1.3 * t), 0.2 + 0.1 * np.cos(1.7 * t))
+
+    t, angles = euler(rates, [0.0, 0.0, 3.0], 0.02)
+    y = np.column_stack([np.array([rates(each) for each in t]), angles])
+    y += 0.003 * np.random.default_rng(3).standard_normal(y.shape)
+    whole = Record(t, np.zeros((len(t), 0)), y, (), (*ATTITUDES, "psi"), "whole")
+    kept = np.column_stack([y[:, :3], (y[:, 3:] + np.pi) % (2 * np.pi) - np.pi])
+    with pytest.warns(DataWarning, match="psi jumps by whole turns"):
+        within = replace(whole, y=kept, name="within")
+    assert kinematic_check(within).remarks == ()
+    assert not outliers(within).any()
+    turns = (within.y - whole.y) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns[:1]) + 0 * turns, atol=1e-12)
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from truths.flights import NOISE, RATES, flight
 
-from casid import Record
 from casid.consistency.kinematics import kinematic_check
 from casid.consistency.measured import Flight, looked_at, signals, white_noise
 
@@ -16,16 +15,6 @@ def test_noise_is_the_standard_deviation_of_what_is_not_smooth():
     # squares give the standard deviation to 0.3 %, and the sine is 1e-5 of it.
     x = np.sin(t) + 0.1 * rng.standard_normal(len(t))
     assert white_noise(x) == pytest.approx(0.1, rel=0.01)
-
-
-def test_headings_pass_north_without_a_jump():
-    whole = flight(0, None, NOISE, (*RATES, "phi", "theta", "psi"))
-    psi = whole.channel("psi") - np.median(whole.channel("psi")) + np.pi
-    y = np.column_stack([whole.y[:, :-1], (psi + np.pi) % (2 * np.pi) - np.pi])
-    wrapped = Record(whole.t, whole.u, y, whole.inputs, whole.outputs, whole.name)
-    assert np.abs(np.diff(wrapped.channel("psi"))).max() > 6
-    found = signals(wrapped, {}).values["psi"]
-    np.testing.assert_allclose(found - found[0], psi - psi[0], atol=1e-12)
 
 
 def test_records_too_short_to_look_at_are_no_error():
