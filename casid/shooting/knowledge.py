@@ -15,13 +15,16 @@ import numpy as np
 
 from casid import declaration
 from casid.arrays import Array
-from casid.errors import ModelError
+from casid.errors import ModelError, warn
+from casid.fit import AnyFit
 from casid.free import Free
 from casid.model import M, Model, Priors
 from casid.sensors import own_states
 from casid.shooting.likelihood import Noise
 from casid.shooting.sensitivity import Point
 
+CONTRADICTED = 3.5  # standard deviations between a prior and the records, of the largest of many
+NARROWED = 1e-6  # of a prior's variance: what records that say nothing narrow it by
 HELD = 100.0  # σ of a bias that is held, in units of the noise's floor
 
 
@@ -145,3 +148,21 @@ def _nonlinear(cls: Any, names: tuple[str, ...]) -> dict[str, Any]:  # noqa: ANN
 def _values(model: Model) -> dict[str, Any]:
     """Fields of a structure by name."""
     return {each.name: getattr(model, each.name) for each in fields(cast(Any, model))}
+
+
+def warn_contradicted(free: Free, fit: AnyFit) -> None:
+    """Tell of priors that the records contradict.
+
+    If both are right, estimate less prior value has the variance by which the records narrow the
+    prior's, σ² less the estimate's (D. R. Cox, D. V. Hinkley, Theoretical Statistics, 1974, 10.5).
+    """
+    for name, (mean, std) in free.priors.items():
+        row = fit[name]
+        narrowed = np.nan_to_num(std**2 - row.cramer_rao**2, nan=std**2, neginf=std**2)
+        off = abs(row.value - mean) / np.sqrt(max(narrowed, NARROWED * std**2))
+        if off > CONTRADICTED:
+            warn(
+                f"the records contradict the prior {name} = {mean:.4g} ± {std:.2g}: the estimate "
+                f"{row.value:.4g} lies {off:.1f} standard deviations from it, and all parameters' "
+                "errors believe both: check where the prior comes from, widen it or leave it out"
+            )

@@ -34,7 +34,7 @@ from casid.records import Records, check_alive, several, stretches
 from casid.shooting import uncertainty
 from casid.shooting.frequency import IPOPT
 from casid.shooting.innovation import ProcessNoise
-from casid.shooting.knowledge import with_knowledge
+from casid.shooting.knowledge import warn_contradicted, with_knowledge
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
 from casid.shooting.nonlinear import MOST, Integration
@@ -133,6 +133,7 @@ class OutputError:
         fit = reweighed(lambda f, rough: self._fitted(model, f, rough, chosen, near), free, near)
         if isinstance(fit.model, NonlinearModel):
             warn_beyond(fit.model, "along the records of the fit", fit.notes.covered)
+        warn_contradicted(free, fit)
         return fit
 
     def _fitted(

@@ -142,6 +142,18 @@ def test_prior_and_records_are_weighed_by_their_information():
     assert np.isnan(fit["Llat"].prior)
 
 
+def test_a_prior_that_the_records_contradict_is_told_and_one_they_bear_out_is_not(recwarn):
+    records, R = flown((0.0, 0.0)), SIGMA**2 * np.eye(2)
+    alone = OutputError(R=R).fit(Roll(), records)["Lp"]
+    near = alone.value + 3.0 * np.hypot(alone.cramer_rao, 0.1), 0.1
+    OutputError(R=R, priors={"Lp": near}).fit(Roll(), records)
+    assert not [each for each in recwarn if "contradict" in str(each.message)]
+    far = alone.value + 5.0 * alone.cramer_rao * np.sqrt(2), alone.cramer_rao
+    # As good as the records: their difference has √2 times the deviation of either.
+    with pytest.warns(DataWarning, match=r"contradict the prior Lp.* lies (4\.9|5\.[01]) standard"):
+        OutputError(R=R, priors={"Lp": far}).fit(Roll(), records)
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
