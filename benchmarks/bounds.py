@@ -28,7 +28,7 @@ from casid.studies.studyfile import read_study  # noqa: E402
 from casid.threads import cores  # noqa: E402
 
 WIDTHS = (200, 150, 120, 100, 80, 70, 60, 50, 40, 30, 20)  # % of the linearised values
-LIMIT = 4.0
+LIMIT = 2.0
 
 
 def spent() -> float:

@@ -55,13 +55,21 @@ def delayed_input(
     jumps = np.diff(rate if hold == "foh" else level, axis=0)
     value, slope, none = np.empty_like(u), np.empty_like(u), np.zeros(0)
     breaks = [(none.astype(int), none.astype(int), none, none)]
-    instant = float(ROUNDING * np.diff(t).min())
+    instant, k = float(ROUNDING * np.diff(t).min()), np.arange(len(t))
+    h = (t[-1] - t[0]) / (len(t) - 1)
+    even = bool(np.abs(t - t[0] - h * k).max() < instant / 4)
     for j, late in enumerate(tau if within is None else within):
-        piece = np.searchsorted(t + late, t + instant, side="right")
+        if even and late >= 0:
+            whole = int(np.ceil((late - instant) / h))
+            piece = np.maximum(k + 1 - whole, 0)
+            knot = np.arange(piece[0], piece[-1])
+            step = knot + whole - 1
+        else:
+            piece = np.searchsorted(t + late, t + instant, side="right")
+            knot = np.arange(piece[0], piece[-1])
+            step = np.searchsorted(piece, knot, side="right") - 1
         slope[:, j] = rate[piece, j]
         value[:, j] = level[piece, j] + slope[:, j] * (t - tau[j] - start[piece])
-        knot = np.arange(piece[0], piece[-1])
-        step = np.searchsorted(piece, knot, side="right") - 1
         rest = t[step + 1] - t[knot] - tau[j]
         breaks.append((np.full(len(knot), j), step, rest, jumps[knot, j]))
     parts = (np.concatenate(part) for part in zip(*breaks, strict=True))

@@ -14,7 +14,7 @@ of the signals, taken once a record instead of for every output.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 import scipy.linalg
@@ -23,8 +23,8 @@ from casid.arrays import Array
 from casid.shooting.sensitivity import Sums, Sweep, gathered
 from casid.threads import on_all_cores
 
-STEPS = 256  # samples of an interval whose signals are held at once
-BYTES = 4e6  # of signals held at once by a thread: they stay in the cache
+STEPS = 16  # samples of an interval whose signals are held at once
+BYTES = 1.5e6  # of signals held at once by a thread: they stay in the cache
 AT_ONCE = 8  # steps that one product filters
 ROUNDING = 1e-12  # by which powers of A_d may miss the space of the M_i, relative
 
@@ -83,6 +83,13 @@ class Powers:
         start[0] = np.sqrt(nx)
         return cls(M / scale, H, start)
 
+    def along(self, steps: int) -> Array:
+        """h_m of samples 0 to ``steps``, as rows (steps + 1, d)."""
+        found, H = self.start[None], self.H
+        while len(found) <= steps:
+            found, H = np.concatenate([found, found @ H.T]), H @ H
+        return found[: steps + 1]
+
     def ahead(self, steps: int) -> Array:
         """What h_0 at the first sample and what drives it at each make of h at the next, as rows.
 
@@ -100,32 +107,34 @@ class Powers:
 class Convolution:
     """The signals of a sweep, and what parameters, nodes and outputs make of them.
 
-    Signals stand in the order: those of the node (d), the filtered (channels x d), the direct ones,
-    one, the residuals.
+    Signals stand in the order: the filtered (d x channels), the direct ones, one, the residuals,
+    and those of the node (d).
     """
 
     def __init__(self, sweep: Sweep, powers: Powers) -> None:
         self.sweep, self.powers = sweep, powers
         e, m = sweep.e, sweep.matrices
-        _, drive, self._jumps = sweep.steps.uniform()
-        self._live = np.flatnonzero(drive.any(axis=(0, 2)))
-        self._direct = np.flatnonzero(sweep.drive.any(axis=(0, 2)))
-        self._W = sweep.W[0]
+        _, drive, jumps = sweep.steps.uniform()
+        live = np.flatnonzero(drive.any(axis=(0, 2)))
+        direct = np.flatnonzero(sweep.drive.any(axis=(0, 2)))
         d, nx, nf, ny = len(powers.M), e.nx, e.nf, e.ny
-        self._drive = drive[:, self._live].transpose(1, 0, 2).reshape(-1, nf)  # (live nx, nf)
-        moved = np.tensordot(powers.M, drive[:, self._live], axes=1)  # (d, nx, live, nf)
-        self._states = moved.transpose(2, 0, 1, 3).reshape(-1, nx, nf)
-        self._ahead = powers.ahead(AT_ONCE)
-        self.filtered = d * (1 + len(self._live))
-        self.count = self.filtered + len(self._direct) + 1 + ny
+        self._parts = sweep.motion.states, sweep.steps.inputs, jumps
+        self._live, self._direct = live, direct
+        self._drive = drive[:, live].transpose(1, 0, 2).reshape(-1, nf)  # (live nx, nf)
+        moved = np.tensordot(powers.M, drive[:, live], axes=1)  # (d, nx, live, nf)
+        self._states = moved.transpose(0, 2, 1, 3).reshape(-1, nx, nf)
+        self._ahead = np.ascontiguousarray(powers.ahead(AT_ONCE)[:, d:].T)
+        self._nodes = powers.along(int(sweep.layout.count.max(initial=0)))
+        self.filtered = d * len(live)
+        self._one = self.filtered + len(direct)
+        self.count = self._one + 1 + ny + d
         out = np.zeros((self.count, ny, nf + nx + ny + 1))
-        out[:d, :, nf : nf + nx] = m.C @ powers.M
-        out[d : self.filtered, :, :nf] = m.C @ self._states
-        one = self.filtered + len(self._direct)
-        out[self.filtered : one, :, :nf] = sweep.drive[:, self._direct].transpose(1, 0, 2)
-        out[one, :, nf + nx : -1] = np.eye(ny)
-        out[one + 1 :, :, -1] = np.eye(ny)
-        self._out = np.ascontiguousarray((self._W @ out).transpose(1, 0, 2))  # (ny, signals, nc)
+        out[: self.filtered, :, :nf] = m.C @ self._states
+        out[self.filtered : self._one, :, :nf] = sweep.drive[:, direct].transpose(1, 0, 2)
+        out[self._one, :, nf + nx : -1] = np.eye(ny)
+        out[self._one + 1 : -d, :, -1] = np.eye(ny)
+        out[-d:, :, nf : nf + nx] = m.C @ powers.M
+        self._out = np.ascontiguousarray((sweep.W[0] @ out).transpose(1, 0, 2))  # (ny, signals, nc)
 
     @property
     def pays(self) -> bool:
@@ -134,28 +143,28 @@ class Convolution:
 
     def sums(self) -> Sums:
         """Blocks of all records and intervals; the same however many threads there are."""
-        layout, d = self.sweep.layout, len(self.powers.M)
-        found = Sums.zeros(self.sweep.e)
-        signals = np.zeros((len(layout.records), self.count - d, self.count - d))
-        portions = list(self._portions())
-        for index, (gram, nodes, slopes) in zip(
+        layout, s = self.sweep.layout, self.count - len(self.powers.M)
+        found, whole = Sums.zeros(self.sweep.e), np.zeros((s, s))
+        totals = np.zeros((len(layout.records), s))
+        portions = self._portions()
+        for index, (gram, total, nodes, slopes) in zip(
             portions, on_all_cores(self._portion, portions), strict=True
         ):
-            signals[layout.record[index[0]]] += gram
+            whole += gram
+            np.add.at(totals, layout.record[index], total)
             found.nodes[layout.node[index]] = nodes
             found.slopes[layout.node[index]] = slopes
-        self._add_records(found.records, signals)
+        self._add_records(found.records, whole, totals)
         found.ends[layout.node] = self.sweep.motion.ends
         return found
 
-    def _add_records(self, records: Array, signals: Array) -> None:
-        """What the Gram matrices of each record's signals (records, s, s) add to `Sums.records`."""
-        whole, out = signals.sum(axis=0), self._out[:, len(self.powers.M) :]
-        for seen in out:
-            records[0] += seen.T @ (whole @ seen)
+    def _add_records(self, records: Array, whole: Array, totals: Array) -> None:
+        """What the signals' Gram matrix (s, s) and totals (records, s) add to `Sums.records`."""
+        out = self._out[:, : len(whole)]
+        records[0] += (out.transpose(0, 2, 1) @ (whole @ out)).sum(axis=0)
         # A bias moves each output by the signal that is one: each record's is that row of its own.
-        one, b = -1 - len(out), slice(-1 - len(out), -1)
-        rows = np.einsum("ob,orc->rbc", out[:, one, b], signals[:, one] @ out)
+        b = slice(-1 - len(out), -1)
+        rows = np.einsum("ob,orc->rbc", out[:, self._one, b], totals @ out)
         records[:, b], records[:, :, b] = rows, rows.transpose(0, 2, 1)
 
     def moments(self, weight: Array, last: Array) -> tuple[Array, Array]:
@@ -165,106 +174,109 @@ class Convolution:
         weights of the ends ``last`` (J, nx) and the nodes stand in the order of the layout.
         """
         d, nv = len(self.powers.M), weight.shape[1]
-        driven, at_nodes = np.zeros((nv, self.count)), np.zeros((len(last), nv, d))
-        portions = list(self._portions())
+        driven, at_nodes = np.zeros((self.filtered, nv)), np.zeros((len(last), nv, d))
+        portions = self._portions()
         moments = on_all_cores(partial(self._moments, weight=weight, last=last), portions)
         for index, (total, own) in zip(portions, moments, strict=True):
             driven += total
             at_nodes[index] = own
-        total = np.tensordot(driven[:, d : self.filtered], self._states, axes=1)
+        total = np.tensordot(driven.T, self._states, axes=1)
         return total, np.tensordot(at_nodes, self.powers.M, axes=1)
 
-    def _portions(self) -> Iterator[np.ndarray]:
-        """Rows of the layout, each portion of one record, the longest first."""
-        layout = self.sweep.layout
-        for record in range(len(layout.records)):
-            mine = np.flatnonzero(layout.record == record)
-            held = 8 * self.count * (1 + min(STEPS, int(layout.count[mine[0]])))
-            size = max(1, int(BYTES / held))
-            yield from (mine[k : k + size] for k in range(0, len(mine), size))
+    def _portions(self) -> list[np.ndarray]:
+        """Rows of the layout, the longest intervals first."""
+        size = max(1, int(BYTES / (8 * self.count * (STEPS + 1))))
+        count = len(self.sweep.layout.count)
+        return np.array_split(np.arange(count), -(-count // size))
 
-    def _portion(self, index: np.ndarray) -> tuple[Array, Array, Array]:
-        """Gram matrix of the signals, the node's rows and the slopes of the ends of intervals."""
-        count, d, n = self.sweep.layout.count[index], len(self.powers.M), len(index)
-        gram = np.zeros((self.count - d, self.count - d))
-        cross = np.zeros((d, n * self.count))
-        ends = np.empty((n, self.filtered))
+    def _portion(self, index: np.ndarray) -> tuple[Array, Array, Array, Array]:
+        """Gram matrix and totals of signals, the node's rows and the slopes of the ends."""
+        count, d = self.sweep.layout.count[index], len(self.powers.M)
+        s = self.count - d
+        gram, cross = np.zeros((s, s)), np.zeros((self.count, d + 1, len(index)))
+        ends = np.empty((len(index), self.count))
         for first, Z in self._signals(index):
-            K, node = len(Z) - 1, Z[:-1, 0, :d].copy()
-            for j in np.flatnonzero((count > first) & (count <= first + K)):
-                ends[j] = Z[count[j] - first, j, : self.filtered]
-            for j in np.flatnonzero(count < first + K):
-                Z[max(count[j] - first, 0) : K, j] = 0.0
-            rows = Z[:K].reshape(K * n, -1)[:, d:]
-            gram += rows.T @ rows
-            cross += node.T @ Z[:K].reshape(K, -1)
-        return gram, self._of_nodes(cross.reshape(d, n, -1)), self._of_ends(ends)
+            K, n = Z.shape[1] - 1, Z.shape[2]
+            ending = np.flatnonzero(count[:n] <= first + K)
+            ends[ending] = Z[:, count[ending] - first, ending].T
+            if len(ending):
+                Z[:, :K] *= first + np.arange(K)[:, None] < count[:n]
+            rows = Z.reshape(self.count, -1)[:s, : K * n]
+            gram += rows @ rows.T
+            along = np.vstack([self._nodes[first : first + K].T, np.ones((1, K))])
+            cross[:, :, :n] += along @ Z[:, :K]
+        return gram, cross[:s, d].T, self._of_nodes(cross[:, :d]), self._of_ends(ends)
 
     def _moments(self, index: np.ndarray, weight: Array, last: Array) -> tuple[Array, Array]:
-        """Of a portion, by the signals (nv, signals) and by the powers for each (n, nv, d)."""
+        """Of a portion, by the filtered signals (filtered, nv) and by the powers (n, nv, d)."""
         layout, d, nv = self.sweep.layout, len(self.powers.M), weight.shape[1]
         count, start = layout.count[index], layout.start[index]
-        total, own = np.zeros((nv, self.count)), np.zeros((len(index), nv, d))
+        total, own = np.zeros((self.filtered, nv)), np.zeros((len(index), nv, d))
         for first, Z in self._signals(index):
-            K, left = len(Z) - 1, count - first
-            at = np.arange(K)[:, None]
-            V = np.zeros((K + 1, len(index), nv))
-            V[:-1] = weight[start + np.minimum(first + at, count - 1)] * (at < left)[:, :, None]
-            ending = np.flatnonzero((left > 0) & (left <= K))
+            K, n = Z.shape[1] - 1, Z.shape[2]
+            at, left = np.arange(K)[:, None], count[:n] - first
+            V = np.zeros((K + 1, n, nv))
+            V[:-1] = weight[start[:n] + np.minimum(first + at, count[:n] - 1)]
+            V[:-1] *= (at < left)[:, :, None]
+            ending = np.flatnonzero(left <= K)
             V[left[ending], ending, : last.shape[1]] += last[index[ending]]
-            Z[-1, :, self.filtered :] = 0.0
-            total += V.reshape(-1, nv).T @ Z.reshape(-1, self.count)
-            own += V.transpose(1, 2, 0) @ Z[:, 0, :d]
+            total += Z[: self.filtered].reshape(self.filtered, -1) @ V.reshape(-1, nv)
+            own[:n] += V.transpose(1, 2, 0) @ self._nodes[first : first + K + 1]
         return total, own
 
     def _signals(self, index: np.ndarray) -> Iterator[tuple[int, Array]]:
-        """First sample and signals (K + 1, n, signals) of intervals, K samples and the next."""
-        count, d = self.sweep.layout.count[index], len(self.powers.M)
-        y: Array = np.zeros((len(index), self.filtered // d, d))
-        y[:, 0] = self.powers.start
-        Z = np.empty((min(STEPS, int(count[0])) + 1, len(index), self.count))
-        for first in range(0, int(count[0]), STEPS):
-            K = min(STEPS, int(count[0]) - first)
-            y = self._filter(index, first, Z[: K + 1], y)
-            yield first, Z[: K + 1]
+        """First sample and signals (signals, K + 1, n) of the n intervals of K samples there.
 
-    def _filter(self, index: np.ndarray, first: int, Z: Array, y: Array) -> Array:
-        """Write the signals of K samples and of the next into Z (K + 1, n, signals)."""
-        sweep, layout, f = self.sweep, self.sweep.layout, self.filtered
-        (K, n), start = (len(Z) - 1, len(index)), layout.start[index]
-        at = start + np.minimum(first + np.arange(K)[:, None], layout.count[index] - 1)
-        both = np.concatenate([sweep.motion.states[at], sweep.steps.inputs[at]], axis=2)
-        V = np.concatenate([both, self._jumps[at]], axis=2)[:, :, self._live]
-        one = f + len(self._direct)
-        Z[:-1, :, f:one] = both[:, :, self._direct]
-        Z[:-1, :, one] = 1.0
-        Z[:-1, :, one + 1 :] = sweep.motion.residuals[at]
-        d = y.shape[-1]
+        With those after the last; past the end of an interval they mean nothing.
+        """
+        count, start = self.sweep.layout.count[index], self.sweep.layout.start[index]
+        f, d = self.filtered, len(self.powers.M)
+        live = f // d
+        y: Array = np.zeros((d, live, len(index)))
+        for first in range(0, int(count[0]), STEPS):
+            n, K = int((count > first).sum()), min(STEPS, int(count[0]) - first)
+            at = start[:n] + np.minimum(first + np.arange(K)[:, None], count[:n] - 1)
+            every = np.concatenate([part[at] for part in self._parts], axis=2).transpose(2, 0, 1)
+            Z = np.empty((self.count, K + 1, n))
+            Z[f : self._one, :-1], Z[self._one], Z[f:-d, -1] = every[self._direct], 1.0, 0.0
+            Z[self._one + 1 : -d, :-1] = self.sweep.motion.residuals[at].transpose(2, 0, 1)
+            Z[-d:] = self._nodes[first : first + K + 1].T[:, :, None]
+            y = self._filter(every[self._live], y[:, :, :n], Z[:f].reshape(d, live, K + 1, n))
+            yield first, Z
+
+    def _filter(self, V: Array, y: Array, into: Array) -> Array:
+        """Write what filtering V (channels, K, n) makes of y (d, channels, n) into (.., K + 1, n).
+
+        Returns the last of it.
+        """
+        (live, K, n), d = V.shape, len(y)
+        into[:, :, 0] = y
         for k in range(0, K, AT_ONCE):
-            some = V[k : k + AT_ONCE].transpose(1, 2, 0)
-            both = np.zeros((n, f // d, d + AT_ONCE))
-            both[:, :, :d] = y
-            both[:, 1:, d : d + some.shape[2]] = some
-            made = (both.reshape(-1, d + AT_ONCE) @ self._ahead).reshape(n, f // d, -1, d)
-            made = made[:, :, : some.shape[2] + 1].transpose(2, 0, 1, 3)
-            Z[k : k + len(made) - 1, :, :f] = made[:-1].reshape(-1, n, f)
-            y = made[-1]
-        Z[K, :, :f] = y.reshape(n, f)
+            some = V[:, k : k + AT_ONCE].transpose(1, 0, 2)
+            both = np.concatenate([y, some]).reshape(-1, live * n)
+            made = self._ahead[: d * len(some), : len(both)] @ both
+            into[:, :, k + 1 : k + len(some) + 1] = made.reshape(-1, d, live, n).transpose(
+                1, 2, 0, 3
+            )
+            y = made.reshape(-1, d, live, n)[-1]
         return y
 
+    @cached_property
+    def _felt(self) -> tuple[Array, Array]:
+        """What the node feels of unfiltered signals, (p d, nx nc), and of filtered, (d², nx²)."""
+        e, d = self.sweep.e, len(self.powers.M)
+        of_node = self._out[:, -d:, e.nf : e.nf + e.nx]  # W C M_i, (ny, d, nx)
+        plain = np.einsum("cix,csz->sixz", of_node, self._out[:, self.filtered :], optimize=True)
+        driven = np.einsum("cix,cjz->jixz", of_node, of_node, optimize=True)
+        return plain.reshape(plain.shape[0] * d, -1), driven.reshape(d * d, -1)
+
     def _of_nodes(self, cross: Array) -> Array:
-        """Rows (n, nx, nc) of the nodes from Σ h zᵀ (d, n, signals)."""
-        e, (d, n, signals) = self.sweep.e, cross.shape
-        of_node = self._out[:, :d, e.nf : e.nf + e.nx]
-        plain = np.r_[:d, self.filtered : signals]
-        through = np.einsum(
-            "cix,is->cxs", of_node, cross[:, :, plain].reshape(d, -1), optimize=True
-        )
-        rows = np.matmul(through.reshape(e.ny, e.nx * n, -1), self._out[:, plain]).sum(axis=0)
-        rows = rows.reshape(e.nx, n, -1).transpose(1, 0, 2).copy()
+        """Rows (n, nx, nc) of the nodes from Σ z hᵀ (signals, d, n)."""
+        e, (_, d, n) = self.sweep.e, cross.shape
+        plain, felt = self._felt
+        rows = (cross[self.filtered :].reshape(-1, n).T @ plain).reshape(n, e.nx, -1)
         # What parameters drive is felt as what nodes are: W C M_i, for each of the signals' i.
-        felt = np.einsum("cix,cjz->ijxz", of_node, of_node).reshape(d * d, -1)
-        driven = cross[:, :, d : self.filtered].reshape(d, n, -1, d).transpose(1, 2, 0, 3)
+        driven = cross[: self.filtered].reshape(d, -1, d, n).transpose(3, 1, 0, 2)
         driven = (driven.reshape(-1, d * d) @ felt).reshape(n, -1, e.nx, e.nx).swapaxes(1, 2)
         rows[:, :, : e.nf] += driven.reshape(n, e.nx, -1) @ self._drive
         return np.asarray(rows)
@@ -273,6 +285,7 @@ class Convolution:
         """Derivatives (n, nx, nf + nx + ny) of the end states from the signals there."""
         e, d = self.sweep.e, len(self.powers.M)
         slopes = np.zeros((len(ends), e.nx, e.nf + e.nx + e.ny))
-        slopes[:, :, : e.nf] = np.tensordot(ends[:, d:], self._states, axes=1)
-        slopes[:, :, e.nf : e.nf + e.nx] = np.tensordot(ends[:, :d], self.powers.M, axes=1)
+        driven = ends[:, : self.filtered] @ self._states.reshape(self.filtered, -1)
+        slopes[:, :, : e.nf] = driven.reshape(-1, e.nx, e.nf)
+        slopes[:, :, e.nf : e.nf + e.nx] = np.tensordot(ends[:, -d:], self.powers.M, axes=1)
         return slopes

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from casid.arrays import Array, BoolArray
+from casid.assembly import by_number
 
 CovarianceKind = Literal["diagonal", "full"]
 EM_STEPS, EM_SETTLED = 500, 1e-12
@@ -91,4 +92,7 @@ class Noise:
 
 def moments_of(residuals: Array, pattern: np.ndarray, patterns: int) -> Array:
     """Σ r rᵀ of every pattern, (P, ny, ny), from residuals (N, ny) that are 0 where missing."""
-    return np.array([residuals[pattern == p].T @ residuals[pattern == p] for p in range(patterns)])
+    moments = np.zeros((patterns, residuals.shape[1], residuals.shape[1]))
+    for p, mine in by_number(pattern, patterns):
+        moments[p] = residuals[mine].T @ residuals[mine]
+    return moments

@@ -12,7 +12,8 @@ is `casid.shooting.newton`.
 """
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -51,6 +52,17 @@ class Blocks:
     c_lam: Array
     sweep: Sweep
 
+    def scaled(self, l: Array, b: Array, n: Array) -> "Blocks":
+        """The same for variables whose units are so many times as large."""
+        return Blocks(
+            Hll=self.Hll * np.outer(l, l), Hlb=self.Hlb * np.outer(l, b),
+            Hbb=self.Hbb * np.outer(b, b), Hln=self.Hln * np.outer(l, n),
+            Hbn=self.Hbn * np.outer(b, n), Hnn=self.Hnn * np.outer(n, n),
+            gl=self.gl * l, gb=self.gb * b, gn=self.gn * n, ends=self.ends,
+            slope_l=self.slope_l * (l / n[:, None]), slope_n=self.slope_n * (n / n[:, None]),
+            slope_b=self.slope_b * (b / n[:, None]), c_lam=self.c_lam * l, sweep=self.sweep,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, eq=False)
 class Values:
@@ -85,10 +97,7 @@ class Programme:
         self.record = layout.record[back]
         self.links = np.flatnonzero(~layout.last[back])  # nodes with a successor
         self.n = max(layout.observations, 1)
-        rows = len(self.links) * evaluator.nx + len(free.model.constraints())
         self.knowledge = Knowledge(free, noise, self.record)
-        self._hessian_pattern = Pattern(*self.hessian_places(), size=self.size)
-        self.jacobian_pattern = Pattern(*self._jacobian_entries(), size=self.size, rows=rows)
         self._forget()
 
     def variant(
@@ -204,13 +213,23 @@ class Programme:
                 self._blocks = key, self._sum(self.unpack(x), self.values(x))
         return self._blocks[1]
 
-    def balanced(self, point: Point) -> Scales:
-        """Scales that make the curvature per observation one, at most the present ones."""
+    def balanced(self, point: Point) -> "Programme":
+        """The same in units that make the curvature per observation one, at most the present ones.
+
+        What is known at the point goes with it.
+        """
         # IPOPT's tolerance is then relative to the noise, whatever the noise is.
-        blocks, s = self.blocks(self.pack(point)), self.scales
+        x, s = self.pack(point), self.scales
+        blocks = self.blocks(x)
         H = np.diag(blocks.Hll), np.diag(blocks.Hbb.sum(axis=0)), np.diag(blocks.Hnn.sum(axis=0))
-        unit = [1 / np.sqrt(np.maximum(h / self.n, 1.0)) for h in H]
-        return Scales(s.lam * unit[0], s.bias * unit[1], s.state * unit[2])
+        lam, bias, state = (1 / np.sqrt(np.maximum(h / self.n, 1.0)) for h in H)
+        other = self.variant(scales=Scales(s.lam * lam, s.bias * bias, s.state * state))
+        values, gaps = self.values(x), len(self.links) * len(state)
+        g = np.append(values.g[:gaps] / np.tile(state, len(self.links)), values.g[gaps:])
+        key = other.pack(point).tobytes()
+        other._seen = key, replace(values, g=g)
+        other._blocks = key, blocks.scaled(lam, bias, state)
+        return other
 
     def _sum(self, point: Point, values: "Values") -> Blocks:
         e, s = self.evaluator, self.scales
@@ -285,6 +304,16 @@ class Programme:
         blocks = self.blocks(x)
         bias = [blocks.gb.ravel()] if self.biases else []
         return np.concatenate([blocks.gl, *bias, blocks.gn.ravel()]) / self.n
+
+    @cached_property
+    def _hessian_pattern(self) -> Pattern:
+        return Pattern(*self.hessian_places(), size=self.size)
+
+    @cached_property
+    def jacobian_pattern(self) -> Pattern:
+        """Places of the constraints' Jacobian."""
+        rows = len(self.links) * self.evaluator.nx + len(self.free.model.constraints())
+        return Pattern(*self._jacobian_entries(), size=self.size, rows=rows)
 
     def _jacobian_entries(self) -> tuple[np.ndarray, np.ndarray]:
         l, b, n = self._places()

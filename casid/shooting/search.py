@@ -117,7 +117,7 @@ class Search:
                 return Outcome(programme, solution, iterations, rounds - 1, False)
             last, point = programme, programme.unpack(solution.x)
             loose = last.variant(noise=noise)
-            programme = loose.variant(scales=loose.balanced(point))
+            programme = loose.balanced(point)
             before = programme.values(programme.pack(point)).R
             warm = _carried(solution, last, programme)
             solution = self._solve(programme, point, warm, rounds, self.options)
@@ -225,7 +225,7 @@ class Search:
         loose = last.variant(noise=noise, evaluator=evaluator, free=free)
         if outcome.solution.success and self._leads_back(loose, outcome.solution.x):
             return outcome.failed("it is best where the outcome's own stretch begins")
-        programme = loose.variant(scales=loose.balanced(point))
+        programme = loose.balanced(point)
         warm = _carried(outcome.solution, last, programme)
         rounds = outcome.rounds + 1
         solution = self._solve(programme, point, warm, rounds, self.options)

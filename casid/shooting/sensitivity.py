@@ -26,7 +26,7 @@ from casid.record import Record
 from casid.shooting.gains import Gains
 from casid.shooting.intervals import Layout
 from casid.shooting.kalman import filter_gains
-from casid.shooting.stepping import Breaks, Steps, collect_breaks
+from casid.shooting.stepping import Steps, propagated
 from casid.shooting.unknowns import FilterFunction, FilterMatrices, GainUnknowns, NoiseUnknowns
 
 LATE = 1e-6  # of a sampling interval: the delay that stands for 0 if it may grow
@@ -116,13 +116,13 @@ class Evaluator:
         self.constants = [model.states.index(name) for name in model.constant_states]
         self._within: Array | None = None
         self._held: tuple[bytes, list[DelayedInput]] | None = None
-        self._breaks: tuple[bytes, Breaks] | None = None
+        self._steps: tuple[FilterMatrices, Gains | None, Steps] | None = None
         self._gains: tuple[bytes, bool, Gains] | None = None
 
     def within(self, delays: Array | None) -> Self:
         """The same, samples passed as for these delays (nu,) instead of τ; NaN follows τ."""
         other = copy.copy(self)
-        other._within, other._held, other._breaks = delays, None, None
+        other._within, other._held, other._steps = delays, None, None
         return other
 
     def sweep(self, point: Point, motion: Motion, W: Array) -> "Sweep":
@@ -152,13 +152,11 @@ class Evaluator:
             self._held = key, [self._held_by(m, record) for record in self.layout.records]
         return self._held[1]
 
-    def steps(self, m: FilterMatrices, *, slopes: bool, gains: Gains | None) -> Steps:
-        """The steps of all intervals; a simulation and its derivatives share the breaks."""
-        held, key = self.held(m), m.tau.tobytes() + m.A.tobytes()
-        if self._breaks is None or self._breaks[0] != key:
-            self._breaks = key, collect_breaks(held, [r.hold for r in self.layout.records], m.A)
-        given = self.layout, held, self.filtering
-        return Steps(m, *given, slopes=slopes, gains=gains, breaks=self._breaks[1])
+    def steps(self, m: FilterMatrices, gains: Gains | None) -> Steps:
+        """The steps of all intervals; a sweep mostly follows a simulation, which has made them."""
+        if self._steps is None or self._steps[0] is not m or self._steps[1] is not gains:
+            self._steps = m, gains, Steps(m, self.layout, self.held(m), self.filtering, gains)
+        return self._steps[2]
 
     def gains(self, lam: Array, *, slopes: bool = False) -> Gains | None:
         """Kalman gains at the unknowns (nf,); None unless noises are estimated."""
@@ -202,13 +200,17 @@ class Evaluator:
         """States and residuals over all intervals."""
         layout, m = self.layout, self.matrices(point.lam)
         gains = self.gains(point.lam)
-        steps = self.steps(m, slopes=False, gains=gains)
+        steps = self.steps(m, gains)
         seen = layout.patterns[layout.pattern]
         bias = np.repeat(point.bias, [record.N for record in layout.records], axis=0)
         r = steps.inputs[:, : self.nu] @ m.D.T + bias - layout.y
-        forcing, states = steps.forcing(), np.empty((len(layout.y), self.nx))
-        ends = np.empty((len(layout.count), self.nx))
-        x, active = point.nodes[layout.node], counts(layout.count)
+        forcing, nodes = steps.forcing(), point.nodes[layout.node]
+        if not self.filtering and len(layout.classes) == 1:
+            Ad = steps.uniform()[0]
+            states, ends = propagated(Ad, forcing, nodes, layout.start, layout.count)
+            return Motion(states, (r + states @ m.C.T) * seen, ends)
+        states, ends = np.empty_like(forcing), np.empty_like(nodes)
+        x, active = nodes, counts(layout.count)
         for k, n in enumerate(active):
             at = layout.start[:n] + k
             states[at] = x = x[:n]
@@ -236,7 +238,7 @@ class Sweep:
         self.matrices = m = evaluator.matrices(point.lam)
         self.gains = gains = evaluator.gains(point.lam, slopes=True)
         self.W, self.kind = (W, layout.pattern) if gains is None else (gains.W, gains.which)
-        self.steps = evaluator.steps(m, slopes=True, gains=gains)
+        self.steps = evaluator.steps(m, gains)
         self.ns = evaluator.nf + evaluator.nx + (evaluator.ny if evaluator.filtering else 0)
         late = -m.D[:, :, None] * m.tau_lam
         self.drive = np.concatenate([m.C_lam, m.D_lam, late], axis=1)

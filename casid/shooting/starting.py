@@ -58,7 +58,7 @@ def starting_programme(
         loose = Programme(evaluator, free, scales, noise_of(evaluator, None, R), biases)
         noise = noise_of(evaluator, loose.values(loose.pack(point)).R, R)
     programme = Programme(evaluator, free, scales, noise, biases)
-    return programme.variant(scales=programme.balanced(point)), point
+    return programme.balanced(point), point
 
 
 def neighbouring_programme(
@@ -77,7 +77,7 @@ def neighbouring_programme(
     known = noise_of(evaluator, near.R if given is None else given, kind)
     point, scales = _smoothed(evaluator, free, known, start, biases)
     programme = Programme(evaluator, free, scales, noise_of(evaluator, given, kind), biases)
-    return programme.variant(scales=programme.balanced(point)), point
+    return programme.balanced(point), point
 
 
 def continued_programme(
@@ -95,7 +95,7 @@ def continued_programme(
         loose = Programme(e, free, scales, noise_of(e, None, R), last.biases)
         noise = noise_of(e, loose.values(loose.pack(point)).R, R)
     programme = Programme(e, free, scales, noise, last.biases)
-    return programme.variant(scales=programme.balanced(point)), point
+    return programme.balanced(point), point
 
 
 def _start(evaluator: Evaluator, free: Free) -> Point:

@@ -28,6 +28,7 @@ from casid.shooting.unknowns import FilterMatrices
 
 Slopes: TypeAlias = tuple[Array, Array]  # a value and its derivative
 
+AT_ONCE = 8  # steps that one product makes
 MANY = 8  # distinct intervals within a factor of two that are worth interpolating
 EXACT = 1e-15  # interpolation error, relative
 SHORT = 2.0**-8  # of the longest: intervals below are interpolated down to zero
@@ -46,39 +47,70 @@ class Breaks:
 def collect_breaks(held: Sequence[DelayedInput], holds: Sequence[Hold], A: Array) -> Breaks:
     """The breaks of all records; where they are irregular A (nx, nx) sets the number of nodes."""
     columns: dict[tuple[int, int, float], int] = {}
-    entries: list[tuple[np.ndarray, np.ndarray, Array]] = []
+    entries: list[tuple[slice, np.ndarray, np.ndarray, Array]] = []
     first = 0
     for record, hold in zip(held, holds, strict=True):
-        for j in np.unique(record.channel):
-            mine = np.flatnonzero((record.channel == j) & (record.jump != 0))
+        live, samples = np.flatnonzero(record.jump), slice(first, first + len(record.value))
+        for mine in np.split(live, np.flatnonzero(np.diff(record.channel[live])) + 1):
             rest, place = distinct(record.rest[mine], record.instant)
             for members in octaves(rest):
                 nodes, weights = interpolation(rest[members], A)
-                keys = [(int(j), ORDER[hold], float(np.round(r, 14))) for r in nodes]
+                keys = [
+                    (record.channel[mine[0]], ORDER[hold], round(r, 14)) for r in nodes.tolist()
+                ]
                 number = np.array([columns.setdefault(key, len(columns)) for key in keys])
                 row = np.full(len(rest), -1)
                 row[members] = np.arange(len(members))
                 here = np.flatnonzero(row[place] >= 0)
                 share = weights[row[place[here]]]
                 jump = record.jump[mine[here], None] * share
-                entries.append((first + record.step[mine[here]], number, jump))
-        first += len(record.value)
-    jumps = np.zeros((first, len(columns)))
-    for row, number, share in entries:
-        if (np.diff(row) > 0).all():
-            jumps[row[:, None], number] += share
-        else:  # several breaks in a step
-            np.add.at(jumps, (row[:, None], number), share)
+                entries.append((samples, record.step[mine[here]], number, jump))
+        first = samples.stop
+    by_column = np.zeros((len(columns), first))
+    for samples, step, number, share in entries:
+        for n, part in zip(number, share.T, strict=True):
+            by_column[n, samples] += np.bincount(step, part, samples.stop - samples.start)
+    jumps = np.ascontiguousarray(by_column.T)
     channel, order, rest = np.array(list(columns), dtype=float).reshape(-1, 3).T
     return Breaks(jumps, channel.astype(int), order.astype(int), rest)
+
+
+def propagated(
+    Ad: Array, forcing: Array, x: Array, start: np.ndarray, count: np.ndarray
+) -> tuple[Array, Array]:
+    """States (N, nx) at the samples of intervals from nodes x (J, nx), and at their ends.
+
+    Of steps alike, x_{k+1} = A_d x_k + f_k with f (N, nx), the longest intervals first: a product
+    makes several steps of all.
+    """
+    nx, states, ends = len(Ad), np.empty_like(forcing), np.empty_like(x)
+    maps = np.zeros((1 + AT_ONCE, nx, AT_ONCE, nx))  # of state and forcings to the states ahead
+    power = np.eye(nx)
+    for k in range(AT_ONCE):
+        for later in range(k, AT_ONCE):
+            maps[1 + later - k, :, later] = power.T
+        power = Ad @ power
+        maps[0, :, k] = power.T
+    for first in range(0, int(count[0]), AT_ONCE):
+        n = int((count > first).sum())
+        left, ahead = count[:n, None] - first, np.arange(AT_ONCE)
+        at = start[:n, None] + first + np.minimum(ahead, left - 1)
+        driven = np.hstack([x[:n], forcing[at].reshape(n, -1)])
+        after = (driven @ maps.reshape(-1, AT_ONCE * nx)).reshape(n, AT_ONCE, nx)
+        along = np.concatenate([x[:n, None], after], axis=1)
+        within = ahead < left
+        states[at[within]] = along[:, :-1][within]
+        ending = np.flatnonzero(left <= AT_ONCE)
+        ends[ending] = along[ending, left[ending, 0]]
+        x = after[:, -1]
+    return states, ends
 
 
 class Steps:
     """The steps of all sampling intervals of a layout at one parameter set.
 
     ``held`` are the inputs of every record, ``filtering`` says whether innovations drive the
-    states, by ``gains`` if those change from sample to sample, ``slopes`` whether derivatives are
-    wanted; ``breaks`` are those of the inputs, where they are collected already.
+    states, by ``gains`` if those change from sample to sample.
     """
 
     def __init__(
@@ -87,16 +119,14 @@ class Steps:
         layout: Layout,
         held: Sequence[DelayedInput],
         filtering: bool,
-        slopes: bool,
         gains: Gains | None = None,
-        breaks: Breaks | None = None,
     ) -> None:
         self.nx, self.filtering, self._gains = len(matrices.A), filtering, gains
         self.inputs = np.hstack(
             [np.concatenate([getattr(part, name) for part in held]) for name in ("value", "slope")]
         )
         holds = [r.hold for r in layout.records]
-        self._breaks = breaks or collect_breaks(held, holds, matrices.A)
+        self._breaks = collect_breaks(held, holds, matrices.A)
         members = list(octaves(layout.classes))
         tables = [interpolation(layout.classes[each], matrices.A) for each in members]
         self._group_of = np.empty(len(layout.classes), dtype=int)
@@ -104,7 +134,7 @@ class Steps:
             self._group_of[each] = g
         where, edges = self._group_of[layout.step], np.cumsum([0, *(len(h) for h, _ in tables)])
         times = np.concatenate([*(h for h, _ in tables), self._breaks.rest])
-        self._maps = maps = _Maps(matrices, times, slopes)
+        self._maps = maps = _Maps(matrices, times)
         jump = maps.jump(self._breaks, int(edges[-1]))
         self._groups: list[_Group] = []
         for g, (each, (_, share)) in enumerate(zip(members, tables, strict=True)):
@@ -173,7 +203,9 @@ class Steps:
         Of steps of one length; the columns are states, inputs and the third, jumps (N, n).
         """
         (group,) = self._groups
-        return group.Ad[0], group.drive, self._breaks.jumps[:, group.columns]
+        jumps = self._breaks.jumps
+        every = len(group.columns) == jumps.shape[1]
+        return group.Ad[0], group.drive, jumps if every else jumps[:, group.columns]
 
     def delay_moments(self, p: Array) -> tuple[Array, Array]:
         """Second derivatives of Σ_k p_kᵀ x_{k+1} by the delays (nu,), and by delays and B (nx, nu).
@@ -197,16 +229,16 @@ class Steps:
 class _Maps:
     """Maps over intervals of given lengths (n,), and their derivatives by the unknowns."""
 
-    def __init__(self, matrices: FilterMatrices, times: Array, slopes: bool) -> None:
+    def __init__(self, matrices: FilterMatrices, times: Array) -> None:
         self.matrices = m = matrices
-        self._nf = m.A_lam.shape[2] if slopes else 0
-        self._moving = np.flatnonzero(m.A_lam.any(axis=(0, 1)))[: None if slopes else 0]
+        self._nf = m.A_lam.shape[2]
+        self._moving = np.flatnonzero(m.A_lam.any(axis=(0, 1)))
         self.P = integral_slopes(m.A, times, m.A_lam[:, :, self._moving])
         nx = len(m.A)
         self.E, self.E_lam = self.through(0, np.eye(nx), np.zeros((nx, nx, self._nf)))
         value, value_lam = self.through(1, m.B, m.B_lam)
         ramp, ramp_lam = self.through(2, m.B, m.B_lam)
-        ramp_lam -= value[..., None] * m.tau_lam[:, : self._nf]
+        ramp_lam -= value[..., None] * m.tau_lam
         self.G = np.concatenate([value, ramp], axis=2)
         self.G_lam = np.concatenate([value_lam, ramp_lam], axis=2)
         self.gain, self.gain_lam = self.through(1, m.K, m.K_lam)
@@ -214,7 +246,7 @@ class _Maps:
     def through(self, p: int, M: Array, M_lam: Array) -> tuple[Array, Array]:
         """P_p M (n, nx, k) and its derivative (n, nx, k, nf)."""
         P = self.P[p]
-        slope = np.tensordot(P[..., 0], M_lam[..., : self._nf], axes=1)
+        slope = np.tensordot(P[..., 0], M_lam, axes=1)
         slope[..., self._moving] += np.einsum("nija,jk->nika", P[..., 1:], M)
         return P[..., 0] @ M, slope
 
@@ -223,11 +255,11 @@ class _Maps:
         m, c = self.matrices, breaks.channel
         self._ahead = self.P[:, first:]
         P, b = self._ahead[breaks.order, np.arange(len(c))], m.B[:, c]
-        slope = np.einsum("cij,jca->ica", P[..., 0], m.B_lam[:, c, : self._nf])
+        slope = np.einsum("cij,jca->ica", P[..., 0], m.B_lam[:, c])
         slope[..., self._moving] += np.einsum("cija,jc->ica", P[..., 1:], b)
         earlier = self._ahead[breaks.order - 1, np.arange(len(c)), :, :, 0]
         late = np.einsum("cij,jc->ic", earlier, b)
-        slope -= late[..., None] * m.tau_lam[c, : self._nf]
+        slope -= late[..., None] * m.tau_lam[c]
         return np.einsum("cij,jc->ic", P[..., 0], b), slope
 
     def bend(self, breaks: Breaks, p: Array) -> tuple[Array, Array]:
@@ -294,6 +326,9 @@ def _joined(parts: Sequence[tuple[Any, Array]], n: int) -> Array:
 
 def octaves(h: Array) -> Iterator[np.ndarray]:
     """Intervals h (n,) that share one group: alone, or all within a factor of two if many."""
+    if len(h) < MANY:
+        yield from np.arange(len(h))[:, None]
+        return
     longest = h.max(initial=1e-300)
     bins = np.round(np.log2(np.maximum(h, SHORT * longest)))
     for octave in np.unique(bins):

@@ -164,10 +164,17 @@ class FilterFunction:
 
     def __init__(self, free: Free, more: GainUnknowns | NoiseUnknowns | None) -> None:
         self._matrices, self._more = MatrixFunction(free), more
+        self._last: tuple[bytes, FilterMatrices] | None = None
         self.nf: int = self._matrices.nf + (0 if more is None else len(more.start))
 
     def __call__(self, unknowns: Array) -> FilterMatrices:
-        """Matrices and derivatives at the unknowns (nf,)."""
+        """Matrices and derivatives at the unknowns (nf,); the same again if they are."""
+        key = unknowns.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, self._at(unknowns)
+        return self._last[1]
+
+    def _at(self, unknowns: Array) -> FilterMatrices:
         n, nf = self._matrices.nf, self.nf
         m, more = self._matrices(unknowns[:n]), self._more
         slopes, tau_lam, c_lam = (

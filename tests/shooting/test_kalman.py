@@ -54,7 +54,7 @@ def test_the_likelihood_is_that_of_a_filter_written_out_whatever_is_missing():
     told = evaluator.gains(lam).cost(motion.residuals)
     # It corrects the states at a sample, then predicts; what inputs do is tested elsewhere.
     held = evaluator.held(m)
-    forcing = Steps(m, evaluator.layout, held, True, slopes=False).forcing()
+    forcing = Steps(m, evaluator.layout, held, True).forcing()
     P, x, cost = np.zeros((3, 3)), x0, 0.0
     step = np.median(np.diff(record.t))
     Ad, Qd = noise_over(m.A, np.diag(m.Q), np.diff(record.t)[0])

@@ -70,3 +70,23 @@ def test_limits_are_bounds_in_units_of_the_variables_and_sides_of_constraints():
     k = free.names.index("Lp")
     assert (low[k] * unit[k], high[k] * unit[k]) == pytest.approx((-3.0, -1.0))
     np.testing.assert_array_equal(sides, [[0.0, 0.0], [0.0, 9.0]])
+
+
+@pytest.mark.parametrize("filtering", [False, True])
+def test_balanced_units_carry_over_what_is_known_at_the_point(filtering):
+    records = [flown(seed=1).between(0, 4), flown(seed=2).between(0, 3)]
+    free = free_parameters(Tied(), fixed=("Lped",))
+    more = GainUnknowns(GAIN, free=True) if filtering else None
+    evaluator = Evaluator(free, lay_out(records, 1.0), more)
+    R = np.diag([0.1, 0.01, 0.01])
+    programme, point = starting_programme(evaluator, free, R, True)
+    loose = programme.variant(noise=noise_of(evaluator, None, "diagonal"))
+    carried = loose.balanced(point)
+    fresh, x = loose.variant(scales=carried.scales), carried.pack(point)
+    assert np.abs(carried.scales.lam / loose.scales.lam - 1).max() > 0.1  # other units
+    evaluator.simulate = None  # nothing is evaluated again
+    carried = carried.gradient(x), carried.jacobian(x), carried.hessian(x), carried.values(x).g
+    del evaluator.simulate
+    fresh = fresh.gradient(x), fresh.jacobian(x), fresh.hessian(x), fresh.values(x).g
+    for one, other in zip(carried, fresh, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())

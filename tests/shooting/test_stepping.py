@@ -11,7 +11,7 @@ from truths.closed_roll import TRUTH, flown, jittered
 from casid.free import free_parameters
 from casid.intersample import delayed_input
 from casid.shooting.intervals import lay_out
-from casid.shooting.stepping import Steps
+from casid.shooting.stepping import Steps, propagated
 from casid.shooting.unknowns import FilterFunction, GainUnknowns
 
 FREE = free_parameters(TRUTH)
@@ -22,7 +22,7 @@ def stepped(record, matrices, gain=None):
     """States, and forcing alone, one step after every sample from given states."""
     layout = lay_out([record], 1e9)
     held = [delayed_input(record.t, record.u, matrices.tau, record.hold)]
-    return Steps(matrices, layout, held, gain is not None, slopes=True), layout
+    return Steps(matrices, layout, held, gain is not None), layout
 
 
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
@@ -78,3 +78,18 @@ def test_derivatives_of_a_step_are_its_differences():
     p = rng.standard_normal((record.N, 3))
     back = np.einsum("ni,ni->n", steps.back(layout.step, p), d)  # the adjoint of the same map
     np.testing.assert_allclose(back, np.einsum("ni,in->n", p, by_x), rtol=1e-10)
+
+
+def test_states_of_intervals_are_those_of_one_step_after_the_other():
+    rng, nx = np.random.default_rng(8), 3
+    count = np.array([30, 17, 16, 8, 7, 1])  # some end between products
+    start = np.array([31, 0, 61, 77, 17, 24])
+    A, forcing = rng.standard_normal((nx, nx)) / 2, rng.standard_normal((85, nx))
+    nodes = rng.standard_normal((len(count), nx))
+    states, ends = propagated(A, forcing, nodes, start, count)
+    for node, end, first, n in zip(nodes, ends, start, count, strict=True):
+        x = node
+        for k in range(first, first + n):
+            np.testing.assert_allclose(states[k], x, atol=1e-12)
+            x = A @ x + forcing[k]
+        np.testing.assert_allclose(end, x, atol=1e-12)
