@@ -237,22 +237,29 @@ def flops(programme: race.Programme, shared: Convolution) -> tuple[float, float]
 
 
 @one_thread
-def times_the_bound(flown: Callable[[], tuple[SixDof, list[Record]]], interval: float) -> float:
-    """Time of output error over that of its least operations at the rate of a matrix product."""
+def times_the_bound(
+    flown: Callable[[], tuple[SixDof, list[Record]]], interval: float, tries: int = 5
+) -> float:
+    """Time of output error over that of its least operations at the rate of a matrix product.
+
+    Evaluations are one an iteration and one at the start; what line searches and second derivatives
+    add to them is in the time alone. Operations are those where the solve ends: a guess may have
+    fewer signals. Time and rate are the best of several.
+    """
     model, records = flown()
-    options = race.SolverOptions(ipopt=race.IPOPT, max_iterations=8)
-    programme, start, solution, built, whole = race.timed_casid(
-        model, records, race.R_TRUE, interval, options
-    )
-    sweep = programme.blocks(start).sweep
+    given = records, race.R_TRUE, interval, race.SolverOptions(ipopt=race.IPOPT, max_iterations=8)
+    runs = [race.timed_casid(model, *given) for _ in range(tries)]
+    seconds = min(whole - built for *_, built, whole in runs)
+    programme, _, solution, *_ = runs[0]
+    sweep = programme.blocks(solution.x).sweep
     powers = Powers.of(sweep.matrices.A, sweep.steps.uniform()[0])
     ways = flops(programme, Convolution(sweep, powers))
     square = np.random.default_rng(0).standard_normal((800, 800))
-    rate = 5 * 2 * 800**3 / timed(lambda: [square @ square for _ in range(5)])
+    rate = 2 * 800**3 / best(lambda: square @ square, 5 * tries)
     work = sum(record.N for record in records) * (solution.iterations + 1)
     print("operations a sample, of sensitivities and of signals:", *ways, file=sys.stderr)
-    print("whole and built [s]:", whole, built, "iterations:", solution.iterations, file=sys.stderr)
-    return (whole - built) * rate / (min(ways) * work)
+    print("solve [s], iterations:", seconds, solution.iterations, file=sys.stderr)
+    return seconds * rate / (min(ways) * work)
 
 
 # Name: what it is, its limit, the peer, how it is measured. A limit below zero is a least value.
@@ -296,7 +303,7 @@ FIGURES: dict[str, tuple[str, float, str, Callable[[], float]]] = {
         "the same, 10⁶ samples",
         4.0,
         "",
-        lambda: times_the_bound(lambda: (load.START, load.records(1_000_000, 5_000)), 5.0),
+        lambda: times_the_bound(lambda: (load.START, load.records(1_000_000, 5_000)), 5.0, 1),
     ),
     "million": ("output error, 10⁶ samples of 12 channels [s]", 60.0, "", long_output_error),
     "refits": (
