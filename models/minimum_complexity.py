@@ -1,10 +1,11 @@
 """A helicopter by its components: one structure for all speeds above transition, no schedules.
 
-Main rotor thrust by blade elements in a dynamic uniform inflow, tip-path-plane flapping, tail rotor
-in its settled inflow, flat-plate fuselage in the wake, tailplane that the wake may reach, fin that
-may stall, torque by power, Euler's equations: the minimum-complexity model of R. K. Heffley,
-M. A. Mnich (NASA CR-177476), lumped so that each parameter is felt. Geometry and ratios of inertia
-are known. Speed enters by itself: there are no trim curves, trims are answers.
+Main and tail rotor thrust by blade elements, tip-path-plane flapping, flat-plate fuselage in the
+wake, tailplane that the wake may reach, fin that may stall, torque by power, Euler's equations: the
+minimum-complexity model of R. K. Heffley, M. A. Mnich (NASA CR-177476), lumped so that each
+parameter is felt. Inflows are uniform and lag behind thrust by the mass of air that a rotor moves
+(G. J. Carpenter, B. Fridovich, NACA TN 3044; D. M. Pitt, D. A. Peters, Vertica 5, 1981). Geometry
+and ratios of inertia are known. Speed enters by itself: trims are answers, not curves.
 
 What identifies it: records in total values of all four controls from two or more speeds, their
 trims in them, with ax ay az p q r phi theta u, sharp enough for the rotor (20 Hz or more).
@@ -18,7 +19,12 @@ import casadi as ca
 from casid import NonlinearModel, Scalar, parameter
 
 
-def smooth_size(value: Any, width: float = 0.5) -> Any:  # noqa: ANN401
+def blade_flow(through: Any, squared: Any, pitch: Any, tip: float, twist: float) -> Any:  # noqa: ANN401
+    """Flow down through a disk as its blades meet it, without the one they induce [m/s]."""
+    return through + 2 / 3 * tip * pitch + squared / tip * (pitch - twist / 4)
+
+
+def smooth_size(value: Any, width: float = 0.1) -> Any:  # noqa: ANN401
     """|value|, rounded within its width."""
     return ca.sqrt(value**2 + width**2)
 
@@ -30,7 +36,7 @@ class MinimumComplexity(NonlinearModel):
     blades is in rad at three quarters of the radius.
     """
 
-    states = ("u", "v", "w", "p", "q", "r", "phi", "theta", "b1c", "b1s", "vi")
+    states = ("u", "v", "w", "p", "q", "r", "phi", "theta", "b1c", "b1s", "vi", "vi_tail")
     inputs = ("col", "lat", "lon", "ped")
     outputs = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "u")
 
@@ -63,9 +69,10 @@ class MinimumComplexity(NonlinearModel):
     Npower: Scalar = parameter(default=0.007, lower=0.0, upper=0.1, unit="s/m^2")
     Nprofile: Scalar = parameter(default=0.3, lower=0.0, upper=2.0, unit="1/s^2")
     Lixz: Scalar = parameter(default=0.4, lower=-0.8, upper=0.8, unit="-")
-    # Tail rotor: thrust by its flow, its arms.
+    # Tail rotor: thrust by its flow, inflow by thrust, its arms.
     tail_lift: Scalar = parameter(default=0.04, lower=0.005, upper=0.5, unit="1/s")
-    tail_flow: Scalar = parameter(default=15.0, lower=2.0, upper=60.0, unit="m/s")
+    tail_disk: Scalar = parameter(default=350.0, lower=50.0, upper=2000.0, unit="m")
+    tail_inflow: Scalar = parameter(default=1.5, lower=0.3, upper=5.0, unit="1/m")
     ped_0: Scalar = parameter(default=-0.1, lower=-0.8, upper=0.8, unit="rad")
     ped_gain: Scalar = parameter(default=0.5, lower=-1.5, upper=1.5, unit="rad")
     Ltail: Scalar = parameter(default=1.0, lower=-5.0, upper=5.0, unit="1/m")
@@ -73,6 +80,7 @@ class MinimumComplexity(NonlinearModel):
     # Fuselage, tailplane, fin.
     Xuu: Scalar = parameter(default=-0.0002, lower=-0.01, upper=0.0, unit="1/m")
     Yvv: Scalar = parameter(default=-0.003, lower=-0.05, upper=0.0, unit="1/m")
+    Zwake: Scalar = parameter(default=0.002, lower=-0.02, upper=0.02, unit="1/m")
     Mwake: Scalar = parameter(default=0.002, lower=-0.02, upper=0.02, unit="1/m^2")
     Muw: Scalar = parameter(default=-0.001, lower=-0.02, upper=0.0, unit="1/m^2")
     plane_0: Scalar = parameter(default=0.0, lower=-0.3, upper=0.3, unit="rad")
@@ -91,8 +99,7 @@ class MinimumComplexity(NonlinearModel):
     tail_up: float = 0.9  # m
     plane: float = 5.0  # m
     fin: float = 6.3  # m
-    fuselage_down: float = 1.5  # m, below the hub
-    plane_down: float = 1.1  # m
+    plane_down: float = 1.1  # m, below the hub
     radius: float = 5.5  # m
     Iyx: float = 4.0  # Iy / Ix
     Izx: float = 4.0  # Iz / Ix
@@ -104,52 +111,58 @@ class MinimumComplexity(NonlinearModel):
     def reference(self) -> dict[str, Any]:
         names = ("u", "theta", *self.inputs)
         u, theta = self.trim[:2]
-        known = {"w": u * theta, "vi": self.g * self.disk / u, "b1c": 0.04}
-        return known | dict(zip(names, self.trim, strict=True))
+        pitch, share = self.ped_0 + self.ped_gain * self.trim[-1], self.tail_lift * self.tail_disk
+        flow = blade_flow(0.0, u**2, pitch, self.tail_tip, self.tail_twist)
+        inflows = {"vi": self.g * self.disk / u, "vi_tail": flow * share / (u + share)}
+        return {"w": u * theta, "b1c": 0.04} | inflows | dict(zip(names, self.trim, strict=True))
 
     def rotor(self, x: Any, u: Any) -> tuple[Any, Any, Any]:  # noqa: ANN401
         """Thrust per mass, flow down through the disk by motion alone, square of the speed."""
         squared, pitch = x.u**2 + x.v**2, self.col_0 + self.col_gain * u.col
         through = x.w + (x.b1c - self.shaft) * x.u - x.b1s * x.v
-        blade = through + 2 / 3 * self.tip * pitch
-        blade += squared / self.tip * (pitch - self.twist / 4)
-        return self.lift * (blade - x.vi), through, squared
+        flow = blade_flow(through, squared, pitch, self.tip, self.twist)
+        return self.lift * (flow - x.vi), through, squared
 
-    def tail_rotor(self, x: Any, u: Any) -> tuple[Any, Any]:  # noqa: ANN401
-        """Thrust to the right per mass, and its inflow, settled."""
+    def tail_rotor(self, x: Any, u: Any) -> tuple[Any, Any, Any]:  # noqa: ANN401
+        """Thrust to the right per mass, flow through the disk by motion, square of the speed."""
         squared, pitch = x.u**2 + (x.w + x.q * self.tail) ** 2, self.ped_0 + self.ped_gain * u.ped
         through = -(x.v - x.r * self.tail + x.p * self.tail_up)
-        blade = through + 2 / 3 * self.tail_tip * pitch
-        blade += squared / self.tail_tip * (pitch - self.tail_twist / 4)
-        inflow = self.tail_flow * blade / (ca.sqrt(squared) + self.tail_flow)
-        for _ in range(2):  # of the implicit formula
-            speed = ca.sqrt(squared + (through - inflow) ** 2)
-            inflow = self.tail_flow * blade / (speed + self.tail_flow)
-        return self.tail_lift * (blade - inflow), inflow
+        flow = blade_flow(through, squared, pitch, self.tail_tip, self.tail_twist)
+        return self.tail_lift * (flow - x.vi_tail), through, squared
 
-    def fin_force(self, x: Any, wash: Any) -> Any:  # noqa: ANN401
+    def inflows(self, x: Any, u: Any) -> tuple[Any, Any]:  # noqa: ANN401
+        """How both inflows settle where momentum balances thrust."""
+        (T, through, squared), (side, across, along) = self.rotor(x, u), self.tail_rotor(x, u)
+        speed = ca.sqrt(squared + (through - x.vi) ** 2)
+        tail_speed = ca.sqrt(along + (across - x.vi_tail) ** 2)
+        return (
+            self.inflow * (self.disk * T - x.vi * speed),
+            self.tail_inflow * (self.tail_disk * side - x.vi_tail * tail_speed),
+        )
+
+    def fin_force(self, x: Any) -> Any:  # noqa: ANN401
         """To the right, per mass, with the tail rotor's wash."""
-        slip = (x.v + wash - x.r * self.fin) / x.u
+        slip = (x.v + x.vi_tail - x.r * self.fin) / x.u
         stalled = (1 + ca.tanh((slip**2 / self.stall - self.stall) / (2 * self.stall_width))) / 2
         flows, stalls = slip + self.fin_0, self.fin_stalled * slip * ca.sqrt(1 + slip**2)
         return self.Yfin * x.u**2 * ((1 - stalled) * flows + stalled * stalls)
 
     def pitching(self, x: Any) -> tuple[Any, Any]:  # noqa: ANN401
         """Force down per mass and moment of fuselage and tailplane, both met by the wake."""
-        down = smooth_size(x.vi - x.w)
+        wake, down = x.vi - x.w, smooth_size(x.vi - x.w)
         behind = x.u / down * self.plane_down - (self.plane - self.radius)
         within = 1 - behind / self.radius
         hit = within + smooth_size(within, 0.03)  # twice the share, 0 outside
         flow = x.w + x.q * self.plane - hit * x.vi + self.plane_0 * x.u
         body, plane = self.Mwake * x.u * down, self.Muw * x.u * flow
-        force = body / self.fuselage_down * down / x.u + plane / self.plane
-        return self.gyration * force, body + plane
+        force = self.Zwake * wake * down + self.gyration * plane / self.plane
+        return force, body + plane
 
     def aerodynamics(self, x: Any, u: Any) -> list[Any]:  # noqa: ANN401
         """Specific forces and angular accelerations."""
-        (T, through, squared), (side, wash) = self.rotor(x, u), self.tail_rotor(x, u)
+        (T, through, squared), (side, *_) = self.rotor(x, u), self.tail_rotor(x, u)
         (lat, lon), (heave, pitch) = self.cyclic(u), self.pitching(x)
-        fin = self.fin_force(x, wash)
+        fin = self.fin_force(x)
         X = -T * (x.b1c - self.shaft) + self.Xuu * x.u**2
         Y = T * x.b1s + side + fin + self.Yvv * x.v * smooth_size(x.v)
         L = (self.Lb1s + self.Lhub * T) * x.b1s + self.Lb1c * (x.b1c + lon)
@@ -179,11 +192,10 @@ class MinimumComplexity(NonlinearModel):
     def derivatives(self, x: Any, u: Any) -> Sequence[Scalar]:  # noqa: ANN401
         (X, Y, Z, *turns), tth = self.aerodynamics(x, u), ca.tan(x.theta)
         sphi, cphi, sth, cth = ca.sin(x.phi), ca.cos(x.phi), ca.sin(x.theta), ca.cos(x.theta)
-        (T, through, squared), (lat, lon) = self.rotor(x, u), self.cyclic(u)
+        (T, *_), (lat, lon) = self.rotor(x, u), self.cyclic(u)
         back = self.back + self.back_thrust * (T / self.g - 1)
         a = x.b1s - lat + self.coupling * x.b1c + self.side * back * x.v
         b = x.b1c + lon - self.coupling * x.b1s - back * x.u
-        speed = ca.sqrt(squared + (through - x.vi) ** 2)
         return [
             X - x.q * x.w + x.r * x.v - self.g * sth,
             Y - x.r * x.u + x.p * x.w + self.g * cth * sphi,
@@ -193,7 +205,7 @@ class MinimumComplexity(NonlinearModel):
             x.q * cphi - x.r * sphi,
             -self.flap * b - self.cross * a - x.q,
             -self.flap * a + self.cross * b - x.p,
-            self.inflow * (self.disk * T - x.vi * speed),
+            *self.inflows(x, u),
         ]
 
     def measurements(self, x: Any, u: Any) -> Sequence[Scalar]:  # noqa: ANN401

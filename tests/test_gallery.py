@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import scipy.integrate
+from scipy.optimize import brentq
 from truths.systems import known_black_box
 
 from benchmarks.structures import fit_exact, fit_measured, records, unseen
@@ -142,9 +143,16 @@ def test_more_thrust_goes_where_the_disk_is_tilted_and_turns_the_body_by_the_hub
     assert tilted[4] - Mb1s == pytest.approx((9.0 - 0.5 * thrust) * 0.1)
 
 
+def inflows(model, values):
+    """Rates of both inflows at a point, what it does not name as in the reference."""
+    point = SimpleNamespace(**dict.fromkeys((*model.states, *model.inputs), 0.0))
+    point.__dict__.update(dict(model.reference()) | values)
+    return [float(rate) for rate in model.inflows(point, point)]
+
+
 def test_a_rotor_by_its_components_has_the_damping_of_glauerts_inflow():
     # High-speed momentum theory, vi V = disk T: dT/dw = lift / (1 + lift disk / V), whatever else.
-    V, model = 45.0, replace(MinimumComplexity(), shaft=0.0, Muw=0.0, Mwake=0.0)
+    V, model = 45.0, replace(MinimumComplexity(), shaft=0.0, Muw=0.0, Mwake=0.0, Zwake=0.0)
     level = {"u": V, "w": 0.0, "vi": model.g * model.disk / V, "b1c": 0.0, "theta": 0.0}
     A = model.at(level).system().A
     w, vi = model.states.index("w"), model.states.index("vi")
@@ -154,6 +162,21 @@ def test_a_rotor_by_its_components_has_the_damping_of_glauerts_inflow():
     assert settled == pytest.approx(expected, rel=0.01)
 
 
+def test_a_tail_rotor_meets_a_sudden_slip_with_all_its_thrust_and_then_with_glauerts():
+    # As above; until the air is moving it has the thrust of blades in still air.
+    V, still = 45.0, dict.fromkeys(("Yfin", "Yvv"), 0.0)
+    model = replace(MinimumComplexity(), **still)
+    balanced = {"u": V, "w": 0.0, "b1s": 0.0, "ped": -model.ped_0 / model.ped_gain}
+    balanced["vi_tail"] = brentq(lambda vi: inflows(model, balanced | {"vi_tail": vi})[1], -9, 9)
+    A = model.at(balanced).system().A
+    v, vi = model.states.index("v"), model.states.index("vi_tail")
+    assert A[v, v] == pytest.approx(-model.tail_lift, rel=1e-6)
+    stream = 1 + model.tail_lift * model.tail_disk / V
+    assert A[vi, vi] == pytest.approx(-model.tail_inflow * V * stream, rel=0.01)
+    settled = A[v, v] - A[v, vi] * A[vi, v] / A[vi, vi]
+    assert settled == pytest.approx(-model.tail_lift / stream, rel=0.01)
+
+
 def test_a_rotor_by_its_components_tilts_by_its_cyclic_pitch_and_pays_for_climbing():
     still = dict.fromkeys(("coupling", "back", "back_thrust", "Lixz"), 0.0)
     model = replace(MinimumComplexity(), **still)
@@ -161,7 +184,7 @@ def test_a_rotor_by_its_components_tilts_by_its_cyclic_pitch_and_pays_for_climbi
 
     def f(**values):
         point = np.array([(dict(model.reference()) | values).get(name, 0.0) for name in names])
-        found = model.equations()(point[:11], point[11:], model.vector())[0].full().ravel()
+        found = model.equations()(point[:12], point[12:], model.vector())[0].full().ravel()
         return dict(zip(model.states, found, strict=True))
 
     lat, lon = model.lat_0 + model.lat_gain * 0.6, model.lon_0 + model.lon_gain * 0.7
@@ -183,7 +206,7 @@ def test_a_helicopter_by_its_components_turns_by_eulers_equations():
 
 
 def test_the_wake_reaches_the_tailplane_where_it_is_steep_enough():
-    model = MinimumComplexity(Mwake=0.0, Muw=-0.001)
+    model = MinimumComplexity(Mwake=0.0, Zwake=0.0, Muw=-0.001)
 
     def moment(u, vi):
         x = SimpleNamespace(u=u, w=0.0, q=0.0, vi=vi)
@@ -198,10 +221,12 @@ def test_the_wake_reaches_the_tailplane_where_it_is_steep_enough():
 
 
 def test_the_fuselage_is_pushed_where_the_wake_meets_it():
-    model = MinimumComplexity(Mwake=0.002, Muw=0.0)
-    force, moment = model.pitching(SimpleNamespace(u=30.0, w=1.0, q=0.0, vi=6.0))
-    ahead = model.fuselage_down * 30.0 / 5.0
-    assert moment * model.gyration == pytest.approx(force * ahead, rel=0.02)
+    model = MinimumComplexity(Mwake=0.002, Zwake=0.003, Muw=0.0)
+    for climb in (1.0, -1.0):
+        wake = SimpleNamespace(u=30.0, w=6.0 - 5.0 * climb, q=0.0, vi=6.0)
+        force, moment = model.pitching(wake)
+        assert force == pytest.approx(0.003 * 25.0 * climb, rel=0.01)
+        assert moment == pytest.approx(0.002 * 30.0 * 5.0, rel=0.01)
 
 
 def test_the_fixed_wing_by_coefficients_has_the_textbooks_modes():
