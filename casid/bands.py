@@ -22,7 +22,7 @@ from casid.baseline.handling import HandlingQualities, handling_qualities
 from casid.checks import check_level
 from casid.display import Shown, counted
 from casid.eigenmodes import Mode, deviations, may_meet, modes, pole_figures
-from casid.embedding import StructureError
+from casid.embedding import StructureError, missed_quantile
 from casid.fit import AnyFit
 from casid.frequency.response import FrequencyResponse
 from casid.model import Model
@@ -52,7 +52,8 @@ class ResponseBand(Shown):
     inputs, outputs : tuple of str
         Channels.
     missed : (K, ny, nu) array
-        (E|Δ|²)^½/abs(G) of what the structure misses, in both parts together; zero unless given.
+        Of what the structure misses, in both parts together and relative to abs(G), the standard
+        deviation of a normal number that is as seldom beyond the band; zero unless given.
     """
 
     omega: Array
@@ -197,8 +198,13 @@ def response_band(
         level=level,
         inputs=fit.model.inputs,
         outputs=fit.model.outputs,
-        missed=0.0 if error is None else error.at(omega) / size,
+        missed=0.0 if error is None else _as_normal(level) * error.at(omega) / size,
     )
+
+
+def _as_normal(level: float) -> float:
+    """Quantile of a structure's error over that of normal numbers."""
+    return missed_quantile(level) / float(scipy.special.ndtri(0.5 + level / 2))
 
 
 @one_thread

@@ -7,16 +7,17 @@ If the structure is true, E is the part of the black box's error ε that they ca
     E = (I - J K) ε,   K = (Jᵀ W J)⁻¹ Jᵀ W,   cov ε = F Fᵀ,
 
 J the slopes of the response, W the weights: that both come from the same records is allowed for.
-Of a band the distance is d = (Σ |E|² / Σ E|E|²)^½; ν d² is taken for χ² of ν = (tr V)²/tr V²
-degrees of freedom, V the covariance of E in it (F. E. Satterthwaite, Biometrics 2 (1946), 110), and
-the level, divided by the number of pairs and bands (Bonferroni), holds for all of them together.
+Of a band the distance is d = (Σ |E|² / Σ E|E|²)^½; d² is a sum of χ² weighted by the eigenvalues
+of E's covariance, over that of the residual spectrum, which the lines near the band give
+(`casid.weighted_squares`). The level, divided by the number of pairs and bands (Bonferroni), holds
+for all of them together.
 
 Where an input mostly comes back from the outputs a black box is rather the controller's inverse
 than the aircraft: no distance after that input is evidence, nor counts for the level.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -26,6 +27,7 @@ from casid.arrays import Array, BoolArray
 from casid.checks import check_asked
 from casid.display import Shown
 from casid.fit import AnyFit
+from casid.free import Free
 from casid.frequency.response import FrequencyResponse, response_of_pair
 from casid.missing_modes import Lacking, MissingMode
 from casid.model import Model
@@ -35,9 +37,13 @@ from casid.subspace.blackbox import BlackBox
 from casid.tabulation import markdown_table
 from casid.threads import one_thread
 from casid.values import storable
+from casid.weighted_squares import upper_limit
 
 OCTAVE = 8  # frequencies
 COHERENT = 0.6  # least coherence of a measured point, T&R section 7.5
+STARTS = 8  # of further searches
+SCATTER = 0.6  # of their starts, relative to where the structure came nearest before
+FEW = 0.1  # share of pairs and bands far, below which one of these may find another minimum
 CELLS = 1.5  # spectral lines 2π/T that one independent value of a windowed response takes
 
 
@@ -231,16 +237,16 @@ def distances(
     free = movable(fit)
     octaves = max(1, round(float(np.log2(high / low))))
     target = BoxResponse.of(black_box, free.model, np.geomspace(low, high, octaves * OCTAVE + 1))
-    found = nearest(free, target)
     bands = list(pairwise(np.geomspace(low, high, octaves + 1).tolist()))
     fed_back = [
         target.fed_back[_inside(target.omega, edges)].mean(axis=0) > 1 / 2 for edges in bands
     ]
     chance = level / max(int(np.sum(~np.array(fed_back))) * len(free.model.outputs), 1)
+    found, scores = searched(free, target, bands, chance)
     lacking = Lacking.of(black_box, found.model, target)
     measured = several(responses) if responses else ()
     rows = []
-    for edges, doubted in zip(bands, fed_back, strict=True):
+    for edges, doubted, (far, limits) in zip(bands, fed_back, scores, strict=True):
         k = _inside(target.omega, edges)
         for i, output in enumerate(free.model.outputs):
             size = max(float(np.linalg.norm(target.G[k, i])), 1e-300)
@@ -253,7 +259,8 @@ def distances(
                     share=missed / size,
                     missing=lacking.of_pair(edges, at, missed),
                     fed_back=bool(doubted[j]),
-                    **_score(found, target, at, chance),
+                    structure=float(far[i, j]),
+                    structure_level=float(limits[i, j]),
                     **_measured(measured, black_box, (output, channel), edges, chance),
                 )
                 rows.append(row)
@@ -278,16 +285,42 @@ def _inside(omega: Array, edges: tuple[float, float]) -> BoolArray:
     return np.asarray((omega >= edges[0] * (1 - 1e-9)) & (omega <= edges[1] * (1 + 1e-9)))
 
 
-def _score(
-    found: Nearest, target: BoxResponse, at: tuple[BoolArray, int, int], chance: float
-) -> dict[str, float]:
-    """Distance of the structure at frequencies of a pair, and its level."""
-    E, factor, allowed = (part[at] for part in (found.E, found.factor, target.allowed))
-    errors = np.vstack([factor.real, factor.imag])
-    V = errors @ errors.T + np.diag(np.tile(allowed**2 / 2, 2))
-    mean = float(np.trace(V))
-    limit = _limit(mean**2 / float(np.sum(V**2)), chance)
-    return {"structure": float(np.linalg.norm(E) / np.sqrt(mean)), "structure_level": limit}
+def searched(
+    free: Free, target: BoxResponse, bands: Sequence[tuple[float, float]], chance: float
+) -> tuple[Nearest, list[tuple[Array, Array]]]:
+    """Where the structure comes nearest, and its distances and their levels there, by band."""
+    # A search may end in a minimum that is not the lowest. Of a structure that hardly anything is
+    # far from others are looked for: of one that much is far from there is no need to.
+    rng, found = np.random.default_rng(0), nearest(free, target)
+    scores = [_scores(found, target, edges, chance) for edges in bands]
+    for _ in range(STARTS):
+        far = np.mean([distance > limit for distance, limit in scores])
+        if not 0 < far < FEW:
+            break
+        values = found.model.vector()[free.index] * rng.normal(1, SCATTER, len(free.index))
+        start = free.full(np.clip(values, free.lower[free.index], free.upper[free.index]))
+        other = nearest(replace(free, model=free.model.with_vector(start)), target)
+        if other.cost < found.cost:
+            found = other
+            scores = [_scores(found, target, edges, chance) for edges in bands]
+    return found, scores
+
+
+def _scores(
+    found: Nearest, target: BoxResponse, edges: tuple[float, float], chance: float
+) -> tuple[Array, Array]:
+    """Distances (ny, nu) of the structure in a band, and their levels."""
+    k = _inside(target.omega, edges)
+    E, factor, allowed = (
+        np.moveaxis(part[k], 0, 2) for part in (found.E, found.factor, target.allowed)
+    )  # (ny, nu, frequencies, ...)
+    errors = np.concatenate([factor.real, factor.imag], axis=2)
+    V = errors @ errors.swapaxes(2, 3)
+    V += np.eye(V.shape[-1]) * np.concatenate([allowed, allowed], axis=2)[:, :, None] ** 2 / 2
+    mean = np.trace(V, axis1=2, axis2=3)
+    weights = np.maximum(np.linalg.eigvalsh(V / mean[:, :, None, None]), 0.0)
+    limits = upper_limit(weights, float(target.freedom[k].mean()), chance)
+    return np.linalg.norm(E, axis=2) / np.sqrt(mean), np.sqrt(limits)
 
 
 def _limit(freedom: float, chance: float) -> float:

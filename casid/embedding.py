@@ -4,10 +4,11 @@ The true response is taken for G (1 + Δ) + Δ_a of a fit's response G, for ever
 Gaussian process in ln ω: multiplicative where the magnitude is smooth, additive across its zeros,
 because its size follows the geometric mean m of abs(G)² over neighbouring frequencies,
 
-    E|Δ|² = m ⟨(|E|² - E|ε|²)/m⟩,   E the fit's response less the black box's, ε its error,
+    E|Δ|² = m ⟨(|E|² - E|ε|² - E|η|²)/m⟩,   E the fit's response less the black box's,
 
-⟨ ⟩ the same mean. G. C. Goodwin, M. Gevers, B. Ninness, IEEE Transactions on Automatic Control
-37(7), 1992 (stochastic embedding), with levels from a black box of the same records.
+ε and η the errors of box and fit by noise, ⟨ ⟩ the same mean. G. C. Goodwin, M. Gevers, B. Ninness,
+IEEE Transactions on Automatic Control 37(7), 1992 (stochastic embedding), with levels from a black
+box of the same records.
 """
 
 from dataclasses import dataclass
@@ -18,12 +19,14 @@ from casid.arrays import Array, ComplexArray
 from casid.display import Shown, counted
 from casid.evaluation import MatrixFunction
 from casid.fit import AnyFit
-from casid.nearest import BoxResponse, gain, kernel, movable, nearness
+from casid.free import Free
+from casid.nearest import REACH, BoxResponse, gain, kernel, movable, nearness
 from casid.subspace.blackbox import BlackBox
 from casid.threads import one_thread
 from casid.values import seal
 
 POINTS = 48  # frequencies
+WIDE, DRAWS = 10.0, 2000  # realisations that quantiles are taken of: width in `REACH`, how many
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -69,10 +72,38 @@ class StructureError(Shown):
     def drawn(self, omega: Array, count: int, *, seed: int = 0) -> ComplexArray:
         """Realisations Δ (count, n, ny, nu) at frequencies."""
         rng, shape = np.random.default_rng(seed), (len(omega), *self.std.shape[1:])
-        values, vectors = np.linalg.eigh(nearness(omega))  # its correlation
-        root = vectors * np.sqrt(np.maximum(values, 0.0) / 2)
+        root = _root(omega) / np.sqrt(2)
         z = rng.standard_normal((count, *shape)) + 1j * rng.standard_normal((count, *shape))
         return np.asarray(np.einsum("kl,nlij->nkij", root, z) * self.at(omega))
+
+
+def missed_quantile(level: float) -> float:
+    """What either part of Δ is beyond with chance 1 - ``level``, in units of (E|Δ|²/2)^½.
+
+    Less than a normal number: E|Δ|² is a mean over neighbouring frequencies of the very Δ, which
+    hardly exceeds it.
+    """
+    omega, rng = np.geomspace(1, np.exp(WIDE * REACH), POINTS), np.random.default_rng(0)
+    z = _root(omega) @ rng.standard_normal((2, POINTS, DRAWS))  # both parts
+    ratio = np.abs(z) / np.sqrt(kernel(omega) @ np.mean(z**2, axis=0))
+    return float(np.quantile(ratio[:, POINTS // 4 : -POINTS // 4], level))  # away from the ends
+
+
+def _root(omega: Array) -> Array:
+    """Square root (n, n) of the correlation of Δ."""
+    values, vectors = np.linalg.eigh(nearness(omega))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _own(fit: AnyFit, free: Free, dG: ComplexArray) -> Array:
+    """Variance (K, ny, nu) of a fit's response by noise: bands hold it already."""
+    if fit.covariance is None:
+        return np.zeros(dG.shape[1:])
+    held = np.array([fit[name].active for name in free.names], dtype=bool)
+    at = [fit.free_names.index(name) for name in free.names]
+    C = fit.covariance[np.ix_(at, at)]
+    C = np.where(held[:, None] | held | ~np.isfinite(C), 0.0, C)
+    return np.asarray(np.einsum("pkij,pq,qkij->kij", dG, C, dG.conj(), optimize=True).real)
 
 
 @one_thread
@@ -101,7 +132,7 @@ def structure_error(
     target = BoxResponse.of(black_box, free.model, omega)
     G, dG = MatrixFunction(free)(free.guess).response_slopes(1j * omega)
     E = target.scale * G - target.G
-    noise = np.sum(np.abs(target.F) ** 2, axis=-1)
+    noise = np.sum(np.abs(target.F) ** 2, axis=-1) + _own(fit, free, target.scale * dG)
     size = np.log(np.maximum(np.abs(target.scale * G) ** 2, 1e-300))
     m = np.exp(np.tensordot(kernel(omega), size, 1))
     square = m * np.tensordot(kernel(omega), (np.abs(E) ** 2 - noise) / m, 1)

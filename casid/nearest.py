@@ -18,6 +18,7 @@ from casid.matching.comparison import Comparison, Source
 from casid.matching.descent import Condensed, descend
 from casid.model import Model
 from casid.subspace.blackbox import BlackBox
+from casid.subspace.weighing import lines_near
 
 ALLOWED = 0.01  # of a pair's response, 0.003 of its row's: a black box of finite order is no better
 OF_ROW = 0.003
@@ -40,6 +41,7 @@ class BoxResponse:
     allowed: Array  # (K, ny, nu): deviation that is no fault of a structure, as a black box has it
     scale: Array  # (ny, nu): G over the response in physical units
     fed_back: BoolArray  # (K, nu): where it may be the controller's inverse, see `Excitation`
+    freedom: Array  # (K,) degrees of freedom of the residual spectra that the size of F comes from
 
     @classmethod
     def of(cls, black_box: BlackBox, model: Model, omega: Array) -> "BoxResponse":
@@ -65,7 +67,11 @@ class BoxResponse:
         excitation, fed_back = black_box.excitation, np.zeros(G[:, 0].shape, dtype=bool)
         if excitation is not None:
             fed_back = excitation.fed_back(model.inputs, omega)
-        return cls(omega=omega, G=G, F=F, allowed=allowed, scale=sizes, fed_back=fed_back)
+        seconds = sum(segment.duration for segment in black_box.segments)
+        return cls(
+            omega=omega, G=G, F=F, allowed=allowed, scale=sizes, fed_back=fed_back,
+            freedom=2 * lines_near(omega, seconds) if seconds else np.full(len(omega), np.inf),
+        )  # fmt: skip
 
     @property
     def variance(self) -> Array:
@@ -103,10 +109,12 @@ class Nearest:
     """Where a structure comes nearest.
 
     ``E`` (K, ny, nu) is its response less the black box's; ``factor`` (K, ny, nu, rank) what it is
-    if the structure is true: minus factor z, with the z of the black box's errors.
+    if the structure is true: minus factor z, with the z of the black box's errors; ``cost`` what
+    weights by what is left minimise.
     """
 
     model: Model
+    cost: float
     E: ComplexArray
     factor: ComplexArray
 
@@ -131,7 +139,9 @@ def nearest(free: Free, target: BoxResponse) -> Nearest:
     inside = np.minimum(lam - low, high - lam) > HELD * width
     moved = free.model.with_vector(free.full(lam))
     factor = _left(target.F, target.scale * dG[inside], W)
-    return Nearest(model=moved, E=target.scale * G - target.G, factor=factor)
+    E = target.scale * G - target.G
+    cost = float(np.sum(counted**2 * np.log1p(target.smoothed(E) / target.variance)))
+    return Nearest(model=moved, cost=cost, E=E, factor=factor)
 
 
 def _settled(free: Free, target: BoxResponse, lam: Array, W: Array) -> Array:

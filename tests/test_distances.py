@@ -8,7 +8,19 @@ import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, NoSideslip, campaign, off
 
-from casid import Excitation, FrequencyResponse, distances, match, pbsid
+from casid import (
+    Excitation,
+    FrequencyResponse,
+    Model,
+    Rows,
+    Scalar,
+    distances,
+    match,
+    parameter,
+    pbsid,
+)
+from casid.distances import searched
+from casid.nearest import BoxResponse, movable, nearest
 from casid.values import decode, encode
 
 BAND = (1.05, 8.4)
@@ -84,6 +96,53 @@ def test_rows_are_pairs_by_octaves_and_survive_being_stored():
     assert again.to_markdown() == found.to_markdown()
     assert "NoSideslip misses something" in repr(found)
     assert found._repr_html_().count("σ!") == len(found.faults)
+
+
+class Swing(Model):
+    """Three outputs of a lag, the first swings too."""
+
+    states = ("x", "rate", "lagged")
+    inputs = ("u",)
+    outputs = ("a", "b", "c", "d")
+
+    omega: Scalar = parameter(default=2.0, lower=0.5, upper=20.0, unit="rad/s")
+    gain: Scalar = parameter(default=0.3, lower=-5.0, upper=5.0, unit="rad/s^2")
+    lag: Scalar = parameter(default=-1.0, lower=-10.0, upper=0.0, unit="1/s")
+
+    def A(self) -> Rows:
+        return [[0, 1, 0], [-(self.omega**2), -0.1 * self.omega, 0], [0, 0, self.lag]]
+
+    def B(self) -> Rows:
+        return [[0], [self.gain], [1]]
+
+    def C(self) -> Rows:
+        return [[0, 1, 1], [0, 0, 1], [0, 0, 2], [0, 0, 3]]
+
+
+def test_a_structure_is_not_blamed_for_a_search_that_ends_in_a_minimum_that_is_not_the_lowest():
+    truth, omega = Swing(omega=6.0, gain=0.05, lag=-1.3), np.geomspace(1, 8, 25)
+    G, rng = truth.system().response(omega), np.random.default_rng(3)
+    z = rng.standard_normal((*G.shape, 40)) + 1j * rng.standard_normal((*G.shape, 40))
+    F = 0.02 * np.abs(G)[..., None] * z / np.sqrt(80)
+    target = BoxResponse(
+        omega=omega, G=G + F @ rng.standard_normal(40), F=F, allowed=0.003 * np.abs(G),
+        scale=np.ones((4, 1)), fed_back=G[:, 0] == 0, freedom=np.full(25, np.inf),
+    )  # fmt: skip
+    free, bands = movable(Swing()), [(1.0, 2.0), (2.0, 4.0), (4.0, 8.0)]
+    assert nearest(free, target).model.omega < 3  # a search from there alone
+    found, scores = searched(free, target, bands, 1e-3)
+    assert found.model.omega == pytest.approx(6.0, rel=0.02)
+    assert not any((far > limits).any() for far, limits in scores)
+
+
+def test_the_shorter_the_records_the_more_a_distance_may_be():
+    # The size of a black box's errors is known from the lines near a band: F, not χ².
+    half = replace(box(1), segments=box(1).segments[:2])
+    few, all_ = (
+        np.array([row.structure_level for row in distances(TRUTH, each, band=BAND).rows])
+        for each in (half, box(1))
+    )
+    assert (few > all_).all()
 
 
 def fed_back(box, low):

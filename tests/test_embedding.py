@@ -16,6 +16,7 @@ from casid import (
     response_band,
     structure_error,
 )
+from casid.embedding import missed_quantile
 
 OMEGA = np.geomspace(1.1, 8.0, 24)
 
@@ -59,6 +60,26 @@ def test_the_band_of_the_true_structure_is_hardly_wider():
     wide = [np.median(np.ptp(band.magnitude(), axis=0)) for band in (plain, both)]
     assert 1 <= wide[1] / wide[0] < 2
     assert inside(both, TRUTH.system().response(OMEGA)) > 0.9
+
+
+def test_what_noise_does_to_the_fit_is_no_error_of_its_structure():
+    fit = output_error(TRUTH, [campaign(1, 4)[0].decimate(2)])  # of a quarter of the records
+    alone = structure_error(replace(fit, covariance=None), box())
+    assert np.sum(structure_error(fit, box()).std ** 2) < 0.5 * np.sum(alone.std**2)
+    unknown = replace(fit, covariance=np.full_like(fit.covariance, np.inf))
+    np.testing.assert_array_equal(structure_error(unknown, box()).std, alone.std)
+
+
+@pytest.mark.parametrize("level", [0.68, 0.95, 0.99])
+def test_what_is_missed_is_beyond_its_quantile_as_seldom_as_stated(level):
+    # A process on a grid of its own, its level the mean of its square over neighbouring points.
+    rng, x = np.random.default_rng(5), np.arange(0, 12, 0.1)  # in units of its memory
+    near = np.exp(-0.5 * (x[:, None] - x) ** 2)
+    root = np.linalg.cholesky(near + 1e-9 * np.eye(len(x)))
+    z = np.tensordot(root, rng.standard_normal((len(x), 2, 3000)), 1)
+    size = np.sqrt(np.tensordot(near / near.sum(axis=1), np.sum(z**2, axis=1) / 2, 1))
+    inside = np.abs(z[:, 0])[30:-30] < missed_quantile(level) * size[30:-30]
+    assert np.mean(inside) == pytest.approx(level, abs=0.012)
 
 
 def test_modes_and_bandwidth_are_less_certain_with_it():

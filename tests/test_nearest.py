@@ -21,7 +21,7 @@ def response(model, seed=0):
     size = np.where(np.abs(G) > 0, 0.01 * np.abs(G), 1e-6)
     return BoxResponse(
         omega=OMEGA, G=G, F=F, allowed=size, scale=np.ones(G.shape[1:]),
-        fed_back=np.zeros(G[:, 0].shape, dtype=bool),
+        fed_back=np.zeros(G[:, 0].shape, dtype=bool), freedom=np.full(len(G), np.inf),
     )  # fmt: skip
 
 

@@ -24,6 +24,12 @@ def known_weights(data: Sequence[Spectrum], weights: Sequence[Array]) -> list[Ar
     return found
 
 
+def lines_near(omega: Array, seconds: float) -> Array:
+    """How many lines, 2π over each record's length apart, tell a residual spectrum at ω (K,)."""
+    # (Σ k)²/Σ k² of the Gaussian kernel k in ln ω, of lines that are even in ω.
+    return np.asarray(np.exp(0.75 * WIDTH**2) * WIDTH * omega * seconds / np.sqrt(np.pi))
+
+
 def smoothed(at: Array, omega: Array, power: Array) -> Array:
     """Local mean of power (K, ny) over logarithms of frequency, at those asked for."""
     kernel, count, sums = _nearness(at, omega, power)

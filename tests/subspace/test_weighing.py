@@ -5,7 +5,7 @@ from truths.systems import campaign
 
 from casid.records import standard_deviations
 from casid.subspace.fourier import spectra
-from casid.subspace.weighing import WIDTH, known_weights, smoothed
+from casid.subspace.weighing import WIDTH, known_weights, lines_near, smoothed
 
 
 def test_a_smoothed_spectrum_is_the_mean_of_all_lines_weighed_by_their_distance():
@@ -28,3 +28,12 @@ def test_weights_of_many_lines_are_those_of_a_known_spectrum():
     inside = (data[0].omega > 3) & (data[0].omega < 5)
     expected = np.sqrt((n - 1) / (n + 1))[inside]
     np.testing.assert_allclose(one[inside, 0], expected, rtol=0.01)
+
+
+def test_lines_near_a_frequency_are_those_that_smoothed_power_scatters_by():
+    # The mean of n powers of complex noise has a variance of 1/n.
+    rng, seconds = np.random.default_rng(4), (40.0, 25.0)
+    omega = np.concatenate([2 * np.pi / T * np.arange(1, int(3 * T)) for T in seconds])
+    at = np.array([1.0, 4.0])
+    drawn = smoothed(np.log(at), np.log(omega), rng.exponential(size=(len(omega), 4000)))
+    np.testing.assert_allclose(1 / drawn.var(axis=1), lines_near(at, sum(seconds)), rtol=0.08)
