@@ -86,7 +86,8 @@ def show(done):
         plain, both = row["parametric"], row["with structure"]
         share = [f"{100 * each['inside']:.0f} %" for each in (plain, both)]
         wide = [f"{100 * each['width']:.0f} %" for each in (plain, both)]
-        rows.append([key, *share, *wide, f"{both['width'] / plain['width']:.2f}"])
+        known = plain["width"] > 1e-6  # not of a fit without standard errors
+        rows.append([key, *share, *wide, f"{both['width'] / plain['width']:.2f}" if known else "-"])
     heading = ("case", "held by errors alone", "with structure", "half width", "with", "ratio")
     print(table(heading, rows))
 
