@@ -132,10 +132,12 @@ def structure_error(
     target = BoxResponse.of(black_box, free.model, omega)
     G, dG = MatrixFunction(free)(free.guess).response_slopes(1j * omega)
     E = target.scale * G - target.G
-    noise = np.sum(np.abs(target.F) ** 2, axis=-1) + _own(fit, free, target.scale * dG)
+    left = np.abs(E) ** 2 - np.sum(np.abs(target.F) ** 2, axis=-1)
+    # No more than is there, so that one frequency with a large error hides nothing of the others.
+    left -= np.clip(left, 0.0, _own(fit, free, target.scale * dG))
     size = np.log(np.maximum(np.abs(target.scale * G) ** 2, 1e-300))
     m = np.exp(np.tensordot(kernel(omega), size, 1))
-    square = m * np.tensordot(kernel(omega), (np.abs(E) ** 2 - noise) / m, 1)
+    square = m * np.tensordot(kernel(omega), left / m, 1)
     std = np.sqrt(np.maximum(square, 0.0))
     W = 1 / np.sqrt(target.variance + target.smoothed(E))
     K = gain(target.scale * dG, W)

