@@ -7,8 +7,11 @@
 V. Klein, E. A. Morelli, Aircraft System Identification: Theory and Practice, chapter 10;
 R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 10. A rate or a specific
 force is taken as measured(t) = (1 + scale) true(t − skew) + bias, attitudes and velocities as right
-but for noise. Scale and skew are one for all records. Biases are constant over a record and of its
-own: instruments drift from flight to flight, and trim is subtracted record by record.
+but for noise and, velocities, for a clock of their own: what a navigation filter or air data delay.
+All terms of an equation are taken at the time of what they are compared with: a rate in r v − q w
+too, where u times a late q would be read as an accelerometer's place. Scale and skew are one for
+all records. Biases are constant over a record and of its own: instruments drift from flight to
+flight, and trim is subtracted record by record.
 
 Departures. Both sides are integrated, with the measured attitudes and velocities in the products:
 the unknowns but for the skews then enter linearly, and no trajectory can diverge. Noise of the
@@ -31,41 +34,20 @@ from casid.channels import FORCES, RATES, VELOCITIES
 from casid.consistency.innovations import innovations, steady_gain
 from casid.consistency.measured import Flight, white_noise
 from casid.consistency.pretended import Corrected, Eliminated, Normal
+from casid.consistency.rigid import Moved, Terms, lever_of, terms_of
 
-GRAVITY = 9.80665  # m/s^2
 GAINS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 25)])
 ITERATIONS = 12
 CORRECTIONS, DRAWS = 5, 2  # last iterations, without what noise pretends, and its draws for it
 SETTLED = 1e-3  # of gains and skews [s]
 REGAIN = (2, 5, 8)  # iterations after which the filters' gains are fitted anew
 LATE = 0.5  # largest skew [s]
+COMMON = 4  # unknowns of no channel: the velocities' clock, the accelerometers' place
 BATCH = 1.0  # time [s] over which innovations may be correlated
 PRIOR = np.array([1.0, 0.1])  # of gain and skew, so that nothing is singular
 FAR_OFF = 10.0  # from the centre of gravity [m], a prior too
 TILT = 0.1  # rad: what an unknown pitch attitude may be
 ROUNDING = 1e-9  # of a channel's range: no record is more exact
-
-
-def _terms(equation: str, flight: Flight) -> tuple[dict[str, Array], Array]:
-    """Factor of each rate and force in the derivative of an attitude or velocity; the rest."""
-    n = len(flight.values[equation])
-    zero, one = np.zeros(n), np.ones(n)
-    phi, theta = (
-        flight.values.get(name, zero + flight.level.get(name, 0.0)) for name in ("phi", "theta")
-    )
-    s, c, tan = np.sin(phi), np.cos(phi), np.tan(theta)
-    if equation == "phi":
-        return {"p": one, "q": s * tan, "r": c * tan}, zero
-    if equation == "theta":
-        return {"q": c, "r": -s}, zero
-    if equation == "psi":
-        return {"q": s / np.cos(theta), "r": c / np.cos(theta)}, zero
-    u, v, w = (flight.values[name] for name in VELOCITIES)
-    return {
-        "u": ({"ax": one, "r": v, "q": -w}, -GRAVITY * np.sin(theta)),
-        "v": ({"ay": one, "p": w, "r": -u}, GRAVITY * np.cos(theta) * s),
-        "w": ({"az": one, "q": u, "p": -v}, GRAVITY * np.cos(theta) * c),
-    }[equation]
 
 
 def _integral(f: Array, dt: float) -> Array:
@@ -95,11 +77,12 @@ class Instruments:
     bias_errors: Array  # (records, channels)
     against: dict[str, tuple[str, ...]]  # the equations in which each channel stands
     left: dict[str, list[Array]]  # of each equation's attitude or velocity, one array a flight
+    clock: tuple[float, float]  # by how much velocities are later than attitudes [s], its error
+    onboard_errors: Array  # (channels,) of skew + clock: against attitudes, not velocities [s]
     place: Array  # (3,) of the accelerometers, from where velocities are measured [m]
     place_errors: Array  # (3,)
 
 
-Terms = tuple[dict[str, Array], Array]  # factors of rates and forces, the rest
 Block = tuple[str, int, Array]  # equation, record; residual, slopes by own unknowns (1 + own, N)
 
 
@@ -111,9 +94,9 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
     """
     problem = _Reconstruction(flights, tuple(equations))
     n = len(problem.channels)
-    start = np.append(np.tile([1.0, 0.0], n), np.zeros(3))
-    reach = np.append(np.tile(PRIOR, n), np.full(3, FAR_OFF))
-    prior, skews = reach**-2.0, slice(1, 2 * n, 2)
+    start = np.append(np.tile([1.0, 0.0], n), np.zeros(COMMON))
+    reach = np.concatenate([np.tile(PRIOR, n), PRIOR[1:], np.full(3, FAR_OFF)])
+    prior, skews = reach**-2.0, [*range(1, 2 * n, 2), 2 * n]
     x, biases = start, np.zeros((problem.records, n))
     iteration = 0
     while True:
@@ -127,7 +110,7 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
         pretended = problem.pretended(x, biases, plain) if iteration >= ITERATIONS else plain * 0.0
         corrected = Corrected(plain + Normal(np.diag(prior), prior * (start - x)), pretended)
         step = corrected.step()
-        settled = iteration > ITERATIONS and np.abs(step[: 2 * n]).max() < SETTLED
+        settled = iteration > ITERATIONS and np.abs(step[: 2 * n + 1]).max() < SETTLED
         if settled or iteration == ITERATIONS + CORRECTIONS:
             break
         step[skews] = np.clip(step[skews], -LATE / 4, LATE / 4).clip(
@@ -139,14 +122,17 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
     scores = np.concatenate([one.scores(whole) for one, whole in pairs])
     P = corrected.covariance(scores, reach) + np.diag(step**2)
     errors = np.sqrt(np.diag(P))
+    own, clock = np.arange(1, 2 * n, 2), 2 * n
     return Instruments(
         channels=problem.channels,
-        unknowns=x[:-3].reshape(n, 2),
-        errors=errors[:-3].reshape(n, 2),
+        unknowns=x[:clock].reshape(n, 2),
+        errors=errors[:clock].reshape(n, 2),
         biases=biases,
         bias_errors=np.sqrt([one.variances(whole, P) for one, whole in pairs]),
         against=problem.against(),
         left={one: [rows[0] for name, _, rows in blocks if name == one] for one in equations},
+        clock=(float(x[clock]), float(errors[clock])),
+        onboard_errors=np.sqrt(P[own, own] + P[clock, clock] + 2 * P[own, clock]),
         place=x[-3:],
         place_errors=errors[-3:],
     )
@@ -170,17 +156,19 @@ class _Reconstruction:
 
     def __init__(self, flights: Sequence[Flight], equations: tuple[str, ...]) -> None:
         self.flights, self.equations = flights, equations
-        self.terms = [{each: _terms(each, flight) for each in equations} for flight in flights]
+        self.terms = [{each: terms_of(each, flight) for each in equations} for flight in flights]
         felt = {name for factors, _ in self.terms[0].values() for name in factors}
         known = felt & set(flights[0].values)
         self.channels = tuple(name for name in (*RATES, *FORCES) if name in known)
         found, self.of = np.unique([flight.record for flight in flights], return_inverse=True)
         self.records = len(found)
-        self.splines = []  # cubic pieces of the channels between samples, (channels, 4, N - 1)
+        self.splines = []  # cubic pieces between samples, (4, N - 1) each
+        turned = ("phi", "theta") if {*VELOCITIES} & {*equations} else ()
         for flight in flights:
-            y = np.column_stack([flight.values[name] for name in self.channels])
+            y = np.column_stack([flight.values[name] for name in (*self.channels, *turned)])
             pieces = scipy.interpolate.CubicSpline(flight.t, y).c
-            self.splines.append(np.ascontiguousarray(np.moveaxis(pieces, 2, 0)))
+            rows = np.ascontiguousarray(np.moveaxis(pieces, 2, 0))
+            self.splines.append(dict(zip((*self.channels, *turned), rows, strict=True)))
         self.columns = {each: self._own(each) for each in equations}
         self.gains = dict.fromkeys(equations, 0.0)
         self.sizes = dict.fromkeys(equations, 1.0)
@@ -197,29 +185,26 @@ class _Reconstruction:
         """Which unknowns stand in an equation."""
         factors, n = self.terms[0][equation][0], len(self.channels)
         own = [i for i, name in enumerate(self.channels) if name in factors]
-        found = [k for i in own for k in (2 * i, 2 * n + 3 + i, 2 * i + 1)]
-        levered = equation in VELOCITIES and {*RATES} <= {*self.channels}
-        return np.array(found + levered * [2 * n, 2 * n + 1, 2 * n + 2])
+        found = [k for i in own for k in (2 * i, 2 * n + COMMON + i, 2 * i + 1)]
+        common = range(2 * n, 2 * n + COMMON) if equation in VELOCITIES else ()
+        return np.array([*found, *common])
 
     def blocks(self, x: Array, biases: Array) -> list[Block]:
         """Residuals and slopes of each equation and flight at these unknowns."""
-        shared, place = x[:-3].reshape(-1, 2), x[-3:]
+        n = 2 * len(self.channels)
+        shared, clock, place = x[:n].reshape(-1, 2), float(x[n]), x[n + 1 :]
         found = []
-        for flight, k, splines, terms in zip(
+        for flight, k, pieces, terms in zip(
             self.flights, self.of, self.splines, self.terms, strict=True
         ):
             table = np.insert(shared, 1, biases[k], axis=1)
-            moved, true = {}, {}
-            for name, pieces, (gain, bias, skew) in zip(self.channels, splines, table, strict=True):
-                m, rate = moved[name] = _read(pieces, skew, flight.dt)
-                true[name] = (gain * m - bias, gain * rate)
-            lever = _lever(true)
-            for each in self.equations:
-                slopes, f = self._derivative(terms[each], moved, table)
-                if each in VELOCITIES and lever is not None:
-                    arms = -lever[VELOCITIES.index(each)]
-                    slopes += [*arms.T]
-                    f = f + arms @ place
+            moved = self._moved(flight, pieces, table)
+            parts = {
+                each: self._derivative(terms[each], moved, table)
+                for each in self.equations
+                if each not in VELOCITIES
+            } | self._accelerations(flight, pieces, table, clock, place)
+            for each, (slopes, f) in parts.items():
                 F = _integral(np.array([f, *slopes]).T, flight.dt).T
                 F = F[:, flight.rows[each]] if each in flight.rows else F
                 F[0] = flight.own(each) - F[0]
@@ -227,9 +212,40 @@ class _Reconstruction:
                 found.append((each, int(k), F))
         return found
 
-    def _derivative(
-        self, terms: Terms, moved: Mapping[str, tuple[Array, Array]], table: Array
-    ) -> tuple[list[Array], Array]:
+    def _moved(
+        self, flight: Flight, pieces: Mapping[str, Array], table: Array, clock: float = 0.0
+    ) -> Moved:
+        """Channels and their slopes at the instants of attitudes, or of velocities of a clock."""
+        skews = zip(self.channels, table[:, 2], strict=True)
+        return {
+            name: _read(pieces[name], skew - clock if name in RATES else skew, flight.dt)
+            for name, skew in skews
+        }
+
+    def _accelerations(
+        self, flight: Flight, pieces: Mapping[str, Array], table: Array, clock: float, place: Array
+    ) -> dict[str, tuple[list[Array], Array]]:
+        """Slopes and right-hand sides of the equations of velocities, at the velocities' time."""
+        equations = [each for each in self.equations if each in VELOCITIES]
+        if not equations:
+            return {}
+        moved = self._moved(flight, pieces, table, clock)
+        true = {
+            name: (gain * moved[name][0] - bias, gain * moved[name][1])
+            for name, (gain, bias, _) in zip(self.channels, table, strict=True)
+        }
+        lever, found = lever_of(true), {}
+        turned = {name: _read(pieces[name], -clock, flight.dt)[0] for name in ("phi", "theta")}
+        for each in equations:
+            factors, gravity = terms_of(each, flight, turned)
+            slopes, f = self._derivative((factors, gravity), moved, table)
+            arms = -lever[VELOCITIES.index(each)]
+            changes = [factors[name] * true[name][1] for name in RATES if name in factors]
+            later = -sum(changes, np.gradient(gravity, flight.dt))
+            found[each] = ([*slopes, later, *arms.T], f + arms @ place)
+        return found
+
+    def _derivative(self, terms: Terms, moved: Moved, table: Array) -> tuple[list[Array], Array]:
         """Slopes of an equation's right-hand side by gains, biases and skews, and itself, (N,)."""
         factors, f = terms
         slopes = []
@@ -259,7 +275,7 @@ class _Reconstruction:
     def normal(self, parts: Sequence[Block]) -> tuple[Normal, list[Eliminated]]:
         """Normal equations without a prior, of all records together and of each."""
         biased = len(self.channels)
-        n = 3 * biased + 3
+        n = 3 * biased + COMMON
         found = [Normal(np.zeros((n, n)), np.zeros(n)) for _ in range(self.records)]
         for each, k, rows in parts:
             own, products = self.columns[each], rows @ rows.T
@@ -334,7 +350,7 @@ class _Reconstruction:
                 continue
             step = max(1, round(BATCH / (first.dt * first.step(each))))
             starts = np.arange(0, rows.shape[1], step)
-            found.append(np.zeros((len(starts), 3 * len(self.channels) + 3)))
+            found.append(np.zeros((len(starts), 3 * len(self.channels) + COMMON)))
             sums = np.add.reduceat(rows[1:] * rows[0], starts, axis=1)
             found[-1][:, self.columns[each]] = sums.T
         return np.concatenate(found)
@@ -348,16 +364,3 @@ def _read(pieces: Array, skew: float, dt: float) -> tuple[Array, Array]:
     s = dt * (place - piece)
     a, b, c, d = np.take(pieces, piece, axis=1)
     return ((a * s + b) * s + c) * s + d, (3 * a * s + 2 * b) * s + c
-
-
-def _lever(moved: Mapping[str, tuple[Array, Array]]) -> Array | None:
-    """L of a_s − a = L r, (3, N, 3), for r from the centre of gravity; None without all rates."""
-    if not {*RATES} <= set(moved):
-        return None
-    (p, dp), (q, dq), (r, dr) = (moved[name] for name in RATES)
-    rows = [
-        [-(q**2 + r**2), p * q - dr, p * r + dq],
-        [p * q + dr, -(p**2 + r**2), q * r - dp],
-        [p * r - dq, q * r + dp, -(p**2 + q**2)],
-    ]
-    return np.moveaxis(np.array(rows), 1, 2)

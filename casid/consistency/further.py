@@ -6,13 +6,14 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.channels import FORCES, VELOCITIES
-from casid.consistency.flightpath import GRAVITY, Instruments
+from casid.consistency.apart import SIGNIFICANT
+from casid.consistency.flightpath import Instruments
 from casid.consistency.measured import Flight, white_noise
+from casid.consistency.rigid import GRAVITY
 from casid.display import listed
 from casid.record import REST
 from casid.samples import root_mean_square
 
-SIGNIFICANT = 3.5  # standard errors, of the largest of some twenty
 ROUGH = 0.1  # the scale that matters where an equation lacks a channel
 ALIKE = 0.2  # how near a factor is to that of a mistake
 MUCH = 0.3  # share of an attitude's movement left unexplained that matters

@@ -6,17 +6,17 @@ how channels stand to each other, so a scale of 5 % on p may as well be one of -
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from casid.arrays import BoolArray
 from casid.autoregression import outliers
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.consistency.flightpath import GRAVITY, LATE, Instruments, reconstruct_level
+from casid.consistency.apart import SIGNIFICANT, Apart, mean, significant, stands_apart
+from casid.consistency.flightpath import LATE, Instruments, reconstruct_level
 from casid.consistency.further import (
     ROUGH,
-    SIGNIFICANT,
     against_gravity,
     in_some,
     misplaced,
@@ -26,12 +26,13 @@ from casid.consistency.further import (
 )
 from casid.consistency.lags import clocks_apart
 from casid.consistency.measured import Flight, looked_at, signals
+from casid.consistency.rigid import GRAVITY
 from casid.display import Shown, counted, listed
 from casid.record import Record
 from casid.records import Records, several
 
 KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
-SCALE, SKEW, BIAS = 0.02, 0.01, 0.1  # what matters: relative, s, of the channel's deviation
+SCALE, BIAS = 0.02, 0.1  # what matters: relative, of the channel's deviation
 SEEN = 0.5  # m: the largest error of an accelerometer's place
 LEVEL = 0.005  # rad
 
@@ -102,6 +103,9 @@ class KinematicCheck(Shown):
         NaN where the records do not tell.
     further : tuple of str
         Remarks that belong to no single comparison: gravity in trim, angles that are no radians.
+    apart : Apart
+        Attitudes or velocities that are late against all else, and how late each rate and specific
+        force is once these have moved.
     """
 
     channels: tuple[ChannelCheck, ...]
@@ -110,6 +114,7 @@ class KinematicCheck(Shown):
     further: tuple[str, ...] = ()
     place: tuple[float, ...] = (np.nan,) * 3
     place_error: tuple[float, ...] = (np.nan,) * 3
+    apart: Apart = field(default_factory=Apart)
 
     def headline(self) -> str:
         """What was compared and what was found."""
@@ -125,11 +130,13 @@ class KinematicCheck(Shown):
     def shifts(self) -> dict[str, float]:
         """What `Record.shift` brings the channels into line: those remarked as late or early [s].
 
-        Kinematics sees only how two channels stand to each other; here rates and forces move, and
-        attitudes and velocities stay.
+        Kinematics sees only how two channels stand to each other; here rates and forces move,
+        attitudes and velocities stay, but for those that stand `apart`.
         """
-        skewed = [each for each in self.channels if abs(each.skew) > _late(each)]
-        return {each.channel: -each.skew for each in skewed}
+        skewed = {
+            name: -late for name, (late, e) in self.apart.left.items() if significant(late, e)
+        }
+        return skewed | self.apart.shifts
 
     def shifts_of(self, logger: Collection[str]) -> tuple[dict[str, float], tuple[str, ...]]:
         """Shifts [s] of the channels of one logger, which share its clock, and why in words.
@@ -137,14 +144,13 @@ class KinematicCheck(Shown):
         Where those in `shifts` agree, rates and forces whose skew may be the same move with them.
         Those of which nothing is told do too, unless another of the logger stands elsewhere.
         """
-        own = {name: lag for name, lag in self.shifts.items() if name in logger}
-        known = {each.channel: each for each in self.channels if each.channel in logger}
-        known = {name: each for name, each in known.items() if each.determined}
+        alone = {name: lag for name, lag in self.apart.shifts.items() if name in logger}
+        known = {name: late for name, late in self.apart.left.items() if name in logger}
+        own = {name: -known[name][0] for name in self.shifts if name in known}
         if not own:
-            return {}, ()
-        weights = [1 / max(known[name].skew_error, 1e-6) ** 2 for name in own]
-        skew = float(np.average([known[name].skew for name in own], weights=weights))
-        alike = {name for name, each in known.items() if abs(each.skew - skew) <= _late(each)}
+            return alone, ()
+        skew, _ = mean([known[name] for name in own])
+        alike = {name for name, (late, e) in known.items() if not significant(late - skew, e)}
         untold = {*RATES, *FORCES} & {*logger} - {*known}
         moves = dict(own)
         if {*own} <= alike:
@@ -157,9 +163,9 @@ class KinematicCheck(Shown):
         why = (
             f"{more}: of the logger of {', '.join(own)}, and no other skew is seen" if more else ""
         )
-        told = ", ".join(f"{name} {1e3 * each.skew:+.0f} ms" for name, each in known.items())
+        told = ", ".join(f"{name} {1e3 * late:+.0f} ms" for name, (late, _) in known.items())
         rest = f"{stay} not: skews of its logger's channels differ ({told})" if stay else ""
-        return moves, tuple(each for each in (why, rest) if each)
+        return moves | alone, tuple(each for each in (why, rest) if each)
 
     @property
     def consistent(self) -> bool:
@@ -220,8 +226,9 @@ def _reconstructed(
     }
     level = _about_zero(flights, "theta", LEVEL)
     rough = {name for name in equations if level or not WHOLE[name] <= names}
+    apart = stands_apart(solution, [n for n in solution.channels if _known(solution, n)])
     checks = tuple(
-        _judged(solution, n, spread[n], rough, labels.values()) for n in solution.channels
+        _judged(solution, n, spread[n], rough, labels.values(), apart) for n in solution.channels
     )
     untold = [
         f"the records do not tell about {each.channel}: it moves too little, or too alike others"
@@ -240,9 +247,11 @@ def _reconstructed(
             *against_gravity(flights, names),
             *unexplained(solution, flights, labels),
             *misplaced(place, errors),
+            *apart.told(),
         ),
         place=tuple(map(float, place)),
         place_error=tuple(map(float, errors)),
+        apart=apart,
     )
 
 
@@ -285,8 +294,20 @@ def _about_zero(flights: Sequence[Flight], name: str, size: float) -> bool:
     return whole and bool(abs(np.median(np.concatenate(seen))) < size)
 
 
+def _known(solution: Instruments, name: str) -> bool:
+    """Whether the records tell the scale and skew of a channel."""
+    i = solution.channels.index(name)
+    gain, skew = solution.unknowns[i]
+    return bool(0 < solution.errors[i, 0] < KNOWN * abs(gain) and abs(skew) < LATE)
+
+
 def _judged(
-    solution: Instruments, name: str, spread: float, rough: set[str], labels: Collection[str]
+    solution: Instruments,
+    name: str,
+    spread: float,
+    rough: set[str],
+    labels: Collection[str],
+    apart: Apart,
 ) -> ChannelCheck:
     i = solution.channels.index(name)
     gain, skew = map(float, solution.unknowns[i])
@@ -315,10 +336,10 @@ def _judged(
     if ended:
         said = f"{name} is {LATE:g} s late or early against {against[0]}, where the search ended: "
         return replace(check, remarks=(f"{said}look at the clocks of both",))
-    return replace(check, remarks=_remarks(check, tolerance, spread) if known else ())
+    return replace(check, remarks=_remarks(check, tolerance, spread, apart) if known else ())
 
 
-def _remarks(check: ChannelCheck, tolerance: float, spread: float) -> tuple[str, ...]:
+def _remarks(check: ChannelCheck, tolerance: float, spread: float, apart: Apart) -> tuple[str, ...]:
     said = []
     others = " and ".join(check.against)
     implied = f"{others} {'imply' if len(check.against) > 1 else 'implies'}"
@@ -328,11 +349,12 @@ def _remarks(check: ChannelCheck, tolerance: float, spread: float) -> tuple[str,
         said.append(
             f"{check.channel} is {factor:.4g} ± {check.scale_error:.2g} times what {implied}: {why}"
         )
-    if abs(check.skew) > _late(check):
-        late = "late" if check.skew > 0 else "early"
+    late, error = apart.left[check.channel]
+    if significant(late, error):
+        moved = ", once these have moved" if late != check.skew else ""
         said.append(
-            f"{check.channel} is {abs(check.skew):.3g} ± {check.skew_error:.1g} s {late} against "
-            f"{others}: look at filters and the time stamps of both"
+            f"{check.channel} is {abs(late):.3g} ± {error:.1g} s {'late' if late > 0 else 'early'} "
+            f"against {others}{moved}: look at filters and the time stamps of both"
         )
     least = BIAS * spread
     biased = [each for each in check.biases if abs(each[1]) > max(least, SIGNIFICANT * each[2])]
@@ -344,8 +366,3 @@ def _remarks(check: ChannelCheck, tolerance: float, spread: float) -> tuple[str,
             f"{others}{in_some([name for name, *_ in biased], check.biases)}"
         )
     return tuple(said)
-
-
-def _late(check: ChannelCheck) -> float:
-    """The skew from which it matters and is no noise [s]."""
-    return max(SKEW, SIGNIFICANT * check.skew_error)

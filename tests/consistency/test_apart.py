@@ -1,0 +1,67 @@
+"""Which of several clocks is odd, on flights of which it is known."""
+
+import numpy as np
+import pytest
+from truths.flights import FORCES, NOISE, RATES, STATES, flight
+
+from casid.consistency.apart import Apart, mean, significant
+from casid.consistency.clocks import aligned
+from casid.consistency.kinematics import kinematic_check
+
+ATTITUDES, VELOCITIES = STATES[:3], STATES[3:]
+
+
+def late(names, lag, seed=21):
+    """A flight at 40 m/s, its accelerometers at the centre of gravity, channels so much late."""
+    return flight(seed, dict.fromkeys(names, (0.0, 0.0, lag)), NOISE)
+
+
+@pytest.mark.parametrize("lag", [0.05, 0.2])
+@pytest.mark.parametrize("names", [VELOCITIES, ATTITUDES], ids=["velocities", "attitudes"])
+def test_what_is_late_by_itself_is_told_and_moves_alone(names, lag):
+    record = late(names, lag)
+    check = kinematic_check(record)
+    assert check.apart.names == names
+    found, error = check.apart.late
+    assert found == pytest.approx(lag, abs=4 * error)
+    assert error < 0.01
+    (remark,) = check.remarks
+    assert remark.startswith(f"{' '.join(names)} are ")
+    assert " s late against rates and " in remark
+    assert {*check.shifts} == {*names}
+    moves, _ = aligned(check, record.outputs, (), ["lat"])
+    assert moves == check.shifts
+    assert kinematic_check(record.shift(moves)).consistent
+
+
+@pytest.mark.parametrize("names", [VELOCITIES, ATTITUDES], ids=["velocities", "attitudes"])
+def test_a_late_reference_is_no_place_of_accelerometers(names):
+    # At 40 m/s velocities 0.1 s late read as a lever of -4 m where only forces are delayed.
+    check = kinematic_check(late(names, 0.1))
+    assert np.abs(np.array(check.place) / check.place_error).max() < 4
+    assert max(check.place_error) < 0.5
+
+
+def test_forces_late_beside_late_velocities_are_told_against_the_others():
+    check = kinematic_check(late((*VELOCITIES, *FORCES), 0.1))
+    assert check.apart.names == VELOCITIES
+    assert {*check.shifts} == {*VELOCITIES, *FORCES}
+    np.testing.assert_allclose([*check.shifts.values()], -0.1, atol=0.02)
+    assert sum("once these have moved" in each for each in check.remarks) == 3
+
+
+@pytest.mark.parametrize("names", [RATES, FORCES, (*RATES, *FORCES)], ids=str)
+def test_nothing_stands_apart_where_rates_or_forces_are_late(names):
+    check = kinematic_check(late(names, 0.1))
+    assert check.apart.names == ()
+    assert {*check.shifts} == {*names}
+    np.testing.assert_allclose([*check.shifts.values()], -0.1, atol=0.02)
+
+
+def test_a_mean_is_weighted_by_errors_and_a_small_delay_is_none():
+    late, error = mean([(0.1, 0.01), (0.4, 0.02)])
+    assert (late, error) == pytest.approx((0.16, 1 / np.sqrt(12500)))
+    assert significant(-0.02, 0.005)
+    assert not significant(0.02, 0.006)
+    assert not significant(0.009, 1e-5)
+    assert Apart().told() == ()
