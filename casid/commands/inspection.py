@@ -23,7 +23,6 @@ from casid.report.tables import Cells, cells
 from casid.samples import runs
 from casid.structure.identifiability import Identifiability, identifiability
 
-GAP = 1.5  # median sampling intervals
 CLIPPED = 5  # equal samples in a row at a channel's largest or smallest value
 ALIKE = 0.8  # correlation of two inputs over all records
 WEAK = 3.0  # signal over noise
@@ -174,7 +173,6 @@ def inspect_records(
 
 def _facts(record: Record, marks: BoolArray) -> RecordFacts:
     steps = np.diff(record.t)
-    wide = np.flatnonzero(steps > GAP * record.dt)
     quiet = record.t[min(record.quiet_samples(), record.N - 1)] - record.t[0]
     held = repeated(record)
     slow = {
@@ -192,7 +190,7 @@ def _facts(record: Record, marks: BoolArray) -> RecordFacts:
         interval=record.dt,
         equidistant=record.equidistant,
         quiet=float(quiet),
-        gaps=tuple((float(record.t[k]), float(steps[k])) for k in wide),
+        gaps=tuple((float(record.t[k]), float(steps[k])) for k in record.gaps()),
         channels=tuple(
             _channel(record, name, far.get(name, ()), source) for name, source in slow.items()
         ),

@@ -58,6 +58,18 @@ def test_inputs_that_move_alike_are_named():
     assert any("ped and lat move together" in said for said in found.advice)
 
 
+@pytest.mark.parametrize("share", [0.3, 0.45])
+def test_stamps_that_jitter_are_no_gaps_and_a_lost_second_among_them_is_one(share):
+    record = swept()
+    rng = np.random.default_rng(4)
+    jitter = share * record.dt * rng.uniform(-1, 1, record.N)
+    (facts,) = inspect_records([replace(record, t=record.t + jitter)]).records
+    assert facts.gaps == ()
+    late = replace(record, t=record.t + jitter + (record.t > 10))
+    ((at, length),) = inspect_records([late]).records[0].gaps
+    assert (at, length) == pytest.approx((10.0, 1.0), abs=0.04)
+
+
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
