@@ -10,10 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.consistency.flightpath import Instruments
+from casid.consistency.flightpath import LATE, Instruments
 
 SIGNIFICANT = 3.5  # standard errors, of the largest of some twenty
 SKEW = 0.01  # s: what matters
+
+KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
 
 Late = tuple[float, float]  # by so much [s], its standard error
 
@@ -21,6 +23,14 @@ Late = tuple[float, float]  # by so much [s], its standard error
 def significant(late: float, error: float) -> bool:
     """Whether a delay [s] matters and is no noise."""
     return abs(late) > max(SKEW, SIGNIFICANT * error)
+
+
+def known(found: Instruments) -> list[str]:
+    """The channels whose scale and skew the records tell."""
+    gain, skew = found.unknowns.T
+    told = (found.errors[:, 0] > 0) & (found.errors[:, 0] < KNOWN * np.abs(gain))
+    told &= np.abs(skew) < LATE
+    return [name for name, one in zip(found.channels, told, strict=True) if one]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,12 +58,12 @@ class Apart:
         )
 
 
-def stands_apart(found: Instruments, known: Collection[str]) -> Apart:
-    """Which of attitudes and velocities is odd, of instruments whose skews are ``known``."""
+def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
+    """Which of attitudes and velocities is odd, of instruments whose skews are ``told``."""
     skews = {
         name: (float(found.unknowns[i, 1]), float(found.errors[i, 1]))
         for i, name in enumerate(found.channels)
-        if name in known
+        if name in told
     }
     late, error = found.clock
     if not {*VELOCITIES} & {*found.left} or not significant(late, error):

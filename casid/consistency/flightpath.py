@@ -43,6 +43,7 @@ SETTLED = 1e-3  # of gains and skews [s]
 REGAIN = (2, 5, 8)  # iterations after which the filters' gains are fitted anew
 LATE = 0.5  # largest skew [s]
 COMMON = 4  # unknowns of no channel: the velocities' clock, the accelerometers' place
+GROUPS = (RATES, FORCES)
 BATCH = 1.0  # time [s] over which innovations may be correlated
 PRIOR = np.array([1.0, 0.1])  # of gain and skew, so that nothing is singular
 FAR_OFF = 10.0  # from the centre of gravity [m], a prior too
@@ -78,6 +79,7 @@ class Instruments:
     against: dict[str, tuple[str, ...]]  # the equations in which each channel stands
     left: dict[str, list[Array]]  # of each equation's attitude or velocity, one array a flight
     clock: tuple[float, float]  # by how much velocities are later than attitudes [s], its error
+    drawn: Array  # (records, 2): how far each alone draws the skews of all rates, all forces [s]
     onboard_errors: Array  # (channels,) of skew + clock: against attitudes, not velocities [s]
     place: Array  # (3,) of the accelerometers, from where velocities are measured [m]
     place_errors: Array  # (3,)
@@ -132,6 +134,9 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
         against=problem.against(),
         left={one: [rows[0] for name, _, rows in blocks if name == one] for one in equations},
         clock=(float(x[clock]), float(errors[clock])),
+        drawn=np.array(
+            [[_drawn(one.shared, problem.channels, g) for g in GROUPS] for one in flown]
+        ),
         onboard_errors=np.sqrt(P[own, own] + P[clock, clock] + 2 * P[own, clock]),
         place=x[-3:],
         place_errors=errors[-3:],
@@ -354,6 +359,12 @@ class _Reconstruction:
             sums = np.add.reduceat(rows[1:] * rows[0], starts, axis=1)
             found[-1][:, self.columns[each]] = sums.T
         return np.concatenate(found)
+
+
+def _drawn(one: Normal, channels: Sequence[str], group: Sequence[str]) -> float:
+    """Newton's step of one record in the skew that a group of channels shares, all else held."""
+    k = [2 * i + 1 for i, name in enumerate(channels) if name in group]
+    return float(one.slope[k].sum() / max(one.information[np.ix_(k, k)].sum(), 1e-300))
 
 
 def _read(pieces: Array, skew: float, dt: float) -> tuple[Array, Array]:

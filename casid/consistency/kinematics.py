@@ -13,7 +13,15 @@ import numpy as np
 from casid.arrays import BoolArray
 from casid.autoregression import outliers
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.consistency.apart import SIGNIFICANT, Apart, mean, significant, stands_apart
+from casid.consistency.apart import (
+    KNOWN,
+    SIGNIFICANT,
+    Apart,
+    known,
+    mean,
+    significant,
+    stands_apart,
+)
 from casid.consistency.flightpath import LATE, Instruments, reconstruct_level
 from casid.consistency.further import (
     ROUGH,
@@ -26,12 +34,12 @@ from casid.consistency.further import (
 )
 from casid.consistency.lags import clocks_apart
 from casid.consistency.measured import Flight, looked_at, signals
+from casid.consistency.recordwise import clocks_by_record
 from casid.consistency.rigid import GRAVITY
 from casid.display import Shown, counted, listed
 from casid.record import Record
 from casid.records import Records, several
 
-KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
 SCALE, BIAS = 0.02, 0.1  # what matters: relative, of the channel's deviation
 SEEN = 0.5  # m: the largest error of an accelerometer's place
 LEVEL = 0.005  # rad
@@ -106,6 +114,8 @@ class KinematicCheck(Shown):
     apart : Apart
         Attitudes or velocities that are late against all else, and how late each rate and specific
         force is once these have moved.
+    by_record : tuple of str
+        Why no shift of all records brings them into line: clocks that differ from one to another.
     """
 
     channels: tuple[ChannelCheck, ...]
@@ -115,6 +125,7 @@ class KinematicCheck(Shown):
     place: tuple[float, ...] = (np.nan,) * 3
     place_error: tuple[float, ...] = (np.nan,) * 3
     apart: Apart = field(default_factory=Apart)
+    by_record: tuple[str, ...] = ()
 
     def headline(self) -> str:
         """What was compared and what was found."""
@@ -145,25 +156,25 @@ class KinematicCheck(Shown):
         Those of which nothing is told do too, unless another of the logger stands elsewhere.
         """
         alone = {name: lag for name, lag in self.apart.shifts.items() if name in logger}
-        known = {name: late for name, late in self.apart.left.items() if name in logger}
-        own = {name: -known[name][0] for name in self.shifts if name in known}
+        lates = {name: late for name, late in self.apart.left.items() if name in logger}
+        own = {name: -lates[name][0] for name in self.shifts if name in lates}
         if not own:
             return alone, ()
-        skew, _ = mean([known[name] for name in own])
-        alike = {name for name, (late, e) in known.items() if not significant(late - skew, e)}
-        untold = {*RATES, *FORCES} & {*logger} - {*known}
+        skew, _ = mean([lates[name] for name in own])
+        alike = {name for name, (late, e) in lates.items() if not significant(late - skew, e)}
+        untold = {*RATES, *FORCES} & {*logger} - {*lates}
         moves = dict(own)
         if {*own} <= alike:
-            moving = alike if alike < {*known} else alike | untold
+            moving = alike if alike < {*lates} else alike | untold
             moves = {name: -skew for name in (*RATES, *FORCES) if name in moving}
         more, stay = (
             ", ".join(sorted(names))
-            for names in ({*moves} - {*own}, {*known} - {*moves} | untold - {*moves})
+            for names in ({*moves} - {*own}, {*lates} - {*moves} | untold - {*moves})
         )
         why = (
             f"{more}: of the logger of {', '.join(own)}, and no other skew is seen" if more else ""
         )
-        told = ", ".join(f"{name} {1e3 * late:+.0f} ms" for name, (late, _) in known.items())
+        told = ", ".join(f"{name} {1e3 * late:+.0f} ms" for name, (late, _) in lates.items())
         rest = f"{stay} not: skews of its logger's channels differ ({told})" if stay else ""
         return moves | alone, tuple(each for each in (why, rest) if each)
 
@@ -219,14 +230,19 @@ def _reconstructed(
     labels: Mapping[int, str],
 ) -> KinematicCheck:
     """What instruments the equations of these channels ask for, judged."""
-    solution = reconstruct_level([flight.only(names) for flight in flights], equations)
+    bare = [flight.only(names) for flight in flights]
+    solution = reconstruct_level(bare, equations)
+    if by_record := clocks_by_record(bare, equations, solution, labels):
+        return KinematicCheck(
+            channels=(), residuals={}, notes=tuple(notes), further=by_record, by_record=by_record
+        )
     spread = {
         name: float(np.sqrt(np.mean([np.var(flight.values[name]) for flight in flights])))
         for name in (*solution.channels, *equations)
     }
     level = _about_zero(flights, "theta", LEVEL)
     rough = {name for name in equations if level or not WHOLE[name] <= names}
-    apart = stands_apart(solution, [n for n in solution.channels if _known(solution, n)])
+    apart = stands_apart(solution, known(solution))
     checks = tuple(
         _judged(solution, n, spread[n], rough, labels.values(), apart) for n in solution.channels
     )
@@ -236,9 +252,9 @@ def _reconstructed(
         if not each.determined
     ]
     left = {n: float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for n, e in solution.left.items()}
-    known = solution.place_errors < SEEN
-    place = np.where(known, solution.place, np.nan)
-    errors = np.where(known, solution.place_errors, np.nan)
+    seen = solution.place_errors < SEEN
+    place = np.where(seen, solution.place, np.nan)
+    errors = np.where(seen, solution.place_errors, np.nan)
     return KinematicCheck(
         channels=checks,
         residuals=left,
@@ -294,13 +310,6 @@ def _about_zero(flights: Sequence[Flight], name: str, size: float) -> bool:
     return whole and bool(abs(np.median(np.concatenate(seen))) < size)
 
 
-def _known(solution: Instruments, name: str) -> bool:
-    """Whether the records tell the scale and skew of a channel."""
-    i = solution.channels.index(name)
-    gain, skew = solution.unknowns[i]
-    return bool(0 < solution.errors[i, 0] < KNOWN * abs(gain) and abs(skew) < LATE)
-
-
 def _judged(
     solution: Instruments,
     name: str,
@@ -315,9 +324,9 @@ def _judged(
     against = solution.against[name]
     if OWN[name] in against:  # it stands in others too, but this one says most
         against = (OWN[name],)
-    known = 0 < errors[0] < KNOWN * abs(gain)
-    ended = known and abs(skew) >= LATE
-    if ended or not known:
+    seen = 0 < errors[0] < KNOWN * abs(gain)
+    ended = seen and abs(skew) >= LATE
+    if ended or not seen:
         gain, skew, *errors = [np.nan] * 4
     own, off = solution.biases[:, i] / gain, solution.bias_errors[:, i] / abs(gain)
     check = ChannelCheck(
@@ -336,7 +345,7 @@ def _judged(
     if ended:
         said = f"{name} is {LATE:g} s late or early against {against[0]}, where the search ended: "
         return replace(check, remarks=(f"{said}look at the clocks of both",))
-    return replace(check, remarks=_remarks(check, tolerance, spread, apart) if known else ())
+    return replace(check, remarks=_remarks(check, tolerance, spread, apart) if seen else ())
 
 
 def _remarks(check: ChannelCheck, tolerance: float, spread: float, apart: Apart) -> tuple[str, ...]:

@@ -140,6 +140,8 @@ def _skews(
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     """Shifts [s] that bring the channels of both loggers into line, and why in words."""
     check = kinematic_check(records, trim={"theta0": theta0})
+    if check.by_record:
+        raise ValueError(f'shift = "{KINEMATICS}": {"; ".join(check.by_record)}')
     first = [name for name in records[0].outputs if name not in second]
     return aligned(check, first, second, records[0].inputs)
 

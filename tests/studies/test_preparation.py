@@ -72,6 +72,14 @@ def test_skews_and_outliers_are_mended_by_a_word(tmp_path):
     assert np.isnan(records[0].y[:, 0]).sum() == 1  # and stays missing
 
 
+def test_skews_that_differ_by_record_are_not_mended_by_one_word(tmp_path):
+    path = write_study(tmp_path, (PLACE, f'[channels]\nshift = "kinematics"\n{PLACE}'))
+    record = read_csv(tmp_path / "sweep.csv", inputs=["lat"], outputs=["p", "phi"])
+    write_csv(tmp_path / "sweep.csv", record.shift({"p": 0.2}))
+    with pytest.raises(ValueError, match=r"differ by record: .*sweep"):
+        read_records(read_study(path))
+
+
 def test_a_second_logger_is_joined_on_its_clock(tmp_path):
     path = write_study(tmp_path, QUIET)
     plain = read_records(read_study(path))["identification"][1]

@@ -1,0 +1,68 @@
+"""Whether the clocks of two loggers differ from record to record, as where one is started anew.
+
+Skews are one for all records; where they are not, what is found is the skew of none, and what it
+leaves passes for scales.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+import scipy
+
+from casid.arrays import Array
+from casid.channels import FORCES, RATES
+from casid.consistency.apart import SKEW, known, mean
+from casid.consistency.flightpath import Instruments, reconstruct_level
+from casid.consistency.further import unexplained
+from casid.consistency.measured import Flight
+
+LEVEL = 1e-4  # at which skews of records are called different
+GROUPS = {RATES: "rates and attitudes", FORCES: "specific forces and velocities"}
+
+
+def clocks_by_record(
+    flights: Sequence[Flight],
+    equations: Sequence[str],
+    together: Instruments,
+    labels: Mapping[int, str],
+) -> tuple[str, ...]:
+    """Remarks on clocks that differ by record (``labels`` by number), found by each alone.
+
+    Records are looked at one by one only where one draws the skews found ``together`` from where
+    they are by half of what matters.
+    """
+    if len(labels) < 2 or np.ptp(together.drawn, axis=0).max() < SKEW / 2:
+        return ()
+    alone = {}
+    for k in labels:
+        own = [flight for flight in flights if flight.record == k]
+        found = reconstruct_level(own, equations)
+        if not unexplained(found, own, {k: labels[k]}):
+            alone[labels[k]] = found
+    said = []
+    for group, words in GROUPS.items():
+        skews = {name: late for name, one in alone.items() if (late := _of(one, group)) is not None}
+        if len(skews) > 1 and differ(*np.transpose([*skews.values()])):
+            each = ", ".join(f"{name} {late:+.3g}" for name, (late, _) in skews.items())
+            said.append(
+                f"the clocks of {words} differ by record: {words.split()[0]} are late by {each} s; "
+                "set them record by record (Record.shift, Record.join); kinematics unchecked"
+            )
+    return tuple(said)
+
+
+def _of(found: Instruments, group: Collection[str]) -> tuple[float, float] | None:
+    """How late a group of channels is, and the error [s]; None where nothing is told."""
+    seen = [name for name in known(found) if name in group]
+    rows = [found.channels.index(name) for name in seen]
+    if not seen:
+        return None
+    return mean([(float(found.unknowns[i, 1]), float(found.errors[i, 1])) for i in rows])
+
+
+def differ(skews: Array, errors: Array) -> bool:
+    """Whether skews [s] scatter by more than their errors and a third of what matters."""
+    variances = errors**2 + (SKEW / 3) ** 2
+    middle = np.average(skews, weights=1 / variances)
+    chi2 = float(np.sum((skews - middle) ** 2 / variances))
+    return bool(np.ptp(skews) > SKEW and scipy.stats.chi2.sf(chi2, len(skews) - 1) < LEVEL)
