@@ -68,10 +68,9 @@ class BoxResponse:
         if excitation is not None:
             fed_back = excitation.fed_back(model.inputs, omega)
         seconds = sum(segment.duration for segment in black_box.segments)
-        return cls(
-            omega=omega, G=G, F=F, allowed=allowed, scale=sizes, fed_back=fed_back,
-            freedom=2 * lines_near(omega, seconds) if seconds else np.full(len(omega), np.inf),
-        )  # fmt: skip
+        freedom = 2 * lines_near(omega, seconds) if seconds else np.full(len(omega), np.inf)
+        parts = {"omega": omega, "G": G, "F": F, "allowed": allowed, "scale": sizes}
+        return cls(**parts, fed_back=fed_back, freedom=freedom)
 
     @property
     def variance(self) -> Array:
