@@ -42,7 +42,9 @@ def clocks_by_record(
     said = []
     for group, words in GROUPS.items():
         skews = {name: late for name, one in alone.items() if (late := _of(one, group)) is not None}
-        if len(skews) > 1 and differ(*np.transpose([*skews.values()])):
+        # Channels whose skews differ weigh otherwise in each record: from their own they count.
+        off = [late for one in alone.values() if (late := _of(one, group, together)) is not None]
+        if len(off) > 1 and differ(*np.transpose(off)):
             each = ", ".join(f"{name} {late:+.3g}" for name, (late, _) in skews.items())
             said.append(
                 f"the clocks of {words} differ by record: {words.split()[0]} are late by {each} s; "
@@ -51,13 +53,16 @@ def clocks_by_record(
     return tuple(said)
 
 
-def _of(found: Instruments, group: Collection[str]) -> tuple[float, float] | None:
-    """How late a group of channels is, and the error [s]; None where nothing is told."""
+def _of(
+    found: Instruments, group: Collection[str], beside: Instruments | None = None
+) -> tuple[float, float] | None:
+    """How late a group of channels is (later than ``beside``), and the error [s], if told."""
     seen = [name for name in known(found) if name in group]
     rows = [found.channels.index(name) for name in seen]
     if not seen:
         return None
-    return mean([(float(found.unknowns[i, 1]), float(found.errors[i, 1])) for i in rows])
+    skews = found.unknowns[:, 1] - (beside.unknowns[:, 1] if beside else 0.0)
+    return mean([(float(skews[i]), float(found.errors[i, 1])) for i in rows])
 
 
 def differ(skews: Array, errors: Array) -> bool:

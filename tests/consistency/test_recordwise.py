@@ -41,6 +41,15 @@ def test_one_clock_of_all_records_is_none_of_each(clocks):
     assert {*check.shifts} == ({*RATES} if any(clocks) else set())
 
 
+def test_one_late_channel_that_records_tell_of_unlike_well_is_no_clock():
+    noisy = [{"theta": 0.02, "psi": 0.02}, {"phi": 0.02}]
+    late = flown((0.1, 0.1), late=("phi",))
+    records = [
+        one.with_noise(std, np.random.default_rng(3)) for one, std in zip(late, noisy, strict=True)
+    ]
+    assert kinematic_check(records).by_record == ()
+
+
 def test_skews_differ_by_more_than_errors_and_what_matters():
     assert differ(np.array([0.1, -0.2, 0.15]), np.full(3, 0.01))
     assert not differ(np.array([0.1, -0.2, 0.15]), np.full(3, 0.2))
