@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from truths.flights import NOISE, RATES, flight
 
+from benchmarks.kinematics import later, spoilt
+from benchmarks.uh60 import SWEEPS, nonlinear_records
 from casid.consistency.kinematics import kinematic_check
 from casid.consistency.recordwise import differ
 
@@ -42,12 +44,13 @@ def test_one_clock_of_all_records_is_none_of_each(clocks):
 
 
 def test_one_late_channel_that_records_tell_of_unlike_well_is_no_clock():
-    noisy = [{"theta": 0.02, "psi": 0.02}, {"phi": 0.02}]
-    late = flown((0.1, 0.1), late=("phi",))
-    records = [
-        one.with_noise(std, np.random.default_rng(3)) for one, std in zip(late, noisy, strict=True)
-    ]
-    assert kinematic_check(records).by_record == ()
+    # Of sweeps: each moves rates of its own, whose skews against one late attitude differ.
+    rng = np.random.default_rng([100, 3])
+    records = [spoilt(later(each, "phi", 0.06), rng) for each in nonlinear_records(SWEEPS)]
+    check = kinematic_check(records)
+    assert check.by_record == ()
+    (p,) = (each for each in check.channels if each.channel == "p")
+    assert abs(p.skew + 0.06) < 0.005
 
 
 def test_skews_differ_by_more_than_errors_and_what_matters():
