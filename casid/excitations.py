@@ -22,7 +22,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid import vector_autoregression
 from casid.arrays import Array, BoolArray
 from casid.autoregression import filled
 from casid.channels import RATES
@@ -32,7 +31,7 @@ from casid.record import Record
 from casid.records import Records, same_channels, stretches
 from casid.samples import runs
 from casid.values import storable
-from casid.vector_autoregression import VectorAutoregression
+from casid.vector_autoregression import VectorAutoregression, of_flights, of_records
 
 POINTS = 60  # frequencies
 EDGES = 0.05, 0.95  # of an input's power between which it is judged
@@ -205,6 +204,57 @@ def wide_bands(omega: Array, where: BoolArray) -> list[tuple[float, float]]:
     return [(a, b) for a, b in spans if b >= WIDE * a]
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Flights:
+    """Autoregressions of flights, each channel z = (y, u) divided by its size."""
+
+    parts: Sequence[Record]  # at equal intervals, all alike, of channels that move
+    models: Sequence[VectorAutoregression]
+    size: Array  # (ny + nu,) root mean square of each channel
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs that move in some record."""
+        return self.parts[0].inputs
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Outputs that move in some record."""
+        return self.parts[0].outputs
+
+    @property
+    def dt(self) -> float:
+        """Interval [s] between samples."""
+        return self.parts[0].dt
+
+    @property
+    def singular(self) -> bool:
+        """Whether the outputs can be predicted without error, as without noise."""
+        ny = len(self.outputs)
+        least = [np.linalg.eigvalsh(each.S[:ny, :ny])[0] for each in self.models]
+        return bool(max(least) < SINGULAR)
+
+
+def flights(records: Records, *, together: bool = False) -> Flights:
+    """Autoregressions of records of the same channels; ValueError as of `excitation`.
+
+    One of as many lags as Akaike's criterion asks for serves all ``together``.
+    """
+    parts = [even(part) for part in stretches(records)]
+    same_channels(parts)
+    parts = moving(parts)
+    same_channels(parts)
+    dt = max(part.dt for part in parts)
+    parts = [part if part.dt > 0.999 * dt else part.resample(dt) for part in parts]
+    columns = [np.hstack([part.y, part.u]) for part in parts]
+    columns = [z - z.mean(axis=0) for z in columns]
+    size = np.sqrt(np.mean(np.vstack(columns) ** 2, axis=0))
+    size = np.where(size > 0, size, 1.0)
+    unit = [z / size for z in columns]
+    models = [of_records(unit, dt, memory=0.0)] if together else of_flights(unit, dt)
+    return Flights(parts=parts, models=models, size=size)
+
+
 def excitation(records: Records, omega: Array | None = None) -> Excitation:
     """How much of the inputs comes from outside and not back from the outputs.
 
@@ -222,33 +272,24 @@ def excitation(records: Records, omega: Array | None = None) -> Excitation:
     ValueError
         Records of different channels, or too short.
     """
-    parts = [even(part) for part in stretches(records)]
-    same_channels(parts)
-    parts = moving(parts)
-    inputs, outputs = same_channels(parts)
-    dt = max(part.dt for part in parts)
-    parts = [part if part.dt > 0.999 * dt else part.resample(dt) for part in parts]
-    columns = [np.hstack([part.y, part.u]) for part in parts]
-    columns = [z - z.mean(axis=0) for z in columns]
-    size = np.sqrt(np.mean(np.vstack(columns) ** 2, axis=0))
-    size = np.where(size > 0, size, 1.0)
+    flown = flights(records)
+    parts, found, dt = flown.parts, flown.models, flown.dt
     if omega is None:
         longest = max(part.duration for part in parts)
         omega = np.geomspace(min(4 * np.pi / longest, 0.2 / dt), 0.8 * np.pi / dt, POINTS)
     omega = np.asarray(omega, dtype=float)
-    found = vector_autoregression.of_flights([z / size for z in columns], dt)
-    lower, upper, joint, answers = outside_shares(found, len(outputs), omega * dt)
+    lower, upper, joint, answers = outside_shares(found, len(flown.outputs), omega * dt)
     # Spectra of p lags scatter as means of N/(2 p) periodograms, with which inputs agree by chance.
     means = sum(each.rows / (2 * len(each.A)) for each in found)
-    coherence = 1 - (1 - answers[1]) * means / (means - len(inputs))
-    floor = max(np.linalg.eigvalsh(each.S[: len(outputs), : len(outputs)])[0] for each in found)
+    coherence = 1 - (1 - answers[1]) * means / (means - len(flown.inputs))
     return Excitation(
-        inputs=inputs, outputs=outputs, omega=omega, lower=lower, upper=np.maximum(lower, upper),
-        joint=joint, answer=answers[0], coherence=np.maximum(coherence, 0.0),
+        inputs=flown.inputs, outputs=flown.outputs, omega=omega,
+        lower=lower, upper=np.maximum(lower, upper), joint=joint,
+        answer=answers[0], coherence=np.maximum(coherence, 0.0),
         within=occupied_band(parts, omega),
         lags=max(len(each.A) for each in found),
         unanswered=tuple(span for part in parts for span in unanswered(part)),
-        singular=bool(floor < SINGULAR),
+        singular=flown.singular,
     )  # fmt: skip
 
 
@@ -334,15 +375,14 @@ def outside_shares(
 
 def _spectra(model: VectorAutoregression, ny: int, phase: Array) -> tuple[Array, Array, Array]:
     """Spectra (K, n, n) that the inputs' innovations make, last and first in a sample, and all."""
-    p, n = model.A.shape[:2]
+    n = len(model.S)
     other = [*range(ny, n), *range(ny)]
     last, first = np.linalg.cholesky(model.S), np.zeros((n, n))
     first[np.ix_(other, range(n))] = np.linalg.cholesky(model.S[np.ix_(other, other)])
-    lags = np.exp(-1j * np.outer(phase, np.arange(1, p + 1)))
-    H = np.linalg.inv(np.eye(n) - np.tensordot(lags, model.A, axes=1))
+    H = np.linalg.inv(model.polynomial(phase))
     factors = (H @ last[:, ny:], H @ first[:, : n - ny], H @ last)
     late, early, whole = (model.rows * F @ F.conj().swapaxes(1, 2) for F in factors)
-    return late, early, whole
+    return np.asarray(late), np.asarray(early), np.asarray(whole)
 
 
 def coherent_share(whole: Array, ny: int, phase: Array) -> Array:

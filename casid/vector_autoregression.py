@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import Array, ComplexArray
 
 LAGS = 0.6  # time [s] that the autoregression reaches back at most
 MOST = 60  # lags
@@ -27,6 +27,11 @@ class VectorAutoregression:
     S: Array  # (n, n) covariance of the innovations
     rows: int  # samples it comes from
     criterion: float  # Akaike's
+
+    def polynomial(self, phase: Array) -> ComplexArray:
+        """A(e^(jω dt)) at phases ω dt (K,), (K, n, n)."""
+        lags = np.exp(-1j * np.outer(phase, np.arange(1, len(self.A) + 1)))
+        return np.asarray(np.eye(self.A.shape[1]) - np.tensordot(lags, self.A, axes=1))
 
 
 def of_flights(columns: Sequence[Array], dt: float) -> list[VectorAutoregression]:
@@ -45,7 +50,7 @@ def longest_lag(dt: float) -> int:
     return max(2, min(MOST, round(LAGS / dt)))
 
 
-def of_records(columns: Sequence[Array], dt: float) -> VectorAutoregression:
+def of_records(columns: Sequence[Array], dt: float, memory: float = MEMORY) -> VectorAutoregression:
     """One autoregression of several records' columns (N, n)."""
     n, longest = columns[0].shape[1], longest_lag(dt)
     rows = sum(max(len(z) - longest, 0) for z in columns)
@@ -57,7 +62,7 @@ def of_records(columns: Sequence[Array], dt: float) -> VectorAutoregression:
             "give longer records, or fewer channels"
         )
     G = np.sum([lagged_products(z, longest) for z in columns if len(z) > longest], axis=0)
-    kept = max([p for p in lags if p <= min(MEMORY * longest, rows / (PLENTY * n))], default=0)
+    kept = max([p for p in lags if p <= min(memory * longest, rows / (PLENTY * n))], default=0)
     tried = [_of_lags(G, rows, n, p) for p in lags if p >= kept]
     return min(tried, key=lambda each: each.criterion)
 

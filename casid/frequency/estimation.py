@@ -18,9 +18,10 @@ from casid.checks import checked_fields
 from casid.errors import warn
 from casid.fingerprints import fingerprint
 from casid.frequency import sampling
+from casid.frequency.feedback import MUCH, bias_of_windows, noise_in_inputs
 from casid.frequency.leakage import leakage
 from casid.frequency.local import local_response
-from casid.frequency.response import FrequencyResponse
+from casid.frequency.response import FED_BACK, FrequencyResponse
 from casid.frequency.spectra import (
     MEANINGLESS,
     SUSPECT,
@@ -35,7 +36,6 @@ from casid.records import Records, same_channels, standard_deviations, still, st
 from casid.threads import one_thread
 
 KEPT = 0.5  # share of an input's power in the windows without long losses
-FED_BACK = "{!r} is fed back, hardly moved from outside: it is the controller's inverse there"
 HANN = 3.84  # rad: standard deviation of a Hann window's spectral window, times its length
 
 Method: TypeAlias = Literal["local", "windows"]
@@ -58,8 +58,9 @@ class SpectralAnalysis:
     ----------
     omega : (K,) array
         Frequencies [rad/s], increasing, in any spacing. Unless given, 40 from two periods in the
-        longest window to the highest that the records excite from outside. Where all that moves an
-        input is noise that a controller feeds back, the response is NaN, unless by a ``reference``.
+        longest window to the highest that the records excite from outside. What noise that a
+        controller feeds back adds to a response is part of ``leakage``; where that is half of it,
+        and where nothing else moves an input, the response is NaN, unless by a ``reference``.
     windows : sequence of float
         Window lengths [s]. Unless given, five between 20 periods of the highest frequency and
         min(half the longest record, a fifth of all records together), T&R section 10.3.
@@ -100,28 +101,31 @@ class SpectralAnalysis:
             raise ValueError(f"no input moves in any record ({', '.join(inputs)}): nothing excites")
         moving = self._moving(even, [inputs[i] for i in active], outputs)
         lengths, parts, counted = _parts(moving, omega, lengths, self)
-        fed_back = {name: omega > end * (1 + 1e-9) for name, end in ends.items()}
-        excited = ~np.logical_or.reduce([*fed_back.values(), np.zeros(len(omega), dtype=bool)])
-        usable = _usable(omega, lengths, parts) & counted & excited
+        usable = _usable(omega, lengths, parts) & counted
         merged = composite(parts, usable)
         number = merged.condition if self.conditioned else np.ones(len(omega))
         su, sy = standard_deviations(records)
         heard = [i for i, name in enumerate(outputs) if name not in silent]
         laid = partial(_laid, where=np.ix_(heard, active), shape=(len(outputs), len(inputs)))
         multiple = np.where(np.isin(outputs, silent), np.nan, merged.multiple_coherence)
-        estimate = _Estimate.of_windows(merged, parts, usable, lengths, omega)
+        noise = self._noise(moving, omega, len(active))
+        estimate = _Estimate.of_windows(merged, parts, usable, lengths, omega, noise)
         if self.method == "local" and self.conditioned and not self.reference:
-            estimate = estimate.refined(moving, omega, heard)
+            estimate = estimate.refined(moving, omega, heard, noise)
+        estimate, lost = estimate.under_feedback(
+            omega, [ends.get(inputs[i], np.inf) for i in active]
+        )
         found = FrequencyResponse(
-            omega=omega, G=laid(estimate.G), coherence=laid(merged.coherence),
+            omega=omega, G=laid(estimate.G), coherence=laid(estimate.coherence),
             random_error=laid(estimate.random_error), leakage=laid(estimate.leakage),
             resolution=laid(estimate.resolution),
             **_correlations(estimate, active, len(inputs)),
             inputs=inputs, outputs=outputs, input_std=su, output_std=sy,
             multiple_coherence=multiple, condition=merged.condition,
             windows=tuple(lengths),
-            flags=_flags(omega, lengths[-1], usable | ~excited, counted, number)
-            | _listed({FED_BACK.format(name): at for name, at in fed_back.items()}),
+            flags=_flags(omega, lengths[-1], usable, counted, number)
+            | _listed({FED_BACK.format(inputs[i]): np.asarray(lost[:, heard, k].any(axis=1))
+                       for k, i in enumerate(active)}),
             records=tuple(record.name for record in records),
             fingerprints=tuple(fingerprint(record) for record in plain),
         )  # fmt: skip
@@ -149,6 +153,12 @@ class SpectralAnalysis:
                 "channels beside these"
             )
         return inputs, outputs
+
+    def _noise(self, records: Sequence[Record], omega: Array, nu: int) -> ComplexArray:
+        """The outputs' noise in inputs, (K, ny, nu); it does not drive references."""
+        if self.reference:
+            return np.zeros((len(omega), records[0].ny, nu), dtype=complex)
+        return noise_in_inputs(records, omega)
 
     def _moving(
         self, records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[str]
@@ -218,8 +228,10 @@ class _Estimate:
     """A response with its errors, of pairs whose channels move."""
 
     G: ComplexArray
+    coherence: Array
     random_error: Array
     leakage: Array
+    feedback: Array
     resolution: Array
     output_correlation: ComplexArray | None
     input_correlation: ComplexArray | None
@@ -232,27 +244,33 @@ class _Estimate:
         usable: BoolArray,
         lengths: Sequence[float],
         omega: Array,
+        noise: ComplexArray,
     ) -> "_Estimate":
         """The estimate from averaged spectra: response, errors and their correlations."""
         W = window_weights(np.array([part.random_error for part in parts]), usable)
         return cls(
             G=merged.response,
+            coherence=merged.coherence,
             random_error=merged.random_error,
             leakage=leakage(parts, usable, lengths, omega),
+            feedback=bias_of_windows(noise, parts, W, merged.response),
             resolution=np.einsum("wkij,w->kij", W, HANN / np.array(lengths)),
             output_correlation=merged.output_correlation,
             input_correlation=merged.input_correlation,
         )
 
-    def refined(self, records: Sequence[Record], omega: Array, heard: Sequence[int]) -> "_Estimate":
+    def refined(
+        self, records: Sequence[Record], omega: Array, heard: Sequence[int], noise: ComplexArray
+    ) -> "_Estimate":
         """What local models say of outputs that move, where these exist and inputs separate."""
         names = [records[0].outputs[i] for i in heard]
-        local = local_response([record.select(outputs=names) for record in records], omega)
+        parts = [record.select(outputs=names) for record in records]
+        local = local_response(parts, omega, noise[:, heard])
         if local is None:
             return self
         rows = np.isfinite(self.G[:, heard]) & np.isfinite(local.G) & (np.abs(local.G) > 0)
         found = {}
-        for name in ("G", "random_error", "leakage", "resolution"):
+        for name in ("G", "random_error", "leakage", "feedback", "resolution"):
             found[name] = np.array(getattr(self, name))
             found[name][:, heard] = np.where(rows, getattr(local, name), found[name][:, heard])
         every = rows.all(axis=(1, 2))
@@ -261,6 +279,16 @@ class _Estimate:
         block = np.ix_(np.flatnonzero(every), np.array(heard), np.array(heard))
         outputs[block] = local.output_correlation[every]
         return replace(self, **found, input_correlation=inputs, output_correlation=outputs)
+
+    def under_feedback(self, omega: Array, last: Sequence[float]) -> tuple["_Estimate", BoolArray]:
+        """The estimate with the bias of feedback stated, and what is lost to it, (K, ny, nu).
+
+        ``last`` are the frequencies [rad/s] where inputs from outside end.
+        """
+        lost = (self.feedback > MUCH) | (omega[:, None, None] > np.array(last) * (1 + 1e-9))
+        G, coherence = (np.where(lost, np.nan, each) for each in (self.G, self.coherence))
+        bias = np.hypot(self.leakage, self.feedback)
+        return replace(self, G=G, coherence=coherence, leakage=bias), lost
 
 
 def _correlations(found: _Estimate, active: Sequence[int], nu: int) -> dict[str, ComplexArray]:
@@ -357,7 +385,7 @@ def _warn(found: FrequencyResponse, silent: Sequence[str]) -> None:
     for reason, at in found.flags.items():
         worst = np.nanmax(found.condition[list(at)]) if "condition" in reason else np.nan
         number = "" if np.isnan(worst) else f" (up to {worst:.3g})"
-        lost = np.isnan(found.G[list(at)]).all()
+        lost = np.isnan(found.G[list(at)]).all() and "NaN" not in reason
         warn(
             f"{len(at)} of {len(found.omega)} frequencies, {found.omega[at[0]]:.3g} to "
             f"{found.omega[at[-1]]:.3g} rad/s: {reason}{number}"

@@ -26,6 +26,7 @@ from scipy.linalg.lapack import ztrtri
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
+from casid.frequency.feedback import relative
 from casid.frequency.leakage import over_three
 from casid.frequency.spectra import correlation
 from casid.record import Record
@@ -60,13 +61,19 @@ class LocalResponse:
     G: ComplexArray  # (K, ny, nu)
     random_error: Array  # (K, ny, nu)
     leakage: Array  # (K, ny, nu) bias of models of finite width
+    feedback: Array  # (K, ny, nu) bias from noise that inputs carry
     resolution: Array  # (K, ny, nu) [rad/s], as in `FrequencyResponse`
     output_correlation: ComplexArray  # (K, ny, ny)
     input_correlation: ComplexArray  # (K, nu, nu)
 
 
-def local_response(records: Sequence[Record], omega: Array) -> LocalResponse | None:
+def local_response(
+    records: Sequence[Record], omega: Array, noise: ComplexArray | None = None
+) -> LocalResponse | None:
     """Response at frequencies (K,) [rad/s] of equidistant records, all of whose channels move.
+
+    ``noise`` (K, ny, nu) is that of the outputs in the inputs (`casid.frequency.feedback`), none
+    unless given.
 
     None where a record lacks a channel, or losses leave no stretch at some frequency.
     """
@@ -75,15 +82,18 @@ def local_response(records: Sequence[Record], omega: Array) -> LocalResponse | N
     lines = _lines_at(records, omega)
     if not all(lines):
         return None
-    G, error, half, outputs, inputs = _at_all(lines, omega, QUADRATIC)
-    squared = _beyond_noise(G, error, *_at_all(lines, omega, CUBIC)[:2])
+    if noise is None:
+        noise = np.zeros((len(omega), records[0].ny, records[0].nu), dtype=complex)
+    G, error, half, outputs, inputs, back = _at_all(lines, omega, QUADRATIC, noise)
+    squared = _beyond_noise(G, error, *_at_all(lines, omega, CUBIC, noise)[:2])
     # An input is smooth between its samples, or straight: sinc²(ωh/2) lies between the two.
     between = omega**2 * max((r.dt**2 for r in records if r.hold != "zoh"), default=0.0) / 12
     squared = np.maximum(squared, 0.0)
     # As a share of response and difference together: a logarithm's error has limits.
     bias = np.sqrt(squared / (1 + squared) + between[:, None, None] ** 2)
     width = np.broadcast_to(KERNEL * half[:, None, None], G.shape)
-    return LocalResponse(G, error, np.where(np.isfinite(G), bias, np.nan), width, outputs, inputs)
+    bias = np.where(np.isfinite(G), bias, np.nan)
+    return LocalResponse(G, error, bias, relative(back, G), width, outputs, inputs)
 
 
 def _beyond_noise(G: ComplexArray, error: Array, other: ComplexArray, more: Array) -> Array:
@@ -139,11 +149,12 @@ def _lines(record: Record) -> Lines:
 
 
 def _at_all(
-    lines: Sequence[Sequence[Lines]], omega: Array, powers: int
-) -> tuple[ComplexArray, Array, Array, ComplexArray, ComplexArray]:
-    """Responses, random errors, half widths and correlations of outputs and inputs."""
+    lines: Sequence[Sequence[Lines]], omega: Array, powers: int, noise: ComplexArray
+) -> tuple[ComplexArray, Array, Array, ComplexArray, ComplexArray, ComplexArray]:
+    """Responses, random errors, half widths, correlations of outputs and inputs, fed-back bias."""
     K, nu, ny = len(omega), *(len(each.T) for each in (lines[0][0].U, lines[0][0].Y))
     G, error = np.full((K, ny, nu), np.nan, complex), np.full((K, ny, nu), np.nan)
+    back = np.zeros((K, ny, nu), complex)
     half, outputs = np.zeros(K), np.tile(np.eye(ny, dtype=complex), (K, 1, 1))
     inputs = np.tile(np.eye(nu, dtype=complex), (K, 1, 1))
     for k, (near, centre) in enumerate(zip(lines, omega, strict=True)):
@@ -152,13 +163,14 @@ def _at_all(
         found = model.solved() if model is not None else None
         if model is None or found is None:
             continue
-        G[k], variance, S, P = found
+        G[k], variance, S, P = found.result()
+        back[k] = found.fed_back(noise[k])
         with np.errstate(invalid="ignore", divide="ignore"):
             error[k] = np.sqrt(variance / 2) / np.abs(G[k])
         # Shrunk towards none, as few residuals tell little.
         outputs[k] = (model.freedom * correlation(S) + ny * np.eye(ny)) / (model.freedom + ny)
         inputs[k] = correlation(P)
-    return G, error, half, outputs, inputs
+    return G, error, half, outputs, inputs, back
 
 
 def _spacing(lines: Sequence[Lines], centre: float) -> float:
@@ -235,11 +247,11 @@ class _LocalModel:
         powers = np.vander(self.x, self.powers, increasing=True)
         return np.asarray(powers[:, :, None] * self.U[:, None, :]).reshape(len(self.x), -1)
 
-    def solved(self) -> tuple[ComplexArray, Array, ComplexArray, ComplexArray] | None:
-        """Response (ny, nu), its variance, covariance of residuals, inverse of the inputs' power.
+    def solved(self) -> "_LocalFit | None":
+        """The best fit, None where inputs are not separable.
 
         Gauss-Newton steps of the denominator, common to all outputs, each weighed by its residuals;
-        numerators are linear and follow (variable projection). None: inputs are not separable.
+        numerators are linear and follow (variable projection).
         """
         first = _LocalFit.of(self, np.zeros(POLES, complex))
         if first is None:
@@ -252,7 +264,7 @@ class _LocalModel:
             fit = better
         # Where noise rules, a pair of poles would only follow it.
         certain = 2 * len(self.x) * (first.cost - fit.cost) > CERTAIN
-        return fit.result() if certain else first.result()
+        return fit if certain else first
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,7 +331,7 @@ class _LocalFit:
         return None
 
     def result(self) -> tuple[ComplexArray, Array, ComplexArray, ComplexArray]:
-        """See `_Model.solved`."""
+        """Response (ny, nu), its variance, residuals' covariance, inverse of the inputs' power."""
         nu = self.model.U.shape[1]
         root = self.inverse[:nu]  # B(0) is in the first rows
         P = root @ root.conj().T
@@ -329,6 +341,13 @@ class _LocalFit:
         variance *= self.model.freedom / (self.model.freedom - 1)
         S = self.E.T @ self.E.conj() / self.model.freedom
         return self.theta[:nu].T, variance, S, P
+
+    def fed_back(self, noise: ComplexArray) -> ComplexArray:
+        """Bias (ny, nu) of the response where inputs carry noise (ny, nu) of the outputs."""
+        powers = np.vander(self.model.x, self.model.powers, increasing=True) / self.A[:, None]
+        count = powers.sum(axis=0).conj() * (1 - self.edges.shape[1] / len(self.A))
+        products = np.kron(count[:, None], noise.T)  # mean of the inputs' rows times noise
+        return np.asarray(self.inverse[: len(noise.T)] @ self.inverse.conj().T @ products).T
 
     def _of_poles(self, root: ComplexArray) -> Array:
         """What errors of the denominator add to variances of the response, (ny, nu)."""

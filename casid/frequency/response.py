@@ -18,6 +18,10 @@ PAIRWISE = ("G", "coherence", "random_error", "leakage", "resolution")  # by pai
 CORRELATIONS = ("output_correlation", "input_correlation")
 POINTWISE = ("omega", *PAIRWISE, *CORRELATIONS, "multiple_coherence", "condition")
 COMPLEX = ("G", *CORRELATIONS)
+FED_BACK = (
+    "noise fed back into {!r} makes half of a response after it or more, left out (NaN): without "
+    "input from outside it would be the controller's inverse"
+)
 
 
 @storable
@@ -37,7 +41,8 @@ class FrequencyResponse(Shown):
         Normalised random error of abs(G), one standard deviation; the same number is that of the
         phase in rad.
     leakage : (K, ny, nu) array
-        What the windows' finite length adds to that error; zero unless given.
+        What the windows' finite length, and noise that a controller feeds back, add to that error;
+        zero unless given.
     resolution : (K, ny, nu) array
         Standard deviation [rad/s] of the spectral window: errors of points nearer than that are
         alike; zero, errors of all frequencies independent, unless given.

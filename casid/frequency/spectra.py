@@ -67,6 +67,7 @@ class Conditioned:
     random_error: Array  # (K, ny, nu)
     multiple_coherence: Array  # (K, ny)
     condition: Array  # (K,) of the inputs' coherence matrix
+    inverse: ComplexArray | None = None  # (K, nu, nu) of the inputs' spectra
     output_correlation: ComplexArray | None = None  # (K, ny, ny) of the errors of two outputs
     input_correlation: ComplexArray | None = None  # (K, nu, nu) of those of two inputs
 
@@ -217,6 +218,7 @@ def condition(spectra: Spectra, *, conditioned: bool) -> Conditioned:
     power = np.einsum("kja,rkab,kjb->rkj", w, spectra.known[0], w.conj(), optimize=True).real
     H[wrong] = np.nan
     found = _pairs(spectra, H, Gyy, np.maximum(power, 0.0), number, conditioned=conditioned)
+    found = replace(found, inverse=P.astype(complex))
     if not conditioned:
         return found
     across, between = _output_correlation(spectra, H), correlation(Q.astype(complex))

@@ -335,9 +335,10 @@ REFERENCES = ("ra", "rb")
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*noise fed back into:casid.errors.DataWarning")
 def test_a_recorded_reference_removes_the_bias_of_feedback_and_states_its_error():
     omega = np.geomspace(1.5, 8.0, 7)
-    direct, joint, stated = [], [], []
+    joint, stated = [], []
     for seed in range(16):
         plant, record = in_loop(seed)
         kept = {"omega": omega, "windows": [15.0, 20.0]}
@@ -347,11 +348,10 @@ def test_a_recorded_reference_removes_the_bias_of_feedback_and_states_its_error(
         joint.append(found.G - truth)
         stated.append(found.random_error * np.abs(found.G))
         plain = frequency_response(record.select(inputs=("a", "b")), **kept)
-        direct.append(plain.G - truth)
-    bias, left = (np.abs(np.mean(each, axis=0)) for each in (direct, joint))
+        # Without it feedback makes half of the first axis's response, and says so.
+        assert (np.isnan(plain.G) | (plain.leakage > 0.3))[:, 0, 0].all()
+    left = np.abs(np.mean(joint, axis=0))
     std = np.std(joint, axis=0) / np.sqrt(2)  # of a real or imaginary part
-    own = np.abs(truth)[:, [0, 1], [0, 1]]
-    assert (bias[:, [0, 1], [0, 1]] / own).max() > 0.3  # what feedback makes of the direct one
     # A mean of 16 has a quarter of one run's error: squares of mean one, scattered by one, of which
     # some ten of the 28 are independent.
     assert np.mean((left / (std * np.sqrt(2) / 4)) ** 2) < 2
