@@ -82,10 +82,8 @@ def local_response(
     lines = _lines_at(records, omega)
     if not all(lines):
         return None
-    if noise is None:
-        noise = np.zeros((len(omega), records[0].ny, records[0].nu), dtype=complex)
-    G, error, half, outputs, inputs, back = _at_all(lines, omega, QUADRATIC, noise)
-    squared = _beyond_noise(G, error, *_at_all(lines, omega, CUBIC, noise)[:2])
+    G, error, half, back, outputs, inputs = _at_all(lines, omega, QUADRATIC, noise)
+    squared = _beyond_noise(G, error, *_at_all(lines, omega, CUBIC)[:2])
     # An input is smooth between its samples, or straight: sinc²(ωh/2) lies between the two.
     between = omega**2 * max((r.dt**2 for r in records if r.hold != "zoh"), default=0.0) / 12
     squared = np.maximum(squared, 0.0)
@@ -149,9 +147,12 @@ def _lines(record: Record) -> Lines:
 
 
 def _at_all(
-    lines: Sequence[Sequence[Lines]], omega: Array, powers: int, noise: ComplexArray
+    lines: Sequence[Sequence[Lines]],
+    omega: Array,
+    powers: int,
+    noise: ComplexArray | None = None,
 ) -> tuple[ComplexArray, Array, Array, ComplexArray, ComplexArray, ComplexArray]:
-    """Responses, random errors, half widths, correlations of outputs and inputs, fed-back bias."""
+    """Responses, random errors, half widths, fed-back bias, correlations of outputs and inputs."""
     K, nu, ny = len(omega), *(len(each.T) for each in (lines[0][0].U, lines[0][0].Y))
     G, error = np.full((K, ny, nu), np.nan, complex), np.full((K, ny, nu), np.nan)
     back = np.zeros((K, ny, nu), complex)
@@ -164,13 +165,14 @@ def _at_all(
         if model is None or found is None:
             continue
         G[k], variance, S, P = found.result()
-        back[k] = found.fed_back(noise[k])
+        if noise is not None:
+            back[k] = found.fed_back(noise[k])
         with np.errstate(invalid="ignore", divide="ignore"):
             error[k] = np.sqrt(variance / 2) / np.abs(G[k])
         # Shrunk towards none, as few residuals tell little.
         outputs[k] = (model.freedom * correlation(S) + ny * np.eye(ny)) / (model.freedom + ny)
         inputs[k] = correlation(P)
-    return G, error, half, outputs, inputs, back
+    return G, error, half, back, outputs, inputs
 
 
 def _spacing(lines: Sequence[Lines], centre: float) -> float:
