@@ -144,10 +144,11 @@ def long_autoregression(records):
 
 
 def errors(G_hat, G, records):
-    """Median e(ω) and median on-axis error of Ĝ against G, both on `OMEGA`."""
+    """Median e(ω) and median on-axis error of Ĝ against G, both on `OMEGA`; NaN counts in none."""
     su, sy = standard_deviations(records)
     scale = su[None, None, :] / sy[None, :, None]
-    e = np.linalg.norm((G_hat - G) * scale, axis=(1, 2)) / np.linalg.norm(G * scale, axis=(1, 2))
+    off, size = ((np.abs(np.where(np.isnan(G_hat), 0.0, X)) * scale) ** 2 for X in (G_hat - G, G))
+    e = np.sqrt(off.sum(axis=(1, 2)) / size.sum(axis=(1, 2)))
     pairs = [(OUTPUTS.index(y), INPUTS.index(u)) for y, u in ON_AXIS]
-    on_axis = [np.median(np.abs(G_hat[:, i, j] / G[:, i, j] - 1)) for i, j in pairs]
+    on_axis = [np.nanmedian(np.abs(G_hat[:, i, j] / G[:, i, j] - 1)) for i, j in pairs]
     return float(np.median(e)), float(np.median(on_axis))

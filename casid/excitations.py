@@ -238,7 +238,7 @@ class Flights:
 def flights(records: Records, *, together: bool = False) -> Flights:
     """Autoregressions of records of the same channels; ValueError as of `excitation`.
 
-    One of as many lags as Akaike's criterion asks for serves all ``together``.
+    One serves all ``together``, or each has its own where they differ.
     """
     parts = [even(part) for part in stretches(records)]
     same_channels(parts)
@@ -251,7 +251,7 @@ def flights(records: Records, *, together: bool = False) -> Flights:
     size = np.sqrt(np.mean(np.vstack(columns) ** 2, axis=0))
     size = np.where(size > 0, size, 1.0)
     unit = [z / size for z in columns]
-    models = [of_records(unit, dt, memory=0.0)] if together else of_flights(unit, dt)
+    models = [of_records(unit, dt)] if together else of_flights(unit, dt)
     return Flights(parts=parts, models=models, size=size)
 
 

@@ -62,7 +62,7 @@ def of_records(columns: Sequence[Array], dt: float, memory: float = MEMORY) -> V
             "give longer records, or fewer channels"
         )
     G = np.sum([lagged_products(z, longest) for z in columns if len(z) > longest], axis=0)
-    kept = max([p for p in lags if p <= min(memory * longest, rows / (PLENTY * n))], default=0)
+    kept = max([p for p in lags if p <= min(MEMORY * longest, rows / (PLENTY * n))], default=0)
     tried = [_of_lags(G, rows, n, p) for p in lags if p >= kept]
     return min(tried, key=lambda each: each.criterion)
 
