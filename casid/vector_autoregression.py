@@ -50,7 +50,7 @@ def longest_lag(dt: float) -> int:
     return max(2, min(MOST, round(LAGS / dt)))
 
 
-def of_records(columns: Sequence[Array], dt: float, memory: float = MEMORY) -> VectorAutoregression:
+def of_records(columns: Sequence[Array], dt: float) -> VectorAutoregression:
     """One autoregression of several records' columns (N, n)."""
     n, longest = columns[0].shape[1], longest_lag(dt)
     rows = sum(max(len(z) - longest, 0) for z in columns)
