@@ -241,6 +241,8 @@ class Record(Shown):
     def join(self, other: "Record", *, clock: float = 0.0) -> "Record":
         """The record with the channels of another logger, at the instants of this one.
 
+        Outputs of a slower one are missing between its samples, inputs are filled in.
+
         Parameters
         ----------
         other : Record
@@ -255,11 +257,12 @@ class Record(Shown):
         """
         t = other.t + clock
         mine = self.cut(float(t[0]), float(t[-1]))
-        x = np.array([samples.at_instants(t, x, mine.t, how) for x, how in other._columns()]).T
+        u = [samples.at_instants(t, x, mine.t, other.hold) for x in other.u.T]
+        y = [samples.measured(t, x, mine.t) for x in other.y.T]
         return replace(
             mine,
-            u=np.hstack([mine.u, x[:, : other.nu]]),
-            y=np.hstack([mine.y, x[:, other.nu :]]),
+            u=np.column_stack([mine.u, *u]),
+            y=np.column_stack([mine.y, *y]),
             inputs=(*self.inputs, *other.inputs),
             outputs=(*self.outputs, *other.outputs),
             trim={**self.trim, **other.trim},

@@ -168,6 +168,22 @@ def at_instants(t: Array, x: Array, instants: Array, between: Between) -> Array:
     return np.where(lost, np.nan, values)
 
 
+def measured(t: Array, x: Array, instants: Array) -> Array:
+    """A smooth channel x (N,) of instants t (N,) at others (M,) [s], as often as it was measured.
+
+    Where it was sampled more rarely it is NaN but for the instants nearest to its samples: a curve
+    between them would pass for measurements of their own.
+    """
+    values, own = at_instants(t, x, instants, "smooth"), t[~np.isnan(x)]
+    dt = float(np.median(np.diff(instants)))
+    if len(own) < 2 or np.median(np.diff(own)) < SLOWER * dt:
+        return values
+    nearest = np.searchsorted((instants[:-1] + instants[1:]) / 2, own)
+    near = np.zeros(len(instants), dtype=bool)
+    near[nearest[np.abs(instants[nearest] - own) <= 0.51 * dt]] = True
+    return np.where(near, values, np.nan)
+
+
 def moved(t: Array, x: Array, instants: Array, between: Between) -> Array:
     """`at_instants`, NaN also where the sample nearest to the instant is: no values are added."""
     # Of two equally near the later one, so that rounding does not choose.

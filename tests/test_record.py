@@ -321,6 +321,8 @@ def test_two_loggers_with_two_clocks_are_one_flight():
     np.testing.assert_allclose(both.y, record.y[rows], atol=1e-7)
     with pytest.raises(ValueError, match="'lat' is named twice"):
         record.join(record)
+    slow = record.select(outputs=["ay", "p"]).join(late.take(slice(0, None, 4)), clock=-100.003)
+    assert np.isfinite(slow.channel("phi")).mean() == pytest.approx(0.25, abs=0.01)
     with pytest.raises(ValueError, match="has 0 samples between 101"):
         record.join(late.rename({"phi": "psi"}))
 

@@ -2,7 +2,8 @@
 
 import json
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -156,11 +157,13 @@ def import_log(
     assumed = check_units(log.path, {**inputs, **outputs})
     dt = dt or usual_dt(inputs, outputs)
     assumed += hold_told(inputs, outputs, dt)
-    records = assemble(inputs, outputs, dt, log.path.stem.replace(" ", "_"))
-    moves = _moves(records, outputs)
-    found = [_in_line(each, moves) for each in _stretches(log, records, inputs)]
-    late = delays([(taken, others(log, name, taken)) for name, taken in outputs.items()])
-    _write(study, log, found, model, assumed, moves)
+    with _naming(log.path):
+        records = assemble(inputs, outputs, dt, log.path.stem.replace(" ", "_"))
+        moves = _moves(records, outputs)
+        found = [_in_line(each, moves) for each in _stretches(log, records, inputs)]
+        late = delays([(taken, others(log, name, taken)) for name, taken in outputs.items()])
+        _write(study, log, found, model, assumed, moves)
+        doubts = _doubts(log, [each.record.shift(moves) for each in found])
     return Draft(
         log=log,
         inputs=inputs,
@@ -170,9 +173,20 @@ def import_log(
         delays=tuple(late),
         moves=moves,
         assumed=tuple(assumed),
-        doubts=_doubts(log, [each.record.shift(moves) for each in found]),
+        doubts=doubts,
         study=study,
     )
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Errors of what is made of a log name it."""
+    try:
+        yield
+    except ValueError as error:
+        if str(path) in str(error):
+            raise
+        raise ValueError(f"{path}: {error}") from error
 
 
 def _channels(

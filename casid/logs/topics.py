@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from casid.arrays import Array
 from casid.channels import SI
 
+BEYOND = 1e20  # of any unit: no sensor gives as much, nor do stamps of 64 bits
 GAP = 5.0  # usual intervals without a sample that make a gap
 FREELY = 64 * 2**20  # bytes that a reader may read of the smallest log, and
 OFTEN = 8  # times the size of a larger one
@@ -39,7 +40,7 @@ class Topic:
     t : (N,) array
         Time stamps on the log's clock [s], increasing.
     columns : mapping of (N,) arrays
-        Values; what is no number is left out.
+        Values; what is no number, or beyond all sensors as in a damaged log, is NaN.
     age : float
         How long before its stamp a sample was taken [s], where the log says it; else 0.
     units : mapping of str
@@ -108,7 +109,9 @@ def make_topic(
     values = {}
     for column, x, unit in columns:
         if x.dtype.kind in "fiub" and len(x) == len(t):
-            values[printable(column)] = np.asarray(x[rows], dtype=float) * SI_OF.get(unit, 1.0)
+            read = np.asarray(x[rows], dtype=float)
+            read = np.where(np.abs(read) < BEYOND, read, np.nan)
+            values[printable(column)] = read * SI_OF.get(unit, 1.0)
     name = printable(name)
     return Topic(name=name, t=t[rows], columns=values, age=age) if values else None
 
@@ -119,8 +122,8 @@ def printable(text: str) -> str:
 
 
 def increasing(t: Array) -> NDArray[np.intp]:
-    """The longest choice of samples (indices) whose stamps are finite and increase."""
-    rows = np.flatnonzero(np.isfinite(t))
+    """The longest choice of samples (indices) whose stamps are numbers and increase."""
+    rows = np.flatnonzero(np.abs(t) < BEYOND)
     if (np.diff(t[rows]) > 0).all():
         return rows
     ends: list[float] = []  # the smallest last stamp of a choice of each length

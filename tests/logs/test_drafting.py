@@ -1,8 +1,10 @@
+import re
 from pathlib import Path
 
+import nptdms
 import numpy as np
 import pytest
-from truths.logs import DAMPING, DELAY, GAIN, WRITERS, ulog
+from truths.logs import DAMPING, DELAY, GAIN, STEP, STICKS, WRITERS, flight, ulog
 
 from casid import import_log, kinematic_check, read_records, read_study, run_study
 from casid.logs import drafting
@@ -152,3 +154,26 @@ def test_the_drafted_study_finds_the_aircraft(tmp_path):
         found = np.array([[rows[n].value, rows[n].std_error] for n in names])
         assert (np.abs(found[:, 0] - wanted) < 4 * found[:, 1] + 0.02 * np.abs(wanted)).all()
     assert {each.word for each in outcome.verdicts} == {"good"}
+
+
+def test_whatever_stops_an_import_names_the_log(tmp_path, monkeypatch):
+    """Here records too short to be moved by what kinematics asks for."""
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(ulog())
+    monkeypatch.setattr(drafting, "aligned", lambda *_: ({"phi": 100.0}, ()))
+    with pytest.raises(ValueError, match=rf"^{re.escape(str(path))}: .*record"):
+        import_log(path, tmp_path / "draft")
+
+
+def test_a_log_with_numbers_that_no_sensor_gives_is_read_without_them(tmp_path):
+    """Warnings of overflow are errors here."""
+    _, x = flight()
+    x["p"][[500, 2000, 5000]] = [1e308, -1e200, np.inf]
+    wave = {"wf_increment": STEP, "wf_start_offset": 0.0}
+    columns = [nptdms.ChannelObject("log", name, x[name], wave) for name in (*STICKS, "p", "q")]
+    path = tmp_path / "flight.tdms"
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment(columns)
+    draft = import_log(path, tmp_path / "draft", units={"p": "rad/s", "q": "rad/s"})
+    rates = np.concatenate([each.channel("p") for each in draft.records])
+    assert np.nanmax(np.abs(rates)) < 10.0
