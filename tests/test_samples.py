@@ -6,18 +6,12 @@ import pytest
 from casid.samples import (
     _begun,
     at_instants,
-<<<<<<< HEAD
-=======
     measured,
->>>>>>> b6ed103 (Name the log in every error of an import, leave a slower logger's outputs missing between samples)
     off_rest,
     resampled,
     resting,
     runs,
-<<<<<<< HEAD
     unwrapped,
-=======
->>>>>>> b6ed103 (Name the log in every error of an import, leave a slower logger's outputs missing between samples)
     usual_interval,
 )
 
@@ -114,7 +108,6 @@ def test_a_channel_that_wanders_all_along_begins_where_it_is_found_away(first, b
     assert _begun(x, 200) == begun
 
 
-<<<<<<< HEAD
 @pytest.mark.parametrize("turn", [2 * np.pi, 360.0])
 def test_an_angle_kept_within_a_turn_goes_on_also_where_it_passes_the_edge_to_and_fro(turn):
     rng = np.random.default_rng(0)
@@ -133,7 +126,8 @@ def test_noise_outliers_and_steps_are_no_angles():
     steps = np.where(np.sin(T) > 0, 5.5, 0.0) + 0.01 * rng.standard_normal(500)
     for x in (outlier, noise * 6.2 / np.ptp(noise), steps, np.sin(T), np.full(500, np.nan)):
         assert unwrapped(x) is None
-=======
+
+
 def test_a_slower_channel_is_measured_as_often_as_it_was():
     rng = np.random.default_rng(4)
     fast = 0.01 * np.arange(400)
@@ -147,4 +141,3 @@ def test_a_slower_channel_is_measured_as_often_as_it_was():
     assert nearest.max() < 0.0051
     np.testing.assert_allclose(found[seen], np.sin(fast[seen]), atol=1e-6)
     assert np.isfinite(measured(own, np.sin(own), fast[::4])[5:80]).all()  # alike: nothing is lost
->>>>>>> b6ed103 (Name the log in every error of an import, leave a slower logger's outputs missing between samples)

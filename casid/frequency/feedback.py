@@ -85,15 +85,15 @@ def relative(bias: ComplexArray, G: ComplexArray) -> Array:
 def _significant(flown: Flights, omega: Array, *, held: bool) -> ComplexArray:
     """The cross-spectrum of channels that move, each as large as its root mean square.
 
-    What inputs and outputs share in one sample is the outputs' direct term: a line from sample to
-    sample acts in the last one already. Steps that are ``held`` do not, but on forces: where past
-    outputs are fed back, so is what held inputs share with present ones.
+    What inputs and outputs share in one sample is the outputs' direct term or feedback. A line from
+    sample to sample acts in the last one already, and what is taken is the smaller of both. Steps
+    that are ``held`` do not, but on forces: where past outputs are fed back, so are present ones.
     """
-    every = np.ones(len(flown.outputs), dtype=bool)
-    found = _beyond_chance(flown, every, omega)
-    if held and found.any():
-        found = _beyond_chance(flown, np.isin(flown.outputs, FORCES), omega)
-    return found
+    least = _beyond_chance(flown, np.ones(len(flown.outputs), dtype=bool), omega)
+    if not least.any():
+        return least
+    found = _beyond_chance(flown, np.isin(flown.outputs, FORCES), omega)
+    return found if held else np.where(np.abs(least) < np.abs(found), least, found)
 
 
 def _beyond_chance(flown: Flights, direct: BoolArray, omega: Array) -> ComplexArray:
