@@ -51,6 +51,11 @@ class Spectrum:
     h: float | None  # sampling interval [s], None for the continuous form
     hold: Hold
 
+    @property
+    def grid(self) -> tuple[object, ...]:
+        """What pole factors depend on: records of one length and sampling share them."""
+        return len(self.omega), self.omega[0], self.h, self.hold
+
     def pole_factors(self, lam: ComplexArray) -> tuple[ComplexArray, ...]:
         """Factors of the input and of the transient, each with its derivative by λ; (K, nm)."""
         if self.h is None:

@@ -26,6 +26,7 @@ FOLLOWS = 0.8  # of a channel's power that the others' model explains, but for a
 REST = 0.5  # of the power of its other channels, less than that must be left: else it is the air
 APART = 2.0  # at least, or at most its inverse: such a gain
 CLEAR = 2.5  # errors by which it differs from one, and from none
+ROUGHLY = 0.7  # of these thresholds, for what a model that is not refined says
 BETTER = 0.3  # nepers of power, over all outputs, that a clearly better model leaves less
 BAND = 0.3  # in natural logarithms of ω
 
@@ -65,16 +66,19 @@ class Jackknife:
         """Transforms of all records but some."""
         return [s for i, lines in enumerate(self.data) if i not in without for s in lines]
 
+    def start(self, k: int) -> StateSpace:
+        """What the model without a record is refined from."""
+        try:
+            return self.campaign.subspace(self.system.nx, self.windows, [k]).system
+        except (ValueError, np.linalg.LinAlgError):
+            return self.system
+
     def model(self, k: int) -> modes.Modal | None:
         """The model without a record; None where too little is left for one."""
         if k not in self._models:
             scales = self.campaign.su, self.campaign.sy, self.campaign.mask
             try:
-                start = self.campaign.subspace(self.system.nx, self.windows, [k]).system
-            except (ValueError, np.linalg.LinAlgError):
-                start = self.system
-            try:
-                found = refined_system(start, self.rest(k), *scales, self.pole, rough=True)
+                found = refined_system(self.start(k), self.rest(k), *scales, self.pole, rough=True)
                 self._models[k] = modes.to_modal(found, *scales)
             except (ValueError, np.linalg.LinAlgError):
                 self._models[k] = None
@@ -82,8 +86,18 @@ class Jackknife:
 
     def other_gain(self) -> Gain | None:
         """The channel of another sign or unit that explains most; None where all agree."""
-        found = [gain for k in _suspects(self) for gain in _gains(self, k)]
+        likely = [k for k in _suspects(self) if self._may_differ(k)]
+        found = [gain for k in likely for gain in _gains(self, k, self.model(k))]
         return max(found, key=lambda each: each.evidence, default=None)
+
+    def _may_differ(self, k: int) -> bool:
+        """Whether the model without a record says so roughly before it is refined, which costs."""
+        scales = self.campaign.su, self.campaign.sy, self.campaign.mask
+        try:
+            start = modes.to_modal(self.start(k), *scales)
+        except ValueError:
+            return True
+        return any(_gains(self, k, start, ROUGHLY))
 
     def rival(self, k: int, channel: str) -> int | None:
         """The other record that moves the same input most, if it may as well be the wrong one.
@@ -134,9 +148,14 @@ def _suspects(jackknife: Jackknife) -> list[int]:
     return list(found)
 
 
-def _gains(jackknife: Jackknife, k: int) -> Iterator[Gain]:
-    """The gains of a record's channels that are clearly others, seen from the rest's model."""
-    modal, own, rest = jackknife.model(k), jackknife.data[k], jackknife.rest(k)
+def _gains(
+    jackknife: Jackknife, k: int, modal: modes.Modal | None, part: float = 1.0
+) -> Iterator[Gain]:
+    """The gains of a record's channels that are clearly others, seen from the rest's model.
+
+    Thresholds are taken down to a ``part``.
+    """
+    own, rest = jackknife.data[k], jackknife.rest(k)
     if modal is None or not own or not rest:
         return
     record = jackknife.campaign.records[k]
@@ -148,18 +167,20 @@ def _gains(jackknife: Jackknife, k: int) -> Iterator[Gain]:
     E = Y - P.sum(axis=2)
     for o, name in enumerate(record.outputs):
         alone = np.arange(len(record.outputs)) == o
-        a, error, evidence = _regressed(alone * Y, alone * P.sum(axis=2), band)
+        a, error, evidence = _regressed(alone * Y, alone * P.sum(axis=2), band, part)
         off, power = (np.sum(np.abs(each[:, ~alone]) ** 2) for each in (E, Y))
-        if evidence and off < REST * power:
+        if evidence and off < REST / part * power:
             yield Gain(record=k, channel=name, gain=a, error=error, evidence=evidence)
     for j, name in enumerate(record.inputs):
-        a, error, evidence = _regressed(E + P[:, :, j], P[:, :, j], band)
+        a, error, evidence = _regressed(E + P[:, :, j], P[:, :, j], band, part)
         if evidence:  # what it does is a times as large as it is: it is too small by that
             off = error / a**2
             yield Gain(record=k, channel=name, gain=1 / a, error=off, evidence=evidence)
 
 
-def _regressed(y: ComplexArray, x: ComplexArray, band: Array) -> tuple[float, float, float]:
+def _regressed(
+    y: ComplexArray, x: ComplexArray, band: Array, part: float = 1.0
+) -> tuple[float, float, float]:
     """Gain of y on x, its error from bands left out, and the power it explains, 0 if not clear."""
     which = band == np.unique(band)[:, None]
     xx, xy = which @ np.sum(np.abs(x) ** 2, axis=1), which @ np.sum((x.conj() * y).real, axis=1)
@@ -167,8 +188,8 @@ def _regressed(y: ComplexArray, x: ComplexArray, band: Array) -> tuple[float, fl
     a = float(xy.sum()) / size
     leverage = np.minimum(xx / size, 0.99)
     error = float(np.linalg.norm((xy - a * xx) / (1 - leverage))) / size
-    follows = a**2 * size > FOLLOWS * float(np.sum(np.abs(y) ** 2))
-    clear = abs(a) > CLEAR * error and not 1 / APART < a < APART
+    follows = a**2 * size > part * FOLLOWS * float(np.sum(np.abs(y) ** 2))
+    clear = abs(a) > part * CLEAR * error and not APART**-part < a < APART**part
     return a, error, a**2 * size if follows and clear else 0.0
 
 

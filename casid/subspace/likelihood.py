@@ -8,11 +8,12 @@ weighted by residual spectra that are estimated from the residuals themselves: t
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from casid.arrays import Array, ComplexArray
+from casid.arrays import Array, BoolArray, ComplexArray
 from casid.subspace import modal as modes
 from casid.subspace.fourier import Lines, Spectrum
 from casid.subspace.weighing import smoothed
@@ -22,6 +23,7 @@ from casid.subspace.weighing import smoothed
 class Factors:
     """Pole factors of one spectrum for the modes and, zero for real ones, their conjugates."""
 
+    real: BoolArray
     r: ComplexArray
     rc: ComplexArray
     slope: ComplexArray
@@ -31,6 +33,17 @@ class Factors:
     drift: ComplexArray
     drift_c: ComplexArray
 
+    @cached_property
+    def shared(self) -> Array:
+        """What transients do to all outputs but for their C, real over imaginary parts, (2K, n)."""
+        return modes.stacked(modes.pair(self.transient, self.transient_c, self.real))
+
+    @cached_property
+    def orthogonal(self) -> tuple[Array, Array]:
+        """Orthonormal basis (2K, n) of that, and what it is in it."""
+        Q, R = np.linalg.qr(self.shared)
+        return Q, R
+
 
 def factors(modal: modes.Modal, spectrum: Lines) -> Factors:
     """``slope`` and ``drift`` are the derivatives of ``r`` and ``transient`` by λ."""
@@ -39,17 +52,16 @@ def factors(modal: modes.Modal, spectrum: Lines) -> Factors:
     rc, slope_c, transient_c, drift_c = (
         np.where(modal.real, 0.0, each[:, len(modal.lam) :]) for each in both
     )
-    return Factors(r, rc, slope, slope_c, transient, transient_c, drift, drift_c)
+    return Factors(modal.real, r, rc, slope, slope_c, transient, transient_c, drift, drift_c)
 
 
 def all_factors(modal: modes.Modal, data: Sequence[Spectrum]) -> Iterator[Factors]:
     """Pole factors of every spectrum, which records of one length and sampling share."""
     known: dict[tuple[object, ...], Factors] = {}
     for spectrum in data:
-        lines = len(spectrum.omega), spectrum.omega[0], spectrum.h, spectrum.hold
-        if lines not in known:
-            known[lines] = factors(modal, spectrum)
-        yield known[lines]
+        if spectrum.grid not in known:
+            known[spectrum.grid] = factors(modal, spectrum)
+        yield known[spectrum.grid]
 
 
 def forced(modal: modes.Modal, spectrum: Lines, f: Factors) -> ComplexArray:
@@ -64,10 +76,10 @@ def without_transients(modal: modes.Modal, data: Sequence[Spectrum]) -> list[Com
     # What a transient does to an output are sums of n signals that all share, so that the least
     # squares over all lines of all outputs are those over n rows of each, Q their orthogonal basis.
     found: list[ComplexArray] = []
+    mix = modes.mixing(modal.C, modal.real)
     for spectrum, f in zip(data, all_factors(modal, data), strict=True):
-        E = forced(modal, spectrum, f)
-        Q, R = np.linalg.qr(modes.stacked(modes.pair(f.transient, f.transient_c, modal.real)))
-        seen, target = R @ modes.mixing(modal.C, modal.real), modes.stacked(E)
+        E, (Q, R) = forced(modal, spectrum, f), f.orthogonal
+        seen, target = R @ mix, modes.stacked(E)
         rows, right = seen.reshape(-1, R.shape[1]), (Q.T @ target).T.ravel()
         delta = np.linalg.lstsq(rows, right, rcond=1e-10)[0]
         real, imag = np.split(target - Q @ (seen @ delta).T, 2)
@@ -81,8 +93,10 @@ def noise_weights(modal: modes.Modal, data: Sequence[Spectrum]) -> list[Array]:
     omega = np.log(np.concatenate([s.omega for s in data]))
     power = np.vstack([np.abs(E) ** 2 for E in residuals])
     floor = 1e-20 * np.vstack([np.abs(s.Y) ** 2 for s in data]).mean(axis=0)
-    smooth = [smoothed(np.log(spectrum.omega), omega, power) for spectrum in data]
-    return [1 / np.sqrt(level + floor) for level in smooth]
+    grids = {spectrum.grid: np.log(spectrum.omega) for spectrum in data}
+    levels = {grid: smoothed(at, omega, power) for grid, at in grids.items()}
+    weights = {grid: 1 / np.sqrt(level + floor) for grid, level in levels.items()}
+    return [weights[spectrum.grid] for spectrum in data]
 
 
 class Part(NamedTuple):
@@ -96,25 +110,27 @@ class Part(NamedTuple):
 
 def parts(modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array]) -> list[Part]:
     """Parts of all spectra."""
-    found, mix = [], modes.mixing(modal.C, modal.real)
-    for spectrum, w, f in zip(data, weights, all_factors(modal, data), strict=True):
-        E = forced(modal, spectrum, f)
-        found.append(Part(f, E, *_transient(modal, f, E, w, mix)))
-    return found
+    mix, known = modes.mixing(modal.C, modal.real), list(all_factors(modal, data))
+    E = [forced(modal, spectrum, f) for spectrum, f in zip(data, known, strict=True)]
+    groups: dict[tuple[int, int], list[int]] = {}  # what differs in the residuals alone
+    for i, (f, w) in enumerate(zip(known, weights, strict=True)):
+        groups.setdefault((id(f), id(w)), []).append(i)
+    found: dict[int, Part] = {}
+    for group in groups.values():
+        f, w = known[group[0]], weights[group[0]]
+        e = np.array([modes.stacked(E[i] * w).T.ravel() for i in group])
+        best = zip(group, *_transients(f, w, mix, e), strict=True)
+        found |= {i: Part(f, E[i], delta, float(cost)) for i, delta, cost in best}
+    return [found[i] for i in range(len(data))]
 
 
-def _transient(
-    modal: modes.Modal, f: Factors, E: ComplexArray, w: Array, mix: Array
-) -> tuple[ComplexArray, float]:
-    """The best transient δ (nm,) of one spectrum, and the weighted squared residual it leaves."""
-    shared = modes.pair(f.transient, f.transient_c, modal.real)
-    (K, n), ny = shared.shape, len(mix)
-    rows = np.empty((ny, 2 * K, n + 1))  # what transients do to each output, but for its C, and E
-    rows[:, :, :n], rows[:, :, n] = modes.stacked(shared), modes.stacked(E).T
-    rows *= np.hstack([w.T, w.T])[:, :, None]
-    mixed = np.zeros((ny, n + 1, n + 1))
-    mixed[:, :n, :n], mixed[:, n, n] = mix, 1.0
-    grams = mixed.swapaxes(1, 2) @ (rows.swapaxes(1, 2) @ rows) @ mixed
-    G = grams.sum(axis=0)
-    delta = modes.eliminator(G, n)[:, 0]
-    return modes.to_complex(modal, delta, 1)[:, 0], float(G[n, n] - G[n, :n] @ delta)
+def _transients(f: Factors, w: Array, mix: Array, e: Array) -> tuple[ComplexArray, Array]:
+    """The best transients δ (R, nm) for weighted residuals (R, ny 2K), and squares left of each."""
+    n = mix.shape[1]
+    seen = mix.swapaxes(1, 2) @ (f.shared.T * np.hstack([w.T, w.T])[:, None])
+    rows = seen.swapaxes(0, 1).reshape(n, -1)
+    right = rows @ e.T
+    delta = modes.eliminator(np.hstack([rows @ rows.T, right]), n)
+    found = delta[: len(f.real)].astype(complex)
+    found[~f.real] += 1j * delta[len(f.real) :]
+    return found.T, np.sum(e**2, axis=1) - np.sum(right * delta, axis=0)

@@ -34,10 +34,17 @@ def normal_equations(
     tops = mix.swapaxes(1, 2) @ modes.seen(heads, mix, nu)
     total = np.zeros((size + 1, size + 1))
     sides = np.zeros((len(data), n, n + size + 1))
+    common = (2 + nu) * n  # signals of the transient, λ and B, by which all outputs have slopes
+    shared = modes.places(modal, 0, free)[1][:common]
+    total[np.ix_(shared[n:] - n, shared[n:] - n)] = wholes[:, n:common, n:common].sum(axis=0)
+    sides[:, :, shared] = tops[..., :common].sum(axis=1)
     for o, whole in enumerate(wholes):
-        which, where = modes.places(modal, o, free)
+        which, where = (part[common:] for part in modes.places(modal, o, free))
         which, where = np.append(which, -1), np.append(where, n + size)  # the error
-        total[np.ix_(where[n:] - n, where[n:] - n)] += whole[np.ix_(which[n:], which[n:])]
+        across = whole[n:common, which]
+        total[np.ix_(shared[n:] - n, where - n)] += across
+        total[np.ix_(where - n, shared[n:] - n)] += across.T
+        total[np.ix_(where - n, where - n)] += whole[np.ix_(which, which)]
         sides[:, :, where] += tops[:, o][:, :, which]
     others = sides[:, :, n:].reshape(-1, size + 1)
     total -= others.T @ modes.eliminator(sides, n).reshape(-1, size + 1)

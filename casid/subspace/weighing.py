@@ -16,12 +16,12 @@ def known_weights(data: Sequence[Spectrum], weights: Sequence[Array]) -> list[Ar
     # Of n lines, 1/Φ is estimated too large by n/(n - 1) in the mean, and estimates weighed by it
     # scatter by (n + 1)/n more than those weighed by Φ itself.
     omega = np.log(np.concatenate([s.omega for s in data]))
-    found = []
-    for spectrum, weight in zip(data, weights, strict=True):
-        kernel, count, _ = _nearness(np.log(spectrum.omega), omega, omega[:, None])
+    worth = {}
+    for grid, at in {spectrum.grid: np.log(spectrum.omega) for spectrum in data}.items():
+        kernel, count, _ = _nearness(at, omega, omega[:, None])
         n = (kernel @ count) ** 2 / (kernel**2 @ count)
-        found.append(weight * np.sqrt(np.maximum(n - 1, 0.1) / (n + 1))[:, None])
-    return found
+        worth[grid] = np.sqrt(np.maximum(n - 1, 0.1) / (n + 1))[:, None]
+    return [w * worth[spectrum.grid] for spectrum, w in zip(data, weights, strict=True)]
 
 
 def lines_near(omega: Array, seconds: float) -> Array:

@@ -9,7 +9,7 @@ import scipy
 
 from casid import Record, pbsid
 from casid.subspace.fourier import Spectrum
-from casid.subspace.left_out import Jackknife, _gains, _regressed
+from casid.subspace.left_out import ROUGHLY, Jackknife, _gains, _regressed
 from casid.subspace.modal import Modal
 
 DT = 0.04
@@ -103,7 +103,7 @@ def test_a_clear_gain_is_two_and_a_half_errors_of_one_band_left_out(errors, told
     assert (power > 0) == told
 
 
-def other(factors):
+def other(factors, part=1.0):
     """Gains found in a record whose outputs p, r are such multiples (K, 2) of what moves them."""
     rng, K = np.random.default_rng(1), len(factors)
     modal = Modal(-np.ones(1) + 0j, np.zeros((1, 1)), np.ones((2, 1)) + 0j, np.ones((2, 1)))
@@ -113,10 +113,15 @@ def other(factors):
     own, rest = (Spectrum(omega, U, Y, None, "foh") for Y in (factors * U, U + noise))
     record = SimpleNamespace(inputs=("lat",), outputs=("p", "r"))
     campaign = SimpleNamespace(records=[record, record])
-    jackknife = SimpleNamespace(
-        model=lambda _: modal, data=[[own], [rest]], rest=lambda _: [rest], campaign=campaign
-    )
-    return {gain.channel: gain for gain in _gains(jackknife, 0)}
+    jackknife = SimpleNamespace(data=[[own], [rest]], rest=lambda _: [rest], campaign=campaign)
+    return {gain.channel: gain for gain in _gains(jackknife, 0, modal, part)}
+
+
+@pytest.mark.parametrize(("gain", "told"), [(1.8, True), (1.45, False)])
+def test_a_model_that_is_not_refined_asks_for_one_at_smaller_gains(gain, told):
+    factors = np.tile([gain, 1.0], (400, 1))
+    assert ("p" in other(factors, ROUGHLY)) == told
+    assert not other(factors)
 
 
 @pytest.mark.parametrize(
