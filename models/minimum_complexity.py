@@ -1,14 +1,13 @@
 """A helicopter by its components: one structure for all speeds above transition, no schedules.
 
-Main and tail rotor thrust by blade elements, tip-path-plane flapping, flat-plate fuselage in the
-wake, tailplane that the wake may reach, fin that may stall, torque by power, Euler's equations: the
-minimum-complexity model of R. K. Heffley, M. A. Mnich (NASA CR-177476), lumped so that each
-parameter is felt. Inflows are uniform and lag behind thrust by the mass of air that a rotor moves
+Thrust by blade elements, flapping, flat-plate fuselage in the wake, tailplane that the wake may
+reach, fin that may stall, torque by power, Euler's equations: R. K. Heffley, M. A. Mnich (NASA
+CR-177476), lumped so that each parameter is felt. Inflows lag by the mass of air that a rotor moves
 (G. J. Carpenter, B. Fridovich, NACA TN 3044; D. M. Pitt, D. A. Peters, Vertica 5, 1981). Geometry
-and ratios of inertia are known. Speed enters by itself: trims are answers, not curves.
+and ratios of inertia are known.
 
-What identifies it: records in total values of all four controls from two or more speeds, their
-trims in them, with ax ay az p q r phi theta u, sharp enough for the rotor (20 Hz or more).
+What identifies it: total values of all four controls from two or more speeds, trims in them, with
+ax ay az p q r phi theta u, sharp enough for the rotor (20 Hz or more).
 """
 
 from collections.abc import Sequence
@@ -32,8 +31,7 @@ def smooth_size(value: Any, width: float = 0.1) -> Any:  # noqa: ANN401
 class MinimumComplexity(NonlinearModel):
     """Rotor, tail rotor, fuselage and tails of a helicopter; see the module.
 
-    Forces are per mass; L, M, N per own inertia, Lixz the product of inertia over Ix. Pitch of
-    blades is in rad at three quarters of the radius.
+    Forces are per mass; L, M, N per own inertia, Lixz over Ix; pitch of blades at 3/4 radius [rad].
     """
 
     states = ("u", "v", "w", "p", "q", "r", "phi", "theta", "b1c", "b1s", "vi", "vi_tail")
@@ -109,8 +107,7 @@ class MinimumComplexity(NonlinearModel):
     trim: tuple[float, ...] = (31.0, 0.05, 0.32, 0.37, 0.65, 0.43)  # u, theta, sticks
 
     def reference(self) -> dict[str, Any]:
-        names = ("u", "theta", *self.inputs)
-        u, theta = self.trim[:2]
+        (u, theta), names = self.trim[:2], ("u", "theta", *self.inputs)
         pitch, share = self.ped_0 + self.ped_gain * self.trim[-1], self.tail_lift * self.tail_disk
         flow = blade_flow(0.0, u**2, pitch, self.tail_tip, self.tail_twist)
         inflows = {"vi": self.g * self.disk / u, "vi_tail": flow * share / (u + share)}
@@ -133,12 +130,9 @@ class MinimumComplexity(NonlinearModel):
     def inflows(self, x: Any, u: Any) -> tuple[Any, Any]:  # noqa: ANN401
         """How both inflows settle where momentum balances thrust."""
         (T, through, squared), (side, across, along) = self.rotor(x, u), self.tail_rotor(x, u)
-        speed = ca.sqrt(squared + (through - x.vi) ** 2)
-        tail_speed = ca.sqrt(along + (across - x.vi_tail) ** 2)
-        return (
-            self.inflow * (self.disk * T - x.vi * speed),
-            self.tail_inflow * (self.tail_disk * side - x.vi_tail * tail_speed),
-        )
+        main = self.disk * T - x.vi * ca.sqrt(squared + (through - x.vi) ** 2)
+        tail = self.tail_disk * side - x.vi_tail * ca.sqrt(along + (across - x.vi_tail) ** 2)
+        return self.inflow * main, self.tail_inflow * tail
 
     def fin_force(self, x: Any) -> Any:  # noqa: ANN401
         """To the right, per mass, with the tail rotor's wash."""
@@ -150,30 +144,25 @@ class MinimumComplexity(NonlinearModel):
     def pitching(self, x: Any) -> tuple[Any, Any]:  # noqa: ANN401
         """Force down per mass and moment of fuselage and tailplane, both met by the wake."""
         wake, down = x.vi - x.w, smooth_size(x.vi - x.w)
-        behind = x.u / down * self.plane_down - (self.plane - self.radius)
-        within = 1 - behind / self.radius
+        within = (self.plane - x.u / down * self.plane_down) / self.radius
         hit = within + smooth_size(within, 0.03)  # twice the share, 0 outside
         flow = x.w + x.q * self.plane - hit * x.vi + self.plane_0 * x.u
         body, plane = self.Mwake * x.u * down, self.Muw * x.u * flow
-        force = self.Zwake * wake * down + self.gyration * plane / self.plane
-        return force, body + plane
+        return self.Zwake * wake * down + self.gyration * plane / self.plane, body + plane
 
     def aerodynamics(self, x: Any, u: Any) -> list[Any]:  # noqa: ANN401
         """Specific forces and angular accelerations."""
         (T, through, squared), (side, *_) = self.rotor(x, u), self.tail_rotor(x, u)
-        (lat, lon), (heave, pitch) = self.cyclic(u), self.pitching(x)
-        fin = self.fin_force(x)
+        (lat, lon), (heave, pitch), fin = self.cyclic(u), self.pitching(x), self.fin_force(x)
         X = -T * (x.b1c - self.shaft) + self.Xuu * x.u**2
         Y = T * x.b1s + side + fin + self.Yvv * x.v * smooth_size(x.v)
         L = (self.Lb1s + self.Lhub * T) * x.b1s + self.Lb1c * (x.b1c + lon)
         L += self.Ltail * side + self.Lfin * fin
         M = (self.Mb1c + self.Mhub * T) * x.b1c + self.Mb1s * (lat - x.b1s) + self.Mthrust * T
-        climb = self.g * (
-            x.u * ca.sin(x.theta) - ca.cos(x.theta) * (x.v * ca.sin(x.phi) + x.w * ca.cos(x.phi))
-        )
+        sink = ca.cos(x.theta) * (x.v * ca.sin(x.phi) + x.w * ca.cos(x.phi))
+        climb = self.g * (x.u * ca.sin(x.theta) - sink)
         N = self.Npower * (T * (x.vi - through) + climb - self.Xuu * x.u**3)
-        N += self.Nprofile * (1 + 3 * squared / self.tip**2)
-        N -= self.Ntail * side + self.Nfin * fin
+        N += self.Nprofile * (1 + 3 * squared / self.tip**2) - self.Ntail * side - self.Nfin * fin
         return [X, Y, heave - T, *self.turning(x, L, M + pitch, N)]
 
     def turning(self, x: Any, L: Any, M: Any, N: Any) -> tuple[Any, Any, Any]:  # noqa: ANN401
@@ -186,7 +175,6 @@ class MinimumComplexity(NonlinearModel):
         return (L + Ixz * N) / free, M, (N + Ixz / Izx * L) / free
 
     def cyclic(self, u: Any) -> tuple[Any, Any]:  # noqa: ANN401
-        """Cyclic pitch."""
         return self.lat_0 + self.lat_gain * u.lat, self.lon_0 + self.lon_gain * u.lon
 
     def derivatives(self, x: Any, u: Any) -> Sequence[Scalar]:  # noqa: ANN401

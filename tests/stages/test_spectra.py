@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from truths.closed_roll import TRUTH, noisy
 
-from casid import Record, SpectralAnalysis, frequency_response
+from casid import DataWarning, Record, SpectralAnalysis, frequency_response
 from casid.stages.spectra import FREQUENCY
 from casid.stages.stage import Task, run_stages
 
@@ -38,8 +38,13 @@ def test_a_check_channel_serves_as_the_reference_of_a_loop():
     assert (found.inputs, found.outputs) == (("lat",), ("p",))
     direct = frequency_response([whole], omega=own.omega, reference=own.reference)
     np.testing.assert_array_equal(found.G, direct.G)
-    true, biased = 10 / (1j * own.omega + 2), frequency_response([plain], omega=own.omega)
-    errors = [np.median(np.abs(each.G[:, 0, 0] / true - 1)) for each in (found, biased)]
+    true = 10 / (1j * own.omega + 2)
+    # Without the reference v, as large as r, comes in by y = G (u + v), u = r - y:
+    fed_back = true * (1 - true.conj()) / (1 + np.abs(true) ** 2)
+    errors = [np.median(np.abs(each / true - 1)) for each in (found.G[:, 0, 0], fed_back)]
     assert errors[0] < 0.6 * errors[1]
+    with pytest.warns(DataWarning, match="fed back into 'lat' makes half of a response"):
+        biased = frequency_response([plain], omega=own.omega)
+    assert np.isnan(biased.G).all()
     with pytest.raises(ValueError, match=r"'r_lat' is not read; name it in channels\.check"):
         run_stages(Task(model=TRUTH, roles=roles, **given))
