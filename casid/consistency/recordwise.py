@@ -70,4 +70,4 @@ def differ(skews: Array, errors: Array) -> bool:
     variances = errors**2 + (SKEW / 3) ** 2
     middle = np.average(skews, weights=1 / variances)
     chi2 = float(np.sum((skews - middle) ** 2 / variances))
-    return bool(np.ptp(skews) > SKEW and scipy.stats.chi2.sf(chi2, len(skews) - 1) < LEVEL)
+    return bool(np.ptp(skews) > SKEW and scipy.special.chdtrc(len(skews) - 1, chi2) < LEVEL)
