@@ -24,9 +24,11 @@ from casid.shooting.precision import quadratic_model, unknown_names
 from casid.shooting.programme import Programme
 
 STATED = 1e-3  # of log-likelihood that an undamped step may still gain: 0.05 standard errors
-LAST = 1e-6  # and where steps end, unless rounding ends them before
+LAST = 1e-6  # and where steps end, unless none of the last few has gained as much
+IDLE = 5
 LATER = 100  # steps, at most
-SETTLING, SETTLED = 12, 1e-7  # solves for the biases and nodes of one λ; what the last may gain
+SETTLING, SETTLED = 24, 1e-7  # solves for the biases and nodes of one λ; what the last may gain
+SHORTER = 6  # times that a solve's step is halved, at most
 CLOSED = 1e-7  # gaps, in units of unit curvature
 DAMPING, MOST = 1e-3, 1e6  # of the parameters' own information: the first one, and the last
 WELL, LESS = 0.25, 0.2  # share of the gain expected that lets damping fall, and to what at least
@@ -74,27 +76,35 @@ class _Step:
 
 
 def completed(
-    programme: Programme, start: Array, last: Solution, options: SolverOptions, stage: str
+    programme: Programme,
+    start: Array,
+    last: Solution,
+    options: SolverOptions,
+    stage: str,
+    enough: float = LAST,
 ) -> Solution:
     """What IPOPT has found, or what steps of the parameters alone find from there.
 
-    They go on where it stopped early, from the ``start`` if that cannot be gone on from, and where
-    an undamped step would still gain: scales of the variables may have ended it too soon.
+    They go on where it stopped early, from the ``start`` if that was better or it cannot be gone on
+    from, and where an undamped step would still gain: scales of the variables may have ended it too
+    soon. They end where such a step gains less than ``enough``.
     """
     count = min(LATER, options.max_iterations - last.iterations)
     left = replace(options, max_iterations=max(count, 1), ipopt={})
-    reduced = Reduced(programme, left, stage)
+    reduced = Reduced(programme, left, stage, enough)
     gain = reduced.gain(last.x) if last.success and count > 0 else np.inf
     if count < 1 or not gain > STATED:
         return last
-    found = reduced.run(last.x) or reduced.run(start)
+    ways = [last.x, start]
+    if not last.success and reduced.meet(start) and programme.values(start).cost < last.f:
+        ways.reverse()
+    found = reduced.run(ways[0]) or reduced.run(ways[1])
     if found is None and last.success and gain == np.inf:
         names = ", ".join(unknown_names(programme))
         return replace(last, success=False, status=UNTOLD.format(names))
     if found is None or (last.success and not programme.n * (last.f - found.f) > STATED):
         return last
-    meets = np.abs(last.g[: reduced.gaps]).max(initial=0.0) < MEET
-    if not found.success and meets and not found.f < last.f:
+    if not found.success and reduced.meet(last.x) and not found.f < last.f:
         return last
     return replace(
         found, iterations=found.iterations + last.iterations, seconds=found.seconds + last.seconds
@@ -104,12 +114,18 @@ def completed(
 class Reduced:
     """Damped steps of λ, a filter's unknowns among them, in one programme."""
 
-    def __init__(self, programme: Programme, options: SolverOptions, stage: str) -> None:
-        self.programme, self.options, self.stage = programme, options, stage
+    def __init__(
+        self, programme: Programme, options: SolverOptions, stage: str, enough: float = LAST
+    ) -> None:
+        self.programme, self.options, self.stage, self.enough = programme, options, stage, enough
         self._newton = Newton(programme)
         self._quiet = replace(options, progress=None, max_iterations=MANY, ipopt=QUADRATIC)
         self._nf = programme.evaluator.nf
         self.gaps = len(programme.links) * programme.evaluator.nx
+
+    def meet(self, x: Array) -> bool:
+        """Whether the intervals meet at scaled variables."""
+        return bool(np.abs(self.programme.values(x).g[: self.gaps]).max(initial=0.0) < MEET)
 
     def gain(self, x: Array) -> float:
         """Log-likelihood that Gauss-Newton's step from scaled variables would gain, in bounds.
@@ -125,7 +141,7 @@ class Reduced:
     def run(self, x: Array) -> Solution | None:
         """Where steps from scaled variables end; None if biases and nodes are not found there."""
         begin, place = time.perf_counter(), self._settled(x)
-        damping, rise = 0.0, 2.0
+        damping, rise, idle = 0.0, 2.0, 0
         for iteration in range(self.options.max_iterations):
             free = (
                 None
@@ -135,7 +151,7 @@ class Reduced:
             if place is None or free is None:
                 return None
             seconds = self._tell(iteration, place, begin)
-            if free.gain < LAST:
+            if free.gain < (STATED if idle == IDLE else self.enough):
                 return self._solution(place, free, iteration, seconds, "solved")
             late = seconds > self.options.max_seconds
             if late or damping > MOST or iteration == self.options.max_iterations - 1:
@@ -153,7 +169,8 @@ class Reduced:
             else:
                 fall = max(LESS, 1 - (2 * min(share, 1.0) - 1) ** 3)
                 damping, rise = damping * fall * (damping > DAMPING / 100), 2.0
-            place = trial if trial is not None and trial.cost < place.cost else place
+            best = trial if trial is not None and trial.cost < place.cost else place
+            idle, place = 0 if best.cost < place.cost - LAST else min(idle + 1, IDLE), best
         return None
 
     def _why(self, late: bool, damping: float) -> str:
@@ -189,8 +206,30 @@ class Reduced:
             open_by = np.abs(values.g[: self.gaps]).max(initial=0.0)
             if open_by < CLOSED and -model.form[-1, -1] / 2 < gain:
                 return x, model
-            x = self._moved(x, np.zeros(self._nf), model)
+            x = self._nearer(x, model)
         return None
+
+    def _nearer(self, x: Array, model: _Model) -> Array:
+        """Variables after a step of biases and nodes, λ held, that gains as much as it should.
+
+        Where outputs bend more than Gauss-Newton knows, whole steps may pass over the minimum and
+        back for ever: the augmented Lagrangian has to fall by a share of what its slope says.
+        """
+        programme, gaps = self.programme, self.gaps
+        prices = model.follow[len(model.follow) - gaps :, -1] / programme.n
+
+        def merit(x: Array) -> float:
+            values = programme.values(x)
+            c = values.g[:gaps]
+            return float(values.cost + prices @ c + c @ c / 2)
+
+        d, c = self._moved(x, np.zeros(self._nf), model) - x, programme.values(x).g[:gaps]
+        now, slope = merit(x), float(programme.gradient(x) @ d - prices @ c - c @ c)
+        for _ in range(SHORTER):
+            if merit(x + d) <= now + WELL * slope:
+                break
+            d, slope = d / 2, slope / 2
+        return np.asarray(x + d)
 
     def _gauss(self, x: Array) -> _Model | None:
         """Gauss-Newton's model of the cost; None where a filter's covariance is none."""

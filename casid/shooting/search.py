@@ -21,7 +21,7 @@ from casid.shooting.nearby import predicted
 from casid.shooting.newton import Newton
 from casid.shooting.nonlinear import Integration, NonlinearEvaluator
 from casid.shooting.programme import Programme
-from casid.shooting.reduced import completed
+from casid.shooting.reduced import LAST, completed
 from casid.shooting.sensitivity import Evaluator, Point
 from casid.shooting.starting import neighbouring_programme, noise_of
 
@@ -30,6 +30,7 @@ LOG = logging.getLogger("casid")
 ROUNDS = 12  # of solves
 PREDICTIONS = 3  # of the solution beside another: which bounds hold is settled then
 ROUGH = 1e-4  # tolerance of the first, whose R is that of the start
+ROUGHLY = 0.1  # of log-likelihood that a step may still gain there
 EARLIER = 40  # of IPOPT's iterations at most, before the parameters alone go on
 SOON = 8  # likewise where it starts with a prediction: it needs more only on a kink
 MOVES = 50  # of delays across whole samples, at most; each makes the records likelier
@@ -285,7 +286,8 @@ class Search:
         lam = programme.unpack(solution.x).lam
         if close and not solution.success and any(neighbours(programme, lam, solved=False)):
             return solution  # held on a kink: no steps end there, but those on either side
-        return completed(programme, start, solution, options, stage)
+        enough = ROUGHLY if number == 1 and options.tolerance >= ROUGH else LAST
+        return completed(programme, start, solution, options, stage, enough)
 
 
 def _begun_inside(outcome: Outcome) -> Point | None:

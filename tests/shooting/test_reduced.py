@@ -8,17 +8,19 @@ from truths.closed_roll import TRUTH, noisy
 from truths.mixture import Mixture, least_squares
 from truths.mixture import record as steps
 
-from casid import SolverOptions
+from casid import NonlinearModel, Record, Scalar, SolverOptions, parameter
 from casid.free import free_parameters
 from casid.nlp import solve
 from casid.shooting.intervals import lay_out
 from casid.shooting.newton import Newton
-from casid.shooting.reduced import STATED, Reduced, completed
+from casid.shooting.nonlinear import NonlinearEvaluator
+from casid.shooting.reduced import IDLE, STATED, Reduced, completed
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import noise_of, starting_programme
 from casid.shooting.uncertainty import bound
 
 OPTIONS = SolverOptions()
+ONE = np.eye(3)
 OFF = replace(TRUTH, Lp=-3.5, Lv=-0.1, Llat=14.0)
 
 
@@ -105,6 +107,26 @@ def test_an_end_is_left_as_it_is_and_limits_are_kept():
     assert programme.n * (whole.f - end.f) < STATED
 
 
+def test_what_was_better_at_the_start_goes_on_from_there():
+    programme, x = begun(OFF, [noisy(seed=3)])
+    end = by_ipopt(programme, x)
+    away = Reduced(programme, OPTIONS, "")._settled(x).x
+    lost = replace(end, x=away, f=programme.values(away).cost, success=False, iterations=7)
+    found = completed(programme, end.x, lost, OPTIONS, "")
+    assert found.success
+    assert found.iterations <= 7 + 2
+
+
+def test_rough_steps_end_earlier_and_idle_ones_do_not_go_on():
+    programme, x = begun(OFF, [noisy(seed=3)])
+    rough, exact, idle = (Reduced(programme, OPTIONS, "", e).run(x) for e in (10.0, 1e-6, -1.0))
+    assert rough.success
+    assert rough.iterations < exact.iterations
+    assert Reduced(programme, OPTIONS, "").gain(rough.x) < 10.0
+    assert idle.success
+    assert idle.iterations <= exact.iterations + IDLE
+
+
 def test_an_end_about_which_nothing_can_be_told_is_none(monkeypatch):
     programme, x = begun(OFF, [noisy(seed=3)])
     end = by_ipopt(programme, x)
@@ -129,3 +151,36 @@ def test_steps_do_not_begin_where_a_covariance_is_none(monkeypatch):
 
     monkeypatch.setattr(programme, "hessian_matrix", overflown)
     assert Reduced(programme, OPTIONS, "").run(x) is None
+
+
+class Bent(NonlinearModel):
+    """A state measured by itself, by its square and by a scale of its own."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x", "square", "scaled")
+
+    scale: Scalar = parameter(default=1.0, lower=-9.0, upper=9.0, unit="-")
+
+    def derivatives(self, _x, u):
+        return [u.u]
+
+    def measurements(self, x, _u):
+        return [x.x, x.x**2, self.scale * x.x]
+
+    def reference(self):
+        return {"x": 1.0}
+
+
+def test_states_settle_where_gauss_newton_passes_over_the_minimum_and_back_for_ever():
+    # (x - 1)² + (x² + 1)² is least where 2x³ + 3x = 1; the curvature there is 2.6 of Gauss-Newton's
+    t = np.arange(40) / 10
+    y = np.tile([1.0, -1.0, 2.0], (len(t), 1))
+    record = Record(t=t, u=np.zeros((len(t), 1)), y=y, inputs=("u",), outputs=Bent.outputs)
+    free = free_parameters(Bent())
+    evaluator = NonlinearEvaluator(free, lay_out([record], 2.0))
+    programme, point = starting_programme(evaluator, free, ONE, False)
+    found = Reduced(programme, OPTIONS, "").run(programme.pack(point))
+    x = np.roots([2, 0, 3, -1])[-1].real
+    end = programme.unpack(found.x)
+    assert found.success
+    np.testing.assert_allclose(end.nodes, x, atol=1e-4)
+    np.testing.assert_allclose(end.lam, 2 / x, atol=1e-3)
