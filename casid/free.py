@@ -11,7 +11,7 @@ from casid import declaration
 from casid.arrays import Array
 from casid.checks import check_known
 from casid.errors import ModelError
-from casid.model import NO_DELAY, Bounds, Model, Priors
+from casid.model import NO_DELAY, Bounds, Initial, Model, Priors
 
 
 class Evidence(Protocol):
@@ -36,7 +36,7 @@ class Free:
     upper: Array  # (n_λ,)
     scale: Array  # (n_λ,) typical magnitudes
     priors: Priors = field(default_factory=dict)  # of free parameters
-    initial: Priors = field(default_factory=dict)  # of every record's initial states
+    initial: Initial = field(default_factory=dict)  # of every record's initial states
     unbiased: tuple[str, ...] = ()  # outputs without a bias, where the others have one
     evidence: Evidence | None = None  # other measurements of the free parameters
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
-from typing import Any, ClassVar, Self, TypeAlias, TypeVar, cast, dataclass_transform
+from typing import Any, ClassVar, Literal, Self, TypeAlias, TypeVar, cast, dataclass_transform
 
 import casadi as ca
 import numpy as np
@@ -30,6 +30,7 @@ RESTORING = ContextVar("restoring", default=False)  # classes that were checked 
 
 Bounds: TypeAlias = Mapping[str, tuple[float, float]]
 Priors: TypeAlias = Mapping[str, tuple[float, float]]  # λ ~ N(value, deviation²)
+Initial: TypeAlias = Mapping[str, tuple[float | Literal["trim"], float]]  # or the record's trim
 
 
 @dataclass(frozen=True)

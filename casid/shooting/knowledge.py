@@ -7,7 +7,7 @@ ed., section 4.16): the mode of the posterior. A bias that is to be none is held
 ten-thousandth of its channel.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import fields, replace
 from typing import Any, cast
 
@@ -18,27 +18,33 @@ from casid.arrays import Array
 from casid.errors import ModelError, warn
 from casid.fit import AnyFit
 from casid.free import Free
-from casid.model import M, Model, Priors
+from casid.model import Initial, M, Model
+from casid.nonlinear.model import NonlinearModel
+from casid.record import Record
 from casid.sensors import own_states
 from casid.shooting.likelihood import Noise
 from casid.shooting.sensitivity import Point
 
 CONTRADICTED = 3.5  # standard deviations between a prior and the records, of the largest of many
 NARROWED = 1e-6  # of a prior's variance: what records that say nothing narrow it by
+TRIM = "trim"  # instead of a value: that of each record's trim
 HELD = 100.0  # σ of a bias that is held, in units of the noise's floor
 
 
 class Knowledge:
-    """Prior values as terms of the cost; records by chronological interval in ``record`` (J,)."""
+    """Prior values as terms of the cost; number of its record by interval in ``record`` (J,)."""
 
-    def __init__(self, free: Free, noise: Noise, record: np.ndarray) -> None:
+    def __init__(
+        self, free: Free, noise: Noise, record: np.ndarray, records: Sequence[Record]
+    ) -> None:
         self._free = free
-        self._firsts = np.searchsorted(record, np.arange(record.max(initial=-1) + 1))
+        self._firsts = np.searchsorted(record, np.arange(len(records)))
         states, outputs = free.model.states, free.model.outputs
-        self._mean, self._weight = np.zeros(len(states)), np.zeros(len(states))
+        self._mean, self._weight = np.zeros((len(records), len(states))), np.zeros(len(states))
         for name, (mean, std) in free.initial.items():
             i = states.index(name)
-            self._mean[i], self._weight[i] = mean, std**-2.0
+            own = [each.trim[name] if mean == TRIM else mean for each in records]
+            self._mean[:, i], self._weight[i] = own, std**-2.0
         held = np.array([name in free.unbiased for name in outputs])
         self._bias = np.where(held, (HELD * noise.floor) ** -2.0, 0.0)
 
@@ -51,22 +57,23 @@ class Knowledge:
 
     def add(self, records: Array, nodes: Array, point: Point) -> None:
         """Add Hessian and gradient to `casid.shooting.sensitivity.Sums`' records and nodes."""
-        n, nx, ny = len(self._free.index), len(self._mean), len(self._bias)
+        n, nx, ny = len(self._free.index), len(self._weight), len(self._bias)
         off, pull = self._free.prior_residuals(point.lam[:n])
         state = np.arange(nx)
         bias = len(point.lam) + nx + np.arange(ny)
         records[0, :n, :n] += pull.T @ pull
         records[0, :n, -1] += pull.T @ off
-        for record, first, b in zip(records, self._firsts, point.bias, strict=True):
+        each = zip(records, self._firsts, self._mean, point.bias, strict=True)
+        for record, first, mean, b in each:
             nodes[first, state, len(point.lam) + state] += self._weight
-            nodes[first, :, -1] += self._weight * (point.nodes[first] - self._mean)
+            nodes[first, :, -1] += self._weight * (point.nodes[first] - mean)
             record[bias, bias] += self._bias
             record[bias, -1] += self._bias * b
 
 
 def with_knowledge(
     free: Free,
-    initial: Priors | None,
+    initial: Initial | None,
     biases: bool | Collection[str],
     state_biases: Collection[str],
 ) -> Free:
@@ -74,7 +81,14 @@ def with_knowledge(
     model = free.model
     for name, pair in (initial or {}).items():
         _known("initial", name, model.states)
-        declaration.check_prior(f"initial state {name}", pair)
+        given: Any = pair  # whatever the user wrote
+        own = isinstance(given, Sequence) and len(given) == 2 and given[0] == TRIM
+        declaration.check_prior(f"initial state {name}", (0.0, pair[1]) if own else pair)
+        if own and not isinstance(model, NonlinearModel):
+            raise ModelError(
+                f"initial state {name}: a linear structure's states count from the trim, which is "
+                f"0 there; write (0.0, {pair[1]})"
+            )
     chosen = model.outputs if isinstance(biases, bool) else tuple(biases)
     for name in chosen:
         _known("biases", name, model.outputs)
@@ -86,6 +100,17 @@ def with_knowledge(
         initial=dict(initial or {}),
         unbiased=tuple(name for name in model.outputs if name not in chosen),
     )
+
+
+def check_trims(initial: Initial, records: Sequence[Record]) -> None:
+    """Refuse records without the trim that an initial state is said to have."""
+    for name in (name for name, (mean, _) in initial.items() if mean == TRIM):
+        for record in records:
+            if name not in record.trim:
+                raise ValueError(
+                    f"initial state {name} is that of the trim, of which record {record.name!r} "
+                    f"does not say {name}: replace(record, trim={{{name!r}: value}})"
+                )
 
 
 def _known(argument: str, name: str, names: tuple[str, ...]) -> None:

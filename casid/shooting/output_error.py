@@ -25,7 +25,7 @@ from casid.estimates import constraint_table, held_directions, on_bounds, parame
 from casid.fit import AnyFit, Fit
 from casid.free import Free, free_parameters
 from casid.frequency.response import FrequencyResponse
-from casid.model import Bounds, M, Model, Priors
+from casid.model import Bounds, Initial, M, Model, Priors
 from casid.nlp import SolverOptions
 from casid.nonlinear.coverage import warn_beyond
 from casid.nonlinear.model import NonlinearModel
@@ -34,7 +34,7 @@ from casid.records import Records, check_alive, several, stretches
 from casid.shooting import uncertainty
 from casid.shooting.frequency import IPOPT
 from casid.shooting.innovation import ProcessNoise
-from casid.shooting.knowledge import warn_contradicted, with_knowledge
+from casid.shooting.knowledge import check_trims, warn_contradicted, with_knowledge
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
 from casid.shooting.nonlinear import MOST, Integration
@@ -70,7 +70,8 @@ class OutputError:
         trim. They come out in ``Fit.state_biases``.
     initial : mapping
         ``{state: (value, standard deviation)}``: what is known of every record's initial state, in
-        the model's perturbations; a small deviation holds it.
+        the model's perturbations; a small deviation holds it. "trim" for the value is what each
+        record's ``trim`` says, for nonlinear structures.
     priors : mapping
         ``{parameter: (value, standard deviation)}``: what is known from elsewhere, a normal
         distribution that multiplies the likelihood.
@@ -103,7 +104,7 @@ class OutputError:
     R: Array | CovarianceKind | None = None
     biases: bool | Collection[str] = True
     state_biases: Collection[str] = ()
-    initial: Priors | None = None
+    initial: Initial | None = None
     priors: Priors | None = None
     process_noise: ProcessNoise = False
     steps: int | None = None
@@ -130,6 +131,7 @@ class OutputError:
         check_responses(model, self.responses, several(data))
         free = self.free(model, fixed, bounds)
         chosen = select_records(free, data, bool(self.biases))
+        check_trims(free.initial, chosen)
         fit = reweighed(lambda f, rough: self._fitted(model, f, rough, chosen, near), free, near)
         if isinstance(fit.model, NonlinearModel):
             warn_beyond(fit.model, "along the records of the fit", fit.notes.covered)

@@ -97,7 +97,7 @@ class Programme:
         self.record = layout.record[back]
         self.links = np.flatnonzero(~layout.last[back])  # nodes with a successor
         self.n = max(layout.observations, 1)
-        self.knowledge = Knowledge(free, noise, self.record)
+        self.knowledge = Knowledge(free, noise, self.record, self.evaluator.layout.records)
         self._forget()
 
     def variant(
@@ -112,7 +112,9 @@ class Programme:
         other = copy.copy(self)
         other.scales, other.noise = scales or self.scales, noise or self.noise
         other.evaluator, other.free = evaluator or self.evaluator, free or self.free
-        other.knowledge = Knowledge(other.free, other.noise, self.record)
+        other.knowledge = Knowledge(
+            other.free, other.noise, self.record, other.evaluator.layout.records
+        )
         other._forget()
         return other
 

@@ -92,9 +92,12 @@ def test_constants_of_a_nonlinear_structure_are_those_of_the_linear_one():
 
 def test_what_is_added_is_gradient_and_hessian_of_the_cost():
     free = free_parameters(Roll(), (), None, {"Lp": (-2.0, 0.5)})
-    free = replace(free, initial={"phi": (0.1, 0.2)}, unbiased=("p", "phi"))
+    free = replace(free, initial={"p": (0.1, 0.2), "phi": ("trim", 0.5)}, unbiased=("p", "phi"))
+    begun = [
+        replace(record, trim={"phi": phi}) for record, phi in zip(flown(), (0.1, -0.3), strict=True)
+    ]
     noise = Noise(np.ones((1, 2), dtype=bool), np.array([9]), np.array([0.003, 0.007]))
-    knowledge = Knowledge(free, noise, np.array([0, 0, 1]))
+    knowledge = Knowledge(free, noise, np.array([0, 0, 1]), begun)
     rng = np.random.default_rng(0)
     x = rng.standard_normal(2 + 2 * 2 + 3 * 2)  # parameters, biases and nodes
 
@@ -104,6 +107,8 @@ def test_what_is_added_is_gradient_and_hessian_of_the_cost():
     records, nodes = np.zeros((2, 6, 7)), np.zeros((3, 2, 5))
     point = Point(x[:2], x[2:6].reshape(2, 2), x[6:].reshape(3, 2))
     knowledge.add(records, nodes, point)
+    slopes = (x[[6, 10]] - 0.1) / 0.2**2, (x[[7, 11]] - [0.1, -0.3]) / 0.5**2
+    np.testing.assert_allclose(nodes[[0, 2], :, -1].T, slopes)
     own = [records[0, :2, -1], *records[:, 4:, -1], *nodes[:, :, -1]]
     curved = [np.diag(records[0])[:2], *(np.diag(r)[4:] for r in records),
               *(np.diag(each[:, 2:]) for each in nodes)]  # fmt: skip
@@ -112,6 +117,11 @@ def test_what_is_added_is_gradient_and_hessian_of_the_cost():
         assert np.concatenate(own)[i] == pytest.approx((up - down) / 2e-3, rel=1e-6, abs=1e-6)
         bend = (up - 2 * cost(x) + down) / 1e-6
         assert np.concatenate(curved)[i] == pytest.approx(bend, rel=1e-3, abs=1e-3)
+
+
+def test_records_have_the_trim_that_their_initial_states_are_said_to_have():
+    with pytest.raises(ValueError, match="does not say phi"):
+        OutputError(initial={"phi": ("trim", 0.1)}).fit(RollWritten(), flown())
 
 
 def test_outputs_named_alone_have_biases():
@@ -162,6 +172,8 @@ def test_a_prior_that_the_records_contradict_is_told_and_one_they_bear_out_is_no
         ({"initial": {"q": (0.0, 1.0)}}, "initial names 'q'"),
         ({"biases": ("r",)}, "biases names 'r'"),
         ({"state_biases": ("r",)}, "state_biases names 'r'"),
+        ({"initial": {"p": ("trim", 0.1)}}, r"write \(0.0, 0.1\)"),
+        ({"initial": {"p": ("trim", 0.0)}}, "deviation above 0"),
     ],
 )
 def test_what_is_said_to_be_known_is_checked(settings, message):
