@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 from truths.closed_roll import TRUTH, flown, jittered, noisy, with_holes
 
-from benchmarks.turbulence import cases, fly, innovations
+from benchmarks.turbulence import cases, fly, innovations, run
 from casid import ConvergenceError, output_error
 from casid.free import free_parameters
 from casid.shooting.innovation import starting_noises
@@ -153,6 +153,14 @@ def test_turbulence_that_seems_to_drive_another_state_is_found_out(seed):
     errors = np.array([row.std_error for row in fit.parameters])
     assert (np.abs(fit.model.vector() - case.truth.vector()) < 3 * errors).all()
     assert np.sqrt(fit.notes.process_noise[0]) == pytest.approx(0.3, rel=0.25)
+
+
+@pytest.mark.slow
+def test_a_noise_that_the_records_do_not_show_ends_at_none():
+    # From the guess in turbulence it stays at .26 m/s/√s, as likely as none but for .33.
+    case = replace(cases()["4 states, 4 outputs"], N=200)
+    fit = run(case, 502)[2]
+    assert fit.notes.process_noise[0] < 1e-6
 
 
 @pytest.mark.slow

@@ -57,3 +57,11 @@ def test_a_covariance_is_that_of_its_factors_and_its_slopes_those_of_differences
     for k, step in enumerate(1e-6 * np.eye(len(eta))):
         numeric = (noises.covariance(eta + step)[0] - noises.covariance(eta - step)[0]) / 2e-6
         np.testing.assert_allclose(slope[..., k], numeric, atol=1e-8)
+
+
+def test_noises_are_never_negative_a_hair_beyond_their_bound():
+    noises = NoiseUnknowns(q0=np.array([1.0, 2.0]), r0=np.array([4.0]), least=np.zeros(1),
+                           given=None, full=False, start=np.zeros(3))  # fmt: skip
+    beyond = np.full(3, -1e-8)  # where an interior point may go
+    np.testing.assert_array_equal(noises.densities(beyond)[0], [0.0, 0.0])
+    np.testing.assert_array_equal(noises.covariance(beyond)[0], [[0.0]])
