@@ -79,7 +79,7 @@ class Instruments:
     against: dict[str, tuple[str, ...]]  # the equations in which each channel stands
     left: dict[str, list[Array]]  # of each equation's attitude or velocity, one array a flight
     clock: tuple[float, float]  # by how much velocities are later than attitudes [s], its error
-    drawn: Array  # (records, 2): how far each alone draws the skews of all rates, all forces [s]
+    drawn: Array  # (2, 2, records): how far each draws skews of rates, forces [s], its least error
     onboard_errors: Array  # (channels,) of skew + clock: against attitudes, not velocities [s]
     place: Array  # (3,) of the accelerometers, from where velocities are measured [m]
     place_errors: Array  # (3,)
@@ -96,30 +96,10 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
     """
     problem = _Reconstruction(flights, tuple(equations))
     n = len(problem.channels)
-    start = np.append(np.tile([1.0, 0.0], n), np.zeros(COMMON))
     reach = np.concatenate([np.tile(PRIOR, n), PRIOR[1:], np.full(3, FAR_OFF)])
-    prior, skews = reach**-2.0, [*range(1, 2 * n, 2), 2 * n]
-    x, biases = start, np.zeros((problem.records, n))
-    iteration = 0
-    while True:
-        blocks = problem.blocks(x, biases)
-        if iteration in REGAIN:
-            problem.fit_gains(blocks, x[: 2 * n : 2])
-        if iteration <= REGAIN[-1]:
-            problem.fit_sizes(blocks)
-        parts = problem.whitened(blocks)
-        plain, flown = problem.normal(parts)
-        pretended = problem.pretended(x, biases, plain) if iteration >= ITERATIONS else plain * 0.0
-        corrected = Corrected(plain + Normal(np.diag(prior), prior * (start - x)), pretended)
-        step = corrected.step()
-        settled = iteration > ITERATIONS and np.abs(step[: 2 * n + 1]).max() < SETTLED
-        if settled or iteration == ITERATIONS + CORRECTIONS:
-            break
-        step[skews] = np.clip(step[skews], -LATE / 4, LATE / 4).clip(
-            -LATE - x[skews], LATE - x[skews]
-        )
-        x, biases = x + step, biases + [one.step(step) for one in flown]
-        iteration += 1
+    x, biases, blocks, corrected, step = _solved(problem, reach)
+    parts = problem.whitened(blocks)
+    flown = problem.normal(parts)[1]
     pairs = [(one, problem.scores(parts, k)) for k, one in enumerate(flown)]
     scores = np.concatenate([one.scores(whole) for one, whole in pairs])
     P = corrected.covariance(scores, reach) + np.diag(step**2)
@@ -135,12 +115,50 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
         left={one: [rows[0] for name, _, rows in blocks if name == one] for one in equations},
         clock=(float(x[clock]), float(errors[clock])),
         drawn=np.array(
-            [[_drawn(one.shared, problem.channels, g) for g in GROUPS] for one in flown]
+            [np.transpose([_drawn(each, problem.channels, g) for each in flown]) for g in GROUPS]
         ),
         onboard_errors=np.sqrt(P[own, own] + P[clock, clock] + 2 * P[own, clock]),
         place=x[-3:],
         place_errors=errors[-3:],
     )
+
+
+def _solved(
+    problem: "_Reconstruction", reach: Array
+) -> tuple[Array, Array, list[Block], Corrected, Array]:
+    """Unknowns that all share and biases, there the blocks, normal equations and the next step.
+
+    What noise pretends is evaluated once, where plain steps end, and carried on as a quadratic.
+    """
+    n = len(problem.channels)
+    start = np.append(np.tile([1.0, 0.0], n), np.zeros(COMMON))
+    prior, skews = reach**-2.0, [*range(1, 2 * n, 2), 2 * n]
+    x, biases, pretended = start, np.zeros((problem.records, n)), None
+    iteration = 0
+    while True:
+        blocks = problem.blocks(x, biases)
+        if iteration in REGAIN:
+            problem.fit_gains(blocks, x[: 2 * n : 2])
+        if iteration <= REGAIN[-1]:
+            problem.fit_sizes(blocks)
+        plain, flown = problem.normal(problem.whitened(blocks))
+        seen = plain + Normal(np.diag(prior), prior * (start - x))
+        corrected = Corrected(seen, pretended or plain * 0.0)
+        step = corrected.step()
+        near = iteration > REGAIN[-1] and np.abs(step[: 2 * n + 1]).max() < SETTLED
+        if (near and pretended) or iteration == ITERATIONS + CORRECTIONS:
+            break
+        if pretended is None and (near or iteration == ITERATIONS):
+            pretended = problem.pretended(x, biases, plain)
+            corrected = Corrected(seen, pretended)
+            step = corrected.step()
+        step[skews] = np.clip(step[skews], -LATE / 4, LATE / 4).clip(
+            -LATE - x[skews], LATE - x[skews]
+        )
+        x, biases = x + step, biases + [one.step(step) for one in flown]
+        pretended = pretended and pretended.after(step)
+        iteration += 1
+    return x, biases, blocks, corrected, step
 
 
 def reconstruct_level(flights: Sequence[Flight], equations: Sequence[str]) -> Instruments:
@@ -361,10 +379,14 @@ class _Reconstruction:
         return np.concatenate(found)
 
 
-def _drawn(one: Normal, channels: Sequence[str], group: Sequence[str]) -> float:
-    """Newton's step of one record in the skew that a group of channels shares, all else held."""
+def _drawn(one: Eliminated, channels: Sequence[str], group: Sequence[str]) -> tuple[float, float]:
+    """Newton's step of one record in the skew that a group of channels shares, all else held.
+
+    And its standard error, were all else known and innovations white: no skew is known better.
+    """
     k = [2 * i + 1 for i, name in enumerate(channels) if name in group]
-    return float(one.slope[k].sum() / max(one.information[np.ix_(k, k)].sum(), 1e-300))
+    known = max(float(one.shared.information[np.ix_(k, k)].sum()), 1e-300)
+    return float(one.shared.slope[k].sum()) / known, known**-0.5
 
 
 def _read(pieces: Array, skew: float, dt: float) -> tuple[Array, Array]:

@@ -20,12 +20,13 @@ def innovations(gain: float, rows: Array, dt: float = 0.0) -> Array:
     that is seen through white noise (in the attitude) one sample ahead. A sampling interval asks
     for them up to `BAND`.
     """
-    found, z = rows, np.ones(rows.shape[1])
+    found = np.vstack([rows, np.ones(rows.shape[1])])
     b, a = np.array([[1.0, -1.0], [1.0, gain - 1.0]] if gain > 0 else [[1.0], [1.0]])
     if 0 < dt < 0.4 / BAND:
         b, a = map(np.convolve, (b, a), _low_pass(dt))
     if len(a) > 1:
-        found, z = _filtered(b, a, rows), _filtered(b, a, z[None])[0]
+        found = _filtered(b, a, found)
+    found, z = found[:-1], found[-1]
     return np.asarray(found - np.outer(found @ z / (z @ z), z))
 
 

@@ -11,7 +11,7 @@ T. Nakamura, Biometrika 77, 1990; R. J. Carroll et al., Measurement Error in Non
 nothing but the prior is known along them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +34,10 @@ class Normal:
 
     def __mul__(self, factor: float) -> "Normal":
         return Normal(factor * self.information, factor * self.slope)
+
+    def after(self, step: Array) -> "Normal":
+        """These of a quadratic, such a step (n,) on."""
+        return replace(self, slope=self.slope - self.information @ step)
 
 
 class Eliminated:

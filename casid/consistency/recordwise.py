@@ -17,6 +17,7 @@ from casid.consistency.further import unexplained
 from casid.consistency.measured import Flight
 
 LEVEL = 1e-4  # at which skews of records are called different
+SUSPECT = 0.05  # at which they are looked at one by one
 GROUPS = {RATES: "rates and attitudes", FORCES: "specific forces and velocities"}
 
 
@@ -28,10 +29,10 @@ def clocks_by_record(
 ) -> tuple[str, ...]:
     """Remarks on clocks that differ by record (``labels`` by number), found by each alone.
 
-    Records are looked at one by one only where one draws the skews found ``together`` from where
-    they are by half of what matters.
+    Records are looked at one by one only where they draw the skews found ``together`` apart, by
+    half of what matters and more than the least errors these can have (a score test).
     """
-    if len(labels) < 2 or np.ptp(together.drawn, axis=0).max() < SKEW / 2:
+    if not any(differ(skews, least, SUSPECT, SKEW / 2) for skews, least in together.drawn):
         return ()
     alone = {}
     for k in labels:
@@ -65,9 +66,9 @@ def _of(
     return mean([(float(skews[i]), float(found.errors[i, 1])) for i in rows])
 
 
-def differ(skews: Array, errors: Array) -> bool:
+def differ(skews: Array, errors: Array, level: float = LEVEL, least: float = SKEW) -> bool:
     """Whether skews [s] scatter by more than their errors and a third of what matters."""
     variances = errors**2 + (SKEW / 3) ** 2
     middle = np.average(skews, weights=1 / variances)
     chi2 = float(np.sum((skews - middle) ** 2 / variances))
-    return bool(np.ptp(skews) > SKEW and scipy.special.chdtrc(len(skews) - 1, chi2) < LEVEL)
+    return bool(np.ptp(skews) > least and scipy.special.chdtrc(len(skews) - 1, chi2) < level)

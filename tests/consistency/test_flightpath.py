@@ -8,11 +8,15 @@ import scipy.optimize
 from truths.flights import FORCES, RATES, STATES, truth
 
 from casid.consistency.flightpath import (
+    COMMON,
     _integral,
+    _Reconstruction,
+    _solved,
     reconstruct,
     reconstruct_level,
 )
 from casid.consistency.measured import Flight
+from casid.consistency.pretended import Corrected, Normal
 
 
 def test_running_integrals_are_exact_for_straight_lines_and_of_fourth_order_inside():
@@ -185,3 +189,19 @@ def test_without_yaw_rate_pitch_attitude_does_not_matter():
     flight = replace(flight, level={"theta": 0.0})
     plain, found = reconstruct([flight], ["phi"]), reconstruct_level([flight], ["phi"])
     np.testing.assert_array_equal(found.errors, plain.errors)
+
+
+def test_where_the_steps_end_no_step_is_left_with_the_noise_drawn_there_anew():
+    rng = np.random.default_rng(3)
+    flights = rolls(rng, (1500, 900), 0.002)
+    for flight in flights:
+        flight.values["p"] += 0.1 * rng.standard_normal(len(flight.t))
+    problem = _Reconstruction(flights, ("phi",))
+    reach = np.array([1.0, 0.1, *np.full(COMMON, 1.0)])
+    x, biases, blocks, corrected, _ = _solved(problem, reach)
+    plain, _ = problem.normal(problem.whitened(blocks))
+    prior = Normal(np.diag(reach**-2.0), reach**-2.0 * (np.eye(1, len(x))[0] - x))
+    pretended = problem.pretended(x, biases, plain)
+    left = Corrected(plain + prior, pretended).step()
+    errors = np.sqrt(np.diag(corrected.covariance(np.zeros((1, len(x))), reach)))
+    assert np.all(np.abs(left[:2]) < 0.01 * errors[:2])

@@ -76,3 +76,12 @@ def test_elimination_of_own_unknowns_changes_neither_steps_nor_errors():
     np.testing.assert_allclose(np.linalg.inv(total.information), P[:3, :3])
     own = parts[0].variances(np.zeros((1, 5)), P[:3, :3])
     np.testing.assert_allclose(own, np.diag(P)[3:5])
+
+
+def test_equations_of_a_quadratic_are_known_a_step_on():
+    # Those of |y − X θ|² at θ and, computed anew, at θ + s.
+    rng = np.random.default_rng(5)
+    X, y, theta, s = rng.standard_normal((9, 3)), rng.standard_normal(9), *np.eye(3)[:2]
+    here, there = (Normal(X.T @ X, X.T @ (y - X @ at)) for at in (theta, theta + s))
+    np.testing.assert_allclose(here.after(s).slope, there.slope, atol=1e-12)
+    np.testing.assert_array_equal(here.after(s).information, there.information)
