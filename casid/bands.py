@@ -31,6 +31,7 @@ from casid.threads import one_thread
 
 DRAWS = 100  # of what a structure misses
 NEAR = 6.0  # standard errors that two poles are apart, below which they may meet or part in truth
+SAME = np.e - 1  # share of a pole within which a black box's is the same mode
 SAMPLES = 1000  # of poles that may: a standard deviation is known to 2 %
 
 
@@ -212,7 +213,9 @@ def mode_bands(fit: AnyFit, *, error: StructureError | None = None) -> tuple[Mod
     """Modes of a fit with the standard deviations of pole, frequency and damping.
 
     Of a nonlinear structure's fit they are those of the linearisation at its reference condition.
-    With ``error``, from `structure_error`, they hold what the estimates make of what it misses.
+    With ``error``, from `structure_error`, they hold what the estimates make of what it misses, and
+    how far the black box's own mode near each is from it beyond that mode's noise: a pole takes up
+    what a structure misses, a lag above all, and the response hardly shows it.
 
     Raises
     ------
@@ -236,11 +239,30 @@ def mode_bands(fit: AnyFit, *, error: StructureError | None = None) -> tuple[Mod
         off = deviations([model.system().A for model in drawn], poles)
         # Real ones of which no draw made a pair only pass each other.
         std[:4] = np.where(near & (off[1] > 0), off, std[:4])
+    if error is not None:
+        std[:4] = np.hypot(std[:4], _beside(poles, error))
     stated = ("real_std", "imag_std", "frequency_std", "damping_std")
     return tuple(
         ModeBand(mode=mode, **dict(zip(stated, row, strict=True)))
         for mode, row in zip(found, std[:4].T.tolist(), strict=True)
     )
+
+
+def _beside(poles: ComplexArray, error: StructureError) -> Array:
+    """How far modes of the black box are from poles (n,), beyond their noise, (4, n).
+
+    In `pole_figures`; zero where none is near.
+    """
+    apart = np.abs(poles[:, None] - error.poles) / np.maximum(np.abs(poles), 1e-300)[:, None]
+    mine, its = scipy.optimize.linear_sum_assignment(np.minimum(apart, SAME))
+    near = apart[mine, its] < SAME
+    mine, its = mine[near], its[near]
+    own = pole_figures(error.poles[its])
+    steps = np.array([[1], [1j]]) * error.pole_std[:, its]
+    noise = sum((pole_figures(error.poles[its] + step) - own) ** 2 for step in steps)
+    off = np.zeros((4, len(poles)))
+    off[:, mine] = np.sqrt(np.maximum((pole_figures(poles[mine]) - own) ** 2 - noise, 0.0))
+    return off
 
 
 @one_thread

@@ -22,6 +22,7 @@ from casid.fit import AnyFit
 from casid.free import Free
 from casid.nearest import REACH, BoxResponse, gain, kernel, movable, nearness
 from casid.subspace.blackbox import BlackBox
+from casid.subspace.refinement import ResponseUncertainty
 from casid.threads import one_thread
 from casid.values import seal
 
@@ -41,6 +42,10 @@ class StructureError(Shown):
         (E|Δ|²)^½ of the complex response, in its units.
     covariance : (nf, nf) array
         What it makes of the free parameters, were they estimated from the response.
+    poles : (m,) complex array
+        Of the black box, imaginary parts not below zero [rad/s].
+    pole_std : (2, m) array
+        Standard deviations of their real and imaginary parts [rad/s].
     free_names, inputs, outputs : tuple of str
         Parameters and channels.
     """
@@ -48,6 +53,8 @@ class StructureError(Shown):
     omega: Array
     std: Array
     covariance: Array
+    poles: ComplexArray
+    pole_std: Array
     free_names: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -106,6 +113,13 @@ def _own(fit: AnyFit, free: Free, dG: ComplexArray) -> Array:
     return np.asarray(np.einsum("pkij,pq,qkij->kij", dG, C, dG.conj(), optimize=True).real)
 
 
+def _poles(box: BlackBox) -> tuple[ComplexArray, Array, Array]:
+    """Poles with the errors of their parts; none where these are not known."""
+    if isinstance(box.uncertainty, ResponseUncertainty):
+        return box.uncertainty.pole_std()
+    return np.empty(0, dtype=complex), np.empty(0), np.empty(0)
+
+
 @one_thread
 def structure_error(
     fit: AnyFit, black_box: BlackBox, *, band: tuple[float, float] | None = None
@@ -147,10 +161,13 @@ def structure_error(
         / np.sqrt(2)
     )
     moved = np.einsum("pkij,klij->plij", K, root, optimize=True).reshape(len(K), -1)
+    poles, *pole_std = _poles(black_box)
     return StructureError(
         omega=omega,
         std=std / target.scale,
         covariance=moved.real @ moved.real.T + moved.imag @ moved.imag.T,
+        poles=poles,
+        pole_std=np.array(pole_std),
         free_names=free.names,
         inputs=free.model.inputs,
         outputs=free.model.outputs,

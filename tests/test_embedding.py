@@ -5,13 +5,19 @@ from functools import cache
 
 import numpy as np
 import pytest
+import scipy
 from truths.closed_roll import TRUTH, NoSideslip, campaign
 
 from casid import (
+    Model,
+    Record,
+    Rows,
+    Scalar,
     StructureError,
     handling_band,
     mode_bands,
     output_error,
+    parameter,
     pbsid,
     response_band,
     structure_error,
@@ -89,6 +95,73 @@ def test_modes_and_bandwidth_are_less_certain_with_it():
     assert both.real_std >= plain.real_std
 
 
+def test_modes_are_as_uncertain_as_they_are_off_those_of_the_black_box():
+    fit = fitted("true")
+    plain = mode_bands(fit)
+    poles = np.array([band.mode.pole for band in plain])
+    none = replace(error("true"), covariance=np.zeros_like(error("true").covariance))
+
+    def beside(apart, noise):
+        """Bands against a black box with modes so far off, so uncertain, and what they gain."""
+        std = np.full((2, len(poles)), noise)
+        both = mode_bands(fit, error=replace(none, poles=poles + apart, pole_std=std))
+        return both, [
+            np.sqrt(b.real_std**2 - p.real_std**2) for b, p in zip(both, plain, strict=True)
+        ]
+
+    size = 0.1 * np.abs(poles).min()
+    both, found = beside(-size, 0.6 * size)
+    np.testing.assert_allclose(found, 0.8 * size, rtol=1e-9)
+    for band, alone, pole in zip(both, plain, poles, strict=True):
+        assert band.imag_std == pytest.approx(alone.imag_std)
+        its = abs(pole - size)
+        noise = np.hypot(abs(pole - 0.4 * size) - its, abs(pole - size + 0.6j * size) - its)
+        beyond = max((abs(pole) - its) ** 2 - noise**2, 0)
+        assert band.frequency_std == pytest.approx(np.sqrt(alone.frequency_std**2 + beyond))
+    np.testing.assert_array_equal(beside(-size, 1.1 * size)[1], 0)  # it may be noise
+    np.testing.assert_array_equal(beside(-100 * size, 0.0)[1], 0)  # others
+
+
+class Bank(Model):
+    """Roll and bank with a delay, and no actuator."""
+
+    states, inputs, outputs = ("p", "phi"), ("lat",), ("p", "phi")
+
+    Lp: Scalar = parameter(default=-4.0, lower=-20.0, upper=0.0, unit="1/s")
+    Lphi: Scalar = parameter(default=-1.0, lower=-20.0, upper=20.0, unit="1/s^2")
+    Llat: Scalar = parameter(default=10.0, lower=0.0, upper=50.0, unit="rad/s^2")
+    tau: Scalar = parameter(default=0.05, lower=0.0, upper=0.3, unit="s")
+
+    def A(self) -> Rows:
+        return [[self.Lp, self.Lphi], [1, 0]]
+
+    def B(self) -> Rows:
+        return [[self.Llat], [0]]
+
+    def delays(self) -> dict[str, Scalar]:
+        return {"lat": self.tau}
+
+
+@pytest.mark.parametrize("lag", [0.06, 0.12])
+def test_a_pole_that_takes_up_a_lag_is_as_uncertain_as_it_is_off(lag):
+    rng, t, records = np.random.default_rng(3), 0.02 * np.arange(1500), []
+    A, B = [[-5.0, -2.0, 12.0], [1, 0, 0], [0, 0, -1 / lag]], [[0], [0], [1 / lag]]
+    for k in range(3):
+        steps = np.repeat(rng.choice([-0.1, 0.0, 0.1], 60), 25)
+        u = np.convolve(steps, np.ones(6) / 6, mode="same")  # a stick takes its time
+        _, y, _ = scipy.signal.lsim((A, B, np.eye(2, 3), np.zeros((2, 1))), u, t)
+        y += 0.002 * rng.standard_normal(y.shape)
+        records.append(Record(t, u[:, None], y, ("lat",), ("p", "phi"), f"{k}"))
+    fit = output_error(Bank(), records)
+    missed = structure_error(fit, pbsid(records, order=4, pole=10.0, past=10))
+    roll = np.linalg.eigvals(np.array(A)[:2, :2]).min()
+    plain, both = (min(mode_bands(fit, error=e), key=lambda b: b.mode.pole.real)
+                   for e in (None, missed))  # fmt: skip
+    off = both.mode.pole.real - roll
+    assert off > 5 * plain.real_std
+    assert 0.5 * off < both.real_std < 2 * off
+
+
 def test_a_phase_delay_is_as_uncertain_as_its_draws():
     # The response is 20 % off, in gain or phase, for a third of a neper of frequency each time.
     fit, omega = fitted("true"), np.geomspace(0.5, 40, 200)
@@ -104,7 +177,8 @@ def test_draws_have_the_size_and_the_memory_that_are_stated():
     omega = np.geomspace(1, 10, 6)
     made = StructureError(
         omega=omega, std=np.linspace(1, 2, 6)[:, None, None], covariance=np.eye(1),
-        free_names=("a",), inputs=("u",), outputs=("y",),
+        poles=np.array([-1.0 + 0j]), pole_std=np.zeros((2, 1)), free_names=("a",),
+        inputs=("u",), outputs=("y",),
     )  # fmt: skip
     drawn = made.drawn(omega, 4000, seed=1)[:, :, 0, 0]
     np.testing.assert_allclose(
