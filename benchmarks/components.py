@@ -38,7 +38,6 @@ from benchmarks.tables import table
 from benchmarks.uh60 import STEPS
 from casid import Record
 from casid.bounds.trials import aicc
-from casid.model import Initial
 from models.minimum_complexity import MinimumComplexity
 
 # Known of any aircraft: rotors' tip speeds, twist, arms [m/s, rad, m], inertia.
@@ -47,8 +46,7 @@ KNOWN = {
     "tail": 6.56, "tail_up": 0.8, "plane": 5.0, "fin": 6.28, "radius": 5.49,
     "plane_down": 1.12, "Iyx": 4.25, "Izx": 4.03, "gyration": 3.74,
 }  # fmt: skip
-INITIAL: Initial = {"v": (0.0, 0.1), "w": ("trim", 0.03)}  # m/s: level flight
-RESTS = 1.9  # s
+INITIAL = {"v": (0.0, 0.1), "w": (1.4, 0.15)}  # m/s: level flight
 # What records of one speed do not tell apart from the rest; the fit to three speeds does.
 UNTOLD = (
     "lon_0", "Lhub", "Mhub", "Mthrust", "Nprofile", "Xuu", "tail_disk", "fin_0", "fin_stalled",
@@ -103,7 +101,7 @@ def fitted(flights: Flights, path: Path, speeds: Sequence[str]) -> Any:
 
 def having_seen(flights: Flights, path: Path, one: Any) -> Any:
     """The fit to three speeds, carried on with the changes of speed."""
-    records = steps(flights, SPEEDS) + [level(flights, "060kt", name) for name in CHANGES]
+    records = steps(flights, SPEEDS) + [flights.noisy("060kt", name) for name in CHANGES]
     return kept(path, MinimumComplexity, lambda: COMPONENTS.fit(one.model, records))
 
 
@@ -124,15 +122,7 @@ def untrimmed(flights: Flights, one: Any) -> Any:
 
 def steps(flights: Flights, speeds: Sequence[str]) -> list[Record]:
     """The noisy 3-2-1-1 of some speeds."""
-    return [level(flights, speed, name) for speed in speeds for name in STEPS]
-
-
-def level(flights: Flights, speed: str, name: str) -> Record:
-    """A noisy record that begins in level flight, so that w is u tan(theta)."""
-    record = flights.noisy(speed, name)
-    still = record.cut(0.0, RESTS)
-    w = still.channel("u").mean() * np.tan(still.channel("theta").mean())
-    return replace(record, trim={"w": float(w)})
+    return [flights.noisy(speed, name) for speed in speeds for name in STEPS]
 
 
 def with_errors(fit: Any, function: Callable[[Any], Any]) -> Any:
