@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING, Any
 from casid.bands import ModeBand, mode_bands
 from casid.channels import UNITS
 from casid.consistency.flights import Repeats
+from casid.embedding import StructureError, structure_error
 from casid.fit import AnyFit, Fit
 from casid.model import Model
+from casid.nonlinear.model import NonlinearModel
+from casid.subspace.blackbox import BlackBox
 from casid.validation import AnyModel
 
 if TYPE_CHECKING:
@@ -165,8 +168,22 @@ class Content:
     @cached_property
     def bands(self) -> dict[str, tuple[ModeBand, ...]]:
         """Modes with standard deviations of the fits that have a covariance."""
-        fits = self.fits.items()
-        return {name: mode_bands(fit) for name, fit in fits if fit.covariance is not None}
+        fits = {name: fit for name, fit in self.fits.items() if fit.covariance is not None}
+        return {name: mode_bands(fit, error=self.missed.get(name)) for name, fit in fits.items()}
+
+    @cached_property
+    def missed(self) -> dict[str, StructureError]:
+        """What linear structures miss, by a black box of the same channels."""
+        box = self.results.get("pbsid")
+        if not isinstance(box, BlackBox) or box.uncertainty is None:
+            return {}
+        known = {*box.system.inputs, *box.system.outputs}
+        return {
+            name: structure_error(fit, box)
+            for name, fit in self.fits.items()
+            if not isinstance(fit.model, NonlinearModel)
+            and {*fit.model.inputs, *fit.model.outputs} <= known
+        }
 
     @property
     def delivered(self) -> str:

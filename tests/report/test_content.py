@@ -1,10 +1,12 @@
 """What a report is made of."""
 
+from dataclasses import replace
+
 import jinja2
 import pytest
 from truths.structures import SECOND, Lag, black_box
 
-from casid import match
+from casid import match, mode_bands, structure_error
 from casid.report import Caution, Content, Section
 from casid.report.content import TEMPLATES, cautions, leads, section
 
@@ -46,3 +48,14 @@ def test_a_caution_that_is_warned_of_and_shown_is_told_once():
     )  # fmt: skip
     shown = Section(name="c", cautions=(Caution("It may be biased.", 30),))
     assert cautions(page, [shown]) == ("It may be biased.", "look at bounds")
+
+
+def test_modes_are_stated_with_what_the_black_box_says_that_structures_miss(content, page):
+    fit, box = content.fits["output error"], content.results["pbsid"]
+    alone = replace(content, results={})
+    assert alone.bands["output error"] == mode_bands(fit)
+    beside = mode_bands(fit, error=structure_error(fit, box))
+    assert content.bands["output error"] == beside != mode_bands(fit)
+    assert "a mode of the black box near them" in page.read_text(encoding="utf-8")
+    other = replace(box, system=replace(box.system, outputs=("q", *box.system.outputs[1:])))
+    assert replace(content, results={"pbsid": other}).missed == {}
