@@ -7,12 +7,15 @@ programme, which tells which of them will hold and at what price before a sample
 
 import casadi as ca
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from casid.arrays import Array
 from casid.nlp import Problem, Solution, SolverOptions, solve
 from casid.shooting.newton import Newton
 from casid.shooting.precision import quadratic_model
 from casid.shooting.programme import Programme
+
+SETS = 30  # of bounds that may hold, tried before IPOPT is asked
 
 
 def predicted(
@@ -44,11 +47,13 @@ def predicted(
 def step(programme: Programme, x: Array, F: Array, options: SolverOptions) -> Solution:
     """Step of the unknowns that minimises a quadratic model within bounds and ties."""
     nf = programme.evaluator.nf
-    d = ca.MX.sym("d", nf)
     (lower, upper), (lower_c, upper_c) = programme.limits()
     first = len(programme.links) * programme.evaluator.nx
     slopes = programme.constraint_matrix(x)[first:, :nf].toarray()
+    if not len(slopes) and (found := in_box(F / programme.n, lower - x[:nf], upper - x[:nf])):
+        return found
     now = programme.values(x).g[first:]
+    d = ca.MX.sym("d", nf)
     problem = Problem(
         x=d,
         f=ca.bilin(ca.DM(F / programme.n), ca.vertcat(d, 1)) / 2,
@@ -60,3 +65,38 @@ def step(programme: Programme, x: Array, F: Array, options: SolverOptions) -> So
         upper_g=upper_c - now,
     )
     return solve(problem, options, stage="output error, prediction")
+
+
+def in_box(F: Array, lower: Array, upper: Array) -> Solution | None:
+    """The d within bounds (n,) that minimises half the form F (n + 1, n + 1) of [d; 1].
+
+    By a primal-dual active set (M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13(3), 2002):
+    bounds hold that the last d breaks or presses on, until these are the same as before. None if
+    they do not come to an end, or without them the form is not convex.
+    """
+    H, g, pinned = F[:-1, :-1], F[:-1, -1], upper <= lower
+    size = np.maximum(np.diag(H), 1e-300)
+    sides = pinned.astype(int)  # 1 at the upper bound, -1 at the lower
+    for count in range(SETS):
+        free = sides == 0
+        d = np.where(free, 0.0, np.where(sides > 0, upper, lower))
+        if free.any():
+            _, d[free], failed = dposv(H[np.ix_(free, free)], -(H @ d + g)[free])
+            if failed or not np.isfinite(d).all():
+                return None
+        prices = np.where(free, 0.0, -(H @ d + g))
+        above, below = prices + size * (d - upper) > 0, prices + size * (d - lower) < 0
+        last, sides = sides, np.where(pinned, 1, above.astype(int) - below)
+        if (sides == last).all():
+            return Solution(
+                x=d,
+                f=float(d @ H @ d / 2 + g @ d),
+                g=np.zeros(0),
+                multipliers_x=prices,
+                multipliers_g=np.zeros(0),
+                success=True,
+                status="solved",
+                iterations=count,
+                seconds=0.0,
+            )
+    return None
