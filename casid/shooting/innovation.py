@@ -14,6 +14,7 @@ from casid.free import Free
 from casid.intersample import integrals
 from casid.model import Model
 from casid.record import Record
+from casid.shooting.kalman import settling_time
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.starting import FLOOR, SURPRISE, accumulated
 from casid.shooting.unknowns import GainUnknowns, NoiseUnknowns
@@ -22,7 +23,6 @@ from casid.subspace.pbsid import BlackBox
 ProcessNoise: TypeAlias = bool | Literal["gain"] | Array | BlackBox
 
 NOISE_SHARE = 0.1  # of an output's root mean square, taken for its measurement noise
-HORIZON = 2.0  # s, over which process noise is compared with measurement noise
 NOTICED = 0.1  # rise of an output's innovations, over their variance
 SMALL = 1e-2  # unit of a measurement noise, of its variance at the start
 
@@ -60,9 +60,10 @@ def starting_noises(
     noise = [_roughness([record.y[:, i] for record in records]) for i in range(system.ny)]
     least = (FLOOR * size) ** 2
     variance = np.maximum(noise, 4 * least) if given is None else np.diag(given)
+    horizon = settling_time(records)
     seen = [
         np.max(
-            np.diag(system.C @ accumulated(system.A, np.diag(one), HORIZON) @ system.C.T) / variance
+            np.diag(system.C @ accumulated(system.A, np.diag(one), horizon) @ system.C.T) / variance
         )
         for one in np.eye(system.nx)
     ]

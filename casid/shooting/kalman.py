@@ -20,12 +20,14 @@ Missing samples, several rates and irregular sampling need nothing more. What dr
 P alone, all samples at once; derivatives are not computed where only a likelihood is wanted.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.intersample import integral_slopes
+from casid.record import Record
 from casid.shooting.gains import Gains
 from casid.shooting.intervals import Layout
 from casid.shooting.stepping import interpolation, octaves
@@ -34,6 +36,7 @@ from casid.shooting.unknowns import FilterMatrices
 SETTLED = 1e-11  # change of P over a step, relative, that ends its recursion
 OFTEN = 8  # samples after which that is looked at
 EARLIER = 2.0  # s, since when filters run
+SHARES = 0.01, 0.5  # of the longest record: the least and the most of that, in any unit of time
 ROWS = 64  # of the tables whose derivatives are made at once: they stay in the cache
 POINTS = 12  # of Gauss and Legendre: ∫ e^{As} Q e^{Aᵀs} ds to rounding for ‖A‖h up to 4
 
@@ -93,6 +96,12 @@ def filter_gains(m: FilterMatrices, layout: Layout, slopes: bool) -> Gains:
     return recursion.gains(which)
 
 
+def settling_time(records: Sequence[Record]) -> float:
+    """Two seconds, or of flights whose unit of time is another one what is likely to be as long."""
+    least, most = np.array(SHARES) * max(record.duration for record in records)
+    return float(np.clip(EARLIER, least, most))
+
+
 def _held(m: FilterMatrices) -> FilterMatrices:
     """The same without unknowns."""
     none = {name: getattr(m, name)[..., :0] for name in ("A_lam", "C_lam", "Q_lam", "R_lam")}
@@ -106,7 +115,8 @@ class _Recursion:
         self._m, self._moves, self._patterns = m, transitions(m, layout.classes), layout.patterns
         parts = (m.A_lam, m.C_lam, m.Q_lam[None], m.R_lam)
         self._moving = np.flatnonzero(sum(part.any(axis=(0, 1)) for part in parts))
-        self._early = round(EARLIER / float(np.median(layout.classes[layout.step])))
+        step = float(np.median(layout.classes[layout.step]))
+        self._early = round(settling_time(layout.records) / step)
         self._tables: list[tuple[Array, ...]] = []
 
     def run(self, kinds: np.ndarray) -> np.ndarray:

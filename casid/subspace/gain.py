@@ -26,7 +26,12 @@ def carried_gain(system: StateSpace, K: Array, refined: StateSpace, R: Array) ->
 
 def riccati_gain(A: Array, C: Array, K: Array, R: Array) -> Array:
     """Stabilising gain of process noise K R Kᵀ, correlated with residuals; ValueError if none."""
-    R = R + 1e-9 * np.trace(R) / len(R) * np.eye(len(R))
+    # In standard deviations of the residuals and the model's own time: else what makes R and Q
+    # definite, and the Riccati equation's rounding, depend on units.
+    std, rate = np.sqrt(np.diag(R)), float(np.abs(np.linalg.eigvals(A)).max()) or 1.0
+    std[std == 0] = 1.0
+    A, C, K = A / rate, C / std[:, None], K * std / rate
+    R = R / np.outer(std, std) + 1e-9 * np.eye(len(R))
     S = K @ R
     Q = K @ R @ K.T + 1e-9 * np.trace(K @ R @ K.T) / len(A) * np.eye(len(A))
     try:
@@ -36,4 +41,4 @@ def riccati_gain(A: Array, C: Array, K: Array, R: Array) -> Array:
             f"no stable predictor of order {len(A)} exists for these data ({error}); "
             "lower the order or add regularisation"
         ) from error
-    return np.asarray(np.linalg.solve(R, C @ P + S.T).T)
+    return np.asarray(np.linalg.solve(R, C @ P + S.T).T * rate / std)

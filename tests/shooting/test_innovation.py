@@ -8,9 +8,17 @@ import scipy.linalg
 from truths.closed_roll import TRUTH, flown
 from truths.systems import known_black_box
 
+from casid import Model, Record, Rows, Scalar, parameter
 from casid.exchange.delays import without_delay
 from casid.free import free_parameters
-from casid.shooting.innovation import NOISE_SHARE, black_box_gain, filter_unknowns, kalman_gain
+from casid.shooting.innovation import (
+    NOISE_SHARE,
+    black_box_gain,
+    filter_unknowns,
+    kalman_gain,
+    starting_noises,
+)
+from casid.shooting.kalman import settling_time
 from casid.shooting.starting import SURPRISE
 from casid.shooting.unknowns import NoiseUnknowns
 
@@ -50,6 +58,33 @@ def test_states_are_those_behind_the_delay():
     box = replace(known_black_box(late, band=(0.1, 5.0)), K=K)
     # Padé's approximation of order four errs by (ωτ)⁹ / 9! / ... below 1e-6 up to 5 rad/s.
     np.testing.assert_allclose(black_box_gain(TRUTH, box), K[:3], rtol=1e-4)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])  # times a second: time in kiloseconds or in ms
+def test_process_noise_starts_finite_in_every_unit_of_time(unit):
+    # Over two of these kiloseconds its oscillation grows by exp(200), its covariance squared.
+    class Slow(Model):
+        states = outputs = ("v", "p")
+        inputs = ("lat",)
+        growth: Scalar = parameter(default=0.1 / unit, unit="1/s")
+        omega: Scalar = parameter(default=0.7 / unit, unit="1/s")
+
+        def A(self) -> Rows:
+            return [[self.growth, self.omega], [-self.omega, self.growth]]
+
+        def B(self) -> Rows:
+            return [[1], [0]]
+
+    rng = np.random.default_rng(1)
+    y, t = rng.standard_normal((500, 2)), 0.02 * unit * np.arange(500)
+    record = Record(t, np.zeros((500, 1)), y, ("lat",), ("v", "p"))
+    assert settling_time([record]) == pytest.approx({1e-3: 5e-3, 1e3: 100.0}[unit], rel=0.01)
+    found = starting_noises(Slow(), [record], "diagonal")
+    # Of noise q in both states, each output's covariance after a time h by itself is
+    # q (e^{2 g h} - 1)/(2 g), of which a share of 1/2 or more is that of its own state.
+    h, g = settling_time([record]), 0.1 / unit
+    whole = 0.1 * np.mean(np.diff(y, 2, axis=0) ** 2) / 6 * 2 * g / np.expm1(2 * g * h)
+    assert np.all((0.9 * whole < found.q0) & (found.q0 < 2.2 * whole))
 
 
 def test_what_is_asked_for_decides_gain_and_freedom():

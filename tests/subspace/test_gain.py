@@ -35,6 +35,16 @@ def test_a_gain_is_carried_into_other_coordinates_and_units_of_the_states():
     np.testing.assert_allclose(carried_gain(system, K, other, R), inverse @ K, rtol=1e-5)
 
 
+def test_a_gain_scales_with_the_units_of_outputs_and_of_time():
+    system, R = unstable_plant(), np.diag([1.0, 2.0, 0.5])
+    K = np.random.default_rng(3).standard_normal((5, 3))
+    found = riccati_gain(system.A, system.C, K, R)
+    units, time = np.array([1e-5, 1.0, 1e5]), 1e3
+    scaled = system.A / time, units[:, None] * system.C, K / units / time
+    again = riccati_gain(*scaled, R * np.outer(units, units))
+    np.testing.assert_allclose(again * units * time, found, rtol=1e-7)
+
+
 def test_rounding_does_not_decide_which_of_two_real_modes_became_which():
     # From -1.2 and -0.5 to -0.47 and -0.32, which are as far from these in either order.
     rng, R = np.random.default_rng(5), np.eye(3)
