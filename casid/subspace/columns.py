@@ -73,30 +73,43 @@ def excited_band(records: Sequence[Record]) -> tuple[float, float]:
     return float(low), float(max(min(highs), 2 * low))
 
 
-def output_bandwidth(records: Sequence[Record]) -> float:
-    """Frequency [rad/s] below which the outputs move: 90 % of their power over all records."""
+def output_bandwidth(records: Sequence[Record], *, quiet: bool = False) -> float:
+    """Frequency [rad/s] below which the outputs move: 90 % of their power over all records.
+
+    White noise has most of its power at high frequencies; ``quiet`` takes its level off.
+    """
     # The median over outputs: neither a drifting one nor one that is mostly noise decides.
-    ends = _ends_of_power(records, "y", MOVING)
+    ends = _ends_of_power(records, "y", MOVING, quiet=quiet)
     return float(np.median(ends)) if ends else 2 * np.pi / records[0].duration
 
 
-def input_bandwidth(records: Sequence[Record]) -> float:
-    """Frequency [rad/s] that holds 99 % of the power of the slowest input over all records."""
-    return min(_ends_of_power(records, "u", EXCITING))
+def input_bandwidth(records: Sequence[Record], part: float = EXCITING) -> float:
+    """Frequency [rad/s] that holds that part of the power of the slowest input over all records."""
+    return min(_ends_of_power(records, "u", part))
 
 
-def _ends_of_power(records: Sequence[Record], letter: str, part: float) -> list[float]:
+def _ends_of_power(
+    records: Sequence[Record], letter: str, part: float, *, quiet: bool = False
+) -> list[float]:
     """Frequency [rad/s] below which that part of a channel's power lies, channel by channel."""
     ends = []
     for column in zip(*(getattr(record, letter).T for record in records), strict=True):
         pairs = [(r.t, v, np.isfinite(v)) for r, v in zip(records, column, strict=True)]
         both = [spectrum(t[seen], v[seen]) for t, v, seen in pairs if seen.sum() > 2]
         if both:
-            omega, energy = (np.concatenate(each) for each in zip(*both, strict=True))
+            levels = [_white_level(*each) if quiet else 0.0 for each in both]
+            omega = np.concatenate([w for w, _ in both])
+            energy = np.concatenate([e - n for (_, e), n in zip(both, levels, strict=True)])
             ascending = np.argsort(omega, kind="stable")
             share = np.cumsum(energy[ascending])
-            ends.append(float(omega[ascending][np.searchsorted(share, part * share[-1])]))
+            ends.append(float(omega[ascending][np.argmax(share >= part * share[-1])]))
     return ends
+
+
+def _white_level(omega: Array, energy: Array) -> float:
+    """Mean energy of white noise at a frequency, by the median of the upper half of them."""
+    # Energies of noise are distributed exponentially; peaks of vibration do not move their median.
+    return float(np.median(energy[2 * omega >= omega[-1]]) / np.log(2))
 
 
 def spectrum(t: Array, v: Array) -> tuple[Array, Array]:

@@ -23,21 +23,17 @@ from casid.arrays import Array
 from casid.linear import StateSpace
 from casid.record import Record
 from casid.records import Records
-from casid.samples import usual_interval
 from casid.subspace.campaign import Campaign, Windows
-from casid.subspace.columns import LONG_GAP, Feedthrough, output_bandwidth
+from casid.subspace.columns import Feedthrough
 from casid.subspace.fourier import Spectrum
 from casid.subspace.laguerre import support
+from casid.subspace.poles import COST, PASTS, clear_bandwidth, usable_poles
 from casid.subspace.refinement import information_criteria, refined_system, residual_powers
 from casid.threads import one_thread
 from casid.values import storable
 
 HIGHEST = 2.0  # of the Laguerre pole: frequencies above it are not looked at
-POLES = (1, 1.4, 2, 3, 4, 6, 8)  # of a decade: what poles are chosen from
-SPAN = (1.2, 3.6)  # of the outputs' bandwidth: 6 to 14 rad/s for most helicopters
-PASTS = (8, 10, 12)
 REGULARISATIONS = (1e-3, 1e-2)
-COST = 0.25  # of the longest record: what kernels past its end may cost
 FOLDS = 8
 BINS = 8
 SUPPORT = 6.0  # of AICc, of one record: what is no closer to the best has much less support
@@ -196,6 +192,8 @@ def choose_projections(campaign: Campaign, grid: Grid) -> OrderSelection:
         )
     tried = with_errors(tried)
     chosen = _parsimonious(tried)
+    if held_out and clear_bandwidth(records)[1]:
+        chosen = _likeliest(campaign, [c for c in tried if c.order == chosen.order], poles)
     return OrderSelection(
         chosen=chosen,
         candidates=tuple(tried),
@@ -350,44 +348,24 @@ def _parsimonious(tried: Sequence[Candidate]) -> Candidate:
     return min((c for c in fair if c.order == lowest), key=lambda c: c.score)
 
 
+def _likeliest(campaign: Campaign, tried: Sequence[Candidate], poles: Sequence[float]) -> Candidate:
+    """Of the best candidates of every pole, of one order, that of the likeliest refined model."""
+    # What is held out is predicted by models that are not refined, from which much noise hides that
+    # the refinement of some ends at a lower maximum. Where noise is small, the likelihood rather
+    # tells which model fits what is not linear.
+    data = [own for own in _transforms(campaign, poles) if own]
+    direct = int(campaign.mask.sum())
+    judge = partial(information_criteria, data=data, su=campaign.su, sy=campaign.sy, direct=direct)
+    found = []
+    for pole in {c.pole: None for c in tried}:
+        best = best_of([c for c in tried if c.pole == pole])
+        start = _model(campaign, best.order, best.windows)
+        made = [] if start is None else _refined(campaign, start, best.windows, data, judge)
+        found += [(c.score, best) for c in made]
+    return min(found, key=lambda pair: pair[0])[1] if found else best_of(tried)
+
+
 def _default_orders(ny: int, possible: int) -> list[int]:
     """Orders up to three states an output, in steps of two when there are many."""
     highest = min(max(3 * ny, 6), LARGEST, possible)
     return list(range(1, highest + 1)) if highest <= 8 else list(range(4, highest + 1, 2))
-
-
-def _rarest(records: Sequence[Record]) -> float:
-    """Interval [s] of the output that is measured most rarely where it is measured most often."""
-    rates = []
-    for i in range(len(records[0].outputs)):
-        own = [record.t[np.isfinite(record.y[:, i])] for record in records]
-        rates.append(min((usual_interval(t) for t in own if len(t) > 1), default=0.0))
-    return max(rates)
-
-
-def usable_poles(records: Sequence[Record]) -> list[float]:
-    """Laguerre poles [rad/s] worth trying: somewhat faster than the outputs move.
-
-    Their kernels cost at most a quarter of the longest record, and their band is sampled, else
-    records are too short for how slowly they are sampled: ValueError. Where that leaves any, the
-    samples of an output at a lower rate are no gaps to them.
-    """
-    longest = max(record.duration for record in records)
-    slowest = support(1.0, min(PASTS)) / (COST * longest)
-    fastest = 0.5 * np.pi / max(record.dt for record in records)
-    whole = LONG_GAP / max(_rarest(records), 1e-300)
-    if slowest <= whole < fastest:
-        fastest = whole
-    if slowest > fastest:
-        raise ValueError(
-            f"records of {longest:.3g} s sampled every {records[0].dt:.3g} s suit no Laguerre "
-            "pole: kernels short enough are not sampled; give longer records or faster sampling, "
-            "or name the pole, past and order"
-        )
-    low, high = np.clip(np.array(SPAN) * output_bandwidth(records), slowest, fastest)
-    ratio = SPAN[1] / SPAN[0]
-    high = max(high, min(ratio * low, fastest))
-    low = min(low, max(high / ratio, slowest))
-    decades = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
-    grid = [float(f"{first}e{decade}") for decade in decades for first in POLES]
-    return [a for a in grid if low <= a <= high] or [float(np.sqrt(low * high))]
