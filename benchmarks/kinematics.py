@@ -24,7 +24,7 @@ from benchmarks.flights import spiked
 from benchmarks.uh60 import NOISE as SPREAD
 from benchmarks.uh60 import STEPS, SWEEPS, nonlinear_records
 from casid import kinematic_check, read_csv
-from casid.consistency.kinematics import OWN
+from casid.consistency.instruments import OWN
 
 FLIGHTS = 30
 CHANNELS = {

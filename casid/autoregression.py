@@ -72,7 +72,7 @@ def autoregression(record: Record, y: Array, lost: BoolArray) -> Autoregression:
     columns = [y[rows - i] for i in range(1, p + 1)]
     columns += [record.u[rows - i] for i in range(p + 1)]
     X = np.hstack([*columns, np.ones((len(rows), 1))])
-    size = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-300)
+    size = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-100)
     seen = ~lost[rows]
     seen[:, seen.sum(axis=0) < 2 * X.shape[1]] = True
     gone = np.concatenate([lost[rows - i].sum(axis=0) for i in range(1, p + 1)])

@@ -244,3 +244,13 @@ def test_quick_honest_motion_is_not_taken_for_a_jump(noise):
         y[i] = [0.5 * y[i - 1, 0] + u[i, 0], 0.9 * y[i - 1, 1] + 0.3 * y[i - 1, 0]]
     y += noise * 0.003 * np.random.default_rng(6).standard_normal(y.shape)
     assert not outliers(Record(0.02 * k, u, y, ("lat",), ("p", "phi"), "pulses")).any()
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("tiny", [1e-160, 1e-305])
+def test_channels_next_to_nothing_are_filled_in_without_overflow(tiny):
+    _, _, record, _ = innovation_record(N=300)
+    gone = lose(record, slice(50, 54))
+    small = replace(gone, u=tiny * gone.u, y=np.column_stack([gone.y[:, 0], tiny * gone.y[:, 1]]))
+    whole, _ = filled(small)
+    assert np.isfinite(whole.y).all()

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.consistency.flightpath import LATE, Instruments
+from casid.consistency.flightpath import LATE
+from casid.consistency.instruments import Instruments
 
 SIGNIFICANT = 3.5  # standard errors, of the largest of some twenty
 SKEW = 0.01  # s: what matters
@@ -26,11 +27,12 @@ def significant(late: float, error: float) -> bool:
 
 
 def known(found: Instruments) -> list[str]:
-    """The channels whose scale and skew the records tell."""
+    """The channels whose scale and skew the records tell, sensors at a limit left out."""
     gain, skew = found.unknowns.T
     told = (found.errors[:, 0] > 0) & (found.errors[:, 0] < KNOWN * np.abs(gain))
     told &= np.abs(skew) < LATE
-    return [name for name, one in zip(found.channels, told, strict=True) if one]
+    names = zip(found.channels, told, strict=True)
+    return [name for name, one in names if one and name not in found.limits]
 
 
 @dataclass(frozen=True, kw_only=True)

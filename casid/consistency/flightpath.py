@@ -22,7 +22,7 @@ end (`casid.consistency.pretended`). Standard errors allow for what colour is le
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -31,7 +31,9 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array
 from casid.channels import FORCES, RATES, VELOCITIES
-from casid.consistency.innovations import innovations, steady_gain
+from casid.consistency.innovations import innovations, integral, steady_gain
+from casid.consistency.instruments import OWN, Instruments
+from casid.consistency.limits import Limit, cut_off, judged, standing
 from casid.consistency.measured import Flight, white_noise
 from casid.consistency.pretended import Corrected, Eliminated, Normal
 from casid.consistency.rigid import Moved, Terms, lever_of, terms_of
@@ -49,41 +51,6 @@ PRIOR = np.array([1.0, 0.1])  # of gain and skew, so that nothing is singular
 FAR_OFF = 10.0  # from the centre of gravity [m], a prior too
 TILT = 0.1  # rad: what an unknown pitch attitude may be
 ROUNDING = 1e-9  # of a channel's range: no record is more exact
-
-
-def _integral(f: Array, dt: float) -> Array:
-    """Running integral of columns from the first sample, of fourth order inside."""
-    rows = f.T  # each in one piece of memory, here and in what follows
-    found = np.zeros(rows.shape)
-    step = found[:, 1:]
-    np.add(rows[:, 1:], rows[:, :-1], out=step)
-    step *= 13
-    step[:, 1:] -= rows[:, :-2]
-    step[:, :-1] -= rows[:, 2:]
-    step[:, 0] -= 2 * rows[:, 0] - rows[:, 1]
-    step[:, -1] -= 2 * rows[:, -1] - rows[:, -2]
-    step *= dt / 24
-    np.cumsum(step, axis=1, out=step)
-    return found.T
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Instruments:
-    """Instruments with which the flights obey kinematics."""
-
-    channels: tuple[str, ...]  # rates and specific forces
-    unknowns: Array  # (channels, 2): gain 1/(1 + scale), skew [s]
-    errors: Array  # (channels, 2) standard errors
-    biases: Array  # (records, channels), after the gain
-    bias_errors: Array  # (records, channels)
-    against: dict[str, tuple[str, ...]]  # the equations in which each channel stands
-    left: dict[str, list[Array]]  # of each equation's attitude or velocity, one array a flight
-    clock: tuple[float, float]  # by how much velocities are later than attitudes [s], its error
-    drawn: Array  # (2, 2, records): how far each draws skews of rates, forces [s], its least error
-    onboard_errors: Array  # (channels,) of skew + clock: against attitudes, not velocities [s]
-    place: Array  # (3,) of the accelerometers, from where velocities are measured [m]
-    place_errors: Array  # (3,)
-
 
 Block = tuple[str, int, Array]  # equation, record; residual, slopes by own unknowns (1 + own, N)
 
@@ -120,6 +87,7 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
         onboard_errors=np.sqrt(P[own, own] + P[clock, clock] + 2 * P[own, clock]),
         place=x[-3:],
         place_errors=errors[-3:],
+        limits=problem.limits(parts, x),
     )
 
 
@@ -228,8 +196,8 @@ class _Reconstruction:
                 if each not in VELOCITIES
             } | self._accelerations(flight, pieces, table, clock, place)
             for each, (slopes, f) in parts.items():
-                F = _integral(np.array([f, *slopes]).T, flight.dt).T
-                F = F[:, flight.rows[each]] if each in flight.rows else F
+                F = integral(np.array([f, *slopes]).T, flight.dt).T
+                F = F[:, flight.rows.get(each, slice(None))]
                 F[0] = flight.own(each) - F[0]
                 F[0] -= F[0].mean()
                 found.append((each, int(k), F))
@@ -281,11 +249,7 @@ class _Reconstruction:
 
     def whitened(self, blocks: Sequence[Block]) -> list[Block]:
         """Innovations up to `BAND` and slopes, in standard deviations of all of the innovations."""
-        first, found = self.flights[0], []
-        for each, k, rows in blocks:
-            dt = first.dt * first.step(each)
-            found.append((each, k, innovations(self.gains[each], rows, dt) / self.sizes[each]))
-        return found
+        return [(each, k, self._whitened(each, rows)) for each, k, rows in blocks]
 
     def fit_sizes(self, blocks: Sequence[Block]) -> None:
         """Take the standard deviations of the innovations."""
@@ -364,6 +328,43 @@ class _Reconstruction:
         return [
             {name: white_noise(each.own(name)) for name in self.channels} for each in self.flights
         ]
+
+    def limits(self, parts: Sequence[Block], x: Array) -> dict[str, Limit]:
+        """Sensors at their limits, each by the attitude or velocity that says most of it."""
+        found: dict[str, Limit] = {}
+        for i, name in enumerate(self.channels):
+            if (each := OWN[name]) not in self.equations:
+                continue
+            mine = [rows for one, _, rows in parts if one == each]
+            whole = [(rows[0], rows[1:], self._batches(each, rows)) for rows in mine]
+            ends = standing(self.flights, name)
+            more = [
+                np.array([self._beyond(*both, each, name, (x[2 * i + 1], *end)) for end in ends])
+                for both in zip(self.flights, self.terms, strict=True)
+            ]
+            for end, *off in zip(ends, *cut_off(whole, more), strict=True) if ends else ():
+                if limit := judged(*end[1:], *off):
+                    found[name] = limit
+        return found
+
+    def _beyond(
+        self, flight: Flight, terms: Mapping[str, Terms], each: str, name: str, at: Sequence[float]
+    ) -> Array:
+        """Slope (N,) of an equation by what a channel near its extreme is off by, whitened."""
+        skew, threshold, _, reach = at
+        there = np.sign(reach) * (flight.values[name] - threshold) > 0
+        late = np.interp(flight.t + skew, flight.t, there.astype(float))
+        moved = integral((terms[each][0][name] * late)[:, None], flight.dt).T
+        moved = moved[:, flight.rows.get(each, slice(None))]
+        return np.asarray(self._whitened(each, moved - moved.mean())[0])
+
+    def _whitened(self, each: str, rows: Array) -> Array:
+        dt = self.flights[0].dt * self.flights[0].step(each)
+        return np.asarray(innovations(self.gains[each], rows, dt) / self.sizes[each])
+
+    def _batches(self, each: str, rows: Array) -> NDArray[np.intp]:
+        first = self.flights[0]
+        return np.arange(rows.shape[1]) // max(1, round(BATCH / (first.dt * first.step(each))))
 
     def scores(self, parts: Sequence[Block], record: int) -> Array:
         """Sums of slope times innovation over stretches of a record that count as independent."""

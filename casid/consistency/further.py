@@ -7,7 +7,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.channels import FORCES, VELOCITIES
 from casid.consistency.apart import SIGNIFICANT
-from casid.consistency.flightpath import Instruments
+from casid.consistency.instruments import OWN, Instruments
 from casid.consistency.measured import Flight, white_noise
 from casid.consistency.rigid import GRAVITY
 from casid.display import listed
@@ -71,7 +71,10 @@ def unexplained(
     scale in all. A record in which little moves is measured by half of what moves in the others.
     """
     said, of = [], np.array([flight.record for flight in flights])
+    limited = {OWN[name] for name in solution.limits}
     for each, left in solution.left.items():
+        if each in limited:  # which is told as such
+            continue
         powers = np.array(
             [
                 (white_noise(e) ** 2, np.mean(e**2), np.var(flight.values[each]))

@@ -22,7 +22,7 @@ from casid.consistency.apart import (
     significant,
     stands_apart,
 )
-from casid.consistency.flightpath import LATE, Instruments, reconstruct_level
+from casid.consistency.flightpath import LATE, reconstruct_level
 from casid.consistency.further import (
     ROUGH,
     against_gravity,
@@ -32,6 +32,7 @@ from casid.consistency.further import (
     turned,
     unexplained,
 )
+from casid.consistency.instruments import OWN, Instruments
 from casid.consistency.lags import clocks_apart
 from casid.consistency.measured import Flight, looked_at, signals
 from casid.consistency.recordwise import clocks_by_record
@@ -45,7 +46,6 @@ SEEN = 0.5  # m: the largest error of an accelerometer's place
 LEVEL = 0.005  # rad
 
 UNITS = dict.fromkeys(RATES, "rad/s") | dict.fromkeys(FORCES, "m/s^2")
-OWN = dict(zip((*RATES, *FORCES), (*ATTITUDES, *VELOCITIES), strict=True))
 NEEDED = {  # channels without which an equation means nothing
     "phi": {"phi", "p"},
     "theta": {"theta", "q"},
@@ -216,9 +216,13 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
         )
     notes += _unchecked(names, pieces)
     equations = [name for name in (*ATTITUDES, *VELOCITIES) if NEEDED[name] <= names]
-    why = turned(flights, names) or (clocks_apart(flights, LATE) if equations else ())
+    why, split = turned(flights, names), False
+    if equations and not why:
+        why, split = clocks_apart(flights, LATE, labels)
     if why or not equations:
-        return KinematicCheck(channels=(), residuals={}, notes=tuple(notes), further=why)
+        return KinematicCheck(
+            channels=(), residuals={}, notes=tuple(notes), further=why, by_record=why * split
+        )
     return _reconstructed(flights, names, equations, notes, labels)
 
 
@@ -249,7 +253,7 @@ def _reconstructed(
     untold = [
         f"the records do not tell about {each.channel}: it moves too little, or too alike others"
         for each in checks
-        if not each.determined
+        if not each.determined and each.channel not in solution.limits
     ]
     left = {n: float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for n, e in solution.left.items()}
     seen = solution.place_errors < SEEN
@@ -325,6 +329,8 @@ def _judged(
     if OWN[name] in against:  # it stands in others too, but this one says most
         against = (OWN[name],)
     seen = 0 < errors[0] < KNOWN * abs(gain)
+    limit = solution.limits.get(name)
+    seen &= limit is None
     ended = seen and abs(skew) >= LATE
     if ended or not seen:
         gain, skew, *errors = [np.nan] * 4
@@ -341,6 +347,8 @@ def _judged(
         bias_error=float(np.hypot(np.sqrt(np.mean(off**2)), own.std() / np.sqrt(len(own)))),
         biases=tuple(zip(labels, map(float, own), map(float, off), strict=True)),
     )
+    if limit:
+        return replace(check, remarks=(limit.told(name, UNITS[name], OWN[name]),))
     tolerance = ROUGH if rough & set(against) else SCALE
     if ended:
         said = f"{name} is {LATE:g} s late or early against {against[0]}, where the search ended: "

@@ -5,7 +5,7 @@ started by hand they may differ by seconds, which would pass there for scales or
 largest skew: these are looked for first, of each attitude against what its rate turns.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -34,35 +34,60 @@ def peak(values: Array, k: int) -> float:
     return float(k + (a - c) / (2 * (a - 2 * b + c)))
 
 
-def clocks_apart(flights: Sequence[Flight], near: float) -> tuple[str, ...]:
-    """Remarks on attitudes that come later or earlier than rates by more than ``near`` [s]."""
-    flight = max(flights, key=lambda each: len(each.t), default=None)
-    if flight is None:
-        return ()
+def clocks_apart(
+    flights: Sequence[Flight], near: float, labels: Mapping[int, str]
+) -> tuple[tuple[str, ...], bool]:
+    """Remarks on attitudes that come later or earlier than rates by more than ``near`` [s].
+
+    Every record that tells of it (``labels`` by number) counts; the last is whether they disagree.
+    """
+    longest: dict[int, Flight] = {}
+    for flight in sorted(flights, key=lambda each: len(each.t)):
+        longest[flight.record] = flight
+    said, split = [], False
+    for rate, angle in zip(RATES, ATTITUDES, strict=True):
+        found = {k: _late(longest[k], rate, angle, near) for k in labels if k in longest}
+        told = {labels[k]: one for k, one in found.items() if one is not None}
+        far = {name: late for name, (late, _) in told.items() if abs(late) > near}
+        if not far:
+            continue
+        each = ", ".join(f"{name} {late:+.2f} s" for name, (late, _) in told.items())
+        if np.ptp([late for late, _ in told.values()]) > near / 2:
+            split = True
+            said.append(
+                f"{angle} comes after what {rate} turns by another time in each record ({each}): "
+                "set the clocks of their loggers record by record (Record.shift, Record.join); "
+                "kinematics unchecked"
+            )
+            continue
+        late, alike = map(float, np.mean([*told.values()], axis=0))
+        where = "after" if late > 0 else "before"
+        said.append(
+            f"{angle} comes {abs(late):.2f} s {where} what {rate} turns (correlation "
+            f"{alike:.2f}): set the clocks of their loggers first, {-late:+.2f} s for "
+            f"{angle} ([channels.join] clock, Record.join); kinematics unchecked"
+        )
+    return tuple(said), split
+
+
+def _late(flight: Flight, rate: str, angle: str, near: float) -> tuple[float, float] | None:
+    """How late an attitude is after what its rate turns [s], and their correlation, if told."""
     step = max(1, round(TURN / flight.dt))
     most = int(min(FARTHEST, flight.t[-1] / 4) / flight.dt)
     inside = slice(most - int(near / flight.dt), most + int(near / flight.dt) + 1)
-    said = []
-    for rate, angle in zip(RATES, ATTITUDES, strict=True):
-        if not {rate, angle} <= {*flight.values} or inside.start < 1:
-            continue
-        moves = flight.values[rate] - flight.values[rate].mean()
-        turned = np.cumsum(moves) - moves / 2
-        x, y = (z[step:] - z[:-step] for z in (flight.values[angle], turned))
-        signed = correlations(x - x.mean(), y - y.mean(), most)
-        alike = np.abs(signed)
-        k, close = int(np.argmax(alike)), alike[inside]
-        tops = close[1:-1][(close[1:-1] >= close[:-2]) & (close[1:-1] >= close[2:])]
-        if not 0 < k < 2 * most or alike[k] < max(COHERENT, tops.max(initial=0.0) + MORE):
-            continue
-        if signed[k] < 0:  # half a period of an oscillation off, and no clock
-            continue
-        late = (peak(alike, k) - most) * flight.dt
-        if abs(late) > near:
-            where = "after" if late > 0 else "before"
-            said.append(
-                f"{angle} comes {abs(late):.2f} s {where} what {rate} turns (correlation "
-                f"{alike[k]:.2f}): set the clocks of their loggers first, {-late:+.2f} s for "
-                f"{angle} ([channels.join] clock, Record.join); kinematics unchecked"
-            )
-    return tuple(said)
+    if not {rate, angle} <= {*flight.values} or inside.start < 1:
+        return None
+    moves = flight.values[rate] - flight.values[rate].mean()
+    turned = np.cumsum(moves) - moves / 2
+    x, y = (z[step:] - z[:-step] for z in (flight.values[angle], turned))
+    signed = correlations(x - x.mean(), y - y.mean(), most)
+    alike = np.abs(signed)
+    k, close = int(np.argmax(alike)), alike[inside]
+    # Half a period of an oscillation off is no clock, but the other way round.
+    if not 0 < k < 2 * most or alike[k] < COHERENT or signed[k] < 0:
+        return None
+    tops = close[1:-1][(close[1:-1] >= close[:-2]) & (close[1:-1] >= close[2:])]
+    late = (peak(alike, k) - most) * flight.dt
+    if abs(late) > near and alike[k] < tops.max(initial=0.0) + MORE:
+        return None
+    return late, float(alike[k])

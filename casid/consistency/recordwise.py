@@ -12,8 +12,9 @@ import scipy
 from casid.arrays import Array
 from casid.channels import FORCES, RATES
 from casid.consistency.apart import SKEW, known, mean
-from casid.consistency.flightpath import Instruments, reconstruct_level
+from casid.consistency.flightpath import reconstruct_level
 from casid.consistency.further import unexplained
+from casid.consistency.instruments import Instruments
 from casid.consistency.measured import Flight
 
 LEVEL = 1e-4  # at which skews of records are called different

@@ -38,11 +38,32 @@ def test_loggers_started_apart_are_told_by_how_much_and_nothing_else_is(clock):
         assert float(said.split("first, ")[1].split(" s")[0]) == pytest.approx(-clock, abs=0.02)
 
 
+@pytest.mark.parametrize("clocks", [(0.0, 3.0, 0.0), (2.0, -1.5, 0.0), (4.0, 4.0, 4.0)], ids=str)
+def test_clocks_of_every_record_are_looked_at_and_those_that_differ_named(clocks):
+    records = []
+    for k, clock in enumerate(clocks):
+        whole = flight(40 + k, None, NOISE, (*RATES, "phi", "theta"), f"r{k}")
+        whole = whole.take(slice(None if k == 0 else 1500))  # the first is the longest
+        angles = whole.select((), ("phi", "theta"))
+        records.append(whole.select(outputs=RATES).join(angles, clock=clock))
+    check = kinematic_check(records)
+    assert [said.split()[0] for said in check.remarks] == ["phi", "theta"]
+    if len({*clocks}) == 1:
+        assert check.by_record == ()
+        return
+    assert check.by_record == check.remarks
+    for said in check.remarks:
+        each = said.split("(")[1].split(")")[0].split(", ")
+        assert [one.split()[0] for one in each] == [f"r{k}" for k in range(len(clocks))]
+        found = [float(one.split()[1]) for one in each]
+        np.testing.assert_allclose(found, clocks, atol=0.03)
+
+
 @pytest.mark.parametrize("late", [0.0, 0.4])
 def test_a_steady_oscillation_or_a_skew_within_reach_is_no_clock(late):
     t = 0.02 * np.arange(2000)
     swing = Flight(0.02, 0, {"p": np.cos(2 * t), "phi": 0.5 * np.sin(2 * (t - late))})
-    assert clocks_apart([swing], 0.5) == ()
+    assert clocks_apart([swing], 0.5, {0: "a"}) == ((), False)
     noisy = flight(1, dict.fromkeys(RATES, (0.0, 0.0, -late)), NOISE)
     assert not any("clocks of" in said for said in kinematic_check(noisy).remarks)
 
@@ -51,8 +72,8 @@ def test_what_goes_the_other_way_is_no_clock():
     t, rng = 0.02 * np.arange(2000), np.random.default_rng(4)
     p = np.convolve(rng.standard_normal(2000), np.hanning(60), "same")
     late = np.interp(t - 3.0, t, 0.02 * np.cumsum(p))
-    assert len(clocks_apart([Flight(0.02, 0, {"p": p, "phi": late})], 0.5)) == 1
-    assert clocks_apart([Flight(0.02, 0, {"p": p, "phi": -late})], 0.5) == ()
+    assert len(clocks_apart([Flight(0.02, 0, {"p": p, "phi": late})], 0.5, {0: "a"})[0]) == 1
+    assert clocks_apart([Flight(0.02, 0, {"p": p, "phi": -late})], 0.5, {0: "a"})[0] == ()
 
 
 def test_a_skew_at_the_end_of_the_search_is_called_that():

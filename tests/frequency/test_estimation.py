@@ -375,6 +375,16 @@ def test_a_reference_that_is_the_input_changes_nothing():
     assert found.fingerprints == plain.fingerprints
 
 
+def test_signs_and_order_of_references_change_nothing():
+    _, record = in_loop(3, duration=120.0)
+    wrong = dataclasses.replace(record, u=record.u * np.array([1, 1, -1, 1]))
+    kept = {"omega": [2.0, 4.0], "windows": [10.0, 15.0]}
+    right = frequency_response(record, reference=REFERENCES, **kept)
+    found = frequency_response(wrong, reference=REFERENCES[::-1], **kept)
+    for name in ("G", "coherence", "random_error", "condition"):
+        np.testing.assert_allclose(getattr(found, name), getattr(right, name), rtol=1e-8)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
