@@ -173,15 +173,16 @@ class Content:
 
     @cached_property
     def missed(self) -> dict[str, StructureError]:
-        """What linear structures miss, by a black box of the same channels."""
+        """What linear structures with a covariance miss, by a black box of the same channels."""
         box = self.results.get("pbsid")
-        if not isinstance(box, BlackBox) or box.uncertainty is None:
+        if not isinstance(box, BlackBox) or box.uncertainty is None or box.missed:
             return {}
         known = {*box.system.inputs, *box.system.outputs}
         return {
             name: structure_error(fit, box)
             for name, fit in self.fits.items()
-            if not isinstance(fit.model, NonlinearModel)
+            if fit.covariance is not None
+            and not isinstance(fit.model, NonlinearModel)
             and {*fit.model.inputs, *fit.model.outputs} <= known
         }
 

@@ -9,6 +9,7 @@ from truths.structures import SECOND, Lag, black_box
 from casid import match, mode_bands, structure_error
 from casid.report import Caution, Content, Section
 from casid.report.content import TEMPLATES, cautions, leads, section
+from casid.subspace.trust import Missed
 
 
 def test_structured_models_are_told_from_the_others():
@@ -58,4 +59,8 @@ def test_modes_are_stated_with_what_the_black_box_says_that_structures_miss(cont
     assert content.bands["output error"] == beside != mode_bands(fit)
     assert "a mode of the black box near them" in page.read_text(encoding="utf-8")
     other = replace(box, system=replace(box.system, outputs=("q", *box.system.outputs[1:])))
-    assert replace(content, results={"pbsid": other}).missed == {}
+    poor = replace(
+        box, missed=Missed(output="p", omega=3.0, ratio=2.0, order=8)
+    )  # what its order misses is in its poles
+    for told in (other, poor, replace(box, uncertainty=None)):
+        assert replace(content, results={"pbsid": told}).missed == {}
