@@ -85,9 +85,9 @@ def completed(
 ) -> Solution:
     """What IPOPT has found, or what steps of the parameters alone find from there.
 
-    They go on where it stopped early, from the ``start`` if that was better or it cannot be gone on
-    from, and where an undamped step would still gain: scales of the variables may have ended it too
-    soon. They end where such a step gains less than ``enough``.
+    They go on where it stopped early, from the ``start`` if λ was better there or it cannot be gone
+    on from, and where an undamped step would still gain: scales of the variables may have ended it
+    too soon. They end where such a step gains less than ``enough``.
     """
     count = min(LATER, options.max_iterations - last.iterations)
     left = replace(options, max_iterations=max(count, 1), ipopt={})
@@ -96,8 +96,8 @@ def completed(
     if count < 1 or not gain > STATED:
         return last
     ways = [last.x, start]
-    if not last.success and reduced.meet(start) and programme.values(start).cost < last.f:
-        ways.reverse()
+    if not last.success:  # costs before biases and nodes follow tell little of open intervals
+        ways.sort(key=lambda x: reduced.cost(x, STATED))
     found = reduced.run(ways[0]) or reduced.run(ways[1])
     if found is None and last.success and gain == np.inf:
         names = ", ".join(unknown_names(programme))

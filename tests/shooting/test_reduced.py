@@ -107,12 +107,17 @@ def test_an_end_is_left_as_it_is_and_limits_are_kept():
     assert programme.n * (whole.f - end.f) < STATED
 
 
-def test_what_was_better_at_the_start_goes_on_from_there():
+@pytest.mark.parametrize("open_by", [0.0, 0.3])
+def test_what_was_better_at_the_start_goes_on_from_there(open_by):
     programme, x = begun(OFF, [noisy(seed=3)])
     end = by_ipopt(programme, x)
-    away = Reduced(programme, OPTIONS, "")._settled(x).x
+    reduced = Reduced(programme, OPTIONS, "")
+    away, start = reduced._settled(x).x, end.x.copy()
+    others = start[programme.evaluator.nf :]  # biases and nodes
+    others += open_by * np.cos(np.arange(len(others)))
     lost = replace(end, x=away, f=programme.values(away).cost, success=False, iterations=7)
-    found = completed(programme, end.x, lost, OPTIONS, "")
+    assert reduced.meet(start) == (open_by == 0)
+    found = completed(programme, start, lost, OPTIONS, "")
     assert found.success
     assert found.iterations <= 7 + 2
 
