@@ -35,6 +35,7 @@ SPAN = 9  # times the lags: samples whose covariance is looked at together
 FAR = 6.0  # deviations of a normal distribution that make an outlier
 GROSS = 10.0  # of one that no fit may see, as it would follow what all channels do at once
 BRIEF, FEW = 0.08, 4  # s and samples that such a jump lasts at most
+LONG, LEAP = 80, 0.5  # samples between jumps of a run; these, in the channel's deviations
 SLIGHT = 0.05  # of a channel's deviation: what is less does no harm
 
 
@@ -173,7 +174,7 @@ def _far(record: Record) -> BoolArray:
     if not len(there) or record.N < FEWEST:
         return found
     part, own = _regular(record.select(outputs=[record.outputs[i] for i in there]))
-    marks = _jumps(part)
+    marks = _jumps(part) | _runs(part)
     for _ in range(PASSES):
         whole, lost = filled(part.mask(marks))
         off, limit, p = _judged(whole, lost)
@@ -206,6 +207,43 @@ def _jumps(record: Record) -> BoolArray:
         limit = np.where(lost, np.nan, _judged(whole, lost)[1])
         marks &= np.abs(record.y - whole.y) > GROSS / FAR * np.nanmedian(limit, axis=0)
     return np.asarray(marks & (marks.sum(axis=1, keepdims=True) > 1))
+
+
+def _runs(record: Record) -> BoolArray:
+    """Samples of runs, between jumps of a channel there and back, far off what is expected there.
+
+    A fit that sees a long run follows it. So all that lies between jumps is expected without it,
+    and called where it is far off at both ends: what the aircraft flies begins within a sample's
+    noise of what it did before.
+    """
+    marks = np.column_stack([_between(x, _stepped(record.u)) for x in record.y.T])
+    if not marks.any():
+        return marks
+    whole, lost = filled(record.mask(marks))
+    limit = np.nanmedian(np.where(lost, np.nan, _judged(whole, lost)[1]), axis=0)
+    far = np.abs(record.y - whole.y) > GROSS / FAR * limit
+    for i, column in enumerate(marks.T):
+        for a, b in runs(column):
+            column[a:b] &= far[a:b, i] & bool(far[a, i] and far[b - 1, i])
+    return marks
+
+
+def _stepped(u: Array) -> BoolArray:
+    """Samples (N,) about which an input jumps, as what follows from it may."""
+    jumps = np.abs(np.diff(u, axis=0, prepend=u[:1])) > PULSE * np.ptp(u, axis=0)
+    return np.asarray(scipy.ndimage.maximum_filter1d(jumps.any(axis=1), 2 * FEW + 1))
+
+
+def _between(x: Array, stepped: BoolArray) -> BoolArray:
+    """Samples (N,) from a jump of a channel to the last of those that follow soon."""
+    marks, at = np.zeros(len(x), dtype=bool), np.flatnonzero(np.isfinite(x))
+    moves = np.abs(np.diff(x[at]))
+    least = max(GROSS * MAD * np.median(moves), LEAP * np.std(x[at]))
+    edges = 1 + np.flatnonzero((moves > least) & (np.diff(at) <= FEW) & ~stepped[at[1:]])
+    for part in np.split(edges, 1 + np.flatnonzero(np.diff(edges) > LONG)):
+        if len(part) > 1:
+            marks[at[part[0] : part[-1]]] = True
+    return marks
 
 
 def _brief(x: Array, width: int) -> BoolArray:

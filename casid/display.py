@@ -82,6 +82,12 @@ def listed(names: Sequence[str], most: int = 6) -> str:
     return ", ".join(names[:most]) + more
 
 
+def in_a_row(runs: Sequence[tuple[float, float, int]]) -> str:
+    """Runs, each by its first and last instant [s] and how many there are, in words if any."""
+    said = [f"{n} from {start:.4g} to {end:.4g} s" for start, end, n in runs]
+    return f"; in a row {listed(said, 3)}" if said else ""
+
+
 def in_minutes(seconds: float) -> str:
     """A length of time in words."""
     if seconds < 99.5:  # of which two digits are whole seconds

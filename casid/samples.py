@@ -27,6 +27,7 @@ CLOSE = 0.05  # of the median interval: a curve through two samples so close swi
 ABRUPT = 10.0  # times the moves before and after it: a move that is a jump
 STEPS = 0.9  # of an input's moves, squared, that are jumps: it moves in steps
 MADE_UP = 0.1  # of a low-pass filter's weight on lost samples: what it gives is lost, too
+BURST = 5  # outliers that make a run, and samples from one to the next there
 TURNS = 2 * np.pi, 360.0  # whole turns of angles in radians and degrees
 WRAP = 0.8  # of a turn: a step that wrapping makes of the small one that it was
 SLOW, STEADY = 0.1, 3.0  # usual step of an angle, in turns; what it was, in usual steps
@@ -38,6 +39,12 @@ def runs(marks: BoolArray) -> NDArray[np.intp]:
     """First and one past the last sample of every run of marked samples (N,), (runs, 2)."""
     padded = np.concatenate([[False], marks, [False]]).astype(np.int8)
     return np.flatnonzero(np.diff(padded)).reshape(-1, 2)
+
+
+def bursts(t: Sequence[float] | Array, dt: float) -> list[tuple[float, float, int]]:
+    """First and last instant and number of those (n,) that follow each other closely: runs."""
+    parts = np.split(np.asarray(t), 1 + np.flatnonzero(np.diff(t) > BURST * dt))
+    return [(float(x[0]), float(x[-1]), len(x)) for x in parts if len(x) >= BURST]
 
 
 def known_mean(x: Array) -> Array:

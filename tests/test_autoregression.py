@@ -234,6 +234,29 @@ def test_rows_where_all_channels_jump_together_are_found_however_far(size, lengt
     np.testing.assert_array_equal(outliers(replace(record, y=record.y + there * jumps)), there)
 
 
+def garbled(record, kind, first, length, rng):
+    """The record with a run of its p far off, and where it is."""
+    y, rows = record.y.copy(), slice(first, first + length)
+    i, size = record.outputs.index("p"), record.y[:, 1].std()
+    off = 10 * size * np.sign(rng.uniform(-1, 1, length)) * rng.uniform(0.5, 1, length)
+    y[rows, i] = {
+        "garbage": y[rows, i].mean() + off,
+        "offset": y[rows, i] + 8 * size,
+        "rail": np.full(length, 8 * size),
+        "spikes": y[rows, i] + np.where(rng.random(length) < 0.5, off, 0.0),
+    }[kind]
+    return replace(record, y=y), y != record.y
+
+
+@pytest.mark.parametrize("kind", ["garbage", "offset", "rail", "spikes"])
+@pytest.mark.parametrize("length", [8, 20, 60])
+def test_a_run_of_outliers_is_found_whole_and_nothing_beside_it(kind, length):
+    rng = np.random.default_rng(length)
+    record = closed_roll.flown(t=0.02 * np.arange(900), seed=12).with_noise(NOISE, rng)
+    spoilt, there = garbled(record, kind, 420, length, rng)
+    np.testing.assert_array_equal(outliers(spoilt), there)
+
+
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 def test_quick_honest_motion_is_not_taken_for_a_jump(noise):
     # Pulses of two samples, which the outputs follow at once.

@@ -6,6 +6,7 @@ import pytest
 from casid.samples import (
     _begun,
     at_instants,
+    bursts,
     measured,
     off_rest,
     resampled,
@@ -141,3 +142,9 @@ def test_a_slower_channel_is_measured_as_often_as_it_was():
     assert nearest.max() < 0.0051
     np.testing.assert_allclose(found[seen], np.sin(fast[seen]), atol=1e-6)
     assert np.isfinite(measured(own, np.sin(own), fast[::4])[5:80]).all()  # alike: nothing is lost
+
+
+def test_runs_are_what_follows_closely_and_single_ones_are_none():
+    t = 0.02 * np.array([3, 40, 41, 42, 44, 47, 90, 91, 92])
+    assert bursts(t, 0.02) == [(pytest.approx(0.8), pytest.approx(0.94), 5)]
+    assert bursts((), 0.02) == []

@@ -12,7 +12,7 @@ from casid.channels import UNITS
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.consistency.measured import white_noise
 from casid.consistency.plausibility import unit_doubts
-from casid.display import Shown, counted, listed
+from casid.display import Shown, counted, in_a_row, listed
 from casid.excitations import Excitation, excitation_if_any
 from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
@@ -20,7 +20,7 @@ from casid.record import REST, Record
 from casid.records import Records, same_channels, several, steps_told
 from casid.repetition import least_step, repeated, source_interval
 from casid.report.tables import Cells, cells
-from casid.samples import runs
+from casid.samples import bursts, runs
 from casid.structure.identifiability import Identifiability, identifiability
 
 CLIPPED = 5  # equal samples in a row at a channel's largest or smallest value
@@ -310,8 +310,8 @@ def _record_advice(facts: RecordFacts, inputs: Sequence[str]) -> list[str]:
         if n := len(channel.outliers):
             said.append(
                 f"{facts.name}: {channel.name} has {n} outlier{'s' * (n > 1)}, the first at "
-                f"{channel.outliers[0]:.4g} s; mark as missing what no instrument measures "
-                "(Record.mask)"
+                f"{channel.outliers[0]:.4g} s{in_a_row(bursts(channel.outliers, facts.interval))}; "
+                "mark as missing what no instrument measures (Record.mask)"
             )
         if channel.source:
             rates = f"{1 / channel.source:.3g} Hz, logged at {1 / facts.interval:.3g} Hz"

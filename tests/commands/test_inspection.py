@@ -107,6 +107,18 @@ def test_a_slower_channel_misses_nothing_but_what_its_own_rate_promises():
     assert "sine: r lacks 20.0% of its samples" in found.advice
 
 
+def test_a_run_of_outliers_is_listed_as_one_and_makes_no_good_channel_noise():
+    record = swept().with_noise({"p": 0.001, "r": 0.001}, np.random.default_rng(2))
+    y = record.y.copy()
+    y[300:340, 0] = 20 * np.ptp(y[:, 0]) * np.random.default_rng(3).uniform(0.5, 1, 40)
+    found = inspect_records(replace(record, y=y))
+    assert facts(found, "p").noise == pytest.approx(0.001, rel=0.2)
+    assert facts(found, "r").outliers == ()
+    (said,) = [each for each in found.advice if "p has 40 outliers" in each]
+    assert f"in a row 40 from {record.t[300]:.4g} to {record.t[339]:.4g} s" in said
+    assert not any("mostly noise" in each or "lacks" in each for each in found.advice)
+
+
 def test_an_outlier_is_listed_and_makes_no_good_channel_noise():
     record = swept().with_noise({"p": 0.001, "r": 0.001}, np.random.default_rng(2))
     y = record.y.copy()
