@@ -218,20 +218,31 @@ class Record(Shown):
         t, u, y = (np.concatenate([getattr(x, name) for x in parts]) for name in "tuy")
         return replace(self, t=t, u=u, y=y, hold=parts[0].hold)
 
-    def shift(self, by: Mapping[str, float]) -> "Record":
+    def shift(
+        self, by: Mapping[str, float], *, drift: Mapping[str, float] | None = None
+    ) -> "Record":
         """Channels moved in time [s]: -0.06 for one that is 0.06 s late.
+
+        And by ``drift`` [s/s] from the record's start: -5e-4 for one later by 0.5 ms each second.
 
         Samples at the ends and beside gaps in time that a shifted input does not reach are left
         out. An output stays missing where the sample nearest to it is.
         """
-        late = [by.get(name, 0.0) for name in (*self.inputs, *self.outputs)]
-        for name in by:
+        for name in (*by, *(drift or {})):
             self.channel(name)
-        kept = self.cut(self.t[0] + max(0.0, *late) - 1e-9, self.t[-1] + min(0.0, *late) + 1e-9)
-        columns = zip(self._columns(), [*kept.u.T, *kept.y.T], late, strict=True)
+
+        def late(t: Array) -> list[Array]:
+            grows = ((drift or {}).get(name, 0.0) * (t - self.t[0]) for name in names)
+            return [by.get(name, 0.0) + grown for name, grown in zip(names, grows, strict=True)]
+
+        names = (*self.inputs, *self.outputs)
+        ends = np.array(late(self.t[[0, -1]]))
+        first, last = ends[:, 0].max(initial=0.0) - 1e-9, ends[:, 1].min(initial=0.0) + 1e-9
+        kept = self.cut(self.t[0] + first, self.t[-1] + last)
+        columns = zip(self._columns(), [*kept.u.T, *kept.y.T], late(kept.t), strict=True)
         x = np.array(
             [
-                samples.moved(self.t, x, kept.t - lag, how) if lag else same
+                samples.moved(self.t, x, kept.t - lag, how) if lag.any() else same
                 for (x, how), same, lag in columns
             ]
         ).T

@@ -285,6 +285,19 @@ def test_a_late_channel_is_shifted_back():
         record.shift({"beta": 0.1})
 
 
+@pytest.mark.parametrize("drift", [2e-3, -2e-3])
+def test_a_channel_that_drifts_is_set_right_from_the_start_on(drift):
+    t = 5 + 0.02 * np.arange(2000)
+    late = 0.03 + drift * (t - 5)
+    record = Record(t, t[:, None], np.sin(2 * (t - late))[:, None], ("u",), ("y",))
+    back = record.shift({"y": -0.03}, drift={"y": -drift})
+    np.testing.assert_allclose(back.y[:, 0], np.sin(2 * back.t), atol=1e-3)  # 40 ms grow by 2e-3
+    np.testing.assert_array_equal(back.u[:, 0], back.t)
+    assert t[-1] - back.t[-1] < 0.05 + abs(drift) * 40
+    with pytest.raises(ValueError, match="no channel 'beta'"):
+        record.shift({}, drift={"beta": 0.1})
+
+
 @pytest.mark.parametrize("late", [-0.04, 0.02, 0.03, -0.013])
 def test_a_shift_adds_no_measurements(late):
     t = 0.02 * np.arange(500)

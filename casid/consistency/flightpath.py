@@ -31,10 +31,10 @@ from numpy.typing import NDArray
 
 from casid.arrays import Array
 from casid.channels import FORCES, RATES, VELOCITIES
-from casid.consistency.innovations import innovations, integral, steady_gain
+from casid.consistency.innovations import growing, innovations, integral, steady_gain
 from casid.consistency.instruments import OWN, Instruments
-from casid.consistency.limits import Limit, cut_off, judged, standing
-from casid.consistency.measured import Flight, white_noise
+from casid.consistency.limits import Beside, Limit, Whitened, beside, cut_off, judged, standing
+from casid.consistency.measured import Flight, read_later, white_noise
 from casid.consistency.pretended import Corrected, Eliminated, Normal
 from casid.consistency.rigid import Moved, Terms, lever_of, terms_of
 
@@ -81,13 +81,12 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
         against=problem.against(),
         left={one: [rows[0] for name, _, rows in blocks if name == one] for one in equations},
         clock=(float(x[clock]), float(errors[clock])),
-        drawn=np.array(
-            [np.transpose([_drawn(each, problem.channels, g) for each in flown]) for g in GROUPS]
-        ),
+        drawn=np.array([np.transpose([each.drawn(k) for each in flown]) for k in problem.clocks()]),
         onboard_errors=np.sqrt(P[own, own] + P[clock, clock] + 2 * P[own, clock]),
         place=x[-3:],
         place_errors=errors[-3:],
         limits=problem.limits(parts, x),
+        drifts=problem.drifts(blocks, parts),
     )
 
 
@@ -172,6 +171,10 @@ class _Reconstruction:
             for name in self.channels
         }
 
+    def clocks(self) -> list[list[int]]:
+        """Skews of the rates, of the forces, among the unknowns."""
+        return [[2 * i + 1 for i, name in enumerate(self.channels) if name in g] for g in GROUPS]
+
     def _own(self, equation: str) -> NDArray[np.intp]:
         """Which unknowns stand in an equation."""
         factors, n = self.terms[0][equation][0], len(self.channels)
@@ -207,10 +210,9 @@ class _Reconstruction:
         self, flight: Flight, pieces: Mapping[str, Array], table: Array, clock: float = 0.0
     ) -> Moved:
         """Channels and their slopes at the instants of attitudes, or of velocities of a clock."""
-        skews = zip(self.channels, table[:, 2], strict=True)
         return {
-            name: _read(pieces[name], skew - clock if name in RATES else skew, flight.dt)
-            for name, skew in skews
+            name: read_later(pieces[name], skew - clock if name in RATES else skew, flight.dt)
+            for name, skew in zip(self.channels, table[:, 2], strict=True)
         }
 
     def _accelerations(
@@ -226,7 +228,7 @@ class _Reconstruction:
             for name, (gain, bias, _) in zip(self.channels, table, strict=True)
         }
         lever, found = lever_of(true), {}
-        turned = {name: _read(pieces[name], -clock, flight.dt)[0] for name in ("phi", "theta")}
+        turned = {name: read_later(pieces[name], -clock, flight.dt)[0] for name in ("phi", "theta")}
         for each in equations:
             factors, gravity = terms_of(each, flight, turned)
             slopes, f = self._derivative((factors, gravity), moved, table)
@@ -332,11 +334,11 @@ class _Reconstruction:
     def limits(self, parts: Sequence[Block], x: Array) -> dict[str, Limit]:
         """Sensors at their limits, each by the attitude or velocity that says most of it."""
         found: dict[str, Limit] = {}
+        regressed = self._batched(parts)
         for i, name in enumerate(self.channels):
             if (each := OWN[name]) not in self.equations:
                 continue
-            mine = [rows for one, _, rows in parts if one == each]
-            whole = [(rows[0], rows[1:], self._batches(each, rows)) for rows in mine]
+            whole = [one for (of, *_), one in zip(parts, regressed, strict=True) if of == each]
             ends = standing(self.flights, name)
             more = [
                 np.array([self._beyond(*both, each, name, (x[2 * i + 1], *end)) for end in ends])
@@ -346,6 +348,17 @@ class _Reconstruction:
                 if limit := judged(*end[1:], *off):
                     found[name] = limit
         return found
+
+    def drifts(self, blocks: Sequence[Block], parts: Sequence[Block]) -> Beside:
+        """How fast each skew and, last, the clock of velocities grow [s/s]."""
+        n, more = len(self.channels), []
+        for each, _, rows in blocks:
+            own = self.columns[each]
+            late = (own == 2 * n) | (own < 2 * n) & (own % 2 == 1)
+            dt = self.flights[0].dt * self.flights[0].step(each)
+            more.append(np.zeros((n + 1, rows.shape[1])))
+            more[-1][own[late] // 2] = self._whitened(each, growing(rows[1:][late], dt))
+        return beside(self._batched(parts), more)
 
     def _beyond(
         self, flight: Flight, terms: Mapping[str, Terms], each: str, name: str, at: Sequence[float]
@@ -362,9 +375,16 @@ class _Reconstruction:
         dt = self.flights[0].dt * self.flights[0].step(each)
         return np.asarray(innovations(self.gains[each], rows, dt) / self.sizes[each])
 
-    def _batches(self, each: str, rows: Array) -> NDArray[np.intp]:
-        first = self.flights[0]
-        return np.arange(rows.shape[1]) // max(1, round(BATCH / (first.dt * first.step(each))))
+    def _batched(self, parts: Sequence[Block]) -> list[Whitened]:
+        """Residuals, slopes, and stretches that count as independent, shared by all equations."""
+        found, first = [], 0
+        for k, (each, _, rows) in enumerate(parts, 1):
+            dt = self.flights[0].dt * self.flights[0].step(each)
+            batch = np.arange(rows.shape[1]) // max(1, round(BATCH / dt))
+            found.append((rows[0], rows[1:], first + batch))
+            if k % len(self.equations) == 0:  # what follows is the next flight's
+                first = 1 + max(int(one[2][-1]) for one in found)
+        return found
 
     def scores(self, parts: Sequence[Block], record: int) -> Array:
         """Sums of slope times innovation over stretches of a record that count as independent."""
@@ -378,23 +398,3 @@ class _Reconstruction:
             sums = np.add.reduceat(rows[1:] * rows[0], starts, axis=1)
             found[-1][:, self.columns[each]] = sums.T
         return np.concatenate(found)
-
-
-def _drawn(one: Eliminated, channels: Sequence[str], group: Sequence[str]) -> tuple[float, float]:
-    """Newton's step of one record in the skew that a group of channels shares, all else held.
-
-    And its standard error, were all else known and innovations white: no skew is known better.
-    """
-    k = [2 * i + 1 for i, name in enumerate(channels) if name in group]
-    known = max(float(one.shared.information[np.ix_(k, k)].sum()), 1e-300)
-    return float(one.shared.slope[k].sum()) / known, known**-0.5
-
-
-def _read(pieces: Array, skew: float, dt: float) -> tuple[Array, Array]:
-    """A channel (4, N - 1) so much later, but within its flight, and its slope, (N,)."""
-    last = pieces.shape[1]
-    place = np.clip(np.arange(last + 1) + skew / dt, 0.0, last)
-    piece = np.minimum(place.astype(int), last - 1)
-    s = dt * (place - piece)
-    a, b, c, d = np.take(pieces, piece, axis=1)
-    return ((a * s + b) * s + c) * s + d, (3 * a * s + 2 * b) * s + c

@@ -24,6 +24,12 @@ def integral(f: Array, dt: float) -> Array:
     return found.T
 
 
+def growing(slopes: Array, dt: float) -> Array:
+    """Integrals (n, N) of slopes times the time from the middle, of the integrals of slopes."""
+    t = dt * (np.arange(slopes.shape[1]) - (slopes.shape[1] - 1) / 2)
+    return np.asarray(slopes * t - integral(slopes.T, dt).T)  # by parts
+
+
 def steady_gain(ratio: float) -> float:
     """Kalman's for a random walk seen in noise, ``ratio`` the variance of its steps to that."""
     return float((np.sqrt(ratio**2 + 4 * ratio) - ratio) / 2)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from casid.arrays import Array
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.consistency.limits import Limit
+from casid.consistency.limits import Beside, Limit
 
 OWN = dict(zip((*RATES, *FORCES), (*ATTITUDES, *VELOCITIES), strict=True))
 
@@ -26,3 +26,4 @@ class Instruments:
     place: Array  # (3,) of the accelerometers, from where velocities are measured [m]
     place_errors: Array  # (3,)
     limits: dict[str, Limit]  # of sensors that were at one
+    drifts: Beside  # how fast each skew and, last, the clock grow [s/s], their scatter

@@ -22,7 +22,8 @@ from casid.consistency.apart import (
     significant,
     stands_apart,
 )
-from casid.consistency.flightpath import LATE, reconstruct_level
+from casid.consistency.drifts import Drifts, without_drifts
+from casid.consistency.flightpath import LATE
 from casid.consistency.further import (
     ROUGH,
     against_gravity,
@@ -37,9 +38,10 @@ from casid.consistency.lags import clocks_apart
 from casid.consistency.measured import Flight, looked_at, signals
 from casid.consistency.recordwise import clocks_by_record
 from casid.consistency.rigid import GRAVITY
-from casid.display import Shown, counted, listed
+from casid.display import Shown, counted, in_a_row, listed
 from casid.record import Record
 from casid.records import Records, several
+from casid.samples import bursts
 
 SCALE, BIAS = 0.02, 0.1  # what matters: relative, of the channel's deviation
 SEEN = 0.5  # m: the largest error of an accelerometer's place
@@ -114,6 +116,8 @@ class KinematicCheck(Shown):
     apart : Apart
         Attitudes or velocities that are late against all else, and how late each rate and specific
         force is once these have moved.
+    drifts : Drifts
+        Clocks that run apart; ``drifts.remedy`` is what `Record.shift` takes as ``drift``.
     by_record : tuple of str
         Why no shift of all records brings them into line: clocks that differ from one to another.
     """
@@ -126,6 +130,7 @@ class KinematicCheck(Shown):
     place_error: tuple[float, ...] = (np.nan,) * 3
     apart: Apart = field(default_factory=Apart)
     by_record: tuple[str, ...] = ()
+    drifts: Drifts = field(default_factory=Drifts)
 
     def headline(self) -> str:
         """What was compared and what was found."""
@@ -204,7 +209,10 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
     which, whole = [k for k, _ in stretches], [piece for _, piece in stretches]
     marks = [outliers(piece) for piece in whole]
     pieces = [piece.mask(where) for piece, where in zip(whole, marks, strict=True)]
-    flights = [signals(each, trim or {}, k) for k, each in zip(which, pieces, strict=True)]
+    flights = [
+        signals(each, trim or {}, k, float(each.t[0] - flown[k].t[0]))
+        for k, each in zip(which, pieces, strict=True)
+    ]
     labels = {k: flown[k].name for k in which}
     names = set.intersection(*(set(flight.values) for flight in flights)) if flights else set()
     notes = _marked(pieces, marks)
@@ -234,8 +242,7 @@ def _reconstructed(
     labels: Mapping[int, str],
 ) -> KinematicCheck:
     """What instruments the equations of these channels ask for, judged."""
-    bare = [flight.only(names) for flight in flights]
-    solution = reconstruct_level(bare, equations)
+    bare, solution, drifts = without_drifts([each.only(names) for each in flights], equations)
     if by_record := clocks_by_record(bare, equations, solution, labels):
         return KinematicCheck(
             channels=(), residuals={}, notes=tuple(notes), further=by_record, by_record=by_record
@@ -268,10 +275,12 @@ def _reconstructed(
             *unexplained(solution, flights, labels),
             *misplaced(place, errors),
             *apart.told(),
+            *drifts.told(),
         ),
         place=tuple(map(float, place)),
         place_error=tuple(map(float, errors)),
         apart=apart,
+        drifts=drifts,
     )
 
 
@@ -282,8 +291,10 @@ def _marked(pieces: Sequence[Record], marks: Sequence[BoolArray]) -> list[str]:
         at = [piece.t[where[:, i]] for piece, where in zip(pieces, marks, strict=True)]
         if count := sum(map(len, at)):
             first = next(each[0] for each in at if len(each))
+            rows = [row for t, piece in zip(at, pieces, strict=True) for row in bursts(t, piece.dt)]
             notes.append(
-                f"{name} has {counted(count, 'outlier')}, left out here; the first at {first:.4g} s"
+                f"{name} has {counted(count, 'outlier')}, left out here; the first at "
+                f"{first:.4g} s{in_a_row(rows)}"
             )
     return notes
 

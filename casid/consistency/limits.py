@@ -25,7 +25,8 @@ RIDGE = 1e-9  # of information
 
 Whitened = tuple[
     Array, Array, NDArray[np.intp]
-]  # residual (N,), its slopes (n, N), batch of each sample
+]  # residual (N,), its slopes (n, N), batch of each sample, which others may share
+Beside = tuple[Array, Array]  # coefficients (m,), their scatter (m, batches)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +60,17 @@ def standing(flights: Sequence[Flight], name: str) -> list[tuple[float, float, f
 
 
 def cut_off(parts: Sequence[Whitened], more: Sequence[Array]) -> tuple[Array, Array]:
-    """Coefficients (m,) of regressors ``more`` [(m, N)] beside the known ones, and their errors.
+    """Coefficients (m,) of regressors ``more`` [(m, N)] beside the known ones, and their errors."""
+    value, scatter = beside(parts, more)
+    return value, np.linalg.norm(scatter, axis=1)
 
-    What is known already is estimated anew, of each flight by itself: gains too.
+
+def beside(parts: Sequence[Whitened], more: Sequence[Array]) -> Beside:
+    """Coefficients (m,) of regressors ``more`` [(m, N)] beside the known ones, and their scatter.
+
+    What is known already is estimated anew, of each flight by itself: gains too. The scatter
+    (m, batches) is what single stretches do to the coefficients: its rows' products are their
+    covariance, and infinite where too few stretches tell.
     """
     found = []
     for (e, X, batch), z in zip(parts, more, strict=True):
@@ -70,13 +79,13 @@ def cut_off(parts: Sequence[Whitened], more: Sequence[Array]) -> tuple[Array, Ar
         found.append((left[:-1], left[-1], batch))
     P = _inverse(np.sum([z @ z.T for z, _, _ in found], axis=0))
     value = P @ sum(z @ e for z, e, _ in found)
-    scores = np.hstack([_sums(z * (e - value @ z), batch) for z, e, batch in found])
-    error = np.linalg.norm(P @ scores, axis=1)
+    last = max(int(batch[-1]) for _, _, batch in found) + 1
+    scores = sum(_sums(z * (e - value @ z), batch, last) for z, e, batch in found)
     # One stretch alone may be anything; of few the scatter is hardly known: Student's quantile.
-    weight = np.hstack([_sums(z**2, batch) for z, _, batch in found])
+    weight = np.sum([_sums(z**2, batch, last) for z, _, batch in found], axis=0)
     many = weight.sum(axis=1) ** 2 / np.maximum((weight**2).sum(axis=1), 1e-300)
     wide = scipy.special.stdtrit(np.maximum(many - 1, 1.0), scipy.special.ndtr(CERTAIN)) / CERTAIN
-    return value, np.where(many < FEWEST, np.inf, wide * error)
+    return value, np.where(many[:, None] < FEWEST, np.inf, wide[:, None] * (P @ scores))
 
 
 def _inverse(H: Array) -> Array:
@@ -86,9 +95,9 @@ def _inverse(H: Array) -> Array:
     return np.asarray(np.linalg.inv(H / scale + RIDGE * np.eye(len(H))) / scale)
 
 
-def _sums(rows: Array, batch: NDArray[np.intp]) -> Array:
+def _sums(rows: Array, batch: NDArray[np.intp], last: int) -> Array:
     """Sums (m, batches) of rows (m, N) over each batch."""
-    return np.array([np.bincount(batch, row) for row in rows])
+    return np.array([np.bincount(batch, row, last) for row in rows])
 
 
 def judged(extreme: float, reach: float, beyond: float, error: float) -> Limit | None:

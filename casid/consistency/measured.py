@@ -6,12 +6,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.arrays import Array
-from casid.autoregression import FAR, slow
+from casid.arrays import Array, BoolArray
+from casid.autoregression import FAR, filled, slow
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.frequency.sampling import equidistant
 from casid.record import Record
-from casid.samples import MAD, at_instants
+from casid.samples import BURST, MAD, at_instants, runs
 
 MOST = 60_000  # samples that are looked at
 SHORTEST = 20  # samples
@@ -30,6 +30,7 @@ class Flight:
     rows: dict[str, NDArray[np.intp]] = field(default_factory=dict)  # own samples of slow channels
     level: dict[str, float] = field(default_factory=dict)  # attitudes that were not recorded
     record: int = 0  # of which it is a stretch
+    start: float = 0.0  # from that of the record [s]
 
     @property
     def t(self) -> Array:
@@ -72,8 +73,13 @@ def looked_at(records: Sequence[Record]) -> list[tuple[int, Record]]:
     return [(k, piece.take(slice(max(int(share * piece.N), SHORTEST)))) for k, piece in pieces]
 
 
-def signals(record: Record, trim: Mapping[str, float], which: int = 0) -> Flight:
-    """Total values of a stretch of record ``which`` on equidistant instants, no sample missing."""
+def signals(
+    record: Record, trim: Mapping[str, float], which: int = 0, start: float = 0.0
+) -> Flight:
+    """Total values of a stretch on equidistant instants, no sample missing.
+
+    It begins ``start`` [s] after record ``which``.
+    """
     quiet = record.quiet_samples()
     # A slow channel is judged at its own samples: what lies between them carries no noise.
     lost = np.isnan(record.y)
@@ -81,6 +87,7 @@ def signals(record: Record, trim: Mapping[str, float], which: int = 0) -> Flight
     taken = {record.outputs[i]: record.t[~lost[:, i]] for i in np.flatnonzero(rare)}
     if not record.equidistant:
         record = equidistant(record, 0.0)
+    record = _expected(record, rare)
     values = {}
     for i, name in enumerate(record.outputs):
         if name not in {*RATES, *FORCES, *ATTITUDES, *VELOCITIES, *AIR}:
@@ -105,7 +112,16 @@ def signals(record: Record, trim: Mapping[str, float], which: int = 0) -> Flight
         name: np.unique(np.round((t - record.t[0]) / record.dt)).astype(int).clip(0, record.N - 1)
         for name, t in taken.items()
     }
-    return Flight(record.dt, quiet, values, rows, level, which)
+    return Flight(record.dt, quiet, values, rows, level, which, start)
+
+
+def _expected(record: Record, rare: BoolArray) -> Record:
+    """The record with what it lost in a row as all others let expect it: a line would turn it."""
+    lost = np.isnan(record.y) & ~rare
+    lost[:, lost.mean(axis=0) > GAPS] = False
+    if not any(b - a > BURST for column in lost.T for a, b in runs(column)):
+        return record
+    return replace(record, y=np.where(lost, filled(record)[0].y, record.y))
 
 
 def _velocities(values: Mapping[str, Array]) -> dict[str, Array]:
@@ -121,3 +137,13 @@ def white_noise(x: Array) -> float:
     size = np.abs(np.diff(x, 3))
     limit = FAR * MAD * np.median(size)
     return float(np.sqrt(np.mean(size[size <= limit] ** 2 if limit else size**2) / 20))
+
+
+def read_later(pieces: Array, skew: float | Array, dt: float) -> tuple[Array, Array]:
+    """A channel (4, N - 1) so much later, but within its flight, and its slope, (N,)."""
+    last = pieces.shape[1]
+    place = np.clip(np.arange(last + 1) + skew / dt, 0.0, last)
+    piece = np.minimum(place.astype(int), last - 1)
+    s = dt * (place - piece)
+    a, b, c, d = np.take(pieces, piece, axis=1)
+    return ((a * s + b) * s + c) * s + d, (3 * a * s + 2 * b) * s + c

@@ -11,6 +11,7 @@ T. Nakamura, Biometrika 77, 1990; R. J. Carroll et al., Measurement Error in Non
 nothing but the prior is known along them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,6 +56,14 @@ class Eliminated:
     def step(self, shared: Array) -> Array:
         """Newton's step of its own unknowns beside one of those that are ``shared`` (n,)."""
         return np.asarray(self._alone - self._passed @ shared)
+
+    def drawn(self, k: Sequence[int]) -> tuple[float, float]:
+        """Newton's step that some unknowns share, all else held.
+
+        And its standard error, were all else known and innovations white: none is known better.
+        """
+        known = max(float(self.shared.information[np.ix_(k, k)].sum()), 1e-300)
+        return float(self.shared.slope[[*k]].sum()) / known, known**-0.5
 
     def scores(self, scores: Array) -> Array:
         """Scores (m, n) without what its own unknowns take, of those (m, n + own) of all."""

@@ -88,13 +88,16 @@ class Mending:
             done = {key: record.mask(marks[key]) for key, record in done.items()}
             if count := sum(int(each.sum()) for each in marks.values()):
                 warn(f"outliers count as missing, {count} in all, as the study asks for")
-        by = self.shift
+        by, drift = self.shift, dict[str, float]()
         if isinstance(by, str):
-            by, why = _skews(tuple(done.values()), second, theta0)
+            by, drift, why = _skews(tuple(done.values()), second, theta0)
             said = "; ".join((moves_told(by), *why))
             warn(f"kinematics moves channels in time, as the study asks for: {said}")
         lags = by
-        return {key: record.shift(lags) if lags else record for key, record in done.items()}
+        return {
+            key: record.shift(lags, drift=drift) if lags or drift else record
+            for key, record in done.items()
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,13 +140,14 @@ class Cutting:
 
 def _skews(
     records: Sequence[Record], second: Collection[str], theta0: float
-) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Shifts [s] that bring the channels of both loggers into line, and why in words."""
+) -> tuple[dict[str, float], dict[str, float], tuple[str, ...]]:
+    """Shifts [s] and drifts [s/s] that bring channels of both loggers into line, why in words."""
     check = kinematic_check(records, trim={"theta0": theta0})
     if check.by_record:
         raise ValueError(f'shift = "{KINEMATICS}": {"; ".join(check.by_record)}')
     first = [name for name in records[0].outputs if name not in second]
-    return aligned(check, first, second, records[0].inputs)
+    moves, why = aligned(check, first, second, records[0].inputs)
+    return moves, check.drifts.remedy, (*why, *check.drifts.told())
 
 
 def with_inputs(record: Record, names: tuple[str, ...]) -> Record:

@@ -426,6 +426,17 @@ def test_accelerometers_away_from_the_centre_of_gravity_are_remarked():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("channel", ["p", "q"])
+def test_a_run_of_outliers_is_told_and_leaves_the_check_as_it_is(channel):
+    record = flight(1, None, NOISE)
+    y, i = record.y.copy(), record.outputs.index(channel)
+    y[700:760, i] += 8 * y[:, i].std()
+    check = kinematic_check(replace(record, y=y))
+    assert check.remarks == ()
+    said = f"{channel} has 60 outliers, left out here; the first at 14 s"
+    assert f"{said}; in a row 60 from 14 to 15.18 s" in check.notes
+
+
 def test_skew_is_found_to_five_milliseconds_among_outliers_and_losses():
     rng = np.random.default_rng(5)
     spoiled = []

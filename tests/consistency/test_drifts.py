@@ -1,0 +1,92 @@
+"""Clocks that run apart: told by how much, set right, and nowhere else found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from truths.flights import FORCES, NOISE, RATES, flight, truth
+
+from casid import kinematic_check
+from casid.consistency.drifts import shared
+from casid.consistency.innovations import growing, integral
+
+ATTITUDES, VELOCITIES = ("phi", "theta", "psi"), ("u", "v", "w")
+ANGLES = (*RATES, "phi", "theta")
+WHOLE = (*RATES, *FORCES, *ATTITUDES, *VELOCITIES)
+NAMES = [("p",), ("q",), ("r",), ("ax",), ("u", "v", "w"), ("phi", "theta", "psi")]
+
+
+def drifting(seed, drift, outputs=WHOLE, begin=0.0):
+    """A record some of whose channels are later by ``begin`` and from then on ``drift`` [s/s]."""
+    record, (signals, t) = flight(seed, None, NOISE, outputs), truth(seed)
+    now = signals(t)
+    y = record.y.copy()
+    for i, name in enumerate(outputs):
+        if name in drift:
+            y[:, i] += signals(t - begin - drift[name] * t)[name] - now[name]
+    return replace(record, y=y)
+
+
+@pytest.mark.parametrize(
+    ("who", "outputs"),
+    [(ATTITUDES, ANGLES), (("p",), ANGLES), (ATTITUDES, WHOLE), ((*ATTITUDES, *VELOCITIES), WHOLE)],
+    ids=["attitudes", "one gyro", "attitudes of all", "navigation"],
+)
+@pytest.mark.parametrize("ppm", [1000, -1000])
+def test_a_drift_is_told_and_nothing_else(who, outputs, ppm):
+    seed = 3 if outputs is WHOLE else 1  # where velocities move enough to tell theirs in 40 s
+    check = kinematic_check(drifting(seed, dict.fromkeys(who, 1e-6 * ppm), outputs))
+    (said,) = check.remarks
+    assert " drift" in said
+    assert {*check.drifts.late} == {*who} & {*outputs}
+    for late, error in check.drifts.late.values():
+        assert abs(late - 1e-6 * ppm) < 3 * error < 6e-4
+
+
+def test_scales_biases_and_skews_are_those_of_clocks_that_were_set_right():
+    record = drifting(2, dict.fromkeys(("phi", "theta"), 1e-3), ANGLES, begin=0.06)
+    factor = np.where(np.array(record.outputs) == "p", 1.08, 1.0)
+    check = kinematic_check(replace(record, y=factor * record.y))
+    p, q, _ = check.channels
+    assert abs(p.scale - 0.08) < 3 * p.scale_error < 0.02
+    for each in (p, q):
+        assert abs(each.skew + 0.06) < 3 * each.skew_error < 0.02
+    mended = record.shift(check.shifts, drift=check.drifts.remedy)
+    assert not kinematic_check(mended).drifts.late
+    assert not any("late" in said or "early" in said for said in kinematic_check(mended).remarks)
+
+
+def test_a_delay_that_stays_is_no_drift():
+    check = kinematic_check(drifting(3, dict.fromkeys(ATTITUDES, 0.0), ANGLES, begin=0.06))
+    assert check.drifts.late == {}
+    np.testing.assert_allclose([*check.shifts.values()], 0.06, atol=0.012)
+
+
+def test_what_grows_is_integrated_by_parts():
+    t = 0.02 * np.arange(400)
+    slope = np.cos(2 * t)
+    (found,) = growing(integral(slope[:, None], 0.02).T, 0.02)
+    middle = t[-1] / 2
+    exact = (t - middle) * np.sin(2 * t) / 2 + (np.cos(2 * t) - 1) / 4
+    np.testing.assert_allclose(found, exact, atol=2e-5)  # fourth order inside, less at the ends
+
+
+def test_the_clock_that_most_share_is_right_and_what_is_vague_goes_with_the_nearest():
+    C = np.diag([1e-3, 1e-3, 1e-3, 12e-3, 1e-3, 0.0]) ** 2
+    assert shared(np.zeros(6), C, NAMES) == [[0, 1, 2, 3, 4, 5]]
+    assert shared(np.array([0.0, 0.04, 0.0, 0.012, 0.0, 0.0]), C, NAMES) == [[0, 2, 3, 4, 5], [1]]
+    navigation = shared(np.array([-0.04, -0.04, -0.041, -0.05, 0.0, 0.0]), C, NAMES)
+    assert navigation == [[4, 5], [0, 1, 2, 3]]  # six channels against four
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("outputs", [ANGLES, WHOLE], ids=len)
+def test_drifts_scatter_by_their_standard_errors(outputs):
+    drift = dict.fromkeys(ATTITUDES, 1e-3)
+    late, error = np.transpose(
+        [kinematic_check(drifting(k, drift, outputs)).drifts.late["phi"] for k in range(12)]
+    )
+    z = (late - 1e-3) / error
+    # The root mean square of 12 normal values lies within 0.5 and 1.6 with p > 0.99.
+    assert 0.5 < np.sqrt(np.mean(z**2)) < 1.6
+    assert np.abs(z).max() < 4
