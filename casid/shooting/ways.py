@@ -104,7 +104,7 @@ class Ways:
         return best if best.solution.success else min(ends, key=_merit)
 
     def _noise_ends(self, more: NoiseUnknowns, plain: Outcome) -> list[Outcome]:
-        """Ends of a Kalman filter from output error, still and in turbulence, and from the guess.
+        """Ends of a Kalman filter from output error in still air and from the guess in turbulence.
 
         And output error as an end, if none is as good. Each start may lead into a hollow of its
         own: one where turbulence is feedback, another where it drives another state.
@@ -112,16 +112,10 @@ class Ways:
         ends = []
         if plain.solution.success:
             calm = more.calm(plain.programme.values(plain.solution.x).R)
-            last = plain.programme, plain.solution.x
             ends.append(self._continued(plain, calm))
-            rough = self._likeliest(
-                calm, lambda e: continued_programme(e, self.free, self.R, *last)
-            )
-            ends.append(self._continued(plain, rough))
-        begun = self._likeliest(
-            more, lambda e: starting_programme(e, self.free, self.R, self.biases)
-        )
-        ends.append(self._searched(Search(self.free, self.options), self._evaluator(begun)))
+        levels = self._levels(more, lambda e: starting_programme(e, self.free, self.R, self.biases))
+        _, rough = min(levels, key=lambda level: level[0])
+        ends.append(self._searched(Search(self.free, self.options), self._evaluator(rough)))
         if plain.cost < min(end.cost for end in ends) - GAIN:
             ends.append(self._still(more, plain))
         return ends
@@ -177,12 +171,6 @@ class Ways:
     def _limited(self) -> SolverOptions:
         limit = min(PATIENCE, self.options.max_iterations)
         return replace(self.options, max_iterations=limit)
-
-    def _likeliest(
-        self, more: NoiseUnknowns, begun: Callable[[Evaluator], tuple[Programme, Point]]
-    ) -> NoiseUnknowns:
-        """The likeliest of some levels of process noise where a programme begins."""
-        return min(self._levels(more, begun), key=lambda each: each[0])[1]
 
     def _levels(
         self, more: NoiseUnknowns, begun: Callable[[Evaluator], tuple[Programme, Point]]
