@@ -18,7 +18,7 @@ from casid.checks import checked_fields
 from casid.errors import warn
 from casid.fingerprints import fingerprint
 from casid.frequency import sampling
-from casid.frequency.feedback import MUCH, bias_of_windows, noise_in_inputs
+from casid.frequency.feedback import MUCH, NoiseInInputs, bias_of_windows, noise_in_inputs
 from casid.frequency.leakage import leakage
 from casid.frequency.local import local_response
 from casid.frequency.response import FED_BACK, FrequencyResponse
@@ -154,10 +154,10 @@ class SpectralAnalysis:
             )
         return inputs, outputs
 
-    def _noise(self, records: Sequence[Record], omega: Array, nu: int) -> ComplexArray:
-        """The outputs' noise in inputs, (K, ny, nu); it does not drive references."""
+    def _noise(self, records: Sequence[Record], omega: Array, nu: int) -> NoiseInInputs:
+        """The outputs' noise in inputs; it does not drive references."""
         if self.reference:
-            return np.zeros((len(omega), records[0].ny, nu), dtype=complex)
+            return NoiseInInputs.none(omega, records[0].ny, nu)
         return noise_in_inputs(records, omega)
 
     def _moving(
@@ -244,7 +244,7 @@ class _Estimate:
         usable: BoolArray,
         lengths: Sequence[float],
         omega: Array,
-        noise: ComplexArray,
+        noise: NoiseInInputs,
     ) -> "_Estimate":
         """The estimate from averaged spectra: response, errors and their correlations."""
         W = window_weights(np.array([part.random_error for part in parts]), usable)
@@ -260,12 +260,12 @@ class _Estimate:
         )
 
     def refined(
-        self, records: Sequence[Record], omega: Array, heard: Sequence[int], noise: ComplexArray
+        self, records: Sequence[Record], omega: Array, heard: Sequence[int], noise: NoiseInInputs
     ) -> "_Estimate":
         """What local models say of outputs that move, where these exist and inputs separate."""
         names = [records[0].outputs[i] for i in heard]
         parts = [record.select(outputs=names) for record in records]
-        local = local_response(parts, omega, noise[:, heard])
+        local = local_response(parts, omega, noise.of(heard))
         if local is None:
             return self
         rows = np.isfinite(self.G[:, heard]) & np.isfinite(local.G) & (np.abs(local.G) > 0)

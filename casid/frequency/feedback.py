@@ -13,10 +13,18 @@ D the direct term of the outputs. Noise and controller are smooth in frequency, 
 lags of all flights together is enough for Φ_vu. What comes from outside need not be smooth: Φ_u is
 that of the estimate itself. Where an input's spectrum falls off steeply, few lags do not see it,
 and `casid.frequency.sampling.excited_ends` tells where it ends.
+
+Few lags take slow motion for noise too, of helicopters up to 10⁴ times what there is. What inputs
+leave of the outputs is
+
+    Φ_y|u = ([Φ_z⁻¹]_yy)⁻¹,      Φ_z⁻¹ = Aᴴ S⁻¹ A,
+
+and an estimate's residuals measure it: where these are less, so is the noise.
 """
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtri
@@ -32,25 +40,54 @@ from casid.vector_autoregression import VectorAutoregression
 
 CHANCE = 2.0  # times the squared coherence of noise and inputs that is expected by chance
 LEVEL = 1e-4  # of the test whether inputs follow an output's noise at all
+OCTAVE = 1.0  # on either side of a frequency: over which noise is smooth
 MUCH = 0.5  # of a response, the largest bias that an error states
 
 
-def noise_in_inputs(records: Sequence[Record], omega: Array) -> ComplexArray:
-    """Cross-spectrum (K, ny, nu) of the outputs' noise and the inputs, at omega (K,) [rad/s].
+@dataclass(frozen=True, eq=False)
+class NoiseInInputs:
+    """Noise of outputs that inputs carry, at K frequencies; spectra are two-sided, per Hz."""
 
-    Two-sided, per Hz; zero where it is no more than chance, where nothing tells noise from what the
-    inputs make, and of channels that rest.
+    omega: Array  # (K,) [rad/s]
+    cross: ComplexArray  # (K, ny, nu) of noise and inputs
+    left: Array  # (K, ny) of outputs, what inputs do not explain
+
+    @classmethod
+    def none(cls, omega: Array, ny: int, nu: int) -> "NoiseInInputs":
+        """Inputs that carry none."""
+        return cls(omega, np.zeros((len(omega), ny, nu), complex), np.ones((len(omega), ny)))
+
+    def of(self, outputs: Sequence[int]) -> "NoiseInInputs":
+        """That of some outputs, by their places."""
+        return NoiseInInputs(self.omega, self.cross[:, outputs], self.left[:, outputs])
+
+    def share(self, left: Array) -> Array:
+        """Share (K, ny) of this noise that there is where an estimate leaves (K, ny) of outputs.
+
+        In a gap of the excitation inputs explain noise too; it is smooth, and the most that is left
+        within an octave tells its level.
+        """
+        near = np.abs(np.log2(self.omega[:, None] / self.omega)) < OCTAVE
+        most = np.max(np.where(near[:, :, None], np.nan_to_num(left), 0.0), axis=1)
+        return np.asarray(np.minimum(most / self.left, 1.0))
+
+
+def noise_in_inputs(records: Sequence[Record], omega: Array) -> NoiseInInputs:
+    """Noise of the outputs in the inputs, at omega (K,) [rad/s].
+
+    None where it is no more than chance, where nothing tells noise from what the inputs make, and
+    of channels that rest.
     """
     first = records[0]
-    cross = np.zeros((len(omega), first.ny, first.nu), dtype=complex)
+    nothing = NoiseInInputs.none(omega, first.ny, first.nu)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataWarning)  # of gaps, which others tell
         try:
             flown = flights(records, together=True)
         except ValueError:
-            return cross
+            return nothing
     if flown.singular:
-        return cross
+        return nothing
     rows = [first.outputs.index(name) for name in flown.outputs]
     columns = [first.inputs.index(name) for name in flown.inputs]
     size = flown.size[: len(rows), None] * flown.size[len(rows) :]
@@ -59,20 +96,26 @@ def noise_in_inputs(records: Sequence[Record], omega: Array) -> ComplexArray:
     if held:  # as the inputs' own spectra
         jh = 1j * omega * first.dt
         found = found * ((1 - np.exp(-jh)) / jh).conj()[:, None, None]
+    cross, left = nothing.cross.copy(), nothing.left.copy()
     cross[:, np.array(rows)[:, None], columns] = found
-    return cross
+    (model,) = flown.models
+    unexplained = _left(model, omega * flown.dt, len(rows))
+    left[:, rows] = flown.dt * flown.size[: len(rows)] ** 2 * unexplained
+    return NoiseInInputs(omega, cross, left)
 
 
 def bias_of_windows(
-    noise: ComplexArray, parts: Sequence[Conditioned], W: Array, G: ComplexArray
+    noise: NoiseInInputs, parts: Sequence[Conditioned], W: Array, G: ComplexArray
 ) -> Array:
     """Relative bias (K, ny, nu) of a response G averaged over window lengths with weights W.
 
-    ``noise`` as of `noise_in_inputs`; spectra of windows are one-sided, per rad/s.
+    Spectra of windows are one-sided, per rad/s.
     """
     inverse = np.array([part.inverse for part in parts])
+    left = [np.pi * ((1 - part.coherence) * part.Gyy).min(axis=2) for part in parts]
+    W = W * np.array([noise.share(each) for each in left])[..., None]
     # Of conj(U_a) U_b: the transpose of what stands beside noise times conjugate inputs.
-    return relative(np.einsum("wkij,kia,wkja->kij", W, noise / np.pi, inverse), G)
+    return relative(np.einsum("wkij,kia,wkja->kij", W, noise.cross / np.pi, inverse), G)
 
 
 def relative(bias: ComplexArray, G: ComplexArray) -> Array:
@@ -110,6 +153,13 @@ def _beyond_chance(flown: Flights, direct: BoolArray, omega: Array) -> ComplexAr
     size = np.mean((squared / by_chance)[: len(grid)], axis=0)
     left = np.maximum(squared - CHANCE * by_chance, 0.0) * (size > chdtri(lags, LEVEL) / lags)
     return np.asarray(cross * np.sqrt(left / np.maximum(squared, 1e-300)))[len(grid) :]
+
+
+def _left(model: VectorAutoregression, phase: Array, ny: int) -> Array:
+    """Density (K, ny) of outputs that past and future inputs do not explain."""
+    A = model.polynomial(phase)[:, :, :ny]
+    inverse = A.conj().swapaxes(1, 2) @ np.linalg.solve(model.S, A)  # the outputs' block of Φ_z⁻¹
+    return np.asarray(np.einsum("kii->ki", np.linalg.inv(inverse)).real)
 
 
 def _spectra(

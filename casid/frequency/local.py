@@ -26,7 +26,7 @@ from scipy.linalg.lapack import ztrtri
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.autoregression import filled
-from casid.frequency.feedback import relative
+from casid.frequency.feedback import NoiseInInputs, relative
 from casid.frequency.leakage import over_three
 from casid.frequency.spectra import correlation
 from casid.record import Record
@@ -68,12 +68,11 @@ class LocalResponse:
 
 
 def local_response(
-    records: Sequence[Record], omega: Array, noise: ComplexArray | None = None
+    records: Sequence[Record], omega: Array, noise: NoiseInInputs | None = None
 ) -> LocalResponse | None:
     """Response at frequencies (K,) [rad/s] of equidistant records, all of whose channels move.
 
-    ``noise`` (K, ny, nu) is that of the outputs in the inputs (`casid.frequency.feedback`), none
-    unless given.
+    ``noise`` is that of the outputs in the inputs, none unless given.
 
     None where a record lacks a channel, or losses leave no stretch at some frequency.
     """
@@ -150,12 +149,12 @@ def _at_all(
     lines: Sequence[Sequence[Lines]],
     omega: Array,
     powers: int,
-    noise: ComplexArray | None = None,
+    noise: NoiseInInputs | None = None,
 ) -> tuple[ComplexArray, Array, Array, ComplexArray, ComplexArray, ComplexArray]:
     """Responses, random errors, half widths, fed-back bias, correlations of outputs and inputs."""
     K, nu, ny = len(omega), *(len(each.T) for each in (lines[0][0].U, lines[0][0].Y))
     G, error = np.full((K, ny, nu), np.nan, complex), np.full((K, ny, nu), np.nan)
-    back = np.zeros((K, ny, nu), complex)
+    back, left = np.zeros((K, ny, nu), complex), np.zeros((K, ny))
     half, outputs = np.zeros(K), np.tile(np.eye(ny, dtype=complex), (K, 1, 1))
     inputs = np.tile(np.eye(nu, dtype=complex), (K, 1, 1))
     for k, (near, centre) in enumerate(zip(lines, omega, strict=True)):
@@ -166,12 +165,14 @@ def _at_all(
             continue
         G[k], variance, S, P = found.result()
         if noise is not None:
-            back[k] = found.fed_back(noise[k])
+            back[k], left[k] = found.fed_back(noise.cross[k]), found.variance
         with np.errstate(invalid="ignore", divide="ignore"):
             error[k] = np.sqrt(variance / 2) / np.abs(G[k])
         # Shrunk towards none, as few residuals tell little.
         outputs[k] = (model.freedom * correlation(S) + ny * np.eye(ny)) / (model.freedom + ny)
         inputs[k] = correlation(P)
+    if noise is not None:
+        back *= noise.share(left)[:, :, None]
     return G, error, half, back, outputs, inputs
 
 

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
+from benchmarks import coverage
 from casid import DataWarning, Record, StateSpace, frequency_response
 from casid.excitations import flights
 from casid.frequency.covariance import whitener
-from casid.frequency.feedback import noise_in_inputs
+from casid.frequency.feedback import NoiseInInputs, noise_in_inputs
 from casid.frequency.response import FED_BACK
 from casid.linear import foh_step
 
@@ -65,7 +66,9 @@ def noise_of(omega, gain, *, held):
 @pytest.mark.parametrize("held", [False, True])
 def test_noise_in_inputs_is_what_the_loop_makes_of_it(held):
     gain = (0.5 if held else 1.0) * GAIN
-    found = [noise_in_inputs(loop(seed, gain, held=held, seconds=60.0), OMEGA) for seed in range(6)]
+    found = [
+        noise_in_inputs(loop(seed, gain, held=held, seconds=60.0), OMEGA).cross for seed in range(6)
+    ]
     truth = noise_of(OMEGA, gain, held=held)
     size = np.abs(truth[:, [0, 1], [0, 1]])
     # Ten lags and 6000 samples: each is known to some tenths, their mean over six to half of that.
@@ -77,7 +80,40 @@ def test_without_feedback_there_is_none():
     for seed in range(10):
         for direct in ((0.0, 0.0), (0.5, 0.0)):
             records = loop(seed, 0 * GAIN, direct=direct, names=("p", "ay"))
-            assert not noise_in_inputs(records, OMEGA).any()
+            assert not noise_in_inputs(records, OMEGA).cross.any()
+
+
+def test_what_inputs_leave_of_outputs_is_the_noise_where_none_is_fed_back():
+    found = [noise_in_inputs(loop(seed, 0 * GAIN, seconds=60.0), OMEGA).left for seed in range(6)]
+    # As the cross-spectrum above: a tenth or two by the mean over six.
+    np.testing.assert_allclose(np.mean(found, axis=0), NOISE**2 * DT, rtol=0.3)
+
+
+def test_there_is_no_more_noise_than_inputs_leave_within_an_octave():
+    omega, ones = np.geomspace(1.0, 16.0, 11), np.ones((11, 1))  # two fifths of an octave apart
+    noise = NoiseInInputs(omega, ones[:, :, None] + 0j, 4 * ones)
+    left = np.array([8.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, np.nan])[:, None]
+    assert noise.share(left)[:, 0].tolist() == [1.0, 1.0, 1.0] + 8 * [0.25]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::casid.errors.DataWarning")
+def test_few_lags_do_not_make_noise_of_a_helicopters_slow_motion():
+    """Its loop feeds back the instruments' noise; below 0.9 rad/s that is a ten-thousandth."""
+    plant = coverage.truths(None)["UH-60"]
+    closed, omega = coverage.loop("UH-60", plant), np.geomspace(0.5, 1.0, 8)
+    error, stated = [], []
+    for seed in range(2):
+        flown = coverage.flights("UH-60", closed, np.random.default_rng([seed, 70]))[:4]
+        found = frequency_response(flown, omega=omega)
+        seen = found.coherence >= 0.6
+        assert np.isfinite(found.G).all()
+        error.append(np.log(found.G / plant.response(omega))[seen])
+        stated.append(found.error[seen])
+    error, stated = np.concatenate(error), np.concatenate(stated)
+    z = np.abs([error.real, error.imag]) / stated
+    assert np.mean(z < 1.96) > 0.93
+    assert 0.5 < np.sqrt(np.mean(z**2)) < 1.1
 
 
 def test_a_direct_term_of_a_force_is_no_feedback():
@@ -87,7 +123,7 @@ def test_a_direct_term_of_a_force_is_no_feedback():
         loop(1, gain, held=True, direct=(10.0, 0.0), names=n, seconds=60.0)
         for n in (("ay", "q"), ("p", "q"))
     ]
-    force, rate = (np.abs(noise_in_inputs(each, OMEGA)[:, 0, 0]).max() for each in both)
+    force, rate = (np.abs(noise_in_inputs(each, OMEGA).cross[:, 0, 0]).max() for each in both)
     assert force < 0.1 * rate
 
 
@@ -130,9 +166,9 @@ def test_channels_that_rest_have_none():
         Record(r.t, np.column_stack([r.u, 0 * r.t]), r.y, (*r.inputs, "ped"), r.outputs)
         for r in loop(2)
     ]
-    found = noise_in_inputs(records, OMEGA)
+    found = noise_in_inputs(records, OMEGA).cross
     assert found[:, :, 2].tolist() == np.zeros((4, 2)).tolist()
-    np.testing.assert_allclose(found[:, :, :2], noise_in_inputs(loop(2), OMEGA), rtol=1e-9)
+    np.testing.assert_allclose(found[:, :, :2], noise_in_inputs(loop(2), OMEGA).cross, rtol=1e-9)
 
 
 def test_together_flights_share_one_autoregression():
