@@ -4,7 +4,9 @@ Linear truths, each flown through four sweeps of 70 s, four 3-2-1-1 of 16 s, or 
 loop, the noise of the instruments fed back: the 32-state UH-60, the AH-1S's eight states, and the
 twelve of AW109 (MODEL, its JSON). By records, method and fifth of the band (0.4-12 rad/s,
 logarithmic), of points with coherence of 0.6 or more in the averaged spectra: root mean square
-error of the response's logarithm, and the share of gains and phases within 1.96 stated errors.
+error of the response's logarithm, and the share of gains and phases within 1.96 stated errors. Over
+the whole band: the median stated error over that of a normal number with the median error, and the
+share of points that are further than four stated errors off, gain or phase.
 
     OMP_NUM_THREADS=1 python -m benchmarks.coverage [MODEL] [--runs 20] [--first 0]
 """
@@ -110,6 +112,14 @@ def cell(error: np.ndarray, stated: np.ndarray) -> str:
     return f"{100 * rms:.1f} / {100 * within.mean():.0f}"
 
 
+def whole(error: np.ndarray, stated: np.ndarray) -> tuple[str, str]:
+    """Median stated error over the median error's, and share in % of points beyond four stated."""
+    seen = np.isfinite(error)
+    wide = np.median(stated[seen]) / (np.median(np.abs(error[seen])) / 0.6745)
+    beyond = (np.abs(error) > 4 * stated).any(axis=1)[seen[:, 0]]
+    return f"{wide:.2f}", f"{100 * beyond.mean():.2f}"
+
+
 def main() -> None:
     warnings.simplefilter("ignore")
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -122,8 +132,9 @@ def main() -> None:
         runs = range(chosen.first, chosen.first + chosen.runs)
         for key, (error, stated) in measure(name, plant, runs).items():
             fifths = np.array_split(np.arange(len(OMEGA)), 5)
-            rows.append([name, *key, *(cell(error[:, :, at], stated[:, :, at]) for at in fifths)])
-    head = ("lowest fifth", "second", "third", "fourth", "highest")
+            cells = [cell(error[:, :, at], stated[:, :, at]) for at in fifths]
+            rows.append([name, *key, *cells, *whole(error, stated)])
+    head = ("lowest fifth", "second", "third", "fourth", "highest", "width", "beyond 4, %")
     print(table(("truth", "records", "method", *head), rows))
     print("rms error [%] / share within 95 % interval [%]")
 

@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.optimize
 import scipy.signal
+import scipy.special
 
 from benchmarks.uh60 import (
     OMEGA,
@@ -80,17 +81,23 @@ def on_axis():
 
 def linear():
     truth = oracle().response(OMEGA)
-    scores, decibel = [], []
+    scores, decibel, off = [], [], []
     for seed in range(5):
         found = frequency_response(linear_records(SWEEPS, seed), omega=OMEGA)
         seen = found.coherence >= 0.6
         scores.append((np.abs(found.G / truth - 1) / found.random_error)[seen])
-        decibel.append(DB * np.log(np.abs(found.G / truth))[seen])
+        ratio = np.log(found.G / truth)[seen]
+        decibel.append(DB * ratio.real)
+        off.append(np.abs([ratio.real, ratio.imag]) / found.error[seen])
     scores = np.concatenate(scores)
     print("sweeps of the 32-state model with noise, five seeds, coherence >= 0.6")
     print(f"  rms error {np.sqrt(np.mean(np.concatenate(decibel) ** 2)):.2f} dB; error over stated")
     print(f"  random error: median {np.median(scores) / 1.177:.2f} of the expected,"
           f" {100 * np.mean(scores < 3):.1f} % within 3 (98.9 expected)")  # fmt: skip
+    off = np.concatenate(off, axis=None)
+    chance = scipy.special.ndtri(1 - 1 / (4 * len(off)))
+    print(f"  error, of gain or phase: {100 * np.mean(off < 1.96):.1f} % within 1.96, largest "
+          f"{off.max():.1f} ({chance:.1f} of so many normal numbers)")  # fmt: skip
 
 
 def structure():

@@ -18,6 +18,7 @@ from casid.checks import checked_fields
 from casid.errors import warn
 from casid.fingerprints import fingerprint
 from casid.frequency import sampling
+from casid.frequency.composite import composite, window_weights
 from casid.frequency.feedback import MUCH, NoiseInInputs, bias_of_windows, noise_in_inputs
 from casid.frequency.leakage import leakage
 from casid.frequency.local import local_response
@@ -26,10 +27,8 @@ from casid.frequency.spectra import (
     MEANINGLESS,
     SUSPECT,
     Conditioned,
-    composite,
     condition,
     record_spectra,
-    window_weights,
 )
 from casid.record import Record
 from casid.records import Records, same_channels, standard_deviations, still, stretches

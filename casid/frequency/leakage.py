@@ -14,7 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from casid.arrays import Array, BoolArray
-from casid.frequency.spectra import Conditioned, window_weights
+from casid.frequency.composite import window_weights
+from casid.frequency.spectra import Conditioned
 
 RATIO = np.sqrt(2)  # of the two lengths that are compared
 FEW = 4.0  # periods in the longest window

@@ -8,9 +8,9 @@ Departures: windows overlap by two thirds, which loses less of a sweep than the 
 sweeps of a linear helicopter with noise: 1.04 dB of rms error, 1.11 dB with half); the transform is
 summed at the wanted frequencies themselves, which gives the values of the chirp z-transform and
 takes any spacing; one averaged input matrix serves all records at once, so that inputs which move
-together within each record (feedback) are separated by the records of the other axes; the composite
-weighs the errors of the cross-spectrum relative to its magnitude, so that it does not depend on
-where its phase happens to lie.
+together within each record (feedback) are separated by the records of the other axes; the noise of
+a random error is that of neighbouring frequencies too, since few windows tell it to a factor of two
+or three, and lengths weighed by their errors would be those whose error is too small by chance.
 """
 
 import warnings
@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import psi
 
 from casid import samples
 from casid.arrays import Array, BoolArray, ComplexArray
@@ -30,8 +31,10 @@ MEANINGLESS = 1000.0  # γ² = 0.996: what separates the inputs is leakage and n
 STEP = 1 / 3  # between windows, in window lengths
 OVERLAP_FACTOR = np.sqrt(0.55)  # C_ε of T&R (7.35) for an overlap of half or more
 
-FIELDS = ("Gxx", "Gxy", "Gyy", "random_error", "multiple_coherence", "condition")
+NOISE_FREE = 1e-9  # share of an output's density, the least noise
+LEAST = 0.5  # degrees of freedom of what windows leave
 NEIGHBOURS = 0.2  # nepers over which the correlation of outputs is smoothed
+NOISE = 0.15  # over which their noise is
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -217,7 +220,9 @@ def condition(spectra: Spectra, *, conditioned: bool) -> Conditioned:
     w = P / np.einsum("kaa->ka", Q)[:, :, None]
     power = np.einsum("kja,rkab,kjb->rkj", w, spectra.known[0], w.conj(), optimize=True).real
     H[wrong] = np.nan
-    found = _pairs(spectra, H, Gyy, np.maximum(power, 0.0), number, conditioned=conditioned)
+    explained = _explained(spectra, P.astype(complex), conditioned=conditioned)
+    power = np.maximum(power, 0.0)
+    found = _pairs(spectra, H, Gyy, power, number, explained, conditioned=conditioned)
     found = replace(found, inverse=P.astype(complex))
     if not conditioned:
         return found
@@ -236,8 +241,32 @@ def _shares(spectra: Spectra) -> Array:
     return np.asarray(spectra.averages / np.maximum(spectra.averages.sum(axis=0), 1e-300))
 
 
+def _explained(spectra: Spectra, P: ComplexArray, *, conditioned: bool) -> Array:
+    """How many of an output's windows each record spends on inputs, (R, K, nu or 1)."""
+    own = np.einsum("kab,rk,rkba->rka", P, _shares(spectra), spectra.known[1]).real
+    return np.asarray(own.sum(axis=2, keepdims=True) if conditioned else own)
+
+
+def _level_of_noise(density: Array, windows: Array, freedom: Array, spectra: Spectra) -> Array:
+    """Density (K, ny, nu) of noise from that of residuals, means over neighbouring frequencies.
+
+    Of m degrees of ``freedom`` in ν independent ``windows`` the residuals' density N is that of
+    the noise times Γ(m)/ν, whose logarithm has the mean ψ(m) − ln ν. A few windows hardly tell it.
+    """
+    fewer = np.log(windows) - psi(np.maximum(freedom, LEAST))
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.exp(_smoothed(np.log(density) + fewer[:, None], spectra, NOISE)))
+
+
 def _pairs(
-    spectra: Spectra, H: ComplexArray, Gyy: Array, power: Array, number: Array, *, conditioned: bool
+    spectra: Spectra,
+    H: ComplexArray,
+    Gyy: Array,
+    power: Array,
+    number: Array,
+    explained: Array,
+    *,
+    conditioned: bool,
 ) -> Conditioned:
     total = np.maximum(spectra.averages.sum(axis=0), 1e-300)[:, None]
     n = _shares(spectra)
@@ -250,13 +279,13 @@ def _pairs(
     noise = np.maximum(np.einsum("rkj,rkij->kij", share, N), 0.0)
     Gxx = np.einsum("rkj,rkj->kj", share, power)[:, None, :] * np.ones_like(noise)
     output = np.abs(H) ** 2 * Gxx + noise
-    coherence = np.abs(H) ** 2 * Gxx / np.where(output == 0, 1.0, output)
-    spread = share**2 / np.where(n > 0, n, 1.0)[:, :, None]
-    effective = total / np.maximum(np.sum(spread, axis=0), 1e-300)
-    lost = (H.shape[2] - 1) / total if conditioned else 0.0
-    averages = np.maximum(effective * (1 - lost), 0.0)[:, None, :]
+    each = np.where(n > 0, n, 1.0)[:, :, None]
+    independent = total / np.maximum(np.sum(share**2 / each, axis=0), 1e-300) / OVERLAP_FACTOR**2
+    taken = OVERLAP_FACTOR**2 * np.sum(share * explained / (total * each), axis=0)
+    density = np.maximum(noise, NOISE_FREE * output)
+    level = _level_of_noise(density, independent, independent * (1 - taken), spectra)
     with np.errstate(divide="ignore", invalid="ignore"):
-        error = OVERLAP_FACTOR * np.sqrt((1 - coherence) / (2 * averages * coherence))
+        error = np.sqrt(level / (2 * independent[:, None] * np.abs(H) ** 2 * Gxx))
     everywhere = np.einsum("rk,rkij->kij", n, N).min(axis=2)
     return Conditioned(
         Gxx=Gxx,
@@ -283,11 +312,17 @@ def _output_correlation(spectra: Spectra, H: ComplexArray) -> ComplexArray:
     cross = np.einsum("rk,rkai,kla->kil", n, spectra.Guy.conj(), H, optimize=True)
     own = np.einsum("kia,rk,rkab,klb->kil", H.conj(), n, spectra.Guu, H, optimize=True)
     left = np.einsum("rk,rkil->kil", n, spectra.Gyz) - cross - np.swapaxes(cross.conj(), 1, 2) + own
-    place = np.log(spectra.omega)
-    W = np.exp(-(((place[:, None] - place) / NEIGHBOURS) ** 2) / 2)
-    smooth = np.einsum("kl,lij->kij", W / W.sum(axis=1, keepdims=True), correlation(left).conj())
+    smooth = _smoothed(correlation(left).conj(), spectra, NEIGHBOURS)
     ny, count = H.shape[1], np.sum(spectra.averages, axis=0)[:, None, None]
     return np.asarray((count * smooth + ny * np.eye(ny)) / (count + ny))
+
+
+def _smoothed(values: Any, spectra: Spectra, width: float) -> Any:  # noqa: ANN401 - real or complex
+    """Means (K, n, m) over neighbouring frequencies, of those known there; zero without any."""
+    place, known = np.log(spectra.omega), np.isfinite(values) & (spectra.count > 0)[:, None, None]
+    W = np.exp(-(((place[:, None] - place) / width) ** 2) / 2)
+    total = np.einsum("kl,lij->kij", W, np.where(known, values, 0))
+    return total / np.maximum(np.einsum("kl,lij->kij", W, known), 1e-300)
 
 
 def _residual(spectra: Spectra, H: ComplexArray, *, conditioned: bool) -> Array:
@@ -300,91 +335,3 @@ def _residual(spectra: Spectra, H: ComplexArray, *, conditioned: bool) -> Array:
     cross = np.einsum("kia,rkai->rkia", H.conj(), Guy).real
     own = np.abs(H) ** 2 * np.einsum("rkaa->rka", Guu).real[:, :, None, :]
     return np.asarray(Gyy[..., None] - 2 * cross + own)
-
-
-def composite(parts: Sequence[Conditioned], usable: BoolArray, iterations: int = 8) -> Conditioned:
-    """One set of spectra that explains those of all window lengths best, T&R chapter 10.
-
-    Minimises per pair and frequency, by Gauss-Newton steps on all of them at once,
-
-        Σ_w W_w [(Gxx/Gxx_w - 1)² + (Gyy/Gyy_w - 1)² + |Gxy - Gxy_w|²/|Gxy_w|² + 5 (γ²/γ_w² - 1)²],
-
-    W_w = (ε_w / min ε)⁻⁴, over the ``usable`` windows (windows, K); NaN where there is none. The
-    residuals are small and the start is their weighted mean, so that few iterations do.
-    """
-    stacked = {name: np.array([getattr(part, name) for part in parts]) for name in FIELDS}
-    W = window_weights(stacked["random_error"], usable)  # (windows, K, ny, nu)
-    means = {name: _mean(W, stacked[name]) for name in ("Gxx", "Gyy", "Gxy", "random_error")}
-    # Relative to the weighted means: four unknowns of order one, the phase of the mean removed.
-    a, b, z = (_relative(W, stacked[name], means[name]) for name in ("Gxx", "Gyy", "Gxy"))
-    c = np.zeros((4, *W.shape[1:]))
-    c[:3] = 1.0
-    limits = np.array([0.1, 0.1, -9.0, -9.0])[:, None, None, None]
-    for _ in range(iterations):
-        c = np.clip(c - _step(c, np.sqrt(W), a, b, z), limits, 9.0)
-    none = ~np.asarray(usable.any(axis=0), dtype=bool)
-    lost = np.where(none, np.nan, 1.0)
-    multiple = _mean(W.mean(axis=3), stacked["multiple_coherence"])
-    G = {name: lost[:, None, None] * value for name, value in means.items()}
-    return Conditioned(
-        Gxx=c[0] * G["Gxx"],
-        Gyy=c[1] * G["Gyy"],
-        Gxy=(c[2] + 1j * c[3]) * G["Gxy"],
-        random_error=G["random_error"],
-        multiple_coherence=lost[:, None] * multiple,
-        condition=np.max(stacked["condition"], axis=0),
-        output_correlation=_blend(W, [part.output_correlation for part in parts]),
-        input_correlation=_blend(W, [part.input_correlation for part in parts]),
-    )
-
-
-def _blend(W: Array, matrices: Sequence[ComplexArray | None]) -> ComplexArray | None:
-    """Mean (K, n, n) over window lengths, of those that are used; none, uncorrelated."""
-    if any(each is None for each in matrices):
-        return None
-    weight = W.mean(axis=(2, 3))
-    weight = weight / np.maximum(weight.sum(axis=0), 1e-300)
-    mean = np.einsum("wk,wkij->kij", weight, np.array(matrices))
-    lost = ~np.isfinite(mean).all(axis=(1, 2)) | (weight.sum(axis=0) < 0.5)
-    return np.where(lost[:, None, None], np.eye(mean.shape[1]), mean)
-
-
-def _mean(W: Array, values: Any) -> Any:  # noqa: ANN401 - real or complex
-    """Mean over window lengths with weights that add up to one."""
-    return np.sum(np.where(W > 0, W * np.where(W > 0, values, 0), 0), axis=0)
-
-
-def _relative(W: Array, values: Any, mean: Any) -> Any:  # noqa: ANN401 - real or complex
-    """Values over their mean; one where they do not count."""
-    counts = (W > 0) & (np.abs(mean) > 0)
-    return np.where(counts, values, 1.0) / np.where(counts, mean, 1.0)
-
-
-def window_weights(error: Array, usable: BoolArray) -> Array:
-    """W_w of every window length, adding up to one; zero where it may not be used."""
-    known = np.where(np.isfinite(error), np.maximum(error, 1e-6), 1e6)
-    trusted = np.where(usable[:, :, None, None], known, np.inf)
-    best = trusted.min(axis=0)
-    W = np.where(np.isfinite(trusted), (trusted / np.where(np.isfinite(best), best, 1)) ** -4.0, 0)
-    total = W.sum(axis=0)
-    return np.asarray(W / np.where(total > 0, total, 1.0))
-
-
-def _step(c: Array, sw: Array, a: Array, b: Array, z: ComplexArray) -> Array:
-    """Gauss-Newton step of the composite's four unknowns, (4, K, ny, nu)."""
-    size = np.maximum(np.abs(z), 1e-12)
-    gamma_w = np.maximum(size**2 / (a * b), 1e-12)
-    gamma = (c[2] ** 2 + c[3] ** 2) / (c[0] * c[1])
-    five = np.sqrt(5.0)
-    real, imag = (c[2] - z.real) / size, (c[3] - z.imag) / size
-    r = np.stack([c[0] / a - 1, c[1] / b - 1, real, imag, five * (gamma / gamma_w - 1)])
-    J = np.zeros((5, 4, *z.shape))
-    J[0, 0], J[1, 1], J[2, 2], J[3, 3] = 1 / a, 1 / b, 1 / size, 1 / size
-    modulus = c[0] * c[1] * gamma_w / five
-    J[4, 0], J[4, 1] = -five * gamma / gamma_w / c[0], -five * gamma / gamma_w / c[1]
-    J[4, 2], J[4, 3] = 2 * c[2] / modulus, 2 * c[3] / modulus
-    r, J = sw * r, sw * J
-    H = np.einsum("rawkij,rbwkij->kijab", J, J)
-    g = np.einsum("rawkij,rwkij->kija", J, r)
-    H[~sw.any(axis=0)] = np.eye(4)
-    return np.moveaxis(np.linalg.solve(H, g[..., None])[..., 0], -1, 0)

@@ -61,6 +61,20 @@ def test_random_error_is_the_scatter_over_realisations(method, runs):
     assert np.mean(phase / stated) == pytest.approx(1.0, abs=0.1)
 
 
+def test_stated_errors_hold_with_few_windows():
+    """Lengths are weighed by their errors: one that is too small by chance must not lead."""
+    rng, omega, z = np.random.default_rng(17), np.geomspace(2.0, 12.0, 16), []
+    asked = {"omega": omega, "windows": [12.0, 17.0, 24.0], "method": "windows"}
+    for _ in range(60):
+        found = frequency_response(white(LAG, rng, noise=0.05, duration=60.0), **asked)
+        error = np.log(found.G / LAG.response(omega))
+        z.append(np.abs([error.real, error.imag]) / found.error)
+    # Some 1000 independent ones: their mean square is known to 4 or 5 %.
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.07)
+    assert np.mean(np.array(z) < 1.96) == pytest.approx(0.95, abs=0.02)
+    assert np.max(z) < 4.5
+
+
 def test_coherence_is_the_share_of_the_output_that_the_input_explains():
     rng = np.random.default_rng(5)
     sigma = 0.3
