@@ -160,12 +160,15 @@ def _copied(record: Record) -> Iterator[Frozen]:
 
 def _blocks(x: Array) -> list[tuple[int, int, int]]:
     """First sample, length and distance of blocks that repeat an earlier one of a channel."""
-    words = sliding_window_view(x + 0.0, WORD)
-    n, still = len(words), np.ptp(words, axis=1) == 0
     # Words of noise hold values that occur once: only the others need be compared.
     ascending = np.sort(x)
-    twice = np.isin(x, ascending[1:][ascending[1:] == ascending[:-1]])
-    moving = np.flatnonzero(~still & sliding_window_view(twice, WORD).all(axis=1))
+    values = ascending[1:][ascending[1:] == ascending[:-1]]
+    twice = np.flatnonzero(sliding_window_view(np.isin(x, values), WORD).all(axis=1))
+    if not len(twice):
+        return []
+    words = sliding_window_view(x + 0.0, WORD)
+    n, still = len(words), np.ptp(words[twice], axis=1) == 0
+    moving = twice[~still]
     if not len(moving):
         return []
     _, which, count = np.unique(words[moving], axis=0, return_inverse=True, return_counts=True)

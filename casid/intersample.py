@@ -113,8 +113,9 @@ def break_forcing(held: DelayedInput, A: Array, B: Array, order: int) -> Array:
     """What the breaks of delayed inputs add to the states (N - 1, nx) over each step."""
     rest, place = distinct(held.rest, held.instant)
     forcing = np.zeros((len(held.value) - 1, len(A)))
+    acting = (held.rest != 0) | (order == 0)  # P_1(0) = P_2(0) = 0: no delay adds nothing
     for k in range(0, len(rest), 1000):  # bounds the memory
-        near = np.flatnonzero((place >= k) & (place < k + 1000))
+        near = np.flatnonzero(acting & (place >= k) & (place < k + 1000))
         columns = integrals(A, rest[k : k + 1000])[order] @ B
         moved = columns[place[near] - k, :, held.channel[near]] * held.jump[near, None]
         np.add.at(forcing, held.step[near], moved)

@@ -36,12 +36,18 @@ class VectorAutoregression:
 
 def of_flights(columns: Sequence[Array], dt: float) -> list[VectorAutoregression]:
     """The autoregression of all records' columns (N, n), or one of each if these differ."""
-    whole = of_records(columns, dt)
-    least = max(1, round(TRIED[-1] * longest_lag(dt)))
-    enough = all(len(z) - longest_lag(dt) >= ROWS * z.shape[1] * least for z in columns)
+    longest, n = longest_lag(dt), columns[0].shape[1]
+    least = max(1, round(TRIED[-1] * longest))
+    enough = all(len(z) - longest >= ROWS * n * least for z in columns)
     if len(columns) == 1 or not enough:
-        return [whole]
-    single = [of_records([z], dt) for z in columns]
+        return [of_records(columns, dt)]
+    total, single = np.zeros(2 * (n * (longest + 1),)), []
+    for z in columns:  # whose products serve both
+        G = lagged_products(z, longest)
+        total += G
+        single.append(_of_products(G, len(z) - longest, n, longest))
+    rows = sum(each.rows for each in single)
+    whole = _of_products(total, rows, n, longest)
     return single if sum(each.criterion for each in single) < whole.criterion else [whole]
 
 
@@ -54,6 +60,12 @@ def of_records(columns: Sequence[Array], dt: float) -> VectorAutoregression:
     """One autoregression of several records' columns (N, n)."""
     n, longest = columns[0].shape[1], longest_lag(dt)
     rows = sum(max(len(z) - longest, 0) for z in columns)
+    products = (lagged_products(z, longest) for z in columns if len(z) > longest)
+    return _of_products(sum(products, np.zeros(2 * (n * (longest + 1),))), rows, n, longest)
+
+
+def _of_products(G: Array, rows: int, n: int, longest: int) -> VectorAutoregression:
+    """That of `lagged_products` G, sums over so many rows, its lags chosen."""
     lags = sorted({max(1, round(share * longest)) for share in TRIED})
     lags = [p for p in lags if rows >= ROWS * n * p]
     if not lags:
@@ -61,7 +73,6 @@ def of_records(columns: Sequence[Array], dt: float) -> VectorAutoregression:
             f"{rows} samples are too few to tell feedback from excitation of {n} channels; "
             "give longer records, or fewer channels"
         )
-    G = np.sum([lagged_products(z, longest) for z in columns if len(z) > longest], axis=0)
     kept = max([p for p in lags if p <= min(MEMORY * longest, rows / (PLENTY * n))], default=0)
     tried = [_of_lags(G, rows, n, p) for p in lags if p >= kept]
     return min(tried, key=lambda each: each.criterion)

@@ -156,7 +156,7 @@ def gather(
                 )
             )
             if n:
-                R = triangular(np.vstack([R, part]))
+                R = triangular(np.vstack([R, part])) if len(R) else part
                 count += n
     return Stack(R, len(su), len(sy), past, count), tuple(segments)
 

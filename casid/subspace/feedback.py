@@ -22,6 +22,7 @@ from casid.arrays import Array
 from casid.linear import StateSpace
 from casid.record import Record
 from casid.subspace.predictor import Stack, triangular
+from casid.vector_autoregression import lagged_products
 
 MEMORY = 0.5  # s: how long after an error its way through the controller is looked for
 LAGS = 25  # at most
@@ -45,7 +46,7 @@ def fed_back(
     # The largest over inputs, for the average output; 0 where no feedback shows. A - KC is stable,
     # no sample is missing.
     lags = min(LAGS, max(int(MEMORY / max(record.dt for record in records)), 2))
-    rows, targets, errors = [], [], []
+    ny, products, targets, errors = len(sy), [], [], []
     most = ENOUGH // len(records) + 1
     for record in (r if most >= r.N else r.cut(r.t[0], r.t[most]) for r in records):
         if 6 * lags * (len(su) + 1) >= record.N:
@@ -54,22 +55,23 @@ def fed_back(
         now = record.hold == "foh" or bool(system.D.any())
         e = _without_model_error(prediction_errors(system, K, record) / sy, u, lags, now=now)
         errors.append(e)
-        past = sliding_window_view(e[:-1], lags, axis=0)
-        rows.append(past.reshape(len(past), -1))
-        targets.append(u[-len(past) :])
-    if not rows:
+        products.append(lagged_products(np.hstack([e, u[-len(e) :]]), lags))
+        targets.append(u[lags - len(e) :])
+    N, size = sum(map(len, targets)), lags * ny
+    if 2 * size >= N:
         return 0.0, 0.0, 1.0
-    X, U = np.vstack(rows), np.vstack(targets)
-    if len(X) <= 2 * X.shape[1]:
-        return 0.0, 0.0, 1.0
-    X = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
-    # The share of U that X explains is compared with some per cent: products are precise enough.
-    inner, outer = X.T @ X + 1e-10 * np.eye(X.shape[1]), X.T @ U
+    # The share of u(k) that e(k-1) ... e(k-lags) explain is compared with some per cent: products
+    # are precise enough.
+    G = np.sum(products, axis=0).reshape(lags + 1, ny + len(su), lags + 1, -1)
+    inner, outer = G[1:, :ny, 1:, :ny].reshape(size, size), G[1:, :ny, 0, ny:].reshape(size, -1)
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))[:, None]
+    inner, outer = inner / (scale * scale.T) + 1e-10 * np.eye(size), outer / scale
     explained = np.sum(outer * scipy.linalg.solve(inner, outer, assume_a="pos"), axis=0)
-    left = (np.sum(U**2, axis=0) - explained) / (len(X) - X.shape[1])
-    fed = np.max(1 - left / np.mean(U**2, axis=0))
-    size = float(np.mean(np.std(np.vstack(errors), axis=0)))
-    return max(float(fed), 0.0), size, _by_chance(targets, lags, len(sy)) * X.shape[1] / len(X)
+    power = np.diag(G[0, ny:, 0, ny:])
+    left = (power - explained) / (N - size)
+    fed = np.max(1 - left / (power / N))
+    noise = float(np.mean(np.std(np.vstack(errors), axis=0)))
+    return max(float(fed), 0.0), noise, _by_chance(targets, lags, ny) * size / N
 
 
 def _by_chance(inputs: Sequence[Array], lags: int, ny: int) -> float:

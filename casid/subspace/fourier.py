@@ -114,7 +114,7 @@ def transformed(t: Array, y: Array, K: int, *, even: bool) -> ComplexArray:
     if not even:
         y = scipy.interpolate.CubicSpline(t, y)(np.linspace(t[0], t[-1], n))
         y[0] = (y[0] + y[-1]) / 2  # both ends share one phase: the trapezoidal sum
-    return np.asarray(np.fft.rfft(y[:-1], axis=0)[1 : K + 1] * (np.sqrt(T) / (n - 1)))
+    return np.asarray(scipy.fft.rfft(y[:-1], axis=0)[1 : K + 1] * (np.sqrt(T) / (n - 1)))
 
 
 def _hold_weights(x: ComplexArray, hold: Hold) -> tuple[ComplexArray, ComplexArray]:

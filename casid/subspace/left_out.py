@@ -16,7 +16,7 @@ from casid.linear import StateSpace
 from casid.subspace import modal as modes
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.fourier import Spectrum
-from casid.subspace.likelihood import factors, forced, without_transients
+from casid.subspace.likelihood import Factors, all_factors, forced, without_transients
 from casid.subspace.refinement import refined_system
 from casid.subspace.weighing import smoothed
 
@@ -195,27 +195,22 @@ def _regressed(
 
 def _measured(modal: modes.Modal, lines: Sequence[Spectrum]) -> ComplexArray:
     """Outputs (K, ny) of a record but for transients."""
-    return np.vstack([_off_transients(modal, s, s.Y) for s in lines])
+    pairs = zip(lines, all_factors(modal, lines), strict=True)
+    return np.vstack([_off_transients(f, s.Y) for s, f in pairs])
 
 
 def _predicted(modal: modes.Modal, lines: Sequence[Spectrum]) -> ComplexArray:
     """What every input makes of the outputs (K, ny, nu), but for what transients explain of it."""
     found = []
-    for alone in np.eye(modal.D.shape[1]):
-        each = [(s, _made(modal, replace(s, U=alone * s.U))) for s in lines]
-        found.append(np.vstack([_off_transients(modal, s, made) for s, made in each]))
-    return np.stack(found, axis=2)
+    for s, f in zip(lines, all_factors(modal, lines), strict=True):
+        alone = (replace(s, U=unit * s.U) for unit in np.eye(modal.D.shape[1]))
+        made = [_off_transients(f, s.Y - forced(modal, each, f)) for each in alone]
+        found.append(np.stack(made, axis=2))
+    return np.vstack(found)
 
 
-def _made(modal: modes.Modal, lines: Spectrum) -> ComplexArray:
-    """What the inputs make of the outputs, (K, ny)."""
-    return lines.Y - forced(modal, lines, factors(modal, lines))
-
-
-def _off_transients(modal: modes.Modal, lines: Spectrum, X: ComplexArray) -> ComplexArray:
+def _off_transients(f: Factors, X: ComplexArray) -> ComplexArray:
     """Part of signals (K, n) that no transient of any initial state makes, each for itself."""
-    f = factors(modal, lines)
-    shared = modes.pair(f.transient, f.transient_c, modal.real)
-    Q, both = np.linalg.qr(np.vstack([shared.real, shared.imag]))[0], np.vstack([X.real, X.imag])
+    (Q, _), both = f.orthogonal, modes.stacked(X)
     real, imag = np.split(both - Q @ (Q.T @ both), 2)
     return np.asarray(real + 1j * imag)

@@ -7,6 +7,7 @@ from casid import Record, StateSpace, pbsid
 from casid.records import standard_deviations
 from casid.subspace.columns import gather
 from casid.subspace.feedback import (
+    _without_model_error,
     direct_term_is_ambiguous,
     fed_back,
     fed_back_noise,
@@ -62,6 +63,22 @@ def test_prediction_errors_of_the_truth_are_the_noise():
     # between samples, but bends by at most h²/8 abs(ÿ) = 3e-4.
     np.testing.assert_allclose(quiet[500:], 0.0, atol=3e-4)
     assert np.std(prediction_errors(plant, K, records[0])[500:]) == pytest.approx(0.1, rel=0.2)
+
+
+def test_the_share_fed_back_is_what_least_squares_on_all_lags_explain():
+    plant, records = fast_noisy_loop(0.3)
+    su, sy = standard_deviations(records)
+    K, lags = np.array([[1.5], [0.3]]), 25  # half a second
+    rows, targets = [], []
+    for record in records:
+        u = (record.u - record.u.mean(axis=0)) / su
+        e = _without_model_error(prediction_errors(plant, K, record) / sy, u, lags, now=True)
+        rows += [e[k - lags : k, 0] for k in range(lags, len(e))]
+        targets.append(u[-len(e) :][lags:])
+    X, U = np.array(rows), np.vstack(targets)
+    left = np.sum((U - X @ np.linalg.lstsq(X, U)[0]) ** 2) / (len(X) - lags)
+    # Off by its ridge, 1e-10 of the regressors.
+    assert fed_back(plant, K, records, su, sy)[0] == pytest.approx(1 - left / np.mean(U**2), 1e-8)
 
 
 def test_noise_fed_back_is_seen_in_a_fast_loop_and_not_in_an_open_one():
