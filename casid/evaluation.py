@@ -109,12 +109,14 @@ class Matrices:
             return G, slope
         left, right, _, G = self._factors(s)
         row, column = self._places
-        rows, columns = left.transpose(2, 0, 1).copy(), right.transpose(1, 0, 2).copy()
-        terms = rows[row][..., None] * columns[column][:, :, None, :]
+        # Points come last, which are many: outputs and inputs are too few for loops within.
+        rows, columns = (x.transpose(2, 1, 0).copy() for x in (left, right.swapaxes(1, 2)))
+        terms = rows[row][:, :, None] * columns[column][:, None]
         flat = np.asarray(self.dN_used @ terms.reshape(len(row), G.size))
-        slope = flat.reshape(len(flat), *G.shape)
-        late = np.flatnonzero(self.dtau.any(axis=1))
-        slope[late] -= self.dtau[late, None, None, :] * (s[:, None, None] * G)
+        slope = flat.reshape(len(flat), *G.shape[1:], len(s)).transpose(0, 3, 1, 2).copy()
+        late = s[:, None, None] * G
+        for k, j in np.argwhere(self.dtau):
+            slope[k, :, :, j] -= self.dtau[k, j] * late[:, :, j]
         return G, slope
 
     def response_curvature(self, s: ComplexArray, P: ComplexArray) -> tuple[Array, Array, Array]:
@@ -180,7 +182,8 @@ class MatrixFunction:
         entries: list[Any] = J.nonzeros()
         dense = [ca.densify(part) for part in (tau, c, ca.jacobian(tau, lam), ca.jacobian(c, lam))]
         column = ca.vertcat(ca.SX(0, 1), *entries)
-        self._function = ca.Function("matrices", [lam], [N, column, *dense])
+        # Transposed, since CasADi's numbers come column by column.
+        self._function = ca.Function("matrices", [lam], [N.T, column, *dense])
         weights = ca.SX.sym("by_N", N.numel()), ca.SX.sym("by_tau", tau.numel())
         total = ca.dot(weights[0], ca.vec(N.T)) + ca.dot(weights[1], tau)
         self._bent = ca.Function("bent", [lam, *weights], [ca.densify(ca.hessian(total, lam)[0])])
@@ -204,8 +207,8 @@ class MatrixFunction:
         return np.asarray(self._bent(values, by_N.ravel(), by_tau).full())
 
     def _at(self, values: Array) -> Matrices:
-        N, entries, tau, c, dtau, dc = (part.full() for part in self._function(values))
-        entries, tau, c, dtau, dc = entries.ravel(), tau.ravel(), c.ravel(), dtau.T, dc.T
+        N, entries, tau, c, dtau, dc = self._numbers(values)
+        entries, tau, c = entries.ravel(), tau.ravel(), c.ravel()
         parts = tuple(
             (part, Matrices(
                 N=N[np.ix_(part.rows(self.nx), part.columns(self.nx))], tau=tau[part.inputs], c=c,
@@ -219,6 +222,19 @@ class MatrixFunction:
             N=N, tau=tau, c=c, dN_used=dN, used=self._used, dtau=dtau, dc=dc, nx=self.nx,
             parts=parts,
         )  # fmt: skip
+
+    def _numbers(self, values: Array) -> list[Array]:
+        """N, the entries of its derivative, τ, c, dτ (nf, nu) and dc (nf, nc)."""
+        # Written by CasADi where they stay: its own matrices take longer to copy than to compute.
+        buffer, run = self._function.buffer()
+        given = np.ascontiguousarray(values, dtype=float)
+        buffer.set_arg(0, memoryview(given))
+        shapes = map(self._function.size_out, range(self._function.n_out()))
+        found = [np.zeros(shape[::-1]) for shape in shapes]
+        for i, part in enumerate(found):
+            buffer.set_res(i, memoryview(part.ravel()))
+        run()
+        return found
 
     def _split(self, coupled: NDArray[np.intp]) -> list[Part]:
         """Parts, by the rows and columns (2, n) of N that couple; none if there is only one."""

@@ -45,11 +45,10 @@ def residual_slopes(G: ComplexArray, dG: ComplexArray, data: ComplexArray, weigh
     """Derivatives of `weighted_errors` from those of the model, ``dG`` (nf, ...); (nf, 2, ...)."""
     used, root = weight > 0, np.sqrt(weight)
     floor = TINY * np.abs(np.where(used, data, 1)) ** 2
-    e = dG * np.where(used, np.conj(G) / (np.abs(G) ** 2 + floor), 0)
-    e *= root
-    found = np.empty((len(e), 2, *G.shape))
-    np.multiply(e.real, DB, out=found[:, 0])
-    np.multiply(e.imag, TURN, out=found[:, 1])
+    e = dG * np.where(used, root * np.conj(G) / (np.abs(G) ** 2 + floor), 0)
+    found = np.stack([e.real, e.imag], axis=1)
+    found[:, 0] *= DB
+    found[:, 1] *= TURN
     return found
 
 
