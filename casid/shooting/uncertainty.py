@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 import scipy
 import scipy.linalg
+from numpy.lib.stride_tricks import sliding_window_view
 
 from casid.arrays import Array, BoolArray
 from casid.values import storable
@@ -267,19 +268,28 @@ def block_scores(
                 g[own] += _flat(s).T @ r[first:last].ravel()
                 H[own] += _flat(s).T @ _flat(s)
                 first = last
-        blocks = [slice(max(begin, 0), begin + PARTS) for begin in range(1 - PARTS, count)]
-        alone = np.array([_left_out_score(H[b].sum(axis=0), g[b].sum(axis=0)) for b in blocks])
+        alone = _left_out_scores(_of_blocks(H), _of_blocks(g))
         K += alone.T @ alone / PARTS
         records.append((g.sum(axis=0), H.sum(axis=0)))
     scores, shares = zip(*records, strict=True)
     return K, (np.array(scores), np.array(shares))
 
 
-def _left_out_score(H: Array, g: Array) -> Array:
-    """(I - H)^-1 g, as `left_out` has it; by far less work for a small block."""
-    if np.linalg.norm(H) > 1 - LEFT:  # no eigenvalue is larger than that
-        return left_out(H, 1.0) @ g
-    return np.linalg.solve(np.eye(len(H)) - H, g)
+def _of_blocks(parts: Array) -> Array:
+    """Sums over all blocks of neighbouring parts (count, ...), those cut by the ends as well."""
+    none = np.zeros((PARTS - 1, *parts.shape[1:]))
+    padded = np.concatenate([none, parts, none])
+    return np.asarray(sliding_window_view(padded, PARTS, axis=0).sum(axis=-1))
+
+
+def _left_out_scores(H: Array, g: Array) -> Array:
+    """(I - H)⁻¹ g of every block, as `left_out` has it; by far less work for small ones."""
+    eye, alone = np.eye(H.shape[1]), np.empty_like(g)
+    small = np.linalg.norm(H, axis=(1, 2)) <= 1 - LEFT  # no eigenvalue is larger than that
+    alone[small] = np.linalg.solve(eye - H[small], g[small, :, None])[..., 0]
+    for k in np.flatnonzero(~small):
+        alone[k] = left_out(H[k], 1.0) @ g[k]
+    return alone
 
 
 def left_out(H: Array, power: float) -> Array:
@@ -341,7 +351,7 @@ def residual_covariance(residuals: Sequence[Array]) -> Array:
     size = np.maximum(np.einsum("aa->a", C[0]), 1e-300)
     small = np.abs(np.einsum("maa->ma", C)) <= 2 * np.sqrt(np.log10(count) / count) * size
     silent = np.append(small.all(axis=1), np.ones(RUN, dtype=bool))
-    runs = np.lib.stride_tricks.sliding_window_view(silent[1:], RUN).all(axis=1)
+    runs = sliding_window_view(silent[1:], RUN).all(axis=1)
     reach = int(np.argmax(runs))  # lags up to which something is correlated
     taper = np.clip(2 - np.arange(len(C)) / max(reach, 0.5), 0.0, 1.0)
     return np.asarray((C * taper[:, None, None])[: 2 * reach + 1])
