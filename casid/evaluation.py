@@ -226,13 +226,14 @@ class MatrixFunction:
     def _numbers(self, values: Array) -> list[Array]:
         """N, the entries of its derivative, τ, c, dτ (nf, nu) and dc (nf, nc)."""
         # Written by CasADi where they stay: its own matrices take longer to copy than to compute.
+        buffer: Any
         buffer, run = self._function.buffer()
         given = np.ascontiguousarray(values, dtype=float)
-        buffer.set_arg(0, memoryview(given))
+        buffer.set_arg(0, given.data)
         shapes = map(self._function.size_out, range(self._function.n_out()))
         found = [np.zeros(shape[::-1]) for shape in shapes]
         for i, part in enumerate(found):
-            buffer.set_res(i, memoryview(part.ravel()))
+            buffer.set_res(i, part.ravel().data)
         run()
         return found
 
