@@ -30,6 +30,7 @@ CONDITION = 30.0  # condition index above which parameters are collinear (Belsle
 SHARE = 0.5  # of a parameter's variance, for it to be named
 LAGS = 0.2  # longest lag of the residuals' correlation, of the record (Klein & Morelli)
 RUN = 5  # lags without a significant correlation that end it
+SELDOM = 0.1  # of the pairs of the commonest lag, below which a lag is a channel's by chance
 PARTS = 4  # of a block of scores
 BLOCKS, FEWEST = 3, 20  # blocks: as many for a parameter, and in all, at least
 LEFT = 0.05  # of the information outside a block, at least
@@ -344,28 +345,41 @@ def residual_covariance(residuals: Sequence[Array]) -> Array:
 
     Sample values as far as the residuals are correlated, which is to where no channel's correlation
     is significant at the next lags, then tapered to zero over as many again (D. N. Politis, J.
-    Nonparametric Statistics 15, 2003). White residuals have C(0) alone. Sample values at all lags
-    would be those of residuals that the fit has made orthogonal to the slopes.
+    Nonparametric Statistics 15, 2003). Each channel counts at the lags it has pairs for: of one
+    slower than the others none is at the first. White residuals have C(0) alone. Sample values at
+    all lags would be those of residuals that the fit has made orthogonal to the slopes.
     """
-    C, count = _autocovariance(residuals)
-    size = np.maximum(np.einsum("aa->a", C[0]), 1e-300)
-    small = np.abs(np.einsum("maa->ma", C)) <= 2 * np.sqrt(np.log10(count) / count) * size
-    silent = np.append(small.all(axis=1), np.ones(RUN, dtype=bool))
-    runs = sliding_window_view(silent[1:], RUN).all(axis=1)
-    reach = int(np.argmax(runs))  # lags up to which something is correlated
+    C, pairs = _autocovariance(residuals)
+    own = np.einsum("maa->ma", C) / np.maximum(np.einsum("aa->a", C[0]), 1e-300)
+    count = np.einsum("maa->ma", pairs)
+    told = count >= np.maximum(SELDOM * count[1:].max(axis=0), 1.0)
+    count = np.maximum(count, 1.0)
+    small = np.abs(own) <= 2 * np.sqrt(np.log10(count[0]) / count)
+    quiet = np.array([_quiet(*each) for each in zip(small.T, told.T, strict=True)])
+    reach = int(np.argmax(quiet.all(axis=0)))  # lags up to which something is correlated
     taper = np.clip(2 - np.arange(len(C)) / max(reach, 0.5), 0.0, 1.0)
     return np.asarray((C * taper[:, None, None])[: 2 * reach + 1])
 
 
-def _autocovariance(residuals: Sequence[Array]) -> tuple[Array, int]:
-    """Sample values of C(m), pooled over the records, and the number of samples."""
+def _quiet(small: BoolArray, told: BoolArray) -> BoolArray:
+    """Whether a channel's correlation is small at the next lags told of, after each (lags + 1,)."""
+    lags = np.flatnonzero(told)
+    silent = np.append(small[lags], np.ones(RUN, dtype=bool))
+    runs = sliding_window_view(silent, RUN)
+    after = np.searchsorted(lags, np.arange(len(small)), side="right")
+    return np.asarray(runs[after].all(axis=1))
+
+
+def _autocovariance(residuals: Sequence[Array]) -> tuple[Array, Array]:
+    """Sample values of C(m), pooled over the records, and of how many pairs (lags + 1, ny, ny)."""
     # Each is a mean over the pairs of residuals that are there: missing ones are 0.
     lags = min(max(1, int(LAGS * max(len(r) for r in residuals))), MOST_LAGS)
     C, pairs = (
         sum(_lagged_products(part, lags) for part in parts)
         for parts in (residuals, [(r != 0).astype(float) for r in residuals])
     )
-    return C / np.maximum(np.round(pairs), 1), sum(len(r) for r in residuals)
+    pairs = np.round(pairs)
+    return C / np.maximum(pairs, 1), pairs
 
 
 def _lagged_products(r: Array, lags: int) -> Array:

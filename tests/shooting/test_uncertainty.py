@@ -227,6 +227,31 @@ def test_covariance_of_residuals_is_that_of_their_process():
     assert len(residual_covariance(white)) == 1
 
 
+def test_correlation_of_a_channel_slower_than_the_others_counts():
+    # Every tenth sample of one channel, correlated by 0.8 from one to its next; white the other.
+    n, each = 6000, 10
+    r, s = RNG.standard_normal((n, 2)), np.ones((n, 2, 1))
+    slow = autoregressive(n // each, np.array([[0.8]]), RNG)
+    r[:, 0], s[:, 0] = 0.0, 0.0
+    r[::each, :1], s[::each, 0] = slow * np.sqrt(1 - 0.8**2), 1.0
+    C = residual_covariance([r])
+    # The mean of 600 such samples has nine times its variance if they were white, the sum over both
+    # signs of 0.8^k; that of the correlation of 600 samples scatters by a quarter.
+    scores = n + 9 * n / each
+    assert process_scores(1, C, [[s]])[0, 0] == pytest.approx(scores, abs=9 * n / each / 2)
+    assert process_scores(1, C[:1], [[s]])[0, 0] == pytest.approx(n + n / each, rel=0.1)
+
+
+def test_white_residuals_of_which_many_are_missing_are_white():
+    # A correlation of 16 % of the pairs scatters by 2.5 times as much, beyond limits for all.
+    found = []
+    for _ in range(40):
+        r = RNG.standard_normal((600, 2))
+        r[RNG.random(r.shape) < 0.6] = 0.0
+        found.append(len(residual_covariance([r])) == 1)
+    assert np.mean(found) > 0.9
+
+
 def test_white_residuals_need_no_correction():
     n, nf = 20000, 2
     s = RNG.standard_normal((n, 1, nf))
