@@ -2,18 +2,21 @@
 
 An input recorded late by s and felt after τ acts as one delayed by τ − s: no flight tells the two
 apart, but the sum is known, and a negative one cannot be the aircraft's. Inputs are moved ahead by
-a margin, so that a structure whose delays are 0 or more can show it.
+a margin, so that a structure whose delays are 0 or more can show it. What is known of the
+aircraft's delays, by priors or constraints, is not known of these sums and does not count.
 """
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from casid.errors import ModelError
-from casid.model import Model
+from casid.model import Constraint, Model
 from casid.records import Records, several
+from casid.sensors import Scalar
 from casid.shooting.output_error import OutputError
 from casid.threads import one_thread
 
@@ -24,7 +27,10 @@ WORST = 0.005  # s, that matter
 
 @dataclass(frozen=True, kw_only=True)
 class InputDelay:
-    """Delay of one input: the aircraft's and that of its clock, together [s]."""
+    """Delay of one input: the aircraft's and that of its clock, together [s].
+
+    Without a standard error where it ends at the limit of what was looked for.
+    """
 
     input: str
     parameter: str
@@ -33,7 +39,12 @@ class InputDelay:
 
     @property
     def remark(self) -> str:
-        """What a negative delay means; empty for one that the aircraft may have."""
+        """What a negative delay means, or the end of the search; empty for what may be."""
+        if not np.isfinite(self.std_error):
+            return (
+                f"the delay of {self.input} is {self.delay:.3f} s where the search ends, and may "
+                f"be further: look beyond, by a larger margin or other bounds of {self.parameter}"
+            )
         if self.delay > -max(WORST, SIGNIFICANT * self.std_error):
             return ""
         return (
@@ -65,7 +76,8 @@ def input_delays(
     fixed
         As in `Estimator.fit`.
     estimator : OutputError
-        Its settings.
+        Its settings, without ``responses``: their inputs are of other clocks. Priors of the delays
+        and the structure's constraints on them are left out.
 
     Raises
     ------
@@ -79,18 +91,41 @@ def input_delays(
         raise ModelError(
             f"{type(model).__name__} has no input whose delay is a free parameter of its own"
         )
-    infos = model.infos()
-    bounds = {name: (0.0, infos[name].upper + margin) for name in tied.values()}
-    start: Any = {name: getattr(model, name) + margin for name in tied.values()}
+    if estimator.responses:
+        raise ValueError("estimator: its responses tell nothing of the records' clocks; leave them")
+    infos, own = model.infos(), set(tied.values())
+    bounds = {name: (-margin, infos[name].upper) for name in own}
+    known = {name: pair for name, pair in (estimator.priors or {}).items() if name not in own}
     ahead = [each.shift(dict.fromkeys(tied, -margin)) for each in several(records)]
-    fit = estimator.fit(replace(model, **start), ahead, fixed=fixed, bounds=bounds)
+    moved = _moved(model, tied, margin)
+    fit = replace(estimator, priors=known).fit(moved, ahead, fixed=fixed, bounds=bounds)
     rows = {name: fit[parameter] for name, parameter in tied.items()}
     return tuple(
-        InputDelay(
-            input=name, parameter=row.name, delay=row.value - margin, std_error=row.std_error
-        )
+        InputDelay(input=name, parameter=row.name, delay=row.value, std_error=row.std_error)
         for name, row in rows.items()
     )
+
+
+def _moved(model: Model, tied: Mapping[str, str], margin: float) -> Model:
+    """The model for inputs moved ahead by a margin, free of constraints on their delays."""
+    cls: Any = type(model)
+    names, lam = model.parameter_names(), ca.SX.sym("lam", len(model.vector()))
+    slopes = ca.jacobian(model.matrices()(lam)[5], lam)
+    at = [names.index(parameter) for parameter in tied.values()]
+    free = [k for k in range(slopes.shape[0]) if not slopes[k, at].nnz()]
+
+    def delays(self: Model) -> dict[str, Scalar]:
+        own = cls.delays(self)
+        return {name: tau + margin if name in tied else tau for name, tau in own.items()}
+
+    def constraints(self: Model) -> Sequence[Constraint]:
+        own = cls.constraints(self)
+        return tuple(own[k] for k in free)
+
+    body = {"delays": delays, "constraints": constraints, "__module__": cls.__module__}
+    derived: Any = type(cls.__name__, (cls,), body | {"__doc__": cls.__doc__})
+    found: Model = derived(**{each.name: getattr(model, each.name) for each in fields(model)})
+    return found
 
 
 def _delays(model: Model) -> dict[str, str]:
