@@ -2,9 +2,11 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import zip_longest
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casid.arrays import Array
 from casid.bounds.trials import Draw, Fits
@@ -18,6 +20,7 @@ from casid.model import Bounds, Model
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.records import several, stretches
+from casid.shooting.knowledge import bias_states, wider
 from casid.shooting.likelihood import Noise, moments_of
 from casid.shooting.output_error import OutputError
 from casid.shooting.simulation import fitting_start, simulate
@@ -27,6 +30,7 @@ from casid.tabulation import csv_text, markdown_table
 SAME_COST = 1e-3  # of log-likelihood a sample, between a fit and its own records
 SAME_POWER = 0.2  # difference of logarithms of variances that makes residuals another fit's
 COVERED = 1.96  # standard errors of a 95 % interval
+PRIORS = 1  # seed of what priors are drawn by, beside that of the residuals
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -69,9 +73,14 @@ class Ensemble(Shown):
 
     @property
     def coverage(self) -> Array:
-        """Share of 95 % intervals of the draws that hold the reference, (nf,)."""
+        """Share of 95 % intervals of the draws that hold the reference, (nf,).
+
+        Estimates on a bound have no interval; NaN where none has.
+        """
         inside = np.abs(self.values - self.reference) <= COVERED * self.std_errors
-        return np.asarray(inside[~np.isnan(self.values).any(axis=1)].mean(axis=0))
+        stated = ~np.isnan(self.values + self.std_errors)
+        held, count = (inside & stated).sum(axis=0), stated.sum(axis=0)
+        return np.asarray(np.where(count > 0, held / np.maximum(count, 1), np.nan))
 
     def interval(self, level: float = 0.95) -> Array:
         """Percentiles of the estimates, (nf, 2)."""
@@ -120,15 +129,29 @@ class BlockDraw:
     seed: tuple[int, ...]
 
     def __call__(self, records: tuple[Any, ...]) -> tuple[Record, ...]:
-        """Records with shuffled residuals; samples are missing where a residual is."""
+        """Records with shuffled residuals; samples are missing where they were."""
         rng = np.random.default_rng(self.seed)
         drawn = []
         for record, residual in zip(records, self.residuals, strict=True):
             length = min(max(round(self.block / record.dt), 1), record.N)
             first = rng.integers(record.N, size=-(-record.N // length))
-            index = (first[:, None] + np.arange(length)).ravel()[: record.N] % record.N
-            drawn.append(replace(record, y=record.y + residual[index]))
+            columns = [_shuffled(each, first, length) for each in residual.T]
+            drawn.append(replace(record, y=record.y + np.column_stack(columns)))
         return tuple(drawn)
+
+
+def _shuffled(residual: Array, first: NDArray[np.intp], length: int) -> Array:
+    """Residuals (N,) of an output in blocks that begin with these, NaN where they are.
+
+    Its samples follow each other within a block whatever lies between them, so that as many are
+    left of an output that is measured less often.
+    """
+    there = np.flatnonzero(np.isfinite(residual))
+    begin, own = np.searchsorted(there, [first, length * np.arange(len(first))])
+    source = (begin - own)[there // length] + np.arange(len(there))
+    drawn = np.full(len(residual), np.nan)
+    drawn[there] = residual[there[source % max(len(there), 1)]]
+    return drawn
 
 
 def monte_carlo(
@@ -157,7 +180,8 @@ def monte_carlo(
     runs, seed : int
         Run k draws its noise from seed and k alone; two runs at least.
     estimator, fixed, bounds, execution
-        As in `compare_bounds`; an estimator from records.
+        As in `compare_bounds`; an estimator from records. Its priors are the same in every run: the
+        estimates scatter by what the records' noise makes of them, less than they are known to.
 
     Raises
     ------
@@ -201,7 +225,8 @@ def bootstrap(
         Length of the blocks [s]: longer than the residuals are correlated, at most a third of the
         longest record.
     estimator, fixed, bounds, execution
-        As in `compare_bounds`; an estimator from records.
+        As in `compare_bounds`; an estimator from records, with the fit's ``state_biases``. Values
+        of its priors are drawn too, about the estimates: they are measurements like others.
 
     Raises
     ------
@@ -218,9 +243,9 @@ def bootstrap(
             "longer blocks there are too few to draw from"
         )
     model, nonlinear = fit.model, isinstance(fit.model, NonlinearModel)
+    flying, begins = _flying(fit, len(flown), tuple(getattr(estimator, "state_biases", ())))
     simulated = [
-        _simulated(model, record, *known)
-        for record, known in zip(flown, _begins(fit, len(flown)), strict=True)
+        _simulated(flying, record, *known) for record, known in zip(flown, begins, strict=True)
     ]
     residuals = tuple(
         (record.total() if nonlinear else record).select(model.inputs, model.outputs).y - clean.y
@@ -229,11 +254,17 @@ def bootstrap(
     known = any(getattr(estimator, each, None) for each in ("priors", "initial"))
     _check_residuals(fit, residuals, known=known)
     draws: list[Draw] = [BlockDraw(residuals, block, (seed, run)) for run in range(runs)]
-    return _ensemble(Fits(model, simulated, estimator, fixed, bounds, execution), draws, fit)
+    again = [_redrawn(estimator, model, (seed, run)) for run in range(runs)]
+    return _ensemble(Fits(model, simulated, estimator, fixed, bounds, execution), draws, fit, again)
 
 
-def _begins(fit: AnyFit, records: int) -> Iterator[tuple[Array, Array]]:
-    """Initial state and biases of each record; ValueError unless the fit is one of so many."""
+def _flying(
+    fit: AnyFit, records: int, state_biases: tuple[str, ...]
+) -> tuple[Model, Iterator[tuple[Array, Array]]]:
+    """The model with the fit's constants as states, initial states and biases of each record.
+
+    ValueError unless the fit is one of so many records and of these constants.
+    """
     known = fit.method in {"output error", METHOD}
     if not known or fit.initial_states is None or fit.biases is None:
         raise ValueError(f"bootstrap needs an output-error fit; this is one by {fit.method}")
@@ -241,7 +272,30 @@ def _begins(fit: AnyFit, records: int) -> Iterator[tuple[Array, Array]]:
         raise ValueError(
             f"the fit is one of {counted(len(fit.biases), 'record')}; bootstrap was given {records}"
         )
-    return zip(fit.initial_states, fit.biases, strict=True)
+    constants = np.zeros((records, 0)) if fit.state_biases is None else fit.state_biases
+    if constants.shape[1] != len(state_biases):
+        raise ValueError(
+            f"the fit has {counted(constants.shape[1], 'state bias')}, the estimator "
+            f"{len(state_biases)}: give the estimator of the fit"
+        )
+    flying = wider(fit.model, state_biases)
+    names = (*fit.model.states, *bias_states(state_biases))
+    order = [names.index(state) for state in flying.states]
+    x0 = np.hstack([fit.initial_states, constants])[:, order]
+    return flying, zip(x0, fit.biases, strict=True)
+
+
+def _redrawn(estimator: Estimator, model: Model, seed: tuple[int, ...]) -> Estimator | None:
+    """The estimator with its priors measured again where the model is true; None without any."""
+    priors = getattr(estimator, "priors", None)
+    if not priors:
+        return None
+    rng, told = np.random.default_rng((*seed, PRIORS)), dict(priors)
+    again = {
+        name: (float(rng.normal(getattr(model, name), std)), std) for name, (_, std) in told.items()
+    }
+    changed: Any = estimator
+    return cast(Estimator, replace(changed, priors=again))
 
 
 def _check_runs(runs: int, estimator: Estimator) -> None:
@@ -288,10 +342,18 @@ def _simulated(
     return replace(own, y=np.where(np.isfinite(own.y), y, np.nan))
 
 
-def _ensemble(many: Fits, draws: Sequence[Draw], start: AnyFit | None) -> Ensemble:
-    """Fits to all draws, in order."""
+def _ensemble(
+    many: Fits,
+    draws: Sequence[Draw],
+    start: AnyFit | None,
+    estimators: Sequence[Estimator | None] = (),
+) -> Ensemble:
+    """Fits to all draws, in order, each by an estimator of its own if given."""
     (case,) = many.cases({"draw": {}})
-    jobs = [many.job(case, start, draw=draw, name=f"run {k}") for k, draw in enumerate(draws)]
+    jobs = [
+        many.job(case, start, draw=draw, estimator=own, name=f"run {k}")
+        for k, (draw, own) in enumerate(zip_longest(draws, estimators))
+    ]
     done = list(many.run(jobs).values())
     names = free_parameters(many.model, many.fixed, many.bounds).names
 

@@ -55,6 +55,7 @@ class Trial:
     case: Case
     near: Any = None  # a fit nearby, encoded, for a job that starts from no other
     draw: Draw | None = None  # makes the fit's own data from the study's; picklable
+    estimator: Estimator | None = None  # instead of the study's
 
 
 class Fits:
@@ -104,6 +105,7 @@ class Fits:
         *,
         after: Sequence[Job] = (),
         draw: Draw | None = None,
+        estimator: Estimator | None = None,
         name: str | None = None,
     ) -> Job:
         """The fit of a case from a start, or from the nearest of the jobs it comes after."""
@@ -113,10 +115,11 @@ class Fits:
             guess, near = start.model, encode(replace(start, seconds=0.0))
         if guess is not None:
             values |= {each: getattr(guess, each) for each in self.model.parameter_names()}
-        trial = Trial(setup=self._setup, values=values, case=case, near=near, draw=draw)
+        own: Any = {"draw": draw, "estimator": estimator}
+        trial = Trial(setup=self._setup, values=values, case=case, near=near, **own)
         said = (dict(case.bounds), [asdict(relation) for relation in case.relations])
         before = [job.key for job in after]
-        key = digest(self._setup.key, values, said, near, draw, before)
+        key = digest(self._setup.key, values, said, near, draw, estimator, before)
         names = tuple(job.name for job in after)
         return Job(name=name or case.name, key=key, payload=trial, after=names)
 
@@ -142,7 +145,8 @@ def work(job: Trial, start: Any) -> AnyFit:  # noqa: ANN401 - JSON is any
     data = setup.data if job.draw is None else job.draw(setup.data)
     bounds = job.case.bounds
     try:
-        fit = setup.estimator.fit(inside, data, fixed=setup.fixed, bounds=bounds, near=near)
+        estimator = job.estimator or setup.estimator
+        fit = estimator.fit(inside, data, fixed=setup.fixed, bounds=bounds, near=near)
     except ConvergenceError as error:
         best = error.best
         shown = _own(best, cls, sizes) if isinstance(best, Fit) else None

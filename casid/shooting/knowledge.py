@@ -96,7 +96,7 @@ def with_knowledge(
         _known("state_biases", name, own_states(model.states, model.outputs))
     return replace(
         free,
-        model=_wider(model, tuple(state_biases)),
+        model=wider(model, tuple(state_biases)),
         initial=dict(initial or {}),
         unbiased=tuple(name for name in model.outputs if name not in chosen),
     )
@@ -123,8 +123,11 @@ def bias_states(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{name}_bias" for name in names)
 
 
-def _wider(model: M, names: tuple[str, ...]) -> M:
-    """The model with a constant of each record in the equations of the states named."""
+def wider(model: M, names: tuple[str, ...]) -> M:
+    """The model with a constant of each record in the equations of the states named.
+
+    These are states of their own, behind the model's: `bias_states`.
+    """
     if not names:
         return model
     cls: Any = type(model)

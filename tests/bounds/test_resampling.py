@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from truths.mixture import NOISE, TRUTH, Inline, Mixture, least_squares, record
 
-from casid import Ensemble, Execution, bootstrap, monte_carlo, output_error
+from casid import Ensemble, Execution, OutputError, bootstrap, monte_carlo, output_error
 from casid.bounds.resampling import BlockDraw
 
 HERE = Execution(executor=Inline())
@@ -116,3 +116,52 @@ def test_blocks_keep_the_order_of_their_residuals_and_begin_anywhere():
     np.testing.assert_array_equal(np.diff(blocks, axis=1) % r.N, 1)
     assert len(set(blocks[:, 0])) > 30  # of 40, drawn out of 400
     assert (np.diff(blocks[:, 0]) % r.N != 10).any()
+
+
+def test_an_output_measured_less_often_keeps_its_samples_and_their_order():
+    r = record()
+    number = np.arange(r.N, dtype=float)[:, None]
+    number[np.arange(r.N) % 4 > 0] = np.nan  # every fourth
+    two = np.hstack([np.arange(r.N, dtype=float)[:, None], number])
+    flat = replace(r, y=np.zeros((r.N, 2)), outputs=("y", "slow"))
+    (drawn,) = BlockDraw((two,), 2.0, (0, 1))((flat,))  # blocks of 40, ten of the slow one
+    np.testing.assert_array_equal(np.isfinite(drawn.y), np.isfinite(two))
+    slow = drawn.y[::4, 1].reshape(-1, 10)
+    np.testing.assert_array_equal(np.diff(slow, axis=1) % r.N, 4)
+    apart = np.abs(drawn.y[::4, 0] - drawn.y[::4, 1])  # blocks of both outputs from one place
+    assert (np.minimum(apart, r.N - apart) < 4).all()
+
+
+def test_what_a_prior_tells_scatters_too():
+    # A prior that tells nearly all there is of a: its own deviation is what a is known to.
+    std = 0.1 * expected()[0]
+    by = OutputError(priors={"a": (1.0, std)})
+    fit = by.fit(Mixture(), [record()])
+    found = bootstrap(fit, [record()], runs=20, block=0.2, estimator=by, execution=HERE)
+    assert found.scatter[0] == pytest.approx(std, rel=4 / np.sqrt(2 * 19))
+    other = bootstrap(fit, [record()], runs=2, block=0.2, estimator=by, execution=HERE)
+    np.testing.assert_array_equal(found.values[:2], other.values)
+
+
+def test_constants_of_the_equations_are_simulated():
+    flights = [record(seed) for seed in (0, 1)]
+    drifting = [
+        replace(each, y=each.y + k * (1 - np.exp(-each.t))[:, None])  # of the slow lag
+        for k, each in enumerate(flights, 1)
+    ]
+    by = OutputError(state_biases=("slow",), biases=False)
+    fit = by.fit(Mixture(), drifting)
+    assert (np.abs(fit.state_biases) > 1).all()
+    found = bootstrap(fit, drifting, runs=3, estimator=by, execution=HERE)
+    assert not any(found.reasons)
+    assert (np.abs(found.bias) < 5 * np.sqrt(np.diag(fit.covariance))).all()
+    with pytest.raises(ValueError, match="1 state bias, the estimator 0"):
+        bootstrap(fit, drifting, runs=3)
+
+
+def test_estimates_on_a_bound_have_no_interval_to_count():
+    found = Ensemble(
+        names=("a", "b"), reference=np.array([2.0, 2.0]), values=np.array([[2.0, 2.0], [2.1, 2.0]]),
+        std_errors=np.array([[np.nan, np.nan], [0.1, np.nan]]), reasons=("", ""),
+    )  # fmt: skip
+    np.testing.assert_array_equal(found.coverage, [1.0, np.nan])
