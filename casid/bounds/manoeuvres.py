@@ -14,6 +14,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.bounds.trials import Fits, aicc
 from casid.checks import check_known
+from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit
 from casid.jobs.campaigns import Execution
@@ -39,7 +40,8 @@ class StructureComparison:
     names, manoeuvres, outputs : tuple of str
         Candidates, the records left out in turn, what was predicted.
     errors : (candidates, manoeuvres, ny) array
-        Root mean square errors on the record left out; NaN where a fit has nothing to show.
+        Root mean square errors on the record left out; infinite where a fit has nothing to show,
+        NaN of an output that the record has no sample of, which counts for no candidate.
     noise : (ny,) array
         Standard deviation of the white noise among these, by the residuals' highest frequencies.
     parameters : tuple of int
@@ -89,16 +91,23 @@ class StructureComparison:
 
     def _size(self, errors: Array) -> Array:
         """Logarithm (candidates,) of errors (candidates, manoeuvres, ny), infinite of failures."""
-        square = np.mean(errors**2, axis=1)
+        told = ~np.isnan(errors)
+        square = np.sum(errors**2, axis=1, where=told) / np.maximum(told.sum(axis=1), 1)
         own = np.maximum(square - NOISE * self.noise**2, (1 - NOISE) * square)
-        size = np.log(np.maximum(own, 1e-300)).mean(axis=1) / 2
+        logarithm, some = np.log(np.maximum(own, 1e-300)) / 2, told.any(axis=1)
+        size = np.sum(logarithm, axis=1, where=some) / np.maximum(some.sum(axis=1), 1)
         return np.asarray(np.where(np.isfinite(size), size, np.inf))
 
     @property
     def simplest(self) -> str:
-        """The candidate with the fewest parameters among those that are not worse than the best."""
+        """The candidate with the fewest parameters among those that are not worse than the best.
+
+        ConvergenceError: none was estimated without each of the manoeuvres.
+        """
         mean, error = self.excess
         equal = np.flatnonzero(mean <= error)
+        if not len(equal):
+            raise ConvergenceError(f"every candidate failed: {'; '.join(self.reasons.values())}")
         order = sorted(equal, key=lambda k: (self.parameters[k], mean[k]))
         return self.names[order[0]]
 
@@ -164,7 +173,8 @@ def compare_structures(
     left = [i for part in parts for i in part]
     ways = estimator if isinstance(estimator, Mapping) else dict.fromkeys(candidates, estimator)
     check_known("no estimator for", candidates, ways)
-    errors, noise = np.full((2, len(candidates), len(flown), len(outputs)), np.nan)
+    noise = np.full((len(candidates), len(flown), len(outputs)), np.nan)
+    errors = np.full(noise.shape, np.inf)
     fits: list[AnyFit | None] = []
     reasons: dict[str, str] = {}
     for k, (name, model) in enumerate(candidates.items()):
@@ -237,9 +247,9 @@ def _checked(candidates: Mapping[str, Model], records: Sequence[Record]) -> tupl
 
 
 def _error(done: Done, record: Record, outputs: tuple[str, ...]) -> tuple[Array, Array]:
-    """Root mean square errors (ny,) of a fit on a record, and noise; NaN with nothing to show."""
+    """Root mean square errors (ny,) of a fit on a record, infinite of a failed one, and noise."""
     if done.result is None or done.reason:
-        return np.full(len(outputs), np.nan), np.full(len(outputs), np.nan)
+        return np.full(len(outputs), np.inf), np.full(len(outputs), np.nan)
     own = record.select(done.result.model.inputs, outputs)
     found = validate({"fit": done.result}, own)
     apart = own.y - found.simulated["fit"][0]

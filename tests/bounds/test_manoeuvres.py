@@ -1,12 +1,14 @@
 """Structures side by side on manoeuvres left out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from truths.closed_roll import NOISE, TRUTH, Roll, T, campaign
 from truths.mixture import Inline
 from truths.structures import HoverRoll
 
-from casid import Execution, OutputError, Scalar, compare_structures, parameter
+from casid import ConvergenceError, Execution, OutputError, Scalar, compare_structures, parameter
 from casid.bounds.manoeuvres import StructureComparison, Without, _parts
 
 RECORDS = campaign(1)
@@ -50,6 +52,23 @@ def test_noise_that_nothing_predicts_counts_for_neither():
     np.testing.assert_allclose(found.excess[1], 0.0, atol=1e-9)
     hidden = comparison(np.log([[3.0] * 3, [3.3] * 3]), [9, 9], noise=100.0)  # more than there is
     np.testing.assert_allclose(hidden.excess[0], [0.0, np.log(1.1)], rtol=1e-9)
+
+
+def test_what_a_manoeuvre_does_not_measure_counts_for_no_candidate():
+    sizes = [[0.0, 0.1, 0.2], [0.4, 0.5, 0.6]]
+    found = comparison(sizes, [9, 7])
+    errors = found.errors.copy()
+    errors[:, 1, 1] = np.nan  # the second manoeuvre has no phi
+    without = replace(found, errors=errors)
+    np.testing.assert_allclose(without.excess[0], [0.0, 0.4], rtol=1e-9)
+    assert without.simplest == "a"
+    errors[:, :, 1] = np.nan  # nor has any other
+    np.testing.assert_allclose(replace(found, errors=errors).excess[0], [0.0, 0.4], rtol=1e-9)
+    errors[1, 2, 0] = np.inf  # one failed
+    assert replace(found, errors=errors).excess[0][1] == np.inf
+    lost = replace(found, errors=np.full(errors.shape, np.inf), reasons={"a": "singular"})
+    with pytest.raises(ConvergenceError, match="every candidate failed: singular"):
+        assert lost.simplest
 
 
 def test_what_is_left_out_is_not_there():
@@ -107,3 +126,14 @@ def test_manoeuvres_are_left_out_one_by_one_or_in_two_groups_or_more():
             _parts(groups, RECORDS)
     with pytest.raises(ValueError, match="no manoeuvre is called 'x'"):
         _parts([names[:2], ["x"]], RECORDS)
+
+
+def test_a_record_without_one_of_the_outputs_is_predicted_in_the_others():
+    y = RECORDS[1].y.copy()
+    y[:, -1] = np.nan
+    flown = [RECORDS[0], replace(RECORDS[1], y=y), *RECORDS[2:]]
+    found = compare_structures({"whole": TRUTH, "bare": Bare()}, flown, execution=HERE)
+    assert np.isnan(found.errors[:, 1, -1]).all()
+    assert np.isfinite(found.errors).sum() == found.errors.size - 2
+    assert found.simplest == "whole"
+    assert np.isfinite(found.excess[0]).all()
