@@ -40,6 +40,7 @@ def composite(parts: Sequence[Conditioned], usable: BoolArray, iterations: int =
     lost = np.where(none, np.nan, 1.0)
     multiple = _mean(W.mean(axis=3), stacked["multiple_coherence"])
     G = {name: lost[:, None, None] * value for name, value in means.items()}
+    driven = [np.zeros(0) if part.driven is None else part.driven for part in parts]
     return Conditioned(
         Gxx=c[0] * G["Gxx"],
         Gyy=c[1] * G["Gyy"],
@@ -49,6 +50,7 @@ def composite(parts: Sequence[Conditioned], usable: BoolArray, iterations: int =
         condition=np.max(stacked["condition"], axis=0),
         output_correlation=_blend(W, [part.output_correlation for part in parts]),
         input_correlation=_blend(W, [part.input_correlation for part in parts]),
+        driven=_mean(W.mean(axis=2), np.array(driven)) if driven[0].size else None,
     )
 
 

@@ -17,7 +17,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray, ComplexArray
-from casid.frequency.response import FED_BACK, FrequencyResponse
+from casid.frequency.response import FED_BACK, UNDRIVEN, FrequencyResponse
 
 ALONE = 0.03  # of a variance that other pairs do not share
 ALONG = 0.15  # nor neighbours, which are less alike than their spectral windows
@@ -66,7 +66,7 @@ def whitener(response: FrequencyResponse, wanted: BoolArray) -> Whitener:
     ValueError: no such point with a stated error.
     """
     used = wanted & np.isfinite(response.G) & np.isfinite(response.error) & (np.abs(response.G) > 0)
-    pairwise = [FED_BACK.format(name) for name in response.inputs]
+    pairwise = [word.format(name) for word in (FED_BACK, UNDRIVEN) for name in response.inputs]
     for why, at in response.flags.items():
         used[list(at)] &= why in pairwise
     if not used.any():

@@ -22,7 +22,7 @@ from casid.frequency.composite import composite, window_weights
 from casid.frequency.feedback import MUCH, NoiseInInputs, bias_of_windows, noise_in_inputs
 from casid.frequency.leakage import leakage
 from casid.frequency.local import local_response
-from casid.frequency.response import FED_BACK, FrequencyResponse
+from casid.frequency.response import FED_BACK, UNDRIVEN, FrequencyResponse
 from casid.frequency.spectra import (
     MEANINGLESS,
     SUSPECT,
@@ -35,6 +35,7 @@ from casid.records import Records, same_channels, standard_deviations, still, st
 from casid.threads import one_thread
 
 KEPT = 0.5  # share of an input's power in the windows without long losses
+WEAK = 10.0  # F of references in an input, at least (Staiger and Stock): else up to a tenth is bias
 HANN = 3.84  # rad: standard deviation of a Hann window's spectral window, times its length
 
 Method: TypeAlias = Literal["local", "windows"]
@@ -72,7 +73,8 @@ class SpectralAnalysis:
         Channels recorded outside the loop, as many as inputs: test signals or set points that noise
         does not drive. In closed loop the inputs carry the outputs' noise, which biases a response
         estimated from them towards that of the controller; G = Φ_yr Φ_ur⁻¹ (the joint input-output
-        approach) is free of that. Errors are larger where the references move the inputs little.
+        approach) is free of that. Errors are larger where the references move the inputs little;
+        where that is no more than chance, or noise is fed back into them, the response is NaN.
     """
 
     omega: Array | None = None
@@ -87,8 +89,7 @@ class SpectralAnalysis:
         flown = stretches(records)
         inputs, outputs = self._channels(flown)
         plain = [record.select(inputs, outputs) for record in flown]
-        # References that noise does not drive tell inputs from what is fed back at any frequency.
-        ends = {} if self.reference else sampling.excited_ends(plain)
+        ends = self._ends(flown, inputs, outputs)
         grid = sampling.default_grid(plain, ends) if self.omega is None else self.omega
         omega = sampling.checked_grid(grid, plain)
         even = [sampling.equidistant(record, omega[-1]) for record in flown]
@@ -107,7 +108,7 @@ class SpectralAnalysis:
         heard = [i for i, name in enumerate(outputs) if name not in silent]
         laid = partial(_laid, where=np.ix_(heard, active), shape=(len(outputs), len(inputs)))
         multiple = np.where(np.isin(outputs, silent), np.nan, merged.multiple_coherence)
-        noise = self._noise(moving, omega, len(active))
+        noise = self._noise(moving, omega)
         estimate = _Estimate.of_windows(merged, parts, usable, lengths, omega, noise)
         if self.method == "local" and self.conditioned and not self.reference:
             estimate = estimate.refined(moving, omega, heard, noise)
@@ -123,8 +124,8 @@ class SpectralAnalysis:
             multiple_coherence=multiple, condition=merged.condition,
             windows=tuple(lengths),
             flags=_flags(omega, lengths[-1], usable, counted, number)
-            | _listed({FED_BACK.format(inputs[i]): np.asarray(lost[:, heard, k].any(axis=1))
-                       for k, i in enumerate(active)}),
+            | _listed({why.format(inputs[i]): np.asarray(gone[:, heard, k].any(axis=1))
+                       for why, gone in lost.items() for k, i in enumerate(active)}),
             records=tuple(record.name for record in records),
             fingerprints=tuple(fingerprint(record) for record in plain),
         )  # fmt: skip
@@ -153,11 +154,20 @@ class SpectralAnalysis:
             )
         return inputs, outputs
 
-    def _noise(self, records: Sequence[Record], omega: Array, nu: int) -> NoiseInInputs:
-        """The outputs' noise in inputs; it does not drive references."""
+    def _ends(
+        self, records: Sequence[Record], inputs: tuple[str, ...], outputs: tuple[str, ...]
+    ) -> dict[str, float]:
+        """Frequency [rad/s] above which what tells of an input is little but noise fed back."""
+        if not self.reference:
+            return sampling.excited_ends([record.select(inputs, outputs) for record in records])
+        ends = sampling.excited_ends(self._referring(records, (), outputs))
+        return dict.fromkeys(inputs, min(ends.values())) if ends else {}
+
+    def _noise(self, records: Sequence[Record], omega: Array) -> NoiseInInputs:
+        """The outputs' noise in inputs, or in the references that stand for these."""
         if self.reference:
-            return NoiseInInputs.none(omega, records[0].ny, nu)
-        return noise_in_inputs(records, omega)
+            records = [record.select(inputs=self.reference) for record in records]
+        return noise_in_inputs(records, omega, later=bool(self.reference))
 
     def _moving(
         self, records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[str]
@@ -171,6 +181,12 @@ class SpectralAnalysis:
                 f"reference={tuple(self.reference)}, of which {len(moving)} move: expected one "
                 f"moving reference for each input that moves ({', '.join(inputs)})"
             )
+        return self._referring(records, inputs, outputs)
+
+    def _referring(
+        self, records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[str]
+    ) -> list[Record]:
+        """The records with some inputs, then the references, as inputs."""
         names = (*inputs, *self.reference)
         return [
             replace(
@@ -234,6 +250,7 @@ class _Estimate:
     resolution: Array
     output_correlation: ComplexArray | None
     input_correlation: ComplexArray | None
+    driven: Array | None  # (K, nu) as of `Conditioned`
 
     @classmethod
     def of_windows(
@@ -256,6 +273,7 @@ class _Estimate:
             resolution=np.einsum("wkij,w->kij", W, HANN / np.array(lengths)),
             output_correlation=merged.output_correlation,
             input_correlation=merged.input_correlation,
+            driven=merged.driven,
         )
 
     def refined(
@@ -279,13 +297,20 @@ class _Estimate:
         outputs[block] = local.output_correlation[every]
         return replace(self, **found, input_correlation=inputs, output_correlation=outputs)
 
-    def under_feedback(self, omega: Array, last: Sequence[float]) -> tuple["_Estimate", BoolArray]:
-        """The estimate with the bias of feedback stated, and what is lost to it, (K, ny, nu).
+    def under_feedback(
+        self, omega: Array, last: Sequence[float]
+    ) -> tuple["_Estimate", dict[str, BoolArray]]:
+        """The estimate with the bias of feedback stated, and why what (K, ny, nu) is lost to it.
 
         ``last`` are the frequencies [rad/s] where inputs from outside end.
         """
-        lost = (self.feedback > MUCH) | (omega[:, None, None] > np.array(last) * (1 + 1e-9))
-        G, coherence = (np.where(lost, np.nan, each) for each in (self.G, self.coherence))
+        ended = omega[:, None, None] > np.array(last) * (1 + 1e-9)
+        lost = {FED_BACK: (self.feedback > MUCH) | ended}
+        if self.driven is not None:
+            weak = np.isfinite(self.G) & ~(self.driven > WEAK)[:, None]
+            lost = {UNDRIVEN: weak, FED_BACK: lost[FED_BACK] & ~weak}
+        gone = np.any([*lost.values()], axis=0)
+        G, coherence = (np.where(gone, np.nan, each) for each in (self.G, self.coherence))
         bias = np.hypot(self.leakage, self.feedback)
         return replace(self, G=G, coherence=coherence, leakage=bias), lost
 

@@ -72,8 +72,13 @@ class NoiseInInputs:
         return np.asarray(np.minimum(most / self.left, 1.0))
 
 
-def noise_in_inputs(records: Sequence[Record], omega: Array) -> NoiseInInputs:
+def noise_in_inputs(
+    records: Sequence[Record], omega: Array, *, later: bool = False
+) -> NoiseInInputs:
     """Noise of the outputs in the inputs, at omega (K,) [rad/s].
+
+    Inputs that act a sample ``later`` at the earliest, as references do through a controller, tell
+    more: what they share with outputs in one sample is feedback.
 
     None where it is no more than chance, where nothing tells noise from what the inputs make, and
     of channels that rest.
@@ -92,7 +97,7 @@ def noise_in_inputs(records: Sequence[Record], omega: Array) -> NoiseInInputs:
     columns = [first.inputs.index(name) for name in flown.inputs]
     size = flown.size[: len(rows), None] * flown.size[len(rows) :]
     held = first.hold == "zoh"
-    found = flown.dt * size * _significant(flown, omega, held=held)
+    found = flown.dt * size * _significant(flown, omega, held=held, later=later)
     if held:  # as the inputs' own spectra
         jh = 1j * omega * first.dt
         found = found * ((1 - np.exp(-jh)) / jh).conj()[:, None, None]
@@ -112,8 +117,7 @@ def bias_of_windows(
     Spectra of windows are one-sided, per rad/s.
     """
     inverse = np.array([part.inverse for part in parts])
-    left = [np.pi * ((1 - part.coherence) * part.Gyy).min(axis=2) for part in parts]
-    W = W * np.array([noise.share(each) for each in left])[..., None]
+    W = W * np.array([noise.share(np.pi * part.left) for part in parts])[..., None]
     # Of conj(U_a) U_b: the transpose of what stands beside noise times conjugate inputs.
     return relative(np.einsum("wkij,kia,wkja->kij", W, noise.cross / np.pi, inverse), G)
 
@@ -125,17 +129,19 @@ def relative(bias: ComplexArray, G: ComplexArray) -> Array:
     return np.asarray(np.sqrt(over_three(share**2)))
 
 
-def _significant(flown: Flights, omega: Array, *, held: bool) -> ComplexArray:
+def _significant(flown: Flights, omega: Array, *, held: bool, later: bool) -> ComplexArray:
     """The cross-spectrum of channels that move, each as large as its root mean square.
 
     What inputs and outputs share in one sample is the outputs' direct term or feedback. A line from
     sample to sample acts in the last one already, and what is taken is the smaller of both. Steps
     that are ``held`` do not, but on forces: where past outputs are fed back, so are present ones.
     """
+    found = _beyond_chance(flown, np.isin(flown.outputs, FORCES), omega)
+    if later:
+        return found
     least = _beyond_chance(flown, np.ones(len(flown.outputs), dtype=bool), omega)
     if not least.any():
         return least
-    found = _beyond_chance(flown, np.isin(flown.outputs, FORCES), omega)
     return found if held else np.where(np.abs(least) < np.abs(found), least, found)
 
 

@@ -22,6 +22,10 @@ FED_BACK = (
     "noise fed back into {!r} makes half of a response after it or more, left out (NaN): without "
     "input from outside it would be the controller's inverse"
 )
+UNDRIVEN = (
+    "references hardly move {!r}, left out (NaN): a response through them would be what noise that "
+    "is fed back makes of it"
+)
 
 
 @storable

@@ -73,12 +73,21 @@ class Conditioned:
     inverse: ComplexArray | None = None  # (K, nu, nu) of the inputs' spectra
     output_correlation: ComplexArray | None = None  # (K, ny, ny) of the errors of two outputs
     input_correlation: ComplexArray | None = None  # (K, nu, nu) of those of two inputs
+    driven: Array | None = None  # (K, nu) F of the references in inputs: one, by chance, if none
+    undriven: Array | None = None  # (K, ny) of outputs, what references leave
 
     @property
     def response(self) -> ComplexArray:
         """Gxy/Gxx, (K, ny, nu)."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(self.Gxy / self.Gxx)
+
+    @property
+    def left(self) -> Array:
+        """Density (K, ny) of outputs that inputs, or references if there are any, leave."""
+        if self.undriven is not None:
+            return self.undriven
+        return np.asarray(((1 - self.coherence) * self.Gyy).min(axis=2))
 
     @property
     def coherence(self) -> Array:
@@ -227,7 +236,32 @@ def condition(spectra: Spectra, *, conditioned: bool) -> Conditioned:
     if not conditioned:
         return found
     across, between = _output_correlation(spectra, H), correlation(Q.astype(complex))
-    return replace(found, output_correlation=across, input_correlation=between)
+    found = replace(found, output_correlation=across, input_correlation=between)
+    if spectra.references is None:
+        return found
+    driven, undriven = _references(spectra, Q.astype(complex))
+    return replace(found, driven=driven, undriven=undriven)
+
+
+def _references(spectra: Spectra, Q: ComplexArray) -> tuple[Array, Array]:
+    """What references give of inputs over what they would by chance (K, nu), and leave of outputs.
+
+    Power 1/Qjj of an input that references and no other input give, over that which no reference
+    gives, by the number of averages: the F of weak instruments (D. Staiger, J. H. Stock,
+    Econometrica 65(3), 1997). An estimate leans towards that without references by 1/F.
+    """
+    n = _shares(spectra)
+    Grr, Gru, Gry = (np.einsum("rk,rk...->k...", n, each) for each in spectra.known)
+    Guu, Gyy = (np.einsum("rk,rk...->k...", n, each) for each in (spectra.Guu, spectra.Gyy))
+    inverse = np.linalg.pinv(Grr, hermitian=True)
+    inputs, outputs = (
+        np.einsum("kaj,kab,kbj->kj", G.conj(), inverse, G, optimize=True).real for G in (Gru, Gry)
+    )
+    left = np.maximum(np.einsum("kaa->ka", Guu).real - inputs, 0.0)
+    count = np.maximum(spectra.averages.sum(axis=0) / OVERLAP_FACTOR**2 - Grr.shape[1], 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        driven = count[:, None] / (np.einsum("kaa->ka", Q).real * left)
+    return np.asarray(driven), np.maximum(Gyy - outputs, 0.0)
 
 
 def _level(G: ComplexArray) -> Array:

@@ -375,6 +375,56 @@ def test_a_recorded_reference_removes_the_bias_of_feedback_and_states_its_error(
     assert ((ratio > 0.6) & (ratio < 1.6)).all()
 
 
+def spoilt(seed, kind):
+    """In the loop for two minutes, its references as they are or as they should not be."""
+    plant, record = in_loop(seed, duration=120.0)
+    u = record.u.copy()
+    if kind == "one of another flight":
+        u[:, 3] = in_loop(seed + 50, duration=120.0)[1].u[:, 3]
+    elif kind == "fed back":
+        u[:, 2:] -= 2 * record.y
+    return plant, dataclasses.replace(record, u=u)
+
+
+@pytest.mark.filterwarnings("ignore::casid.errors.DataWarning")
+@pytest.mark.parametrize("kind", ["as it is", "one of another flight", "fed back"])
+def test_references_that_move_no_input_or_are_fed_back_tell_nothing_wrong(kind):
+    omega, off = np.geomspace(1.5, 8.0, 7), []
+    for seed in range(4):
+        plant, record = spoilt(seed, kind)
+        found = frequency_response(record, omega=omega, windows=[15.0, 20.0], reference=REFERENCES)
+        told = [reason for reason in found.flags if "hardly move" in reason]
+        assert any("fed back into" in reason for reason in found.flags) == (kind == "fed back")
+        if kind != "fed back":
+            foreign = kind != "as it is"
+            assert np.isnan(found.G[:, :, 1]).all() == foreign
+            assert any("'b'" in reason for reason in told) == foreign
+        assert np.isnan(found.G).mean() < 0.2 or kind != "as it is"
+        std = np.hypot(np.sqrt(2) * found.random_error, found.leakage) * np.abs(found.G)
+        off.append(np.abs(found.G - plant.response(omega)) / std)
+    assert np.nanmax(off) < 3
+    assert kind == "fed back" or np.sqrt(np.nanmean(np.square(off))) < 1.1
+
+
+def test_what_references_give_of_an_input_is_an_f_of_one_by_chance():
+    rng, omega = np.random.default_rng(4), np.linspace(5.0, 40.0, 200)
+    record = white(LAG, rng, duration=300.0)
+    for part in (0.0, 0.5):
+        r = part * record.u + rng.standard_normal(record.u.shape)
+        both = dataclasses.replace(record, u=np.hstack([record.u, r]), inputs=("u", "r"))
+        spectra = record_spectra([both], omega, 10.0, references=1)
+        found = condition(spectra, conditioned=True)
+        Grr, Gru, _ = (each[0, :, 0, 0] for each in spectra.references)
+        shared = np.abs(Gru) ** 2 / (Grr * spectra.Guu[0, :, 0, 0]).real
+        count = spectra.averages[0] / 0.55 - 1
+        np.testing.assert_allclose(found.driven[:, 0], count * shared / (1 - shared), rtol=1e-9)
+    r = rng.standard_normal(record.u.shape)
+    alone = dataclasses.replace(record, u=np.hstack([record.u, r]), inputs=("u", "r"))
+    chance = condition(record_spectra([alone], omega, 10.0, references=1), conditioned=True)
+    # Some fifty bands of 0.4 rad/s, each exponential: a mean that scatters by a seventh.
+    assert np.mean(chance.driven) == pytest.approx(1.0, abs=0.45)
+
+
 def test_a_reference_that_is_the_input_changes_nothing():
     rng = np.random.default_rng(8)
     record = white(TWO, rng, duration=300.0, noise=0.2)
