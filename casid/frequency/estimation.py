@@ -18,11 +18,10 @@ from casid.checks import checked_fields
 from casid.errors import warn
 from casid.fingerprints import fingerprint
 from casid.frequency import sampling
-from casid.frequency.composite import composite, window_weights
-from casid.frequency.feedback import MUCH, NoiseInInputs, bias_of_windows, noise_in_inputs
-from casid.frequency.leakage import leakage
-from casid.frequency.local import local_response
-from casid.frequency.response import FED_BACK, UNDRIVEN, FrequencyResponse
+from casid.frequency.composite import composite
+from casid.frequency.estimate import Estimate
+from casid.frequency.feedback import NoiseInInputs, noise_in_inputs
+from casid.frequency.response import FrequencyResponse
 from casid.frequency.spectra import (
     MEANINGLESS,
     SUSPECT,
@@ -35,8 +34,6 @@ from casid.records import Records, same_channels, standard_deviations, still, st
 from casid.threads import one_thread
 
 KEPT = 0.5  # share of an input's power in the windows without long losses
-WEAK = 10.0  # F of references in an input, at least (Staiger and Stock): else up to a tenth is bias
-HANN = 3.84  # rad: standard deviation of a Hann window's spectral window, times its length
 
 Method: TypeAlias = Literal["local", "windows"]
 
@@ -109,7 +106,7 @@ class SpectralAnalysis:
         laid = partial(_laid, where=np.ix_(heard, active), shape=(len(outputs), len(inputs)))
         multiple = np.where(np.isin(outputs, silent), np.nan, merged.multiple_coherence)
         noise = self._noise(moving, omega)
-        estimate = _Estimate.of_windows(merged, parts, usable, lengths, omega, noise)
+        estimate = Estimate.of_windows(merged, parts, usable, lengths, omega, noise)
         if self.method == "local" and self.conditioned and not self.reference:
             estimate = estimate.refined(moving, omega, heard, noise)
         estimate, lost = estimate.under_feedback(
@@ -238,84 +235,7 @@ def frequency_response(
     return analysis.fit(records)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Estimate:
-    """A response with its errors, of pairs whose channels move."""
-
-    G: ComplexArray
-    coherence: Array
-    random_error: Array
-    leakage: Array
-    feedback: Array
-    resolution: Array
-    output_correlation: ComplexArray | None
-    input_correlation: ComplexArray | None
-    driven: Array | None  # (K, nu) as of `Conditioned`
-
-    @classmethod
-    def of_windows(
-        cls,
-        merged: Conditioned,
-        parts: Sequence[Conditioned],
-        usable: BoolArray,
-        lengths: Sequence[float],
-        omega: Array,
-        noise: NoiseInInputs,
-    ) -> "_Estimate":
-        """The estimate from averaged spectra: response, errors and their correlations."""
-        W = window_weights(np.array([part.random_error for part in parts]), usable)
-        return cls(
-            G=merged.response,
-            coherence=merged.coherence,
-            random_error=merged.random_error,
-            leakage=leakage(parts, usable, lengths, omega),
-            feedback=bias_of_windows(noise, parts, W, merged.response),
-            resolution=np.einsum("wkij,w->kij", W, HANN / np.array(lengths)),
-            output_correlation=merged.output_correlation,
-            input_correlation=merged.input_correlation,
-            driven=merged.driven,
-        )
-
-    def refined(
-        self, records: Sequence[Record], omega: Array, heard: Sequence[int], noise: NoiseInInputs
-    ) -> "_Estimate":
-        """What local models say of outputs that move, where these exist and inputs separate."""
-        names = [records[0].outputs[i] for i in heard]
-        parts = [record.select(outputs=names) for record in records]
-        local = local_response(parts, omega, noise.of(heard))
-        if local is None:
-            return self
-        rows = np.isfinite(self.G[:, heard]) & np.isfinite(local.G) & (np.abs(local.G) > 0)
-        found = {}
-        for name in ("G", "random_error", "leakage", "feedback", "resolution"):
-            found[name] = np.array(getattr(self, name))
-            found[name][:, heard] = np.where(rows, getattr(local, name), found[name][:, heard])
-        every = rows.all(axis=(1, 2))
-        inputs, outputs = (np.array(m) for m in (self.input_correlation, self.output_correlation))
-        inputs[every] = local.input_correlation[every]
-        block = np.ix_(np.flatnonzero(every), np.array(heard), np.array(heard))
-        outputs[block] = local.output_correlation[every]
-        return replace(self, **found, input_correlation=inputs, output_correlation=outputs)
-
-    def under_feedback(
-        self, omega: Array, last: Sequence[float]
-    ) -> tuple["_Estimate", dict[str, BoolArray]]:
-        """The estimate with the bias of feedback stated, and why what (K, ny, nu) is lost to it.
-
-        ``last`` are the frequencies [rad/s] where inputs from outside end.
-        """
-        ended = omega[:, None, None] > np.array(last) * (1 + 1e-9)
-        lost = {FED_BACK: (self.feedback > MUCH) | ended}
-        if self.driven is not None:
-            weak = np.isfinite(self.G) & ~(self.driven > WEAK)[:, None]
-            lost = {UNDRIVEN: weak, FED_BACK: lost[FED_BACK] & ~weak}
-        gone = np.any([*lost.values()], axis=0)
-        G, coherence = (np.where(gone, np.nan, each) for each in (self.G, self.coherence))
-        bias = np.hypot(self.leakage, self.feedback)
-        return replace(self, G=G, coherence=coherence, leakage=bias), lost
-
-
-def _correlations(found: _Estimate, active: Sequence[int], nu: int) -> dict[str, ComplexArray]:
+def _correlations(found: Estimate, active: Sequence[int], nu: int) -> dict[str, ComplexArray]:
     """Correlations of errors, of all inputs from those that move; empty if unknown."""
     if found.output_correlation is None or found.input_correlation is None:
         return {}

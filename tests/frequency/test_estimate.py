@@ -1,0 +1,43 @@
+"""What is left of an estimate under feedback, and why the rest is not."""
+
+import numpy as np
+
+from casid.frequency.estimate import WEAK, Estimate
+from casid.frequency.response import FED_BACK, UNDRIVEN
+
+OMEGA = np.array([1.0, 2.0, 3.0])
+
+
+def estimate(**given):
+    """One output after one input at three frequencies, nothing wrong with it but what is given."""
+    values = np.ones((3, 1, 1))
+    kept = {"feedback": 0 * values, "driven": None} | given
+    return Estimate(
+        G=values + 0j, coherence=values, random_error=values, leakage=0.3 * values,
+        resolution=values, output_correlation=None, input_correlation=None, **kept,
+    )  # fmt: skip
+
+
+def test_a_small_bias_of_feedback_is_stated_and_a_large_one_left_out():
+    found, lost = estimate(feedback=np.array([0.0, 0.4, 0.6])[:, None, None]).under_feedback(
+        OMEGA, [np.inf]
+    )
+    np.testing.assert_array_equal(np.isnan(found.G).ravel(), [False, False, True])
+    np.testing.assert_allclose(found.leakage.ravel()[:2], [0.3, 0.5])
+    np.testing.assert_array_equal(lost[FED_BACK].ravel(), [False, False, True])
+    assert UNDRIVEN not in lost
+
+
+def test_what_is_beyond_the_end_of_an_input_is_left_out():
+    found, _ = estimate().under_feedback(OMEGA, [2.0])
+    np.testing.assert_array_equal(np.isnan(found.coherence).ravel(), [False, False, True])
+
+
+def test_what_references_hardly_move_is_left_out_for_that_reason_alone():
+    given = {"driven": WEAK * np.array([[2.0], [0.5], [np.nan]])}
+    found, lost = estimate(feedback=np.ones((3, 1, 1)) * 0.6, **given).under_feedback(
+        OMEGA, [np.inf]
+    )
+    assert np.isnan(found.G).all()
+    np.testing.assert_array_equal(lost[UNDRIVEN].ravel(), [False, True, True])
+    np.testing.assert_array_equal(lost[FED_BACK].ravel(), [True, False, False])
