@@ -214,14 +214,17 @@ def _runs(record: Record) -> BoolArray:
 
     A fit that sees a long run follows it. So all that lies between jumps is expected without it,
     and called where it is far off at both ends: what the aircraft flies begins within a sample's
-    noise of what it did before.
+    noise of what it did before. The longer the run, the less is known of what is expected.
     """
     marks = np.column_stack([_between(x, _stepped(record.u)) for x in record.y.T])
     if not marks.any():
         return marks
     whole, lost = filled(record.mask(marks))
     limit = np.nanmedian(np.where(lost, np.nan, _judged(whole, lost)[1]), axis=0)
-    far = np.abs(record.y - whole.y) > GROSS / FAR * limit
+    unsure = _unsure(autoregression(whole, whole.y, lost), whole, lost, marks)
+    far = np.abs(record.y - whole.y) > GROSS / FAR * np.hypot(limit, FAR * unsure)
+    rest = np.where(marks, np.nan, record.y)  # no model is believed that diverges from it
+    far &= (whole.y > np.nanmin(rest, axis=0) - limit) & (whole.y < np.nanmax(rest, axis=0) + limit)
     for i, column in enumerate(marks.T):
         for a, b in runs(column):
             column[a:b] &= far[a:b, i] & bool(far[a, i] and far[b - 1, i])
@@ -353,6 +356,31 @@ def _gap(lost: BoolArray) -> BoolArray:
 
 def _smoothed(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> Array:
     """Outputs (N, ny), lost ones estimated by least squares of the whitened innovations."""
+    normal, slope = _normal(model, u, y, lost)
+    with warnings.catch_warnings():  # what a singular system gives is not taken
+        warnings.simplefilter("ignore", scipy.sparse.linalg.MatrixRankWarning)
+        step = scipy.sparse.linalg.spsolve(normal, slope)
+    out = y.copy()
+    out[lost] -= step
+    return out
+
+
+def _unsure(model: Autoregression, whole: Record, lost: BoolArray, marks: BoolArray) -> Array:
+    """Standard deviations (N, ny) of what `_smoothed` makes of these lost samples, 0 elsewhere."""
+    normal, _ = _normal(model, whole.u, whole.y, lost)
+    own = np.flatnonzero(marks[lost])
+    unit = np.zeros((normal.shape[0], len(own)))
+    unit[own, np.arange(len(own))] = 1.0
+    variance = scipy.sparse.linalg.splu(normal).solve(unit)[own, np.arange(len(own))]
+    std = np.zeros(lost.shape)
+    std[marks & lost] = np.sqrt(np.maximum(variance, 0.0)) / _whitening(model)[1]
+    return std
+
+
+def _normal(
+    model: Autoregression, u: Array, y: Array, lost: BoolArray
+) -> tuple[scipy.sparse.csc_matrix, Array]:
+    """Normal equations (n, n), (n,) of the n lost samples, scaled as `_whitening` is."""
     p, ny = len(model.A), y.shape[1]
     W, _ = _whitening(model)
     e = model.innovations(u, y) @ W.T
@@ -369,9 +397,4 @@ def _smoothed(model: Autoregression, u: Array, y: Array, lost: BoolArray) -> Arr
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     J = scipy.sparse.csc_matrix(entries, shape=shape)
     normal = J.T @ J + 1e-12 * scipy.sparse.diags(np.diag(W.T @ W)[of])
-    with warnings.catch_warnings():  # what a singular system gives is not taken
-        warnings.simplefilter("ignore", scipy.sparse.linalg.MatrixRankWarning)
-        step = scipy.sparse.linalg.spsolve(normal.tocsc(), J.T @ e.ravel())
-    out = y.copy()
-    out[at, of] -= step
-    return out
+    return normal.tocsc(), np.asarray(J.T @ e.ravel())

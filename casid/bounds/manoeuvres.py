@@ -95,8 +95,9 @@ class StructureComparison:
         square = np.sum(errors**2, axis=1, where=told) / np.maximum(told.sum(axis=1), 1)
         own = np.maximum(square - NOISE * self.noise**2, (1 - NOISE) * square)
         logarithm, some = np.log(np.maximum(own, 1e-300)) / 2, told.any(axis=1)
-        size = np.sum(logarithm, axis=1, where=some) / np.maximum(some.sum(axis=1), 1)
-        return np.asarray(np.where(np.isfinite(size), size, np.inf))
+        count = some.sum(axis=1)
+        size = np.sum(logarithm, axis=1, where=some) / np.maximum(count, 1)
+        return np.asarray(np.where(np.isfinite(size) & (count > 0), size, np.inf))
 
     @property
     def simplest(self) -> str:
