@@ -1,6 +1,5 @@
 """Public names, read by type checkers and by casid/__init__.py."""
 
-from .autoregression import outliers as outliers
 from .bands import (
     HandlingBand as HandlingBand,
     ModeBand as ModeBand,
@@ -119,6 +118,7 @@ from .nonlinear.conditions import Trim as Trim
 from .nonlinear.model import NonlinearModel as NonlinearModel
 from .nonlinear.tables import spline as spline
 from .nonlinear.trims import find_trim as find_trim
+from .outlying import outliers as outliers
 from .qualification import (
     Qualification as Qualification,
     qualify as qualify,

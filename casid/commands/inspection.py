@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array, BoolArray
-from casid.autoregression import outliers
 from casid.channels import UNITS
 from casid.consistency.kinematics import KinematicCheck, kinematic_check
 from casid.consistency.measured import white_noise
@@ -16,6 +15,7 @@ from casid.display import Shown, counted, in_a_row, listed
 from casid.excitations import Excitation, excitation_if_any
 from casid.frozen import Frozen, frozen
 from casid.model import Bounds, Model
+from casid.outlying import outliers
 from casid.record import REST, Record
 from casid.records import Records, same_channels, several, steps_told
 from casid.repetition import least_step, repeated, source_interval

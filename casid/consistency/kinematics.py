@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casid.arrays import BoolArray
-from casid.autoregression import outliers
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.consistency.apart import (
     KNOWN,
@@ -39,6 +38,7 @@ from casid.consistency.measured import Flight, looked_at, signals
 from casid.consistency.recordwise import clocks_by_record
 from casid.consistency.rigid import GRAVITY
 from casid.display import Shown, counted, in_a_row, listed
+from casid.outlying import outliers
 from casid.record import Record
 from casid.records import Records, several
 from casid.samples import bursts

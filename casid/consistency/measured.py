@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import Array, BoolArray
-from casid.autoregression import FAR, filled, slow
+from casid.autoregression import filled, slow
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.frequency.sampling import equidistant
+from casid.outlying import FAR
 from casid.record import Record
 from casid.samples import BURST, MAD, at_instants, runs
 

@@ -8,11 +8,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from casid.autoregression import outliers
 from casid.checks import hint
 from casid.consistency.clocks import aligned, moves_told
 from casid.consistency.kinematics import kinematic_check
 from casid.errors import warn
+from casid.outlying import outliers
 from casid.record import Record
 from casid.repetition import repeated, without_repeats
 from casid.samples import known_inputs
