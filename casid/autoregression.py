@@ -27,6 +27,7 @@ PER_UNKNOWN = (12, 5)  # samples, and at least for the fewest lags
 ROWS = 20_000  # samples that it is fitted to
 ROUNDS = 2  # of fitting and filling
 SPAN = 9  # times the lags: samples whose covariance is looked at together
+BLOCK = 64  # lost samples whose variances are held at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,9 +185,12 @@ def unsure(model: Autoregression, whole: Record, lost: BoolArray, marks: BoolArr
     """Standard deviations (N, ny) of what `_smoothed` makes of these lost samples, 0 elsewhere."""
     normal, _ = _normal(model, whole.u, whole.y, lost)
     own = np.flatnonzero(marks[lost])
-    unit = np.zeros((normal.shape[0], len(own)))
-    unit[own, np.arange(len(own))] = 1.0
-    variance = scipy.sparse.linalg.splu(normal).solve(unit)[own, np.arange(len(own))]
+    solve, variance = scipy.sparse.linalg.splu(normal).solve, np.zeros(len(own))
+    for k in range(0, len(own), BLOCK):
+        part = own[k : k + BLOCK]
+        unit = np.zeros((normal.shape[0], len(part)))
+        unit[part, np.arange(len(part))] = 1.0
+        variance[k : k + BLOCK] = solve(unit)[part, np.arange(len(part))]
     std = np.zeros(lost.shape)
     std[marks & lost] = np.sqrt(np.maximum(variance, 0.0)) / _whitening(model)[1]
     return std

@@ -25,6 +25,7 @@ FAR = 6.0  # deviations of a normal distribution that make an outlier
 GROSS = 10.0  # of one that no fit may see, as it would follow what all channels do at once
 BRIEF, FEW = 0.08, 4  # s and samples that such a jump lasts at most
 LONG, LEAP = 80, 0.5  # samples between jumps of a run; these, in the channel's deviations
+MOSTLY = 0.25  # of a channel between such jumps: that is its way
 SLIGHT = 0.05  # of a channel's deviation: what is less does no harm
 
 
@@ -122,15 +123,23 @@ def _stepped(u: Array) -> BoolArray:
 
 
 def _between(x: Array, stepped: BoolArray) -> BoolArray:
-    """Samples (N,) from a jump of a channel to the last of those that follow soon."""
+    """Samples (N,) from a jump of a channel to the last of those that follow soon.
+
+    Where an input jumps, a jump begins or ends a run only with another that no input explains.
+    """
     marks, at = np.zeros(len(x), dtype=bool), np.flatnonzero(np.isfinite(x))
     moves = np.abs(np.diff(x[at]))
     least = max(GROSS * MAD * np.median(moves), LEAP * np.std(x[at]))
-    edges = 1 + np.flatnonzero((moves > least) & (np.diff(at) <= FEW) & ~stepped[at[1:]])
+    jumps = 1 + np.flatnonzero((moves > least) & (np.diff(at) <= FEW))
+    answers, edges = jumps[stepped[at[jumps]]], jumps[~stepped[at[jumps]]]
     for part in np.split(edges, 1 + np.flatnonzero(np.diff(edges) > LONG)):
-        if len(part) > 1:
-            marks[at[part[0] : part[-1]]] = True
-    return marks
+        ends = [*part]
+        if len(ends) == 1 and len(answers):
+            near = answers[np.argmin(np.abs(answers - part))]
+            ends += [near] if abs(near - part[0]) <= LONG else []
+        if len(ends) > 1:
+            marks[at[min(ends) : max(ends)]] = True
+    return marks if marks.sum() <= MOSTLY * len(at) else np.zeros_like(marks)
 
 
 def _brief(x: Array, width: int) -> BoolArray:

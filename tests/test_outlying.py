@@ -7,6 +7,7 @@ import pytest
 from truths import closed_roll, uh60
 
 from casid import Record, outliers, read_csv
+from casid.outlying import _between
 
 NOISE = {"ay": 0.05, "p": 0.004, "phi": 0.01}  # m/s^2, rad/s, rad
 
@@ -152,6 +153,25 @@ def test_a_run_of_outliers_is_found_whole_and_nothing_beside_it(kind, length):
     record = closed_roll.flown(t=0.02 * np.arange(900), seed=12).with_noise(NOISE, rng)
     spoilt, there = garbled(record, kind, 420, length, rng)
     np.testing.assert_array_equal(outliers(spoilt), there)
+
+
+@pytest.mark.parametrize("at", [418, 462])
+def test_a_run_that_begins_or_ends_as_a_stick_jumps_is_found_whole(at):
+    rng = np.random.default_rng(3)
+    record = closed_roll.flown(t=0.02 * np.arange(900), seed=12).with_noise(NOISE, rng)
+    spoilt, there = garbled(record, "offset", 420, 40, rng)
+    u = np.column_stack([record.u, np.arange(900) >= at])
+    found = outliers(replace(spoilt, u=u, inputs=(*record.inputs, "col")))
+    np.testing.assert_array_equal(found, there)
+
+
+def test_what_jumps_all_the_time_as_a_switch_does_has_no_runs():
+    # Its whole record would be expected anew, and how surely: as many numbers, squared.
+    switch = np.cumsum(np.random.default_rng(4).random(3000) < 0.03) % 2.0
+    never = np.zeros(3000, dtype=bool)
+    assert not _between(switch, never).any()
+    once = np.sin(0.01 * np.arange(3000)) + 5 * (abs(np.arange(3000) - 700) < 30)
+    assert _between(once, never).sum() == 59
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
