@@ -352,13 +352,13 @@ class _Reconstruction:
     def drifts(self, blocks: Sequence[Block], parts: Sequence[Block]) -> Beside:
         """How fast each skew and, last, the clock of velocities grow [s/s]."""
         n, more = len(self.channels), []
-        for each, _, rows in blocks:
-            own = self.columns[each]
+        for i, (each, _, rows) in enumerate(blocks):
+            flight, own = self.flights[i // len(self.equations)], self.columns[each]
             late = (own == 2 * n) | (own < 2 * n) & (own % 2 == 1)
-            dt = self.flights[0].dt * self.flights[0].step(each)
+            grows = growing(rows[1:][late], flight.dt * self.flights[0].step(each), flight.start)
             more.append(np.zeros((n + 1, rows.shape[1])))
-            more[-1][own[late] // 2] = self._whitened(each, growing(rows[1:][late], dt))
-        return beside(self._batched(parts), more)
+            more[-1][own[late] // 2] = self._whitened(each, grows)
+        return beside(self._batched(parts), more, [(each, k) for each, k, _ in blocks])
 
     def _beyond(
         self, flight: Flight, terms: Mapping[str, Terms], each: str, name: str, at: Sequence[float]

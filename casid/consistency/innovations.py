@@ -24,9 +24,9 @@ def integral(f: Array, dt: float) -> Array:
     return found.T
 
 
-def growing(slopes: Array, dt: float) -> Array:
-    """Integrals (n, N) of slopes times the time from the middle, of the integrals of slopes."""
-    t = dt * (np.arange(slopes.shape[1]) - (slopes.shape[1] - 1) / 2)
+def growing(slopes: Array, dt: float, begin: float) -> Array:
+    """Integrals (n, N) of slopes times time, from ``begin`` on, of the integrals of slopes."""
+    t = begin + dt * np.arange(slopes.shape[1])
     return np.asarray(slopes * t - integral(slopes.T, dt).T)  # by parts
 
 

@@ -34,7 +34,7 @@ from casid.consistency.further import (
 )
 from casid.consistency.instruments import OWN, Instruments
 from casid.consistency.lags import clocks_apart
-from casid.consistency.measured import Flight, looked_at, signals
+from casid.consistency.measured import Flight, looked_at, measured_parts, signals
 from casid.consistency.recordwise import clocks_by_record
 from casid.consistency.rigid import GRAVITY
 from casid.display import Shown, counted, in_a_row, listed
@@ -211,7 +211,8 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
     pieces = [piece.mask(where) for piece, where in zip(whole, marks, strict=True)]
     flights = [
         signals(each, trim or {}, k, float(each.t[0] - flown[k].t[0]))
-        for k, each in zip(which, pieces, strict=True)
+        for k, piece in zip(which, pieces, strict=True)
+        for each in measured_parts(piece)
     ]
     labels = {k: flown[k].name for k in which}
     names = set.intersection(*(set(flight.values) for flight in flights)) if flights else set()

@@ -6,7 +6,7 @@ noise is what lifts a sample to the extreme; of one at its limit it is what was 
 histogram tells that: a rate that a pilot holds steady piles up as well.
 """
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,18 +65,23 @@ def cut_off(parts: Sequence[Whitened], more: Sequence[Array]) -> tuple[Array, Ar
     return value, np.linalg.norm(scatter, axis=1)
 
 
-def beside(parts: Sequence[Whitened], more: Sequence[Array]) -> Beside:
+def beside(parts: Sequence[Whitened], more: Sequence[Array], of: Sequence[Hashable] = ()) -> Beside:
     """Coefficients (m,) of regressors ``more`` [(m, N)] beside the known ones, and their scatter.
 
-    What is known already is estimated anew, of each flight by itself: gains too. The scatter
-    (m, batches) is what single stretches do to the coefficients: its rows' products are their
-    covariance, and infinite where too few stretches tell.
+    What is known already is estimated anew, of each flight by itself: gains too. Parts ``of`` the
+    same have it in common, as stretches of one record do. The scatter (m, batches) is what single
+    stretches do to the coefficients: its rows' products are their covariance, and infinite where
+    too few stretches tell.
     """
+    together: dict[Hashable, list[int]] = {}
+    for i in range(len(parts)):
+        together.setdefault(of[i] if of else i, []).append(i)
     found = []
-    for (e, X, batch), z in zip(parts, more, strict=True):
-        rows = np.vstack([z, e])
+    for own in together.values():
+        rows = np.hstack([np.vstack([more[i], parts[i][0]]) for i in own])
+        X = np.hstack([parts[i][1] for i in own])
         left = rows - rows @ X.T @ _inverse(X @ X.T) @ X
-        found.append((left[:-1], left[-1], batch))
+        found.append((left[:-1], left[-1], np.hstack([parts[i][2] for i in own])))
     P = _inverse(np.sum([z @ z.T for z, _, _ in found], axis=0))
     value = P @ sum(z @ e for z, e, _ in found)
     last = max(int(batch[-1]) for _, _, batch in found) + 1

@@ -17,6 +17,7 @@ from casid.samples import BURST, MAD, at_instants, runs
 MOST = 60_000  # samples that are looked at
 SHORTEST = 20  # samples
 GAPS = 0.2  # share of missing samples above which a channel is left out
+LONGEST = 1.0  # s that a channel is lost within a stretch: nobody knows what it did in more
 
 AIR = ("V", "alpha", "beta")
 
@@ -72,6 +73,25 @@ def looked_at(records: Sequence[Record]) -> list[tuple[int, Record]]:
     ]
     share = min(1.0, MOST / max(sum(piece.N for _, piece in pieces), 1))
     return [(k, piece.take(slice(max(int(share * piece.N), SHORTEST)))) for k, piece in pieces]
+
+
+def measured_parts(record: Record) -> list[Record]:
+    """What a stretch is cut into where a channel is lost for long, or from the start or to the end.
+
+    But for slow ones, whose samples are no losses, and those that are hardly there.
+    """
+    lost = np.isnan(record.y)
+    lost &= ~slow(lost) & (lost.mean(axis=0) <= GAPS)
+    unknown = np.zeros(record.N, dtype=bool)
+    for a, b in (each for column in lost.T for each in runs(column)):
+        inside = a > 0 and b < record.N
+        unknown[a:b] |= b - a > (max(LONGEST / record.dt, BURST) if inside else BURST)
+    parts = [
+        record.take(slice(a, b))
+        for a, b in runs(~unknown)
+        if b - a >= SHORTEST and (lost[a:b].mean(axis=0) <= GAPS).all()
+    ]
+    return parts or [record]
 
 
 def signals(

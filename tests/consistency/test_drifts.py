@@ -56,6 +56,39 @@ def test_scales_biases_and_skews_are_those_of_clocks_that_were_set_right():
     assert not any("late" in said or "early" in said for said in kinematic_check(mended).remarks)
 
 
+def seen_without(record, lost, name=None):
+    """The record without its rows in ``lost`` [s], or without the samples of one channel there."""
+    gone = (record.t > lost[0]) & (record.t < lost[1])
+    if name is None:
+        return record.take(~gone)
+    return record.mask(gone[:, None] & (np.array(record.outputs) == name))
+
+
+@pytest.mark.parametrize("lost", [(15.0, 19.0), (24.0, 27.0)])
+@pytest.mark.parametrize("seed", [3, 5])
+def test_a_drift_is_told_across_a_gap_as_well_as_without(seed, lost):
+    whole = drifting(seed, dict.fromkeys(ATTITUDES, 1e-3), begin=0.05)
+    (one, error), (other, wider) = (
+        kinematic_check(each).drifts.late["phi"] for each in (whole, seen_without(whole, lost))
+    )
+    assert abs(other - 1e-3) < 3 * wider
+    assert abs(other - one) < error
+    assert wider < 1.3 * error  # a tenth of the record is lost
+
+
+@pytest.mark.parametrize(("lost", "name"), [((-1.0, 7.0), "p"), ((15.0, 19.0), "p"),
+                                            ((36.0, 99.0), "phi")])  # fmt: skip
+@pytest.mark.parametrize("outputs", [ANGLES, WHOLE], ids=len)
+def test_what_a_channel_did_while_it_was_lost_for_seconds_is_not_made_up(outputs, lost, name):
+    sound = seen_without(flight(3, None, NOISE, outputs), lost, name)
+    assert kinematic_check(sound).remarks == ()
+    drift = drifting(3, dict.fromkeys(ATTITUDES, 1e-3), outputs, begin=0.05)
+    found = kinematic_check(seen_without(drift, lost, name))
+    assert {*found.drifts.late} == {*ATTITUDES} & {*outputs}
+    late, error = found.drifts.late["phi"]
+    assert abs(late - 1e-3) < 3 * error < 4e-4
+
+
 def test_a_delay_that_stays_is_no_drift():
     check = kinematic_check(drifting(3, dict.fromkeys(ATTITUDES, 0.0), ANGLES, begin=0.06))
     assert check.drifts.late == {}
@@ -65,7 +98,7 @@ def test_a_delay_that_stays_is_no_drift():
 def test_what_grows_is_integrated_by_parts():
     t = 0.02 * np.arange(400)
     slope = np.cos(2 * t)
-    (found,) = growing(integral(slope[:, None], 0.02).T, 0.02)
+    (found,) = growing(integral(slope[:, None], 0.02).T, 0.02, -t[-1] / 2)
     middle = t[-1] / 2
     exact = (t - middle) * np.sin(2 * t) / 2 + (np.cos(2 * t) - 1) / 4
     np.testing.assert_allclose(found, exact, atol=2e-5)  # fourth order inside, less at the ends
