@@ -7,7 +7,10 @@ stand beside those of the same records whole. Means over the seeds.
 Beside each stands the floor: by how much fewer samples of the same noise raise the error that an
 unbiased estimate has at least, the Cramér-Rao bound of a black box of this order (at the one of the
 noise-free records, of their lines below the slowest channels' Nyquist frequency) and of output
-error's parameters, the stated error of a frequency response.
+error's parameters, the stated error of a frequency response. What is possible for these very
+records, model error and all, the black box's last table tells: the maximum likelihood from the
+model of the noise-free records, which nobody has, and the black box of whole records with noise
+that much denser, which has to read nothing between samples.
 
 Output error is that of the lateral structure on the two lateral 3-2-1-1, of which the estimates'
 largest change is printed too, in standard errors.
@@ -42,6 +45,8 @@ from casid.records import standard_deviations
 from casid.subspace import modal as modes
 from casid.subspace.campaign import Campaign
 from casid.subspace.fourier import Spectrum
+from casid.subspace.refinement import refine
+from casid.subspace.settings import HIGHEST
 from casid.subspace.slopes import normal_equations, response_derivative
 from models.lateral_directional import LateralDirectional
 
@@ -182,19 +187,44 @@ def noisier(records, density, seed):
     return [record.with_noise(more, rng) for record in records]
 
 
+def likeliest(records):
+    """The maximum of the likelihood next to the model of the noise-free records."""
+    flown, _, modal = noise_free()
+    start = modes.from_modal(modal, flown.su, flown.sy, oracle())
+    seen = Campaign.of(records, BLACK_BOX["feedthrough"])
+    data = seen.spectra(BLACK_BOX["pole"], HIGHEST * BLACK_BOX["pole"])
+    found, _ = refine(start, data, seen.su, seen.sy, seen.mask, BLACK_BOX["pole"])
+    return found.response(OMEGA), None, None
+
+
 def bound(seeds, truth):
-    """Errors of black boxes of whole records with noise as dense as that of fewer samples."""
+    """Errors of black boxes beside what is possible, in those of the whole records."""
     densities = {scattered: lambda _: 1.25, rates: lambda name: RATES.get(name, 1)}
-    found = {how: [] for how in (None, *densities)}
+    found = {}
     for seed in seeds:
         whole = nonlinear_records(SWEEPS + STEPS, seed)
-        for how, row in found.items():
-            records = noisier(whole, densities[how], seed) if how else whole
-            row.append(error(black_box(records), truth, whole))
-    base = np.mean(found.pop(None))
-    lines = [[told(how), float(np.mean(row) / base)] for how, row in found.items()]
-    heading = "error of whole records with noise of the same density"
-    print("\n" + table(["records", heading], lines), flush=True)
+        for how in (None, *densities):
+            spoiled = done(how, whole, seed)
+            for estimate in (black_box, likeliest):
+                found.setdefault((how, estimate), []).append(error(estimate(spoiled), truth, whole))
+            if how:
+                denser = error(black_box(noisier(whole, densities[how], seed)), truth, whole)
+                found.setdefault((how, noisier), []).append(denser)
+    base, best = (np.array(found[None, estimate]) for estimate in (black_box, likeliest))
+    lines = [["nothing: error [%]", *(f"{100 * np.mean(e):.2f}" for e in (base, best)), ""]]
+    for how in densities:
+        pairs = ((black_box, base), (likeliest, best), (noisier, base))
+        lines.append([told(how), *(ratio(np.array(found[how, of]), e) for of, e in pairs)])
+    heading = ["error, in that of the whole ones", "black box",
+               "maximum likelihood from the noise-free model", "whole, noise as dense"]  # fmt: skip
+    print("\n" + table(heading, lines), flush=True)
+
+
+def ratio(errors, base):
+    """Ratio of means and its standard error, in words."""
+    mean = errors.mean() / base.mean()
+    off = (errors - mean * base) / base.mean()
+    return f"{mean:.3f} ± {off.std() / max(len(off) - 1, 1) ** 0.5:.3f}"
 
 
 def compared(name, estimate, seeds, truth, flown=nonlinear_records):
