@@ -21,6 +21,7 @@ from casid.matching.programme import Optimum, Programme
 from casid.nlp import SolverOptions
 
 STEPS = 200  # at most, of the descent on the cost
+ROUGH = 1e-3  # share of the relative error's squares below which a step leads on to the cost
 SETTLED = 1e-7  # share of J below which a step ends it: the programme goes on from the best end
 TRIES = 3  # to solve from ends as good as the best, which are many along a valley
 AGREES = 1e-4  # between J as IPOPT has it and J of the model found, relative to 1 + J
@@ -35,7 +36,7 @@ def descents(problem: Condensed, count: int, seed: int) -> Minima:
     found, cost = [], decibels(problem)
     for number, (name, start) in enumerate(_points(problem, count, seed)):
         began = time.perf_counter()
-        rough = descend(problem, start, steps=100, tolerance=1e-4)
+        rough = descend(problem, start, steps=100, tolerance=ROUGH)
         last = descend(cost, rough.values, steps=STEPS, tolerance=SETTLED)
         row = StartCost(
             start=f"{number + 1} ({name})",
