@@ -40,19 +40,20 @@ from casid import Record
 from casid.bounds.trials import aicc
 from models.minimum_complexity import MinimumComplexity
 
-# Known of any aircraft: rotors' tip speeds, twist, arms [m/s, rad, m], inertia.
+# Known of any aircraft: gravity where it flies, rotors' tip speeds, twist, arms [m/s, rad, m],
+# inertia.
 KNOWN = {
-    "tip": 221.0, "tail_tip": 206.0, "twist": -0.105, "tail_twist": -0.137,
-    "tail": 6.56, "tail_up": 0.8, "plane": 5.0, "fin": 6.28, "radius": 5.49,
-    "plane_down": 1.12, "Iyx": 4.25, "Izx": 4.03, "gyration": 3.74,
+    "g": 9.8146, "tip": 221.2, "tail_tip": 205.8, "twist": -0.105, "tail_twist": -0.137,
+    "radius": 5.486, "hub": 1.516, "tail": 6.561, "tail_up": 0.8, "plane": 5.011,
+    "plane_down": 1.123, "fin": 6.281, "fin_up": 1.054, "Iyx": 4.252, "Izx": 4.03,
+    "gyration": 3.745,
 }  # fmt: skip
 INITIAL = {"v": (0.0, 0.1), "w": (1.4, 0.15)}  # m/s: level flight
 # What records of one speed do not tell apart from the rest; the fit to three speeds does.
 UNTOLD = (
-    "lon_0", "Lhub", "Mhub", "Mthrust", "Nprofile", "Xuu", "tail_disk", "fin_0", "fin_stalled",
-    "plane_0",
+    "lon_0", "Mthrust", "Nprofile", "Xuu", "tail_disk", "fin_0", "fin_stalled", "plane_0",
 )  # fmt: skip
-WIDTHS = 0.03, 0.005  # rad, over which the fin stalls
+WIDTHS = 0.03, 0.005, 0.002  # rad, over which the fin stalls
 COMPONENTS = replace(ESTIMATOR, interval=1.0, initial=INITIAL, steps=2)  # inflows lag little
 AXES = ("u", "v", "w", "p", "q", "r")
 
@@ -92,7 +93,7 @@ def fitted(flights: Flights, path: Path, speeds: Sequence[str]) -> Any:
     records, guess = steps(flights, speeds), start(flights, speeds)
     for width in WIDTHS:
         guess = replace(guess, stall_width=width)
-        held = () if width == WIDTHS[-1] else ("tail_inflow",)
+        held = ("tail_inflow",) if width == WIDTHS[0] else ()
         make = partial(COMPONENTS.fit, guess, records, fixed=held)
         fit = kept(path.with_stem(f"{path.stem}, {1e3 * width:g} mrad"), MinimumComplexity, make)
         guess = fit.model

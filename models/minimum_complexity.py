@@ -2,9 +2,8 @@
 
 Thrust by blade elements, flapping, flat-plate fuselage in the wake, tailplane that the wake may
 reach, fin that may stall, torque by power, Euler's equations: R. K. Heffley, M. A. Mnich (NASA
-CR-177476), lumped so that each parameter is felt. Inflows lag by the mass of air that a rotor moves
-(G. J. Carpenter, B. Fridovich, NACA TN 3044; D. M. Pitt, D. A. Peters, Vertica 5, 1981). Geometry
-and ratios of inertia are known.
+CR-177476). Inflows lag by the mass of air that a rotor moves (G. J. Carpenter, B. Fridovich, NACA
+TN 3044; D. M. Pitt, D. A. Peters, Vertica 5, 1981). Gravity, geometry and inertia are known.
 
 What identifies it: total values of all four controls from two or more speeds, trims in them, with
 ax ay az p q r phi theta u, sharp enough for the rotor (20 Hz or more).
@@ -29,16 +28,13 @@ def smooth_size(value: Any, width: float = 0.1) -> Any:  # noqa: ANN401
 
 
 class MinimumComplexity(NonlinearModel):
-    """Rotor, tail rotor, fuselage and tails of a helicopter; see the module.
-
-    Forces are per mass; L, M, N per own inertia, Lixz over Ix; pitch of blades at 3/4 radius [rad].
-    """
+    """Forces per mass, M and N per own inertia, Lixz over Ix; blade pitch at 3/4 radius [rad]."""
 
     states = ("u", "v", "w", "p", "q", "r", "phi", "theta", "b1c", "b1s", "vi", "vi_tail")
     inputs = ("col", "lat", "lon", "ped")
     outputs = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "u")
 
-    # Thrust by the flow through the disk, and inflow by thrust (disk: m / (2 rho pi R^2)).
+    # Thrust by the flow through a disk, and inflow by thrust (disk: m / (2 rho pi R^2)).
     lift: Scalar = parameter(default=1.0, lower=0.2, upper=3.0, unit="1/s")
     col_0: Scalar = parameter(default=0.0, lower=-0.3, upper=0.3, unit="rad")
     col_gain: Scalar = parameter(default=0.3, lower=0.1, upper=0.6, unit="rad")
@@ -53,29 +49,19 @@ class MinimumComplexity(NonlinearModel):
     lon_0: Scalar = parameter(default=-0.2, lower=-0.6, upper=0.6, unit="rad")
     lon_gain: Scalar = parameter(default=0.4, lower=-0.8, upper=0.8, unit="rad")
     coupling: Scalar = parameter(default=0.1, lower=-1.0, upper=1.0, unit="-")
-    back: Scalar = parameter(default=0.003, lower=0.0, upper=0.02, unit="rad s/m")
-    back_thrust: Scalar = parameter(default=0.003, lower=0.0, upper=0.02, unit="rad s/m")
+    back: Scalar = parameter(default=3.0, lower=0.0, upper=10.0, unit="-")
     side: Scalar = parameter(default=0.7, lower=0.0, upper=2.0, unit="-")
-    # Moments of the hub by tilt and thrust, torque by power.
-    Lb1s: Scalar = parameter(default=20.0, lower=0.0, upper=200.0, unit="1/s^2")
-    Lhub: Scalar = parameter(default=2.0, lower=0.0, upper=10.0, unit="1/m")
-    Lb1c: Scalar = parameter(default=10.0, lower=-50.0, upper=50.0, unit="1/s^2")
+    # Moments of a tilted rotor, its stiffness the same in roll and pitch; of thrust, profile drag.
     Mb1c: Scalar = parameter(default=4.0, lower=0.0, upper=200.0, unit="1/s^2")
-    Mhub: Scalar = parameter(default=0.4, lower=0.0, upper=5.0, unit="1/m")
     Mb1s: Scalar = parameter(default=3.0, lower=-50.0, upper=50.0, unit="1/s^2")
     Mthrust: Scalar = parameter(default=-0.04, lower=-1.0, upper=1.0, unit="1/m")
-    Npower: Scalar = parameter(default=0.007, lower=0.0, upper=0.1, unit="s/m^2")
     Nprofile: Scalar = parameter(default=0.3, lower=0.0, upper=2.0, unit="1/s^2")
     Lixz: Scalar = parameter(default=0.4, lower=-0.8, upper=0.8, unit="-")
-    # Tail rotor: thrust by its flow, inflow by thrust, its arms.
     tail_lift: Scalar = parameter(default=0.04, lower=0.005, upper=0.5, unit="1/s")
     tail_disk: Scalar = parameter(default=350.0, lower=50.0, upper=2000.0, unit="m")
     tail_inflow: Scalar = parameter(default=1.5, lower=0.3, upper=5.0, unit="1/m")
     ped_0: Scalar = parameter(default=-0.1, lower=-0.8, upper=0.8, unit="rad")
     ped_gain: Scalar = parameter(default=0.5, lower=-1.5, upper=1.5, unit="rad")
-    Ltail: Scalar = parameter(default=1.0, lower=-5.0, upper=5.0, unit="1/m")
-    Ntail: Scalar = parameter(default=2.0, lower=0.0, upper=10.0, unit="1/m")
-    # Fuselage, tailplane, fin.
     Xuu: Scalar = parameter(default=-0.0002, lower=-0.01, upper=0.0, unit="1/m")
     Yvv: Scalar = parameter(default=-0.003, lower=-0.05, upper=0.0, unit="1/m")
     Zwake: Scalar = parameter(default=0.002, lower=-0.02, upper=0.02, unit="1/m")
@@ -85,20 +71,20 @@ class MinimumComplexity(NonlinearModel):
     Yfin: Scalar = parameter(default=-0.001, lower=-0.02, upper=0.0, unit="1/m")
     fin_0: Scalar = parameter(default=-0.05, lower=-0.5, upper=0.5, unit="rad")
     fin_stalled: Scalar = parameter(default=0.5, lower=0.0, upper=1.0, unit="-")
-    Lfin: Scalar = parameter(default=1.0, lower=-5.0, upper=5.0, unit="1/m")
-    Nfin: Scalar = parameter(default=2.0, lower=0.0, upper=10.0, unit="1/m")
 
     g: float = 9.80665
     tip: float = 220.0  # m/s, of the blades
     tail_tip: float = 205.0  # m/s
     twist: float = -0.1  # rad, root to tip
     tail_twist: float = -0.1  # rad
-    tail: float = 6.0  # m, arms behind and above the centre of gravity
+    radius: float = 5.5  # m
+    hub: float = 1.5  # m, above the centre of gravity
+    tail: float = 6.0  # m, arms behind and above it
     tail_up: float = 0.9  # m
     plane: float = 5.0  # m
-    fin: float = 6.3  # m
     plane_down: float = 1.1  # m, below the hub
-    radius: float = 5.5  # m
+    fin: float = 6.3  # m
+    fin_up: float = 1.1  # m
     Iyx: float = 4.0  # Iy / Ix
     Izx: float = 4.0  # Iz / Ix
     gyration: float = 3.7  # m^2, Iy / m
@@ -141,29 +127,40 @@ class MinimumComplexity(NonlinearModel):
         flows, stalls = slip + self.fin_0, self.fin_stalled * slip * ca.sqrt(1 + slip**2)
         return self.Yfin * x.u**2 * ((1 - stalled) * flows + stalled * stalls)
 
+    def fuselage(self, x: Any) -> tuple[Any, Any, Any]:  # noqa: ANN401
+        """Drag, side force and download of the wake that meets it, per mass."""
+        side, wake = self.Yvv * x.v * smooth_size(x.v), x.vi - x.w
+        return self.Xuu * x.u**2, side, self.Zwake * wake * smooth_size(wake)
+
     def pitching(self, x: Any) -> tuple[Any, Any]:  # noqa: ANN401
-        """Force down per mass and moment of fuselage and tailplane, both met by the wake."""
-        wake, down = x.vi - x.w, smooth_size(x.vi - x.w)
+        """Force down per mass of the tailplane, moment of it and the fuselage, met by the wake."""
+        down = smooth_size(x.vi - x.w)
         within = (self.plane - x.u / down * self.plane_down) / self.radius
         hit = within + smooth_size(within, 0.03)  # twice the share, 0 outside
         flow = x.w + x.q * self.plane - hit * x.vi + self.plane_0 * x.u
-        body, plane = self.Mwake * x.u * down, self.Muw * x.u * flow
-        return self.Zwake * wake * down + self.gyration * plane / self.plane, body + plane
+        plane = self.Muw * x.u * flow
+        return self.gyration * plane / self.plane, self.Mwake * x.u * down + plane
+
+    def power(self, x: Any, u: Any) -> Any:  # noqa: ANN401
+        """What induced flow, climb and the fuselage take, per mass [m^2/s^3]."""
+        (T, through, _), (X, Y, Z) = self.rotor(x, u), self.fuselage(x)
+        sink = ca.cos(x.theta) * (x.v * ca.sin(x.phi) + x.w * ca.cos(x.phi))
+        climb = self.g * (x.u * ca.sin(x.theta) - sink)
+        return T * (x.vi - through) + climb + Z * (x.vi - x.w) - Y * x.v - X * x.u
 
     def aerodynamics(self, x: Any, u: Any) -> list[Any]:  # noqa: ANN401
         """Specific forces and angular accelerations."""
-        (T, through, squared), (side, *_) = self.rotor(x, u), self.tail_rotor(x, u)
-        (lat, lon), (heave, pitch), fin = self.cyclic(u), self.pitching(x), self.fin_force(x)
-        X = -T * (x.b1c - self.shaft) + self.Xuu * x.u**2
-        Y = T * x.b1s + side + fin + self.Yvv * x.v * smooth_size(x.v)
-        L = (self.Lb1s + self.Lhub * T) * x.b1s + self.Lb1c * (x.b1c + lon)
-        L += self.Ltail * side + self.Lfin * fin
-        M = (self.Mb1c + self.Mhub * T) * x.b1c + self.Mb1s * (lat - x.b1s) + self.Mthrust * T
-        sink = ca.cos(x.theta) * (x.v * ca.sin(x.phi) + x.w * ca.cos(x.phi))
-        climb = self.g * (x.u * ca.sin(x.theta) - sink)
-        N = self.Npower * (T * (x.vi - through) + climb - self.Xuu * x.u**3)
-        N += self.Nprofile * (1 + 3 * squared / self.tip**2) - self.Ntail * side - self.Nfin * fin
-        return [X, Y, heave - T, *self.turning(x, L, M + pitch, N)]
+        (T, _, squared), (side, *_) = self.rotor(x, u), self.tail_rotor(x, u)
+        (lat, lon), (plane, pitch), fin = self.cyclic(u), self.pitching(x), self.fin_force(x)
+        (drag, body, down), Iy, Ix = self.fuselage(x), self.gyration, self.gyration / self.Iyx
+        tilt = self.Mb1c + self.hub * T / Iy
+        L = self.Iyx * (tilt * x.b1s + self.Mb1s * (x.b1c + lon))
+        L += (self.tail_up * side + self.fin_up * fin) / Ix
+        M = tilt * x.b1c + self.Mb1s * (lat - x.b1s) + self.Mthrust * T + pitch
+        torque = self.radius / self.tip * self.power(x, u) - self.tail * side - self.fin * fin
+        N = torque / (self.Izx * Ix) + self.Nprofile * (1 + 3 * squared / self.tip**2)
+        X, Y = drag - T * (x.b1c - self.shaft), body + T * x.b1s + side + fin
+        return [X, Y, down + plane - T, *self.turning(x, L, M, N)]
 
     def turning(self, x: Any, L: Any, M: Any, N: Any) -> tuple[Any, Any, Any]:  # noqa: ANN401
         """Angular accelerations by moments, each per own inertia: Euler's equations."""
@@ -174,14 +171,17 @@ class MinimumComplexity(NonlinearModel):
         free = 1 - Ixz**2 / Izx
         return (L + Ixz * N) / free, M, (N + Ixz / Izx * L) / free
 
+    def flapback(self, T: Any) -> Any:  # noqa: ANN401
+        """Flapping by speed of theory [rad s/m]: 2 / tip (8 CT / (a sigma) + sqrt(CT / 2))."""
+        return 2 / self.tip**2 * (2 * T / self.lift + ca.sqrt(smooth_size(self.disk * T)))
+
     def cyclic(self, u: Any) -> tuple[Any, Any]:  # noqa: ANN401
         return self.lat_0 + self.lat_gain * u.lat, self.lon_0 + self.lon_gain * u.lon
 
     def derivatives(self, x: Any, u: Any) -> Sequence[Scalar]:  # noqa: ANN401
         (X, Y, Z, *turns), tth = self.aerodynamics(x, u), ca.tan(x.theta)
         sphi, cphi, sth, cth = ca.sin(x.phi), ca.cos(x.phi), ca.sin(x.theta), ca.cos(x.theta)
-        (T, *_), (lat, lon) = self.rotor(x, u), self.cyclic(u)
-        back = self.back + self.back_thrust * (T / self.g - 1)
+        (lat, lon), back = self.cyclic(u), self.back * self.flapback(self.rotor(x, u)[0])
         a = x.b1s - lat + self.coupling * x.b1c + self.side * back * x.v
         b = x.b1c + lon - self.coupling * x.b1s - back * x.u
         return [

@@ -178,7 +178,7 @@ def test_a_tail_rotor_meets_a_sudden_slip_with_all_its_thrust_and_then_with_glau
 
 
 def test_a_rotor_by_its_components_tilts_by_its_cyclic_pitch_and_pays_for_climbing():
-    still = dict.fromkeys(("coupling", "back", "back_thrust", "Lixz"), 0.0)
+    still = dict.fromkeys(("coupling", "back", "Lixz"), 0.0)
     model = replace(MinimumComplexity(), **still)
     names = (*model.states, *model.inputs)
 
@@ -193,7 +193,58 @@ def test_a_rotor_by_its_components_tilts_by_its_cyclic_pitch_and_pays_for_climbi
     assert tilted["b1c"] == pytest.approx(0.0, abs=1e-12)
     assert f(lat=0.7, lon=0.7, b1s=lat, b1c=-lon)["b1s"] > 0.1
     climbing = f(theta=0.1, w=0.0)["r"] - f(theta=0.0, w=0.0)["r"]
-    assert climbing == pytest.approx(model.Npower * model.g * 31.0 * np.sin(0.1))
+    # Torque is power over the rotor's rate, of an inertia as by its radius of gyration.
+    rate, Iz = model.tip / model.radius, model.gyration / model.Iyx * model.Izx
+    assert climbing == pytest.approx(model.g * 31.0 * np.sin(0.1) / rate / Iz)
+
+
+def test_a_rotor_by_its_components_flaps_back_by_the_reports_formula():
+    rho, radius, chord, blades, slope, mass, tip = 1.1, 5.5, 0.3, 4, 5.7, 2400.0, 220.0  # SI
+    lift = rho * slope * blades * chord * radius * tip / 4 / mass  # thrust by flow, blade elements
+    disk = mass / (2 * rho * np.pi * radius**2)
+    model = MinimumComplexity(lift=lift, disk=disk, tip=tip)
+    solidity = blades * chord / (np.pi * radius)
+    for T in (5.0, 9.8, 15.0):
+        CT = mass * T / (rho * np.pi * radius**2 * tip**2)
+        expected = 2 / tip * (8 * CT / (slope * solidity) + np.sqrt(CT / 2))
+        assert float(model.flapback(T)) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("moved", ["ped", "fin_0", "b1c", "b1s"])
+def test_forces_of_a_helicopter_by_its_components_act_at_their_arms(moved):
+    still = dict.fromkeys(("Mb1c", "Mb1s", "Mthrust", "Xuu"), 0.0)
+    known = {"Lixz": 0.4, "gyration": 3.6, "Iyx": 4.2, "Izx": 3.9, "fin_up": 0.7, "hub": 1.4}
+    model, upright = MinimumComplexity(**still, **known), {"u": 0.0, "v": 0.0, "w": 0.0}
+    inertia = model.gyration / model.Iyx * np.array([[1, 0, -0.4], [0, 4.2, 0], [-0.4, 0, 3.9]])
+    arm = {"ped": (-model.tail, 0.0, -model.tail_up), "fin_0": (-model.fin, 0.0, -model.fin_up)}
+    speeds = {} if moved == "fin_0" else upright
+
+    def read(model, **values):
+        point = dict.fromkeys((*model.states, *model.inputs), 0.0) | dict(model.reference())
+        x = SimpleNamespace(**(point | {"theta": 0.0} | speeds | values))
+        if speeds:
+            x.u = 1e-6  # in the hover the disk's tilt moves no air through it
+        return np.array([float(each) for each in model.aerodynamics(x, x)])
+
+    if moved == "fin_0":
+        gained = read(replace(model, fin_0=0.1)) - read(model)
+    else:
+        gained = read(model, **{moved: 0.6 if moved == "ped" else 0.1}) - read(model)
+    force = gained[:3]
+    assert np.abs(force).max() > 0.05
+    turned = np.linalg.solve(inertia, np.cross(arm.get(moved, (0.0, 0.0, -model.hub)), force))
+    np.testing.assert_allclose(gained[3:], turned, rtol=1e-4, atol=1e-5)
+
+
+def test_what_drags_a_fuselage_takes_the_power_of_moving_it():
+    model, calm = MinimumComplexity(), dict.fromkeys(("Xuu", "Yvv", "Zwake"), 0.0)
+    x = SimpleNamespace(u=30.0, v=4.0, w=-2.0, vi=5.0, theta=0.0, phi=0.0, b1c=0.1, b1s=0.0)
+    u = SimpleNamespace(col=0.3)
+    gained = model.power(x, u) - replace(model, **calm).power(x, u)
+    force = np.array([float(each) for each in model.fuselage(x)])
+    air = np.array([-30.0, -4.0, 2.0 + 5.0])  # as the fuselage meets it
+    np.testing.assert_array_equal(np.sign(force), np.sign(air))
+    assert float(gained) == pytest.approx(force @ air)
 
 
 def test_a_helicopter_by_its_components_turns_by_eulers_equations():
@@ -223,10 +274,9 @@ def test_the_wake_reaches_the_tailplane_where_it_is_steep_enough():
 def test_the_fuselage_is_pushed_where_the_wake_meets_it():
     model = MinimumComplexity(Mwake=0.002, Zwake=0.003, Muw=0.0)
     for climb in (1.0, -1.0):
-        wake = SimpleNamespace(u=30.0, w=6.0 - 5.0 * climb, q=0.0, vi=6.0)
-        force, moment = model.pitching(wake)
-        assert force == pytest.approx(0.003 * 25.0 * climb, rel=0.01)
-        assert moment == pytest.approx(0.002 * 30.0 * 5.0, rel=0.01)
+        wake = SimpleNamespace(u=30.0, v=0.0, w=6.0 - 5.0 * climb, q=0.0, vi=6.0)
+        assert model.fuselage(wake)[2] == pytest.approx(0.003 * 25.0 * climb, rel=0.01)
+        assert model.pitching(wake)[1] == pytest.approx(0.002 * 30.0 * 5.0, rel=0.01)
 
 
 def test_the_fixed_wing_by_coefficients_has_the_textbooks_modes():
