@@ -123,6 +123,44 @@ def test_a_dask_cluster_runs_the_same_call(tmp_path):
     assert there.to_markdown() == here.to_markdown()
 
 
+OF_THE_SCRIPT = """
+import sys, warnings
+sys.path[:0] = [{root!r}, {tests!r}]
+from casid import Execution, compare_bounds
+from truths.mixture import CASES, Inline, Mixture, record
+
+GAIN = 2.0
+
+class Own(Mixture):
+    def scaled(self):
+        return GAIN
+
+if __name__ == "__main__":
+    import distributed
+    warnings.simplefilter("ignore")
+    assert Own.__module__ == "__main__"
+    here = compare_bounds(Own(), [record()], cases=CASES, execution=Execution(executor=Inline()))
+    cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None,
+                                       local_directory={folder!r})
+    with cluster, distributed.Client(cluster) as client:
+        there = compare_bounds(Own(), [record()], cases=CASES,
+                               execution=Execution(executor=client.get_executor()))
+    assert not any(case.reason for case in there.cases), there.to_markdown()
+    assert there.to_markdown() == here.to_markdown()
+    print("alike")
+"""
+
+
+@pytest.mark.slow
+def test_a_class_of_the_script_that_runs_travels_to_dask_workers(tmp_path):
+    pytest.importorskip("distributed")
+    script = tmp_path / "own.py"
+    text = OF_THE_SCRIPT.format(root=str(TESTS.parent), tests=str(TESTS), folder=str(tmp_path))
+    script.write_text(text, encoding="utf-8")
+    done = subprocess.run([sys.executable, script], check=False, capture_output=True, text=True)
+    assert done.stdout == "alike\n", done.stderr
+
+
 # ---- interrupts ----------------------------------------------------------------------------------
 
 
