@@ -8,6 +8,10 @@ windows of standard deviation b they correlate by
 those of two outputs as their noise does, those of two inputs as the inverse of the inputs' spectra
 (J. S. Bendat, A. G. Piersol, Random Data, 4th ed., chapters 8 and 9). The covariance of all points
 is A_k ρ_kl A_lᴴ, with A_k A_kᴴ that of the pairs at one frequency.
+
+Random errors of an estimated response rest on few lines of the records, and come out too small at
+some points by chance. Weighed by its own error such a point would count for far more than it tells,
+so that none counts as surer than its neighbours in frequency: noise and inputs have smooth spectra.
 """
 
 from dataclasses import dataclass
@@ -22,6 +26,7 @@ from casid.frequency.response import FED_BACK, UNDRIVEN, FrequencyResponse
 ALONE = 0.03  # of a variance that other pairs do not share
 ALONG = 0.15  # nor neighbours, which are less alike than their spectral windows
 LEAST = 1e-4  # of a response, the smallest error believed
+NEAR = 0.7  # standard deviation of the weights of neighbours [nepers of frequency]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +80,8 @@ def whitener(response: FrequencyResponse, wanted: BoolArray) -> Whitener:
             "any usable point of the model's pairs: give random_error, the relative standard "
             "deviation of its gain"
         )
-    std = np.where(used, np.maximum(response.error, LEAST) * np.abs(response.G), 1.0)
+    error = np.hypot(_steadied(response), response.leakage)
+    std = np.where(used, np.maximum(error, LEAST) * np.abs(response.G), 1.0)
     K, ny, nu = used.shape
     pairs, std = used.reshape(K, -1), std.reshape(K, -1)
     S = np.einsum("kil,kjm->kijlm", response.output_correlation, response.input_correlation)
@@ -88,6 +94,25 @@ def whitener(response: FrequencyResponse, wanted: BoolArray) -> Whitener:
     places = [(p, np.flatnonzero(pairs[:, p])) for p in range(ny * nu)]
     along = [(p, at, _root(response.omega[at], width[at, p])) for p, at in places if len(at)]
     return Whitener(used, across, tuple(along))
+
+
+def _steadied(response: FrequencyResponse) -> Array:
+    """Random errors (K, ny, nu), relative, none below the root mean square of its neighbours'.
+
+    Of points that state a coherence, as estimates do; neighbours' relative or absolute errors,
+    whichever say less.
+    """
+    size, log = np.abs(response.G), np.log(response.omega)
+    near = np.exp(-(((log[:, None] - log) / NEAR) ** 2) / 2)
+    square = response.random_error**2
+    told = np.isfinite(square) & (size > 0) & (response.coherence < 1)
+    count = np.maximum(np.tensordot(near, told * 1.0, 1), 1e-300)
+    alike, level = (
+        np.tensordot(near, np.where(told, x, 0.0), 1) / count for x in (square, square * size**2)
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        least = np.minimum(alike, level / size**2)
+        return np.where(told, np.sqrt(np.maximum(square, least)), response.random_error)
 
 
 def _root(omega: Array, width: Array) -> Array:

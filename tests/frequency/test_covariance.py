@@ -18,7 +18,7 @@ def response(**more):
     G = PLANT.response(OMEGA)
     ones = np.ones(G.shape)
     return FrequencyResponse(
-        omega=OMEGA, G=G, coherence=0.9 * ones, random_error=0.1 * ones, inputs=PLANT.inputs,
+        omega=OMEGA, G=G, coherence=ones, random_error=0.1 * ones, inputs=PLANT.inputs,
         outputs=PLANT.outputs, input_std=np.ones(2), output_std=np.ones(3), **more,
     )  # fmt: skip
 
@@ -64,6 +64,38 @@ def test_correlated_errors_become_independent(monkeypatch):
     gains = rng.standard_normal((6 * K, 4)) + 1j * rng.standard_normal((6 * K, 4))
     spread = whitener(measured, EVERY).spread(gains.reshape(K, 3, 2, 4))
     np.testing.assert_allclose(spread, (gains.T @ C @ gains.conj()).real, rtol=1e-5, atol=1e-4)
+
+
+def test_a_point_that_came_out_sure_by_chance_counts_no_more_than_its_neighbours():
+    # By hand: all points alike but one, whose neighbours' weights fall off over 0.7 nepers.
+    flat = np.ones((len(OMEGA), 3, 2), dtype=complex)
+    error = np.full(flat.shape, 0.1)
+    error[10, 1, 0] = 0.01
+    own = np.exp(-(((np.log(OMEGA) - np.log(OMEGA[10])) / 0.7) ** 2) / 2)
+    expected = np.sqrt(1 - 0.99 / own.sum())  # of the others' error
+    estimated = replace(response(), G=flat, random_error=error, coherence=np.full(flat.shape, 0.9))
+    steady = weights(estimated)
+    np.testing.assert_allclose(steady[10, 1, 0], steady[0, 1, 0] / expected, rtol=1e-6)
+    np.testing.assert_allclose(np.delete(steady, 10, axis=0), steady[0, 0, 0], rtol=1e-6)
+    # What is given as a table, without coherence, is believed.
+    given = weights(replace(estimated, coherence=np.ones(flat.shape)))
+    np.testing.assert_allclose(given[10, 1, 0], 10 * given[0, 1, 0], rtol=1e-6)
+
+
+def test_an_error_that_neighbours_share_stays_what_it_was():
+    # Noise and inputs alike over frequency, whatever the response does: one level, or one share.
+    size, n = np.abs(response().G), np.full((len(OMEGA), 3, 2), 0.9)
+    plain = weights(response())
+    for error in (0.1 / size, np.full(size.shape, 0.1)):
+        own = replace(response(), random_error=error, coherence=n)
+        expected = plain * 0.1 / error
+        np.testing.assert_allclose(weights(own), expected, rtol=1e-9)
+
+
+def weights(measured):
+    """What every point's error is multiplied by, (K, ny, nu), without neighbours."""
+    found = whitener(measured, EVERY)
+    return np.abs(np.diagonal(found.across, axis1=1, axis2=2)).reshape(measured.G.shape)
 
 
 def test_points_without_an_error_flagged_or_not_wanted_do_not_count():
