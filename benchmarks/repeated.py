@@ -83,27 +83,19 @@ def reference(rng: np.random.Generator) -> np.ndarray:
 
 
 def flight(seed: list[int], lag: float) -> Record:
-    """One record of 3-2-1-1."""
-    rng = np.random.default_rng(seed)
-    return flown(reference(rng), lag, rng, f"flight {seed}")
-
-
-def flown(wanted: np.ndarray, lag: float, rng: np.random.Generator, name: str) -> Record:
-    """The record of sticks that a pilot means to move, (N, 2).
-
-    His arm is a lag of 0.1 s, his corrections follow the instruments.
-    """
-    truth, noise = plant(lag), SIGMA * rng.standard_normal((len(wanted), 3))
+    """One record; the pilot's arm is a lag of 0.1 s, his corrections follow the instruments."""
+    rng, truth = np.random.default_rng(seed), plant(lag)
+    wanted, noise = reference(rng), SIGMA * rng.standard_normal((N, 3))
     Ad, B0, B1 = foh_step(truth.A, truth.B, H)
-    keep, count = np.exp(-H / 0.1), len(wanted)
-    x, felt, u, y = np.zeros(4), np.zeros(2), np.zeros((count + 1, 2)), np.zeros((count, 3))
-    for k in range(count):
+    keep = np.exp(-H / 0.1)
+    x, felt, u, y = np.zeros(4), np.zeros(2), np.zeros((N + 1, 2)), np.zeros((N, 3))
+    for k in range(N):
         y[k] = truth.C @ x + truth.D @ u[k] + noise[k]
         meant = wanted[k] - [0.03 * y[k, 2] + 0.01 * y[k, 1], 0.0]
         felt = keep * felt + (1 - keep) * meant
         u[k + 1] = felt
         x = Ad @ x + B0 @ u[k] + B1 @ u[k + 1]
-    return Record(H * np.arange(count), u[:count], y, GUESS.inputs, GUESS.outputs, name)
+    return Record(H * np.arange(N), u[:N], y, GUESS.inputs, GUESS.outputs, f"flight {seed}")
 
 
 def differences(pairs: int, seed: int, lag: float) -> np.ndarray:

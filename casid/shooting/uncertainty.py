@@ -15,7 +15,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from casid.arrays import Array, BoolArray
 from casid.values import storable
-from casid.whole_records import understated
 
 Sparse: TypeAlias = scipy.sparse.csc_array
 RecordScores: TypeAlias = tuple[Array, Array]  # (m, n) and (m, n, n): scores and information
@@ -211,8 +210,8 @@ def coloured_covariance(
     P K P (Klein & Morelli, section 6.1.3; E. A. Morelli, V. Klein, J. Aircraft 34(2), 1997) with P
     the white-noise covariance and K that of the scores' sum: of a process of its own, which the
     residuals may be. Correlated in time, they mostly come of what the structure leaves out and
-    depend on the slopes; then K is in every direction the larger of that and of the blocks', and in
-    all as large as whole records say. Of fewer samples than blocks, it is not below white noise's.
+    depend on the slopes; then K is in every direction the larger of that and of the blocks'. Of
+    fewer samples than blocks take a correlation is chance as much, and K not below white noise's.
 
     With it come the scores of whole records, by which combinations are tested
     (`casid.bounds.robust`); none of white residuals.
@@ -234,7 +233,6 @@ def coloured_covariance(
         inverse = vectors[:, known] / np.sqrt(values[known])
         records = g @ inverse.T, inverse @ H @ inverse.T
         K = _larger(K, by_blocks) if PARTS * length >= len(C) else K
-        K = understated(K, g, H) * K
     elif length == 0:
         K = _larger(K, np.eye(len(K)))
     return np.asarray(root @ K @ root.T), records
