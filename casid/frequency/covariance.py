@@ -8,13 +8,9 @@ windows of standard deviation b they correlate by
 those of two outputs as their noise does, those of two inputs as the inverse of the inputs' spectra
 (J. S. Bendat, A. G. Piersol, Random Data, 4th ed., chapters 8 and 9). The covariance of all points
 is A_k ρ_kl A_lᴴ, with A_k A_kᴴ that of the pairs at one frequency.
-
-Random errors of an estimated response rest on few lines of the records, and come out too small at
-some points by chance. Weighed by its own error such a point would count for far more than it tells,
-so that none counts as surer than its neighbours in frequency: noise and inputs have smooth spectra.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -80,8 +76,7 @@ def whitener(response: FrequencyResponse, wanted: BoolArray) -> Whitener:
             "any usable point of the model's pairs: give random_error, the relative standard "
             "deviation of its gain"
         )
-    error = np.hypot(_steadied(response), response.leakage)
-    std = np.where(used, np.maximum(error, LEAST) * np.abs(response.G), 1.0)
+    std = np.where(used, np.maximum(response.error, LEAST) * np.abs(response.G), 1.0)
     K, ny, nu = used.shape
     pairs, std = used.reshape(K, -1), std.reshape(K, -1)
     S = np.einsum("kil,kjm->kijlm", response.output_correlation, response.input_correlation)
@@ -96,11 +91,23 @@ def whitener(response: FrequencyResponse, wanted: BoolArray) -> Whitener:
     return Whitener(used, across, tuple(along))
 
 
-def _steadied(response: FrequencyResponse) -> Array:
-    """Random errors (K, ny, nu), relative, none below the root mean square of its neighbours'.
+def _root(omega: Array, width: Array) -> Array:
+    """Inverse root (n, n) of the correlation of errors at frequencies with spectral windows."""
+    b = np.maximum(width, 1e-9 * omega)
+    square = b[:, None] ** 2 + b**2
+    rho = np.sqrt(2 * np.outer(b, b) / square)
+    rho *= np.exp(-((omega[:, None] - omega) ** 2) / (2 * square))
+    rho = (1 - ALONG) * rho + ALONG * np.eye(len(b))
+    lower = np.linalg.cholesky(rho)
+    return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(b)), lower=True))
 
-    Of points that state a coherence, as estimates do; neighbours' relative or absolute errors,
-    whichever say less.
+
+def steadied(response: FrequencyResponse) -> FrequencyResponse:
+    """The response with no random error below the root mean square of its neighbours'.
+
+    Of points that state a coherence, as estimates do: their errors rest on few lines of the records
+    and come out too small at some points by chance, which would count for far more than they tell
+    if weighed by them. Neighbours' relative or absolute errors, whichever say less.
     """
     size, log = np.abs(response.G), np.log(response.omega)
     near = np.exp(-(((log[:, None] - log) / NEAR) ** 2) / 2)
@@ -112,15 +119,5 @@ def _steadied(response: FrequencyResponse) -> Array:
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         least = np.minimum(alike, level / size**2)
-        return np.where(told, np.sqrt(np.maximum(square, least)), response.random_error)
-
-
-def _root(omega: Array, width: Array) -> Array:
-    """Inverse root (n, n) of the correlation of errors at frequencies with spectral windows."""
-    b = np.maximum(width, 1e-9 * omega)
-    square = b[:, None] ** 2 + b**2
-    rho = np.sqrt(2 * np.outer(b, b) / square)
-    rho *= np.exp(-((omega[:, None] - omega) ** 2) / (2 * square))
-    rho = (1 - ALONG) * rho + ALONG * np.eye(len(b))
-    lower = np.linalg.cholesky(rho)
-    return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(b)), lower=True))
+        error = np.where(told, np.sqrt(np.maximum(square, least)), response.random_error)
+    return replace(response, random_error=error)

@@ -3,9 +3,9 @@
     ½ Σ ‖W (Ĝ − G(jω; λ))‖²
 
 with W of `casid.frequency.covariance`: every point by its stated error, noise and bias together,
-correlated with its neighbours in frequency and with other pairs. A response that states no
-coherence has errors relative to the truth rather than to what was measured; there Ĝ log(Ĝ/G) stands
-for the difference, lest points that came out small by chance count more.
+though no surer than its neighbours, correlated with these in frequency and with other pairs. A
+response that states no coherence has errors relative to the truth rather than to what was measured;
+there Ĝ log(Ĝ/G) stands for the difference, lest points that came out small by chance count more.
 
 What the structure misses of a response is no error of the measurement, and would rule all else.
 Where residuals exceed their stated errors significantly, smoothed over frequency, pair by pair,
@@ -24,7 +24,7 @@ from casid.evaluation import MatrixFunction
 from casid.fingerprints import same_flight
 from casid.fit import AnyFit, Fit
 from casid.free import Free
-from casid.frequency.covariance import whitener
+from casid.frequency.covariance import steadied, whitener
 from casid.frequency.response import FrequencyResponse
 from casid.model import M, Model
 from casid.record import Record
@@ -125,7 +125,7 @@ class _Measured:
         self._place, self._own = np.ix_(every, rows, columns), np.ix_(every, own_rows, own_columns)
         wanted = np.zeros(response.G.shape[1:], dtype=bool)
         wanted[np.ix_(rows, columns)] = True
-        self._whiten, self._s = whitener(response, wanted), 1j * response.omega
+        self._whiten, self._s = whitener(steadied(response), wanted), 1j * response.omega
         self._G = np.where(self._whiten.used, response.G, 1.0)
         stated = np.nan_to_num(response.coherence, nan=1.0) < 1
         self._relative = self._whiten.used & ~stated

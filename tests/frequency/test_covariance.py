@@ -8,7 +8,7 @@ from truths.systems import OMEGA, unstable_plant
 
 from casid import FrequencyResponse
 from casid.frequency import covariance
-from casid.frequency.covariance import whitener
+from casid.frequency.covariance import steadied, whitener
 
 PLANT = unstable_plant()
 EVERY = np.ones((3, 2), dtype=bool)
@@ -18,7 +18,7 @@ def response(**more):
     G = PLANT.response(OMEGA)
     ones = np.ones(G.shape)
     return FrequencyResponse(
-        omega=OMEGA, G=G, coherence=ones, random_error=0.1 * ones, inputs=PLANT.inputs,
+        omega=OMEGA, G=G, coherence=0.9 * ones, random_error=0.1 * ones, inputs=PLANT.inputs,
         outputs=PLANT.outputs, input_std=np.ones(2), output_std=np.ones(3), **more,
     )  # fmt: skip
 
@@ -94,7 +94,7 @@ def test_an_error_that_neighbours_share_stays_what_it_was():
 
 def weights(measured):
     """What every point's error is multiplied by, (K, ny, nu), without neighbours."""
-    found = whitener(measured, EVERY)
+    found = whitener(steadied(measured), EVERY)
     return np.abs(np.diagonal(found.across, axis1=1, axis2=2)).reshape(measured.G.shape)
 
 
