@@ -55,6 +55,7 @@ UNTOLD = (
 )  # fmt: skip
 WIDTHS = 0.03, 0.005, 0.002  # rad, over which the fin stalls
 COMPONENTS = replace(ESTIMATOR, interval=1.0, initial=INITIAL, steps=2)  # inflows lag little
+FINE = replace(COMPONENTS, steps=4)  # for a tail rotor whose inflow hardly lags
 AXES = ("u", "v", "w", "p", "q", "r")
 
 
@@ -94,7 +95,8 @@ def fitted(flights: Flights, path: Path, speeds: Sequence[str]) -> Any:
     for width in WIDTHS:
         guess = replace(guess, stall_width=width)
         held = ("tail_inflow",) if width == WIDTHS[0] else ()
-        make = partial(COMPONENTS.fit, guess, records, fixed=held)
+        estimator = FINE if width == WIDTHS[-1] else COMPONENTS
+        make = partial(estimator.fit, guess, records, fixed=held)
         fit = kept(path.with_stem(f"{path.stem}, {1e3 * width:g} mrad"), MinimumComplexity, make)
         guess = fit.model
     return fit
@@ -103,13 +105,13 @@ def fitted(flights: Flights, path: Path, speeds: Sequence[str]) -> Any:
 def having_seen(flights: Flights, path: Path, one: Any) -> Any:
     """The fit to three speeds, carried on with the changes of speed."""
     records = steps(flights, SPEEDS) + [flights.noisy("060kt", name) for name in CHANGES]
-    return kept(path, MinimumComplexity, lambda: COMPONENTS.fit(one.model, records))
+    return kept(path, MinimumComplexity, lambda: FINE.fit(one.model, records))
 
 
 def own(flights: Flights, path: Path, speed: str, one: Any) -> Any:
     """The structure fitted to the 3-2-1-1 of one speed, from the fit to three."""
     records = steps(flights, [speed])
-    return kept(path, MinimumComplexity, lambda: COMPONENTS.fit(one.model, records, fixed=UNTOLD))
+    return kept(path, MinimumComplexity, lambda: FINE.fit(one.model, records, fixed=UNTOLD))
 
 
 def untrimmed(flights: Flights, one: Any) -> Any:
@@ -117,7 +119,7 @@ def untrimmed(flights: Flights, one: Any) -> Any:
 
     Then no trim binds it, nor anything tells a tilt of the shaft from one of the rotor.
     """
-    estimator = replace(COMPONENTS, biases=("ax", "ay", "az"), state_biases=AXES)
+    estimator = replace(FINE, biases=("ax", "ay", "az"), state_biases=AXES)
     return estimator.fit(one.model, steps(flights, SPEEDS), fixed=("shaft",))
 
 
