@@ -12,12 +12,12 @@ from itertools import chain
 import numpy as np
 
 from casid.arrays import Array
-from casid.bounds.trials import Fits, aicc
+from casid.bounds.trials import Fits, aicc, run_fits
 from casid.checks import check_known
 from casid.errors import ConvergenceError
 from casid.estimator import Estimator
 from casid.fit import AnyFit
-from casid.jobs.campaigns import Execution
+from casid.jobs.campaigns import Execution, Job
 from casid.jobs.store import Done
 from casid.model import Bounds, Model
 from casid.record import Record
@@ -178,13 +178,19 @@ def compare_structures(
     errors = np.full(noise.shape, np.inf)
     fits: list[AnyFit | None] = []
     reasons: dict[str, str] = {}
-    for k, (name, model) in enumerate(candidates.items()):
-        done = _estimated(Fits(model, flown, ways[name], fixed, bounds, execution), name, parts)
-        every, *without = done.values()
+    many = {
+        name: Fits(model, flown, ways[name], fixed, bounds, execution)
+        for name, model in candidates.items()
+    }
+    jobs = {name: _jobs(each, name, parts) for name, each in many.items()}
+    done = run_fits(_in_turn(jobs), [type(model) for model in candidates.values()], execution)
+    for k, name in enumerate(candidates):
+        every, *without = (done[job.name] for job in jobs[name])
         fits.append(every.result)
         told = {f"{name}, all": every.reason}
-        for part, each in zip(parts, without, strict=False):  # none if the one of all failed
-            told[f"{name}, without {', '.join(flown[i].name for i in part)}"] = each.reason
+        for part, each in zip(parts, without, strict=True):
+            left_out = ", ".join(flown[i].name for i in part)
+            told[f"{name}, without {left_out}"] = "" if every.reason else each.reason
             for i in part:
                 errors[k, i], noise[k, i] = _error(each, flown[i], outputs)
         reasons |= {job: reason for job, reason in told.items() if reason}
@@ -201,18 +207,26 @@ def compare_structures(
     )
 
 
-def _estimated(many: Fits, name: str, parts: Sequence[tuple[int, ...]]) -> dict[str, Done]:
-    """A candidate's fit to all manoeuvres and, unless that failed, those without each group."""
+def _jobs(many: Fits, name: str, parts: Sequence[tuple[int, ...]]) -> list[Job]:
+    """A candidate's fit to all manoeuvres and, from there, those without each group."""
     (case,) = many.cases({name: {}})
-    whole = f"{name}, all"
-    done = many.run([many.job(case, name=whole)])
-    if done[whole].reason:
-        return done
-    start, jobs = done[whole].result, []
-    for part in parts:
-        left_out = ", ".join(str(i + 1) for i in part)
-        jobs.append(many.job(case, start, draw=Without(part), name=f"{name}, without {left_out}"))
-    return done | many.run(jobs)
+    whole = many.job(case, name=f"{name}, all")
+    without = [
+        many.job(
+            case,
+            after=[whole],
+            alone=False,
+            draw=Without(part),
+            name=f"{name}, without {', '.join(str(i + 1) for i in part)}",
+        )
+        for part in parts
+    ]
+    return [whole, *without]
+
+
+def _in_turn(jobs: Mapping[str, Sequence[Job]]) -> list[Job]:
+    """Those of all manoeuvres first, which the others wait for."""
+    return [job for each in zip(*jobs.values(), strict=True) for job in each]
 
 
 def _parts(

@@ -104,6 +104,7 @@ class Fits:
         start: Model | AnyFit | None = None,
         *,
         after: Sequence[Job] = (),
+        alone: bool = True,
         draw: Draw | None = None,
         estimator: Estimator | None = None,
         name: str | None = None,
@@ -121,15 +122,21 @@ class Fits:
         before = [job.key for job in after]
         key = digest(self._setup.key, values, said, near, draw, estimator, before)
         names = tuple(job.name for job in after)
-        return Job(name=name or case.name, key=key, payload=trial, after=names)
+        return Job(name=name or case.name, key=key, payload=trial, after=names, alone=alone)
 
     def run(self, jobs: Sequence[Job]) -> dict[str, Done]:
         """Do all jobs; the result of each is a `Fit`, or None where there is nothing to show."""
-        # A class that other processes cannot read keeps the fits in this one.
-        refuse_while_loading()
-        structure = type(self.model)
-        here = not can_travel(structure)
-        return run_jobs(work, jobs, self._execution, also=(structure,), here=here)
+        return run_fits(jobs, [type(self.model)], self._execution)
+
+
+def run_fits(
+    jobs: Sequence[Job], structures: Sequence[type[Model]], execution: Execution
+) -> dict[str, Done]:
+    """Do all jobs of several `Fits`, whose models are of these structures, side by side."""
+    refuse_while_loading()
+    # A class that other processes cannot read keeps the fits in this one.
+    here = not all(can_travel(structure) for structure in structures)
+    return run_jobs(work, jobs, execution, also=tuple(structures), here=here)
 
 
 def work(job: Trial, start: Any) -> AnyFit:  # noqa: ANN401 - JSON is any

@@ -42,6 +42,7 @@ class Job:
     key: str  # digest of all its result depends on; else a kept result is not taken
     payload: Any  # what the work is given; it must survive pickling
     after: tuple[str, ...] = ()  # jobs to start from: the first that has a result
+    alone: bool = True  # whether it is worth doing where none of these has one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,6 +137,7 @@ class _Campaign:
         """Until every job is done."""
         running: dict[futures.Future[Done], Job] = {}
         while True:
+            self._give_up()
             flying = {job.name for job in running.values()}
             # A job that may have killed its process is tried alone.
             slots = 1 if any(name not in self.done for name in self.attempts) else workers.slots
@@ -150,6 +152,15 @@ class _Campaign:
             if broken:
                 self._died(running, workers)
 
+    def _give_up(self) -> None:
+        """Leave out jobs that are nothing without those they start from, if these failed."""
+        for job in self.jobs:
+            if job.alone or job.name in self.done or not self.done.keys() >= set(job.after):
+                continue
+            if all(self.done[name].reason for name in job.after):
+                said = f"not tried, as {', '.join(job.after)} failed"
+                self._finish(job, Done(result=None, reason=said), keep=False)
+
     def _ready(self, flying: set[str]) -> list[Job]:
         ready = [
             job
@@ -158,7 +169,13 @@ class _Campaign:
             and job.name not in flying
             and all(name in self.done for name in job.after)
         ]
-        return sorted(ready, key=lambda job: job.name not in self.attempts)
+        # Last of all should be what takes little (R. Graham, SIAM J. Appl. Math. 17, 1969): as long
+        # as those they start from, for all that is known.
+        return sorted(ready, key=lambda job: (job.name not in self.attempts, -self._before(job)))
+
+    def _before(self, job: Job) -> float:
+        """Seconds that the jobs took which this one starts from."""
+        return sum(self.done[name].seconds for name in job.after)
 
     def _start(self, job: Job) -> tuple[Any, str]:
         for name in job.after:

@@ -1,6 +1,7 @@
 """Structures side by side on manoeuvres left out."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -19,6 +20,17 @@ class Bare(Roll):
     """Pedals do not roll it."""
 
     Lped: Scalar = parameter(default=0.0, lower=0.0, upper=0.0, unit="rad/s^2")
+
+
+@dataclass(frozen=True)
+class Failing:
+    """Refuses whatever it is given."""
+
+    tried: ClassVar[int] = 0
+
+    def fit(self, *_, **__):
+        Failing.tried += 1
+        raise ValueError("of no use")
 
 
 def comparison(sizes, parameters, noise=0.0):
@@ -103,6 +115,24 @@ def test_one_structure_in_several_ways():
     # The noise rules both errors: they agree to a percent.
     np.testing.assert_allclose(found.excess[0], 0.0, atol=0.01)
     assert not found.reasons
+
+
+def test_a_way_that_fails_on_all_manoeuvres_is_not_tried_without_each():
+    ways = {"time": OutputError(interval=2.0), "none": Failing()}
+    found = compare_structures(dict.fromkeys(ways, TRUTH), RECORDS, estimator=ways, execution=HERE)
+    assert found.reasons == {"none, all": "ValueError: of no use"}
+    assert np.isfinite(found.errors[0]).all()
+    assert np.isinf(found.errors[1]).all()
+    assert found.fits[1] is None
+    assert Failing.tried == 1
+
+
+def test_candidates_of_two_processes_are_those_of_one():
+    ways = {"time": OutputError(interval=2.0), "frequency": OutputError(domain="frequency")}
+    given = {"candidates": dict.fromkeys(ways, TRUTH), "records": RECORDS, "estimator": ways}
+    one, two = (compare_structures(**given, execution=where) for where in (HERE, Execution()))
+    np.testing.assert_allclose(two.errors, one.errors, rtol=1e-9)
+    assert two.names == one.names
 
 
 def test_comparisons_that_make_no_sense_are_refused():

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,27 @@ def test_a_job_starts_from_the_nearest_that_succeeded():
 def test_an_unfinished_job_shows_its_best_but_starts_no_other():
     done = run_jobs(add, [job("a", "best"), job("b", 1, "a")])
     assert results(done) == {"a": (7, "halfway", ""), "b": (1, "", "")}
+
+
+def test_a_job_that_is_nothing_alone_is_left_out_where_its_start_failed(tmp_path):
+    jobs = [job("a", None), job("b", 1, "a", alone=False), job("c", 1, "b", alone=False)]
+    kept = Execution(folder=tmp_path / "study")
+    seen: list[CampaignProgress] = []
+    done = run_jobs(add, [*jobs, job("d", 2)], replace(kept, progress=seen.append))
+    assert results(done) == {
+        "a": (None, "ValueError: nothing to add", ""), "b": (None, "not tried, as a failed", ""),
+        "c": (None, "not tried, as b failed", ""), "d": (2, "", ""),
+    }  # fmt: skip
+    assert seen[-1].done == seen[-1].total == 4
+    again = run_jobs(add, [job("a", 1, key="mended"), *jobs[1:]], kept)
+    assert results(again) == {"a": (1, "", ""), "b": (2, "", "a"), "c": (3, "", "b")}
+
+
+def test_what_starts_from_a_long_job_is_done_first():
+    seen: list[CampaignProgress] = []
+    jobs = [job("a", 1), job("b", "long"), job("c", 1, "a"), job("d", 1, "b"), job("e", 1, "b")]
+    run_jobs(add, jobs, Execution(executor=Inline(), progress=seen.append))
+    assert [each.name for each in seen[2:]] == ["d", "e", "c"]
 
 
 def test_finished_jobs_are_taken_from_the_folder_unless_their_key_differs(tmp_path):
