@@ -6,6 +6,7 @@ after an interruption. Each result is a file of its own, written whole or not at
 """
 
 import logging
+import math
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -174,8 +175,8 @@ class _Campaign:
         return sorted(ready, key=lambda job: (job.name not in self.attempts, -self._before(job)))
 
     def _before(self, job: Job) -> float:
-        """Seconds that the jobs took which this one starts from."""
-        return sum(self.done[name].seconds for name in job.after)
+        """Seconds that the jobs took which this one starts from; what starts from none leads."""
+        return sum(self.done[name].seconds for name in job.after) if job.after else math.inf
 
     def _start(self, job: Job) -> tuple[Any, str]:
         for name in job.after:

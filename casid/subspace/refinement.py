@@ -7,14 +7,17 @@ likelihood of the records' Fourier transforms,
     min Σ_records Σ_k Σ_o |Y_o - Σ_m c_om (ρ_m b_m U + ζ_m δ_m) - D_o U|² / Φ_o(ω_k),
 
 with one transient δ per record (`casid.subspace.fourier`) and the residual spectrum Φ_o estimated
-from the residuals themselves, smoothed over log ω. What the linear model cannot follow (turbulence,
-the nonlinear response at low frequency) raises Φ there and counts less. Source: R. Pintelon, J.
-Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapters 9 and 12.
+from the residuals themselves, smoothed over log ω. After every step the output matrices are those
+that are best of its poles and inputs (`casid.subspace.slopes.with_outputs`). What the linear model
+cannot follow (turbulence, the nonlinear response at low frequency) raises Φ there and counts less.
+Source: R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed.,
+chapters 9 and 12.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +26,7 @@ from casid.linear import StateSpace
 from casid.subspace import modal as modes
 from casid.subspace.fourier import Spectrum
 from casid.subspace.likelihood import Part, noise_weights, parts, without_transients
-from casid.subspace.slopes import normal_equations, response_derivative
+from casid.subspace.slopes import normal_equations, response_derivative, with_outputs
 from casid.subspace.weighing import known_weights, smoothed
 from casid.values import storable
 
@@ -141,15 +144,23 @@ def _moved(
     nats = ROUGH * (modal.order * sum(modal.D.shape) + len(free)) if rough else 0.0
     for _ in range(1 if rough else ROUNDS):
         weights = noise_weights(modal, data)
-        known = lru_cache(1)(partial(parts, data=data, weights=weights))  # of the last trial
+        known = lru_cache(2)(partial(parts, data=data, weights=weights))  # of the last trial
+        of: Any = {"data": data, "weights": weights, "free": free, "known": known}
         modal = modes.descend(
             modal,
             cost=partial(_cost, known=known),
-            normal=partial(normal_equations, data=data, weights=weights, free=free, known=known),
-            tidy=lambda trial: replace(trial, lam=_capped(trial.lam, ceiling, fastest)),
+            normal=partial(normal_equations, **of),
+            tidy=partial(_tidied, ceiling=ceiling, fastest=fastest, of=of),
             free=free, steps=STEPS, settled=max(SETTLED, nats / lines),
         )  # fmt: skip
     return modal, weights
+
+
+def _tidied(
+    modal: modes.Modal, ceiling: Array, fastest: float, of: Mapping[str, Any]
+) -> modes.Modal:
+    """The model with its poles where they may be, and the outputs that follow best from these."""
+    return with_outputs(replace(modal, lam=_capped(modal.lam, ceiling, fastest)), **of)
 
 
 def _cost(modal: modes.Modal, known: Callable[[modes.Modal], list[Part]]) -> float:

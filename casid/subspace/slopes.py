@@ -5,6 +5,7 @@ transient of every record is eliminated.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -92,6 +93,47 @@ def _with_states(
     return whole, np.concatenate([heads[..., :C], tops, heads[..., C:]], axis=3)
 
 
+def with_outputs(
+    modal: modes.Modal,
+    data: Sequence[Spectrum],
+    weights: Sequence[Array],
+    free: np.ndarray,
+    known: Callable[[modes.Modal], list[Part]] | None = None,
+) -> modes.Modal:
+    """The C and free D that leave least, of given λ and B with the transients that were best.
+
+    Of these the residuals are linear: no Gauss-Newton step has to find them along a curved valley.
+    Source: A. Ruhe, P.-A. Wedin, SIAM Review 22 (1980), algorithm 3.
+    """
+    found = known(modal) if known else parts(modal, data, weights)
+    n, (ny, nu) = modal.order, modal.D.shape
+    rows = np.vstack(
+        [
+            modes.stacked(np.hstack([_states(modal, lines, part.delta, part.f), lines.U]))
+            for lines, part in zip(data, found, strict=True)
+        ]
+    )
+    left = np.vstack([modes.stacked(_left(modal, part)) for part in found])
+    w = np.vstack([each for own in weights for each in (own, own)])
+    direct = np.zeros((ny, nu), dtype=bool)
+    direct[free[:, 0], free[:, 1]] = True
+    grams = np.empty((ny, n + nu, n + nu + 1))
+    for o in range(ny):
+        own = np.column_stack([rows, left[:, o]]) * w[:, o, None]
+        own[:, n:-1] *= direct[o]
+        grams[o] = modes.gram(own)[:-1]
+    step = modes.eliminator(grams, n + nu)[..., 0]
+    C = modal.C + np.array([modes.to_complex(modal, own, 1)[:, 0] for own in step[:, :n]])
+    return replace(modal, C=C, D=modal.D + direct * step[:, n:])
+
+
+def _left(modal: modes.Modal, part: Part) -> ComplexArray:
+    """Residuals (K, ny) with the best transient."""
+    f = part.f
+    ends, ends_c = f.transient * part.delta, f.transient_c * part.delta.conj()
+    return part.E - ends @ modal.C.T - ends_c @ modal.C.conj().T
+
+
 def linearised(
     modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array]
 ) -> list[tuple[ComplexArray, ComplexArray]]:
@@ -119,9 +161,14 @@ def _signals(modal: modes.Modal, spectrum: Lines, delta: ComplexArray, f: Factor
 def _basis(modal: modes.Modal, spectrum: Lines, delta: ComplexArray, f: Factors) -> ComplexArray:
     """The signals with those of the states before those of D."""
     S, nu = _signals(modal, spectrum, delta, f), modal.B.shape[1]
+    return np.hstack([S[:, :-nu], _states(modal, spectrum, delta, f), S[:, -nu:]])
+
+
+def _states(modal: modes.Modal, spectrum: Lines, delta: ComplexArray, f: Factors) -> ComplexArray:
+    """What inputs and transients do to the states, (K, n)."""
     x = f.r * (spectrum.U @ modal.B.T) + f.transient * delta
     xc = f.rc * (spectrum.U @ modal.B.conj().T) + f.transient_c * delta.conj()
-    return np.hstack([S[:, :-nu], modes.pair(x, xc, modal.real), S[:, -nu:]])
+    return modes.pair(x, xc, modal.real)
 
 
 def response_derivative(

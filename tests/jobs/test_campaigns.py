@@ -52,7 +52,7 @@ def test_a_job_that_is_nothing_alone_is_left_out_where_its_start_failed(tmp_path
 def test_what_starts_from_a_long_job_is_done_first():
     seen: list[CampaignProgress] = []
     jobs = [job("a", 1), job("b", "long"), job("c", 1, "a"), job("d", 1, "b"), job("e", 1, "b")]
-    run_jobs(add, jobs, Execution(executor=Inline(), progress=seen.append))
+    run_jobs(add, jobs, Execution(progress=seen.append), here=True)
     assert [each.name for each in seen[2:]] == ["d", "e", "c"]
 
 

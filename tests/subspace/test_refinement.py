@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from truths.systems import campaign, innovation_record, unstable_plant
+from truths.uh60 import sweeps
 
 from casid import Record, StateSpace, pbsid
 from casid.records import standard_deviations
@@ -89,6 +90,25 @@ def test_refinement_lowers_the_likelihood_of_no_start_and_masks_the_direct_term(
     )
     assert after < before
     assert after <= truth + 1e-3  # the maximum is at least as likely as the truth
+
+
+def test_outputs_that_follow_from_the_poles_save_steps(monkeypatch):
+    # Of a helicopter 23 parameters a state are far from their maximum along curved valleys.
+    flown, mask = sweeps(seed=1), np.zeros((8, 4), dtype=bool)
+    mask[:3] = True
+    start = pbsid(flown, order=16, past=8, pole=8.0, feedthrough=mask, refine=False).system
+    su, sy = standard_deviations(flown)
+    data = [spectra([record], su, sy, 40.0) for record in flown]
+    lines = [spectrum for each in data for spectrum in each]
+
+    def score():
+        found = refined_system(start, lines, su, sy, mask, 8.0)
+        return information_criteria(found, data, su, sy, 12).mean()
+
+    eliminated = score()
+    monkeypatch.setattr("casid.subspace.refinement.with_outputs", lambda modal, **_: modal)
+    observations = 2 * 8 * sum(len(each.omega) for each in lines)
+    assert (score() - eliminated) * observations / 2 > 30  # nats
 
 
 def test_a_rough_model_is_as_likely_as_a_settled_one_but_for_what_noise_makes_of_it(monkeypatch):
