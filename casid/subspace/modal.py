@@ -159,7 +159,8 @@ def tangents(
         rows[:, where] = own * np.tile(w[:, o], 2)[:, None]
     whole = J.reshape(-1, J.shape[2])
     Q = np.linalg.qr(whole[:, :n])[0]
-    whole[:, :n] = Q
+    whole[:, :n] = 0.0
+    whole[:, : Q.shape[1]] = Q  # all there is, where a spectrum has fewer lines than that
     whole[:, n:] -= Q @ (Q.T @ whole[:, n:])
     e = stacked(E * w).T.ravel()
     return e - Q @ (Q.T @ e), whole

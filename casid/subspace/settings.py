@@ -255,7 +255,7 @@ class _HeldOut:
 
 
 def _akaike_search(campaign: Campaign, grid: Grid) -> list[Candidate]:
-    """Candidates by the corrected Akaike criterion of refined models, `STARTS` an order."""
+    """Candidates by the corrected Akaike criterion of roughly refined models."""
     data = [own for own in _transforms(campaign, grid.poles) if own]
     direct = int(campaign.mask.sum())
     judge = partial(information_criteria, data=data, su=campaign.su, sy=campaign.sy, direct=direct)
@@ -304,7 +304,7 @@ def _refined(
     lines = [spectrum for record in data for spectrum in record]
     try:
         scales = campaign.su, campaign.sy, campaign.mask
-        model = refined_system(start, lines, *scales, windows.pole)
+        model = refined_system(start, lines, *scales, windows.pole, rough=True)
     except (ValueError, np.linalg.LinAlgError):
         return []
     return [Candidate.of(start.nx, windows).scored(judge(model))]

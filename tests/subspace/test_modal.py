@@ -1,7 +1,22 @@
-import numpy as np
-from truths.systems import unstable_plant
+from dataclasses import replace
 
-from casid.subspace.modal import Modal, descend, from_modal, mixing, moved, pair, schur, to_modal
+import numpy as np
+from truths.systems import campaign, unstable_plant
+
+from casid.records import standard_deviations
+from casid.subspace.fourier import spectra
+from casid.subspace.modal import (
+    Modal,
+    descend,
+    from_modal,
+    mixing,
+    moved,
+    pair,
+    schur,
+    tangents,
+    to_modal,
+)
+from casid.subspace.slopes import linearised
 
 OMEGA = np.geomspace(0.5, 6.0, 12)
 
@@ -56,3 +71,18 @@ def test_a_descent_finds_the_system_whose_response_is_given():
             free=free, steps=50, settled=1e-6,
         )  # fmt: skip
         np.testing.assert_allclose(response(found), response(truth), atol=1e-6)
+
+
+def test_a_transient_of_more_states_than_lines_explains_all_of_them():
+    # As between two gaps: one line of one output, five states.
+    records, plant = campaign(records=1), unstable_plant()
+    su, sy = standard_deviations(records)
+    (whole,) = spectra(records, su, sy, 12.0)
+    one = replace(whole, omega=whole.omega[:1], U=whole.U[:1], Y=whole.Y[:1, :1], h=None)
+    modal = to_modal(plant, su, sy, plant.D != 0)
+    alone = Modal(modal.lam, modal.B, modal.C[:1], modal.D[:1])
+    w, free = np.ones((1, 1)), np.zeros((0, 2), dtype=int)
+    ((E, basis),) = linearised(alone, [one], [w])
+    left, J = tangents(alone, E, basis, w, free)
+    np.testing.assert_allclose(left, 0.0, atol=1e-12)
+    np.testing.assert_allclose(J[:, 5:], 0.0, atol=1e-9)
