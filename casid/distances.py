@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import scipy
 
 from casid.arrays import Array, BoolArray
 from casid.checks import check_asked
@@ -59,9 +58,11 @@ class Distance:
     band : (float, float)
         Edges [rad/s].
     structure, structure_level : float
-        Distance of the structure to the black box, and which one noise alone hardly exceeds.
+        Distance of the structure to the black box, and which one noise alone hardly exceeds. To the
+        errors counts one per cent of the pair's response, which no black box is without.
     measured, measured_level : float
-        Those of the black box to the measured response; NaN where none is coherent.
+        Those of the black box to the measured response, in errors of both; NaN where none is
+        coherent.
     share : float
         What the structure misses, relative to the response of the output to all inputs.
     missing : MissingMode or None
@@ -323,11 +324,6 @@ def _scores(
     return np.linalg.norm(E, axis=2) / np.sqrt(mean), np.sqrt(limits)
 
 
-def _limit(freedom: float, chance: float) -> float:
-    """What the root mean square of that many standard normal numbers exceeds with a chance."""
-    return float(np.sqrt(scipy.special.chdtri(freedom, chance) / freedom))
-
-
 def _measured(
     responses: Sequence[FrequencyResponse],
     box: BlackBox,
@@ -346,11 +342,19 @@ def _measured(
     if not usable.any():
         return {}
     omega, G = data.omega[usable], data.G[usable, i, j]
-    own = box.system.response(omega)[
-        :, box.system.outputs.index(pair[0]), box.system.inputs.index(pair[1])
-    ]
-    errors = np.sqrt(2) * data.error[usable, i, j] * np.abs(G)  # of both parts
-    cells = np.ptp(omega) * max(data.windows, default=0.0) / (2 * np.pi * CELLS)
-    freedom = 2 * float(np.clip(cells, 1, len(omega)))
-    far = float(np.linalg.norm(G - own)) / max(float(np.linalg.norm(errors)), 1e-300)
-    return {"measured": far, "measured_level": _limit(freedom, chance)}
+    at = box.system.outputs.index(pair[0]), box.system.inputs.index(pair[1])
+    own = box.system.response(omega)[:, *at]
+    # Errors of neighbouring frequencies are alike; those of the two responses, if both are of the
+    # same records, as well, which makes them less apart than is allowed for.
+    cell = 2 * np.pi * CELLS / max(data.windows, default=np.inf)
+    apart = np.abs(omega[:, None] - omega)
+    near = np.maximum(1 - apart / cell, 0.0) if cell > 0 else np.eye(len(omega))
+    of_data = np.tile(data.error[usable, i, j] * np.abs(G), 2)
+    of_box = own[:, None] * np.nan_to_num(box.response_factor(omega)[:, *at])
+    both = np.vstack([of_box.real, of_box.imag])
+    V = np.kron(np.eye(2), near) * np.outer(of_data, of_data) + both @ both.T
+    whole = max(float(np.trace(V)), 1e-300)
+    weights = np.maximum(np.linalg.eigvalsh(V / whole), 0.0)
+    limit = np.sqrt(upper_limit(weights[None], np.inf, chance))
+    far = float(np.linalg.norm(G - own)) / np.sqrt(whole)
+    return {"measured": far, "measured_level": float(limit[0])}

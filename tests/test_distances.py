@@ -36,13 +36,13 @@ def missed():
     return distances(NoSideslip(), box(1), band=BAND)
 
 
-def measured(factor):
-    """The black box's response times a factor, as measured with errors of 2 %."""
-    system, omega = box(1).system, np.geomspace(*BAND, 12)
+def measured(factor, system=None, error=0.02):
+    """The black box's response times a factor, as measured with errors of 2 %; or another's."""
+    system, omega = system or box(1).system, np.geomspace(*BAND, 12)
     G = factor * system.response(omega)
     ones = np.ones(G.shape)
     return FrequencyResponse(
-        omega=omega, G=G, coherence=0.9 * ones, random_error=0.02 * ones, windows=(6.0,),
+        omega=omega, G=G, coherence=0.9 * ones, random_error=error * ones, windows=(6.0,),
         inputs=system.inputs, outputs=system.outputs,
         input_std=ones[0, 0], output_std=ones[0, :, 0],
     )  # fmt: skip
@@ -79,12 +79,22 @@ def test_a_fit_is_judged_with_what_it_holds_fixed():
 
 def test_a_black_box_that_measurements_contradict_is_no_fault_of_the_structure():
     found = distances(NoSideslip(), box(1), measured(1.3), band=BAND)
-    assert all(row.doubted for row in found.rows)
+    hidden = [row for row in found.rows if not row.doubted]  # by the black box's own error
+    assert {row.input for row in hidden} == {"ped"}  # which the flights excite less
+    assert all(row.doubted for row in found.rows if row.far)
     assert any(row.far for row in found.rows)
     assert found.enough
     agreed = distances(NoSideslip(), box(1), measured(1.01), band=BAND)
     assert not any(row.doubted for row in agreed.rows)
     assert [row.fault for row in agreed.rows] == [row.far for row in agreed.rows]
+
+
+def test_a_black_box_is_as_far_from_the_truth_as_its_own_errors():
+    # All of the distance is the black box's, as the truth is measured without errors to speak of.
+    exact = measured(1.0, TRUTH.system(), error=1e-4)
+    rows = [row for s in range(1, 9) for row in distances(off(), box(s), exact, band=BAND).rows]
+    assert 0.7 < np.mean([row.measured**2 for row in rows]) < 1.4
+    assert np.mean([row.doubted for row in rows]) < 0.02
 
 
 def test_rows_are_pairs_by_octaves_and_survive_being_stored():

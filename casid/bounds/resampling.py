@@ -186,10 +186,16 @@ def monte_carlo(
     Raises
     ------
     ValueError
-        Too few runs, noise on what is no output.
+        Too few runs, noise on what is no output, an output without noise.
     """
     _check_runs(runs, estimator)
     check_known("noise names", noise, model.outputs)
+    quiet = [name for name in model.outputs if not noise.get(name, 0.0) > 0]
+    if quiet:
+        raise ValueError(
+            f"noise names none of {', '.join(quiet)}: each output needs one, as that of a measured "
+            "output is estimated; a very small one, or a structure without that output"
+        )
     flown = [piece for record in several(records) for piece in record.stretches()]
     clean = [_simulated(model, record) for record in flown]
     draws: list[Draw] = [NoiseDraw(dict(noise), (seed, run)) for run in range(runs)]

@@ -90,7 +90,8 @@ def _by_records(fit: AnyFit, a: Array) -> tuple[float, float]:
     told = np.einsum("cij,cj->ci", H, b)
     # Σ (b_cᵀ Tᵀ g_c)² is a quadratic form of white residuals, this its matrix but for rotations.
     form = np.diag(np.sum(b * told, axis=1)) - told @ told.T
-    freedom = np.trace(form) ** 2 / np.sum(form**2)
+    size = np.sum(form**2)
+    freedom = np.trace(form) ** 2 / size if size > 0 else 0.0  # none of a record alone
     return float(np.sum(np.sum(b * (g @ T), axis=1) ** 2)), float(freedom)
 
 

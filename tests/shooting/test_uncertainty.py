@@ -18,6 +18,14 @@ from casid.shooting.uncertainty import (
 )
 
 RNG = np.random.default_rng(8)
+START = RNG.bit_generator.state
+
+
+@pytest.fixture(autouse=True)
+def every_test_begins_with_the_same_numbers():
+    RNG.bit_generator.state = START
+
+
 NONE = np.zeros((0, 3))
 
 
@@ -273,3 +281,13 @@ def test_few_residuals_that_alternate_by_chance_do_not_make_errors_smaller():
     C = residual_covariance([r])
     root = np.linalg.cholesky(covariance)
     assert np.linalg.eigvalsh(process_scores(2, C, [[s @ root]])).min() < 0.5  # what it would be
+
+
+def test_a_parameter_known_far_worse_than_the_others_takes_nothing_from_their_errors():
+    n, nf = 4000, 3
+    s = RNG.standard_normal((n, 1, nf)) * [1.0, 1.0, 1e-9]  # the last is not known at all
+    P = np.diag(1 / np.einsum("nai,nai->i", s, s))
+    residuals = autoregressive(n, np.array([[0.8]]), RNG)
+    std = np.sqrt(np.diag(coloured_covariance(P, [residuals], lambda A: [[s @ A]])[0]))
+    alone = coloured_covariance(P[:2, :2], [residuals], lambda A: [[s[..., :2] @ A]])[0]
+    np.testing.assert_allclose(std[:2], np.sqrt(np.diag(alone)), rtol=0.1)
