@@ -61,7 +61,8 @@ class Excitation(Shown):
         Frequencies [rad/s].
     lower, upper : (K, nu) array
         Share of each input's power from outside: with all that the innovations of outputs and
-        inputs share taken for feedback, and with none of it.
+        inputs share taken for feedback, and with none of it. Of a controller that saw less noise
+        than the record has (noise added afterwards) what it feeds back passes for outside input.
     joint : (K,) array
         The smallest share of any combination of the inputs, each of power one; combinations that
         hardly move at all count as fed back.

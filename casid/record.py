@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise, zip_longest
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from casid.arrays import Array, BoolArray
 from casid.checks import checked_methods, spelling
 from casid.display import Shown, listed
 from casid.errors import warn
+from casid.rereading import warn_of_corners, with_steps_told
 
 Hold = Literal["foh", "zoh"]
 
@@ -179,9 +180,8 @@ class Record(Shown):
         Outputs follow a cubic spline, inputs what they do between samples (`hold`); what was lost
         stays lost. Where ``dt`` is longer than the interval by half or more, all channels pass a
         symmetric filter first, so that nothing above the new Nyquist frequency is folded back; what
-        it gives is lost, too, where over a tenth of its weight is on lost samples.
-        Across a gap in time nothing is interpolated: each of the `stretches` is resampled by itself
-        and the gap stays one.
+        it gives is lost, too, where over a tenth of its weight is on lost samples. Across a gap in
+        time nothing is interpolated: the `stretches` are resampled each by itself.
 
         Raises
         ------
@@ -198,9 +198,10 @@ class Record(Shown):
         if len(self.gaps()):
             return self._resampled_pieces(dt)
         t, values = samples.resampled(self.t, self._columns(), dt)
-        slower = dt >= samples.SLOWER * self.dt
-        u, y = values[:, : self.nu], values[:, self.nu :]
-        return replace(self, t=t, u=u, y=y, hold="foh" if slower else self.hold)
+        warn_of_corners(self, dt)
+        hold: Hold = "foh" if dt >= samples.SLOWER * self.dt else self.hold
+        found = replace(self, t=t, u=values[:, : self.nu], y=values[:, self.nu :], hold=hold)
+        return with_steps_told(found, self, {})
 
     def _resampled_pieces(self, dt: float) -> "Record":
         """Every stretch between gaps resampled by itself, and the gaps still told as such."""
@@ -224,7 +225,6 @@ class Record(Shown):
         """Channels moved in time [s]: -0.06 for one that is 0.06 s late.
 
         And by ``drift`` [s/s] from the record's start: -5e-4 for one later by 0.5 ms each second.
-
         Samples at the ends and beside gaps in time that a shifted input does not reach are left
         out. An output stays missing where the sample nearest to it is.
         """
@@ -247,12 +247,13 @@ class Record(Shown):
             ]
         ).T
         known = ~np.isnan(x[:, : self.nu]).any(axis=1)
-        return replace(kept, t=kept.t[known], u=x[known, : self.nu], y=x[known, self.nu :])
+        found = replace(kept, t=kept.t[known], u=x[known, : self.nu], y=x[known, self.nu :])
+        return with_steps_told(found, self, by)
 
     def join(self, other: "Record", *, clock: float = 0.0) -> "Record":
         """The record with the channels of another logger, at the instants of this one.
 
-        Outputs of a slower one are missing between its samples, inputs are filled in.
+        Outputs of a slower one are missing between its samples, inputs are filled in or left out.
 
         Parameters
         ----------
@@ -269,15 +270,14 @@ class Record(Shown):
         t = other.t + clock
         mine = self.cut(float(t[0]), float(t[-1]))
         u = [samples.at_instants(t, x, mine.t, other.hold) for x in other.u.T]
+        known = ~np.isnan(np.reshape(u, (other.nu, mine.N))).any(axis=0)
+        mine, u = mine.take(known), [x[known] for x in u]
         y = [samples.measured(t, x, mine.t) for x in other.y.T]
-        return replace(
-            mine,
-            u=np.column_stack([mine.u, *u]),
-            y=np.column_stack([mine.y, *y]),
-            inputs=(*self.inputs, *other.inputs),
-            outputs=(*self.outputs, *other.outputs),
-            trim={**self.trim, **other.trim},
-        )
+        both, trim = (np.column_stack([mine.u, *u]), np.column_stack([mine.y, *y])), self.trim
+        names = (*self.inputs, *other.inputs), (*self.outputs, *other.outputs)
+        held: Any = {"hold": self.hold if self.nu else other.hold, "trim": {**trim, **other.trim}}
+        found = replace(mine, u=both[0], y=both[1], inputs=names[0], outputs=names[1], **held)
+        return with_steps_told(found, other, dict.fromkeys(other.inputs, clock))
 
     def _columns(self) -> list[tuple[Array, samples.Between]]:
         """Every channel with what it does between samples."""

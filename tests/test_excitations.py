@@ -137,6 +137,7 @@ def test_a_record_too_short_or_at_rest_is_refused_and_never_stops_a_black_box():
         excitation(still)
 
 
+@pytest.mark.filterwarnings("ignore:.* no straight line:casid.DataWarning")
 def test_lost_samples_uneven_intervals_and_slower_records_are_taken():
     record = flown(1, 1.0)
     clean = excitation(record)

@@ -240,6 +240,8 @@ def _parts(
     parts = [tuple(i for i, name in enumerate(names) if name in group) for group in groups]
     if len(parts) < 2 or any(len(part) in {0, len(records)} for part in parts):
         raise ValueError("groups: expected two or more, none of them empty or of all manoeuvres")
+    if len(set(chain.from_iterable(parts))) < sum(map(len, parts)):
+        raise ValueError("groups: a manoeuvre is in two of them, and would count twice")
     return parts
 
 

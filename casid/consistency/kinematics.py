@@ -307,10 +307,11 @@ def _unchecked(names: set[str], pieces: Sequence[Record]) -> list[str]:
         shares = [np.isnan(p.channel(name)).mean() for p in pieces if name in p.outputs]
         return f"{max(shares):.0%} of {name} is missing" if shares else f"there is no {name}"
 
+    there = {name for piece in pieces for name in piece.outputs}
     notes = [
-        f"{rate} was not checked: {absence(attitude)}"
+        f"{rate} was not checked: {', '.join(map(absence, lacking))}"
         for rate, attitude in (("p", "phi"), ("q", "theta"))
-        if rate in names and attitude not in names
+        if rate in there and (lacking := [name for name in (rate, attitude) if name not in names])
     ]
     lacking = sorted(NEEDED["u"] - names)
     if lacking and {*FORCES} & names:

@@ -222,18 +222,17 @@ def coloured_covariance(
     after piece, so that memory does not grow with the records.
     """
     C = residual_covariance(residuals)
-    size = np.sqrt(np.diag(covariance))  # one may be known a million times worse than the others
-    unit = np.where(size > 0, size, 1.0)[:, None]
+    size = np.sqrt(np.diag(covariance))[:, None]  # of which one may be a million times the others
+    unit = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / (unit * unit.T))
     known = values > GONE * values.max(initial=0.0)
-    axes = vectors[:, known]
-    root = unit * axes * np.sqrt(values[known])  # P = root rootᵀ
+    root = unit * vectors[:, known] * np.sqrt(values[known])  # P = root rootᵀ
     K = process_scores(root.shape[1], C, slopes(root))
     blocks, samples = max(BLOCKS * len(K), FEWEST), sum(len(r) for r in residuals)
     length, records = samples // (PARTS * blocks), NO_SCORES
     if len(C) > 1 and length > 0:
         by_blocks, (g, H) = block_scores(len(K), residuals, slopes(root), length)
-        inverse = axes / np.sqrt(values[known]) / unit
+        inverse = vectors[:, known] / np.sqrt(values[known]) / unit
         records = g @ inverse.T, inverse @ H @ inverse.T
         K = _larger(K, by_blocks) if PARTS * length >= len(C) else K
     elif length == 0:

@@ -182,7 +182,8 @@ class Keeper:
     def _key(self, stage: Stage, settings: Any, task: Task) -> str:  # noqa: ANN401
         """Digest of all a stage's result depends on."""
         before = [self._keys.get(name, "") for name in (*stage.needs, *stage.uses)]
-        parts: list[Any] = [self._source, own_source(stage.run), before, settings, task.records]
+        given = [settings, task.records, task.hold]
+        parts: list[Any] = [self._source, own_source(stage.run), before, *given]
         if stage.structured:
             study = self._study
             parts += [self._structure, asdict(study.model), study.fixed, study.bounds]

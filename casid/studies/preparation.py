@@ -86,8 +86,9 @@ class Mending:
         if self.mask:
             marks = {key: outliers(record) for key, record in done.items()}
             done = {key: record.mask(marks[key]) for key, record in done.items()}
-            if count := sum(int(each.sum()) for each in marks.values()):
-                warn(f"outliers count as missing, {count} in all, as the study asks for")
+            count = sum(int(each.sum()) for each in marks.values())
+            told = f"{count} in all" if count else "but none was found"
+            warn(f"outliers count as missing, {told}, as the study asks for")
         by, drift = self.shift, dict[str, float]()
         if isinstance(by, str):
             by, drift, why = _skews(tuple(done.values()), second, theta0)
@@ -145,6 +146,12 @@ def _skews(
     check = kinematic_check(records, trim={"theta0": theta0})
     if check.by_record:
         raise ValueError(f'shift = "{KINEMATICS}": {"; ".join(check.by_record)}')
+    if not check.channels:
+        told = "; ".join((*check.further, *check.notes)) or "no angular rate with its attitude"
+        raise ValueError(
+            f'shift = "{KINEMATICS}": kinematics tells nothing of these records ({told}); mend '
+            "what is named, or state the shifts: shift = { phi = -0.06 }, {} for none"
+        )
     first = [name for name in records[0].outputs if name not in second]
     moves, why = aligned(check, first, second, records[0].inputs)
     return moves, check.drifts.remedy, (*why, *check.drifts.told())

@@ -141,6 +141,11 @@ def _channels(table: Table, structure: type[Model]) -> ChannelSettings:
             f"{table.place} check: {wrong[0]!r} is an input or output, or stands twice; name "
             "channels that are measured beside those of the structure"
         )
+    if {"time", "dt"} <= {*table.content}:
+        raise ValueError(
+            f"{table.place} states time and dt: instants are read from a column, or counted at an "
+            "interval where the files have none; leave one out"
+        )
     units = table.table("units")
     columns = table.table("columns")
     hold = table.take("hold", str)

@@ -154,6 +154,8 @@ def test_manoeuvres_are_left_out_one_by_one_or_in_two_groups_or_more():
     for groups in ([names[:2]], [names[:2], []], [names[:2], names]):
         with pytest.raises(ValueError, match="expected two or more, none of them empty or of all"):
             _parts(groups, RECORDS)
+    with pytest.raises(ValueError, match="in two of them"):
+        _parts([names[:2], names[1:3]], RECORDS)
     with pytest.raises(ValueError, match="no manoeuvre is called 'x'"):
         _parts([names[:2], ["x"]], RECORDS)
 

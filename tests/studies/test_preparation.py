@@ -22,6 +22,7 @@ def read(folder, *changes):
 
 
 @pytest.mark.filterwarnings("ignore:record .sweep.*an input moves")
+@pytest.mark.filterwarnings("ignore:.* no straight line:casid.DataWarning")
 def test_records_are_cut_and_resampled(tmp_path):
     plain = read(tmp_path, QUIET)["sweep"]
     changes = (PLACE, PLACE + "cut = [2.0, 20.0]\nresample = 0.08\n")
@@ -34,6 +35,7 @@ def test_records_are_cut_and_resampled(tmp_path):
     assert (records["sweep"].t[0], records["3211"].t[0]) == (2.0, 0.0)
 
 
+@pytest.mark.filterwarnings("ignore:.* no straight line:casid.DataWarning")
 def test_a_record_with_a_gap_is_resampled_stretch_by_stretch(tmp_path):
     path = write_study(tmp_path, QUIET, (PLACE, PLACE + "resample = 0.08\n"))
     rows = (tmp_path / "sweep.csv").read_text().splitlines(keepends=True)
@@ -50,6 +52,29 @@ def test_channels_are_moved_in_time(tmp_path):
     np.testing.assert_allclose(moved.totals()["p"], plain.totals()["p"][: moved.N], atol=1e-12)
     later = plain.totals()["phi"][2 : moved.N + 2]
     np.testing.assert_allclose(moved.totals()["phi"], later, atol=1e-9)
+
+
+def test_skews_that_kinematics_cannot_tell_are_not_taken_for_none(tmp_path):
+    path = write_study(tmp_path, (PLACE, f'[channels]\nshift = "kinematics"\n{PLACE}'))
+    rng = np.random.default_rng(1)
+    for name in ("3211", "sweep", "random"):
+        record = read_csv(tmp_path / f"{name}.csv", inputs=["lat"], outputs=["p", "phi"])
+        y = np.where(rng.random(record.y.shape) < 0.35, np.nan, record.y)
+        write_csv(tmp_path / f"{name}.csv", replace(record, y=y))
+    told = r"tells nothing of these records .*p was not checked: 3\d% of p is missing, 3\d% of phi"
+    with pytest.raises(ValueError, match=told):
+        read_records(read_study(path))
+
+
+def test_a_search_for_outliers_that_finds_none_says_so(tmp_path):
+    with pytest.warns(DataWarning, match="outliers count as missing, but none was found"):
+        read(tmp_path, (PLACE, f'[channels]\noutliers = "mask"\n{PLACE}'))
+
+
+def test_a_time_column_and_an_interval_exclude_each_other(tmp_path):
+    path = write_study(tmp_path, (PLACE, f'[channels]\ntime = "t"\ndt = 0.1\n{PLACE}'))
+    with pytest.raises(ValueError, match=r"\[channels\]: states time and dt"):
+        read_study(path)
 
 
 def test_skews_and_outliers_are_mended_by_a_word(tmp_path):
