@@ -1,6 +1,7 @@
 """The stage that identifies a black box from records."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -16,7 +17,16 @@ from casid.tables import placed
 
 
 def _run(settings: Pbsid, task: Task) -> BlackBox:
-    return settings.fit(task.records)
+    found = settings.fit(task.records)
+    if found.system.dt is None or settings.transform is not None:
+        return found
+    # A structure is compared with the continuous equivalent, which a black box of samples, chosen
+    # because it predicts these better, need not have.
+    try:
+        found.continuous()
+    except ValueError:
+        return replace(settings, transform="laguerre").fit(task.records)
+    return found
 
 
 def _check(settings: Pbsid, task: Task) -> None:

@@ -1,12 +1,12 @@
 """The stage of the black box."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from truths.structures import SECOND, black_box
-from truths.systems import campaign, unstable_plant
+from truths.systems import campaign, innovation_record, unstable_plant
 
 from casid import Excitation, Pbsid, pbsid
 from casid.stages.black_box import BLACK_BOX
@@ -21,6 +21,27 @@ def test_the_stage_is_pbsid_with_its_settings():
     np.testing.assert_array_equal(found.system.A, pbsid(records, **own).system.A)
     assert found.system.poles()[0].real > 0
     assert unstable_plant().poles()[0].real > 0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Preferring(Pbsid):
+    """Chooses a black box of samples one of whose modes changes its sign from sample to sample."""
+
+    def fit(self, records):
+        if self.transform is not None:
+            return super().fit(records)
+        found = pbsid(records, order=3, past=6, transform="none", feedthrough=False)
+        A = np.diag([-0.5, 0.9, 0.8])
+        return replace(found, system=replace(found.system, A=A))
+
+
+def test_a_structure_is_compared_with_a_black_box_that_has_a_continuous_equivalent():
+    _, _, record, _ = innovation_record(seed=1)
+    settings = Preferring(order=3, pole=1.0, past=6, feedthrough=False)
+    with pytest.raises(ValueError, match=r"pole at -0\.5: it has no continuous equivalent"):
+        settings.fit([record]).continuous()
+    found = BLACK_BOX.run(settings, Task(model=None, records=(record,)))
+    assert found.system.dt is None
 
 
 def test_the_shares_of_the_inputs_from_outside_are_shown():
