@@ -1,6 +1,7 @@
 """What every command does alike: messages, exit codes, the log."""
 
 import logging
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -18,9 +19,18 @@ BAD_INPUT, NO_CONVERGENCE = 2, 3
 ENDLESS = 10_000  # columns of a file or pipe
 
 
+class _Unread(Console):
+    """Goes on in silence where nobody reads any more (``casid identify study.toml | head``)."""
+
+    def on_broken_pipe(self) -> None:
+        """Write to nowhere: what is computed is kept, and the exit code tells of that alone."""
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
+
+
 def terminal() -> Console:
     """Standard output; lines are broken on a terminal only."""
-    console = Console(highlight=False)
+    console = _Unread(highlight=False)
     if not console.file.isatty():
         console.width = ENDLESS
     return console

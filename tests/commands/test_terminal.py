@@ -2,6 +2,8 @@
 
 import io
 import logging
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -33,6 +35,18 @@ def test_nothing_is_cut_where_the_output_is_no_terminal():
     for heading in ("channel", "95 % [rad/s]", "Correlation", "scale [%]", "late [ms]"):
         assert heading in said
     assert "…" not in said
+
+
+@pytest.mark.parametrize(("outputs", "code"), [("p,phi", 0), ("p,psi", 2)])
+def test_a_reader_that_leaves_changes_no_exit_code(outputs, code):
+    command = [sys.executable, "-m", "casid", "inspect", str(FLIGHT), "--outputs", outputs]
+    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **piped) as running:
+        running.stdout.close()
+        said = running.stderr.read()
+        assert running.wait() == code
+    assert "Traceback" not in said
+    assert "Broken" not in said
 
 
 def test_a_narrow_terminal_folds_what_does_not_fit():
