@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from casid.checks import optional
+from casid.display import counted
 from casid.limits import MIB, check_file
 from casid.logs import dataflash, tdms, ulog
 from casid.logs.topics import Log, Topic, printable
@@ -54,6 +55,14 @@ def read_log(path: str | Path) -> Log:
     topics, notes = _topics(path, kind, partial(read, data, library))
     if not topics:
         raise ValueError(f"{path}: no topic with samples could be read; is the {kind} log cut off?")
+    left_out = {name: topic.left_out for name, topic in topics.items() if topic.left_out}
+    if left_out:
+        most = max(left_out, key=lambda name: left_out[name])
+        notes += (
+            f"{counted(sum(left_out.values()), 'sample')} left out whose clock went back, most of "
+            f"{most} ({left_out[most]} of {left_out[most] + len(topics[most].t)}): where many are, "
+            "the logger began anew; split the log there to read both parts",
+        )
     return Log(path=path, kind=kind, topics=topics, notes=notes)
 
 

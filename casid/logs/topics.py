@@ -45,6 +45,8 @@ class Topic:
         How long before its stamp a sample was taken [s], where the log says it; else 0.
     units : mapping of str
         Of columns, as written in a log whose format leaves them to its writer; "" if not stated.
+    left_out : int
+        Samples whose stamps went back, or were no numbers.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Topic:
     columns: Mapping[str, Array]
     age: float = 0.0
     units: Mapping[str, str] = field(default_factory=dict)
+    left_out: int = 0
 
     @property
     def interval(self) -> float:
@@ -113,7 +116,9 @@ def make_topic(
             read = np.where(np.abs(read) < BEYOND, read, np.nan)
             values[printable(column)] = read * SI_OF.get(unit, 1.0)
     name = printable(name)
-    return Topic(name=name, t=t[rows], columns=values, age=age) if values else None
+    left_out = len(t) - len(rows)
+    found = Topic(name=name, t=t[rows], columns=values, age=age, left_out=left_out)
+    return found if values else None
 
 
 def printable(text: str) -> str:

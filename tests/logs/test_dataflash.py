@@ -95,6 +95,18 @@ def test_lines_that_are_damaged_cost_themselves():
     assert notes == ("2 lines damaged and left out",)
 
 
+def test_a_logger_that_began_anew_is_told(tmp_path):
+    path = tmp_path / "flight.log"
+    lines = dataflash_text(1.0).decode().splitlines()
+    again = [line for line in lines if not line.startswith("FMT")]
+    path.write_text("\n".join([*lines, *again, ""]))
+    *_, note = read_log(path).notes
+    topic = read_log(path).topics["ATT"]
+    assert topic.left_out >= len(topic.t) - 1
+    assert "left out whose clock went back" in note
+    assert "the logger began anew" in note
+
+
 @pytest.mark.parametrize("name", ["flight.bin", "flight.log"])
 def test_messages_without_units_have_those_that_ardupilot_documents(name, tmp_path):
     whole, silent = topics(dataflash(1.0)), dataflash(1.0).replace(b"FMTU", b"FMTX")

@@ -259,7 +259,7 @@ STUDIES = {  # changes of the study, its truth, what is done to its files, cauti
         ["All inputs together: at ", "fewer things move lat, ped from outside than there are"],
     ),
     "of an input that gusts move by feedback": (
-        PEDALS, None, partial(with_pedals, moved=hardly, feedback=0.5, gust=1.0),
+        PEDALS, None, partial(with_pedals, moved=hardly, feedback=1.0, gust=2.0),
         ["Of p, phi the black box is no measure of the structure where outputs feed an input back",
          "The controller feeds so much of the outputs' noise back into the inputs",
          "Of input ped only "],
