@@ -346,9 +346,8 @@ def _measured(
     own = box.system.response(omega)[:, *at]
     # Errors of neighbouring frequencies are alike; those of the two responses, if both are of the
     # same records, as well, which makes them less apart than is allowed for.
-    cell = 2 * np.pi * CELLS / max(data.windows, default=np.inf)
-    apart = np.abs(omega[:, None] - omega)
-    near = np.maximum(1 - apart / cell, 0.0) if cell > 0 else np.eye(len(omega))
+    cells = np.abs(omega[:, None] - omega) * max(data.windows, default=0.0) / (2 * np.pi * CELLS)
+    near = np.maximum(1 - cells, 0.0)  # of windows that nobody knows, all are
     of_data = np.tile(data.error[usable, i, j] * np.abs(G), 2)
     of_box = own[:, None] * np.nan_to_num(box.response_factor(omega)[:, *at])
     both = np.vstack([of_box.real, of_box.imag])

@@ -36,13 +36,13 @@ def missed():
     return distances(NoSideslip(), box(1), band=BAND)
 
 
-def measured(factor, system=None, error=0.02):
+def measured(factor, system=None, error=0.02, windows=(6.0,)):
     """The black box's response times a factor, as measured with errors of 2 %; or another's."""
     system, omega = system or box(1).system, np.geomspace(*BAND, 12)
     G = factor * system.response(omega)
     ones = np.ones(G.shape)
     return FrequencyResponse(
-        omega=omega, G=G, coherence=0.9 * ones, random_error=error * ones, windows=(6.0,),
+        omega=omega, G=G, coherence=0.9 * ones, random_error=error * ones, windows=windows,
         inputs=system.inputs, outputs=system.outputs,
         input_std=ones[0, 0], output_std=ones[0, :, 0],
     )  # fmt: skip
@@ -95,6 +95,16 @@ def test_a_black_box_is_as_far_from_the_truth_as_its_own_errors():
     rows = [row for s in range(1, 9) for row in distances(off(), box(s), exact, band=BAND).rows]
     assert 0.7 < np.mean([row.measured**2 for row in rows]) < 1.4
     assert np.mean([row.doubted for row in rows]) < 0.02
+
+
+def test_errors_that_are_alike_are_exceeded_farther():
+    # Twelve numbers that are one are more often far than twelve of their own.
+    levels = [
+        np.mean([row.measured_level for row in distances(off(), box(1), known, band=BAND).rows])
+        for known in (measured(1.0, windows=w, error=0.5) for w in ((60.0,), (6.0,), ()))
+    ]
+    assert levels[0] < 0.9 * levels[1]
+    assert levels[1] < levels[2]
 
 
 def test_rows_are_pairs_by_octaves_and_survive_being_stored():

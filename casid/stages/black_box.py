@@ -7,6 +7,7 @@ from typing import Any
 
 from casid import report
 from casid.display import counted
+from casid.errors import warn
 from casid.excitations import Excitation
 from casid.report.content import Caution, Content, Section, section
 from casid.report.tables import shares
@@ -24,7 +25,11 @@ def _run(settings: Pbsid, task: Task) -> BlackBox:
     # because it predicts these better, need not have.
     try:
         found.continuous()
-    except ValueError:
+    except ValueError as error:
+        warn(
+            f"the black box of samples predicts these records best, but {error}; that of Laguerre "
+            'projections is taken ([pbsid] transform = "laguerre" says so from the start)'
+        )
         return replace(settings, transform="laguerre").fit(task.records)
     return found
 

@@ -144,7 +144,7 @@ def _moved(
     nats = ROUGH * (modal.order * sum(modal.D.shape) + len(free)) if rough else 0.0
     for _ in range(1 if rough else ROUNDS):
         weights = noise_weights(modal, data)
-        known = lru_cache(2)(partial(parts, data=data, weights=weights))  # of the last trial
+        known = lru_cache(1)(partial(parts, data=data, weights=weights))  # of the last trial
         of: Any = {"data": data, "weights": weights, "free": free, "known": known}
         modal = modes.descend(
             modal,

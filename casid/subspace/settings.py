@@ -255,7 +255,7 @@ class _HeldOut:
 
 
 def _akaike_search(campaign: Campaign, grid: Grid) -> list[Candidate]:
-    """Candidates by the corrected Akaike criterion of roughly refined models."""
+    """Candidates by the corrected Akaike criterion of rough models, `STARTS` an order."""
     data = [own for own in _transforms(campaign, grid.poles) if own]
     direct = int(campaign.mask.sum())
     judge = partial(information_criteria, data=data, su=campaign.su, sy=campaign.sy, direct=direct)

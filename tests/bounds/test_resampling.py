@@ -95,6 +95,9 @@ def test_ensembles_of_nothing_are_refused(settings, said):
         monte_carlo(TRUTH, record(), noise={"y": NOISE}, runs=1)
     with pytest.raises(ValueError, match="noise names 'zz'; known are y"):
         monte_carlo(TRUTH, record(), noise={"y": NOISE, "zz": 0.01})
+    for quiet in ({}, {"y": 0.0}):
+        with pytest.raises(ValueError, match="noise names none of y: each output needs one"):
+            monte_carlo(TRUTH, record(), noise=quiet)
 
 
 def test_scatter_is_the_unbiased_standard_deviation_and_coverage_counts_intervals():

@@ -10,7 +10,7 @@ import scipy.stats
 from truths.mixture import NOISE, Inline, Mixture, least_squares, record
 
 from casid import Execution, OutputError, compare_bounds, output_error
-from casid.bounds.robust import p_value, price_p_values, ratio_p_value, weights
+from casid.bounds.robust import _by_records, p_value, price_p_values, ratio_p_value, weights
 from casid.fit import Fit
 
 KNOWN = OutputError(R=np.array([[NOISE**2]]))
@@ -162,3 +162,9 @@ def test_scores_of_records_are_nothing_together_and_their_information_is_all():
     whole = notes.record_information.sum(axis=0) @ notes.cramer_rao
     np.testing.assert_allclose(whole * size / size[:, None], np.eye(3), atol=1e-6)
     assert not len(output_error(Mixture(), flights).notes.record_scores)  # white residuals
+
+
+def test_a_record_that_tells_nothing_has_no_degrees_of_freedom(fit):
+    none = {"record_scores": np.zeros((1, 3)), "record_information": np.zeros((1, 3, 3))}
+    silent = replace(fit, notes=replace(fit.notes, **none))
+    assert _by_records(silent, np.array([1.0, 0.0, 0.0])) == (0.0, 0.0)

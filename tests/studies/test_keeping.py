@@ -34,6 +34,14 @@ def test_a_changed_option_computes_its_stage_and_those_after_it_again(copy):
 
 
 @pytest.mark.slow
+def test_what_is_stated_of_the_inputs_computes_again(copy):
+    # Nothing else changes: that they are straight lines is taken where nothing is stated.
+    place = "[records.identification]\n"
+    stated = run_study(read_study(write_study(copy, (place, f'[channels]\nhold = "foh"\n{place}'))))
+    assert _kept(stated) == []
+
+
+@pytest.mark.slow
 def test_what_a_stage_warns_of_is_in_the_report_of_a_later_run_too(tmp_path, monkeypatch):
     study = read_study(write_study(tmp_path))
     honest = Pbsid.fit
