@@ -1,8 +1,8 @@
 """Outliers: samples of outputs that nothing around them bears out.
 
 Expected is what a short autoregression makes of all other samples (`casid.autoregression`). A fit
-that sees what all channels do at once, or a long run of one, follows it: these are looked for by
-their jumps and called by a fit without them.
+that sees what all channels do at once, a long run of one or many of its jumps, follows: these are
+looked for by their jumps and called by a fit without them.
 """
 
 from dataclasses import replace
@@ -24,6 +24,7 @@ GAP = 10  # samples in a row that are lost, of all outputs: nothing after follow
 FAR = 6.0  # deviations of a normal distribution that make an outlier
 GROSS = 10.0  # of one that no fit may see, as it would follow what all channels do at once
 BRIEF, FEW = 0.08, 4  # s and samples that such a jump lasts at most
+MANY = 0.01  # of a channel's samples that jump: fits that see them follow
 LONG, LEAP = 80, 0.5  # samples between jumps of a run; these, in the channel's deviations
 MOSTLY = 0.25  # of a channel between such jumps: that is its way
 SLIGHT = 0.05  # of a channel's deviation: what is less does no harm
@@ -59,7 +60,8 @@ def _far(record: Record) -> BoolArray:
     if not len(there) or record.N < FEWEST:
         return found
     part, own = _regular(record.select(outputs=[record.outputs[i] for i in there]))
-    marks = _jumps(part) | _runs(part)
+    marks = _runs(part)
+    marks |= _jumps(part.mask(marks))
     for _ in range(PASSES):
         whole, lost = filled(part.mask(marks))
         off, limit, p = _judged(whole, lost)
@@ -75,10 +77,11 @@ def _far(record: Record) -> BoolArray:
 
 
 def _jumps(record: Record) -> BoolArray:
-    """Samples of several channels at once off what was around them and is expected there, (N, ny).
+    """Samples off what was around them and is expected there, of several channels or many, (N, ny).
 
-    Channels that jump together bear each other out, and least squares follow: so these are looked
-    for in each channel alone, by its running median, and called if a fit without them says so too.
+    Channels that jump together bear each other out, and so do many jumps of one, which spoil what
+    is expected next and widen the limits: least squares follow. So these are looked for in each
+    channel alone, by its running median, and called if a fit without them says so too.
     """
     width = 2 * int(np.clip(round(BRIEF / record.dt), 1, FEW)) + 1
     marks = np.column_stack([_brief(x, width) for x in record.y.T])
@@ -86,12 +89,11 @@ def _jumps(record: Record) -> BoolArray:
     off = np.abs(record.u - scipy.ndimage.median_filter(record.u, (width, 1), mode="nearest"))
     pulses = np.any(off > PULSE * np.ptp(record.u, axis=0), axis=1)
     marks &= ~scipy.ndimage.maximum_filter1d(pulses, 2 * width + 1)[:, None]
-    marks &= marks.sum(axis=1, keepdims=True) > 1
+    many = marks.mean(axis=0) > MANY
+    marks &= many | (marks.sum(axis=1, keepdims=True) > 1)
     if marks.any():
-        whole, lost = filled(record.mask(marks))
-        limit = np.where(lost, np.nan, _judged(whole, lost)[1])
-        marks &= np.abs(record.y - whole.y) > GROSS / FAR * np.nanmedian(limit, axis=0)
-    return np.asarray(marks & (marks.sum(axis=1, keepdims=True) > 1))
+        marks &= _unexpected(record, marks)[0]
+    return np.asarray(marks & (many | (marks.sum(axis=1, keepdims=True) > 1)))
 
 
 def _runs(record: Record) -> BoolArray:
@@ -104,16 +106,24 @@ def _runs(record: Record) -> BoolArray:
     marks = np.column_stack([_between(x, _stepped(record.u)) for x in record.y.T])
     if not marks.any():
         return marks
-    whole, lost = filled(record.mask(marks))
-    limit = np.nanmedian(np.where(lost, np.nan, _judged(whole, lost)[1]), axis=0)
-    wide = FAR * unsure(autoregression(whole, whole.y, lost), whole, lost, marks)
-    far = np.abs(record.y - whole.y) > GROSS / FAR * np.hypot(limit, wide)
+    far, expected, limit = _unexpected(record, marks)
     rest = np.where(marks, np.nan, record.y)  # no model is believed that diverges from it
-    far &= (whole.y > np.nanmin(rest, axis=0) - limit) & (whole.y < np.nanmax(rest, axis=0) + limit)
+    far &= (expected > np.nanmin(rest, axis=0) - limit) & (
+        expected < np.nanmax(rest, axis=0) + limit
+    )
     for i, column in enumerate(marks.T):
         for a, b in runs(column):
             column[a:b] &= far[a:b, i] & bool(far[a, i] and far[b - 1, i])
     return marks
+
+
+def _unexpected(record: Record, marks: BoolArray) -> tuple[BoolArray, Array, Array]:
+    """Samples far off what a fit without the marked ones expects (N, ny), that, and its limits."""
+    whole, lost = filled(record.mask(marks))
+    limit = np.nanmedian(np.where(lost, np.nan, _judged(whole, lost)[1]), axis=0)
+    wide = FAR * unsure(autoregression(whole, whole.y, lost), whole, lost, marks)
+    far = np.abs(record.y - whole.y) > GROSS / FAR * np.hypot(limit, wide)
+    return np.asarray(far), whole.y, limit
 
 
 def _stepped(u: Array) -> BoolArray:

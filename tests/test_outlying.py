@@ -184,3 +184,17 @@ def test_quick_honest_motion_is_not_taken_for_a_jump(noise):
         y[i] = [0.5 * y[i - 1, 0] + u[i, 0], 0.9 * y[i - 1, 1] + 0.3 * y[i - 1, 0]]
     y += noise * 0.003 * np.random.default_rng(6).standard_normal(y.shape)
     assert not outliers(Record(0.02 * k, u, y, ("lat",), ("p", "phi"), "pulses")).any()
+
+
+@pytest.mark.parametrize(("share", "lost"), [(0.03, 0.0), (0.05, 0.3), (0.1, 0.0)])
+def test_outliers_are_found_however_many_there_are(share, lost):
+    for seed in range(3):
+        rng = np.random.default_rng([seed, 78])
+        record = closed_roll.flown(t=0.02 * np.arange(2000), seed=seed).with_noise(NOISE, rng)
+        there = rng.random(record.y.shape) < share
+        noise = [NOISE[name] for name in record.outputs]
+        y = record.y + 40 * there * noise * rng.choice([-1, 1], record.y.shape)
+        spoiled = replace(record, y=y).mask(rng.random(y.shape) < lost)
+        found, there = outliers(spoiled), there & np.isfinite(spoiled.y)
+        assert (found & there).sum() > 0.99 * there.sum()
+        assert (found & ~there).sum() <= 2
