@@ -23,6 +23,7 @@ PULSE = 0.2  # of an input's range
 GAP = 10  # samples in a row that are lost, of all outputs: nothing after follows from before
 FAR = 6.0  # deviations of a normal distribution that make an outlier
 GROSS = 10.0  # of one that no fit may see, as it would follow what all channels do at once
+LATE = 0.3  # s after a step of an input within which outputs may jump, too
 BRIEF, FEW = 0.08, 4  # s and samples that such a jump lasts at most
 MANY = 0.01  # of a channel's samples that jump: fits that see them follow
 LONG, LEAP = 80, 0.5  # samples between jumps of a run; these, in the channel's deviations
@@ -60,12 +61,17 @@ def _far(record: Record) -> BoolArray:
     if not len(there) or record.N < FEWEST:
         return found
     part, own = _regular(record.select(outputs=[record.outputs[i] for i in there]))
+    # What lasts after a step of an input answers it, after a delay that no short fit may know.
+    width = _width(part)
+    lasts = np.column_stack([_steady(x, width) for x in part.y.T])
+    lasts[~(_stepped(part) & (width > 3))] = np.nan  # of slow samples lags reach far enough
     marks = _runs(part)
-    marks |= _jumps(part.mask(marks))
+    marks |= _jumps(part.mask(marks), lasts)
     for _ in range(PASSES):
         whole, lost = filled(part.mask(marks))
         off, limit, p = _judged(whole, lost)
-        size = np.where(lost, 0.0, np.abs(off) / limit)
+        answers = np.abs(part.y - lasts) < limit
+        size = np.where(lost | answers, 0.0, np.abs(off) / limit)
         # An outlier spoils what is expected of all channels around it: the largest one first.
         around = scipy.ndimage.maximum_filter1d(size.max(axis=1), 2 * p + 1)
         far = (size > 1) & (size == around[:, None])
@@ -76,23 +82,25 @@ def _far(record: Record) -> BoolArray:
     return found
 
 
-def _jumps(record: Record) -> BoolArray:
+def _jumps(record: Record, lasts: Array) -> BoolArray:
     """Samples off what was around them and is expected there, of several channels or many, (N, ny).
 
     Channels that jump together bear each other out, and so do many jumps of one, which spoil what
     is expected next and widen the limits: least squares follow. So these are looked for in each
-    channel alone, by its running median, and called if a fit without them says so too.
+    channel alone, by its running median, and called if a fit without them says so too, but for
+    what ``lasts`` (N, ny) where it answers an input.
     """
-    width = 2 * int(np.clip(round(BRIEF / record.dt), 1, FEW)) + 1
+    width = _width(record)
     marks = np.column_stack([_brief(x, width) for x in record.y.T])
     # A pulse of an input moves them all, and without its rows nobody would know.
     off = np.abs(record.u - scipy.ndimage.median_filter(record.u, (width, 1), mode="nearest"))
-    pulses = np.any(off > PULSE * np.ptp(record.u, axis=0), axis=1)
+    pulses = np.any(off > _large(record.u, off), axis=1)
     marks &= ~scipy.ndimage.maximum_filter1d(pulses, 2 * width + 1)[:, None]
     many = marks.mean(axis=0) > MANY
     marks &= many | (marks.sum(axis=1, keepdims=True) > 1)
     if marks.any():
-        marks &= _unexpected(record, marks)[0]
+        far, _, limit = _unexpected(record, marks)
+        marks &= far & ~(np.abs(record.y - lasts) < GROSS / FAR * limit)
     return np.asarray(marks & (many | (marks.sum(axis=1, keepdims=True) > 1)))
 
 
@@ -103,7 +111,7 @@ def _runs(record: Record) -> BoolArray:
     and called where it is far off at both ends: what the aircraft flies begins within a sample's
     noise of what it did before. The longer the run, the less is known of what is expected.
     """
-    marks = np.column_stack([_between(x, _stepped(record.u)) for x in record.y.T])
+    marks = np.column_stack([_between(x, _stepped(record)) for x in record.y.T])
     if not marks.any():
         return marks
     far, expected, limit = _unexpected(record, marks)
@@ -126,10 +134,20 @@ def _unexpected(record: Record, marks: BoolArray) -> tuple[BoolArray, Array, Arr
     return np.asarray(far), whole.y, limit
 
 
-def _stepped(u: Array) -> BoolArray:
-    """Samples (N,) about which an input jumps, as what follows from it may."""
-    jumps = np.abs(np.diff(u, axis=0, prepend=u[:1])) > PULSE * np.ptp(u, axis=0)
-    return np.asarray(scipy.ndimage.maximum_filter1d(jumps.any(axis=1), 2 * FEW + 1))
+def _stepped(record: Record) -> BoolArray:
+    """Samples (N,) about which an input jumps, as what follows from it may, later by its delay."""
+    moves = np.abs(np.diff(record.u, axis=0, prepend=record.u[:1]))
+    marks = (moves > _large(record.u, moves)).any(axis=1)
+    around = scipy.ndimage.maximum_filter1d(marks, 2 * FEW + 1)
+    late = round(LATE / record.dt)
+    after = scipy.ndimage.maximum_filter1d(marks, late + 1, origin=late // 2, mode="constant")
+    return np.asarray(around | after)
+
+
+def _large(u: Array, moves: Array) -> Array:
+    """From where on moves (N, nu) of inputs are large (nu,): one that only jitters makes none."""
+    typical = np.median(np.abs(moves), axis=0)
+    return np.asarray(np.maximum(PULSE * np.ptp(u, axis=0), GROSS * MAD * typical))
 
 
 def _between(x: Array, stepped: BoolArray) -> BoolArray:
@@ -152,13 +170,24 @@ def _between(x: Array, stepped: BoolArray) -> BoolArray:
     return marks if marks.sum() <= MOSTLY * len(at) else np.zeros_like(marks)
 
 
+def _width(record: Record) -> int:
+    """Samples of a running median that no brief jump moves."""
+    return 2 * int(np.clip(round(BRIEF / record.dt), 1, FEW)) + 1
+
+
+def _steady(x: Array, width: int) -> Array:
+    """Running median (N,) of the ``width`` samples around, lost ones left out."""
+    steady, at = np.full(len(x), np.nan), np.flatnonzero(np.isfinite(x))
+    steady[at] = scipy.ndimage.median_filter(x[at], width, mode="nearest")
+    return steady
+
+
 def _brief(x: Array, width: int) -> BoolArray:
-    """Samples (N,) far from the median of the ``width`` samples around, lost ones left out."""
-    marks, at = np.zeros(len(x), dtype=bool), np.flatnonzero(np.isfinite(x))
-    steady = scipy.ndimage.median_filter(x[at], width, mode="nearest")
-    off = np.abs(x[at] - steady)
-    marks[at] = off > np.maximum(GROSS * MAD * np.median(off), SLIGHT * np.std(steady))
-    return marks
+    """Samples (N,) far from the running median."""
+    steady = _steady(x, width)
+    off = np.nan_to_num(np.abs(x - steady))
+    typical = np.median(off[np.isfinite(steady)])
+    return np.asarray(off > np.maximum(GROSS * MAD * typical, SLIGHT * np.nanstd(steady)))
 
 
 def _regular(record: Record) -> tuple[Record, NDArray[np.intp]]:

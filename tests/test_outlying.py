@@ -198,3 +198,38 @@ def test_outliers_are_found_however_many_there_are(share, lost):
         found, there = outliers(spoiled), there & np.isfinite(spoiled.y)
         assert (found & there).sum() > 0.99 * there.sum()
         assert (found & ~there).sum() <= 2
+
+
+def test_a_stick_that_only_jitters_hides_no_run_of_bad_samples():
+    rng = np.random.default_rng(21)
+    record = closed_roll.flown(t=0.02 * np.arange(900), seed=12).with_noise(NOISE, rng)
+    resting = 0.5 + 0.0003 * rng.standard_normal((900, 1))
+    u = np.hstack([record.u, resting])
+    spoilt, there = garbled(record, "garbage", 420, 20, rng)
+    found = outliers(replace(spoilt, u=u, inputs=(*record.inputs, "col")))
+    np.testing.assert_array_equal(found, there)
+    y = record.y.copy()
+    y[[200, 330, 500]] = 0.0  # all channels at once
+    together = outliers(replace(record, y=y + 1.0, u=u, inputs=(*record.inputs, "col")))
+    off = np.abs(y - record.y) > 20 * np.array([NOISE[name] for name in record.outputs])
+    assert together[off].all()
+
+
+@pytest.mark.parametrize("delay", [3, 6, 10])
+def test_what_answers_a_step_of_a_stick_late_is_no_outlier(delay):
+    # A force that follows at once, but for a delay that lags of a short record do not reach.
+    rng = np.random.default_rng(delay)
+    k = np.arange(450)
+    col = np.where((k > 100) & (k < 400), (-1.0) ** (k // 30), 0.0)
+    late = np.roll(col, delay)
+    w, heave = 0.0, []
+    for now in late:
+        heave.append(-0.6 * w - 10 * now)
+        w += 0.02 * heave[-1]
+    others = rng.standard_normal((450, 3)) * 0.01
+    y = np.column_stack([heave, *others.T]) + 0.05 * rng.standard_normal((450, 4))
+    u = np.column_stack([col, 0.01 * others[:, :2]])
+    record = Record(0.02 * k, u, y, ("col", "lat", "lon"), ("az", "p", "q", "r"))
+    assert not outliers(record).any()
+    y[200 + delay, 0] += 15.0  # between the answers
+    assert np.argwhere(outliers(replace(record, y=y))).tolist() == [[200 + delay, 0]]

@@ -101,20 +101,28 @@ def accuracy(J: Array, active: BoolArray, ties: Array | None = None) -> tuple[Ar
     size = np.sqrt(np.diag(H))
     with np.errstate(divide="ignore"):
         insensitivity = np.where(size > 0, 1 / size, np.inf)
-    inside = np.flatnonzero(~active & (size > 0))
+    inside = np.flatnonzero(~active)
     covariance = np.full(H.shape, np.nan)
     if len(inside):
-        unit = H[np.ix_(inside, inside)] / np.outer(size[inside], size[inside])
-        Z = np.eye(len(inside))
+        unit, Z = size[inside], np.eye(len(inside))
+        # What acts on no residual can still be moved by what is tied to it, and takes the relation.
+        idle = unit == 0
+        unit[idle] = 1.0
         if ties is not None and len(ties):
-            Z = scipy.linalg.null_space(ties[:, inside] / size[inside])
-        eigenvalues, V = np.linalg.eigh(Z.T @ unit @ Z)
-        lost = eigenvalues <= len(inside) * np.finfo(float).eps * eigenvalues[-1]
+            bound = ties[:, inside] / unit
+            unit[idle] = np.linalg.norm(bound[:, idle], axis=0) / max(np.abs(bound).max(), 1e-300)
+            unit[unit == 0] = 1.0
+            bound = ties[:, inside] / unit
+            norms = np.linalg.norm(bound, axis=1, keepdims=True)
+            Z = scipy.linalg.null_space(bound / np.where(norms > 0, norms, 1.0))
+        scaled = H[np.ix_(inside, inside)] / np.outer(unit, unit)
+        eigenvalues, V = np.linalg.eigh(Z.T @ scaled @ Z)
+        lost = eigenvalues <= len(inside) * np.finfo(float).eps * eigenvalues.max(initial=0.0)
         V = Z @ V
         inverse = (V[:, ~lost] / eigenvalues[~lost]) @ V[:, ~lost].T
         blind = (np.abs(V[:, lost]) > 1e-6).any(axis=1)
         inverse[np.ix_(blind, blind)] += np.diag(np.full(int(blind.sum()), np.inf))
-        covariance[np.ix_(inside, inside)] = inverse / np.outer(size[inside], size[inside])
+        covariance[np.ix_(inside, inside)] = inverse / np.outer(unit, unit)
     return np.sqrt(np.diag(covariance)), insensitivity, covariance
 
 

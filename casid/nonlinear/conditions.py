@@ -66,11 +66,24 @@ def linearisation(model: Nonlinear, conditions: Sequence[Trim]) -> Model:
     name.
     """
     names = [each.name for each in conditions]
+    known = {*model.states, *model.inputs}
+    if wrong := [(each.name, n) for each in conditions for n in each.unknown if n not in known]:
+        raise ModelError(
+            f"trim {wrong[0][0]!r}: unknown {wrong[0][1]!r} is no state or input of "
+            f"{type(model).__name__}"
+        )
     if len(conditions) > 1 and (len(set(names)) < len(names) or "" in names):
         raise ModelError(f"conditions are named {', '.join(map(repr, names))}; give each its own")
     airframe: Nonlinear = type(model)
     cls = _class(airframe, tuple(conditions))
-    return cls(**{f.name: getattr(model, f.name) for f in fields(model)})
+    usual = itertools.chain(*(map(float, part) for part in model.operating_point()))
+    start = dict(zip((*model.states, *model.inputs), usual, strict=True))
+    unknown = {
+        unknown_name(name, number, conditions): float({**start, **each.values}[name])
+        for number, each in enumerate(conditions)
+        for name in each.unknown
+    }
+    return cls(**{f.name: getattr(model, f.name) for f in fields(model)}, **unknown)
 
 
 def check_named(model: Nonlinear, values: Mapping[str, float]) -> None:
@@ -106,11 +119,6 @@ def _class(airframe: Nonlinear, conditions: tuple[Trim, ...]) -> type[Model]:
         body[each.name] = field(default=each.default, metadata=each.metadata)
     for number, condition in enumerate(conditions):
         for name in condition.unknown:
-            if name not in {*airframe.states, *airframe.inputs}:
-                raise ModelError(
-                    f"trim {condition.name!r}: unknown {name!r} is no state or input of "
-                    f"{airframe.__name__}"
-                )
             key, unit = unknown_name(name, number, conditions), airframe.units.get(name, "-")
             notes[key] = Scalar
             body[key] = parameter(default=condition.values.get(name, 0.0), unit=unit)
@@ -146,7 +154,7 @@ def _methods(airframe: Nonlinear, conditions: tuple[Trim, ...]) -> dict[str, Any
                         f"trim {condition.name!r}: d{name}/dt",
                         float(f[i]) if f[i].is_constant() else f[i],
                     )
-                    for i, name in _balanced(airframe, conditions, n)
+                    for i, name in _balanced(self, airframe, conditions, n)
                 ]
         return [*model.constraints(), *found]
 
@@ -175,14 +183,15 @@ def point(
     return found[: len(model.states)], found[len(model.states) :]
 
 
-@lru_cache(maxsize=64)
 def _balanced(
-    airframe: Nonlinear, conditions: tuple[Trim, ...], number: int
+    linear: Model, airframe: Nonlinear, conditions: tuple[Trim, ...], number: int
 ) -> list[tuple[int, str]]:
-    """Equations of one condition that its unknowns or the parameters have to balance."""
-    cls = _class(airframe, conditions)
-    lam = ca.SX.sym("lam", len(cls.parameter_names()))
-    linear = cls().with_vector(lam)
+    """Equations of one condition that its unknowns or the parameters have to balance.
+
+    Whatever the parameters are, but with the structure's own constants.
+    """
+    lam = ca.SX.sym("lam", len(linear.parameter_names()))
+    linear = linear.with_vector(lam)
     model = _own(linear, airframe)
     f = ca.vertsplit(balances(model, *point(linear, model, number, conditions)))
     found = []

@@ -11,9 +11,11 @@ from casid.errors import ModelError
 from casid.model import Rows
 
 # What has no derivative at all, and what has none at one point.
-JUMPS = {ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_FMOD: "fmod"}
+JUMPS = {ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_FMOD: "fmod", ca.OP_REMAINDER: "remainder"}
 KINKS = {ca.OP_FABS: "fabs", ca.OP_SIGN: "sign", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax"}
 KINKS |= {ca.OP_IF_ELSE_ZERO: "if_else"}
+COMPARED = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
+LOGIC = {*COMPARED, ca.OP_AND, ca.OP_OR, ca.OP_NOT}  # true or false, 1 or 0
 
 
 class Channels:
@@ -88,3 +90,28 @@ def operations(expression: ca.SX) -> list[str]:
     function = ca.Function("operations", ca.symvar(expression), [expression])
     used = {function.instruction_id(i) for i in range(function.n_instructions())}
     return sorted(name for code, name in (JUMPS | KINKS).items() if code in used)
+
+
+def jumping(expression: ca.SX) -> list[str]:
+    """Names of those that have no derivative at all, and comparisons that are taken as numbers.
+
+    What only decides between two expressions, in ``if_else``, need not jump.
+    """
+    function = ca.Function("jumping", ca.symvar(expression), [expression])
+    found, truth = set(), dict[int, str]()  # places that hold a comparison, and which
+    for k in range(function.n_instructions()):
+        code = function.instruction_id(k)
+        inputs = function.instruction_input(k) if code != ca.OP_INPUT else []
+        taken = [truth[i] for i in inputs if i in truth]
+        if code == ca.OP_IF_ELSE_ZERO:
+            taken = [truth[i] for i in inputs[1:] if i in truth]
+        if code in JUMPS:
+            found.add(JUMPS[code])
+        elif code not in LOGIC:
+            found.update(taken)
+        if code != ca.OP_OUTPUT:
+            place = function.instruction_output(k)[0]
+            truth.pop(place, None)
+            if code in LOGIC:
+                truth[place] = COMPARED.get(code, taken[0] if taken else "a comparison")
+    return sorted(found)

@@ -18,7 +18,7 @@ from casid.errors import ModelError
 from casid.model import Model, Rows, constants
 from casid.nonlinear.conditions import Trim, check_named, linearisation
 from casid.nonlinear.coverage import joined_spans, reached, warn_beyond
-from casid.nonlinear.expressions import JUMPS, evaluated, linearised, operations, reference_point
+from casid.nonlinear.expressions import evaluated, jumping, linearised, reference_point
 from casid.sensors import Scalar
 
 
@@ -160,7 +160,7 @@ def _equations(cls: type[NonlinearModel], rest: tuple[tuple[str, Any], ...]) -> 
     function = ca.Function("equations", [x, u, lam], [f, h], ["x", "u", "lam"], ["f", "h"])
     named = zip((*cls.states, *cls.outputs), ca.vertsplit(ca.vertcat(f, h)), strict=True)
     for name, expression in named:
-        if found := sorted(set(operations(expression)) & set(JUMPS.values())):
+        if found := jumping(expression):
             raise ModelError(
                 f"{cls.__name__}: {name!r} uses {found[0]}, which jumps and has no derivative; "
                 "write something smooth (casid.spline, casadi.tanh)"

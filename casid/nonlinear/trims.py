@@ -67,6 +67,7 @@ def find_trim(
     check_known(said, (*known, *unknown), names, ModelError)
     if not unknown:
         raise ModelError("find_trim: nothing is unknown; name the states and inputs to find")
+    unknown = tuple(dict.fromkeys(unknown))
     start = dict(zip(names, map(float, np.concatenate(model.operating_point())), strict=True))
     start |= {each: float(value) for each, value in known.items()}
     found = _solutions(model, start, tuple(unknown))
@@ -105,10 +106,12 @@ def _solutions(
     def slope(at: Array) -> Array:
         return np.asarray(both(at)[1].full())
 
-    for number in range(1 + STARTS):
-        moved = SPREAD * size * rng.uniform(-1, 1, len(places)) if number else 0.0
+    moves = SPREAD * rng.uniform(-1, 1, (1 + STARTS, len(places)))
+    moves[0] = 0.0
+    starts = [values[places] + size * move for move in moves]
+    for first in (each for each in starts if np.isfinite(balance(each)).all()):
         end = scipy.optimize.least_squares(
-            balance, values[places] + moved, slope,
+            balance, first, slope,
             x_scale=size, xtol=1e-14, ftol=1e-14, gtol=1e-14,
         )  # fmt: skip
         least = end.fun if np.abs(end.fun).max() < np.abs(least).max() else least
@@ -116,10 +119,23 @@ def _solutions(
         if np.abs(end.fun).max() < BALANCE and new:
             found.append(np.asarray(end.x))
     if not found:
-        worst = int(np.argmax(np.abs(least)))
-        raise ModelError(
-            f"{type(model).__name__} has no trim here: with {', '.join(unknown)} unknown "
-            f"d{model.states[worst]}/dt stays at {least[worst]:.3g}; make another state or input "
-            "unknown, or change what is held"
-        )
+        raise ModelError(_nowhere(model, start, unknown, least))
     return found
+
+
+def _nowhere(
+    model: NonlinearModel, start: Mapping[str, float], unknown: Sequence[str], least: Array
+) -> str:
+    """Why there is no trim: what stays out of balance (nx,), or has no value at all."""
+    if not np.isfinite(least).any():
+        at = ", ".join(f"{name} = {value:.4g}" for name, value in start.items())
+        return (
+            f"{type(model).__name__} has no finite d/dt at {at}, nor nearby; start the unknown "
+            "ones, or hold the others, where its equations have a value"
+        )
+    worst = int(np.argmax(np.abs(least)))
+    return (
+        f"{type(model).__name__} has no trim here: with {', '.join(unknown)} unknown "
+        f"d{model.states[worst]}/dt stays at {least[worst]:.3g}; make another state or input "
+        "unknown, or change what is held"
+    )

@@ -43,7 +43,7 @@ class Knowledge:
         self._mean, self._weight = np.zeros((len(records), len(states))), np.zeros(len(states))
         for name, (mean, std) in free.initial.items():
             i = states.index(name)
-            own = [each.trim[name] if mean == TRIM else mean for each in records]
+            own = [each.trim[_of_trim(name)] if mean == TRIM else mean for each in records]
             self._mean[:, i], self._weight[i] = own, std**-2.0
         held = np.array([name in free.unbiased for name in outputs])
         self._bias = np.where(held, (HELD * noise.floor) ** -2.0, 0.0)
@@ -102,15 +102,27 @@ def with_knowledge(
     )
 
 
-def check_trims(initial: Initial, records: Sequence[Record]) -> None:
-    """Refuse records without the trim that an initial state is said to have."""
+def in_totals(record: Record, initial: Initial) -> Record:
+    """The record in total values, and the trims that initial states are said to have.
+
+    ValueError: it does not say such a trim.
+    """
+    trim = dict(record.total().trim)
     for name in (name for name, (mean, _) in initial.items() if mean == TRIM):
-        for record in records:
-            if name not in record.trim:
-                raise ValueError(
-                    f"initial state {name} is that of the trim, of which record {record.name!r} "
-                    f"does not say {name}: replace(record, trim={{{name!r}: value}})"
-                )
+        if name not in record.trim:
+            remedy = f"replace(record, trim={{{name!r}: value}})"
+            if name in record.outputs:
+                remedy = 'detrend it (record.detrend("first")), or give the value itself'
+            raise ValueError(
+                f"initial state {name} is that of the trim, of which record {record.name!r} "
+                f"does not say {name}: {remedy}"
+            )
+        trim[_of_trim(name)] = record.trim[name]
+    return replace(record.total(), trim=trim)
+
+
+def _of_trim(name: str) -> str:
+    return f"{name} of the trim"  # the plain name is what total values lack
 
 
 def _known(argument: str, name: str, names: tuple[str, ...]) -> None:

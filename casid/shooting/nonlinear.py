@@ -30,6 +30,7 @@ from casid.values import storable
 REACH = 1.0  # of the fastest eigenvalue times a step, at most: then the method follows it
 STABLE = 2.5  # the same, beyond which the method diverges (2.78)
 MOST = 64  # steps a sampling interval
+PLACES, TYPICAL = 200, 0.95  # samples at which modes are looked at; the share that steps follow
 PIECE = 128  # samples whose derivatives are advanced at once
 KEPT_BYTES = 256e6  # of derivatives by λ kept for a second pass
 # Of the method: which of a step's instants, how far ahead of its beginning, six times the weight.
@@ -74,12 +75,15 @@ class NonlinearEvaluator(Evaluator):
         self.flow, self.model = Flow(free), cast("NonlinearModel", free.model)
         self._full = free.full
         self.lengths = layout.classes[layout.step]
-        self.substeps = substeps or self._first_substeps(self.matrices(free.guess).A)
+        self.substeps = substeps or self._first_substeps(free.guess)
         self._stages: tuple[bytes, tuple[Array, Array]] | None = None
 
-    def _first_substeps(self, A: Array) -> int:
-        """Steps a sampling interval that follow the fastest mode of A; ModelError where none do."""
-        poles, vectors = np.linalg.eig(A)
+    def _first_substeps(self, lam: Array) -> int:
+        """Steps a sampling interval that follow the fastest mode, at the reference and as flown.
+
+        ModelError where none do at the reference.
+        """
+        poles, vectors = np.linalg.eig(self.matrices(lam).A)
         worst, longest = int(np.argmax(np.abs(poles))), float(self.layout.classes.max())
         fastest = float(np.abs(poles[worst])) * longest
         if fastest > STABLE * MOST and poles[worst].real < 0:
@@ -89,7 +93,19 @@ class NonlinearEvaluator(Evaluator):
                 f"{poles[worst]:.3g} rad/s, mostly of {state}, is too fast for {MOST} steps within "
                 f"{longest:.3g} s; write {state} in its steady state, or make its lag longer"
             )
+        fastest = max(fastest, self._fastest_flown(lam) * longest)
         return int(np.clip(np.ceil(fastest / REACH), 1, MOST))
+
+    def _fastest_flown(self, lam: Array) -> float:
+        """The fastest mode's modulus [rad/s] where the records are, but for single wild samples."""
+        rows = np.unique(np.linspace(0, len(self.layout.y) - 1, PLACES).astype(int))
+        u = np.concatenate([part.value for part in self.held(self.matrices(lam))])[rows]
+        with np.errstate(all="ignore"):
+            A = self.flow.f(self.flown(rows), u, lam)[1]
+        A = A[np.isfinite(A).all(axis=(1, 2))]
+        if not len(A):
+            return 0.0
+        return float(np.quantile(np.abs(np.linalg.eigvals(A)).max(axis=1), TYPICAL))
 
     def finer(self, factor: int) -> "NonlinearEvaluator":
         """The same with so many times the steps."""
@@ -138,19 +154,23 @@ class NonlinearEvaluator(Evaluator):
 
     def resting(self) -> Array:
         """Nodes (J, nx) to start from: measured states, else the trim's, else the reference."""
+        first = np.empty(len(self.layout.count), dtype=int)
+        first[self.layout.node] = self.layout.start
+        return self.flown(first)
+
+    def flown(self, rows: np.ndarray) -> Array:
+        """States (n, nx) at samples: measured ones, else the trim's, else the reference's."""
         layout, model = self.layout, self.model
-        nodes = np.tile(model.operating_point()[0], (len(layout.count), 1))
+        x = np.tile(model.operating_point()[0], (len(rows), 1))
         edges = np.cumsum([0, *(record.N for record in layout.records)])
-        first = np.empty(len(layout.count), dtype=int)
-        first[layout.node] = layout.start
         for i, name in enumerate(model.states):
             for record, begin in zip(layout.records, edges, strict=False):
-                inside = (first >= begin) & (first < begin + record.N)
+                inside = (rows >= begin) & (rows < begin + record.N)
                 if (y := _measured(record, name)) is not None:
-                    nodes[inside, i] = y[first[inside] - begin]
+                    x[inside, i] = y[rows[inside] - begin]
                 elif name in record.trim:
-                    nodes[inside, i] = record.trim[name]
-        return nodes
+                    x[inside, i] = record.trim[name]
+        return x
 
     def covered(self, point: Point) -> dict[str, tuple[float, float]]:
         """See `Evaluator.covered`."""

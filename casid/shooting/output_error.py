@@ -34,7 +34,7 @@ from casid.records import Records, check_alive, several, stretches
 from casid.shooting import uncertainty
 from casid.shooting.frequency import IPOPT
 from casid.shooting.innovation import ProcessNoise
-from casid.shooting.knowledge import check_trims, warn_contradicted, with_knowledge
+from casid.shooting.knowledge import in_totals, warn_contradicted, with_knowledge
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.measured import MeasuredResponses, check_responses, reweighed
 from casid.shooting.nonlinear import MOST, Integration
@@ -131,7 +131,6 @@ class OutputError:
         check_responses(model, self.responses, several(data))
         free = self.free(model, fixed, bounds)
         chosen = select_records(free, data, bool(self.biases))
-        check_trims(free.initial, chosen)
         fit = reweighed(lambda f, rough: self._fitted(model, f, rough, chosen, near), free, near)
         if isinstance(fit.model, NonlinearModel):
             warn_beyond(fit.model, "along the records of the fit", fit.notes.covered)
@@ -280,11 +279,9 @@ def select_records(free: Free, records: Records, biases: bool) -> list[Record]:
     biases, fewer measurements in all than unknowns.
     """
     model = free.model
-    nonlinear = isinstance(model, NonlinearModel)
-    chosen = [
-        (record.total() if nonlinear else record).select(model.inputs, model.outputs)
-        for record in stretches(records)
-    ]
+    totals = isinstance(model, NonlinearModel)
+    given = [in_totals(r, free.initial) if totals else r for r in stretches(records)]
+    chosen = [record.select(model.inputs, model.outputs) for record in given]
     if not chosen:
         raise ValueError("no records: output error needs at least one")
     needed = len(model.states) + biases * len(model.outputs)

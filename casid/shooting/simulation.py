@@ -17,7 +17,7 @@ from casid.prediction import PER_UNKNOWN, Prediction, PredictionPlan, RecordPred
 from casid.record import Record
 from casid.records import standard_deviations
 from casid.shooting.intervals import lay_out
-from casid.shooting.nonlinear import MOST, PIECE, NonlinearEvaluator, Track
+from casid.shooting.nonlinear import MOST, PIECE, TYPICAL, NonlinearEvaluator, Track
 from casid.shooting.sensitivity import Point
 from casid.threads import one_thread
 
@@ -26,6 +26,7 @@ ROUNDS = 20  # of Gauss-Newton steps for a state
 STILL = 1e-10  # change of the cost, relative, that ends them
 AWAY = "the structure runs away from its start; predict over a shorter horizon"
 PASSES = 5  # along the past before the first prediction, each linearised about the one before
+SHARP = 1e-3  # change of predictions, over a channel's scale, from halving the steps that ends it
 WEAK = 1e-8  # information below this share of the largest moves nothing
 
 
@@ -116,7 +117,7 @@ def predict_nonlinear(
     y, sizes = np.where(columns < 0, np.nan, total.y[:, columns]), scale[columns]
     whole = replace(total.select(model.inputs, ()), y=y, outputs=model.outputs)
     if far.starts:
-        found = _ExtendedFilter(model, whole, sizes).pieces(far)
+        found = _ExtendedFilter(model, whole, sizes, far.horizon).pieces(far)
     else:
         (x0, bias), y, states = _answer(model, whole, 1 / sizes)
         found = Prediction(y, x0, bias, states)
@@ -133,8 +134,9 @@ class _ExtendedFilter(RecordPredictor):
     that all of that past tells, in some passes.
     """
 
-    def __init__(self, model: NonlinearModel, record: Record, scale: Array) -> None:
-        e = self._e = NonlinearEvaluator(_all_free(model), lay_out([record], 1e9))
+    def __init__(self, model: NonlinearModel, record: Record, scale: Array, horizon: float) -> None:
+        e = NonlinearEvaluator(_all_free(model), lay_out([record], 1e9))
+        self._e = e = _following(e, model.vector(), scale, horizon)
         self._lam, self.y, self.t, self.scale = model.vector(), record.y, record.t, scale
         m, (N, ny), nx = e.matrices(self._lam), record.y.shape, e.nx
         self._stages = e.stages(m)[0].reshape(N, e.substeps, -1)
@@ -197,6 +199,37 @@ class _ExtendedFilter(RecordPredictor):
         return x
 
 
+def _following(
+    evaluator: NonlinearEvaluator, lam: Array, scale: Array, horizon: float
+) -> NonlinearEvaluator:
+    """The same with steps so short that halving them changes no prediction over a horizon.
+
+    Judged by single samples from measured states on, whose changes add up over the horizon.
+    """
+    rows = np.arange(len(evaluator.layout.y) - 1)
+    x, m = evaluator.flown(rows), evaluator.matrices(lam)
+    u = np.concatenate([part.value for part in evaluator.held(m)])[rows]
+    count = horizon / evaluator.lengths[rows]
+
+    def ends(e: NonlinearEvaluator) -> Array:
+        at, stages = x, e.stages(m)[0][rows].reshape(len(rows), e.substeps, -1)
+        for s in range(e.substeps):
+            at = e.flow.step(at, stages[:, s], e.lengths[rows] / e.substeps, lam)
+        return e.flow.output(at, u, lam)
+
+    with np.errstate(all="ignore"):
+        coarse = ends(evaluator)
+        while evaluator.substeps < MOST:
+            finer = evaluator.finer(2)
+            fine = ends(finer)
+            off = np.abs(fine - coarse) / scale
+            change = np.nanquantile(np.where(np.isfinite(off), off, np.inf), TYPICAL, axis=0)
+            if (change * np.median(count) <= SHARP).all():
+                break
+            evaluator, coarse = finer, fine
+    return evaluator
+
+
 def _answer(
     model: NonlinearModel, record: Record, weight: Array
 ) -> tuple[tuple[Array, Array], Array, Array]:
@@ -208,16 +241,30 @@ def _answer(
     counts = [n for n in (N // 16, N // 4) if n >= PER_UNKNOWN * (nx + ny)]
     parts = [lay_out([record.take(slice(n))], 1e9) for n in (*counts, N)]
     evaluators = [NonlinearEvaluator(_all_free(model), part) for part in parts]
-    z, cost = np.concatenate([evaluators[0].resting()[0], np.zeros(ny)]), np.inf
-    for evaluator in evaluators:
-        z, cost = _best_start(evaluator, model.vector(), z, weight)
+    lam, z = model.vector(), np.concatenate([evaluators[0].resting()[0], np.zeros(ny)])
+    while True:
+        cost = np.inf
+        for evaluator in evaluators:
+            z, cost = _best_start(evaluator, lam, z, weight)
+        finer = [evaluator.finer(2) for evaluator in evaluators]
+        if evaluator.substeps >= MOST or _same(evaluator, finer[-1], _start(lam, z, nx), weight):
+            break
+        evaluators = finer
     if not np.isfinite(cost):
         raise ValueError(AWAY)
-    evaluator = evaluators[-1]
     motion = evaluator.simulate(_start(model.vector(), z, nx))
     u = np.concatenate([part.value for part in evaluator.held(evaluator.matrices(model.vector()))])
     outputs = evaluator.flow.output(motion.states, u, model.vector()) + z[nx:]
     return (z[:nx], z[nx:]), outputs, motion.states
+
+
+def _same(
+    coarse: NonlinearEvaluator, fine: NonlinearEvaluator, point: Point, weight: Array
+) -> bool:
+    """Whether shorter steps change no output of a simulation."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved = coarse.simulate(point).residuals - fine.simulate(point).residuals
+        return bool(np.abs(moved * weight).max() <= SHARP)
 
 
 def _start(lam: Array, z: Array, nx: int) -> Point:
@@ -240,6 +287,8 @@ def _best_start(
         return total if np.isfinite(total) else np.inf
 
     now = cost(z)
+    if not np.isfinite(now):
+        return z, now
     for _ in range(ROUNDS):
         gram = _gram(evaluator, _start(lam, z, nx), W)[nf:, nf:]
         unit = 1 / np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))

@@ -73,10 +73,12 @@ def flight_conditions(
                 "say it in the trim of its role"
             )
     flown.sort(key=lambda each: each[0].speed)
-    apart = TOGETHER * flown[-1][0].speed
-    steps = np.diff([trim.speed for trim, _ in flown], prepend=flown[0][0].speed)
-    number = np.cumsum(steps > apart)
-    groups = [[flown[i] for i in np.flatnonzero(number == k)] for k in range(number[-1] + 1)]
+    apart = TOGETHER * max(abs(trim.speed) for trim, _ in flown)
+    groups = [[flown[0]]]
+    for each in flown[1:]:
+        if each[0].speed - groups[-1][0][0].speed > apart:  # of the slowest, lest they be a chain
+            groups.append([])
+        groups[-1].append(each)
     return [(_mean([trim for trim, _ in some]), tuple(r for _, r in some)) for some in groups]
 
 

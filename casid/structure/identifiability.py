@@ -70,6 +70,8 @@ class Identifiability(Shown):
         Of the same, descending; without the parameters that no output feels.
     insensitive : tuple of str
         Parameters that no output feels at all.
+    tied : tuple of str
+        Of which no output feels anything either, but the structure's constraints tell of the rest.
     confounded : tuple of tuple of str
         Groups of parameters of which only combinations are felt: fix one of each.
     weak : tuple of tuple of str
@@ -87,6 +89,7 @@ class Identifiability(Shown):
     condition: float
     eigenvalues: Array
     insensitive: tuple[str, ...]
+    tied: tuple[str, ...]
     confounded: tuple[tuple[str, ...], ...]
     weak: tuple[tuple[str, ...], ...]
     inflation: Array
@@ -106,6 +109,8 @@ class Identifiability(Shown):
         lines = [f"rank {self.rank} of {len(self.names)}, condition {self.condition:.3g}"]
         if self.insensitive:
             lines.append(f"no output feels {_listed(self.insensitive)}: fix or drop")
+        if self.tied:
+            lines.append(f"only the structure's constraints tell {_listed(self.tied)}")
         lines += [f"cannot be told apart: {_listed(group)}; fix one" for group in self.confounded]
         lines += [f"barely told apart: {_listed(group)}" for group in self.weak]
         return "\n".join(lines)
@@ -169,7 +174,15 @@ def identifiability(
         F += sum(_record_information(at, r, sy) for r in chosen)
     for response in responses:
         F += _response_information(moved, response)
-    return _judge(free.names, F, free.scale[free.index])
+    return _judge(free.names, F, free.scale[free.index], _ties(moved))
+
+
+def _ties(free: Free) -> Array:
+    """Gradients (m, nf) of the constraints that are equations."""
+    equal = [each.lower == each.upper for each in free.model.constraints()]
+    if not any(equal):
+        return np.zeros((0, len(free.index)))
+    return free.constraint_slopes(free.guess)[np.array(equal)]
 
 
 def _moved(free: Free, spread: float, rng: np.random.Generator) -> Free:
@@ -290,9 +303,13 @@ def _real(J: ComplexArray) -> Array:
     return np.concatenate([flat.real, flat.imag])
 
 
-def _judge(names: tuple[str, ...], F: Array, scale: Array) -> Identifiability:
+def _judge(names: tuple[str, ...], F: Array, scale: Array, ties: Array) -> Identifiability:
     size = np.sqrt(np.diag(F))
     felt = size * scale > NOTHING * (size * scale).max(initial=1.0)
+    bound = ties * scale
+    alone = ~felt & (np.abs(bound) > NOTHING * np.abs(bound).max(initial=1e-300)).any(axis=0)
+    told = int(np.linalg.matrix_rank(bound[:, alone])) if alone.any() else 0
+    tied = alone if told == alone.sum() else np.zeros_like(alone)
     kept = np.flatnonzero(felt)
     N = F[np.ix_(kept, kept)] / np.outer(size[kept], size[kept])
     eigenvalues, V = np.linalg.eigh(N)
@@ -304,13 +321,14 @@ def _judge(names: tuple[str, ...], F: Array, scale: Array) -> Identifiability:
         variance = (V[:, ~lost] ** 2 / eigenvalues[~lost]).sum(axis=1)
     blind = (np.abs(V[:, lost]) > 1e-4).any(axis=1)
     inflation[kept] = np.where(blind, np.inf, np.sqrt(variance))
-    singular = bool(lost.any()) or not felt.all()
+    singular = bool(lost.any()) or not (felt | tied).all()
     return Identifiability(
         names=names,
-        rank=int((~lost).sum()),
+        rank=int((~lost).sum() + tied.sum()),
         condition=float("inf") if singular else float(eigenvalues[-1] / eigenvalues[0]),
         eigenvalues=eigenvalues[::-1],
-        insensitive=tuple(name for name, yes in zip(names, felt, strict=True) if not yes),
+        insensitive=tuple(n for n, yes in zip(names, felt | tied, strict=True) if not yes),
+        tied=tuple(name for name, yes in zip(names, tied, strict=True) if yes),
         confounded=_groups(V[:, lost], inside),
         weak=tuple(_prominent(v, inside, 3 * SHARE) for v in V[:, faint].T),
         inflation=inflation,

@@ -19,6 +19,8 @@ from casid.structure.identifiability import Identifiability, identifiability
 
 WIDEST = 48  # characters of a formula in a printed matrix
 
+ALONE = ", of the linearisation at the reference condition alone"
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Overview:
@@ -57,6 +59,10 @@ class Overview:
         if self.constraints:
             parts.append("constraints\n" + "\n".join(f"  {line}" for line in self.constraints))
         found = str(self.identifiability).replace("\n", "\n  ")
+        if self.excitation.endswith(ALONE):
+            found = found.replace(
+                "fix or drop", "fix or drop what is not felt where you fly, either"
+            )
         parts.append(f"identifiability from {self.excitation}\n  {found}")
         return "\n\n".join(parts)
 
@@ -108,7 +114,7 @@ def describe(
     judged = free.model
     if records is None and isinstance(judged, NonlinearModel):
         judged = judged.at({})  # the response is that of small deviations
-        told += ", of the linearisation at the reference condition alone"
+        told += ALONE
     return Overview(
         model=model,
         free=free,
@@ -146,7 +152,7 @@ def equations_text(model: NonlinearModel) -> str:
     ]
     lines += [f"  {name} = {at:.4g}" for name, at in zip(model.inputs, u0, strict=True)]
     if kinks:
-        lines += ["", "slopes that may jump: " + ", ".join(kinks)]
+        lines += ["", "values or slopes that may jump: " + ", ".join(kinks)]
     return "\n".join(lines)
 
 

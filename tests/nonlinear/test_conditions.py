@@ -77,3 +77,32 @@ def test_a_balance_out_of_reach_is_told():
 def test_bad_trims_are_told(trims, told):
     with pytest.raises(ModelError, match=told):
         Swing().at(*trims)
+
+
+class Turning(Swing):
+    """A pendulum on a table that turns as a constant says."""
+
+    turn: float = 0.0
+
+    def derivatives(self, x, u):
+        dq, _ = super().derivatives(x, u)
+        return [dq, x.q - self.turn]
+
+    def reference(self):
+        return {"lon": 0.3}
+
+
+def test_balance_is_that_of_the_structures_own_constants():
+    trim = Trim(values={"q": 0.1, "theta": 0.2}, unknown=("lon",))
+    assert [each.name for each in Turning(turn=0.1).at(trim).constraints()] == ["trim '': dq/dt"]
+    still = Trim(values={"theta": 0.2}, unknown=("lon",))
+    with pytest.raises(ModelError, match=r"dtheta/dt is -0\.1 whatever"):
+        Turning(turn=0.1).at(still).constraints()
+
+
+def test_an_unknown_that_is_not_named_starts_from_the_reference():
+    assert Turning().at(Trim(values={}, unknown=("lon",))).lon_trim == 0.3
+    both = (Trim(name=name, values=values, unknown=("lon",)) for name, values in
+            (("a", {}), ("b", {"lon": 0.1})))  # fmt: skip
+    linear = Turning().at(*both)
+    assert (linear.lon_trim_1, linear.lon_trim_2) == (0.3, 0.1)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from truths.swing import Swing
 
-from casid.nonlinear.expressions import Channels, balances, linearised, operations
+from casid.nonlinear.expressions import Channels, balances, jumping, linearised, operations
 
 
 def test_channels_are_read_by_name_and_a_misspelt_one_is_told():
@@ -26,6 +26,23 @@ def test_channels_are_read_by_name_and_a_misspelt_one_is_told():
 )
 def test_operations_that_jump_or_bend_are_named(function, names):
     assert operations(function(ca.SX.sym("x"))) == sorted(names)
+
+
+@pytest.mark.parametrize(
+    ("written", "told"),
+    [
+        (lambda x, c: x * (x >= c), ["<="]),
+        (lambda x, c: x + (x == c), ["=="]),
+        (lambda x, c: x * ca.logic_and(x > 0, c > 1), ["<"]),
+        (lambda x, c: ca.if_else(x > c, x > 0, 0), ["<"]),
+        (ca.remainder, ["remainder"]),
+        (lambda x, c: ca.if_else(ca.logic_or(x > c, x < 0), x, c * x), []),
+        (lambda x, c: ca.if_else(ca.logic_not(x > c), x, 2) + ca.fmax(c, x) * ca.sign(x), []),
+    ],
+)
+def test_comparisons_taken_as_numbers_jump_and_those_that_decide_need_not(written, told):
+    x, c = ca.SX.sym("x"), ca.SX.sym("c")
+    assert jumping(written(x, c)) == told
 
 
 def test_rates_and_slopes_at_a_point_are_those_by_hand():

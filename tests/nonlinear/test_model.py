@@ -62,6 +62,7 @@ def broken(formula, **more):
         (lambda m, x, u: m.a / x.v, "d/dt of 'v' is inf.*reference"),
         (lambda m, x, u: m.a * ca.sqrt(x.v - 1.0), "d/dt of 'v' is nan"),
         (lambda m, x, u: ca.floor(x.v), "uses floor, which jumps"),
+        (lambda m, x, u: x.v * (u.lon > m.a), "uses <, which jumps"),
         (lambda m, x, u: "v", "expected a number or an expression"),
         (lambda m, x, u: max(x.v, u.lon), "decides by a parameter"),
     ],

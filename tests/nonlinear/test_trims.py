@@ -2,11 +2,21 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from truths.swing import Swing
 
-from casid import DataWarning, ModelError, Record, equations_of, find_trim
+from casid import (
+    DataWarning,
+    ModelError,
+    NonlinearModel,
+    Record,
+    Scalar,
+    equations_of,
+    find_trim,
+    parameter,
+)
 from casid.shooting.simulation import simulate
 from models.longitudinal_aero import LongitudinalAero
 
@@ -65,3 +75,24 @@ def test_a_reference_condition_out_of_balance_is_told_where_something_rests_on_i
     simulate(Falling(), record, {"q": 0.0, "theta": 0.4})  # said, hence meant
     with pytest.warns(DataWarning, match=r"what is exported starts there.*find_trim"):
         equations_of(Falling(), 1)
+
+
+class Rotor(NonlinearModel):
+    """An inflow whose thrust has no value where the air is pushed up; a tail that turns at will."""
+
+    states, inputs, outputs = ("v", "psi"), ("col",), ("v",)
+    thrust: Scalar = parameter(default=60.0, lower=1.0, upper=500.0, unit="m^2/s^2")
+    turn: float = 0.0
+
+    def derivatives(self, x, u):
+        return [self.thrust * u.col - x.v * ca.sqrt(x.v), self.turn - 0.1]
+
+    def reference(self):
+        return {"v": 0.1, "col": 0.3}
+
+
+def test_starts_where_equations_have_no_value_are_no_reason_to_give_up():
+    trim = find_trim(Rotor(turn=0.1), {"col": 0.3}, ["v"])
+    assert trim.values["v"] == pytest.approx(18 ** (2 / 3))
+    with pytest.raises(ModelError, match=r"has no finite d/dt at v = -5, .*start the unknown"):
+        find_trim(Rotor(turn=0.1), {"v": -5.0}, ["v"])

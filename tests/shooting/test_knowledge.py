@@ -19,7 +19,7 @@ from casid import (
     parameter,
 )
 from casid.free import free_parameters
-from casid.shooting.knowledge import Knowledge
+from casid.shooting.knowledge import Knowledge, in_totals
 from casid.shooting.likelihood import Noise
 from casid.shooting.sensitivity import Point
 
@@ -94,7 +94,8 @@ def test_what_is_added_is_gradient_and_hessian_of_the_cost():
     free = free_parameters(Roll(), (), None, {"Lp": (-2.0, 0.5)})
     free = replace(free, initial={"p": (0.1, 0.2), "phi": ("trim", 0.5)}, unbiased=("p", "phi"))
     begun = [
-        replace(record, trim={"phi": phi}) for record, phi in zip(flown(), (0.1, -0.3), strict=True)
+        in_totals(replace(record, trim={"phi": phi}), free.initial)
+        for record, phi in zip(flown(), (0.1, -0.3), strict=True)
     ]
     noise = Noise(np.ones((1, 2), dtype=bool), np.array([9]), np.array([0.003, 0.007]))
     knowledge = Knowledge(free, noise, np.array([0, 0, 1]), begun)
@@ -122,6 +123,19 @@ def test_what_is_added_is_gradient_and_hessian_of_the_cost():
 def test_records_have_the_trim_that_their_initial_states_are_said_to_have():
     with pytest.raises(ValueError, match="does not say phi"):
         OutputError(initial={"phi": ("trim", 0.1)}).fit(RollWritten(), flown())
+
+
+def test_a_measured_state_begins_at_the_trim_that_was_subtracted():
+    # At rest before the stick moves: a prior on what the record says of itself takes nothing away.
+    records = [record.detrend({"lat": 0.0, "p": 0.0, "phi": 0.4}) for record in flown()]
+    plain = OutputError().fit(RollWritten(), records)
+    trimmed = OutputError(initial={"phi": ("trim", 0.01)}).fit(RollWritten(), records)
+    known = OutputError(initial={"phi": (0.4, 0.01)}).fit(RollWritten(), records)
+    for name in ("Lp", "Llat"):
+        assert trimmed[name].value == pytest.approx(known[name].value, rel=1e-9)
+        assert trimmed[name].value != plain[name].value
+    with pytest.raises(ValueError, match=r"detrend it \(record.detrend"):
+        OutputError(initial={"phi": ("trim", 0.1)}).fit(RollWritten(), records[0].total())
 
 
 def test_outputs_named_alone_have_biases():

@@ -122,7 +122,7 @@ def test_at_large_amplitude_states_are_those_of_least_squares_over_all_disturban
     monkeypatch.setattr(filtering, "LEVELS", np.array([10.0]))  # about the truth
     record = disturbed_swing(21)
     asked = (75, 100, 140)
-    follower = _ExtendedFilter(TRUTH, record, np.ones(2))
+    follower = _ExtendedFilter(TRUTH, record, np.ones(2), 1.0)
     for k, known in zip(asked, follower.known(asked), strict=True):
         x, deviation = least_squares(record, k, np.diag(known.Q[0]), known.r)
         # What is known at a sample is not relinearised later, therefore not the same.
@@ -186,3 +186,32 @@ def test_where_the_equations_have_no_value_the_last_linearisation_stays():
     assert 130 not in far.starts
     found = predict_nonlinear(Tank(), record, np.ones(1), far)
     assert np.isfinite(found.y[61:]).all()
+
+
+class Flying(NonlinearModel):
+    """An angle of attack that settles the faster the faster the aircraft is."""
+
+    states, inputs, outputs = ("V", "a"), ("el",), ("V", "a")
+    k: Scalar = parameter(default=1.0, lower=0.1, upper=5.0, unit="1/m")
+    E: Scalar = parameter(default=0.6, lower=0.0, upper=10.0, unit="1/m")
+    usual: float = 20.0
+
+    def derivatives(self, x, u):
+        return [-1e-9 * x.V, x.V * (self.E * u.el - self.k * x.a)]
+
+    def reference(self):
+        return {"V": self.usual}
+
+
+@pytest.mark.parametrize("horizon", [None, 1.0])
+@pytest.mark.parametrize(("usual", "V"), [(20.0, 20.0), (20.0, 60.0), (1.0, 100.0)])
+def test_steps_follow_what_is_flown_wherever_the_reference_is(usual, V, horizon):
+    t = 0.05 * np.arange(160)
+    el = 0.1 * np.sign(np.sin(1.7 * t))
+    decay, a = np.exp(-0.05 * V), [0.0]
+    for now in el[:-1]:  # exactly, as steps are held
+        a.append(a[-1] * decay + 0.6 * now * (1 - decay))
+    y = np.column_stack([np.full(160, V), a])
+    record = Record(t, el[:, None], y, ("el",), ("V", "a"), "fast", hold="zoh")
+    found = validate({"fast": Flying(usual=usual)}, [record], horizon=horizon)
+    assert found.rms["fast"][0, 1] < 1e-3 * np.std(a)

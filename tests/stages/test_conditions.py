@@ -125,6 +125,21 @@ def test_records_of_like_speeds_share_a_condition():
     assert fast[0].values == pytest.approx({"u": 40.25, "w": 2.0, "push": 2.0})
 
 
+def test_conditions_are_no_chain_of_like_speeds():
+    speeds = np.arange(20.0, 40.0, 1.5)
+    found = flight_conditions(Cruise(), [still(f"{V:g}", V, {}) for V in speeds])
+    assert len(found) > 4
+    for _, records in found:
+        flown = [r.y[0, 0] for r in records]
+        assert max(flown) - min(flown) <= 0.05 * 40
+
+
+def test_records_of_a_hover_that_drifts_back_share_a_condition():
+    found = flight_conditions(Cruise(), [still("a", -0.050, {}), still("b", -0.049, {})])
+    assert [r.name for _, some in found for r in some] == ["a", "b"]
+    assert len(found) == 1
+
+
 def test_a_record_without_a_speed_is_named():
     blind = still("blind", 20.0, {}).rename({"u": "x"})
     with pytest.raises(ModelError, match="'blind' has no airspeed, u or V"):

@@ -5,6 +5,7 @@ import pytest
 from truths.systems import known_black_box
 
 from casid import (
+    Constraint,
     FrequencyResponse,
     Model,
     ModelError,
@@ -192,3 +193,35 @@ def test_wrong_arguments_are_told():
         identifiability(Lag(), known_black_box(ShortPeriod().system()))
     with pytest.raises(ValueError, match="has no input 'lon'"):
         identifiability(ShortPeriod(), [flown(Lag(c=1.0))])
+
+
+class TiedRoll(Model):
+    """A roll whose steady gain T is said by a tie alone."""
+
+    states = ("p",)
+    inputs = ("lat",)
+    outputs = ("p",)
+    Lp: Scalar = parameter(default=-4.0, lower=-25.0, upper=0.0, unit="1/s")
+    L: Scalar = parameter(default=10.0, lower=0.0, upper=60.0, unit="rad/s^2")
+    T: Scalar = parameter(default=2.5, lower=0.0, upper=20.0, unit="rad/s")
+    wide: bool = False
+
+    def A(self) -> Rows:
+        return [[self.Lp]]
+
+    def B(self) -> Rows:
+        return [[self.L]]
+
+    def constraints(self):
+        return [Constraint("gain", self.L + self.Lp * self.T, 0.0, 1.0 if self.wide else 0.0)]
+
+
+def test_what_only_a_tie_tells_is_neither_lost_nor_to_be_fixed():
+    found = identifiability(TiedRoll(), flown(TiedRoll()))
+    assert found.identifiable
+    assert found.tied == ("T",)
+    assert found.insensitive == ()
+    assert "only the structure's constraints tell T" in str(found)
+    loose = identifiability(TiedRoll(wide=True), flown(TiedRoll(wide=True)))
+    assert loose.insensitive == ("T",)
+    assert not loose.identifiable
