@@ -13,6 +13,7 @@ from casid.channels import ATTITUDES, RATES
 from casid.checks import checked
 from casid.consistency.clocks import aligned
 from casid.consistency.kinematics import kinematic_check
+from casid.display import counted
 from casid.errors import DataWarning
 from casid.excitations import excitation_if_any
 from casid.files import write_csv
@@ -31,6 +32,7 @@ from casid.logs.reading import read_log
 from casid.logs.stretches import SHORTEST, Stretch, find_stretches, make_stretch
 from casid.logs.topics import Log
 from casid.model import Model
+from casid.outlying import outliers
 from casid.record import REST, Record
 from casid.structure.modelfile import load_model, locate_model
 from casid.textfile import write_text
@@ -90,7 +92,7 @@ class Draft:
         What the log does not state and is taken for granted: units, and what inputs do between
         samples.
     doubts : tuple of str
-        Why no aircraft may be in it.
+        Why no aircraft may be in it, and its outliers.
     study : Path
         The study file.
     """
@@ -160,10 +162,10 @@ def import_log(
     with _naming(log.path):
         records = assemble(inputs, outputs, dt, log.path.stem.replace(" ", "_"))
         moves = _moves(records, outputs)
-        found = [_in_line(each, moves) for each in _stretches(log, records, inputs)]
+        found = [_judged(each, moves) for each in _stretches(log, records, inputs)]
         late = delays([(taken, others(log, name, taken)) for name, taken in outputs.items()])
         _write(study, log, found, model, assumed, moves)
-        doubts = _doubts(log, [each.record.shift(moves) for each in found])
+        doubts = _doubts(log, [each.record for each in found], moves)
     return Draft(
         log=log,
         inputs=inputs,
@@ -238,11 +240,21 @@ def _moves(records: Sequence[Record], outputs: Mapping[str, Source]) -> dict[str
             return {}
 
 
-def _in_line(stretch: Stretch, moves: Mapping[str, float]) -> Stretch:
-    """The stretch with the excitation of its record so moved: late outputs look like feedback."""
-    if not moves:
+def _judged(stretch: Stretch, moves: Mapping[str, float]) -> Stretch:
+    """The stretch with the excitation of its record so moved: late outputs look like feedback.
+
+    Without outliers, which look like vibration.
+    """
+    record = _sound(stretch.record)
+    if not moves and record is stretch.record:
         return stretch
-    return replace(stretch, excitation=excitation_if_any(stretch.record.shift(moves)))
+    return replace(stretch, excitation=excitation_if_any(record.shift(moves)))
+
+
+def _sound(record: Record) -> Record:
+    """The record without its outliers; itself if it has none."""
+    marks = outliers(record)
+    return record.mask(marks) if marks.any() else record
 
 
 def _check_found(
@@ -265,16 +277,27 @@ def _check_found(
         )
 
 
-def _doubts(log: Log, flown: Sequence[Record]) -> tuple[str, ...]:
-    """What speaks against an aircraft in the stretches: actuators at rest, inputs fed back."""
+def _doubts(log: Log, flown: Sequence[Record], moves: Mapping[str, float]) -> tuple[str, ...]:
+    """What speaks against an aircraft in the stretches: actuators at rest, inputs fed back.
+
+    And what is wild in them.
+    """
     still = [
         f"{name} never moves: nothing is driven, so nothing flies"
         for name in ACTUATORS
         if name in log.topics
         and not any(np.nanstd(x) > 0 for x in log.topics[name].columns.values())
     ]
-    found = excitation_if_any(flown)
-    return (*still, *(found.doubts() if found is not None else ()))
+    sound = [_sound(record) for record in flown]
+    wild = [
+        f"{record.name}: {name} has {counted(len(at), 'outlier')}, the first at "
+        f'{record.t[at[0]]:.4g} s; look, then leave them out (outliers = "mask" of [channels])'
+        for record, rest in zip(flown, sound, strict=True)
+        for name in record.outputs
+        if len(at := np.flatnonzero(np.isnan(rest.channel(name)) & ~np.isnan(record.channel(name))))
+    ]
+    found = excitation_if_any([record.shift(moves) for record in sound])
+    return (*still, *wild, *(found.doubts() if found is not None else ()))
 
 
 def _divided(records: Sequence[Record]) -> list[Stretch]:

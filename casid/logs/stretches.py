@@ -15,6 +15,7 @@ from casid.samples import runs
 
 WINDOW = 2.0  # s that are judged at once
 ACTIVE = 0.25  # of the movement over the whole log
+WILD = 0.005  # of the samples, at either end
 SHORTEST, LONGEST = 6.0, 30.0  # s of a stretch
 
 
@@ -74,7 +75,7 @@ def _bends(record: Record, kind: Literal["u", "y"]) -> Array:
     n = min(max(8, round(WINDOW / record.dt)), record.N)
     rates = [name for name in record.outputs if name in RATES] or record.outputs
     names = record.inputs if kind == "u" else rates
-    x = np.nan_to_num(np.column_stack([record.channel(name) for name in names]))
+    x = np.nan_to_num(np.column_stack([_within(record.channel(name)) for name in names]))
     k = np.linspace(-1, 1, n)[:, None]
     found = []
     for a in range(0, record.N - n + 1, n):
@@ -82,6 +83,17 @@ def _bends(record: Record, kind: Literal["u", "y"]) -> Array:
         left = window - window.mean(axis=0) - k * (k * window).sum(axis=0) / (k**2).sum()
         found.append(np.sqrt(np.mean(left**2, axis=0)))
     return np.array(found)
+
+
+def _within(x: Array) -> Array:
+    """A channel (N,) whose wild samples go no further than twice what nearly all others span.
+
+    One of them would else be the measure of all that moved.
+    """
+    if not np.isfinite(x).any():
+        return x
+    low, high = np.nanquantile(x, [WILD, 1 - WILD])
+    return np.clip(x, low - (high - low), high + (high - low))
 
 
 def _spans(active: BoolArray, record: Record) -> list[tuple[float, float]]:

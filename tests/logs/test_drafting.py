@@ -177,3 +177,25 @@ def test_a_log_with_numbers_that_no_sensor_gives_is_read_without_them(tmp_path):
     draft = import_log(path, tmp_path / "draft", units={"p": "rad/s", "q": "rad/s"})
     rates = np.concatenate([each.channel("p") for each in draft.records])
     assert np.nanmax(np.abs(rates)) < 10.0
+
+
+def test_wild_samples_are_named_and_change_no_share(tmp_path):
+    wave = {"wf_increment": STEP, "wf_start_offset": 0.0}
+    drafts = []
+    for number, wild in enumerate((0, 1)):
+        _, x = flight()
+        moving = np.argmax(np.abs(x["p"]))
+        x["p"][moving + np.arange(3 * wild)] = -99.0
+        path = tmp_path / f"flight{number}.tdms"
+        columns = [nptdms.ChannelObject("log", name, x[name], wave) for name in (*STICKS, "p", "q")]
+        with nptdms.TdmsWriter(path) as writer:
+            writer.write_segment(columns)
+        units = {"p": "rad/s", "q": "rad/s"}
+        drafts.append(import_log(path, tmp_path / f"draft{number}", units=units))
+    sound, wild = drafts
+    said = [each for each in wild.doubts if "outlier" in each]
+    assert len(said) == 1
+    assert re.search(r"flight1_\d: p has \d+ outliers?, the first at .*mask", said[0])
+    assert set(wild.doubts) - set(said) == set(sound.doubts)
+    for own, other in zip(wild.stretches, sound.stretches, strict=True):
+        np.testing.assert_allclose(own.excitation.lower, other.excitation.lower, atol=0.1)

@@ -40,3 +40,14 @@ def test_sticks_that_move_nothing_are_no_candidate():
     stick, rate = record((20, 40)), record((60, 90))
     assert find_stretches([Record(T, stick.u, rate.y, ("roll",), ("p",), "x")]) == []
     assert find_stretches([]) == []
+
+
+def test_wild_samples_are_no_measure_of_what_moves():
+    # One, and a dropout to what a sensor says where it has nothing to say.
+    sound = record((20, 32), (60, 75))
+    spans = [(each.record.t[0], each.record.t[-1]) for each in find_stretches([sound])]
+    for rows in (slice(1300, 1301), slice(1300, 1320)):
+        y = sound.y.copy()
+        y[rows] = -999.0
+        found = find_stretches([Record(T, sound.u, y, ("roll",), ("p",), "flight 1")])
+        assert [(each.record.t[0], each.record.t[-1]) for each in found] == spans
