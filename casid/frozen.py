@@ -1,10 +1,11 @@
-"""Channels that stand still while the aircraft moves, and blocks of samples that occur twice.
+"""Channels that stand still while the aircraft moves, blocks of samples twice, sticks that dart.
 
 A stuck sensor repeats its last value, a logger that lost one may repeat a whole block. Neither is
 called so unless it must be: a channel that is counted in coarse steps may rest on one of them, a
 slower source is held, and what all other channels expect to rest may rest. Nothing tells what an
 input should have done: one is called stuck only where it never rests else, moves before and after,
-and is noisy or jumps when it moves again. Where all channels stop at once the logger did.
+and is noisy or jumps when it moves again. Where all channels stop at once the logger did. A stick
+that leaves a smooth way and is back after a few samples was hardly moved so.
 """
 
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
 from casid.arrays import Array, BoolArray
@@ -28,6 +30,9 @@ RARE = 1e-3  # blocks that chance repeats in a record
 NOISY = 0.2  # noise over usual steps, from which on a channel never repeats a sample by itself
 JUMP = 4.0  # times the steps that follow
 AGAIN = 0.02  # share of repeated samples of a channel that rests now and then
+DART = 0.2  # of an input's range that it darts at least
+BRIEFLY, AROUND = 0.08, 4  # s and samples, at most
+LEAPS = 5.0  # times what the input moves from sample to sample before and after
 PERIODIC = 0.25  # share of a channel's samples that occur again: it is periodic
 
 
@@ -39,6 +44,7 @@ class Frozen:
     start: float  # s
     duration: float  # s
     source: float | None = None  # start [s] of the block that it repeats; None where it is stuck
+    dart: bool = False  # an input that leaves its way and returns
     lost: Literal["output", "input", "rows"] = "output"
 
     def told(self) -> str:
@@ -51,13 +57,16 @@ class Frozen:
             return f"{what}: it was not measured; mark these samples as missing (Record.mask)"
         if self.lost == "rows":
             what = f"all channels stand still {when}: the logger stalled"
+        if self.dart:
+            what = f"{self.channel} leaves its way {when} and returns"
+            return f"{what}: unless it was moved so, leave these rows out (Record.take)"
         return f"{what}; no one knows the inputs there: leave these rows out (Record.cut)"
 
 
 def frozen(record: Record) -> tuple[Frozen, ...]:
     """Stretches of channels that are stuck or copied, and of all at once if the logger stalls."""
     stalls = tuple(_stalled(record))
-    single = (*_stuck(record), *_stuck_inputs(record), *_copied(record))
+    single = (*_stuck(record), *_stuck_inputs(record), *_darts(record), *_copied(record))
     return (*stalls, *(each for each in single if not any(_within(each, s) for s in stalls)))
 
 
@@ -89,6 +98,25 @@ def _stuck_inputs(record: Record) -> Iterator[Frozen]:
             if _breaks(x, marks, first, last):
                 start, end = record.t[[first - 1, last - 1]].tolist()
                 yield Frozen(channel=name, start=start, duration=end - start, lost="input")
+
+
+def _darts(record: Record) -> Iterator[Frozen]:
+    """Where an input is off its running median, which follows what lasts, for a few samples.
+
+    One that moves about like that, as what a quick controller commands, may do so.
+    """
+    reach = int(np.clip(round(BRIEFLY / record.dt), 1, AROUND))
+    for name, x in zip(record.inputs, record.u.T, strict=True):
+        off = np.abs(x - scipy.ndimage.median_filter(x, 2 * reach + 1, mode="nearest"))
+        for first, last in runs(off > DART * np.ptp(x)):
+            beside = [x[max(first - SHORT, 0) : first], x[last : last + SHORT]]
+            quiet = max(float(np.abs(np.diff(part)).max(initial=0.0)) for part in beside)
+            end = min(last, record.N - 1)
+            if off[first:last].min() > LEAPS * quiet and 0 < first < end:
+                start, over = record.t[[first, end]].tolist()
+                yield Frozen(
+                    channel=name, start=start, duration=over - start, lost="input", dart=True
+                )
 
 
 def _breaks(x: Array, still: BoolArray, first: int, last: int) -> bool:

@@ -178,3 +178,27 @@ def test_a_block_is_a_copy_if_chance_repeats_it_once_in_a_thousand_records(lengt
         assert {round(each.start / 0.02) for each in found} <= {600}
         called += len(found)
     assert least <= called <= most
+
+
+@pytest.mark.parametrize("count", [1, 4])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_stick_that_leaves_its_way_for_a_few_samples_is_named(count, axis):
+    record = flown(seed=3)
+    u = record.u.copy()
+    u[120 : 120 + count, axis] += 0.7 * np.ptp(record.u[:, 1])
+    (found,) = frozen(replace(record, u=u))
+    assert (found.channel, found.dart, found.lost) == (record.inputs[axis], True, "input")
+    assert (found.start, found.duration) == pytest.approx((record.t[120], 0.02 * count))
+    assert found.told().startswith(f"{record.inputs[axis]} leaves its way from 2.4 s for")
+
+
+def test_sticks_that_are_moved_quickly_do_not_dart():
+    record, rng = flown(seed=4), np.random.default_rng(4)
+    for more in (
+        np.where(np.arange(record.N) % 100 < 6, 1.0, 0.0),  # pulses of 0.12 s
+        rng.standard_normal(record.N),  # a controller and a noisy sensor
+        np.sin(np.arange(record.N) ** 2 * 2e-3),  # a sweep beyond what the sampling shows
+        1.0 * (rng.random(record.N) < 0.5),
+    ):
+        u = record.u + more[:, None] * [0, 0.1, 0, 0]
+        assert not any(each.dart for each in frozen(replace(record, u=u)))

@@ -152,10 +152,11 @@ def inspect_records(
         found = identifiability(model, records, fixed=fixed, bounds=bounds)
     advice = unit_advice(records, time, stated)
     advice += [said for each in facts for said in _record_advice(each, inputs)]
-    advice += steps_told(records, inputs)
+    advice += steps_told(records, inputs) + _twin_advice(records, (*inputs, *outputs))
     advice += _excitation_advice(facts, inputs) + _correlation_advice(correlation, inputs)
     advice += list(kinematics.remarks)
-    outside = excitation_if_any(records)
+    moves = kinematics.shifts_of(outputs)[0]  # what comes late looks like feedback
+    outside = excitation_if_any([record.shift(moves) for record in records])
     advice += [] if outside is None else outside.doubts()
     if model is not None and found is not None:
         advice += _model_advice(type(model).__name__, found)
@@ -343,7 +344,9 @@ def _excitation_advice(facts: Sequence[RecordFacts], inputs: Sequence[str]) -> l
                     "estimators take inputs for known; filter all channels alike "
                     "(Record.resample), or record what the actuator was told"
                 )
-            if best.band[2] * interval * PER_PERIOD > 2 * np.pi:
+            darts = any(stretch.dart and stretch.channel == name for each in facts
+                        for stretch in each.frozen)  # fmt: skip
+            if best.band[2] * interval * PER_PERIOD > 2 * np.pi and not darts:
                 said.append(
                     f"{name} has power up to {best.band[2]:.3g} rad/s, less than {PER_PERIOD:g} "
                     f"samples a period at {interval:g} s: record faster"
@@ -363,6 +366,18 @@ def _noise_share(facts: Sequence[RecordFacts], channel: int) -> float:
         seen = each.channels[channel]
         power += each.samples * np.nan_to_num([seen.noise**2, seen.deviation**2])
     return min(float(np.sqrt(power[0] / max(power[1], 1e-300))), 1.0)
+
+
+def _twin_advice(records: Sequence[Record], names: Sequence[str]) -> list[str]:
+    """One line for channels that are one signal."""
+    x = np.hstack([np.vstack([record.u for record in records]),
+                   np.vstack([record.y for record in records])])  # fmt: skip
+    return [
+        f"{names[i]} and {names[j]} are the same samples: one column read twice?"
+        for i in range(len(names))
+        for j in range(i)
+        if np.ptp(np.nan_to_num(x[:, i])) > 0 and np.array_equal(x[:, i], x[:, j], equal_nan=True)
+    ]
 
 
 def _correlation_advice(correlation: Array, inputs: Sequence[str]) -> list[str]:

@@ -216,3 +216,42 @@ def test_a_channel_counted_in_coarse_steps_is_neither_wrong_nor_saturated(step):
     y[500, 0] += 0.1
     (said,) = (line for line in inspect_records([replace(record, y=y)]).advice if "p has" in line)
     assert "p has 1 outlier," in said
+
+
+def test_a_stick_that_darts_is_no_reason_to_record_faster():
+    u = swept().u.copy()
+    u[[400, 700, 1000], 0] = 5.0
+    found = inspect_records([swept(u=u)])
+    assert sum("lat leaves its way" in each for each in found.advice) == 3
+    assert not any("record faster" in each for each in found.advice)
+
+
+def test_one_column_read_twice_is_named():
+    y = swept().y
+    found = inspect_records([swept(y=np.column_stack([y[:, 0], y[:, 0]]))])
+    assert "r and p are the same samples: one column read twice?" in found.advice
+
+
+def looped(seed):
+    """A roll axis whose noisy sensors are fed back while a sweep is flown."""
+    rng, n = np.random.default_rng(seed), 3000
+    t = STEP * np.arange(n)
+    sweep = np.where(t > 1, 0.1 * np.sin(0.5 * t + 0.05 * t**2), 0.0)
+    p, phi, u, y = 0.0, 0.0, np.zeros((n, 1)), np.zeros((n, 2))
+    for k in range(n):
+        y[k] = [p, phi] + rng.standard_normal(2) * [0.01, 0.003]
+        u[k] = sweep[k] - 0.4 * y[k, 0] - 0.5 * y[k, 1]
+        for _ in range(4):
+            p += STEP / 4 * (-2 * p + 10 * u[k, 0])
+            phi += STEP / 4 * p
+    return Record(t, u, y, ("lat",), ("p", "phi"), f"loop {seed}", hold="zoh")
+
+
+def test_shares_from_outside_are_those_of_records_in_line():
+    # A rate that comes late looks like feedback.
+    records = [looped(seed) for seed in (1, 2)]
+    sound = inspect_records(records)
+    late = inspect_records([record.shift({"p": 0.04}) for record in records])
+    assert any("p" in each and "0.04" in each for each in late.advice)
+    shares = [np.nanmedian(found.excitation.lower) for found in (sound, late)]
+    assert shares[1] == pytest.approx(shares[0], abs=0.1)
