@@ -165,10 +165,11 @@ def in_si(table: Mapping[str, Array], units: Mapping[str, str]) -> dict[str, Arr
 
 
 def frequency_table(response: FrequencyResponse) -> dict[str, Array]:
-    """Columns of a frequency response: omega [rad/s], then four a pair.
+    """Columns of a frequency response: omega [rad/s], then five a pair.
 
-    ``p_lat_dB``, ``p_lat_deg`` (unwrapped), ``p_lat_coherence``, ``p_lat_error``; `pairs_of` names
-    them for `read_frequency_csv`.
+    ``p_lat_dB``, ``p_lat_deg`` (unwrapped), ``p_lat_coherence``, ``p_lat_error`` and
+    ``p_lat_resolution`` [rad/s], within which errors are alike; `pairs_of` names them for
+    `read_frequency_csv`. Correlations of errors between outputs are in JSON alone.
     """
     table = {"omega": response.omega}
     with np.errstate(divide="ignore"):
@@ -178,7 +179,8 @@ def frequency_table(response: FrequencyResponse) -> dict[str, Array]:
         phase = np.angle(response.G[:, i, j])
         known = np.isfinite(phase)
         phase[known] = np.unwrap(phase[known])
-        quality = (each[:, i, j] for each in (response.coherence, response.error))
+        told = response.coherence, response.error, response.resolution
+        quality = (each[:, i, j] for each in told)
         values = (gain[:, i, j], np.degrees(phase), *quality)
         table |= dict(zip(columns, values, strict=True))
     return table
@@ -186,7 +188,7 @@ def frequency_table(response: FrequencyResponse) -> dict[str, Array]:
 
 def pairs_of(response: FrequencyResponse) -> dict[tuple[str, str], tuple[str, ...]]:
     """Columns of `frequency_table` by (output, input), as `read_frequency_csv` wants them."""
-    kinds = ("dB", "deg", "coherence", "error")
+    kinds = ("dB", "deg", "coherence", "error", "resolution")
     return {
         (output, name): tuple(f"{output}_{name}_{kind}" for kind in kinds)
         for output in response.outputs

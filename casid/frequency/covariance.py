@@ -21,6 +21,7 @@ from casid.frequency.response import FED_BACK, UNDRIVEN, FrequencyResponse
 
 ALONE = 0.03  # of a variance that other pairs do not share
 ALONG = 0.15  # nor neighbours, which are less alike than their spectral windows
+DENSE = 5.0  # points in a spectral window from which on more of them share that
 LEAST = 1e-4  # of a response, the smallest error believed
 NEAR = 0.7  # standard deviation of the weights of neighbours [nepers of frequency]
 
@@ -97,7 +98,9 @@ def _root(omega: Array, width: Array) -> Array:
     square = b[:, None] ** 2 + b**2
     rho = np.sqrt(2 * np.outer(b, b) / square)
     rho *= np.exp(-((omega[:, None] - omega) ** 2) / (2 * square))
-    rho = (1 - ALONG) * rho + ALONG * np.eye(len(b))
+    # The more points, the less would be left of their own shares, and of what leakage makes unlike.
+    own = ALONG * np.maximum(1.0, rho.sum(axis=1) / DENSE)
+    rho = (1 - ALONG) * rho + np.diag(own)
     lower = np.linalg.cholesky(rho)
     return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(b)), lower=True))
 

@@ -34,9 +34,10 @@ def read_frequency_csv(
     path : path
         Comma-separated values; an empty cell or ``nan`` is a point that was not measured.
     pairs : mapping
-        ``{(output, input): (gain, phase, coherence, random error)}``: the columns of every pair in
-        the file, the last one or two of which may be missing. Coherence is then taken as 1, the
-        random error as unknown (NaN). Pairs not named are NaN.
+        ``{(output, input): (gain, phase, coherence, random error, resolution)}``: the columns of
+        every pair in the file, the last ones of which may be missing. Coherence is then taken as 1,
+        the random error as unknown (NaN), the errors of all frequencies as independent. Pairs not
+        named are NaN.
     omega : str
         The column of frequencies, in rad/s.
     form : {"dB deg", "dB rad", "abs deg", "abs rad", "re im"}
@@ -61,7 +62,7 @@ def read_frequency_csv(
     table = read_columns(path, list(dict.fromkeys(wanted)))
     shape = (len(table[omega]), len(outputs), len(inputs))
     G = np.full(shape, np.nan, dtype=complex)
-    coherence, error = np.full(shape, np.nan), np.full(shape, np.nan)
+    coherence, error, width = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
     for (output, name), columns in pairs.items():
         _check_columns((output, name), columns, form)
         at = (slice(None), outputs.index(output), inputs.index(name))
@@ -69,12 +70,14 @@ def read_frequency_csv(
         G[at] = _complex(values[0], values[1], form)
         coherence[at] = _coherence(values[2], f"{path}: {columns[2]}") if values[2:] else 1.0
         error[at] = values[3] if values[3:] else np.nan
+        width[at] = np.nan_to_num(values[4]) if values[4:] else 0.0
     coherence[np.isnan(G)] = np.nan
     return FrequencyResponse(
         omega=table[omega] * (2 * np.pi if hertz else 1.0),
         G=G,
         coherence=coherence,
         random_error=error,
+        resolution=width * (2 * np.pi if hertz else 1.0),
         inputs=inputs,
         outputs=outputs,
         input_std=_sizes(inputs, input_std),
@@ -84,11 +87,11 @@ def read_frequency_csv(
 
 
 def _check_columns(pair: Pair, columns: Sequence[str], form: Form) -> None:
-    """Refuse a pair of fewer columns than two, or more than four."""
-    if not 2 <= len(columns) <= 4:
+    """Refuse a pair of fewer columns than two, or more than five."""
+    if not 2 <= len(columns) <= 5:
         raise ValueError(
-            f"pair {pair} names {len(columns)} columns, expected two of {form!r}, then coherence "
-            "and random error where there are such"
+            f"pair {pair} names {len(columns)} columns, expected two of {form!r}, then "
+            "coherence, random error and resolution where there are such"
         )
 
 

@@ -138,6 +138,7 @@ def response(system):
     return FrequencyResponse(
         omega=OMEGA, G=G, coherence=np.where(np.isnan(G), np.nan, 0.9),
         random_error=np.full(shape, 0.05), inputs=system.inputs, outputs=system.outputs,
+        resolution=np.where(np.isnan(G), 0.0, 0.03 * OMEGA[:, None, None]),
         input_std=np.ones(2), output_std=np.ones(2),
     )  # fmt: skip
 
@@ -148,6 +149,8 @@ def test_a_response_survives_csv(response, tmp_path):
     # Through dB and degrees and back: rounding, times the turns of the phase.
     np.testing.assert_allclose(back.G, response.G, rtol=1e-12)
     np.testing.assert_array_equal(back.coherence, response.coherence)
+    np.testing.assert_array_equal(back.error, response.error)
+    np.testing.assert_array_equal(back.resolution, response.resolution)
     assert list(frequency_table(response))[:3] == ["omega", "p_lat_dB", "p_lat_deg"]
 
 

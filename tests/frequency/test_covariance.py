@@ -121,8 +121,18 @@ def test_a_response_without_errors_is_refused():
 
 
 def test_errors_along_frequency_keep_their_size():
-    root = covariance._root(OMEGA, 0.2 * OMEGA)
+    root = covariance._root(OMEGA, 0.15 * OMEGA)
     C = np.linalg.inv(root) @ np.linalg.inv(root).T
     np.testing.assert_allclose(np.diag(C), 1.0, rtol=1e-9)
     assert np.all(np.diag(C, 1) > 0.1)
     np.testing.assert_allclose(covariance._root(OMEGA, 0 * OMEGA), np.eye(len(OMEGA)), atol=1e-12)
+
+
+@pytest.mark.parametrize("bends", [0, 2, 10])
+def test_a_finer_grid_tells_no_more_than_the_windows_do(bends):
+    def told(points):
+        omega = np.geomspace(0.5, 12.0, points)
+        root = covariance._root(omega, np.maximum(0.12, 0.06 * omega))
+        return np.sum((root @ np.cos(bends * np.log(omega))) ** 2)
+
+    assert told(240) == pytest.approx(told(40), rel=0.05)
