@@ -96,7 +96,9 @@ def _jumps(record: Record, lasts: Array) -> BoolArray:
     off = np.abs(record.u - scipy.ndimage.median_filter(record.u, (width, 1), mode="nearest"))
     pulses = np.any(off > _large(record.u, off), axis=1)
     marks &= ~scipy.ndimage.maximum_filter1d(pulses, 2 * width + 1)[:, None]
-    many = marks.mean(axis=0) > MANY
+    # Many brief answers to steps are none of them: there are many where no input steps.
+    still = marks[~_stepped(record)]
+    many = still.sum(axis=0) > MANY * max(len(still), FEWEST)
     marks &= many | (marks.sum(axis=1, keepdims=True) > 1)
     if marks.any():
         far, _, limit = _unexpected(record, marks)

@@ -344,9 +344,8 @@ def _excitation_advice(facts: Sequence[RecordFacts], inputs: Sequence[str]) -> l
                     "estimators take inputs for known; filter all channels alike "
                     "(Record.resample), or record what the actuator was told"
                 )
-            darts = any(stretch.dart and stretch.channel == name for each in facts
-                        for stretch in each.frozen)  # fmt: skip
-            if best.band[2] * interval * PER_PERIOD > 2 * np.pi and not darts:
+            darts = {part.channel for each in facts for part in each.frozen if part.dart}
+            if best.band[2] * interval * PER_PERIOD > 2 * np.pi and name not in darts:
                 said.append(
                     f"{name} has power up to {best.band[2]:.3g} rad/s, less than {PER_PERIOD:g} "
                     f"samples a period at {interval:g} s: record faster"
@@ -370,8 +369,7 @@ def _noise_share(facts: Sequence[RecordFacts], channel: int) -> float:
 
 def _twin_advice(records: Sequence[Record], names: Sequence[str]) -> list[str]:
     """One line for channels that are one signal."""
-    x = np.hstack([np.vstack([record.u for record in records]),
-                   np.vstack([record.y for record in records])])  # fmt: skip
+    x = np.vstack([np.hstack([record.u, record.y]) for record in records])
     return [
         f"{names[i]} and {names[j]} are the same samples: one column read twice?"
         for i in range(len(names))

@@ -259,6 +259,7 @@ class Pbsid:
             f"Record {record.name}: {stretch.told()}."
             for record in campaign.records
             for stretch in frozen(record)
+            if not stretch.dart  # a stick may be moved so
         ]
         remarks += [estimate.fault.told()] if estimate.fault else []
         remarks += [estimate.remark] if estimate.remark else []
