@@ -10,7 +10,8 @@ import numpy as np
 
 from casid import report
 from casid.envelope import Envelope, envelope
-from casid.errors import ModelError
+from casid.errors import ConvergenceError, ModelError, warn
+from casid.model import Model
 from casid.nonlinear.balance import unbalanced
 from casid.nonlinear.conditions import Trim
 from casid.nonlinear.coverage import SPEEDS
@@ -123,16 +124,31 @@ def _check(settings: OverSpeed, task: Task) -> None:
     for pattern in settings.held:
         if not any(fnmatchcase(name, pattern) for name in task.model.parameter_names()):
             raise ValueError(f"[envelope] held: no parameter is called {pattern!r}")
+    free = set(task.model.parameter_names()) - set(task.fixed)
+    if settings.held and not free - set(_held(settings, task.model)):
+        raise ValueError(
+            f"[envelope] held = {list(settings.held)} leaves local fits nothing to estimate: name "
+            "what records of one speed cannot tell, or leave it out"
+        )
+
+
+def _held(settings: OverSpeed, model: Model) -> list[str]:
+    """Parameters that local fits hold."""
+    names = model.parameter_names()
+    return [n for n in names if any(fnmatchcase(n, pattern) for pattern in settings.held)]
 
 
 def _run(settings: OverSpeed, task: Task) -> Envelope:
-    fit, names = task.results["output_error"], task.model.parameter_names()
+    fit = task.results["output_error"]
     found, local = flight_conditions(fit.model, task.records), {}
-    held = [n for n in names if any(fnmatchcase(n, pattern) for pattern in settings.held)]
-    if held:
+    if held := _held(settings, task.model):
         estimator = task.settings.get(OUTPUT_ERROR.table, OUTPUT_ERROR.settings)
         own: Any = {"fixed": (*task.fixed, *held), "bounds": task.bounds}
-        local = {trim: estimator.fit(fit.model, records, **own) for trim, records in found}
+        for trim, records in found:
+            try:
+                local[trim] = estimator.fit(fit.model, records, **own)
+            except (ValueError, ConvergenceError) as error:
+                warn(f"[envelope] the local fit at {trim.name} is left out: {error}")
     return envelope(fit, _between([trim for trim, _ in found]), settings.pairs(), local=local)
 
 

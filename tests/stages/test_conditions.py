@@ -5,8 +5,10 @@ import pytest
 from truths.swing import SmallSwing
 
 from casid import (
+    DataWarning,
     ModelError,
     NonlinearModel,
+    OutputError,
     Record,
     Scalar,
     parameter,
@@ -17,10 +19,10 @@ from casid import (
     write_csv,
 )
 from casid.bands import mode_bands
-from casid.stages.conditions import OverSpeed, flight_condition, flight_conditions
+from casid.stages.conditions import CONDITIONS, OverSpeed, flight_condition, flight_conditions
 from casid.stages.judgement import _linear
 from casid.stages.listing import STAGES
-from casid.stages.stage import fitting
+from casid.stages.stage import Task, fitting
 from casid.structure.modelfile import load_model
 
 MODEL = '''
@@ -163,6 +165,7 @@ def test_linear_structures_keep_all_stages():
         (('"at_40*" =', '"at_60*" ='), "no record is called 'at_60\\*'"),
         (("{ v = 0.5 }", "{ vv = 0.5 }"), "unknown key 'vv'; did you mean 'v'"),
         (("{ v = 1.0 }", "{ v = nan }"), "v = nan, expected a finite number"),
+        (('["*_V"]', '["*"]'), "leaves local fits nothing to estimate"),
         (('"q by q"', '"q q"'), "'q q', expected such as"),
         (('"q by q"', '"q by r"'), "no derivative of 'q' by 'r'"),
         (('["*_V"]', '["Z*"]'), "no parameter is called 'Z\\*'"),
@@ -172,6 +175,28 @@ def test_linear_structures_keep_all_stages():
 def test_bad_tables_are_named(study, change, words):
     with pytest.raises(ValueError, match=words):
         read_study(study(change))
+
+
+def test_a_speed_whose_records_tell_too_little_is_left_out_alone(study):
+    told = read_study(study())
+    records = read_records(told)["identification"]
+    usual = OutputError(biases=False)
+    fit = usual.fit(told.model, records)
+
+    class OneSpeed:
+        def fit(self, model, records, **own):
+            if records[0].name == "at_40":
+                raise ModelError("the records do not determine Mq")
+            return usual.fit(model, records, **own)
+
+    task = Task(
+        model=told.model, records=records, results={"output_error": fit},
+        settings={"output_error": OneSpeed()},
+    )  # fmt: skip
+    with pytest.warns(DataWarning, match=r"local fit at 40.02 m/s is left out: .*determine Mq"):
+        found = CONDITIONS.run(OverSpeed(entries=("q by q",), held=("*_V",)), task)
+    assert found.local.speed == pytest.approx([20.15], abs=0.1)
+    assert len(found.speed) > 2
 
 
 def test_entries_are_pairs():
