@@ -27,6 +27,7 @@ LATE = 0.3  # s after a step of an input within which outputs may jump, too
 BRIEF, FEW = 0.08, 4  # s and samples that such a jump lasts at most
 MANY = 0.01  # of a channel's samples that jump: fits that see them follow
 LONG, LEAP = 80, 0.5  # samples between jumps of a run; these, in the channel's deviations
+COUNTS = 1.5  # steps of a channel that is counted in such: to the next one is no jump
 MOSTLY = 0.25  # of a channel between such jumps: that is its way
 SLIGHT = 0.05  # of a channel's deviation: what is less does no harm
 
@@ -159,7 +160,7 @@ def _between(x: Array, stepped: BoolArray) -> BoolArray:
     """
     marks, at = np.zeros(len(x), dtype=bool), np.flatnonzero(np.isfinite(x))
     moves = np.abs(np.diff(x[at]))
-    least = max(GROSS * MAD * np.median(moves), LEAP * np.std(x[at]))
+    least = max(GROSS * MAD * np.median(moves), LEAP * np.std(x[at]), COUNTS * least_step(x[at]))
     jumps = 1 + np.flatnonzero((moves > least) & (np.diff(at) <= FEW))
     answers, edges = jumps[stepped[at[jumps]]], jumps[~stepped[at[jumps]]]
     for part in np.split(edges, 1 + np.flatnonzero(np.diff(edges) > LONG)):
@@ -189,7 +190,8 @@ def _brief(x: Array, width: int) -> BoolArray:
     steady = _steady(x, width)
     off = np.nan_to_num(np.abs(x - steady))
     typical = np.median(off[np.isfinite(steady)])
-    return np.asarray(off > np.maximum(GROSS * MAD * typical, SLIGHT * np.nanstd(steady)))
+    counted = COUNTS * least_step(x[np.isfinite(x)])
+    return np.asarray(off > max(GROSS * MAD * typical, SLIGHT * np.nanstd(steady), counted))
 
 
 def _regular(record: Record) -> tuple[Record, NDArray[np.intp]]:

@@ -12,9 +12,12 @@ import numpy as np
 from casid.arrays import Array
 from casid.channels import ATTITUDES, RATES
 from casid.consistency.measured import Flight
+from casid.repetition import least_step
 
 FARTHEST = 30.0  # s, of clocks
 TURN = 0.5  # s: over which turns are compared
+ROUNDING = 1e-6  # of the largest size of moves that is none
+COARSE = 2.0  # steps in which an attitude is counted that it turns at least
 COHERENT, MORE = 0.85, 0.1  # correlation of a far lag, and by how much more than a near one's
 
 
@@ -25,7 +28,8 @@ def correlations(x: Array, y: Array, most: int) -> Array:
     across = np.fft.irfft(np.fft.rfft(x, n) * np.fft.rfft(inner, n).conj(), n)[: 2 * most + 1]
     power = np.concatenate([[0.0], np.cumsum(x**2)])
     size = np.sqrt(np.sum(inner**2) * (power[len(inner) :] - power[: -len(inner)]).clip(0))
-    return np.asarray(across / np.maximum(size, 1e-300))
+    told = size > ROUNDING * size.max(initial=0.0)  # where x rests it is like nothing
+    return np.where(told, across / np.where(told, size, 1.0), 0.0)
 
 
 def peak(values: Array, k: int) -> float:
@@ -80,6 +84,8 @@ def _late(flight: Flight, rate: str, angle: str, near: float) -> tuple[float, fl
     moves = flight.values[rate] - flight.values[rate].mean()
     turned = np.cumsum(moves) - moves / 2
     x, y = (z[step:] - z[:-step] for z in (flight.values[angle], turned))
+    if x.std() < COARSE * least_step(flight.values[angle]):
+        return None  # it follows its own steps, not what the rate turns
     signed = correlations(x - x.mean(), y - y.mean(), most)
     alike = np.abs(signed)
     k, close = int(np.argmax(alike)), alike[inside]
