@@ -86,7 +86,8 @@ def unexplained(
         moves = np.maximum(moves, LITTLE**2 * moves.mean())
         lost = rest > np.maximum(MUCH**2 * moves, 4 * white)
         if lost.any():
-            share = np.sqrt(rest.clip(0) / moves)
+            with np.errstate(over="ignore", invalid="ignore"):  # beyond all numbers, maybe both
+                share = np.nan_to_num(np.sqrt(rest.clip(0) / moves), nan=np.inf)
             most = share.max()
             much = f"{most:.0%} of its movement is left" if most < BEYOND else "it hardly moves"
             names = [

@@ -54,15 +54,17 @@ def warn_beyond(model: Nonlinear, told: str, visited: Spans, flown: Spans | None
 
     Tables are data, and so are records; but of an airspeed only those of the fit tell parameters.
     """
-    own = dict(flown or {})
-    covered = joined_spans([tabulated(model), own]) | {n: own[n] for n in SPEEDS if n in own}
+    own, tables = dict(flown or {}), tabulated(model)
+    covered = joined_spans([tables, own]) | {n: own[n] for n in SPEEDS if n in own}
     said = []
     for name, (low, high) in visited.items():
         first, last = covered.get(name, (-np.inf, np.inf))
         if leaves((low, high), (first, last)):
             unit = f" {model.units[name]}" if name in model.units else ""
             at = f"is {low:.4g}" if low == high else f"runs from {low:.4g} to {high:.4g}"
-            by = "the records of the fit" if name in own else "its tables"
+            sources = {"its tables": tables.get(name), "the records of the fit": own.get(name)}
+            alone = [by for by, span in sources.items() if span == (first, last)]
+            by = alone[0] if alone else " and ".join(sources)
             said.append(f"{name} {at}{unit}, where {by} cover {first:.4g} to {last:.4g}")
     if said:
         warn(

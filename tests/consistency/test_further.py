@@ -1,9 +1,13 @@
 """Remarks that belong to no single comparison."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from truths.flights import FORCES, NOISE, RATES, STATES, flight
 
 from casid.consistency.further import against_gravity, misplaced, mistake, turned
+from casid.consistency.kinematics import kinematic_check
 from casid.consistency.measured import Flight
 
 
@@ -37,3 +41,11 @@ def test_gravity_tells_a_specific_force_upside_down():
     (said,) = against_gravity([still(ax=0.0, ay=0.0, az=9.8, phi=0.0, theta=0.0)], names)
     assert said.startswith("az is 9.8 m/s^2 in trim")
     assert said.endswith("opposite sign")
+
+
+@pytest.mark.filterwarnings("ignore::casid.DataWarning")
+def test_times_in_microseconds_are_told_without_a_record_of_no_name():
+    record = flight(0, None, NOISE, (*RATES, *FORCES, *STATES))
+    remarks = kinematic_check([replace(record, t=1e6 * record.t)]).remarks
+    assert remarks
+    assert not any(" in :" in said for said in remarks)

@@ -17,7 +17,7 @@ from casid import (
     spline,
     validate,
 )
-from casid.nonlinear.coverage import joined_spans, leaves, reached, tabulated
+from casid.nonlinear.coverage import joined_spans, leaves, reached, tabulated, warn_beyond
 
 
 class Pushed(NonlinearModel):
@@ -132,6 +132,29 @@ def test_an_airspeed_that_only_tables_cover_is_said():
     fit = output_error(Pushed(), [flown(20.0, 0.8), flown(30.0, -0.2)], biases=False)
     with pytest.warns(DataWarning, match=r"u runs from 37.* where the records of the fit cover"):
         validate({"fit": fit}, flown(38.0, 0.1), horizon=np.inf)
+
+
+class Lifting(NonlinearModel):
+    """A lift curve in a table of the angle of attack."""
+
+    states, inputs, outputs = ("alpha",), ("el",), ("alpha",)
+    slope: Scalar = parameter(default=1.0, unit="1/s")
+
+    def derivatives(self, x, u):
+        return [u.el - self.slope * spline(x.alpha, [-0.1, 0.0, 0.1], [-0.1, 0.0, 0.2])]
+
+
+@pytest.mark.parametrize(
+    ("flown", "by"),
+    [
+        ((-0.03, 0.03), "its tables cover -0.1 to 0.1"),
+        ((-0.2, 0.3), "the records of the fit cover -0.2 to 0.3"),
+        ((-0.2, 0.03), "its tables and the records of the fit cover -0.2 to 0.1"),
+    ],
+)
+def test_what_covers_is_named(flown, by):
+    with pytest.warns(DataWarning, match=f"where {by}"):
+        warn_beyond(Lifting(), "here", {"alpha": (-0.5, 0.5)}, {"alpha": flown})
 
 
 def test_records_widen_what_tables_cover():
