@@ -1,7 +1,7 @@
 """Outliers of 20 deviations in flights with lost samples: how many are found, how many invented.
 
 Records of the examples (UH-60, AH-1S, AW109) with noise, of which samples are lost in several ways,
-and five outliers in each.
+and five outliers in each; then shares of all samples, or of those of one channel.
 
 Run: python -m benchmarks.outliers [every n-th record]       (a minute or two for all of them)
 """
@@ -20,6 +20,7 @@ from casid import outliers, read_csv
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 COUNT = 5
 LIMIT = 1.0  # innocent samples in 1e5
+SHARES = (0.01, 0.03, 0.05, 0.1)
 
 
 def whole(record, rng):  # noqa: ARG001 - as the others
@@ -73,6 +74,32 @@ def spiked(record, rng):
     return replace(record, y=y), {(int(k), int(i)) for k, i in places}
 
 
+def many(record, rng, share, alone):
+    """The record with a share of its samples, or of one channel's, off, and which (N, ny)."""
+    there = (rng.random(record.y.shape) < share) & np.isfinite(record.y)
+    if alone:
+        there &= np.arange(record.ny) == rng.integers(record.ny)
+    size = FAR * np.array([NOISE[name] for name in record.outputs])
+    return replace(record, y=record.y + there * size * rng.choice([-1, 1], there.shape)), there
+
+
+def shares(files):
+    """Rows of the second table."""
+    for share in SHARES:
+        row = [f"{share:.1%}"]
+        for how, alone in ((whole, False), (whole, True), (quarters, False)):
+            found = innocent = count = samples = 0
+            for number, file in enumerate(files):
+                rng = np.random.default_rng([number, 9])
+                record, there = many(how(flown(file, rng), rng), rng, share, alone)
+                marks = outliers(record)
+                found, count = found + (marks & there).sum(), count + there.sum()
+                innocent += (marks & ~there).sum()
+                samples += np.isfinite(record.y).sum()
+            row.append(f"{found / count:.1%} of {count}, {1e5 * innocent / samples:.1f}")
+        yield row
+
+
 def main():
     step = int(sys.argv[1]) if sys.argv[1:] else 1
     files = sorted(EXAMPLES.glob("[a-u]*/data/*.csv"))
@@ -89,6 +116,9 @@ def main():
         share = against(1e5 * innocent / samples, LIMIT)
         lines.append([how.__doc__.rstrip("."), share, f"{found} of {COUNT * len(files)}"])
     print(table([f"{len(files)} records", "innocent samples called, of 1e5", "found"], lines))
+    print("\nFound, and innocent samples called, of 1e5")
+    heads = ["share", "of all samples", "of one channel's", "the first, with channels at rates"]
+    print(table(heads, list(shares(files))))
 
 
 if __name__ == "__main__":

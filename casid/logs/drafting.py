@@ -289,15 +289,24 @@ def _doubts(log: Log, flown: Sequence[Record], moves: Mapping[str, float]) -> tu
         and not any(np.nanstd(x) > 0 for x in log.topics[name].columns.values())
     ]
     sound = [_sound(record) for record in flown]
-    wild = [
-        f"{record.name}: {name} has {counted(len(at), 'outlier')}, the first at "
-        f'{record.t[at[0]]:.4g} s; look, then leave them out (outliers = "mask" of [channels])'
-        for record, rest in zip(flown, sound, strict=True)
-        for name in record.outputs
-        if len(at := np.flatnonzero(np.isnan(rest.channel(name)) & ~np.isnan(record.channel(name))))
-    ]
     found = excitation_if_any([record.shift(moves) for record in sound])
-    return (*still, *wild, *(found.doubts() if found is not None else ()))
+    return (*still, *_wild(flown, sound), *(found.doubts() if found is not None else ()))
+
+
+def _wild(flown: Sequence[Record], sound: Sequence[Record]) -> tuple[str, ...]:
+    """What is said of outliers, which sound records lack."""
+    lost = [np.isnan(rest.y) & ~np.isnan(own.y) for own, rest in zip(flown, sound, strict=True)]
+    if not (count := sum(int(each.sum()) for each in lost)):
+        return ()
+    where = "; ".join(
+        f"{record.name}: {', '.join(np.array(record.outputs)[marks.any(axis=0)])}"
+        for record, marks in zip(flown, lost, strict=True)
+        if marks.any()
+    )
+    return (
+        f"{counted(count, 'sample')} far off all others ({where}): casid inspect says when; look, "
+        'then leave them out (outliers = "mask" of [channels])',
+    )
 
 
 def _divided(records: Sequence[Record]) -> list[Stretch]:
