@@ -182,7 +182,7 @@ def _ties(free: Free) -> Array:
     equal = [each.lower == each.upper for each in free.model.constraints()]
     if not any(equal):
         return np.zeros((0, len(free.index)))
-    return free.constraint_slopes(free.guess)[np.array(equal)]
+    return np.asarray(free.constraint_slopes(free.guess)[np.array(equal)])
 
 
 def _moved(free: Free, spread: float, rng: np.random.Generator) -> Free:
