@@ -32,7 +32,7 @@ JUMP = 4.0  # times the steps that follow
 AGAIN = 0.02  # share of repeated samples of a channel that rests now and then
 DART = 0.2  # of an input's range that it darts at least
 BRIEFLY, AROUND = 0.08, 4  # s and samples, at most
-LEAPS = 5.0  # times what the input moves from sample to sample before and after
+LEAPS = 10.0  # times what the input moves from sample to sample before and after
 PERIODIC = 0.25  # share of a channel's samples that occur again: it is periodic
 
 
