@@ -139,7 +139,7 @@ def run_shell(text, _names, where):
 
 RUN = {
     "python": run_python, "sh": run_shell, "toml": parse,
-    "text": look, "console": look, "csv": look,
+    "text": look, "console": look, "csv": look, "diff": look,
 }  # fmt: skip
 
 
