@@ -43,6 +43,22 @@ def test_gravity_tells_a_specific_force_upside_down():
     assert said.endswith("opposite sign")
 
 
+def test_a_force_that_gravity_does_not_make_is_told_without_a_factor():
+    names = {"ax", "ay", "az", "phi", "theta"}
+    (said,) = against_gravity([still(ax=0.0, ay=9.8, az=-9.8, phi=0.0, theta=0.0)], names)
+    assert said.startswith("ay is 9.8 m/s^2 in trim, gravity makes it 0: look at its sign, unit")
+
+
+def test_trim_is_the_mean_of_all_where_nothing_rests_for_long_enough():
+    names = {"ax", "ay", "az", "phi", "theta"}
+    values = {name: np.zeros(200) for name in names} | {"az": np.full(200, -9.8)}
+    values["az"][:10] = -4.0  # a fifth of a second
+    assert against_gravity([Flight(0.02, 10, values)], names) == ()
+    values["az"][:60] = -4.0
+    (said,) = against_gravity([Flight(0.02, 60, values)], names)
+    assert said.startswith("az is -4 m/s^2 in trim")
+
+
 @pytest.mark.filterwarnings("ignore::casid.DataWarning")
 def test_times_in_microseconds_are_told_without_a_record_of_no_name():
     record = flight(0, None, NOISE, (*RATES, *FORCES, *STATES))
