@@ -156,7 +156,8 @@ def inspect_records(
     advice += _excitation_advice(facts, inputs) + _correlation_advice(correlation, inputs)
     advice += list(kinematics.remarks)
     moves = kinematics.shifts_of(outputs)[0]  # what comes late looks like feedback
-    outside = excitation_if_any([record.shift(moves) for record in records])
+    least = 3 * max(map(abs, moves.values()), default=0.0)  # s of what can be moved
+    outside = excitation_if_any([r.shift(moves) if r.duration > least else r for r in records])
     advice += [] if outside is None else outside.doubts()
     if model is not None and found is not None:
         advice += _model_advice(type(model).__name__, found)

@@ -162,10 +162,12 @@ def import_log(
     with _naming(log.path):
         records = assemble(inputs, outputs, dt, log.path.stem.replace(" ", "_"))
         moves = _moves(records, outputs)
-        found = [_judged(each, moves) for each in _stretches(log, records, inputs)]
+        cut = _stretches(log, records, inputs)
+        sound = [_sound(each.record) for each in cut]
+        found = [_judged(*each, moves) for each in zip(cut, sound, strict=True)]
         late = delays([(taken, others(log, name, taken)) for name, taken in outputs.items()])
         _write(study, log, found, model, assumed, moves)
-        doubts = _doubts(log, [each.record for each in found], moves)
+        doubts = _doubts(log, [each.record for each in found], sound, moves)
     return Draft(
         log=log,
         inputs=inputs,
@@ -240,15 +242,14 @@ def _moves(records: Sequence[Record], outputs: Mapping[str, Source]) -> dict[str
             return {}
 
 
-def _judged(stretch: Stretch, moves: Mapping[str, float]) -> Stretch:
+def _judged(stretch: Stretch, sound: Record, moves: Mapping[str, float]) -> Stretch:
     """The stretch with the excitation of its record so moved: late outputs look like feedback.
 
-    Without outliers, which look like vibration.
+    Of the ``sound`` one, as outliers look like vibration.
     """
-    record = _sound(stretch.record)
-    if not moves and record is stretch.record:
+    if not moves and sound is stretch.record:
         return stretch
-    return replace(stretch, excitation=excitation_if_any(record.shift(moves)))
+    return replace(stretch, excitation=excitation_if_any(sound.shift(moves)))
 
 
 def _sound(record: Record) -> Record:
@@ -277,7 +278,9 @@ def _check_found(
         )
 
 
-def _doubts(log: Log, flown: Sequence[Record], moves: Mapping[str, float]) -> tuple[str, ...]:
+def _doubts(
+    log: Log, flown: Sequence[Record], sound: Sequence[Record], moves: Mapping[str, float]
+) -> tuple[str, ...]:
     """What speaks against an aircraft in the stretches: actuators at rest, inputs fed back.
 
     And what is wild in them.
@@ -288,7 +291,6 @@ def _doubts(log: Log, flown: Sequence[Record], moves: Mapping[str, float]) -> tu
         if name in log.topics
         and not any(np.nanstd(x) > 0 for x in log.topics[name].columns.values())
     ]
-    sound = [_sound(record) for record in flown]
     found = excitation_if_any([record.shift(moves) for record in sound])
     return (*still, *_wild(flown, sound), *(found.doubts() if found is not None else ()))
 

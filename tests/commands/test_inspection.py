@@ -255,3 +255,10 @@ def test_shares_from_outside_are_those_of_records_in_line():
     assert any("p" in each and "0.04" in each for each in late.advice)
     shares = [np.nanmedian(found.excitation.lower) for found in (sound, late)]
     assert shares[1] == pytest.approx(shares[0], abs=0.1)
+
+
+@pytest.mark.parametrize("samples", [3, 5, 8])
+def test_a_scrap_of_a_record_beside_late_ones_is_no_reason_to_fail(samples):
+    late = [looped(seed).shift({"p": 0.08}) for seed in (1, 2)]
+    scrap = replace(late[0].take(slice(500, 500 + samples)), name="scrap")
+    assert inspect_records([*late, scrap]).kinematics.shifts
