@@ -38,6 +38,17 @@ WARM: dict[str, float | str] = {  # a warm round stays where it starts
     "warm_start_bound_frac": 1e-9,
     "warm_start_mult_bound_push": 1e-9,
 }
+CLOSE: dict[str, float | str] = {  # of one that starts beside a solution
+    "mu_init": 1e-9,
+    "bound_push": 1e-9,
+    "bound_frac": 1e-9,
+    "bound_mult_init_val": 1e-2,  # the cost is a mean over measurements: so are prices
+}
+
+
+def close(options: SolverOptions) -> SolverOptions:
+    """Options of a solve that starts beside a solution, and stays there."""
+    return replace(options, ipopt=CLOSE | dict(options.ipopt))
 
 
 @dataclass(frozen=True, eq=False)

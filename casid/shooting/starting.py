@@ -65,13 +65,13 @@ def neighbouring_programme(
     evaluator: Evaluator, free: Free, R: Array | CovarianceKind, biases: bool, near: AnyFit
 ) -> tuple[Programme, Point] | None:
     """The programme of another fit's records, and that fit as a point of it."""
-    # λ is the fit's, whatever the bounds. None if the fit has no noise and biases for these
-    # records.
+    # λ is the fit's, whatever the bounds; biases are only if its records are as many. None if the
+    # fit has no noise and biases.
     if near.R is None or near.biases is None:
         return None
-    if near.biases.shape != (len(evaluator.layout.records), evaluator.ny):
-        return None
-    start = replace(_start(evaluator, free), lam=near.model.vector()[free.index], bias=near.biases)
+    start = replace(_start(evaluator, free), lam=near.model.vector()[free.index])
+    if near.biases.shape == start.bias.shape:
+        start = replace(start, bias=near.biases)
     kind: CovarianceKind = "diagonal" if isinstance(R, np.ndarray) else R
     given = R if isinstance(R, np.ndarray) else None
     known = noise_of(evaluator, near.R if given is None else given, kind)

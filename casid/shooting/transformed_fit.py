@@ -23,7 +23,13 @@ from casid.nlp import SolverOptions
 from casid.prediction import PredictionPlan, predict
 from casid.record import Record
 from casid.shooting import uncertainty
-from casid.shooting.frequency import SpectralOutcome, SpectralProgramme, State, white
+from casid.shooting.frequency import (
+    SpectralOutcome,
+    SpectralProgramme,
+    State,
+    close,
+    white,
+)
 from casid.shooting.lines import Lines, transformed
 from casid.shooting.precision import OutputErrorNotes, Precision, verdict
 from casid.shooting.sides import searched
@@ -54,7 +60,8 @@ def estimate(
     begin = time.perf_counter()
     lines = transformed(records)
     held = _spectra_of(near, lines) if R is None else white(lines, np.diag(R))
-    outcome = searched(free, lines, options, held)
+    beside = held is not None and near is not None
+    outcome = searched(free, lines, close(options) if beside else options, held)
     fit = _fit(model, outcome, begin, estimated=R is None)
     if not fit.success:
         raise ConvergenceError(f"{METHOD}: {fit.status}", fit)

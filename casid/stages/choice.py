@@ -176,7 +176,10 @@ def last_steps(settings: Choosing, task: Task) -> dict[str, LastStep]:
     if len(short) < len(records):
         found["short"] = LastStep(estimator=own, histories=short, decimate=step)
     quadratic = replace(match, norm="quadratic")
-    found["quadratic"] = LastStep(estimator=quadratic, black_box=table("pbsid", Pbsid()))
+    box: Pbsid = table("pbsid", Pbsid())
+    if "pbsid" in task.results:  # whose order and windows those of fewer manoeuvres share
+        box = box.like(task.results["pbsid"])
+    found["quadratic"] = LastStep(estimator=quadratic, black_box=box)
     return {name: found[name] for name in settings.candidates if name in found}
 
 

@@ -9,7 +9,7 @@ term may be masked.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 
@@ -112,6 +112,16 @@ class Pbsid:
                 f'pole={self.pole:g} belongs to Laguerre functions, transform="none" uses the '
                 "samples themselves: leave one of them out"
             )
+
+    def like(self, found: BlackBox) -> "Pbsid":
+        """The settings with those in place that were chosen for a black box of projections.
+
+        What was chosen for one of samples is left to be chosen again.
+        """
+        if found.transform != "laguerre":
+            return self
+        own: Any = {name: getattr(found, name) for name in ("past", "future", "pole")}
+        return replace(self, order=len(found.system.A), regularisation=found.regularisation, **own)
 
     @one_thread
     def fit(self, records: Records) -> BlackBox:

@@ -35,6 +35,18 @@ def test_the_start_from_a_neighbour_changes_the_effort_only(R):
         assert one.active == other.active == (one.name in bounds)
 
 
+def test_a_neighbour_of_more_records_shortens_the_way_too():
+    records = [noisy(1), noisy(2), noisy(3)]
+    wide = output_error(off(), records)
+    cold = OutputError().fit(wide.model, records[1:])
+    warm = OutputError().fit(wide.model, records[1:], near=wide)
+    assert warm.iterations <= cold.iterations / 2
+    assert warm.cost == pytest.approx(cold.cost, abs=1e-5)
+    for one, other in zip(warm.parameters, cold.parameters, strict=True):
+        assert one.value == pytest.approx(other.value, abs=1e-3 * other.std_error)
+    np.testing.assert_allclose(warm.biases, cold.biases, atol=1e-5)
+
+
 def jerky(model, seed):
     """A record whose sticks bend at every sample: likely most so on a whole sample of delay."""
     rng = np.random.default_rng(seed)

@@ -33,6 +33,18 @@ from casid import (
 CLEAN = campaign()
 
 
+def test_the_start_from_a_neighbour_of_more_records_changes_the_effort_only():
+    records = campaign(5)
+    estimator = OutputError(domain="frequency")
+    wide = estimator.fit(TRUTH, records)
+    beside = estimator.fit(wide.model, records[1:], near=wide)
+    begun = estimator.fit(replace(TRUTH, Lp=0.7 * TRUTH.Lp), records[1:], near=wide)
+    assert beside.iterations <= begun.iterations / 2
+    assert beside.cost == pytest.approx(begun.cost, abs=1e-5)
+    for one, other in zip(beside.parameters, begun.parameters, strict=True):
+        assert one.value == pytest.approx(other.value, abs=1e-3 * other.std_error)
+
+
 def test_a_prior_adds_its_information():
     records, R = campaign(5), np.diag([NOISE[name] ** 2 for name in TRUTH.outputs])
     alone = output_error(TRUTH, records, R=R, domain="frequency")["Lp"]

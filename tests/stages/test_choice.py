@@ -52,6 +52,9 @@ def test_candidates_are_those_that_the_records_allow():
     assert both["joint"].decimate == 2
     assert both["frequency"].estimator.domain == "frequency"
     assert both["quadratic"].black_box.order == 3
+    found = Pbsid(order=3).fit(RECORDS)
+    known = last_steps(Choosing(), replace(task(), results={"pbsid": found}))
+    assert known["quadratic"].black_box.pole == found.pole
     few = Choosing(candidates=("time", "joint"))
     assert list(last_steps(few, task())) == ["time"]
     with pytest.raises(ValueError, match=r"candidates = \['best'\], expected of joint"):

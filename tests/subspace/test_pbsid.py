@@ -37,6 +37,19 @@ def test_masked_direct_term_is_zero_in_continuous_time_and_the_free_one_is_found
     assert box.system.D[2, 0] == pytest.approx(0.3, abs=0.02)
 
 
+def test_settings_chosen_for_one_campaign_serve_another():
+    asked = Pbsid(feedthrough=["z"])
+    chosen = asked.fit(campaign(noise=0.01))
+    given = asked.like(chosen)
+    assert given.feedthrough == ["z"]
+    other = given.fit(campaign(noise=0.02))
+    assert (other.selection, other.pole, other.past) == (None, chosen.pole, chosen.past)
+    assert other.system.A.shape == chosen.system.A.shape
+    again = given.fit(campaign(noise=0.01))
+    np.testing.assert_array_equal(again.system.A, chosen.system.A)
+    assert asked.like(replace(chosen, transform="none")) is asked
+
+
 def test_samples_themselves_give_the_discrete_model_exactly():
     rng = np.random.default_rng(3)
     A = np.array([[0.8, 0.3, 0], [-0.3, 0.8, 0.1], [0, 0, 0.5]])
