@@ -35,6 +35,14 @@ class Delay:
         """The stretch between whole samples that the delay is in, or begins."""
         return stretch(self.tau + EDGE * min(self.steps), self.steps)
 
+    def edges(self, value: float, ends: tuple[float, float]) -> Array:
+        """Values (2,) of the parameter, now ``value``, for these delays, the lower first."""
+        return np.sort(value + (np.array(ends) - self.tau) / self.slope)
+
+    def kinks(self) -> list[float]:
+        """Whole samples so near that one may hold a solve."""
+        return [edge for edge in self.own() if abs(self.tau - edge) < NEAR * min(self.steps)]
+
 
 def held(programme: Programme, lam: Array) -> tuple[Free, Array]:
     """Bounds, and delays within, that hold what makes outputs jump in its stretch; as neighbours'.
@@ -61,12 +69,38 @@ def neighbours(programme: Programme, lam: Array, solved: bool) -> Iterator[tuple
     middle (nu,), NaN for other inputs but those `held`. ``lam`` (nf,) is where a solve has ended,
     ``solved`` with success: its own stretch need not be tried.
     """
-    free, within = held(programme, lam)
     for delay in _delays(programme, lam):
         for ends in _stretches(delay, solved):
-            found = _within(programme, free, within, delay, lam, ends)
+            found = _within(programme, *calm(programme, lam, but=delay.a), delay, lam, ends)
             if found:
                 yield found
+
+
+def calm(programme: Programme, lam: Array, but: int | None = None) -> tuple[Free, Array]:
+    """As `held`, with all delays near a kink in their stretch, lest it hold the solve.
+
+    All ``but`` that of one free parameter.
+    """
+    free, within = held(programme, lam)
+    for delay in _delays(programme, lam):
+        if delay.a != but and not delay.jump and delay.kinks():
+            free, within = _within(programme, free, within, delay, lam, delay.own()) or (
+                free,
+                within,
+            )
+    return free, within
+
+
+def stuck(programme: Programme, lam: Array) -> bool:
+    """Whether a kink within the bounds may hold a solve that ends at free values (nf,)."""
+    free = programme.free
+    for delay in _delays(programme, lam):
+        i, edge = free.index[delay.a], EDGE * min(delay.steps)
+        for kink in delay.kinks():
+            low, high = delay.edges(lam[delay.a], (kink - edge, kink + edge))
+            if free.lower[i] < low and high < free.upper[i]:
+                return True
+    return False
 
 
 def _within(
@@ -78,9 +112,8 @@ def _within(
     ends: tuple[float, float],
 ) -> tuple[Free, Array] | None:
     """Bounds and delays within, of a delay between two more; None if that leaves no room."""
-    edges = lam[delay.a] + (np.array(ends) - delay.tau) / delay.slope
     i, given = programme.free.index[delay.a], programme.free
-    lower, upper = np.clip(np.sort(edges), given.lower[i], given.upper[i])
+    lower, upper = np.clip(delay.edges(lam[delay.a], ends), given.lower[i], given.upper[i])
     if not (upper > lower or (delay.jump and given.lower[i] == upper)):
         return None
     middle, bounds = within.copy(), (free.lower.copy(), free.upper.copy())

@@ -14,7 +14,7 @@ from casid.fit import AnyFit
 from casid.free import Free
 from casid.nlp import Solution, SolverOptions, solve
 from casid.shooting import frequency
-from casid.shooting.delays import held, neighbours, own_prices
+from casid.shooting.delays import calm, held, neighbours, own_prices, stuck
 from casid.shooting.integration import factor_wanted, integration
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.nearby import predicted
@@ -87,6 +87,9 @@ class Search:
         if evaluator.filtering or begun is None:
             return None
         first, point = begun
+        free, within = calm(first, point.lam)
+        if not np.isnan(within).all():
+            first = first.variant(free=free, evaluator=evaluator.within(within))
         quiet = replace(self.options, progress=None)
         guess = predicted(first, first.pack(point), PREDICTIONS, quiet)
         if guess is None:
@@ -95,7 +98,8 @@ class Search:
         ipopt = NEAR | {"mu_init": self.options.tolerance / 1000} | dict(self.options.ipopt)
         options = replace(self.options, ipopt=ipopt)
         solution = self._solve(first, first.unpack(x), multipliers, 1, options, close=True)
-        outcome = self.around(Outcome(first, solution, solution.iterations, 1, True))
+        found = Outcome(first, solution, solution.iterations, 1, True)
+        outcome = self.around(self._released(found))
         return outcome if outcome.solution.success else None
 
     def run(
@@ -182,7 +186,7 @@ class Search:
             for free, delays in neighbours(own, lam, solution.success):
                 if any(free.allows(each) for each in left):
                     continue
-                other = self._inside(outcome, free, delays)
+                other = self._inside(best, free, delays)
                 if other.solution.success and other.cost < best.cost - GAIN:
                     best = other
             if best is outcome:
@@ -284,8 +288,11 @@ class Search:
         if solution.success and options.tolerance >= ROUGH:
             return solution
         lam = programme.unpack(solution.x).lam
-        if close and not solution.success and any(neighbours(programme, lam, solved=False)):
-            return solution  # held on a kink: no steps end there, but those on either side
+        held_there = stuck(programme, lam) or (
+            close and any(neighbours(programme, lam, solved=False))
+        )
+        if held_there and not solution.success:
+            return solution  # on a kink no steps end, but those on either side
         enough = ROUGHLY if number == 1 and options.tolerance >= ROUGH else LAST
         return completed(programme, start, solution, options, stage, enough)
 

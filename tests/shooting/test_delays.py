@@ -10,7 +10,7 @@ from truths.heave import Heave, heaved
 from benchmarks.between_samples import BOUNDS, SIGMA, H, Roll, Smooth, flight
 from casid import output_error
 from casid.free import free_parameters
-from casid.shooting.delays import neighbours
+from casid.shooting.delays import calm, neighbours, stuck
 from casid.shooting.intervals import lay_out
 from casid.shooting.search import Search
 from casid.shooting.sensitivity import Evaluator
@@ -65,6 +65,41 @@ def test_stretches_between_whole_samples_are_tried_where_the_likelihood_breaks_n
     smooth = replace(near, Ylat=0.0)
     assert stretches(replace(TRUTH, tau=0.03 * 0.02), "foh") == []  # nothing below zero
     assert stretches(smooth, "foh") == [[2.0, 3.0, 2.5]]  # Ylat may become a direct term
+
+
+def test_a_solve_is_held_by_kinks_near_its_end_but_not_by_those_at_its_bounds():
+    def held(tau, bounds=(0.0, 0.25), hold="foh"):
+        model = replace(TRUTH, tau=tau * 0.02)
+        free = free_parameters(model, bounds={"tau": bounds})
+        evaluator = Evaluator(free, lay_out([replace(flown(TRUTH), hold=hold)], 2.0))
+        programme, point = starting_programme(evaluator, free, np.diag(SIGMA**2), True)
+        return stuck(programme, point.lam)
+
+    assert held(3.05)
+    assert held(2.95)
+    assert not held(3.5)
+    assert not held(3.05, (0.06, 0.08))  # where its stretch begins
+    assert not held(2.95, (0.04, 0.06))
+    assert held(3.05, (0.05, 0.08))
+
+
+def test_one_delay_is_tried_while_those_on_kinks_stay_in_their_stretch():
+    model = Heave(tlon=2.04 * 0.02, tcol=3.02 * 0.02)
+    free = free_parameters(model)
+    evaluator = Evaluator(free, lay_out(heaved(), 2.0))
+    programme, point = starting_programme(evaluator, free, np.diag([0.3, 0.01]) ** 2, True)
+    at = [free.names.index(name) for name in ("tlon", "tcol")]
+
+    def limits(bounded):
+        ends = np.array([bounded.lower, bounded.upper])[:, free.index[at]].T
+        return np.round(ends / 0.02, 3).tolist()
+
+    bounded, within = calm(programme, point.lam)
+    assert limits(bounded) == [[2, 3], [3, 4]]
+    np.testing.assert_allclose(within / 0.02, [2.5, 3.5])
+    assert limits(calm(programme, point.lam, but=at[0])[0]) == [[0, 15], [3, 4]]
+    tried = [limits(each) for each, _ in neighbours(programme, point.lam, solved=True)]
+    assert tried == [[[1, 2], [3, 4]], [[2, 3], [2, 3]], [[2, 3], [4, 5]]]
 
 
 def test_within_a_stretch_the_estimator_is_analytic_in_the_delay():

@@ -74,6 +74,14 @@ def test_the_likelihood_beside_a_fit_has_initial_states_biases_and_covariance_fo
     assert replace(ways(), free=farther).cost_beside(poor) < fit.cost - 10
 
 
-def test_the_likelihood_beside_a_fit_of_other_records_is_not_known():
-    fit = output_error(TRUTH, [noisy(seed=3), noisy(seed=4)])
-    assert ways().cost_beside(fit) == np.inf
+def test_the_likelihood_beside_a_fit_of_more_records_is_that_of_its_own():
+    fit = output_error(TRUTH, [noisy(seed=3), noisy(seed=4)], R="full")
+    names = [name for name in TRUTH.parameter_names() if name != "Lp"]
+    narrow = {"Lp": (fit.model.Lp - 1e-9, fit.model.Lp + 1e-9)}
+    alone = output_error(fit.model, noisy(seed=3), R="full", fixed=names, bounds=narrow)
+    assert ways().cost_beside(fit) == pytest.approx(alone.cost, abs=1e-3)
+
+
+def test_the_likelihood_beside_what_is_no_output_error_is_not_known():
+    fit = output_error(TRUTH, noisy(seed=3))
+    assert ways().cost_beside(replace(fit, R=None)) == np.inf
