@@ -1,6 +1,7 @@
 """The command line: what commands there are; each is imported when it is asked for."""
 
 import gc
+import sys
 from collections.abc import Mapping
 from importlib import import_module
 from importlib.metadata import version
@@ -9,6 +10,8 @@ from typing import Any
 import click
 
 from casid.interrupts import end_interrupted
+
+BAD_OUTPUT = 2  # exit code, as of bad input
 
 COMMANDS: Mapping[str, tuple[str, str]] = {  # place, and what the list of commands says
     "bounds": ("study:bounds", "Compare the cases of a study's table [bounds], price bounds."),
@@ -44,6 +47,14 @@ class Commands(click.Group):
         """List the commands without importing them."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, said) for name, (_, said) in COMMANDS.items()])
+
+    def main(self, *args: Any, **more: Any) -> Any:  # noqa: ANN401 - as click has it
+        """Read the command line and run it; what cannot be printed, help too, is bad output."""
+        try:
+            return super().main(*args, **more)
+        except OSError as error:
+            click.echo(f"Cannot read or write: {error}", err=True)
+            sys.exit(BAD_OUTPUT)
 
     def invoke(self, ctx: click.Context) -> Any:  # noqa: ANN401 - as click has it
         """Run a command."""

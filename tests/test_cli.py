@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -30,6 +31,18 @@ def test_each_subcommand_explains_itself(command):
     result = casid(command, "--help")
     assert result.exit_code == 0
     assert "STUDY.toml" in result.output
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize("asked", [["--help"], ["--version"], ["inspect", "--help"]])
+def test_what_cannot_be_printed_is_one_line(asked):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "casid", *asked], stdout=full, stderr=subprocess.PIPE, text=True,
+            check=False,
+        )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr == "Cannot read or write: [Errno 28] No space left on device\n"
 
 
 # ---- no convergence ----------------------------------------------------------------------------
