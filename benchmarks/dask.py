@@ -3,8 +3,9 @@
 Refits of the four 3-2-1-1 records of the UH-60 (64 parameters) go to as many Dask workers and to as
 many processes of `concurrent.futures`, in turns; both are started and have imported casid before.
 Seconds are those of the processor, of the caller, the scheduler and all workers, and by the clock.
+Dask's own profiler, which stops every worker a hundred times a second, is off unless asked for.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.dask [REFITS] [--workers 8] [--turns 3]
+    OMP_NUM_THREADS=1 python -m benchmarks.dask [REFITS] [--workers 8] [--turns 3] [--profiler]
 """
 
 import argparse
@@ -15,6 +16,7 @@ import warnings
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import ExitStack
 
+import dask
 import numpy as np
 import psutil
 from distributed import Client, LocalCluster
@@ -32,8 +34,9 @@ def spent() -> dict[int, float]:
 
 
 @one_thread
-def compare(refits: int, workers: int, turns: int) -> str:
+def compare(refits: int, workers: int, turns: int, profiler: bool) -> str:
     """Table of seconds, the least of several turns, and what Dask takes beside bare processes."""
+    dask.config.set({"distributed.worker.profile.enabled": profiler})  # workers inherit it
     records = race.noisy_records()[:4]
     estimator = OutputError(interval=2.0)
     fit = estimator.fit(race.start_of(race.noisy_records()), records)
@@ -83,10 +86,11 @@ def main() -> None:
     parser.add_argument("refits", nargs="?", type=int, default=48)
     parser.add_argument("--workers", type=int, default=8)
     parser.add_argument("--turns", type=int, default=3)
+    parser.add_argument("--profiler", action="store_true")
     chosen = parser.parse_args()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Dask's own, about ports and closing loops
-        print(compare(chosen.refits, chosen.workers, chosen.turns))
+        print(compare(chosen.refits, chosen.workers, chosen.turns, chosen.profiler))
 
 
 if __name__ == "__main__":
