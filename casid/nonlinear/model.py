@@ -36,6 +36,11 @@ class NonlinearModel(Model, base=True):
                 f"{cls.__name__}: sensors of a nonlinear structure are written in measurements"
             )
         super().__init_subclass__(base=base)
+        if both := [name for name in cls.states if name in cls.inputs]:
+            raise ModelError(
+                f"{cls.__name__}: {both[0]!r} is a state and an input, which a flight condition "
+                "could not tell apart; rename one"
+            )
 
     # ---- what a structure writes ----------------------------------------------------------------
 

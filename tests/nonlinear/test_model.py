@@ -54,6 +54,11 @@ def broken(formula, **more):
     return type("Broken", (Bad,), {"formula": formula, "__module__": __name__, **more})()
 
 
+def test_a_name_is_a_state_or_an_input():
+    with pytest.raises(ModelError, match="'v' is a state and an input, which a flight condition"):
+        broken(lambda m, x, u: -x.v, inputs=("v",))
+
+
 @pytest.mark.parametrize(
     ("formula", "told"),
     [
