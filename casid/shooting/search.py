@@ -87,9 +87,7 @@ class Search:
         if evaluator.filtering or begun is None:
             return None
         first, point = begun
-        free, within = calm(first, point.lam)
-        if not np.isnan(within).all():
-            first = first.variant(free=free, evaluator=evaluator.within(within))
+        first = _calmed(first, point)
         quiet = replace(self.options, progress=None)
         guess = predicted(first, first.pack(point), PREDICTIONS, quiet)
         if guess is None:
@@ -122,7 +120,7 @@ class Search:
                 return Outcome(programme, solution, iterations, rounds - 1, False)
             last, point = programme, programme.unpack(solution.x)
             loose = last.variant(noise=noise)
-            programme = loose.balanced(point)
+            programme = _calmed(loose.balanced(point), point)
             before = programme.values(programme.pack(point)).R
             warm = _carried(solution, last, programme)
             solution = self._solve(programme, point, warm, rounds, self.options)
@@ -165,12 +163,12 @@ class Search:
         """
         free, within = held(programme, point.lam)
         if np.isnan(within).all():
-            return self.around(self.run(programme, point, R, near=near))
+            return self.around(self._released(self.run(programme, point, R, near=near)))
         inside = programme.variant(free=free, evaluator=programme.evaluator.within(within))
         best = self.around(self._released(self.run(inside, point, R, near=near)))
         if near and best.solution.success:
             return best
-        other = self.around(self.run(programme, point, R, near=near))
+        other = self.around(self._released(self.run(programme, point, R, near=near)))
         LOG.info(
             "output error, delays held in their samples, and free: %s", (best.cost, other.cost)
         )
@@ -295,6 +293,14 @@ class Search:
             return solution  # on a kink no steps end, but those on either side
         enough = ROUGHLY if number == 1 and options.tolerance >= ROUGH else LAST
         return completed(programme, start, solution, options, stage, enough)
+
+
+def _calmed(programme: Programme, point: Point) -> Programme:
+    """The same with delays near a kink in their stretch, if there are any."""
+    free, within = calm(programme, point.lam)
+    if np.isnan(within).all():
+        return programme
+    return programme.variant(free=free, evaluator=programme.evaluator.within(within))
 
 
 def _begun_inside(outcome: Outcome) -> Point | None:
