@@ -8,6 +8,7 @@ jumps, is compared with the best on the other side.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,9 +40,18 @@ class Delay:
         """Values (2,) of the parameter, now ``value``, for these delays, the lower first."""
         return np.sort(value + (np.array(ends) - self.tau) / self.slope)
 
-    def kinks(self) -> list[float]:
-        """Whole samples so near that one may hold a solve."""
-        return [edge for edge in self.own() if abs(self.tau - edge) < NEAR * min(self.steps)]
+    def held(self, free: Free, value: float) -> bool:
+        """Whether a whole sample is so near, between bounds, that it may hold a solve.
+
+        ``value`` is the parameter's.
+        """
+        i, edge = free.index[self.a], EDGE * min(self.steps)
+        for kink in self.own():
+            if abs(self.tau - kink) < NEAR * min(self.steps):
+                low, high = self.edges(value, (kink - edge, kink + edge))
+                if free.lower[i] < low and high < free.upper[i]:
+                    return True
+        return False
 
 
 def held(programme: Programme, lam: Array) -> tuple[Free, Array]:
@@ -62,18 +72,26 @@ def held(programme: Programme, lam: Array) -> tuple[Free, Array]:
     return free, within
 
 
-def neighbours(programme: Programme, lam: Array, solved: bool) -> Iterator[tuple[Free, Array]]:
+class Side(NamedTuple):
+    """Bounds that hold a free parameter ``a`` in a stretch, for `Evaluator.within` (nu,) in it."""
+
+    free: Free
+    delays: Array
+    a: int
+
+
+def neighbours(programme: Programme, lam: Array, solved: bool) -> Iterator[Side]:
     """Stretches between whole samples that a delay of its own parameter may belong to as well.
 
-    Bounds that hold the parameter in the stretch, and for `Evaluator.within` the delay in its
-    middle (nu,), NaN for other inputs but those `held`. ``lam`` (nf,) is where a solve has ended,
-    ``solved`` with success: its own stretch need not be tried.
+    The delays for `Evaluator.within` are in the middle of their stretch, NaN for other inputs but
+    those that stay `calm`. ``lam`` (nf,) is where a solve has ended, ``solved`` with success: its
+    own stretch need not be tried.
     """
     for delay in _delays(programme, lam):
         for ends in _stretches(delay, solved):
             found = _within(programme, *calm(programme, lam, but=delay.a), delay, lam, ends)
             if found:
-                yield found
+                yield Side(*found, delay.a)
 
 
 def calm(programme: Programme, lam: Array, but: int | None = None) -> tuple[Free, Array]:
@@ -83,24 +101,16 @@ def calm(programme: Programme, lam: Array, but: int | None = None) -> tuple[Free
     """
     free, within = held(programme, lam)
     for delay in _delays(programme, lam):
-        if delay.a != but and not delay.jump and delay.kinks():
-            free, within = _within(programme, free, within, delay, lam, delay.own()) or (
-                free,
-                within,
-            )
+        if delay.a == but or delay.jump or not delay.held(programme.free, lam[delay.a]):
+            continue
+        if found := _within(programme, free, within, delay, lam, delay.own()):
+            free, within = found
     return free, within
 
 
 def stuck(programme: Programme, lam: Array) -> bool:
     """Whether a kink within the bounds may hold a solve that ends at free values (nf,)."""
-    free = programme.free
-    for delay in _delays(programme, lam):
-        i, edge = free.index[delay.a], EDGE * min(delay.steps)
-        for kink in delay.kinks():
-            low, high = delay.edges(lam[delay.a], (kink - edge, kink + edge))
-            if free.lower[i] < low and high < free.upper[i]:
-                return True
-    return False
+    return any(each.held(programme.free, lam[each.a]) for each in _delays(programme, lam))
 
 
 def _within(

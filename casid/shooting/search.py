@@ -14,7 +14,7 @@ from casid.fit import AnyFit
 from casid.free import Free
 from casid.nlp import Solution, SolverOptions, solve
 from casid.shooting import frequency
-from casid.shooting.delays import calm, held, neighbours, own_prices, stuck
+from casid.shooting.delays import Side, calm, held, neighbours, own_prices, stuck
 from casid.shooting.integration import factor_wanted, integration
 from casid.shooting.likelihood import CovarianceKind
 from casid.shooting.nearby import predicted
@@ -181,10 +181,10 @@ class Search:
             best, solution = outcome, outcome.solution
             lam = outcome.programme.unpack(solution.x).lam
             own = outcome.programme.variant(free=self.free)
-            for free, delays in neighbours(own, lam, solution.success):
-                if any(free.allows(each) for each in left):
+            for side in neighbours(own, lam, solution.success):
+                if any(side.free.allows(each) for each in left):
                     continue
-                other = self._inside(best, free, delays)
+                other = self._inside(outcome, side)
                 if other.solution.success and other.cost < best.cost - GAIN:
                     best = other
             if best is outcome:
@@ -213,9 +213,9 @@ class Search:
         better = solution.success and not other.cost >= outcome.cost - GAIN
         return other if better else replace(outcome, rounds=rounds, iterations=iterations)
 
-    def _inside(self, outcome: Outcome, free: Free, delays: Array) -> Outcome:
+    def _inside(self, outcome: Outcome, side: Side) -> Outcome:
         """The best within a stretch between whole samples, from an outcome without."""
-        last, n = outcome.programme, len(free.index)
+        last, free, n = outcome.programme, side.free, len(side.free.index)
         point, noise = last.unpack(outcome.solution.x), last.noise
         if not outcome.settled and noise.given is not None:
             noise = replace(noise, given=None)
@@ -224,9 +224,9 @@ class Search:
         lam = point.lam.copy()
         lam[:n] = np.clip(lam[:n], low + margin, high - margin)
         point = replace(point, lam=lam)
-        evaluator = last.evaluator.within(delays)
+        evaluator = last.evaluator.within(side.delays)
         loose = last.variant(noise=noise, evaluator=evaluator, free=free)
-        if outcome.solution.success and self._leads_back(loose, outcome.solution.x):
+        if outcome.solution.success and self._leads_back(loose, outcome.solution.x, side.a):
             return outcome.failed("it is best where the outcome's own stretch begins")
         programme = loose.balanced(point)
         warm = _carried(outcome.solution, last, programme)
@@ -235,8 +235,8 @@ class Search:
         iterations = outcome.iterations + solution.iterations
         return self._released(Outcome(programme, solution, iterations, rounds, True))
 
-    def _leads_back(self, programme: Programme, x: Array) -> bool:
-        """Whether a stretch next to a solution's is best at the end that both have in common.
+    def _leads_back(self, programme: Programme, x: Array, a: int) -> bool:
+        """Whether a stretch of parameter ``a`` next to a solution's is best at the common end.
 
         There the solution, which is the best of its own, is at least as good: unless outputs jump.
         """
@@ -247,14 +247,10 @@ class Search:
         if guess is None:
             return False
         (lower, upper), _ = programme.limits()
-        own, there, prices = (part[: len(lower)] for part in (x, guess[0], guess[1][0]))
-        width = upper - lower
-        at_end = np.minimum(there - lower, upper - there) < ROUGH * width
-        back = (own - there) * prices > 0
-        dear = np.abs(prices) * width * programme.n > 1  # in units of log-likelihood
-        given, free = self.free, programme.free
-        narrowed = (free.lower != given.lower) | (free.upper != given.upper)
-        return bool((at_end & back & dear)[narrowed[free.index]].any())
+        width, there, price = upper[a] - lower[a], guess[0][a], guess[1][0][a]
+        at_end = min(there - lower[a], upper[a] - there) < ROUGH * width
+        dear = abs(price) * width * programme.n > 1  # in units of log-likelihood
+        return bool(at_end and dear and (x[a] - there) * price > 0)
 
     def _released(self, outcome: Outcome) -> Outcome:
         """The outcome under its own bounds; the ends of a stretch have no price."""
@@ -286,10 +282,8 @@ class Search:
         if solution.success and options.tolerance >= ROUGH:
             return solution
         lam = programme.unpack(solution.x).lam
-        held_there = stuck(programme, lam) or (
-            close and any(neighbours(programme, lam, solved=False))
-        )
-        if held_there and not solution.success:
+        begun = number == 1 and not close  # a poor start may be anywhere after its steps
+        if not solution.success and not begun and stuck(programme, lam):
             return solution  # on a kink no steps end, but those on either side
         enough = ROUGHLY if number == 1 and options.tolerance >= ROUGH else LAST
         return completed(programme, start, solution, options, stage, enough)

@@ -51,7 +51,7 @@ def stretches(model, hold):
     evaluator = Evaluator(free, lay_out([record], 2.0))
     programme, point = starting_programme(evaluator, free, np.diag(SIGMA**2), True)
     found = []
-    for bounded, within in neighbours(programme, point.lam, solved=True):
+    for bounded, within, _ in neighbours(programme, point.lam, solved=True):
         assert np.isnan(within[1])  # the other stick's
         found.append((bounded.lower[-1] / 0.02, bounded.upper[-1] / 0.02, within[0] / 0.02))
     return np.round(found, 3).tolist()
@@ -98,7 +98,7 @@ def test_one_delay_is_tried_while_those_on_kinks_stay_in_their_stretch():
     assert limits(bounded) == [[2, 3], [3, 4]]
     np.testing.assert_allclose(within / 0.02, [2.5, 3.5])
     assert limits(calm(programme, point.lam, but=at[0])[0]) == [[0, 15], [3, 4]]
-    tried = [limits(each) for each, _ in neighbours(programme, point.lam, solved=True)]
+    tried = [limits(each) for each, *_ in neighbours(programme, point.lam, solved=True)]
     assert tried == [[[1, 2], [3, 4]], [[2, 3], [2, 3]], [[2, 3], [4, 5]]]
 
 
@@ -156,13 +156,13 @@ def test_a_stretch_that_is_passed_over_has_nothing_better(monkeypatch):
     judged, ends = [], []
     honest, solved = Search._leads_back, Search._inside
 
-    def both(search, programme, x):
-        judged.append(honest(search, programme, x))
+    def both(search, *where):
+        judged.append(honest(search, *where))
         return False  # solved all the same
 
-    def inside(search, outcome, free, delays):
+    def inside(search, outcome, side):
         before = len(judged)
-        end = solved(search, outcome, free, delays)
+        end = solved(search, outcome, side)
         ends.append((judged[before:] == [True], end.cost - outcome.cost))
         return end
 
