@@ -14,6 +14,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.free import Free
 from casid.nonlinear.model import NonlinearModel
+from casid.record import Hold
 
 POINTS = 128  # evaluated by one call
 
@@ -144,12 +145,14 @@ class Flow:
     """Equations, outputs and one Runge-Kutta step of a nonlinear structure in its free λ."""
 
     def __init__(self, free: Free) -> None:
-        equations = cast("NonlinearModel", free.model).equations()
+        model = cast("NonlinearModel", free.model)
+        equations = model.equations()
         x, u = ca.SX.sym("x", equations.numel_in(0)), ca.SX.sym("u", equations.numel_in(1))
         lam = ca.SX.sym("lam", len(free.index))
         full = free.full(lam)
         f, h = equations(x, u, full)
         self.f, self.h, self._free = Slopes(f, x, u, lam), Slopes(h, x, u, lam), free
+        self.cut = cut(model)
         stages, step = ca.SX.sym("stages", 3 * u.numel()), ca.SX.sym("step")
         first, middle, last = ca.vertsplit(stages, u.numel()) if u.numel() else [stages] * 3
         k1 = equations(x, first, full)[0]
@@ -172,3 +175,16 @@ class Flow:
     def output(self, x: Array, u: Array, lam: Array) -> Array:
         """Outputs (n, ny)."""
         return self._output(x, u, lam)[0]
+
+
+def cut(model: NonlinearModel) -> tuple[Hold, ...]:
+    """Of inputs held how the breaks cut the steps of an integration, see `casid.shooting.stages`.
+
+    Kinks do not where dx/dt = f(x) + g(x) u, nor jumps where g is the same at all states.
+    """
+    equations = model.equations()
+    x, u, lam = (ca.SX.sym("of", equations.numel_in(i)) for i in range(3))
+    f = equations(x, u, lam)[0]
+    if any(ca.which_depends(f, u, 2)):
+        return "foh", "zoh"
+    return ("zoh",) if any(ca.which_depends(ca.jacobian(f, u), x, 1)) else ()
