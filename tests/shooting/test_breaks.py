@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from truths.thrust import Rooted, Saturating, Squared, Thrust, climbed, flown
 
-from casid import OutputError, output_error
+from casid import OutputError, output_error, validate
 from casid.free import Free
 from casid.shooting.intervals import lay_out
 from casid.shooting.nonlinear import NonlinearEvaluator
@@ -84,3 +84,31 @@ def test_a_root_of_an_input_that_comes_from_zero_is_no_obstacle(hold):
     for row, truth in zip(fit.parameters, lam, strict=True):
         assert abs(row.value - truth) < 3.5 * row.cramer_rao
     assert fit.notes.integration.shift <= 1e-4
+
+
+def test_records_of_either_hold_are_simulated_together_as_alone():
+    """Jumps cut the steps of `Thrust`, kinks do not: ways apart over one layout."""
+    lam = late_by(2.25)
+    records = [flown(Thrust, lam, hold, n=N, irregular=True) for hold in ("foh", "zoh")]
+    free = Free(Thrust(), np.arange(5), np.full(5, -np.inf), np.full(5, np.inf), np.ones(5))
+
+    def residuals(of):
+        evaluator = NonlinearEvaluator(free, lay_out(of, 1e9), 2).finer(2)
+        nodes = np.array([record.y[0] for record in of])
+        return evaluator.simulate(Point(lam, np.zeros((len(of), 2)), nodes)).residuals
+
+    both = residuals(records)
+    for mine, record in zip(np.split(both, 2), records, strict=True):
+        np.testing.assert_allclose(mine, residuals([record]), atol=1e-14)
+        assert np.abs(mine).max() < 1e-6
+
+
+@pytest.mark.parametrize("horizon", [np.inf, 1.0])
+def test_validation_and_predictions_hear_jumps_where_they_are(horizon):
+    lam = late_by(2.65)
+    record = flown(Rooted, lam, "zoh", n=300)
+    noise = {"w": 1e-3, "n": 1e-3}
+    noisy = record.with_noise(noise, np.random.default_rng(6))
+    found = validate({"true": Rooted().with_vector(lam)}, [noisy], horizon=horizon)
+    limit = 1.1e-3 if horizon > 1.0 else 2e-3  # a start that the past tells is no better
+    assert found.rms["true"].max() < limit
