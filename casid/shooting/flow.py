@@ -17,6 +17,8 @@ from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold
 
 POINTS = 128  # evaluated by one call
+# Of the method: which of a step's instants, how far ahead of its beginning, six times the weight.
+STAGES = (0, 0.0, 1.0), (1, 0.5, 2.0), (1, 0.5, 2.0), (2, 1.0, 1.0)
 
 
 class Mapped:
@@ -188,3 +190,16 @@ def cut(model: NonlinearModel) -> tuple[Hold, ...]:
     if any(ca.which_depends(f, u, 2)):
         return "foh", "zoh"
     return ("zoh",) if any(ca.which_depends(ca.jacobian(f, u), x, 1)) else ()
+
+
+def weights(A: Array) -> Array:
+    """What a unit of f at each stage moves a step's end, side by side (n, nx, stages * nx).
+
+    Over the step's length, A (n, stages, nx, nx) times which are the slopes of f by x.
+    """
+    eye, M = np.eye(A.shape[2]), np.empty_like(A)
+    for i in range(len(STAGES) - 1, -1, -1):
+        M[:, i] = STAGES[i][2] / 6 * eye
+        if i + 1 < len(STAGES):
+            M[:, i] += STAGES[i + 1][1] * (M[:, i + 1] @ A[:, i + 1])
+    return M.transpose(0, 2, 1, 3).reshape(len(A), A.shape[2], -1)

@@ -22,7 +22,7 @@ from casid.intersample import ORDER
 from casid.nonlinear.coverage import reached
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.shooting.flow import Flow, Slopes
+from casid.shooting.flow import STAGES, Flow, Slopes, weights
 from casid.shooting.intervals import Layout
 from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, counts
 from casid.shooting.stages import Stages, stage_inputs
@@ -35,8 +35,6 @@ MOST = 64  # steps a sampling interval
 PLACES, TYPICAL = 200, 0.95  # samples at which modes are looked at; the share that steps follow
 PIECE = 128  # samples whose derivatives are advanced at once
 KEPT_BYTES = 256e6  # of derivatives by λ kept for a second pass
-# Of the method: which of a step's instants, how far ahead of its beginning, six times the weight.
-STAGES = (0, 0.0, 1.0), (1, 0.5, 2.0), (1, 0.5, 2.0), (2, 1.0, 1.0)
 
 
 @storable
@@ -334,8 +332,12 @@ class NonlinearSweep(Sweep):
         A, F, f = np.empty((n, len(STAGES), nx, nx)), self._F[:n], np.empty((n, len(STAGES), nx))
         h, x = stages.eta[flat, s, None, None], self._track.inner[flat, s]
         part, step = divmod(s, len(stages.share) - 1)
-        begin, end = (self._moves[stages.mover[flat, i]] for i in (part, part + 1))
+        ends = stages.mover[flat, part : part + 2]
         share, length = stages.share[step], stages.share[step + 1] - stages.share[step]
+        moving: tuple[Array, Array] | None = None
+        if (ends >= 0).any():
+            begin, end = self._moves[ends.T]
+            moving = begin + share * (end - begin), length * (end - begin)
         k = np.zeros_like(x)
         for i, (stage, ahead, _) in enumerate(STAGES):
             u, late = stages.u[flat, s, stage], stages.late[flat, s, stage]
@@ -343,23 +345,29 @@ class NonlinearSweep(Sweep):
             f[:, i] = k
             F[:, i, :, self._delayed] = 0.0
             self._flow.f.lam.put(F[:, i], f_lam)
-            self._add_delays(F[:, i], f_u, late, begin + (share + ahead * length) * (end - begin))
+            place = moving[0] + ahead * moving[1] if moving else None
+            self._add_delays(F[:, i], f_u, late, place)
         A *= h[..., None]
-        M = _weights(A)
+        M = weights(A)
         own, moved = M @ A.reshape(n, -1, nx) + np.eye(nx), h * (M @ F.reshape(n, -1, nf))
-        moved[:, :, self._delayed] += (M @ f.reshape(n, -1, 1)) * (length * (end - begin))[:, None]
+        if moving:
+            moved[:, :, self._delayed] += (M @ f.reshape(n, -1, 1)) * moving[1][:, None]
         return own, moved
 
-    def _add_delays(self, target: Array, by_u: Array, late: Array, place: Array) -> None:
+    def _add_delays(
+        self, target: Array, by_u: Array, late: Array, place: Array | None = None
+    ) -> None:
         """Add what the delays do to derivatives (n, m, nf or more), by f_u or h_u (n, m, nu).
 
         Inputs change by ``late`` (n, nu) as they come later, and back where one sees them at a
         place that moves by λ (n, those by which inputs are delayed), too.
         """
         if len(self._delayed):
-            moved = late[:, :, None] * (self._tau - place[:, None])
             finite = np.where(np.isfinite(by_u), by_u, 0.0)  # infinite: a root's, at one instant
-            target[:, :, self._delayed] += finite @ moved
+            moved = (by_tau := finite * late[:, None]) @ self._tau
+            if place is not None:
+                moved -= by_tau.sum(axis=2)[..., None] * place[:, None]
+            target[:, :, self._delayed] += moved
 
     def slopes(self, function: Slopes) -> tuple[Array, Array]:
         """Derivatives of f or h by x (N, m, nx) and u (N, m, nu) at the samples."""
@@ -377,23 +385,9 @@ class NonlinearSweep(Sweep):
         _, h_x, h_u, h_lam = self._flow.h(self.motion.states[flat], self._value[flat], self._lam)
         through = h_x @ S.transpose(0, 2, 1, 3).reshape(K * n, e.nx, -1)
         self._flow.h.lam.add(through, h_lam)
-        still = np.zeros((1, len(self._delayed)))
-        self._add_delays(through, h_u, -self._slope[flat], still)
+        self._add_delays(through, h_u, -self._slope[flat])
         out = np.empty((n, K, e.ny, self.ns + e.ny + 1))
         out[..., self.ns : -1] = np.eye(e.ny)
         out[..., : self.ns] = through.reshape(K, n, e.ny, -1).transpose(1, 0, 2, 3)
         out[..., -1] = self.motion.residuals[at.T]
         return self._whitened(out, at)
-
-
-def _weights(A: Array) -> Array:
-    """What a unit of f at each stage moves a step's end, side by side (n, nx, stages * nx).
-
-    Over the step's length, A (n, stages, nx, nx) times which are the slopes of f by x.
-    """
-    eye, M = np.eye(A.shape[2]), np.empty_like(A)
-    for i in range(len(STAGES) - 1, -1, -1):
-        M[:, i] = STAGES[i][2] / 6 * eye
-        if i + 1 < len(STAGES):
-            M[:, i] += STAGES[i + 1][1] * (M[:, i + 1] @ A[:, i + 1])
-    return M.transpose(0, 2, 1, 3).reshape(len(A), A.shape[2], -1)
