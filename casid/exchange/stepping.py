@@ -1,6 +1,7 @@
 """A nonlinear structure as functions that step it from sample to sample, delays exact.
 
-Between samples by the classical Runge-Kutta method, as `casid.shooting.nonlinear` has it.
+Between samples by the classical Runge-Kutta method, as `casid.shooting.nonlinear` has it where
+inputs break at every sample.
 """
 
 import casadi as ca
@@ -10,8 +11,11 @@ from casid.arrays import Array
 from casid.intersample import delayed_input
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Hold
+from casid.shooting.flow import cut
 from casid.shooting.stages import stage_inputs
 
+RESTLESS = 4.0  # of inputs on which a unit pulse rides: they break whatever it does
+DIGITS = 14  # of weights that are known
 FINE = 4.0  # steps within a radian of the fastest mode at the reference condition, at least
 
 
@@ -29,7 +33,7 @@ def steps_of(
     The memory z is the state at the last sample, the time since then (none before the first), and
     the inputs of the past: what happens after a sample is known when the next one is.
     """
-    T, V = _taps(model, dt, hold, count)
+    T, V, lengths = _taps(model, dt, hold, count)
     past, nx, nu = len(V) - 1, len(model.states), len(model.inputs)
     f = ca.Function("f", *_of(model))
     z, u = ca.MX.sym("z", nx + 1 + past * nu), ca.MX.sym("u", nu)
@@ -40,8 +44,9 @@ def steps_of(
         """Inputs (past + 1, nu) weighed."""
         return sum((ca.DM(w) * each for w, each in zip(weights, inputs, strict=True)), ca.MX(nu, 1))
 
-    x, h = z[:nx], z[nx] / count
-    for s in range(count):
+    x = z[:nx]
+    for s, length in enumerate(lengths.tolist()):
+        h = z[nx] * length
         first, middle, last = (held(T[:, s, i]) for i in range(3))
         k1 = f(x, first)[0]
         k2 = f(x + h / 2 * k1, middle)[0]
@@ -64,19 +69,26 @@ def _of(model: NonlinearModel) -> tuple[list[ca.SX], list[ca.SX]]:
     return [x, u], ca.cse([ca.densify(each) for each in found])
 
 
-def _taps(model: NonlinearModel, dt: float, hold: Hold, count: int) -> tuple[Array, Array]:
+def _taps(model: NonlinearModel, dt: float, hold: Hold, count: int) -> tuple[Array, Array, Array]:
     """Weights of this sample's inputs and earlier ones, from a unit pulse on all channels.
 
-    At the stages of the steps before this sample, (n, count, 3, nu), and at it, (n, nu).
+    At the stages of the steps before this sample, (n, steps, 3, nu), and at it, (n, nu). And those
+    steps' lengths (steps,), in sampling intervals. The pulse rides on inputs that break at all
+    samples, so that no step is left whole for want of a break.
     """
     tau = np.asarray(model.system().delay, dtype=float)
     pulse = int(np.ceil(tau.max(initial=0.0) / dt)) + 3
-    t = dt * np.arange(2 * pulse + 2)
-    u = np.zeros((len(t), len(tau)))
-    u[pulse] = 1.0
-    held = delayed_input(t, u, tau, hold, tau)
-    stages = stage_inputs([held], [hold], np.full(len(t), dt), count)[0]
-    T, V = stages[pulse - 1 : 2 * pulse], held.value[pulse : 2 * pulse + 1]
+    t, cuts = dt * np.arange(2 * pulse + 2), cut(model)
+    restless = np.repeat(RESTLESS * (-1.0) ** np.arange(len(t))[:, None], len(tau), axis=1)
+
+    def heard(u: Array) -> tuple[Array, Array, Array]:
+        held = delayed_input(t, u, tau, hold, tau)
+        stages = stage_inputs([held], [hold], np.full(len(t), dt), (count, 1), cuts)
+        after = slice(pulse, 2 * pulse + 1)
+        return stages.u[pulse - 1 : 2 * pulse], held.value[after], stages.eta[pulse] / dt
+
+    both = heard(restless + (np.arange(len(t)) == pulse)[:, None]), heard(restless)
+    T, V = (np.round(both[0][i] - both[1][i], DIGITS) for i in (0, 1))
     used = np.flatnonzero((T != 0).any(axis=(1, 2, 3)) | (V != 0).any(axis=1))
     last = int(used.max(initial=0)) + 1
-    return T[:last], V[:last]
+    return T[:last], V[:last], both[0][2]

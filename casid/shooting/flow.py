@@ -14,8 +14,11 @@ import numpy as np
 from casid.arrays import Array
 from casid.free import Free
 from casid.nonlinear.model import NonlinearModel
+from casid.record import Hold
 
 POINTS = 128  # evaluated by one call
+# Of the method: which of a step's instants, how far ahead of its beginning, six times the weight.
+STAGES = (0, 0.0, 1.0), (1, 0.5, 2.0), (1, 0.5, 2.0), (2, 1.0, 1.0)
 
 
 class Mapped:
@@ -144,12 +147,14 @@ class Flow:
     """Equations, outputs and one Runge-Kutta step of a nonlinear structure in its free λ."""
 
     def __init__(self, free: Free) -> None:
-        equations = cast("NonlinearModel", free.model).equations()
+        model = cast("NonlinearModel", free.model)
+        equations = model.equations()
         x, u = ca.SX.sym("x", equations.numel_in(0)), ca.SX.sym("u", equations.numel_in(1))
         lam = ca.SX.sym("lam", len(free.index))
         full = free.full(lam)
         f, h = equations(x, u, full)
         self.f, self.h, self._free = Slopes(f, x, u, lam), Slopes(h, x, u, lam), free
+        self.cut = cut(model)
         stages, step = ca.SX.sym("stages", 3 * u.numel()), ca.SX.sym("step")
         first, middle, last = ca.vertsplit(stages, u.numel()) if u.numel() else [stages] * 3
         k1 = equations(x, first, full)[0]
@@ -172,3 +177,29 @@ class Flow:
     def output(self, x: Array, u: Array, lam: Array) -> Array:
         """Outputs (n, ny)."""
         return self._output(x, u, lam)[0]
+
+
+def cut(model: NonlinearModel) -> tuple[Hold, ...]:
+    """Of inputs held how the breaks cut the steps of an integration, see `casid.shooting.stages`.
+
+    Kinks do not where dx/dt = f(x) + g(x) u, nor jumps where g is the same at all states.
+    """
+    equations = model.equations()
+    x, u, lam = (ca.SX.sym("of", equations.numel_in(i)) for i in range(3))
+    f = equations(x, u, lam)[0]
+    if any(ca.which_depends(f, u, 2)):
+        return "foh", "zoh"
+    return ("zoh",) if any(ca.which_depends(ca.jacobian(f, u), x, 1)) else ()
+
+
+def weights(A: Array) -> Array:
+    """What a unit of f at each stage moves a step's end, side by side (n, nx, stages * nx).
+
+    Over the step's length, A (n, stages, nx, nx) times which are the slopes of f by x.
+    """
+    eye, M = np.eye(A.shape[2]), np.empty_like(A)
+    for i in range(len(STAGES) - 1, -1, -1):
+        M[:, i] = STAGES[i][2] / 6 * eye
+        if i + 1 < len(STAGES):
+            M[:, i] += STAGES[i + 1][1] * (M[:, i + 1] @ A[:, i + 1])
+    return M.transpose(0, 2, 1, 3).reshape(len(A), A.shape[2], -1)

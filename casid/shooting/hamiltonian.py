@@ -55,7 +55,8 @@ def _kinks(sweep: NonlinearSweep, middle: Array) -> Array:
     """Second derivatives (nf, nf) by delays that move kinks of the inputs: p f_u times theirs."""
     e, m = sweep.e, sweep.matrices
     bend, first = np.zeros(e.nu), 0
-    pull: Array = np.einsum("nx,nxu->nu", middle, sweep.slopes(e.flow.f)[1])
+    by_u = sweep.slopes(e.flow.f)[1]
+    pull: Array = np.einsum("nx,nxu->nu", middle, np.where(np.isfinite(by_u), by_u, 0.0))
     for record, held in zip(e.layout.records, e.held(m), strict=True):
         if ORDER[record.hold] == 2:  # kinks, not jumps
             moved = pull[first + held.step, held.channel] * held.jump

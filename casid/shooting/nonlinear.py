@@ -2,28 +2,30 @@
 
     x_{k+1} = Φ(x_k, u; λ)            r_k = h(x_k, u(t_k - τ); λ) + b - y_k
 
-Φ is the classical Runge-Kutta method of fourth order, in a whole number of equal steps a sampling
-interval, with the inputs of `casid.shooting.stages`. The states known, ∂Φ/∂x and ∂Φ/∂λ come of the
-derivatives of f at the stages, for many samples at once; S⁺ = (∂Φ/∂x) S + ∂Φ/∂λ is exact for the
-discrete states, so that the cost and its gradient belong to each other whatever the step.
+Φ is the classical Runge-Kutta method of fourth order, in the steps and with the inputs of
+`casid.shooting.stages`. The states known, ∂Φ/∂x and ∂Φ/∂λ come of the derivatives of f at the
+stages, for many samples at once; S⁺ = (∂Φ/∂x) S + ∂Φ/∂λ is exact for the discrete states, so that
+the cost and its gradient belong to each other whatever the step.
 """
 
 import copy
+from collections.abc import Collection
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.free import Free
+from casid.intersample import ORDER
 from casid.nonlinear.coverage import reached
 from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
-from casid.shooting.flow import Flow, Slopes
+from casid.shooting.flow import STAGES, Flow, Slopes, weights
 from casid.shooting.intervals import Layout
 from casid.shooting.sensitivity import Evaluator, Motion, Point, Sweep, counts
-from casid.shooting.stages import stage_inputs
+from casid.shooting.stages import Stages, stage_inputs
 from casid.shooting.unknowns import FilterMatrices
 from casid.values import storable
 
@@ -33,8 +35,6 @@ MOST = 64  # steps a sampling interval
 PLACES, TYPICAL = 200, 0.95  # samples at which modes are looked at; the share that steps follow
 PIECE = 128  # samples whose derivatives are advanced at once
 KEPT_BYTES = 256e6  # of derivatives by λ kept for a second pass
-# Of the method: which of a step's instants, how far ahead of its beginning, six times the weight.
-STAGES = (0, 0.0, 1.0), (1, 0.5, 2.0), (1, 0.5, 2.0), (2, 1.0, 1.0)
 
 
 @storable
@@ -45,7 +45,7 @@ class Integration:
     Parameters
     ----------
     steps : int
-        Runge-Kutta steps a sampling interval.
+        Runge-Kutta steps a sampling interval, of which some may be cut at breaks of the inputs.
     shift : float
         By how many standard deviations the estimate that is moved most would move, were the steps
         half as long.
@@ -62,7 +62,7 @@ class Integration:
 class Track(Motion):
     """A simulation with the states at the beginning of every step within the samples'."""
 
-    inner: Array  # (N, substeps, nx)
+    inner: Array  # (N, S, nx); what `Stages.count` leaves out is not set
 
 
 class NonlinearEvaluator(Evaluator):
@@ -75,8 +75,9 @@ class NonlinearEvaluator(Evaluator):
         self.flow, self.model = Flow(free), cast("NonlinearModel", free.model)
         self._full = free.full
         self.lengths = layout.classes[layout.step]
-        self.substeps = substeps or self._first_substeps(free.guess)
-        self._stages: tuple[bytes, tuple[Array, Array]] | None = None
+        self.whole = substeps or self._first_substeps(free.guess)
+        self.shares = 1
+        self._stages: tuple[bytes, Stages] | None = None
 
     def _first_substeps(self, lam: Array) -> int:
         """Steps a sampling interval that follow the fastest mode, at the reference and as flown.
@@ -99,7 +100,7 @@ class NonlinearEvaluator(Evaluator):
     def _fastest_flown(self, lam: Array) -> float:
         """The fastest mode's modulus [rad/s] where the records are, but for single wild samples."""
         rows = np.unique(np.linspace(0, len(self.layout.y) - 1, PLACES).astype(int))
-        u = np.concatenate([part.value for part in self.held(self.matrices(lam))])[rows]
+        u = self.inputs(self.matrices(lam))[rows]
         with np.errstate(all="ignore"):
             A = self.flow.f(self.flown(rows), u, lam)[1]
         A = A[np.isfinite(A).all(axis=(1, 2))]
@@ -107,10 +108,15 @@ class NonlinearEvaluator(Evaluator):
             return 0.0
         return float(np.quantile(np.abs(np.linalg.eigvals(A)).max(axis=1), TYPICAL))
 
+    @property
+    def substeps(self) -> int:
+        """Steps a sampling interval, but for those cut at breaks of the inputs."""
+        return self.whole * self.shares
+
     def finer(self, factor: int) -> "NonlinearEvaluator":
         """The same with so many times the steps."""
         other = copy.copy(self)
-        other.substeps, other._stages = self.substeps * factor, None
+        other.shares, other._stages = self.shares * factor, None
         return other
 
     def within(self, delays: Array | None) -> "NonlinearEvaluator":
@@ -119,33 +125,69 @@ class NonlinearEvaluator(Evaluator):
         other._stages = None
         return other
 
-    def stages(self, m: FilterMatrices) -> tuple[Array, Array]:
-        """Inputs at the stages and their derivatives by the delays, (N, substeps, 3, nu) each."""
-        key = m.tau.tobytes()
+    def stages(self, m: FilterMatrices) -> Stages:
+        """Steps within the sampling intervals, and inputs at their stages."""
+        key = m.tau.tobytes() + m.tau_lam.tobytes()
         if self._stages is None or self._stages[0] != key:
-            holds = [record.hold for record in self.layout.records]
-            self._stages = key, stage_inputs(self.held(m), holds, self.lengths, self.substeps)
+            records, cut = self.layout.records, self.flow.cut
+            holds = [record.hold for record in records]
+            steps = self.whole, self.shares
+            found = stage_inputs(self.held(m), holds, self.lengths, steps, cut, m.tau_lam)
+            self._clip(found.u, cut)
+            self._stages = key, found
         return self._stages[1]
+
+    def inputs(self, m: FilterMatrices) -> Array:
+        """Delayed inputs (N, nu) at the samples."""
+        u = np.concatenate([part.value for part in self.held(m)])
+        self._clip(u, ORDER)
+        return u
+
+    def _clip(self, u: Array, holds: Collection[str]) -> None:
+        """Keep what is computed of inputs from leaving the range of the record's by roundings."""
+        first = 0
+        for record in self.layout.records:
+            mine = u[first : first + record.N]
+            if record.hold in holds:
+                np.clip(mine, record.u.min(axis=0), record.u.max(axis=0), out=mine)
+            first += record.N
+
+    def advance(
+        self, stages: Stages, at: np.ndarray, x: Array, lam: Array, inner: Array | None = None
+    ) -> Array:
+        """States (n, nx) one sample on from those at samples; ``inner`` of a `Track` is filled."""
+        u, (_, S), count = stages.u.reshape(*stages.eta.shape, -1), stages.eta.shape, None
+        for s in range(S):
+            some: Any = slice(None)
+            if s >= stages.least:
+                count = stages.count[at] if count is None else count
+                some = np.flatnonzero(count > s)
+                if not len(some):
+                    break
+            here, before = at[some], x[some]
+            if inner is not None:
+                inner[here, s] = before
+            after = self.flow.step(before, u[here, s], stages.eta[here, s], lam)
+            if s < stages.least:
+                x = after
+            else:
+                x[some] = after
+        return x
 
     def simulate(self, point: Point) -> Track:
         """States and residuals over all intervals."""
         layout, m = self.layout, self.matrices(point.lam)
-        stages = self.stages(m)[0].reshape(len(layout.y), self.substeps, 3 * self.nu)
-        inner = np.empty((len(layout.y), self.substeps, self.nx))
+        stages = self.stages(m)
+        inner = np.empty((*stages.eta.shape, self.nx))
         ends = np.empty((len(layout.count), self.nx))
         x, active = point.nodes[layout.node], counts(layout.count)
         for k, n in enumerate(active):
-            at, x = layout.start[:n] + k, x[:n]
-            eta = self.lengths[at] / self.substeps
-            for s in range(self.substeps):
-                inner[at, s] = x
-                x = self.flow.step(x, stages[at, s], eta, point.lam)
+            x = self.advance(stages, layout.start[:n] + k, x[:n], point.lam, inner)
             if k + 1 == len(active) or active[k + 1] < n:
                 done = layout.count[:n] == k + 1
                 ends[:n][done] = x[done]
-        u = np.concatenate([part.value for part in self.held(m)])
         bias = np.repeat(point.bias, [record.N for record in layout.records], axis=0)
-        r = self.flow.output(inner[:, 0], u, point.lam) + bias - layout.y
+        r = self.flow.output(inner[:, 0], self.inputs(m), point.lam) + bias - layout.y
         return Track(inner[:, 0], r * layout.patterns[layout.pattern], ends, inner)
 
     def sweep(self, point: Point, motion: Motion, W: Array) -> "NonlinearSweep":
@@ -182,7 +224,7 @@ class NonlinearEvaluator(Evaluator):
     def lost(self, point: Point) -> str:
         """Where equations first have no value in a simulation from a point; "" if all have."""
         x = self.simulate(point).states
-        u = np.concatenate([part.value for part in self.held(self.matrices(point.lam))])
+        u = self.inputs(self.matrices(point.lam))
         f = self.flow.f(x, u, point.lam)[0]
         rows, columns = np.nonzero(~np.isfinite(f) & np.isfinite(x).all(axis=1, keepdims=True))
         if not len(rows):
@@ -226,13 +268,11 @@ class NonlinearSweep(Sweep):
         self.matrices = m = evaluator.matrices(point.lam)
         self.ns = evaluator.nf + evaluator.nx
         self.apart = not np.any(W * (1 - np.eye(evaluator.ny)))
-        self._u, self._late = evaluator.stages(m)
-        self._eta = evaluator.lengths / evaluator.substeps
-        held = evaluator.held(m)
-        self._value, self._slope = (
-            np.concatenate([getattr(part, name) for part in held]) for name in ("value", "slope")
-        )
+        self._stages, self._value = evaluator.stages(m), evaluator.inputs(m)
+        self._slope = np.concatenate([part.slope for part in evaluator.held(m)])
         self._delayed = np.flatnonzero(m.tau_lam.any(axis=0))
+        self._tau = m.tau_lam[:, self._delayed]
+        self._moves = np.vstack([self._tau, np.zeros((1, len(self._delayed)))])  # the last: -1
         N, nx, nf = len(evaluator.layout.y), evaluator.nx, evaluator.nf
         self.by_x: Array = np.empty((N, nx, nx))  # of the steps from the samples passed
         self._kept: dict[bytes, tuple[Array, Array]] = {}
@@ -271,42 +311,73 @@ class NonlinearSweep(Sweep):
     def advanced(self, flat: np.ndarray) -> tuple[Array, Array]:
         """Derivatives (n, nx, nx) by the states before and (n, nx, nf) by λ of those one sample on.
 
-        At most `PIECE` samples at once. With slopes A_i, F_i of f by x and λ at the stages, at c_i
-        after a step's beginning, those of the step are I + Σ M_i A_i and Σ M_i F_i, where
-        M_i = w_i I + c_{i+1} M_{i+1} A_{i+1}.
+        At most `PIECE` samples at once.
         """
-        nx, nf, n = self.e.nx, self.e.nf, len(flat)
-        A, F = np.empty((n, len(STAGES), nx, nx)), self._F[:n]
-        passed: tuple[Array, Array] | None = None
-        h = self._eta[flat, None, None]
-        for s in range(self._u.shape[1]):
-            x, u, late = self._track.inner[flat, s], self._u[flat, s], self._late[flat, s]
-            k = np.zeros_like(x)
-            for i, (stage, ahead, _) in enumerate(STAGES):
-                at = x + ahead * h[:, 0] * k
-                k, A[:, i], f_u, f_lam = self._flow.f(at, u[:, stage], self._lam)
-                F[:, i, :, self._delayed] = 0.0
-                self._flow.f.lam.put(F[:, i], f_lam)
-                self._add_delays(F[:, i], f_u * late[:, stage, None])
-            M = _weights(A, h)
-            own, moved = M @ A.reshape(n, -1, nx) + np.eye(nx), M @ F.reshape(n, -1, nf)
-            passed = (own @ passed[0], own @ passed[1] + moved) if passed else (own, moved)
-        assert passed is not None
-        return passed
+        count = self._stages.count[flat]
+        by_x, by_lam = self._across(flat, 0)
+        for s in range(1, int(count.max())):
+            mine = np.flatnonzero(count > s)
+            own, moved = self._across(flat[mine], s)
+            by_x[mine], by_lam[mine] = own @ by_x[mine], own @ by_lam[mine] + moved
+        return by_x, by_lam
 
-    def _add_delays(self, target: Array, by_tau: Array) -> None:
-        """Add what the delays do, (n, m, nu) by each, to derivatives (n, m, nf or more)."""
+    def _across(self, flat: np.ndarray, s: int) -> tuple[Array, Array]:
+        """The same of one step.
+
+        With slopes A_i, F_i of f by x and λ at the stages, at c_i after a step's beginning, those
+        of a step of length η are I + η Σ M_i A_i and η Σ M_i F_i, where
+        M_i = w_i I + c_{i+1} M_{i+1} η A_{i+1}, and that by η is Σ M_i f_i.
+        """
+        nx, nf, n, stages = self.e.nx, self.e.nf, len(flat), self._stages
+        A, F, f = np.empty((n, len(STAGES), nx, nx)), self._F[:n], np.empty((n, len(STAGES), nx))
+        h, x = stages.eta[flat, s, None, None], self._track.inner[flat, s]
+        part, step = divmod(s, len(stages.share) - 1)
+        ends = stages.mover[flat, part : part + 2]
+        share, length = stages.share[step], stages.share[step + 1] - stages.share[step]
+        moving: tuple[Array, Array] | None = None
+        if (ends >= 0).any():
+            begin, end = self._moves[ends.T]
+            moving = begin + share * (end - begin), length * (end - begin)
+        k = np.zeros_like(x)
+        for i, (stage, ahead, _) in enumerate(STAGES):
+            u, late = stages.u[flat, s, stage], stages.late[flat, s, stage]
+            k, A[:, i], f_u, f_lam = self._flow.f(x + ahead * h[:, 0] * k, u, self._lam)
+            f[:, i] = k
+            F[:, i, :, self._delayed] = 0.0
+            self._flow.f.lam.put(F[:, i], f_lam)
+            place = moving[0] + ahead * moving[1] if moving else None
+            self._add_delays(F[:, i], f_u, late, place)
+        A *= h[..., None]
+        M = weights(A)
+        own, moved = M @ A.reshape(n, -1, nx) + np.eye(nx), h * (M @ F.reshape(n, -1, nf))
+        if moving:
+            moved[:, :, self._delayed] += (M @ f.reshape(n, -1, 1)) * moving[1][:, None]
+        return own, moved
+
+    def _add_delays(
+        self, target: Array, by_u: Array, late: Array, place: Array | None = None
+    ) -> None:
+        """Add what the delays do to derivatives (n, m, nf or more), by f_u or h_u (n, m, nu).
+
+        Inputs change by ``late`` (n, nu) as they come later, and back where one sees them at a
+        place that moves by λ (n, those by which inputs are delayed), too.
+        """
         if len(self._delayed):
-            target[:, :, self._delayed] += by_tau @ self.matrices.tau_lam[:, self._delayed]
+            finite = np.where(np.isfinite(by_u), by_u, 0.0)  # infinite: a root's, at one instant
+            moved = (by_tau := finite * late[:, None]) @ self._tau
+            if place is not None:
+                moved -= by_tau.sum(axis=2)[..., None] * place[:, None]
+            target[:, :, self._delayed] += moved
 
     def slopes(self, function: Slopes) -> tuple[Array, Array]:
         """Derivatives of f or h by x (N, m, nx) and u (N, m, nu) at the samples."""
         return function(self.motion.states, self._value, self._lam)[1:3]
 
     def second(self, flat: np.ndarray, p: Array, rho: Array) -> list[Array]:
-        """`Bend` at samples, of pᵀf + ρᵀh."""
+        """`Bend` at samples, of pᵀf + ρᵀh, but for what is infinite, as of the root of zero."""
         x, u, rate = (part[flat] for part in (self.motion.states, self._value, self._slope))
-        return self._flow.bend(x, u, rate, p, rho, self._lam, self.matrices.tau)
+        found = self._flow.bend(x, u, rate, p, rho, self._lam, self.matrices.tau)
+        return [np.nan_to_num(part, nan=0.0, posinf=0.0, neginf=0.0) for part in found]
 
     def rows(self, at: np.ndarray, S: Array) -> Array:
         """Whitened Jacobian rows and residuals of K samples, (n, K, ny, nc)."""
@@ -314,19 +385,9 @@ class NonlinearSweep(Sweep):
         _, h_x, h_u, h_lam = self._flow.h(self.motion.states[flat], self._value[flat], self._lam)
         through = h_x @ S.transpose(0, 2, 1, 3).reshape(K * n, e.nx, -1)
         self._flow.h.lam.add(through, h_lam)
-        self._add_delays(through, h_u * -self._slope[flat, None])
+        self._add_delays(through, h_u, -self._slope[flat])
         out = np.empty((n, K, e.ny, self.ns + e.ny + 1))
         out[..., self.ns : -1] = np.eye(e.ny)
         out[..., : self.ns] = through.reshape(K, n, e.ny, -1).transpose(1, 0, 2, 3)
         out[..., -1] = self.motion.residuals[at.T]
         return self._whitened(out, at)
-
-
-def _weights(A: Array, h: Array) -> Array:
-    """What a unit of f at each stage moves a step's end, side by side (n, nx, stages * nx)."""
-    eye, M = np.eye(A.shape[2]), np.empty_like(A)
-    for i in range(len(STAGES) - 1, -1, -1):
-        M[:, i] = STAGES[i][2] / 6 * h * eye
-        if i + 1 < len(STAGES):
-            M[:, i] += STAGES[i + 1][1] * h * (M[:, i + 1] @ A[:, i + 1])
-    return M.transpose(0, 2, 1, 3).reshape(len(A), A.shape[2], -1)

@@ -7,7 +7,7 @@ import numpy as np
 
 from casid import filtering
 from casid.arrays import Array
-from casid.errors import ModelError
+from casid.errors import ModelError, warn
 from casid.free import Free
 from casid.linear import Steps
 from casid.nonlinear.coverage import reached, warn_beyond
@@ -49,8 +49,8 @@ def simulate(
     ------
     ValueError, ModelError
         An input that the record lacks, a state that is none; a solution that runs away. A
-        `DataWarning` tells of states beyond the structure's tables, and of a start from a
-        reference condition that is no trim.
+        `DataWarning` tells of states beyond the structure's tables, of a start from a reference
+        condition that is no trim, of steps that cannot be short enough.
     """
     total = record.total().select(model.inputs, ())
     empty = replace(total, y=np.zeros((record.N, len(model.outputs))), outputs=model.outputs)
@@ -64,11 +64,17 @@ def simulate(
     point = Point(lam=model.vector(), bias=np.zeros((1, len(model.outputs))), nodes=node)
     motion = evaluator.simulate(point)
     y = _finite(model, motion.residuals)
-    while evaluator.substeps < MOST:
+    moved = np.inf
+    while moved > SAME and (evaluator.substeps < MOST or np.isinf(moved)):
         evaluator, last = evaluator.finer(2), y
         y = _finite(model, evaluator.simulate(point).residuals)
-        if np.abs(y - last).max() <= SAME * max(np.abs(y).max(), 1e-300):
-            break
+        moved = float(np.abs(y - last).max() / max(np.abs(y).max(), 1e-300))
+    if moved > SAME:
+        warn(
+            f"simulate: outputs over record {record.name!r} move by {moved:.1g} of their size as "
+            f"steps are halved to {evaluator.substeps} a sampling interval, the most; "
+            "give inputs at shorter intervals"
+        )
     warn_beyond(model, f"record {record.name!r}", reached(model, motion.states, empty.u))
     return replace(empty, y=y)
 
@@ -139,10 +145,9 @@ class _ExtendedFilter(RecordPredictor):
         self._e = e = _following(e, model.vector(), scale, horizon)
         self._lam, self.y, self.t, self.scale = model.vector(), record.y, record.t, scale
         m, (N, ny), nx = e.matrices(self._lam), record.y.shape, e.nx
-        self._stages = e.stages(m)[0].reshape(N, e.substeps, -1)
-        self._u = np.concatenate([part.value for part in e.held(m)])
+        self._u, self._stages = e.inputs(m), e.stages(m)
         point = Point(lam=self._lam, bias=np.zeros((1, ny)), nodes=e.resting())
-        self._inner = np.zeros((N, e.substeps, nx))
+        self._inner = np.zeros((*self._stages.eta.shape, nx))
         track = Track(self._inner[:, 0], np.zeros((N, ny)), point.nodes, self._inner)
         self._sweep = e.sweep(point, track, np.zeros((1, ny, ny)))
         self.origin, self.C, self._A = point.nodes[0], np.zeros((N, ny, nx)), np.zeros((N, nx, nx))
@@ -192,11 +197,7 @@ class _ExtendedFilter(RecordPredictor):
 
     def _step(self, at: np.ndarray, x: Array) -> Array:
         """States (n, nx) one sample on, those at Runge-Kutta steps within being kept."""
-        for s in range(self._e.substeps):
-            self._inner[at, s] = x
-            eta = self._e.lengths[at] / self._e.substeps
-            x = self._e.flow.step(x, self._stages[at, s], eta, self._lam)
-        return x
+        return self._e.advance(self._stages, at, x, self._lam, self._inner)
 
 
 def _following(
@@ -208,14 +209,11 @@ def _following(
     """
     rows = np.arange(len(evaluator.layout.y) - 1)
     x, m = evaluator.flown(rows), evaluator.matrices(lam)
-    u = np.concatenate([part.value for part in evaluator.held(m)])[rows]
+    u = evaluator.inputs(m)[rows]
     count = horizon / evaluator.lengths[rows]
 
     def ends(e: NonlinearEvaluator) -> Array:
-        at, stages = x, e.stages(m)[0][rows].reshape(len(rows), e.substeps, -1)
-        for s in range(e.substeps):
-            at = e.flow.step(at, stages[:, s], e.lengths[rows] / e.substeps, lam)
-        return e.flow.output(at, u, lam)
+        return e.flow.output(e.advance(e.stages(m), rows, x, lam), u, lam)
 
     with np.errstate(all="ignore"):
         coarse = ends(evaluator)
@@ -253,7 +251,7 @@ def _answer(
     if not np.isfinite(cost):
         raise ValueError(AWAY)
     motion = evaluator.simulate(_start(model.vector(), z, nx))
-    u = np.concatenate([part.value for part in evaluator.held(evaluator.matrices(model.vector()))])
+    u = evaluator.inputs(evaluator.matrices(model.vector()))
     outputs = evaluator.flow.output(motion.states, u, model.vector()) + z[nx:]
     return (z[:nx], z[nx:]), outputs, motion.states
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from truths.climbing import AIRCRAFT, DT, X0, N, by_casid, commands
+from truths.thrust import Rooted, flown
 
 from casid import StateSpace
 from casid.exchange.code import _steps
@@ -22,6 +23,19 @@ def test_steps_are_those_of_output_error(hold, tau):
         y[k] = found.full().ravel()
     known = by_casid(model, u, hold, 2)
     np.testing.assert_allclose(y, known, atol=1e-11 * np.abs(known).max())
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_steps_of_a_root_of_an_input_are_those_of_the_equations(hold):
+    lam = np.array([9.0, 0.3, 5.0, 0.1125, 0.131])
+    record = flown(Rooted, lam, hold)
+    start, step = steps_of(Rooted().with_vector(lam), 0.05, hold, 32)
+    z, y = start(record.y[0], record.u[0]), np.empty_like(record.y)
+    for k in range(record.N):
+        z, found = step(z, record.u[k])
+        y[k] = found.full().ravel()
+    near = 1e-8 if hold == "zoh" else 1e-4  # a ramp's root begins with infinite slope
+    np.testing.assert_allclose(y, record.y, atol=near * np.abs(record.y).max())
 
 
 def test_arguments_and_results_are_called_as_those_of_a_linear_model():

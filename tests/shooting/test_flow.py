@@ -4,9 +4,11 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 from truths.motor import TRUTH
+from truths.swing import Swing, WrittenOut
+from truths.thrust import Squared
 
 from casid.free import free_parameters
-from casid.shooting.flow import POINTS, Flow, Mapped, Slopes
+from casid.shooting.flow import POINTS, Flow, Mapped, Slopes, cut
 
 
 def test_points_are_evaluated_as_one_by_one_however_many():
@@ -50,3 +52,9 @@ def test_steps_are_those_of_the_equations():
     np.testing.assert_array_less(errors[1], errors[0] / 600)
     y = flow.output(np.array([[0.3, 0.9]]), np.ones((1, 1)), lam)
     np.testing.assert_array_equal(y, [[0.3]])
+
+
+def test_breaks_cut_steps_where_inputs_do_more_than_add():
+    assert cut(WrittenOut()) == ()
+    assert cut(Swing()) == ("zoh",)  # cos(theta) lon
+    assert cut(Squared()) == ("foh", "zoh")

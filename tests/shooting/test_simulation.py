@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import scipy
 from truths.swing import TRUTH, SmallSwing, Swing, WrittenOut, integrated, steps, swung
+from truths.thrust import Saturating
 
 from casid import (
+    DataWarning,
     ModelError,
     NonlinearModel,
     Record,
@@ -36,6 +38,15 @@ def test_a_simulation_that_runs_away_is_told():
         simulate(replace(TRUTH, Mq=80.0), swung(3), {"theta": 0.5})
     with pytest.raises(ValueError, match="start names 'u'; the states are q, theta"):
         simulate(TRUTH, swung(3), {"u": 0.5})
+
+
+def test_a_simulation_that_cannot_be_exact_says_so():
+    t = 2.0 * np.arange(10)
+    u = np.column_stack([np.arange(10) % 2, np.zeros(10)])
+    coarse = Record(t, u, np.zeros((10, 2)), Saturating.inputs, Saturating.outputs, "coarse")
+    said = r"record 'coarse' move by [0-9e.-]+ of their size as steps are halved to 128 a sampling"
+    with pytest.warns(DataWarning, match=said):
+        simulate(Saturating(rate=45.0), coarse, {"w": 0.0, "n": 0.0})
 
 
 def test_validation_takes_a_nonlinear_structure_as_such():
