@@ -264,7 +264,7 @@ MISTAKES = {
     "phi in degrees": ("phi", 180 / np.pi, "phi reaches", "degrees"),
     "az up": ("az", -1.0, "az is 9.7", "opposite sign"),
     "az in g": ("az", 1 / 9.80665, "az is -0.99", "in g"),
-    "theta upside down": ("theta", -1.0, "q is -1", "opposite sign"),
+    "theta upside down": ("theta", -1.0, "theta has ", "opposite sign"),
     "p ten per cent too large": ("p", 1.1, "p is 1.1", "scale factors"),
 }
 
@@ -288,8 +288,8 @@ def test_an_equation_that_lacks_a_channel_says_less():
     assert untold == ()
 
 
-def test_a_velocity_upside_down_follows_from_nothing():
-    check = kinematic_check([times(flight(0, None, NOISE), "w", -1.0)])
+def test_a_velocity_that_two_mistakes_spoil_follows_from_nothing():
+    check = kinematic_check([times(times(flight(0, None, NOISE), "w", -1.0), "u", 0.3)])
     assert any(said.startswith("w does not follow") for said in check.remarks)
 
 
