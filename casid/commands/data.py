@@ -12,7 +12,7 @@ from rich.text import Text
 
 from casid.channels import CONTROLS, UNITS
 from casid.checks import check_known
-from casid.commands.columns import COLUMN, TIME, UNIT
+from casid.commands.columns import COLUMN, TIME, TIME_COLUMN, UNIT, refuse_beside_study
 from casid.commands.inspection import Inspection, RecordFacts, inspect_records, unit_advice
 from casid.commands.scaffold import new_model
 from casid.commands.terminal import exits, new_table
@@ -178,8 +178,16 @@ def inspect_command(
     with exits() as console:
         first, *others = sources
         if first.endswith(".toml"):
-            if others or inputs or outputs or units or renamed:
+            if others:
                 raise ValueError("a study says which records, channels and units: name it alone")
+            refuse_beside_study(
+                inputs=inputs,
+                outputs=outputs,
+                model=structure,
+                unit=units,
+                column=renamed,
+                time=time != TIME_COLUMN,
+            )
             study = read_study(Path(first))
             records: Sequence[Record] = read_records(study)["identification"]
             model: Model | None = study.model
