@@ -18,7 +18,7 @@ from casid.consistency.drifts import Drifts, without_drifts
 from casid.consistency.flightpath import LATE
 from casid.consistency.further import against_gravity, misplaced, turned, unexplained
 from casid.consistency.lags import clocks_apart
-from casid.consistency.measured import Flight, looked_at, measured_parts, signals
+from casid.consistency.measured import Flight, coarse_step, looked_at, measured_parts, signals
 from casid.consistency.recordwise import clocks_by_record
 from casid.consistency.rigid import GRAVITY
 from casid.consistency.signs import set_upright
@@ -168,7 +168,9 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
             "az has no gravity in it, so the records are perturbations: velocities are not "
             "checked, attitudes roughly, as about level flight; give the trim, or total values"
         )
-    notes += _unchecked(names, pieces)
+    steps = {name: coarse_step(flights, name) for name in {*ATTITUDES} & names}
+    names -= {name for name, step in steps.items() if step}
+    notes += _unchecked(names, pieces, steps)
     equations = [name for name in (*ATTITUDES, *VELOCITIES) if NEEDED[name] <= names]
     why, split = turned(flights, names), False
     if equations and not why:
@@ -250,10 +252,12 @@ def _marked(pieces: Sequence[Record], marks: Sequence[BoolArray]) -> list[str]:
     return notes
 
 
-def _unchecked(names: set[str], pieces: Sequence[Record]) -> list[str]:
-    """Notes on what was not checked, and whether its reference is absent or has few samples."""
+def _unchecked(names: set[str], pieces: Sequence[Record], steps: Mapping[str, float]) -> list[str]:
+    """Notes on what was not checked, and why: not there, or counted in coarse ``steps``."""
 
     def absence(name: str) -> str:
+        if step := steps.get(name):
+            return f"{name} is counted in steps of {step:.3g} rad, too coarse for what it moves"
         shares = [np.isnan(p.channel(name)).mean() for p in pieces if name in p.outputs]
         return f"{max(shares):.0%} of {name} is missing" if shares else f"there is no {name}"
 
