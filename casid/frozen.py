@@ -118,7 +118,7 @@ def _lost_source(record: Record) -> Iterator[Frozen]:
                 channel=" ".join(record.outputs[i] for i in own),
                 start=start,
                 duration=end - start,
-                zero=not record.y[first, own].any(),
+                zero=not any(record.totals()[record.outputs[i]][first] for i in own),
             )
 
 

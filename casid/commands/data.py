@@ -32,7 +32,7 @@ from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.report.tables import cells
 from casid.structure.modelfile import load_model, locate_model
-from casid.studies.study import read_records
+from casid.studies.study import read_flights
 from casid.studies.studyfile import read_study
 from casid.textfile import read_json
 from casid.validation import validate
@@ -173,7 +173,7 @@ def inspect_command(
     and 95 % of it lie), correlation of the inputs, saturation, noise; whether rates, attitudes,
     specific forces and velocities agree with each other; with --model, whether the parameters can
     be told apart. Nothing is fitted. RECORD is .csv, .mat or .parquet; of a study the records of
-    identification are taken, as the study reads them.
+    identification are taken, as the study reads them, with its check channels.
     """
     with exits() as console:
         first, *others = sources
@@ -189,7 +189,7 @@ def inspect_command(
                 time=time != TIME_COLUMN,
             )
             study = read_study(Path(first))
-            records: Sequence[Record] = read_records(study)["identification"]
+            records: Sequence[Record] = read_flights(study)[0]["identification"]
             model: Model | None = study.model
             held: Any = {"fixed": study.fixed, "bounds": study.bounds}
             named: Any = {"time": study.channels.time, "stated": study.channels.units}
