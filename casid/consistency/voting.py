@@ -8,15 +8,16 @@ import numpy as np
 from casid.arrays import Array
 from casid.channels import FORCES, RATES
 
-SIGNIFICANT = 3.5  # standard errors, of the largest of some twenty
+SIGNIFICANT = 4.0  # standard errors, of the largest of some twenty, known from few stretches
+DISAGREE = 3.5  # standard errors between clocks of a group
 SKEW = 0.01  # s: what matters
 
 Late = tuple[float, float]  # by so much [s], its standard error
 
 
-def significant(late: float, error: float) -> bool:
+def significant(late: float, error: float, surely: float = SIGNIFICANT) -> bool:
     """Whether a delay [s] matters and is no noise."""
-    return abs(late) > max(SKEW, SIGNIFICANT * error)
+    return abs(late) > max(SKEW, surely * error)
 
 
 def mean(lates: Sequence[Late]) -> Late:
@@ -46,7 +47,7 @@ def shared(
         found.append(next(one for one in sets if _agree(late, C, names, one)))
         rest = [i for i in rest if i not in found[-1]]
     for i in map(int, np.flatnonzero(~sure)):
-        near = [group for group in found if not significant(*apart(late, C, [i], group))]
+        near = [group for group in found if not significant(*apart(late, C, [i], group), DISAGREE)]
         if near:
             near.sort(key=lambda one: (-sum(_alike(names[i], names[j]) for j in one), *order(one)))
             near[0].append(i)
@@ -65,7 +66,7 @@ def _agree(late: Array, C: Array, names: Sequence[tuple[str, ...]], among: Seque
     kinds = [[j for j in among if _alike(names[i], names[j])] for i in among]
     for part in (*([i] for i in among), *kinds):
         others = [i for i in among if i not in part]
-        if part and others and significant(*apart(late, C, part, others)):
+        if part and others and significant(*apart(late, C, part, others), DISAGREE):
             return False
     return True
 

@@ -84,5 +84,5 @@ def test_forty_campaigns_of_good_instruments_hardly_raise_an_alarm(spoil):
         for regime in ("hover", "cruise")
         for said in kinematic_check(spoil(flown(seed, regime), seed)).remarks
     ]
-    # Some forty tests each at 3.5 standard errors: one of 80 campaigns in hundred may err.
+    # Some twenty tests each at four standard errors: of 80 campaigns one in ten has an alarm.
     assert len(alarms) <= 1, alarms

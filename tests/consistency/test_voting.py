@@ -35,6 +35,6 @@ def test_a_clock_is_apart_by_the_difference_of_means_and_its_error():
 def test_a_mean_is_weighted_by_errors_and_a_small_delay_is_none():
     late, error = mean([(0.1, 0.01), (0.4, 0.02)])
     assert (late, error) == pytest.approx((0.16, 1 / np.sqrt(12500)))
-    assert significant(-0.02, 0.005)
+    assert significant(-0.02, 0.0049)
     assert not significant(0.02, 0.006)
     assert not significant(0.009, 1e-5)
