@@ -25,6 +25,7 @@ from casid.samples import runs
 
 SHORT, LONGER = 10, 4.0  # samples of a run that is looked at, and times the usual one
 MOVED = 0.1  # of a channel's deviation: what the others expect of it meanwhile
+BRIEF, SEVERAL = 6, 3  # repeated samples of outputs, at least, that stop and move on together
 WORD = 8  # samples whose equality is counted
 RARE = 1e-3  # blocks that chance repeats in a record
 NOISY = 0.2  # noise over usual steps, from which on a channel never repeats a sample by itself
@@ -38,19 +39,23 @@ PERIODIC = 0.25  # share of a channel's samples that occur again: it is periodic
 
 @dataclass(frozen=True, kw_only=True)
 class Frozen:
-    """A stretch of one channel, or of all, that was not measured."""
+    """A stretch of one channel, of some that stop together, or of all, that was not measured."""
 
     channel: str
     start: float  # s
     duration: float  # s
     source: float | None = None  # start [s] of the block that it repeats; None where it is stuck
     dart: bool = False  # an input that leaves its way and returns
+    zero: bool = False  # channels of one source that are all zero
     lost: Literal["output", "input", "rows"] = "output"
 
     def told(self) -> str:
         """What it is, and what to do."""
         when = f"from {self.start:.4g} s for {self.duration:.3g} s"
-        what = f"{self.channel} stands still {when} while all else moves"
+        stands = "stand" if " " in self.channel else "stands"
+        what = f"{self.channel} {stands} still {when} while all else moves"
+        if self.zero:
+            what = f"{self.channel} are zero {when}, all at once: their source was lost"
         if self.source is not None:
             what = f"{self.channel} repeats {when} exactly what it was at {self.source:.4g} s"
         if self.lost == "output":
@@ -66,6 +71,9 @@ class Frozen:
 def frozen(record: Record) -> tuple[Frozen, ...]:
     """Stretches of channels that are stuck or copied, and of all at once if the logger stalls."""
     stalls = tuple(_stalled(record))
+    stalls += tuple(
+        each for each in _lost_source(record) if not any(_within(each, s) for s in stalls)
+    )
     single = (*_stuck(record), *_stuck_inputs(record), *_darts(record), *_copied(record))
     return (*stalls, *(each for each in single if not any(_within(each, s) for s in stalls)))
 
@@ -89,6 +97,29 @@ def _stalled(record: Record) -> Iterator[Frozen]:
             if any(_breaks(x, still, first, last) for x in seen):
                 start, end = record.t[[first - 1, last - 1]].tolist()
                 yield Frozen(channel="all", start=start, duration=end - start, lost="rows")
+
+
+def _lost_source(record: Record) -> Iterator[Frozen]:
+    """Outputs that stop at one sample and move on at another: those of one source that was lost.
+
+    As many do not rest together by chance, whatever they rest on, and however briefly.
+    """
+    together: dict[tuple[int, int], list[int]] = {}
+    for i, x in enumerate(record.y.T):
+        still = np.concatenate([[False], np.diff(x) == 0])
+        for first, last in runs(still):
+            if last - first >= BRIEF and _breaks(x, still, first, last):
+                together.setdefault((int(first), int(last)), []).append(i)
+    for (first, last), own in together.items():
+        moves = len(own) < record.ny or np.ptp(record.u[first - 1 : last], axis=0).any()
+        if len(own) >= SEVERAL and moves:  # else the logger did
+            start, end = record.t[[first - 1, last - 1]].tolist()
+            yield Frozen(
+                channel=" ".join(record.outputs[i] for i in own),
+                start=start,
+                duration=end - start,
+                zero=not any(record.totals()[record.outputs[i]][first] for i in own),
+            )
 
 
 def _stuck_inputs(record: Record) -> Iterator[Frozen]:
@@ -127,12 +158,12 @@ def _breaks(x: Array, still: BoolArray, first: int, last: int) -> bool:
     """
     steps = np.diff(x)
     before, after = steps[max(first - 1 - SHORT, 0) : first - 1], steps[last : last + SHORT]
-    others = x[~still]
+    others = x[~still & np.isfinite(x)]
     if min(len(before), len(after)) < SHORT or not (before.all() and after.all()):
         return False
     if np.mean((np.diff(others) == 0) & (others[1:] != x[0])) > AGAIN:
         return False
-    return _noisy(others) or bool(abs(steps[last - 1]) > JUMP * np.abs(after).max())
+    return _noisy(others) or bool(abs(steps[last - 1]) > JUMP * np.nanmax(np.abs(after)))
 
 
 def _noisy(x: Array) -> bool:

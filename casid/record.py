@@ -224,16 +224,16 @@ class Record(Shown):
     ) -> "Record":
         """Channels moved in time [s]: -0.06 for one that is 0.06 s late.
 
-        And by ``drift`` [s/s] from the record's start: -5e-4 for one later by 0.5 ms each second.
+        And by ``drift`` [s/s], 0.05 at most, from the start: -5e-4 if later by 0.5 ms each second.
         Samples at the ends and beside gaps in time that a shifted input does not reach are left
         out. An output stays missing where the sample nearest to it is.
         """
-        for name in (*by, *(drift or {})):
+        drift = samples.plausible(drift or {})
+        for name in (*by, *drift):
             self.channel(name)
 
         def late(t: Array) -> list[Array]:
-            grows = ((drift or {}).get(name, 0.0) * (t - self.t[0]) for name in names)
-            return [by.get(name, 0.0) + grown for name, grown in zip(names, grows, strict=True)]
+            return [by.get(name, 0.0) + drift.get(name, 0.0) * (t - self.t[0]) for name in names]
 
         names = (*self.inputs, *self.outputs)
         ends = np.array(late(self.t[[0, -1]]))

@@ -1,6 +1,6 @@
 """Samples of one record: what they must be, and what they are at other instants."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -32,6 +32,7 @@ TURNS = 2 * np.pi, 360.0  # whole turns of angles in radians and degrees
 WRAP = 0.8  # of a turn: a step that wrapping makes of the small one that it was
 SLOW, STEADY = 0.1, 3.0  # usual step of an angle, in turns; what it was, in usual steps
 SMALL = 0.005  # of a turn: a step that may have been, however steady the angle
+DRIFT = 0.05  # s/s: no clock runs slower or faster than another by more
 PASS = 0.8  # of the new Nyquist frequency: what is above it is taken out before sampling slower
 
 
@@ -45,6 +46,18 @@ def bursts(t: Sequence[float] | Array, dt: float) -> list[tuple[float, float, in
     """First and last instant and number of those (n,) that follow each other closely: runs."""
     parts = np.split(np.asarray(t), 1 + np.flatnonzero(np.diff(t) > BURST * dt))
     return [(float(x[0]), float(x[-1]), len(x)) for x in parts if len(x) >= BURST]
+
+
+def plausible(drift: Mapping[str, float]) -> Mapping[str, float]:
+    """Drifts of clocks [s/s] by channel; ValueError for one that no clock has."""
+    for name, value in drift.items():
+        if abs(value) > DRIFT:
+            raise ValueError(
+                f"drift of {name!r} is {value:g} s/s, at most {DRIFT:g} is a clock's (5e-4: half a "
+                "millisecond a second); if it counts in another unit of time, state that where it "
+                "is read"
+            )
+    return drift
 
 
 def known_mean(x: Array) -> Array:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truths import uh60
+from truths import bodies, uh60
 
 from casid import Record, read_csv
 from casid.frozen import frozen
@@ -202,3 +202,42 @@ def test_sticks_that_are_moved_quickly_do_not_dart():
     ):
         u = record.u + more[:, None] * [0, 0.1, 0, 0]
         assert not any(each.dart for each in frozen(replace(record, u=u)))
+
+
+IMU = (*bodies.RATES, *bodies.FORCES)
+
+
+def looped(seed, lost=0.0):
+    """A flight whose sticks are what a controller makes of noisy rates and attitudes."""
+    (record,) = bodies.flown(seed, "hover" if seed % 2 else "cruise", count=1)
+    p, q, phi, theta = (record.channel(name) for name in ("p", "q", "phi", "theta"))
+    u = np.column_stack([0.5 * p + 0.8 * phi, 0.5 * q + 0.8 * theta])
+    record = replace(record, u=u, inputs=("lat", "lon"))
+    return record.mask(np.random.default_rng(seed).random(record.y.shape) < lost)
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.01])
+@pytest.mark.parametrize("rows", [10, 20, 50])
+@pytest.mark.parametrize("zero", [True, False])
+def test_an_inertial_unit_that_is_lost_is_named_whole_and_once(rows, zero, lost):
+    for seed in range(600, 604):
+        record = looped(seed, lost)
+        assert not frozen(record)
+        k = int(np.random.default_rng([seed, rows]).integers(150, 700))
+        y = record.y.copy()
+        own = [record.outputs.index(name) for name in IMU]
+        y[k : k + rows, own] = 0.0 if zero else 1.0 + np.arange(6)
+        (found,) = frozen(replace(record, y=y))
+        assert found.channel == "p q r ax ay az"
+        assert (found.lost, found.zero) == ("output", zero)
+        assert (found.start, found.duration) == pytest.approx((record.t[k], 0.02 * (rows - 1)))
+        words = "are zero from" if zero else "stand still from"
+        assert found.told().startswith(f"p q r ax ay az {words} {record.t[k]:.4g} s for")
+
+
+def test_two_channels_that_rest_at_once_or_six_for_a_moment_are_no_lost_source():
+    record = looped(605)
+    for names, rows in (IMU[:2], 12), (IMU, 6):
+        y = record.y.copy()
+        y[300 : 300 + rows, [record.outputs.index(name) for name in names]] = 0.0
+        assert not any(" " in each.channel for each in frozen(replace(record, y=y)))

@@ -295,7 +295,16 @@ def test_a_channel_that_drifts_is_set_right_from_the_start_on(drift):
     np.testing.assert_array_equal(back.u[:, 0], back.t)
     assert t[-1] - back.t[-1] < 0.05 + abs(drift) * 40
     with pytest.raises(ValueError, match="no channel 'beta'"):
-        record.shift({}, drift={"beta": 0.1})
+        record.shift({}, drift={"beta": 0.01})
+
+
+@pytest.mark.parametrize("drift", [1.0, -0.051, 5e2])
+def test_no_clock_runs_at_another_rate_by_more_than_a_twentieth(drift):
+    t = 0.02 * np.arange(500)
+    record = Record(t, t[:, None], np.sin(t)[:, None], ("u",), ("y",))
+    with pytest.raises(ValueError, match=r"drift of 'y' .* at most 0\.05 is a clock's"):
+        record.shift({}, drift={"y": drift})
+    assert record.shift({}, drift={"y": 0.05}).N > 450
 
 
 @pytest.mark.parametrize("late", [-0.04, 0.02, 0.03, -0.013])

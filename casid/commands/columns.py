@@ -44,4 +44,16 @@ COLUMN = click.option(
     metavar="CHANNEL=COLUMN",
     help="Column that holds a channel under another name, such as p=ROLL_RATE; may be repeated.",
 )
-TIME = click.option("--time", default="t", show_default=True, help="Column of instants.")
+TIME_COLUMN = "t"
+TIME = click.option("--time", default=TIME_COLUMN, show_default=True, help="Column of instants.")
+
+
+def refuse_beside_study(**given: object) -> None:
+    """ValueError for options of records that were given beside a study, which has its own."""
+    options = [f"--{name}" for name, value in given.items() if value]
+    if options:
+        raise ValueError(
+            f"{', '.join(options)} with a study: it says itself which records, channels, units and "
+            "fixed parameters; name it alone and change it there, or name a model "
+            "(MODEL.py:CLASS) or records instead"
+        )

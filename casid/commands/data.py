@@ -12,7 +12,7 @@ from rich.text import Text
 
 from casid.channels import CONTROLS, UNITS
 from casid.checks import check_known
-from casid.commands.columns import COLUMN, TIME, UNIT
+from casid.commands.columns import COLUMN, TIME, TIME_COLUMN, UNIT, refuse_beside_study
 from casid.commands.inspection import Inspection, RecordFacts, inspect_records, unit_advice
 from casid.commands.scaffold import new_model
 from casid.commands.terminal import exits, new_table
@@ -32,7 +32,7 @@ from casid.nonlinear.model import NonlinearModel
 from casid.record import Record
 from casid.report.tables import cells
 from casid.structure.modelfile import load_model, locate_model
-from casid.studies.study import read_records
+from casid.studies.study import read_flights
 from casid.studies.studyfile import read_study
 from casid.textfile import read_json
 from casid.validation import validate
@@ -173,15 +173,23 @@ def inspect_command(
     and 95 % of it lie), correlation of the inputs, saturation, noise; whether rates, attitudes,
     specific forces and velocities agree with each other; with --model, whether the parameters can
     be told apart. Nothing is fitted. RECORD is .csv, .mat or .parquet; of a study the records of
-    identification are taken, as the study reads them.
+    identification are taken, as the study reads them, with its check channels.
     """
     with exits() as console:
         first, *others = sources
         if first.endswith(".toml"):
-            if others or inputs or outputs or units or renamed:
+            if others:
                 raise ValueError("a study says which records, channels and units: name it alone")
+            refuse_beside_study(
+                inputs=inputs,
+                outputs=outputs,
+                model=structure,
+                unit=units,
+                column=renamed,
+                time=time != TIME_COLUMN,
+            )
             study = read_study(Path(first))
-            records: Sequence[Record] = read_records(study)["identification"]
+            records: Sequence[Record] = read_flights(study)[0]["identification"]
             model: Model | None = study.model
             held: Any = {"fixed": study.fixed, "bounds": study.bounds}
             named: Any = {"time": study.channels.time, "stated": study.channels.units}

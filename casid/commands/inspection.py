@@ -24,6 +24,7 @@ from casid.samples import bursts, runs
 from casid.structure.identifiability import Identifiability, identifiability
 
 CLIPPED = 5  # equal samples in a row at a channel's largest or smallest value
+LEVELS = 8  # of a channel that is counted in steps, of which an extreme is no chance
 ALIKE = 0.8  # correlation of two inputs over all records
 WEAK = 3.0  # signal over noise
 SHARES = (0.05, 0.5, 0.95)  # of a channel's power
@@ -250,9 +251,11 @@ def _clipped(values: Array, *, stick: bool) -> int:
         start, end = runs(values == extreme).T
         inside = (start > 0) & (end < len(values))  # trim at either end is no stop
         longest = max(longest, int((end - start)[inside].max(initial=0)))
-    # A channel that is counted in coarse steps rests on each of them.
-    usual = 0
-    if least_step(values) and not stick:
+    # A channel that is counted in coarse steps rests on each of them, also on the last of a few.
+    usual, step = 0, least_step(values)
+    if step and not stick:
+        if np.ptp(values) < LEVELS * step:
+            return 0
         at = np.flatnonzero(np.diff(values, prepend=np.nan, append=np.nan))
         inner = (values[at[:-1]] > values.min()) & (values[at[:-1]] < values.max())
         usual = int(np.diff(at)[inner].max(initial=0))

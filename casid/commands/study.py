@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from casid.bounds.compare import BoundsComparison
-from casid.commands.columns import COLUMN, TIME, UNIT
+from casid.commands.columns import COLUMN, TIME, TIME_COLUMN, UNIT, refuse_beside_study
 from casid.commands.terminal import caution, exits, logged, new_table
 from casid.exchange.formats import read_record
 from casid.fit import AnyFit, Fit
@@ -143,8 +143,13 @@ def check(
     """
     with exits() as console, logged(console, verbose):
         if what.endswith(".toml"):
+            refuse_beside_study(
+                record=flights, unit=units, column=renamed, time=time != TIME_COLUMN, fixed=fixed
+            )
             _describe(console, read_study(Path(what)))
         else:
+            if not flights and (units or renamed or time != TIME_COLUMN):
+                raise ValueError("--unit, --column and --time are of records: add --record RECORD")
             model = load_model(what)()
             each: Any = {"time": time, "units": units}
             for kind in ("inputs", "outputs"):

@@ -1,7 +1,10 @@
 """Whether attitudes or velocities are late against all else: which one of several clocks is odd.
 
 Rates are compared with attitudes, forces with velocities, and velocities with attitudes. Velocities
-that are late make three forces early; nobody should move those, which agree with the rates.
+that are late make three forces early, attitudes that are make rates early; nobody should move
+those, which agree with each other. Rates, forces, attitudes and velocities have a vote each, of
+which single rates and forces have their parts, but those that are hardly known. At a draw what
+comes first is right: instruments and filters delay, nothing is measured before it happens.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -12,18 +15,11 @@ import numpy as np
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.consistency.flightpath import LATE
 from casid.consistency.instruments import Instruments
-
-SIGNIFICANT = 3.5  # standard errors, of the largest of some twenty
-SKEW = 0.01  # s: what matters
+from casid.consistency.voting import SKEW, Late, apart, shared, significant
 
 KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
-
-Late = tuple[float, float]  # by so much [s], its standard error
-
-
-def significant(late: float, error: float) -> bool:
-    """Whether a delay [s] matters and is no noise."""
-    return abs(late) > max(SKEW, SIGNIFICANT * error)
+KINDS = dict.fromkeys(RATES, "rates") | dict.fromkeys(FORCES, "specific forces")
+KINDS |= dict.fromkeys(ATTITUDES, "attitudes") | dict.fromkeys(VELOCITIES, "velocities")
 
 
 def known(found: Instruments) -> list[str]:
@@ -37,59 +33,73 @@ def known(found: Instruments) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Apart:
-    """What is late by itself, and how late each rate and force is once that has moved."""
+    """Attitudes and velocities that are late by themselves.
 
-    names: tuple[str, ...] = ()
-    late: Late = (0.0, 0.0)
+    And how late each rate and force is once these have moved.
+    """
+
+    late: Mapping[str, Late] = field(default_factory=dict)
+    against: tuple[str, ...] = ()  # kinds of channels that agree
     left: Mapping[str, Late] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What is late by itself."""
+        return tuple(self.late)
 
     @property
     def shifts(self) -> dict[str, float]:
         """What `Record.shift` brings it into line."""
-        return dict.fromkeys(self.names, -self.late[0])
+        return {name: -late for name, (late, _) in self.late.items()}
 
     def told(self) -> tuple[str, ...]:
-        """A remark, if there is anything."""
-        if not self.names:
-            return ()
-        late, error = self.late
-        others = "rates and velocities" if self.names[0] in ATTITUDES else "rates and attitudes"
-        return (
-            f"{' '.join(self.names)} are {abs(late):.3g} ± {error:.1g} s "
-            f"{'late' if late > 0 else 'early'} against {others}: look at filters and time stamps",
-        )
+        """A remark on every clock, if there is any."""
+        said = []
+        for one in dict.fromkeys(self.late.values()):
+            (late, error), names = one, [name for name in self.late if self.late[name] == one]
+            said.append(
+                f"{' '.join(names)} {'are' if len(names) > 1 else 'is'} {abs(late):.3g} ± "
+                f"{error:.1g} s {'late' if late > 0 else 'early'} against "
+                f"{_all_of(self.against)}: look at filters and time stamps"
+            )
+        return tuple(said)
+
+
+def _all_of(kinds: Sequence[str]) -> str:
+    *first, last = kinds
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
     """Which of attitudes and velocities is odd, of instruments whose skews are ``told``."""
+    rows = [i for i, name in enumerate(found.channels) if name in told]
     skews = {
-        name: (float(found.unknowns[i, 1]), float(found.errors[i, 1]))
-        for i, name in enumerate(found.channels)
-        if name in told
+        found.channels[i]: (float(found.unknowns[i, 1]), float(found.errors[i, 1])) for i in rows
     }
-    late, error = found.clock
-    if not {*VELOCITIES} & {*found.left} or not significant(late, error):
+    references = [tuple(n for n in group if n in found.left) for group in (ATTITUDES, VELOCITIES)]
+    if not references[1]:
         return Apart(left=skews)
-    turns = {name: skew for name, skew in skews.items() if name in RATES}
-    if turns and all(significant(*s) and _same(s, found.clock) for s in turns.values()):
-        ahead, error = mean([*turns.values()])
-        left = {name: (s - ahead, e) for name, (s, e) in turns.items()}
-        names = tuple(name for name in ATTITUDES if name in found.left)
-        return Apart(names=names, late=(-ahead, error), left=skews | left)
+    names = [*((name,) for name in skews), *references]
+    W = np.zeros((len(names), len(found.channels) + 1))  # against the clock of attitudes
+    W[range(len(rows)), rows] = 1.0
+    W[:, -1] = [name in (*FORCES, *VELOCITIES) for name, *_ in names]
+    late, C = W @ [*found.unknowns[:, 1], found.clock[0]], W @ found.covariance @ W.T
+    kinds = [KINDS[name] for name, *_ in names]
+    sure = np.sqrt(np.diag(C)) <= SKEW
+    voting = [kind for kind, one in zip(kinds, sure, strict=True) if one]
+    votes = [one / max(voting.count(kind), 1) for kind, one in zip(kinds, sure, strict=True)]
+    groups = shared(late, C, names, votes)
+    groups.sort(key=lambda one: (-round(sum(votes[i] for i in one), 6), late[one].mean()))
+    right, *others = groups
+    moved: dict[str, Late] = {}
+    for group in others:
+        odd = [i for i in group if i >= len(rows)]
+        if odd and significant(*(by := apart(late, C, odd, right))):
+            moved |= {name: by for i in odd for name in names[i]}
     left = {
-        name: (skews[name][0] + late, float(found.onboard_errors[found.channels.index(name)]))
-        for name in FORCES
-        if name in skews
+        name: apart(late, C, [k], [i for i in right if i != k] or [k])
+        for k, name in enumerate(skews)
+        if (ATTITUDES if name in RATES else VELOCITIES)[0] in moved
     }
-    return Apart(names=VELOCITIES, late=found.clock, left=skews | left)
-
-
-def _same(one: Late, other: Late) -> bool:
-    return not significant(one[0] - other[0], float(np.hypot(one[1], other[1])))
-
-
-def mean(lates: Sequence[Late]) -> Late:
-    """Of several, by their errors."""
-    values, errors = np.transpose(lates)
-    weights = 1 / np.maximum(errors, 1e-6) ** 2
-    return float(np.average(values, weights=weights)), float(weights.sum() ** -0.5)
+    against = dict.fromkeys(kinds[i] for i in right)
+    return Apart(late=moved, against=tuple(against), left=skews | left)

@@ -8,19 +8,20 @@ is taken for right; the others are set right, and all is reconstructed anew.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 
 import numpy as np
 import scipy
 
 from casid.arrays import Array
-from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.consistency.apart import SKEW, Late, known, significant
+from casid.channels import ATTITUDES, FORCES, VELOCITIES
+from casid.consistency.apart import known
 from casid.consistency.flightpath import reconstruct_level
 from casid.consistency.instruments import OWN, Instruments
 from casid.consistency.measured import Flight, read_later
+from casid.consistency.voting import SKEW, Late, apart, shared
 
 ROUNDS = 3  # of setting clocks right
+SURE = 4.5  # standard errors of a drift
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,10 +54,13 @@ class Drifts:
 
 
 def without_drifts(
-    flights: Sequence[Flight], equations: Sequence[str]
+    flights: Sequence[Flight], equations: Sequence[str], found: Instruments
 ) -> tuple[list[Flight], Instruments, Drifts]:
-    """Flights with all clocks set right, what was found of them, and the drifts they had."""
-    set_right, found = [*flights], reconstruct_level(flights, equations)
+    """Flights with all clocks set right, what was found of them, and the drifts they had.
+
+    ``found`` are the instruments that the flights ask for as they are.
+    """
+    set_right = [*flights]
     drifts = Drifts(duration=max(each.start + float(each.t[-1]) for each in flights))
     for _ in range(ROUNDS):
         if not (more := _drifts(found, equations, drifts.duration)):
@@ -72,15 +76,17 @@ def without_drifts(
 def _less_certain(found: Instruments, drifts: Drifts, flights: Sequence[Flight]) -> Instruments:
     """With skews at the start of records as uncertain as what drifts until their middle is."""
     middle = float(np.mean([each.start + each.t[-1] / 2 for each in flights]))
-    off = {name: middle * error for name, (_, error) in drifts.late.items()}
-    by = [np.hypot(off.get(name, 0.0), off.get(OWN[name], 0.0)) for name in found.channels]
-    onboard = [np.hypot(off.get(name, 0.0), off.get("phi", 0.0)) for name in found.channels]
-    clock = np.hypot(off.get("u", 0.0), off.get("phi", 0.0))
+    off = []  # of all skews and of the velocities' clock, by each clock that drifts
+    for one in dict.fromkeys(drifts.late.values()):
+        names = {name for name, each in drifts.late.items() if each == one}
+        pairs = [*((name, OWN[name]) for name in found.channels), ("u", "phi")]
+        off.append([middle * one[1] * ((a in names) - (b in names)) for a, b in pairs])
+    by = np.linalg.norm(off, axis=0)
     return replace(
         found,
-        errors=np.hypot(found.errors, np.array([[0.0, each] for each in by])),
-        onboard_errors=np.hypot(found.onboard_errors, onboard),
-        clock=(found.clock[0], float(np.hypot(found.clock[1], clock))),
+        errors=np.hypot(found.errors, np.array([[0.0, each] for each in by[:-1]])),
+        clock=(found.clock[0], float(np.hypot(found.clock[1], by[-1]))),
+        covariance=found.covariance + np.transpose(off) @ off,
     )
 
 
@@ -112,62 +118,12 @@ def _drifts(found: Instruments, equations: Sequence[str], duration: float) -> di
     late, spread = W @ np.where(told, value, 0.0), W @ np.where(told[:, None], scatter, 0.0)
     C = spread @ spread.T  # s^2
     odd: dict[str, Late] = {}
-    right, *others = shared(late, C, [names for names, _ in clocks])
+    names = [names for names, _ in clocks]
+    right, *others = shared(late, C, names, [*map(len, names)])
     for group in others:
-        apart, error = _apart(late, C, group, right)
-        if significant(apart, error):
-            names = [name for i in group for name in clocks[i][0]]
-            odd |= dict.fromkeys(names, (apart / duration, error / duration))
+        later, error = apart(late, C, group, right)
+        # Errors of few stretches are rough, and what is known worse than it matters is no clock's.
+        if abs(later) > max(SKEW, SURE * error) and error <= SKEW:
+            drifting = [name for i in group for name in names[i]]
+            odd |= dict.fromkeys(drifting, (later / duration, error / duration))
     return odd
-
-
-def shared(late: Array, C: Array, names: Sequence[tuple[str, ...]]) -> list[list[int]]:
-    """Which of them agree: those of most channels first, at a draw the first of them.
-
-    They have ``names``, and are ``late`` (n,) with the covariance ``C`` (n, n). Those of which too
-    little is told for a vote go with their kind, or with most, unless they are apart from all.
-    """
-
-    def order(one: Sequence[int]) -> tuple[int, int]:
-        return -sum(len(names[i]) for i in one), one[0]
-
-    sure = np.sqrt(np.diag(C)) <= SKEW
-    rest, found = [*map(int, np.flatnonzero(sure))], []
-    while rest:
-        sets = [[*each] for n in range(len(rest), 0, -1) for each in combinations(rest, n)]
-        sets.sort(key=order)
-        found.append(next(one for one in sets if _agree(late, C, names, one)))
-        rest = [i for i in rest if i not in found[-1]]
-    for i in map(int, np.flatnonzero(~sure)):
-        near = [group for group in found if not significant(*_apart(late, C, [i], group))]
-        if near:
-            near.sort(key=lambda one: (-sum(_alike(names[i], names[j]) for j in one), *order(one)))
-            near[0].append(i)
-        else:
-            found.append([i])
-    return sorted(map(sorted, found), key=order)
-
-
-def _alike(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
-    """Whether both are rates, or specific forces."""
-    return any({*one, *other} <= {*kind} for kind in (RATES, FORCES))
-
-
-def _agree(late: Array, C: Array, names: Sequence[tuple[str, ...]], among: Sequence[int]) -> bool:
-    """Whether neither one nor all rates or all forces among them are apart from the rest."""
-    kinds = [[j for j in among if _alike(names[i], names[j])] for i in among]
-    for part in (*([i] for i in among), *kinds):
-        others = [i for i in among if i not in part]
-        if part and others and significant(*_apart(late, C, part, others)):
-            return False
-    return True
-
-
-def _apart(late: Array, C: Array, one: Sequence[int], other: Sequence[int]) -> Late:
-    """How much later one clock is than another [s], by generalised least squares, and its error."""
-    both = [*one, *other]
-    # With a third of what matters of each by itself, so that nothing is known too well.
-    P = np.linalg.inv(C[np.ix_(both, both)] + (SKEW / 3) ** 2 * np.eye(len(both)))
-    X = np.column_stack([np.ones(len(both)), np.arange(len(both)) < len(one)])
-    weights = np.linalg.solve(X.T @ P @ X, X.T @ P)[1]
-    return float(weights @ late[both]), float(np.sqrt(weights @ C[np.ix_(both, both)] @ weights))

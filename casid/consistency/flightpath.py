@@ -71,7 +71,7 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
     scores = np.concatenate([one.scores(whole) for one, whole in pairs])
     P = corrected.covariance(scores, reach) + np.diag(step**2)
     errors = np.sqrt(np.diag(P))
-    own, clock = np.arange(1, 2 * n, 2), 2 * n
+    late, clock = [*range(1, 2 * n, 2), 2 * n], 2 * n
     return Instruments(
         channels=problem.channels,
         unknowns=x[:clock].reshape(n, 2),
@@ -82,7 +82,7 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
         left={one: [rows[0] for name, _, rows in blocks if name == one] for one in equations},
         clock=(float(x[clock]), float(errors[clock])),
         drawn=np.array([np.transpose([each.drawn(k) for each in flown]) for k in problem.clocks()]),
-        onboard_errors=np.sqrt(P[own, own] + P[clock, clock] + 2 * P[own, clock]),
+        covariance=P[np.ix_(late, late)],
         place=x[-3:],
         place_errors=errors[-3:],
         limits=problem.limits(parts, x),

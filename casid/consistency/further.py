@@ -6,10 +6,10 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.channels import FORCES, VELOCITIES
-from casid.consistency.apart import SIGNIFICANT
 from casid.consistency.instruments import OWN, Instruments
 from casid.consistency.measured import Flight, white_noise
 from casid.consistency.rigid import GRAVITY
+from casid.consistency.voting import SIGNIFICANT
 from casid.display import listed
 from casid.record import REST
 from casid.samples import root_mean_square
@@ -21,6 +21,7 @@ LITTLE = 0.5  # of the movement of all records: what moves less is measured by t
 BEYOND = 10.0  # times its movement: a channel that rests
 TWICE = 2.0  # times the roll rate: what a bank that turns with it may change by
 FASTEST = 10.0  # rad/s of a roll: larger ones are degrees
+LEAN = 0.03  # of gravity, that tells the sign of a specific force in trim
 AWAY = 0.2  # m: an accelerometer's place that matters
 
 FACTORS = {
@@ -131,8 +132,10 @@ def against_gravity(flights: Sequence[Flight], names: set[str]) -> tuple[str, ..
     f, (phi, theta) = np.median(heads[:3], axis=1), np.median(heads[3:], axis=1)
     down = np.cos(theta) * np.array([0.0, np.sin(phi), np.cos(phi)])
     wanted = GRAVITY * (np.array([np.sin(theta), 0.0, 0.0]) - down)
+    rests = all(end is not None for end in ends)
     for name, found, due in zip(FORCES, f, wanted, strict=True):
-        if abs(found - due) <= ROUGH * GRAVITY:
+        leans = rests and abs(due) > LEAN * GRAVITY and abs(found / due + 1) < ALIKE
+        if abs(found - due) <= ROUGH * GRAVITY and not leans:
             continue
         why = (mistake(float(found / due)) if due else "") or "look at its sign, unit and bias"
         said.append(f"{name} is {found:.3g} m/s^2 in trim, gravity makes it {due:.3g}: {why}")

@@ -22,7 +22,7 @@ class Instruments:
     left: dict[str, list[Array]]  # of each equation's attitude or velocity, one array a flight
     clock: tuple[float, float]  # by how much velocities are later than attitudes [s], its error
     drawn: Array  # (2, 2, records): how far each draws skews of rates, forces [s], its least error
-    onboard_errors: Array  # (channels,) of skew + clock: against attitudes, not velocities [s]
+    covariance: Array  # (channels + 1,) squared, of all skews and, last, of that clock [s^2]
     place: Array  # (3,) of the accelerometers, from where velocities are measured [m]
     place_errors: Array  # (3,)
     limits: dict[str, Limit]  # of sensors that were at one

@@ -6,48 +6,32 @@ how channels stand to each other, so a scale of 5 % on p may as well be one of -
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from casid.arrays import BoolArray
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
-from casid.consistency.apart import (
-    KNOWN,
-    SIGNIFICANT,
-    Apart,
-    known,
-    mean,
-    significant,
-    stands_apart,
-)
+from casid.consistency.apart import Apart, known, stands_apart
+from casid.consistency.comparisons import ChannelCheck, judged
 from casid.consistency.drifts import Drifts, without_drifts
 from casid.consistency.flightpath import LATE
-from casid.consistency.further import (
-    ROUGH,
-    against_gravity,
-    in_some,
-    misplaced,
-    mistake,
-    turned,
-    unexplained,
-)
-from casid.consistency.instruments import OWN, Instruments
+from casid.consistency.further import against_gravity, misplaced, turned, unexplained
 from casid.consistency.lags import clocks_apart
-from casid.consistency.measured import Flight, looked_at, measured_parts, signals
+from casid.consistency.measured import Flight, coarse_step, looked_at, measured_parts, signals
 from casid.consistency.recordwise import clocks_by_record
 from casid.consistency.rigid import GRAVITY
+from casid.consistency.signs import set_upright
+from casid.consistency.voting import mean, significant
 from casid.display import Shown, counted, in_a_row, listed
 from casid.outlying import outliers
 from casid.record import Record
 from casid.records import Records, several
 from casid.samples import bursts
 
-SCALE, BIAS = 0.02, 0.1  # what matters: relative, of the channel's deviation
 SEEN = 0.5  # m: the largest error of an accelerometer's place
 LEVEL = 0.005  # rad
 
-UNITS = dict.fromkeys(RATES, "rad/s") | dict.fromkeys(FORCES, "m/s^2")
 NEEDED = {  # channels without which an equation means nothing
     "phi": {"phi", "p"},
     "theta": {"theta", "q"},
@@ -55,45 +39,6 @@ NEEDED = {  # channels without which an equation means nothing
     **{name: {*VELOCITIES, *FORCES, *RATES, "phi", "theta"} for name in VELOCITIES},
 }
 WHOLE = NEEDED | {"phi": {"phi", "theta", *RATES}, "theta": {"phi", "theta", "q", "r"}}
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChannelCheck:
-    """What one rate or specific force is, next to what the other channels imply.
-
-    Parameters
-    ----------
-    channel, unit : str
-        Its name, and the unit of the bias.
-    against : tuple of str
-        Attitudes or velocities it was compared with.
-    scale, skew, bias : float
-        measured(t) = (1 + scale) true(t − skew [s]) + bias, its mean over records; NaN where the
-        records do not tell.
-    scale_error, skew_error, bias_error : float
-        Their standard errors.
-    biases : tuple of (str, float, float)
-        Of each record: its name, the bias and its standard error.
-    remarks : tuple of str
-        What is wrong with it; empty if nothing is.
-    """
-
-    channel: str
-    unit: str
-    against: tuple[str, ...]
-    scale: float
-    scale_error: float
-    skew: float
-    skew_error: float
-    bias: float
-    bias_error: float
-    biases: tuple[tuple[str, float, float], ...] = ()
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def determined(self) -> bool:
-        """Whether the records tell anything about it."""
-        return bool(np.isfinite(self.scale))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -223,7 +168,9 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
             "az has no gravity in it, so the records are perturbations: velocities are not "
             "checked, attitudes roughly, as about level flight; give the trim, or total values"
         )
-    notes += _unchecked(names, pieces)
+    steps = {name: coarse_step(flights, name) for name in {*ATTITUDES} & names}
+    names -= {name for name, step in steps.items() if step}
+    notes += _unchecked(names, pieces, steps)
     equations = [name for name in (*ATTITUDES, *VELOCITIES) if NEEDED[name] <= names]
     why, split = turned(flights, names), False
     if equations and not why:
@@ -232,7 +179,7 @@ def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None
         return KinematicCheck(
             channels=(), residuals={}, notes=tuple(notes), further=why, by_record=why * split
         )
-    return _reconstructed(flights, names, equations, notes, labels)
+    return _reconstructed(flights, names, equations, notes, labels, flown[0].outputs)
 
 
 def _reconstructed(
@@ -241,9 +188,12 @@ def _reconstructed(
     equations: Sequence[str],
     notes: Sequence[str],
     labels: Mapping[int, str],
+    recorded: Collection[str],
 ) -> KinematicCheck:
     """What instruments the equations of these channels ask for, judged."""
-    bare, solution, drifts = without_drifts([each.only(names) for each in flights], equations)
+    bare = [each.only(names) for each in flights]
+    flights, solution, signs = set_upright(bare, equations, names, labels)
+    bare, solution, drifts = without_drifts(flights, equations, solution)
     if by_record := clocks_by_record(bare, equations, solution, labels):
         return KinematicCheck(
             channels=(), residuals={}, notes=tuple(notes), further=by_record, by_record=by_record
@@ -256,12 +206,13 @@ def _reconstructed(
     rough = {name for name in equations if level or not WHOLE[name] <= names}
     apart = stands_apart(solution, known(solution))
     checks = tuple(
-        _judged(solution, n, spread[n], rough, labels.values(), apart) for n in solution.channels
+        judged(solution, n, spread[n], rough, labels.values(), apart, signs)
+        for n in solution.channels
     )
     untold = [
         f"the records do not tell about {each.channel}: it moves too little, or too alike others"
         for each in checks
-        if not each.determined and each.channel not in solution.limits
+        if not (each.determined or each.remarks or each.channel in solution.limits)
     ]
     left = {n: float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for n, e in solution.left.items()}
     seen = solution.place_errors < SEEN
@@ -272,6 +223,7 @@ def _reconstructed(
         residuals=left,
         notes=(*notes, *untold),
         further=(
+            *signs.told(recorded),
             *against_gravity(flights, names),
             *unexplained(solution, flights, labels),
             *misplaced(place, errors),
@@ -300,10 +252,12 @@ def _marked(pieces: Sequence[Record], marks: Sequence[BoolArray]) -> list[str]:
     return notes
 
 
-def _unchecked(names: set[str], pieces: Sequence[Record]) -> list[str]:
-    """Notes on what was not checked, and whether its reference is absent or has few samples."""
+def _unchecked(names: set[str], pieces: Sequence[Record], steps: Mapping[str, float]) -> list[str]:
+    """Notes on what was not checked, and why: not there, or counted in coarse ``steps``."""
 
     def absence(name: str) -> str:
+        if step := steps.get(name):
+            return f"{name} is counted in steps of {step:.3g} rad, too coarse for what it moves"
         shares = [np.isnan(p.channel(name)).mean() for p in pieces if name in p.outputs]
         return f"{max(shares):.0%} of {name} is missing" if shares else f"there is no {name}"
 
@@ -325,74 +279,3 @@ def _about_zero(flights: Sequence[Flight], name: str, size: float) -> bool:
     seen = [flight.values[name] for flight in flights if name in flight.values]
     whole = bool(seen) and len(seen) == len(flights)
     return whole and bool(abs(np.median(np.concatenate(seen))) < size)
-
-
-def _judged(
-    solution: Instruments,
-    name: str,
-    spread: float,
-    rough: set[str],
-    labels: Collection[str],
-    apart: Apart,
-) -> ChannelCheck:
-    i = solution.channels.index(name)
-    gain, skew = map(float, solution.unknowns[i])
-    errors = [float(error) for error in solution.errors[i]]
-    against = solution.against[name]
-    if OWN[name] in against:  # it stands in others too, but this one says most
-        against = (OWN[name],)
-    seen = 0 < errors[0] < KNOWN * abs(gain)
-    limit = solution.limits.get(name)
-    seen &= limit is None
-    ended = seen and abs(skew) >= LATE
-    if ended or not seen:
-        gain, skew, *errors = [np.nan] * 4
-    own, off = solution.biases[:, i] / gain, solution.bias_errors[:, i] / abs(gain)
-    check = ChannelCheck(
-        channel=name,
-        unit=UNITS[name],
-        against=against,
-        scale=1 / gain - 1,
-        scale_error=errors[0] / gain**2,
-        skew=skew,
-        skew_error=errors[1],
-        bias=float(own.mean()),
-        bias_error=float(np.hypot(np.sqrt(np.mean(off**2)), own.std() / np.sqrt(len(own)))),
-        biases=tuple(zip(labels, map(float, own), map(float, off), strict=True)),
-    )
-    if limit:
-        return replace(check, remarks=(limit.told(name, UNITS[name], OWN[name]),))
-    tolerance = ROUGH if rough & set(against) else SCALE
-    if ended:
-        said = f"{name} is {LATE:g} s late or early against {against[0]}, where the search ended: "
-        return replace(check, remarks=(f"{said}look at the clocks of both",))
-    return replace(check, remarks=_remarks(check, tolerance, spread, apart) if seen else ())
-
-
-def _remarks(check: ChannelCheck, tolerance: float, spread: float, apart: Apart) -> tuple[str, ...]:
-    said = []
-    others = " and ".join(check.against)
-    implied = f"{others} {'imply' if len(check.against) > 1 else 'implies'}"
-    factor = 1 + check.scale
-    if abs(check.scale) > max(tolerance, SIGNIFICANT * check.scale_error):
-        why = mistake(factor) or "look at the scale factors of both"
-        said.append(
-            f"{check.channel} is {factor:.4g} ± {check.scale_error:.2g} times what {implied}: {why}"
-        )
-    late, error = apart.left[check.channel]
-    if significant(late, error):
-        moved = ", once these have moved" if late != check.skew else ""
-        said.append(
-            f"{check.channel} is {abs(late):.3g} ± {error:.1g} s {'late' if late > 0 else 'early'} "
-            f"against {others}{moved}: look at filters and the time stamps of both"
-        )
-    least = BIAS * spread
-    biased = [each for each in check.biases if abs(each[1]) > max(least, SIGNIFICANT * each[2])]
-    if biased:
-        _, bias, error = max(biased, key=lambda each: abs(each[1]))
-        upto = "up to " if np.ptp([each[1] for each in check.biases]) > least else ""
-        said.append(
-            f"{check.channel} has a bias of {upto}{bias:.3g} ± {error:.1g} {check.unit} against "
-            f"{others}{in_some([name for name, *_ in biased], check.biases)}"
-        )
-    return tuple(said)

@@ -20,6 +20,7 @@ NEAR = 6.0  # deviations of noise below the extreme that count as standing there
 CLOSE = 0.02  # of the channel's reach from its middle, without noise
 MUCH = 0.1  # of that reach: what matters of a part that was cut off
 CERTAIN = 3.0  # standard errors
+SURE = 4.0  # of the largest of a dozen ends
 FEWEST = 4.0  # stretches that tell of it
 RIDGE = 1e-9  # of information
 
@@ -108,6 +109,6 @@ def _sums(rows: Array, batch: NDArray[np.intp], last: int) -> Array:
 def judged(extreme: float, reach: float, beyond: float, error: float) -> Limit | None:
     """The limit, if more was flown by what matters and is no noise."""
     outward = beyond * np.sign(reach)
-    if outward < max(MUCH * abs(reach), CERTAIN * error):
+    if outward < max(MUCH * abs(reach), SURE * error):
         return None
     return Limit(extreme=extreme, beyond=beyond, error=error)

@@ -12,11 +12,13 @@ from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.frequency.sampling import equidistant
 from casid.outlying import FAR
 from casid.record import Record
+from casid.repetition import least_step
 from casid.samples import BURST, MAD, at_instants, runs
 
 MOST = 60_000  # samples that are looked at
 SHORTEST = 20  # samples
 GAPS = 0.2  # share of missing samples above which a channel is left out
+COARSE = 0.03  # rounding, of what a channel moves: more is seen in its scale
 LONGEST = 1.0  # s that a channel is lost within a stretch: nobody knows what it did in more
 
 AIR = ("V", "alpha", "beta")
@@ -61,6 +63,18 @@ class Flight:
     def only(self, names: Collection[str]) -> "Flight":
         """The same flight with some of its channels, in the order they have."""
         return replace(self, values={k: x for k, x in self.values.items() if k in names})
+
+
+def coarse_step(flights: Sequence[Flight], name: str) -> float:
+    """Step of a channel that is too coarse for how it moves in these flights; 0 if it is not.
+
+    It rests on each step for several samples: no noise blurs what was lost to rounding.
+    """
+    own = [flight.own(name) for flight in flights]
+    step = max(map(least_step, own))
+    rests = float(np.median(np.abs(np.concatenate([np.diff(x) for x in own])))) == 0.0
+    moves = float(np.sqrt(np.mean([np.var(x) for x in own])))
+    return step if rests and step / np.sqrt(12) > COARSE * moves else 0.0
 
 
 def looked_at(records: Sequence[Record]) -> list[tuple[int, Record]]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casid.channels import ATTITUDES, RATES
+from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.checks import checked
 from casid.consistency.clocks import aligned
 from casid.consistency.kinematics import kinematic_check
@@ -53,7 +53,7 @@ file = {model}
 # Channels are in SI and radians; inputs as the log has them.
 {assumed}[channels]
 hold = {hold} # between samples inputs are steps ("zoh") or straight lines ("foh")
-{skew}
+{beside}{skew}
 
 [pbsid]
 transform = "laguerre" # a black box in continuous time, as the structure is
@@ -322,6 +322,13 @@ def _divided(records: Sequence[Record]) -> list[Stretch]:
     return [make_stretch(part, f"{name}_{k}") for k, part in enumerate(parts, 1)]
 
 
+def _beside(records: Sequence[Record], outputs: Collection[str]) -> list[str]:
+    """What kinematics knows and records hold beside the outputs of a structure."""
+    known = (*RATES, *FORCES, *ATTITUDES, *VELOCITIES)
+    names = [name for name in records[0].outputs if name in known and name not in outputs]
+    return [n for n in names if all(np.isfinite(r.channel(n)).any() for r in records)]
+
+
 def _write(
     study: Path,
     log: Log,
@@ -344,13 +351,17 @@ def _write(
     quiet = [all(each.quiet_samples() > REST / each.dt for each in part) for part in parts]
     trim = "first" if quiet[0] else "mean"
     kept = load_model(reference, study.parent).outputs
-    offered = {name: lag for name, lag in moves.items() if name in kept}
+    beside = _beside([each.record for each in found], kept)
+    offered = {name: lag for name, lag in moves.items() if name in (*kept, *beside)}
     lags = ", ".join(f"{name} = {lag:+.4f}" for name, lag in offered.items())
     asked = "# Kinematics asks for this; without the first # of the line it is done:"
     words = {
         "skew": f"{asked}\n# shift = {{ {lags} }}"
         if offered
         else "# Kinematics finds no channel late.",
+        "beside": f"check = {json.dumps(beside)} # in no estimate: kinematics judges by them\n"
+        if beside
+        else "",
         "log": log.path.name,
         "kind": log.kind,
         "assumed": "".join(f"# {each}\n" for each in assumed),

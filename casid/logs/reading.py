@@ -24,6 +24,17 @@ READERS: dict[bytes, tuple[str, str, Reader]] = {  # by the first bytes: format,
     dataflash.TEXT_MAGIC: ("ArduPilot dataflash", "pymavlink.DFReader", dataflash.read_text),
     tdms.MAGIC: ("TDMS", "nptdms", tdms.read_tdms),
 }
+LEFT_OUT = {  # why samples of a topic are
+    "left_out": (
+        "clock went back",
+        "where many are, the logger began anew; split the log there to read both parts",
+    ),
+    "repeats": (
+        "time stamps repeat those of others",
+        "one sample of each instant is kept; where many are, stamps are too coarse or two sensors "
+        "write one topic",
+    ),
+}
 
 
 def read_log(path: str | Path) -> Log:
@@ -55,14 +66,16 @@ def read_log(path: str | Path) -> Log:
     topics, notes = _topics(path, kind, partial(read, data, library))
     if not topics:
         raise ValueError(f"{path}: no topic with samples could be read; is the {kind} log cut off?")
-    left_out = {name: topic.left_out for name, topic in topics.items() if topic.left_out}
-    if left_out:
-        most = max(left_out, key=lambda name: left_out[name])
-        notes += (
-            f"{counted(sum(left_out.values()), 'sample')} left out whose clock went back, most of "
-            f"{most} ({left_out[most]} of {left_out[most] + len(topics[most].t)}): where many are, "
-            "the logger began anew; split the log there to read both parts",
-        )
+    for what, remedy in LEFT_OUT.items():
+        # What has one stamp in all is no signal: a table that the log describes itself with.
+        gone = {name: getattr(each, what) for name, each in topics.items() if len(each.t) > 1}
+        if (count := sum(gone.values())) > 0:
+            most = max(gone, key=lambda name: gone[name])
+            whole = len(topics[most].t) + topics[most].left_out + topics[most].repeats
+            notes += (
+                f"{counted(count, 'sample')} left out whose {remedy[0]}, most of {most} "
+                f"({gone[most]} of {whole}): {remedy[1]}",
+            )
     return Log(path=path, kind=kind, topics=topics, notes=notes)
 
 

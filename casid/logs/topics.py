@@ -47,6 +47,8 @@ class Topic:
         Of columns, as written in a log whose format leaves them to its writer; "" if not stated.
     left_out : int
         Samples whose stamps went back, or were no numbers.
+    repeats : int
+        Samples left out whose stamps are those of the samples before them.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Topic:
     age: float = 0.0
     units: Mapping[str, str] = field(default_factory=dict)
     left_out: int = 0
+    repeats: int = 0
 
     @property
     def interval(self) -> float:
@@ -103,7 +106,8 @@ def make_topic(
 ) -> Topic | None:
     """A topic of columns (name, values, unit) in SI at increasing instants; None without any.
 
-    Samples whose stamps go back, as those of a damaged log, are left out: as few as possible.
+    Samples whose stamps go back or repeat, as those of a damaged log, are left out: as few as
+    possible.
     """
     t = np.asarray(t, dtype=float)
     if not len(t):
@@ -116,8 +120,9 @@ def make_topic(
             read = np.where(np.abs(read) < BEYOND, read, np.nan)
             values[printable(column)] = read * SI_OF.get(unit, 1.0)
     name = printable(name)
-    left_out = len(t) - len(rows)
-    found = Topic(name=name, t=t[rows], columns=values, age=age, left_out=left_out)
+    repeats = int(np.isin(t[1:][np.diff(t) == 0], t[rows]).sum())
+    left_out = len(t) - len(rows) - repeats
+    found = Topic(name=name, t=t[rows], columns=values, age=age, left_out=left_out, repeats=repeats)
     return found if values else None
 
 

@@ -4,7 +4,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from casid.commands.columns import COLUMN, TIME, UNIT
+from casid.commands.columns import COLUMN, TIME, UNIT, refuse_beside_study
 
 
 @click.command()
@@ -26,3 +26,9 @@ def test_half_a_pair_is_refused_with_what_was_expected(typed):
     found = CliRunner().invoke(told, ["--unit", typed])
     assert found.exit_code == 2
     assert f"'{typed}': expected CHANNEL=UNIT" in found.output
+
+
+def test_options_beside_a_study_are_refused_by_name_and_none_is_not():
+    refuse_beside_study(unit={}, record=())
+    with pytest.raises(ValueError, match="--unit, --record with a study"):
+        refuse_beside_study(unit={"p": "deg/s"}, fixed=(), record=("a.csv",))

@@ -188,6 +188,27 @@ def test_inspect_reads_a_study_as_the_study_does():
     assert "alone" in refused(casid("inspect", "study.toml", "3211.csv"))
 
 
+@pytest.mark.parametrize(
+    "typed",
+    [
+        ("check", "--record", "3211.csv"), ("check", "--unit", "p=deg/s"), ("check", "--time", "T"),
+        ("check", "--column", "p=P"), ("check", "--fixed", "Lp"), ("inspect", "--time", "T"),
+        ("inspect", "--model", "roll.py:Roll"), ("inspect", "--outputs", "p"),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+@pytest.mark.usefixtures("folder")
+def test_what_a_study_says_itself_is_not_said_beside_it(typed):
+    command, option, value = typed
+    said = refused(casid(command, "study.toml", option, value))
+    assert said.startswith(f"Bad input: {option} with a study: it says itself which records")
+
+
+@pytest.mark.usefixtures("folder")
+def test_options_of_records_ask_for_one():
+    assert "add --record" in refused(casid("check", "roll.py:Roll", "--unit", "lat=%"))
+
+
 def test_a_study_reads_parquet(folder):
     for file in ("3211", "sweep", "random"):
         assert casid("convert", f"{file}.csv", f"{file}.parquet").exit_code == 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from truths.flights import FORCES, NOISE, RATES, STATES, flight
 
-from casid.consistency.apart import Apart, mean, significant
+from casid.consistency.apart import Apart
 from casid.consistency.clocks import aligned
 from casid.consistency.kinematics import kinematic_check
 
@@ -22,12 +22,12 @@ def test_what_is_late_by_itself_is_told_and_moves_alone(names, lag):
     record = late(names, lag)
     check = kinematic_check(record)
     assert check.apart.names == names
-    found, error = check.apart.late
+    found, error = check.apart.late[names[0]]
     assert found == pytest.approx(lag, abs=4 * error)
     assert error < 0.01
     (remark,) = check.remarks
     assert remark.startswith(f"{' '.join(names)} are ")
-    assert " s late against rates and " in remark
+    assert " s late against rates, specific forces and " in remark
     assert {*check.shifts} == {*names}
     moves, _ = aligned(check, record.outputs, (), ["lat"])
     assert moves == check.shifts
@@ -58,10 +58,5 @@ def test_nothing_stands_apart_where_rates_or_forces_are_late(names):
     np.testing.assert_allclose([*check.shifts.values()], -0.1, atol=0.02)
 
 
-def test_a_mean_is_weighted_by_errors_and_a_small_delay_is_none():
-    late, error = mean([(0.1, 0.01), (0.4, 0.02)])
-    assert (late, error) == pytest.approx((0.16, 1 / np.sqrt(12500)))
-    assert significant(-0.02, 0.005)
-    assert not significant(0.02, 0.006)
-    assert not significant(0.009, 1e-5)
+def test_nothing_apart_says_nothing():
     assert Apart().told() == ()

@@ -7,13 +7,11 @@ import pytest
 from truths.flights import FORCES, NOISE, RATES, flight, truth
 
 from casid import kinematic_check
-from casid.consistency.drifts import shared
 from casid.consistency.innovations import growing, integral
 
 ATTITUDES, VELOCITIES = ("phi", "theta", "psi"), ("u", "v", "w")
 ANGLES = (*RATES, "phi", "theta")
 WHOLE = (*RATES, *FORCES, *ATTITUDES, *VELOCITIES)
-NAMES = [("p",), ("q",), ("r",), ("ax",), ("u", "v", "w"), ("phi", "theta", "psi")]
 
 
 def drifting(seed, drift, outputs=WHOLE, begin=0.0):
@@ -102,14 +100,6 @@ def test_what_grows_is_integrated_by_parts():
     middle = t[-1] / 2
     exact = (t - middle) * np.sin(2 * t) / 2 + (np.cos(2 * t) - 1) / 4
     np.testing.assert_allclose(found, exact, atol=2e-5)  # fourth order inside, less at the ends
-
-
-def test_the_clock_that_most_share_is_right_and_what_is_vague_goes_with_the_nearest():
-    C = np.diag([1e-3, 1e-3, 1e-3, 12e-3, 1e-3, 0.0]) ** 2
-    assert shared(np.zeros(6), C, NAMES) == [[0, 1, 2, 3, 4, 5]]
-    assert shared(np.array([0.0, 0.04, 0.0, 0.012, 0.0, 0.0]), C, NAMES) == [[0, 2, 3, 4, 5], [1]]
-    navigation = shared(np.array([-0.04, -0.04, -0.041, -0.05, 0.0, 0.0]), C, NAMES)
-    assert navigation == [[4, 5], [0, 1, 2, 3]]  # six channels against four
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
+from truths import bodies
 from truths.flights import ERRORS, FORCES, NOISE, RATES, STATES, flight, scores, truth
 from truths.places import EXAMPLES
 from truths.roll_study import write_study
@@ -264,7 +265,7 @@ MISTAKES = {
     "phi in degrees": ("phi", 180 / np.pi, "phi reaches", "degrees"),
     "az up": ("az", -1.0, "az is 9.7", "opposite sign"),
     "az in g": ("az", 1 / 9.80665, "az is -0.99", "in g"),
-    "theta upside down": ("theta", -1.0, "q is -1", "opposite sign"),
+    "theta upside down": ("theta", -1.0, "theta has ", "opposite sign"),
     "p ten per cent too large": ("p", 1.1, "p is 1.1", "scale factors"),
 }
 
@@ -288,8 +289,8 @@ def test_an_equation_that_lacks_a_channel_says_less():
     assert untold == ()
 
 
-def test_a_velocity_upside_down_follows_from_nothing():
-    check = kinematic_check([times(flight(0, None, NOISE), "w", -1.0)])
+def test_a_velocity_that_two_mistakes_spoil_follows_from_nothing():
+    check = kinematic_check([times(times(flight(0, None, NOISE), "w", -1.0), "u", 0.3)])
     assert any(said.startswith("w does not follow") for said in check.remarks)
 
 
@@ -374,6 +375,18 @@ def test_outliers_are_told_and_hide_no_skew(channel):
     assert any("p is 0.06" in said and "late" in said for said in check.remarks)
     said = f"{channel} has 5 outliers, left out here; the first at {record.t[k[0]]:.4g} s"
     assert said in check.notes
+
+
+@pytest.mark.parametrize("outputs", [bodies.WHOLE, ATTITUDES], ids=len)
+def test_attitudes_in_whole_degrees_are_called_that_and_contradict_nothing(outputs):
+    step, records = np.deg2rad(1.0), bodies.flown(300, outputs=outputs, single=True)
+    for name in ("phi", "theta"):
+        records = bodies.changed(records, name, lambda x: step * np.round(x / step))
+    check = kinematic_check(records)
+    assert check.remarks == ()
+    assert check.channels == ()
+    said = "p was not checked: phi is counted in steps of 0.0175 rad, too coarse for what it moves"
+    assert check.notes[0] == said
 
 
 # ---- in a study --------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ import pytest
 from truths.flights import NOISE, RATES, flight
 
 from casid.consistency.kinematics import kinematic_check
-from casid.consistency.measured import Flight, looked_at, signals, white_noise
+from casid.consistency.measured import Flight, coarse_step, looked_at, signals, white_noise
 
 
 def test_noise_is_the_standard_deviation_of_what_is_not_smooth():
@@ -77,3 +77,17 @@ def test_noise_drawn_again_does_not_depend_on_the_order_in_which_channels_are_as
     assert list(one) == list(other) == ["p", "r"]
     for name, drawn in one.items():
         np.testing.assert_array_equal(drawn, other[name])
+
+
+@pytest.mark.parametrize(
+    ("step", "noise", "coarse"),
+    [(1.0, 0.0, True), (1.0, 0.2, True), (1.0, 0.6, False), (0.1, 0.0, False)],
+)
+def test_steps_are_coarse_that_noise_does_not_blur_and_that_movement_does_not_hide(
+    step, noise, coarse
+):
+    # Steps of 1 round by 0.29, a tenth of what moves here; noise of half a step whitens that.
+    t, rng = 0.02 * np.arange(2000), np.random.default_rng(1)
+    x = 4 * np.sin(0.7 * t) + noise * rng.standard_normal(2000)
+    flight = Flight(0.02, 0, {"phi": step * np.round(x / step)})
+    assert coarse_step([flight], "phi") == (pytest.approx(step) if coarse else 0.0)

@@ -107,6 +107,22 @@ def test_a_logger_that_began_anew_is_told(tmp_path):
     assert "the logger began anew" in note
 
 
+def test_stamps_that_repeat_are_told_as_that(tmp_path):
+    path = tmp_path / "flight.log"
+    lines = dataflash_text(1.0).decode().splitlines()
+    at = [k for k, line in enumerate(lines) if line.startswith("ATT,")][3:8]
+    for k in reversed(at):
+        lines.insert(k, lines[k])
+    path.write_text("\n".join([*lines, ""]))
+    log = read_log(path)
+    (note,) = (each for each in log.notes if "left out" in each)
+    assert note.startswith("5 samples left out whose time stamps repeat those of others, most of ")
+    assert "ATT (5 of " in note
+    assert not any("went back" in each for each in log.notes)
+    path.write_bytes(dataflash_text(1.0))
+    assert not any("left out" in each for each in read_log(path).notes)
+
+
 @pytest.mark.parametrize("name", ["flight.bin", "flight.log"])
 def test_messages_without_units_have_those_that_ardupilot_documents(name, tmp_path):
     whole, silent = topics(dataflash(1.0)), dataflash(1.0).replace(b"FMTU", b"FMTX")

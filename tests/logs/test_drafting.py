@@ -1,13 +1,17 @@
 import re
 from pathlib import Path
 
+import click.testing
 import nptdms
 import numpy as np
 import pytest
+from truths import bodies
 from truths.logs import DAMPING, DELAY, GAIN, STEP, STICKS, WRITERS, flight, ulog
 
 from casid import import_log, kinematic_check, read_records, read_study, run_study
+from casid.cli import main
 from casid.logs import drafting
+from casid.studies.study import read_flights
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -199,3 +203,64 @@ def test_wild_samples_are_named_and_change_no_share(tmp_path):
     assert set(wild.doubts) - set(said) == set(sound.doubts)
     for own, other in zip(wild.stretches, sound.stretches, strict=True):
         np.testing.assert_allclose(own.excitation.lower, other.excitation.lower, atol=0.1)
+
+
+SI = dict.fromkeys(bodies.RATES, "rad/s") | dict.fromkeys(bodies.ATTITUDES, "rad")
+SI |= dict.fromkeys(bodies.FORCES, "m/s^2") | dict.fromkeys(bodies.SPEEDS, "m/s")
+
+
+def recorded(path, record):
+    """A TDMS log of a flight, with sticks that step for most of it."""
+    rng = np.random.default_rng(3)
+    steps = rng.choice([-0.1, 0.0, 0.1], size=(200, 2))[(record.t / 0.6).astype(int)]
+    steps *= ((record.t > 4) & (record.t < 0.9 * record.t[-1]))[:, None]
+    columns = dict(zip(("lat", "lon"), steps.T, strict=True)) | {"t": record.t}
+    columns |= {name: record.channel(name) for name in record.outputs}
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment(
+            [
+                nptdms.ChannelObject(
+                    "log", n, x, {"wf_increment": record.dt, "unit_string": SI.get(n, "")}
+                )
+                for n, x in columns.items()
+            ]
+        )
+
+
+@pytest.mark.parametrize(
+    ("late", "upside_down", "begin"),
+    [
+        ({}, None, None),
+        ({}, "theta", "theta has the opposite sign"),
+        (dict.fromkeys(bodies.SPEEDS, 0.06), None, "u v w are 0.0"),
+        (dict.fromkeys(bodies.ATTITUDES, 0.06), None, "phi theta are 0.06"),
+    ],
+    ids=["good", "theta", "velocities", "attitudes"],
+)
+@pytest.mark.parametrize("detrend", ["first", "mean"])
+def test_a_drafted_study_judges_as_the_records_of_the_log_are_judged(
+    tmp_path, late, upside_down, begin, detrend
+):
+    records = bodies.flown(700, late=late, count=1, duration=60.0)
+    if upside_down:
+        records = bodies.reversed_in(records, upside_down)
+    recorded(tmp_path / "log.tdms", *records)
+    draft = import_log(tmp_path / "log.tdms", tmp_path / "log")
+    text = draft.study.read_text()
+    assert 'check = ["r", "ax", "ay", "az", "u", "v", "w"]' in text
+    draft.study.write_text(text.replace('detrend = "first"', f'detrend = "{detrend}"'))
+    study = read_study(draft.study)
+    flown = read_flights(study)[0]["identification"]
+    assert all(each.trim for each in flown)
+    told = [kinematic_check(each).remarks for each in (draft.records, flown)]
+    for remarks in told:
+        assert len(remarks) == (begin is not None)
+        assert all(said.startswith(begin) for said in remarks)
+    assert {*kinematic_check(flown).shifts} == {*draft.moves} == {*late}
+    if late:  # the shift that the draft offers mends the study
+        draft.study.write_text(draft.study.read_text().replace("# shift = {", "shift = {"))
+        mended = read_flights(read_study(draft.study))[0]["identification"]
+        assert kinematic_check(mended).remarks == ()
+    inspected = click.testing.CliRunner().invoke(main, ["inspect", str(draft.study)])
+    assert ("opposite sign" in inspected.output) == (upside_down is not None)
+    assert inspected.exit_code == 0

@@ -43,6 +43,13 @@ def test_columns_are_in_si_and_text_is_left_out():
     assert make_topic("T", np.zeros(0), columns) is None
 
 
+def test_stamps_that_repeat_are_no_clock_that_went_back():
+    t = np.array([0.0, 0.1, 0.1, 0.2, 0.3, 0.3, 0.3, 0.4, 0.2, 0.5, np.nan])
+    topic = make_topic("T", t, [("x", np.arange(11.0), "")])
+    assert (topic.repeats, topic.left_out) == (3, 2)
+    np.testing.assert_array_equal(topic.t, [0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+
+
 def test_gaps_are_five_usual_intervals_or_longer():
     t = np.array([0, 1, 2, 3, 7.9, 9, 10, 11, 12, 18, 19, 20.0])
     topic = make_topic("T", t, [("x", t, "")])

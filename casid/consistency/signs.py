@@ -1,0 +1,131 @@
+"""Which channel has the opposite sign: the one whose turning makes all others agree.
+
+A reconstruction finds rates and specific forces that are upside down, as gains about −1. Attitudes
+and velocities have no gain there: each is turned in its place, and all is reconstructed anew. What
+must have been turned by the fewest mistakes is believed. Reflections do not change kinematics,
+
+    (p, r, φ, ψ, v, ay) → −(p, r, φ, ψ, v, ay),        (q, r, θ, ψ, u, ax) → −(q, r, θ, ψ, u, ax),
+
+so that φ upside down looks like p and r upside down where there are no velocities: of one mistake
+and two the one is told, and of two that explain as much both.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from casid.channels import ATTITUDES, FORCES, VELOCITIES
+from casid.consistency.flightpath import GAINS, reconstruct_level
+from casid.consistency.further import against_gravity, unexplained
+from casid.consistency.innovations import innovations
+from casid.consistency.instruments import Instruments
+from casid.consistency.measured import Flight
+from casid.consistency.rigid import GRAVITY
+from casid.consistency.voting import SIGNIFICANT
+
+LIKELY = 50.0  # by which -2 log likelihood may differ of what explains as much
+EXACT = 1e-6  # of a channel's movement: no record is more exact
+FLOWN = {"v": "beta", "w": "alpha"}  # what velocities were made of
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signs:
+    """Channels with the opposite sign."""
+
+    turned: str = ""  # an attitude or velocity
+    either: Mapping[str, Sequence[str]] = field(default_factory=dict)  # it or one of the others
+
+    def of(self, name: str) -> str:
+        """Which channel has it, where this one seems to."""
+        more = self.either.get(name, ())
+        return f"it or {' or '.join(more)} has the opposite sign" if more else ""
+
+    def told(self, recorded: Collection[str]) -> tuple[str, ...]:
+        """A remark on what was turned."""
+        if not self.turned:
+            return ()
+        every = (self.turned, *self.either.get(self.turned, ()))
+        names = [name if name in recorded else FLOWN.get(name, name) for name in every]
+        return (
+            f"{' or '.join(names)} has the opposite sign: only with it turned do the channels "
+            "agree; turn it where it is read",
+        )
+
+
+def reversed_channels(found: Instruments) -> list[str]:
+    """Rates and specific forces that surely have the opposite sign."""
+    sure = found.unknowns[:, 0] + SIGNIFICANT * found.errors[:, 0] < 0
+    return [name for name, one in zip(found.channels, sure, strict=True) if one]
+
+
+@dataclass(frozen=True, eq=False)
+class _Guess:
+    """What is left where a channel is turned, or none."""
+
+    turned: str
+    flights: Sequence[Flight]
+    found: Instruments
+
+    @property
+    def reversed(self) -> tuple[str, ...]:
+        """All channels that have the opposite sign then."""
+        return (*((self.turned,) if self.turned else ()), *reversed_channels(self.found))
+
+    def mistakes(self, names: Collection[str]) -> int:
+        """How many mistakes there must have been."""
+        forces = [i for i, name in enumerate(self.found.channels) if name in FORCES]
+        far = np.abs(self.found.biases[:, forces]).max(axis=0) > GRAVITY
+        gravity = against_gravity(self.flights, {*names})
+        return len(self.reversed) + int(far.sum()) + len(gravity)
+
+    def unlikely(self) -> float:
+        """Minus twice the logarithm of the likelihood of the innovations that are left."""
+        total = 0.0
+        for each, left in self.found.left.items():
+            n = sum(map(len, left))
+            moves = sum(float(np.sum(x**2)) for x in self._moves(each))
+            sizes = [sum(float(np.sum(innovations(K, x[None]) ** 2)) for x in left) for K in GAINS]
+            total += n * float(np.log((min(sizes) + EXACT**2 * moves) / n + 1e-300))
+        return total
+
+    def _moves(self, name: str) -> list[np.ndarray]:
+        return [x - x.mean() for x in (flight.own(name) for flight in self.flights)]
+
+
+def set_upright(
+    flights: Sequence[Flight],
+    equations: Sequence[str],
+    names: Collection[str],
+    labels: Mapping[int, str],
+) -> tuple[Sequence[Flight], Instruments, Signs]:
+    """Flights with all signs right, what instruments they ask for, and which signs were not.
+
+    Of rates and forces that are, gains tell. Others are turned only where nothing is left then
+    that does not follow (``labels`` of records by number).
+    """
+    asis = _Guess("", flights, reconstruct_level(flights, equations))
+    if not asis.reversed and not unexplained(asis.found, flights, labels):
+        return flights, asis.found, Signs()
+    guesses = [asis]
+    for name in (*ATTITUDES, *VELOCITIES):
+        if name in equations:
+            other = [_turned(flight, name) for flight in flights]
+            guesses.append(_Guess(name, other, reconstruct_level(other, equations)))
+    unlikely = [guess.unlikely() for guess in guesses]
+    near = [
+        guess
+        for guess, size in zip(guesses, unlikely, strict=True)
+        if size < min(unlikely) + LIKELY
+        and not (guess.turned and unexplained(guess.found, guess.flights, labels))
+    ]
+    if not near:
+        return flights, asis.found, Signs()
+    fewest = min(guess.mistakes(names) for guess in near)
+    best, *others = [guess for guess in near if guess.mistakes(names) == fewest]
+    either = {best.reversed[0]: [each.reversed[0] for each in others]} if fewest else {}
+    return best.flights, best.found, Signs(turned=best.turned, either=either)
+
+
+def _turned(flight: Flight, name: str) -> Flight:
+    return replace(flight, values={**flight.values, name: -flight.values[name]})

@@ -1,0 +1,88 @@
+"""One channel upside down, on flights of a rigid body: it is named, and no other."""
+
+import numpy as np
+import pytest
+from truths.bodies import (
+    ATTITUDES,
+    BARE,
+    FORCES,
+    RATES,
+    SPEEDS,
+    WHOLE,
+    changed,
+    dirty,
+    flown,
+    reversed_in,
+)
+
+from casid.consistency.kinematics import kinematic_check
+
+
+def named(said, name):
+    """Whether a remark says that this channel has the opposite sign, and no other is blamed."""
+    own = said.startswith(f"{name} is ") and said.endswith(": it has the opposite sign")
+    return own or said.startswith(f"{name} has the opposite sign")
+
+
+@pytest.mark.parametrize("name", [*RATES, *ATTITUDES, *SPEEDS, *FORCES])
+def test_one_channel_upside_down_is_named_and_no_other(name):
+    (said,) = kinematic_check(reversed_in(flown(100, count=2), name)).remarks
+    assert named(said, name)
+
+
+@pytest.mark.parametrize("name", BARE)
+def test_it_is_named_without_velocities_where_records_move_single_axes(name):
+    (said,) = kinematic_check(reversed_in(flown(100, outputs=BARE, single=True), name)).remarks
+    assert named(said, name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("regime", ["hover", "slow", "fast"])
+@pytest.mark.parametrize("name", WHOLE)
+def test_dirty_records_of_any_speed_name_it_too(name, regime):
+    (said,) = kinematic_check(dirty(reversed_in(flown(101, regime), name), 101)).remarks
+    assert named(said, name)
+
+
+@pytest.mark.parametrize("late", [{}, {"p": 0.06}], ids=["alone", "beside a late rate"])
+def test_other_mistakes_are_told_as_of_the_channel_set_upright(late):
+    records = reversed_in(flown(102, late=late), "theta")
+    check = kinematic_check(changed(records, "q", lambda q: 1.2 * q))
+    said = {each.split()[0]: each for each in check.remarks}
+    assert {*said} == {"theta", "q", *late}
+    assert "opposite sign" in said["theta"]
+    assert said["q"].startswith("q is 1.2")
+    assert {*check.shifts} == {*late}
+
+
+def test_without_velocities_and_turns_bank_and_roll_rate_cannot_be_told_apart():
+    records = reversed_in(flown(103, outputs=("p", "phi")), "phi")
+    (said,) = kinematic_check(records).remarks
+    assert said.endswith("it or phi has the opposite sign")
+
+
+def test_a_flow_angle_upside_down_is_named_and_not_the_velocity_made_of_it():
+    records = flown(104)
+    found = []
+    for each in records:
+        u, v, w = (each.channel(name) for name in SPEEDS)
+        V = np.sqrt(u**2 + v**2 + w**2)
+        air = np.column_stack([V, np.arctan2(w, u), -np.arcsin(v / V)])
+        bare = each.select(outputs=BARE)
+        more = type(each)(each.t, each.u[:, :0], air, (), ("V", "alpha", "beta"), each.name)
+        found.append(bare.join(more))
+    (said,) = kinematic_check(found).remarks
+    assert said.startswith("beta has the opposite sign")
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("spoil", [lambda records, _: records, dirty], ids=["clean", "dirty"])
+def test_forty_campaigns_of_good_instruments_hardly_raise_an_alarm(spoil):
+    alarms = [
+        (seed, regime, said)
+        for seed in range(200, 240)
+        for regime in ("hover", "cruise")
+        for said in kinematic_check(spoil(flown(seed, regime), seed)).remarks
+    ]
+    # Some twenty tests each at four standard errors: of 80 campaigns one in ten has an alarm.
+    assert len(alarms) <= 1, alarms
