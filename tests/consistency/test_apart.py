@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from truths import bodies
 from truths.flights import FORCES, NOISE, RATES, STATES, flight
 
 from casid.consistency.apart import Apart
@@ -40,6 +41,24 @@ def test_a_late_reference_is_no_place_of_accelerometers(names):
     check = kinematic_check(late(names, 0.1))
     assert np.abs(np.array(check.place) / check.place_error).max() < 4
     assert max(check.place_error) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("names", "lag"),
+    [
+        ((*bodies.ATTITUDES, *VELOCITIES), 0.06),
+        (bodies.ATTITUDES, -0.06),
+        (VELOCITIES, -0.06),
+        (bodies.ATTITUDES, 0.06),
+    ],
+    ids=str,
+)
+def test_one_source_that_is_late_or_early_is_named_whole_and_alone(names, lag):
+    check = kinematic_check(bodies.flown(105, late=dict.fromkeys(names, lag)))
+    assert check.apart.names == names
+    (remark,) = check.remarks
+    assert f" s {'late' if lag > 0 else 'early'} against rates" in remark
+    np.testing.assert_allclose([*check.shifts.values()], -lag, atol=0.005)
 
 
 def test_forces_late_beside_late_velocities_are_told_against_the_others():
