@@ -40,6 +40,9 @@ class Commands(click.Group):
         ctx.invoked_subcommand = cmd_name  # an interruption of the import is one of the command
         module, _, name = COMMANDS[cmd_name][0].partition(":")
         command: click.Command = getattr(import_module(f"casid.commands.{module}"), name)
+        from casid.threads import limited  # noqa: PLC0415 - as late as the command
+
+        ctx.with_resource(limited())
         gc.freeze()  # what is imported stays, and need not be looked through for garbage
         return command
 

@@ -12,8 +12,7 @@ command, so the first order is the one to believe; the second is what wrong cloc
 
 Flights with other feedback or other inputs have autoregressions of their own: one of all of them
 takes what tells them apart for excitation. Only where Akaike's criterion prefers it, one is fitted
-to all; else the spectra of the flights are added, each by its length, so that an input counts in a
-flight by its power there.
+to all; else their spectra are added, by length: an input counts in a flight by its power there.
 """
 
 import warnings
@@ -30,6 +29,7 @@ from casid.errors import DataWarning
 from casid.record import Record
 from casid.records import Records, same_channels, stretches
 from casid.samples import runs
+from casid.threads import one_thread
 from casid.values import storable
 from casid.vector_autoregression import VectorAutoregression, of_flights, of_records
 
@@ -256,6 +256,7 @@ def flights(records: Records, *, together: bool = False) -> Flights:
     return Flights(parts=parts, models=models, size=size)
 
 
+@one_thread
 def excitation(records: Records, omega: Array | None = None) -> Excitation:
     """How much of the inputs comes from outside and not back from the outputs.
 

@@ -16,6 +16,7 @@ from casid.autoregression import LAGS, SPAN, apart, autoregression, filled, slow
 from casid.record import Record
 from casid.repetition import least_step
 from casid.samples import MAD, runs
+from casid.threads import one_thread
 
 PASSES = 8  # at most, in which outliers are looked for
 FEWEST = 50  # samples of a channel in which outliers are looked for
@@ -32,6 +33,7 @@ MOSTLY = 0.25  # of a channel between such jumps: that is its way
 SLIGHT = 0.05  # of a channel's deviation: what is less does no harm
 
 
+@one_thread
 def outliers(record: Record) -> BoolArray:
     """Samples of outputs that neither those before and after nor the other channels bear out.
 

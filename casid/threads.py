@@ -7,6 +7,7 @@ threads that wait for each other cost more than the arithmetic.
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from contextvars import copy_context
 from functools import cache, wraps
 from multiprocessing import parent_process
@@ -29,11 +30,17 @@ def one_thread(function: Callable[P, T]) -> Callable[P, T]:
     """A function during which linear algebra has one thread; afterwards, as many as before."""
 
     @wraps(function)
-    def limited(*args: P.args, **kwargs: P.kwargs) -> T:
-        with _libraries().limit(limits=1, user_api="blas"):
+    def alone(*args: P.args, **kwargs: P.kwargs) -> T:
+        with limited():
             return function(*args, **kwargs)
 
-    return limited
+    return alone
+
+
+def limited() -> AbstractContextManager[object]:
+    """A context in which linear algebra has one thread."""
+    context: AbstractContextManager[object] = _libraries().limit(limits=1, user_api="blas")
+    return context
 
 
 def cores() -> int:

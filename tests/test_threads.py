@@ -6,11 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from threadpoolctl import threadpool_info, threadpool_limits
 from truths.structures import Lag
 from truths.systems import LAG, white
 
-from casid import frequency_response, match, output_error, pbsid, select_order, validate
+from casid import (
+    excitation,
+    frequency_response,
+    kinematic_check,
+    match,
+    output_error,
+    pbsid,
+    select_order,
+    validate,
+)
+from casid.cli import main
+from casid.commands.data import new_model_command
 
 RECORD = replace(white(LAG, np.random.default_rng(0), duration=60.0, noise=0.05), outputs=("x",))
 OMEGA = np.array([1.5, 2.0, 3.0])
@@ -21,6 +33,8 @@ CALLS = {
     "frequency_response": lambda records: frequency_response(records, omega=OMEGA),
     "output_error": lambda records: output_error(Lag(), records, interval=5.0),
     "match": lambda target: match(Lag(), target, norm="quadratic"),
+    "kinematic_check": kinematic_check,
+    "excitation": excitation,
     "validate": lambda records: validate({"truth": Lag()}, records),
 }
 
@@ -74,4 +88,12 @@ def test_estimators_compute_with_one_thread_and_restore_the_rest(name):
 def test_an_error_restores_the_threads_too():
     with pytest.raises(ValueError, match="order"):
         pbsid([RECORD], **(PBSID | {"order": -1}))
+    assert threads() == {2}
+
+
+def test_commands_compute_with_one_thread(monkeypatch):
+    seen = []
+    monkeypatch.setattr(new_model_command, "callback", lambda **_: seen.append(threads()))
+    assert CliRunner().invoke(main, ["new-model", "Own"]).exit_code == 0
+    assert seen == [{1}]
     assert threads() == {2}

@@ -28,6 +28,7 @@ from casid.outlying import outliers
 from casid.record import Record
 from casid.records import Records, several
 from casid.samples import bursts
+from casid.threads import one_thread
 
 SEEN = 0.5  # m: the largest error of an accelerometer's place
 LEVEL = 0.005  # rad
@@ -134,6 +135,7 @@ class KinematicCheck(Shown):
         return not self.remarks
 
 
+@one_thread
 def kinematic_check(records: Records, *, trim: Mapping[str, float] | None = None) -> KinematicCheck:
     """Scale, bias and skew of rates and specific forces that make records consistent.
 

@@ -36,6 +36,7 @@ from casid.outlying import outliers
 from casid.record import REST, Record
 from casid.structure.modelfile import load_model, locate_model
 from casid.textfile import write_text
+from casid.threads import one_thread
 
 KEPT = 4  # of as many stretches one is kept for validation
 FIRST = 0.6  # of a single stretch that identifies
@@ -110,6 +111,7 @@ class Draft:
 
 
 @checked
+@one_thread
 def import_log(
     path: str | Path,
     folder: str | Path | None = None,
