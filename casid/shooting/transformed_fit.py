@@ -32,7 +32,7 @@ from casid.shooting.frequency import (
 )
 from casid.shooting.lines import Lines, transformed
 from casid.shooting.precision import OutputErrorNotes, Precision, verdict
-from casid.shooting.sides import searched
+from casid.shooting.sides import done, searched
 from casid.shooting.spectrum import (
     NoiseSpectrum,
     coherent,
@@ -62,6 +62,8 @@ def estimate(
     held = _spectra_of(near, lines) if R is None else white(lines, np.diag(R))
     beside = held is not None and near is not None
     outcome = searched(free, lines, close(options) if beside else options, held)
+    if beside and not done(outcome):  # not so close after all
+        outcome = searched(free, lines, options, held)
     fit = _fit(model, outcome, begin, estimated=R is None)
     if not fit.success:
         raise ConvergenceError(f"{METHOD}: {fit.status}", fit)

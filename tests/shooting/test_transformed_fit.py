@@ -45,6 +45,22 @@ def test_the_start_from_a_neighbour_of_more_records_changes_the_effort_only():
         assert one.value == pytest.approx(other.value, abs=1e-3 * other.std_error)
 
 
+def test_a_neighbour_that_leads_nowhere_does_no_harm(monkeypatch):
+    records, tried = campaign(5), []
+    estimator = OutputError(domain="frequency")
+    wide = estimator.fit(TRUTH, records)
+
+    def hasty(options):
+        tried.append(options)
+        return replace(options, max_iterations=1)
+
+    monkeypatch.setattr("casid.shooting.transformed_fit.close", hasty)
+    start = replace(TRUTH, Lp=0.7 * TRUTH.Lp)
+    again = estimator.fit(start, records, near=wide)
+    assert len(tried) == 1
+    assert again.cost == pytest.approx(wide.cost, abs=1e-4)
+
+
 def test_a_prior_adds_its_information():
     records, R = campaign(5), np.diag([NOISE[name] ** 2 for name in TRUTH.outputs])
     alone = output_error(TRUTH, records, R=R, domain="frequency")["Lp"]
