@@ -47,6 +47,30 @@ def test_a_neighbour_of_more_records_shortens_the_way_too():
     np.testing.assert_allclose(warm.biases, cold.biases, atol=1e-5)
 
 
+def test_a_stretch_leads_back_by_its_own_delay_and_not_by_others_that_press_on_theirs(monkeypatch):
+    model, R = replace(TRUTH, tau=0.061), np.diag([0.05, 0.005, 0.005]) ** 2
+    wide = free_parameters(model)
+    programme, point = starting_programme(
+        Evaluator(wide, lay_out([noisy(1)], 2.0)), wide, R, biases=True
+    )
+    x, upper = programme.pack(point), replace(wide, upper=wide.upper.copy())
+    a, other = (wide.names.index(name) for name in ("tau", "Lp"))
+    upper.upper[wide.index[[a, other]]] = 0.06, point.lam[other] - 0.01
+    inside = programme.variant(free=upper)
+    (low, high), _ = inside.limits()
+
+    def leads_back(pressing):
+        there, prices = x.copy(), np.zeros(len(x))
+        there[[a, other]] = (low + high)[[a, other]] / 2
+        there[pressing] = high[pressing]
+        prices[pressing] = 10 / ((high - low)[pressing] * programme.n)
+        monkeypatch.setattr("casid.shooting.search.predicted", lambda *_: (there, (prices, 0)))
+        return Search(wide, SolverOptions())._leads_back(inside, x, a)
+
+    assert leads_back(a)
+    assert not leads_back(other)
+
+
 def jerky(model, seed):
     """A record whose sticks bend at every sample: likely most so on a whole sample of delay."""
     rng = np.random.default_rng(seed)
