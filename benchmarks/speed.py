@@ -36,7 +36,7 @@ from benchmarks.tables import table
 from casid import Execution, OutputError, Record, StateSpace, bootstrap, excitation, match, pbsid
 from casid.bounds.trials import Fits
 from casid.jobs.campaigns import Job, run_jobs
-from casid.shooting.convolution import Convolution, Powers
+from casid.shooting.convolution import Convolution, convolved
 from casid.threads import one_thread
 from models.six_dof import SixDof
 
@@ -252,8 +252,9 @@ def times_the_bound(
     seconds = min(whole - built for *_, built, whole in runs)
     programme, _, solution, *_ = runs[0]
     sweep = programme.blocks(solution.x).sweep
-    powers = Powers.of(sweep.matrices.A, sweep.steps.uniform()[0])
-    ways = flops(programme, Convolution(sweep, powers))
+    shared = convolved(sweep)
+    assert shared is not None
+    ways = flops(programme, shared)
     square = np.random.default_rng(0).standard_normal((800, 800))
     rate = 2 * 800**3 / best(lambda: square @ square, 5 * tries)
     work = sum(record.N for record in records) * (solution.iterations + 1)

@@ -90,23 +90,27 @@ def integral_slopes(A: Array, times: Array, A_lam: Array) -> Array:
     """
     size = np.abs(A).sum(axis=0).max() * np.abs(times).max(initial=0.0)
     doublings = max(0, int(np.ceil(np.log2(max(2 * size, 1e-300)))))
-    r = times / 2.0**doublings
-    power = np.concatenate([np.eye(len(A))[None], np.zeros((A_lam.shape[2], *A.shape))])
-    step = np.moveaxis(A_lam, 2, 0)
-    factor = np.array([np.ones_like(r), r, r * r / 2])  # r^(n+p) / (n+p)!
-    P = np.zeros((3, len(r), *power.shape))
-    for n in range(18):
-        P += factor[:, :, None, None, None] * power
-        factor = factor * r / (n + 1 + np.arange(3))[:, None]
-        power = np.concatenate([A @ power[:1], A @ power[1:] + step @ power[0]])
+    r, (nx, _, nf) = times / 2.0**doublings, A_lam.shape
+    slope = A_lam.transpose(0, 2, 1).reshape(nx * nf, nx)
+    powers = np.zeros((18, nx, 1 + nf, nx))  # and behind each, in the middle, its derivatives
+    powers[0, :, 0] = np.eye(nx)
+    factors = np.empty((18, 3, len(r)))  # r^(n+p) / (n+p)!
+    factors[0] = np.ones_like(r), r, r * r / 2
+    for n in range(17):
+        powers[n + 1] = (A @ powers[n].reshape(nx, -1)).reshape(nx, 1 + nf, nx)
+        powers[n + 1, :, 1:] += (slope @ powers[n, :, 0]).reshape(nx, nf, nx)
+        factors[n + 1] = factors[n] * r / (n + 1 + np.arange(3))[:, None]
+    P = (factors.reshape(18, -1).T @ powers.reshape(18, -1)).reshape(3, len(r), nx, 1 + nf, nx)
     for _ in range(doublings):
-        E, old = P[0, :, :1], P.copy()
-        P[1:] += E @ old[1:]
-        P[0] = E @ old[0]
-        P[:, :, 1:] += old[0, :, 1:] @ old[:, :, :1]
+        old, E = P.copy(), P[0, :, :, 0].copy()
+        ahead = (E @ old.reshape(3, len(r), nx, -1)).reshape(P.shape)
+        P[0] = ahead[0]
+        P[1:] += ahead[1:]
+        moved = old[0, :, :, 1:].reshape(len(r), nx * nf, nx) @ old[:, :, :, 0]
+        P[:, :, :, 1:] += moved.reshape(3, len(r), nx, nf, nx)
         P[2] += r[:, None, None, None] * old[1]
         r = 2 * r
-    return np.moveaxis(P, 2, 4)
+    return np.moveaxis(P, 3, 4)
 
 
 def break_forcing(held: DelayedInput, A: Array, B: Array, order: int) -> Array:

@@ -26,7 +26,8 @@ from casid.threads import on_all_cores
 STEPS = 16  # samples of an interval whose signals are held at once
 BYTES = 1.5e6  # of signals held at once by a thread: they stay in the cache
 AT_ONCE = 8  # steps that one product filters
-ROUNDING = 1e-12  # by which powers of A_d may miss the space of the M_i, relative
+ROUNDING = 1e-11  # by which powers of A_d may miss their sum of M_i, of the largest so far
+DEPENDENT = 1e-12  # what is left of a power of A that the others make, relative
 
 
 def summed(sweep: Sweep) -> Sums:
@@ -41,7 +42,8 @@ def convolved(sweep: Sweep) -> "Convolution | None":
     alike = type(sweep) is Sweep and len(layout.classes) == 1 and (layout.pattern == 0).all()
     if not alike or e.filtering:
         return None
-    powers = Powers.of(sweep.matrices.A, sweep.steps.uniform()[0])
+    longest = int(layout.count.max(initial=0))
+    powers = Powers.of(sweep.matrices.A, sweep.steps.uniform()[0], longest)
     shared = None if powers is None else Convolution(sweep, powers)
     return shared if shared is not None and shared.pays else None
 
@@ -55,10 +57,11 @@ class Powers:
     start: Array  # (d,) h_0
 
     @classmethod
-    def of(cls, A: Array, Ad: Array) -> "Powers | None":
+    def of(cls, A: Array, Ad: Array, steps: int) -> "Powers | None":
         """Of the transition matrix A_d = exp(A h), both (nx, nx); None if rounding is in the way.
 
-        The space is that of the polynomials of A, whose own scale keeps them apart better.
+        The space is that of the polynomials of A, whose own scale keeps them apart better. What
+        rounding does grows with the power, and is seen in those of 1, 2, 4, ... ``steps`` samples.
         """
         if not (np.isfinite(A).all() and np.isfinite(Ad).all()):
             return None
@@ -71,16 +74,21 @@ class Powers:
             size = np.linalg.norm(new)
             for _ in range(2):  # once more, for what rounding left
                 new = new - basis.T @ (basis @ new)
-            if np.linalg.norm(new) <= ROUNDING * size:
+            if np.linalg.norm(new) <= DEPENDENT * size:
                 break
             basis = np.vstack([basis, new / np.linalg.norm(new)])
         M = basis.reshape(-1, nx, nx)
         after = ((Ad * scale) @ M).reshape(len(M), -1)
         H = basis @ after.T
-        if np.abs(after.T - basis.T @ H).max() > ROUNDING * np.abs(after).max():
-            return None
         start = np.zeros(len(M))
         start[0] = np.sqrt(nx)
+        power, ahead, largest = Ad * scale, H, 1.0
+        for _ in range(int(steps).bit_length() + 1):
+            missed = np.abs(power.ravel() - basis.T @ (ahead @ start)).max()
+            largest = max(largest, np.abs(power).max())
+            if not missed <= ROUNDING * largest:
+                return None
+            power, ahead = power @ power, ahead @ ahead
         return cls(M / scale, H, start)
 
     def along(self, steps: int) -> Array:
@@ -128,18 +136,18 @@ class Convolution:
         self.filtered = d * len(live)
         self._one = self.filtered + len(direct)
         self.count = self._one + 1 + ny + d
-        out = np.zeros((self.count, ny, nf + nx + ny + 1))
-        out[: self.filtered, :, :nf] = m.C @ self._states
-        out[self.filtered : self._one, :, :nf] = sweep.drive[:, direct].transpose(1, 0, 2)
-        out[self._one, :, nf + nx : -1] = np.eye(ny)
-        out[self._one + 1 : -d, :, -1] = np.eye(ny)
-        out[-d:, :, nf : nf + nx] = m.C @ powers.M
-        self._out = np.ascontiguousarray((sweep.W[0] @ out).transpose(1, 0, 2))  # (ny, signals, nc)
+        rest = np.zeros((self.count - self.filtered, ny, nf + nx + ny + 1))
+        rest[: len(direct), :, :nf] = sweep.drive[:, direct].transpose(1, 0, 2)
+        rest[len(direct), :, nf + nx : -1] = np.eye(ny)
+        rest[len(direct) + 1 : -d, :, -1] = np.eye(ny)
+        rest[-d:, :, nf : nf + nx] = m.C @ powers.M
+        self._rest = sweep.W[0] @ rest  # what whitened outputs make of the unfiltered signals
+        self._seen = self._rest[-d:, :, nf : nf + nx]  # (d, ny, nx) W C M_i
 
     @property
     def pays(self) -> bool:
         """Whether the Gram matrix of the signals is less work than that of the sensitivities."""
-        return bool(self.count**2 < self._out.shape[0] * self._out.shape[2] ** 2)
+        return bool(self.count**2 < self._rest.shape[1] * self._rest.shape[2] ** 2)
 
     def sums(self) -> Sums:
         """Blocks of all records and intervals; the same however many threads there are."""
@@ -160,11 +168,24 @@ class Convolution:
 
     def _add_records(self, records: Array, whole: Array, totals: Array) -> None:
         """What the signals' Gram matrix (s, s) and totals (records, s) add to `Sums.records`."""
-        out = self._out[:, : len(whole)]
-        records[0] += (out.transpose(0, 2, 1) @ (whole @ out)).sum(axis=0)
+        e, f, d = self.sweep.e, self.filtered, len(self.powers.M)
+        live, nf, nc = f // d, e.nf, self._rest.shape[2]
+        own, rest = records[0], self._rest[:-d]
+        seen = whole[f:, f:] @ rest.reshape(-1, e.ny * nc)
+        own += rest.reshape(-1, nc).T @ seen.reshape(-1, nc)
+        pairs = whole[:f, :f].reshape(d, live, d, live).transpose(1, 3, 2, 0).reshape(-1, d * d)
+        both = (pairs @ self._twice).reshape(live, live, e.nx, e.nx).swapaxes(1, 2)
+        own[:nf, :nf] += self._drive.T @ both.reshape(live * e.nx, -1) @ self._drive
+        mixed = self._drive.T @ self._heard(whole[f:, :f].reshape(-1, d, live), rest)
+        own[:nf] += mixed
+        own[:, :nf] += mixed.T
         # A bias moves each output by the signal that is one: each record's is that row of its own.
-        b = slice(-1 - len(out), -1)
-        rows = np.einsum("ob,orc->rbc", out[:, self._one, b], totals @ out)
+        b, one = slice(-1 - e.ny, -1), rest[self._one - f]
+        moved = np.tensordot(totals[:, f:], rest, axes=1)
+        driven = totals[:, :f].reshape(-1, d, live).swapaxes(1, 2) @ self._seen.reshape(d, -1)
+        driven = driven.reshape(-1, live, e.ny, e.nx).swapaxes(1, 2)
+        moved[:, :, :nf] += driven.reshape(*moved.shape[:2], -1) @ self._drive
+        rows = one[:, b].T @ moved
         records[:, b], records[:, :, b] = rows, rows.transpose(0, 2, 1)
 
     def moments(self, weight: Array, last: Array) -> tuple[Array, Array]:
@@ -262,24 +283,29 @@ class Convolution:
         return y
 
     @cached_property
-    def _felt(self) -> tuple[Array, Array]:
-        """What the node feels of unfiltered signals, (p d, nx nc), and of filtered, (d², nx²)."""
+    def _twice(self) -> Array:
+        """(W C M_i)ᵀ W C M_j, rows (j, i) and columns by state of the first and of the second."""
         e, d = self.sweep.e, len(self.powers.M)
-        of_node = self._out[:, -d:, e.nf : e.nf + e.nx]  # W C M_i, (ny, d, nx)
-        plain = np.einsum("cix,csz->sixz", of_node, self._out[:, self.filtered :], optimize=True)
-        driven = np.einsum("cix,cjz->jixz", of_node, of_node, optimize=True)
-        return plain.reshape(plain.shape[0] * d, -1), driven.reshape(d * d, -1)
+        flat = self._seen.swapaxes(1, 2).reshape(d * e.nx, -1)
+        both: Array = (flat @ flat.T).reshape(d, e.nx, d, e.nx)
+        return both.transpose(2, 0, 1, 3).reshape(d * d, -1)
+
+    def _heard(self, cross: Array, rest: Array) -> Array:
+        """Rows (n nx, nc): Σ (W C M_i)ᵀ of unfiltered signals, from Σ of these and h (p, d, n)."""
+        (_, d, n), (p, ny, nc) = cross.shape, rest.shape
+        through = cross.transpose(2, 0, 1).reshape(-1, d) @ self._seen.reshape(d, -1)
+        through = through.reshape(n, p, ny, -1).transpose(0, 3, 1, 2)
+        return np.asarray(through.reshape(-1, p * ny) @ rest.reshape(-1, nc))
 
     def _of_nodes(self, cross: Array) -> Array:
         """Rows (n, nx, nc) of the nodes from Σ z hᵀ (signals, d, n)."""
         e, (_, d, n) = self.sweep.e, cross.shape
-        plain, felt = self._felt
-        rows = (cross[self.filtered :].reshape(-1, n).T @ plain).reshape(n, e.nx, -1)
+        rows = self._heard(cross[self.filtered :], self._rest).reshape(n, e.nx, -1)
         # What parameters drive is felt as what nodes are: W C M_i, for each of the signals' i.
         driven = cross[: self.filtered].reshape(d, -1, d, n).transpose(3, 1, 0, 2)
-        driven = (driven.reshape(-1, d * d) @ felt).reshape(n, -1, e.nx, e.nx).swapaxes(1, 2)
+        driven = (driven.reshape(-1, d * d) @ self._twice).reshape(n, -1, e.nx, e.nx).swapaxes(1, 2)
         rows[:, :, : e.nf] += driven.reshape(n, e.nx, -1) @ self._drive
-        return np.asarray(rows)
+        return rows
 
     def _of_ends(self, ends: Array) -> Array:
         """Derivatives (n, nx, nf + nx + ny) of the end states from the signals there."""

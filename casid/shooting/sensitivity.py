@@ -21,15 +21,14 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.free import Free
-from casid.intersample import DelayedInput, delayed_input, integrals
-from casid.record import Record
+from casid.intersample import DelayedInput, integrals
+from casid.shooting.delayed import Delayed
 from casid.shooting.gains import Gains
 from casid.shooting.intervals import Layout
 from casid.shooting.kalman import filter_gains
 from casid.shooting.stepping import Steps, propagated
 from casid.shooting.unknowns import FilterFunction, FilterMatrices, GainUnknowns, NoiseUnknowns
 
-LATE = 1e-6  # of a sampling interval: the delay that stands for 0 if it may grow
 BLOCK = 16  # samples of every interval whose Jacobian rows are held at once
 BATCH_BYTES = 8e6  # of Jacobian rows held at once: they stay in the cache
 PIECE_BYTES = 64e6  # of a record's total derivatives held at once
@@ -114,15 +113,14 @@ class Evaluator:
         self.nx, self.nu, self.ny = len(model.states), len(model.inputs), len(model.outputs)
         self.nf = self.matrices.nf
         self.constants = [model.states.index(name) for name in model.constant_states]
-        self._within: Array | None = None
-        self._held: tuple[bytes, list[DelayedInput]] | None = None
+        self.delayed = Delayed(layout.records)
         self._steps: tuple[FilterMatrices, Gains | None, Steps] | None = None
         self._gains: tuple[bytes, bool, Gains] | None = None
 
     def within(self, delays: Array | None) -> Self:
         """The same, samples passed as for these delays (nu,) instead of τ; NaN follows τ."""
         other = copy.copy(self)
-        other._within, other._held, other._steps = delays, None, None
+        other.delayed, other._steps = self.delayed.within(delays), None
         return other
 
     def sweep(self, point: Point, motion: Motion, W: Array) -> "Sweep":
@@ -147,15 +145,15 @@ class Evaluator:
 
     def held(self, m: FilterMatrices) -> list[DelayedInput]:
         """Delayed inputs of every record."""
-        key = m.tau.tobytes()
-        if self._held is None or self._held[0] != key:
-            self._held = key, [self._held_by(m, record) for record in self.layout.records]
-        return self._held[1]
+        return self.delayed.at(m).inputs
 
     def steps(self, m: FilterMatrices, gains: Gains | None) -> Steps:
         """The steps of all intervals; a sweep mostly follows a simulation, which has made them."""
         if self._steps is None or self._steps[0] is not m or self._steps[1] is not gains:
-            self._steps = m, gains, Steps(m, self.layout, self.held(m), self.filtering, gains)
+            held = self.delayed.at(m)
+            breaks = held.columns(self.layout.records, m.A)
+            steps = Steps(m, self.layout, held.inputs, breaks, self.filtering, gains)
+            self._steps = m, gains, steps
         return self._steps[2]
 
     def gains(self, lam: Array, *, slopes: bool = False) -> Gains | None:
@@ -178,16 +176,6 @@ class Evaluator:
     def densities(self, lam: Array) -> Array | None:
         """Of the noises that drive the states (nx,), if those are estimated."""
         return self.matrices(lam).Q if self.kalman else None
-
-    def _held_by(self, m: FilterMatrices, record: Record) -> DelayedInput:
-        """Delayed inputs; a delay on its bound 0 counts as one to come, but where outputs jump."""
-        late = m.tau_lam.any(axis=1)
-        if record.hold == "zoh":
-            late &= ~m.D.any(axis=0)
-        within = np.where(late, np.maximum(m.tau, LATE * record.dt), m.tau)
-        if self._within is not None:
-            within = np.where(np.isnan(self._within), within, self._within)
-        return delayed_input(record.t, record.u, m.tau, record.hold, within)
 
     def nowhere(self) -> Motion:
         """The motion where nothing can be computed: not numbers."""

@@ -20,9 +20,9 @@ from casid.arrays import Array, ComplexArray
 from casid.evaluation import Matrices, MatrixFunction
 from casid.free import Free
 from casid.intersample import ORDER, DelayedInput, delayed_input, integral_slopes
+from casid.shooting.delayed import LATE
 from casid.shooting.lines import Lines, held_lines
 
-LATE = 1e-6  # of a sampling interval: the delay that stands for 0 if it may grow
 PORTION = 1000  # lines whose derivatives are held at once before they are joined
 RANK = 1e-13  # eigenvalue of the transient's information, to unit diagonal, that counts as zero
 

@@ -109,8 +109,8 @@ def propagated(
 class Steps:
     """The steps of all sampling intervals of a layout at one parameter set.
 
-    ``held`` are the inputs of every record, ``filtering`` says whether innovations drive the
-    states, by ``gains`` if those change from sample to sample.
+    ``held`` are the inputs of every record with their ``breaks``, ``filtering`` says whether
+    innovations drive the states, by ``gains`` if those change from sample to sample.
     """
 
     def __init__(
@@ -118,6 +118,7 @@ class Steps:
         matrices: FilterMatrices,
         layout: Layout,
         held: Sequence[DelayedInput],
+        breaks: Breaks,
         filtering: bool,
         gains: Gains | None = None,
     ) -> None:
@@ -125,8 +126,7 @@ class Steps:
         self.inputs = np.hstack(
             [np.concatenate([getattr(part, name) for part in held]) for name in ("value", "slope")]
         )
-        holds = [r.hold for r in layout.records]
-        self._breaks = collect_breaks(held, holds, matrices.A)
+        self._breaks = breaks
         members = list(octaves(layout.classes))
         tables = [interpolation(layout.classes[each], matrices.A) for each in members]
         self._group_of = np.empty(len(layout.classes), dtype=int)
@@ -247,7 +247,7 @@ class _Maps:
         """P_p M (n, nx, k) and its derivative (n, nx, k, nf)."""
         P = self.P[p]
         slope = np.tensordot(P[..., 0], M_lam, axes=1)
-        slope[..., self._moving] += np.einsum("nija,jk->nika", P[..., 1:], M)
+        slope[..., self._moving] += np.moveaxis(np.moveaxis(P[..., 1:], 3, 2) @ M, 2, 3)
         return P[..., 0] @ M, slope
 
     def jump(self, breaks: Breaks, first: int) -> tuple[Array, Array]:

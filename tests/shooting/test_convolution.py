@@ -35,8 +35,12 @@ def swept(model, records, interval, covariance, more=None):
 
 def shared(sweep):
     """The blocks by signals, whether or not that is less work."""
-    Ad = sweep.steps.uniform()[0]
-    return Convolution(sweep, Powers.of(sweep.matrices.A, Ad)).sums()
+    return signals(sweep).sums()
+
+
+def signals(sweep):
+    Ad, longest = sweep.steps.uniform()[0], sweep.layout.count.max()
+    return Convolution(sweep, Powers.of(sweep.matrices.A, Ad, longest))
 
 
 def check_same(found, expected, nf, nx, record, tolerance=1e-12):
@@ -87,23 +91,26 @@ def test_moments_are_those_of_the_sensitivities(hold, monkeypatch):
     sweep, rng = swept(replace(TRUTH, tau=0.025), records, 1.7, R), np.random.default_rng(3)
     weight = rng.standard_normal((sum(record.N for record in records), 6))
     last = rng.standard_normal((len(sweep.layout.count), 3))
-    signals = Convolution(sweep, Powers.of(sweep.matrices.A, sweep.steps.uniform()[0]))
     for mine, expected in zip(
-        signals.moments(weight, last), _moments(sweep, weight, last), strict=True
+        signals(sweep).moments(weight, last), _moments(sweep, weight, last), strict=True
     ):
         size = np.abs(expected).max(axis=0)
         np.testing.assert_allclose(mine / size, expected / size, atol=1e-11)
 
 
+def rotor():
+    """A lightly damped mode, a fast lag and slow modes in states that mix them all."""
+    modes = scipy.linalg.block_diag([[-2.0, 30.0], [-30.0, -2.0]], [[-25.0]], np.diag([0.5, 0, 0]))
+    T = np.random.default_rng(6).standard_normal((6, 6))
+    return np.linalg.solve(T, modes @ T)
+
+
 def test_powers_of_a_matrix_lie_in_the_space():
-    rng = np.random.default_rng(6)
-    rotor = scipy.linalg.block_diag([[-2.0, 30.0], [-30.0, -2.0]], [[-25.0]], np.diag([0.5, 0, 0]))
-    T = rng.standard_normal((6, 6))
     for A in (
-        SixDof().system().A, np.diag(np.ones(4), 1), np.zeros((3, 3)), np.linalg.solve(T, rotor @ T)
+        SixDof().system().A, np.diag(np.ones(4), 1), np.zeros((3, 3)), rotor()
     ):  # fmt: skip
         Ad = scipy.linalg.expm(0.02 * A)
-        powers = Powers.of(A, Ad)
+        powers = Powers.of(A, Ad, 120)
         for m in (0, 1, 7, 120):
             h = np.linalg.matrix_power(powers.H, m) @ powers.start
             expected = np.linalg.matrix_power(Ad, m)
@@ -112,7 +119,21 @@ def test_powers_of_a_matrix_lie_in_the_space():
 
 
 def test_matrices_that_are_not_numbers_are_left_to_the_sensitivities():
-    assert Powers.of(np.full((2, 2), np.nan), np.eye(2)) is None
+    assert Powers.of(np.full((2, 2), np.nan), np.eye(2), 100) is None
+
+
+def test_powers_that_rounding_spoils_are_left_to_the_sensitivities():
+    A, given = rotor(), []
+    Ad = scipy.linalg.expm(0.02 * A)
+    for steps in (100, 400, 3200, 12800):
+        powers = Powers.of(A, Ad, steps)
+        given.append(powers is not None)
+        for m in (1, steps // 7, steps) if given[-1] else ():
+            h = np.linalg.matrix_power(powers.H, m) @ powers.start
+            found, expected = np.tensordot(h, powers.M, axes=1), scipy.linalg.expm(0.02 * m * A)
+            np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+    assert given[0]
+    assert not given[-1]
 
 
 def test_the_number_of_threads_changes_no_bit(monkeypatch):

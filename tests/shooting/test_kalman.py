@@ -13,7 +13,7 @@ from casid.free import free_parameters
 from casid.shooting.innovation import starting_noises
 from casid.shooting.intervals import lay_out
 from casid.shooting.sensitivity import Evaluator, Point
-from casid.shooting.stepping import Steps
+from casid.shooting.stepping import Steps, collect_breaks
 
 FREE = free_parameters(TRUTH)
 
@@ -54,7 +54,8 @@ def test_the_likelihood_is_that_of_a_filter_written_out_whatever_is_missing():
     told = evaluator.gains(lam).cost(motion.residuals)
     # It corrects the states at a sample, then predicts; what inputs do is tested elsewhere.
     held = evaluator.held(m)
-    forcing = Steps(m, evaluator.layout, held, True).forcing()
+    breaks = collect_breaks(held, [record.hold], m.A)
+    forcing = Steps(m, evaluator.layout, held, breaks, True).forcing()
     P, x, cost = np.zeros((3, 3)), x0, 0.0
     step = np.median(np.diff(record.t))
     Ad, Qd = noise_over(m.A, np.diag(m.Q), np.diff(record.t)[0])
@@ -93,6 +94,7 @@ def test_gains_and_covariances_follow_every_unknown_also_where_channels_are_miss
             np.testing.assert_allclose(slope, by_difference, atol=1e-5 * size)
 
 
+@pytest.mark.slow
 def test_in_still_air_the_filter_is_output_error():
     records = [noisy(1).between(0, 6), noisy(2).between(0, 6)]
     plain = output_error(TRUTH, records)

@@ -11,7 +11,7 @@ from truths.closed_roll import TRUTH, flown, jittered
 from casid.free import free_parameters
 from casid.intersample import delayed_input
 from casid.shooting.intervals import lay_out
-from casid.shooting.stepping import Steps, propagated
+from casid.shooting.stepping import Steps, collect_breaks, propagated
 from casid.shooting.unknowns import FilterFunction, GainUnknowns
 
 FREE = free_parameters(TRUTH)
@@ -22,7 +22,8 @@ def stepped(record, matrices, gain=None):
     """States, and forcing alone, one step after every sample from given states."""
     layout = lay_out([record], 1e9)
     held = [delayed_input(record.t, record.u, matrices.tau, record.hold)]
-    return Steps(matrices, layout, held, gain is not None), layout
+    breaks = collect_breaks(held, [record.hold], matrices.A)
+    return Steps(matrices, layout, held, breaks, gain is not None), layout
 
 
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
