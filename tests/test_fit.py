@@ -190,6 +190,7 @@ def test_a_file_says_its_kind_and_version(tmp_path):
     assert (content["casid"], content["version"]) == ("fit", 2)
 
 
+@pytest.mark.slow
 def test_a_process_that_has_imported_nothing_reads_the_fits_of_every_estimator(tmp_path):
     truth = closed_roll.Roll()
     omega = np.geomspace(0.3, 12.0, 20)

@@ -241,6 +241,7 @@ def test_the_prediction_is_right_to_first_order():
 # ---- rows and tables -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_tables_are_the_same_every_time_and_in_any_process(tmp_path):
     cases = {f"a < {k}": {"a": f"< {k}"} for k in (0.99, 0.98, 0.97, 0.96)}
     texts = []

@@ -127,6 +127,7 @@ def test_a_way_that_fails_on_all_manoeuvres_is_not_tried_without_each():
     assert Failing.tried == 1
 
 
+@pytest.mark.slow
 def test_candidates_of_two_processes_are_those_of_one():
     ways = {"time": OutputError(interval=2.0), "frequency": OutputError(domain="frequency")}
     given = {"candidates": dict.fromkeys(ways, TRUTH), "records": RECORDS, "estimator": ways}

@@ -278,6 +278,7 @@ def test_a_mistake_in_signs_or_units_is_named(mistake, noisy):
     assert any(said.startswith(begin[:-1]) and word in said for said in remarks), remarks
 
 
+@pytest.mark.slow
 def test_an_equation_that_lacks_a_channel_says_less():
     # The yaw rate turns bank too, by tan(theta) of it: some per cent.
     error = {"p": (0.08, 0.0, 0.0)}
@@ -289,6 +290,7 @@ def test_an_equation_that_lacks_a_channel_says_less():
     assert untold == ()
 
 
+@pytest.mark.slow
 def test_a_velocity_that_two_mistakes_spoil_follows_from_nothing():
     check = kinematic_check([times(times(flight(0, None, NOISE), "w", -1.0), "u", 0.3)])
     assert any(said.startswith("w does not follow") for said in check.remarks)
@@ -450,6 +452,7 @@ def test_a_run_of_outliers_is_told_and_leaves_the_check_as_it_is(channel):
     assert f"{said}; in a row 60 from 14 to 15.18 s" in check.notes
 
 
+@pytest.mark.slow
 def test_skew_is_found_to_five_milliseconds_among_outliers_and_losses():
     rng = np.random.default_rng(5)
     spoiled = []

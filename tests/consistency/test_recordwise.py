@@ -24,6 +24,7 @@ def flown(clocks, outputs=OUTPUTS, late=ANGLES):
 
 
 @pytest.mark.parametrize("clocks", [(0.1, -0.2, 0.15), (0.0, 0.0, 0.3), (0.0, 0.03)], ids=str)
+@pytest.mark.slow
 def test_clocks_that_differ_are_told_record_by_record_and_no_scale_is(clocks):
     check = kinematic_check(flown(clocks))
     (said,) = check.remarks
@@ -37,12 +38,14 @@ def test_clocks_that_differ_are_told_record_by_record_and_no_scale_is(clocks):
 
 
 @pytest.mark.parametrize("clocks", [(0.0, 0.0, 0.0), (0.1, 0.1, 0.1)], ids=str)
+@pytest.mark.slow
 def test_one_clock_of_all_records_is_none_of_each(clocks):
     check = kinematic_check(flown(clocks))
     assert check.by_record == ()
     assert {*check.shifts} == ({*RATES} if any(clocks) else set())
 
 
+@pytest.mark.slow
 def test_one_late_channel_that_records_tell_of_unlike_well_is_no_clock(monkeypatch):
     # Of sweeps: each moves rates of its own, whose skews against one late attitude differ. By
     # no more than noise: none is reconstructed by itself.

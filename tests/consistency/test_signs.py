@@ -45,6 +45,7 @@ def test_dirty_records_of_any_speed_name_it_too(name, regime):
 
 
 @pytest.mark.parametrize("late", [{}, {"p": 0.06}], ids=["alone", "beside a late rate"])
+@pytest.mark.slow
 def test_other_mistakes_are_told_as_of_the_channel_set_upright(late):
     records = reversed_in(flown(102, late=late), "theta")
     check = kinematic_check(changed(records, "q", lambda q: 1.2 * q))
@@ -61,6 +62,7 @@ def test_without_velocities_and_turns_bank_and_roll_rate_cannot_be_told_apart():
     assert said.endswith("it or phi has the opposite sign")
 
 
+@pytest.mark.slow
 def test_a_flow_angle_upside_down_is_named_and_not_the_velocity_made_of_it():
     records = flown(104)
     found = []

@@ -46,6 +46,7 @@ def test_bias_is_that_of_the_windows_bandwidth():
 
 
 @pytest.mark.parametrize(("method", "runs"), [("local", 40), ("windows", 80)])
+@pytest.mark.slow
 def test_random_error_is_the_scatter_over_realisations(method, runs):
     rng = np.random.default_rng(4)
     omega = np.geomspace(2.0, 12.0, 8)
@@ -234,6 +235,7 @@ def spoiled(record, rng, share=0.01, gaps=2, length=0.5):
     return dataclasses.replace(record, y=y)
 
 
+@pytest.mark.slow
 def test_losses_cost_next_to_nothing_and_the_stated_error_covers_what_they_do(swept):
     truth, rng = uh60.oracle().response(OMEGA), np.random.default_rng(0)
     size, inside = [], []
@@ -249,6 +251,7 @@ def test_losses_cost_next_to_nothing_and_the_stated_error_covers_what_they_do(sw
     assert 0.90 < np.mean(inside) < 0.985  # windows share samples: errors are stated a little large
 
 
+@pytest.mark.slow
 def test_channels_at_rates_of_their_own_cost_what_their_noise_shows(swept):
     truth, (records, whole) = uh60.oracle().response(OMEGA), swept[0]
     step = np.array([{"a": 2, "p": 1, "q": 1, "r": 1}.get(name[0], 4) for name in uh60.OUTPUTS])

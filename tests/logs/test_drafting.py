@@ -25,6 +25,7 @@ def drafts(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.slow
 def test_a_log_becomes_a_study_that_is_in_order(drafts, name):
     draft = drafts[name]
     study = read_study(draft.study)
@@ -55,6 +56,7 @@ def test_what_is_shaken_on_a_bench_is_doubted_and_what_flies_is_not(tmp_path, dr
     assert [draft.doubts for draft in drafts.values()] == [()] * len(WRITERS)
 
 
+@pytest.mark.slow
 def test_attitudes_that_come_late_are_told_and_offered_and_change_no_share(tmp_path, drafts):
     path, late = tmp_path / "late.ulg", 0.06
     path.write_bytes(ulog(angles_late=late))
@@ -238,6 +240,7 @@ def recorded(path, record):
     ids=["good", "theta", "velocities", "attitudes"],
 )
 @pytest.mark.parametrize("detrend", ["first", "mean"])
+@pytest.mark.slow
 def test_a_drafted_study_judges_as_the_records_of_the_log_are_judged(
     tmp_path, late, upside_down, begin, detrend
 ):

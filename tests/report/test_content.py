@@ -51,6 +51,7 @@ def test_a_caution_that_is_warned_of_and_shown_is_told_once():
     assert cautions(page, [shown]) == ("It may be biased.", "look at bounds")
 
 
+@pytest.mark.slow
 def test_modes_are_stated_with_what_the_black_box_says_that_structures_miss(content, page):
     fit, box = content.fits["output error"], content.results["pbsid"]
     alone = replace(content, results={})

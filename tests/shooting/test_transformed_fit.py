@@ -153,6 +153,7 @@ def test_what_records_do_not_tell_is_named():
         output_error(TRUTH, still, domain="frequency")
 
 
+@pytest.mark.slow
 def test_a_bootstrap_scatters_as_stated_and_refuses_other_records():
     records, estimator = campaign(10), OutputError(domain="frequency")
     fit = estimator.fit(TRUTH, records)

@@ -25,6 +25,7 @@ def selection(flights):
     return select_order(flights, feedthrough=["z"], **GRID)
 
 
+@pytest.mark.slow
 def test_held_out_records_choose_a_model_near_the_best_there_is(flights, selection):
     # The plant has five states; one more or less may predict as well under this noise.
     assert selection.criterion == "held-out records"
@@ -145,6 +146,7 @@ def test_one_records_order_does_not_follow_its_noise():
     assert np.median(orders) == 2
 
 
+@pytest.mark.slow
 def test_of_noisy_records_the_likeliest_refined_model_names_the_pole():
     # Held-out records are predicted by models before their refinement, which ends at a lower
     # maximum from the slow poles that these prefer; now and then it does not.

@@ -33,6 +33,7 @@ def trex():
     return record.detrend("mean").select(outputs=names)
 
 
+@pytest.mark.slow
 def test_a_flight_that_does_not_support_a_model_is_said_to():
     with warnings.catch_warnings():  # of the controller, whose share is near what chance makes
         warnings.simplefilter("ignore", DataWarning)
@@ -44,6 +45,7 @@ def test_a_flight_that_does_not_support_a_model_is_said_to():
     assert "vibration" in said
 
 
+@pytest.mark.slow
 def test_records_made_for_identification_are_not_doubted():
     settings = {"past": 8, "pole": 8.0, "feedthrough": ["ax", "ay", "az"]}
     box = pbsid(sweeps(seed=1), order=16, **settings)
