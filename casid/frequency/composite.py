@@ -14,28 +14,29 @@ from casid.arrays import Array, BoolArray, ComplexArray
 from casid.frequency.spectra import Conditioned
 
 FIELDS = ("Gxx", "Gxy", "Gyy", "random_error", "multiple_coherence", "condition")
+STEPS = 60  # at most; five or six where windows hardly differ
+DAMPING, RISE = 1e-3, 10.0  # of the first step; where a step fails, and back where it does not
+SETTLED = 1e-10  # of the unknowns, relative, that the last step moves
+FARTHEST = 3.0  # a step of a logarithm
+TINY = 1e-12  # of a mean, the least size
 
 
-def composite(parts: Sequence[Conditioned], usable: BoolArray, iterations: int = 8) -> Conditioned:
+def composite(parts: Sequence[Conditioned], usable: BoolArray) -> Conditioned:
     """One set of spectra that explains those of all window lengths best, T&R chapter 10.
 
-    Minimises per pair and frequency, by Gauss-Newton steps on all of them at once,
+    Minimises per pair and frequency, by damped Gauss-Newton steps on all of them at once,
 
         Σ_w W_w [(Gxx/Gxx_w - 1)² + (Gyy/Gyy_w - 1)² + |Gxy - Gxy_w|²/|Gxy_w|² + 5 (γ²/γ_w² - 1)²],
 
-    W_w = (ε_w / min ε)⁻⁴, over the ``usable`` windows (windows, K); NaN where there is none. The
-    residuals are small and the start is their weighted mean, so that few iterations do.
+    W_w = (ε_w / min ε)⁻⁴, over the ``usable`` windows (windows, K); NaN where there is none. Inputs
+    of windows of other records differ in power: what they say need not be nearly the same.
     """
     stacked = {name: np.array([getattr(part, name) for part in parts]) for name in FIELDS}
     W = window_weights(stacked["random_error"], usable)  # (windows, K, ny, nu)
     means = {name: _mean(W, stacked[name]) for name in ("Gxx", "Gyy", "Gxy", "random_error")}
     # Relative to the weighted means: four unknowns of order one, the phase of the mean removed.
     a, b, z = (_relative(W, stacked[name], means[name]) for name in ("Gxx", "Gyy", "Gxy"))
-    c = np.zeros((4, *W.shape[1:]))
-    c[:3] = 1.0
-    limits = np.array([0.1, 0.1, -9.0, -9.0])[:, None, None, None]
-    for _ in range(iterations):
-        c = np.clip(c - _step(c, np.sqrt(W), a, b, z), limits, 9.0)
+    c = _minimised(W, a, b, z)
     none = ~np.asarray(usable.any(axis=0), dtype=bool)
     lost = np.where(none, np.nan, 1.0)
     multiple = _mean(W.mean(axis=3), stacked["multiple_coherence"])
@@ -86,21 +87,54 @@ def window_weights(error: Array, usable: BoolArray) -> Array:
     return np.asarray(W / np.where(total > 0, total, 1.0))
 
 
-def _step(c: Array, sw: Array, a: Array, b: Array, z: ComplexArray) -> Array:
-    """Gauss-Newton step of the composite's four unknowns, (4, K, ny, nu)."""
-    size = np.maximum(np.abs(z), 1e-12)
-    gamma_w = np.maximum(size**2 / (a * b), 1e-12)
-    gamma = (c[2] ** 2 + c[3] ** 2) / (c[0] * c[1])
-    five = np.sqrt(5.0)
-    real, imag = (c[2] - z.real) / size, (c[3] - z.imag) / size
-    r = np.stack([c[0] / a - 1, c[1] / b - 1, real, imag, five * (gamma / gamma_w - 1)])
+def _minimised(W: Array, a: Array, b: Array, z: ComplexArray) -> Array:
+    """The composite's four unknowns, (4, K, ny, nu): Gxx, Gyy and Gxy over their means.
+
+    Levenberg's and Marquardt's steps in the logarithms of the densities, so that these stay
+    positive, from where each term alone is least.
+    """
+    start = [_least(W, each, np.abs(each)) for each in (a, b)]
+    cross = _least(W, z, np.abs(z))
+    q = np.array([*np.log(start), cross.real, cross.imag])
+    damping = np.full(q.shape[1:], DAMPING)
+    r, J = _residuals(q, np.sqrt(W), a, b, z)
+    for _ in range(STEPS):
+        H = np.einsum("rawkij,rbwkij->kijab", J, J)
+        g = np.einsum("rawkij,rwkij->kija", J, r)
+        H[~W.any(axis=0)] = np.eye(4)
+        H = H * (1 + damping[..., None, None] * np.eye(4))
+        step = np.moveaxis(np.linalg.solve(H, g[..., None])[..., 0], -1, 0)
+        tried = q - np.clip(step, -FARTHEST, FARTHEST)
+        r_tried, J_tried = _residuals(tried, np.sqrt(W), a, b, z)
+        better = np.sum(r_tried**2, axis=(0, 1)) <= np.sum(r**2, axis=(0, 1))
+        q, r, J = (
+            np.where(better, new, old) for new, old in ((tried, q), (r_tried, r), (J_tried, J))
+        )
+        damping = np.where(better, damping / RISE, damping * RISE)
+        if np.all(np.abs(step) <= SETTLED * np.maximum(np.abs(q), 1)):
+            break
+    return np.array([*np.exp(q[:2]), *q[2:]])
+
+
+def _least(W: Array, values: Any, size: Array) -> Any:  # noqa: ANN401 - real or complex
+    """The c that minimises Σ W |c - value|²/size²."""
+    weight = W / np.maximum(size, TINY) ** 2
+    total = weight.sum(axis=0)
+    return np.where(total > 0, np.sum(weight * values, axis=0) / np.maximum(total, TINY), 1.0)
+
+
+def _residuals(q: Array, sw: Array, a: Array, b: Array, z: ComplexArray) -> tuple[Array, Array]:
+    """Residuals (5, windows, K, ny, nu) of log Gxx, log Gyy and Gxy, times roots of the weights.
+
+    And their derivatives, (5, 4, windows, K, ny, nu).
+    """
+    size = np.maximum(np.abs(z), TINY)
+    Gxx, Gyy = np.exp(q[:2])
+    gamma = np.sqrt(5.0) * (q[2] ** 2 + q[3] ** 2) / (Gxx * Gyy) * a * b / size**2
+    slope = 2 * np.sqrt(5.0) / (Gxx * Gyy) * a * b / size**2
+    real, imag = (q[2] - z.real) / size, (q[3] - z.imag) / size
+    r = np.stack([Gxx / a - 1, Gyy / b - 1, real, imag, gamma - np.sqrt(5.0)])
     J = np.zeros((5, 4, *z.shape))
-    J[0, 0], J[1, 1], J[2, 2], J[3, 3] = 1 / a, 1 / b, 1 / size, 1 / size
-    modulus = c[0] * c[1] * gamma_w / five
-    J[4, 0], J[4, 1] = -five * gamma / gamma_w / c[0], -five * gamma / gamma_w / c[1]
-    J[4, 2], J[4, 3] = 2 * c[2] / modulus, 2 * c[3] / modulus
-    r, J = sw * r, sw * J
-    H = np.einsum("rawkij,rbwkij->kijab", J, J)
-    g = np.einsum("rawkij,rwkij->kija", J, r)
-    H[~sw.any(axis=0)] = np.eye(4)
-    return np.moveaxis(np.linalg.solve(H, g[..., None])[..., 0], -1, 0)
+    J[0, 0], J[1, 1], J[2, 2], J[3, 3] = Gxx / a, Gyy / b, 1 / size, 1 / size
+    J[4, 0], J[4, 1], J[4, 2], J[4, 3] = -gamma, -gamma, slope * q[2], slope * q[3]
+    return sw * r, sw * J

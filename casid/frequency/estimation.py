@@ -33,7 +33,7 @@ from casid.record import Record
 from casid.records import Records, same_channels, standard_deviations, still, stretches
 from casid.threads import one_thread
 
-KEPT = 0.5  # share of an input's power in the windows without long losses
+KEPT = 0.5  # share of an input's power in windows without long losses, of all records
 
 Method: TypeAlias = Literal["local", "windows"]
 
@@ -98,7 +98,7 @@ class SpectralAnalysis:
             raise ValueError(f"no input moves in any record ({', '.join(inputs)}): nothing excites")
         moving = self._moving(even, [inputs[i] for i in active], outputs)
         lengths, parts, counted = _parts(moving, omega, lengths, self)
-        usable = _usable(omega, lengths, parts) & counted
+        usable = _usable(omega, lengths, parts, counted)
         merged = composite(parts, usable)
         number = merged.condition if self.conditioned else np.ones(len(omega))
         su, sy = standard_deviations(records)
@@ -262,12 +262,14 @@ def _parts(
     for length in lengths:
         spectra = record_spectra(pieces, omega, length, gone, references)
         # With fewer windows than inputs nothing is left to tell the inputs apart; without those
-        # in which an input moved nothing but leakage is left of it.
+        # in which an input moved, lost or in records shorter than a window, nothing but leakage
+        # and the controller's answer is left of it.
         enough = spectra.count >= (records[0].nu - references if conditioned else 1)
         enough &= spectra.kept >= KEPT
         if enough.any():
             kept.append(length)
-            parts.append(condition(spectra, conditioned=conditioned))
+            part = condition(spectra, conditioned=conditioned)
+            parts.append(replace(part, condition=np.where(enough, part.condition, 0.0)))
             counted.append(enough)
     if not parts:
         raise ValueError(_nothing_left(records, lengths[0]))
@@ -290,14 +292,16 @@ def _nothing_left(records: Sequence[Record], length: float) -> str:
     )
 
 
-def _usable(omega: Array, lengths: Sequence[float], parts: Sequence[Conditioned]) -> BoolArray:
-    """Where each window holds enough periods; the longest is used down to one."""
+def _usable(
+    omega: Array, lengths: Sequence[float], parts: Sequence[Conditioned], counted: BoolArray
+) -> BoolArray:
+    """Where each window counts and holds enough periods; the longest is used down to one."""
     periods = np.outer(lengths, omega) / (2 * np.pi)
     enough = periods >= sampling.FEW_PERIODS
     enough[-1] = periods[-1] >= 1
     # Leakage lends short windows a separation of the inputs that long ones show not to be there.
-    separated = np.all([np.isfinite(part.Gxy).all(axis=(1, 2)) for part in parts], axis=0)
-    return np.asarray(enough & separated, dtype=bool)
+    finite = np.array([np.isfinite(part.Gxy).all(axis=(1, 2)) for part in parts])
+    return np.asarray(enough & counted & np.all(finite | ~counted, axis=0), dtype=bool)
 
 
 def _flags(
@@ -313,7 +317,8 @@ def _flags(
         f"less than {sampling.FEW_PERIODS:g} periods in the longest window ({longest:g} s)": (
             (periods >= 1) & (periods < sampling.FEW_PERIODS)
         ),
-        "too few windows without losses to tell the inputs apart": ~known | (unread & apart),
+        "losses and short records leave too few windows to tell the inputs apart": ~known
+        | (unread & apart),
         f"{together} {MEANINGLESS:g}, nothing separates them": unread & ~apart,
         f"{together} {SUSPECT:g}": some & (number > SUSPECT),
     }

@@ -47,7 +47,7 @@ class Spectra:
     Gyz: ComplexArray  # (R, K, ny, ny) of conj(Y_i) Y_l
     averages: Array  # (R, K) windows that would fit without overlap
     count: Array  # (K,) windows used
-    kept: Array  # (K,) power kept of the input that lost most in windows left out
+    kept: Array  # (K,) power kept of the input that lost most in windows and records left out
     omega: Array  # (K,) [rad/s]
     references: tuple[ComplexArray, ComplexArray, ComplexArray] | None = None  # Grr, Gru, Gry
 
@@ -126,8 +126,7 @@ def record_spectra(
         # n windows cover 1 + (n - 1)/3 lengths.
         averages = np.where(total > 0, 1 + np.maximum(total - 1, 0) * STEP, 0.0)
         sums.append((Gzz, Gzy, Gyy, Gyz, averages))
-        power = np.abs(Z) ** 2
-        powers.append(np.array([np.einsum("wk,wka->ka", weight > 0, power), power.sum(axis=0)]))
+        powers.append(_powers(Z, weight, record, omega, length))
         counts.append((weight > 0).sum(axis=0))
     Gzz, Gzy, Gyy, Gyz, averages = (np.array(column) for column in zip(*sums, strict=True))
     kept, every = np.sum(powers, axis=0)
@@ -144,6 +143,22 @@ def record_spectra(
         omega=omega,
         references=told if references else None,
     )
+
+
+def _powers(
+    Z: ComplexArray, weight: Array, record: Record, omega: Array, length: float
+) -> tuple[Array, Array]:
+    """Power of the inputs (K, nu) in windows that are used, and in the whole record.
+
+    Each by the windows that would fit without overlap, in a shorter record a part of one.
+    """
+    if not len(Z):
+        own = record.N * record.dt
+        whole = np.abs(_windowed(record, omega, own)[0][0]) ** 2
+        return np.zeros_like(whole), whole * (own / length)
+    power = np.abs(Z) ** 2
+    fit = (1 + (len(Z) - 1) * STEP) / len(Z)
+    return fit * np.einsum("wk,wka->ka", weight > 0, power), fit * power.sum(axis=0)
 
 
 def _weights_of_windows(lost: BoolArray, dt: float, omega: Array, length: float) -> Array:

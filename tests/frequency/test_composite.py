@@ -1,6 +1,7 @@
 """The composite of several window lengths against a general minimiser."""
 
 import numpy as np
+import pytest
 import scipy.optimize
 from truths.systems import TWO, white
 
@@ -59,3 +60,16 @@ def test_correlations_of_windows_are_blended_where_known_and_none_elsewhere():
     np.testing.assert_allclose(found[0], [[1.0, 0.5], [0.5, 1.0]], rtol=1e-12)
     np.testing.assert_array_equal(found[1:], np.tile(np.eye(2), (2, 1, 1)))
     assert _blend(W, [one, None]) is None
+
+
+@pytest.mark.parametrize("ratio", [1.0, 30.0, 1000.0])
+def test_windows_of_unequal_power_that_say_the_same_are_not_contradicted(ratio):
+    # Two lengths see other records: inputs of other power, one response and coherence.
+    parts = []
+    for Gxx in (1.0, ratio):
+        pair = {"Gxx": Gxx, "Gxy": (2 - 1j) * Gxx, "Gyy": 5 / 0.98 * Gxx, "random_error": 0.1}
+        pair = {name: np.full((1, 1, 1), value) for name, value in pair.items()}
+        parts.append(Conditioned(**pair, multiple_coherence=np.ones((1, 1)), condition=np.ones(1)))
+    merged = composite(parts, np.ones((2, 1), dtype=bool))
+    assert merged.response.item() == pytest.approx(2 - 1j, rel=1e-6)
+    assert merged.coherence.item() == pytest.approx(0.98, rel=1e-6)

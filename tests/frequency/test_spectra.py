@@ -66,3 +66,13 @@ def test_the_power_kept_is_that_of_the_windows_without_losses():
     assert every.kept == 1.0
     assert 0.4 < found.kept < 0.9
     assert found.kept == pytest.approx(found.count / every.count, rel=0.01)  # all have one power
+
+
+def test_power_of_records_shorter_than_a_window_is_not_kept():
+    # White inputs have power by duration; windows of 40 s see nothing of the second record.
+    rng, omega = np.random.default_rng(3), np.linspace(1.0, 20.0, 80)
+    records = [white(LAG, rng, duration=duration) for duration in (120.0, 60.0, 30.0)]
+    inside, beyond = (record_spectra(records, omega, length).kept for length in (20.0, 40.0))
+    np.testing.assert_array_equal(inside, 1.0)
+    assert np.all(beyond < 1)
+    assert beyond.mean() == pytest.approx(180 / 210, abs=0.03)
