@@ -1,5 +1,6 @@
 """Commands about studies: identify, bounds, check."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -19,10 +20,12 @@ from casid.exchange.formats import read_record
 from casid.fit import AnyFit, Fit
 from casid.interrupts import check_interrupt
 from casid.nlp import Progress
+from casid.record import Record
 from casid.records import steps_told
 from casid.report.content import Timing
 from casid.report.words import brief, prior
 from casid.stages.listing import STAGES, stages_in_words, tables_of_stages
+from casid.structure.identifiability import identifiability
 from casid.structure.modelfile import load_model
 from casid.structure.overview import describe
 from casid.studies.keeping import Watch
@@ -286,6 +289,21 @@ def _describe(console: Console, study: Study) -> None:
     console.print(table)
     flown = flights.get("refinement", flights["identification"])
     steps = () if study.channels.hold else steps_told(flown, study.model.delays())
-    for said in (*again.told(), *steps):
+    estimated = [*flights["identification"], *flights.get("refinement", ())]
+    untold = () if again.told() else _untold(study, estimated)
+    for said in (*again.told(), *steps, *untold):
         caution(console, said)
-    console.print("Mend the records first." if again.told() else "The study is in order.")
+    if again.told():
+        console.print("Mend the records first.")
+    else:
+        console.print("Mend the structure first." if untold else "The study is in order.")
+
+
+def _untold(study: Study, flown: Sequence[Record]) -> tuple[str, ...]:
+    """What the records cannot tell of the structure's parameters, however good they are."""
+    model, given = study.model, {"fixed": study.fixed, "bounds": study.bounds}
+    try:
+        found = identifiability(model, flown, **given)
+    except ValueError as error:  # a guess that runs away from them
+        return (str(error),)
+    return () if found.identifiable else tuple(str(found).splitlines()[1:])

@@ -45,6 +45,7 @@ def _show(found: BlackBox, content: Content) -> Iterable[Section]:  # noqa: ARG0
         f"A black box of order {order} was identified from {counted(len(found.records), 'record')}"
     )
     ranks = dict.fromkeys(found.remarks, 6)  # records disagree, or stand still
+    ranks |= dict.fromkeys(found.unsupported(), 5)
     said = tuple(Caution(text, ranks.get(text, 30)) for text in found.doubts())
     draw = partial(report.drawings.draw_singular_values, found)
     more: Any = {"draw": draw, "lead": f"{told} ({names}).", "cautions": said}

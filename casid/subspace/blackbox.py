@@ -147,9 +147,11 @@ class BlackBox(Shown):
         outside = () if self.excitation is None else self.excitation.doubts()
         growth = growth_doubts(self.doubtful)
         doubts = (*self.remarks, *outside, *growth, *order_doubts(self.missed, self.order))
-        if self.explained is None:
-            return doubts
-        return (*data_doubts(self.explained, self.system.outputs), *doubts)
+        return (*self.unsupported(), *doubts)
+
+    def unsupported(self) -> tuple[str, ...]:
+        """Why records do not support any model; empty where they do, or where it is not known."""
+        return () if self.explained is None else data_doubts(self.explained, self.system.outputs)
 
     def fed_back(self) -> tuple[str, ...]:
         """Outputs that inputs make most of which outputs feed back: see `Excitation.fed_back`.

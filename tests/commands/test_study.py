@@ -142,6 +142,19 @@ def test_check_lists_the_records_and_computes_nothing(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_check_tells_what_the_records_cannot_tell_of_the_structure(tmp_path):
+    path = write_study(tmp_path)
+    said = " ".join(casid("check", path).output.split())
+    assert said.endswith("The study is in order.")
+    file = tmp_path / path.read_text().split('file = "')[1].split(":")[0]
+    text = file.read_text()
+    idle = 'idle: Scalar = parameter(default=1.0, lower=-5.0, upper=5.0, unit="1/s")\n\n    def A('
+    file.write_text(text.replace("def A(", idle, 1))
+    said = " ".join(casid("check", path).output.split())
+    assert "no output feels idle: fix or drop" in said
+    assert "in order" not in said
+
+
 def copied(folder):
     """The study with a copy of a record of the identification among those of the validation."""
     path = write_study(folder, ('["random.csv"]', '["random.csv", "copy.csv"]'))

@@ -9,6 +9,7 @@ from truths.structures import SECOND, black_box
 from truths.systems import campaign, innovation_record, unstable_plant
 
 from casid import DataWarning, Excitation, Pbsid, pbsid
+from casid.report.content import contradicted
 from casid.stages.black_box import BLACK_BOX
 from casid.stages.stage import Task
 
@@ -74,3 +75,11 @@ def test_the_section_tells_order_records_and_doubts():
         assert [each.text for each in section.cautions] == list(box.doubts())
         assert len(section.cautions) == doubts
         assert len(list(section.draw())) == 1
+
+
+def test_records_without_a_model_speak_against_the_structure():
+    sound = black_box(SECOND)
+    idle = np.zeros(len(sound.system.outputs))
+    for explained, against in ((idle + 0.9, False), (idle, True)):
+        sections = list(BLACK_BOX.show(replace(sound, explained=explained), SimpleNamespace()))
+        assert contradicted(sections) is against
