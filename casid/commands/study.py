@@ -301,9 +301,8 @@ def _describe(console: Console, study: Study) -> None:
 
 def _untold(study: Study, flown: Sequence[Record]) -> tuple[str, ...]:
     """What the records cannot tell of the structure's parameters, however good they are."""
-    model, given = study.model, {"fixed": study.fixed, "bounds": study.bounds}
     try:
-        found = identifiability(model, flown, **given)
+        found = identifiability(study.model, flown, fixed=study.fixed, bounds=study.bounds)
     except ValueError as error:  # a guess that runs away from them
         return (str(error),)
     return () if found.identifiable else tuple(str(found).splitlines()[1:])
