@@ -24,6 +24,8 @@ ALONG = 0.15  # nor neighbours, which are less alike than their spectral windows
 DENSE = 5.0  # points in a spectral window from which on more of them share that
 LEAST = 1e-4  # of a response, the smallest error believed
 NEAR = 0.7  # standard deviation of the weights of neighbours [nepers of frequency]
+BESIDE = 0.15  # of those that say how large a response is
+FLAT = 1e-6  # of the places' variance, of two points that say no slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,21 +108,38 @@ def _root(omega: Array, width: Array) -> Array:
 
 
 def steadied(response: FrequencyResponse) -> FrequencyResponse:
-    """The response with no random error below the root mean square of its neighbours'.
+    """The response with no random error below that of its neighbours, root mean square.
 
     Of points that state a coherence, as estimates do: their errors rest on few lines of the records
     and come out too small at some points by chance, which would count for far more than they tell
-    if weighed by them. Neighbours' relative or absolute errors, whichever say less.
+    if weighed by them. Neighbours' relative or absolute errors, whichever say less; how large the
+    response is say the points beside, lest one that came out small by chance count for more.
     """
     size, log = np.abs(response.G), np.log(response.omega)
-    near = np.exp(-(((log[:, None] - log) / NEAR) ** 2) / 2)
-    square = response.random_error**2
-    told = np.isfinite(square) & (size > 0) & (response.coherence < 1)
-    count = np.maximum(np.tensordot(near, told * 1.0, 1), 1e-300)
-    alike, level = (
-        np.tensordot(near, np.where(told, x, 0.0), 1) / count for x in (square, square * size**2)
-    )
+    apart = log - log[:, None]
+    told = np.isfinite(response.random_error) & (size > 0) & (response.coherence < 1)
+    power = np.where(told, size, 1.0) ** 2
+    square = np.where(told, response.random_error, 0.0) ** 2 * power
+    near = np.exp(-((apart / NEAR) ** 2) / 2)
+    beside = np.exp(-((apart / BESIDE) ** 2) / 2) * (apart != 0)
+    usual = np.exp(_straight(beside, apart, told, np.log(power)))
     with np.errstate(invalid="ignore", divide="ignore"):
-        least = np.minimum(alike, level / size**2)
-        error = np.where(told, np.sqrt(np.maximum(square, least)), response.random_error)
-    return replace(response, random_error=error)
+        level, share = (
+            np.tensordot(near, told * x, 1) / np.tensordot(near, 1.0 * told, 1)
+            for x in (square, square / usual)
+        )
+        error = np.sqrt(np.maximum(square, np.fmin(level, share * usual))) / size
+    return replace(response, random_error=np.where(told, error, response.random_error))
+
+
+def _straight(weight: Array, x: Array, told: BoolArray, values: Array) -> Array:
+    """Values at zero of straight lines (K, ny, nu) through those at places x (K, K) that are told.
+
+    Their mean where that is all that is known, infinite where nothing is.
+    """
+    m0, m1, m2 = (np.tensordot(weight * x**n, 1.0 * told, 1) for n in range(3))
+    v0, v1 = (np.tensordot(weight * x**n, told * values, 1) for n in range(2))
+    determinant = m0 * m2 - m1**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        line, mean = (m2 * v0 - m1 * v1) / determinant, v0 / m0
+    return np.where(m0 > 0, np.where(determinant > FLAT * m0 * m2, line, mean), np.inf)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.arrays import Array, ComplexArray
+from casid.arrays import Array, BoolArray, ComplexArray
 from casid.display import Shown, listed
 from casid.records import several
 from casid.textfile import read_json, write_json
@@ -18,6 +18,8 @@ PAIRWISE = ("G", "coherence", "random_error", "leakage", "resolution")  # by pai
 CORRELATIONS = ("output_correlation", "input_correlation")
 POINTWISE = ("omega", *PAIRWISE, *CORRELATIONS, "multiple_coherence", "condition")
 COMPLEX = ("G", *CORRELATIONS)
+MOST = {"coherence": 1.0} | dict.fromkeys(PAIRWISE[2:], np.inf)
+ROUNDING = 1e-9
 FED_BACK = (
     "noise fed back into {!r} makes half of a response after it or more, left out (NaN): without "
     "input from outside it would be the controller's inverse"
@@ -98,7 +100,8 @@ class FrequencyResponse(Shown):
         if wrong := [name for name in named if not isinstance(name, str)]:
             raise ValueError(f"{wrong[0]!r} is no name of a channel")
         K, ny, nu = len(omega), len(self.outputs), len(self.inputs)
-        if omega.ndim != 1 or not K or not (omega > 0).all() or (np.diff(omega) <= 0).any():
+        increasing = omega.ndim == 1 and K and (omega > 0).all() and (np.diff(omega) > 0).all()
+        if not increasing or np.isinf(omega).any():
             raise ValueError("omega: expected increasing frequencies above 0 rad/s, (K,)")
         unless_given: dict[str, Array] = {
             "leakage": np.zeros((K, ny, nu)),
@@ -124,6 +127,19 @@ class FrequencyResponse(Shown):
                     f"{name} has shape {values.shape}, expected {shape}: "
                     f"{K} frequencies, {ny} outputs, {nu} inputs"
                 )
+        self._refuse("G", np.isinf(self.G), "a finite number")
+        for name, most in MOST.items():
+            size = getattr(self, name)
+            self._refuse(name, (size < 0) | (size > most * (1 + ROUNDING)), f"0 to {most:g}")
+
+    def _refuse(self, name: str, wrong: BoolArray, wanted: str) -> None:
+        """ValueError for values of points (K, ny, nu) that are ``wrong``."""
+        for k, i, j in np.argwhere(wrong)[:1]:
+            raise ValueError(
+                f"{name} is {getattr(self, name)[k, i, j]:.4g} for {self.outputs[i]} from "
+                f"{self.inputs[j]} at {self.omega[k]:.4g} rad/s, expected {wanted}, or NaN where "
+                "it is not known"
+            )
 
     def headline(self) -> str:
         """Channels, frequencies, how much of it is coherent."""

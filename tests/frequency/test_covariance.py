@@ -83,13 +83,30 @@ def test_a_point_that_came_out_sure_by_chance_counts_no_more_than_its_neighbours
 
 
 def test_an_error_that_neighbours_share_stays_what_it_was():
-    # Noise and inputs alike over frequency, whatever the response does: one level, or one share.
-    size, n = np.abs(response().G), np.full((len(OMEGA), 3, 2), 0.9)
-    plain = weights(response())
-    for error in (0.1 / size, np.full(size.shape, 0.1)):
-        own = replace(response(), random_error=error, coherence=n)
-        expected = plain * 0.1 / error
-        np.testing.assert_allclose(weights(own), expected, rtol=1e-9)
+    # Noise and inputs alike over frequency, whatever the response does; or one share of a power.
+    n = np.full((len(OMEGA), 3, 2), 0.9)
+    falling = np.full(n.shape, 3.0) * OMEGA[:, None, None] ** -2.0
+    flat, plant = np.full(n.shape, 0.1), np.abs(response().G)
+    for size, error in ((plant, 0.1 / plant), (falling, flat)):
+        own = replace(response(), G=size.astype(complex), random_error=error, coherence=n)
+        np.testing.assert_allclose(weights(own), 1 / (error * size), rtol=1e-9)
+
+
+def test_points_that_came_out_small_by_chance_count_no_more():
+    # The gain of a response of which every point errs by a quarter of the truth, as an estimate
+    # states that: by the error over what was measured.
+    rng, truth = np.random.default_rng(4), response().G
+    found = []
+    for _ in range(100):
+        error = 0.25 * np.abs(truth)
+        noise = rng.standard_normal((2, *truth.shape)) * error
+        G = truth + noise[0] + 1j * noise[1]
+        seen = replace(response(), G=G, random_error=error / np.abs(G), coherence=0.9 + 0 * error)
+        w = weights(seen) ** 2
+        found.append(np.sum(w * (G * truth.conj()).real) / np.sum(w * np.abs(truth) ** 2))
+    assert np.mean(found) == pytest.approx(
+        1.0, abs=0.4 * np.std(found)
+    )  # of a single one's scatter
 
 
 def weights(measured):

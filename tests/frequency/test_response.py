@@ -52,6 +52,24 @@ def test_a_band_keeps_its_flags_in_place():
         found.between(5, 6)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "wanted"),
+    [
+        ("G", complex(np.inf), "a finite number"), ("coherence", 1.5, "0 to 1"),
+        ("coherence", -0.1, "0 to 1"), ("random_error", -0.1, "0 to inf"),
+        ("leakage", -0.1, "0 to inf"), ("resolution", -0.1, "0 to inf"),
+    ],
+)  # fmt: skip
+def test_values_that_cannot_be_are_refused(measured, name, value, wanted):
+    values = getattr(measured, name).copy()
+    values[2, 1, 0] = value
+    at = f"{name} is .* for {measured.outputs[1]} from col at 0.6.* rad/s, expected {wanted}"
+    with pytest.raises(ValueError, match=at):
+        dataclasses.replace(measured, **{name: values})
+    with pytest.raises(ValueError, match="expected increasing frequencies"):
+        dataclasses.replace(measured, omega=[*measured.omega[:-1], np.inf])
+
+
 def test_shapes_are_checked(measured):
     with pytest.raises(ValueError, match=r"coherence has shape \(2,\)"):
         FrequencyResponse(
