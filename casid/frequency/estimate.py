@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
+from casid.errors import warn
 from casid.frequency.composite import window_weights
 from casid.frequency.feedback import MUCH, NoiseInInputs, bias_of_windows
 from casid.frequency.leakage import leakage
@@ -59,11 +60,33 @@ class Estimate:
     def refined(
         self, records: Sequence[Record], omega: Array, heard: Sequence[int], noise: NoiseInInputs
     ) -> "Estimate":
-        """What local models say of outputs that move, where these exist and inputs separate."""
+        """What local models say of outputs that move, where these exist and inputs separate.
+
+        Outputs that a record lacks, and all where losses leave no stretch, keep averaged spectra.
+        """
+        lacking = {
+            i: record.name
+            for record in records
+            for i in heard
+            if np.isnan(record.y[:, i]).all()
+        }
+        for i, name in lacking.items():
+            warn(
+                f"record {name!r} has no sample of {records[0].outputs[i]!r}, whose response is that "
+                "of averaged spectra, with larger errors than local models have: leave the record "
+                "out, or estimate that output by itself"
+            )
+        heard = [i for i in heard if i not in lacking]
+        if not heard:
+            return self
         names = [records[0].outputs[i] for i in heard]
         parts = [record.select(outputs=names) for record in records]
         local = local_response(parts, omega, noise.of(heard))
         if local is None:
+            warn(
+                "losses leave no stretch for local models at some frequency: the response is that "
+                "of averaged spectra, with larger errors; leave the record with most losses out"
+            )
             return self
         rows = np.isfinite(self.G[:, heard]) & np.isfinite(local.G) & (np.abs(local.G) > 0)
         found = {}
