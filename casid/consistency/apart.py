@@ -113,7 +113,7 @@ def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
     left = {
         name: apart(late, C, [k], [i for i in right if i != k] or [k])
         for k, name in enumerate(skews)
-        if OWN[name] in moved
+        if (OWN[name] if OWN[name] in found.left else ATTITUDES[0]) in moved
     }
     against = dict.fromkeys(kinds[i] for i in right)
     return Apart(late=moved, against=tuple(against), left=skews | left)

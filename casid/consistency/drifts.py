@@ -85,7 +85,9 @@ def _less_certain(found: Instruments, drifts: Drifts, flights: Sequence[Flight])
     by = np.linalg.norm(off, axis=0)
     return replace(
         found,
-        errors=np.hypot(found.errors, np.array([[0.0, each] for each in by[: len(found.channels)]])),
+        errors=np.hypot(
+            found.errors, np.array([[0.0, each] for each in by[: len(found.channels)]])
+        ),
         covariance=found.covariance + np.transpose(off) @ off,
     )
 

@@ -11,8 +11,8 @@ but for noise and for clocks: θ, ψ and, together, velocities may be late again
 several sources delays. A skew is against what the channel turns or moves; all terms of an equation
 are taken at the time of what they are compared with (`casid.consistency.rigid.Sides`): a late θ in
 φ' would be read as a skew of q, u times a late q as an accelerometer's place. Scale and skew are
-one for all records. Biases are constant over a record and of its own: instruments drift from flight to
-flight, and trim is subtracted record by record.
+one for all records. Biases are constant over a record and of its own: instruments drift from flight
+to flight, and trim is subtracted record by record.
 
 Departures. Both sides are integrated, with the measured attitudes and velocities in the products:
 the unknowns but for the skews then enter linearly, and no trajectory can diverge. Noise of the

@@ -69,7 +69,7 @@ class Sides:
     place: Array  # (3,) of the accelerometers [m]
 
     def of(self, equation: str) -> tuple[list[Array], Array]:
-        """Slopes by gain, bias and skew of each channel in it, by clocks and place; itself, (N,)."""
+        """Slopes by gain, bias, skew of its channels, by clocks and place; the side itself, (N,)."""
         clock = self._clock(equation)
         moved = {
             name: self._read(name, skew + self._clock(self._owner(name)) - clock)
