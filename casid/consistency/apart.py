@@ -16,6 +16,7 @@ from casid.arrays import Array
 from casid.channels import ATTITUDES, FORCES, RATES, VELOCITIES
 from casid.consistency.flightpath import LATE
 from casid.consistency.instruments import CLOCKS, OWN, Instruments
+from casid.consistency.rigid import clock_of
 from casid.consistency.voting import SKEW, Late, apart, shared, significant
 
 KNOWN = 0.05  # standard error of a scale below which a channel counts as checked
@@ -80,22 +81,14 @@ def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
     skews = {
         found.channels[i]: (float(found.unknowns[i, 1]), float(found.errors[i, 1])) for i in rows
     }
-    angles = tuple(name for name in ATTITUDES if name in found.left)
-    speeds = tuple(name for name in VELOCITIES if name in found.left)
-    late, C = np.append(found.unknowns[:, 1], found.clocks), found.covariance
-    own = [len(found.channels) + CLOCKS.index(name) for name in angles if name in CLOCKS]
-    if one := not _differ(late[own], C[np.ix_(own, own)]):
-        late, C = _at_zero(late, C, own)
-    if one and not speeds:
+    late, C, references = _clocks(found)
+    if len(references) < 2:
         return Apart(left=skews)
-    references = [angles] if one else [(name,) for name in angles]
-    names = [*((name,) for name in skews), *references, *([speeds] if speeds else [])]
+    names = [*((name,) for name in skews), *references]
     W = np.zeros((len(names), len(late)))  # against the clock of φ
     W[range(len(rows)), rows] = 1.0
     for k, (name, *_) in enumerate(names):
-        owner = OWN.get(name, name)
-        clock = "velocities" if owner in VELOCITIES else owner
-        if clock in CLOCKS and owner in found.left:
+        if clock := clock_of(_reference(found, name)):
             W[k, len(found.channels) + CLOCKS.index(clock)] = 1.0
     late, C = W @ late, W @ C @ W.T
     kinds = [KINDS[name] for name, *_ in names]
@@ -113,10 +106,30 @@ def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
     left = {
         name: apart(late, C, [k], [i for i in right if i != k] or [k])
         for k, name in enumerate(skews)
-        if (OWN[name] if OWN[name] in found.left else ATTITUDES[0]) in moved
+        if _reference(found, name) in moved
     }
     against = dict.fromkeys(kinds[i] for i in right)
     return Apart(late=moved, against=tuple(against), left=skews | left)
+
+
+def _clocks(found: Instruments) -> tuple[Array, Array, list[tuple[str, ...]]]:
+    """Skews and clocks, their covariance, and the attitudes and velocities that share one."""
+    angles, speeds = (
+        tuple(name for name in group if name in found.left) for group in (ATTITUDES, VELOCITIES)
+    )
+    late, C = np.append(found.unknowns[:, 1], found.clocks), found.covariance
+    own = [len(found.channels) + CLOCKS.index(name) for name in angles if name in CLOCKS]
+    one = not _differ(late[own], C[np.ix_(own, own)])
+    if one:
+        late, C = _at_zero(late, C, own)
+    references = [angles] if one else [(name,) for name in angles]
+    return late, C, [*references, *([speeds] if speeds else [])]
+
+
+def _reference(found: Instruments, name: str) -> str:
+    """What a channel is late against, or itself: φ, where what it turns is not recorded."""
+    own = OWN.get(name, name)
+    return own if own in found.left else "phi"
 
 
 def _differ(late: Array, C: Array) -> bool:

@@ -69,7 +69,7 @@ class Sides:
     place: Array  # (3,) of the accelerometers [m]
 
     def of(self, equation: str) -> tuple[list[Array], Array]:
-        """Slopes by gain, bias, skew of its channels, by clocks and place; the side itself, (N,)."""
+        """Slopes by gain, bias, skew of its channels, by clocks and place; the side (N,)."""
         clock = self._clock(equation)
         moved = {
             name: self._read(name, skew + self._clock(self._owner(name)) - clock)
@@ -108,8 +108,8 @@ class Sides:
 
     def _later(self, equation: str, clock: str, later: Mapping[str, Array]) -> Array:
         """Slope by a clock: what it delays is read later, in its own equations all is earlier."""
-        own = [x for name, x in later.items() if _clock_of(self._owner(name)) == clock]
-        all_of_it = later.values() if _clock_of(equation) == clock else ()
+        own = [x for name, x in later.items() if clock_of(self._owner(name)) == clock]
+        all_of_it = later.values() if clock_of(equation) == clock else ()
         return np.zeros(len(self.flight.t)) + sum(own) - sum(all_of_it)
 
     def _owner(self, name: str) -> str:
@@ -118,13 +118,13 @@ class Sides:
         return owner if owner in self.equations else "phi"
 
     def _clock(self, name: str) -> float:
-        of = _clock_of(name if name in self.equations else "phi")
+        of = clock_of(name if name in self.equations else "phi")
         return float(self.clocks[CLOCKS.index(of)]) if of else 0.0
 
     def _read(self, name: str, later: float) -> tuple[Array, Array]:
         return read_later(self.pieces[name], later, self.flight.dt)
 
 
-def _clock_of(name: str) -> str:
+def clock_of(name: str) -> str:
     """Which of `CLOCKS` an attitude or velocity has; none if that of φ."""
     return "velocities" if name in VELOCITIES else name if name in CLOCKS else ""
