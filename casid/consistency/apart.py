@@ -41,7 +41,7 @@ class Apart:
     """
 
     late: Mapping[str, Late] = field(default_factory=dict)
-    against: tuple[str, ...] = ()  # kinds of channels that agree
+    against: tuple[str, ...] = ()  # kinds of channels that agree, attitudes by name if some moved
     left: Mapping[str, Late] = field(default_factory=dict)
 
     @property
@@ -108,7 +108,10 @@ def stands_apart(found: Instruments, told: Collection[str]) -> Apart:
         for k, name in enumerate(skews)
         if _reference(found, name) in moved
     }
-    against = dict.fromkeys(kinds[i] for i in right)
+    parted = {*ATTITUDES} & {*moved}  # of which some stay: by name
+    against = dict.fromkeys(
+        names[i][0] if parted and kinds[i] == "attitudes" else kinds[i] for i in right
+    )
     return Apart(late=moved, against=tuple(against), left=skews | left)
 
 

@@ -61,6 +61,38 @@ def test_one_source_that_is_late_or_early_is_named_whole_and_alone(names, lag):
     np.testing.assert_allclose([*check.shifts.values()], -lag, atol=0.005)
 
 
+HEADED = (*bodies.WHOLE, "psi")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lag", [0.06, -0.06])
+@pytest.mark.parametrize("names", [("phi", "theta"), ("phi",), ("theta",), ("psi",)], ids="-".join)
+def test_attitudes_of_one_source_late_beside_others_are_named_and_no_rate_is(names, lag):
+    records = bodies.dirty(bodies.flown(106, late=dict.fromkeys(names, lag), outputs=HEADED), 106)
+    check = kinematic_check(records)
+    assert check.apart.names == names
+    assert {*check.shifts} == {*names}
+    np.testing.assert_allclose([*check.shifts.values()], -lag, atol=0.012)  # ψ: to some 5 ms
+    (remark,) = check.remarks
+    rest = [each for each in ("phi", "theta", "psi") if each not in names]
+    assert f"against rates, specific forces, {', '.join(rest)} and velocities" in remark
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("late", ["phi", "theta", "psi"])
+def test_skews_are_against_what_a_rate_turns_whichever_attitude_is_late(late):
+    """Of clocks of their own none spoils the skew of another rate: within its stated errors."""
+    z = []
+    for seed in range(4):
+        records = bodies.flown(120 + seed, late={late: 0.06}, outputs=HEADED, single=True)
+        for each in kinematic_check(records).channels[:3]:
+            true = -0.06 if late in each.against else 0.0
+            z.append((each.skew - true) / each.skew_error)
+    # Twelve normal values: none beyond 3.5, their root mean square below 1.6 with p > 0.99.
+    assert np.abs(z).max() < 3.5
+    assert np.sqrt(np.mean(np.square(z))) < 1.6
+
+
 def test_forces_late_beside_late_velocities_are_told_against_the_others():
     check = kinematic_check(late((*VELOCITIES, *FORCES), 0.1))
     assert check.apart.names == VELOCITIES
