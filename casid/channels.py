@@ -29,10 +29,22 @@ PULSES = ("us", "µs")  # of a control: pulses of a servo
 SI = {unit: factor for row in MEASURES.values() for unit, factor in row.items()}
 
 
-def factor_of(channel: str, unit: str) -> float:
-    """What one of a channel's unit is in SI; ValueError for an unknown unit."""
+def factor_of(channel: str, unit: str, *, time: bool = False) -> float:
+    """What one of a channel's unit is in SI; ValueError for an unknown unit, or no unit of time."""
     check_known(f"channel {channel!r}: unknown unit", [unit], SI)
+    if time:
+        check_known(f"time {channel!r}: no unit of time", [unit], MEASURES["s"])
     return SI["pwm" if channel in CONTROLS and unit in PULSES else unit]
+
+
+def misnamed(channel: str, unit: str) -> str:
+    """Why a unit is odd for a channel of that name; empty where it is not."""
+    si = next(si for si, row in MEASURES.items() if unit in row)
+    if channel in CONTROLS:
+        odd, usual = si == "s" and unit not in PULSES, "a share of its travel, an angle or pulses"
+    else:
+        odd, usual = UNITS.get(channel, si) != si, UNITS.get(channel, si)
+    return f"{channel} is said to be in {unit}, where {usual} is usual" if odd else ""
 
 
 def units_of(stated: Mapping[str, str]) -> dict[str, str]:

@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from casid.arrays import Array
-from casid.channels import factor_of
+from casid.channels import factor_of, misnamed
 from casid.errors import warn
 from casid.limits import TABLE_BYTES, check_file
 from casid.matlab import read_variables
@@ -165,7 +165,9 @@ def build(
             raise ValueError(
                 f"units name channel {channel!r}, which is not read; read are {', '.join(table)}"
             )
-        table[channel] = table[channel] * factor_of(channel, unit)
+        table[channel] = table[channel] * factor_of(channel, unit, time=channel == time)
+        if channel != time and (odd := misnamed(channel, unit)):
+            warn(f"record {name!r}: {odd}: check the units, or give the channel another name")
     if len({len(column) for column in table.values()}) > 1:
         lengths = ", ".join(f"{each} {len(column)}" for each, column in table.items())
         raise ValueError(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casid.channels import MEASURES, SI, factor_of, units_of
+from casid.channels import MEASURES, SI, factor_of, misnamed, units_of
 
 
 @pytest.mark.parametrize(
@@ -32,3 +32,17 @@ def test_microseconds_of_a_stick_are_those_of_servo_pulses():
     assert factor_of("lat", "µs") == factor_of("lat", "us") == factor_of("lat", "pwm") == 1e-3
     assert factor_of("t", "µs") == 1e-6
     assert units_of({"lat": "µs", "t": "µs"})["lat"] == "travel"
+
+
+@pytest.mark.parametrize("unit", ["ft", "deg", "1"])
+def test_time_is_in_units_of_time(unit):
+    assert factor_of("t", "ms", time=True) == 1e-3
+    with pytest.raises(ValueError, match="time 't': no unit of time"):
+        factor_of("t", unit, time=True)
+
+
+def test_units_that_a_channel_of_that_name_hardly_has_are_told():
+    for channel, unit in (("p", "deg/s"), ("lat", "deg"), ("lat", "us"), ("beta", "kt")):
+        assert not misnamed(channel, unit)
+    assert misnamed("p", "kt") == "p is said to be in kt, where rad/s is usual"
+    assert "lat is said to be in ms" in misnamed("lat", "ms")

@@ -188,3 +188,11 @@ def test_inputs_of_a_slower_logger_are_filled_in_and_told(tmp_path):
     np.testing.assert_allclose(record.u[:, 0], record.t, atol=1e-12)
     assert not ((record.t > t[36] + 1e-9) & (record.t < t[60] - 1e-9)).any()
     assert len(record.stretches()) == 2
+
+
+def test_units_of_another_quantity_are_refused_of_time_and_told_of_channels(tmp_path):
+    path = csv(tmp_path, "t,lat,p\n0,0,1\n1,1,2\n2,0,3\n")
+    with pytest.raises(ValueError, match="time 't': no unit of time 'ft'"):
+        read_csv(path, inputs=["lat"], outputs=["p"], units={"t": "ft"})
+    with pytest.warns(DataWarning, match="p is said to be in kt, where rad/s is usual"):
+        read_csv(path, inputs=["lat"], outputs=["p"], units={"p": "kt"})

@@ -4,8 +4,8 @@ Attitude response to a stick, ADS-33E-PRF, Aeronautical Design Standard, Handlin
 Requirements for Military Rotorcraft (2000), section 3.3.2.1 and figure 5:
 
 - ω_180 is where the phase of attitude to stick passes -180°;
-- the phase bandwidth is where it passes -135° (45° of phase margin);
-- the gain bandwidth is where the gain is 6 dB above that at ω_180;
+- the phase bandwidth is where it passes -135° (45° of phase margin), the last time before ω_180;
+- the gain bandwidth is where the gain is 6 dB above that at ω_180, the last time before it;
 - the bandwidth is the lesser of the two, of an attitude-command response the phase bandwidth;
 - the phase delay is τ_p = ΔΦ/(57.3 · 2ω_180), ΔΦ the phase lost from ω_180 to 2ω_180; where the
   phase is no straight line there, from a least-squares line (both are given).
@@ -15,8 +15,8 @@ Passing means downwards and up to whole turns: the first such frequency sets the
 Open loop, MIL-DTL-9490E: the phase margin is 180° plus the phase where the gain passes 0 dB, the
 gain margin minus the gain where the phase passes -180°; 45° and 6 dB are wanted. With several
 crossings the least in magnitude counts; a negative gain margin is that against a loss of gain, a
-negative phase margin where the gain rises that against a phase lead. Where the gain falls, a
-negative phase margin means that the closed loop is unstable, however large it is.
+negative phase margin where the gain rises that against a phase lead. Where the gain falls for the
+last time, a negative phase margin means that the closed loop is unstable, however large it is.
 """
 
 from collections.abc import Sequence
@@ -160,6 +160,9 @@ def _bandwidth(
     by_phase, by_gain = (np.exp(at[-1]) if len(at) else np.nan for at in before)
     both = [by_phase] if attitude_command else [by_phase, by_gain]
     delay, line, remarks = _phase_delay(x, phase, x180)
+    remarks += _several("the phase", "-135°", _passing(x, phase, -135.0, turns=False), x180)
+    if not attitude_command:
+        remarks += _several("the gain", "6 dB above that at ω_180", before[1], x180)
     if np.isnan(by_phase):
         remarks.append("the phase is below -135° in the whole band: no phase bandwidth in it")
     if np.isnan(by_gain) and not attitude_command:
@@ -170,6 +173,17 @@ def _bandwidth(
     found = replace(found, phase_deg=phase, omega_180=float(np.exp(x180)), remarks=tuple(remarks))
     found = replace(found, phase_delay=delay, phase_delay_line=line, bandwidth=float(np.min(both)))
     return replace(found, bandwidth_phase=float(by_phase), bandwidth_gain=float(by_gain))
+
+
+def _several(what: str, level: str, at: Array, x180: float) -> list[str]:
+    """A remark if a level is met, at places in log ω, several times below ω_180."""
+    places = [f"{each:.3g}" for each in np.exp(at[at <= x180])]
+    if len(places) < 2:
+        return []
+    return [
+        f"{what} is {level} at {', '.join(places)} rad/s, of which the last one counts: the margin "
+        "is too small below it as well"
+    ]
 
 
 def _phase_delay(x: Array, phase: Array, x180: float) -> tuple[float, float, list[str]]:
@@ -205,9 +219,15 @@ def _margins(found: HandlingQualities, gamma: Array) -> HandlingQualities:
     falling = _passing(x, found.gain_db, 0.0, downwards=True, turns=False)
     lost = falling[_phase_margin(falling, x, found.phase_deg) < 0]
     if len(lost):
+        unless = [
+            f" unless it is conditionally stable: the gain passes 0 dB again, at {at:.3g} rad/s, "
+            "and only counting encirclements tells"
+            for at in np.exp(at_gain[at_gain > lost[-1]])
+        ]
         remarks.append(
             f"the phase is below -180° where the gain falls through 0 dB, at {np.exp(lost[0]):.3g} "
-            "rad/s: the closed loop is unstable; if it flies, check the sign of the loop"
+            f"rad/s: the closed loop is unstable{''.join(unless[:1])}; if it flies, "
+            "check the sign of the loop"
         )
     wide = abs(phase_margin) >= PHASE_MARGIN and abs(gain_margin) >= GAIN_MARGIN
     places = np.concatenate([at_gain, at_phase])

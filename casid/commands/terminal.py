@@ -86,7 +86,8 @@ def caution(console: Console, said: str) -> None:
 def complain(console: Console, what: str, error: Exception | str) -> None:
     """Say on standard error what is wrong."""
     loud = Console(stderr=True, highlight=False, width=console.width)
-    text = Text(f"{what}: ", style="bold red").append(str(error), style="default")
+    said = "\n".join(filter(None, [str(error), *getattr(error, "__notes__", ())]))
+    text = Text(f"{what}: ", style="bold red").append(said, style="default")
     loud.print(text, soft_wrap=True)  # a path broken in two cannot be copied
 
 

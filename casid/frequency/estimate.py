@@ -65,16 +65,14 @@ class Estimate:
         Outputs that a record lacks, and all where losses leave no stretch, keep averaged spectra.
         """
         lacking = {
-            i: record.name
-            for record in records
-            for i in heard
-            if np.isnan(record.y[:, i]).all()
+            i: record.name for record in records for i in heard if np.isnan(record.y[:, i]).all()
         }
         for i, name in lacking.items():
+            output = records[0].outputs[i]
             warn(
-                f"record {name!r} has no sample of {records[0].outputs[i]!r}, whose response is that "
-                "of averaged spectra, with larger errors than local models have: leave the record "
-                "out, or estimate that output by itself"
+                f"record {name!r} has no sample of {output!r}, whose response is that of averaged "
+                "spectra, with larger errors than local models have: leave the record out, or "
+                "estimate that output by itself"
             )
         heard = [i for i in heard if i not in lacking]
         if not heard:

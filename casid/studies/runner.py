@@ -210,13 +210,13 @@ def _run(
         found = _stages(study, records, flights, keeper)
     except ConvergenceError as error:
         raise ConvergenceError(f"{error}{_earlier(study)}", error.best) from error
+    except ValueError as error:
+        error.add_note(_earlier(study).strip())
+        raise
     does = {stage.name: stage.does for stage in study.stages}
     lasting = {stage.name for stage in study.stages if stage.kept}
     keeper.warnings += [f"The {does[name]} is missing. {e}" for name, e in found.failures.items()]
     last = _last(found.results)
-    if last is not None:
-        last.save(study.output / "fit.json")
-        write_parameters(study.output / "parameters.csv", last)
 
     def write() -> tuple[Path, Content, tuple[Section, ...]]:
         # Seconds of what is computed every time would make two pages of one result differ.
@@ -226,6 +226,9 @@ def _run(
         return pages.write_report(shown, told, study.output), shown, tuple(told)
 
     report, shown, told = keeper.timed("report", write)
+    if last is not None:  # after the page, which takes longest: together they are of one run
+        last.save(study.output / "fit.json")
+        write_parameters(study.output / "parameters.csv", last)
     for failure in found.failures.values():
         raise ConvergenceError(
             f"{failure}\nThe report is written without it: {report}", failure.best

@@ -160,3 +160,30 @@ def test_coherence_counts_from_the_bandwidth_to_twice_omega_180(end, factor, sai
     coherence = np.where(np.abs(np.log(omega / place)) < 0.02, 0.3, 1.0)[:, None, None]
     remarks = handling_qualities(replace(frf, coherence=coherence), ("phi", "lat")).remarks
     assert any("coherence falls to 0.30" in each for each in remarks) is said
+
+
+def test_several_crossings_of_minus_135_are_told():
+    # Airframe with a notch and a mode above: the phase comes back between them.
+    def sluggish(s):
+        notch = (s**2 + 1.4 * s + 49) / (s**2 + 0.8 * s + 64)
+        return 20 / (s * (s + 1)) * notch * np.exp(-0.05 * s)
+
+    omega = np.geomspace(0.1, 30, 20000)
+    phase = np.unwrap(np.angle(sluggish(1j * omega))) + 0.75 * np.pi
+    places = omega[:-1][np.diff(np.sign(phase)) != 0]
+    read = handling_qualities(response(sluggish), ("phi", "lat"), attitude_command=True)
+    assert len(places) == 3
+    assert read.bandwidth == pytest.approx(places[-1], rel=1e-3)
+    told = ", ".join(f"{place:.2g}" for place in places)
+    (remark,) = read.remarks
+    found = remark.split(" at ")[1].split(" rad/s")[0].split(", ")
+    assert ", ".join(f"{float(each):.2g}" for each in found) == told
+
+
+def test_a_conditionally_stable_loop_is_not_called_unstable():
+    num = 2 * np.polymul([1, 6, 9], [1, 0.032, 0.64])
+    den = np.polymul([1, 0, 0, 0], [1, 1.6, 0.64])
+    assert np.roots(np.polyadd(den, num)).real.max() < 0  # closed loop
+    loop = response(lambda s: np.polyval(num, s) / np.polyval(den, s))
+    (remark,) = handling_qualities(loop, ("phi", "lat"), kind="loop").remarks
+    assert "unstable unless it is conditionally stable: the gain passes 0 dB again" in remark

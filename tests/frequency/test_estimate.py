@@ -1,7 +1,12 @@
 """What is left of an estimate under feedback, and why the rest is not."""
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+import pytest
+from truths.systems import TWO, white
+
+from casid import DataWarning, frequency_response
 from casid.frequency.estimate import WEAK, Estimate
 from casid.frequency.response import FED_BACK, UNDRIVEN
 
@@ -41,3 +46,18 @@ def test_what_references_hardly_move_is_left_out_for_that_reason_alone():
     assert np.isnan(found.G).all()
     np.testing.assert_array_equal(lost[UNDRIVEN].ravel(), [False, True, True])
     np.testing.assert_array_equal(lost[FED_BACK].ravel(), [True, False, False])
+
+
+def test_outputs_that_a_record_lacks_keep_averaged_spectra_and_are_told():
+    rng, omega = np.random.default_rng(3), np.array([2.0, 4.0])
+    records = [white(TWO, rng, noise=0.1, duration=120.0, name=n) for n in "abc"]
+    lacking = [*records[:2], replace(records[2], y=records[2].y * [1.0, np.nan])]
+    local = frequency_response(records, omega=omega)
+    with pytest.warns(DataWarning) as told:
+        found = frequency_response(lacking, omega=omega)
+    assert sum("record 'c' has no sample of 'y'" in str(each.message) for each in told) == 1
+    with pytest.warns(DataWarning):
+        windows = frequency_response(lacking, omega=omega, method="windows")
+    np.testing.assert_array_equal(found.G[:, 1], windows.G[:, 1])
+    np.testing.assert_allclose(found.random_error[:, 0], local.random_error[:, 0], rtol=0.2)
+    assert np.all(found.G[:, 0] != windows.G[:, 0])

@@ -9,9 +9,9 @@ import pytest
 from truths.closed_roll import TRUTH, noisy
 from truths.roll_study import write_study
 
-from casid import ConvergenceError, output_error, read_study, run_study
+from casid import ConvergenceError, output_error, read_study, report, run_study
 from casid.fit import ParameterEstimate
-from casid.studies.runner import write_parameters
+from casid.studies.runner import WRITTEN, write_parameters
 
 
 def test_output_error_that_stops_early_leaves_its_best_iterate(tmp_path):
@@ -21,6 +21,24 @@ def test_output_error_that_stops_early_leaves_its_best_iterate(tmp_path):
         run_study(study)
     assert (study.output / "stages" / "output_error_best.json").exists()
     assert {path.name for path in study.output.iterdir()} == {"stages", ".lock"}
+
+
+@pytest.mark.slow
+def test_what_ends_a_later_run_leaves_the_files_of_one_run(tmp_path, monkeypatch):
+    path = write_study(tmp_path)
+    study = read_study(path)
+    run_study(study)
+    kept = {name: (study.output / name).read_bytes() for name in WRITTEN[:3]}
+    flight = tmp_path / "sweep.csv"
+    flight.write_text("\n".join(flight.read_text().splitlines()[:-5]) + "\n")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(report, "write_report", full)
+    with pytest.raises(OSError, match="No space"):
+        run_study(read_study(path))
+    assert {name: (study.output / name).read_bytes() for name in kept} == kept
 
 
 @pytest.mark.slow
