@@ -37,6 +37,7 @@ class RecordSet:
     """The files of one role and how they are read."""
 
     files: tuple[Path, ...]
+    patterns: tuple[Path, ...] = ()  # that the files were found by
     detrend: str = "first"  # first, mean, none, or the role whose trim is taken
     trim: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # by pattern of names
     noise: bool = False
@@ -152,8 +153,16 @@ class Study:
     def spare(self, *names: str) -> None:
         """Refuse files in the folder of results that the study itself is read from: ValueError."""
         flown = [file for each in self.roles.values() for file in each.files]
+        patterns = [pattern for each in self.roles.values() for pattern in each.patterns]
         for name in names:
-            spare(self.output / name, self.path, self.model_file, *flown)
+            target = self.output / name
+            spare(target, self.path, self.model_file, *flown)
+            for pattern in patterns:
+                if target.absolute().match(str(pattern.absolute())):
+                    raise ValueError(
+                        f"{target}, which the study writes, would be read as a flight by files = "
+                        f'["{pattern}"]; name another folder for the results'
+                    )
 
     def task(self, roles: Mapping[Role, Any], checks: Mapping[Role, Any] | None = None) -> Task:
         """What the stages work on, with these records by role, and those with check channels."""

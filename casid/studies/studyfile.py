@@ -221,7 +221,15 @@ def _role(table: Table, folder: Path) -> RecordSet:
     cutting = read_cutting(table, decimate)
     Table(cutting.cuts, f"{table.place} cut:").only(file.stem for file in files)
     trim = read_trim(table, [file.stem for file in files])
-    return RecordSet(files=tuple(files), detrend=detrend, trim=trim, noise=noise, cutting=cutting)
+    patterns = tuple(folder / pattern for pattern in table.names("files"))
+    return RecordSet(
+        files=tuple(files),
+        patterns=patterns,
+        detrend=detrend,
+        trim=trim,
+        noise=noise,
+        cutting=cutting,
+    )
 
 
 def _noise(table: Table, channels: ChannelSettings) -> AddedNoise:

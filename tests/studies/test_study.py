@@ -48,3 +48,13 @@ def test_a_record_in_two_roles_is_the_same_flight_in_both(tmp_path):
     study = read_study(write_study(tmp_path, ("[records.validation]", both)))
     records = read_records(study)
     np.testing.assert_array_equal(records["identification"][0].y, records["refinement"][0].y)
+
+
+def test_results_that_the_pattern_of_the_flights_would_take_are_refused_at_once(tmp_path):
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside/flight.csv").touch()
+    files = ('["random.csv"]', '["random.csv", "out*/*.csv"]')
+    study = read_study(write_study(tmp_path, files))
+    study.spare("report.html")
+    with pytest.raises(ValueError, match=r"parameters.csv, .* would be read as a flight by .*out"):
+        study.spare("report.html", "parameters.csv")
