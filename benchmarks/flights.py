@@ -43,8 +43,10 @@ from benchmarks.uh60 import (
 from casid import frequency_response, outliers, output_error, pbsid
 from casid.records import standard_deviations
 from casid.subspace import modal as modes
+from casid.subspace.alike import alike
 from casid.subspace.campaign import Campaign
 from casid.subspace.fourier import Spectrum
+from casid.subspace.likelihood import parts
 from casid.subspace.refinement import refine
 from casid.subspace.settings import HIGHEST
 from casid.subspace.slopes import normal_equations, response_derivative
@@ -141,7 +143,7 @@ def least(records):
         np.tile(np.sqrt(np.isfinite(record.y).mean(axis=0) / record.dt) / noise, (len(s.omega), 1))
         for s, record in zip(data, records, strict=True)
     ]
-    H, _ = normal_equations(modal, data, weights, free)
+    H, _ = normal_equations(modal, parts(modal, alike(data, weights)), free)
     unit = partial(Spectrum, OMEGA, Y=np.zeros((len(OMEGA), len(OUTPUTS))), h=None, hold="foh")
     G, dG = response_derivative(modal, free, unit, len(OMEGA))
     off = np.einsum("koip,pr->koir", dG, modes.covariance_factor(H) / np.sqrt(2))

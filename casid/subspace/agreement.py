@@ -17,11 +17,12 @@ import numpy as np
 from casid.arrays import Array, ComplexArray
 from casid.linear import StateSpace
 from casid.record import Record
+from casid.subspace import likelihood
 from casid.subspace import modal as modes
+from casid.subspace.alike import alike
 from casid.subspace.campaign import Campaign, Windows
 from casid.subspace.fourier import Spectrum, parts, spectrum, transformed
 from casid.subspace.left_out import Jackknife
-from casid.subspace.likelihood import noise_weights
 from casid.subspace.slopes import linearised, normal_equations
 
 # What nonlinear aircraft show between manoeuvres: a fault is larger by `CLEAR` errors. A clock is
@@ -192,10 +193,11 @@ def _by_score(
     if len(data) < 2:
         return None
     modal, free = modes.to_modal(system, su, sy, mask), np.argwhere(mask)
-    weights = noise_weights(modal, data)
-    factor = modes.covariance_factor(normal_equations(modal, data, weights, free)[0])
+    weights = likelihood.noise_weights(modal, data)
+    known = likelihood.parts(modal, alike(data, weights))
+    factor = modes.covariance_factor(normal_equations(modal, known, free)[0])
     seen = []
-    around = linearised(modal, data, weights)
+    around = linearised(modal, known)
     for (record, lines), w, near in zip(pairs, weights, around, strict=True):
         piece = _Piece(record, lines, w, system.response(lines.omega) * su / sy[:, None], su, sy)
         slopes = modes.tangents(modal, *near, w, free)

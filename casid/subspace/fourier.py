@@ -96,7 +96,7 @@ def spectrum(record: Record, su: Array, sy: Array, highest: float) -> Spectrum:
     """Transforms of a piece of a record up to ``highest`` [rad/s]."""
     t = record.t - record.t[0]
     u, y = record.u / su, record.y / sy
-    T, n = float(t[-1]), len(t)
+    T, n = float(f"{t[-1]:.12g}"), len(t)  # pieces are alike but for the rounding of their clock
     K = min(int(highest * T / (2 * np.pi)), (n - 1) // 2)
     omega = 2 * np.pi * np.arange(1, K + 1) / T
     h = T / (n - 1)

@@ -15,6 +15,7 @@ import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.subspace import modal as modes
+from casid.subspace.alike import Alike, Drive, fewest
 from casid.subspace.fourier import Lines, Spectrum
 from casid.subspace.weighing import smoothed
 
@@ -65,7 +66,7 @@ def all_factors(modal: modes.Modal, data: Sequence[Spectrum]) -> Iterator[Factor
 
 
 def forced(modal: modes.Modal, spectrum: Lines, f: Factors) -> ComplexArray:
-    """Output residual without transient, (K, ny)."""
+    """Output residual without transient, (..., K, ny)."""
     U = spectrum.U
     X, Xc = f.r * (U @ modal.B.T), f.rc * (U @ modal.B.conj().T)
     return spectrum.Y - X @ modal.C.T - Xc @ modal.C.conj().T - U @ modal.D.T
@@ -100,28 +101,28 @@ def noise_weights(modal: modes.Modal, data: Sequence[Spectrum]) -> list[Array]:
 
 
 class Part(NamedTuple):
-    """Of one spectrum its factors, residual (K, ny), best transient (nm,) and its cost."""
+    """Of spectra alike what a model leaves of them, with the best transient of each."""
 
+    lines: Alike
     f: Factors
-    E: ComplexArray
-    delta: ComplexArray
-    cost: float
+    E: ComplexArray  # (R, K, ny) residuals but for transients
+    delta: ComplexArray  # (R, nm) transients
+    cost: Array  # (R,) weighted squares that are left
+
+    def drive(self) -> Drive:
+        """What its signals are made of, in as few stretches as have the same products."""
+        return fewest(self.lines.U, self.delta, self.E, self.f.real)
 
 
-def parts(modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array]) -> list[Part]:
-    """Parts of all spectra."""
-    mix, known = modes.mixing(modal.C, modal.real), list(all_factors(modal, data))
-    E = [forced(modal, spectrum, f) for spectrum, f in zip(data, known, strict=True)]
-    groups: dict[tuple[int, int], list[int]] = {}  # what differs in the residuals alone
-    for i, (f, w) in enumerate(zip(known, weights, strict=True)):
-        groups.setdefault((id(f), id(w)), []).append(i)
-    found: dict[int, Part] = {}
-    for group in groups.values():
-        f, w = known[group[0]], weights[group[0]]
-        e = np.array([modes.stacked(E[i] * w).T.ravel() for i in group])
-        best = zip(group, *_transients(f, w, mix, e), strict=True)
-        found |= {i: Part(f, E[i], delta, float(cost)) for i, delta, cost in best}
-    return [found[i] for i in range(len(data))]
+def parts(modal: modes.Modal, groups: Sequence[Alike]) -> list[Part]:
+    """What a model leaves of groups of spectra."""
+    mix, found = modes.mixing(modal.C, modal.real), []
+    for lines in groups:
+        f = factors(modal, lines)
+        E = forced(modal, lines, f)
+        e = modes.stacked(E * lines.w).swapaxes(1, 2).reshape(len(E), -1)
+        found.append(Part(lines, f, E, *_transients(f, lines.w, mix, e)))
+    return found
 
 
 def _transients(f: Factors, w: Array, mix: Array, e: Array) -> tuple[ComplexArray, Array]:

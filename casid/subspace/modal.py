@@ -111,15 +111,15 @@ def mixing(c: ComplexArray, real: BoolArray) -> Array:
     return M
 
 
-def seen(basis: S, mix: Array, nu: int) -> S:
+def seen(basis: S, mix: Array, blocks: int) -> S:
     """What spans all derivatives (..., K, m), as the output sees it whose `mixing` is (..., n, n).
 
-    That is signals of the transient, of λ and of B, input by input, each n of which are mixed; then
-    those of C and D, which outputs see as they are.
+    That is signals of the transient, if any, of λ and of B, input by input, so many ``blocks`` of
+    n, which are mixed; then those of C and D, which outputs see as they are.
     """
     n, (*stack, K, _) = mix.shape[-1], basis.shape
-    C = (2 + nu) * n  # where those of C begin
-    mixed = basis[..., :C].reshape(*stack, K * (2 + nu), n) @ mix
+    C = blocks * n  # where those of C begin
+    mixed = basis[..., :C].reshape(*stack, K * blocks, n) @ mix
     return np.concatenate([mixed.reshape(*stack, K, C), basis[..., C:]], axis=-1)
 
 
@@ -140,7 +140,7 @@ def places(modal: Modal, o: int, free: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def output_derivative(basis: S, modal: Modal, o: int, free: np.ndarray) -> tuple[S, np.ndarray]:
     """Derivatives of output o by the transient and the parameters it depends on, and which."""
     which, where = places(modal, o, free)
-    return seen(basis, mixing(modal.C[o], modal.real), modal.D.shape[1])[:, which], where
+    return seen(basis, mixing(modal.C[o], modal.real), 2 + modal.D.shape[1])[:, which], where
 
 
 def tangents(
@@ -173,8 +173,8 @@ def gram(rows: Array | ComplexArray) -> Array:
 
 
 def stacked(rows: Array | ComplexArray) -> Array:
-    """Real parts over imaginary ones."""
-    return np.concatenate([rows.real, rows.imag])
+    """Real parts over imaginary ones, (..., 2K, n)."""
+    return np.concatenate([rows.real, rows.imag], axis=-2)
 
 
 def moved(modal: Modal, step: Array, free: np.ndarray) -> Modal:

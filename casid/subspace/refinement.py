@@ -14,21 +14,23 @@ Source: R. Pintelon, J. Schoukens, System Identification: A Frequency Domain App
 chapters 9 and 12.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 from casid.subspace import modal as modes
+from casid.subspace.alike import alike
 from casid.subspace.fourier import Spectrum
 from casid.subspace.likelihood import Part, noise_weights, parts, without_transients
 from casid.subspace.slopes import normal_equations, response_derivative, with_outputs
 from casid.subspace.weighing import known_weights, smoothed
 from casid.values import storable
+
+Left = Callable[[modes.Modal], list[Part]]  # what a model leaves of all spectra
 
 ROUNDS = 2  # of estimating residual spectra
 STEPS = 6  # Gauss-Newton steps a round
@@ -91,7 +93,8 @@ def refine(
     modal = modes.to_modal(system, su, sy, feedthrough)
     modal, weights = _moved(modal, data, feedthrough, fastest, decaying)
     free = np.argwhere(feedthrough)
-    H, _ = normal_equations(modal, data, known_weights(data, weights), free)
+    known = parts(modal, alike(data, known_weights(data, weights)))
+    H, _ = normal_equations(modal, known, free)
     rows = 2 * sum(len(s.omega) for s in data) * len(sy)
     used = len(H) + len(data) * system.nx
     inflate = rows / max(rows - used, 1)  # residuals are smaller than noise by what was fitted
@@ -144,28 +147,33 @@ def _moved(
     nats = ROUGH * (modal.order * sum(modal.D.shape) + len(free)) if rough else 0.0
     for _ in range(1 if rough else ROUNDS):
         weights = noise_weights(modal, data)
-        known = lru_cache(1)(partial(parts, data=data, weights=weights))  # of the last trial
-        of: Any = {"data": data, "weights": weights, "free": free, "known": known}
+        known = lru_cache(1)(partial(parts, groups=alike(data, weights)))  # of the last trial
         modal = modes.descend(
             modal,
             cost=partial(_cost, known=known),
-            normal=partial(normal_equations, **of),
-            tidy=partial(_tidied, ceiling=ceiling, fastest=fastest, of=of),
+            normal=partial(_normal, known=known, free=free),
+            tidy=partial(_tidied, ceiling=ceiling, fastest=fastest, known=known, free=free),
             free=free, steps=STEPS, settled=max(SETTLED, nats / lines),
         )  # fmt: skip
     return modal, weights
 
 
+def _cost(modal: modes.Modal, known: Left) -> float:
+    """Weighted squared residuals with the best transients."""
+    return float(sum(part.cost.sum() for part in known(modal)))
+
+
+def _normal(modal: modes.Modal, known: Left, free: np.ndarray) -> tuple[Array, Array]:
+    """Normal equations of a Gauss-Newton step."""
+    return normal_equations(modal, known(modal), free)
+
+
 def _tidied(
-    modal: modes.Modal, ceiling: Array, fastest: float, of: Mapping[str, Any]
+    modal: modes.Modal, ceiling: Array, fastest: float, known: Left, free: np.ndarray
 ) -> modes.Modal:
     """The model with its poles where they may be, and the outputs that follow best from these."""
-    return with_outputs(replace(modal, lam=_capped(modal.lam, ceiling, fastest)), **of)
-
-
-def _cost(modal: modes.Modal, known: Callable[[modes.Modal], list[Part]]) -> float:
-    """Weighted squared residuals with the best transients."""
-    return sum(part.cost for part in known(modal))
+    modal = replace(modal, lam=_capped(modal.lam, ceiling, fastest))
+    return with_outputs(modal, known(modal), free)
 
 
 def residual_powers(

@@ -11,163 +11,166 @@ import numpy as np
 
 from casid.arrays import Array, ComplexArray
 from casid.subspace import modal as modes
-from casid.subspace.fourier import Lines, Spectrum
-from casid.subspace.likelihood import Factors, Part, factors, forced, parts
+from casid.subspace.alike import Drive
+from casid.subspace.fourier import Lines
+from casid.subspace.likelihood import Factors, Part, factors, forced
 
 
 def normal_equations(
-    modal: modes.Modal,
-    data: Sequence[Spectrum],
-    weights: Sequence[Array],
-    free: np.ndarray,
-    known: Callable[[modes.Modal], list[Part]] | None = None,
+    modal: modes.Modal, known: Sequence[Part], free: np.ndarray
 ) -> tuple[Array, Array]:
-    """Re Σ Jᴴ W J and Re Σ Jᴴ W E; the parts of a model may be ``known``."""
+    """Re Σ Jᴴ W J and Re Σ Jᴴ W E, of what a model leaves of spectra (`parts`)."""
     # All derivatives of an output are sums of signals that all outputs share, in a small number
     # that its row of C gives: these sums are taken of the Gram matrices, not of the signals.
-    n, mix = modal.order, modes.mixing(modal.C, modal.real)
-    ny, nu = modal.D.shape
+    n, (ny, nu) = modal.order, modal.D.shape
+    mix, blocks = modes.mixing(modal.C, modal.real), 1 + nu
     size = n + n * nu + ny * n + len(free)
-    grams, heads = _shared_grams(
-        modal, data, weights, known(modal) if known else parts(modal, data, weights)
-    )
-    wholes = modes.seen(modes.seen(grams, mix, nu).swapaxes(1, 2), mix, nu)
-    tops = mix.swapaxes(1, 2) @ modes.seen(heads, mix, nu)
+    grams = np.sum([_grams(modal, part) for part in known], axis=0)
+    wholes = modes.seen(modes.seen(grams, mix, blocks).swapaxes(1, 2), mix, blocks)
     total = np.zeros((size + 1, size + 1))
-    sides = np.zeros((len(data), n, n + size + 1))
-    common = (2 + nu) * n  # signals of the transient, λ and B, by which all outputs have slopes
-    shared = modes.places(modal, 0, free)[1][:common]
-    total[np.ix_(shared[n:] - n, shared[n:] - n)] = wholes[:, n:common, n:common].sum(axis=0)
-    sides[:, :, shared] = tops[..., :common].sum(axis=1)
     for o, whole in enumerate(wholes):
-        which, where = (part[common:] for part in modes.places(modal, o, free))
-        which, where = np.append(which, -1), np.append(where, n + size)  # the error
-        across = whole[n:common, which]
-        total[np.ix_(shared[n:] - n, where - n)] += across
-        total[np.ix_(where - n, shared[n:] - n)] += across.T
-        total[np.ix_(where - n, where - n)] += whole[np.ix_(which, which)]
-        sides[:, :, where] += tops[:, o][:, :, which]
-    others = sides[:, :, n:].reshape(-1, size + 1)
-    total -= others.T @ modes.eliminator(sides, n).reshape(-1, size + 1)
+        which, where = (place[n:] - n for place in modes.places(modal, o, free))
+        which, where = np.append(which, -1), np.append(where, size)  # the error
+        total[np.ix_(where, where)] += whole[np.ix_(which, which)]
+    for part in known:
+        own, sides = _sides(modal, part, mix, free)
+        rows = sides.reshape(n, -1)
+        ends = modes.eliminator(np.hstack([own, rows]), n)
+        total -= sides.reshape(-1, size + 1).T @ ends.reshape(-1, size + 1)
     return total[:-1, :-1], total[:-1, -1]
 
 
-def _shared_grams(
-    modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array], known: Sequence[Part]
-) -> tuple[Array, Array]:
-    """Gram matrices of the signals that span all derivatives, and the error, as outputs weigh them.
+def _grams(modal: modes.Modal, part: Part) -> Array:
+    """Gram matrices (ny, m, m) of the signals that span all derivatives, and the error, weighed."""
+    drive, w = part.drive(), np.vstack([part.lines.w, part.lines.w])
+    signals = modes.stacked(_signals(modal, drive, part.f))
+    R, K, m = signals.shape
+    rows, weighed = np.empty((R, K, m + 1)), np.empty((R, K, m + 1))
+    rows[..., :-1] = signals
+    found = np.empty((len(modal.C), m + 1, m + 1))
+    for o, e in enumerate(modes.stacked(drive.E).transpose(2, 0, 1)):
+        rows[..., -1] = e
+        np.multiply(rows, w[:, o, None], out=weighed)
+        found[o] = modes.gram(weighed.reshape(-1, m + 1))
+    return found
 
-    Their sums over all spectra (ny, m, m), and the rows of each spectrum's transient
-    (spectra, ny, n, m).
+
+def _sides(modal: modes.Modal, part: Part, mix: Array, free: np.ndarray) -> tuple[Array, Array]:
+    """What transients of spectra alike have in common with one another and with all parameters.
+
+    Products of derivatives, weighed and summed over lines and outputs: (n, n) of the transients,
+    the same for every stretch, and (n, R, parameters + 1) with the parameters and the error.
     """
-    n, (ny, nu) = modal.order, modal.D.shape
-    m = n * (2 + nu) + nu + 1
-    grams, heads = np.zeros((ny, m, m)), np.empty((len(data), ny, n, m))
-    for spectrum, w, head, (f, E, delta, _) in zip(data, weights, heads, known, strict=True):
-        signals = _signals(modal, spectrum, delta, f)
-        rows = np.empty((2 * len(signals), m))
-        rows[:, :-1] = modes.stacked(signals)
-        weighted = np.empty_like(rows)
-        for o, (e, scale) in enumerate(zip(modes.stacked(E).T, np.vstack([w, w]).T, strict=True)):
-            rows[:, -1] = e
-            found = modes.gram(np.multiply(rows, scale[:, None], out=weighted))
-            head[o] = found[:n]
-            grams[o] += found
-    return _with_states(modal, grams, heads, np.array([part.delta for part in known]))
+    # Outputs are summed line by line, before the inputs of the stretches come in.
+    n, (ny, nu), f, real = modal.order, modal.D.shape, part.f, modal.real
+    U, w = part.lines.U, part.lines.w
+    R, K = U.shape[:2]
+    ends = modes.pair(f.transient, f.transient_c, real) @ mix  # (ny, K, n)
+    heavy = ends * (w.T**2)[..., None]
+
+    def across(r: ComplexArray, rc: ComplexArray) -> ComplexArray:
+        """Products (K, n, n) of transients, and of modal signals as outputs see them."""
+        other = modes.pair(r, rc, real) @ mix
+        return np.asarray(heavy.transpose(1, 2, 0) @ other.conj().swapaxes(0, 1))
+
+    flat = modes.stacked(U).swapaxes(0, 1).reshape(2 * K, -1)
+    by_slope, by_input = (
+        (modes.stacked(both.reshape(K, -1)).T @ flat).reshape(n, n, R, nu)
+        for both in (across(f.slope, f.slope_c), across(f.r, f.rc))
+    )
+    drift = across(f.drift, f.drift_c).real.sum(axis=0) @ modes.mixing(part.delta, real)
+    inputs = modes.mixing(modal.B.T, real)  # (nu, n, n)
+    poles = np.einsum("iqrj,jqp->irp", by_slope, inputs, optimize=True) + drift.swapaxes(0, 1)
+    rows = modes.stacked(heavy)  # (ny, 2K, n)
+    x = modes.stacked(_states(modal, _whole(part), f)).swapaxes(0, 1).reshape(2 * K, -1)
+    states = (rows.swapaxes(1, 2) @ x).reshape(ny, n, R, n)
+    direct = (rows.swapaxes(1, 2) @ flat).reshape(ny, n, R, nu)
+    left = modes.stacked(part.E).transpose(2, 1, 0).reshape(-1, R)
+    sides = [
+        poles,
+        by_input.transpose(0, 2, 1, 3).reshape(n, R, -1),
+        states.transpose(1, 2, 0, 3).reshape(n, R, -1),
+        direct[free[:, 0], :, :, free[:, 1]].transpose(1, 2, 0),
+        (rows.reshape(-1, n).T @ left)[..., None],
+    ]
+    own = modes.stacked(ends).reshape(-1, n).T @ rows.reshape(-1, n)
+    return own, np.concatenate(sides, axis=2)
 
 
-def _with_states(
-    modal: modes.Modal, grams: Array, heads: Array, delta: ComplexArray
-) -> tuple[Array, Array]:
-    """The same with those of the states, which are sums of what inputs and transients do."""
-    n, nu = modal.order, modal.B.shape[1]
-    B, C = slice(2 * n, (2 + nu) * n), (2 + nu) * n
-    P = modes.mixing(modal.B.T, modal.real).reshape(-1, n)  # of inputs
-    T = modes.mixing(delta, modal.real)[:, None]  # of each spectrum's transient
-    tops = heads[..., B] @ P + heads[..., :n] @ T
-    along = grams[..., B] @ P + np.sum(heads.swapaxes(2, 3) @ T, axis=0)
-    square = P.T @ along[:, B] + np.sum(T.swapaxes(2, 3) @ tops, axis=0)
-    wide = np.concatenate([grams[..., :C], along, grams[..., C:]], axis=2)
-    row = np.concatenate([along[:, :C], square, along[:, C:]], axis=1).swapaxes(1, 2)
-    whole = np.concatenate([wide[:, :C], row, wide[:, C:]], axis=1)
-    return whole, np.concatenate([heads[..., :C], tops, heads[..., C:]], axis=3)
-
-
-def with_outputs(
-    modal: modes.Modal,
-    data: Sequence[Spectrum],
-    weights: Sequence[Array],
-    free: np.ndarray,
-    known: Callable[[modes.Modal], list[Part]] | None = None,
-) -> modes.Modal:
+def with_outputs(modal: modes.Modal, known: Sequence[Part], free: np.ndarray) -> modes.Modal:
     """The C and free D that leave least, of given λ and B with the transients that were best.
 
     Of these the residuals are linear: no Gauss-Newton step has to find them along a curved valley.
     Source: A. Ruhe, P.-A. Wedin, SIAM Review 22 (1980), algorithm 3.
     """
-    found = known(modal) if known else parts(modal, data, weights)
     n, (ny, nu) = modal.order, modal.D.shape
-    rows = np.vstack(
-        [
-            modes.stacked(np.hstack([_states(modal, lines, part.delta, part.f), lines.U]))
-            for lines, part in zip(data, found, strict=True)
-        ]
-    )
-    left = np.vstack([modes.stacked(_left(modal, part)) for part in found])
-    w = np.vstack([each for own in weights for each in (own, own)])
     direct = np.zeros((ny, nu), dtype=bool)
     direct[free[:, 0], free[:, 1]] = True
-    grams = np.empty((ny, n + nu, n + nu + 1))
-    for o in range(ny):
-        own = np.column_stack([rows, left[:, o]]) * w[:, o, None]
-        own[:, n:-1] *= direct[o]
-        grams[o] = modes.gram(own)[:-1]
+    grams = np.zeros((ny, n + nu, n + nu + 1))
+    for part in known:
+        drive, w = part.drive(), np.vstack([part.lines.w, part.lines.w])
+        rows = modes.stacked(np.concatenate([_states(modal, drive, part.f), drive.U], axis=2))
+        left = modes.stacked(_left(modal, drive, part.f))
+        for o in range(ny):
+            own = np.concatenate([rows, left[..., o, None]], axis=2) * w[:, o, None]
+            own[..., n:-1] *= direct[o]
+            grams[o] += modes.gram(own.reshape(-1, n + nu + 1))[:-1]
     step = modes.eliminator(grams, n + nu)[..., 0]
     C = modal.C + np.array([modes.to_complex(modal, own, 1)[:, 0] for own in step[:, :n]])
     return replace(modal, C=C, D=modal.D + direct * step[:, n:])
 
 
-def _left(modal: modes.Modal, part: Part) -> ComplexArray:
-    """Residuals (K, ny) with the best transient."""
-    f = part.f
-    ends, ends_c = f.transient * part.delta, f.transient_c * part.delta.conj()
-    return part.E - ends @ modal.C.T - ends_c @ modal.C.conj().T
-
-
 def linearised(
-    modal: modes.Modal, data: Sequence[Spectrum], weights: Sequence[Array]
+    modal: modes.Modal, known: Sequence[Part]
 ) -> list[tuple[ComplexArray, ComplexArray]]:
     """Residuals (K, ny) but for transients, and what spans their slopes, of every spectrum."""
-    found = zip(data, parts(modal, data, weights), strict=True)
-    return [(part.E, _basis(modal, lines, part.delta, part.f)) for lines, part in found]
+    found: dict[int, tuple[ComplexArray, ComplexArray]] = {}
+    for part in known:
+        basis = _basis(modal, _whole(part), part.f)
+        found |= dict(zip(part.lines.which, zip(part.E, basis, strict=True), strict=True))
+    return [found[i] for i in range(len(found))]
 
 
-def _signals(modal: modes.Modal, spectrum: Lines, delta: ComplexArray, f: Factors) -> ComplexArray:
-    """Signals of the transient, λ, B and D; see `casid.subspace.modal.seen`."""
-    U, real = spectrum.U, modal.real
-    poles = f.slope * (U @ modal.B.T) + f.drift * delta
-    poles_c = f.slope_c * (U @ modal.B.conj().T) + f.drift_c * delta.conj()
-    by_input = U[:, :, None] * modes.pair(f.r, f.rc, real)[:, None]
-    return np.hstack(
+def _whole(part: Part) -> Drive:
+    """What drives every stretch."""
+    ends = part.delta[:, None]
+    return Drive(part.lines.U, ends, ends.conj(), part.E)
+
+
+def _left(modal: modes.Modal, drive: Drive, f: Factors) -> ComplexArray:
+    """Residuals (R, K, ny) with the best transient."""
+    ends, ends_c = f.transient * drive.delta, f.transient_c * drive.delta_c
+    return np.asarray(drive.E - ends @ modal.C.T - ends_c @ modal.C.conj().T)
+
+
+def _signals(modal: modes.Modal, drive: Drive, f: Factors) -> ComplexArray:
+    """Signals of λ, B, C and D, (R, K, n (2 + nu) + nu); see `casid.subspace.modal.seen`."""
+    U, real = drive.U, modal.real
+    poles = f.slope * (U @ modal.B.T) + f.drift * drive.delta
+    poles_c = f.slope_c * (U @ modal.B.conj().T) + f.drift_c * drive.delta_c
+    by_input = U[..., None] * modes.pair(f.r, f.rc, real)[:, None]
+    return np.concatenate(
         [
-            modes.pair(f.transient, f.transient_c, real),
             modes.pair(poles, poles_c, real),
-            by_input.reshape(len(U), -1),
+            by_input.reshape(*U.shape[:2], -1),
+            _states(modal, drive, f),
             U,
-        ]
+        ],
+        axis=2,
     )
 
 
-def _basis(modal: modes.Modal, spectrum: Lines, delta: ComplexArray, f: Factors) -> ComplexArray:
-    """The signals with those of the states before those of D."""
-    S, nu = _signals(modal, spectrum, delta, f), modal.B.shape[1]
-    return np.hstack([S[:, :-nu], _states(modal, spectrum, delta, f), S[:, -nu:]])
+def _basis(modal: modes.Modal, drive: Drive, f: Factors) -> ComplexArray:
+    """The signals (R, K, m) with those of the transient before them."""
+    ends, signals = modes.pair(f.transient, f.transient_c, modal.real), _signals(modal, drive, f)
+    every = np.broadcast_to(ends, (*signals.shape[:2], modal.order))
+    return np.concatenate([every, signals], axis=2)
 
 
-def _states(modal: modes.Modal, spectrum: Lines, delta: ComplexArray, f: Factors) -> ComplexArray:
-    """What inputs and transients do to the states, (K, n)."""
-    x = f.r * (spectrum.U @ modal.B.T) + f.transient * delta
-    xc = f.rc * (spectrum.U @ modal.B.conj().T) + f.transient_c * delta.conj()
+def _states(modal: modes.Modal, drive: Drive, f: Factors) -> ComplexArray:
+    """What inputs and transients do to the states, (R, K, n)."""
+    x = f.r * (drive.U @ modal.B.T) + f.transient * drive.delta
+    xc = f.rc * (drive.U @ modal.B.conj().T) + f.transient_c * drive.delta_c
     return modes.pair(x, xc, modal.real)
 
 
@@ -183,7 +186,8 @@ def response_derivative(
     for j in range(nu):
         unit = lines(np.tile(np.eye(nu, dtype=complex)[j], (K, 1)))
         f = factors(modal, unit)
-        basis = _basis(modal, unit, np.zeros(len(modal.lam), dtype=complex), f)
+        none = np.zeros((1, 1, len(modal.lam)), dtype=complex)
+        (basis,) = _basis(modal, Drive(unit.U[None], none, none, unit.Y[None]), f)
         G[:, :, j] = -forced(modal, unit, f)
         for o in range(ny):
             J, where = modes.output_derivative(basis, modal, o, free)

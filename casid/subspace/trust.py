@@ -9,8 +9,9 @@ import scipy
 from casid.arrays import Array, BoolArray, ComplexArray
 from casid.linear import StateSpace
 from casid.subspace import refinement
+from casid.subspace.alike import alike
 from casid.subspace.fourier import Spectrum
-from casid.subspace.likelihood import noise_weights
+from casid.subspace.likelihood import noise_weights, parts
 from casid.subspace.modal import covariance_factor, to_modal
 from casid.subspace.slopes import normal_equations
 from casid.values import storable
@@ -82,11 +83,12 @@ def growth(
         return Growth(modal.lam[grows], none, none, none, none)
     free = np.argwhere(feedthrough)
     pairs = zip(data, noise_weights(modal, data), strict=True)
-    parts = [normal_equations(modal, [lines], [weight], free) for lines, weight in pairs]
-    whole = covariance_factor(np.sum([H for H, _ in parts], axis=0))
-    factor, count = whole[: len(modal.lam)], len(parts)
+    alone = [parts(modal, alike([lines], [weight])) for lines, weight in pairs]
+    equations = [normal_equations(modal, known, free) for known in alone]
+    whole = covariance_factor(np.sum([H for H, _ in equations], axis=0))
+    factor, count = whole[: len(modal.lam)], len(equations)
     plain = np.linalg.norm(factor, axis=1) / np.sqrt(2)
-    pulls = factor @ (whole.T @ np.array([gradient for _, gradient in parts]).T)
+    pulls = factor @ (whole.T @ np.array([gradient for _, gradient in equations]).T)
     robust = np.linalg.norm(pulls, axis=1) * np.sqrt(count / max(count - 1, 1))
     least = scipy.special.stdtrit(count - 1, AGREED) if count > 1 else 0.0
     return Growth(

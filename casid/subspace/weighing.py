@@ -21,7 +21,10 @@ def known_weights(data: Sequence[Spectrum], weights: Sequence[Array]) -> list[Ar
         kernel, count, _ = _nearness(at, omega, omega[:, None])
         n = (kernel @ count) ** 2 / (kernel**2 @ count)
         worth[grid] = np.sqrt(np.maximum(n - 1, 0.1) / (n + 1))[:, None]
-    return [w * worth[spectrum.grid] for spectrum, w in zip(data, weights, strict=True)]
+    known: dict[tuple[object, ...], Array] = {}  # spectra that share weights go on sharing them
+    for spectrum, w in zip(data, weights, strict=True):
+        known.setdefault((spectrum.grid, id(w)), w * worth[spectrum.grid])
+    return [known[spectrum.grid, id(w)] for spectrum, w in zip(data, weights, strict=True)]
 
 
 def lines_near(omega: Array, seconds: float) -> Array:

@@ -4,7 +4,9 @@ import numpy as np
 from truths.systems import campaign, unstable_plant
 
 from casid.records import standard_deviations
+from casid.subspace.alike import alike
 from casid.subspace.fourier import spectra
+from casid.subspace.likelihood import parts
 from casid.subspace.modal import (
     Modal,
     descend,
@@ -82,7 +84,7 @@ def test_a_transient_of_more_states_than_lines_explains_all_of_them():
     modal = to_modal(plant, su, sy, plant.D != 0)
     alone = Modal(modal.lam, modal.B, modal.C[:1], modal.D[:1])
     w, free = np.ones((1, 1)), np.zeros((0, 2), dtype=int)
-    ((E, basis),) = linearised(alone, [one], [w])
+    ((E, basis),) = linearised(alone, parts(alone, alike([one], [w])))
     left, J = tangents(alone, E, basis, w, free)
     np.testing.assert_allclose(left, 0.0, atol=1e-12)
     np.testing.assert_allclose(J[:, 5:], 0.0, atol=1e-9)

@@ -3,6 +3,7 @@ import pytest
 from truths.systems import campaign, unstable_plant
 
 from casid.records import standard_deviations
+from casid.subspace.alike import alike
 from casid.subspace.fourier import spectra
 from casid.subspace.likelihood import parts
 from casid.subspace.modal import moved, to_modal
@@ -18,18 +19,18 @@ def test_normal_equations_are_those_of_the_profiled_cost():
     mask = plant.D != 0
     free, rng = np.argwhere(mask), np.random.default_rng(1)
     weights = [rng.uniform(0.5, 2.0, (len(s.omega), 3)) for s in data]
-    truth = to_modal(plant, su, sy, mask)
+    truth, groups = to_modal(plant, su, sy, mask), alike(data, weights)
 
     def cost(modal, step):
-        return sum(p.cost for p in parts(moved(modal, step, free), data, weights))
+        return sum(p.cost.sum() for p in parts(moved(modal, step, free), groups))
 
-    H, gradient = normal_equations(truth, data, weights, free)
+    H, gradient = normal_equations(truth, parts(truth, groups), free)
     for _ in range(3):
         d = rng.standard_normal(len(H))
         twice = (cost(truth, 1e-4 * d) + cost(truth, -1e-4 * d)) / 1e-8
         assert d @ H @ d == pytest.approx(twice / 2, rel=1e-5)
     off = moved(truth, 0.05 * rng.standard_normal(len(H)), free)
-    _, gradient = normal_equations(off, data, weights, free)
+    _, gradient = normal_equations(off, parts(off, groups), free)
     h = 1e-6 * np.eye(len(H))
     expected = [(cost(off, -step) - cost(off, step)) / 4e-6 for step in h]
     np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-6 * np.abs(gradient).max())
@@ -44,16 +45,16 @@ def test_outputs_are_the_least_squares_solution_given_the_states():
     free = np.argwhere(mask)
     size = plant.nx * (1 + sum(mask.shape)) + len(free)
     off = moved(to_modal(plant, su, sy, mask), 0.1 * rng.standard_normal(size), free)
-    found = with_outputs(off, data, weights, free)
+    known = parts(off, alike(data, weights))
+    found = with_outputs(off, known, free)
     np.testing.assert_array_equal(found.lam, off.lam)
     np.testing.assert_array_equal(found.B, off.B)
-    known = parts(off, data, weights)
     for o in range(3):
         columns, right = [], []
         for s, w, part in zip(data, weights, known, strict=True):
             lam, both = np.r_[off.lam, off.lam.conj()], np.vstack([off.B, off.B.conj()])
             r, _, ends, _ = s.pole_factors(lam)
-            x = r * (s.U @ both.T) + ends * np.r_[part.delta, part.delta.conj()]
+            x = r * (s.U @ both.T) + ends * np.r_[part.delta[0], part.delta[0].conj()]
             one, other = np.split(x, 2, axis=1)  # c one + c* other, of a real mode c one alone
             real = off.lam.imag == 0
             other[:, real] = 0
