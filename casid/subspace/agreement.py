@@ -90,13 +90,13 @@ class _Piece:
     su: Array
     sy: Array
 
-    def faults(self, e: ComplexArray) -> Iterator[tuple[list[Fault], slice, Array]]:
+    def faults(self, e: ComplexArray) -> Iterator[tuple[list[Fault], Sequence[int], Array]]:
         """Possible faults of each output, then of all inputs, and what they add to the residuals.
 
-        ``e`` (K, ny) is what the model leaves of the outputs' transforms. The additions are
-        weighted as `modes.tangents` does, (rows, faults), of the rows of that output, or of all.
+        ``e`` (K, ny) is what the model leaves of the outputs' transforms. The additions (outputs,
+        2 K, faults) are weighted as those of `modes.tangents`, to the outputs that are given.
         """
-        record, s, K = self.record, 1j * self.lines.omega[:, None], 2 * len(self.w)
+        record, s, w = self.record, 1j * self.lines.omega[:, None], self.w
         y = record.y / self.sy
         ends = (y[-3:].mean(axis=0) - y[:3].mean(axis=0)) / np.sqrt(record.duration)
         Y = self.lines.Y - e
@@ -104,29 +104,30 @@ class _Piece:
         made = [Y, -s * Y - ends]  # a delay's: of a derivative from end to end
         for rate in _rates(record.duration):
             kinds.append(("clock", rate))
-            made.append(self.lines.Y - self._read(1 + rate))
-        weighted = np.array([modes.stacked(x * self.w) for x in made])
+            made.append(self.lines.Y - self._read(y, 1 + rate))
+        weighted = modes.by_turns(np.array(made, dtype=complex) * w).transpose(2, 1, 0)
         for o, name in enumerate(record.outputs):
             own = [self._fault(name, kind, size) for kind, size in kinds]
-            yield own, slice(o * K, (o + 1) * K), weighted[:, :, o].T
+            yield own, [o], weighted[[o]]
         named, rows = [], []
         for name, g, u in zip(
             record.inputs, self.G.transpose(2, 0, 1), self.lines.U.T, strict=True
         ):
             named += [self._fault(name, kind, 1.0) for kind in ("gain", "delay")]
-            rows += [modes.stacked(x * u[:, None] * self.w).T.ravel() for x in (-g, s * g)]
-        yield named, slice(None), np.array(rows).T
+            rows += [modes.by_turns(x * u[:, None] * w) for x in (-g, s * g)]
+        yield named, range(record.ny), np.array(rows).transpose(2, 1, 0)
 
     def _fault(self, channel: str, kind: str, size: float) -> Fault:
         return Fault(record=self.record.name, channel=channel, kind=kind, size=size)
 
-    def _read(self, rate: float) -> ComplexArray:
-        """Transforms of the outputs read at another rate than that of their clock."""
-        t, y = self.record.t - self.record.t[0], self.record.y / self.sy
+    def _read(self, y: Array, rate: float) -> ComplexArray:
+        """Transforms of the scaled outputs read at another rate than that of their clock."""
+        t = self.record.t - self.record.t[0]
         at = np.clip(rate * t, 0.0, t[-1])
         i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
         along = ((at - t[i]) / (t[i + 1] - t[i]))[:, None]
-        read = (1 - along) * y[i] + along * y[i + 1]
+        before = y.take(i, axis=0)
+        read = before + along * (y.take(i + 1, axis=0) - before)
         return transformed(t, read, len(self.w), even=self.lines.h is not None)
 
 
@@ -200,36 +201,37 @@ def _by_score(
     around = linearised(modal, known)
     for (record, lines), w, near in zip(pairs, weights, around, strict=True):
         piece = _Piece(record, lines, w, system.response(lines.omega) * su / sy[:, None], su, sy)
-        slopes = modes.tangents(modal, *near, w, free)
-        seen.append(_seen(piece, *slopes, factor))
+        seen.append(_seen(piece, modes.tangents(modal, *near, w, free), factor))
     return _clearest(seen, MISSING if missing else 1.0)
 
 
-def _seen(piece: _Piece, e: Array, S: Array, factor: Array) -> _Seen:
-    """What tells the faults of a piece, from weighted residuals and slopes of `modes.tangents`."""
-    # A fault of an output has rows X of that output only. What transients and other models explain
-    # of it, Q g and J c, has all rows: of these the products over each band are enough.
-    each, n = e.reshape(len(piece.sy), -1), S.shape[1] - len(factor)
-    Q, ny = S[:, :n], len(each)
-    real, imag = np.split(each, 2, axis=1)
+def _seen(piece: _Piece, near: modes.Tangents, factor: Array) -> _Seen:
+    """What tells the faults of a piece, from weighted residuals and their slopes."""
+    # A fault has rows X of one output, or of all. What transients and other models explain of it,
+    # Q g and J c, has all rows: of these the products over each band are enough.
+    e, n, every = near.e, len(near.QJ), range(len(near.e))
     bands = np.floor(np.log(piece.lines.omega / piece.lines.omega[0]) / BAND)
-    inside = np.tile(bands, 2 * ny) == np.unique(bands)[:, None]
-    which = inside.astype(float)
-    QS, eS = np.array([Q[rows].T @ S[rows] for rows in inside]), (which * e) @ S
-    left = dict(zip(piece.record.outputs, np.sum(each**2, axis=1), strict=True))
+    starts = (2 * np.flatnonzero(np.diff(bands, prepend=-1.0))).tolist()  # a line has two rows
+    Q = np.array([rows[:, :n] for rows in near.rows])
+    both = near.products(np.concatenate([Q, e[..., None]], axis=2), every, starts)
+    QS, eS = both[..., :-1].swapaxes(1, 2), both[..., -1]
+    left = dict(zip(piece.record.outputs, np.sum(e**2, axis=1), strict=True))
     faults, columns = [], []
-    for some, rows, X in piece.faults(np.asarray((real + 1j * imag).T / piece.w, dtype=complex)):
-        d = S[rows].T @ X
+    residuals = (e[:, ::2] + 1j * e[:, 1::2]).T / piece.w
+    for some, outputs, X in piece.faults(np.asarray(residuals, dtype=complex)):
+        SX = near.products(X, outputs, starts)
+        d = SX.sum(axis=0)
         g, known = d[:n].copy(), factor.T @ d[n:]
         d[n:] = factor @ known
-        rest, band = X - S[rows] @ d - Q[rows] @ g, which[:, rows]
-        size = band @ (X * rest) + np.sum((QS @ d) * g, axis=1)
-        score = band @ (X * e[rows, None]) - eS @ d
-        columns.append((known, size, score, np.sum(X**2, axis=0) - np.sum(g**2, axis=0)))
+        power = np.sum(np.add.reduceat(X**2, starts, axis=1), axis=0)
+        met = np.sum(np.add.reduceat(X * e[outputs, :, None], starts, axis=1), axis=0)
+        size = power - np.sum(SX * d, axis=1) + np.sum((QS @ d - SX[:, :n]) * g, axis=1)
+        score = met - eS @ d
+        columns.append((known, size, score, power.sum(axis=0) - np.sum(g**2, axis=0)))
         faults += some
     known, size, score, whole = (np.concatenate(x, axis=-1) for x in zip(*columns, strict=True))
-    showing = np.array([left.get(fault.channel, e @ e) for fault in faults])
-    return _Seen(faults, known, factor.T @ (S[:, n:].T @ e), size, score, showing, whole)
+    showing = np.array([left.get(fault.channel, np.sum(e**2)) for fault in faults])
+    return _Seen(faults, known, factor.T @ eS[:, n:].sum(axis=0), size, score, showing, whole)
 
 
 def _clearest(seen: Sequence[_Seen], slack: float) -> Fault | None:

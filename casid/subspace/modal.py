@@ -5,8 +5,9 @@ enters through its row of C alone: the normal equations of all outputs are assem
 Gram matrix each, instead of a tall Jacobian.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -143,27 +144,60 @@ def output_derivative(basis: S, modal: Modal, o: int, free: np.ndarray) -> tuple
     return seen(basis, mixing(modal.C[o], modal.real), 2 + modal.D.shape[1])[:, which], where
 
 
+@dataclass(frozen=True, eq=False)
+class Tangents:
+    """Weighted residuals of a spectrum and what spans their slopes, S = (Q, J - Q Qᵀ J).
+
+    Q (2 K ny, n) is an orthonormal basis of what the transient does, which is eliminated from the
+    residuals and from their slopes J by the parameters. Of these an output depends on some: S is
+    never written out. Rows are real and imaginary parts of lines `by_turns`.
+    """
+
+    e: Array  # (ny, 2 K)
+    rows: tuple[Array, ...]  # of every output (2 K, n + k): Q, and the columns of J that it has
+    where: tuple[np.ndarray, ...]  # which of all columns these are
+    QJ: Array  # (n, parameters) QᵀJ
+
+    def products(self, X: Array, outputs: Sequence[int], starts: Sequence[int]) -> Array:
+        """SᵀX (bands, n + parameters, m) over bands of rows that start there.
+
+        X (len(outputs), 2 K, m) are rows of these outputs, those of others are zero.
+        """
+        n, p = self.QJ.shape
+        bands = [slice(*edges) for edges in pairwise([*starts, self.e.shape[1]])]
+        found = np.zeros((len(bands), n + p, X.shape[2]))
+        for o, x in zip(outputs, X, strict=True):
+            rows = self.rows[o]
+            found[:, self.where[o]] += np.array([rows[band].T @ x[band] for band in bands])
+        found[:, n:] -= self.QJ.T @ found[:, :n]
+        return found
+
+
 def tangents(
     modal: Modal, E: ComplexArray, basis: ComplexArray, w: Array, free: np.ndarray
-) -> tuple[Array, Array]:
-    """Weighted residuals (2 K ny,) of a spectrum, output by output, and what spans their slopes.
-
-    That is an orthonormal basis (2 K ny, n) of what the transient does, which is eliminated from
-    the residuals and from their slopes by the parameters, the other columns.
-    """
+) -> Tangents:
+    """Those of residuals E (K, ny) and of slopes that ``basis`` spans, as `output_derivative`."""
     ny, nu = modal.D.shape
-    n = modal.order
-    J, real = np.zeros((ny, 2 * len(w), 2 * n + n * nu + ny * n + len(free))), stacked(basis)
-    for o, rows in enumerate(J):
-        own, where = output_derivative(real, modal, o, free)
-        rows[:, where] = own * np.tile(w[:, o], 2)[:, None]
-    whole = J.reshape(-1, J.shape[2])
-    Q = np.linalg.qr(whole[:, :n])[0]
-    whole[:, :n] = 0.0
-    whole[:, : Q.shape[1]] = Q  # all there is, where a spectrum has fewer lines than that
-    whole[:, n:] -= Q @ (Q.T @ whole[:, n:])
-    e = stacked(E * w).T.ravel()
-    return e - Q @ (Q.T @ e), whole
+    n, real = modal.order, by_turns(basis)
+    derived = [output_derivative(real, modal, o, free) for o in range(ny)]
+    scales = np.repeat(w, 2, axis=0).T[..., None]
+    rows = tuple(own * scale for (own, _), scale in zip(derived, scales, strict=True))
+    Q = np.linalg.qr(np.vstack([own[:, :n] for own in rows]))[0]
+    size = n * nu + n + ny * n + len(free)
+    QJ = np.zeros((n, size))
+    for own, part, (_, where) in zip(rows, np.split(Q, ny), derived, strict=True):
+        own[:, :n] = 0.0
+        own[:, : Q.shape[1]] = part  # all there is, where a spectrum has fewer lines than that
+        QJ[:, where[n:] - n] += own[:, :n].T @ own[:, n:]
+    e = by_turns(E * w).T.reshape(-1)
+    e -= Q @ (Q.T @ e)
+    return Tangents(e.reshape(ny, -1), rows, tuple(where for _, where in derived), QJ)
+
+
+def by_turns(rows: ComplexArray) -> Array:
+    """Real and imaginary part of every line, (..., 2K, n): neighbouring lines stay together."""
+    both = np.stack([rows.real, rows.imag], axis=-2)
+    return both.reshape(*rows.shape[:-2], -1, rows.shape[-1])
 
 
 def gram(rows: Array | ComplexArray) -> Array:
