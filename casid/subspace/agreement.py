@@ -101,11 +101,11 @@ class _Piece:
         ends = (y[-3:].mean(axis=0) - y[:3].mean(axis=0)) / np.sqrt(record.duration)
         Y = self.lines.Y - e
         kinds = [("gain", 1.0), ("delay", 1.0)]
-        made = [Y, -s * Y - ends]  # a delay's: of a derivative from end to end
+        made: list[ComplexArray] = [Y, -s * Y - ends]  # a delay's: of a derivative from end to end
         for rate in _rates(record.duration):
             kinds.append(("clock", rate))
             made.append(self.lines.Y - self._read(y, 1 + rate))
-        weighted = modes.by_turns(np.array(made, dtype=complex) * w).transpose(2, 1, 0)
+        weighted = modes.by_turns(np.asarray([each * w for each in made])).transpose(2, 1, 0)
         for o, name in enumerate(record.outputs):
             own = [self._fault(name, kind, size) for kind, size in kinds]
             yield own, [o], weighted[[o]]
