@@ -79,15 +79,13 @@ def _less_certain(found: Instruments, drifts: Drifts, flights: Sequence[Flight])
     off = []  # of all skews and of the velocities' clock, by each clock that drifts
     for one in dict.fromkeys(drifts.late.values()):
         names = {name for name, each in drifts.late.items() if each == one}
-        pairs = [*((name, OWN[name]) for name in found.channels)]
-        pairs += [(one, "phi") for one in ("theta", "psi", "u")]
+        pairs = [*((name, OWN[name]) for name in found.channels), ("u", "phi")]
         off.append([middle * one[1] * ((a in names) - (b in names)) for a, b in pairs])
     by = np.linalg.norm(off, axis=0)
     return replace(
         found,
-        errors=np.hypot(
-            found.errors, np.array([[0.0, each] for each in by[: len(found.channels)]])
-        ),
+        errors=np.hypot(found.errors, np.array([[0.0, each] for each in by[:-1]])),
+        clock=(found.clock[0], float(np.hypot(found.clock[1], by[-1]))),
         covariance=found.covariance + np.transpose(off) @ off,
     )
 

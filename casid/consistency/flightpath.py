@@ -7,12 +7,11 @@
 V. Klein, E. A. Morelli, Aircraft System Identification: Theory and Practice, chapter 10;
 R. V. Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 10. A rate or a specific
 force is taken as measured(t) = (1 + scale) true(t − skew) + bias, attitudes and velocities as right
-but for noise and for clocks: θ, ψ and, together, velocities may be late against φ, as what one of
-several sources delays. A skew is against what the channel turns or moves; all terms of an equation
-are taken at the time of what they are compared with (`casid.consistency.rigid.Sides`): a late θ in
-φ' would be read as a skew of q, u times a late q as an accelerometer's place. Scale and skew are
-one for all records. Biases are constant over a record and of its own: instruments drift from flight
-to flight, and trim is subtracted record by record.
+but for noise and, velocities, for a clock of their own: what a navigation filter or air data delay.
+All terms of an equation are taken at the time of what they are compared with: a rate in r v − q w
+too, where u times a late q would be read as an accelerometer's place. Scale and skew are one for
+all records. Biases are constant over a record and of its own: instruments drift from flight to
+flight, and trim is subtracted record by record.
 
 Departures. Both sides are integrated, with the measured attitudes and velocities in the products:
 the unknowns but for the skews then enter linearly, and no trajectory can diverge. Noise of the
@@ -33,11 +32,11 @@ from numpy.typing import NDArray
 from casid.arrays import Array
 from casid.channels import FORCES, RATES, VELOCITIES
 from casid.consistency.innovations import growing, innovations, integral, steady_gain
-from casid.consistency.instruments import CLOCKS, OWN, Instruments
+from casid.consistency.instruments import OWN, Instruments
 from casid.consistency.limits import Beside, Limit, Whitened, beside, cut_off, judged, standing
-from casid.consistency.measured import Flight, white_noise
+from casid.consistency.measured import Flight, read_later, white_noise
 from casid.consistency.pretended import Corrected, Eliminated, Normal
-from casid.consistency.rigid import TURNED, Sides, Terms, terms_of
+from casid.consistency.rigid import Moved, Terms, lever_of, terms_of
 
 GAINS = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 25)])
 ITERATIONS = 12
@@ -45,8 +44,7 @@ CORRECTIONS, DRAWS = 5, 2  # last iterations, without what noise pretends, and i
 SETTLED = 1e-3  # of gains and skews [s]
 REGAIN = (2, 5, 8)  # iterations after which the filters' gains are fitted anew
 LATE = 0.5  # largest skew [s]
-PLACED = len(CLOCKS)  # of the unknowns of no channel those before the accelerometers' place
-COMMON = PLACED + 3
+COMMON = 4  # unknowns of no channel: the velocities' clock, the accelerometers' place
 GROUPS = (RATES, FORCES)
 BATCH = 1.0  # time [s] over which innovations may be correlated
 PRIOR = np.array([1.0, 0.1])  # of gain and skew, so that nothing is singular
@@ -65,7 +63,7 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
     """
     problem = _Reconstruction(flights, tuple(equations))
     n = len(problem.channels)
-    reach = np.concatenate([np.tile(PRIOR, n), np.full(PLACED, PRIOR[1]), np.full(3, FAR_OFF)])
+    reach = np.concatenate([np.tile(PRIOR, n), PRIOR[1:], np.full(3, FAR_OFF)])
     x, biases, blocks, corrected, step = _solved(problem, reach)
     parts = problem.whitened(blocks)
     flown = problem.normal(parts)[1]
@@ -73,8 +71,7 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
     scores = np.concatenate([one.scores(whole) for one, whole in pairs])
     P = corrected.covariance(scores, reach) + np.diag(step**2)
     errors = np.sqrt(np.diag(P))
-    clock = 2 * n
-    late = [*range(1, clock, 2), *range(clock, clock + PLACED)]
+    late, clock = [*range(1, 2 * n, 2), 2 * n], 2 * n
     return Instruments(
         channels=problem.channels,
         unknowns=x[:clock].reshape(n, 2),
@@ -83,7 +80,7 @@ def reconstruct(flights: Sequence[Flight], equations: Sequence[str]) -> Instrume
         bias_errors=np.sqrt([one.variances(whole, P) for one, whole in pairs]),
         against=problem.against(),
         left={one: [rows[0] for name, _, rows in blocks if name == one] for one in equations},
-        clocks=x[clock : clock + PLACED],
+        clock=(float(x[clock]), float(errors[clock])),
         drawn=np.array([np.transpose([each.drawn(k) for each in flown]) for k in problem.clocks()]),
         covariance=P[np.ix_(late, late)],
         place=x[-3:],
@@ -102,7 +99,7 @@ def _solved(
     """
     n = len(problem.channels)
     start = np.append(np.tile([1.0, 0.0], n), np.zeros(COMMON))
-    prior, skews = reach**-2.0, [*range(1, 2 * n, 2), *range(2 * n, 2 * n + PLACED)]
+    prior, skews = reach**-2.0, [*range(1, 2 * n, 2), 2 * n]
     x, biases, pretended = start, np.zeros((problem.records, n)), None
     iteration = 0
     while True:
@@ -115,7 +112,7 @@ def _solved(
         seen = plain + Normal(np.diag(prior), prior * (start - x))
         corrected = Corrected(seen, pretended or plain * 0.0)
         step = corrected.step()
-        near = iteration > REGAIN[-1] and np.abs(step[: 2 * n + PLACED]).max() < SETTLED
+        near = iteration > REGAIN[-1] and np.abs(step[: 2 * n + 1]).max() < SETTLED
         if (near and pretended) or iteration == ITERATIONS + CORRECTIONS:
             break
         if pretended is None and (near or iteration == ITERATIONS):
@@ -156,7 +153,7 @@ class _Reconstruction:
         found, self.of = np.unique([flight.record for flight in flights], return_inverse=True)
         self.records = len(found)
         self.splines = []  # cubic pieces between samples, (4, N - 1) each
-        turned = tuple(name for name in TURNED if name in flights[0].values)
+        turned = ("phi", "theta") if {*VELOCITIES} & {*equations} else ()
         for flight in flights:
             y = np.column_stack([flight.values[name] for name in (*self.channels, *turned)])
             pieces = scipy.interpolate.CubicSpline(flight.t, y).c
@@ -183,25 +180,74 @@ class _Reconstruction:
         factors, n = self.terms[0][equation][0], len(self.channels)
         own = [i for i, name in enumerate(self.channels) if name in factors]
         found = [k for i in own for k in (2 * i, 2 * n + COMMON + i, 2 * i + 1)]
-        common = range(2 * n, 2 * n + (COMMON if equation in VELOCITIES else PLACED))
+        common = range(2 * n, 2 * n + COMMON) if equation in VELOCITIES else ()
         return np.array([*found, *common])
 
     def blocks(self, x: Array, biases: Array) -> list[Block]:
         """Residuals and slopes of each equation and flight at these unknowns."""
         n = 2 * len(self.channels)
-        shared, clocks, place = x[:n].reshape(-1, 2), x[n : n + PLACED], x[n + PLACED :]
+        shared, clock, place = x[:n].reshape(-1, 2), float(x[n]), x[n + 1 :]
         found = []
-        for flight, k, pieces in zip(self.flights, self.of, self.splines, strict=True):
-            rows = zip(self.channels, np.insert(shared, 1, biases[k], axis=1), strict=True)
-            sides = Sides(flight, pieces, dict(rows), self.equations, clocks, place)
-            for each in self.equations:
-                slopes, f = sides.of(each)
+        for flight, k, pieces, terms in zip(
+            self.flights, self.of, self.splines, self.terms, strict=True
+        ):
+            table = np.insert(shared, 1, biases[k], axis=1)
+            moved = self._moved(flight, pieces, table)
+            parts = {
+                each: self._derivative(terms[each], moved, table)
+                for each in self.equations
+                if each not in VELOCITIES
+            } | self._accelerations(flight, pieces, table, clock, place)
+            for each, (slopes, f) in parts.items():
                 F = integral(np.array([f, *slopes]).T, flight.dt).T
                 F = F[:, flight.rows.get(each, slice(None))]
                 F[0] = flight.own(each) - F[0]
                 F[0] -= F[0].mean()
                 found.append((each, int(k), F))
         return found
+
+    def _moved(
+        self, flight: Flight, pieces: Mapping[str, Array], table: Array, clock: float = 0.0
+    ) -> Moved:
+        """Channels and their slopes at the instants of attitudes, or of velocities of a clock."""
+        return {
+            name: read_later(pieces[name], skew - clock if name in RATES else skew, flight.dt)
+            for name, skew in zip(self.channels, table[:, 2], strict=True)
+        }
+
+    def _accelerations(
+        self, flight: Flight, pieces: Mapping[str, Array], table: Array, clock: float, place: Array
+    ) -> dict[str, tuple[list[Array], Array]]:
+        """Slopes and right-hand sides of the equations of velocities, at the velocities' time."""
+        equations = [each for each in self.equations if each in VELOCITIES]
+        if not equations:
+            return {}
+        moved = self._moved(flight, pieces, table, clock)
+        true = {
+            name: (gain * moved[name][0] - bias, gain * moved[name][1])
+            for name, (gain, bias, _) in zip(self.channels, table, strict=True)
+        }
+        lever, found = lever_of(true), {}
+        turned = {name: read_later(pieces[name], -clock, flight.dt)[0] for name in ("phi", "theta")}
+        for each in equations:
+            factors, gravity = terms_of(each, flight, turned)
+            slopes, f = self._derivative((factors, gravity), moved, table)
+            arms = -lever[VELOCITIES.index(each)]
+            changes = [factors[name] * true[name][1] for name in RATES if name in factors]
+            later = -sum(changes, np.gradient(gravity, flight.dt))
+            found[each] = ([*slopes, later, *arms.T], f + arms @ place)
+        return found
+
+    def _derivative(self, terms: Terms, moved: Moved, table: Array) -> tuple[list[Array], Array]:
+        """Slopes of an equation's right-hand side by gains, biases and skews, and itself, (N,)."""
+        factors, f = terms
+        slopes = []
+        for name, (gain, bias, _) in zip(self.channels, table, strict=True):
+            if name in factors:
+                a, (m, rate) = factors[name], moved[name]
+                slopes += [a * m, -a, gain * a * rate]
+                f = f + a * (gain * m - bias)
+        return slopes, f
 
     def whitened(self, blocks: Sequence[Block]) -> list[Block]:
         """Innovations up to `BAND` and slopes, in standard deviations of all of the innovations."""
@@ -308,10 +354,10 @@ class _Reconstruction:
         n, more = len(self.channels), []
         for i, (each, _, rows) in enumerate(blocks):
             flight, own = self.flights[i // len(self.equations)], self.columns[each]
-            late = (own == 2 * n + PLACED - 1) | (own < 2 * n) & (own % 2 == 1)
+            late = (own == 2 * n) | (own < 2 * n) & (own % 2 == 1)
             grows = growing(rows[1:][late], flight.dt * self.flights[0].step(each), flight.start)
             more.append(np.zeros((n + 1, rows.shape[1])))
-            more[-1][np.minimum(own[late] // 2, n)] = self._whitened(each, grows)
+            more[-1][own[late] // 2] = self._whitened(each, grows)
         return beside(self._batched(parts), more, [(each, k) for each, k, _ in blocks])
 
     def _beyond(

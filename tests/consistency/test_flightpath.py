@@ -102,7 +102,7 @@ PLACE = np.array([0.8, -0.4, 0.5])
 
 
 def test_far_skews_scales_and_a_lever_are_found_together_and_hold_where_they_are():
-    signals, t = truth(2, duration=40.0)  # its ends, beyond which nothing is read, weigh little
+    signals, t = truth(2, duration=20.0)
     values = {name: signals(t)[name] for name in STATES}
     for name in RATES:
         values[name] = signals(t - LATER[name])[name] / GAINS[name] + 0.02
