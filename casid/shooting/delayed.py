@@ -96,7 +96,8 @@ class Delayed:
         if record.hold == "zoh":
             late &= ~m.D.any(axis=0)
         own = np.where(late, np.maximum(m.tau, LATE * record.dt), m.tau)
-        return np.where(np.isnan(self._within), own, self._within)
+        # Stretches are those between whole samples, which an unevenly sampled record has none of.
+        return np.where(np.isnan(self._within) | (not record.equidistant), own, self._within)
 
 
 def common_step(records: Sequence[Record]) -> float | None:

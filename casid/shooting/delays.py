@@ -13,9 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from casid.arrays import Array, BoolArray
+from casid.errors import warn
 from casid.free import Free
 from casid.record import Record
 from casid.shooting.programme import Programme
+from casid.shooting.sensitivity import Evaluator
 
 NEAR = 0.1  # of a sampling interval: a kink that noise may have held an estimate on
 EDGE = 1e-6  # of a sampling interval: on a whole sample
@@ -139,6 +141,23 @@ def _delays(programme: Programme, lam: Array) -> Iterator[Delay]:
     records = [r for r in programme.evaluator.layout.records if r.equidistant]
     direct = np.logical_or(m.D.any(axis=0), m.D_lam.any(axis=(0, 2)))
     return breaking(records, m.tau, m.tau_lam.T, np.asarray(direct))
+
+
+def warn_of_jumps(evaluator: Evaluator, lam: Array) -> None:
+    """Warn of delays in which outputs jump at so many places that any may hold an estimate."""
+    m = evaluator.matrices(lam)
+    direct = np.logical_or(m.D.any(axis=0), m.D_lam.any(axis=(0, 2)))
+    felt = np.flatnonzero(direct & m.tau_lam.any(axis=1))
+    for record in evaluator.layout.records:
+        if record.hold == "zoh" and not record.equidistant and len(felt):
+            names = ", ".join(record.inputs[j] for j in felt)
+            warn(
+                f"record {record.name!r} is sampled unevenly and outputs feel {names}, held in "
+                "steps, at once: the likelihood jumps in the delay where a step passes a sample, "
+                "so that its estimate may be many standard errors off; resample() the record, or "
+                "hold the delay and compare costs"
+            )
+            return
 
 
 def breaking(
