@@ -18,6 +18,7 @@ from casid.free import Free
 from casid.record import Record
 from casid.shooting.programme import Programme
 from casid.shooting.sensitivity import Evaluator
+from casid.shooting.unknowns import FilterMatrices
 
 NEAR = 0.1  # of a sampling interval: a kink that noise may have held an estimate on
 EDGE = 1e-6  # of a sampling interval: on a whole sample
@@ -139,15 +140,18 @@ def _delays(programme: Programme, lam: Array) -> Iterator[Delay]:
     """The delays in which the likelihood breaks at free values (nf,)."""
     m = programme.evaluator.matrices(lam)
     records = [r for r in programme.evaluator.layout.records if r.equidistant]
-    direct = np.logical_or(m.D.any(axis=0), m.D_lam.any(axis=(0, 2)))
-    return breaking(records, m.tau, m.tau_lam.T, np.asarray(direct))
+    return breaking(records, m.tau, m.tau_lam.T, _direct(m))
+
+
+def _direct(m: FilterMatrices) -> BoolArray:
+    """Inputs (nu,) that outputs feel at once."""
+    return np.asarray(m.D.any(axis=0) | m.D_lam.any(axis=(0, 2)))
 
 
 def warn_of_jumps(evaluator: Evaluator, lam: Array) -> None:
     """Warn of delays in which outputs jump at so many places that any may hold an estimate."""
     m = evaluator.matrices(lam)
-    direct = np.logical_or(m.D.any(axis=0), m.D_lam.any(axis=(0, 2)))
-    felt = np.flatnonzero(direct & m.tau_lam.any(axis=1))
+    felt = np.flatnonzero(_direct(m) & m.tau_lam.any(axis=1))
     for record in evaluator.layout.records:
         if record.hold == "zoh" and not record.equidistant and len(felt):
             names = ", ".join(record.inputs[j] for j in felt)

@@ -9,35 +9,58 @@ from casid.frequency.composite import _blend, composite
 from casid.frequency.spectra import Conditioned, condition, record_spectra
 
 
-def test_the_composite_minimises_its_cost():
-    rng = np.random.default_rng(13)
-    parts = []
-    for _ in range(3):
-        Gxx, Gyy = 1 + 0.2 * rng.standard_normal(), 2 + 0.3 * rng.standard_normal()
-        Gxy = 1.1 * np.exp(0.5j) + 0.1 * rng.standard_normal() + 0.1j * rng.standard_normal()
-        values = {"Gxx": Gxx, "Gxy": Gxy, "Gyy": Gyy, "random_error": 0.1 + 0.05 * rng.random()}
-        pair = {name: np.full((1, 1, 1), value) for name, value in values.items()}
-        parts.append(Conditioned(**pair, multiple_coherence=np.ones((1, 1)), condition=np.ones(1)))
+def pairs(values):
+    """Spectra of one pair at one frequency, by window."""
+    ones = {"multiple_coherence": np.ones((1, 1)), "condition": np.ones(1)}
+    return [
+        Conditioned(**{name: np.full((1, 1, 1), v) for name, v in each.items()}, **ones)
+        for each in values
+    ]
+
+
+def residuals(parts):
+    """Those of the composite's cost, of log Gxx, log Gyy and Gxy."""
     error = np.array([part.random_error.item() for part in parts])
-    W = (error / error.min()) ** -4
+    sw = (error / error.min()) ** -2
+    Gxx, Gyy, Gxy = (np.array([getattr(p, n).item() for p in parts]) for n in ("Gxx", "Gyy", "Gxy"))
+    own = np.abs(Gxy) ** 2 / (Gxx * Gyy)
 
-    def cost(c):
-        total, gamma = 0.0, (c[2] ** 2 + c[3] ** 2) / (c[0] * c[1])
-        for weight, part in zip(W, parts, strict=True):
-            z, own = part.Gxy.item(), part.coherence.item()
-            total += weight * (
-                (c[0] / part.Gxx.item() - 1) ** 2
-                + (c[1] / part.Gyy.item() - 1) ** 2
-                + abs(c[2] + 1j * c[3] - z) ** 2 / abs(z) ** 2
-                + 5 * (gamma / own - 1) ** 2
+    def found(q):
+        x, y, z = np.exp(q[0]), np.exp(q[1]), q[2] + 1j * q[3]
+        off = (z - Gxy) / np.abs(Gxy)
+        gamma = np.abs(z) ** 2 / (x * y) / own - 1
+        rows = x / Gxx - 1, y / Gyy - 1, off.real, off.imag, np.sqrt(5) * gamma
+        return np.concatenate([sw * row for row in rows])
+
+    return found
+
+
+@pytest.mark.parametrize("decades", [0.1, 1.0, 3.0])
+def test_the_composite_minimises_its_cost(decades):
+    """Windows whose inputs' power differs by so much; SciPy from every one of them."""
+    rng = np.random.default_rng(13)
+    for _ in range(10):
+        values = []
+        for _ in range(4):
+            Gxx = 10 ** (decades * (rng.random() - 0.5))
+            Gxy = (
+                Gxx * (2 - 1j) * (1 + 0.05 * rng.standard_normal() + 0.05j * rng.standard_normal())
             )
-        return total
-
-    best = scipy.optimize.minimize(cost, [1, 2, 1, 0.5], method="BFGS", options={"gtol": 1e-9})
-    merged = composite(parts, np.ones((3, 1), dtype=bool))
-    found = [merged.Gxx.item(), merged.Gyy.item(), merged.Gxy.item().real, merged.Gxy.item().imag]
-    # Gauss-Newton on a small-residual problem: digits a step, BFGS stops at about 1e-6.
-    np.testing.assert_allclose(found, best.x, rtol=1e-4)
+            Gyy = abs(Gxy) ** 2 / Gxx / (0.5 + 0.48 * rng.random())
+            error = 0.1 + 0.05 * rng.random()
+            values.append({"Gxx": Gxx, "Gxy": Gxy, "Gyy": Gyy, "random_error": error})
+        parts = pairs(values)
+        cost = residuals(parts)
+        starts = [
+            (np.log(v["Gxx"]), np.log(v["Gyy"]), v["Gxy"].real, v["Gxy"].imag) for v in values
+        ]
+        ends = [scipy.optimize.least_squares(cost, q, x_scale="jac", xtol=1e-12) for q in starts]
+        best = min(ends, key=lambda end: end.cost)
+        merged = composite(parts, np.ones((4, 1), dtype=bool))
+        Gxx, Gyy, Gxy = (getattr(merged, name).item() for name in ("Gxx", "Gyy", "Gxy"))
+        found = np.array([np.log(Gxx), np.log(Gyy), Gxy.real, Gxy.imag])
+        assert np.sum(cost(found) ** 2) / 2 <= best.cost * (1 + 1e-9)
+        np.testing.assert_allclose(found, best.x, atol=1e-5 * np.abs(best.x).max())
 
 
 def test_the_composite_of_one_window_is_that_window():
@@ -65,11 +88,9 @@ def test_correlations_of_windows_are_blended_where_known_and_none_elsewhere():
 @pytest.mark.parametrize("ratio", [1.0, 30.0, 1000.0])
 def test_windows_of_unequal_power_that_say_the_same_are_not_contradicted(ratio):
     # Two lengths see other records: inputs of other power, one response and coherence.
-    parts = []
-    for Gxx in (1.0, ratio):
-        pair = {"Gxx": Gxx, "Gxy": (2 - 1j) * Gxx, "Gyy": 5 / 0.98 * Gxx, "random_error": 0.1}
-        pair = {name: np.full((1, 1, 1), value) for name, value in pair.items()}
-        parts.append(Conditioned(**pair, multiple_coherence=np.ones((1, 1)), condition=np.ones(1)))
+    gains = {"Gxy": 2 - 1j, "Gyy": 5 / 0.98, "Gxx": 1.0}
+    values = [{n: g * power for n, g in gains.items()} for power in (1.0, ratio)]
+    parts = pairs([each | {"random_error": 0.1} for each in values])
     merged = composite(parts, np.ones((2, 1), dtype=bool))
     assert merged.response.item() == pytest.approx(2 - 1j, rel=1e-6)
     assert merged.coherence.item() == pytest.approx(0.98, rel=1e-6)

@@ -90,6 +90,10 @@ def test_an_error_that_neighbours_share_stays_what_it_was():
     for size, error in ((plant, 0.1 / plant), (falling, flat)):
         own = replace(response(), G=size.astype(complex), random_error=error, coherence=n)
         np.testing.assert_allclose(weights(own), 1 / (error * size), rtol=1e-9)
+    # One share of a response with resonances, which is no power between the points beside.
+    found = weights(replace(response(), random_error=flat, coherence=n)) * flat * plant
+    assert np.all((found > 0.8) & (found < 1 + 1e-9))
+    assert np.median(found) > 0.99
 
 
 def test_points_that_came_out_small_by_chance_count_no_more():

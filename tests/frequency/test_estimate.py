@@ -8,6 +8,7 @@ from truths.systems import TWO, white
 
 from casid import DataWarning, frequency_response
 from casid.frequency.estimate import WEAK, Estimate
+from casid.frequency.feedback import noise_in_inputs
 from casid.frequency.response import FED_BACK, UNDRIVEN
 
 OMEGA = np.array([1.0, 2.0, 3.0])
@@ -61,3 +62,13 @@ def test_outputs_that_a_record_lacks_keep_averaged_spectra_and_are_told():
     np.testing.assert_array_equal(found.G[:, 1], windows.G[:, 1])
     np.testing.assert_allclose(found.random_error[:, 0], local.random_error[:, 0], rtol=0.2)
     assert np.all(found.G[:, 0] != windows.G[:, 0])
+
+
+def test_averaged_spectra_in_place_of_local_models_are_told_where_losses_leave_no_stretch():
+    record = white(TWO, np.random.default_rng(2), noise=0.1, duration=200.0)
+    noise = noise_in_inputs([record], OMEGA, later=False)
+    y = record.y.copy()
+    y[2:-2] = np.nan
+    with pytest.warns(DataWarning, match="losses leave no stretch for local models"):
+        found = estimate().refined([replace(record, y=y)], OMEGA, [0], noise)
+    np.testing.assert_array_equal(found.G, estimate().G)

@@ -465,3 +465,30 @@ def test_references_that_cannot_be_are_refused(options, message):
     _, record = in_loop(0, duration=60.0)
     with pytest.raises(ValueError, match=message):
         frequency_response(record, omega=[2.0, 3.0], **options)
+
+
+def test_windows_longer_than_all_records_of_an_input_do_not_count():
+    # One long record moves a, b only in answer to the output; the records that move b are short.
+    rng, omega = np.random.default_rng(6), np.array([2.0, 4.0])
+    A, B, C, D = *(scipy.linalg.expm(DT * TWO.A), DT * TWO.B), TWO.C, TWO.D
+    records = []
+    for name, duration, mover in (("long", 300.0, 0), ("one", 90.0, 1), ("other", 90.0, 1)):
+        N, x = round(duration / DT), np.zeros(2)
+        u, y = np.zeros((N, 2)), np.zeros((N, 2))
+        for k in range(N):
+            y[k] = C @ x + D @ u[k]
+            u[k, mover] = rng.standard_normal()
+            u[k, 1 - mover] = -0.5 * y[k, 0]
+            x = A @ x + B @ u[k]
+        records.append(Record(DT * np.arange(N), u, y, TWO.inputs, TWO.outputs, name, hold="zoh"))
+    z = np.exp(1j * omega * DT)
+    steps = np.array([C @ np.linalg.solve(s * np.eye(2) - A, B) for s in z])
+    truth = steps * (1j * omega * DT / (1 - np.exp(-1j * omega * DT)))[:, None, None]
+    short = frequency_response(records, omega=omega, windows=[20.0], method="windows")
+    both = frequency_response(records, omega=omega, windows=[20.0, 120.0], method="windows")
+    for found in (short, both):
+        np.testing.assert_allclose(found.G, truth, atol=0.15 * np.abs(truth).max())
+        assert not found.flags
+        assert found.condition.max() < 5
+    np.testing.assert_allclose(both.G, short.G, rtol=1e-9)
+    assert both.windows == (20.0,)

@@ -8,7 +8,7 @@ from truths.closed_roll import TRUTH, flown
 from truths.heave import Heave, heaved
 
 from benchmarks.between_samples import BOUNDS, SIGMA, H, Roll, Smooth, flight
-from casid import DataWarning, Model, Record, Scalar, output_error, parameter
+from casid import DataWarning, Record, output_error
 from casid.free import free_parameters
 from casid.shooting.delays import calm, neighbours, stuck
 from casid.shooting.intervals import lay_out
@@ -178,40 +178,14 @@ def test_a_stretch_that_is_passed_over_has_nothing_better(monkeypatch):
     assert len(ends) > passed.sum()
 
 
-class Surge(Model):
-    """A lag whose rate is measured, too: outputs feel the input at once."""
-
-    states, inputs, outputs = ("p",), ("lat",), ("p", "pdot")
-
-    a: Scalar = parameter(default=-2.0, lower=-20.0, upper=0.0, unit="1/s")
-    b: Scalar = parameter(default=5.0, lower=0.0, upper=60.0, unit="1/s^2")
-    tau: Scalar = parameter(default=0.03, lower=0.0, upper=0.25, unit="s")
-
-    def A(self):
-        return [[self.a]]
-
-    def B(self):
-        return [[self.b]]
-
-    def C(self):
-        return [[1], [self.a]]
-
-    def D(self):
-        return [[0], [self.b]]
-
-    def delays(self):
-        return {"lat": self.tau}
-
-
 def test_jumps_of_an_uneven_record_are_told_and_the_cost_is_that_of_the_model():
     rng, records = np.random.default_rng(5), []
-    for name, steps in (("even", np.full(400, 0.03)), ("uneven", rng.uniform(0.02, 0.04, 400))):
+    for name, steps in (("even", np.full(400, H)), ("uneven", rng.uniform(0.5, 1.5, 400) * H)):
         t = np.cumsum(steps)
-        u = (0.3 * np.sign(np.sin(1.1 * t)) + 0.05 * rng.standard_normal(len(t)))[:, None]
-        record = Record(t, u, np.zeros((len(t), 2)), ("lat",), ("p", "pdot"), name, hold="zoh")
-        y = Surge(a=-2.5, b=8.0, tau=0.053).system().simulate(t, u, hold="zoh")
-        records.append(replace(record, y=y + 0.03 * rng.standard_normal(y.shape)))
+        u = 0.1 * np.sign(np.sin(np.outer(t, [1.1, 0.7]))) + 0.02 * rng.standard_normal((400, 2))
+        y = TRUTH.system().simulate(t, u, hold="zoh") + SIGMA * rng.standard_normal((400, 3))
+        records.append(Record(t, u, y, Roll.inputs, Roll.outputs, name, hold="zoh"))
     with pytest.warns(DataWarning, match="'uneven' is sampled unevenly and outputs feel lat"):
-        fit = output_error(Surge(), records)
+        fit = output_error(TRUTH, records)
     held = output_error(fit.model, records, fixed=("tau",))
     assert fit.cost == pytest.approx(held.cost, abs=0.01)

@@ -11,6 +11,7 @@ from truths.roll_study import write_study
 
 from casid import ConvergenceError, output_error, read_study, report, run_study
 from casid.fit import ParameterEstimate
+from casid.studies import runner
 from casid.studies.runner import WRITTEN, write_parameters
 
 
@@ -39,6 +40,16 @@ def test_what_ends_a_later_run_leaves_the_files_of_one_run(tmp_path, monkeypatch
     with pytest.raises(OSError, match="No space"):
         run_study(read_study(path))
     assert {name: (study.output / name).read_bytes() for name in kept} == kept
+
+    def refused(*_, **__):
+        raise ValueError("no such thing")
+
+    monkeypatch.setattr(runner, "run_stages", refused)
+    with pytest.raises(ValueError, match="no such thing") as error:
+        run_study(read_study(path), fresh=True)
+    (note,) = error.value.__notes__
+    assert "report.html, fit.json, parameters.csv" in note
+    assert "are not of this run but of the last one that ended" in note
 
 
 @pytest.mark.slow
