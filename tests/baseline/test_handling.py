@@ -146,6 +146,9 @@ def test_of_several_crossings_the_last_before_minus_180_counts():
     assert read.bandwidth_phase == pytest.approx(3 * (4 / 3) ** (10 / 20))
     at_180 = 6 - 8 * 35 / 40  # and 6 dB more are passed twice between 1 and 3 rad/s, then here:
     assert read.bandwidth_gain == pytest.approx(4 * 2 ** ((6 - (at_180 + 6)) / 8))
+    held = handling_qualities(response(lambda _: G, omega), ("phi", "lat"), attitude_command=True)
+    for found, told in ((read, True), (held, False)):  # whose gain bandwidth does not count
+        assert any("the gain is 6 dB above" in each for each in found.remarks) is told
 
 
 @pytest.mark.parametrize(

@@ -104,3 +104,13 @@ def test_a_warning_of_data_is_told_without_the_line_it_was_issued_for(capsys):
             warnings.warn("of something else", UserWarning, stacklevel=1)
     assert capsys.readouterr().err == "! 3 outliers count as missing\n"
     assert others == ["of something else"]
+
+
+def test_what_is_noted_of_an_error_is_told_below_it(capsys):
+    error = ValueError("no such channel")
+    error.add_note("report.html is of an earlier run")
+    with pytest.raises(SystemExit) as ended, exits():
+        raise error
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert said == "Bad input: no such channel\nreport.html is of an earlier run\n"

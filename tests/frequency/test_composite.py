@@ -63,6 +63,25 @@ def test_the_composite_minimises_its_cost(decades):
         np.testing.assert_allclose(found, best.x, atol=1e-5 * np.abs(best.x).max())
 
 
+def test_nothing_beside_the_composite_of_windows_that_contradict_each_other_costs_less():
+    # Power over four decades, responses half of themselves apart, coherence down to 0.05.
+    rng = np.random.default_rng(7)
+    for _ in range(60):
+        Gxx = 10 ** rng.uniform(-2, 2, 5)
+        Gxy = Gxx * (2 - 1j) * (1 + 0.5 * rng.standard_normal((5, 2)) @ [1, 1j])
+        Gyy = np.abs(Gxy) ** 2 / Gxx / rng.uniform(0.05, 0.999, 5)
+        error = 0.1 / rng.uniform(0.05, 1.0, 5) ** 0.25
+        rows = zip(Gxx, Gxy, Gyy, error, strict=True)
+        parts = pairs(
+            [dict(zip(("Gxx", "Gxy", "Gyy", "random_error"), r, strict=True)) for r in rows]
+        )
+        merged, cost = composite(parts, np.ones((5, 1), dtype=bool)), residuals(parts)
+        x, y, z = (getattr(merged, name).item() for name in ("Gxx", "Gyy", "Gxy"))
+        found = np.array([np.log(x), np.log(y), z.real, z.imag])
+        near = scipy.optimize.least_squares(cost, found, x_scale="jac", xtol=1e-12)
+        assert near.cost == pytest.approx(np.sum(cost(found) ** 2) / 2, rel=1e-4)
+
+
 def test_the_composite_of_one_window_is_that_window():
     record = white(TWO, np.random.default_rng(14), noise=0.3)
     part = condition(record_spectra([record], np.array([2.0, 5.0]), 20.0), conditioned=True)

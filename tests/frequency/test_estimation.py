@@ -468,7 +468,7 @@ def test_references_that_cannot_be_are_refused(options, message):
 
 
 def test_windows_longer_than_all_records_of_an_input_do_not_count():
-    # One long record moves a, b only in answer to the output; the records that move b are short.
+    # A long record moves b at 2 rad/s and else in answer to the output; those that do are short.
     rng, omega = np.random.default_rng(6), np.array([2.0, 4.0])
     A, B, C, D = *(scipy.linalg.expm(DT * TWO.A), DT * TWO.B), TWO.C, TWO.D
     records = []
@@ -479,6 +479,7 @@ def test_windows_longer_than_all_records_of_an_input_do_not_count():
             y[k] = C @ x + D @ u[k]
             u[k, mover] = rng.standard_normal()
             u[k, 1 - mover] = -0.5 * y[k, 0]
+            u[k, 1] += 2.0 * np.sin(2.0 * DT * k) * (name == "long")
             x = A @ x + B @ u[k]
         records.append(Record(DT * np.arange(N), u, y, TWO.inputs, TWO.outputs, name, hold="zoh"))
     z = np.exp(1j * omega * DT)
@@ -490,5 +491,6 @@ def test_windows_longer_than_all_records_of_an_input_do_not_count():
         np.testing.assert_allclose(found.G, truth, atol=0.15 * np.abs(truth).max())
         assert not found.flags
         assert found.condition.max() < 5
-    np.testing.assert_allclose(both.G, short.G, rtol=1e-9)
-    assert both.windows == (20.0,)
+    np.testing.assert_allclose(both.G[1], short.G[1], rtol=1e-9)
+    assert np.all(np.abs(both.G[0] - short.G[0]) > 1e-9)  # where the long windows count
+    assert both.windows == (20.0, 120.0)

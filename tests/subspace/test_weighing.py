@@ -37,3 +37,15 @@ def test_lines_near_a_frequency_are_those_that_smoothed_power_scatters_by():
     at = np.array([1.0, 4.0])
     drawn = smoothed(np.log(at), np.log(omega), rng.exponential(size=(len(omega), 4000)))
     np.testing.assert_allclose(1 / drawn.var(axis=1), lines_near(at, sum(seconds)), rtol=0.08)
+
+
+def test_spectra_that_share_weights_go_on_sharing_them_and_no_others_do():
+    records = [*campaign(records=3, duration=8.0), *campaign(records=1, duration=11.0)]
+    su, sy = standard_deviations(records)
+    data = spectra(records, su, sy, 12.0)
+    one, other = (scale * np.ones((len(data[0].omega), 3)) for scale in (1.0, 2.0))
+    weights = [one, one, other, np.ones((len(data[3].omega), 3))]
+    found = known_weights(data, weights)
+    assert found[0] is found[1]
+    np.testing.assert_allclose(found[2], 2 * found[0])
+    assert len(found[3]) == len(data[3].omega)
