@@ -3,8 +3,8 @@
     ½ Σ (λ − λ₀)²/σ² + ½ Σ over records of (x₀ − m)²/σ² and of b²/σ²
 
 adds to the negative log-likelihood (R. V. Jategaonkar, Flight Vehicle System Identification, 2nd
-ed., section 4.16): the mode of the posterior. A bias that is to be none is held by a σ of a
-ten-thousandth of its channel.
+ed., section 4.16): the mode of the posterior. A bias that is to be none is held by a σ far below
+what any record tells of it, 1e-8 of its channel.
 """
 
 from collections.abc import Collection, Sequence
@@ -28,7 +28,7 @@ from casid.shooting.sensitivity import Point
 CONTRADICTED = 3.5  # standard deviations between a prior and the records, of the largest of many
 NARROWED = 1e-6  # of a prior's variance: what records that say nothing narrow it by
 TRIM = "trim"  # instead of a value: that of each record's trim
-HELD = 100.0  # σ of a bias that is held, in units of the noise's floor
+HELD = 0.01  # σ of a bias that is held, in units of the noise's floor
 
 
 class Knowledge:

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
+from scipy.signal import lsim
 
 from casid import (
     DataWarning,
@@ -97,7 +99,7 @@ def test_what_is_added_is_gradient_and_hessian_of_the_cost():
         in_totals(replace(record, trim={"phi": phi}), free.initial)
         for record, phi in zip(flown(), (0.1, -0.3), strict=True)
     ]
-    noise = Noise(np.ones((1, 2), dtype=bool), np.array([9]), np.array([0.003, 0.007]))
+    noise = Noise(np.ones((1, 2), dtype=bool), np.array([9]), np.array([30.0, 70.0]))
     knowledge = Knowledge(free, noise, np.array([0, 0, 1]), begun)
     rng = np.random.default_rng(0)
     x = rng.standard_normal(2 + 2 * 2 + 3 * 2)  # parameters, biases and nodes
@@ -148,8 +150,30 @@ def test_outputs_named_alone_have_biases():
     known = {"phi": (0.0, 1e-4), "p": (0.0, 1e-4)}
     fit = OutputError(biases=("phi",), initial=known).fit(Roll(), records)
     np.testing.assert_allclose(fit.biases[:, 1], 0.03, atol=1e-3)
-    np.testing.assert_array_less(np.abs(fit.biases[:, 0]), 2e-4)
+    np.testing.assert_array_less(np.abs(fit.biases[:, 0]), 1e-9)
     np.testing.assert_array_less(np.abs(fit.initial_states), 4e-4)
+
+
+@pytest.mark.parametrize("sigma", [1e-3, 1e-5])
+def test_an_output_without_a_bias_has_none_however_small_the_noise(sigma):
+    t = np.arange(0, 12, 0.04)
+    u = 0.05 * np.where(t > 1, 1 + 0.3 * np.sin(1.3 * t), 0.0)
+
+    def flight(unknown):
+        A, B = [[unknown[0], 0], [1, 0]], [[unknown[1]], [0]]
+        y = lsim((A, B, np.eye(2), np.zeros((2, 1))), u, t, [unknown[2], 0])[1]
+        return (y + np.array([0, unknown[3]])).ravel()  # a bias of phi and none of p
+
+    true = np.array([-2.2, 12.0, 0.01, 0.002])
+    y = flight(true) + sigma * np.random.default_rng(1).standard_normal(2 * len(t))
+    found = least_squares(lambda x: (flight(x) - y) / sigma, true, "3-point", xtol=1e-14)
+    error = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+    record = Record(t, u[:, None], y.reshape(-1, 2), ("lat",), ("p", "phi"))
+    by = OutputError(biases=("phi",), initial={"phi": (0.0, 1e-9)}, R=np.eye(2) * sigma**2)
+    fit = by.fit(Roll(), record)
+    for name, value, of in zip(("Lp", "Llat"), found.x, error, strict=False):
+        assert abs(fit[name].value - value) < 1e-2 * of
+        assert fit[name].cramer_rao == pytest.approx(of, rel=1e-3)
 
 
 def test_prior_and_records_are_weighed_by_their_information():
