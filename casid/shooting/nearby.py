@@ -2,20 +2,91 @@
 
 At a solution nearby the cost of λ alone, biases and nodes eliminated (`casid.shooting.precision`),
 is g ᵀd + ½ dᵀF d to second order. Its minimum within the new bounds and ties is a small quadratic
-programme, which tells which of them will hold and at what price before a sample is touched.
+programme, which tells which of them will hold and at what price before a sample is touched. Models
+about the solutions of models, with all second derivatives, are Newton's method with bounds
+(sequential quadratic programming: Nocedal and Wright, Numerical Optimization, 2006, chapter 18),
+which doubles its digits with every step once the right bounds hold.
 """
+
+import logging
+import time
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 from scipy.linalg.lapack import dposv
 
 from casid.arrays import Array
-from casid.nlp import Problem, Solution, SolverOptions, solve
+from casid.nlp import Problem, Progress, Solution, SolverOptions, solve
 from casid.shooting.newton import Newton
 from casid.shooting.precision import quadratic_model
 from casid.shooting.programme import Programme
 
+LOG = logging.getLogger("casid")
+
 SETS = 30  # of bounds that may hold, tried before IPOPT is asked
+FALLS = 0.5  # share of the optimality error that a step near the solution leaves, at most
+CHEAP = 1e-2  # of the tolerance: bounds that cost little are to be reached too
+# What IPOPT is asked for where ties hold a step.
+QUADRATIC = {"tol": 1e-13, "compl_inf_tol": 1e-13, "acceptable_tol": 1e-11}
+WITHIN = {"bound_relax_factor": 0.0}  # beside it, where bounds are to hold to the last digit
+ROOM = 1e-8  # that IPOPT gives bounds: without it, costs would differ by as much times the price
+MANY = 200  # of its iterations
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """Scaled variables with the multipliers of bounds and constraints, per observation."""
+
+    x: Array
+    bounds: Array
+    constraints: Array
+
+    def error(self, programme: Programme) -> float:
+        """By how much the optimality conditions (Karush, Kuhn, Tucker) are missed, at most."""
+        slopes = programme.gradient(self.x) + self.bounds
+        slopes += programme.constraint_matrix(self.x).T @ self.constraints
+        (lower, upper), (lower_c, upper_c) = programme.limits()
+        g, nf = programme.values(self.x).g, len(lower)
+        closed = np.zeros(len(g) - len(lower_c))  # the intervals
+        low, high = np.concatenate([closed, lower_c]), np.concatenate([closed, upper_c])
+        missed = [
+            np.abs(slopes).max(),
+            _missed(self.x[:nf], lower, upper, self.bounds[:nf]),
+            _missed(g, low, high, self.constraints),
+        ]
+        return float(np.max(missed))
+
+    def moved(self, programme: Programme, options: SolverOptions) -> "Iterate | None":
+        """The solution of the quadratic model here, Newton's; None if it has none."""
+        try:
+            hessian = Newton(programme).matrix(self.x, self.constraints)
+            F, follow = quadratic_model(programme, self.x, hessian)
+        except (RuntimeError, np.linalg.LinAlgError):  # an exactly singular factor
+            return None
+        nf, size = programme.evaluator.nf, len(self.x)
+        found = step(programme, self.x, F, options, self.bounds[:nf])
+        if not found.success:
+            return None
+        ties = len(found.multipliers_g)
+        gaps = len(self.constraints) - ties
+        rest = follow @ [*found.x, 1.0]  # biases, nodes, auxiliary variables, multipliers
+        bounds = np.zeros(size)
+        bounds[:nf] = found.multipliers_x
+        prices = rest[len(rest) - gaps :] / programme.n
+        return Iterate(
+            x=self.x + np.concatenate([found.x, rest[: size - nf]]),
+            bounds=bounds,
+            constraints=np.concatenate([prices, found.multipliers_g]),
+        )
+
+
+def _missed(values: Array, lower: Array, upper: Array, prices: Array) -> float:
+    """How far values are beyond limits, or from those they have a price for, times the price."""
+    beyond = np.maximum(lower - values, values - upper)
+    with np.errstate(invalid="ignore"):  # no price for what is endlessly far
+        slack = np.abs(prices * np.where(prices > 0, upper - values, values - lower))
+    return float(np.maximum(beyond, np.where(prices == 0, 0.0, slack) / CHEAP).max(initial=0.0))
 
 
 def predicted(
@@ -26,32 +97,75 @@ def predicted(
     From ``x`` (n,), scaled variables near a solution, by ``steps`` quadratic models, each about the
     solution of the last; λ may lie outside the bounds. None if one of them has no solution.
     """
-    newton, count = Newton(programme), len(programme.links) * programme.evaluator.nx
-    bounds, prices = np.zeros(len(x)), np.zeros(len(programme.values(x).g))
-    nf = programme.evaluator.nf
+    at: Iterate | None = Iterate(x, np.zeros(len(x)), np.zeros(len(programme.values(x).g)))
     for _ in range(steps):
-        try:
-            F, follow = quadratic_model(programme, x, newton.matrix(x, prices))
-        except (RuntimeError, np.linalg.LinAlgError):  # an exactly singular factor
+        if at is None or (at := at.moved(programme, options)) is None:
             return None
-        found = step(programme, x, F, options)
-        if not found.success:
-            return None
-        moved = follow @ [*found.x, 1.0]
-        bounds[:nf] = found.multipliers_x
-        x = x + np.concatenate([found.x, moved[: len(x) - nf]])
-        prices = np.concatenate([moved[len(moved) - count :] / programme.n, found.multipliers_g])
-    return x, (bounds, prices)
+    return None if at is None else (at.x, (at.bounds, at.constraints))
 
 
-def step(programme: Programme, x: Array, F: Array, options: SolverOptions) -> Solution:
-    """Step of the unknowns that minimises a quadratic model within bounds and ties."""
+def followed(
+    programme: Programme,
+    x: Array,
+    multipliers: tuple[Array, Array],
+    options: SolverOptions,
+    stage: str,
+) -> Solution | None:
+    """The solution, to the tolerance, by quadratic models alone; None where they do not lead there.
+
+    They lead there as long as each leaves at most half of the error of the optimality conditions
+    that it should leave nothing of. From scaled variables ``x`` (n,) and ``multipliers`` of bounds
+    and constraints near the solution.
+    """
+    begin, at, last = time.perf_counter(), Iterate(x, *multipliers), np.inf
+    programme = programme.roomier(ROOM)
+    ipopt = QUADRATIC | WITHIN
+    exact = replace(options, progress=None, max_iterations=MANY, ipopt=ipopt)
+    for iteration in range(options.max_iterations + 1):
+        values, seconds = programme.values(at.x), time.perf_counter() - begin
+        error = at.error(programme) if np.isfinite(values.cost) else np.inf
+        if options.progress is not None:
+            told = Progress(stage=stage, iteration=iteration, cost=values.cost, seconds=seconds)
+            options.progress(told)
+        if error <= options.tolerance:
+            status = "solved by quadratic models"
+            said = stage, status, iteration, values.cost, seconds
+            LOG.info("%s: %s, %d steps, cost %.6g, %.2f s", *said)
+            return Solution(
+                x=at.x,
+                f=values.cost,
+                g=values.g,
+                multipliers_x=at.bounds,
+                multipliers_g=at.constraints,
+                success=True,
+                status=status,
+                iterations=iteration,
+                seconds=seconds,
+            )
+        falls, last = error < FALLS * last, error
+        moved = at.moved(programme, exact) if falls and seconds < options.max_seconds else None
+        if moved is None:
+            break
+        at = moved
+    LOG.info("%s: quadratic models do not lead to the solution", stage)
+    return None
+
+
+def step(
+    programme: Programme, x: Array, F: Array, options: SolverOptions, prices: Array | None = None
+) -> Solution:
+    """Step of the unknowns that minimises a quadratic model within bounds and ties.
+
+    ``prices`` (nf,) of bounds say which may be expected to hold.
+    """
     nf = programme.evaluator.nf
     (lower, upper), (lower_c, upper_c) = programme.limits()
     first = len(programme.links) * programme.evaluator.nx
     slopes = programme.constraint_matrix(x)[first:, :nf].toarray()
-    if not len(slopes) and (found := in_box(F / programme.n, lower - x[:nf], upper - x[:nf])):
-        return found
+    if not len(slopes):
+        box = F / programme.n, lower - x[:nf], upper - x[:nf]
+        if found := in_box(*box, prices) or in_box(*box):
+            return found
     now = programme.values(x).g[first:]
     d = ca.MX.sym("d", nf)
     problem = Problem(
@@ -67,16 +181,19 @@ def step(programme: Programme, x: Array, F: Array, options: SolverOptions) -> So
     return solve(problem, options, stage="output error, prediction")
 
 
-def in_box(F: Array, lower: Array, upper: Array) -> Solution | None:
+def in_box(F: Array, lower: Array, upper: Array, prices: Array | None = None) -> Solution | None:
     """The d within bounds (n,) that minimises half the form F (n + 1, n + 1) of [d; 1].
 
     By a primal-dual active set (M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13(3), 2002):
-    bounds hold that the last d breaks or presses on, until these are the same as before. None if
-    they do not come to an end, or without them the form is not convex.
+    bounds hold that the last d breaks or presses on, until these are the same as before, beginning
+    with those of ``prices`` (n,) other than zero. None if they do not come to an end, or without
+    them the form is not convex.
     """
     H, g, pinned = F[:-1, :-1], F[:-1, -1], upper <= lower
     size = np.maximum(np.diag(H), 1e-300)
-    sides = pinned.astype(int)  # 1 at the upper bound, -1 at the lower
+    sides = np.zeros(len(g)) if prices is None else np.sign(prices)  # 1 at the upper bound
+    sides = np.where(np.isfinite(np.where(sides > 0, upper, lower)), sides, 0).astype(int)
+    sides[pinned] = 1
     for count in range(SETS):
         free = sides == 0
         d = np.where(free, 0.0, np.where(sides > 0, upper, lower))

@@ -118,6 +118,21 @@ class Programme:
         other._forget()
         return other
 
+    def roomier(self, room: float) -> "Programme":
+        """The same with bounds wider by so much of their size, at least of one scaled unit.
+
+        What is known goes with it. Values that are held stay so.
+        """
+        free, unit = self.free, self.free.scale.copy()
+        unit[free.index] = self.scales.lam[: len(free.index)]
+        wide = np.where(free.lower < free.upper, room, 0.0)
+        with np.errstate(invalid="ignore"):  # of what has no bound
+            low, high = (wide * np.maximum(unit, np.abs(side)) for side in (free.lower, free.upper))
+            lower, upper = free.lower - low, free.upper + high
+        other = copy.copy(self)
+        other.free = replace(free, lower=lower, upper=upper)
+        return other
+
     def _forget(self) -> None:
         self._seen: tuple[bytes, Values] | None = None
         self._blocks: tuple[bytes, Blocks] | None = None

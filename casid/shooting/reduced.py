@@ -18,7 +18,7 @@ import scipy.linalg
 
 from casid.arrays import Array, BoolArray
 from casid.nlp import Progress, Solution, SolverOptions
-from casid.shooting.nearby import step
+from casid.shooting.nearby import MANY, QUADRATIC, step
 from casid.shooting.newton import MEET, Newton
 from casid.shooting.precision import quadratic_model, unknown_names
 from casid.shooting.programme import Programme
@@ -34,7 +34,6 @@ DAMPING, MOST = 1e-3, 1e6  # of the parameters' own information: the first one, 
 WELL, LESS = 0.25, 0.2  # share of the gain expected that lets damping fall, and to what at least
 CONVEX = 1.5  # times the damping that just makes the model convex
 TOUCHES = 1e-6  # from a bound, in units of unit curvature
-MANY, QUADRATIC = 200, {"tol": 1e-13, "compl_inf_tol": 1e-13, "acceptable_tol": 1e-11}  # a step
 UNTOLD = (
     "the records do not determine {}, not where the search ended (singular information matrix): "
     "fix or tie some of them, or start nearer"

@@ -17,7 +17,7 @@ from casid.shooting import frequency
 from casid.shooting.delays import Side, calm, held, neighbours, own_prices, stuck
 from casid.shooting.integration import factor_wanted, integration
 from casid.shooting.likelihood import CovarianceKind
-from casid.shooting.nearby import predicted
+from casid.shooting.nearby import followed, predicted
 from casid.shooting.newton import Newton
 from casid.shooting.nonlinear import Integration, NonlinearEvaluator
 from casid.shooting.programme import Programme
@@ -95,7 +95,7 @@ class Search:
         x, multipliers = guess
         ipopt = NEAR | {"mu_init": self.options.tolerance / 1000} | dict(self.options.ipopt)
         options = replace(self.options, ipopt=ipopt)
-        solution = self._solve(first, first.unpack(x), multipliers, 1, options, close=True)
+        solution = self._near(first, first.unpack(x), multipliers, 1, options, close=True)
         found = Outcome(first, solution, solution.iterations, 1, True)
         outcome = self.around(self._released(found))
         return outcome if outcome.solution.success else None
@@ -231,7 +231,8 @@ class Search:
         programme = loose.balanced(point)
         warm = _carried(outcome.solution, last, programme)
         rounds = outcome.rounds + 1
-        solution = self._solve(programme, point, warm, rounds, self.options)
+        solve = self._near if outcome.solution.success else self._solve
+        solution = solve(programme, point, warm, rounds, self.options)
         iterations = outcome.iterations + solution.iterations
         return self._released(Outcome(programme, solution, iterations, rounds, True))
 
@@ -260,6 +261,24 @@ class Search:
         return replace(
             outcome, programme=outcome.programme.variant(free=self.free), solution=solution
         )
+
+    def _near(
+        self,
+        programme: Programme,
+        point: Point,
+        warm: tuple[Array, Array],
+        number: int,
+        options: SolverOptions,
+        *,
+        close: bool = False,
+    ) -> Solution:
+        """By quadratic models alone, as long as they lead to the solution; else by IPOPT."""
+        if programme.evaluator.curved:
+            start, stage = programme.pack(point), f"output error, round {number}"
+            solution = followed(programme, start, warm, options, stage)
+            if solution is not None:
+                return completed(programme, start, solution, options, stage, LAST)
+        return self._solve(programme, point, warm, number, options, close=close)
 
     @staticmethod
     def _solve(

@@ -10,7 +10,7 @@ from truths.closed_roll import TRUTH, flown, with_holes
 from casid import Constraint, SolverOptions
 from casid.free import free_parameters
 from casid.shooting.intervals import lay_out
-from casid.shooting.nearby import in_box, predicted
+from casid.shooting.nearby import CHEAP, ROOM, Iterate, followed, in_box, predicted
 from casid.shooting.sensitivity import Evaluator
 from casid.shooting.starting import starting_programme
 
@@ -65,3 +65,69 @@ def test_a_quadratic_is_least_in_a_box_where_bounded_least_squares_are(seed):
 
 def test_a_quadratic_that_falls_without_end_is_left_to_ipopt():
     assert in_box(np.diag([1.0, -1.0, 0.0]), np.full(2, -1.0), np.full(2, 1.0)) is None
+
+
+def test_a_quadratic_that_is_convex_beside_bounds_that_hold_is_minimised_from_their_prices():
+    # It falls without end along the first axis, whose bound holds: known only from its price.
+    F = np.array([[-1.0, 0.0, -3.0], [0.0, 2.0, -2.0], [-3.0, -2.0, 0.0]])
+    lower, upper = np.array([-1.0, -np.inf]), np.array([0.5, np.inf])
+    assert in_box(F, lower, upper) is None
+    found = in_box(F, lower, upper, np.array([1.0, -1.0]))  # none holds where no bound is
+    np.testing.assert_allclose(found.x, [0.5, 1.0])
+    np.testing.assert_allclose(found.multipliers_x, [3.5, 0.0])
+
+
+def beside(truth, bounds):
+    """A programme under bounds and what is predicted of it beside the truth; R is known."""
+    free = free_parameters(truth, fixed={"Lped", "tau"}, bounds=bounds)
+    records, R = [flown(truth, seed=1).between(0, 6)], np.diag([0.05, 0.005, 0.005]) ** 2
+    programme, point = starting_programme(Evaluator(free, lay_out(records, 3.0)), free, R, True)
+    return programme, predicted(programme, programme.pack(point), 3, SolverOptions())
+
+
+@pytest.mark.parametrize("truth", [TRUTH, Tied()])
+def test_quadratic_models_lead_to_the_tolerance_with_bounds_that_hold_and_others(truth):
+    told = []
+    options = SolverOptions(tolerance=1e-11, progress=told.append)
+    programme, (x, multipliers) = beside(truth, {"Lp": (-1.9, 0.0), "Lv": (-5.0, 5.0)})
+    found = followed(programme, x, multipliers, options, "here")
+    assert found.success
+    assert found.status == "solved by quadratic models"
+    assert [each.iteration for each in told] == list(range(found.iterations + 1))
+    names, lam = programme.free.names, programme.unpack(found.x).lam
+    unit = max(1.9, programme.scales.lam[names.index("Lp")])
+    assert lam[names.index("Lp")] == pytest.approx(-1.9 - ROOM * unit, rel=1e-14)  # as IPOPT's
+    assert found.multipliers_x[names.index("Lp")] < -1e-6  # presses on the lower bound
+    assert found.multipliers_x[names.index("Lv")] == pytest.approx(0.0, abs=1e-12)
+    slopes = programme.gradient(found.x) + found.multipliers_x
+    slopes += programme.constraint_matrix(found.x).T @ found.multipliers_g
+    np.testing.assert_allclose(slopes, 0, atol=1e-11)
+
+
+def test_quadratic_models_are_given_up_where_they_do_not_lead_to_the_solution():
+    programme, (x, multipliers) = beside(TRUTH, {"Lp": (-1.9, 0.0)})
+    options = SolverOptions(tolerance=1e-11)
+    away = x.copy()
+    away[programme.free.names.index("Lv")] *= -20  # diverges within an interval
+    assert followed(programme, away, multipliers, options, "away") is None
+    few, late = replace(options, max_iterations=1), replace(options, max_seconds=1e-9)
+    assert followed(programme, x, multipliers, few, "few") is None
+    assert followed(programme, x, multipliers, late, "late") is None
+
+
+def test_the_error_of_the_optimality_conditions_knows_what_each_of_them_misses():
+    programme, (x, multipliers) = beside(TRUTH, {"Lp": (-1.9, 0.0)})
+    found = followed(programme, x, multipliers, SolverOptions(tolerance=1e-11), "here")
+    good = Iterate(found.x, found.multipliers_x, found.multipliers_g)
+    programme = programme.roomier(ROOM)
+    assert good.error(programme) <= 1e-11
+    a = programme.free.names.index("Lp")
+    unit = np.eye(len(found.x))[a]
+    loose = programme.variant(free=replace(programme.free, lower=programme.free.lower - 0.1))
+    assert replace(good, bounds=0 * good.bounds).error(programme) == pytest.approx(
+        -found.multipliers_x[a], rel=1e-6
+    )
+    far = 0.1 / programme.scales.lam[a] * -found.multipliers_x[a] / CHEAP  # a price, no bound
+    assert good.error(loose) == pytest.approx(far, rel=1e-6)
+    assert replace(good, x=found.x - 0.5 * unit).error(programme) >= 0.5  # beyond the bound
+    assert replace(good, constraints=good.constraints + 1e-3).error(programme) >= 1e-3

@@ -1,11 +1,12 @@
 """Estimates against an estimator of other make: SciPy's least squares by single shooting."""
 
 import numpy as np
+import pytest
 import scipy.linalg
 import scipy.optimize
 from truths.closed_roll import TRUTH, flown, off
 
-from casid.shooting.output_error import output_error
+from casid.shooting.output_error import OutputError, output_error
 
 SIGMA = {"ay": 0.05, "p": 0.005, "phi": 0.005}
 H = 0.02  # s
@@ -71,3 +72,47 @@ def test_estimates_and_standard_errors_are_those_of_single_shooting_least_square
     np.testing.assert_allclose(fit.initial_states[0], values[7:10], rtol=1e-4)
     np.testing.assert_allclose(fit.biases[0], values[10:], rtol=1e-4)
     np.testing.assert_allclose([row.cramer_rao for row in fit.parameters], std[:7], rtol=1e-4)
+
+
+def bounded(record, start, lower, upper):
+    """Estimates (13,) within bounds of the parameters (7,), and the sum of squares, halved."""
+    sigma = np.array(list(SIGMA.values()))
+    limits = np.append(lower, np.full(6, -np.inf)), np.append(upper, np.full(6, np.inf))
+    found = scipy.optimize.least_squares(
+        lambda v: ((simulated(v, record) - record.y) / sigma).ravel(),
+        np.clip(start, limits[0] + 1e-6, limits[1] - 1e-6), bounds=limits, jac="3-point",
+        x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-10,
+    )  # fmt: skip
+    return found.x, found.cost
+
+
+@pytest.mark.slow
+def test_a_case_beside_another_is_bounded_least_squares_and_its_prices_are_slopes_of_their_cost():
+    record = flown(seed=1).between(0, 8).with_noise(SIGMA, np.random.default_rng(4))
+    R = np.diag(list(SIGMA.values())) ** 2
+    wide = output_error(off(share=0.1), [record], R=R)
+    at = {name: i for i, name in enumerate(TRUTH.parameter_names())}
+    lower = np.array([row.lower for row in wide.parameters])
+    upper = np.array([row.upper for row in wide.parameters])
+    lower[at["Lp"]] = wide["Lp"].value + 2 * wide["Lp"].cramer_rao
+    upper[at["Lv"]] = wide["Lv"].value - wide["Lv"].cramer_rao
+    bounds = {name: (lower[i], upper[i]) for name, i in at.items()}
+    fit = OutputError(R=R).fit(wide.model, [record], bounds=bounds, near=wide)
+    assert fit.status == "solved by quadratic models"
+    start = np.concatenate([fit.model.vector(), fit.initial_states[0], fit.biases[0]])
+    values, least = bounded(record, start, lower, upper)
+    std = np.array([row.cramer_rao for row in wide.parameters])
+    np.testing.assert_allclose(fit.model.vector() / std, values[:7] / std, rtol=0, atol=1e-3)
+    assert fit.cost - wide.cost == pytest.approx(
+        least - bounded(record, start, 0 * lower - 1e3, 0 * upper + 1e3)[1], rel=1e-4
+    )
+    assert [row.name for row in fit.parameters if row.active] == ["Lv", "Lp"]
+    for name, side in (("Lp", lower), ("Lv", upper)):
+        costs = []
+        for sign in (-1, 1):
+            moved = side.copy()
+            moved[at[name]] += sign * 0.05 * std[at[name]]
+            limits = (moved, upper) if side is lower else (lower, moved)
+            costs.append(bounded(record, start, *limits)[1])
+        slope = (costs[1] - costs[0]) / (0.1 * std[at[name]])
+        assert fit[name].multiplier == pytest.approx(slope, rel=1e-3)
