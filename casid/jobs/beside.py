@@ -13,6 +13,8 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
+FORKS = sys.platform.startswith("linux")  # elsewhere libraries of the system do not survive them
+
 
 @contextmanager
 def beside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
@@ -22,14 +24,13 @@ def beside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
     would import for longer than the work takes. Where there is one processor, where forks are not
     safe, and if the fork fails at its work, the work is done here when its result is asked for.
     """
-    if not sys.platform.startswith("linux") or len(os.sched_getaffinity(0)) < 2:
+    if not FORKS or len(os.sched_getaffinity(0)) < 2:
         yield work
         return
     context = multiprocessing.get_context("fork")
     here, there = context.Pipe(duplex=False)
     process = context.Process(target=_send, args=(here, there, work), daemon=True)
-    with warnings.catch_warnings():  # the thread that draws the progress takes no lock of figures
-        warnings.simplefilter("ignore", DeprecationWarning)
+    with forking():
         process.start()
     there.close()
     try:
@@ -39,6 +40,14 @@ def beside(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         process.terminate()
         process.join()
         process.close()
+
+
+@contextmanager
+def forking() -> Iterator[None]:
+    """A context in which processes are forked, whatever threads there are."""
+    with warnings.catch_warnings():  # the thread that draws the progress takes no lock of figures
+        warnings.simplefilter("ignore", DeprecationWarning)
+        yield
 
 
 def _send(other: Connection, end: Connection, work: Callable[[], Any]) -> None:

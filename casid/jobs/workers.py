@@ -1,5 +1,6 @@
 """Where jobs run: in this process, in processes of our own, on the user's executor."""
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -11,8 +12,8 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any
 
-from casid.jobs.beside import end_alike
-from casid.threads import cores
+from casid.jobs.beside import FORKS, end_alike, forking
+from casid.threads import cores, limited
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -52,7 +53,11 @@ class OtherExecutor(Workers):
 
 
 class OwnProcesses(Workers):
-    """Processes of our own; new ones when one has died."""
+    """Processes of our own; new ones when one has died.
+
+    They are forks, which have casid and the user's structure loaded: to load them takes longer than
+    many a case. Where forks are not safe, they are new ones.
+    """
 
     def __init__(self, count: int) -> None:
         self.slots, self._count = 2 * count, count
@@ -61,9 +66,9 @@ class OwnProcesses(Workers):
 
     def _new(self) -> Pool:
         """All processes at once: those without a job yet load casid while the first is done."""
-        context = multiprocessing.get_context("spawn")
-        pool = Pool(self._count, mp_context=context, initializer=end_alike)
-        with _surroundings():
+        context = multiprocessing.get_context("fork" if FORKS else "spawn")
+        pool = Pool(self._count, mp_context=context, initializer=_begin)
+        with _surroundings(), forking():
             for _ in range(self._count):
                 pool.submit(cores)
         return pool
@@ -89,11 +94,22 @@ class OwnProcesses(Workers):
         return True
 
 
+def _begin() -> None:
+    """End with the process that began this one, and leave to it what users are told.
+
+    A fork has that one's handlers of signals and logs, and its threads of linear algebra.
+    """
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    logging.getLogger("casid").disabled = True
+    limited()
+    end_alike()
+
+
 @contextmanager
 def _surroundings() -> Iterator[None]:
     """What processes started here find: one BLAS thread, no interrupts, no script to run again.
 
-    A new process imports the script it was started from; one without ``if __name__ ==
+    A new process that is no fork imports the script it was started from; one without ``if __name__ ==
     "__main__"`` would begin its study once more in every process. Jobs need nothing of it. An
     interrupt from the keyboard reaches all processes of a terminal: this one ends the others.
     """

@@ -1,6 +1,7 @@
 """Where jobs run: processes that die, executors that fail, interrupts."""
 
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -11,9 +12,10 @@ from pathlib import Path
 
 import pytest
 from truths.mixture import Inline
-from truths.sums import add, job, results
+from truths.sums import HERE, add, job, results, surroundings
 
 from casid import Execution
+from casid.jobs.beside import FORKS
 from casid.jobs.campaigns import run_jobs
 
 TESTS = Path(__file__).parents[1]
@@ -34,6 +36,21 @@ def test_a_job_that_kills_its_process_is_a_row_and_the_others_go_on():
     assert done["bad"].reason == "the process it ran in died"
     assert [done[str(k)].result for k in range(5)] == list(range(5))
     assert done["after"].result == 1
+
+
+@pytest.mark.skipif(not FORKS, reason="processes are new ones")
+def test_processes_have_what_is_loaded_here_and_neither_logs_handlers_nor_threads(
+    monkeypatch, caplog
+):
+    caplog.set_level(logging.INFO, logger="casid")
+    monkeypatch.setitem(HERE, "told", "before")
+    before = signal.signal(signal.SIGTERM, lambda *_: None)
+    try:
+        done = run_jobs(surroundings, [job(str(k), k) for k in range(5)])
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert [each.result for each in done.values()] == 5 * [["before", False, True, 1]]
+    assert logging.getLogger("casid").isEnabledFor(logging.INFO)
 
 
 class Broken(Executor):
