@@ -109,9 +109,9 @@ def _begin() -> None:
 def _surroundings() -> Iterator[None]:
     """What processes started here find: one BLAS thread, no interrupts, no script to run again.
 
-    A new process that is no fork imports the script it was started from; one without ``if __name__ ==
-    "__main__"`` would begin its study once more in every process. Jobs need nothing of it. An
-    interrupt from the keyboard reaches all processes of a terminal: this one ends the others.
+    A new process, unless it is a fork, imports the script it was started from; one without ``if
+    __name__ == "__main__"`` would begin its study once more in every process. Jobs need nothing of
+    it. An interrupt from the keyboard reaches all processes of a terminal: this ends the others.
     """
     added = [name for name in ONE_THREAD if name not in os.environ]
     os.environ.update(dict.fromkeys(added, "1"))

@@ -25,22 +25,44 @@ from casid.shooting.programme import Programme
 LOG = logging.getLogger("casid")
 
 SETS = 30  # of bounds that may hold, tried before IPOPT is asked
-FALLS = 0.5  # share of the optimality error that a step near the solution leaves, at most
+FALLS = 0.5  # share of the optimality error that two steps near the solution leave, at most
 CHEAP = 1e-2  # of the tolerance: bounds that cost little are to be reached too
 # What IPOPT is asked for where ties hold a step.
 QUADRATIC = {"tol": 1e-13, "compl_inf_tol": 1e-13, "acceptable_tol": 1e-11}
 WITHIN = {"bound_relax_factor": 0.0}  # beside it, where bounds are to hold to the last digit
+STATED = 1e-3  # of log-likelihood that an undamped step may still gain: 0.05 standard errors
 ROOM = 1e-8  # that IPOPT gives bounds: without it, costs would differ by as much times the price
 MANY = 200  # of its iterations
 
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """Scaled variables with the multipliers of bounds and constraints, per observation."""
+    """Scaled variables with the multipliers of bounds and constraints, per observation.
+
+    ``model`` is the one whose solution they are, if any, as `quadratic_model` has it.
+    """
 
     x: Array
     bounds: Array
     constraints: Array
+    model: tuple[Array, Array] | None = None
+
+    @classmethod
+    def of(cls, programme: Programme, x: Array) -> "Iterate":
+        """Scaled variables with prices of continuity that leave the nodes no slope, no others."""
+        blocks, links = programme.blocks(x), programme.links
+        costates = np.zeros_like(blocks.gn)  # from the end of each record back
+        for j in links[::-1].tolist():
+            costates[j] = blocks.gn[j + 1] / programme.n + blocks.slope_n[j + 1].T @ costates[j + 1]
+        constraints = np.zeros(len(programme.values(x).g))
+        constraints[: costates[links].size] = costates[links].ravel()
+        return cls(x, np.zeros(len(x)), constraints)
+
+    def carried(self, last: Programme, programme: Programme) -> "Iterate":
+        """The same in the units of another programme than the last."""
+        (x, g), (new_x, new_g) = last.units(), programme.units()
+        bounds, constraints = self.bounds * new_x / x, self.constraints * new_g / g
+        return Iterate(self.x * x / new_x, bounds, constraints)
 
     def error(self, programme: Programme) -> float:
         """By how much the optimality conditions (Karush, Kuhn, Tucker) are missed, at most."""
@@ -56,6 +78,19 @@ class Iterate:
             _missed(g, low, high, self.constraints),
         ]
         return float(np.max(missed))
+
+    def left(self, programme: Programme) -> float:
+        """Log-likelihood that a step would still gain by the last model's curvature."""
+        if self.model is None:
+            return np.inf
+        (F, follow), nf = self.model, programme.evaluator.nf
+        slopes = (
+            programme.gradient(self.x) + programme.constraint_matrix(self.x).T @ self.constraints
+        )
+        free = self.bounds[:nf] == 0
+        g = programme.n * (slopes[:nf] + follow[: len(slopes) - nf, :nf].T @ slopes[nf:])[free]
+        d, failed = dposv(F[:-1, :-1][np.ix_(free, free)], g)[1:]
+        return np.inf if failed else float(g @ d) / 2
 
     def moved(self, programme: Programme, options: SolverOptions) -> "Iterate | None":
         """The solution of the quadratic model here, Newton's; None if it has none."""
@@ -78,6 +113,7 @@ class Iterate:
             x=self.x + np.concatenate([found.x, rest[: size - nf]]),
             bounds=bounds,
             constraints=np.concatenate([prices, found.multipliers_g]),
+            model=(F, follow),
         )
 
 
@@ -90,34 +126,29 @@ def _missed(values: Array, lower: Array, upper: Array, prices: Array) -> float:
 
 
 def predicted(
-    programme: Programme, x: Array, steps: int, options: SolverOptions
-) -> tuple[Array, tuple[Array, Array]] | None:
-    """Scaled variables of the solution to expect, and multipliers of bounds and constraints.
+    programme: Programme, at: Iterate, steps: int, options: SolverOptions
+) -> Iterate | None:
+    """The solution to expect from an iterate near one; λ may lie outside the bounds.
 
-    From ``x`` (n,), scaled variables near a solution, by ``steps`` quadratic models, each about the
-    solution of the last; λ may lie outside the bounds. None if one of them has no solution.
+    By ``steps`` quadratic models, each about the solution of the last; None if one of them has no
+    solution.
     """
-    at: Iterate | None = Iterate(x, np.zeros(len(x)), np.zeros(len(programme.values(x).g)))
+    found: Iterate | None = at
     for _ in range(steps):
-        if at is None or (at := at.moved(programme, options)) is None:
-            return None
-    return None if at is None else (at.x, (at.bounds, at.constraints))
+        found = None if found is None else found.moved(programme, options)
+    return found
 
 
 def followed(
-    programme: Programme,
-    x: Array,
-    multipliers: tuple[Array, Array],
-    options: SolverOptions,
-    stage: str,
+    programme: Programme, at: Iterate, options: SolverOptions, stage: str
 ) -> Solution | None:
     """The solution, to the tolerance, by quadratic models alone; None where they do not lead there.
 
-    They lead there as long as each leaves at most half of the error of the optimality conditions
-    that it should leave nothing of. From scaled variables ``x`` (n,) and ``multipliers`` of bounds
-    and constraints near the solution.
+    They lead there as long as any two leave at most half of the error of the optimality conditions
+    that each should leave nothing of: one may find that a bound is on a kink. From an iterate near
+    the solution.
     """
-    begin, at, last = time.perf_counter(), Iterate(x, *multipliers), np.inf
+    begin, last, before = time.perf_counter(), np.inf, np.inf
     programme = programme.roomier(ROOM)
     ipopt = QUADRATIC | WITHIN
     exact = replace(options, progress=None, max_iterations=MANY, ipopt=ipopt)
@@ -127,7 +158,7 @@ def followed(
         if options.progress is not None:
             told = Progress(stage=stage, iteration=iteration, cost=values.cost, seconds=seconds)
             options.progress(told)
-        if error <= options.tolerance:
+        if error <= options.tolerance and at.left(programme) <= STATED:
             status = "solved by quadratic models"
             said = stage, status, iteration, values.cost, seconds
             LOG.info("%s: %s, %d steps, cost %.6g, %.2f s", *said)
@@ -142,7 +173,7 @@ def followed(
                 iterations=iteration,
                 seconds=seconds,
             )
-        falls, last = error < FALLS * last, error
+        falls, last, before = error < FALLS * max(last, before), error, last
         moved = at.moved(programme, exact) if falls and seconds < options.max_seconds else None
         if moved is None:
             break

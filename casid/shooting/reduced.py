@@ -18,12 +18,11 @@ import scipy.linalg
 
 from casid.arrays import Array, BoolArray
 from casid.nlp import Progress, Solution, SolverOptions
-from casid.shooting.nearby import MANY, QUADRATIC, step
+from casid.shooting.nearby import MANY, QUADRATIC, STATED, step
 from casid.shooting.newton import MEET, Newton
 from casid.shooting.precision import quadratic_model, unknown_names
 from casid.shooting.programme import Programme
 
-STATED = 1e-3  # of log-likelihood that an undamped step may still gain: 0.05 standard errors
 LAST = 1e-6  # and where steps end, unless none of the last few has gained as much
 IDLE = 5
 LATER = 100  # steps, at most

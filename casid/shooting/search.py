@@ -17,7 +17,7 @@ from casid.shooting import frequency
 from casid.shooting.delays import Side, calm, held, neighbours, own_prices, stuck
 from casid.shooting.integration import factor_wanted, integration
 from casid.shooting.likelihood import CovarianceKind
-from casid.shooting.nearby import followed, predicted
+from casid.shooting.nearby import Iterate, followed, predicted
 from casid.shooting.newton import Newton
 from casid.shooting.nonlinear import Integration, NonlinearEvaluator
 from casid.shooting.programme import Programme
@@ -89,13 +89,12 @@ class Search:
         first, point = begun
         first = _calmed(first, point)
         quiet = replace(self.options, progress=None)
-        guess = predicted(first, first.pack(point), PREDICTIONS, quiet)
+        guess = predicted(first, Iterate.of(first, first.pack(point)), PREDICTIONS, quiet)
         if guess is None:
             return None
-        x, multipliers = guess
         ipopt = NEAR | {"mu_init": self.options.tolerance / 1000} | dict(self.options.ipopt)
         options = replace(self.options, ipopt=ipopt)
-        solution = self._near(first, first.unpack(x), multipliers, 1, options, close=True)
+        solution = self._near(first, guess, 1, options, close=True)
         found = Outcome(first, solution, solution.iterations, 1, True)
         outcome = self.around(self._released(found))
         return outcome if outcome.solution.success else None
@@ -226,32 +225,29 @@ class Search:
         point = replace(point, lam=lam)
         evaluator = last.evaluator.within(side.delays)
         loose = last.variant(noise=noise, evaluator=evaluator, free=free)
-        if outcome.solution.success and self._leads_back(loose, outcome.solution.x, side.a):
+        guess = self._across(loose, outcome.solution) if outcome.solution.success else None
+        if guess is not None and _leads_back(loose, outcome.solution.x, guess, side.a):
             return outcome.failed("it is best where the outcome's own stretch begins")
-        programme = loose.balanced(point)
-        warm = _carried(outcome.solution, last, programme)
+        programme = loose.balanced(point if guess is None else loose.unpack(guess.x))
         rounds = outcome.rounds + 1
-        solve = self._near if outcome.solution.success else self._solve
-        solution = solve(programme, point, warm, rounds, self.options)
+        if guess is not None:
+            solution = self._near(programme, guess.carried(loose, programme), rounds, self.options)
+        else:
+            warm = _carried(outcome.solution, last, programme)
+            solution = self._solve(programme, point, warm, rounds, self.options)
         iterations = outcome.iterations + solution.iterations
         return self._released(Outcome(programme, solution, iterations, rounds, True))
 
-    def _leads_back(self, programme: Programme, x: Array, a: int) -> bool:
-        """Whether a stretch of parameter ``a`` next to a solution's is best at the common end.
+    def _across(self, programme: Programme, solution: Solution) -> Iterate | None:
+        """Where a solution leads in the stretch next to its own; None where outputs jump between.
 
-        There the solution, which is the best of its own, is at least as good: unless outputs jump.
+        And where a quadratic model is not known to tell.
         """
-        jumps = not np.isnan(held(programme, programme.unpack(x).lam)[1]).all()
+        jumps = not np.isnan(held(programme, programme.unpack(solution.x).lam)[1]).all()
         if jumps or programme.evaluator.filtering:
-            return False
-        guess = predicted(programme, x, 1, replace(self.options, progress=None))
-        if guess is None:
-            return False
-        (lower, upper), _ = programme.limits()
-        width, there, price = upper[a] - lower[a], guess[0][a], guess[1][0][a]
-        at_end = min(there - lower[a], upper[a] - there) < ROUGH * width
-        dear = abs(price) * width * programme.n > 1  # in units of log-likelihood
-        return bool(at_end and dear and (x[a] - there) * price > 0)
+            return None
+        at = Iterate(solution.x, solution.multipliers_x, solution.multipliers_g)
+        return predicted(programme, at, 1, replace(self.options, progress=None))
 
     def _released(self, outcome: Outcome) -> Outcome:
         """The outcome under its own bounds; the ends of a stretch have no price."""
@@ -265,8 +261,7 @@ class Search:
     def _near(
         self,
         programme: Programme,
-        point: Point,
-        warm: tuple[Array, Array],
+        guess: Iterate,
         number: int,
         options: SolverOptions,
         *,
@@ -274,10 +269,10 @@ class Search:
     ) -> Solution:
         """By quadratic models alone, as long as they lead to the solution; else by IPOPT."""
         if programme.evaluator.curved:
-            start, stage = programme.pack(point), f"output error, round {number}"
-            solution = followed(programme, start, warm, options, stage)
+            solution = followed(programme, guess, options, f"output error, round {number}")
             if solution is not None:
-                return completed(programme, start, solution, options, stage, LAST)
+                return solution
+        warm, point = (guess.bounds, guess.constraints), programme.unpack(guess.x)
         return self._solve(programme, point, warm, number, options, close=close)
 
     @staticmethod
@@ -306,6 +301,18 @@ class Search:
             return solution  # on a kink no steps end, but those on either side
         enough = ROUGHLY if number == 1 and options.tolerance >= ROUGH else LAST
         return completed(programme, start, solution, options, stage, enough)
+
+
+def _leads_back(programme: Programme, x: Array, guess: Iterate, a: int) -> bool:
+    """Whether a stretch of parameter ``a`` next to a solution's is best at the common end.
+
+    There the solution, which is the best of its own, is at least as good.
+    """
+    (lower, upper), _ = programme.limits()
+    width, there, price = upper[a] - lower[a], guess.x[a], guess.bounds[a]
+    at_end = min(there - lower[a], upper[a] - there) < ROUGH * width
+    dear = abs(price) * width * programme.n > 1  # in units of log-likelihood
+    return bool(at_end and dear and (x[a] - there) * price > 0)
 
 
 def _calmed(programme: Programme, point: Point) -> Programme:
@@ -337,5 +344,6 @@ def _begun_inside(outcome: Outcome) -> Point | None:
 
 def _carried(solution: Solution, last: Programme, programme: Programme) -> tuple[Array, Array]:
     """Multipliers of one programme in the units of another."""
-    (x, g), (new_x, new_g) = last.units(), programme.units()
-    return solution.multipliers_x * new_x / x, solution.multipliers_g * new_g / g
+    at = Iterate(solution.x, solution.multipliers_x, solution.multipliers_g)
+    moved = at.carried(last, programme)
+    return moved.bounds, moved.constraints

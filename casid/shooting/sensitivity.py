@@ -24,7 +24,7 @@ from casid.free import Free
 from casid.intersample import DelayedInput, integrals
 from casid.shooting.delayed import Delayed
 from casid.shooting.gains import Gains
-from casid.shooting.intervals import Layout
+from casid.shooting.intervals import Layout, lay_out
 from casid.shooting.kalman import filter_gains
 from casid.shooting.stepping import Steps, propagated
 from casid.shooting.unknowns import FilterFunction, FilterMatrices, GainUnknowns, NoiseUnknowns
@@ -121,6 +121,12 @@ class Evaluator:
         """The same, samples passed as for these delays (nu,) instead of τ; NaN follows τ."""
         other = copy.copy(self)
         other.delayed, other._steps = self.delayed.within(delays), None
+        return other
+
+    def unbroken(self) -> Self:
+        """The same with one interval a record."""
+        other = copy.copy(self)
+        other.layout, other._steps = lay_out(self.layout.records, np.inf), None
         return other
 
     def sweep(self, point: Point, motion: Motion, W: Array) -> "Sweep":

@@ -21,6 +21,7 @@ from casid.shooting.sensitivity import Evaluator, Point
 
 SURPRISE = 0.5  # share of the inputs' effect that the starting model may miss
 FLOOR = 1e-6  # standard deviation of a residual is at least this share of the channel's
+OTHER = 4.0  # times the variances of a fit: residuals that are not of its motion
 
 
 def channel_size(evaluator: Evaluator) -> Array:
@@ -74,10 +75,41 @@ def neighbouring_programme(
         start = replace(start, bias=near.biases)
     kind: CovarianceKind = "diagonal" if isinstance(R, np.ndarray) else R
     given = R if isinstance(R, np.ndarray) else None
-    known = noise_of(evaluator, near.R if given is None else given, kind)
-    point, scales = _smoothed(evaluator, free, known, start, biases)
+    point = _flown(evaluator, free, start, near)
+    if point is None:
+        known = noise_of(evaluator, near.R if given is None else given, kind)
+        point, scales = _smoothed(evaluator, free, known, start, biases)
+    else:
+        scales = _units(evaluator, free, _size(point, _drift(evaluator, point.lam)))
     programme = Programme(evaluator, free, scales, noise_of(evaluator, given, kind), biases)
     return programme.balanced(point), point
+
+
+def _flown(evaluator: Evaluator, free: Free, start: Point, near: AnyFit) -> Point | None:
+    """The start with nodes along the fit's motion, which is one of the records as a whole.
+
+    None if that is not known, or far from the records: they are others, or a mode has grown beyond
+    what is known of how they begin.
+    """
+    e, model = evaluator, free.model
+    own = np.isin(model.states, near.model.states)
+    first, constants = near.initial_states, near.state_biases
+    count = len(e.layout.records)
+    if e.filtering or near.R is None or first is None or first.shape != (count, own.sum()):
+        return None
+    begin = np.zeros((count, e.nx))
+    begin[:, own] = first
+    if e.constants:
+        if constants is None or constants.shape != (count, len(e.constants)):
+            return None
+        begin[:, e.constants] = constants
+    with np.errstate(over="ignore", invalid="ignore"):
+        motion = e.unbroken().simulate(replace(start, nodes=begin))
+        seen = e.layout.patterns[e.layout.pattern].sum(axis=0)
+        variance = np.sum(motion.residuals**2, axis=0) / np.maximum(seen, 1)
+    if not (variance <= OTHER * np.diag(near.R)).all():
+        return None
+    return replace(start, nodes=motion.states[np.sort(e.layout.start)])
 
 
 def continued_programme(
@@ -122,8 +154,12 @@ def _smoothed(
     for _ in range(e.smoothings):
         blocks = programme.blocks(programme.pack(point))
         point = replace(point, nodes=_smooth(blocks, point, rest, programme, drift))
-    size = np.maximum(np.sqrt(np.mean(point.nodes**2, axis=0)), np.sqrt(np.diag(drift)))
-    return point, _units(e, free, size)
+    return point, _units(e, free, _size(point, drift))
+
+
+def _size(point: Point, drift: Array) -> Array:
+    """Of the states (nx,), at least what may be missed of them over an interval."""
+    return np.maximum(np.sqrt(np.mean(point.nodes**2, axis=0)), np.sqrt(np.diag(drift)))
 
 
 def _units(e: Evaluator, free: Free, size: Array) -> Scales:

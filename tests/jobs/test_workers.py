@@ -11,6 +11,7 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPool
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_limits
 from truths.mixture import Inline
 from truths.sums import HERE, add, job, results, surroundings
 
@@ -46,7 +47,8 @@ def test_processes_have_what_is_loaded_here_and_neither_logs_handlers_nor_thread
     monkeypatch.setitem(HERE, "told", "before")
     before = signal.signal(signal.SIGTERM, lambda *_: None)
     try:
-        done = run_jobs(surroundings, [job(str(k), k) for k in range(5)])
+        with threadpool_limits(2, "blas"):
+            done = run_jobs(surroundings, [job(str(k), k) for k in range(5)])
     finally:
         signal.signal(signal.SIGTERM, before)
     assert [each.result for each in done.values()] == 5 * [["before", False, True, 1]]
