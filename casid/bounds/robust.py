@@ -22,7 +22,7 @@ import scipy
 from casid.arrays import Array
 from casid.fit import AnyFit
 from casid.shooting.precision import OutputErrorNotes
-from casid.shooting.uncertainty import left_out
+from casid.shooting.scores import left_out
 
 SMALLEST = 1e-9  # variance of a direction that is held already, of the largest
 ROUNDING = 1e-12  # of the variances in units of standard errors

@@ -14,6 +14,7 @@ from casid.nlp import Solution
 from casid.shooting import uncertainty
 from casid.shooting.nonlinear import Integration
 from casid.shooting.programme import Programme
+from casid.shooting.scores import NO_SCORES, RecordScores
 from casid.shooting.spectrum import NoiseSpectrum
 from casid.shooting.starting import channel_size
 from casid.values import seal, storable
@@ -87,9 +88,7 @@ class Precision:
     insensitivity: Array  # (n,) 1/√F_ii, initial states and biases eliminated from F
     collinear: tuple[uncertainty.Collinearity, ...]  # hardly determined, the worst first
     undetermined: tuple[str, ...]  # parameters in directions without information
-    records: uncertainty.RecordScores = (
-        uncertainty.NO_SCORES
-    )  # of whole records, by the free parameters
+    records: RecordScores = NO_SCORES  # of whole records, by the free parameters
 
     def notes(
         self, rounds: int, nodes: int, nuisances: int, K: Array | None, Q: Array | None = None
@@ -231,7 +230,7 @@ def quadratic_model(
 
 def _coloured(
     programme: Programme, x: Array, covariance: Array, follow: Array, held: int
-) -> tuple[Array, uncertainty.RecordScores]:
+) -> tuple[Array, RecordScores]:
     """What residuals correlated as they are make of a covariance (nf, nf), few data allowed for.
 
     And scores of whole records, if the scatter of estimates is in these alone.
@@ -264,5 +263,5 @@ def _coloured(
         more = larger * more * np.outer(s.lam, s.lam)
         total = total + covariance @ more @ covariance
     if nf > n or surprise.any() or not len(scores):
-        return np.asarray(total), uncertainty.NO_SCORES
+        return np.asarray(total), NO_SCORES
     return np.asarray(total), (scores / unit, shares / np.outer(unit, unit))

@@ -14,12 +14,11 @@ import scipy.linalg
 from numpy.lib.stride_tricks import sliding_window_view
 
 from casid.arrays import Array, BoolArray
+from casid.shooting.scores import NO_SCORES, PARTS, BlockScores, ProcessScores, RecordScores, summed
 from casid.values import storable
 
 Sparse: TypeAlias = scipy.sparse.csc_array
-RecordScores: TypeAlias = tuple[Array, Array]  # (m, n) and (m, n, n): scores and information
 
-NO_SCORES: RecordScores = np.zeros((0, 0)), np.zeros((0, 0, 0))
 RIDGE = 1e-16  # on nuisance blocks, relative; an unobservable nuisance must not stop the rest
 SAME = 1e-14  # the same where that is lost in rounding
 MANY = 500  # neighbours of a nuisance variable (the bias of a long record) that would fill factors
@@ -31,9 +30,7 @@ SHARE = 0.5  # of a parameter's variance, for it to be named
 LAGS = 0.2  # longest lag of the residuals' correlation, of the record (Klein & Morelli)
 RUN = 5  # lags without a significant correlation that end it
 SELDOM = 0.1  # of the pairs of the commonest lag, below which a lag is a channel's by chance
-PARTS = 4  # of a block of scores
 BLOCKS, FEWEST = 3, 20  # blocks: as many for a parameter, and in all, at least
-LEFT = 0.05  # of the information outside a block, at least
 MOST_LAGS = 5000  # samples; at 50 Hz the correlation of residuals is over long before
 
 
@@ -227,14 +224,17 @@ def coloured_covariance(
     values, vectors = np.linalg.eigh(covariance / (unit * unit.T))
     known = values > GONE * values.max(initial=0.0)
     root = unit * vectors[:, known] * np.sqrt(values[known])  # P = root rootᵀ
-    K = process_scores(root.shape[1], C, slopes(root))
-    blocks, samples = max(BLOCKS * len(K), FEWEST), sum(len(r) for r in residuals)
+    process, k = ProcessScores(C, root.shape[1]), root.shape[1]
+    blocks, samples = max(BLOCKS * k, FEWEST), sum(len(r) for r in residuals)
     length, records = samples // (PARTS * blocks), NO_SCORES
-    if len(C) > 1 and length > 0:
-        by_blocks, (g, H) = block_scores(len(K), residuals, slopes(root), length)
+    together = BlockScores(length, k) if len(C) > 1 and length > 0 else None
+    summed(residuals, slopes(root), [process] if together is None else [process, together])
+    K = process.total()
+    if together is not None:
+        g, H = together.records()
         inverse = vectors[:, known] / np.sqrt(values[known]) / unit
         records = g @ inverse.T, inverse @ H @ inverse.T
-        K = _larger(K, by_blocks) if PARTS * length >= len(C) else K
+        K = _larger(K, together.K) if PARTS * length >= len(C) else K
     elif length == 0:
         K = _larger(K, np.eye(len(K)))
     return np.asarray(root @ K @ root.T), records
@@ -247,99 +247,6 @@ def _larger(A: Array, B: Array) -> Array:
     inverse = np.linalg.pinv(root)
     values, axes = np.linalg.eigh(inverse @ B @ inverse.T)
     return np.asarray((root @ axes * np.maximum(values, 1.0)) @ (root @ axes).T)
-
-
-def block_scores(
-    k: int, residuals: Sequence[Array], slopes: Iterable[Iterable[Array]], length: int
-) -> tuple[Array, RecordScores]:
-    """Σ g̃ g̃ᵀ of the scores g = Σ sᵀ r̃ of overlapping blocks, (k, k), for slopes (n, ny, k).
-
-    Every score is that of the residuals its block would have were it not fitted itself, to first
-    order g̃ = (I - H)⁻¹ g with H its share of the information: the jackknife's (R. M. Bell, D. F.
-    McCaffrey, Survey Methodology 28(2), 2002). Blocks have four parts of ``length`` samples and
-    begin with every part (H. R. Künsch, Ann. Statist. 17(3), 1989). With them come g and H of
-    whole records.
-    """
-    K, records = np.zeros((k, k)), []
-    for r, pieces in zip(residuals, slopes, strict=True):
-        count, first = -(-len(r) // length), 0
-        g, H = np.zeros((count, k)), np.zeros((count, k, k))
-        for piece in pieces:
-            edges = range(length - first % length, len(piece), length)
-            for s in np.split(piece, edges):
-                own, last = first // length, first + len(s)
-                g[own] += _flat(s).T @ r[first:last].ravel()
-                H[own] += _flat(s).T @ _flat(s)
-                first = last
-        alone = _left_out_scores(_of_blocks(H), _of_blocks(g))
-        K += alone.T @ alone / PARTS
-        records.append((g.sum(axis=0), H.sum(axis=0)))
-    scores, shares = zip(*records, strict=True)
-    return K, (np.array(scores), np.array(shares))
-
-
-def _of_blocks(parts: Array) -> Array:
-    """Sums over all blocks of neighbouring parts (count, ...), those cut by the ends as well."""
-    none = np.zeros((PARTS - 1, *parts.shape[1:]))
-    padded = np.concatenate([none, parts, none])
-    return np.asarray(sliding_window_view(padded, PARTS, axis=0).sum(axis=-1))
-
-
-def _left_out_scores(H: Array, g: Array) -> Array:
-    """(I - H)⁻¹ g of every block, as `left_out` has it; by far less work for small ones."""
-    eye, alone = np.eye(H.shape[1]), np.empty_like(g)
-    small = np.linalg.norm(H, axis=(1, 2)) <= 1 - LEFT  # no eigenvalue is larger than that
-    alone[small] = np.linalg.solve(eye - H[small], g[small, :, None])[..., 0]
-    for k in np.flatnonzero(~small):
-        alone[k] = left_out(H[k], 1.0) @ g[k]
-    return alone
-
-
-def left_out(H: Array, power: float) -> Array:
-    """(I - H)^-power (k, k) of a share H of the information, which is I in all."""
-    shares, axes = np.linalg.eigh(H)
-    return np.asarray(axes / np.maximum(1 - shares, LEFT) ** power @ axes.T)
-
-
-def process_scores(k: int, C: Array, slopes: Iterable[Iterable[Array]]) -> Array:
-    """Σ_i Σ_j s_iᵀ C(j - i) s_j, (k, k), for slopes s (n, ny, k) and C(m) = mean r̃_i r̃_{i+m}ᵀ.
-
-    C (lags + 1, ny, ny) as `residual_covariance`; the sum is taken over the spectrum.
-    """
-    K, lags = np.zeros((k, k)), len(C) - 1
-    for pieces in slopes:
-        past: Array = np.zeros((0, C.shape[1], k))
-        for piece in pieces:
-            s = np.concatenate([past, piece]) if len(past) else piece
-            K += _double_sum(C, s) - _double_sum(C, past)
-            past = s[max(len(s) - lags, 0) :]
-    values, vectors = np.linalg.eigh(K + K.T)
-    return np.asarray(
-        (vectors * np.maximum(values / 2, 0.0)) @ vectors.T
-    )  # the taper may leave < 0
-
-
-def _double_sum(C: Array, s: Array) -> Array:
-    """Σ_i Σ_j s_iᵀ C(j - i) s_j over all samples of s (N, ny, nf)."""
-    if not len(s):
-        return np.zeros((s.shape[2], s.shape[2]))
-    if len(C) == 1:  # white: nothing to transform
-        return np.asarray(_flat(s).T @ _flat(C[0] @ s))
-    n = scipy.fft.next_fast_len(len(s) + len(C), real=True)
-    S = scipy.fft.rfft(s, n, axis=0)
-    weight = np.full(len(S), 2.0 / n)
-    weight[0] /= 2
-    if n % 2 == 0:
-        weight[-1] /= 2
-    weighted = (_spectrum(C, n).conj() * weight[:, None, None]) @ S
-    return np.asarray(
-        _flat(S.real).T @ _flat(weighted.real) + _flat(S.imag).T @ _flat(weighted.imag)
-    )
-
-
-def _flat(s: Array) -> Array:
-    """(N, ny, k) as (N ny, k): one product of matrices instead of N small ones."""
-    return s.reshape(len(s) * s.shape[1], s.shape[2])
 
 
 def residual_covariance(residuals: Sequence[Array]) -> Array:
@@ -390,11 +297,3 @@ def _lagged_products(r: Array, lags: int) -> Array:
     R = scipy.fft.rfft(r, n, axis=0)
     columns = [scipy.fft.irfft(R[:, [a]].conj() * R, n, axis=0) for a in range(r.shape[1])]
     return np.stack([column[: lags + 1] for column in columns], axis=1)
-
-
-def _spectrum(C: Array, n: int) -> Array:
-    """Σ_m C(m) e^{-jωm} over both signs of m, on the grid of rfft(n): (n // 2 + 1, ny, ny)."""
-    padded = np.zeros((n, *C.shape[1:]))
-    padded[: len(C)] = C
-    padded[n - len(C) + 1 :] += np.transpose(C[:0:-1], (0, 2, 1))
-    return np.asarray(scipy.fft.rfft(padded, n, axis=0))
